@@ -58,6 +58,7 @@ def test_links_and_wrench_are_those_of_the_plan(messages: Messages, strokes_plan
         turn = Rotation.from_quat([getattr(found.rotation, axis) for axis in "xyzw"])
         np.testing.assert_allclose(turn.as_matrix(), X.rotation, atol=1e-9)
         assert {each.header.frame_id for each in message.transforms} == {"world"}
+        assert messages["/base_wrench"][number][1].header.frame_id == "O0"
         torque = messages["/base_wrench"][number][1].wrench.torque
         expected = samples.guardrail_torque[k]
         np.testing.assert_allclose([torque.x, torque.y, torque.z], expected)

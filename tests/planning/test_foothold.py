@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rosbags.highlevel import AnyReader
 from small_scenes import short_scene
 
 import cmbot
-from cmbot.archive import load_plan, save
+from cmbot.archive import export_mcap, load_plan, save
 from cmbot.collision import Clearances
 from cmbot.common.errors import ArchiveError, LimitViolation, OptimisationFailed, PlanningError, SceneError
 from cmbot.planning import Plan, certify, plan, remarks
@@ -165,6 +166,22 @@ def test_elsewhere_on_the_bridge_all_is_the_same(held: Plan, away: Plan, tmp_pat
     assert away.samples.tool_point[0, 0] == pytest.approx(held.samples.tool_point[0, 0] + 1.75)
     again = load_plan(save(away, tmp_path / "away"), verify=True)
     assert again.robot.foot_point == pytest.approx((1.75, 0, 0), abs=1e-12)
+
+
+def test_what_others_read_has_the_wrench_where_the_foot_holds(away: Plan, tmp_path: Path) -> None:
+    export_mcap(away, tmp_path / "away.mcap")
+    with AnyReader([tmp_path / "away.mcap"]) as reader:
+        found = {
+            connection.topic: reader.deserialize(raw, connection.msgtype)
+            for connection, _, raw in reader.messages()
+        }
+    (held,) = (each for each in found["/tf"].transforms if each.child_frame_id == "O0")
+    assert held.header.frame_id == "world"
+    place = held.transform.translation
+    assert [place.x, place.y, place.z] == pytest.approx([1.75, 0, 0], abs=1e-12)
+    assert found["/base_wrench"].header.frame_id == "O0"
+    torque = found["/base_wrench"].wrench.torque
+    np.testing.assert_allclose([torque.x, torque.y, torque.z], away.job_samples[0].guardrail_torque[-1])
 
 
 def test_a_plan_on_two_feet(tmp_path: Path) -> None:

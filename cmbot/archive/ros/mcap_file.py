@@ -21,7 +21,7 @@ from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere, load_mes
 
 __all__ = ["export_mcap"]
 
-WORLD = "world"
+WORLD, FOOT = "world", "O0"
 # Between two messages of the motion, s.
 _STEP = 0.02
 _STEEL, _WORKPIECE, _PATH = (0.49, 0.55, 0.6), (0.18, 0.62, 0.56), (0.48, 0.17, 0.75)
@@ -35,10 +35,10 @@ Message = dict[str, Any]
 def export_mcap(plan: Plan, path: str | Path) -> None:
     """Write the planned job of a plan as an MCAP file of ROS 2 messages, whole or not at all.
 
-    Every 0.02 s, and at the end: ``/joint_states``, ``/tf`` (each link in the frame ``world``, which is W),
-    ``/base_wrench``, what the arm exerts on the base at the origin of W. At its beginning, once:
-    ``/joint_trajectory``, the whole job as a ``trajectory_msgs/JointTrajectory`` every 0.01 s, and
-    ``/markers``, obstacles and tool paths. Time 0 is the beginning of the job.
+    Every 0.02 s, and at the end: ``/joint_states``, ``/tf`` (each link in the frame ``world``, which is W,
+    and ``O0``, where the foot holds), ``/base_wrench``, what the arm exerts on the base, in ``O0``. At its
+    beginning, once: ``/joint_trajectory``, the whole job as a ``trajectory_msgs/JointTrajectory`` every
+    0.01 s, and ``/markers``, obstacles and tool paths. Time 0 is the beginning of the job.
 
     Parameters
     ----------
@@ -78,6 +78,8 @@ def _messages(plan: Plan) -> Iterator[tuple[str, str, float, Message]]:
     yield "/markers", "visualization_msgs/msg/MarkerArray", 0.0, {"markers": list(_markers(plan, stamp))}
     some = np.unique(np.append(np.arange(0, len(samples.t), round(_STEP / 0.01)), len(samples.t) - 1))
     names, poses = link_poses(plan.robot, samples.q[some])
+    # O0 has the axes of W.
+    held = np.array([*plan.robot.foot_point, 0.0, 0.0, 0.0, 1.0])
     for k, each in zip(some, poses, strict=True):
         time = float(samples.t[k])
         header = {"stamp": _stamp(time), "frame_id": WORLD}
@@ -99,14 +101,15 @@ def _messages(plan: Plan) -> Iterator[tuple[str, str, float, Message]]:
                 "child_frame_id": name,
                 "transform": {"translation": _vector(pose[:3]), "rotation": _quaternion(pose[3:])},
             }
-            for name, pose in zip(names, each, strict=True)
+            for name, pose in zip([*names, FOOT], [*each, held], strict=True)
         ]
         yield "/tf", "tf2_msgs/msg/TFMessage", time, {"transforms": transforms}
         wrench = {
             "force": _vector(samples.guardrail_force[k]),
             "torque": _vector(samples.guardrail_torque[k]),
         }
-        yield "/base_wrench", "geometry_msgs/msg/WrenchStamped", time, {"header": header, "wrench": wrench}
+        message = {"header": header | {"frame_id": FOOT}, "wrench": wrench}
+        yield "/base_wrench", "geometry_msgs/msg/WrenchStamped", time, message
 
 
 def _trajectory(plan: Plan, stamp: Message) -> Message:
