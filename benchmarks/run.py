@@ -50,15 +50,32 @@ def programs(_: argparse.Namespace, tell: Callable[[str], None]) -> list[dict[st
     return list(compared_programs(tell))
 
 
-# What can be measured alone.
-APART = {"formulations": formulations, "programs": programs}
+def scenes(arguments: argparse.Namespace, tell: Callable[[str], None]) -> list[dict[str, Any]]:
+    """Plan and simulate the shipped scenes."""
+    found = []
+    for name in SCENES:
+        tell(f"planning and simulating: {name}")
+        found.append(asdict(planned(name, repeats=2 if arguments.quick else 3)))
+    return found
+
+
+def started(_: argparse.Namespace, tell: Callable[[str], None]) -> dict[str, float]:
+    """Start processes."""
+    tell("start-up")
+    return start_up()
+
+
+# What can be measured alone; the first two take long.
+APART = {"formulations": formulations, "programs": programs, "planned": scenes, "start_up": started}
+_LONG = ("formulations", "programs")
 
 
 def measured(arguments: argparse.Namespace, tell: Callable[[str], None]) -> dict[str, Any]:
     """Measure everything that the arguments ask for."""
     if arguments.only:
         results = json.loads(REFERENCE.read_text(encoding="utf-8"))
-        return results | {theme: APART[theme](arguments, tell) for theme in arguments.only}
+        results |= {theme: APART[theme](arguments, tell) for theme in arguments.only}
+        return results | {"goals": [asdict(goal) for goal in goals(results)]}
     quick = arguments.quick
     results: dict[str, Any] = {"format": FORMAT, "quick": quick, "machine": machine()}
     # First: a fresh process inherits the peak of the memory of the one that starts it.
@@ -66,14 +83,10 @@ def measured(arguments: argparse.Namespace, tell: Callable[[str], None]) -> dict
     for size in _QUICK_SIZES if quick else _SIZES:
         tell(f"growth: {size} via-points")
         results["growth"].append(asdict(in_a_process(size)))
-    tell("start-up")
-    results["start_up"] = start_up()
+    results["start_up"] = started(arguments, tell)
     tell("kernels")
     results["kernels"] = kernels()
-    results["planned"] = []
-    for name in SCENES:
-        tell(f"planning and simulating: {name}")
-        results["planned"].append(asdict(planned(name, repeats=2 if quick else 3)))
+    results["planned"] = scenes(arguments, tell)
     results["solvers"] = [
         asdict(solved)
         for solved in compared(
@@ -84,7 +97,7 @@ def measured(arguments: argparse.Namespace, tell: Callable[[str], None]) -> dict
         )
     ]
     if not quick:
-        results |= {theme: measure(arguments, tell) for theme, measure in APART.items()}
+        results |= {theme: APART[theme](arguments, tell) for theme in _LONG}
     results["goals"] = [asdict(goal) for goal in goals(results)]
     return results
 
