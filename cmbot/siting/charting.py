@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning import (
@@ -34,12 +36,15 @@ class Charted:
         least, in the objective's unit: an estimate (`GlobalSearch.followed_bound`).
     expected : float
         Largest value, at rest, of the best sequences that were found.
+    torque : float, Nm
+        Largest torque on the guardrail, at rest, in these sequences.
     begins : (n,), rad
         The first posture of the first stroke's sequence.
     """
 
     bound: float
     expected: float
+    torque: float
     begins: FloatArray
 
 
@@ -68,10 +73,12 @@ def chart(scene: Scene, limit: float) -> Charted:
         if isinstance(solution, PathNotFound):
             raise solution
         bound = min(search.followed_bound(), solution.peak)
-        found.append(Charted(bound=bound, expected=solution.peak, begins=solution.q[0]))
+        torque = np.linalg.norm(context.postures.at(solution.q).guardrail_torque, axis=1).max()
+        found.append(Charted(bound=bound, expected=solution.peak, torque=float(torque), begins=solution.q[0]))
     return Charted(
         bound=max(each.bound for each in found),
         expected=max(each.expected for each in found),
+        torque=max(each.torque for each in found),
         begins=found[0].begins,
     )
 

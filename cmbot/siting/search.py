@@ -29,6 +29,8 @@ _PLAN_SECONDS, _CHART_SECONDS = 20.0, 10.0
 _ALIKE = {"plan": 0.3, "charts": 0.12}
 # So many times as many stances as are to be planned are tried, and once more that many.
 _TRIES = 2
+# Of the torque that is allowed, so much in the postures of charts is not planned: a plan may ask less.
+_ROOM = 1.05
 # Once enough are planned, stances are looked at that may be better by more than this.
 _GAP = 0.02
 
@@ -247,6 +249,11 @@ class _Search:
         except CmbotError as error:
             self._give_up(k, "blocked", "charts", str(error))
             return
+        most = self._options.max_torque
+        if charted.torque > _ROOM * most:
+            why = f"{charted.torque:.1f} Nm on the guardrail in its best postures, {most:g} Nm are allowed"
+            self._give_up(k, "too much torque", "charts", why)
+            return
         self._begins[k] = charted.begins
         # With few via-points there is less room for what lies between postures, with many more is seen.
         bound = min(max(charted.bound, self.each[k].bound), charted.expected)
@@ -281,5 +288,6 @@ class _Search:
 
     def _give_up(self, k: int, status: str, judged: str, why: str) -> None:
         self.each[k] = replace(self.each[k], status=status, judged=judged, reason=why)
-        if judged in _ALIKE:
+        # A little further on the torque may be less.
+        if judged in _ALIKE and status != "too much torque":
             self._in_vain.append((self.each[k].candidate.base[:3, 3], _ALIKE[judged]))
