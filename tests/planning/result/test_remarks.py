@@ -54,6 +54,16 @@ def test_a_plan_that_gains_nothing_says_so(short_plan: Plan, triangle_plan: Plan
     assert "Hardly anything" not in said[1]
 
 
+def test_more_jerk_than_the_baselines_is_told_where_something_bends(triangle_plan: Plan) -> None:
+    assert "The joints jerk" not in " ".join(remarks(triangle_plan))
+    use = triangle_plan.figures.limit_use
+    calm = replace(triangle_plan.baseline_figures, limit_use=replace(use, jerk=use.jerk / 3))
+    hard = replace(triangle_plan, baseline_figures=calm)
+    said = line(hard, "The joints jerk 3.0 times as hard as the baseline's, ")
+    assert said.endswith("may sway more than the baseline's; cmbot simulate tells.")
+    assert "The joints jerk" not in " ".join(remarks(replace(hard, suppression=None)))
+
+
 def suppressed(of: Plan, **changes: object) -> str:
     """Remarks on a plan whose vibration was suppressed."""
     done = {
