@@ -100,7 +100,7 @@ def _ticks(low: float, high: float, count: int) -> list[float]:
     power = 10.0 ** np.floor(np.log10(raw))
     step = next(part * power for part in (1, 2, 5, 10) if part * power >= raw * (1 - 1e-9))
     each = np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1)
-    return [float(f"{value:.6g}") for value in each * step]
+    return [float(f"{value:.6g}") + 0.0 for value in each * step]
 
 
 def _marks(standing: Standing, low: float, high: float, top: float) -> Iterator[str]:
