@@ -137,6 +137,14 @@ def test_names_stand_for_urdfs_with_their_srdf() -> None:
     assert (robot.model, robot.base_frame, robot.limits, robot.mount_xyz) == ("panda", None, None, None)
 
 
+def test_a_folder_does_not_hide_a_robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`cmbot plan` writes one that is named after the scene, and scenes are named after robots."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "panda").mkdir()
+    assert robot_files("panda").urdf.is_file()
+    assert load_scene({**SHORT, "robot": {"model": "panda"}}).robot.model == "panda"
+
+
 def test_near_names_are_proposed() -> None:
     with pytest.raises(ModelError, match=r"pandas: no such file, expected .*; did you mean panda\?"):
         load_robot("pandas")

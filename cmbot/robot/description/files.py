@@ -67,7 +67,8 @@ def robot_files(
         frames = {"base_frame": "arm_base", "tool_frame": "tool0"}
     else:
         urdf = given_path(model, "load_robot", "model", "cmbot, a robot's name, or the path of a URDF")
-        if is_robot_name(str(model)) and not os.path.exists(urdf):  # noqa: PTH110  as elsewhere
+        # A folder of that name may be the robot's plan.
+        if is_robot_name(str(model)) and not os.path.isfile(urdf):  # noqa: PTH113  as elsewhere
             urdf = _in_library(str(model))
             near = library_srdf(urdf)
     return RobotFiles(
