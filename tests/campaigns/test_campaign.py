@@ -179,7 +179,7 @@ def test_the_overview_of_ten_thousand_jobs_is_small_and_safe(tmp_path: Path) -> 
     assert {len(column) for column in columns.values()} == {10_001}
     assert columns["baseline"][0] == 400.123
     assert columns["link"][0] == "plans/aa/x/"
-    assert len(columns["reason"][-1]) == 200
+    assert len(columns["reason"][-1]) == 600
 
 
 def test_processes_plan_as_one_does_and_ctrl_c_ends_them(file: Path, tmp_path: Path) -> None:

@@ -156,8 +156,8 @@ def test_the_verdict_follows_the_margin(saved_short: Path, short_tracking: Track
     rows = {name: float(planned) for name, _, planned in tracking_summary(short_tracking, compensated=False)}
     off, sways = rows["bent tool off its path, at most"], rows["tool sways beside its sag, at most"]
     assert verdict(1.01 * off).startswith("Within the margin: bent as it is, the tool stays within ")
-    assert verdict(0.5 * (off + sways)).endswith("compensate: true the plan makes up for it.")
-    assert verdict(0.9 * sways).endswith("makes up for the sag, not for the swaying.")
+    assert "compensate: true the plan makes up for it." in verdict(0.5 * (off + sways))
+    assert "makes up for the sag, not for the swaying." in verdict(0.9 * sways)
     missed = verdict(0.9 * off, compensate=True)
     assert missed.startswith(
         f"Not within the margin: bent as it is, the tool leaves its path by more than {0.9 * off:g}"
