@@ -434,7 +434,15 @@ class Scene:
         return replace(self, **plain, strokes=strokes, order=order)
 
     def _stroke_key(self, number: int) -> str:
-        return "tool_path" if self.strokes is None else f"tool_path.strokes[{number}]"
+        """The key in the file of a stroke: strokes that are parts of one raster have its key."""
+        if self.strokes is None:
+            return "tool_path"
+        stroke, path = self.strokes[number], self.file.tool_path
+        in_file = {each.name: k for k, each in enumerate(path.strokes or ())}
+        if not in_file and stroke.part_of == WORK:
+            return "tool_path"
+        own = stroke.name if stroke.name in in_file else stroke.part_of
+        return f"tool_path.strokes[{in_file.get(own, number)}]"
 
     def _path_source(self, number: int) -> PathSource:
         return PathSource(

@@ -1,6 +1,7 @@
 """Rasters in pieces: cells of rows, the strokes that they become, and what these cover."""
 
 import copy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -148,6 +149,23 @@ def in_parts(*strokes: dict[str, Any]) -> Scene:
     scene = load_scene(data)
     cells = cells_of([[(0.0, 0.1), (0.3, 0.4)]] * 3)
     return scene.with_cells({0: cells}, {0: [piece for cell in cells for piece in cell]})
+
+
+def test_keys_are_those_of_the_file_whatever_the_parts_and_the_order() -> None:
+    edge = {"name": "edge", "from": {"xyz": [0.0, 0.0, 0.0]}, "legs": [{"by": [0.1, 0, 0], "seconds": 1.0}]}
+    parts = in_parts({"name": "rows", "raster": RECTANGLE, "speed_m_s": 0.1}, edge)
+    strokes = parts.timed_strokes(np.eye(4))
+    rows = [stroke.key for stroke in strokes if stroke.file.part_of == "rows"]
+    assert len(rows) == len(strokes) - 1 > 1 and set(rows) == {"tool_path.strokes[0]"}
+    assert strokes[-1].key == "tool_path.strokes[1]"
+    # The best order may be another one than that of the file.
+    turned = replace(parts, strokes=parts.strokes[::-1]).timed_strokes(np.eye(4))
+    assert [stroke.key for stroke in turned] == [stroke.key for stroke in strokes[::-1]]
+
+
+def test_the_key_of_a_file_with_one_path_is_that_of_all_its_parts(tmp_path: Path) -> None:
+    apart = scene_of(tmp_path, HOLE, {"seconds": 20.0}, spacing_m=0.02).in_cells(np.eye(4))
+    assert [stroke.key for stroke in apart.timed_strokes(np.eye(4))] == ["tool_path"] * 2
 
 
 def test_more_parts_than_can_be_ordered_are_as_given() -> None:
