@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.planning import RETURN, BaselineSegment, Plan, Samples, Segment
 from cmbot.simulation import Tracking
 from cmbot.views.page import pack
@@ -42,6 +43,9 @@ _NOT_SIMULATED = "not simulated"
 # What the quantities of joints that slide are called.
 _OF_SLIDING = {"angle": "position", "torque": "force"}
 
+# Segments further apart in time than this, s, have a gap between them: where an arm waits, or has no path.
+_GAP = 1e-6
+
 # When it begins, s after the work, and its samples.
 _Part = tuple[float, Samples]
 
@@ -50,13 +54,32 @@ _Part = tuple[float, Samples]
 class Curve:
     """A quantity `y` (N,) of one motion, in the chart's unit, at times `t` (N,) on the job's clock, s.
 
-    A `thin` curve is part of another one.
+    A `thin` curve is part of another one. At the points `starts` it begins again: between each and the point
+    before it there is no motion, or nothing of that quantity.
     """
 
     motion: str
     t: FloatArray
     y: FloatArray
     thin: bool = False
+    starts: tuple[int, ...] = ()
+
+    @classmethod
+    def of_some(cls, motion: str, t: FloatArray, y: FloatArray, shown: BoolArray) -> Curve:
+        """Return the curve through the points that are `shown` (N,), broken where others lie between."""
+        kept = np.flatnonzero(shown)
+        starts = np.flatnonzero(np.diff(kept) > 1) + 1
+        return cls(motion=motion, t=t[kept], y=y[kept], starts=tuple(starts.tolist()))
+
+    def downsampled(self, most: int = MOST_POINTS) -> Curve:
+        """Return it with about `most` points, each of its pieces with a share of them: see `downsampled`."""
+        pieces = [
+            downsampled(t, y, max(most * len(t) // len(self.t), 4))
+            for t, y in zip(np.split(self.t, self.starts), np.split(self.y, self.starts), strict=True)
+        ]
+        t, y = (np.concatenate(each) for each in zip(*pieces, strict=True))
+        starts = np.cumsum([len(piece) for piece, _ in pieces])[:-1]
+        return replace(self, t=t, y=y, starts=tuple(starts.tolist()))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,8 +102,8 @@ class Chart:
         """Return it ready for JSON; arrays are little-endian float32 in base64."""
         curves = []
         for curve in self.curves:
-            t, y = downsampled(curve.t, curve.y, most)
-            curves.append({"motion": curve.motion, "thin": curve.thin, "t": pack(t), "y": pack(y)})
+            few = curve.downsampled(most)
+            curves.append(vars(few) | {"t": pack(few.t), "y": pack(few.y)})
         return vars(self) | {"curves": curves}
 
 
@@ -275,8 +298,7 @@ def _off_path(tracking: Tracking, begin: float) -> Chart:
     for name, motion in tracking.motions:
         off = 1e3 * np.linalg.norm(motion.path_error, axis=1)
         # NaN between strokes, where there is no path.
-        at_work = np.isfinite(off)
-        curves.append(Curve(motion=name, t=begin + motion.t[at_work], y=off[at_work]))
+        curves.append(Curve.of_some(name, begin + motion.t, off, np.isfinite(off)))
     return Chart(
         key="tracking",
         title="Elastic tool's distance from its path",
@@ -310,8 +332,13 @@ def _curves(plan: Plan, quantity: Callable[[Samples], FloatArray], *, free: bool
     baseline = parts(plan.baseline_segments, others)
 
     def curve(motion: str, parts: list[_Part]) -> Curve:
-        t = np.concatenate([start + samples.t for start, samples in parts])
-        return Curve(motion=motion, t=t, y=np.concatenate([quantity(samples) for _, samples in parts]))
+        times = [start + samples.t for start, samples in parts]
+        ends = np.cumsum([len(t) for t in times])
+        starts = tuple(
+            int(end) for end, (t, then) in zip(ends, pairwise(times), strict=False) if then[0] > t[-1] + _GAP
+        )
+        y = np.concatenate([quantity(samples) for _, samples in parts])
+        return Curve(motion=motion, t=np.concatenate(times), y=y, starts=starts)
 
     return curve("baseline", baseline), curve("planned", planned)
 

@@ -183,7 +183,7 @@ def _curves(
         samples, segments = plan.job_samples
         work = {segment.name for segment in plan.job.strokes}
         kept = np.array([not strokes or name in work for name in segments])
-        curves.append(Curve(motion=key, t=samples.t[kept], y=np.asarray(quantity(samples))[kept]))
+        curves.append(Curve.of_some(key, samples.t, np.asarray(quantity(samples)), kept))
     return tuple(reversed(curves))
 
 

@@ -125,7 +125,10 @@ def _chart(chart: Chart) -> Figure:
     figure = _figure(_LABELS[chart.key], _HEIGHT)
     axes = figure.subplots()
     for curve in chart.curves:
-        _line(axes, curve.t, curve.y, curve.motion)
+        few = curve.downsampled()
+        # A line is broken at NaN.
+        t, y = (np.insert(each, list(few.starts), np.nan) for each in (few.t, few.y))
+        axes.plot(t, y, color=_COLOURS[curve.motion], label=curve.motion)
     # At least the chart's own range, and every curve.
     shown = np.concatenate([chart.axis, *(curve.y for curve in chart.curves)])
     low, high = float(shown.min()), float(shown.max())

@@ -23,6 +23,7 @@ from cmbot.robot import Kinematics
 from cmbot.scene import Obstacle, Sphere, pose
 from cmbot.simulation import Tracking
 from cmbot.views import report
+from cmbot.views.page import pack
 
 pytestmark = pytest.mark.browser
 
@@ -101,6 +102,24 @@ def test_there_is_a_plot_of_everything(shown: Chrome, triangle_plan: Plan) -> No
     elsewhere = shown.execute_script(words.replace("tracking", "torque"))
     assert "approach" in elsewhere[0]
     assert "not simulated" not in elsewhere[0]
+
+
+def test_a_curve_is_broken_where_it_begins_again(shown: Chrome) -> None:
+    numbers = {"t": [0.0, 1.0, 3.0, 4.0], "y": [1.0, 2.0, 6.0, 5.0]}
+    curve = {"motion": "baseline", "thin": False, "starts": [2]}
+    curve |= {name: pack(np.array(values)) for name, values in numbers.items()}
+    draw = """
+        const whole = { ...arguments[0], starts: [] }, drawn = [arguments[0], whole].map((source) => {
+            const curve = new Curve(source), inside = make("g");
+            Chart.prototype.drawCurve.call({ x: (t) => t, y: (y) => y }, curve, inside);
+            return [inside.firstChild.getAttribute("d"), [0.5, 2, 3.5].map((time) => curve.at(time))];
+        });
+        return drawn;
+    """
+    (broken, at), (line, along) = shown.execute_script(draw, curve)
+    assert broken == "M0.0 1.0L1.0 2.0M3.0 6.0L4.0 5.0"
+    assert line == broken[0] + broken[1:].replace("M", "L")
+    assert (at, along) == ([1.5, None, 5.5], [1.5, 4, 5.5])
 
 
 @pytest.mark.parametrize("time", [5.0, 13.0, 27.5])

@@ -77,9 +77,28 @@ def test_off_the_path_has_no_points_between_strokes(strokes_plan: Plan, strokes_
         times = shown.t - strokes_plan.job.strokes[0].begin
         before, after = times <= segment.begin + 1e-9, times >= segment.end - 1e-9
         assert before.any() and after.any() and (before | after).all()
+        assert shown.starts == (before.sum(),)
     for chart in (*others, off):
         for curve in chart.curves:
             assert np.isfinite(curve.y).all()
+
+
+def test_a_curve_is_broken_where_the_faster_arm_waits_to_return(returning_plan: Plan) -> None:
+    plan = replace(returning_plan)
+    hurried = [
+        replace(each, samples=replace(each.samples, t=0.5 * each.samples.t))
+        if each.kind == "stroke"
+        else each
+        for each in plan.baseline_segments
+    ]
+    plan.__dict__["baseline_segments"] = tuple(hurried)
+    wait = 0.5 * plan.samples.t[-1]
+    for chart in joint_charts(plan):
+        for curve, entry in zip(chart.curves, chart.data(50)["curves"], strict=True):
+            t = floats(entry["t"])
+            gaps = [t[k] - t[k - 1] for k in entry["starts"]]
+            assert gaps == pytest.approx([wait] if curve.motion == "baseline" else [], rel=1e-5)
+            assert len(t) <= 50
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=300), st.integers(4, 60))

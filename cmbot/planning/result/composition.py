@@ -100,10 +100,7 @@ def _stroke_plan(
     )
     baseline_figures = figures(context.robot, baseline)
     bound = guess.lower_bound if guess.search is not None else None
-    if bound is not None:
-        if motion.compensation is not None:
-            # It is that of the path itself; the joints take the tool beside that, by as much as all bends.
-            bound = replace(bound, kind="estimated")
+    if bound is not None and context.sag is None:
         at_rest = context.objective.at_rest(context.postures.at(motion.optimised.via_points))
         bound = bound.met(at_rest)
     objective = objective_metrics(

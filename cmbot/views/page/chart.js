@@ -27,9 +27,10 @@ class Curve {
     this.thin = source.thin;
     this.t = floats(source.t);
     this.y = floats(source.y);
+    this.starts = new Set(source.starts);
   }
 
-  // Value at a time, null before and after the curve.
+  // Value at a time, null before and after the curve, and where it is broken.
   at(time) {
     const { t, y } = this, last = t.length - 1;
     if (time < t[0] - 1e-4 || time > t[last] + 1e-4) return null;
@@ -39,6 +40,7 @@ class Curve {
       if (t[middle] <= time) low = middle;
       else high = middle;
     }
+    if (this.starts.has(high) && time > t[low] + 1e-4 && time < t[high] - 1e-4) return null;
     const share = Math.min(Math.max((time - t[low]) / (t[high] - t[low]), 0), 1);
     return y[low] + share * (y[high] - y[low]);
   }
@@ -219,7 +221,7 @@ class Chart {
 
   drawCurve(curve, inside) {
     let path = "";
-    for (let k = 0; k < curve.t.length; k += 1) path += `${k ? "L" : "M"}${this.x(curve.t[k]).toFixed(1)} ${this.y(curve.y[k]).toFixed(1)}`;
+    for (let k = 0; k < curve.t.length; k += 1) path += `${k && !curve.starts.has(k) ? "L" : "M"}${this.x(curve.t[k]).toFixed(1)} ${this.y(curve.y[k]).toFixed(1)}`;
     make("path", { class: `curve ${curve.motion}${curve.thin ? " thin" : ""}`, d: path }, inside);
   }
 

@@ -89,12 +89,6 @@ def test_what_is_done_about_vibration_is_told(triangle_plan: Plan) -> None:
         "0.500 mm instead of 2.000 at 0.7 times the stiffness; 0.100 mm instead of 1.000 with 1 kg more"
         in said
     )
-    assert "swings through at most 0.500 mm instead of 2.000, whatever stiffness and load may be" in said
-    assert "As modelled" not in said
-    worse = {"stiffness": (0.7, 1.0), "load_kg": (0.0, 0.0), "swing_without": (2e-3, 4e-4)}
-    assert "As modelled it swings more than before" in suppressed(
-        triangle_plan, **worse, swing_with=(1e-3,) * 2
-    )
     assert "could not be brought to rest" in suppressed(triangle_plan, shares=(0.0, 0.0))
     assert "slowest vibration of guardrail and links is made" in suppressed(triangle_plan, modes=1)
     in_vain = suppressed(triangle_plan, shares=(0.0, 0.0), swing_with=(1.9e-3, 1e-3))
