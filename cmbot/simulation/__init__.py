@@ -7,6 +7,7 @@ from cmbot.simulation.options import SimulationOptions
 from cmbot.simulation.prescribed_motion import PrescribedMotion, PrescribedWork
 from cmbot.simulation.summary import (
     INTERVAL_HEADINGS,
+    beyond_margin,
     interval_rows,
     tracking_remarks,
     tracking_rows,
@@ -37,6 +38,7 @@ __all__ = [
     "Statistics",
     "StiffnessCase",
     "Tracking",
+    "beyond_margin",
     "elastic_arm_of",
     "execution_error",
     "expected_tool",

@@ -16,6 +16,7 @@ from cmbot.simulation.tracking import MotionTracking, Tracking
 
 __all__ = [
     "INTERVAL_HEADINGS",
+    "beyond_margin",
     "interval_rows",
     "tracking_remarks",
     "tracking_rows",
@@ -91,6 +92,24 @@ def tracking_verdict(plan: Plan, tracking: Tracking) -> str:
     return f"{_margin(plan, tracking)}{_swaying(tracking)}"
 
 
+def beyond_margin(plan: Plan, tracking: Tracking) -> str:
+    """Return in a sentence how far the bent tool leaves its path; empty where it stays within the margin.
+
+    Parameters
+    ----------
+    plan : Plan
+    tracking : Tracking
+        Of that plan.
+    """
+    allowed, off = plan.options.max_tool_deviation_m, tracking.planned.largest_off_path
+    if off <= allowed:
+        return ""
+    return (
+        f"Simulated, the bent tool is up to {1e3 * off:.2f} mm off its path, beyond the margin of "
+        f"{1e3 * allowed:g} mm."
+    )
+
+
 def _swaying(tracking: Tracking) -> str:
     before, after = (motion.largest(motion.dynamic) for _, motion in tracking.motions)
     if after <= max(_MORE * before, _STILL):
@@ -102,9 +121,9 @@ def _swaying(tracking: Tracking) -> str:
 
 
 def _margin(plan: Plan, tracking: Tracking) -> str:
-    allowed, off = plan.options.max_tool_deviation_m, tracking.planned.largest_off_path
+    allowed = plan.options.max_tool_deviation_m
     bound = f"{1e3 * allowed:g} mm (max_tool_deviation_m)"
-    if off <= allowed:
+    if not beyond_margin(plan, tracking):
         return (
             f"Within the margin: bent as it is, the tool stays within {bound} of its path.{_certified(plan)}"
         )

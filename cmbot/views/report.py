@@ -28,6 +28,7 @@ from cmbot.scene import ToolPath
 from cmbot.simulation import (
     INTERVAL_HEADINGS,
     Tracking,
+    beyond_margin,
     interval_rows,
     tracking_remarks,
     tracking_rows,
@@ -116,7 +117,7 @@ def _report_html(plan: Plan, tracking: Tracking | None, data: dict[str, Any]) ->
         texts={
             "title": escape(plan.scene.name),
             "made": escape(f"Written by cmbot {__version__}."),
-            "verdict": _verdict(plan),
+            "verdict": _verdict(plan, tracking),
             "shares": SHARES,
             "cards": "".join(map(_card, headlines(plan, tracking))),
             "key": _key(plan),
@@ -263,8 +264,7 @@ def _tracking_card(plan: Plan, tracking: Tracking) -> Headline:
         before=_millimetres(before),
         value=f"{_millimetres(after)} mm",
         detail=detail,
-        # No gain where the bent tool leaves its path by more than it may.
-        state="plain" if off > bound and after < before else _compared(before, after, kept=True),
+        state=_compared(before, after, kept=off <= bound),
     )
 
 
@@ -310,11 +310,15 @@ def _key(plan: Plan) -> str:
     return f'<i class="swatch planned"></i>planned <i class="swatch baseline"></i>{escape(words)}'
 
 
-def _verdict(plan: Plan) -> str:
-    """Return the line that comes first: whether every promise is kept, and what the base must bear."""
+def _verdict(plan: Plan, tracking: Tracking | None) -> str:
+    """Return what comes first: whether promises are kept, what they leave out, what the base must bear."""
     kept = all(check.holds for _, check in plan.job.checks())
-    words = f"<b>{escape(promises(plan))}</b> {escape(verdict(plan))}"
-    return f'<p class="verdict {"good" if kept else "bad"}">{words}</p>'
+    left = [] if tracking is None else [beyond_margin(plan, tracking)]
+    if unreached := sum(one.unreached for one in plan.coverage.values()):
+        left.append(f"Of the surface {unreached:.3g} m2 are not reached.")
+    first = " ".join(filter(None, [promises(plan), *left]))
+    state = "bad" if not kept else "worse" if any(left) else "good"
+    return f'<p class="verdict {state}"><b>{escape(first)}</b> {escape(verdict(plan))}</p>'
 
 
 def _card(headline: Headline) -> str:

@@ -12,6 +12,7 @@ from plan_folders import changed, without_approach
 import cmbot
 from cmbot.common.errors import InputError
 from cmbot.planning import Certificate, Plan, bound_use, remarks
+from cmbot.scene import Coverage
 from cmbot.simulation import Tracking, tracking_rows, tracking_verdict
 from cmbot.views import pages, report_page
 from cmbot.views.report import headlines
@@ -38,16 +39,35 @@ def test_every_figure_check_and_remark_is_in_it(
     for check in triangle_plan.certificate.checks:
         assert check.quantity.replace("'", "&#x27;") in cells
     said, *others = remarks(triangle_plan)
-    assert (
-        f'<p class="verdict good"><b>Every promise is kept: 22 checks hold at all times.</b> {said}</p>'
-        in text
-    )
+    assert f"</b> {said}</p>" in text
     for remark in others:
         assert f"<li>{remark}</li>".replace("'", "&#x27;") in text
     for name in asdict(triangle_plan.options):
         assert name in cells
     assert cmbot.__version__ in cells
     assert "NO" not in cells
+
+
+def test_the_banner_is_green_only_where_the_bent_tool_keeps_its_margin_too(
+    text: str, triangle_plan: Plan, triangle_tracking: Tracking, compensated_short: tuple[Plan, Tracking]
+) -> None:
+    kept = "<b>Every promise is kept: 22 checks hold at all times."
+    off = f"up to {1e3 * triangle_tracking.planned.largest_off_path:.2f} mm off its path"
+    said = f"Simulated, the bent tool is {off}, beyond the margin of 1 mm."
+    assert tracking_verdict(triangle_plan, triangle_tracking).startswith("Not within the margin")
+    assert f'<p class="verdict worse">{kept} {said}</b>' in text
+    assert f'<p class="verdict good">{kept}</b>' in report_page(triangle_plan)
+    assert tracking_verdict(*compensated_short).startswith("Within the margin")
+    assert '<p class="verdict good">' in report_page(*compensated_short)
+
+
+def test_the_banner_tells_what_of_a_raster_is_not_reached(triangle_plan: Plan) -> None:
+    plan = replace(triangle_plan)
+    # A cached property: set as it would be computed.
+    plan.__dict__["coverage"] = {"work": Coverage(area=0.08, left_out=0.02, unreached=0.02)}
+    kept = "<b>Every promise is kept: 22 checks hold at all times."
+    said = "Of the surface 0.02 m2 are not reached."
+    assert f'<p class="verdict worse">{kept} {said}</b>' in report_page(plan)
 
 
 def test_it_is_written_whole_or_not_at_all(
@@ -145,8 +165,8 @@ def test_headlines_say_what_was_gained(triangle_plan: Plan, triangle_tracking: T
     assert clearance.value == f"{1e3 * job.min_clearance:.1f} mm"
     assert deviation.value == f"{1e3 * after.max_tool_deviation:.2f} mm"
     assert "rigid arm" in deviation.detail and "rigid arm" in clearance.detail
-    # Sag takes the bent tool off its path by more than the bound: no verdict to be green about.
-    assert error.state == "plain" and "mm off its path; bound 1 mm" in error.detail
+    # Sag takes the bent tool off its path by more than the bound: a broken bound.
+    assert error.state == "bad" and "mm off its path; bound 1 mm" in error.detail
     assert error.value == f"{1e3 * triangle_tracking.planned.metrics.total.rms[3]:.1f} mm"
     # A loss within the bound is told as one.
     assert [card.state for card in (certified, clearance, deviation)] == ["good", "good", "worse"]
