@@ -6,14 +6,18 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from cmbot.common.errors import InputError
 from cmbot.common.validation import counted
+from cmbot.elastic.sag import Sag
+from cmbot.planning.certification.sag_spread import spread_times
+from cmbot.planning.context import bending_arm
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.job import RETURN
 from cmbot.planning.result.holding import holding_remarks
 from cmbot.planning.result.plan import Plan
 from cmbot.planning.result.stroke_plan import ObjectiveMetrics
 from cmbot.planning.result.verdict import strays, verdict
-from cmbot.robot import postures_in_words
+from cmbot.robot import Kinematics, postures_in_words
 from cmbot.scene import STOW
 
 __all__ = ["remarks"]
@@ -90,6 +94,7 @@ def _bending(plan: Plan) -> Iterator[str]:
                 "By the errors of the identified stiffness the tool's place across its path has a standard "
                 f"deviation of {1e3 * done.deviation:.2f} mm at most; {part} part of what is certified."
             )
+    yield from _sag(plan)
     if plan.suppression is not None:
         before, after = (each.limit_use.jerk for each in (plan.baseline_figures, plan.figures))
         if after > _MORE_JERK * before:
@@ -98,6 +103,31 @@ def _bending(plan: Plan) -> Iterator[str]:
                 "of a limit: tool and base may sway more than the baseline's; cmbot simulate tells."
             )
         yield _suppression(plan.suppression, plan.scene.base_name)
+
+
+def _sag(plan: Plan) -> Iterator[str]:
+    """How far the tool is from its path as the arm sags, where that is not compensated and too far."""
+    allowed = plan.options.max_tool_deviation_m
+    if plan.options.compensate or (arm := bending_arm(plan.scene, plan.robot)) is None:
+        return
+    sag, largest = Sag(arm), 0.0
+    rigid, load = Kinematics(plan.robot), "its own weight" + " and the process force" * plan.robot.pushed
+    for segment in plan.job.strokes:
+        t = spread_times(segment.trajectory)
+        q = segment.trajectory.evaluate(t)
+        try:
+            bent = rigid.tool_poses(q)[0] + sag.following(q)
+        except InputError:
+            base = plan.scene.base_name
+            yield f"NOT STIFF ENOUGH: bent by {load} the arm on its {base} has no stable equilibrium."
+            return
+        largest = max(largest, float(np.linalg.norm(segment.task.path.leg_offset(t, bent), axis=1).max()))
+    if largest > allowed:
+        yield (
+            f"Bent by {load} the tool is up to {1e3 * largest:.2f} mm off its path, more than "
+            f"max_tool_deviation_m ({1e3 * allowed:g} mm), which the rigid arm keeps; "
+            "compensate: true can make up for the sag."
+        )
 
 
 def _suppression(done: VibrationSuppression, base: str) -> str:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from plan_folders import changed
 
@@ -10,6 +11,7 @@ from cmbot.common.validation import counted
 from cmbot.planning import Plan, Start, remarks
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.initial_guess import Choice
+from cmbot.simulation import Tracking
 
 
 @pytest.mark.parametrize(
@@ -62,6 +64,32 @@ def test_more_jerk_than_the_baselines_is_told_where_something_bends(triangle_pla
     said = line(hard, "The joints jerk 3.0 times as hard as the baseline's, ")
     assert said.endswith("may sway more than the baseline's; cmbot simulate tells.")
     assert "The joints jerk" not in " ".join(remarks(replace(hard, suppression=None)))
+
+
+def test_sag_beyond_the_allowed_deviation_is_told(
+    triangle_plan: Plan, triangle_tracking: Tracking, compensated_short: tuple[Plan, Tracking]
+) -> None:
+    said = line(triangle_plan, "Bent by its own weight the tool is up to ")
+    assert said.endswith(
+        " mm off its path, more than max_tool_deviation_m (1 mm), which the rigid arm keeps; "
+        "compensate: true can make up for the sag."
+    )
+    # The simulation sways about the sag.
+    found, moved = 1e-3 * float(said.split()[10]), triangle_tracking.planned
+    assert abs(found - moved.largest_off_path) <= moved.largest(moved.dynamic)
+    for sags, expected in ((0.99 * found, True), (1.01 * found, False)):
+        options = replace(triangle_plan.options, max_tool_deviation_m=sags)
+        told = " ".join(remarks(replace(triangle_plan, options=options)))
+        assert ("Bent by its own weight" in told) == expected
+    assert "Bent by" not in " ".join(remarks(compensated_short[0]))
+
+
+def test_a_base_too_soft_for_an_equilibrium_is_told(triangle_plan: Plan) -> None:
+    # It turns with the tool, and is far beyond the force at which the arm buckles.
+    pushed = replace(triangle_plan.robot, tool_force=np.array([0.0, 0.0, -1e5]))
+    assert line(replace(triangle_plan, robot=pushed), "NOT STIFF ENOUGH: ").endswith(
+        "bent by its own weight and the process force the arm on its guardrail has no stable equilibrium."
+    )
 
 
 def suppressed(of: Plan, **changes: object) -> str:
