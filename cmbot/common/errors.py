@@ -322,6 +322,11 @@ class OptimisationFailed(PlanningError):
             super().__init__(f"{reason}; every constraint is met, {constraint} with the least room")
             return
         text = f"{reason}; worst constraint: {constraint}, {beyond(violation)}"
+        if constraint == "peak":
+            text = (
+                f"{reason}; worst constraint: the peak, which exceeds the bound that was tried for it by "
+                f"{violation:.2%} of the initial guess's peak"
+            )
         if remedy is None:
             remedy = remedy_for(constraint, violation)
         if "time was over" in reason:

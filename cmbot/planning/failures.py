@@ -36,6 +36,8 @@ _SLOWEST = 30.0
 _AT_LIMIT, _DOUBLE = 0.99, 2.0
 # More legs than these are not listed one by one.
 _MOST_LISTED, _MOST_DIGITS = 3, 9
+# How the optimiser, which knows no limit, says that it had to stop.
+_LATE = "the time was over"
 
 
 @contextmanager
@@ -47,15 +49,23 @@ def constraints_named(context: PlanningContext) -> Iterator[None]:
     try:
         yield
     except OptimisationFailed as failure:
-        name = _named(context, failure)
+        name, late = _named(context, failure), _LATE in failure.reason
+        remedy = "a larger planner.time_limit_s" if late else failure.remedy
         raise OptimisationFailed(
-            failure.reason,
+            failure.reason.replace(_LATE, _time_over(context)),
             constraint=name,
             violation=failure.violation,
             undecided=failure.undecided,
             trajectory=failure.trajectory,
-            remedy=failure.remedy or context.stroke.remedy_for(name, failure.violation),
+            remedy=remedy or context.stroke.remedy_for(name, failure.violation),
         ) from failure
+
+
+def _time_over(context: PlanningContext) -> str:
+    """Say that the time was over: what it was, and what was used of it."""
+    limit, reporter = context.options.time_limit_s, context.reporter
+    part = f", of which {context.stroke.name} had {reporter.limit:.3g} s" if reporter.limit < limit else ""
+    return f"the time, {limit:g} s (planner.time_limit_s){part}, was over after {reporter.used:.3g} s,"
 
 
 def _named(context: PlanningContext, failure: OptimisationFailed) -> str:

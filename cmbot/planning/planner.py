@@ -266,7 +266,7 @@ def _hints(context: PlanningContext, failure: PlanningError, *, automatic: bool)
     if late and "the time" not in str(failure):
         limit = f"{context.options.time_limit_s:g} s (planner.time_limit_s)"
         yield f"then the time, {limit}, was over"
-    if "the time was over" in str(failure):
+    if late and "was over" in str(failure):
         return  # what is not met yet says nothing of the legs
     if context.task.path.open_legs:
         return  # ever longer times were tried

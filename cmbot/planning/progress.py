@@ -139,6 +139,16 @@ class ProgressReporter:
         return lambda: self._clock() >= end
 
     @property
+    def limit(self) -> float:
+        """How long planning, or of several strokes the present one, may take, s."""
+        return self._limit
+
+    @property
+    def used(self) -> float:
+        """What is used of that, s."""
+        return self._clock() - self._began
+
+    @property
     def time_left(self) -> float:
         """What is left of the time, s."""
         return max(self._began + self._limit - self._clock(), 0.0)

@@ -9,6 +9,7 @@ from small_scenes import context_of, problem_of, short_scene
 from cmbot.common.errors import LimitViolation, OptimisationFailed, PathNotFound, PlanningError
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.failures import constraints_named, in_keys, slower, slower_legs
+from cmbot.planning.progress import ProgressReporter
 from cmbot.trajectory import QuinticTrajectory
 
 LEGS = [{"by": [0, -0.1, 0], "seconds": seconds} for seconds in (4, 2, 4)]
@@ -109,6 +110,30 @@ def test_pairs_and_joints_of_constraints_are_named(
         ):
             raise failed(constraint, trajectory)
         assert caught.value.trajectory is trajectory
+
+
+def test_a_time_that_was_over_is_told_with_the_limit_and_what_was_used(context: PlanningContext) -> None:
+    now = [0.0]
+    reporter = ProgressReporter(clock=lambda: now[0], limit=60.0)
+    late = OptimisationFailed("the time was over before that", constraint="peak", violation=0.2803)
+    said = []
+    for left, used in ((1, 61.25), (3, 21.0)):
+        now[0] = 0.0
+        reporter.begin_stroke("edge", left)
+        now[0] = used
+        timed = replace(context, reporter=reporter)
+        with pytest.raises(OptimisationFailed) as caught, constraints_named(timed):
+            raise late
+        said.append(str(caught.value))
+    peak = (
+        "before that; worst constraint: the peak, which exceeds the bound that was tried for it by 28.03% of "
+        "the initial guess's peak: a larger planner.time_limit_s may help"
+    )
+    work = context.stroke.name
+    assert said == [
+        f"the time, 60 s (planner.time_limit_s), was over after 61.2 s, {peak}",
+        f"the time, 60 s (planner.time_limit_s), of which {work} had 20 s, was over after 21 s, {peak}",
+    ]
 
 
 RASTER = {
