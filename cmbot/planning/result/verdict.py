@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from math import inf
 
 import numpy as np
@@ -34,8 +35,8 @@ def verdict(plan: Plan) -> str:
     peak, before = (figures.peak_guardrail_torque for figures in (job.figures, plan.baseline_job_figures))
     text = f"The {base} must bear {peak:.1f} Nm over the whole job ({_where(plan)}), "
     text += _compared(peak, before)
-    if strays(plan):
-        text += f", which leaves its path by {1e3 * plan.drift:.0f} mm"
+    if faults := [*_faults(plan)]:
+        text += f", which {' and '.join(faults)}"
     if _SAME < 1 - peak / before < _LITTLE:
         text += ": hardly anything is gained"
     if len(job.segments) > 1:
@@ -76,6 +77,21 @@ def _room(check: Check) -> str:
         return ""
     distance = f"{factor * abs(check.bound - check.value):.3g} {unit}"
     return f" ({distance} left)" if check.holds else f" ({distance} beyond it)"
+
+
+def _faults(plan: Plan) -> Iterator[str]:
+    """Why the baseline cannot be executed, or is another motion, in a few words each."""
+    figures, limits = plan.baseline_job_figures, plan.robot.limits
+    if figures.min_clearance < 0:
+        yield "collides"
+    use = figures.limit_use
+    # Without jerk: that of its time law has peaks that drives round off.
+    rates = max(use.velocity, use.acceleration, use.torque) > 1 + _SAME
+    each = [segment.samples.q for segment in plan.baseline_segments]
+    if rates or any(bool(((q < limits.lower - _SAME) | (q > limits.upper + _SAME)).any()) for q in each):
+        yield "breaks joint limits"
+    if strays(plan):
+        yield f"leaves its path by {1e3 * plan.drift:.0f} mm"
 
 
 def strays(plan: Plan) -> bool:

@@ -46,6 +46,29 @@ def test_hardly_a_gain_is_called_so(triangle_plan: Plan) -> None:
         ) == hardly
 
 
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        ({"min_clearance": -0.001}, "collides"),
+        ({"velocity": 1.1}, "breaks joint limits"),
+        ({"torque": 1.1, "min_clearance": -0.001}, "collides and breaks joint limits"),
+        ({"turn": 7.0}, "breaks joint limits"),
+    ],
+)
+def test_a_baseline_that_cannot_be_executed_is_called_so(
+    triangle_plan: Plan, change: dict[str, float], fault: str
+) -> None:
+    assert ", which" not in verdict(triangle_plan)
+    plan, change = replace(triangle_plan), dict(change)
+    figures, (*others, work) = plan.baseline_job_figures, plan.baseline_segments
+    q = work.samples.q + change.pop("turn", 0.0)
+    rates = {name: change.pop(name) for name in ("velocity", "torque") if name in change}
+    use = replace(figures.limit_use, **rates)
+    plan.__dict__["baseline_segments"] = (*others, replace(work, samples=replace(work.samples, q=q)))
+    plan.__dict__["baseline_job_figures"] = replace(figures, limit_use=use, **change)
+    assert f", which {fault}" in verdict(plan)
+
+
 def test_a_heavy_approach_is_a_loss_and_has_its_time(returning_plan: Plan) -> None:
     approach = returning_plan.approach
     assert approach is not None
