@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -202,7 +203,18 @@ def _summary(plan: Plan, tracking: Tracking) -> dict[str, Any]:
     from cmbot.simulation import tracking_remarks
 
     entries = {name: entry for name, entry in tracking_json(tracking).items() if name not in _LEFT_OUT}
-    return {"scene": plan.scene.name, **entries, "remarks": list(tracking_remarks(tracking))}
+    return {
+        "scene": plan.scene.name,
+        **entries,
+        "remarks": [*tracking_remarks(tracking), *_rigid(plan)],
+    }
+
+
+def _rigid(plan: Plan) -> Iterator[str]:
+    from cmbot.planning import rigid_arm_remark
+
+    if said := rigid_arm_remark(plan.scene, plan.robot):
+        yield said
 
 
 def _print_reproduction(found: Reproduction, *, details: bool) -> None:
@@ -241,6 +253,8 @@ def _print_summary(plan: Plan, tracking: Tracking) -> None:
     if others := list(interval_rows(plan, tracking)):
         print_table("With another stiffness", INTERVAL_HEADINGS, others, text_columns=2)
     out.print(tracking_verdict(plan, tracking))
+    for said in _rigid(plan):
+        out.print(said)
 
 
 def _print_tracking(name: str, tracking: Tracking) -> None:

@@ -29,6 +29,7 @@ __all__ = [
     "end_posture_of",
     "in_cells",
     "no_start_left",
+    "rigid_arm_remark",
     "robot_of",
     "sag_of",
     "strokes_of",
@@ -254,6 +255,14 @@ def end_posture_of(scene: Scene, robot: Robot) -> FloatArray | None:
     if scene.return_to == "start" or stow is None:
         return np.array(scene.posture)
     return np.array(robot.posture(stow, source=scene.source, key="return", error_type=SceneError))
+
+
+def rigid_arm_remark(scene: Scene, robot: Robot) -> str:
+    """Say that only the base bends, where the arm has no elasticity file; otherwise empty."""
+    if robot.elasticity or robot.joint_elasticity or bending_arm(scene, robot) is None:
+        return ""
+    only = f"only the {scene.base_name} bends"
+    return f"Links and joints are taken to be rigid, without an elasticity file; {only}."
 
 
 def bending_arm(scene: Scene, robot: Robot) -> ElasticArm | None:

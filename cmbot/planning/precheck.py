@@ -18,7 +18,14 @@ from cmbot.common.installation import install_command
 from cmbot.common.validation import counted
 from cmbot.common.yaml_reader import lines_named
 from cmbot.optimization import piqp_module
-from cmbot.planning.context import PlanningContext, end_posture_of, robot_of, strokes_of, task_of
+from cmbot.planning.context import (
+    PlanningContext,
+    end_posture_of,
+    rigid_arm_remark,
+    robot_of,
+    strokes_of,
+    task_of,
+)
 from cmbot.planning.task import task_dimension
 from cmbot.robot import Dynamics, Finding, Robot
 from cmbot.scene import PlannerOptions, Scene, Stroke, Tool, ToolPath, coverage_of
@@ -103,6 +110,8 @@ def precheck_scene(scene: Scene) -> Precheck:
         found.append(("tool speed", f"{fastest:.4g} of at most {scene.tool.max_speed_m_s:g} m/s"))
     if robot.remarks:
         found.append(("assumed", " ".join(robot.remarks)))
+    if rigid := rigid_arm_remark(scene, robot):
+        found.append(("bending", rigid))
     warnings: list[Finding] = []
     smallest = clearances.smallest(scene.posture[None])
     if smallest.pair[0] >= 0:

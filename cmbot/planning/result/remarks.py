@@ -10,7 +10,7 @@ from cmbot.common.errors import InputError
 from cmbot.common.validation import counted
 from cmbot.elastic.sag import Sag
 from cmbot.planning.certification.sag_spread import spread_times
-from cmbot.planning.context import bending_arm
+from cmbot.planning.context import bending_arm, rigid_arm_remark
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.job import RETURN
 from cmbot.planning.result.holding import holding_remarks
@@ -76,6 +76,8 @@ def remarks(plan: Plan) -> Iterator[str]:
 
 
 def _bending(plan: Plan) -> Iterator[str]:
+    if rigid := rigid_arm_remark(plan.scene, plan.robot):
+        yield rigid
     if (identified := plan.scene.file.identified) is not None:
         of = [counted(len(identified.links), "link"), counted(len(identified.joints), "joint")]
         of += [plan.scene.base_name] * (identified.base is not None)

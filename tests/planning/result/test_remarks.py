@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from plan_folders import changed
+from small_scenes import short_scene
 
 from cmbot.common.errors import PathNotFound
 from cmbot.common.validation import counted
@@ -216,3 +217,14 @@ def test_a_plan_that_gravity_has_no_part_in_says_so(triangle_plan: Plan) -> None
     objective = replace(triangle_plan.objective, axis_weights=(0.0, 0.0, 1.0), floor=0.0)
     said = line(replace(triangle_plan, objective=objective), "Gravity has no part in what was minimised")
     assert "axis_weights with x or y above 0" in said
+
+
+def test_an_arm_without_an_elasticity_file_is_said_to_be_rigid_where_the_base_bends(
+    short_plan: Plan,
+) -> None:
+    rigid = replace(short_plan.robot, elasticity={}, joint_elasticity={})
+    said = "Links and joints are taken to be rigid, without an elasticity file; only the guardrail bends."
+    assert said in remarks(replace(short_plan, robot=rigid))
+    assert said not in remarks(short_plan)
+    scene = short_scene(guardrail={"bays": 0})
+    assert "taken to be rigid" not in " ".join(remarks(replace(short_plan, scene=scene, robot=rigid)))
