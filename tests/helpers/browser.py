@@ -60,6 +60,22 @@ def chromium(folder: Path) -> Iterator[webdriver.Chrome]:
         chrome.quit()
 
 
+@contextmanager
+def screen(chrome: webdriver.Chrome, width: int = 1280, height: int = 800) -> Iterator[None]:
+    """Another size of the window for a while; then a desktop's again, for the next test."""
+    _resize(chrome, width, height)
+    try:
+        yield
+    finally:
+        _resize(chrome, 1280, 800)
+
+
+def _resize(chrome: webdriver.Chrome, width: int, height: int) -> None:
+    metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+    chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    next_frame(chrome)
+
+
 def open_page(chrome: webdriver.Chrome, page: Path) -> None:
     for kind in ("browser", "performance"):
         chrome.get_log(kind)  # of the page before

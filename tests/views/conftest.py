@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from browser import chromium
+from browser import chromium, screen
 from selenium.webdriver import Chrome
 
 from cmbot.planning import Plan
@@ -15,9 +15,7 @@ from cmbot.views import replay, report
 @pytest.fixture(scope="session")
 def chrome(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chrome]:
     """A browser whose window is that of a desktop."""
-    with chromium(tmp_path_factory.mktemp("chromium")) as driver:
-        screen = {"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": False}
-        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
+    with chromium(tmp_path_factory.mktemp("chromium")) as driver, screen(driver):
         yield driver
 
 

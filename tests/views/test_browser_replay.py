@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from browser import ask, next_frame, open_page, require_quiet, slide
+from browser import ask, next_frame, open_page, require_quiet, screen, slide
 from page_data import without_shapes
 from plan_folders import without_approach
 from selenium.webdriver import Chrome
@@ -215,10 +215,7 @@ def test_keys_slider_and_seeking(shown: Chrome) -> None:
 @pytest.mark.parametrize("how", ["ghost", "beside"])
 @pytest.mark.parametrize("size", [(1280, 800), (390, 844)])
 def test_card_and_bar_cover_nothing_of_what_is_shown(shown: Chrome, size: tuple[int, int], how: str) -> None:
-    metrics = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}
-    shown.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
-    try:
-        next_frame(shown)
+    with screen(shown, *size):
         shown.execute_script("cmbotReplay.compare(arguments[0]); cmbotReplay.resetView()", how)
         parts, covers = shown.execute_script(
             """const { stage } = cmbotReplay, { onDrawn } = stage, parts = [];
@@ -230,9 +227,7 @@ def test_card_and_bar_cover_nothing_of_what_is_shown(shown: Chrome, size: tuple[
             const edges = ({ left, right, top, bottom }) => [left, right, top, bottom];
             return [parts, ["card", "bar"].map(box).map(edges)];"""
         )
-    finally:
-        shown.execute_script("cmbotReplay.compare('ghost')")
-        shown.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    shown.execute_script("cmbotReplay.compare('ghost')")
     assert len(parts) == (2 if how == "beside" else 1)
     points = np.concatenate(parts)
     assert (points > 0).all() and (points < size).all()

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import ask, next_frame, open_page, require_quiet, slide
+from browser import ask, next_frame, open_page, require_quiet, screen, slide
 from page_data import hostile, without_shapes
 from PIL import Image, ImageColor
 from selenium.webdriver import Chrome
@@ -509,19 +509,6 @@ def view_and_plots(chrome: Chrome) -> list[object]:
         const boxes = [...document.querySelectorAll("svg")].map((svg) => svg.getAttribute("viewBox"));
         return [[view.clientWidth, view.clientHeight], boxes];"""
     )
-
-
-@contextmanager
-def screen(chrome: Chrome, width: int) -> Iterator[None]:
-    """Another width of the window for a while."""
-    metrics = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": False}
-    chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
-    next_frame(chrome)
-    try:
-        yield
-    finally:
-        chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics | {"width": 1280})
-        next_frame(chrome)
 
 
 @contextmanager
