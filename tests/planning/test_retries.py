@@ -335,15 +335,17 @@ def test_where_joints_move_too_suddenly_there_are_fewer_via_points(
     assert raised_by(few, Failing(*9 * [failure]), [fewer_via_points]) is failure
 
 
-@pytest.mark.parametrize("knots", ["fixed", "sliding"])
-def test_a_speed_profile_whose_jerk_splines_cannot_follow_closely(knots: str) -> None:
-    """They leave it between fewer via-points, as far as the bounds on deviation and lag allow."""
-    hurried = {"legs": [{"by": [0, -0.2, 0], "seconds": 2.8}], "via_points": 16}
+@pytest.mark.parametrize(("knots", "seconds"), [("fixed", 2.8), ("sliding", 3.1)])
+def test_a_speed_profile_whose_jerk_splines_cannot_follow_closely(knots: str, seconds: float) -> None:
+    """They leave it between fewer via-points, as far as the bounds on deviation and lag allow.
+
+    With sliding via-points 2.8 s are so near what is possible at all that rounding decides.
+    """
+    hurried = {"legs": [{"by": [0, -0.2, 0], "seconds": seconds}], "via_points": 16}
     made = plan(short_scene(tool_path=hurried, planner={"knots": knots}))
     assert made.certificate.holds
-    if knots == "fixed":
-        assert made.scene.via_points == 11
-        assert "With 16 via-points no trajectory was found" in made.fallbacks[0]
+    assert made.scene.via_points == 11
+    assert "With 16 via-points no trajectory was found" in made.fallbacks[0]
 
 
 def test_where_no_trajectory_keeps_clear_the_guess_keeps_more(rough: Attempt) -> None:
