@@ -352,7 +352,7 @@ class _SqpState(Generic[AnyIterate]):
             self._gained.append(0.0)
             if self.damping > o.max_damping or self._radius < o.min_radius:
                 met = model.violation <= o.feasibility_tolerance
-                self._status = SqpStatus.CONVERGED if met else SqpStatus.INFEASIBLE
+                self._status = SqpStatus.STALLED if met else SqpStatus.INFEASIBLE
         self._violations.append(self.iterate.values.violation)
         if self._stuck(model):
             self._status = SqpStatus.INFEASIBLE
