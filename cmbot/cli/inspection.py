@@ -200,8 +200,8 @@ def _check_scene(file: str) -> tuple[Sequence[Finding], dict[str, str], str]:
     precheck = precheck_scene(scene)
     warnings, verb = len(precheck.warnings), f"cmbot plan {flat(file)}"
     conclusion = (
-        "No warning. Checked: the start, and whether the stretched arm reaches the legs' ends. "
-        f"Not checked: obstacles, joint ranges and limits on the way; {verb} finds out."
+        "No warning. Checked: the start, and places along the path, each for a posture that is within the "
+        f"joint ranges, clear and strong enough. Not checked: the way from one to the next; {verb} finds out."
     )
     if warnings:
         them = "it" if warnings == 1 else "them"

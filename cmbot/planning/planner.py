@@ -30,10 +30,10 @@ from cmbot.planning.precheck import (
     failures_explained,
     require_reasonable_size,
     require_tool_speed,
-    require_within_reach,
     solver_of,
 )
 from cmbot.planning.progress import Progress, ProgressReporter
+from cmbot.planning.reach import require_postures, require_within_reach
 from cmbot.planning.result.composition import StrokeMotion, composed, suppresses_vibration
 from cmbot.planning.result.plan import Plan
 from cmbot.planning.result.stroke_plan import Start
@@ -129,6 +129,7 @@ def plan(
             require_reasonable_size(scene, stroke, context.robot.dof, options)
             require_tool_speed(scene, stroke)
             require_within_reach(context.at_stroke(number, scene, context.posture, 0.0, 0.0))
+        require_postures(context, scene)
         made: list[tuple[Attempt, StrokeMotion]] = []
         for number in range(len(context.strokes)):
             made.append(_stroke(_at_stroke(context, scene, number, made), automatic=automatic))

@@ -13,19 +13,19 @@ import numpy as np
 
 from cmbot.collision import Clearances, extent_of
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import MissingExtra, PathNotFound, PlanningError, SceneError
+from cmbot.common.errors import MissingExtra, PlanningError, SceneError
 from cmbot.common.installation import install_command
 from cmbot.common.validation import counted
 from cmbot.common.yaml_reader import lines_named
 from cmbot.optimization import piqp_module
 from cmbot.planning.context import (
-    PlanningContext,
     end_posture_of,
     rigid_arm_remark,
     robot_of,
     strokes_of,
     task_of,
 )
+from cmbot.planning.reach import beyond_reach, without_posture
 from cmbot.planning.task import task_dimension
 from cmbot.robot import Dynamics, Finding, Robot
 from cmbot.scene import PlannerOptions, Scene, Stroke, Tool, ToolPath, coverage_of
@@ -34,7 +34,6 @@ from cmbot.trajectory import SUPPORT
 __all__ = [
     "MOST_UNKNOWNS",
     "Precheck",
-    "beyond_reach",
     "failures_explained",
     "mistaken_units",
     "oversized",
@@ -42,7 +41,6 @@ __all__ = [
     "precheck_scene",
     "require_reasonable_size",
     "require_tool_speed",
-    "require_within_reach",
     "solver_of",
 ]
 
@@ -145,6 +143,7 @@ def precheck_scene(scene: Scene) -> Precheck:
             furthest[key] = max(away, furthest.get(key, 0.0))
     for key, away in furthest.items():
         warnings.append(_warning(key, f"an end {away:.3f} m from the arm's first joint", within))
+    warnings += without_posture(scene)
     for stroke in strokes:
         warnings += _too_fast(scene.tool, stroke)
         if too_large := oversized(stroke, robot.dof, scene.planner):
@@ -242,39 +241,6 @@ def failures_explained(scene: Scene) -> Iterator[None]:
             for key, looks, units in mistaken_units(scene):
                 error.add_hint(f"{key} looks like {looks}, it is in {units}")
         raise
-
-
-def beyond_reach(stroke: Stroke, robot: Robot) -> Iterator[tuple[str, float]]:
-    """Yield the starts and the legs' ends that the stretched arm does not reach: keys, and distances, m.
-
-    Distances are those from the arm's first joint. What lies between two ends within reach is within reach.
-    """
-    distances = np.linalg.norm(stroke.path.corners[1:] - robot.base_point, axis=1)
-    start = float(np.linalg.norm(stroke.path.corners[0] - robot.base_point))
-    if stroke.file.start_pose is not None and start > robot.reach * (1 + _ROUNDING):
-        yield f"{stroke.key}.from", start
-    for k in np.flatnonzero(distances > robot.reach * (1 + _ROUNDING)):
-        yield stroke.leg_key(int(k)), float(distances[k])
-
-
-def require_within_reach(context: PlanningContext) -> None:
-    """Refuse a tool path that leaves the reach of the stretched arm; the error names the first such leg."""
-    path, robot = context.task.path, context.robot
-    for key, distance in beyond_reach(context.stroke, robot):
-        away = np.linalg.norm(context.goals.point - robot.base_point, axis=1)
-        time = float(context.times[np.argmax(away > robot.reach * (1 + _ROUNDING))])
-        remedy = "shorten the leg (lengths are in metres), or take another start posture"
-        if context.stroke.begins_elsewhere:
-            remedy = "move the tool path (lengths are in metres)"
-        what = "lies" if key.endswith(".from") else "ends"
-        raise PathNotFound(
-            f"{key} {what} {distance:.3f} m from the arm's first joint, {distance - robot.reach:.3f} m out "
-            f"of reach (the arm with its tool stretched out is {robot.reach:.3f} m long); {remedy}",
-            time=time,
-            progress=path.progress(time),
-            # The stretched arm cannot move further out.
-            smallest_singular_value=0.0,
-        )
 
 
 def require_tool_speed(scene: Scene, stroke: Stroke) -> None:

@@ -31,8 +31,8 @@ def test_a_shipped_scene_and_a_scene_file(tmp_path: Path) -> None:
     assert found["tool path"] == "3 legs, 2.030 m in 20 s, keeps the tool's pose"
     assert found["tool point at the start"] == "(1.8154, 0.7796, -2.0628) m"
     last = out.splitlines()[-1]
-    checked = "No warning. Checked: the start, and whether the stretched arm reaches the legs' ends."
-    unchecked = "Not checked: obstacles, joint ranges and limits on the way; cmbot plan triangle finds out."
+    checked = "No warning. Checked: the start, and places along the path, each for a posture that is within"
+    unchecked = "Not checked: the way from one to the next; cmbot plan triangle finds out."
     assert last.startswith(checked)
     assert last.endswith(unchecked)
     block = {"name": "block", "box": [1, 1, 1], "xyz": [9, 9, 9], "workpiece": True}
@@ -61,9 +61,12 @@ def test_a_start_that_is_not_clear_is_warned_of(tmp_path: Path, gap: float, word
     assert first.startswith(
         f"warning: {path}: posture_deg: got {words}, the safety margin is 0.02 m, expected"
     )
-    assert last == f"1 warning; cmbot plan {path} would have to deal with it."
-    (finding,) = json.loads(run("check", path, "--json").out)["findings"]
-    assert (finding["severity"], finding["key"]) == ("warning", "posture_deg")
+    assert last == f"2 warnings; cmbot plan {path} would have to deal with them."
+    start, way = json.loads(run("check", path, "--json").out)["findings"]
+    assert (start["severity"], start["key"]) == ("warning", "posture_deg")
+    # No other posture that holds the tool there is clear.
+    assert (way["severity"], way["key"]) == ("warning", "tool_path.legs[0]")
+    assert "none of" in way["got"] and "block" in way["got"]
     assert run("check", path, "--quiet").out == ""
 
 

@@ -1,16 +1,29 @@
-"""Legs that the stretched arm cannot reach are named, by `cmbot check` and by the planner alike."""
+"""Places out of reach are named, by `cmbot check` and by the planner alike, before anything is planned.
+
+By the length of the stretched arm, and by its joint ranges and obstacles.
+"""
+
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from small_scenes import parts, short_scene
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+from small_scenes import parts, path_through, short_scene, strokes_scene
 
+from cmbot import load_robot
 from cmbot.common.errors import PathNotFound
 from cmbot.planning import plan, precheck_scene
 from cmbot.planning.context import strokes_of
-from cmbot.planning.precheck import beyond_reach
+from cmbot.planning.path.place_search import worst_missed
 from cmbot.planning.progress import Progress
-from cmbot.robot import Robot
-from cmbot.scene import Scene, Stroke
+from cmbot.planning.reach import beyond_reach
+from cmbot.planning.task import ToolTask
+from cmbot.robot import Kinematics, Postures, Robot
+from cmbot.scene import Keep, Scene, Stroke, load_scene
 
 # The second leg ends 3 m further down, the third comes back.
 FAR = {
@@ -67,3 +80,120 @@ def test_what_is_just_within_reach_is_not_refused() -> None:
         path = {"legs": [{"by": step.tolist(), "seconds": 4}]}
         scene = short_scene(tool_path=path)
         assert len(list(beyond_reach(stroke_of(scene, robot), robot))) == beyond
+
+
+KEEPS: tuple[Keep, ...] = ("pose", "axis", "position")
+
+
+def tool_poses(robot: Robot, q: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    at = Postures(robot).tool_at(q)
+    return list(zip(at.tool_point, at.tool_rotation, strict=True))
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10**9), keep=st.sampled_from(KEEPS), name=st.sampled_from(["cmbot", "ur5"]))
+def test_what_a_posture_within_the_ranges_reaches_is_found(seed: int, keep: Keep, name: str) -> None:
+    """Also at the ends of the ranges: beyond them by a fifth is clipped to them."""
+    robot = load_robot(name)
+    limits, rng = robot.limits, np.random.default_rng(seed)
+    away = np.clip(rng.uniform(-1.2, 1.2, robot.dof), -1.0, 1.0) * limits.sampled_half
+    ((point, rotation),) = tool_poses(robot, (limits.range_middle + away)[None])
+    task = ToolTask.of(path_through(np.array([point, point]), rotation), keep)
+    assert worst_missed(robot, task, task.goals([0.0]), limits.range_middle) is None
+
+
+@pytest.mark.parametrize("keep", KEEPS)
+def test_how_far_a_place_is_out_of_reach(cmbot_robot: Robot, keep: Keep) -> None:
+    """No start of SciPy's bounded least squares comes nearer; the posture told is as near as is said."""
+    robot, limits = cmbot_robot, cmbot_robot.limits
+    rotation = Rotation.from_euler("xyz", [2.0, 0.4, -1.0]).as_matrix()
+    point = robot.base_point + np.array([2.2, 2.4, -2.4])
+    task = ToolTask.of(path_through(np.array([point, point]), rotation), keep)
+    goals = task.goals([0.0])
+    missed = worst_missed(robot, task, goals, limits.range_middle)
+    assert missed is not None and not missed.is_held
+    assert limits.contain(missed.best[None]).all()
+    assert missed.attempts > 1000
+    at = Kinematics(robot).tool_pose(missed.best)
+    assert missed.distance == pytest.approx(np.linalg.norm(at.translation - point), abs=1e-9)
+
+    def error(q: np.ndarray) -> np.ndarray:
+        return np.asarray(task.error(Kinematics(robot).tool_pose(q), goals))
+
+    rng = np.random.default_rng(0)
+    starts = rng.uniform(limits.lower, limits.upper, (10, robot.dof))
+    each = [least_squares(error, q, bounds=(limits.lower, limits.upper)) for q in (missed.best, *starts)]
+    least = np.sqrt(2 * min(one.cost for one in each))
+    assert np.linalg.norm(error(missed.best)) == pytest.approx(least, rel=1e-3)
+
+
+def test_in_a_cone_the_axis_may_lean(cmbot_robot: Robot) -> None:
+    """With its axis turned away the tool does not come out as far as where it may lean back."""
+    robot = cmbot_robot
+    q = np.radians([-10, -90, 90, 0, 10, 50, 0])
+    ((point, rotation),) = tool_poses(robot, q[None])
+    out = point + 0.2 * (point - robot.base_point)
+    turned = rotation @ Rotation.from_euler("x", 1.5).as_matrix()
+    places = path_through(np.array([point, out]), turned)
+    found = [
+        worst_missed(robot, task, task.goals([0.0, 1.0]), q)
+        for task in (ToolTask(places, "axis"), ToolTask(places, "position", cone=1.6))
+    ]
+    assert found[0] is not None and found[0].found.tolist() == [True, False]
+    assert found[1] is None
+
+
+def blocked(begin: dict[str, Any], **more: Any) -> Scene:
+    """Two strokes, the second of them from a pose of its own."""
+    scene = strokes_scene()
+    there, back = scene.strokes
+    (other,) = load_scene(
+        {
+            "format": "cmbot-scene/2",
+            "name": "one",
+            "robot": {"model": "cmbot"},
+            "posture_deg": [-10, -90, 90, 0, 10, 50, 0],
+            "tool_path": {"from": begin, "legs": [{"by": [0, 0.1, 0], "seconds": 3}]},
+        }
+    ).each_stroke
+    return replace(scene, strokes=(there, back.model_copy(update={"start_pose": other.start_pose})), **more)
+
+
+def test_a_stroke_out_of_the_joint_ranges_is_refused_before_any_is_planned() -> None:
+    scene = blocked({"xyz": [1.8, 2.6, -2.0], "rpy_deg": [90, 0, 0]})
+    robot = parts(scene)[0]
+    strokes = strokes_of(scene, robot)
+    assert not [*beyond_reach(strokes[1], robot)]
+    told: list[Progress] = []
+    where = r"strokes\[1\].* is out of reach at \(1.800, 2.700, -2.000\) m: "
+    with pytest.raises(PathNotFound, match=where) as caught:
+        plan(scene, progress=told.append)
+    assert not any(progress.stroke for progress in told)
+    assert " mm and " in str(caught.value) and " deg off" in str(caught.value)
+    (warning,) = (w for w in precheck_scene(scene).warnings if w.key.startswith("tool_path"))
+    assert warning.key.startswith("tool_path.strokes[1]")
+    assert "attempts, the nearest is" in warning.got
+
+
+def test_a_stroke_in_an_obstacle_is_refused_before_any_is_planned() -> None:
+    scene = strokes_scene()
+    crate, *_ = load_scene(
+        {
+            "format": "cmbot-scene/2",
+            "name": "one",
+            "robot": {"model": "cmbot"},
+            "posture_deg": [-10, -90, 90, 0, 10, 50, 0],
+            "tool_path": {"legs": [{"by": [0, 0.1, 0], "seconds": 3}]},
+            "obstacles": [{"name": "crate", "box": [0.05, 0.05, 0.05], "xyz": [1.8154, 0.78, -1.9628]}],
+        }
+    ).obstacles
+    scene = replace(scene, obstacles=(*scene.obstacles, crate))
+    told: list[Progress] = []
+    with pytest.raises(
+        PathNotFound, match=r"strokes\[1\].* is blocked at .* into crate, the safety margin"
+    ) as caught:
+        plan(scene, progress=told.append)
+    assert not any(progress.stroke for progress in told)
+    assert caught.value.progress < 1.0
+    warning = precheck_scene(scene).warnings[-1]
+    assert "crate" in warning.got and warning.key.startswith("tool_path.strokes[1]")

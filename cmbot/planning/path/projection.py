@@ -16,7 +16,15 @@ from cmbot.planning.task import ToolTask
 from cmbot.robot import PostureMetric, Postures, ToolBatch
 from cmbot.scene import ToolPoses
 
-__all__ = ["TangentPredictor", "gram", "null_directions", "null_space", "project_onto_task", "solve_batch"]
+__all__ = [
+    "TangentPredictor",
+    "gram",
+    "null_directions",
+    "null_space",
+    "project_onto_task",
+    "solve_batch",
+    "task_jacobian",
+]
 
 # Postures far from the task take steps of at most this length a joint, rad.
 _LONGEST_STEP = 0.6
@@ -56,7 +64,7 @@ def project_onto_task(
         active = active[~sure]
         at = postures.tool_at(metric.positions(x[:, active].T))
         error = task.errors(at.tool_point, at.tool_rotation, goals if len(goals) == 1 else goals[active]).T
-        J = _leading(task, at, metric)
+        J = task_jacobian(task, at, metric)
         if fixed is not None:
             rows, left = fixed[..., active], start[:, active] - x[:, active]
             error = np.concatenate([error, np.einsum("akn,kn->an", rows, left)])
@@ -82,7 +90,7 @@ def null_space(postures: Postures, task: ToolTask, q: FloatArray) -> FloatArray:
     They are moves, orthonormal by the metric of the postures.
     """
     metric = postures.metric
-    null = null_directions(_leading(task, postures.tool_at(q), metric)).transpose(2, 0, 1)
+    null = null_directions(task_jacobian(task, postures.tool_at(q), metric)).transpose(2, 0, 1)
     return metric.positions(null)
 
 
@@ -105,7 +113,7 @@ class TangentPredictor:
     def of(postures: Postures, task: ToolTask, q: FloatArray, goals: ToolPoses) -> TangentPredictor:
         """Return the predictor of postures `q` (N, n), which hold the tool at `goals`."""
         at = postures.tool_at(q)
-        J = _leading(task, at, postures.metric)
+        J = task_jacobian(task, at, postures.metric)
         turns = task.path.turns and task.keep != "position"
         columns = len(J) if turns else 3
         along = np.broadcast_to(np.eye(len(J))[:, :columns, None], (len(J), columns, len(q)))
@@ -167,8 +175,8 @@ def null_directions(A: FloatArray) -> FloatArray:
     return N
 
 
-def _leading(task: ToolTask, at: ToolBatch, metric: PostureMetric) -> FloatArray:
-    """Task Jacobians (m, n, N) by the coordinates of a metric."""
+def task_jacobian(task: ToolTask, at: ToolBatch, metric: PostureMetric) -> FloatArray:
+    """Return task Jacobians (m, n, N) by the coordinates of a metric."""
     J = metric.positions(task.jacobian(at.tool_rotation, at.leading_jacobian.transpose(2, 0, 1)))
     return np.ascontiguousarray(J.transpose(1, 2, 0))
 
