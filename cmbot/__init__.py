@@ -18,7 +18,6 @@ Names are imported when they are first used, so that ``import cmbot`` is quick.
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING
 
 from cmbot.common.errors import (
@@ -34,6 +33,7 @@ from cmbot.common.errors import (
     SceneError,
     SimulationDiverged,
 )
+from cmbot.common.first_use import on_first_use
 from cmbot.version import __version__
 
 if TYPE_CHECKING:
@@ -101,17 +101,8 @@ _ROOMS = {
     "cmbot.views": ("plot", "replay", "report", "show"),
     "cmbot.walking": ("Tour", "Walk", "tour", "walk"),
 }
-_ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
-
-
-def __getattr__(name: str) -> object:
-    """Import a public name from its room when it is first asked for."""
-    if name not in _ROOM_OF:
-        raise AttributeError(f"module 'cmbot' has no attribute {name!r}")
-    value = getattr(import_module(_ROOM_OF[name]), name)
-    globals()[name] = value
-    return value
+__getattr__ = on_first_use(__name__, _ROOMS)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_ROOM_OF})
+    return sorted({*globals(), *__all__})

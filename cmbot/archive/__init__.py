@@ -1,4 +1,11 @@
-"""Plan directories: written whole or not at all, checked when they are read."""
+"""Plan directories: written whole or not at all, checked when they are read.
+
+What reads is imported when it is first used: it needs the rooms that simulate and walk.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 from cmbot.archive.folder import (
     add_file,
@@ -12,12 +19,15 @@ from cmbot.archive.folder import (
 )
 from cmbot.archive.motion_files import columns
 from cmbot.archive.names import PLAN_FILE
-from cmbot.archive.reading import load_plan, plan_data
-from cmbot.archive.ros import export_mcap, export_ros_package
 from cmbot.archive.strict_json import json_bytes
-from cmbot.archive.tracking import load_tracking, require_no_tracking, save_tracking, tracking_json
-from cmbot.archive.walks import WALK_FILE, load_walk
 from cmbot.archive.writing import resolved_file, save
+from cmbot.common.first_use import on_first_use
+
+if TYPE_CHECKING:
+    from cmbot.archive.reading import load_plan, plan_data
+    from cmbot.archive.ros import export_mcap, export_ros_package
+    from cmbot.archive.tracking import load_tracking, require_no_tracking, save_tracking, tracking_json
+    from cmbot.archive.walks import WALK_FILE, load_walk
 
 __all__ = [
     "PLAN_FILE",
@@ -44,3 +54,11 @@ __all__ = [
     "write_file",
     "write_files",
 ]
+
+_LATER = {
+    "cmbot.archive.reading": ("load_plan", "plan_data"),
+    "cmbot.archive.ros": ("export_mcap", "export_ros_package"),
+    "cmbot.archive.tracking": ("load_tracking", "require_no_tracking", "save_tracking", "tracking_json"),
+    "cmbot.archive.walks": ("WALK_FILE", "load_walk"),
+}
+__getattr__ = on_first_use(__name__, _LATER)

@@ -66,11 +66,11 @@ from cmbot.planning import (
     objective_of,
     robot_of,
     sag_of,
-    second_opinion,
     strokes_of,
     task_of,
     tool_lag,
 )
+from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import PlannerOptions, Scene, scene_from_file
 

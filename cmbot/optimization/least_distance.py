@@ -8,7 +8,7 @@ Problems, Section 23.4).
 from __future__ import annotations
 
 import numpy as np
-from scipy import linalg, optimize
+from scipy import linalg
 
 from cmbot.common.arrays import FloatArray
 
@@ -43,12 +43,15 @@ def nearest(point: FloatArray, factor: FloatArray, C: FloatArray, room: FloatArr
     D, left = C[there] / width[there, None], (C[there] @ point - room[there]) / width[there]
     if left.max(initial=0.0) <= 0:
         return point
+    # Only now: few points get here, and the import takes time.
+    from scipy.optimize import nnls
+
     # In z = factor' (x - point), in units of the given point's own length: D z <= -left.
     scale = float(np.linalg.norm(factor.T @ point)) or 1.0
     D, left = linalg.solve_triangular(factor, D.T, lower=True).T, left / scale
     n = D.shape[1]
     try:
-        u = optimize.nnls(np.vstack([-D.T, left]), np.eye(1, n + 1, n)[0], maxiter=_STEPS * (n + 1))[0]
+        u = nnls(np.vstack([-D.T, left]), np.eye(1, n + 1, n)[0], maxiter=_STEPS * (n + 1))[0]
     except RuntimeError:
         return None
     # That is the squared distance to what is possible in the cone of the rows: 1 / (1 + |z|^2).

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg, optimize
+from scipy import linalg
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import OptimisationFailed
@@ -35,13 +35,16 @@ def solve_slsqp(start: NlpEvaluation, accuracy: float, max_iterations: int) -> t
     OptimisationFailed
         When it ends where the program cannot be evaluated.
     """
+    # Not loaded where another solver is taken.
+    from scipy.optimize import Bounds, minimize
+
     dense = DenseProgram(start)
-    result = optimize.minimize(
+    result = minimize(
         lambda y: dense.at(y).objective,
         dense.y,
         jac=lambda y: dense.at(y).gradient,
         method="SLSQP",
-        bounds=optimize.Bounds(dense.lowest, np.inf),
+        bounds=Bounds(dense.lowest, np.inf),
         constraints={
             "type": "ineq",
             "fun": lambda y: -dense.at(y).constraints,

@@ -50,7 +50,6 @@ from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.stiffness import covariance_of, modelled_stiffness
 from cmbot.planning.task import ToolTask
-from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
 __all__ = [
@@ -124,7 +123,6 @@ __all__ = [
     "robot_of",
     "sag_of",
     "searched",
-    "second_opinion",
     "starting_at_path",
     "strokes_of",
     "task_of",

@@ -1,5 +1,13 @@
-"""What people see of a plan: the replay and the report as pages, the film, the plots."""
+"""What people see of a plan: the replay and the report as pages, the film, the plots.
 
+What shows stances and walks is imported when it is first used: it needs the rooms that find them.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from cmbot.common.first_use import on_first_use
 from cmbot.views.compare import compare_page
 from cmbot.views.film import film
 from cmbot.views.gallery import gallery_page
@@ -8,10 +16,12 @@ from cmbot.views.plots import figure_files, plot, require_matplotlib
 from cmbot.views.replay import ReplayServer, replay, replay_page
 from cmbot.views.report import REPLAY, REPORT, pages, report, report_page
 from cmbot.views.show import Shown, show
-from cmbot.views.stances import stances_page
-from cmbot.views.toured import tour_page
-from cmbot.views.walk_replay import walk_replay_page
-from cmbot.views.walked import walk_page
+
+if TYPE_CHECKING:
+    from cmbot.views.stances import stances_page
+    from cmbot.views.toured import tour_page
+    from cmbot.views.walk_replay import walk_replay_page
+    from cmbot.views.walked import walk_page
 
 __all__ = [
     "REPLAY",
@@ -37,3 +47,11 @@ __all__ = [
     "walk_replay_page",
     "write_page",
 ]
+
+_LATER = {
+    "cmbot.views.stances": ("stances_page",),
+    "cmbot.views.toured": ("tour_page",),
+    "cmbot.views.walk_replay": ("walk_replay_page",),
+    "cmbot.views.walked": ("walk_page",),
+}
+__getattr__ = on_first_use(__name__, _LATER)

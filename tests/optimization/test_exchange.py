@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from oracles.literal_problem import Literal
+from scipy import optimize
 from small_scenes import problem_of, short_scene, tool_points, torque_along
 
 from cmbot.common.arrays import FloatArray
@@ -287,7 +288,7 @@ def test_slsqp_that_diverges_is_given_up(monkeypatch: pytest.MonkeyPatch, answer
     class Diverged:
         x, nit = np.full(problem.parametrization.dimension, answer), 1
 
-    monkeypatch.setattr(exchange.solve_slsqp.__globals__["optimize"], "minimize", lambda *_, **__: Diverged)
+    monkeypatch.setattr(optimize, "minimize", lambda *_, **__: Diverged)
     with pytest.raises(OptimisationFailed, match="solver diverged") as caught:
         optimise(problem)
     assert caught.value.undecided

@@ -11,9 +11,10 @@ from cmbot.archive import load_plan, save
 from cmbot.collision import Clearances
 from cmbot.common.errors import LimitViolation
 from cmbot.optimization import StateSamples
-from cmbot.planning import Plan, certify, plan, second_opinion
+from cmbot.planning import Plan, certify, plan
 from cmbot.planning.result.remarks import remarks
 from cmbot.planning.torque.constraints import ProcessSpeed
+from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Kinematics, Postures
 
 TOLERANCE = 0.03

@@ -13,13 +13,14 @@ from cmbot import load_scene
 from cmbot.archive import load_plan, save
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import LimitViolation, SceneError
-from cmbot.planning import Plan, plan, second_opinion
+from cmbot.planning import Plan, plan
 from cmbot.planning.initial_guess import initial_guess
 from cmbot.planning.result.remarks import remarks
 from cmbot.planning.retries import Attempt
 from cmbot.planning.timing.law_search import Bounded, shortest_law
 from cmbot.planning.timing.leg_paths import bounds_along, leg_paths
 from cmbot.planning.timing.shortest_time import _certified
+from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Dynamics, Robot
 from cmbot.scene import LegLaw
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import optimize, sparse
+from scipy import sparse
 
 from cmbot.common.arrays import BoolArray
 from cmbot.common.errors import OptimisationFailed
@@ -80,6 +80,9 @@ def _least_share(
     last: int,
 ) -> float:
     """Smallest possible largest share of a joint's bounds on the segments `first` to `last`."""
+    # Rarely needed.
+    from scipy.optimize import linprog
+
     t = problem.space.t[first : last + 2]
     grid = np.linspace(t[:-1], t[1:], _SAMPLES_PER_SEGMENT, endpoint=False, axis=1)
     times = np.append(grid.ravel(), t[-1])
@@ -91,7 +94,7 @@ def _least_share(
     A = A[:, np.flatnonzero(np.diff(A.indptr))]
     c = np.concatenate([least_jerk.evaluate(times, b.order)[:, joint] / b.scale[joint] for b in bounds])
     share = -np.ones((len(c), 1))
-    result = optimize.linprog(
+    result = linprog(
         np.append(np.zeros(A.shape[1]), 1.0),
         A_ub=sparse.block_array([[A, share], [-A, share]], format="csr"),
         b_ub=np.concatenate([-c, c]),
