@@ -166,7 +166,7 @@ def test_a_stroke_that_cannot_be_planned_is_named() -> None:
     scene = strokes_scene()
     there, back = scene.strokes
     # Faster than any joint.
-    leg = replace(back.legs[0], seconds=1e-4)
+    leg = replace(back.legs[0], seconds=0.002)
     hard = back.model_copy(update={"legs": (leg,)})
     told: list[str] = []
     with pytest.raises(PlanningError, match="stroke back"):
