@@ -5,7 +5,7 @@ from cmbot.robot.climber import CLIMBING_JOINTS, Climber, ClimberBodies
 from cmbot.robot.climbing import ARM_JOINTS, Side, load_climbing_robot
 from cmbot.robot.description.files import RobotFiles, robot_files
 from cmbot.robot.description.frames import arm_frames
-from cmbot.robot.description.mesh_file import locate_meshes
+from cmbot.robot.description.mesh_file import faces_of, is_mesh, locate_meshes, vertices_of
 from cmbot.robot.description.xml_file import parse_urdf, urdf_content
 from cmbot.robot.dynamics import Dynamics, Efforts, external_forces
 from cmbot.robot.elasticity import JointElasticity, LinkTube
@@ -52,9 +52,11 @@ __all__ = [
     "convex_hull",
     "encloses_volume",
     "external_forces",
+    "faces_of",
     "inspect_loaded",
     "inspect_robot",
     "inspect_urdf",
+    "is_mesh",
     "joint_units",
     "link_poses",
     "load_climbing_robot",
@@ -70,4 +72,5 @@ __all__ = [
     "srdf_text",
     "turn_axis",
     "urdf_content",
+    "vertices_of",
 ]

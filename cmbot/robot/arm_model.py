@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 from xml.etree import ElementTree
 
 import coal
@@ -17,7 +17,15 @@ from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.errors import ModelError
 from cmbot.common.validation import hint, shown
 from cmbot.robot.description.frames import require_independent
-from cmbot.robot.description.mesh_file import FARTHEST, load_near_meshes, locate_meshes
+from cmbot.robot.description.mesh_file import (
+    FARTHEST,
+    is_mesh,
+    is_near,
+    locate_meshes,
+    mesh_loader,
+    require_near_meshes,
+    vertices_of,
+)
 from cmbot.robot.self_collision import NEAR, near_pairs
 
 __all__ = [
@@ -93,7 +101,7 @@ def arm_model(
     return ArmModel(
         model=model,
         collision=collision,
-        read_visual=lambda: reduced(_visual_shapes(urdf, root, full)),
+        read_visual=lambda: reduced(_shapes(urdf, root, full, "visual")),
         group_states=_group_states(tuple(model.names)[1:], semantics),
         remarks=(*absent, *assumed),
     )
@@ -120,14 +128,12 @@ def build_model(urdf: Path, root: ElementTree.Element, package_dirs: Sequence[Pa
     `root` is the content of `urdf`, without errors in `inspect_urdf`, and is modified.
     """
     _adapt(urdf, root, package_dirs)
-    xml = ElementTree.tostring(root, encoding="unicode")
     with _refusals_named(urdf):
-        model = pin.buildModelFromXML(xml)
-    loader = load_near_meshes(root, "collision", str(urdf))
-    collision = _shapes(urdf, xml, model, pin.GeometryType.COLLISION, loader)
+        model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
+    collision = _shapes(urdf, root, model, "collision")
     for shape in collision.geometryObjects:
-        if shape.geometry.getObjectType() == coal.OT_BVH:
-            vertices = loader.load(shape.meshPath, shape.meshScale).vertices()
+        if is_mesh(shape.geometry):
+            vertices = vertices_of(shape.geometry)
             if not encloses_volume(vertices):
                 expected = "a mesh that encloses a volume"
                 raise ModelError(str(urdf), shape.name, f"the mesh {shape.meshPath}", expected)
@@ -139,17 +145,20 @@ def build_model(urdf: Path, root: ElementTree.Element, package_dirs: Sequence[Pa
     return model, collision
 
 
-def _visual_shapes(urdf: Path, root: ElementTree.Element, model: Any) -> Any:
-    """Visual shapes of the adapted `root`, from which the full `model` was built."""
-    load_near_meshes(root, "visual", str(urdf))
-    # Coal gives the triangles only of meshes with its usual bounding volumes.
+def _shapes(urdf: Path, root: ElementTree.Element, model: Any, tag: Literal["collision", "visual"]) -> Any:
+    """Shapes of the adapted `root`, from which the full `model` was built."""
+    kind = {"collision": pin.GeometryType.COLLISION, "visual": pin.GeometryType.VISUAL}[tag]
     xml = ElementTree.tostring(root, encoding="unicode")
-    return _shapes(urdf, xml, model, pin.GeometryType.VISUAL, coal.CachedMeshLoader())
-
-
-def _shapes(urdf: Path, xml: str, model: Any, kind: Any, loader: Any) -> Any:
-    with _refusals_named(urdf):
-        return pin.buildGeomFromUrdfString(model, xml, kind, mesh_loader=loader)
+    try:
+        with _refusals_named(urdf):
+            shapes = pin.buildGeomFromUrdfString(model, xml, kind, mesh_loader=mesh_loader())
+    except ModelError:
+        # Names the mesh, where one is the cause.
+        require_near_meshes(root, tag, str(urdf))
+        raise
+    if not all(is_near(shape.geometry) for shape in shapes.geometryObjects if is_mesh(shape.geometry)):
+        require_near_meshes(root, tag, str(urdf))
+    return shapes
 
 
 @contextmanager
@@ -386,7 +395,7 @@ def _stretch(shape: Any, X_JF: Any, ratio: float, source: str) -> None:
         return
     axis = int(np.argmax(np.abs(X_FS.rotation[2])))
     long = isinstance(geometry, coal.Capsule | coal.Cylinder)
-    known = long or isinstance(geometry, coal.Box | coal.BVHModelBase)
+    known = long or isinstance(geometry, coal.Box) or is_mesh(geometry)
     if not known or abs(X_FS.rotation[2, axis]) < 1 - 1e-9 or (long and axis != 2):
         kind = type(geometry).__name__.lower()
         expected = "a tool of capsules, cylinders, boxes and meshes, whose axes are its flange's"
@@ -408,6 +417,6 @@ def _stretch(shape: Any, X_JF: Any, ratio: float, source: str) -> None:
         else:
             shape.meshScale = shape.meshScale * scale
             # The loaded shape does not follow the scale.
-            shape.geometry = coal.MeshLoader().load(shape.meshPath, shape.meshScale)
+            shape.geometry = mesh_loader().load(shape.meshPath, shape.meshScale)
         X_FS.translation = X_FS.translation * [1.0, 1.0, ratio]
     shape.placement = X_JF * X_FS

@@ -48,10 +48,12 @@ def with_visual(plan: Plan, geometry: Any, mesh_path: str = "") -> Plan:
 def test_the_robot_is_drawn_whole_in_its_colours(triangle_plan: Plan) -> None:
     robot, meshes = triangle_plan.robot, drawn(triangle_plan)
     shapes = list(robot.visual_model.geometryObjects)
+    # The files themselves, by coal's usual kind of mesh.
+    files = {shape.name: coal.MeshLoader().load(shape.meshPath, shape.meshScale) for shape in shapes}
     for joint in range(robot.model.njoints):
         own = [shape for shape in shapes if shape.parentJoint == joint]
         points = np.concatenate(
-            [s.geometry.vertices() @ s.placement.rotation.T + s.placement.translation for s in own]
+            [files[s.name].vertices() @ s.placement.rotation.T + s.placement.translation for s in own]
         )
         vertices = np.concatenate([mesh.vertices for mesh in meshes[f"robot/{joint}"]])
         np.testing.assert_allclose(vertices.min(axis=0), points.min(axis=0), atol=1e-6)
@@ -60,7 +62,7 @@ def test_the_robot_is_drawn_whole_in_its_colours(triangle_plan: Plan) -> None:
         colours = [mesh.metadata["color"] for mesh in meshes[f"robot/{joint}"]]
         assert {(c >> 16, c >> 8 & 255, c & 255) for c in colours} == rgb
     triangles = sum(len(m.faces) for name in meshes if name.startswith("robot") for m in meshes[name])
-    assert triangles == sum(shape.geometry.num_tris for shape in shapes)
+    assert triangles == sum(files[shape.name].num_tris for shape in shapes)
     # A longer tool is drawn longer.
     tips = []
     for length in (0.30, 0.45):

@@ -12,12 +12,22 @@ from xml.etree import ElementTree
 import coal
 import numpy as np
 
+from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import ModelError
 from cmbot.common.input_files import LARGEST_MESH, read_input, require_input
 from cmbot.common.validation import shown
 from cmbot.robot.description.packages import find_resource
 
-__all__ = ["FARTHEST", "load_near_meshes", "locate_meshes"]
+__all__ = [
+    "FARTHEST",
+    "faces_of",
+    "is_mesh",
+    "is_near",
+    "locate_meshes",
+    "mesh_loader",
+    "require_near_meshes",
+    "vertices_of",
+]
 
 FARTHEST = 1e4
 """Largest distance, m, of a point or a frame from the origin that it is given in."""
@@ -58,14 +68,45 @@ def locate_meshes(urdf: Path, root: ElementTree.Element, package_dirs: Sequence[
             mesh.set("filename", checked[name])
 
 
-def load_near_meshes(root: ElementTree.Element, tag: str, source: str) -> Any:
-    """Return the loader that holds the meshes of a URDF's shapes `tag`, ``collision`` or ``visual``.
+def mesh_loader() -> Any:
+    """Return a loader of meshes that builds boxes along the axes.
 
-    They are located before. Meshes that coal cannot read or whose vertices are too far away are refused.
-    The loader builds boxes along the axes: building coal's usual bounding volumes crashes the process with
-    such vertices.
+    Building coal's usual bounding volumes takes longer than reading, and crashes the process with vertices
+    that are far away.
     """
-    loader = coal.CachedMeshLoader(coal.NODE_TYPE.BV_AABB)  # a file is often that of several shapes
+    return coal.CachedMeshLoader(coal.NODE_TYPE.BV_AABB)  # a file is often that of several shapes
+
+
+def is_mesh(geometry: Any) -> bool:
+    """Return whether a shape is a mesh; Python knows those of `mesh_loader` as some shape only."""
+    return bool(geometry.getObjectType() == coal.OT_BVH)
+
+
+def vertices_of(mesh: Any) -> FloatArray:
+    """Return the vertices (n, 3) of a mesh, m."""
+    return np.array(coal.BVHModelBase.vertices(mesh))
+
+
+def faces_of(mesh: Any) -> IntArray:
+    """Return the triangles (m, 3) of a mesh."""
+    count, corners = coal.BVHModelBase.num_tris.__get__(mesh), coal.BVHModelBase.tri_indices
+    triangles = (corners(mesh, k) for k in range(count))
+    return np.array([(t[0], t[1], t[2]) for t in triangles], dtype=np.intp).reshape(-1, 3)
+
+
+def is_near(shape: Any) -> bool:
+    """Return whether a shape is finite and lies within `FARTHEST` of its origin."""
+    shape.computeLocalAABB()
+    corners = np.array([shape.aabb_local.min_, shape.aabb_local.max_])
+    return bool((np.abs(corners) <= FARTHEST).all())
+
+
+def require_near_meshes(root: ElementTree.Element, tag: str, source: str) -> None:
+    """Refuse the meshes of a URDF's shapes `tag`, ``collision`` or ``visual``, that cannot be used.
+
+    They are located before. Those are refused that coal cannot read, or whose vertices are too far away.
+    """
+    loader = mesh_loader()
     for link in root.findall("link"):
         for mesh in (mesh for shape in link.findall(tag) for mesh in shape.iter("mesh")):
             path, scale = mesh.get("filename", ""), mesh.get("scale", "1 1 1")
@@ -75,12 +116,9 @@ def load_near_meshes(root: ElementTree.Element, tag: str, source: str) -> Any:
             except (ValueError, RuntimeError, IndexError) as error:
                 got = f"{name}, which coal cannot read ({' '.join(str(error).split())})"
                 raise ModelError(source, key, got, "a mesh file") from error
-            shape.computeLocalAABB()
-            corners = np.array([shape.aabb_local.min_, shape.aabb_local.max_])
-            if not (np.abs(corners) <= FARTHEST).all():
+            if not is_near(shape):
                 got = f"{name}, which is larger or not finite"
                 raise ModelError(source, key, got, f"a mesh of vertices within {FARTHEST:g} m")
-    return loader
 
 
 def _located(name: str, folder: Path, package_dirs: Sequence[Path]) -> Path:

@@ -19,6 +19,7 @@ from scipy.sparse.csgraph import connected_components
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import ModelError
+from cmbot.robot import faces_of, is_mesh, vertices_of
 from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere, load_mesh
 
 __all__ = ["Surface", "creased", "merged", "obstacle_surface", "simplified", "tube", "visual_surface"]
@@ -66,10 +67,8 @@ def visual_surface(shape: Any, source: str) -> Surface:
     """Return a visual shape, a pinocchio.GeometryObject of the URDF `source`, in its joint's frame."""
     geometry = shape.geometry
     match geometry:
-        case coal.BVHModelBase():
-            triangles = (geometry.tri_indices(i) for i in range(geometry.num_tris))
-            faces = np.array([(t[0], t[1], t[2]) for t in triangles], dtype=np.intp).reshape(-1, 3)
-            surface = Surface(geometry.vertices(), faces)
+        case _ if is_mesh(geometry):
+            surface = Surface(vertices_of(geometry), faces_of(geometry))
         case coal.ConvexBase():
             surface = hull(np.array([geometry.point(i) for i in range(geometry.num_points)]))
         case coal.Box():
