@@ -18,6 +18,8 @@ _BETWEEN_SEARCHES = 50_000
 def main() -> None:
     """Run the command line; Ctrl-C during the imports ends it as quietly as later on."""
     gc.set_threshold(_BETWEEN_SEARCHES)
+    # Matrices are small: the threads of BLAS would mostly wait for each other. Read when NumPy is imported.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     before = signal.signal(signal.SIGINT, lambda *_: os._exit(_STOPPED))
     from cmbot.cli import main as run
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from cmbot.common.validation import given_path
 from cmbot.planning import (
@@ -99,8 +100,10 @@ def report_page(plan: Plan, tracking: Tracking | None = None) -> str:
 
 def pages(plan: Plan, tracking: Tracking | None = None) -> dict[str, bytes]:
     """Return `replay_page` and `report_page` by their names in a plan directory, from one set of data."""
-    data = replay_data(plan, tracking)
-    texts = {REPLAY: replay_html(plan, data), REPORT: _report_html(plan, tracking, data)}
+    # Matrices are small: the threads of BLAS would mostly wait for each other.
+    with threadpool_limits(limits=1, user_api="blas"):
+        data = replay_data(plan, tracking)
+        texts = {REPLAY: replay_html(plan, data), REPORT: _report_html(plan, tracking, data)}
     return {name: text.encode("utf-8", "replace") for name, text in texts.items()}
 
 

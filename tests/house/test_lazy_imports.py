@@ -78,11 +78,18 @@ def test_planning_loads_nothing_that_it_does_not_use(tmp_path: Path) -> None:
     assert not loaded & NOT_TO_PLAN
 
 
-def test_a_command_searches_rarely_for_reference_cycles() -> None:
-    # Python's own 700 would make searches out of every import.
-    start = "import gc, sys\nfrom cmbot.__main__ import main\nsys.argv = ['cmbot', '--version']\n"
-    end = "try:\n    main()\nexcept SystemExit:\n    print(gc.get_threshold()[0] >= 10_000)"
-    assert printed_by(start + end)[-1] == "True"
+def test_a_command_searches_rarely_for_cycles_and_has_one_thread_of_blas() -> None:
+    look = """
+import gc, sys
+from cmbot.__main__ import main
+sys.argv = ["cmbot", "--version"]
+try:
+    main()
+finally:
+    import numpy, threadpoolctl
+    print(gc.get_threshold()[0] >= 10_000, {each["num_threads"] for each in threadpoolctl.threadpool_info()})
+"""
+    assert printed_by(look)[-1] == "True {1}"
 
 
 def test_nothing_is_looked_through_at_the_end() -> None:
