@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 
@@ -119,11 +119,12 @@ class LegVibration:
         ]
         self._carried = carried = _Carried(*(np.concatenate(each) for each in zip(*reduced, strict=True)))
         lengths = np.diff(edges)
-        counts = np.ceil(lengths * carried.omega.max() / (2 * np.pi) * _STEPS_A_PERIOD).astype(int)
-        self._steps = lengths / counts
+        least = lengths * carried.omega.max() / (2 * np.pi) * _STEPS_A_PERIOD
+        doublings = np.maximum(np.ceil(np.log2(least)), 0).astype(int)
+        self._steps = lengths / 2**doublings
         half = 0.5 * self._steps
         self.times = np.stack([edges[:-1] + half, edges[1:] - half], axis=1).ravel()
-        self._blocks = _blocks(*_midpoint_steps(carried, self._steps), counts)
+        self._blocks = _blocks(carried, self._steps, doublings)
         self.cases = len(carried.omega)
 
     @cached_property
@@ -149,7 +150,8 @@ class LegVibration:
         for (state, push), snap in zip(self._blocks, snaps, strict=True):
             y = state @ y + push @ snap
         substeps = max(1, round(_WATCHED / float(self._steps[-1])))
-        after = _midpoint_steps(carried.at_end, np.array([_WATCHED / substeps]))[0][0]
+        M, D, K = (each[:, -1:] for each in (carried.mass, carried.damping, carried.stiffness))
+        after = _midpoint_steps(M, D, K, np.array([_WATCHED / substeps]))[0]
         state = np.linalg.matrix_power(after, substeps)
         tracks = np.empty((round(_SETTLE / _WATCHED) + 1, cases, 3, len(trajectories)))
         for moment in tracks:
@@ -173,18 +175,6 @@ class _Carried:
     to_tool: FloatArray  # (C, r): how far a mode moves the tool
     tool: FloatArray  # (C, 3, k): how the carriers move the tool, m
 
-    @property
-    def at_end(self) -> _Carried:
-        """The same in the end's posture alone."""
-        last = slice(-1, None)
-        return replace(
-            self,
-            mass=self.mass[:, last],
-            damping=self.damping[:, last],
-            stiffness=self.stiffness[:, last],
-            response=self.response[:, last],
-        )
-
 
 def tool_amplitudes(vibration: FloatArray, cases: int) -> FloatArray:
     """Largest amplitudes of the tool point (cases,), m, when the modes of a `vibration` (C 2r,) coincide."""
@@ -195,28 +185,23 @@ def tool_amplitudes(vibration: FloatArray, cases: int) -> FloatArray:
 def _reduced(at: _Matrices, factors: FloatArray, modes: int) -> tuple[FloatArray, ...]:
     """What is `_Carried` of the cases with a load and `factors` (c,) on the stiffness.
 
-    The stiffness is that of the springs times a factor; the equilibrium hardly changes with it.
+    The stiffness is that of the springs times a factor; the equilibrium hardly changes with it, nor do the
+    shapes of the modes: all cases have the same carriers, which the modes of each are made of.
     """
-    most = max(_CARRIERS, modes)
-    stiffness = at.stiffness + (factors - 1)[:, None, None, None] * at.arm.stiffness
-    own, carriers = list[tuple[FloatArray, FloatArray]](), list[FloatArray]()
-    for each in stiffness:
-        shapes = [_slowest(at.mass[k], each[k], most) for k in (0, len(each) // 2, -1)]
-        own.append(shapes[-1])
-        carriers.append(np.linalg.qr(np.hstack([X for _, X in shapes]))[0])
-    r = min(modes, min(len(omega) for omega, _ in own))
+    most, last = max(_CARRIERS, modes), len(at.mass) - 1
+    shapes = [_slowest(at.mass[k], at.stiffness[k], most)[1] for k in (0, (last + 1) // 2, last)]
+    V = np.linalg.qr(np.hstack(shapes))[0]
+    by_case = factors[:, None, None, None]
+    M, K = V.T @ at.mass @ V, V.T @ at.stiffness @ V + (by_case - 1) * (V.T @ at.arm.stiffness @ V)
+    own = [_slowest(M[-1], each, modes) for each in K[:, -1]]
+    r = min(len(omega) for omega, _ in own)
     omega, X = np.stack([omega[:r] for omega, _ in own]), np.stack([X[:, :r] for _, X in own])
-    ends = np.stack(carriers)
-    V = ends[:, None]
-    V_T = V.swapaxes(2, 3)
-    M, K = V_T @ at.mass @ V, V_T @ stiffness @ V
-    forces = at.coupling + at.mass @ at.sag_slope / factors[:, None, None, None]
-    D = V_T @ at.gyroscopic @ V + (2 * _DAMPING / omega[:, 0])[:, None, None, None] * K
-    J = _tool_jacobian(at.arm, at.q[-1], at.u[-1])[:, at.arm.elastic]
-    to_tool = np.linalg.norm(J @ X, axis=1)
-    response = np.asarray(np.linalg.solve(K, V_T @ forces), dtype=float)
-    momenta = ends.swapaxes(1, 2) @ at.mass[-1] @ X
-    return M, D, K, response, momenta, omega, to_tool, J @ ends
+    D = V.T @ at.gyroscopic @ V + (2 * _DAMPING / omega[:, 0])[:, None, None, None] * K
+    forces = V.T @ at.coupling + V.T @ (at.mass @ at.sag_slope) / by_case
+    tool = _tool_jacobian(at.arm, at.q[-1], at.u[-1])[:, at.arm.elastic] @ V
+    to_tool = np.linalg.norm(tool @ X, axis=1)
+    M, tool = (np.broadcast_to(one, (len(factors), *one.shape)) for one in (M, tool))
+    return M, D, K, np.linalg.solve(K, forces), M[:, -1] @ X, omega, to_tool, tool
 
 
 def _slowest(mass: FloatArray, stiffness: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
@@ -250,52 +235,46 @@ _Block = tuple[FloatArray, FloatArray]
 """What a block makes of the state before it (C, 2k, 2k), and of its first and last snap (C, 2k, 2n)."""
 
 
-def _blocks(states: FloatArray, pushes: FloatArray, counts: IntArray) -> list[_Block]:
-    """Return the blocks of `counts` (g,) equal steps, whose matrices are by `_midpoint_steps`."""
-    return [_block(A, P, int(m)) for A, P, m in zip(states, pushes, counts, strict=True)]
+def _blocks(carried: _Carried, steps: FloatArray, doublings: IntArray) -> list[_Block]:
+    """Return the blocks of two `steps` (g,), s, to the `doublings` (g,).
 
-
-def _block(A: FloatArray, P: FloatArray, count: int) -> _Block:
-    """Return what m equal steps with matrices `A` (C, 2k, 2k) and `P` (C, 2k, n) make of states and snaps.
-
-    With the last snap s and its change d a step, the state after them is ``A^m y + S s - T d`` with the sums
-    ``S = P + A P + ... + A^(m-1) P`` and ``T = A P + 2 A^2 P + ... + (m-1) A^(m-1) P``. They are built up as
-    a power is by repeated squaring: few products, where one step after the other would take many.
+    A snap s that grows by d from step to step moves the carriers along ``G s - H d``; what the state before
+    is apart from that is carried on by the m-th power of a step's matrix. With the force ``M r s`` G is
+    ``(w, 0)``, ``w = K^-1 M r``, and H is ``((K^-1 D / h + 1/2) w, -w / h)``.
     """
-    n, done = P.shape[2], 1
-    power, S, T = A, P, np.zeros_like(P)
-    for bit in f"{count:b}"[1:]:
-        more = power @ np.concatenate([S, T + done * S], axis=2)
-        S, T = S + more[..., :n], T + more[..., n:]
-        power, done = power @ power, 2 * done
-        if bit == "1":
-            more = A @ np.concatenate([S, T + S], axis=2)
-            S, T = P + more[..., :n], more[..., n:]
-            power, done = A @ power, done + 1
-    by_change = T / max(count - 1, 1)
-    return power, np.concatenate([by_change, S - by_change], axis=2)
+    each = (carried.mass, carried.damping, carried.stiffness, carried.response)
+    (M, D, K, r), h = (one[:, : len(steps)] for one in each), steps[:, None, None]
+    w, lag = np.split(np.linalg.solve(K, np.concatenate([M @ r, D], axis=3)), [r.shape[3]], axis=3)
+    still = np.concatenate([w, np.zeros_like(w)], axis=2).swapaxes(0, 1)
+    growing = np.concatenate([lag @ w / h + 0.5 * w, -w / h], axis=2).swapaxes(0, 1)
+    states = _midpoint_steps(M, D, K, steps)
+    return [_block(*one) for one in zip(states, still, growing, doublings.tolist(), strict=True)]
 
 
-def _midpoint_steps(carried: _Carried, steps: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The implicit midpoint rule with `steps` (g,), s, in the first g postures.
+def _block(A: FloatArray, G: FloatArray, H: FloatArray, doublings: int) -> _Block:
+    """The block of steps with the matrix `A` (C, 2k, 2k); `G` and `H` (C, 2k, n) are as in `_blocks`."""
+    for _ in range(doublings):
+        A = A @ A
+    still, growing = np.split(A @ np.concatenate([G, H], axis=2), 2, axis=2)
+    by_change = (G - H + growing) / max(2**doublings - 1, 1)
+    return A, np.concatenate([-still - by_change, G + by_change], axis=2)
 
-    A step's matrices of (y, y') (g, C, 2k, 2k) and of the snap (g, C, 2k, n).
+
+def _midpoint_steps(M: FloatArray, D: FloatArray, K: FloatArray, steps: FloatArray) -> FloatArray:
+    """What `steps` (g,), s, of the implicit midpoint rule make of (y, y') (g, C, 2k, 2k).
+
+    Mass, damping and stiffness (C, g, k, k) are those of the posture of each.
     """
-    g, h = len(steps), steps[:, None, None]
-    M, D, K, response = (
-        each[:, :g] for each in (carried.mass, carried.damping, carried.stiffness, carried.response)
-    )
+    h = steps[:, None, None]
     inverse = np.linalg.inv(M + 0.5 * h * D + 0.25 * h**2 * K)
-    # The rate in the middle of the step, by y, y' and snap.
+    # The rate in the middle of the step, by y and y'.
     by_y, by_rate = -0.5 * h * inverse @ K, inverse @ M
-    by_snap = 0.5 * h * by_rate @ response
     k, one = K.shape[2], np.eye(K.shape[2])
-    state, push = np.empty((g, len(K), 2 * k, 2 * k)), np.empty((g, len(K), 2 * k, response.shape[3]))
+    state = np.empty((len(steps), len(K), 2 * k, 2 * k))
     by_case = state.swapaxes(0, 1)
     by_case[..., :k, :k], by_case[..., :k, k:] = one + h * by_y, h * by_rate
     by_case[..., k:, :k], by_case[..., k:, k:] = 2 * by_y, 2 * by_rate - one
-    push[..., :k, :], push[..., k:, :] = ((factor * by_snap).swapaxes(0, 1) for factor in (h, 2.0))
-    return state, push
+    return state
 
 
 def _refined(knots: FloatArray, longest: float) -> FloatArray:

@@ -34,8 +34,9 @@ _JERK_WEIGHT = 100.0
 # Times per segment at which the jerk is compared with the largest before, by what share of its bound it may
 # exceed that, and how often at most it is compared.
 _JERKS, _MORE_JERK, _JERK_ROUNDS = 5, 1e-3, 8
-# Iterations of Lawson's algorithm, without bounds and within them, and the least weight of a case.
-_REWEIGHTINGS, _BOUND_REWEIGHTINGS, _LEAST_WEIGHT = 40, 5, 1e-6
+# Iterations of Lawson's algorithm, without bounds and within them, by what share one of these has to lower
+# the largest amplitude for another one, but at first, and the least weight of a case.
+_REWEIGHTINGS, _BOUND_REWEIGHTINGS, _GAIN, _LEAST_WEIGHT = 40, 5, 5e-3, 1e-6
 
 Leg = tuple[int, int]
 """First and last knot of a leg."""
@@ -89,8 +90,8 @@ class Window:
         self._vibration: list[FloatArray] = []
         self._cases = 1
         self._wanted: _Wanted | None = None
-        # What calls of `change` learn from those before: weights of the cases, and where the jerk is largest.
-        self._weight: FloatArray | None = None
+        # What calls of `change` learn from those before: the best weighting, and where the jerk is largest.
+        self._weighted: _Weighted | None = None
         width = len(self.coefficients) * len(self._jerk)
         self._most_jerk = np.empty((0, width)), np.empty(0)
 
@@ -125,28 +126,26 @@ class Window:
         wanted = self._wanted = self._wanted or _Wanted(self)
         own = rows[:, (self.coefficients[:, None] * d + np.arange(d)).ravel()].toarray()
         C, best = self.whitened(own.reshape(-1, s, d)), None
-        weight = wanted.weight if self._weight is None else self._weight
+        first, weighted = self._weighted is None, self._weighted or wanted.unbounded
         for _ in range(_BOUND_REWEIGHTINGS):
-            y, factor = wanted.unbounded if weight is wanted.weight else wanted.least_squares(weight)
-            found = self._without_more_jerk(y, factor, C, room)
+            found = self._without_more_jerk(weighted, C, room)
             if found is None:
                 break
-            largest = wanted.relative(found)
-            if best is None or largest.max() < best[0]:
-                best, self._weight = (largest.max(), found), weight
-            if found is y:
+            each = wanted.relative(found)
+            gains = best is None or each.max() < (1 - _GAIN) * best[0]
+            if best is None or each.max() < best[0]:
+                best, self._weighted = (each.max(), found), weighted
+            if found is weighted.y or not (first or gains):
                 break
-            weight = _reweighted(weight, largest)
+            weighted = wanted.least_squares(_reweighted(weighted.weight, each))
         if best is None:
             return None
         X = linalg.solve_triangular(self._factor, best[1].reshape(s, d), lower=True, trans="T") * self._jerk
         before, after = (self.amplitudes(x).max() for x in (0 * X, X))
         return Change(X, float(1 - after / before)) if after < before else None
 
-    def _without_more_jerk(
-        self, y: FloatArray, factor: FloatArray, C: FloatArray, room: FloatArray
-    ) -> FloatArray | None:
-        """The point nearest to `y` that keeps to the room, and to the largest jerk there was.
+    def _without_more_jerk(self, weighted: _Weighted, C: FloatArray, room: FloatArray) -> FloatArray | None:
+        """The point of the least weighted squares that keeps to the room, and to the largest jerk there was.
 
         Where the jerk would be larger, that is forbidden and the point sought again.
         """
@@ -155,7 +154,7 @@ class Window:
         most = np.abs(jerk).max() + _MORE_JERK
         for _ in range(_JERK_ROUNDS):
             known, left = self._most_jerk
-            found = nearest(y, factor, np.concatenate([C, known]), np.append(room, left))
+            found = nearest(weighted.y, weighted.factor, np.concatenate([C, known]), np.append(room, left))
             if found is None:
                 return None
             changed = jerk + rows @ found.reshape(s, d)
@@ -188,6 +187,15 @@ class Window:
         return np.asarray(y.transpose(1, 0, 2).reshape(k, s * d))
 
 
+@dataclass(frozen=True)
+class _Weighted:
+    """Weights of amplitudes, the change y (s d,) of the least squares by them, its metric's factor."""
+
+    weight: FloatArray
+    y: FloatArray
+    factor: FloatArray
+
+
 class _Wanted:
     """What the splines of a window would best do without bounds: the least of the largest amplitudes.
 
@@ -204,26 +212,27 @@ class _Wanted:
         self._E = window.whitened(np.concatenate(conditions)) / size[:, None]
         self._v, self._groups = np.concatenate(vibration) / size, before.size
         self._rows = len(size) // before.size
-        gram, weight, best = self._E @ self._E.T, np.ones(before.size), np.inf
+        gram, least, best = self._E @ self._E.T, np.inf, np.ones(before.size)
+        weight = best
         for _ in range(_REWEIGHTINGS):
-            softened = np.diag(_JERK_WEIGHT / np.repeat(weight, self._rows))
-            largest = tool_amplitudes(
-                self._v - gram @ np.linalg.solve(gram + softened, self._v), self._groups
-            )
-            if largest.max() < best:
-                best, self.weight = largest.max(), weight
+            factor = linalg.cho_factor(gram + np.diag(_JERK_WEIGHT / np.repeat(weight, self._rows)))
+            left = self._v - gram @ linalg.cho_solve(factor, self._v)
+            largest = tool_amplitudes(left, self._groups)
+            if largest.max() < least:
+                least, best = largest.max(), weight
             weight = _reweighted(weight, largest)
-        self.unbounded = self.least_squares(self.weight)
+        self.unbounded = self.least_squares(best)
 
     def relative(self, y: FloatArray) -> FloatArray:
         """Amplitudes with a change `y` (s d,), as shares of the largest of before."""
         return tool_amplitudes(self._v + self._E @ y, self._groups)
 
-    def least_squares(self, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The change y (s d,) of the least weighted squares and jerk, and a factor of its metric."""
-        W = np.repeat(weight, self._rows)
-        factor = np.linalg.cholesky((self._E.T * W) @ self._E + _JERK_WEIGHT * np.eye(self._E.shape[1]))
-        return -linalg.cho_solve((factor, True), self._E.T @ (W * self._v)), factor
+    def least_squares(self, weight: FloatArray) -> _Weighted:
+        """The change of the least weighted squares and jerk."""
+        roots = np.sqrt(np.repeat(weight, self._rows))
+        E, v = self._E * roots[:, None], self._v * roots
+        factor = np.linalg.cholesky(E.T @ E + _JERK_WEIGHT * np.eye(E.shape[1]))
+        return _Weighted(weight, -linalg.cho_solve((factor, True), E.T @ v), factor)
 
 
 def _reweighted(weight: FloatArray, largest: FloatArray) -> FloatArray:
