@@ -32,8 +32,6 @@ __all__ = [
 
 # Seconds of motion in a second of a GIF.
 _GIF_SPEED = 4.0
-# Times by which a film magnifies deflections.
-_BENDING = 10.0
 _LONGEST_SIZE = 12
 PlanArgument = Annotated[Path, typer.Argument(metavar="DIR", help="A plan directory.")]
 
@@ -57,7 +55,8 @@ def replay(
         str | None, typer.Option("--size", metavar="WxH", help="Of a film; 1280x720, of a GIF 640x360.")
     ] = None,
     bending: Annotated[
-        float | None, typer.Option("--bending", help="Times by which a film magnifies deflections; 10.")
+        float | None,
+        typer.Option("--bending", help="Times by which a film magnifies deflections; as its page."),
     ] = None,
     colours: Annotated[
         str | None, typer.Option("--colours", help="Of the arm in a film: own, load or strain.")
@@ -113,7 +112,7 @@ def replay(
                 speed=_GIF_SPEED if gif else 1.0,
                 fps=fps or (10 if gif else 30),
                 size=shape,
-                bending=_BENDING if bending is None else bending,
+                bending=bending,
                 colours=colours or "own",
                 progress=lambda share: progress.stage("filming", share),
             )

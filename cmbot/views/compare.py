@@ -13,15 +13,16 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.planning import Plan, Samples, promises, verdict
 from cmbot.version import __version__
+from cmbot.views.camera import ARROW, focus_of
 from cmbot.views.charts import MOST_SMALL_POINTS, ROOM, Chart, Curve, joint_axes
-from cmbot.views.drawing import Bending, reach, scene_commands
+from cmbot.views.drawing import reach, scene_commands
 from cmbot.views.page import STAGE_SCRIPTS, assemble, table
 from cmbot.views.replay_data import (
-    ARROW,
     FRAME_STEP,
     MOST_POSES,
     Frames,
-    focus_of,
+    bending_data,
+    bent_poses,
     frame_times,
     link_names,
     pair_joints,
@@ -96,11 +97,12 @@ def _data(first: Plan, plans: Mapping[str, Plan], names: Mapping[str, str]) -> d
     end = max(plan.job.duration for plan in plans.values())
     times = frame_times(0.0, end, max(FRAME_STEP, end * first.robot.dof / MOST_POSES))
     pairs = dict[str, int]()
+    frames = {key: Frames(plan, pairs) for key, plan in plans.items()}
     motions = {
-        key: Frames(plan, pairs).motion(plan.job_samples[0], plan.job.figures, times, on=_strokes(plan))
+        key: frames[key].motion(plan.job_samples[0], plan.job.figures, times, on=_strokes(plan))
         for key, plan in plans.items()
     }
-    bending = Bending.of(first, None)
+    each = list(frames.values())
     small = [chart.data(MOST_SMALL_POINTS) for chart in _joint_charts(first, plans)]
     return motions | {
         "motions": list(motions),
@@ -115,10 +117,10 @@ def _data(first: Plan, plans: Mapping[str, Plan], names: Mapping[str, str]) -> d
         "margin": min(plan.options.safety_margin_m for plan in plans.values()),
         "links": link_names(first.robot),
         "joints": list(first.robot.joints),
-        "bending": None if bending is None else bending.data(),
+        "bending": bending_data(each, reach(first.robot)),
         "pairs": list(pairs),
-        "pairJoints": pair_joints(first.robot, pairs),
-        "focus": focus_of(first, list(plans.values())),
+        "pairJoints": pair_joints(first, pairs),
+        "focus": focus_of(first, list(plans.values()), bent_poses(each, reach(first.robot))),
         "reach": reach(first.robot),
         "arrow": ARROW * reach(first.robot),
         "commands": [base64.b64encode(command).decode("ascii") for command in scene_commands(first)],

@@ -20,7 +20,6 @@ __all__ = ["film"]
 
 FRAME_RATE = 30
 SIZE = (1280, 720)
-BENDING = 10.0
 COLOURS = ("own", "load", "strain")
 MOST_RATE, LEAST_SIDE, MOST_SIDE, MOST_BENDING = 120, 120, 3840, 200
 # A palette of the film's own colours: GIF has 256 at most.
@@ -54,7 +53,7 @@ def film(
     speed: float = 1.0,
     fps: int = FRAME_RATE,
     size: tuple[int, int] = SIZE,
-    bending: float = BENDING,
+    bending: float | None = None,
     colours: str = "own",
     progress: Callable[[float], None] = lambda _: None,
 ) -> int:
@@ -73,8 +72,8 @@ def film(
         Frames a second, 1 to 120.
     size : two ints
         Width and height, px, even numbers from 120 to 3840.
-    bending : float
-        The factor by which deflections are drawn, 0 to 200.
+    bending : float, optional
+        The factor by which deflections are drawn, 0 to 200; left out, that with which the page begins.
     colours : str
         Of the arm: its ``own``, those of its joints' ``load``, or those of the ``strain`` of links and rails,
         where that is known.
@@ -103,7 +102,7 @@ def film(
         raise InputError(
             "film", "size", f"{size[0]}x{size[1]}", f"even numbers from {LEAST_SIDE} to {MOST_SIDE}"
         )
-    if not 0 <= bending <= MOST_BENDING:
+    if bending is not None and not 0 <= bending <= MOST_BENDING:
         raise InputError("film", "bending", bending, f"a number from 0 to {MOST_BENDING}")
     if colours not in COLOURS:
         raise InputError("film", "colours", colours, "one of " + ", ".join(COLOURS))
@@ -111,7 +110,7 @@ def film(
     browser = _program("chromium", _BROWSERS, "apt-get install chromium chromium-driver")
     driver = _program("chromedriver", ("chromedriver",), "apt-get install chromium-driver")
     with draft_of(path) as draft, _opened(page, browser, driver, size) as chrome:
-        look = (float(bending), float(speed), colours)
+        look = (None if bending is None else float(bending), float(speed), colours)
         return _encode(encoder, draft, str(path), fps, _frames(chrome, look, speed / fps, progress))
 
 
@@ -148,7 +147,7 @@ def _opened(page: str, browser: str, driver: str, size: tuple[int, int]) -> Iter
 
 
 def _frames(
-    chrome: Any, look: tuple[float, float, str], step: float, progress: Callable[[float], None]
+    chrome: Any, look: tuple[float | None, float, str], step: float, progress: Callable[[float], None]
 ) -> Iterator[bytes]:
     chrome.execute_script("cmbotReplay.still(...arguments)", *look)
     start, end = chrome.execute_script("return [cmbotReplay.start, cmbotReplay.end]")

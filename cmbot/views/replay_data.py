@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Iterator, Sequence
-from itertools import product
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from scipy.spatial.transform import Rotation
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray, IntArray
@@ -29,41 +27,35 @@ from cmbot.planning import (
 from cmbot.robot import Kinematics, Robot
 from cmbot.simulation import MotionTracking, Tracking
 from cmbot.trajectory import QuinticTrajectory
+from cmbot.views.camera import ARROW, focus_of, link_poses
 from cmbot.views.charts import floor_name, work_begins, work_ends
-from cmbot.views.drawing import Bending, Intervals, obstacle_surface, reach, scene_commands
+from cmbot.views.drawing import (
+    Bending,
+    Intervals,
+    drawn_factor,
+    most_factor,
+    reach,
+    scene_commands,
+    supports,
+)
 from cmbot.views.page import pack, pack_exactly
 
 __all__ = [
-    "ARROW",
     "Frames",
-    "focus_of",
-    "focus_on",
+    "bending_data",
+    "bent_poses",
     "frame_times",
     "link_names",
     "pair_joints",
     "replay_data",
 ]
 
-ARROW = 0.32  # of the largest torque, as a share of the reach
 FRAME_STEP = 0.02  # between two frames, s, where `MOST_POSES` allows it; the page interpolates
 MOST_POSES = 12_000  # frames times links, of the whole job
 _BETWEEN = " – "  # two names of a pair
-# How far beside the tool path workpieces are shown, as a share of the reach.
-_BESIDE = 0.1
 # Links whose distance varies by less than this, m, in so many of a motion's postures are always as near.
 _AS_NEAR, _LOOKED_AT = 1e-3, 12
 _ALWAYS: Intervals = ((0.0, np.inf),)
-# Directions all around, (200, 3), on a spiral over the sphere.
-_ANGLES = np.pi * (1 + 5**0.5) * np.arange(200)
-_HEIGHTS = np.linspace(-1, 1, 200)
-_DIRECTIONS = np.stack(
-    [
-        np.sqrt(1 - _HEIGHTS**2) * np.cos(_ANGLES),
-        np.sqrt(1 - _HEIGHTS**2) * np.sin(_ANGLES),
-        _HEIGHTS,
-    ],
-    axis=1,
-)
 
 
 def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
@@ -87,7 +79,7 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
     frames = Frames(plan, tracking=tracking)
     times = frame_times(0.0, work_end - begin, step)
     planned, baseline = (None, None) if tracking is None else (tracking.planned, tracking.baseline)
-    return {
+    data = {
         "title": plan.scene.name,
         "robot": plan.robot.name,
         "start": start,
@@ -116,10 +108,13 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
         ),
         "return": _return(plan, frames, frame_times(0.0, back, step)) if back > 0 else None,
         "rest": None if back > 0 else _rest(plan, tracking, frames, frame_times(work_end, end, step) - begin),
-        "bending": None if frames.bending is None else frames.bending.data(),
+    }
+    # With all motions it is known how far the arm bends and what is near it.
+    return data | {
+        "bending": bending_data([frames], reach(plan.robot)),
         "pairs": list(frames.pairs),
-        "pairJoints": pair_joints(plan.robot, frames.pairs),
-        "focus": focus_of(plan, [plan]),
+        "pairJoints": pair_joints(plan, frames.pairs),
+        "focus": focus_of(plan, [plan], bent_poses([frames], reach(plan.robot))),
         "reach": reach(plan.robot),
         "arrow": ARROW * reach(plan.robot),
         "commands": [base64.b64encode(command).decode("ascii") for command in scene_commands(plan)],
@@ -146,6 +141,18 @@ class Frames:
         self.bending = Bending.of(plan, tracking)
         self.clearances = Clearances(plan.robot, plan.scene.obstacles)
         self.pairs = {} if pairs is None else pairs
+        # Some postures and elastic coordinates of the motions so far.
+        self._bent: list[tuple[Bending, FloatArray, FloatArray]] = []
+
+    @property
+    def deflection(self) -> float:
+        """The largest displacement of the tool by bending in the motions so far, m."""
+        tools = [[bent.poses(q, each)[1] for each in (0 * u, u)] for bent, q, u in self._bent]
+        return max((float(np.linalg.norm(a - b, axis=1).max()) for a, b in tools), default=0.0)
+
+    def bent(self, factor: float) -> list[FloatArray]:
+        """Return poses (K, n, 7) of the links in the motions so far, their bending times a factor."""
+        return [bent.poses(q, factor * u)[0] for bent, q, u in self._bent]
 
     def motion(
         self,
@@ -160,9 +167,10 @@ class Frames:
         ``poses`` (F, n, 7) are those of the arm's joint frames, as position and quaternion x, y, z, w;
         ``near`` (F, 6) the nearest points on the arm and on the other shape, ``pair`` (F,) an index into
         `pairs`, -1 where nothing is near; ``tool`` (F, 3) the expected tool point, with its predicted sag
-        where that is compensated; ``error`` (F, 3) the tracking error from there, null without `tracking`;
-        ``q`` (F, n) the joint positions and ``u`` (F, f) the elastic coordinates, null where nothing bends,
-        with the tool `on` in these intervals; ``load`` (F, n) the joints' torques as shares of their bounds;
+        where that is compensated, as ``expected`` tells; ``error`` (F, 3) the tracking error from there, null
+        without `tracking`; ``q`` (F, n) the joint positions and ``u`` (F, f) the elastic coordinates, null
+        where nothing bends, with the tool `on` in these intervals; ``load`` (F, n) the joints' torques as
+        shares of their bounds;
         ``hold`` (F,) the share that the arm uses of what the feet bear, null where that is not known;
         ``strain`` the largest of guardrail and links.
         After its last sample the motion rests there.
@@ -170,7 +178,11 @@ class Frames:
         q = _resampled(times, samples.t, samples.q)
         near, pair = self._nearest(q)
         dynamic = None if tracking is None else _resampled(times, tracking.t, tracking.dynamic)
-        u = None if self.bending is None else self.bending.coordinates(times, q, dynamic, on)
+        u = None
+        if self.bending is not None:
+            u = self.bending.coordinates(times, q, dynamic, on)
+            some = slice(None, None, max(1, len(q) // _LOOKED_AT))
+            self._bent.append((self.bending, q[some], u[some]))
         load = np.abs(_resampled(times, samples.t, samples.joint_torque)) / self._robot.limits.torque
         hold = self._hold(samples)
         expected = samples.expected_tool_point
@@ -180,7 +192,7 @@ class Frames:
             else _resampled(times, samples.t, expected)
         )
         return {
-            "poses": pack(_poses(self._robot, q)),
+            "poses": pack(link_poses(self._robot, q)),
             "torque": pack(_resampled(times, samples.t, samples.guardrail_torque)),
             "clearance": pack(np.interp(times, samples.t, samples.clearance)),
             "near": pack(near),
@@ -190,6 +202,7 @@ class Frames:
             "load": pack(load),
             "hold": None if hold is None else pack(np.interp(times, samples.t, hold)),
             "tool": pack(tool),
+            "expected": expected is not None,
             "error": None if tracking is None else pack(_resampled(times, tracking.t, tracking.error)),
             "strain": 0.0 if u is None or self.bending is None else self.bending.largest_strain(u),
             "peakTorque": metrics.peak_guardrail_torque,
@@ -243,50 +256,29 @@ def _resampled(times: FloatArray, t: FloatArray, values: FloatArray) -> FloatArr
     return np.stack([np.interp(times, t, column) for column in values.T], axis=1)
 
 
-def _poses(robot: Robot, q: FloatArray) -> FloatArray:
-    """Poses (N, n, 7) of the joint frames in W at postures `q` (N, n)."""
-    data = robot.model.createData()
-    poses = np.empty((*q.shape, 7))
-    for k, q_k in enumerate(q):
-        pin.forwardKinematics(robot.model, data, q_k)
-        for joint in range(1, robot.model.njoints):
-            poses[k, joint - 1] = pin.SE3ToXYZQUAT(data.oMi[joint])
-    return poses
+def bending_data(frames: Sequence[Frames], reach: float) -> dict[str, Any] | None:
+    """Return how the first arm bends, with the factor that suits the motions of all; None of a rigid one."""
+    bending = frames[0].bending
+    if bending is None:
+        return None
+    deflection = max(each.deflection for each in frames)
+    factors = (drawn_factor(deflection, reach), most_factor(deflection, reach))
+    return bending.data() | {"factors": factors}
 
 
-def _corners(robot: Robot, q: FloatArray) -> FloatArray:
-    """Origins of the joint frames, and corners of boxes about the links' shapes, in W (K, 3)."""
-    poses = _poses(robot, q)
-    found = [poses[..., :3].reshape(-1, 3)]
-    for shape in robot.collision_model.geometryObjects:
-        shape.geometry.computeLocalAABB()
-        box = shape.geometry.aabb_local
-        corners = np.array(list(product(*zip(box.min_, box.max_, strict=True))))
-        corners = corners @ shape.placement.rotation.T + shape.placement.translation
-        if shape.parentJoint:
-            pose = poses[:, shape.parentJoint - 1]
-            turned = Rotation.from_quat(pose[:, 3:]).as_matrix() @ corners.T
-            corners = (turned.transpose(0, 2, 1) + pose[:, None, :3]).reshape(-1, 3)
-        found.append(corners)
-    return np.concatenate(found)
+def bent_poses(frames: Sequence[Frames], reach: float) -> list[FloatArray]:
+    """Return poses (K, n, 7) of the arms' links in all motions, as they are bent by that factor."""
+    deflection = max(each.deflection for each in frames)
+    return [poses for each in frames for poses in each.bent(drawn_factor(deflection, reach))]
 
 
-def _workpieces(plan: Plan, path: FloatArray) -> Iterator[FloatArray]:
-    """Yield corners (8, 3) in W of boxes about the workpieces, as far as they are beside a `path` (K, 3)."""
-    room = _BESIDE * reach(plan.robot)
-    for obstacle in plan.scene.obstacles:
-        if not obstacle.workpiece:
-            continue
-        vertices = obstacle_surface(obstacle).vertices
-        low = np.maximum(vertices.min(axis=0), path.min(axis=0) - room)
-        high = np.minimum(vertices.max(axis=0), path.max(axis=0) + room)
-        if (low <= high).all():
-            yield np.array(list(product(*zip(low, high, strict=True))))
+def pair_joints(plan: Plan, pairs: Iterable[str]) -> list[list[int]]:
+    """Return the joints that carry the two shapes of pairs of `Frames`.
 
-
-def pair_joints(robot: Robot, pairs: Iterable[str]) -> list[list[int]]:
-    """Return the joints that carry the two shapes of pairs of `Frames`: 0 for the base, -1 for none."""
-    bodies = {frame.name: int(frame.parentJoint) for frame in robot.model.frames}
+    0: the base; -1: none; -2: the shape bends below the base.
+    """
+    bodies = {obstacle.name: -2 for obstacle in supports(plan.scene)}
+    bodies |= {frame.name: int(frame.parentJoint) for frame in plan.robot.model.frames}
     return [[bodies.get(name, -1) for name in pair.partition(_BETWEEN)[::2]] for pair in pairs]
 
 
@@ -385,47 +377,3 @@ def _on(segments: Sequence[Segment | BaselineSegment]) -> list[tuple[float, floa
     strokes = [segment for segment in segments if segment.kind == "stroke"]
     begin = strokes[0].begin
     return [(segment.begin - begin, segment.end - begin) for segment in strokes]
-
-
-def focus_of(plan: Plan, plans: Sequence[Plan]) -> dict[str, Any]:
-    """Return points that the view shows, a ball about them, an azimuth.
-
-    The points are those of the arm, the path, the workpieces beside it and the torque's arrow, in W, m; of
-    them those that enclose the others along many directions.
-    """
-    motions = [plan.baseline.q]
-    motions += [segment.trajectory.q for each in plans for segment in each.job.segments]
-    torques = [plan.baseline.guardrail_torque, *(each.job_samples[0].guardrail_torque for each in plans)]
-    torque = np.concatenate(torques)
-    largest = max(float(np.linalg.norm(torque, axis=1).max()), 1e-9)
-    foot = np.array([plan.robot.foot_point])
-    points = [foot, foot + ARROW * reach(plan.robot) * torque / largest, plan.baseline.tool_point]
-    points += [each.samples.tool_point for each in plans]
-    outlines = [stroke.task.path.outline() for each in plans for stroke in each.strokes]
-    points += [*outlines, *_workpieces(plan, np.concatenate(outlines))]
-    points += [_corners(plan.robot, q[:: max(1, len(q) // 50)]) for q in motions]
-    return focus_on(np.concatenate(points), _azimuth(plan))
-
-
-def focus_on(cloud: FloatArray, azimuth: float, room: float = 0.0) -> dict[str, Any]:
-    """Return what `focus_of` does for points (K, 3) in W, with `room` about them, m."""
-    low, high = cloud.min(axis=0) - room, cloud.max(axis=0) + room
-    # Those that are outermost along some direction decide what is seen.
-    outermost = cloud[(cloud @ _DIRECTIONS.T).argmax(axis=0)] + room * _DIRECTIONS
-    return {
-        "centre": ((low + high) / 2).tolist(),
-        "radius": max(float(np.linalg.norm(high - low)) / 2, 1e-3),
-        "points": np.unique(outermost, axis=0).tolist(),
-        "azimuth": azimuth,
-    }
-
-
-def _azimuth(plan: Plan) -> float:
-    """Return the camera's azimuth about z of W: outside the guardrail, at 45 deg to the stretched arm.
-
-    The torque of a weight is perpendicular to the arm, so both are visible.
-    """
-    x, y, _ = plan.samples.tool_point.mean(axis=0) - np.array(plan.robot.foot_point)
-    arm = np.arctan2(y, x)
-    outside = np.pi / 2
-    return float(min((arm - np.pi / 4, arm + np.pi / 4), key=lambda angle: abs(angle - outside)))

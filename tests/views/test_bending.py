@@ -1,20 +1,26 @@
 """The arm and its guardrail as the pages bend them: chain, elastic coordinates, the shapes of the frame."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from browser import ask, open_page, slide
+from hypothesis import given
+from hypothesis import strategies as st
 from page_data import data_of, floats
+from scipy.interpolate import CubicHermiteSpline
 from selenium.webdriver import Chrome
+from small_scenes import short_scene
 
 from cmbot.elastic.base import elastic_base, guardrail_frame
 from cmbot.elastic.sag import Sag
 from cmbot.planning import Plan, bending_arm
 from cmbot.simulation import Tracking
 from cmbot.views import replay_page
-from cmbot.views.drawing import Bending
+from cmbot.views.drawing import Bending, drawn_factor, most_factor, supports
+from cmbot.views.drawing.support import pole_of
 from cmbot.views.replay_data import replay_data
 
 
@@ -105,6 +111,150 @@ def test_the_rails_move_with_the_foot_and_not_where_they_are_held(triangle_plan:
     assert stored == pytest.approx(u @ elastic_base(triangle_plan.scene.guardrail).stiffness @ u, rel=1e-9)
 
 
+@given(deflection=st.floats(0.0, 10.0), reach=st.floats(0.05, 5.0))
+def test_the_first_factor_draws_a_small_share_of_the_reach(deflection: float, reach: float) -> None:
+    factor, most = drawn_factor(deflection, reach), most_factor(deflection, reach)
+    assert factor <= most <= 200
+    assert factor == 1 or factor * deflection <= 0.08 * reach
+    assert factor == 200 or 2.5 * factor * deflection > 0.08 * reach  # the next is too large
+    assert most in (2, 200) or reach - deflection < most * deflection <= reach
+
+
+MAST = {"name": "mast", "cylinder": [0.05, 2.5], "xyz": [0, 0, -1.25]}
+
+
+@pytest.mark.parametrize(
+    ("obstacles", "held"),
+    [
+        ([MAST], [[0, 0, -2.5]]),
+        ([MAST | {"xyz": [0, 0, 1.25]}], [[0, 0, 2.5]]),  # it hangs from a ceiling
+        ([MAST | {"xyz": [0.06, 0, 0]}], [[0.06, 0, -1.25]]),  # it holds an upright pole from its side
+        (
+            [{"name": "bar", "box": [2, 0.1, 0.1], "xyz": [0.3, 0, -0.05]}],
+            [[-0.7, 0, -0.05], [1.3, 0, -0.05]],
+        ),
+        ([{"name": "boom", "capsule": [0.04, 2], "xyz": [1, 0, 0], "rpy_deg": [0, 90, 0]}], [[2, 0, 0]]),
+        ([MAST | {"xyz": [0.3, 0, -1.25]}], None),  # beside it
+        ([{"name": "floor", "box": [3, 2, 0.1], "xyz": [0, 0, -0.05]}], None),
+        ([{"name": "ball", "sphere": 0.3, "xyz": [0, 0, -0.3]}, MAST], [[0, 0, -2.5]]),
+    ],
+    ids=("mast", "hanging", "pole", "bar", "boom", "beside", "floor", "ball"),
+)
+def test_a_pole_is_a_slender_obstacle_at_the_foot(
+    obstacles: list[dict[str, Any]], held: list[list[float]] | None
+) -> None:
+    scene = short_scene(obstacles=obstacles, guardrail={"bays": 0})
+    pole = pole_of(scene)
+    if held is None:
+        assert pole is None
+        return
+    assert pole is not None
+    np.testing.assert_allclose(pole.beams[:, 0], held, atol=1e-12)
+    along = pole.beams[0, 1] - pole.beams[0, 0]
+    assert along @ pole.beams[0, 1] == pytest.approx(0.0, abs=1e-12)  # its other end is at the foot, 0
+    assert [each.name for each in supports(scene)] == [pole.name]
+
+
+BEND = """return arguments[0].map(([from, to, shift, turn, factor]) => {
+    const tip = mapAt(vector(to), vector(shift), vector(turn));
+    return bentBeam(vector(from), vector(to), tip, factor).map((map) => map.transpose().toArray());
+})"""
+
+
+def bent(chrome: Chrome, beams: list[tuple[Any, ...]]) -> np.ndarray:
+    """Maps (K, 13, 4, 4) of cross-sections along beams: from, to, shift and turn of its end, factor."""
+    rows = [[np.asarray(each).tolist() for each in beam] for beam in beams]
+    return np.reshape(chrome.execute_script(BEND, rows), (len(rows), -1, 4, 4))
+
+
+@pytest.mark.browser
+def test_beams_bend_as_clamped_ones_and_are_never_torn_or_stretched(
+    chrome: Chrome, replay_file: Path, rng: np.random.Generator
+) -> None:
+    if chrome.current_url != replay_file.as_uri():
+        open_page(chrome, replay_file)
+    beams = []
+    for factor in (0.0, 0.5, 1.0, 8.0, 50.0, 200.0):
+        for size in (1e-5, 1e-3, 0.02, 0.2):
+            ends = rng.uniform(-1, 1, (2, 3))
+            along = ends[1] - ends[0]
+            turn, shift = size * rng.uniform(-1, 1, 3), size * np.cross(along, rng.uniform(-1, 1, 3))
+            beams.append((*ends, shift, turn, factor))
+    for (start, end, shift, turn, factor), maps in zip(beams, bent(chrome, beams), strict=True):
+        R, share = maps[:, :3, :3], np.linspace(0, 1, len(maps))[:, None]
+        length = np.linalg.norm(end - start)
+        np.testing.assert_allclose(np.swapaxes(R, 1, 2) @ R, np.tile(np.eye(3), (len(maps), 1, 1)), atol=1e-9)
+        np.testing.assert_allclose(maps[0], np.eye(4), atol=1e-9)  # where it is clamped
+        np.testing.assert_allclose(R[-1], pin.exp3(factor * turn), atol=1e-6)
+        rest = start + share * (end - start)
+        places = np.einsum("kij,kj->ki", R, rest) + maps[:, :3, 3]
+        if factor <= 1:
+            np.testing.assert_allclose(
+                places[-1], end + factor * shift, atol=2 * length * max(turn @ turn, 1e-9)
+            )
+        if factor == 1:
+            np.testing.assert_allclose(places[-1], end + shift, atol=1e-9)
+        # Its pieces are as long as they were, but for terms of second order in the true bending.
+        pieces = np.linalg.norm(np.diff(places, axis=0), axis=1) / (length / (len(maps) - 1))
+        second = (np.linalg.norm(turn) + 3 * np.linalg.norm(shift) / length) ** 2
+        np.testing.assert_allclose(pieces, 1.0, atol=second + 1e-9)
+        if factor * max(np.linalg.norm(turn), np.linalg.norm(shift)) < 1e-2:  # small: the cubic of the beam
+            cubic = CubicHermiteSpline([0, 1], [0 * shift, shift], [0 * shift, np.cross(turn, end - start)])
+            moved = (places - rest) / factor if factor else 0 * rest
+            slack = 0.01 * np.abs(moved).max() + 3e-2 * np.linalg.norm(turn) * length
+            np.testing.assert_allclose(moved, cubic(share[:, 0]) if factor else 0 * rest, atol=slack)
+
+
+def drawn_ends(
+    source: dict[str, Any], foot: np.ndarray, q: np.ndarray, u: np.ndarray, f: float
+) -> list[pin.SE3]:
+    """Frames of the ends of all links, their bending times a factor, along finely cut beams."""
+
+    def moved(pose: pin.SE3, k: int, factor: float) -> pin.SE3:
+        joint = source["joints"][k]
+        value = (q if joint["driven"] else factor * u)[joint["index"]]
+        return pose * pin.XYZQUATToSE3(np.array(joint["pose"])) * pin.exp6(np.array(joint["axis"]) * value)
+
+    base = pin.SE3.Identity()
+    for k in range(6):
+        base = moved(base, k, 1.0)
+    pose, following, found = (
+        pin.SE3(pin.exp3(f * pin.log3(base.rotation)), foot + f * (base.translation - foot)),
+        6,
+        [],
+    )
+    for link in source["links"]:
+        while following <= link["start"]:
+            pose, following = moved(pose, following, f), following + 1
+        bend, X = pin.SE3.Identity(), pin.XYZQUATToSE3(np.array(link["pose"]))
+        while following <= link["end"]:
+            bend, following = moved(bend, following, 1.0), following + 1
+        bend = bend * X
+        if link["tube"]:
+            start, end = np.reshape(link["tube"], (2, 3))
+            along = end - start
+            turn = pin.log3(bend.rotation)
+            slope = CubicHermiteSpline(
+                [0, 1], [0 * end, bend.act(end) - end], [0 * end, np.cross(turn, along)]
+            ).derivative()
+            axis = along / np.linalg.norm(along)
+
+            def leads(
+                factor: float, slope: Any = slope, axis: Any = axis, along: Any = along, turn: Any = turn
+            ) -> Any:
+                shares = (np.arange(400) + 0.5) / 400
+                across = np.cross(axis, slope(shares)) / np.linalg.norm(along)
+                turns = across + np.outer(shares, axis) * (axis @ turn)
+                return np.mean([pin.exp3(factor * each) @ along for each in turns], axis=0)
+
+            place = start + leads(f) + min(f, 1.0) * (bend.act(end) - start - leads(1.0))
+            R = pin.exp3(f * turn)
+            bend = pin.SE3(R, place - R @ end)
+        found.append(pose * bend)
+        pose = pose * bend * X.inverse()
+    return found
+
+
 @pytest.mark.browser
 def test_the_page_bends_arm_and_rails(
     chrome: Chrome, replay_file: Any, triangle_plan: Plan, data: dict[str, Any]
@@ -112,9 +262,11 @@ def test_the_page_bends_arm_and_rails(
     if chrome.current_url != replay_file.as_uri():
         open_page(chrome, replay_file)
     plain = data_of(replay_page(triangle_plan))
+    source = plain["bending"]
     chrome.execute_script("cmbotReplay.pause(); cmbotReplay.seek(cmbotReplay.workStart)")
-    q = floats(plain["planned"]["q"], 7)
-    u = floats(plain["planned"]["u"]).reshape(len(q), -1)
+    q = floats(plain["planned"]["q"], 7)[0]
+    u = floats(plain["planned"]["u"])
+    u = u[: sum(not joint["driven"] for joint in source["joints"])]
     rails = """return (() => {
         const found = [];
         cmbotReplay.stage.node("rails").traverse((mesh) => {
@@ -122,15 +274,28 @@ def test_the_page_bends_arm_and_rails(
         });
         return found;
     })()"""
+    # The tip of the last link, and the foot: as it is drawn, and as the rails have it.
+    drawn = """return (({ bending: { drawn: { planned: { links, foot, tip, factor } }, support } }) => {
+        const { place, maps } = links.at(-1), ends = support.mapsOf(foot, tip, factor);
+        const at = support.members.findIndex(([a]) => support.nodes[a].distanceTo(support.feet[0]) < 1e-9);
+        const tool = place.clone().multiply(maps.at(-1));
+        return [tool, foot, ends[2 * at]].map((X) => X.clone().transpose().toArray());
+    })(cmbotReplay.stage)"""
     places = {}
-    for factor in (0, 50, 0):
+    foot = np.array(triangle_plan.robot.foot_point)
+    for factor in (0, 1, 50, 200, 0):
         slide(chrome, "deflection", factor)
-        pose = np.reshape(ask(chrome, "cmbotReplay.pose('link_7')"), (4, 4))
-        np.testing.assert_allclose(pose, ends(plain["bending"], q[0], factor * u[0])[-1], atol=1e-3)
+        tip, moved, held = np.reshape(chrome.execute_script(drawn), (3, 4, 4))
+        if factor:
+            expected = drawn_ends(source, foot, q, u, factor)[-1].homogeneous
+            np.testing.assert_allclose(tip, expected, atol=1e-6 if factor == 1 else 4e-3)
+            np.testing.assert_allclose(moved, held, atol=1e-5)
+        if factor == 1:
+            np.testing.assert_allclose(tip, ends(source, q, u)[-1], atol=1e-6)
         places[factor] = np.reshape(chrome.execute_script(rails), (-1, 3))
-    moved = np.linalg.norm(places[50] - places[0], axis=1)
-    assert 0.05 < moved.max() < 1.0
-    assert moved.min() < 1e-6  # where the posts are held
+    shifts = np.linalg.norm(places[50] - places[0], axis=1)
+    assert 0.05 < shifts.max() < 1.0
+    assert shifts.min() < 1e-6  # where the posts are held
     slide(chrome, "deflection", 10)
 
 

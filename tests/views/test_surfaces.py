@@ -47,9 +47,11 @@ def solid(surface: Surface) -> trimesh.Trimesh:
         (cone(0.1, 0.4), np.pi * 0.1**2 * 0.4 / 3, (0.2, 0.2, 0.4)),
         (ball(0.1), 4 / 3 * np.pi * 0.1**3, (0.2, 0.2, 0.2)),
         (capsule(0.1, 0.4), np.pi * 0.1**2 * 0.4 + 4 / 3 * np.pi * 0.1**3, (0.2, 0.2, 0.6)),
+        (cylinder(0.1, 0.4, 0.05), np.pi * 0.1**2 * 0.4, (0.2, 0.2, 0.4)),
+        (capsule(0.1, 0.4, 0.05), np.pi * 0.1**2 * 0.4 + 4 / 3 * np.pi * 0.1**3, (0.2, 0.2, 0.6)),
         (hull(np.vstack([CORNERS, 0.3 * CORNERS])), 0.024, SIZE),
     ],
-    ids=("box", "bar", "cylinder", "cone", "ball", "capsule", "hull"),
+    ids=("box", "bar", "cylinder", "cone", "ball", "capsule", "rings", "capsule rings", "hull"),
 )
 def test_solids_are_closed_and_as_large_as_they_should_be(
     surface: Surface, volume: float, extents: np.ndarray

@@ -1,7 +1,18 @@
 """What is drawn in 3-D: robot and bridge as meshes for the viewer, and how they bend."""
 
-from cmbot.views.drawing.bending import Bending, Intervals
+from cmbot.views.drawing.bending import Bending, Intervals, drawn_factor, most_factor
 from cmbot.views.drawing.meshcat_scene import moving_robot_commands, reach, scene_commands
+from cmbot.views.drawing.support import supports
 from cmbot.views.drawing.surfaces import obstacle_surface
 
-__all__ = ["Bending", "Intervals", "moving_robot_commands", "obstacle_surface", "reach", "scene_commands"]
+__all__ = [
+    "Bending",
+    "Intervals",
+    "drawn_factor",
+    "most_factor",
+    "moving_robot_commands",
+    "obstacle_surface",
+    "reach",
+    "scene_commands",
+    "supports",
+]

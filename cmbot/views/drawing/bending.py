@@ -1,30 +1,46 @@
-"""How the arm and its guardrail bend, as the pages draw it: a chain of joints, tubes, the frame of beams."""
+"""How the arm and what it stands on bend, as the pages draw it: joints, tubes, and beams below the foot."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
-from cmbot.elastic.base import guardrail_frame, rigid_motion
-from cmbot.elastic.frame import Frame
 from cmbot.elastic.sag import Sag
-from cmbot.elastic.strain import BeamStrains, frame_strains, tube_strains
+from cmbot.elastic.strain import tube_strains
 from cmbot.planning import Plan, bending_arm
 from cmbot.simulation import Tracking, elastic_arm_of
-from cmbot.views.page import pack
+from cmbot.views.drawing.support import Rails, packed_strains, pole_of
 
-__all__ = ["Bending"]
+__all__ = ["Bending", "drawn_factor", "most_factor"]
 
 # Least time between two equilibria, s; the page interpolates.
 _STEP = 0.2
 
+# Factors with which a page begins, and the largest deflection it then draws, as a share of the reach.
+_FACTORS = (1, 2, 5, 10, 20, 50, 100, 200)
+_DRAWN = 0.08
+
 Intervals = Sequence[tuple[float, float]]
+
+
+def drawn_factor(deflection: float, reach: float) -> int:
+    """Return the factor by which a page draws a largest `deflection` at first, for an arm of that `reach`, m.
+
+    It is the largest round number with which no more than 8 % of the reach is drawn; 1 where the deflection
+    itself is as large as that.
+    """
+    return max((f for f in _FACTORS if f * deflection <= _DRAWN * reach), default=_FACTORS[0])
+
+
+def most_factor(deflection: float, reach: float) -> int:
+    """Return the largest factor that a page offers: up to that at which the reach is drawn, 2 to 200."""
+    return int(np.clip(reach / max(deflection, 1e-9), 2, _FACTORS[-1]))
 
 
 class Bending:
@@ -55,22 +71,39 @@ class Bending:
         driven, with the index among the driven or the elastic ones. ``links``: of each link of the robot the
         joints whose frames carry its beginning and its end, the pose of the link's frame in the latter, the
         ends of its tube, and which of the beams of ``strains`` are its segments. ``base``: the joint that
-        carries the foot; -1 where it is rigid. ``frame``: the guardrail's beams, None where their form is not
-        known, with their own ``strains``.
+        carries the foot; -1 where it is rigid. ``frame``: the guardrail's beams, with their own ``strains``
+        where these are known; None without. ``pole``: the beams of a pole that carries the foot, each from
+        where it is held to the foot.
         """
+        pole = None if self._arm.base is None else pole_of(self._plan.scene)
         return {
             "simulated": self._simulated,
             "joints": list(self._joints()),
             "links": list(self._links()),
-            "strains": _strains(self._tubes),
+            "strains": packed_strains(self._tubes),
             "base": 5 if self._arm.base is not None else -1,
             "frame": None if self._rails is None else self._rails.data(),
+            "pole": [] if pole is None else pole.beams.tolist(),
         }
 
     def largest_strain(self, u: FloatArray) -> float:
         """Return the largest strain of guardrail and links at elastic coordinates `u` (N, f)."""
-        beams = [self._tubes] if self._rails is None else [self._tubes, self._rails.strains]
-        return max(float(each.largest(u).max(initial=0.0)) for each in beams)
+        beams = [self._tubes, None if self._rails is None else self._rails.strains]
+        return max(float(each.largest(u).max(initial=0.0)) for each in beams if each is not None)
+
+    def poses(self, q: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the poses (N, n, 7) of the links' joints and the tool's places (N, 3) in W of the bent arm.
+
+        In postures `q` (N, n) with elastic coordinates `u` (N, f); position, then quaternion x, y, z, w.
+        """
+        arm, model, data = self._arm, self._arm.model, self._arm.model.createData()
+        joints = [model.getJointId(name) for name in arm.robot.joints]
+        poses, tool = np.empty((*q.shape, 7)), np.empty((len(q), 3))
+        for k, configuration in enumerate(arm.configuration(q, u)):
+            pin.framesForwardKinematics(model, data, configuration)
+            poses[k] = [_pose(data.oMi[joint]) for joint in joints]
+            tool[k] = data.oMf[arm.tool_frame_id].translation
+        return poses, tool
 
     def coordinates(
         self, t: FloatArray, q: FloatArray, dynamic: FloatArray | None = None, on: Intervals = ()
@@ -155,42 +188,9 @@ class Bending:
             yield {"start": start - 2, "end": end - 1, "pose": _pose(X), "tube": ends, "beams": beams}
 
     @cached_property
-    def _rails(self) -> _Rails | None:
-        guardrail = self._plan.scene.guardrail
-        # Of a base that the scene gives as a matrix the form is not known.
-        if self._arm.base is None or guardrail.stiffness is not None or not guardrail.post_positions:
-            return None
-        frame, feet = guardrail_frame(guardrail)
-        shapes = frame.shapes(*feet) @ rigid_motion(guardrail)
-        return _Rails(frame, shapes, frame_strains(frame, shapes))
-
-
-class _Rails(NamedTuple):
-    """The guardrail's beams, how their nodes move with the foot (k, 6, 6), and their strains."""
-
-    frame: Frame
-    shapes: FloatArray
-    strains: BeamStrains
-
-    def data(self) -> dict[str, Any]:
-        return {
-            "nodes": pack(self.frame.nodes),
-            "shapes": pack(self.shapes),
-            "members": [[member.start, member.end] for member in self.frame.members],
-            "strains": _strains(self.strains),
-        }
-
-
-def _strains(of: BeamStrains) -> dict[str, Any]:
-    """Strains of beams, ready for JSON; ``outline``: of each beam the number of its section's outline."""
-    outlines = list(dict.fromkeys(of.outlines))
-    return {
-        "rows": pack(of.rows),
-        "width": of.rows.shape[-1],
-        "first": of.first.tolist(),
-        "outlines": [{"corners": each.corners, "radius": each.radius} for each in outlines],
-        "outline": [outlines.index(each) for each in of.outlines],
-    }
+    def _rails(self) -> Rails | None:
+        elastic = self._arm.base is not None and bool(self._plan.scene.guardrail.post_positions)
+        return Rails(self._plan.scene) if elastic else None
 
 
 def _between(t: FloatArray, at: FloatArray, values: FloatArray) -> FloatArray:

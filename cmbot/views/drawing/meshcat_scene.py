@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from cmbot.common.arrays import FloatArray
 from cmbot.planning import Plan
 from cmbot.robot import Robot
-from cmbot.scene import Scene, guardrail_obstacles
+from cmbot.scene import Scene
+from cmbot.views.drawing.support import supports
 from cmbot.views.drawing.surfaces import (
     Surface,
     creased,
@@ -61,7 +62,8 @@ def scene_commands(plan: Plan) -> list[bytes]:
     """Return packed meshcat commands, for `MeshCat.Viewer.handle_command_bytearray`.
 
     The shapes of joint i (pinocchio's index; 0: the fixed base) are below ``/robot/i``, in the joint's frame;
-    ``/rails``, ``/bridge``, ``/path`` and ``/left_out`` are in W. No name from a file is used.
+    ``/rails``, which a pole may be, ``/bridge``, ``/path`` and ``/left_out`` are in W. No name from a file is
+    used.
     """
     robot = plan.robot
     # A robot without visual shapes is drawn with its collision shapes.
@@ -117,17 +119,17 @@ def _robot(shapes: Sequence[Any], urdf: str) -> Iterator[Command]:
 
 
 def _bridge(scene: Scene) -> Iterator[Command]:
-    rails = {obstacle.name for obstacle in guardrail_obstacles(scene.guardrail)}
-    others = [obstacle for obstacle in scene.obstacles if obstacle.name not in rails]
+    bending = supports(scene)
+    others = [obstacle for obstacle in scene.obstacles if not any(obstacle is each for each in bending)]
     surfaces = simplified([obstacle_surface(obstacle) for obstacle in others], MOST_OBSTACLE_FACES)
     groups: dict[int, list[Surface]] = {}
     for obstacle, surface in zip(others, surfaces, strict=True):
         groups.setdefault(WORKPIECE if obstacle.workpiece else CONCRETE, []).append(surface)
     for number, (colour, group) in enumerate(groups.items()):
         yield _set_mesh(f"/bridge/{number}", group, colour, shininess=10)
-    # Rails have vertices along them, to be bent.
-    bars = [obstacle_surface(obstacle, RAIL_PIECE) for obstacle in scene.obstacles if obstacle.name in rails]
-    if bars:
+    # Rails and poles have vertices along them, to be bent.
+    if bending:
+        bars = [obstacle_surface(obstacle, RAIL_PIECE) for obstacle in bending]
         yield _set_mesh("/rails", bars, STEEL, shininess=10)
 
 

@@ -90,14 +90,14 @@ def visual_surface(shape: Any, source: str) -> Surface:
 
 
 def obstacle_surface(obstacle: Obstacle, piece: float = np.inf) -> Surface:
-    """Return an obstacle in W; its mesh file is read again. A box has a cross-section every `piece`, m."""
+    """Return an obstacle in W; its mesh file is read again. Bars have a cross-section every `piece`, m."""
     match obstacle.shape:
         case Box(size=size):
             surface = bar(size, piece)
         case Cylinder(radius=radius, length=length):
-            surface = cylinder(radius, length)
+            surface = cylinder(radius, length, piece)
         case Capsule(radius=radius, length=length):
-            surface = capsule(radius, length)
+            surface = capsule(radius, length, piece)
         case Sphere(radius=radius):
             surface = ball(radius)
         case Mesh(path=path):
@@ -115,7 +115,7 @@ def bar(size: ArrayLike, piece: float) -> Surface:
     """Return a box with cross-sections along its longest edge, at most `piece`, m, apart."""
     edges = np.asarray(size, dtype=float)
     along = int(edges.argmax())
-    count = int(np.clip(np.ceil(edges[along] / piece), 1, _MOST_PIECES))
+    count = _pieces(edges[along], piece)
     y, z = (along + 1) % 3, (along + 2) % 3
     corners = np.zeros((4, 3))
     corners[:, y], corners[:, z] = (
@@ -133,10 +133,16 @@ def bar(size: ArrayLike, piece: float) -> Surface:
     return Surface(vertices.reshape(-1, 3), np.concatenate([*faces, np.array(ends)]).astype(np.intp))
 
 
-def cylinder(radius: float, length: float, *, sections: int = SECTIONS) -> Surface:
-    """Return a cylinder about the origin, its axis along z."""
-    half = 0.5 * length
-    return _revolved([0.0, radius, radius, 0.0], [-half, -half, half, half], sections)
+def _pieces(length: float, piece: float) -> int:
+    return int(np.clip(np.ceil(length / piece), 1, _MOST_PIECES))
+
+
+def cylinder(radius: float, length: float, piece: float = np.inf, *, sections: int = SECTIONS) -> Surface:
+    """Return a cylinder about the origin, its axis along z, with rings at most `piece`, m, apart."""
+    rings = np.linspace(-0.5, 0.5, _pieces(length, piece) + 1) * length
+    radii = np.full(len(rings) + 2, radius)
+    radii[[0, -1]] = 0.0
+    return _revolved(radii, np.concatenate([rings[:1], rings, rings[-1:]]), sections)
 
 
 def cone(radius: float, length: float) -> Surface:
@@ -151,11 +157,18 @@ def ball(radius: float, *, sections: int = SECTIONS, rings: int = RINGS) -> Surf
     return _revolved(radius * np.cos(angle), radius * np.sin(angle), sections)
 
 
-def capsule(radius: float, length: float) -> Surface:
-    """Return a capsule about the origin, its axis along z; `length` lies between the centres of its ends."""
-    # The equator of a ball is there twice, at either end of the cylinder.
-    angle = np.insert(np.linspace(-np.pi / 2, np.pi / 2, RINGS + 1), RINGS // 2, 0.0)
-    end = np.repeat([-0.5, 0.5], RINGS // 2 + 1)
+def capsule(radius: float, length: float, piece: float = np.inf) -> Surface:
+    """Return a capsule about the origin, its axis along z; `length` lies between the centres of its ends.
+
+    Between them it has rings at most `piece`, m, apart.
+    """
+    # The equator of a ball is there at either end of the cylinder, and between them.
+    count = _pieces(length, piece)
+    angle = np.linspace(-np.pi / 2, np.pi / 2, RINGS + 1)
+    angle = np.insert(angle, RINGS // 2, np.zeros(count))
+    end = np.concatenate(
+        [np.full(RINGS // 2, -0.5), np.linspace(-0.5, 0.5, count + 1), np.full(RINGS // 2, 0.5)]
+    )
     return _revolved(radius * np.cos(angle), radius * np.sin(angle) + end * length, SECTIONS)
 
 

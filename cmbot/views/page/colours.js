@@ -43,13 +43,13 @@ class Colours {
     if (!bending) return;
     const tubes = new Strains(bending.strains), of = new Map(this.parts.map((part) => [part.mesh, part]));
     stage.bending.arms[MOTIONS[0]].forEach((skins, link) => {
-      for (const { mesh, shares } of skins) this.addStrains(of.get(mesh), tubes, alongTube(bending.links[link].beams, shares));
+      for (const { mesh, stations } of skins) this.addStrains(of.get(mesh), tubes, alongTube(bending.links[link].beams, stations));
     });
-    if (!bending.frame) return;
+    if (!bending.frame?.strains) return;
     const frame = new Strains(bending.frame.strains);
-    for (const { mesh, beams, along } of stage.bending.rails) {
+    for (const { mesh, stations } of stage.bending.ground) {
       this.parts.push(this.part(mesh, null));
-      this.addStrains(this.parts.at(-1), frame, { beams, along });
+      this.addStrains(this.parts.at(-1), frame, alongMembers(stations));
     }
   }
 
@@ -107,6 +107,12 @@ function alongTube(segments, stations) {
     along[k] = at - low;
   });
   return { beams, along };
+}
+
+// Which members vertices are beside, by their stations: every member has two.
+function alongMembers(stations) {
+  const beams = Int32Array.from(stations, (station) => station >> 1);
+  return { beams, along: stations.map((station, k) => station - 2 * beams[k]) };
 }
 
 // A number from which a scale is easily read, at least `most`.

@@ -1,4 +1,5 @@
 // Marks in the 3-D view: the smallest clearance as a line, and the tool's deflection, magnified.
+const TRACED = 240;  // places of the tool along its path
 
 class Marks {
   constructor(stage, data) {
@@ -64,21 +65,26 @@ class Marks {
     stick.material.color.setHex(found.distance < this.data.margin ? COLOURS.tooNear : COLOURS.near);
   }
 
-  // Tool point and tracking error of one motion; null: not simulated.
-  setBent(name, tool, error) {
+  // The tool of one motion, rigid and bent, if it was simulated.
+  setBent(name, motion, moment) {
     const stick = this.bent[name];
-    stick.on = error !== null;
-    if (error) this.place(stick, tool, tool.clone().addScaledVector(error, this.factor));
+    stick.on = motion.error !== null;
+    if (stick.on) this.place(stick, motion.toolAt(moment), this.bentTool(motion, moment));
   }
 
-  // The elastic arm's tool path during the work, its deflection times `factor`.
+  // A compensated plan expects its tool elsewhere than the rigid arm has it: the error from there is magnified.
+  bentTool(motion, moment) {
+    const tool = motion.toolAt(moment);
+    return motion.expected ? tool.addScaledVector(motion.errorAt(moment), this.factor) : this.stage.bending.toolAt(motion, moment, tool, this.factor);
+  }
+
+  // The elastic arm's tool path during the work, its bending times `factor`.
   setFactor(factor, motions) {
     this.factor = factor;
     for (const name of MOTIONS) {
-      const { tool, error } = motions[name];
-      if (!error) continue;
-      const points = tool.map((value, k) => value + factor * error[k]);
-      this.bent[name].trace.geometry.setAttribute("position", new THREE.BufferAttribute(points, 3));
+      if (!motions[name].error) continue;
+      const places = Array.from({ length: TRACED }, (_, k) => this.bentTool(motions[name], k / (TRACED - 1)));
+      this.bent[name].trace.geometry.setFromPoints(places);
     }
   }
 

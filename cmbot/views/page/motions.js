@@ -7,6 +7,7 @@ class Motion {
     this.u = source.u === null ? null : floats(source.u);
     this.hold = source.hold === null ? null : floats(source.hold);
     this.error = source.error === null ? null : floats(source.error);
+    this.expected = source.expected ?? false;
     this.still = source.still ?? false;
     this.peakTorque = source.peakTorque;
     this.minClearance = source.minClearance;

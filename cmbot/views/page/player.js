@@ -23,7 +23,7 @@ class Player {
     else this.ui.colours.querySelector("[value=strain]").remove();
     this.legend = new Legend(this.stage.colours, holds);
     this.connect();
-    this.magnify(Number(this.ui.deflection.value));
+    if (data.bending) this.offerFactors(data.bending.factors);
     this.seek(data.start);
   }
 
@@ -69,23 +69,30 @@ class Player {
     this.stage.redraw();
   }
 
+  // Begin with the factor at which the bending is well seen.
+  offerFactors([factor, most]) {
+    Object.assign(this.ui.deflection, { max: most, step: most < 100 ? 0.1 : 1, value: factor });
+    this.magnify(factor);
+  }
+
   magnify(factor) {
     if (!this.stage.bending) return;
     this.ui.factor.textContent = factor ? `× ${factor}` : "off";
-    this.ui.drawn.hidden = factor <= 1;
-    this.put("drawn", `bending drawn × ${factor}`);
+    this.ui.drawn.hidden = factor === 0;
+    this.put("drawn", factor === 1 ? "bending drawn to scale" : `bending drawn × ${factor}`);
     this.stage.bending.factor = factor;
     this.stage.marks.setFactor(factor, this.work.motions);
     if (this.time !== undefined) this.seek(this.time);
   }
 
-  // For a film: without controls; the picture says by what factors deflections and time are drawn, and what its colours
+  // For a film, with the page's own factor where none is given, and without controls; the picture says by what factors deflections and time are drawn, and what its colours
   // mean.
-  holdStill(factor, speed, colours) {
+  holdStill(wanted, speed, colours) {
     document.body.classList.add("film");
     if (this.ui.colours.querySelector(`[value=${colours}]`)) this.colour(colours);
+    const factor = wanted ?? this.data.bending?.factors[0] ?? 1;
     this.magnify(factor);
-    const bent = this.stage.bending && [factor !== 1 && (factor ? `deflections × ${factor}` : "no deflections")];
+    const bent = this.stage.bending && [factor === 0 ? "no deflections" : factor === 1 ? "deflections to scale" : `deflections × ${factor}`];
     this.put("magnified", [...(bent ?? []), speed !== 1 && `speed × ${speed}`].filter(Boolean).join(", "));
     this.stage.holdStill();
   }
@@ -154,7 +161,7 @@ class Player {
     this.colourMotion(name, motion, moment);
     stage.torque[name] = motion.torqueAt(moment);
     stage.marks.setNear(name, near);
-    stage.marks.setBent(name, motion.toolAt(moment), motion.errorAt(moment));
+    stage.marks.setBent(name, motion, moment);
     this.put(`${name}-torque`, newtonMetres(stage.torque[name].length()));
     this.put(`${name}-peak`, newtonMetres(motion.peakTorque));
     this.putClearance(`${name}-clearance`, motion.clearanceAt(moment));
@@ -264,7 +271,7 @@ function start(begin) {
       pause: () => player.pause(),
       compare: (how) => player.compare(how),
       resetView: () => player.stage.resetView(),
-      still: (factor = 1, speed = 1, colours = "own") => player.holdStill(factor, speed, colours),
+      still: (factor = null, speed = 1, colours = "own") => player.holdStill(factor, speed, colours),
       stage: player.stage,
       draw: () => player.stage.render(),
       csv: () => player.downloads.csv(),

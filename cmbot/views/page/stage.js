@@ -146,7 +146,7 @@ class Stage {
     for (const ghost of this.ghosts) ghost.visible = this.compare === "ghost";
     this.marks.show(motion, this.compare);
     this.arrow.group.visible = this.withArrow;
-    this.drawTorque(this.torque[motion]);
+    this.drawTorque(this.torque[motion], motion);
     draw();
     if (borrowed.length) this.dressAs(MOTIONS[0]);
     borrowed.forEach(([position, quaternion], i) => {
@@ -201,17 +201,18 @@ class Stage {
     const heads = [0, 1].map(() => part(new THREE.ConeGeometry(1.5 * thick, 5 * thick, 24)));
     const group = new THREE.Group();
     group.add(shaft, ...heads);
-    group.position.set(...this.data.foot);
     this.world.add(group);
     return { group, shaft, heads, thick, material, tip: new THREE.Vector3() };
   }
 
   // Length and redness grow with the share of the largest torque of both motions.
-  drawTorque(vector) {
+  drawTorque(vector, motion) {
     const { group, shaft, heads, thick, material, tip } = this.arrow;
     const share = vector.length() / this.peak;
     const length = Math.max(share * this.data.arrow, 10 * thick);
     const direction = vector.clone().normalize();
+    group.position.set(...this.data.foot);
+    this.bending?.carried(motion, 0, group.position);
     group.quaternion.setFromUnitVectors(new THREE.Vector3(0, 0, 1), direction);
     shaft.scale.set(1, 1, length - 5 * thick);
     heads[0].position.z = length - 2.5 * thick;
@@ -243,9 +244,9 @@ class Stage {
 
   // Show arm and path as large as fits into what nothing covers of the first part of the view: below or beside the card.
   resetView() {
-    const { radius, azimuth } = this.data.focus, { camera, controls } = this.viewer;
+    const { radius, azimuth, rise } = this.data.focus, { camera, controls } = this.viewer;
     const toCamera = ([x, y, z]) => new THREE.Vector3(x, z, -y);  // the camera's up is y
-    const outward = toCamera([Math.cos(azimuth), Math.sin(azimuth), 0.24]).normalize();
+    const outward = toCamera([Math.cos(azimuth), Math.sin(azimuth), rise]).normalize();
     const right = new THREE.Vector3(0, 1, 0).cross(outward).normalize(), up = outward.clone().cross(right);
     const places = this.data.focus.points.map(toCamera).map((p) => [p.dot(right), p.dot(up), p.dot(outward)]);
     const views = [true, false].map((below) => {

@@ -1,0 +1,197 @@
+"""The first view of a plan: from where path, arm and foot are seen, and the points that have to be in it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from scipy.spatial.transform import Rotation
+
+from cmbot.common.arrays import FloatArray
+from cmbot.planning import Plan
+from cmbot.robot import Robot
+from cmbot.views.drawing import obstacle_surface, reach, supports
+
+__all__ = ["ARROW", "RISE", "focus_of", "focus_on", "link_poses", "seen"]
+
+ARROW = 0.32  # of the largest torque, as a share of the reach
+RISE = 0.24  # of a camera, upwards in a length of 1 across
+# How far beside the tool path workpieces are shown, as a share of the reach.
+_BESIDE = 0.1
+# Directions all around, (200, 3), on a spiral over the sphere.
+_ANGLES = np.pi * (1 + 5**0.5) * np.arange(200)
+_HEIGHTS = np.linspace(-1, 1, 200)
+_DIRECTIONS = np.stack(
+    [
+        np.sqrt(1 - _HEIGHTS**2) * np.cos(_ANGLES),
+        np.sqrt(1 - _HEIGHTS**2) * np.sin(_ANGLES),
+        _HEIGHTS,
+    ],
+    axis=1,
+)
+# Views that are tried: about z from the usual one, deg, and rises of the camera with what each loses.
+_TURNS = np.radians([0, -30, 30, -60, 60, -90, 90, -120, 120, -150, 150, 180])
+_RISES = {RISE: 0.0, 0.6: 0.05, -0.2: 0.15}
+# What a view loses with half a turn; how far its camera is, in radii of what is shown.
+_TURN_COST, _FAR = 0.3, 3.2
+# What it counts, beside that they are seen, that path and arm are seen from the side and not from an end; the
+# shares of their sizes that are enough for it.
+_WIDE, _WIDE_ENOUGH, _LONG_ENOUGH = 0.5, 0.5, 0.7
+# A path that is narrower than this share of its length is a line.
+_LINE = 0.05
+# What of the path is looked at, and how far in front of a point nothing hides it, as a share of the reach.
+_PLACES, _CLOSE = 24, 0.01
+
+
+def focus_of(plan: Plan, plans: Sequence[Plan], bent: Sequence[FloatArray]) -> dict[str, Any]:
+    """Return points that the view shows, a ball about them, and the direction to the camera.
+
+    The points are those of the arm, rigid and with the poses (K, n, 7) of `bent` links, the path, the
+    workpieces beside it and the torque's arrow, in W, m; of them those that enclose the others along many
+    directions.
+    """
+    motions = [plan.baseline.q]
+    motions += [segment.trajectory.q for each in plans for segment in each.job.segments]
+    torques = [plan.baseline.guardrail_torque, *(each.job_samples[0].guardrail_torque for each in plans)]
+    torque = np.concatenate(torques)
+    largest = max(float(np.linalg.norm(torque, axis=1).max()), 1e-9)
+    foot = np.array([plan.robot.foot_point])
+    points = [foot, foot + ARROW * reach(plan.robot) * torque / largest, plan.baseline.tool_point]
+    points += [each.samples.tool_point for each in plans]
+    outlines = [stroke.task.path.outline() for each in plans for stroke in each.strokes]
+    points += [*outlines, *_workpieces(plan, np.concatenate(outlines))]
+    poses = [link_poses(plan.robot, q[:: max(1, len(q) // 50)]) for q in motions]
+    points += [_corners(plan.robot, each) for each in (*poses, *bent)]
+    cloud = np.concatenate(points)
+    return focus_on(cloud, *_direction(plan, outlines, cloud))
+
+
+def focus_on(cloud: FloatArray, azimuth: float, rise: float = RISE, room: float = 0.0) -> dict[str, Any]:
+    """Return what `focus_of` does for points (K, 3) in W, with `room` about them, m."""
+    low, high = cloud.min(axis=0) - room, cloud.max(axis=0) + room
+    # Those that are outermost along some direction decide what is seen.
+    outermost = cloud[(cloud @ _DIRECTIONS.T).argmax(axis=0)] + room * _DIRECTIONS
+    return {
+        "centre": ((low + high) / 2).tolist(),
+        "radius": max(float(np.linalg.norm(high - low)) / 2, 1e-3),
+        "points": np.unique(outermost, axis=0).tolist(),
+        "azimuth": azimuth,
+        "rise": rise,
+    }
+
+
+def link_poses(robot: Robot, q: FloatArray) -> FloatArray:
+    """Return poses (N, n, 7) of the joint frames in W at postures `q` (N, n)."""
+    data = robot.model.createData()
+    poses = np.empty((*q.shape, 7))
+    for k, q_k in enumerate(q):
+        pin.forwardKinematics(robot.model, data, q_k)
+        for joint in range(1, robot.model.njoints):
+            poses[k, joint - 1] = pin.SE3ToXYZQUAT(data.oMi[joint])
+    return poses
+
+
+def seen(points: FloatArray, eye: FloatArray, corners: FloatArray, near: float = 0.0) -> FloatArray:
+    """Return of which points (K, 3) triangles with the `corners` (m, 3, 3) hide nothing from an `eye` (3,).
+
+    What is nearer to a point than `near` does not hide it. By Möller and Trumbore 1997.
+    """
+    ray = eye - points
+    length = np.linalg.norm(ray, axis=1)
+    a, first, second = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    across = np.cross(ray[:, None], second)
+    determinant = np.einsum("kmi,mi->km", across, first)
+    offset = points[:, None] - a
+    turned = np.cross(offset, first)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = np.einsum("kmi,kmi->km", offset, across) / determinant
+        v = np.einsum("kmi,ki->km", turned, ray) / determinant
+        at = np.einsum("kmi,mi->km", turned, second) / determinant
+        hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (at * length[:, None] > near) & (at < 1)
+    return np.asarray(~hit.any(axis=1))
+
+
+def width_of(path: FloatArray, way: FloatArray) -> float:
+    """Return the share of a path (K, 3), of its area or, if it is a line, of its length, seen along `way`."""
+    points = path - path.mean(axis=0)
+    across = points - points @ np.outer(way, way)
+    (long, wide, _), (seen_long, seen_wide, _) = (
+        np.linalg.svd(each, compute_uv=False) for each in (points, across)
+    )
+    if wide < _LINE * long:
+        return float(seen_long / max(long, 1e-9))
+    return float(seen_long * seen_wide / (long * wide))
+
+
+def _direction(plan: Plan, outlines: Sequence[FloatArray], cloud: FloatArray) -> tuple[float, float]:
+    """Return azimuth about z of W and rise of the camera from which path, arm and foot are seen best.
+
+    Nothing hides them there, and neither path nor arm is seen from its end. Of views that show as much it is
+    that nearest to the usual one: outside the guardrail, at 45 deg to the stretched arm, as the torque of a
+    weight is perpendicular to the arm, so both are visible.
+    """
+    x, y, _ = plan.samples.tool_point.mean(axis=0) - np.array(plan.robot.foot_point)
+    arm = np.arctan2(y, x)
+    usual = float(min((arm - np.pi / 4, arm + np.pi / 4), key=lambda angle: abs(angle - np.pi / 2)))
+    still = {obstacle.name for obstacle in supports(plan.scene)}
+    surfaces = [obstacle_surface(each) for each in plan.scene.obstacles if each.name not in still]
+    corners = np.concatenate([np.zeros((0, 3, 3)), *(each.vertices[each.faces] for each in surfaces)])
+    path = np.concatenate([_spread(outline) for outline in outlines])
+    path = path[np.unique(np.linspace(0, len(path) - 1, _PLACES).astype(int))]
+    middle = plan.samples.q[len(plan.samples.q) // 2]
+    arm_points = np.vstack([plan.robot.foot_point, link_poses(plan.robot, middle[None])[0, :, :3]])
+    centre, radius = (cloud.min(axis=0) + cloud.max(axis=0)) / 2, np.linalg.norm(np.ptp(cloud, axis=0)) / 2
+    near = _CLOSE * reach(plan.robot)
+    best, value = (usual, RISE), -np.inf
+    for rise, turn in product(_RISES, _TURNS):
+        cost = _TURN_COST * abs(turn) / np.pi + _RISES[rise]
+        way = np.array([np.cos(usual + turn), np.sin(usual + turn), rise]) / np.hypot(1, rise)
+        wide = min(width_of(path, way) / _WIDE_ENOUGH, 1)
+        long = min(abs(np.sin(usual + turn - arm)) / _LONG_ENOUGH, 1)
+        gain = _WIDE * (wide + long) - cost
+        if 2 + gain <= value:
+            continue
+        eye = centre + _FAR * radius * way
+        shown = seen(path, eye, corners, near).mean() + seen(arm_points, eye, corners, near).mean() + gain
+        if shown > value:
+            best, value = (usual + float(turn), rise), float(shown)
+    return best
+
+
+def _spread(outline: FloatArray) -> FloatArray:
+    """Places along an outline (N, 3), as many as are looked at of all."""
+    along = np.append(0.0, np.linalg.norm(np.diff(outline, axis=0), axis=1).cumsum())
+    at = np.linspace(0.0, along[-1], _PLACES)
+    return np.stack([np.interp(at, along, column) for column in outline.T], axis=1)
+
+
+def _corners(robot: Robot, poses: FloatArray) -> FloatArray:
+    """Origins of frames with `poses` (N, n, 7), and corners of boxes about the links' shapes, in W (K, 3)."""
+    found = [poses[..., :3].reshape(-1, 3)]
+    for shape in robot.collision_model.geometryObjects:
+        shape.geometry.computeLocalAABB()
+        box = shape.geometry.aabb_local
+        corners = np.array(list(product(*zip(box.min_, box.max_, strict=True))))
+        corners = corners @ shape.placement.rotation.T + shape.placement.translation
+        if shape.parentJoint:
+            pose = poses[:, shape.parentJoint - 1]
+            turned = Rotation.from_quat(pose[:, 3:]).as_matrix() @ corners.T
+            corners = (turned.transpose(0, 2, 1) + pose[:, None, :3]).reshape(-1, 3)
+        found.append(corners)
+    return np.concatenate(found)
+
+
+def _workpieces(plan: Plan, path: FloatArray) -> Iterator[FloatArray]:
+    """Yield corners (8, 3) in W of boxes about the workpieces, as far as they are beside a `path` (K, 3)."""
+    room = _BESIDE * reach(plan.robot)
+    for obstacle in plan.scene.obstacles:
+        if not obstacle.workpiece:
+            continue
+        vertices = obstacle_surface(obstacle).vertices
+        low = np.maximum(vertices.min(axis=0), path.min(axis=0) - room)
+        high = np.minimum(vertices.max(axis=0), path.max(axis=0) + room)
+        if (low <= high).all():
+            yield np.array(list(product(*zip(low, high, strict=True))))
