@@ -40,6 +40,8 @@ _TURN_COST, _FAR = 0.3, 3.2
 # What it counts, beside that they are seen, that path and arm are seen from the side and not from an end; the
 # shares of their sizes that are enough for it.
 _WIDE, _WIDE_ENOUGH, _LONG_ENOUGH = 0.5, 0.5, 0.7
+# By which triangles overlap, as a share of their sizes: no ray passes between two of them.
+_SEAM = 1e-9
 # A path that is narrower than this share of its length is a line.
 _LINE = 0.05
 # What of the path is looked at, and how far in front of a point nothing hides it, as a share of the reach.
@@ -106,11 +108,11 @@ def seen(points: FloatArray, eye: FloatArray, corners: FloatArray, near: float =
     determinant = np.einsum("kmi,mi->km", across, first)
     offset = points[:, None] - a
     turned = np.cross(offset, first)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):  # a ray beside a triangle's plane meets it nowhere
         u = np.einsum("kmi,kmi->km", offset, across) / determinant
         v = np.einsum("kmi,ki->km", turned, ray) / determinant
         at = np.einsum("kmi,mi->km", turned, second) / determinant
-        hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (at * length[:, None] > near) & (at < 1)
+        hit = (u >= -_SEAM) & (v >= -_SEAM) & (u + v <= 1 + _SEAM) & (at * length[:, None] > near) & (at < 1)
     return np.asarray(~hit.any(axis=1))
 
 
