@@ -23,6 +23,7 @@ from cmbot.robot import Kinematics, PostureBatch, Postures, Robot, load_robot
 from cmbot.scene import SPEED_TOLERANCE, STOW, PlannerOptions, Scene, Stroke, ToolPoses, pose
 
 __all__ = [
+    "SAMPLE_STEP",
     "PlanningContext",
     "bending_arm",
     "build_context",
@@ -32,9 +33,29 @@ __all__ = [
     "rigid_arm_remark",
     "robot_of",
     "sag_of",
+    "sample_step",
     "strokes_of",
     "task_of",
 ]
+
+SAMPLE_STEP = 0.01
+"""Step of the sampled motions, s; of long ones it is longer: `sample_step`."""
+
+# Steps of a motion at most; steps grow by these factors.
+_MOST_STEPS, _LONGER = 40_000, (1.0, 2.0, 5.0)
+
+
+def sample_step(duration: float, step: float = SAMPLE_STEP) -> float:
+    """Return the step, s, by which a motion of a duration, s, is sampled: the number of steps is bounded.
+
+    That is `step`, or it times 2, 5, 10, 20 and so on.
+    """
+    power = 1.0
+    while True:
+        for factor in _LONGER:
+            if duration <= _MOST_STEPS * step * factor * power:
+                return step * factor * power
+        power *= 10.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -100,7 +100,7 @@ class LegVibration:
     """How the joints' snap along a leg moves the first modes at its end, the arm at rest where it starts.
 
     The matrices are those along the path's trajectory; a small change of that hardly changes them. There are
-    C cases of the `uncertainty`. Between the knots `start` and `end` there are b blocks of equal steps with
+    C cases of the `uncertainty`. From `start` to the knot `end` there are b blocks of equal steps with
     the same matrices. No knot is inside a block: along it the snap of a quintic spline is linear in time, so
     its values at the blocks' ends say all. `times` (2 b,), s, are the middles of each block's first and last
     step, `weights` (2 b, C 2r, n) those of the snaps at these times in what the modes' displacements, then
@@ -111,7 +111,8 @@ class LegVibration:
         self, path: ElasticPath, start: float, end: float, modes: int, uncertainty: Uncertainty
     ) -> None:
         knots = path.trajectory.t
-        edges = _refined(knots[(knots > start - 1e-9) & (knots < end + 1e-9)], _MATRICES_EVERY)
+        later = knots[(knots > start + 1e-9) & (knots < end + 1e-9)]
+        edges = _refined(np.append(start, later), _MATRICES_EVERY)
         matrices = path.at(np.append(0.5 * (edges[1:] + edges[:-1]), end), uncertainty.loads)
         reduced = [
             _reduced(each, np.array(factors), modes)

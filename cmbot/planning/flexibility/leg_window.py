@@ -31,6 +31,8 @@ _LOUD = 0.3
 _PASSING = 2.0
 # Weight of the mean squared jerk, in units of its bounds, beside the squares of amplitudes, in those before.
 _JERK_WEIGHT = 100.0
+# Weight at least, as a share of the sum of the squares' own: in slow legs rounding is larger than the jerk.
+_ROUNDING = 1e-12
 # Times per segment at which the jerk is compared with the largest before, by what share of its bound it may
 # exceed that, and how often at most it is compared.
 _JERKS, _MORE_JERK, _JERK_ROUNDS = 5, 1e-3, 8
@@ -108,6 +110,11 @@ class Window:
     def conditions(self) -> tuple[list[FloatArray], list[FloatArray]]:
         """For each leg derivatives (C 2r, s, d) of the vibration by the coefficients, and itself (C 2r,)."""
         return self._conditions, self._vibration
+
+    @property
+    def amplitude(self) -> float:
+        """Largest amplitude of the tool, m, at the end of a leg, unchanged."""
+        return max(float(tool_amplitudes(v, self._cases).max()) for v in self._vibration)
 
     def amplitudes(self, X: FloatArray) -> FloatArray:
         """Largest amplitudes of the tool, m, at the end of every leg (legs, C), as changed by `X` (s, d)."""
@@ -231,7 +238,9 @@ class _Wanted:
         """The change of the least weighted squares and jerk."""
         roots = np.sqrt(np.repeat(weight, self._rows))
         E, v = self._E * roots[:, None], self._v * roots
-        factor = np.linalg.cholesky(E.T @ E + _JERK_WEIGHT * np.eye(E.shape[1]))
+        squares = E.T @ E
+        jerk = max(_JERK_WEIGHT, _ROUNDING * float(np.trace(squares)))
+        factor = np.linalg.cholesky(squares + jerk * np.eye(len(squares)))
         return _Weighted(weight, -linalg.cho_solve((factor, True), E.T @ v), factor)
 
 

@@ -52,6 +52,8 @@ _MARGIN = 0.01
 _MOST_FACTORS, _FEW_FACTORS, _LONG, _MANY = 25, 13, 60.0, 3
 # Time before the end of a leg in which vibration was excited that still counts, s.
 _KEPT = 20.0 + SAME_TIME
+# Of a longer leg only what is excited in so many seconds before its end counts.
+_LONGEST = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,6 +129,7 @@ def suppress_vibration(
         # What is left of the legs before is still there, but for that of long ago.
         earlier = [time for time in leg_times if window.start <= time + SAME_TIME < t[first]]
         start = min([t[first], *(time for time in earlier if t[last] - time <= _KEPT)])
+        start = max(start, t[last] - _LONGEST)
         leg = LegVibration(path, float(start), t[last], options.quiet_modes, uncertainty)
         window.bring_to_rest(leg, trajectory)
     reporter.step("bringing the slowest vibrations to rest")
@@ -236,7 +239,9 @@ class _Search:
         self._peak = found.peak * (1 + _PEAK_RISE)
         self._allowed = max(found.worst.value, self._tolerance)
         self._X = np.zeros((problem.space.dimension, trajectory.q.shape[1]))
-        self._shares, self._hopeless = np.zeros(len(windows)), np.zeros(len(windows), dtype=np.bool_)
+        self._shares = np.zeros(len(windows))
+        # Nothing is sought where every leg ends at rest, nor where nothing was found.
+        self._hopeless = np.array([window.amplitude < _AT_REST for window in windows])
         self._here, self._broken = trajectory, 0.0
         self._held, self._earlier = self._held_here(), list[_HalfSpaces]()
 
@@ -249,12 +254,10 @@ class _Search:
         """Return the changed trajectory, and the share of each window's change that it took."""
         unfit = ~self._hopeless
         for _ in range(_ROUNDS):
-            if self._problem.context.reporter.expired():
+            if not unfit.any() or self._problem.context.reporter.expired():
                 break
             self._step(unfit)
             unfit = self._unfit()
-            if not unfit.any():
-                break
         whole, shares = self._X.copy(), self._shares.copy()
         for share in (*_SHARES, 0.0):
             if unfit.any():

@@ -16,7 +16,7 @@ from scipy.linalg.lapack import dgesdd
 from cmbot.collision import Clearances, Nearest
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
-from cmbot.planning.context import PlanningContext, no_start_left
+from cmbot.planning.context import PlanningContext, no_start_left, sample_step
 from cmbot.planning.path.projection import null_space, project_onto_task
 from cmbot.robot import Kinematics, PostureMetric, postures_in_words
 from cmbot.scene import PlannerOptions
@@ -38,6 +38,8 @@ _MOST_STEPS = 400
 _TRIED_EVERY = 4
 # Step of a first, coarse integration of Eq. (22) from another start, s.
 _COARSE_STEP = 0.05
+# Beyond it, s, joints are moved away from obstacles in proportion less: steps are the same then.
+_LONGEST_STEP = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,6 +90,7 @@ def follow_path(
 
     Integrates Eq. (22). The commanded velocity leads from where the tool should be now to where it should be
     one step later, plus feedback of the pose error, so that neither the step nor the damping lets it drift.
+    Steps are those of the options; of motions of more than 40,000 of them they are longer.
     Norms are those of `PostureMetric`: joints that slide have coordinates in rad, too.
     Where the tool's axis may lean it is held in the middle of its cone.
     Without `stop_at_obstacles` it goes on whatever happens. `report` is called with the number of steps that
@@ -101,7 +104,12 @@ def follow_path(
     robot, task = context.robot, context.task.on_axis
     clearances, options = context.clearances, context.options
     kinematics = Kinematics(robot)
-    steps = max(round(task.path.duration / options.path_step_s), 1)
+    step = sample_step(task.path.duration, options.path_step_s)
+    if step > options.path_step_s:
+        # Euler's method is stable with them, too.
+        gains = min(options.drift_gain, 1 / step), options.avoidance_gain * min(1.0, _LONGEST_STEP / step)
+        options = replace(options, drift_gain=gains[0], avoidance_gain=gains[1])
+    steps = max(round(task.path.duration / step), 1)
     t = np.linspace(0.0, task.path.duration, steps + 1)
     goals = task.path.poses(t)
     points = goals.point

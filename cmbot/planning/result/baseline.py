@@ -11,6 +11,7 @@ import numpy as np
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.planning.certification.metrics import MotionMetrics, Samples, figures, measure
+from cmbot.planning.context import SAMPLE_STEP
 from cmbot.planning.free_motion.return_move import SAME_POSTURE
 from cmbot.planning.free_motion.straight_move import quickest_straight
 from cmbot.planning.job import RETURN, free_move_name, job_metrics
@@ -18,10 +19,7 @@ from cmbot.planning.result.stroke_plan import StrokePlan
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Robot
 
-__all__ = ["SAMPLE_STEP", "BaselineSegment", "baseline_job", "combined_baseline", "joined_samples"]
-
-SAMPLE_STEP = 0.01
-"""Step of the sampled motions, s."""
+__all__ = ["BaselineSegment", "baseline_job", "combined_baseline", "joined_samples"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,10 +17,9 @@ from cmbot.elastic.sag import Sag
 from cmbot.planning.certification.certificate import Certificate
 from cmbot.planning.certification.metrics import MotionMetrics, Samples, measure
 from cmbot.planning.certification.sag_spread import across_path, spread_times
-from cmbot.planning.context import bending_arm, end_posture_of, sag_of, strokes_of
+from cmbot.planning.context import bending_arm, end_posture_of, sag_of, sample_step, strokes_of
 from cmbot.planning.job import APPROACH, RETURN, Job, Segment, job_metrics
 from cmbot.planning.result.baseline import (
-    SAMPLE_STEP,
     BaselineSegment,
     baseline_job,
     combined_baseline,
@@ -184,7 +183,7 @@ class Plan(StrokePlan):
 
     @cached_property
     def samples(self) -> Samples:
-        """The work every 0.01 s, from time 0."""
+        """The work every 0.01 s, from time 0; jobs of more than 400 s have longer steps."""
         first, *others = self.work.segments
         if not others:
             return self.segment_samples[first.name]
@@ -222,7 +221,7 @@ class Plan(StrokePlan):
         return {segment.name: self._sampled(segment, clearances) for segment in self.job.segments}
 
     def _sampled(self, segment: Segment, clearances: Clearances) -> Samples:
-        t = _sample_times(segment.duration)
+        t = _sample_times(segment.duration, sample_step(self.job.duration))
         motion = [segment.trajectory.evaluate(t, order) for order in range(4)]
         at_work = segment.kind == "stroke"
         robot, sag = (self.robot, self.sag) if at_work else (self.robot.tool_off, None)
@@ -388,8 +387,8 @@ def _adhesions(name: str, motions: Sequence[MotionMetrics]) -> Iterator[tuple[st
         yield name, left, right
 
 
-def _sample_times(duration: float) -> FloatArray:
-    """Return times from 0 to `duration` every 0.01 s (the last step shorter if need be)."""
-    count = int(np.floor(duration / SAMPLE_STEP * (1 + 1e-12)))
-    t: FloatArray = SAMPLE_STEP * np.arange(count + 1, dtype=np.float64)
+def _sample_times(duration: float, step: float) -> FloatArray:
+    """Return times from 0 to `duration` every `step` (the last one shorter if need be), s."""
+    count = int(np.floor(duration / step * (1 + 1e-12)))
+    t: FloatArray = step * np.arange(count + 1, dtype=np.float64)
     return t if duration - t[-1] < 1e-9 * duration else np.append(t, duration)

@@ -29,8 +29,9 @@ _GAIN, _NEAR_BOUND = 1e-2, 1e-2
 _SAME_AREA = 1e-6
 # Largest error of a lower bound that the search closed, as a share of it.
 _CLOSED = 1e-2
-# More jerk than so many times the baseline's may well make the tool sway more.
-_MORE_JERK = 2.0
+# More jerk than so many times the baseline's, and than that share of the limits, may well make the tool sway
+# more.
+_MORE_JERK, _LITTLE_JERK = 2.0, 1e-3
 # A lower bound below this share of the baseline's peak counts as zero.
 _NOTHING = 1e-9
 
@@ -99,7 +100,7 @@ def _bending(plan: Plan) -> Iterator[str]:
     yield from _sag(plan)
     if plan.suppression is not None:
         before, after = (each.limit_use.jerk for each in (plan.baseline_figures, plan.figures))
-        if after > _MORE_JERK * before:
+        if after > max(_MORE_JERK * before, _LITTLE_JERK):
             yield (
                 f"The joints jerk {after / before:.1f} times as hard as the baseline's, {100 * after:.0f} % "
                 "of a limit: tool and base may sway more than the baseline's; cmbot simulate tells."

@@ -2,8 +2,12 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from small_scenes import short_scene
 
-from cmbot.planning import Plan
+from cmbot.planning import Plan, context, plan
+from cmbot.planning.context import sample_step
 from cmbot.robot import Dynamics
 
 
@@ -27,3 +31,29 @@ def test_its_torque_at_either_end_is_that_of_rest_and_in_the_figures(triangle_pl
     start = dynamics.static_efforts(triangle_plan.scene.posture[None]).guardrail_torque
     assert figures.peak_guardrail_torque == pytest.approx(np.linalg.norm(start), rel=1e-6)
     assert figures.peak_guardrail_torque == pytest.approx(figures.peak_static_guardrail_torque, rel=1e-6)
+
+
+@given(duration=st.floats(0.01, 1e5), step=st.sampled_from([1e-4, 0.01, 0.1]))
+def test_the_number_of_steps_is_bounded(duration: float, step: float) -> None:
+    taken = sample_step(duration, step)
+    assert duration / taken <= 40_000 * (1 + 1e-12)
+    # No longer than need be, and round.
+    assert taken == step or duration / taken > 40_000 / 2.5 * (1 - 1e-12)
+    assert round(taken / step) == pytest.approx(taken / step) and str(round(taken / step))[0] in "125"
+
+
+def test_what_a_long_leg_costs_does_not_grow_with_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Euler's steps may be longer than the feedback's time constant; the tool stays on its path."""
+    monkeypatch.setattr(context, "_MOST_STEPS", 400)
+    legs = [{"by": [0, -0.3, 0], "seconds": 4000}]
+    scene = short_scene(
+        tool_path={"legs": legs, "via_points": 12}, planner={"knots": "sliding", "start": "pinned"}
+    )
+    made = plan(scene)
+    assert len(made.baseline.t) == 401
+    assert made.baseline.t[1] == pytest.approx(10.0)
+    assert made.drift < 1e-4
+    assert len(made.job_samples[0].t) <= 403
+    assert np.abs(np.diff(made.baseline.q, axis=0)).max() < 0.05
+    assert made.suppression is not None and made.suppression.at_rest
+    assert set(made.suppression.shares) == {0.0}
