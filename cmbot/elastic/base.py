@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -55,6 +56,8 @@ class ElasticBase:
     frequencies: FloatArray
 
 
+# Several parts of a plan ask for that of one guardrail.
+@lru_cache(maxsize=4)
 def elastic_base(guardrail: Guardrail) -> ElasticBase | None:
     """Return the stiffness at O0: the given one, else that of the guardrail's frame under the feet.
 
