@@ -116,7 +116,8 @@ class Clearances:
         self._broad_phase = BroadPhase(robot, shapes, self._shapes)
         self.pair_reach = pair_reach(reach, self._joints, self._shapes)
         self._cache = DistanceCache(self._model, self._geometry, self._geometry_data, self.pair_reach)
-        self._unavoidable = np.array([not pair.avoidable for pair in self.pairs], dtype=np.bool_)
+        self._avoidable = np.array([pair.avoidable for pair in self.pairs], dtype=np.bool_)
+        self._any_avoidable = bool(self._avoidable.any())
         self._margin = np.nan
 
     def smallest(self, q: FloatArray, *, avoidable_only: bool = False) -> Smallest:
@@ -130,7 +131,7 @@ class Clearances:
         avoidable_only : bool
             Leave out the arm with itself and the tool with a workpiece, as H of Eq. (17) does here.
         """
-        left_out = self._unavoidable & avoidable_only
+        left_out = ~self._avoidable & avoidable_only
         distance, pair = np.full(len(q), np.inf), np.full(len(q), -1, dtype=np.intp)
         if not left_out.all():
             # coal takes shapes at positions that are not finite for touching.
@@ -187,14 +188,14 @@ class Clearances:
 
     def within(self, q: FloatArray, distance: float) -> list[Nearest]:
         """Return every avoidable pair (see `smallest`) that is nearer than `distance` at `q`."""
-        if self._unavoidable.all():
+        if not self._any_avoidable:
             return []
-        lower = self._cache.lower_bounds(q)
-        candidates = np.flatnonzero(~self._unavoidable & (lower <= distance + _SLACK))
-        if len(candidates) == 0:
+        near = self._cache.lower_bounds(q) <= distance + _SLACK
+        candidates = (near & self._avoidable).nonzero()[0].tolist()
+        if not candidates:
             return []
         self._update_jacobians(q)
-        found = [(pair, self._measured_at(pair)) for pair in candidates.tolist()]
+        found = [(pair, self._measured_at(pair)) for pair in candidates]
         return [self._nearest(pair, result) for pair, result in found if result.min_distance < distance]
 
     def nearest(self, q: FloatArray, pair: int) -> Nearest:

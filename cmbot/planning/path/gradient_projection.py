@@ -36,6 +36,8 @@ _RANK = 1e-6
 _STEP = 0.05
 _MOST_STEPS = 400
 _TRIED_EVERY = 4
+# Steps of Eq. (22) between reports of how far it is.
+_REPORTED_EVERY = 20
 # Step of a first, coarse integration of Eq. (22) from another start, s.
 _COARSE_STEP = 0.05
 # Beyond it, s, joints are moved away from obstacles in proportion less: steps are the same then.
@@ -112,42 +114,44 @@ def follow_path(
     steps = max(round(task.path.duration / step), 1)
     t = np.linspace(0.0, task.path.duration, steps + 1)
     goals = task.path.poses(t)
-    points = goals.point
     dt, metric = t[1], robot.metric
+    # What leads from each goal to the next one; from the last one nowhere.
+    ahead = np.diff(goals.point, axis=0, append=goals.point[-1:]) / dt
     q, v = np.empty((steps + 1, robot.dof)), np.empty((steps + 1, robot.dof))
-    clearance, singular_value, drift = (np.empty(steps + 1) for _ in range(3))
+    clearance, singular_value, tool = np.empty(steps + 1), np.empty(steps + 1), np.empty((steps + 1, 3))
     q[0] = context.first if posture is None else posture
     for k in range(steps + 1):
         X_WT, J = kinematics.tool_jacobian(q[k])
         J = metric.positions(J)
         U, s, Vt = _svd(task.jacobian(X_WT.rotation, J))
         error = task.error(X_WT, goals[k])
-        singular_value[k], drift[k] = s[-1], np.linalg.norm(X_WT.translation - points[k])
+        singular_value[k], tool[k] = s[-1], X_WT.translation
         if stop_at_obstacles:
             clearance[k] = _require_free(context, q[k], t[k], error)
         command = options.drift_gain * error
-        if k < steps:
-            command[:3] += (points[k + 1] - points[k]) / dt
-            if task.path.turns:
-                command[3:] += (task.error(X_WT, goals[k + 1]) - error)[3:] / dt
+        command[:3] += ahead[k]
+        if k < steps and task.path.turns:
+            command[3:] += (task.error(X_WT, goals[k + 1]) - error)[3:] / dt
         gradient = _gradient(kinematics, clearances, q[k], options)
         # (I - J+ J) gradient of Eq. (16): the part in the null space of the task.
         aside = gradient - Vt.T @ (Vt @ gradient)
-        rates = _damped_inverse(U, s, Vt, options) @ command + options.avoidance_gain * aside
+        rates = Vt.T @ (_damped(s, options) * (U.T @ command)) + options.avoidance_gain * aside
         v[k] = metric.positions(rates)
         if k < steps:
             q[k + 1] = q[k] + dt * v[k]
-        if report is not None:
+        if report is not None and (k % _REPORTED_EVERY == 0 or k == steps):
             report(k + 1, steps + 1)
     if not stop_at_obstacles:
         # One batch is quicker.
         clearance = clearances.smallest(q).distance
+    drift = np.linalg.norm(tool - goals.point, axis=1)
     return JointPath(t=t, q=q, v=v, clearance=clearance, singular_value=singular_value, drift=drift)
 
 
 def robust_inverse(J: FloatArray, options: PlannerOptions) -> FloatArray:
     """Singularity-robust inverse J* (n, m) of `J` (m, n), Chang 2021, Eqs. (18)-(21)."""
-    return _damped_inverse(*_svd(J), options)
+    U, s, Vt = _svd(J)
+    return np.asarray((Vt.T * _damped(s, options)) @ U.T)
 
 
 def _svd(J: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -158,10 +162,11 @@ def _svd(J: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     return U, s, Vt
 
 
-def _damped_inverse(U: FloatArray, s: FloatArray, Vt: FloatArray, options: PlannerOptions) -> FloatArray:
+def _damped(s: FloatArray, options: PlannerOptions) -> FloatArray:
+    """The singular values of J* by those of J."""
     s_h = options.damping_threshold
     damping = options.damping_max * (1 - s[-1] / s_h) if s[-1] < s_h else 0.0
-    return np.asarray((Vt.T * (s / (s**2 + damping**2))) @ U.T)
+    return np.asarray(s / (s * s + damping * damping))
 
 
 def _gradient(
