@@ -43,14 +43,14 @@ class Chain:
         data = model.createData()
         pin.computeJointJacobians(model, data, pin.neutral(model))
         # In a frame whose z axis is the joint's, a rotation mixes the two other axes only.
-        self._steps, before = [], np.eye(3)
+        self.steps, before = list[tuple[FloatArray, FloatArray]](), np.eye(3)
         self._slides = prismatic_joints(model).tolist()
         for i, fixed in enumerate(vectors, start=1):
             column = pin.getJointJacobian(model, data, i, pin.ReferenceFrame.LOCAL)[:, i - 1]
             own = _frame_about(column[:3] if self._slides[i - 1] else column[3:])
             X = model.jointPlacements[i]
             step = np.column_stack([X.translation, X.rotation @ own])
-            self._steps.append((step.T @ before, fixed @ own))
+            self.steps.append((step.T @ before, fixed @ own))
             before = own
 
     def walk(self, q: FloatArray) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
@@ -77,7 +77,7 @@ class Chain:
         # The axes of the rotated frame, one after the other.
         axes = np.repeat(np.eye(3)[:, :, None], N, axis=2)
         origin = np.zeros((3, N))
-        for i, (step, fixed) in enumerate(self._steps):
+        for i, (step, fixed) in enumerate(self.steps):
             moved = (step @ axes.reshape(3, -1)).reshape(4, 3, N)
             origin = origin + moved[0]
             axes = moved[1:]
@@ -264,6 +264,13 @@ class Postures:
     @cached_property
     def _tool_only(self) -> Chain:
         return Chain(self._model, [*(np.empty((0, 3)) for _ in self._levers[1:]), self._tool])
+
+    @cached_property
+    def geometry(self) -> tuple[bytes, ...]:
+        """What `tool_at`, `bend` and `metric` follow from: equal for equal arms, whatever they weigh."""
+        chain, metric = self._tool_only, self.metric
+        numbers = (self._tool, np.array([self.bend, metric.length]), metric.prismatic)
+        return (*(step.tobytes() for step, _ in chain.steps), *(each.tobytes() for each in numbers))
 
     def at(self, q: FloatArray) -> PostureBatch:
         """Evaluate postures `q` (N, n)."""

@@ -46,6 +46,10 @@ _BESIDE = 40
 _REFINEMENTS, _ABOUT = 3, 2
 # Checks of a chart at most, and random postures of each as a multiple of those that charts are grown from.
 _CHECKS, _SEEDS_OF_A_CHECK = 5, 5
+# Charts of so many tool paths and arms at most are kept, by what they depend on, with their samplers.
+# Decimals of the poses that they hold: far below the tolerance with which they do.
+_KEPT, _DIGITS = 4, 12
+_CHARTED: dict[tuple[object, ...], tuple[SelfMotionSampler, tuple[FloatArray, ...]]] = {}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,10 +105,10 @@ class GlobalSearch:
         self._winding = context.robot.limits.winding
         self._wide = context.robot.dof - context.task.dimension > 1
         self._given_bound: LowerBound | None = None
-        self._sampler = SelfMotionSampler(context)
         # How often each chart has been made denser.
         self._rounds = np.zeros(len(context.goals), dtype=np.intp)
-        self._chart(_sampled(self._sampler, context))
+        self._sampler, each = _sampled(context)
+        self._chart(each)
 
     def _chart(self, each: list[FloatArray]) -> None:
         """Find the lower bound and the graph of charts, (M, d) each."""
@@ -315,7 +319,7 @@ class GlobalSearch:
         more = [sequences_beside(context, lowest, self._bound.via_point, self._spacing)]
         if context.robot.dof > _POSE and not context.reporter.expired():
             pose = replace(context, task=replace(context.task, keep="pose"))
-            more.append(_sampled(SelfMotionSampler(pose), pose))
+            more.append(_sampled(pose)[1])
         if self._leaning is not context:
             k = self.lower_bound.via_point
             goals = _leaning_goals(self._leaning, self._lowest_leaning, k)
@@ -371,8 +375,29 @@ class GlobalSearch:
         return search, same_as[0]
 
 
-def _sampled(sampler: SelfMotionSampler, context: PlanningContext) -> list[FloatArray]:
-    """Postures (M, d) of the charts at all via-points."""
+def _sampled(context: PlanningContext) -> tuple[SelfMotionSampler, list[FloatArray]]:
+    """Postures (M, d) of the charts at all via-points, and the sampler that goes on from there.
+
+    Jobs of a campaign often have the tool path and the arm in common, and differ in what it carries or how
+    fast it moves.
+    """
+    goals, limits, task, options = context.goals, context.robot.limits, context.task, context.options
+    # So that they do not depend on how the via-points' times were rounded.
+    goals = replace(goals, point=goals.point.round(_DIGITS), rotation=goals.rotation.round(_DIGITS))
+    lean = np.zeros(0) if task.lean is None else task.lean
+    arrays = (limits.lower, limits.upper, goals.point, goals.rotation, context.first, lean)
+    asked = (task.keep, task.path.turns, options.chart_spacing, options.chart_seeds)
+    known = (*asked, *(array.tobytes() for array in arrays), *context.postures.geometry)
+    if known not in _CHARTED:
+        sampler = SelfMotionSampler(context)
+        _CHARTED[known] = sampler, tuple(_charted(sampler, context, goals))
+        for earlier in list(_CHARTED)[:-_KEPT]:
+            _CHARTED.pop(earlier, None)
+    sampler, charts = _CHARTED[known]
+    return sampler.copied(), list(charts)
+
+
+def _charted(sampler: SelfMotionSampler, context: PlanningContext, goals: ToolPoses) -> list[FloatArray]:
     step = f"charting the postures that hold the tool's {context.task.keep}"
 
     def report(done: int, total: int) -> None:
@@ -385,7 +410,7 @@ def _sampled(sampler: SelfMotionSampler, context: PlanningContext) -> list[Float
             )
             raise context.path_not_found(reason, context.first)
 
-    return sampler.along(context.goals, context.first[None], report)
+    return sampler.along(goals, context.first[None], report)
 
 
 def _leaning_goals(context: PlanningContext, posture: FloatArray, via_point: int) -> ToolPoses:

@@ -12,6 +12,7 @@ which are drawn until many in a row lie on the charts: `Coverage` says how many 
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -105,6 +106,12 @@ class SelfMotionSampler:
     def spacing(self) -> float:
         """Spacing that charts keep everywhere, rad; it grows where they would have too many postures."""
         return self._spacing_of(self._beyond)
+
+    def copied(self) -> SelfMotionSampler:
+        """Return one that goes on as this one would, random numbers included."""
+        other = copy.copy(self)
+        other._rng = copy.deepcopy(self._rng)
+        return other
 
     def first(self, goal: ToolPoses, known: FloatArray) -> FloatArray:
         """Chart the self-motion at `goal` from the postures `known` (k, n) and from random ones."""

@@ -18,6 +18,7 @@ from cmbot.planning.path.projection import null_space, project_onto_task
 from cmbot.planning.selfmotion import global_search
 from cmbot.planning.selfmotion.dynamic_programming import refine
 from cmbot.planning.selfmotion.global_search import sequences_beside
+from cmbot.planning.selfmotion.sampler import SelfMotionSampler
 from cmbot.robot import Dynamics
 
 
@@ -49,6 +50,35 @@ def test_a_solution_is_admissible(context: PlanningContext, search: GlobalSearch
     np.testing.assert_allclose(solution.value, np.linalg.norm(at.guardrail_torque, axis=1))
     if pinned:
         np.testing.assert_allclose(solution.q[0], context.posture, atol=1e-12)
+
+
+def test_arms_that_weigh_otherwise_share_charts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same to the last bit as charts of their own; those of another tool path or arm are others."""
+    drawn, draw = list[object](), SelfMotionSampler.along
+
+    def along(sampler: SelfMotionSampler, *arguments: Any) -> list[FloatArray]:
+        drawn.append(sampler)
+        return draw(sampler, *arguments)
+
+    def searched(**changes: object) -> GlobalSearch:
+        return GlobalSearch(sliding(**changes))
+
+    monkeypatch.setattr(SelfMotionSampler, "along", along)
+    own = searched(robot={"payload_kg": 2.0})
+    global_search._CHARTED.clear()
+    light, shared = searched(), searched(robot={"payload_kg": 2.0})
+    # The speed counts as little; so does how it rounds the via-points' times.
+    searched(tool_path={"legs": [{"by": [0, -0.3, 0], "seconds": 4.4}]})
+    assert len(drawn) == 2
+    assert shared.lower_bound.value == own.lower_bound.value != light.lower_bound.value
+    for pinned in (False, True):
+        np.testing.assert_array_equal(shared.solve(pinned=pinned).q, own.solve(pinned=pinned).q)
+    searched(robot={"tool_length_m": 0.2})
+    searched(tool_path={"legs": [{"by": [0, -0.29, 0], "seconds": 4}]})
+    assert len(drawn) == 4
+    monkeypatch.setattr(global_search, "_KEPT", 2)
+    searched(planner={"chart_seeds": 40})
+    assert len(global_search._CHARTED) == 2
 
 
 def test_freedom_never_costs_torque(search: GlobalSearch) -> None:
