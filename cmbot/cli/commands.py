@@ -9,6 +9,8 @@ import io
 import sys
 import traceback
 import warnings
+from collections.abc import Callable
+from functools import wraps
 from types import TracebackType
 from typing import Annotated, Any
 
@@ -154,8 +156,24 @@ def _options(
     del debug, version
 
 
-for _verb in (
+def _with_sign(verb: Callable[..., int | None]) -> Callable[..., int | None]:
+    """A verb that first shows that it has begun: imports and reading take up to a second."""
+
+    @wraps(verb)
+    def begun(**options: Any) -> int | None:
+        if not options.get("quiet"):
+            err.show_sign("reading …")
+        try:
+            return verb(**options)
+        finally:
+            err.erase_sign()
+
+    return begun
+
+
+_VERBS: tuple[Callable[..., int | None], ...] = (
     *(plan, stand, walk, tour, campaign, new, replay, report, compare, export, simulate, identify, reproduce),
     *(check, scenes, schema, doctor),
-):
-    app.command()(_verb)
+)
+for _verb in _VERBS:
+    app.command()(_verb if _verb in (new, scenes, schema, doctor) else _with_sign(_verb))

@@ -10,10 +10,12 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from enum import IntEnum
 from pathlib import Path
-from typing import Annotated, Any, TextIO
+from typing import Annotated, Any, Self, TextIO
 
 import typer
 from rich.console import Console
+from rich.control import Control
+from rich.segment import ControlType
 from rich.table import Table
 
 from cmbot.common.errors import CmbotError
@@ -52,8 +54,23 @@ class LostOutputError(CmbotError):
 class _Output(Console):
     """A stream of the command line; a reader that has stopped, such as ``head``, does not stop the work."""
 
+    _sign = False
+
+    def show_sign(self, text: str) -> None:
+        """Say on a terminal what has begun, until something else is shown; elsewhere nothing."""
+        if self.is_terminal and not self.is_dumb_terminal:
+            self.print(text, end="")
+            self._sign = True
+
+    def erase_sign(self) -> None:
+        """Take that away."""
+        if self._sign:
+            self._sign = False
+            self.print(Control(ControlType.CARRIAGE_RETURN, (ControlType.ERASE_IN_LINE, 2)), end="")
+
     def print(self, *objects: Any, **options: Any) -> None:
         """Print as rich does; what standard error does not take is lost."""
+        err.erase_sign()
         try:
             super().print(*objects, **options)
         except OSError as error:
@@ -166,3 +183,7 @@ class ConsoleProgress(ProgressLine):
 
     def __init__(self, *, quiet: bool = False, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__(err, quiet=quiet, clock=clock)
+
+    def __enter__(self) -> Self:
+        err.erase_sign()
+        return super().__enter__()

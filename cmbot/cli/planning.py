@@ -113,6 +113,8 @@ def plan(
             err.print(flat(f"warning: {finding.key}: got {finding.got}, expected {finding.expected}"))
         with ConsoleProgress(quiet=quiet) as console_progress:
             planned = cmbot.plan(loaded, options=options, progress=console_progress.update)
+        if not quiet:
+            err.show_sign("writing …")
         from cmbot.views import REPORT, pages
 
         drawn = plot_files(planned, figures)

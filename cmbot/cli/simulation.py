@@ -15,6 +15,7 @@ from cmbot.cli.console import (
     FiguresOption,
     JsonOption,
     QuietOption,
+    err,
     flat,
     out,
     print_result,
@@ -118,6 +119,8 @@ def simulate(
             tracking = cmbot.simulate(
                 loaded, options, progress=lambda share: progress.stage("simulating", share)
             )
+        if not quiet:
+            err.show_sign("writing …")
         from cmbot.views import REPORT, pages
 
         added = pages(loaded, tracking) | plot_files(tracking, figures)

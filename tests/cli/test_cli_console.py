@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 from command_line import on_a_terminal, without_colours, write_scene
-from rich.console import Console
 from small_scenes import SHORT
 
 import cmbot.cli.console
@@ -34,7 +33,7 @@ def shown(
 ) -> Iterator[tuple[ConsoleProgress, Clock, StringIO]]:
     """Progress on a console, its clock, and what it writes."""
     clock, file = Clock(), StringIO()
-    console = Console(file=file, force_terminal=terminal, width=width, markup=False)
+    console = type(cmbot.cli.console.err)(file=file, force_terminal=terminal, width=width, markup=False)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cmbot.cli.console, "err", console)
         with ConsoleProgress(quiet=quiet, clock=clock) as progress:

@@ -107,7 +107,8 @@ def test_a_call_that_is_terminated_leaves_nothing(tmp_path: Path) -> None:
 
 def test_a_terminal_breaks_a_message_between_words() -> None:
     name = "no_such_scene_of_this_name.yaml"
-    shown = on_a_terminal("plan", name, columns=50, status=2)
+    begun, erased, shown = on_a_terminal("plan", name, columns=50, status=2).partition("\r\x1b[2K")
+    assert (begun, bool(erased)) == ("reading …", True)
     lines = without_colours(shown).split("\r\n")[:-1]
     assert len(lines) > 1
     assert all(len(line) <= 50 for line in lines)
@@ -116,3 +117,5 @@ def test_a_terminal_breaks_a_message_between_words() -> None:
         "(one of: angle_steel, bracket_faces, gusset_plate, line, panda_sanding, pipe, triangle, "
         "two_brackets)"
     )
+    # Quietly nothing is shown but the error.
+    assert on_a_terminal("plan", name, "--quiet", columns=50, status=2) == shown
