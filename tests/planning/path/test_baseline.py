@@ -46,9 +46,7 @@ def test_what_a_long_leg_costs_does_not_grow_with_its_time(monkeypatch: pytest.M
     """Euler's steps may be longer than the feedback's time constant; the tool stays on its path."""
     monkeypatch.setattr(context, "_MOST_STEPS", 400)
     legs = [{"by": [0, -0.3, 0], "seconds": 4000}]
-    scene = short_scene(
-        tool_path={"legs": legs, "via_points": 12}, planner={"knots": "sliding", "start": "pinned"}
-    )
+    scene = short_scene(tool_path={"legs": legs, "via_points": 12}, planner={"knots": "sliding"})
     made = plan(scene)
     assert len(made.baseline.t) == 401
     assert made.baseline.t[1] == pytest.approx(10.0)
