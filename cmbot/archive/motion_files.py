@@ -13,7 +13,6 @@ from typing import Literal
 import numpy as np
 from pydantic_core import to_json
 
-from cmbot.archive.strict_json import json_bytes
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError, InputError
 from cmbot.common.validation import counted, shown
@@ -28,7 +27,6 @@ __all__ = [
     "largest_knots",
     "largest_table",
     "motion_files",
-    "number_rows",
     "read_knots",
     "read_motion",
     "read_table",
@@ -39,12 +37,6 @@ __all__ = [
 _JOINT_COLUMNS = ("q", "v", "a", "j", "tau")
 _VECTORS = ("guardrail_torque", "guardrail_force", "tool")
 _CLEARANCE, _SEGMENT, _ADHESION = "clearance", "segment", "adhesion_needed"
-_ROS_POINT = (
-    '{{"positions": [{}], "velocities": [{}], "accelerations": [{}], "effort": [{}], '
-    '"time_from_start": {{"sec": {}, "nanosec": {}}}}}'
-)
-# `repr` writes numbers outside these sizes with an exponent.
-_WITHOUT_EXPONENT = (1e-4, 1e16)
 _KNOTS = ("t", "q", "v", "a")
 # Several times as many as a scene may have via-points.
 _MOST_KNOTS = 100_000
@@ -85,12 +77,10 @@ def motion_files(
     """
     names, table = _table(samples, job=labels is not None)
     _require_numbers(table, names, f"{name}.csv")
-    # Both files have the same numbers, and writing these takes longest.
-    rows = number_rows(table)
     return {
-        f"{name}.csv": _csv(names, rows, labels),
+        f"{name}.csv": _csv(names, table, labels),
         f"{name}.npz": knots_npz(trajectory),
-        f"{name}.ros.json": _ros_json(robot, samples.t, rows),
+        f"{name}.ros.json": _ros_json(robot, samples),
     }
 
 
@@ -142,30 +132,21 @@ def _table(samples: Samples, *, job: bool) -> tuple[tuple[str, ...], FloatArray]
 
 
 def table_csv(names: tuple[str, ...], table: FloatArray, source: str) -> bytes:
-    """Return a table (N, k) of finite numbers with its columns' names as CSV, written by `number_rows`."""
+    """Return a table (N, k) of finite numbers with its columns' names as CSV, each in as few digits as do."""
     _require_numbers(table, names, source)
-    return _csv(names, number_rows(table))
+    return _csv(names, table)
 
 
-def _csv(names: tuple[str, ...], rows: list[list[str]], labels: Sequence[str] | None = None) -> bytes:
-    """Columns' names and rows of text as CSV; `labels` (N,), the names of segments, are a last column."""
-    if labels is not None:
-        names, rows = (*names, _SEGMENT), [[*row, label] for row, label in zip(rows, labels, strict=True)]
-    lines = [",".join(names), *map(",".join, rows), ""]
-    return "\n".join(lines).encode()
+def _csv(names: tuple[str, ...], table: FloatArray, labels: Sequence[str] | None = None) -> bytes:
+    """Columns' names and a table (N, k) as CSV; `labels` (N,), the names of segments, are a last column.
 
-
-def number_rows(table: FloatArray) -> list[list[str]]:
-    """Return the numbers of a table (N, k) as text, row by row: the shortest that reads back as the same.
-
-    pydantic's writer is ten times as fast as `repr`. Where the two differ, `repr` is used.
+    pydantic's writer of JSON is ten times as fast as `repr`: the rows are a list's lists.
     """
-    numbers, size, width = table.ravel().tolist(), np.abs(table.ravel()), table.shape[1]
-    cells = to_json(numbers, inf_nan_mode="constants").decode("ascii")[1:-1].split(",")
-    least, most = _WITHOUT_EXPONENT
-    for k in np.flatnonzero(~((size >= least) & (size < most))).tolist():
-        cells[k] = repr(numbers[k])
-    return [cells[k : k + width] for k in range(0, table.size, width)]
+    text = to_json(table.tolist(), inf_nan_mode="constants").decode("ascii").replace("Infinity", "inf")
+    rows = text[2:-2].split("],[") if len(table) else []
+    if labels is not None:
+        names, rows = (*names, _SEGMENT), [f"{row},{label}" for row, label in zip(rows, labels, strict=True)]
+    return "\n".join([",".join(names), *rows, ""]).encode()
 
 
 def largest_table(rows: float, columns: int) -> int:
@@ -233,27 +214,22 @@ def _require_numbers(table: FloatArray, names: tuple[str, ...], source: str) -> 
 # ROS 2
 
 
-def _ros_json(robot: Robot, t: FloatArray, rows: list[list[str]]) -> bytes:
-    """Samples at times `t` (N,), s, all finite, as a ``trajectory_msgs/JointTrajectory``.
-
-    `rows` are those of the samples' table.
-    """
-    message = {
-        "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""},
-        "joint_names": list(robot.joints),
-        "points": [],
-    }
-    n = robot.dof
-    # Of the kinds of joint columns all but the jerk.
-    parts = [slice(1 + k * n, 1 + (k + 1) * n) for k in (0, 1, 2, 4)]
-    nanoseconds = np.rint(1e9 * (t - t[0])).astype(np.int64).tolist()
+def _ros_json(robot: Robot, samples: Samples) -> bytes:
+    """Samples, all of them finite, as a ``trajectory_msgs/JointTrajectory``."""
+    nanoseconds = np.rint(1e9 * (samples.t - samples.t[0])).astype(np.int64).tolist()
+    joints = (each.tolist() for each in (samples.q, samples.v, samples.a, samples.joint_torque))
     points = [
-        _ROS_POINT.format(*(", ".join(row[part]) for part in parts), *divmod(time, 10**9))
-        for row, time in zip(rows, nanoseconds, strict=True)
+        {
+            "positions": q,
+            "velocities": v,
+            "accelerations": a,
+            "effort": effort,
+            "time_from_start": {"sec": time // 10**9, "nanosec": time % 10**9},
+        }
+        for q, v, a, effort, time in zip(*joints, nanoseconds, strict=True)
     ]
-    # Nearly all of the file are numbers, and json writes them slowly.
-    head, end = json_bytes(message).decode().rsplit("]", 1)
-    return f"{head}{', '.join(points)}]{end}".encode()
+    header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
+    return to_json({"header": header, "joint_names": robot.joints, "points": points}) + b"\n"
 
 
 # Knots

@@ -1,7 +1,9 @@
-"""What is refused of knots and tables; numbers as text are what Python's `repr` has."""
+"""What is refused of knots and tables; numbers as text have the digits of Python's `repr`."""
 
 import io
 import zipfile
+from decimal import Decimal
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +13,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from plan_folders import npz, refused, rewrite
 
-from cmbot.archive.motion_files import columns, number_rows, read_knots, read_motion, table_csv
+from cmbot.archive.motion_files import _LONGEST_CELL, columns, read_knots, read_motion, table_csv
 from cmbot.common.errors import ArchiveError
+from cmbot.trajectory import LARGEST
 
 
 def knots_with(**changes):
@@ -145,5 +148,16 @@ def test_nothing_but_a_clearance_may_be_infinite():
 @given(arrays.arrays(np.float64, st.tuples(st.integers(0, 6), st.integers(1, 6))))
 # Sizes at which the form changes.
 @example(np.outer([1.0, -1.0, 1 + 2**-52, 1 - 2**-53], 10.0 ** np.arange(-30, 30)))
-def test_every_number_is_its_repr(table: np.ndarray) -> None:
-    assert number_rows(table) == [list(map(repr, row)) for row in table.tolist()]
+def test_every_number_has_the_digits_of_its_repr(table: np.ndarray) -> None:
+    """They read back as the same bits, also the sign of zero, and are no longer than tables are taken for."""
+    table = table[np.isfinite(table).all(axis=1) & (np.abs(table) <= LARGEST).all(axis=1)]
+    names = tuple(f"column_{k}" for k in range(table.shape[1]))
+    header, *lines = table_csv(names, table, "FILE").decode().splitlines()
+    assert header == ",".join(names)
+    cells = [line.split(",") for line in lines]
+    read = np.array([list(map(float, row)) for row in cells]).reshape(table.shape)
+    assert read.tobytes() == np.ascontiguousarray(table).tobytes()
+    for cell, number in zip(chain.from_iterable(cells), table.ravel().tolist(), strict=True):
+        digits, shortest = (Decimal(text).normalize().as_tuple().digits for text in (cell, repr(number)))
+        assert digits == shortest
+        assert len(cell) < _LONGEST_CELL
