@@ -106,14 +106,19 @@ class FreeSpace:
 
     def shorten(self, path: FloatArray, tries: int = 150) -> FloatArray:
         """Cut corners of a broken line (k, n) where the straight line is free."""
-        rng = np.random.default_rng(0)
+        rng, left, blocked = np.random.default_rng(0), list(range(len(path))), set[tuple[int, int]]()
         for _ in range(tries):
-            if len(path) < 3:
+            if len(left) < 3:
                 break
-            first, second = np.sort(rng.choice(len(path), 2, replace=False))
-            if second - first > 1 and self.straight(path[first], path[second]):
-                path = np.vstack([path[: first + 1], path[second:]])
-        return path
+            first, second = np.sort(rng.choice(len(left), 2, replace=False)).tolist()
+            corner = left[first], left[second]
+            if second - first < 2 or corner in blocked:
+                continue
+            if self.straight(*path[list(corner)]):
+                del left[first + 1 : second]
+            else:
+                blocked.add(corner)
+        return path[left]
 
 
 def _scattered(number: int) -> IntArray:
