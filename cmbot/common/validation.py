@@ -107,6 +107,9 @@ def validated(model: type[T], data: object, source: str, error_type: type[InputE
 
 @cache
 def _adapter(model: Any) -> TypeAdapter[Any]:
+    if issubclass(model, BaseModel):
+        # The adapter then takes the model's own validator, which its instances need anyway.
+        model.model_rebuild()
     return TypeAdapter(model)
 
 
