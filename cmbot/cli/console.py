@@ -20,7 +20,7 @@ from rich.table import Table
 
 from cmbot.common.errors import CmbotError
 from cmbot.common.errors import one_line as flat
-from cmbot.common.installation import scene_folder
+from cmbot.common.installation import shipped_scenes
 from cmbot.common.progress_line import ProgressLine
 
 __all__ = [
@@ -108,7 +108,7 @@ FiguresOption = Annotated[
 
 def complete_scene(begun: str) -> list[str]:
     """Return what a shell may complete a scene's name to: the shipped scenes, and files."""
-    names = [path.stem for path in scene_folder().glob("*.yaml")]
+    names = [*shipped_scenes()]
     folder, _, start = begun.rpartition("/")
     with suppress(OSError):
         found = (entry for entry in os.scandir(folder or ".") if entry.name.startswith(start))

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
-import platform
 import re
 import shutil
 from collections.abc import Sequence
 from dataclasses import asdict
-from importlib import metadata, util
 from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -28,7 +26,7 @@ from cmbot.cli.console import (
 )
 from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError, SceneError
-from cmbot.common.installation import install_command, model_folder, scene_folder
+from cmbot.common.installation import install_command, model_folder, scene_folder, shipped_scenes
 from cmbot.version import __version__
 
 if TYPE_CHECKING:
@@ -231,8 +229,6 @@ def scenes(
 
     Examples: [bold]cmbot scenes[/bold], [bold]cmbot scenes --html scenes.html[/bold]
     """
-    from cmbot.scene import shipped_scenes
-
     shown = {name: _about(name) for name in shipped_scenes()}
     if html is not None:
         require_new(html, force)
@@ -292,6 +288,8 @@ class Symptom(NamedTuple):
 
 def examine() -> list[Symptom]:
     """Return versions and places of all that cmbot uses."""
+    import platform
+
     symptoms = [
         Symptom("cmbot", f"{__version__} from {Path(__file__).parent.parent}"),
         Symptom("python", f"{platform.python_version()} on {platform.platform()}"),
@@ -315,6 +313,8 @@ def examine() -> list[Symptom]:
 
 
 def _package(name: str, module: str) -> Symptom:
+    from importlib import util
+
     try:
         spec = util.find_spec(module)
     except ModuleNotFoundError:  # the package around it is missing
@@ -326,6 +326,9 @@ def _package(name: str, module: str) -> Symptom:
 
 
 def _version(name: str) -> str | None:
+    # Its import takes as long as that of half the command line.
+    from importlib import metadata
+
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:

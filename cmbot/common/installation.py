@@ -13,6 +13,7 @@ __all__ = [
     "model_folder",
     "picture_folder",
     "scene_folder",
+    "shipped_scenes",
 ]
 
 # The import name and the command are cmbot; that name is another project's on the package index.
@@ -35,6 +36,11 @@ def model_folder() -> Path:
 def scene_folder() -> Path:
     """Return the folder with the shipped scene files."""
     return data_folder() / "scenes"
+
+
+def shipped_scenes() -> tuple[str, ...]:
+    """Return the names of the shipped scenes, in alphabetical order."""
+    return tuple(sorted(path.stem for path in scene_folder().glob("*.yaml")))
 
 
 def picture_folder() -> Path:

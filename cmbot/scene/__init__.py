@@ -1,5 +1,6 @@
 """Where the robot works: the scene file, the tool path, obstacles, the guardrail, the planner's options."""
 
+from cmbot.common.installation import shipped_scenes
 from cmbot.scene.base.guardrail import GuardrailFile, feet_at, guardrail_from_file, guardrail_obstacles
 from cmbot.scene.base.hold import HoldFile
 from cmbot.scene.base.identified import IdentifiedBase, IdentifiedSpring, IdentifiedStiffness
@@ -25,7 +26,6 @@ from cmbot.scene.scene_file import (
     scene_from_data,
     scene_from_file,
     scene_path,
-    shipped_scenes,
     update_file,
 )
 from cmbot.scene.stow import STOW

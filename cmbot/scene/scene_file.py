@@ -16,7 +16,7 @@ import numpy as np
 from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.errors import MissingExtra, SceneError
 from cmbot.common.input_files import LARGEST_MESH, read_csv, read_input
-from cmbot.common.installation import scene_folder
+from cmbot.common.installation import scene_folder, shipped_scenes
 from cmbot.common.robot_library import LIBRARY, LIBRARY_EXTRA, is_robot_name, library_robots
 from cmbot.common.validation import counted, given_path, hint, plain, shown, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml
@@ -32,7 +32,7 @@ from cmbot.scene.scene import FORMAT, RobotFile, RobotSource, Scene, SceneFile
 from cmbot.scene.stow import start_posture
 from cmbot.scene.tool import Tool
 
-__all__ = ["load_scene", "scene_from_data", "scene_from_file", "scene_path", "shipped_scenes", "update_file"]
+__all__ = ["load_scene", "scene_from_data", "scene_from_file", "scene_path", "update_file"]
 
 _LONGEST_SOURCE = 300
 # Feet hold where they did when the stiffness was measured, m.
@@ -161,11 +161,6 @@ def _waypoints(source: Path) -> list[list[float]]:
         got = counted(len(waypoints), "waypoint")
         raise SceneError(str(source), "", got, f"{FEWEST_WAYPOINTS} or more below the names of the columns")
     return waypoints
-
-
-def shipped_scenes() -> tuple[str, ...]:
-    """Return the names that `load_scene` knows, in alphabetical order."""
-    return tuple(sorted(path.stem for path in scene_folder().glob("*.yaml")))
 
 
 def scene_from_file(

@@ -61,12 +61,14 @@ def test_importing_cmbot_loads_nothing_heavy_and_a_name_what_it_needs() -> None:
     assert "matplotlib" not in loaded_by("import cmbot\ncmbot.plot, cmbot.replay")
 
 
-@pytest.mark.parametrize("words", [["--help"], ["plan", "--help"], ["--version"], ["plan", "nosuch"]])
+@pytest.mark.parametrize(
+    "words", [["--help"], ["plan", "--help"], ["--version"], ["scenes"], ["doctor"], ["plan", "nosuch"]]
+)
 def test_the_command_line_loads_the_robot_only_when_it_is_needed(words: list[str]) -> None:
     loaded = loaded_by(run_by(words))
     assert "typer" in loaded
     assert not loaded & {"pinocchio", "coal", "meshcat", "trimesh"}
-    assert "scipy" not in loaded or "nosuch" in words  # a scene's poses are made with it
+    assert not loaded & {"numpy", "scipy"} or "nosuch" in words  # a scene's poses are made with them
 
 
 def test_planning_loads_nothing_that_it_does_not_use(tmp_path: Path) -> None:
