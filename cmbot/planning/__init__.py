@@ -44,7 +44,7 @@ from cmbot.planning.result.baseline import BaselineSegment
 from cmbot.planning.result.plan import Plan, Seconds, require_plan
 from cmbot.planning.result.remarks import remarks
 from cmbot.planning.result.stroke_plan import ObjectiveMetrics, Start, StrokePlan, objective_metrics
-from cmbot.planning.result.verdict import bound_use, during, promises, tightest_check, verdict
+from cmbot.planning.result.verdict import bound_use, during, left_out, promises, tightest_check, verdict
 from cmbot.planning.selfmotion.followed_bound import quick_bound
 from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
@@ -106,6 +106,7 @@ __all__ = [
     "free_move_name",
     "free_space",
     "job_metrics",
+    "left_out",
     "measure",
     "modelled_stiffness",
     "objective_metrics",

@@ -18,6 +18,7 @@ from cmbot.planning import (
     Plan,
     bound_use,
     during,
+    left_out,
     promises,
     remarks,
     require_plan,
@@ -317,11 +318,11 @@ def _verdict(plan: Plan, tracking: Tracking | None) -> str:
     """Return what comes first: whether promises are kept, what they leave out, what the base must bear."""
     kept = all(check.holds for _, check in plan.job.checks())
     left = [] if tracking is None else [beyond_margin(plan, tracking)]
-    if unreached := sum(one.unreached for one in plan.coverage.values()):
-        left.append(f"Of the surface {unreached:.3g} m2 are not reached.")
+    if missing := left_out(plan):
+        left.append(f"Of the surface {missing}.")
     first = " ".join(filter(None, [promises(plan), *left]))
     state = "bad" if not kept else "worse" if any(left) else "good"
-    return f'<p class="verdict {state}"><b>{escape(first)}</b> {escape(verdict(plan))}</p>'
+    return f'<p class="verdict {state}"><b>{escape(first)}</b> {escape(verdict(plan, area=False))}</p>'
 
 
 def _card(headline: Headline) -> str:

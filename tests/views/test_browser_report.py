@@ -457,6 +457,35 @@ def test_nothing_is_written_over_curves_cards_and_controls(shown: Chrome, width:
     assert beyond < -8
 
 
+def test_a_levels_name_is_not_struck_through_by_a_curve_of_few_points(shown: Chrome) -> None:
+    t, y = pack(np.array([0.0, 10.0])), pack(np.array([1.08, 1.08]))  # a straight line just above the level
+    curve = {"motion": "planned", "thin": False, "t": t, "y": y, "starts": []}
+    spec = {"title": "line", "unit": "Nm", "digits": 1, "axis": [0, 2], "bounds": [None, None]}
+    spec |= {"curves": [curve], "marks": [[1, "a level's name"]], "free": ""}
+    timeline = {"start": 0, "workStart": 0, "workEnd": 10, "end": 10, "legTimes": [], "moves": []}
+    level, name = shown.execute_script(
+        """const chart = new Chart(arguments[0], arguments[1], () => {});
+        document.body.append(chart.figure);
+        chart.draw(600);
+        const at = (kind) => Number(chart.svg.querySelector(kind[0]).getAttribute(kind[1]));
+        const found = [[".mark", "y1"], [".mark-name", "y"]].map(at);
+        chart.figure.remove();
+        return found;""",
+        spec,
+        timeline,
+    )
+    assert name > level + 8  # below it, where no curve is
+
+
+@pytest.mark.parametrize("size", [(1280, 2000), (1000, 1100)])
+def test_a_window_taller_than_wide_has_the_view_above_the_plots(shown: Chrome, size: tuple[int, int]) -> None:
+    with screen(shown, *size):
+        view, plots = (shown.find_element("id", name).rect for name in ("view", "plots"))
+    assert view["width"] == pytest.approx(plots["width"], abs=2)
+    assert 0.4 * view["width"] < view["height"] < 0.75 * view["width"]
+    assert view["y"] + view["height"] <= plots["y"]
+
+
 @pytest.mark.parametrize("width", [1280, 390])
 def test_tables_keep_words_whole_and_say_that_they_scroll(shown: Chrome, width: int) -> None:
     with screen(shown, width):

@@ -66,8 +66,11 @@ def test_the_banner_tells_what_of_a_raster_is_not_reached(triangle_plan: Plan) -
     # A cached property: set as it would be computed.
     plan.__dict__["coverage"] = {"work": Coverage(area=0.08, left_out=0.02, unreached=0.02)}
     kept = "<b>Every promise is kept: 22 checks hold at all times."
-    said = "Of the surface 0.02 m2 are not reached."
-    assert f'<p class="verdict worse">{kept} {said}</b>' in report_page(plan)
+    said = "Of the surface 0.02 of 0.08 m2 are not reached."
+    page = report_page(plan)
+    assert f'<p class="verdict worse">{kept} {said}</b>' in page
+    banner = page.partition('<p class="verdict')[2].partition("</p>")[0]
+    assert banner.count("not reached") == 1
 
 
 def test_it_is_written_whole_or_not_at_all(

@@ -14,7 +14,7 @@ from cmbot.planning.job import Job, Segment
 from cmbot.planning.result.plan import Plan
 from cmbot.robot import Dynamics
 
-__all__ = ["bound_use", "during", "promises", "strays", "tightest_check", "verdict"]
+__all__ = ["bound_use", "during", "left_out", "promises", "strays", "tightest_check", "verdict"]
 
 # Peaks that differ by less, as a share of them, are the same.
 _SAME = 1e-3
@@ -24,12 +24,14 @@ _LITTLE = 1e-2
 _STRAYS = 10.0
 
 
-def verdict(plan: Plan) -> str:
+def verdict(plan: Plan, *, area: bool = True) -> str:
     """Return in a sentence or two what the base must bear, where, and how near the tightest promise is.
 
     Parameters
     ----------
     plan : Plan
+    area : bool
+        Whether it tells what of the rasters is not reached, too; `left_out` does that alone.
     """
     base, job = plan.scene.base_name, plan.job
     peak, before = (figures.peak_guardrail_torque for figures in (job.figures, plan.baseline_job_figures))
@@ -42,14 +44,26 @@ def verdict(plan: Plan) -> str:
     if len(job.segments) > 1:
         work, other = (figures.peak_guardrail_torque for figures in (plan.figures, plan.baseline_figures))
         text += f"; the work alone {work:.1f} Nm (baseline {other:.1f} Nm)"
-    if unreached := sum(one.unreached for one in plan.coverage.values()):
-        area = sum(one.area for one in plan.coverage.values())
-        text += f"; {unreached:.3g} of {area:.3g} m2 are not reached"
+    if area and (missing := left_out(plan)):
+        text += f"; {missing}"
     segment, check = tightest_check(job)
     return (
         f"{text}. Tightest promise: {check.quantity} {during(segment, job)}, at {check.time:.1f} s, "
         f"{100 * bound_use(check):.0f} % of its bound{_room(check)}."
     )
+
+
+def left_out(plan: Plan) -> str:
+    """Return in words what of the rasters is not reached; empty where nothing is left out.
+
+    Parameters
+    ----------
+    plan : Plan
+    """
+    area, unreached = (
+        sum(getattr(one, name) for one in plan.coverage.values()) for name in ("area", "unreached")
+    )
+    return f"{unreached:.3g} of {area:.3g} m2 are not reached" if unreached else ""
 
 
 def promises(plan: Plan) -> str:

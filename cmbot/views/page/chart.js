@@ -150,8 +150,12 @@ class Chart {
   }
 
   timeAt(clientX) {
-    const { start, end } = this.timeline, { left, right } = this.inset, box = this.svg.getBoundingClientRect();
-    const x = ((clientX - box.left) / box.width) * this.width;
+    const box = this.svg.getBoundingClientRect();
+    return this.timeOf(((clientX - box.left) / box.width) * this.width);
+  }
+
+  timeOf(x) {
+    const { start, end } = this.timeline, { left, right } = this.inset;
     return start + ((x - left) / (this.width - left - right)) * (end - start);
   }
 
@@ -240,20 +244,22 @@ class Chart {
   // Where a level's name hides least of the curves: above or below the level, somewhere along the axis.
   freePlace(y, long) {
     const { left, right, top, bottom } = this.inset, last = this.width - right - long - 5;
-    const places = [y - 4, y + 13].flatMap((base) => [1, 0.75, 0.5, 0.25, 0].map((share) => [left + 5 + share * (last - left - 5), base]));
-    const hidden = ([x, base]) => {
+    const places = [y - 4, y + 13].flatMap((base) => [8, 7, 6, 5, 4, 3, 2, 1, 0].map((k) => [left + 5 + (k / 8) * (last - left - 5), base]));
+    // A long straight line has few points: curves are followed from pixel to pixel, and lead from above to below.
+    return leastHidden(places, ([x, base]) => {
       if (base - 11 < top || base > this.height - bottom) return Infinity;
       let count = 0;
-      for (const { t, y: values } of this.curves) {
-        for (let k = 0; k < t.length; k += 1) {
-          const at = this.x(t[k]), height = this.y(values[k]);
-          if (at > x - 3 && at < x + long + 3 && height > base - 13 && height < base + 4) count += 1;
+      for (const curve of this.curves) {
+        let last = null;
+        for (let at = x - 3; at < x + long + 3; at += 2) {
+          const value = curve.at(this.timeOf(at)), height = value === null ? null : this.y(value);
+          const [high, low] = [Math.min(height, last ?? height), Math.max(height, last ?? height)];
+          if (height !== null && low > base - 13 && high < base + 4) count += 1;
+          last = height;
         }
       }
       return count;
-    };
-    const counts = places.map(hidden);
-    return places[counts.indexOf(Math.min(...counts))];
+    });
   }
 
   // Above and below the frame of a small plot: the ends of its axis, and each motion's share of the bounds.

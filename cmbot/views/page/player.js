@@ -228,17 +228,25 @@ class Player {
     this.put("torque-label", newtonMetres(stage.torque[motion].length()));
     this.placeLabel(ui["torque-label"], stage.arrow.tip, part, stage.withArrow);
     const between = near.from.clone().lerp(near.to, 0.5);
-    this.placeLabel(ui["near-label"], between, part, near.on, 34);
-    if (near.on && overlap(ui["torque-label"], ui["near-label"])) this.placeLabel(ui["near-label"], between, part, true, 62);
+    for (const below of [34, 62, -30, -58]) {
+      this.placeLabel(ui["near-label"], between, part, near.on, below);
+      if (!near.on || !overlap(ui["torque-label"], ui["near-label"])) break;
+    }
   }
 
   placeLabel(label, point, part, visible, below = 8) {
     label.hidden = !visible;
     const [x, y] = this.stage.onScreen(point, part), half = label.offsetWidth / 2 + 4;
-    const across = Math.max(Math.min(x, part.left + part.wide - half), part.left + half);
+    const across = Math.max(Math.min(x, part.left + part.wide - half), part.left + part.edge + half);
     const down = Math.min(y + below, part.top + part.high - part.below - label.offsetHeight - 4);
     label.style.transform = `translate(${across.toFixed(1)}px, ${down.toFixed(1)}px) translateX(-50%)`;
   }
+}
+
+// The place of some at which least is counted; undefined of none.
+function leastHidden(places, count) {
+  const counts = places.map(count);
+  return places[counts.indexOf(Math.min(...counts))];
 }
 
 function overlap(...labels) {

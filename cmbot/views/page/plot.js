@@ -1,5 +1,6 @@
 // The norm of the torque over time, above the slider and in step with its thumb.
 const INSET = 8;  // half a slider's thumb, px
+const TITLE = 12;  // where words stand, px
 
 class TorquePlot {
   constructor(canvas, data, phases, peak) {
@@ -18,7 +19,7 @@ class TorquePlot {
   }
 
   y(torque) {
-    return this.height - 3 - (torque / this.peak) * (this.height - 16);
+    return this.height - 3 - (torque / this.peak) * (this.height - 18);
   }
 
   draw(now) {
@@ -32,23 +33,24 @@ class TorquePlot {
     this.pen.font = "11px system-ui, sans-serif";
     const style = getComputedStyle(document.documentElement);
     this.colour = (name) => style.getPropertyValue(`--${name}`);
-    for (const phase of this.phases) if (phase.free) this.shade(phase);
+    // Words stand above the curves.
+    const title = `Torque on the ${this.data.base}, 0 to ${newtonMetres(this.peak)}`, left = this.x(this.data.workStart) + 6;
+    for (const phase of this.phases) if (phase.free) this.shade(phase, left + this.pen.measureText(title).width);
     for (const time of this.data.legTimes) this.upright(time, this.colour("line"), 1);
     this.line([[this.x(this.data.start), this.y(0)], [this.x(this.data.end), this.y(0)]], this.colour("line"), 1);
     for (const phase of this.phases) this.drawPhase(phase);
     this.drawLowerBound();
-    const title = `Torque on the ${this.data.base}, 0 to ${newtonMetres(this.peak)}`;
-    this.text(title, this.x(this.data.workStart) + 6, this.height - 8);
+    this.text(title, left, TITLE);
     this.upright(now, this.colour("ink"), 1.5);
   }
 
-  // A free move, with its label, or its name where there is less room.
-  shade({ start, end, label, free }) {
+  // A free move, with its label, or its name where there is less room; none where the title is.
+  shade({ start, end, label, free }, title) {
     this.pen.fillStyle = this.colour("free-move");
     this.pen.fillRect(this.x(start), 0, this.x(end) - this.x(start), this.height);
     const room = this.x(end) - this.x(start) - 8;
     const shown = [label, free].find((text) => this.pen.measureText(text).width <= room);
-    if (shown) this.text(shown, this.x(start) + 4, this.height - 8);
+    if (shown && (start < this.data.workStart || this.x(start) > title)) this.text(shown, this.x(start) + 4, TITLE);
   }
 
   drawPhase(phase) {
@@ -68,8 +70,26 @@ class TorquePlot {
     this.line([[this.x(workStart), this.y(floor)], [this.x(workEnd), this.y(floor)]], this.colour("ink"), 1);
     this.pen.setLineDash([]);
     if (this.height < 50) return;  // no room for its label
-    const label = `${floorName} ${newtonMetres(floor)}`, right = this.x(workEnd) - 4;
-    this.text(label, right - this.pen.measureText(label).width, this.y(floor) + 12);
+    const label = `${floorName} ${newtonMetres(floor)}`, room = this.x(workEnd) - this.x(workStart) - 8;
+    const wide = this.pen.measureText(label).width;
+    const shares = wide < room ? [1, 0.75, 0.5, 0.25, 0] : [1];
+    const places = [12, -4].flatMap((below) => shares.map((share) => [this.x(workEnd) - 4 - wide - (1 - share) * (room - wide), this.y(floor) + below]));
+    this.text(label, ...leastHidden(places.filter(([, y]) => y > TITLE + 12 && y < this.height - 2), ([x, y]) => this.crossed(x, y, wide)) ?? places[0]);
+  }
+
+  // How often curves cross words at a place, every few pixels.
+  crossed(x, y, wide) {
+    let count = 0;
+    for (const { start, end, motions } of this.phases) {
+      for (const { norms } of Object.values(motions)) {
+        for (let at = Math.max(x, this.x(start)); at < Math.min(x + wide, this.x(end)); at += 4) {
+          const share = (at - this.x(start)) / (this.x(end) - this.x(start));
+          const height = this.y(norms[Math.round(share * (norms.length - 1))]);
+          if (height > y - 11 && height < y + 3) count += 1;
+        }
+      }
+    }
+    return count;
   }
 
   upright(time, colour, wide) {

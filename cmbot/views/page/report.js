@@ -67,7 +67,7 @@ start((data) => {
   function fitView() {
     const view = document.getElementById("view"), bar = document.getElementById("bar");
     const top = Math.max(view.parentElement.getBoundingClientRect().top, 10);
-    const beside = window.matchMedia("(min-width: 901px)").matches;
+    const beside = window.matchMedia("(min-width: 901px)").matches && !window.matchMedia("(max-aspect-ratio: 1/1)").matches;
     view.style.height = beside ? `${Math.max(window.innerHeight - bar.offsetHeight - top - 12, 260)}px` : "";
   }
   fitView();
