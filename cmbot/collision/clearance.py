@@ -203,6 +203,12 @@ class Clearances:
         self._update_jacobians(q)
         return self._nearest(pair, self._measured_at(pair))
 
+    def nearest_points(self, q: FloatArray, pair: int) -> FloatArray:
+        """Return those points alone, one after the other, (6,), which is quicker."""
+        self._place_shapes(q)
+        result = self._measured_at(pair)
+        return np.concatenate([result.getNearestPoint1(), result.getNearestPoint2()])
+
     def _nearest(self, pair: int, result: Any) -> Nearest:
         first, second = self._shapes[pair]
         point, other_point = result.getNearestPoint1(), result.getNearestPoint2()

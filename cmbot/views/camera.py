@@ -75,7 +75,7 @@ def focus_on(cloud: FloatArray, azimuth: float, rise: float = RISE, room: float 
     """Return what `focus_of` does for points (K, 3) in W, with `room` about them, m."""
     low, high = cloud.min(axis=0) - room, cloud.max(axis=0) + room
     # Those that are outermost along some direction decide what is seen.
-    outermost = cloud[(cloud @ _DIRECTIONS.T).argmax(axis=0)] + room * _DIRECTIONS
+    outermost = cloud[(_DIRECTIONS @ cloud.T).argmax(axis=1)] + room * _DIRECTIONS
     return {
         "centre": ((low + high) / 2).tolist(),
         "radius": max(float(np.linalg.norm(high - low)) / 2, 1e-3),

@@ -9,6 +9,7 @@ import json
 import os
 import uuid
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cache
 from html import escape
 from importlib.metadata import distribution
 from importlib.resources import files
@@ -145,6 +146,7 @@ def _text(name: str) -> str:
     return (_RESOURCES / name).read_text(encoding="utf-8")
 
 
+@cache
 def _viewer_script() -> str:
     """Meshcat's viewer with the notices that its licences require."""
     folder = Path(str(distribution("meshcat").locate_file("meshcat/viewer")))

@@ -230,8 +230,7 @@ class Frames:
             nearest[instead], distance[instead] = other.pair[instead], other.distance[instead]
         for k in np.flatnonzero(distance < self._near):
             number = int(nearest[k])
-            found, shapes = self.clearances.nearest(q[k], number), self.clearances.pairs[number]
-            points[k] = np.concatenate([found.point, found.other_point])
+            points[k], shapes = self.clearances.nearest_points(q[k], number), self.clearances.pairs[number]
             pairs[k] = self.pairs.setdefault(f"{shapes.link}{_BETWEEN}{shapes.other}", len(self.pairs))
         return points, pairs
 

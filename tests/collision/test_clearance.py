@@ -62,6 +62,8 @@ def test_distance_and_nearest_points_to_an_obstacle(
                 continue
             near = clearances.nearest(q, pair_with(clearances, link))
             assert near.distance == pytest.approx(expected, abs=1e-7)
+            points = clearances.nearest_points(q, pair_with(clearances, link))
+            np.testing.assert_array_equal(points, [*near.point, *near.other_point])
             overlaps += near.distance < 0
             # The points are `distance` apart along `direction`, which leads from the obstacle to the arm.
             assert np.linalg.norm(near.direction) == pytest.approx(1, abs=1e-12)

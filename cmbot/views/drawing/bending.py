@@ -22,6 +22,9 @@ __all__ = ["Bending", "drawn_factor", "most_factor"]
 # Least time between two equilibria, s; the page interpolates.
 _STEP = 0.2
 
+# Coordinates that bend by less than this share of the largest are on a line.
+_STRAIGHT = 1e-9
+
 # Factors with which a page begins, and the largest deflection it then draws, as a share of the reach.
 _FACTORS = (1, 2, 5, 10, 20, 50, 100, 200)
 _DRAWN = 0.08
@@ -89,7 +92,10 @@ class Bending:
     def largest_strain(self, u: FloatArray) -> float:
         """Return the largest strain of guardrail and links at elastic coordinates `u` (N, f)."""
         beams = [self._tubes, None if self._rails is None else self._rails.strains]
-        return max(float(each.largest(u).max(initial=0.0)) for each in beams if each is not None)
+        # A strain is convex in the coordinates: along a straight piece of them it is largest at an end.
+        bent = np.abs(np.diff(u, 2, axis=0)).max(axis=1) > _STRAIGHT * np.abs(u).max(initial=0.0)
+        ends = u[np.concatenate([[True], bent, [True]])[: len(u)]]
+        return max(float(each.largest(ends).max(initial=0.0)) for each in beams if each is not None)
 
     def poses(self, q: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the poses (N, n, 7) of the links' joints and the tool's places (N, 3) in W of the bent arm.
