@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass, replace
@@ -240,7 +241,9 @@ def plan_data(directory: Path) -> dict[str, Any]:
         raise ArchiveError(str(directory), "", got, f"{expected}{plans_nearby(directory)}")
     path = directory / PLAN_FILE
     if not path.exists():
-        raise ArchiveError(str(path), "", "no such file", f"{expected}{plans_nearby(directory)}")
+        # A path leaves out what "." adds.
+        source = f"{directory}{os.sep}{PLAN_FILE}"
+        raise ArchiveError(source, "", "no such file", f"{expected}{plans_nearby(directory)}")
     data = read_json(read_file(path), str(path))
     # Checked first: in another version anything else may differ.
     if data.get("format") not in (FORMAT, EARLIER_FORMAT):

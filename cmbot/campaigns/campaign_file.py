@@ -123,14 +123,15 @@ def read_campaign(path: str | Path) -> tuple[CampaignFile, tuple[Entry, ...]]:
     InputError
         For the first thing that is wrong; a `SceneError` where that is a job's scene.
     """
-    path = given_path(path, "cmbot.campaign", "file", "a campaign file, a CSV table or a folder of scenes")
+    kind = "a campaign file, a CSV table or a folder of scenes"
+    path = given_path(path, "cmbot.campaign", "file", kind)
     if path.is_dir():
         file = CampaignFile(format="cmbot-campaign/1", name=path.resolve().name, folder=str(path.resolve()))
     elif path.suffix.lower() == ".csv":
         file = CampaignFile(format="cmbot-campaign/1", name=path.stem, table=str(path.resolve()))
     else:
         with lines_named(path):
-            file = validated(CampaignFile, read_yaml(path, InputError), str(path), InputError)
+            file = validated(CampaignFile, read_yaml(path, InputError, kind), str(path), InputError)
         file = file.model_copy(update={"name": file.name or path.stem})
     with lines_named(path):
         require_task_name(str(file.name), str(path), "name")

@@ -59,7 +59,6 @@ def campaign(
     import cmbot
 
     with ConsoleProgress(quiet=quiet) as console:
-        console.stage("reading the scenes")
 
         def told(progress: CampaignProgress) -> None:
             # What was up to date took no time.

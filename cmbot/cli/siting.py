@@ -109,7 +109,6 @@ def stand(
         max_torque=float("inf") if max_torque is None else max_torque,
     )
     with ConsoleProgress(quiet=quiet) as progress:
-        progress.stage("listing stances", 0.0)
         standings = find(loaded, options, progress.stage)
     contents = _contents(standings)
     write_files(directory, contents, force=force)
@@ -177,7 +176,6 @@ def walk(
     goal = load_goal(to)
     require_absent(directory, _WALK_FILES, force=force)
     with ConsoleProgress(quiet=quiet) as progress:
-        progress.stage("listing stances", 0.0)
         walked = find(loaded, goal, WalkOptions(spacing=spacing, speed=speed), progress.stage)
     write_files(directory, _walk_contents(walked), force=force)
     if as_json:
@@ -237,7 +235,6 @@ def tour(
         WalkOptions(spacing=spacing, speed=speed),
     )
     with ConsoleProgress(quiet=quiet) as progress:
-        progress.stage("listing stances", 0.0)
         found = find(loaded, standing, walking, progress.stage)
     with new_folder(directory) as draft:
         for part_name, _, part in found.parts:

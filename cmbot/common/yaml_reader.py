@@ -43,7 +43,7 @@ _PLAIN_TYPES = (str, int, float, type(None))  # bool is an int
 _Path = tuple[str | int, ...]
 
 
-def read_yaml(path: str | Path, error_type: type[InputError]) -> dict[str, Any]:
+def read_yaml(path: str | Path, error_type: type[InputError], kind: str = "a file") -> dict[str, Any]:
     """Return the content of a YAML file as plain mappings, lists, text, numbers, booleans and None.
 
     Parameters
@@ -52,6 +52,8 @@ def read_yaml(path: str | Path, error_type: type[InputError]) -> dict[str, Any]:
         The file, at most 2 MB of UTF-8.
     error_type : type
         What to raise: `SceneError`, `ModelError`, …
+    kind : str
+        What the file should be, for messages.
 
     Raises
     ------
@@ -62,7 +64,7 @@ def read_yaml(path: str | Path, error_type: type[InputError]) -> dict[str, Any]:
         and values.
     """
     source = str(path)
-    text = _read_text(Path(path), source, error_type)
+    text = _read_text(Path(path), source, error_type, kind)
     if _XML.match(text):
         expected = "a YAML file of keys and values (cmbot check inspects a URDF)"
         raise error_type(source, "", "XML, such as a URDF", expected)
@@ -141,8 +143,8 @@ def _line_of(path: Path, key: str) -> int | None:
     return lines.get(key)
 
 
-def _read_text(path: Path, source: str, error_type: type[InputError]) -> str:
-    content = read_input(path, error_type, largest=LARGEST_FILE)
+def _read_text(path: Path, source: str, error_type: type[InputError], kind: str = "a file") -> str:
+    content = read_input(path, error_type, kind=kind, largest=LARGEST_FILE)
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

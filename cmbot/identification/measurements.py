@@ -199,7 +199,7 @@ def read_measurements(source: str | Path | Mapping[str, Any]) -> Measurements:
     if str(source) in shipped_scenes() and not path.exists():
         raise _no_sheet(str(source))
     with lines_named(path):
-        data = read_yaml(path, InputError)
+        data = read_yaml(path, InputError, "a file of measurements, or a scene with --propose")
         if str(data.get("format")).startswith("cmbot-scene/"):
             raise _no_sheet(str(source))
         file = validated(MeasurementsFile, data, str(path), InputError)

@@ -5,7 +5,7 @@ from cmbot.siting.footholds import bare_climber, in_the_way, lift_height, withou
 from cmbot.siting.placed_scene import in_world, joined, scene_at
 from cmbot.siting.screening import Screening, screen
 from cmbot.siting.search import StandOptions, Stood
-from cmbot.siting.standing import SHIPPED_ROBOT, Standing, best_scene, stand
+from cmbot.siting.standing import SHIPPED_ROBOT, Standing, best_scene, require_standing, stand
 from cmbot.siting.table import bounds_table, in_words, planned_table, shared_out, stances_csv
 
 __all__ = [
@@ -29,6 +29,7 @@ __all__ = [
     "lift_height",
     "places_of",
     "planned_table",
+    "require_standing",
     "scene_at",
     "screen",
     "shared_out",

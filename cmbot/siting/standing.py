@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cmbot.common.errors import PlanningError, SceneError
+from cmbot.common.errors import InputError, PlanningError, SceneError
 from cmbot.common.validation import counted, shown
 from cmbot.planning import robot_of, strokes_of, task_of
 from cmbot.scene import Scene, update_file
@@ -19,7 +19,7 @@ from cmbot.siting.placed_scene import joined, scene_at, with_strokes
 from cmbot.siting.screening import screen
 from cmbot.siting.search import StandOptions, Stood, judged
 
-__all__ = ["SHIPPED_ROBOT", "Standing", "best_scene", "stand"]
+__all__ = ["SHIPPED_ROBOT", "Standing", "best_scene", "require_standing", "stand"]
 
 SHIPPED_ROBOT = "the shipped robot, an arm on a climber that holds a guardrail"
 """For whose scenes alone stances and steps are sought."""
@@ -100,19 +100,17 @@ def stand(
     SceneError
         When the robot is another one, there is no guardrail, the objective cannot be screened, or scenes have
         not robot, guardrail, tool, return and planner in common.
+    InputError
+        When a member of the options is none of the guardrail.
     PlanningError
         When for some stroke no stance is left.
     """
     options = options or StandOptions()
     scenes = (scenes,) if isinstance(scenes, Scene) else tuple(scenes)
     for one in scenes:
-        _require_standing(one)
+        require_standing(one, options.members)
     scene = joined(scenes)
     progress("listing stances", 0.0)
-    known = scene.file.guardrail.member_names
-    for member in options.members:
-        if member not in known:
-            raise SceneError(scene.source, "guardrail", shown(member), "a member of the guardrail", known)
     candidates = list(candidates_of(scene, options.spacing, options.pair_spacing, options.members))
     robot = robot_of(scene)
     strokes = strokes_of(scene, robot)
@@ -180,10 +178,21 @@ def best_scene(standing: Standing) -> dict[str, Any]:
     return update_file(best).file.as_data()
 
 
-def _require_standing(scene: Scene) -> None:
+def require_standing(scene: Scene, members: Sequence[str] = ()) -> None:
+    """Refuse a scene whose stances cannot be sought, or members that its guardrail has not.
+
+    Raises
+    ------
+    SceneError, InputError
+    """
     if not scene.on_guardrail or not scene.guardrail.post_positions:
-        got = "no guardrail" if scene.on_guardrail else "another robot"
-        raise SceneError(scene.source, "guardrail", got, SHIPPED_ROBOT)
+        key, got = ("guardrail", "none") if scene.on_guardrail else ("robot", "another robot")
+        raise SceneError(scene.source, key, got, SHIPPED_ROBOT)
     if scene.planner.objective == "sag":
         expected = "torque or hold, by which stances are screened"
         raise SceneError(scene.source, "planner.objective", "sag", expected)
+    known = scene.file.guardrail.member_names
+    for member in members:
+        if member not in known:
+            expected = f"a member of the guardrail of {scene.name}"
+            raise InputError("members (--on)", "", shown(member), expected, known)

@@ -83,7 +83,7 @@ def compare_page(plans: Mapping[str, Plan]) -> str:
 
 def _require_alike(plans: Mapping[str, Plan]) -> None:
     if not 2 <= len(plans) <= MOST_PLANS:
-        raise InputError("compare", "plans", len(plans), f"2 to {MOST_PLANS} different plans")
+        raise InputError("cmbot.compare", "plans", len(plans), f"2 to {MOST_PLANS} different plans")
     (first, plan), *others = plans.items()
     for name, other in others:
         if (link_names(other.robot), other.robot.joints) != (link_names(plan.robot), plan.robot.joints):

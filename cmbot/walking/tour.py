@@ -13,7 +13,17 @@ from cmbot.common.errors import CmbotError, PlanningError
 from cmbot.common.validation import counted
 from cmbot.planning import Plan
 from cmbot.scene import Scene
-from cmbot.siting import Candidate, Standing, StandOptions, Stood, joined, scene_at, shared_out, stand
+from cmbot.siting import (
+    Candidate,
+    Standing,
+    StandOptions,
+    Stood,
+    joined,
+    require_standing,
+    scene_at,
+    shared_out,
+    stand,
+)
 from cmbot.version import __version__
 from cmbot.walking.balance import Balance
 from cmbot.walking.walk import Walk, WalkOptions, walk
@@ -126,6 +136,8 @@ def tour(
     >>> found = cmbot.tour(cmbot.load_scene("two_brackets"))  # doctest: +SKIP
     """
     scenes = (scenes,) if isinstance(scenes, Scene) else tuple(scenes)
+    for one in scenes:
+        require_standing(one, (stand_options or StandOptions()).members)
     world = joined(scenes)
     progress("listing postures of the arm", 0.0)
     balance = Balance(world, np.array(world.posture))

@@ -163,6 +163,9 @@ def walk(
     options = options or WalkOptions()
     first = stance_of(scene)
     last = stance_of(to) if isinstance(to, Scene) else _stance_from(to, scene)
+    if last.stance == first.stance:
+        expected = "another stance than the one to walk to: the robot stands there already"
+        raise SceneError(scene.source, "guardrail.stance", "the same", expected)
     posture = np.array(scene.posture)
     progress("listing stances", 0.0)
     balance, world = Balance(scene, posture), in_world(scene)
@@ -308,8 +311,8 @@ def stance_of(scene: Scene) -> Candidate:
         When it does not stand on a member of a guardrail.
     """
     if not scene.on_guardrail or not scene.guardrail.post_positions:
-        got = "no guardrail" if scene.on_guardrail else "another robot"
-        raise SceneError(scene.source, "guardrail", got, SHIPPED_ROBOT)
+        key, got = ("guardrail", "none") if scene.on_guardrail else ("robot", "another robot")
+        raise SceneError(scene.source, key, got, SHIPPED_ROBOT)
     stance = scene.robot.stance
     if scene.file.guardrail.stance is not None and stance is not None:
         file = scene.file.guardrail.stance

@@ -22,7 +22,7 @@ def test_a_plan_directory_nearby_is_asked_for(triangle_folder, tmp_path, monkeyp
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ArchiveError, match=r"; did you mean plan\?$") as caught:
         load_plan(".")
-    assert (caught.value.source, caught.value.got) == ("plan.json", "no such file")
+    assert (caught.value.source, caught.value.got) == ("./plan.json", "no such file")
     triangle_folder.parent.joinpath("out").mkdir()
     triangle_folder.rename(tmp_path / "out" / "line")
     with pytest.raises(ArchiveError, match=r"line: no such folder, .*; did you mean out/line\?$"):

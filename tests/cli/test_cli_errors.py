@@ -5,6 +5,7 @@ import json
 import re
 import signal
 import tomllib
+from collections import Counter
 from importlib import metadata, util
 from pathlib import Path
 from types import ModuleType
@@ -12,6 +13,7 @@ from typing import Any
 from unittest.mock import Mock
 
 import pytest
+import typer
 from command_line import ROOT, Outcome, one_line, output, refusal, run, run_apart, write_scene
 from small_scenes import SHORT
 
@@ -40,6 +42,7 @@ FILES = {
     "option.yaml": json.dumps({**SHORT, "planner": {"knots": "slidin"}}),
     "model.yaml": json.dumps({**SHORT, "robot": {"model": "cmbto"}}),
     "frame.yaml": json.dumps({**SHORT, "robot": {**FRAMES, "base_frame": "arm_bas"}}),
+    "other.yaml": json.dumps({**SHORT, "robot": FRAMES}),
     "joints.yaml": json.dumps({**SHORT, "posture_deg": [0, 0]}),
     "binary.yaml": b"\xff\xfe\x00",
     "broken.urdf": "<robot",
@@ -101,6 +104,63 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
     ("plan short.yaml line", ("unexpected extra argument",)),
     ("paln short.yaml", ("No such command 'paln'",)),
     ("doctor now", ("unexpected extra argument",)),
+    ("doctor --json", ("No such option: --json. See: cmbot doctor --help",)),
+    ("doctor -o x", ("No such option: -o. See: cmbot doctor --help",)),
+    ("schema now", ("unexpected extra argument",)),
+    ("schema --json", ("No such option: --json. See: cmbot schema --help",)),
+    ("schema -o x", ("No such option: -o. See: cmbot schema --help",)),
+    ("scenes now", ("unexpected extra argument",)),
+    ("scenes --html empty.yaml", ("empty.yaml: got a file that is already there", "a new file, or --force")),
+    ("scenes --html empty.yaml/x.html", ("empty.yaml/x.html: got ", "expected ")),
+    ("check panda --write-srdf empty.yaml", ("--write-srdf: got empty.yaml", "path of a new file")),
+    ("check short.yaml --write-srdf x.srdf", ("--write-srdf: got a scene", "a URDF to check")),
+    ("new", ("--from: got nothing", "--from URDF and --tool-at X Y Z, or --from-scene SCENE")),
+    ("new --from nosuch --tool-at .5 0 .4", ("nosuch: no such file", "a URDF file, or the name of a robot")),
+    ("new --from panda --tool-at .5 0 .4 -o empty.yaml", ("empty.yaml: got a file that", "or --force")),
+    ("new --from panda --tool hand --tool-at .5 0 .4", ("--tool: got 'hand'", "(one of: panda_link0, ")),
+    ("stand nosuch", ("nosuch: no such file, expected a scene file",)),
+    ("stand other.yaml", ("other.yaml: robot: got another robot, expected the shipped robot",)),
+    ("stand short.yaml --on moon", ("members (--on): got 'moon', expected a member", "(one of: top_rail,")),
+    ("stand short.yaml --max-torque -5", ("'--max-torque'", "0. See: cmbot stand --help")),
+    (
+        "stand short.yaml -o empty.yaml",
+        ("empty.yaml: got a file of that name, expected ",),
+    ),
+    ("stand short.yaml --objective sag", ("--objective: got sag", "(one of: torque, hold)")),
+    ("walk short.yaml", ("Missing option '--to'. See: cmbot walk --help",)),
+    ("walk short.yaml --to nosuch.yaml", ("nosuch.yaml: no such file, expected a scene file",)),
+    ("walk other.yaml --to short.yaml", ("other.yaml: robot: got another robot",)),
+    ("walk short.yaml --to short.yaml", ("guardrail.stance: got the same", "the robot stands there already")),
+    ("tour", ("Missing argument 'SCENE'. See: cmbot tour --help",)),
+    ("tour other.yaml", ("other.yaml: robot: got another robot, expected the shipped robot",)),
+    ("tour short.yaml --on moon", ("members (--on): got 'moon', expected a member",)),
+    ("tour short.yaml -o no_plan", ("no_plan: got ", "expected ")),
+    (
+        "campaign nosuch.yaml",
+        ("nosuch.yaml: no such file, expected a campaign file, a CSV table",),
+    ),
+    ("campaign list.yaml", ("list.yaml: got [1, 2]", "a mapping")),
+    ("campaign no_plan", ("no_plan: got a campaign without jobs, expected at least one job",)),
+    ("campaign short.yaml --workers 0", ("--workers: got 0, expected a whole number from 1 on",)),
+    ("compare nosuch other", ("nosuch: no such folder, expected a plan directory",)),
+    ("compare nosuch", ("nosuch", "expected ")),
+    ("compare no_plan folder", ("no_plan/plan.json: no such file, expected a plan directory",)),
+    ("report .", ("./plan.json: no such file, expected a plan directory",)),
+    ("report empty.yaml", ("empty.yaml: got a file, not a folder, expected a plan directory",)),
+    ("export nosuch --mcap x.mcap", ("nosuch: no such folder, expected a plan directory",)),
+    ("export no_plan --mcap x.mcap", ("no_plan/plan.json: no such file, expected a plan directory",)),
+    ("export no_plan", ("got nothing to write, expected --mcap or --ros-package",)),
+    ("simulate nosuch", ("nosuch: no such folder, expected a plan directory",)),
+    ("simulate no_plan", ("no_plan/plan.json: no such file, expected a plan directory",)),
+    ("simulate no_plan --servo -1", ("--servo: got -1.0, expected at least 0.1",)),
+    (
+        "identify nosuch",
+        ("nosuch: no such file, expected a file of measurements, or a scene",),
+    ),
+    ("identify triangle", ("triangle: got a scene, expected a file of measurements: cmbot identify",)),
+    ("identify short.yaml --propose 0", ("'--propose'", "1. See: cmbot identify --help")),
+    ("reproduce now", ("unexpected extra argument",)),
+    ("reproduce --runs 3", ("No such option: --runs",)),
 ]
 
 
@@ -121,7 +181,15 @@ def test_bad_input(words: str, parts: tuple[str, ...], folder: Path) -> None:
     line = refusal(*words.split())
     for part in parts:
         assert part in line
+    assert " expected " in line or " See: cmbot " in line
     assert sorted(folder.rglob("*")) == before
+
+
+def test_three_wrong_inputs_of_every_command() -> None:
+    """Each is refused in one line with what was expected, or the help that says it."""
+    tried = Counter(words.split()[0] for words, _ in BAD_INPUT)
+    names = typer.main.get_group(commands.app).commands
+    assert {name: tried[name] for name in names if tried[name] < 3} == {}
 
 
 def test_check_of_a_urdf_without_links() -> None:
