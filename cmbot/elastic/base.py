@@ -56,7 +56,7 @@ class ElasticBase:
     frequencies: FloatArray
 
 
-# Several parts of a plan ask for that of one guardrail.
+# Several parts of a plan ask for that of one guardrail, and so do the jobs of a campaign.
 @lru_cache(maxsize=4)
 def elastic_base(guardrail: Guardrail) -> ElasticBase | None:
     """Return the stiffness at O0: the given one, else that of the guardrail's frame under the feet.

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+
+import numpy as np
 
 from cmbot.common.arrays import FloatArray
 
@@ -115,3 +117,14 @@ class Guardrail:
     foot_point: tuple[float, float, float] = (0.0, 0.0, 0.0)
     footholds: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0),)
     stiffness_factor: float = 1.0
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Guardrail) and self._content == other._content
+
+    def __hash__(self) -> int:
+        return hash(self._content)
+
+    @property
+    def _content(self) -> tuple[object, ...]:
+        each = (getattr(self, field.name) for field in fields(self))
+        return tuple(value.tobytes() if isinstance(value, np.ndarray) else value for value in each)

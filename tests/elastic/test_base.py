@@ -326,6 +326,16 @@ def test_the_shipped_scenes_hold_the_default_guardrail() -> None:
     np.testing.assert_array_equal(elastic_base(guardrail()).frequencies, base.frequencies)
 
 
+def test_equal_guardrails_have_one_base() -> None:
+    K, M = rows(positive_definite(1)), rows(positive_definite(2))
+    blocks = ({}, {"stiffness_factor": 1.5}, {"stiffness": K}, {"stiffness": K, "mass": M})
+    for block in blocks:
+        assert guardrail(**block) == guardrail(**block)
+        assert elastic_base(guardrail(**block)) is elastic_base(guardrail(**block))
+    assert len({guardrail(**block) for block in blocks}) == len(blocks)
+    assert guardrail() != "a guardrail"
+
+
 powers = st.floats(-5, 3).map(lambda power: 10.0**power)
 sections = st.one_of(
     st.builds(lambda d: {"bar": d}, powers),
