@@ -42,6 +42,9 @@ __all__ = ["VibrationSuppression", "suppress_vibration"]
 _ROUNDS, _MOST_SITES = 12, 400
 # Earlier linearizations are kept of what was nearer to its bound than this.
 _NEAR = 0.3
+# Where a constraint of the state is violated by less than the first number, a step goes further than to its
+# bound by the second share of that: about so much a step leaves, and the next one would leave of the rest.
+_SMALL, _FURTHER = 0.1, 0.3
 # Shares of the last change that are tried then, the largest first; the peak may rise by this share at most.
 _SHARES, _PEAK_RISE = (0.75, 0.5, 0.25), 1e-6
 # The largest swing is to fall to this share; an amplitude of the tool below the second number, m, is rest.
@@ -192,11 +195,15 @@ def _shown(
 
 @dataclass(frozen=True)
 class _Held:
-    """Times (K,), values (K,) and derivatives (K, (n - 4) d) by the coefficients of what is held."""
+    """Times (K,), values (K,) and derivatives (K, (n - 4) d) by the coefficients of what is held.
+
+    Those are `curved` (K,) that are constraints of the state.
+    """
 
     times: FloatArray
     value: FloatArray
     rows: sparse.csr_array
+    curved: BoolArray
 
 
 @dataclass(frozen=True)
@@ -285,7 +292,8 @@ class _Search:
         """Work out the change of the windows that are unfit, to first order around the trajectory here."""
         value, rows = self._held.value, self._held.rows
         # What is at its bound, not beyond it, may stay there: some of it no coefficient can change.
-        room = np.where(value <= self._tolerance, np.maximum(-value, 0.0), -value)
+        further = np.where(self._held.curved & (value < _SMALL), 1.0 + _FURTHER, 1.0)
+        room = np.where(value <= self._tolerance, np.maximum(-value, 0.0), -further * value)
         # For the change as a whole.
         new = _HalfSpaces(self._held.times, rows, room + rows @ self._X.ravel())
         known = new.with_others(self._earlier)
@@ -315,7 +323,9 @@ class _Search:
         which = np.concatenate([np.arange(len(known)), at.cut_of])
         derivative = np.concatenate([at.derivative, at.cut_derivative], axis=1)
         rows = splines.jacobian(splines.rows(known.time[which]), derivative)[:, : self._X.size]
-        return _Held(known.time[which], np.concatenate([at.value - limit, at.cut_value]), rows)
+        curved = (known.family != OBJECTIVE) & (known.family <= len(self._problem.constraints))
+        curved = np.append(curved, np.zeros(len(at.cut_of), dtype=np.bool_))
+        return _Held(known.time[which], np.concatenate([at.value - limit, at.cut_value]), rows, curved)
 
 
 def _knot_vector(trajectory: QuinticTrajectory) -> FloatArray:
