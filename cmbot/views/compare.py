@@ -11,7 +11,8 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
-from cmbot.planning import Plan, Samples, promises, verdict
+from cmbot.planning import Plan, Samples, verdict
+from cmbot.simulation import Tracking
 from cmbot.version import __version__
 from cmbot.views.camera import ARROW, focus_of
 from cmbot.views.charts import MOST_SMALL_POINTS, ROOM, Chart, Curve, joint_axes
@@ -27,7 +28,7 @@ from cmbot.views.replay_data import (
     link_names,
     pair_joints,
 )
-from cmbot.views.report import SHARES, section
+from cmbot.views.report import SHARES, judged, section
 
 __all__ = ["MOST_PLANS", "compare_page"]
 
@@ -42,7 +43,7 @@ _WITH_SHARES = 2
 _KEYS = ("planned", *(f"plan_{number}" for number in range(2, MOST_PLANS + 1)))
 
 
-def compare_page(plans: Mapping[str, Plan]) -> str:
+def compare_page(plans: Mapping[str, Plan], trackings: Mapping[str, Tracking | None] | None = None) -> str:
     """Return an HTML page that shows several plans of one arm together, on the clock of their jobs.
 
     Like `report_page`, it opens no connection and runs only its own two scripts. The surroundings are those
@@ -52,6 +53,8 @@ def compare_page(plans: Mapping[str, Plan]) -> str:
     ----------
     plans : mapping of str to Plan
         2 to 6 plans by what the page calls them.
+    trackings : mapping of str to Tracking, optional
+        Of those plans that were simulated: their verdicts say where the bent tool leaves its path.
 
     Raises
     ------
@@ -61,6 +64,7 @@ def compare_page(plans: Mapping[str, Plan]) -> str:
         When a shape cannot be drawn.
     """
     _require_alike(plans)
+    tracked = dict(trackings or {})
     keys = dict(zip(_KEYS, plans, strict=False))
     first = next(iter(plans.values()))
     return assemble(
@@ -71,7 +75,9 @@ def compare_page(plans: Mapping[str, Plan]) -> str:
         texts={
             "title": "Plans compared",
             "made": escape(f"Written by cmbot {__version__}."),
-            "verdict": "".join(_verdict(name, plan, len(plans) < _MANY) for name, plan in plans.items()),
+            "verdict": "".join(
+                _verdict(name, plan, tracked.get(name), len(plans) < _MANY) for name, plan in plans.items()
+            ),
             "cards": "",
             "key": _key(keys, plans),
             "bending": " hidden",
@@ -189,11 +195,11 @@ def _curves(
     return tuple(reversed(curves))
 
 
-def _verdict(name: str, plan: Plan, whole: bool) -> str:
-    kept = all(check.holds for _, check in plan.job.checks())
-    first = f"<summary><b>{escape(name)}.</b> {escape(promises(plan))}</summary>"
-    words = f"{first}{escape(verdict(plan))}</details>"
-    return f'<details class="verdict {"good" if kept else "bad"}"{" open" if whole else ""}>{words}'
+def _verdict(name: str, plan: Plan, tracking: Tracking | None, whole: bool) -> str:
+    state, said = judged(plan, tracking)
+    first = f"<summary><b>{escape(name)}.</b> {escape(said)}</summary>"
+    words = f"{first}{escape(verdict(plan, area=False))}</details>"
+    return f'<details class="verdict {state}"{" open" if whole else ""}>{words}'
 
 
 def _key(keys: Mapping[str, str], plans: Mapping[str, Plan]) -> str:

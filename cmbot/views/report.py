@@ -42,7 +42,7 @@ from cmbot.views.page import STAGE_SCRIPTS, assemble, table, write_page
 from cmbot.views.replay import replay_html
 from cmbot.views.replay_data import replay_data
 
-__all__ = ["REPLAY", "REPORT", "SHARES", "headlines", "pages", "report", "report_page", "section"]
+__all__ = ["REPLAY", "REPORT", "SHARES", "headlines", "judged", "pages", "report", "report_page", "section"]
 
 REPLAY, REPORT = "replay.html", "report.html"
 # Peaks that differ by less, as a share, are the same.
@@ -316,13 +316,18 @@ def _key(plan: Plan) -> str:
 
 def _verdict(plan: Plan, tracking: Tracking | None) -> str:
     """Return what comes first: whether promises are kept, what they leave out, what the base must bear."""
+    state, first = judged(plan, tracking)
+    return f'<p class="verdict {state}"><b>{escape(first)}</b> {escape(verdict(plan, area=False))}</p>'
+
+
+def judged(plan: Plan, tracking: Tracking | None) -> tuple[str, str]:
+    """Return ``good``, ``worse`` or ``bad``, and whether promises are kept and what they leave out."""
     kept = all(check.holds for _, check in plan.job.checks())
     left = [] if tracking is None else [beyond_margin(plan, tracking)]
     if missing := left_out(plan):
         left.append(f"Of the surface {missing}.")
     first = " ".join(filter(None, [promises(plan), *left]))
-    state = "bad" if not kept else "worse" if any(left) else "good"
-    return f'<p class="verdict {state}"><b>{escape(first)}</b> {escape(verdict(plan, area=False))}</p>'
+    return "bad" if not kept else "worse" if any(left) else "good", first
 
 
 def _card(headline: Headline) -> str:

@@ -15,6 +15,7 @@ from selenium.webdriver import Chrome
 from cmbot.archive import save
 from cmbot.common.errors import InputError
 from cmbot.planning import Plan
+from cmbot.simulation import Tracking
 from cmbot.views import compare_page
 
 
@@ -47,6 +48,18 @@ def test_verdicts_and_figures_stand_side_by_side(text: str, short_plan: Plan, st
     values = [float(value) for value in re.findall(r">([\d.]+)<", row[1])]
     peaks = [plan.figures.peak_guardrail_torque for plan in (short_plan, strokes_plan)]
     assert values == pytest.approx(peaks, abs=0.01)
+
+
+def test_a_verdict_is_amber_where_the_bent_tool_leaves_its_path(
+    short_plan: Plan, short_tracking: Tracking
+) -> None:
+    plan = without_shapes(short_plan)
+    page = compare_page({"bent": plan, "rigid": plan}, {"bent": short_tracking, "rigid": None})
+    off = f"{1e3 * short_tracking.planned.largest_off_path:.2f} mm off its path"
+    assert re.search(
+        r'class="verdict worse"[^>]*><summary><b>bent.</b> Every promise[^<]*' + re.escape(off), page
+    )
+    assert re.search(r'class="verdict good"[^>]*><summary><b>rigid.</b> Every promise is kept', page)
 
 
 @pytest.mark.browser

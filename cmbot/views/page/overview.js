@@ -28,7 +28,8 @@ let limit = PAGE;
 
 /* A colour between two for a share from 0 to 1. */
 function shade(share) {
-  const from = [214, 178, 94], to = [16, 104, 138];
+  const dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
+  const [from, to] = dark ? [[240, 200, 110], [70, 175, 220]] : [[214, 178, 94], [16, 104, 138]];
   return `rgb(${from.map((value, k) => Math.round(value + share * (to[k] - value))).join(",")})`;
 }
 
