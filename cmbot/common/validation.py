@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError, create
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from cmbot.common.errors import InputError
+from cmbot.common.short_repr import fields_repr
 
 __all__ = [
     "CheckedFields",
@@ -71,6 +72,10 @@ class FileModel(BaseModel):
 
     # A validator is built when it is first asked for: most commands need a few of all models.
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
+
+    def __repr__(self) -> str:
+        """Its name and what was set, shortly."""
+        return fields_repr(type(self).__name__, {name: getattr(self, name) for name in self.model_fields_set})
 
 
 def validated(model: type[T], data: object, source: str, error_type: type[InputError]) -> T:

@@ -13,6 +13,7 @@ from pydantic import Field
 from scipy.linalg import block_diag
 
 from cmbot.common.arrays import FloatArray, IntArray, read_only
+from cmbot.common.short_repr import short_repr
 from cmbot.common.validation import CheckedFields
 from cmbot.elastic.base import ElasticBase
 from cmbot.robot import Robot, external_forces, turn_axis
@@ -64,6 +65,8 @@ class ElasticArm:
     # (k,), indices among the elastic coordinates of what bends, by its kind and name: ("base", ""),
     # ("link", "link_1"), ("joint", "joint_1")
     springs: Mapping[tuple[str, str], IntArray]
+
+    __repr__ = short_repr
 
     @cached_property
     def external_forces(self) -> Any:

@@ -13,6 +13,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.errors import InputError
+from cmbot.common.short_repr import short_repr
 from cmbot.elastic.beam import SectionConstants, section_constants
 from cmbot.elastic.frame import Frame, Member
 from cmbot.elastic.guardrail import Guardrail
@@ -54,6 +55,8 @@ class ElasticBase:
     stiffness: FloatArray
     mass: FloatArray
     frequencies: FloatArray
+
+    __repr__ = short_repr
 
 
 # Several parts of a plan ask for that of one guardrail, and so do the jobs of a campaign.

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
+from cmbot.common.short_repr import short_repr
 
 __all__ = ["AngleSection", "BarSection", "Guardrail", "GuardrailMaterial", "Post", "Rail", "Section"]
 
@@ -51,6 +52,8 @@ class Post:
     top: float
     box: tuple[float, float]
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True, kw_only=True)
 class Rail:
@@ -73,6 +76,8 @@ class Rail:
     roll: float
     height: float
     box: tuple[float, float]
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,6 +122,8 @@ class Guardrail:
     foot_point: tuple[float, float, float] = (0.0, 0.0, 0.0)
     footholds: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0),)
     stiffness_factor: float = 1.0
+
+    __repr__ = short_repr
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Guardrail) and self._content == other._content

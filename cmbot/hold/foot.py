@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
+from cmbot.common.short_repr import short_repr
 
 __all__ = ["Foot", "mean_distance"]
 
@@ -67,6 +68,8 @@ class Foot:
     force: tuple[float, float, float] | None = None
     moment: tuple[float, float, float] | None = None
     share: FloatArray
+
+    __repr__ = short_repr
 
     @property
     def bounded(self) -> bool:

@@ -17,6 +17,7 @@ from scipy.linalg import block_diag
 from cmbot.collision import Clearances
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import InputError
+from cmbot.common.short_repr import short_repr
 from cmbot.elastic.stiffness_parameters import StiffnessParameters
 from cmbot.identification.estimation import Identification
 from cmbot.identification.measurements import MeasuringSetup
@@ -73,6 +74,8 @@ class Proposal:
     job: FloatArray
     candidates: int
     measured: int = 0
+
+    __repr__ = short_repr
 
     def sheet(self, scene: str) -> str:
         """Return a file of measurements to fill in; `scene` is how it names the scene."""

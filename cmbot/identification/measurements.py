@@ -26,6 +26,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
+from cmbot.common.short_repr import short_repr
 from cmbot.common.validation import FileModel, given_path, plain, refusal, require_type, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml
 from cmbot.identification.records import RingDown, read_record
@@ -174,6 +175,8 @@ class Measurements:
     job: FloatArray | None
     frequency_shares: tuple[FloatArray, ...] = ()
     damping: tuple[float, ...] = ()
+
+    __repr__ = short_repr
 
 
 def read_measurements(source: str | Path | Mapping[str, Any]) -> Measurements:

@@ -11,6 +11,7 @@ import numpy as np
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ModelError, PathNotFound, SceneError
+from cmbot.common.short_repr import short_repr
 from cmbot.common.validation import counted
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm
@@ -79,6 +80,8 @@ class PlanningContext:
     begin: float = 0.0  # s, on the job's clock: what is planned begins there
     reached: float = 0.0  # value of the objective that the job before reaches
     reporter: ProgressReporter = field(default_factory=ProgressReporter)
+
+    __repr__ = short_repr
 
     @property
     def stroke(self) -> Stroke:

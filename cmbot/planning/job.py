@@ -10,6 +10,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
+from cmbot.common.short_repr import short_repr
 from cmbot.hold import AdhesionPeak
 from cmbot.planning.certification.certificate import Certificate
 from cmbot.planning.certification.check import Check
@@ -69,6 +70,8 @@ class Segment:
     task: ToolTask
     along_self_motion: bool = False
 
+    __repr__ = short_repr
+
     @property
     def duration(self) -> float:
         """Its duration, s."""
@@ -121,6 +124,8 @@ class Job:
     """
 
     segments: tuple[Segment, ...]
+
+    __repr__ = short_repr
 
     @property
     def duration(self) -> float:

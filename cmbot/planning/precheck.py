@@ -15,6 +15,7 @@ from cmbot.collision import Clearances, extent_of
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra, PlanningError, SceneError
 from cmbot.common.installation import install_command
+from cmbot.common.short_repr import short_repr
 from cmbot.common.validation import counted
 from cmbot.common.yaml_reader import lines_named
 from cmbot.optimization import piqp_module
@@ -72,6 +73,8 @@ class Precheck:
 
     found: tuple[tuple[str, str], ...]
     warnings: tuple[Finding, ...]
+
+    __repr__ = short_repr
 
 
 def precheck_scene(scene: Scene) -> Precheck:

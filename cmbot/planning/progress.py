@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from cmbot.common.errors import beyond
 from cmbot.common.eta import Eta, Remaining
+from cmbot.common.short_repr import short_repr
 
 if TYPE_CHECKING:
     from cmbot.optimization.exchange import ExchangeReport
@@ -58,6 +59,8 @@ class Progress:
     step: str = ""
     share: float | None = None
     left: Eta | None = None
+
+    __repr__ = short_repr
 
     def sentence(self, *, passes: bool = True) -> str:
         """Return the stage in words, and after an exchange iteration, if wished, its peak and violation."""

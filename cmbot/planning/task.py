@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray, cross
 from cmbot.common.errors import InputError
+from cmbot.common.short_repr import short_repr
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import Keep, ToolPath, ToolPoses, shortest_turns
 
@@ -54,6 +55,8 @@ class ToolTask:
     lean: FloatArray | None = None
     speed_tolerance: float | None = None
     max_base_torque: float | None = None
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         if self.keep not in ("pose", "axis", "position"):

@@ -23,6 +23,7 @@ import pinocchio as pin
 from pydantic import ConfigDict, Field, model_validator
 
 from cmbot.common.errors import ModelError
+from cmbot.common.short_repr import short_repr
 from cmbot.common.validation import FileModel, refusal, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml
 from cmbot.robot.joint_kinds import prismatic_joints
@@ -61,6 +62,8 @@ class LinkTube:
     wall: Annotated[Length, Field(alias="wall_m")]
     young: Annotated[Modulus, Field(alias="young_pa")]
     shear: Annotated[Modulus, Field(alias="shear_pa")]
+
+    __repr__ = short_repr
 
     @property
     def length(self) -> float:
@@ -101,6 +104,8 @@ class JointElasticity:
     stiffness: Annotated[TurningStiffness, Field(alias="stiffness_nm_rad")]
     damping: Annotated[float, Field(alias="damping_nms_rad", ge=0, le=1e9)] = 0.0
     tilting: Annotated[TurningStiffness | None, Field(alias="tilting_nm_rad")] = None
+
+    __repr__ = short_repr
 
 
 class _ElasticityFile(FileModel):

@@ -25,6 +25,7 @@ from pydantic import Field
 
 from cmbot.common.arrays import BoolArray, FloatArray, read_only
 from cmbot.common.errors import InputError, ModelError
+from cmbot.common.short_repr import short_repr
 from cmbot.common.validation import FileModel, counted, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml
 from cmbot.robot.joint_kinds import JointUnits, joint_units, prismatic_joints
@@ -79,6 +80,8 @@ class JointLimits:
     jerk: FloatArray
     torque: FloatArray
     prismatic: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         if np.size(self.prismatic) == 0:

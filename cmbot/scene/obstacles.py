@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.errors import InputError
+from cmbot.common.short_repr import short_repr
 from cmbot.common.validation import CheckedFields, FileModel, plain, require_type, shown
 from cmbot.scene.fields import Angles, Length, Slug, Text, Vector, exactly_one, one_of_schema
 
@@ -129,6 +130,8 @@ class Obstacle:
     shape: Shape
     X_WO: FloatArray
     workpiece: bool = False
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         require_type(self.name, str, "Obstacle", "name", "text")

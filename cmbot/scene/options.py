@@ -7,6 +7,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field
 
+from cmbot.common.short_repr import short_repr
 from cmbot.common.validation import FileModel, refusal
 
 __all__ = ["MOST_SAMPLES", "PlannerOptions"]
@@ -163,3 +164,5 @@ class PlannerOptions:
     time_limit_s: Annotated[float, Field(ge=1e-3, le=1e6)] = 60.0
     max_passes: Annotated[int, Field(ge=1, le=10_000)] = 80
     max_iterations: Annotated[int, Field(ge=1, le=100_000)] = 1000
+
+    __repr__ = short_repr

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import ConfigDict, Field, GetPydanticSchema, model_validator
 
+from cmbot.common.short_repr import short_repr
 from cmbot.common.validation import CheckedFields, FileModel, refusal, shown
 from cmbot.scene.base.stance import Stance
 from cmbot.scene.fields import (
@@ -143,6 +144,8 @@ class RobotSource(CheckedFields):
     payload: Mass
     joints: Joints = "elastic"
     stance: Stance | None = None
+
+    __repr__ = short_repr
 
     @property
     def files(self) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.distance import pdist
 
 from cmbot.common.arrays import FloatArray
+from cmbot.common.short_repr import short_repr
 
 __all__ = [
     "ErrorMetrics",
@@ -92,6 +93,8 @@ class ErrorMetrics:
     residual: Residual | None
     mode_frequencies: FloatArray
     mode_power: FloatArray
+
+    __repr__ = short_repr
 
 
 def error_metrics(

@@ -7,6 +7,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
+from cmbot.common.short_repr import short_repr
 from cmbot.common.validation import refusal
 
 __all__ = ["SimulationOptions"]
@@ -76,6 +77,8 @@ class SimulationOptions:
     delay_s: Annotated[float, Field(ge=0, le=1)] = 0.0
     spectral_radius: Annotated[float, Field(ge=0, le=1)] = 0.8
     corrections: Annotated[int, Field(ge=1, le=10)] = 2
+
+    __repr__ = short_repr
 
     @model_validator(mode="after")
     def _check(self) -> Self:

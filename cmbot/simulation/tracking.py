@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from cmbot.common.arrays import FloatArray
 from cmbot.common.cards import card
 from cmbot.common.errors import InputError
+from cmbot.common.short_repr import short_repr
 from cmbot.common.validation import checked_options
 from cmbot.common.watching import watched_share
 from cmbot.elastic import elastic_base
@@ -87,6 +88,8 @@ class MotionTracking:
     path_error: FloatArray
     metrics: ErrorMetrics
     execution: FloatArray | None = None
+
+    __repr__ = short_repr
 
     @property
     def dynamic(self) -> FloatArray:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
+from cmbot.common.short_repr import short_repr
 from cmbot.robot import Climber
 from cmbot.scene import (
     FootholdFile,
@@ -46,6 +47,8 @@ class Candidate:
     root: FloatArray
     base: FloatArray
     climber: FloatArray
+
+    __repr__ = short_repr
 
     @property
     def as_data(self) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import CmbotError
+from cmbot.common.short_repr import short_repr
 from cmbot.planning import Plan, plan
 from cmbot.scene import Scene
 from cmbot.siting.candidates import Candidate
@@ -97,6 +98,8 @@ class Stood:
     adhesion: float
     plan: Plan | None = None
     reason: str = ""
+
+    __repr__ = short_repr
 
     @property
     def place(self) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from cmbot.common.errors import InputError, PlanningError, SceneError
+from cmbot.common.short_repr import short_repr
 from cmbot.common.validation import counted, shown
 from cmbot.planning import robot_of, strokes_of, task_of
 from cmbot.scene import Scene, update_file
@@ -46,6 +47,8 @@ class Standing:
     scene: Scene
     unit: str
     ranked: tuple[Stood, ...]
+
+    __repr__ = short_repr
 
     @property
     def strokes(self) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
+from cmbot.common.short_repr import short_repr
 from cmbot.planning import (
     FreeMove,
     FreeSpace,
@@ -78,6 +79,8 @@ class Move:
     arm: FloatArray
     segment: Segment
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Step:
@@ -96,6 +99,8 @@ class Step:
     before: Candidate
     after: Candidate
     moves: tuple[Move, ...]
+
+    __repr__ = short_repr
 
     @property
     def seconds(self) -> float:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from cmbot.common.errors import CmbotError, PlanningError
+from cmbot.common.short_repr import short_repr
 from cmbot.common.validation import counted
 from cmbot.planning import Plan
 from cmbot.scene import Scene
@@ -55,6 +56,8 @@ class Tour:
     works: tuple[Stood, ...]
     walks: tuple[Walk, ...]
     failures: tuple[str, ...] = ()
+
+    __repr__ = short_repr
 
     @property
     def plans(self) -> tuple[Plan, ...]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import CmbotError, PlanningError, SceneError
+from cmbot.common.short_repr import short_repr
 from cmbot.common.validation import counted, validated
 from cmbot.common.yaml_reader import read_yaml
 from cmbot.hold import AdhesionPeak
@@ -70,6 +71,8 @@ class Walk:
     last: Move | None
     failures: tuple[str, ...]
     speed: float
+
+    __repr__ = short_repr
 
     @property
     def moves(self) -> tuple[Move, ...]:

@@ -15,6 +15,7 @@ import numpy as np
 from cmbot.collision import RESOLUTION, Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import LimitViolation
+from cmbot.common.short_repr import short_repr
 from cmbot.elastic.sag import Sag
 from cmbot.planning.certification.check import Check, largest_check
 from cmbot.planning.certification.enclosed_motion import EnclosedMotion
@@ -64,6 +65,8 @@ class Certificate:
     clearance_bound: float
     guardrail_torque_bound: float
     adhesion_bound: float = np.inf
+
+    __repr__ = short_repr
 
     @property
     def holds(self) -> bool:

@@ -9,6 +9,7 @@ import numpy as np
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
+from cmbot.common.short_repr import short_repr
 from cmbot.elastic.sag import Sag
 from cmbot.hold import AdhesionPeak
 from cmbot.planning.task import ToolTask
@@ -70,6 +71,8 @@ class MotionMetrics:
     duration: float | None = None
     guardrail_torque_integral: float | None = None
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True, kw_only=True)
 class Samples:
@@ -111,6 +114,8 @@ class Samples:
     tool_rotation: FloatArray
     clearance: FloatArray
     adhesion_needed: FloatArray | None = None
+
+    __repr__ = short_repr
 
 
 def measure(

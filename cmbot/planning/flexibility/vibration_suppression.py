@@ -18,6 +18,7 @@ import numpy as np
 from scipy import sparse
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.common.short_repr import short_repr
 from cmbot.elastic.arm import ElasticArm
 from cmbot.optimization import (
     OBJECTIVE,
@@ -91,6 +92,8 @@ class VibrationSuppression:
     load_kg: tuple[float, ...] = ()
     swing_without: tuple[float, ...] = ()
     swing_with: tuple[float, ...] = ()
+
+    __repr__ = short_repr
 
     @property
     def share(self) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
+from cmbot.common.short_repr import short_repr
 from cmbot.planning.certification.metrics import MotionMetrics, Samples, figures, measure
 from cmbot.planning.context import SAMPLE_STEP
 from cmbot.planning.free_motion.return_move import SAME_POSTURE
@@ -43,6 +44,8 @@ class BaselineSegment:
     begin: float
     samples: Samples
     figures: MotionMetrics
+
+    __repr__ = short_repr
 
     @property
     def duration(self) -> float:

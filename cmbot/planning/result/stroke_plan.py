@@ -10,6 +10,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
+from cmbot.common.short_repr import short_repr
 from cmbot.optimization import ExchangeReport, StateSamples
 from cmbot.planning.certification.metrics import MotionMetrics, Samples
 from cmbot.planning.flexibility.sag_compensation import Compensation
@@ -45,6 +46,8 @@ class Start:
     moved: float
     failures: tuple[PathNotFound, ...]
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectiveMetrics:
@@ -75,6 +78,8 @@ class ObjectiveMetrics:
     baseline_peak: float
     planned_peak: float
     floor: float | None
+
+    __repr__ = short_repr
 
     @property
     def gap(self) -> float | None:
@@ -140,6 +145,8 @@ class StrokePlan:
     choice: Choice | None
     compensation: Compensation | None
     suppression: VibrationSuppression | None
+
+    __repr__ = short_repr
 
 
 def combined(strokes: Sequence[StrokePlan]) -> dict[str, Any]:

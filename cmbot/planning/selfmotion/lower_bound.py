@@ -17,6 +17,7 @@ from typing import Literal
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.common.short_repr import short_repr
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import null_space, project_onto_task
 from cmbot.planning.selfmotion.charts import GraphLayer
@@ -78,6 +79,8 @@ class LowerBound:
     each: FloatArray
     kind: Literal["proven", "estimated"] = "estimated"
     missed: float | None = None
+
+    __repr__ = short_repr
 
     def met(self, values: FloatArray) -> LowerBound:
         """Return it for a plan with `values` (n,) at rest at the via-points: no estimate is above them."""

@@ -10,6 +10,7 @@ from pathlib import Path
 from cmbot.common.errors import MissingExtra, ModelError
 from cmbot.common.installation import model_folder
 from cmbot.common.robot_library import LIBRARY, LIBRARY_EXTRA, is_robot_name, library_robots, library_srdf
+from cmbot.common.short_repr import short_repr
 from cmbot.common.validation import given_path, hint
 
 __all__ = ["RobotFiles", "robot_files"]
@@ -39,6 +40,8 @@ class RobotFiles:
     package_dirs: tuple[Path, ...]
     base_frame: str | None = None
     tool_frame: str | None = None
+
+    __repr__ = short_repr
 
 
 def robot_files(

@@ -8,6 +8,7 @@ from functools import cached_property
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError, remedy_for
+from cmbot.common.short_repr import short_repr
 from cmbot.scene.path.builder import timed_path
 from cmbot.scene.path.path_file import StrokeFile
 from cmbot.scene.path.path_source import PathSource
@@ -47,6 +48,8 @@ class Stroke:
     via_points: int
     begins_elsewhere: bool
     surface: Surface | None = None
+
+    __repr__ = short_repr
 
     @cached_property
     def via_times(self) -> FloatArray:

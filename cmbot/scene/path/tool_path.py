@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import InputError
+from cmbot.common.short_repr import short_repr
 from cmbot.scene.path.curves import Curve
 from cmbot.scene.path.time_law import LegLaw, ProcessPart, SpeedProfile, TimeLaw
 from cmbot.scene.path.tool_poses import ToolPoses
@@ -64,6 +65,8 @@ class ToolPath:
     laws: Mapping[int, TimeLaw] = field(default_factory=dict)
     process: Mapping[int, ProcessPart] = field(default_factory=dict)
     open_legs: frozenset[int] = frozenset()
+
+    __repr__ = short_repr
 
     @cached_property
     def leg_times(self) -> FloatArray:

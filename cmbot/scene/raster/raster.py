@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from cmbot.common.errors import InputError
+from cmbot.common.short_repr import short_repr
 from cmbot.common.validation import CheckedFields, shown
 from cmbot.scene.fields import Angle, Length, LongVector, Slug, Text, UnitVector, Vector, given_of
 from cmbot.scene.mesh_file import is_mesh_file
@@ -169,6 +170,8 @@ class Raster(CheckedFields):
     cover: Literal["reachable", "all"] = "reachable"
     pieces: Annotated[tuple[RowPiece, ...] | None, Field(min_length=1, max_length=MOST_ROWS)] = None
     frame: Slug = "world"
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         super().__post_init__()

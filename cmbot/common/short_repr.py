@@ -1,0 +1,69 @@
+"""A repr of some hundred characters for dataclasses whose fields are arrays or dataclasses themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import MISSING, fields
+from typing import Any
+
+__all__ = ["LONGEST_REPR", "fields_repr", "short_repr"]
+
+LONGEST_REPR = 300
+"""Characters of a short repr at most."""
+
+# Characters of a field's value at most.
+_LONGEST_VALUE = 60
+
+
+def short_repr(self: Any) -> str:
+    """Return a dataclass's name and its fields but those at their defaults: scalars, of the rest their size.
+
+    To be its `__repr__`; cut at `LONGEST_REPR` characters.
+
+    Examples
+    --------
+    >>> cmbot.PlannerOptions(solver="slsqp")
+    PlannerOptions(solver='slsqp')
+    """
+    changed = {
+        field.name: getattr(self, field.name)
+        for field in fields(self)
+        if field.repr and not _is_default(getattr(self, field.name), field.default)
+    }
+    return fields_repr(type(self).__name__, changed)
+
+
+def fields_repr(name: str, values: Mapping[str, object]) -> str:
+    """Return the short repr of a class of that name with these fields."""
+    room, shown = LONGEST_REPR - len(name) - len("(...)"), list[str]()
+    for key, value in values.items():
+        part = f"{key}={_short(value)}"
+        room -= len(part) + len(", ")
+        if room < 0:
+            shown.append("...")
+            break
+        shown.append(part)
+    return f"{name}({', '.join(shown)})"
+
+
+def _is_default(value: object, default: object) -> bool:
+    if default is MISSING or hasattr(value, "shape"):
+        return False
+    return value is default or (type(value) is type(default) and value == default)
+
+
+def _short(value: object) -> str:
+    # NumPy need not be loaded for it.
+    if hasattr(value, "shape"):
+        return f"<array {'x'.join(map(str, value.shape))}>"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if value is None or isinstance(value, (str, bool, int)):
+        text = repr(value)
+    elif isinstance(value, (tuple, list, set, frozenset, dict)):
+        plain = all(each is None or isinstance(each, (str, bool, int, float)) for each in value)
+        text = repr(value) if plain and not isinstance(value, dict) else ""
+        return text if text and len(text) <= _LONGEST_VALUE else f"<{len(value)} items>"
+    else:
+        return f"<{type(value).__name__}>"
+    return text if len(text) <= _LONGEST_VALUE else f"{text[: _LONGEST_VALUE - 1]}…"
