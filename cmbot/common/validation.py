@@ -252,6 +252,8 @@ def input_error(source: str, error: ValidationError, error_type: type[InputError
         expected = f"a list of {node['maxItems']} items"
     elif kind in _PHRASES:
         expected = _PHRASES[kind].format(**context)
+        if kind == "too_long" and isinstance(detail["input"], list):
+            got = counted(len(detail["input"]), "item")
     else:
         expected = f"something else ({detail['msg']})"
     if kind == "json_invalid":

@@ -200,9 +200,9 @@ def solve_sqp(
     """Lower the merit from `start`, with so many families of constraints, until nothing more is to be gained.
 
     `warm` is a run with the first of the constraints, for its multipliers, penalties and damping. Where
-    `stop` says so after an iteration it ends as at the iteration limit.
+    `stop` says so after an iteration it ends as at the iteration limit; within one nothing is corrected then.
     """
-    state = _SqpState(start, families, options, warm)
+    state = _SqpState(start, families, options, warm, stop)
     iterations = 0
     while iterations < options.max_iterations and state.status is SqpStatus.ITERATION_LIMIT:
         if iterations and stop():
@@ -228,9 +228,14 @@ class _SqpState(Generic[AnyIterate]):
     """Where a run has come to."""
 
     def __init__(
-        self, start: AnyIterate, families: int, options: SqpOptions, warm: SqpResult[AnyIterate] | None
+        self,
+        start: AnyIterate,
+        families: int,
+        options: SqpOptions,
+        warm: SqpResult[AnyIterate] | None,
+        stop: Callable[[], bool],
     ) -> None:
-        self._options = options
+        self._options, self._stop = options, stop
         self.iterate = start
         self.multipliers, self.damping = np.zeros(len(start.values.value)), options.initial_damping
         self.penalty = np.full(families, options.initial_penalty)
@@ -283,7 +288,7 @@ class _SqpState(Generic[AnyIterate]):
         here, left = model.violations(families=families), model.violations(step.p, families=families)
         enough = np.maximum(o.feasibility_tolerance, o.stays * here)
         firmest = float(self.penalty.max())
-        if firmest >= o.max_penalty or not (left > enough).any():
+        if firmest >= o.max_penalty or not (left > enough).any() or self._stop():
             return step
         # Damping grows with the penalties, or it would count for less than before.
         most = o.max_penalty / firmest
@@ -292,7 +297,7 @@ class _SqpState(Generic[AnyIterate]):
         enough = np.maximum(enough, least + (1 - o.steering) * np.maximum(here - least, 0.0))
         while True:
             lacking = (left > enough) & (self.penalty < o.max_penalty)
-            if not lacking.any():
+            if not lacking.any() or self._stop():
                 return step
             grown = np.where(lacking, o.penalty_growth * self.penalty, self.penalty)
             self.penalty = np.minimum(grown, o.max_penalty)
@@ -391,7 +396,7 @@ class _SqpState(Generic[AnyIterate]):
         for correction in range(o.max_corrections + 1):
             if trial is None:
                 break
-            last = correction == o.max_corrections
+            last = correction == o.max_corrections or self._stop()
             gained = self._gain(trial)
             if correction == 0 or last or gained >= o.correct_below * predicted:
                 trial = trial.separated()

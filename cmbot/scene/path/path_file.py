@@ -163,7 +163,9 @@ class PathFile(FileModel):
         legs = (len(self.legs) + leads) * passes
         if isinstance(self.via_points, int) and self.via_points <= legs:
             expected = f"more than the {legs} legs"
-            expected += (" and leads" if leads else "") + (" of all passes" if passes > 1 else "")
+            expected += (
+                (" and leads" if leads else "") + (" of all passes" if passes > 1 else "") + ", or auto"
+            )
             raise refusal(expected, got=self.via_points, key=("via_points",))
         if self.given_seconds > LONGEST:
             expected = f"legs of at most {LONGEST:,} s in all (10 h)"

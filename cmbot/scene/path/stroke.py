@@ -116,7 +116,7 @@ def timed_stroke(
     Raises
     ------
     SceneError
-        When its path is none, or its time laws are those of others.
+        When its path is none, its via-points are too few, or its time laws are those of others.
     """
     path, surface = timed_path(file, place, X_WT)
     path = path.reversed() if file.backwards else path
@@ -130,6 +130,10 @@ def timed_stroke(
     number = file.via_points
     if not isinstance(number, int):
         number = automatic_via_points(path, deviation, file.speed_tolerance)
+    needed = len(path.section_times)
+    if number < needed:
+        expected = f"at least {needed}, one for each end of a leg, row or lead, or auto"
+        raise SceneError(place.source, f"{place.key}.via_points", number, expected)
     return Stroke(
         name=str(file.name),
         key=place.key,

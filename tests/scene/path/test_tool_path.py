@@ -10,9 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from small_scenes import SHORT
 
-from cmbot.common.errors import InputError
-from cmbot.scene import SpeedProfile, ToolPath, share_out_segments
+from cmbot.common.errors import InputError, SceneError
+from cmbot.planning import robot_of, strokes_of
+from cmbot.scene import SpeedProfile, ToolPath, load_scene, share_out_segments
 
 FloatArray = NDArray[np.float64]
 KINDS = ("trapezoidal", "jerk_limited")
@@ -293,3 +295,12 @@ def test_an_unknown_kind_is_refused_and_the_known_ones_named(kind: Any) -> None:
     with pytest.raises(InputError, match="one of: trapezoidal, jerk_limited") as caught:
         SpeedProfile(kind=kind)
     assert caught.value.key == "kind"
+
+
+def test_fewer_via_points_than_a_rasters_rows_name_the_key() -> None:
+    raster = {"origin": [1.8, 0.6, -1.9], "u": [0, 0.2, 0], "v": [0, 0, -0.2], "spacing_m": 0.005}
+    path = {"raster": {**raster, "stand_off_m": 0.0}, "speed_m_s": 0.1}
+    scene = load_scene({**SHORT, "format": "cmbot-scene/2", "tool_path": path})
+    with pytest.raises(SceneError, match=r"via_points: got 50, expected at least \d+, .* or auto") as caught:
+        strokes_of(scene, robot_of(scene))
+    assert caught.value.key == "tool_path.via_points"
