@@ -46,6 +46,8 @@ __all__ = ["plan"]
 
 # Slower legs are tried so often where velocities, accelerations or jerks are what fails.
 _TRIALS = 3
+# And for this share of the time limit, or as long as planning took.
+_ADVICE = 0.1
 # The scene's posture is planned from, too, where that may lower the peak of the job by more than this share.
 _WORTH_PLANNING = 1e-2
 # Peaks of two orders of strokes that differ by less are the same.
@@ -271,7 +273,9 @@ def _hints(context: PlanningContext, failure: PlanningError, *, automatic: bool)
         return  # what is not met yet says nothing of the legs
     if context.task.path.open_legs:
         return  # ever longer times were tried
-    tried = context
+    # Seeking advice takes no longer than what it is about, or a small share of the time.
+    reporter = context.reporter
+    tried = replace(context, reporter=reporter.quiet(max(reporter.used, _ADVICE * reporter.limit)))
     for _ in range(_TRIALS):
         factors = slower_legs(tried, failure)
         if factors is None:
@@ -281,9 +285,9 @@ def _hints(context: PlanningContext, failure: PlanningError, *, automatic: bool)
         if not late:
             context.reporter.step(f"trying {legs}")
             try:
-                _search(replace(tried, reporter=context.reporter.quiet()), automatic=automatic)
+                _search(tried, automatic=automatic)
             except PlanningError as again:
-                failure, late = again, context.reporter.expired()
+                failure, late = again, tried.reporter.expired()
             else:
                 yield f"{legs} would do"
                 return

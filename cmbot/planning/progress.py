@@ -117,9 +117,9 @@ class ProgressReporter:
         # When the optimisation began, and when the passes before compensation and each round of it ended.
         self._ends = [clock()]
 
-    def quiet(self) -> ProgressReporter:
-        """Return a reporter that reports nothing and knows the time left."""
-        return ProgressReporter(clock=self._clock, limit=self.time_left)
+    def quiet(self, most: float = math.inf) -> ProgressReporter:
+        """Return a reporter that reports nothing and knows the time left, s, or `most` of it."""
+        return ProgressReporter(clock=self._clock, limit=min(self.time_left, most))
 
     def begin_stroke(self, name: str, left: int) -> None:
         """Begin a stroke of several, of which so many are left: it has an equal part of the time left."""

@@ -182,6 +182,17 @@ def test_nobody_has_to_listen() -> None:
     ProgressReporter().part("doing it", 1, 2)
 
 
+def test_what_is_sought_beside_has_the_time_left_or_less() -> None:
+    clock = Listener()
+    reporter = ProgressReporter(clock=lambda: clock.now, limit=60.0)
+    clock.now += 50.0
+    assert reporter.quiet().time_left == 10.0
+    assert reporter.quiet(15.0).time_left == 10.0
+    brief = reporter.quiet(5.0)
+    clock.now += 5.0
+    assert brief.expired() and not reporter.expired()
+
+
 @pytest.mark.parametrize(
     ("begun", "ends"),
     # 40 % of what is left; 20 % of the limit where that is more, as long as less than that is over.
