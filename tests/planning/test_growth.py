@@ -18,7 +18,7 @@ from cmbot.planning.path.projection import TangentPredictor, project_onto_task
 from cmbot.planning.precheck import MOST_UNKNOWNS, oversized, precheck_scene
 from cmbot.planning.selfmotion import charts as self_motion
 from cmbot.planning.selfmotion.charts import GraphLayer, check_clearances
-from cmbot.planning.selfmotion.dynamic_programming import BottleneckDynamicProgram, edges
+from cmbot.planning.selfmotion.dynamic_programming import BottleneckDynamicProgram, edges, edges_along
 from cmbot.planning.selfmotion.global_search import GlobalSearch
 from cmbot.planning.torque.decomposition import optimise
 from cmbot.robot import Finding, Postures, Robot
@@ -53,21 +53,33 @@ def test_matrices_grow_in_proportion(cmbot_robot: Robot) -> None:
 
 
 def test_edges_grow_in_proportion_and_are_all_there_are(stage: GlobalSearch) -> None:
-    """Of postures that are not known to be inadmissible: the others lead nowhere."""
+    """Of postures that are not known to be inadmissible, and to which some lead: the others lead nowhere."""
 
     def pairs(reachable: np.ndarray, before: np.ndarray, after: np.ndarray) -> set[tuple[int, int]]:
         return {(int(i), int(j)) for j, i in np.argwhere(reachable.T & before & after[:, None])}
 
+    led_to = np.ones(len(stage.first_chart.q), dtype=np.bool_)
     for a, b, step, found in zip(stage._layers, stage._layers[1:], stage._steps, stage._edges, strict=False):
         reachable = (np.abs(a.chart.q[:, None] - b.chart.q) <= step).all(axis=2)
         got = set(zip(found.before.tolist(), found.after.tolist(), strict=True))
         assert len(got) == len(found.before)
         # Some may have turned out to be too near since.
-        assert pairs(reachable, a.admissible, b.admissible) <= got
+        assert pairs(reachable, a.admissible & led_to, b.admissible) <= got
+        assert led_to[found.before].all()
+        led_to = np.isin(np.arange(len(b.chart.q)), found.after)
         might_do = ((node.chart.within & (node.chart.joint_use <= 1.0)) for node in (a, b))
         assert got <= pairs(reachable, *might_do)
         # A chart is a curve: a posture has a few neighbours, however long the curve is.
         assert len(found.before) < 20 * len(a.chart.q)
+
+
+def test_behind_a_gap_there_are_no_edges(stage: GlobalSearch) -> None:
+    """What none leads to need not lead anywhere: charts that were made dense about a gap have many pairs."""
+    steps = stage._steps.copy()
+    steps[2] = 1e-9
+    found = edges_along(stage._layers, steps, stage._winding)
+    np.testing.assert_array_equal(found[1].after, stage._edges[1].after)
+    assert len(found[2].after) == len(found[3].after) == 0
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 30), st.integers(0, 30))

@@ -89,13 +89,15 @@ def edges(q_a: FloatArray, q_b: FloatArray, step: FloatArray, winding: BoolArray
 def edges_along(layers: Sequence[GraphLayer], steps: FloatArray, winding: BoolArray) -> list[Edges]:
     """Find the edges between layers, `steps` (k, n) apart at most; see `edges`.
 
-    Nodes that are known to be inadmissible have none.
+    Nodes that are known to be inadmissible have none, and from those to which none leads there are none.
     """
-    found = []
+    found, reached = list[Edges](), layers[0].admissible
     for (before, after), step in zip(pairwise(layers), steps, strict=True):
-        i, j = np.flatnonzero(before.admissible), np.flatnonzero(after.admissible)
+        i, j = np.flatnonzero(before.admissible & reached), np.flatnonzero(after.admissible)
         few = edges(before.chart.q[i], after.chart.q[j], step, winding)
         found.append(Edges(i[few.before], j[few.after], few.length, len(after.chart.q)))
+        reached = np.zeros(len(after.chart.q), dtype=np.bool_)
+        reached[found[-1].after] = True
     return found
 
 
