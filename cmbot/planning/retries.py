@@ -23,10 +23,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import LimitViolation, OptimisationFailed, PathNotFound, PlanningError
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.free_motion.approach import joined_starts, reachable
@@ -82,6 +83,7 @@ _BETWEEN_VIA_POINTS = (
     "tool speed",
     "process speed",
 )
+_FAILURES = (OptimisationFailed, PathNotFound, LimitViolation)
 
 Work = TypeVar("Work")
 
@@ -374,7 +376,8 @@ def with_retries(
 ) -> tuple[Attempt, Work]:
     """Return the first attempt at which `work` succeeds, and its result.
 
-    Each of `retries` runs its attempts with all retries before it.
+    Each of `retries` runs its attempts with all retries before it. What failed is not worked at again:
+    several lead to the same guess.
 
     Raises
     ------
@@ -385,15 +388,54 @@ def with_retries(
     LimitViolation
         When the certificate does not hold.
     """
+    return _retried(attempt, _Once(work), retries)
+
+
+def _retried(
+    attempt: Attempt, work: Callable[[Attempt], Work], retries: Sequence[Retry]
+) -> tuple[Attempt, Work]:
     if not retries:
         return attempt, work(attempt)
-    run: Run[Work] = partial(with_retries, work=work, retries=retries[:-1])
+    run: Run[Work] = partial(_retried, work=work, retries=retries[:-1])
     try:
         return run(attempt)
-    except (OptimisationFailed, PathNotFound, LimitViolation) as failure:
+    except _FAILURES as failure:
         if attempt.context.reporter.expired():
             raise
         return retries[-1](attempt, failure, run)
+
+
+class _Once(Generic[Work]):
+    """Work that raises the failure of the same attempt before."""
+
+    def __init__(self, work: Callable[[Attempt], Work]) -> None:
+        self._work = work
+        self._failed: list[tuple[Attempt, PlanningError]] = []
+
+    def __call__(self, attempt: Attempt) -> Work:
+        for before, failure in self._failed:
+            if _are_same(before, attempt):
+                raise failure
+        try:
+            return self._work(attempt)
+        except _FAILURES as failure:
+            self._failed.append((attempt, failure))
+            raise
+
+
+def _are_same(one: Attempt, other: Attempt) -> bool:
+    """Whether two attempts at a stroke are the same but for what failed before."""
+
+    def numbers(attempt: Attempt) -> list[FloatArray]:
+        guess, form = attempt.guess, attempt.guess.problem.parametrization
+        chart = None if guess.search is None else guess.search.first_chart.q
+        return [
+            np.empty(0) if each is None else each
+            for each in (form.space.t, form.via_points, chart, guess.way)
+        ]
+
+    alike = one.context.options == other.context.options and one.guess.pinned == other.guess.pinned
+    return alike and all(map(np.array_equal, numbers(one), numbers(other)))
 
 
 def guesses_in_shorter_steps(failed: Attempt, failure: OptimisationFailed) -> Iterator[Attempt]:

@@ -19,7 +19,7 @@ from cmbot.common.errors import LimitViolation, MissingExtra, OptimisationFailed
 from cmbot.optimization import exchange
 from cmbot.planning import Plan, plan, planner, remarks
 from cmbot.planning.free_motion.approach import reachable
-from cmbot.planning.initial_guess import initial_guess, leap, roughness, sliding_guess
+from cmbot.planning.initial_guess import InitialGuess, initial_guess, leap, roughness, sliding_guess
 from cmbot.planning.precheck import solver_of
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.retries import (
@@ -113,6 +113,35 @@ def raised_by(attempt: Attempt, work: Failing, *retries: Any) -> Exception:
     return caught.value
 
 
+def test_what_failed_is_not_worked_at_again(rough: Attempt) -> None:
+    """Remedies of remedies lead to the same guess; the next one begins where it may differ."""
+    guess = rough.guess
+    smaller = replace(rough.context, options=replace(rough.context.options, gap_target=0.0))
+    others = [
+        replace(rough, fallbacks=("told apart by nothing that matters",)),
+        replace(rough, guess=sliding_guess(rough.context)),
+        replace(rough, context=smaller),
+        replace(rough, guess=replace(guess, pinned=not guess.pinned)),
+        replace(rough, guess=replace(guess, way=np.zeros((2, 7)))),
+        replace(rough, guess=guess_in_half_steps(rough)),
+    ]
+
+    def each(failed: Attempt, failure: Exception, run: Any) -> Any:
+        for other in others:
+            with pytest.raises(OptimisationFailed) as caught:
+                run(other)
+            assert caught.value is FAILURE
+        raise failure
+
+    work = Failing(*9 * [FAILURE])
+    assert raised_by(rough, work, [each, each]) is FAILURE
+    assert [id(attempt) for attempt in work.attempts] == [id(attempt) for attempt in [rough, *others[2:]]]
+
+
+def guess_in_half_steps(attempt: Attempt) -> InitialGuess:
+    return sliding_guess(attempt.context, search=attempt.guess.search.halved(0.1))
+
+
 def test_half_the_steps_from_the_same_charts(rough: Attempt) -> None:
     search = rough.guess.search
     assert search.step_share == rough.context.options.step_share
@@ -189,7 +218,13 @@ def test_an_approach_that_fails_is_raised_where_the_start_may_be_given_up(
     attempt = attempt_at(rough_scene(start), gap_target=0.0)
     others = guesses_in_shorter_steps(attempt, FAILURE)
     assert [other.guess.pinned for other in others] == 2 * [start == "pinned"]
-    assert raised_by(attempt, Failing(FAILURE, *9 * [UNREACHED]), [shorter_steps]) is expected
+
+    def unreached(_: Attempt) -> Any:
+        raise UNREACHED
+
+    with pytest.raises((OptimisationFailed, PathNotFound)) as caught:
+        shorter_steps(attempt, FAILURE, unreached)
+    assert caught.value is expected
 
 
 def test_where_no_approach_leads_to_a_better_start_the_scenes_is_taken() -> None:
