@@ -83,8 +83,8 @@ class SqpOptions:
     stall_steps, stall_tolerance, stall_promise : int, float, float
         So many iterations that together gain less than the second, a share as `optimality_tolerance`, end it
         where the constraints are met and a step within `optimality_radius` promises no more than the third:
-        near a solution it takes fewer, elsewhere it creeps. Where they do not bring the violation down to the
-        share `hopeless`, it ends if no step can.
+        near a solution it takes fewer, elsewhere it creeps. Where they are not met, steps are shortened then.
+        Where they do not bring the violation down to the share `hopeless`, it ends if no step can.
     stuck_steps, stuck_share, stuck_violation : int, float, float
         So many steps that leave this share of what is violated by more than that end it.
     met_within : float
@@ -270,13 +270,17 @@ class _SqpState(Generic[AnyIterate]):
     @property
     def status(self) -> SqpStatus:
         """How it has ended; the iteration limit while it has not."""
-        o, last = self._options, self._gained[-self._options.stall_steps :]
-        if self._status is SqpStatus.ITERATION_LIMIT and len(last) == o.stall_steps:
-            met = self.iterate.values.violation <= o.feasibility_tolerance
-            little = sum(last) <= o.stall_tolerance * self._size
-            if met and little and self._promised <= o.stall_promise * self._size:
-                return SqpStatus.STALLED
+        met = self.iterate.values.violation <= self._options.feasibility_tolerance
+        if self._status is SqpStatus.ITERATION_LIMIT and met and self._creeps:
+            return SqpStatus.STALLED
         return self._status
+
+    @property
+    def _creeps(self) -> bool:
+        """Whether the last steps have gained little, and the next ones promise little."""
+        o, last = self._options, self._gained[-self._options.stall_steps :]
+        little = len(last) == o.stall_steps and sum(last) <= o.stall_tolerance * self._size
+        return little and self._promised <= o.stall_promise * self._size
 
     def steered(self, model: NlpModel) -> QpStep:
         """Solve the quadratic program; where violations stay that need not, with larger penalties.
@@ -324,7 +328,7 @@ class _SqpState(Generic[AnyIterate]):
             return converged
         if model.violations(step.p, families=families).max() <= o.stays * model.violation:
             return False
-        if self.penalty.min() >= o.max_penalty or self._hopeless(model):
+        if self.penalty.min() >= o.max_penalty or self._hopeless(model, step):
             self._status = SqpStatus.INFEASIBLE
         else:
             self.penalty = np.minimum(o.penalty_growth * self.penalty, o.max_penalty)
@@ -339,7 +343,9 @@ class _SqpState(Generic[AnyIterate]):
         # What a step overlooked does not make it too long, unless it does so again.
         overlooked = self.iterate is not before_step
         self._excused = overlooked and gained < o.shrink * predicted and not self._excused
-        if gained < o.shrink * predicted and not self._excused:
+        # Where little is to be gained only violations are left, and the shorter the steps, the fewer.
+        creeps = self._creeps and self.iterate.values.violation > o.feasibility_tolerance
+        if (gained < o.shrink * predicted and not self._excused) or creeps:
             square = max(float(step.p @ step.p), _LEAST_PREDICTION)
             self.damping = max(o.damping_growth * self.damping, o.damping_share * predicted / square)
             self._radius = o.contraction * min(self._radius, float(np.abs(step.p).max()))
@@ -359,13 +365,13 @@ class _SqpState(Generic[AnyIterate]):
                 met = model.violation <= o.feasibility_tolerance
                 self._status = SqpStatus.STALLED if met else SqpStatus.INFEASIBLE
         self._violations.append(self.iterate.values.violation)
-        if self._stuck(model):
+        if self._stuck(model, step):
             self._status = SqpStatus.INFEASIBLE
 
     def _step(self, model: NlpModel, penalty: FloatArray, radius: float, damping: float = 0.0) -> QpStep:
         return solve_qp(model, penalty, radius, damping, close_gap=self._options.close_gap)
 
-    def _stuck(self, model: NlpModel) -> bool:
+    def _stuck(self, model: NlpModel, step: QpStep) -> bool:
         """Whether many steps have left violations, or some have most of them and no step can lower them."""
         o, tolerance = self._options, self._options.feasibility_tolerance
         last, few = (self._violations[-1 - steps :] for steps in (o.stuck_steps, o.stall_steps))
@@ -374,13 +380,16 @@ class _SqpState(Generic[AnyIterate]):
         if len(self._violations) > o.met_within and min(self._violations) > tolerance:
             return True
         stays = len(few) > o.stall_steps and min(few) > max(tolerance, o.hopeless * few[0])
-        return stays and self._hopeless(model)
+        return stays and self._hopeless(model, step)
 
-    def _hopeless(self, model: NlpModel) -> bool:
-        """Whether not even a step for which only the violations count lowers them."""
+    def _hopeless(self, model: NlpModel, step: QpStep) -> bool:
+        """Whether a step does not lower violations, and not even one for which only they count."""
         o, families = self._options, len(self.penalty)
+        enough = o.hopeless * model.violation
+        if model.violations(step.p, families=families).max() <= enough:
+            return False
         firmest = self._step(model, np.full(families, o.max_penalty), o.optimality_radius, 0.0).p
-        return bool(model.violations(firmest, families=families).max() > o.hopeless * model.violation)
+        return bool(model.violations(firmest, families=families).max() > enough)
 
     def _tried(self, model: NlpModel, p: FloatArray, predicted: float) -> tuple[AnyIterate | None, float]:
         """Take the step `p` (n,) and evaluate what it gains; where that is little, correct it.

@@ -181,6 +181,31 @@ def test_a_step_along_a_curved_bound_is_corrected_not_crept() -> None:
     assert ended.iterate.model.violation <= 1e-6
 
 
+@pytest.mark.parametrize("angle", [0.1, 0.5, 2.0])
+def test_where_only_violations_are_left_steps_are_shortened(angle: float) -> None:
+    """Of what bends a step misses its square. Nothing is corrected here, and every step accepted."""
+    lax = {"max_corrections": 0, "accept": -1e6, "shrink": -1e6, "initial_radius": 0.3, "max_radius": 0.3}
+    little = SqpOptions(stall_steps=3, stall_tolerance=10.0, stall_promise=10.0, max_iterations=12, **lax)
+    start = Rim(np.array([np.cos(angle), np.sin(angle)]), 0.0)
+    ended = sqp.solve_sqp(start, 2, little)
+    assert ended.status is SqpStatus.STALLED
+    assert ended.iterate.model.violation <= little.feasibility_tolerance
+    much = sqp.solve_sqp(start, 2, replace(little, stall_tolerance=0.0))
+    assert much.iterate.model.violation > 1e-2
+
+
+def test_a_step_that_lowers_violations_is_not_hopeless(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever comes of the program that weighs nothing else: it may stay unsolved."""
+    start = Ripples(np.array([3.0, -3.0]), 1.0)
+    state = sqp._SqpState(start, 2, SqpOptions(), None)
+    model = replace(start.model, hessian=state.hessian)
+    step = state.steered(model)
+    none = replace(step, p=np.zeros(2), solved=False)
+    monkeypatch.setattr(sqp, "solve_qp", lambda *_, **__: none)
+    assert not state._hopeless(model, step)
+    assert state._hopeless(model, none)
+
+
 def test_what_cannot_be_met_is_said() -> None:
     """Both d(x) <= 0 and -d(x) <= -1: no penalty helps."""
 
