@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -17,7 +18,7 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.common.arrays import FloatArray, IntArray, cross
 from cmbot.common.errors import ModelError
 from cmbot.robot import faces_of, is_mesh, vertices_of
 from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere, load_mesh
@@ -51,11 +52,11 @@ class Surface:
         """Return it under the affine map `X` (4, 4)."""
         return Surface(self.vertices @ X[:3, :3].T + X[:3, 3], self.faces)
 
-    @property
+    @cached_property
     def crosses(self) -> FloatArray:
         """Normals (m, 3) of the triangles, as long as twice their areas, m2."""
         a, b, c = (self.vertices[corner] for corner in self.faces.T)
-        return np.cross(b - a, c - a)
+        return cross(b - a, c - a)
 
     @property
     def area(self) -> float:
@@ -376,4 +377,4 @@ def _with_height(surface: Surface) -> Surface:
     points = surface.vertices[surface.faces]
     longest = np.linalg.norm(points - np.roll(points, 1, axis=1), axis=2).max(axis=1)
     high = np.linalg.norm(surface.crosses, axis=1) > _FLAT * longest
-    return Surface(surface.vertices, surface.faces[high])
+    return surface if high.all() else Surface(surface.vertices, surface.faces[high])
