@@ -22,6 +22,8 @@ _ROUNDING = 1e-6
 _LEAST_ROOM = 5e-6
 # Halvings of a segment at most, and intervals of one level; where they do not suffice the bound stays lower.
 _HALVINGS, _MOST_INTERVALS = 40, 20_000
+# Pairs that are left for each interval where all of them are measured.
+_FEW = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +89,11 @@ def _enclosed(trajectory: QuinticTrajectory, clearances: Clearances, resolution:
             nearest = NearestApproach(
                 time=float(middle[k]), distance=float(guide.distance[k]), pair=int(guide.pair[k]), bound=0.0
             )
-        lower = clearances.lower_bounds(q) - travel
+        if alive.sum() > _FEW * len(q):
+            lower = clearances.lower_bounds(q) - travel
+        else:
+            # It takes longer to bound all distances than to measure these.
+            lower = np.full(alive.shape, -np.inf)
         row, pair = np.nonzero(alive & ~(lower >= nearest.distance - resolution))
         measured = clearances.distances(q, row, pair)
         lower[row, pair] = measured - travel[row, pair]
