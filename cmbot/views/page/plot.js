@@ -73,7 +73,7 @@ class TorquePlot {
     const label = `${floorName} ${newtonMetres(floor)}`, room = this.x(workEnd) - this.x(workStart) - 8;
     const wide = this.pen.measureText(label).width;
     const shares = wide < room ? [1, 0.75, 0.5, 0.25, 0] : [1];
-    const places = [12, -4].flatMap((below) => shares.map((share) => [this.x(workEnd) - 4 - wide - (1 - share) * (room - wide), this.y(floor) + below]));
+    const places = [12, -4, 24, 36].flatMap((below) => shares.map((share) => [this.x(workEnd) - 4 - wide - (1 - share) * (room - wide), this.y(floor) + below]));
     this.text(label, ...leastHidden(places.filter(([, y]) => y > TITLE + 12 && y < this.height - 2), ([x, y]) => this.crossed(x, y, wide)) ?? places[0]);
   }
 
