@@ -43,10 +43,10 @@ class ExchangeOptions:
     smoothing : float
         Weight of half the mean squared jerk, in units of its bounds, beside the objective.
     peak_tolerance : float
-        The peak is low enough within this share of its lower bound, or of the lowest that was attained.
-    missed_tolerance : float
-        The same where the lower bound is missed, which a moving arm often does by a hair: the last
-        thousandths of a peak would cost all the jerk that the limits allow.
+        The peak is low enough within this share of its lower bound.
+    least_peak_tolerance : float
+        Where that is missed, which a moving arm often does by a hair, within this share of the least that was
+        attained: the last thousandths of a peak would cost all the jerk that the limits allow.
     feasibility_tolerance : float
         Violations up to this count as met.
     max_passes, max_iterations : int
@@ -54,9 +54,9 @@ class ExchangeOptions:
     continuation : tuple of float
         Factors of the smoothing while the peak is minimised, one after the other as long as each lowers the
         peak by more than a share, and promises to: what smoothing adds to the peak is in proportion to it,
-        and hardly more than its own value. The share is a quarter of `missed_tolerance`, or `peak_tolerance`
-        where that is more. A light smoothing alone lets splines swing between the few
-        times that are known.
+        and hardly more than its own value. The share is a quarter of `least_peak_tolerance`, or
+        `peak_tolerance` where that is more. A light smoothing alone lets splines swing between the few times
+        that are known.
     most_violations : int
         Constraints of a family that are added in an exchange iteration, at most.
     nearly_met : float
@@ -86,7 +86,7 @@ class ExchangeOptions:
     solver: str | DenseSolver = "sqp"
     smoothing: float = 0.1
     peak_tolerance: float = 1e-4
-    missed_tolerance: float = 2e-3
+    least_peak_tolerance: float = 2e-3
     feasibility_tolerance: float = 1e-5
     max_passes: int = 80
     max_iterations: int = 1000
@@ -169,7 +169,7 @@ def minimize_peak(
 
     With p the lower bound where that can be attained, otherwise the smallest peak that can, it solves
     ``min mean f^2 / 2 + smoothing, f(t) <= p (1 + peak_tolerance)`` subject to the program's constraints; in
-    the second case with `missed_tolerance`.
+    the second case with `least_peak_tolerance`.
 
     Parameters
     ----------
@@ -194,8 +194,9 @@ def minimize_peak(
                 if options.stop():
                     raise
                 exchange.end_attempt()
-        enough = 1 + max(options.peak_tolerance, options.missed_tolerance)
-        bound = max(program.lower_bound, exchange.lowest_peak(bound)) * enough
+        least = exchange.lowest_peak(bound)
+        if least > bound or program.lower_bound <= 0:
+            bound = least * (1 + options.least_peak_tolerance)
         exchange.run(options.smoothing, bound=bound)
     except OptimisationFailed as failure:
         best = exchange.feasible or exchange.nearest
@@ -272,7 +273,7 @@ class _Exchange:
         A lighter smoothing that fails, or gains next to nothing, is given up for what the heavier one found.
         """
         o, factors = self._options, self._options.continuation
-        worthwhile = 1 - max(o.peak_tolerance, 0.25 * o.missed_tolerance)
+        worthwhile = 1 - max(o.peak_tolerance, 0.25 * o.least_peak_tolerance)
         lowest = promise = np.inf
         for before, factor in pairwise([factors[0], *factors]):
             if promise * before < (1 - worthwhile) * lowest:

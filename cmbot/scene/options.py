@@ -112,8 +112,10 @@ class PlannerOptions:
         where that is less) beside half the mean square of the objective (in units of its peak at the initial
         guess): decides between motions of nearly equal torque.
     peak_tolerance : float
-        The peak may exceed its lower bound by this share, and where that is missed the least that was found
-        by 0.002, if that is more; the mean square is minimised below that.
+        The peak may exceed its lower bound by this share; the mean square is minimised below that.
+    least_peak_tolerance : float
+        Where the lower bound is missed the peak may exceed the least that was found by this share. The last
+        thousandths of a peak cost much jerk.
     gap_target : float
         The arm leaves the scene's posture only where that lowers the peak by more than this share.
     constraint_tolerance : float
@@ -159,6 +161,7 @@ class PlannerOptions:
     samples_per_segment: Annotated[int, Field(ge=4, le=MOST_SAMPLES)] = 40
     smoothing_weight: Annotated[float, Field(ge=1e-9, le=100)] = 0.1
     peak_tolerance: Annotated[float, Field(ge=1e-9, le=0.1)] = 1e-4
+    least_peak_tolerance: Annotated[float, Field(ge=1e-9, le=0.1)] = 2e-3
     gap_target: Annotated[float, Field(ge=0, le=100)] = 2e-3
     constraint_tolerance: Annotated[float, Field(ge=1e-9, le=1e-4)] = 1e-5
     time_limit_s: Annotated[float, Field(ge=1e-3, le=1e6)] = 60.0

@@ -66,7 +66,7 @@ def precise(problem: TorqueProblem) -> ExchangeOptions:
     options = exchange_options(problem)
     tight = replace(options.sqp, optimality_tolerance=1e-7, stall_steps=8, stall_tolerance=1e-5)
     held = {"held_gain": tight.stall_tolerance, "held_promise": tight.stall_promise}
-    return replace(options, sqp=tight, missed_tolerance=0.0, **held)
+    return replace(options, sqp=tight, least_peak_tolerance=1e-4, **held)
 
 
 @both_solvers
@@ -117,7 +117,7 @@ def test_mean_square_is_that_of_the_papers_own_formulation(solver: str) -> None:
 @both_solvers
 def test_a_lower_bound_that_cannot_be_attained_is_left_for_the_lowest_peak(solver: str) -> None:
     problem = unattainable(solver=solver)
-    options = replace(exchange_options(problem), missed_tolerance=0.0)
+    options = replace(exchange_options(problem), least_peak_tolerance=1e-4)
     found = minimize_peak(problem, options)
     stages = [report.stage for report in found.passes]
     assert "peak" in stages and stages[-1] == "mean square"
@@ -136,12 +136,12 @@ def test_the_last_thousandths_of_a_peak_are_left_for_less_jerk() -> None:
     problem = unattainable(solver="sqp")
     options = exchange_options(problem)
     lowest, found = (
-        minimize_peak(problem, replace(options, missed_tolerance=missed))
-        for missed in (0.0, options.missed_tolerance)
+        minimize_peak(problem, replace(options, least_peak_tolerance=share))
+        for share in (1e-4, options.least_peak_tolerance)
     )
     rise = found.peak_bound / lowest.peak_bound - 1
     # A quarter of it is what lighter smoothing has to be worth.
-    assert 1e-4 < rise < 1.25 * options.missed_tolerance + options.peak_tolerance
+    assert 1e-4 < rise < 1.25 * options.least_peak_tolerance + options.peak_tolerance
     jerks = [each.parametrization.mean_squared_jerk()[0] for each in (found, lowest)]
     assert jerks[0] < 0.97 * jerks[1]
 
@@ -255,6 +255,12 @@ def test_passes_run_out() -> None:
     assert caught.value.constraint
 
 
+def test_how_far_above_the_least_peak_a_motion_may_be_is_an_option() -> None:
+    problem = unattainable(least_peak_tolerance=0.01, peak_tolerance=0.02)
+    options = exchange_options(problem)
+    assert (options.least_peak_tolerance, options.peak_tolerance) == (0.01, 0.02)
+
+
 def failing(*_: Any, **__: Any) -> Any:
     raise OptimisationFailed("no", constraint="none", violation=1.0)
 
@@ -264,7 +270,7 @@ def test_a_lighter_smoothing_that_fails_leaves_the_heavier_ones_result(
 ) -> None:
     problem = unattainable()
     # So that a lighter smoothing is worth trying.
-    run = exchange._Exchange(problem, replace(exchange_options(problem), missed_tolerance=0.0), None)
+    run = exchange._Exchange(problem, replace(exchange_options(problem), least_peak_tolerance=1e-4), None)
     heavier: list[QuinticTrajectory] = []
     whole = exchange._Exchange.run
 
@@ -339,6 +345,7 @@ WRONG = [
     ("samples_per_segment", 40.5),
     ("smoothing_weight", 0.0),
     ("peak_tolerance", 0.0),
+    ("least_peak_tolerance", 0.0),
     ("constraint_tolerance", 1e-3),
     ("max_passes", 0),
     ("max_iterations", 0),

@@ -116,7 +116,7 @@ class SameStart:
         options = replace(
             options,
             solver=solver,
-            missed_tolerance=0.0,
+            least_peak_tolerance=1e-4,
             held_gain=options.sqp.stall_tolerance,
             held_promise=options.sqp.stall_promise,
         )

@@ -18,7 +18,6 @@ from small_scenes import context_of, short_scene
 import cmbot
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError, InputError, SceneError
-from cmbot.optimization import ExchangeOptions
 from cmbot.optimization.program import StateSamples
 from cmbot.planning import GlobalSearch, Plan, PostureObjective, WeightedMoment, remarks
 from cmbot.planning.context import build_context
@@ -264,7 +263,7 @@ def test_a_plan_about_the_base(about_base: Plan) -> None:
     assert peak(about_base) < peak(default) - 0.1
     torque = np.linalg.norm(about_base.samples.guardrail_torque, axis=1).max()
     assert about_base.figures.peak_guardrail_torque == pytest.approx(torque, rel=1e-3)
-    least = default.figures.peak_guardrail_torque / (1 + ExchangeOptions.missed_tolerance)
+    least = default.figures.peak_guardrail_torque / (1 + default.options.least_peak_tolerance)
     assert about_base.figures.peak_guardrail_torque > least
     assert figures.floor == about_base.lower_bound.value
     assert figures.gap == pytest.approx(figures.planned_peak / about_base.lower_bound.value - 1)

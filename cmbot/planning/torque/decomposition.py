@@ -123,6 +123,7 @@ def exchange_options(problem: TorqueProblem) -> ExchangeOptions:
         solver=o.solver,
         smoothing=o.smoothing_weight,
         peak_tolerance=o.peak_tolerance,
+        least_peak_tolerance=o.least_peak_tolerance,
         feasibility_tolerance=o.constraint_tolerance,
         max_passes=o.max_passes,
         max_iterations=o.max_iterations,

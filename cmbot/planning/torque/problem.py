@@ -3,10 +3,10 @@
 The objective f is the torque on the guardrail, |n_0|, or another one, in units of its peak at the initial
 guess. With p the least peak,
 
-    min (1/2) mean_t f(t)^2 + (rho/2) mean (jerk/J_C)^2,    f(t) <= p (1 + 1e-4) at all times
+    min (1/2) mean_t f(t)^2 + (rho/2) mean (jerk/J_C)^2,    f(t) <= p (1 + epsilon) at all times
 
-(2e-3 where p is not its lower bound), subject to the bounds of Eqs. (31)-(32), the tool's deviation and the
-clearance.
+subject to the bounds of Eqs. (31)-(32), the tool's deviation and the clearance. epsilon is the option
+`peak_tolerance` where p is its lower bound, and `least_peak_tolerance` where that is missed.
 """
 
 from __future__ import annotations
