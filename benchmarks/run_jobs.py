@@ -147,7 +147,7 @@ def main() -> None:
             console.print(f"{row['name']} (oracle: {row['oracle']}): {why}", style="dim", soft_wrap=True)
     if arguments.document:
         REFERENCE.write_text(text, encoding="utf-8")
-        PAGE.write_text(page(PAGE.read_text(encoding="utf-8"), blocks(results)), encoding="utf-8")
+        PAGE.write_text(page(PAGE, blocks(results)), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -256,7 +256,7 @@ def main() -> int:
     print_sheets(sheets(results), console)
     if arguments.document:
         REFERENCE.write_text(text, encoding="utf-8")
-        PAGE.write_text(page(PAGE.read_text(encoding="utf-8"), blocks(results)), encoding="utf-8")
+        PAGE.write_text(page(PAGE, blocks(results)), encoding="utf-8")
     broken = results["knots"]["failures"] or any(job.get("violations") for job in results["jobs"])
     return int(bool(broken))
 

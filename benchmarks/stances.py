@@ -301,8 +301,7 @@ def main() -> None:
     arguments.output.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     print_sheets(sheets(results), console)
     if arguments.document:
-        text = DOCUMENT.read_text(encoding="utf-8")
-        DOCUMENT.write_text(page(text, blocks(results)), encoding="utf-8")
+        DOCUMENT.write_text(page(DOCUMENT, blocks(results)), encoding="utf-8")
 
 
 if __name__ == "__main__":

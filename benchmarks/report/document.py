@@ -33,20 +33,21 @@ def blocks(results: Mapping[str, Any]) -> dict[str, str]:
     return {**kept, **{sheet.key: markdown(sheet) for sheet in made}, "machine": _machine(results)}
 
 
-def page(text: str, found: Mapping[str, str]) -> str:
-    """Put blocks between ``<!-- key -->`` and ``<!-- end of key -->``.
+def page(path: Path, found: Mapping[str, str]) -> str:
+    """Return a page with blocks between ``<!-- key -->`` and ``<!-- end of key -->``.
 
     Raises
     ------
     SystemExit
-        When a marker is missing.
+        When a marker is missing: which one, on which page.
     """
+    text = path.read_text(encoding="utf-8")
     for key, block in found.items():
         start, end = f"<!-- {key} -->\n", f"<!-- end of {key} -->"
         before, opened, rest = text.partition(start)
         _, closed, after = rest.partition(end)
         if not (opened and closed):
-            sys.exit(f"{PAGE}: no place marked {key}")
+            sys.exit(f"{path}: no place marked {key}")
         text = f"{before}{start}{block}\n{end}{after}"
     return text
 
@@ -66,7 +67,7 @@ def make_reference() -> None:
     results["goals"] = [asdict(goal) for goal in goals(results)]
     REFERENCE.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
     shutil.copy(LATEST.with_suffix(".png"), FIGURE)
-    PAGE.write_text(page(PAGE.read_text(encoding="utf-8"), blocks(results)), encoding="utf-8")
+    PAGE.write_text(page(PAGE, blocks(results)), encoding="utf-8")
     print(f"Written: {REFERENCE}, {FIGURE}, {PAGE}.")
 
 

@@ -101,7 +101,7 @@ def document(path: Path) -> None:
     """Make the results in a file those of the documentation."""
     shutil.copy(path, REFERENCE)
     results = json.loads(REFERENCE.read_text(encoding="utf-8"))
-    PAGE.write_text(page(PAGE.read_text(encoding="utf-8"), blocks(results)), encoding="utf-8")
+    PAGE.write_text(page(PAGE, blocks(results)), encoding="utf-8")
 
 
 def _path(oracle: Mapping[str, Any]) -> str:

@@ -16,6 +16,7 @@ from cmbot.common.errors import InputError, ModelError
 from cmbot.common.installation import scene_folder
 
 if TYPE_CHECKING:
+    from cmbot.planning import StartPosture
     from cmbot.robot import Robot
     from cmbot.scene import Obstacle
 
@@ -99,7 +100,7 @@ def new(
         if not place.is_dir():
             raise InputError("--package-dir", "", str(place), "a folder that exists")
     composed = _composed(source, base, tool, tool_at, rpy_deg, path, limits, packages)
-    robot, text, limits_content = composed
+    robot, start, text, limits_content = composed
     from cmbot.archive import write_file
 
     written = [path]
@@ -113,6 +114,12 @@ def new(
     elif not quiet:
         joints = f"{robot.dof} joints from {robot.base_frame} to {robot.tool_frame}"
         out.print(flat(f"{robot.name}: {joints}"))
+        by = ", ".join(f"{x:g}" for x in start.by)
+        out.print(
+            f"A first leg takes the tool by ({by}) m in {start.seconds:g} s: put your own into tool_path."
+        )
+        if source != _SHIPPED:
+            out.print("The base is rigid: guardrail.stiffness says how it bends, base.name what it is.")
         for remark in robot.remarks:
             out.print(flat(remark))
         out.print(flat(f"Written: {', '.join(map(str, written))}. Plan it: cmbot plan {path}"))
@@ -142,8 +149,8 @@ def _composed(
     path: Path,
     limits: Path,
     packages: tuple[Path, ...],
-) -> tuple[Robot, str, str | None]:
-    """The robot, the scene's text and that of its joint limits; None where it has a file of them."""
+) -> tuple[Robot, StartPosture, str, str | None]:
+    """The robot, its start, the scene's text and that of its joint limits; None where it has them."""
     import numpy as np
 
     from cmbot.planning import find_start
@@ -186,9 +193,9 @@ def _composed(
         safety_margin_m=None if default else start.safety_margin,
     )
     if shipped or own_limits:
-        return robot, text, None
+        return robot, start, text, None
     known = robot.limits
-    return robot, text, limits_text(robot.joints, known.acceleration, known.jerk, known.prismatic)
+    return robot, start, text, limits_text(robot.joints, known.acceleration, known.jerk, known.prismatic)
 
 
 def _obstacles(source: str) -> tuple[Obstacle, ...]:

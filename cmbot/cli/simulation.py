@@ -130,7 +130,7 @@ def simulate(
     elif not quiet:
         _print_summary(loaded, tracking)
         if details:
-            _print_tracking(loaded.scene.name, tracking)
+            _print_tracking(loaded, tracking)
         out.print(f"Written to {', '.join(map(flat, written))}.")
         if not details:
             page = directory / REPORT
@@ -209,7 +209,7 @@ def _summary(plan: Plan, tracking: Tracking) -> dict[str, Any]:
     return {
         "scene": plan.scene.name,
         **entries,
-        "remarks": [*tracking_remarks(tracking), *_rigid(plan)],
+        "remarks": [*tracking_remarks(tracking, compensated=plan.options.compensate), *_rigid(plan)],
     }
 
 
@@ -260,10 +260,10 @@ def _print_summary(plan: Plan, tracking: Tracking) -> None:
         out.print(said)
 
 
-def _print_tracking(name: str, tracking: Tracking) -> None:
+def _print_tracking(plan: Plan, tracking: Tracking) -> None:
     from cmbot.simulation import tracking_remarks, tracking_rows
 
     headings = ("", "", "x", "y", "z", "norm")
-    print_table(f"{name}, mm", headings, list(tracking_rows(tracking)), text_columns=2)
-    for remark in tracking_remarks(tracking):
+    print_table(f"{plan.scene.name}, mm", headings, list(tracking_rows(tracking)), text_columns=2)
+    for remark in tracking_remarks(tracking, compensated=plan.options.compensate):
         out.print(remark)

@@ -199,14 +199,24 @@ def tracking_rows(tracking: Tracking) -> Iterator[tuple[str, ...]]:
             yield "after the stop, peak to peak", name, *numbers
 
 
-def tracking_remarks(tracking: Tracking) -> Iterator[str]:
-    """Yield remarks on a simulation, a sentence or two each: definitions, vibration, options, wall time."""
-    yield (
-        "Error: the bent tool from where the same joint angles put the rigid one and, with compensation, its "
-        "predicted sag; static: at rest; mm in W."
-    )
+def tracking_remarks(tracking: Tracking, *, compensated: bool = False) -> Iterator[str]:
+    """Yield remarks on a simulation, a sentence or two each: definitions, vibration, options, wall time.
+
+    `compensated`: the plan compensates the predicted sag.
+    """
+    rigid = "the bent tool from where the same joint angles put the rigid one"
+    if compensated:
+        rigid = f"of the baseline {rigid}, of the planned motion from there with the sag that was foreseen"
+    yield f"Error: {rigid}; static: at rest; mm in W."
     yield "Off the path: along strokes, the bent tool from the nearest point of its leg."
-    for remark in (_command, _vibration, _decay):
+    for name, motion in tracking.motions:
+        apart = (
+            "with the sag that was foreseen" if compensated and name == "planned" else "apart from bending"
+        )
+        largest = 1e3 * np.nanmax(np.linalg.norm(motion.command, axis=1))
+        away = f"{largest:.3f} mm from its timed path"
+        yield f"{name.capitalize()}: {apart}, the joints put the tool up to {away}."
+    for remark in (_vibration, _decay):
         for name, motion in tracking.motions:
             if text := remark(motion):
                 yield f"{name.capitalize()}: {text}."
@@ -217,11 +227,6 @@ def tracking_remarks(tracking: Tracking) -> Iterator[str]:
 
 def _largest_execution(motion: MotionTracking) -> float:
     return 0.0 if motion.execution is None else motion.largest(motion.execution)
-
-
-def _command(motion: MotionTracking) -> str:
-    largest = 1e3 * np.nanmax(np.linalg.norm(motion.command, axis=1))
-    return f"apart from bending, the joints put the tool up to {largest:.3f} mm from its timed path"
 
 
 def _vibration(motion: MotionTracking) -> str:

@@ -166,7 +166,7 @@ class Tracking:
         each = ", ".join(
             f"{1e3 * motion.metrics.total.rms[3]:.2f} mm ({name})" for name, motion in self.motions
         )
-        return f"RMS distance of the bent tool from the rigid one {each}"
+        return f"RMS error of the bent tool {each}"
 
     @property
     def motions(self) -> tuple[tuple[Literal["baseline", "planned"], MotionTracking], ...]:

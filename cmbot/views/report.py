@@ -295,7 +295,8 @@ def _sections(plan: Plan, tracking: Tracking | None) -> Iterator[str]:
         yield section(f"Certificate of {the}{name}", checks)
     if tracking is not None:
         errors = table(tracking_rows(tracking), ("mm", "", "x", "y", "z", "norm"), text_columns=2)
-        sentences = _list([tracking_verdict(plan, tracking), *tracking_remarks(tracking)])
+        said = tracking_remarks(tracking, compensated=plan.options.compensate)
+        sentences = _list([tracking_verdict(plan, tracking), *said])
         interval = list(interval_rows(plan, tracking))
         others = table(interval, INTERVAL_HEADINGS, text_columns=2) if interval else ""
         yield section("Simulation", errors + others + sentences, kind="long")

@@ -359,15 +359,16 @@ def test_the_machine_is_described_without_names_and_a_missing_package_named(
     capsys.readouterr()
 
 
-def test_blocks_go_between_their_markers_as_on_the_page() -> None:
-    text = "a\n<!-- goals -->\nold\n<!-- end of goals -->\nb\n"
-    new = document.page(text, {"goals": "new"})
+def test_blocks_go_between_their_markers_as_on_the_page(tmp_path: Path) -> None:
+    path = tmp_path / "some.md"
+    path.write_text("a\n<!-- goals -->\nold\n<!-- end of goals -->\nb\n")
+    new = document.page(path, {"goals": "new"})
     assert new == "a\n<!-- goals -->\nnew\n<!-- end of goals -->\nb\n"
-    with pytest.raises(SystemExit, match="no place marked growth"):
-        document.page(text, {"growth": "new"})
+    with pytest.raises(SystemExit, match=r"some\.md: no place marked growth"):
+        document.page(path, {"growth": "new"})
     results = json.loads(document.REFERENCE.read_text(encoding="utf-8"))
     text = document.PAGE.read_text(encoding="utf-8")
-    assert document.page(text, document.blocks(results)) == text
+    assert document.page(document.PAGE, document.blocks(results)) == text
     assert document.FIGURE.is_file()
     assert results["goals"] == [asdict(goal) for goal in goals.goals(results)]
 

@@ -29,4 +29,4 @@ def test_a_plan_that_breaks_a_limit_is_wrong() -> None:
 def test_the_page_is_that_of_the_results() -> None:
     text = PAGE.read_text(encoding="utf-8")
     results = json.loads(run_jobs.REFERENCE.read_text(encoding="utf-8"))
-    assert page(text, run_jobs.blocks(results)) == text
+    assert page(PAGE, run_jobs.blocks(results)) == text

@@ -64,5 +64,5 @@ def test_jobs_are_told_by_how_they_ended() -> None:
 def test_the_page_follows_from_the_results() -> None:
     results = json.loads(soak.REFERENCE.read_text(encoding="utf-8"))
     text = soak.PAGE.read_text(encoding="utf-8")
-    assert page(text, soak.blocks(results)) == text
+    assert page(soak.PAGE, soak.blocks(results)) == text
     assert sum(results["knots"]["sets"].values()) > 0

@@ -54,4 +54,4 @@ def test_the_search_is_measured_beside_the_scenes_own_stance(monkeypatch: pytest
 def test_the_page_is_that_of_the_results() -> None:
     text = stances.DOCUMENT.read_text(encoding="utf-8")
     results = json.loads(stances.REFERENCE.read_text(encoding="utf-8"))
-    assert page(text, stances.blocks(results)) == text
+    assert page(stances.DOCUMENT, stances.blocks(results)) == text

@@ -28,7 +28,10 @@ def test_a_scene_of_the_panda(here: Path, monkeypatch: pytest.MonkeyPatch) -> No
     only_collision("panda", here).with_suffix(".srdf").write_bytes(srdf.read_bytes())
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(ROBOTS.parent.parent))
     out = output("new", "--from", "panda.urdf", "--tool-at", "0.5", "0", "0.4")
-    assert out.splitlines()[0] == "panda: 7 joints from panda_link0 to panda_hand_tcp"
+    robot_words, leg, base, *_ = out.splitlines()
+    assert robot_words == "panda: 7 joints from panda_link0 to panda_hand_tcp"
+    assert leg.startswith("A first leg takes the tool by (") and leg.endswith("put your own into tool_path.")
+    assert base == "The base is rigid: guardrail.stiffness says how it bends, base.name what it is."
     assert out.splitlines()[-1] == "Written: panda.yaml, panda.limits.yaml. Plan it: cmbot plan panda.yaml"
     text = (here / "panda.yaml").read_text(encoding="utf-8")
     assert text.startswith("# yaml-language-server: $schema=")

@@ -322,3 +322,16 @@ def test_options_are_checked(short_plan: Plan, option: str, value: object, expec
     with pytest.raises(InputError, match=expected) as caught:
         simulate(short_plan, replace(OPTIONS, **{option: value}))
     assert (caught.value.source, caught.value.key) == ("SimulationOptions", option)
+
+
+def test_remarks_say_what_was_foreseen_of_a_compensated_plan(
+    compensated_short: tuple[Plan, Tracking],
+) -> None:
+    _, tracking = compensated_short
+    plain, told = (list(tracking_remarks(tracking, compensated=given)) for given in (False, True))
+    assert "of the planned motion from there with the sag that was foreseen; static" in told[0]
+    assert "foreseen" not in " ".join(plain)
+    assert sum(each.startswith("Planned: with the sag that was foreseen, the joints") for each in told) == 1
+    assert [each for each in plain if each.startswith("Baseline: apart")] == [
+        each for each in told if each.startswith("Baseline: apart")
+    ]

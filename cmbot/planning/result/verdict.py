@@ -38,7 +38,7 @@ def verdict(plan: Plan, *, area: bool = True) -> str:
     text = f"The {base} must bear {peak:.1f} Nm over the whole job ({_where(plan)}), "
     text += _compared(peak, before)
     if faults := [*_faults(plan)]:
-        text += f", which {' and '.join(faults)}"
+        text += f" (it {' and '.join(faults)})"
     if _SAME < 1 - peak / before < _LITTLE:
         text += ": hardly anything is gained"
     if len(job.segments) > 1:

@@ -58,7 +58,7 @@ def test_hardly_a_gain_is_called_so(triangle_plan: Plan) -> None:
 def test_a_baseline_that_cannot_be_executed_is_called_so(
     triangle_plan: Plan, change: dict[str, float], fault: str
 ) -> None:
-    assert ", which" not in verdict(triangle_plan)
+    assert "(it " not in verdict(triangle_plan)
     plan, change = replace(triangle_plan), dict(change)
     figures, (*others, work) = plan.baseline_job_figures, plan.baseline_segments
     q = work.samples.q + change.pop("turn", 0.0)
@@ -66,7 +66,7 @@ def test_a_baseline_that_cannot_be_executed_is_called_so(
     use = replace(figures.limit_use, **rates)
     plan.__dict__["baseline_segments"] = (*others, replace(work, samples=replace(work.samples, q=q)))
     plan.__dict__["baseline_job_figures"] = replace(figures, limit_use=use, **change)
-    assert f", which {fault}" in verdict(plan)
+    assert f" (it {fault})" in verdict(plan)
 
 
 def test_a_heavy_approach_is_a_loss_and_has_its_time(returning_plan: Plan) -> None:
