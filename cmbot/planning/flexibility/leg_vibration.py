@@ -22,7 +22,7 @@ __all__ = ["ElasticPath", "LegVibration", "Uncertainty", "tool_amplitudes"]
 # Modes at the start, the middle and the end that together carry the motion in between.
 _CARRIERS = 3
 # Steps a period of the fastest mode that is suppressed; longest time with the same matrices, s.
-_STEPS_A_PERIOD, _MATRICES_EVERY = 40, 0.2
+_STEPS_A_PERIOD, _MATRICES_EVERY = 40, 0.25
 # Damping ratio of the modes that are suppressed, as simulated by default: it hardly matters within a leg.
 _DAMPING = 0.01
 # How long the tool is watched after the stop, as simulated by default, and how often, s.
