@@ -10,6 +10,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Callable
+from copy import copy
 from functools import wraps
 from types import TracebackType
 from typing import Annotated, Any
@@ -66,7 +67,7 @@ def main() -> None:
 def _run(words: list[str]) -> int:
     try:
         # Not `app()`: it replaces the hook and prints errors in a box of many lines.
-        status = typer.main.get_command(app)(words, prog_name="cmbot", standalone_mode=False)
+        status = typer.main.get_command(_app_for(words))(words, prog_name="cmbot", standalone_mode=False)
         return status if isinstance(status, int) else ExitStatus.DONE
     except _UsageError as error:
         # The message is empty where the help was printed.
@@ -86,6 +87,14 @@ def _run(words: list[str]) -> int:
         if error.errno not in (errno.EPIPE, errno.ENOSPC):
             raise
         return ExitStatus.DONE
+
+
+def _app_for(words: list[str]) -> typer.Typer:
+    """The app with no verb but the one that is called: Typer evaluates the options of each."""
+    called = copy(app)
+    named = [each for each in app.registered_commands if getattr(each.callback, "__name__", "") in words[:1]]
+    called.registered_commands = named or app.registered_commands
+    return called
 
 
 def _flushed(status: int) -> int:
