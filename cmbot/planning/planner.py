@@ -112,8 +112,9 @@ def plan(
         if not (value is None or value is False or callable(value)):
             raise InputError("cmbot.plan", key, type(value).__name__, "something to call, or None")
     given = scene.planner if options is None else checked_options(PlannerOptions, options, "PlannerOptions")
+    timer = ProgressReporter(None, limit=given.time_limit_s)
     with threadpool_limits(limits=1, user_api="blas"), failures_explained(scene):
-        scene = reached_scene(scene, given)
+        scene = reached_scene(scene, given, timer)
     if scene.order == "best":
         return _in_best_order(scene, given, objective, progress)
     # The plan holds the solver that it was made with.
@@ -124,7 +125,7 @@ def plan(
         watched(progress) as report,
         failures_explained(scene),
     ):
-        reporter = ProgressReporter(report, limit=options.time_limit_s)
+        reporter = ProgressReporter(report, limit=timer.time_left)
         reporter.stage("path")
         context = build_context(scene, options, objective, reporter)
         for number, stroke in enumerate(context.strokes):

@@ -11,6 +11,7 @@ from cmbot import load_plan, load_scene, plan, save
 from cmbot.common.errors import PathNotFound
 from cmbot.planning import remarks, robot_of, strokes_of, verdict
 from cmbot.planning.path.raster_reach import reached_scene
+from cmbot.planning.progress import ProgressReporter
 from cmbot.scene import Scene, coverage_of
 
 # In the middle of two rows, 0.08 m wide: the nozzle of 0.3 m does not come near.
@@ -55,6 +56,14 @@ def test_all_or_nothing_is_asked_for() -> None:
     wall = {"name": "wall", "box": [0.05, 3, 3], "xyz": [1.5, 0.4, -2.05]}
     with pytest.raises(PathNotFound, match="no place of the raster of work is reached"):
         reached(rows(wall))
+
+
+def test_where_the_time_is_over_that_is_said() -> None:
+    scene = rows(spacing_m=0.001)
+    out_of_time = ProgressReporter(limit=0.0)
+    words = r"was over when 0 of 4\d\d\d places along the rows .* a larger tool_path.raster.spacing_m"
+    with pytest.raises(PathNotFound, match=words):
+        reached_scene(scene, scene.planner, out_of_time)
 
 
 def test_a_raster_round_an_obstacle_is_planned_in_two_parts(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.context import PlanningContext, build_context, in_cells, robot_of
 from cmbot.planning.path.projection import project_onto_task
+from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.task import ToolTask
 from cmbot.scene import PlannerOptions, RowPiece, Scene, StrokeFile, ToolPath, ToolPoses, cells_of, rows_alone
 
@@ -18,6 +19,8 @@ __all__ = ["reached_scene"]
 
 # Distance of places along rows: as a share of the rows' distance, and at most, m.
 _SHARE, _EVERY = 0.25, 0.03
+# Rows that are so long that there would be more places have them further apart.
+_MOST_PLACES = 4000
 # Postures that follow rows: few first, more where these come to an end; how far copies of them are scattered,
 # and how far a joint may move from one place to the next, rad.
 _FEW, _MANY, _SCATTER, _FURTHEST = 12, 60, 0.15, 0.6
@@ -36,7 +39,7 @@ _SHORTEST = 0.5
 _Cell = tuple[RowPiece, ...]
 
 
-def reached_scene(scene: Scene, options: PlannerOptions) -> Scene:
+def reached_scene(scene: Scene, options: PlannerOptions, reporter: ProgressReporter | None = None) -> Scene:
     """Return the scene whose rasters are in parts that the arm can follow, each a stroke of its own.
 
     Postures that hold the tool are carried along the rows: within the joint ranges, strong enough and clear
@@ -47,18 +50,20 @@ def reached_scene(scene: Scene, options: PlannerOptions) -> Scene:
     ----------
     scene : Scene
     options : PlannerOptions
+    reporter : ProgressReporter, optional
+        Knows the time that is left.
 
     Raises
     ------
     SceneError, ModelError
         When scene and robot do not fit together.
     PathNotFound
-        When nothing of a raster is reached.
+        When nothing of a raster is reached, or the time is over.
     """
     if not any(file.raster is not None for file in scene.each_stroke):
         return scene
     apart = in_cells(scene, robot_of(scene))
-    context = build_context(apart, options)
+    context = build_context(apart, options, reporter=reporter)
     numbers = {str(file.name): k for k, file in enumerate(scene.each_stroke)}
     whole, parts, cut = dict[int, list[RowPiece]](), dict[int, list[_Cell]](), False
     for number, stroke in enumerate(context.strokes):
@@ -139,8 +144,9 @@ class _Follower:
         raster = replace(self._raster, pieces=cell, overscan_m=self._over)
         path = self._path(rows_alone(self._context.stroke.file, raster))
         legs, shares, times = list[IntArray](), list[FloatArray](), list[FloatArray]()
+        every = max(self._every, float(path.lengths.sum()) / _MOST_PLACES)
         for leg, length in enumerate(path.lengths):
-            each = np.linspace(0.0, 1.0, max(int(np.ceil(length / self._every)), 1) + 1)
+            each = np.linspace(0.0, 1.0, max(int(np.ceil(length / every)), 1) + 1)
             each = each if leg % 2 == 0 else each[1:-1]
             shares.append(each)
             legs.append(np.full(len(each), leg))
@@ -158,11 +164,23 @@ class _Follower:
         q = self._anywhere(goals[0], _AT_START)[0]
         q = q[self._rng.permutation(len(q))[:width]]
         for number in range(len(goals)):
+            self._require_time(number, len(goals))
             if number > 0:
                 q = self._carried(q, goals[number], width)
             if not len(q):
                 return number
         return len(goals)
+
+    def _require_time(self, done: int, total: int) -> None:
+        """Refuse to go on where the time is over."""
+        context = self._context
+        if context.reporter.expired():
+            limit = f"{context.options.time_limit_s:g} s (planner.time_limit_s)"
+            raise context.path_not_found(
+                f"the time, {limit}, was over when {done} of {total} places along the rows had been tried; "
+                f"take a longer one, or a larger {context.stroke.key}.raster.spacing_m",
+                context.posture,
+            )
 
     def _carried(self, q: FloatArray, goal: ToolPoses, width: int) -> FloatArray:
         """Admissible postures at the next place, near postures `q` (N, n)."""
@@ -225,6 +243,7 @@ class _Follower:
         each[::_STRIDE] = self._anywhere(places.goals[on_rows[::_STRIDE]], _ANYWHERE)
         for order in (range(1, len(each)), range(len(each) - 2, -1, -1)):
             for k in order:
+                self._require_time(k, len(each))
                 before = each[k - order.step]
                 if not len(each[k]) and len(before):
                     each[k] = self._carried(before, places.goals[on_rows[k]], _MANY)
