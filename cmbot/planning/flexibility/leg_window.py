@@ -38,7 +38,7 @@ _ROUNDING = 1e-12
 _JERKS, _MORE_JERK, _JERK_ROUNDS = 5, 1e-3, 8
 # Iterations of Lawson's algorithm, without bounds and within them, by what share one of these has to lower
 # the largest amplitude for another one, but at first, and the least weight of a case.
-_REWEIGHTINGS, _BOUND_REWEIGHTINGS, _GAIN, _LEAST_WEIGHT = 12, 5, 5e-3, 1e-6
+_REWEIGHTINGS, _BOUND_REWEIGHTINGS, _GAIN, _LEAST_WEIGHT = 12, 10, 5e-3, 1e-6
 
 Leg = tuple[int, int]
 """First and last knot of a leg."""
