@@ -197,7 +197,7 @@ def test_where_only_violations_are_left_steps_are_shortened(angle: float) -> Non
 def test_a_step_that_lowers_violations_is_not_hopeless(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever comes of the program that weighs nothing else: it may stay unsolved."""
     start = Ripples(np.array([3.0, -3.0]), 1.0)
-    state = sqp._SqpState(start, 2, SqpOptions(), None)
+    state = sqp._SqpState(start, 2, SqpOptions(), None, lambda: False)
     model = replace(start.model, hessian=state.hessian)
     step = state.steered(model)
     none = replace(step, p=np.zeros(2), solved=False)
