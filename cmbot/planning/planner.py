@@ -125,7 +125,8 @@ def plan(
         watched(progress) as report,
         failures_explained(scene),
     ):
-        reporter = ProgressReporter(report, limit=timer.time_left)
+        followed = any(file.raster is not None for file in scene.each_stroke)
+        reporter = ProgressReporter(report, limit=timer.time_left if followed else options.time_limit_s)
         reporter.stage("path")
         context = build_context(scene, options, objective, reporter)
         for number, stroke in enumerate(context.strokes):
