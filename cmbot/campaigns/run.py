@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -187,9 +187,11 @@ class _Robots:
         self._hashes = dict[RobotSource, str]()
 
     def hash_of(self, scene: Scene) -> str:
-        if scene.robot not in self._hashes:
-            self._hashes[scene.robot] = robot_of(scene).content_hash
-        return self._hashes[scene.robot]
+        # What it carries is in no file of the robot's; jobs often differ in it.
+        empty = replace(scene.robot, payload=0.0)
+        if empty not in self._hashes:
+            self._hashes[empty] = robot_of(scene).content_hash
+        return self._hashes[empty]
 
 
 def _require_own(directory: Path) -> None:
