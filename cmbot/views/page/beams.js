@@ -2,9 +2,10 @@
 // nothing is torn or stretched however large the factor. With the factor 1 a beam ends where it was simulated to end.
 const STATIONS = 12;  // along a beam
 
+const ONE = new THREE.Vector3(1, 1, 1);
 const vector = ([x, y, z]) => new THREE.Vector3(x, y, z);
 const moveBy = (p) => new THREE.Matrix4().makeTranslation(p.x, p.y, p.z);
-const poseOf = ({ position, quaternion }) => new THREE.Matrix4().compose(position, quaternion, new THREE.Vector3(1, 1, 1));
+const poseOf = ({ position, quaternion }) => new THREE.Matrix4().compose(position, quaternion, ONE);
 
 // The rotation vector of a rotation, and the rotation of a vector.
 function turnOf(matrix) {
@@ -21,8 +22,10 @@ function turned(turn) {
 }
 
 // The map that turns about a point and then moves it by `shift`.
-const mapAt = (point, shift, turn) => moveBy(point.clone().add(shift))
-  .multiply(new THREE.Matrix4().makeRotationFromQuaternion(turned(turn))).multiply(moveBy(point.clone().negate()));
+function mapAt(point, shift, turn) {
+  const q = turned(turn), moved = point.clone().applyQuaternion(q).negate().add(point).add(shift);
+  return new THREE.Matrix4().compose(moved, q, ONE);
+}
 
 // Displacement and rotation of a point by a map.
 const motionAt = (point, map) => ({ shift: point.clone().applyMatrix4(map).sub(point), turn: turnOf(map) });
@@ -63,9 +66,9 @@ function stationsAlong(from, to, points) {
 
 // Points moved by the maps before and after their stations, into `out`.
 function bendPoints(rest, stations, maps, out) {
+  const each = maps.map(({ elements }) => elements);
   for (let k = 0; k < stations.length; k += 1) {
-    const low = Math.min(Math.floor(stations[k]), maps.length - 2), w = stations[k] - low;
-    const A = maps[low].elements, B = maps[low + 1].elements;
+    const low = Math.min(Math.floor(stations[k]), each.length - 2), w = stations[k] - low, A = each[low], B = each[low + 1];
     const x = rest[3 * k], y = rest[3 * k + 1], z = rest[3 * k + 2];
     for (let i = 0; i < 3; i += 1) {
       const a = A[i] * x + A[4 + i] * y + A[8 + i] * z + A[12 + i], b = B[i] * x + B[4 + i] * y + B[8 + i] * z + B[12 + i];
@@ -112,8 +115,9 @@ class Frame {
     const moves = this.feet.flatMap((point) => Object.values(motionAt(point, foot)).flatMap((v) => v.toArray()));
     const width = moves.length;
     const maps = this.nodes.map((node, k) => {
-      const row = (i) => moves.reduce((sum, move, j) => sum + this.shapes[width * (6 * k + i) + j] * move, 0);
-      return mapAt(node, new THREE.Vector3(row(0), row(1), row(2)), new THREE.Vector3(row(3), row(4), row(5)));
+      const moved = new Float64Array(6);
+      for (let i = 0; i < 6 * width; i += 1) moved[Math.floor(i / width)] += this.shapes[6 * width * k + i] * moves[i % width];
+      return mapAt(node, vector(moved.subarray(0, 3)), vector(moved.subarray(3)));
     });
     return this.members.flatMap(([a, b]) => [maps[a], maps[b]]);
   }

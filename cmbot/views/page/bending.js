@@ -1,7 +1,7 @@
 // The arm and what it stands on bent by their elastic coordinates times a factor: the chain of joints is followed anew,
 // and links, pole and guardrail are bent along it as beams.
 const matrixOf = ([x, y, z, ...turn]) => new THREE.Matrix4().compose(
-  new THREE.Vector3(x, y, z), new THREE.Quaternion(...turn), new THREE.Vector3(1, 1, 1));
+  new THREE.Vector3(x, y, z), new THREE.Quaternion(...turn), ONE);
 
 class Bending {
   constructor(stage, source) {
@@ -133,7 +133,7 @@ function bendSkin({ mesh, rest, stations }, maps) {
 }
 
 function bentPoint(point, stationsOf, maps) {
-  const rest = point.toArray(), out = [];
+  const rest = Float32Array.from(point.toArray()), out = new Float32Array(3);
   bendPoints(rest, stationsOf(rest), maps, out);
   return point.fromArray(out);
 }

@@ -1,5 +1,5 @@
 // Marks in the 3-D view: the smallest clearance as a line, and the tool's deflection, magnified.
-const TRACED = 240;  // places of the tool along its path
+const TRACED = 160;  // places of the tool along its path
 
 class Marks {
   constructor(stage, data) {
@@ -69,13 +69,15 @@ class Marks {
   setBent(name, motion, moment) {
     const stick = this.bent[name];
     stick.on = motion.error !== null;
-    if (stick.on) this.place(stick, motion.toolAt(moment), this.bentTool(motion, moment));
+    if (!stick.on) return;
+    const { bending, data } = this.stage;
+    this.place(stick, motion.toolAt(moment), this.bentTool(motion, moment, (tool) => bending.carried(name, data.links.length, tool)));
   }
 
   // A compensated plan expects its tool elsewhere than the rigid arm has it: the error from there is magnified.
-  bentTool(motion, moment) {
+  bentTool(motion, moment, bent) {
     const tool = motion.toolAt(moment);
-    return motion.expected ? tool.addScaledVector(motion.errorAt(moment), this.factor) : this.stage.bending.toolAt(motion, moment, tool, this.factor);
+    return motion.expected ? tool.addScaledVector(motion.errorAt(moment), this.factor) : bent(tool);
   }
 
   // The elastic arm's tool path during the work, its bending times `factor`.
@@ -83,7 +85,8 @@ class Marks {
     this.factor = factor;
     for (const name of MOTIONS) {
       if (!motions[name].error) continue;
-      const places = Array.from({ length: TRACED }, (_, k) => this.bentTool(motions[name], k / (TRACED - 1)));
+      const motion = motions[name], share = (k) => k / (TRACED - 1), { bending } = this.stage;
+      const places = Array.from({ length: TRACED }, (_, k) => this.bentTool(motion, share(k), (tool) => bending.toolAt(motion, share(k), tool, factor)));
       this.bent[name].trace.geometry.setFromPoints(places);
     }
   }

@@ -70,11 +70,19 @@ class TorquePlot {
     this.line([[this.x(workStart), this.y(floor)], [this.x(workEnd), this.y(floor)]], this.colour("ink"), 1);
     this.pen.setLineDash([]);
     if (this.height < 50) return;  // no room for its label
-    const label = `${floorName} ${newtonMetres(floor)}`, room = this.x(workEnd) - this.x(workStart) - 8;
-    const wide = this.pen.measureText(label).width;
+    const label = `${floorName} ${newtonMetres(floor)}`, size = `${this.width} ${this.height}`;
+    // Its place changes with the plot's size only.
+    if (this.named?.size !== size) this.named = { size, place: this.floorPlace(this.pen.measureText(label).width) };
+    this.text(label, ...this.named.place);
+  }
+
+  // Where a name of the lower bound, so wide, hides least of the curves.
+  floorPlace(wide) {
+    const { floor, workStart, workEnd } = this.data, room = this.x(workEnd) - this.x(workStart) - 8;
     const shares = wide < room ? [1, 0.75, 0.5, 0.25, 0] : [1];
     const places = [12, -4, 24, 36].flatMap((below) => shares.map((share) => [this.x(workEnd) - 4 - wide - (1 - share) * (room - wide), this.y(floor) + below]));
-    this.text(label, ...leastHidden(places.filter(([, y]) => y > TITLE + 12 && y < this.height - 2), ([x, y]) => this.crossed(x, y, wide)) ?? places[0]);
+    const inside = places.filter(([, y]) => y > TITLE + 12 && y < this.height - 2);
+    return leastHidden(inside, ([x, y]) => this.crossed(x, y, wide)) ?? places[0];
   }
 
   // How often curves cross words at a place, every few pixels.
