@@ -95,6 +95,13 @@ class PlanningContext:
             return "the scene's posture"
         return f"the end of stroke {self.strokes[self.number - 1].name}"
 
+    @property
+    def time_in_words(self) -> str:
+        """What messages call the time that planning has, and the part of it that the stroke has."""
+        limit, own = self.options.time_limit_s, self.reporter.limit
+        part = f", of which {self.stroke.name} had {own:.3g} s" if own < limit else ""
+        return f"the time, {limit:g} s (planner.time_limit_s){part}"
+
     def at_stroke(
         self, number: int, scene: Scene, posture: FloatArray, begin: float, reached: float
     ) -> PlanningContext:

@@ -63,9 +63,7 @@ def constraints_named(context: PlanningContext) -> Iterator[None]:
 
 def _time_over(context: PlanningContext) -> str:
     """Say that the time was over: what it was, and what was used of it."""
-    limit, reporter = context.options.time_limit_s, context.reporter
-    part = f", of which {context.stroke.name} had {reporter.limit:.3g} s" if reporter.limit < limit else ""
-    return f"the time, {limit:g} s (planner.time_limit_s){part}, was over after {reporter.used:.3g} s,"
+    return f"{context.time_in_words}, was over after {context.reporter.used:.3g} s,"
 
 
 def _named(context: PlanningContext, failure: OptimisationFailed) -> str:

@@ -175,10 +175,9 @@ class _Follower:
         """Refuse to go on where the time is over."""
         context = self._context
         if context.reporter.expired():
-            limit = f"{context.options.time_limit_s:g} s (planner.time_limit_s)"
             raise context.path_not_found(
-                f"the time, {limit}, was over when {done} of {total} places along the rows had been tried; "
-                f"take a longer one, or a larger {context.stroke.key}.raster.spacing_m",
+                f"{context.time_in_words}, was over when {done} of {total} places along the rows had been "
+                f"tried; take a longer one, or a larger {context.stroke.key}.raster.spacing_m",
                 context.posture,
             )
 

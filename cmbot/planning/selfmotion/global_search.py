@@ -403,10 +403,9 @@ def _charted(sampler: SelfMotionSampler, context: PlanningContext, goals: ToolPo
     def report(done: int, total: int) -> None:
         context.reporter.part(step, done, total)
         if context.reporter.expired():
-            limit = f"{context.options.time_limit_s:g} s (planner.time_limit_s)"
             reason = (
-                f"the time, {limit}, was over when {done} of {total} via-points had been charted; take a "
-                f"longer one, fewer {context.stroke.key}.via_points or a larger planner.chart_spacing"
+                f"{context.time_in_words}, was over when {done} of {total} via-points had been charted; take "
+                f"a longer one, fewer {context.stroke.key}.via_points or a larger planner.chart_spacing"
             )
             raise context.path_not_found(reason, context.first)
 
