@@ -64,6 +64,9 @@ class ExchangeOptions:
     nearly_ended : float
         Where it ended with violations up to this, but for that of its bound, the peak is minimised from there
         on.
+    far_off : float
+        Where the start violates constraints by more, the lower bound is not attempted: the peak is minimised
+        first, as far as that. Where all else is violated so much a bound on the peak only stands in the way.
     attempt_steps : int
         It is given up after so many steps that do not halve violations beyond that.
     attempt_iterations : int
@@ -94,6 +97,7 @@ class ExchangeOptions:
     most_violations: int = 400
     nearly_met: float = 1e-3
     nearly_ended: float = 0.03
+    far_off: float = 4.0
     attempt_steps: int = 6
     attempt_iterations: int = 25
     stalls: int = 3
@@ -186,7 +190,7 @@ def minimize_peak(
     exchange = _Exchange(program, options, progress)
     bound = program.lower_bound * (1 + options.peak_tolerance)
     try:
-        if program.lower_bound > 0:
+        if program.lower_bound > 0 and exchange.violation <= options.far_off:
             try:
                 exchange.run(options.smoothing, bound=bound, attempt=True)
                 return exchange.result(bound)
@@ -253,6 +257,11 @@ class _Exchange:
         self._constraints = ConstraintSet(step=step).at_all(single, middles).at_all([OBJECTIVE], t).rebased()
         self.form = self._program.parametrization
         self._warm: SqpResult[NlpEvaluation] | None = None
+
+    @property
+    def violation(self) -> float:
+        """Largest violation of the present trajectory at any time, whatever its peak."""
+        return self._separated(np.inf).worst.value
 
     def end_attempt(self) -> None:
         """Go on where an attempt ended, if nearly all but its bound is met there; otherwise start again."""

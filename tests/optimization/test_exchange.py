@@ -255,6 +255,49 @@ def test_passes_run_out() -> None:
     assert caught.value.constraint
 
 
+@pytest.fixture
+def stages(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the stages that are solved, in their order."""
+    solve, names = exchange.solve_sqp, list[str]()
+
+    def noted(start: NlpEvaluation, *rest: Any) -> Any:
+        names.append(start.stage.name)
+        return solve(start, *rest)
+
+    monkeypatch.setattr(exchange, "solve_sqp", noted)
+    return names
+
+
+def test_far_from_the_constraints_the_lower_bound_is_not_attempted(stages: list[str]) -> None:
+    """A leg in a tenth of the time: no motion keeps the jerk's bounds, whatever its peak."""
+    leg = {"by": [0.1, 0, 0], "seconds": 0.25}
+    problem = problem_of(short_scene(tool_path={"legs": [leg]}, planner={"solver": "sqp"}))
+    for far_off, expected in ((4.0, ["peak"]), (np.inf, ["mean square", "peak"])):
+        stages.clear()
+        with pytest.raises(OptimisationFailed) as caught:
+            minimize_peak(problem, replace(exchange_options(problem), far_off=far_off))
+        assert stages == expected
+        assert caught.value.constraint.startswith("jerk") and caught.value.violation > 4.0
+        assert not caught.value.undecided
+
+
+def test_a_lower_bound_that_is_not_attempted_is_attained_all_the_same(stages: list[str]) -> None:
+    """The peak is then minimised as far as the bound, and held there."""
+    problem = problem_of(short_scene(planner={"solver": "sqp", "knots": "sliding"}))
+    options = exchange_options(problem)
+    attempted = minimize_peak(problem, options)
+    assert stages == ["mean square"]
+    found = minimize_peak(problem, replace(options, far_off=-1.0))
+    assert stages[1:] == ["peak", "mean square"]
+    assert found.peak_bound == attempted.peak_bound == problem.lower_bound * (1 + options.peak_tolerance)
+    fine = np.linspace(*problem.space.t[[0, -1]], 2001)
+    means = [
+        np.mean(torque_along(problem, each.parametrization.trajectory, fine) ** 2)
+        for each in (attempted, found)
+    ]
+    assert means[1] == pytest.approx(means[0], rel=5e-3)
+
+
 def test_how_far_above_the_least_peak_a_motion_may_be_is_an_option() -> None:
     problem = unattainable(least_peak_tolerance=0.01, peak_tolerance=0.02)
     options = exchange_options(problem)

@@ -31,6 +31,9 @@ _CLOSER = 0.5
 # It ends where a step promises no more than this share of the objective, or so many steps gain no more than
 # that share together: a plan's peak and mean matter to a thousandth.
 _ACCURACY, _STALL_STEPS, _STALL_GAIN = 5e-5, 4, 5e-4
+# And where so many steps do not bring violations beyond this down to that share: hardly any trajectory near
+# keeps the constraints.
+_STUCK_STEPS, _STUCK_SHARE, _STUCK_VIOLATION = 6, 0.5, 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,6 +134,9 @@ def exchange_options(problem: TorqueProblem) -> ExchangeOptions:
             optimality_tolerance=_ACCURACY,
             stall_steps=_STALL_STEPS,
             stall_tolerance=_STALL_GAIN,
+            stuck_steps=_STUCK_STEPS,
+            stuck_share=_STUCK_SHARE,
+            stuck_violation=_STUCK_VIOLATION,
             feasibility_tolerance=_CLOSER * o.constraint_tolerance,
             max_iterations=min(SqpOptions.max_iterations, o.max_iterations),
         ),
