@@ -38,6 +38,8 @@ _PARTS = (
 )
 
 
+# By what factor a larger weight of the jerk is suggested.
+_SMOOTHER = 100
 # A tool sways more than another's beyond this factor, and is still below the second number, m.
 _MORE, _STILL = 1.05, 1e-5
 # Options that change what is simulated, not how.
@@ -89,7 +91,7 @@ def tracking_verdict(plan: Plan, tracking: Tracking) -> str:
     tracking : Tracking
         Of that plan.
     """
-    return f"{_margin(plan, tracking)}{_swaying(tracking)}"
+    return f"{_margin(plan, tracking)}{_swaying(plan, tracking)}"
 
 
 def beyond_margin(plan: Plan, tracking: Tracking) -> str:
@@ -110,13 +112,14 @@ def beyond_margin(plan: Plan, tracking: Tracking) -> str:
     )
 
 
-def _swaying(tracking: Tracking) -> str:
+def _swaying(plan: Plan, tracking: Tracking) -> str:
     before, after = (motion.largest(motion.dynamic) for _, motion in tracking.motions)
     if after <= max(_MORE * before, _STILL):
         return ""
     return (
         " The planned motion SWAYS MORE than the baseline: beside its sag the tool moves by up to "
-        f"{1e3 * after:.3f} mm, the baseline's by {1e3 * before:.3f} mm; more seconds for the legs help."
+        f"{1e3 * after:.3f} mm, the baseline's by {1e3 * before:.3f} mm; more seconds for the legs help, and "
+        f"so may a larger planner.smoothing_weight, such as {_SMOOTHER * plan.options.smoothing_weight:g}."
     )
 
 

@@ -140,3 +140,4 @@ def test_the_sag_that_is_compensated_is_that_of_each_segment(strokes_plan: Plan)
     said = tracking_verdict(strokes_plan, replace(tracking, baseline=calm))
     assert f"SWAYS MORE than the baseline: beside its sag the tool moves by up to {ends[0]}, " in said
     assert f"the baseline's by {ends[1]}; " in said
+    assert "a larger planner.smoothing_weight, such as 10." in said
