@@ -35,7 +35,7 @@ _CONTEXT = multiprocessing.get_context("forkserver")
 # Characters of standard error that are kept.
 _DETAILS = 4000
 # Tasks that a process runs at most.
-_TASKS = 25
+_TASKS = 100
 
 
 def run_in_child(task: Task) -> TaskResult:
