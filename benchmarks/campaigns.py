@@ -6,8 +6,9 @@
 
 The jobs are variants of the triangle and the line with other payloads and first legs, from a seed. Each is
 planned with its certificate for all times and written as a plan directory, without pages. Wall times are
-those of this machine; what a second process adds is a ratio of one run. Tiny jobs are lines of five
-via-points without suppression; memory is what is resident, in this process and in the largest of its workers.
+those of this machine; what a second process adds is a ratio of one run. Tiny jobs are legs of 0.1 m with
+eight via-points, without suppression; memory is what is resident, in this process and in the largest of its
+workers.
 """
 
 from __future__ import annotations
@@ -27,7 +28,13 @@ import cmbot
 from cmbot.campaigns import CampaignProgress
 
 FORMAT = "cmbot-campaign/1"
-_TINY = {"tool_path.via_points": 5, "planner.quiet_modes": 0, "planner.samples_per_segment": 6}
+_TINY = {
+    "tool_path.legs": [{"by": [0, -0.1, 0], "seconds": 3}],
+    "tool_path.via_points": 8,
+    "planner.quiet_modes": 0,
+    "planner.path_step_s": 0.02,
+    "planner.samples_per_segment": 6,
+}
 _MEGABYTE = 1e6
 
 
@@ -53,7 +60,7 @@ def tiny(jobs: int, seed: int) -> dict[str, object]:
         {"name": f"job_{k:05}", "set": {"robot.payload_kg": round(payload, 6)}}
         for k, payload in enumerate(payloads)
     ]
-    return {"format": FORMAT, "name": "tiny", "scene": "line", "set": _TINY, "jobs": entries}
+    return {"format": FORMAT, "name": "tiny", "scene": "triangle", "set": _TINY, "jobs": entries}
 
 
 def memory(jobs: int, seed: int, workers: int) -> Table:
