@@ -205,6 +205,38 @@ def test_beams_bend_as_clamped_ones_and_are_never_torn_or_stretched(
             np.testing.assert_allclose(moved, cubic(share[:, 0]) if factor else 0 * rest, atol=slack)
 
 
+@pytest.mark.browser
+def test_a_pole_leads_the_foot_and_two_halves_follow_it(chrome: Chrome, replay_file: Path) -> None:
+    if chrome.current_url != replay_file.as_uri():
+        open_page(chrome, replay_file)
+    shift, turn = [0.11, 0.02, -0.01], [0.01, 0.24, 0.05]
+    mast = [[[0, 0, -2.5], [0, 0, 0]]]
+    halves = [[[0, -1, 0], [0, 0, 0]], [[0, 1.4, 0], [0, 0, 0]]]
+    for beams, factor in ((mast, 1), (mast, 4), (halves, 4)):
+        foot, maps, stations = chrome.execute_script(
+            """const [beams, shift, turn, factor, points] = arguments, pole = new Pole(beams);
+            const rows = (X) => X.clone().transpose().toArray(), origin = vector([0, 0, 0]);
+            const times = (by) => mapAt(origin, ...[shift, turn].map((v) => vector(v).multiplyScalar(by)));
+            const tip = times(1), foot = pole.footOf(tip, factor) ?? times(factor);
+            const stations = Array.from(pole.stationsOf(points));
+            return [rows(foot), pole.mapsOf(foot, tip, factor).map(rows), stations];""",
+            beams,
+            shift,
+            turn,
+            factor,
+            [coordinate for beam in beams for point in beam for coordinate in point],
+        )
+        foot, maps = np.reshape(foot, (4, 4)), np.reshape(maps, (-1, 13, 4, 4))
+        assert len(maps) == len(beams)
+        np.testing.assert_allclose(maps[:, 0], np.tile(np.eye(4), (len(maps), 1, 1)), atol=1e-9)
+        np.testing.assert_allclose(maps[:, -1], np.tile(foot, (len(maps), 1, 1)), atol=1e-6)
+        np.testing.assert_allclose(foot[:3, :3], pin.exp3(factor * np.array(turn)), atol=1e-6)
+        if factor == 1:
+            np.testing.assert_allclose(foot[:3, 3], shift, atol=1e-6)
+        # Held ends are the first stations of their beams, the foot is the end of each.
+        assert stations == ([0, 12] if len(beams) == 1 else [0, 25, 13, 25])
+
+
 def drawn_ends(
     source: dict[str, Any], foot: np.ndarray, q: np.ndarray, u: np.ndarray, f: float
 ) -> list[pin.SE3]:
