@@ -54,7 +54,23 @@ def assumptions_file() -> Path:
 
 
 def install_command(extra: str) -> str:
-    """Return the command that installs an extra such as ``fast``: of the checkout, where there is one."""
+    """Return the command that installs an extra such as ``fast``, from where cmbot was installed."""
     if (_CHECKOUT / "pyproject.toml").is_file():
         return f"pip install -e {quote(f'{_CHECKOUT}[{extra}]')}"
-    return f"pip install {quote(f'{DISTRIBUTION}[{extra}]')}"
+    return f"pip install {quote(f'{_installed_from()}[{extra}]')}"
+
+
+def _installed_from() -> str:
+    """The folder or wheel on this machine that pip installed (PEP 610); otherwise the distribution's name."""
+    # Only where something is missing: they take a while to load.
+    import json
+    from importlib import metadata
+    from urllib.parse import unquote, urlsplit
+
+    try:
+        recorded = metadata.distribution(DISTRIBUTION).read_text("direct_url.json")
+    except metadata.PackageNotFoundError:
+        recorded = None
+    url = urlsplit(json.loads(recorded)["url"] if recorded else "")
+    path = unquote(url.path)
+    return path if url.scheme == "file" and Path(path).exists() else DISTRIBUTION

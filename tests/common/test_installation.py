@@ -1,7 +1,10 @@
 """What is told to be run where an optional package is missing."""
 
+import json
 import shlex
+from importlib import metadata
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -14,6 +17,13 @@ def test_of_a_checkout_the_command_names_it(monkeypatch: pytest.MonkeyPatch, tmp
     checkout = tmp_path / "a checkout"
     checkout.mkdir()
     monkeypatch.setattr(installation, "_CHECKOUT", checkout)
+    recorded = Mock(read_text=Mock(return_value=None))
+    monkeypatch.setattr(metadata, "distribution", lambda _: recorded)
+    assert shlex.split(install_command("fast")) == ["pip", "install", "cmbot-planner[fast]"]
+    # What pip installed from a folder or a wheel of this machine may be on no index.
+    recorded.read_text.return_value = json.dumps({"url": checkout.as_uri(), "dir_info": {}})
+    assert shlex.split(install_command("fast")) == ["pip", "install", f"{checkout}[fast]"]
+    recorded.read_text.return_value = json.dumps({"url": "https://example.org/cmbot.whl"})
     assert shlex.split(install_command("fast")) == ["pip", "install", "cmbot-planner[fast]"]
     (checkout / "pyproject.toml").touch()
     assert shlex.split(install_command("fast")) == ["pip", "install", "-e", f"{checkout}[fast]"]

@@ -91,6 +91,8 @@ def test_readme_python_runs(
 def commands(text: str) -> Iterator[tuple[str, list[str]]]:
     """Verbs and options of every ``cmbot …`` in backticks, in a table or in a block of code."""
     blocks = "\n".join(code for language, code in FENCE.findall(text) if language in ("", "sh", "text"))
+    # Indented ones, too.
+    blocks += "\n" + "\n".join(re.findall(r"^    .+$", FENCE.sub("", text), flags=re.MULTILINE))
     lines = re.findall(r"`cmbot ([^`\n]+)`", FENCE.sub("", text))
     lines += re.findall(r"^\s*(?:\$ )?cmbot (.+)$", blocks, flags=re.MULTILINE)
     for line in lines:
