@@ -171,7 +171,10 @@ def _answer(task: Task, connection: Connection) -> None:
     module, _, name = task.function.partition(":")
     with ExitStack() as end:
         end.push(record)
-        send(value=getattr(importlib.import_module(module), name)(**task.arguments, **task.unkeyed))
+        value = getattr(importlib.import_module(module), name)(**task.arguments, **task.unkeyed)
+        # The next task's log begins empty.
+        sys.stderr.flush()
+        send(value=value)
     signal.alarm(0)
 
 

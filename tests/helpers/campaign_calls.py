@@ -14,6 +14,8 @@ def add(x: int, y: int) -> int:
 
 def own_process() -> list[int]:
     """Return this process's number and the bytes that it may ask for, after a word to standard error."""
+    # As without PYTHONUNBUFFERED: the part of a line stays in the stream.
+    sys.stderr.reconfigure(write_through=False)  # type: ignore[union-attr]
     sys.stderr.write("said")
     return [os.getpid(), resource.getrlimit(resource.RLIMIT_AS)[0]]
 
