@@ -10,14 +10,16 @@ import document_figures
 import gallery
 import pytest
 import typer.main
+from command_line import run
 from ruamel.yaml import YAML
+from small_scenes import SHORT
 
 import cmbot
 from cmbot import __version__
 from cmbot.archive import columns
 from cmbot.cli import app
 from cmbot.planning import Plan, remarks
-from cmbot.scene import shipped_scenes
+from cmbot.scene import SceneFile, shipped_scenes
 from cmbot.simulation import Tracking
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -270,3 +272,42 @@ def test_the_gallery_shows_every_shipped_scene() -> None:
         assert (ROOT / "docs" / "gallery" / f"{name}.png").stat().st_size <= gallery.LARGEST
     pictures = {path.stem for path in (ROOT / "docs" / "gallery").iterdir()}
     assert pictures == set(shipped_scenes())
+
+
+def yaml_blocks(path: Path) -> list[str]:
+    return [code for language, code in FENCE.findall(path.read_text("utf-8")) if language == "yaml"]
+
+
+def test_parts_of_scenes_that_documents_show_are_read() -> None:
+    """In a scene that has the rest; files that are named need not be there."""
+    keys = set(SceneFile.model_fields) | {"start", "return"}
+    rest = {**SHORT, "format": "cmbot-scene/2"}
+    read = 0
+    for document in sorted(DOCS.glob("*.md")):
+        for block in yaml_blocks(document):
+            data = YAML(typ="safe").load(block)
+            whole = str(data.get("format", "")) or "cmbot-scene/2"
+            if not (whole.startswith("cmbot-scene/") and set(data) <= keys) or "..." in block:
+                continue
+            if re.search(r"\b(identified|mesh|limits):", block):
+                continue
+            given = {**rest, **data}
+            if data.keys() & {"start"}:
+                given.pop("posture_deg")
+            cmbot.load_scene(given)
+            read += 1
+    assert read >= 9
+
+
+def test_the_how_to_of_a_mast_leads_to_a_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run("new", "--from", "panda", "--tool-at", "0.5", "0", "0.4").status == 0
+    (mast,) = (block for block in yaml_blocks(DOCS / "how_to.md") if block.startswith("base: {name: mast}"))
+    # In place of the scene's obstacles and guardrail.
+    text = re.sub(
+        r"^(obstacles|guardrail): .*\n", "", Path("panda.yaml").read_text("utf-8"), flags=re.MULTILINE
+    )
+    Path("panda.yaml").write_text(text + mast, encoding="utf-8")
+    out = run("check", "panda.yaml").out
+    assert out.splitlines()[-1].startswith("No warning. ")
+    assert "torque on the mast there" in out
