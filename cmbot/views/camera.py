@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from cmbot.common.arrays import FloatArray
 from cmbot.planning import Plan
 from cmbot.robot import Robot
+from cmbot.scene import Obstacle
 from cmbot.views.drawing import obstacle_surface, reach, supports
 
 __all__ = ["ARROW", "RISE", "focus_of", "focus_on", "link_poses", "seen"]
@@ -48,12 +49,14 @@ _LINE = 0.05
 _PLACES, _CLOSE = 24, 0.01
 
 
-def focus_of(plan: Plan, plans: Sequence[Plan], bent: Sequence[FloatArray]) -> dict[str, Any]:
+def focus_of(
+    plan: Plan, plans: Sequence[Plan], bent: Sequence[FloatArray], beside: Sequence[Obstacle] = ()
+) -> dict[str, Any]:
     """Return points that the view shows, a ball about them, and the direction to the camera.
 
     The points are those of the arm, rigid and with the poses (K, n, 7) of `bent` links, the path, the
     workpieces beside it and the torque's arrow, in W, m; of them those that enclose the others along many
-    directions.
+    directions. What is `beside` is drawn, too, and may hide them.
     """
     motions = [plan.baseline.q]
     motions += [segment.trajectory.q for each in plans for segment in each.job.segments]
@@ -68,7 +71,7 @@ def focus_of(plan: Plan, plans: Sequence[Plan], bent: Sequence[FloatArray]) -> d
     poses = [link_poses(plan.robot, q[:: max(1, len(q) // 50)]) for q in motions]
     points += [_corners(plan.robot, each) for each in (*poses, *bent)]
     cloud = np.concatenate(points)
-    return focus_on(cloud, *_direction(plan, outlines, cloud))
+    return focus_on(cloud, *_direction(plan, outlines, cloud, beside))
 
 
 def focus_on(cloud: FloatArray, azimuth: float, rise: float = RISE, room: float = 0.0) -> dict[str, Any]:
@@ -128,7 +131,9 @@ def width_of(path: FloatArray, way: FloatArray) -> float:
     return float(seen_long * seen_wide / (long * wide))
 
 
-def _direction(plan: Plan, outlines: Sequence[FloatArray], cloud: FloatArray) -> tuple[float, float]:
+def _direction(
+    plan: Plan, outlines: Sequence[FloatArray], cloud: FloatArray, beside: Sequence[Obstacle]
+) -> tuple[float, float]:
     """Return azimuth about z of W and rise of the camera from which path, arm and foot are seen best.
 
     Nothing hides them there, and neither path nor arm is seen from its end. Of views that show as much it is
@@ -139,7 +144,8 @@ def _direction(plan: Plan, outlines: Sequence[FloatArray], cloud: FloatArray) ->
     arm = np.arctan2(y, x)
     usual = float(min((arm - np.pi / 4, arm + np.pi / 4), key=lambda angle: abs(angle - np.pi / 2)))
     still = {obstacle.name for obstacle in supports(plan.scene)}
-    surfaces = [obstacle_surface(each) for each in plan.scene.obstacles if each.name not in still]
+    hiding = [*(each for each in plan.scene.obstacles if each.name not in still), *beside]
+    surfaces = [obstacle_surface(each) for each in hiding]
     corners = np.concatenate([np.zeros((0, 3, 3)), *(each.vertices[each.faces] for each in surfaces)])
     path = np.concatenate([_spread(outline) for outline in outlines])
     path = path[np.unique(np.linspace(0, len(path) - 1, _PLACES).astype(int))]

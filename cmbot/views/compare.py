@@ -16,7 +16,7 @@ from cmbot.simulation import Tracking
 from cmbot.version import __version__
 from cmbot.views.camera import ARROW, focus_of
 from cmbot.views.charts import MOST_SMALL_POINTS, ROOM, Chart, Curve, joint_axes
-from cmbot.views.drawing import reach, scene_commands
+from cmbot.views.drawing import bridge_commands, bridge_of, reach, scene_commands
 from cmbot.views.page import STAGE_SCRIPTS, assemble, table
 from cmbot.views.replay_data import (
     FRAME_STEP,
@@ -110,6 +110,8 @@ def _data(first: Plan, plans: Mapping[str, Plan], names: Mapping[str, str]) -> d
     }
     each = list(frames.values())
     small = [chart.data(MOST_SMALL_POINTS) for chart in _joint_charts(first, plans)]
+    bridge = bridge_of(list(plans.values()))
+    drawn = [*scene_commands(first), *bridge_commands(bridge)]
     return motions | {
         "motions": list(motions),
         "names": dict(names),
@@ -126,10 +128,11 @@ def _data(first: Plan, plans: Mapping[str, Plan], names: Mapping[str, str]) -> d
         "bending": bending_data(each, reach(first.robot)),
         "pairs": list(pairs),
         "pairJoints": pair_joints(first, pairs),
-        "focus": focus_of(first, list(plans.values()), bent_poses(each, reach(first.robot))),
+        "focus": focus_of(first, list(plans.values()), bent_poses(each, reach(first.robot)), bridge),
         "reach": reach(first.robot),
         "arrow": ARROW * reach(first.robot),
-        "commands": [base64.b64encode(command).decode("ascii") for command in scene_commands(first)],
+        "around": bool(bridge),
+        "commands": [base64.b64encode(command).decode("ascii") for command in drawn],
         "charts": [chart.data() for chart in _charts(first, plans)],
         "jointCharts": small,
     }

@@ -32,6 +32,8 @@ from cmbot.views.charts import floor_name, work_begins, work_ends
 from cmbot.views.drawing import (
     Bending,
     Intervals,
+    bridge_commands,
+    bridge_of,
     drawn_factor,
     most_factor,
     reach,
@@ -109,15 +111,18 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
         "return": _return(plan, frames, frame_times(0.0, back, step)) if back > 0 else None,
         "rest": None if back > 0 else _rest(plan, tracking, frames, frame_times(work_end, end, step) - begin),
     }
+    bridge = bridge_of([plan])
+    drawn = [*scene_commands(plan), *bridge_commands(bridge)]
     # With all motions it is known how far the arm bends and what is near it.
     return data | {
         "bending": bending_data([frames], reach(plan.robot)),
         "pairs": list(frames.pairs),
         "pairJoints": pair_joints(plan, frames.pairs),
-        "focus": focus_of(plan, [plan], bent_poses([frames], reach(plan.robot))),
+        "focus": focus_of(plan, [plan], bent_poses([frames], reach(plan.robot)), bridge),
         "reach": reach(plan.robot),
         "arrow": ARROW * reach(plan.robot),
-        "commands": [base64.b64encode(command).decode("ascii") for command in scene_commands(plan)],
+        "around": bool(bridge),
+        "commands": [base64.b64encode(command).decode("ascii") for command in drawn],
     }
 
 

@@ -1,13 +1,16 @@
 """What is drawn in 3-D: robot and bridge as meshes for the viewer, and how they bend."""
 
 from cmbot.views.drawing.bending import Bending, Intervals, drawn_factor, most_factor
-from cmbot.views.drawing.meshcat_scene import moving_robot_commands, reach, scene_commands
+from cmbot.views.drawing.bridge import bridge_of
+from cmbot.views.drawing.meshcat_scene import bridge_commands, moving_robot_commands, reach, scene_commands
 from cmbot.views.drawing.support import supports
 from cmbot.views.drawing.surfaces import obstacle_surface
 
 __all__ = [
     "Bending",
     "Intervals",
+    "bridge_commands",
+    "bridge_of",
     "drawn_factor",
     "most_factor",
     "moving_robot_commands",

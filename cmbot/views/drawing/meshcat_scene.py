@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cmbot.common.arrays import FloatArray
 from cmbot.planning import Plan
 from cmbot.robot import Robot
-from cmbot.scene import Scene
+from cmbot.scene import Obstacle, Scene
 from cmbot.views.drawing.support import supports
 from cmbot.views.drawing.surfaces import (
     Surface,
@@ -28,7 +28,7 @@ from cmbot.views.drawing.surfaces import (
     visual_surface,
 )
 
-__all__ = ["moving_robot_commands", "reach", "scene_commands"]
+__all__ = ["bridge_commands", "moving_robot_commands", "reach", "scene_commands"]
 
 MOST_ROBOT_FACES = 24_000
 MOST_OBSTACLE_FACES = 12_000
@@ -39,6 +39,7 @@ RAIL_PIECE = 0.15  # between two cross-sections of a rail, m
 CREASE = np.deg2rad(35.0)  # edges with a larger angle are shaded as sharp
 
 CONCRETE, STEEL, WORKPIECE, PATH = 0xC2BDB3, 0x7D8C99, 0x2F9E8F, 0x7B2CBF
+PALE, WOOD = 0xB9C3CB, 0xCFC4B2  # what is drawn only
 LEFT_OUT = 0xD62828  # rows of rasters that are not reached
 SHINE = 0x303030
 DOUBLE_SIDE = 2  # three.js: draw the back faces too
@@ -75,6 +76,19 @@ def scene_commands(plan: Plan) -> list[bytes]:
     if plan.rows_left_out:
         left_out = [tube(points, thick) for points in plan.rows_left_out]
         commands.append(_set_mesh("/left_out", left_out, LEFT_OUT))
+    return [umsgpack.packb(command) for command in commands]
+
+
+def bridge_commands(parts: Sequence[Obstacle]) -> list[bytes]:
+    """Return packed commands for what is drawn only, by `bridge_of`, paler than obstacles: ``/around``."""
+    sleepers = [part for part in parts if part.name.startswith("sleeper")]
+    steel = [part for part in parts if part not in sleepers]
+    drawn = {"/around/steel": (steel, PALE), "/around/wood": (sleepers, WOOD)}
+    commands = [
+        _set_mesh(path, [obstacle_surface(part) for part in each], colour, shininess=10)
+        for path, (each, colour) in drawn.items()
+        if each
+    ]
     return [umsgpack.packb(command) for command in commands]
 
 

@@ -23,6 +23,7 @@ class Player {
     else this.ui.colours.querySelector("[value=strain]").remove();
     this.legend = new Legend(this.stage.colours, holds);
     this.connect();
+    this.note(0);
     if (data.bending) this.offerFactors(data.bending.factors);
     this.seek(data.start);
   }
@@ -78,11 +79,18 @@ class Player {
   magnify(factor) {
     if (!this.stage.bending) return;
     this.ui.factor.textContent = factor ? `× ${factor}` : "off";
-    this.ui.drawn.hidden = factor === 0;
-    this.put("drawn", factor === 1 ? "bending drawn to scale" : `bending drawn × ${factor}`);
+    this.note(factor);
     this.stage.bending.factor = factor;
     this.stage.marks.setFactor(factor, this.work.motions);
     if (this.time !== undefined) this.seek(this.time);
+  }
+
+  // What of the picture is not as it is: by what factor deflections are drawn, and what is no obstacle.
+  note(factor) {
+    const bent = factor && (factor === 1 ? "bending drawn to scale" : `bending drawn × ${factor}`);
+    const said = [bent, this.data.around && "pale parts are no obstacles"].filter(Boolean);
+    this.ui.drawn.hidden = !said.length;
+    this.put("drawn", said.join(", "));
   }
 
   // For a film, with the page's own factor where none is given, and without controls; the picture says by what factors deflections and time are drawn, and what its colours

@@ -1,0 +1,78 @@
+"""What is drawn of the bridge for orientation: where no arm goes, and holding what the arm works on."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from cmbot import Plan
+from cmbot.collision import Clearances
+from cmbot.scene import Obstacle
+from cmbot.views.drawing import bridge, bridge_of
+
+
+@pytest.fixture(params=["triangle_plan", "line_plan"])
+def plan(request: pytest.FixtureRequest) -> Plan:
+    found = request.getfixturevalue(request.param)
+    assert isinstance(found, Plan)
+    return found
+
+
+def kinds(parts: list[Obstacle]) -> set[str]:
+    return {part.name.rpartition("_")[0] for part in parts}
+
+
+def test_the_job_keeps_clear_of_all_that_is_drawn(plan: Plan) -> None:
+    parts = bridge_of([plan])
+    assert kinds(parts) >= {
+        "web",
+        "flange",
+        "stiffener",
+        "bracket",
+        "edge_beam",
+        "sleeper",
+        "track",
+        "holder",
+    }
+    unique = [dataclasses.replace(part, name=f"part_{k}") for k, part in enumerate(parts)]
+    clearances = Clearances(plan.robot, unique)
+    others = [k for k, pair in enumerate(clearances.pairs) if not pair.self_collision]
+    q = plan.job_samples[0].q[::20]
+    posture, pair = np.divmod(np.arange(len(q) * len(others)), len(others))
+    distances = clearances.distances(q, posture, np.array(others)[pair])
+    # Between the knots that are looked at the arm may come nearer, not hit it.
+    assert distances.min() > 0.5 * plan.options.safety_margin_m
+
+
+def test_nothing_is_drawn_where_an_obstacle_is(plan: Plan) -> None:
+    # The scenes have a walkway of their own.
+    assert "walkway" not in kinds(bridge_of([plan]))
+
+
+def test_a_bar_holds_what_is_worked_on(plan: Plan) -> None:
+    pieces = [each for each in plan.scene.obstacles if each.workpiece]
+    assert pieces
+    bars = [part for part in bridge_of([plan]) if part.name.startswith("holder")]
+    # The triangle's three bars touch: they are one bracket.
+    assert len(bars) == 1
+    bounds = np.array([bridge._bounds(bridge.obstacle_surface(each)) for each in pieces])
+    low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
+    half = 0.5 * bars[0].shape.size[2] * bars[0].X_WO[:3, 2]
+    start, end = bars[0].X_WO[:3, 3] - half, bars[0].X_WO[:3, 3] + half
+    assert ((start >= low - 1e-9) & (start <= high + 1e-9)).all()
+    assert end[1] == pytest.approx(bridge._EDGE) or end[1] == pytest.approx(bridge._GIRDERS[0])
+
+
+def test_what_the_arm_would_hit_is_left_out(triangle_plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    def webs() -> int:
+        return sum(part.name.startswith("web") for part in bridge_of([triangle_plan]))
+
+    assert webs() == 2
+    monkeypatch.setattr(bridge, "_GIRDERS", (0.3, -3.75))
+    assert webs() == 1
+
+
+def test_without_a_guardrail_there_is_no_bridge(triangle_plan: Plan) -> None:
+    guardrail = dataclasses.replace(triangle_plan.scene.guardrail, post_positions=())
+    scene = dataclasses.replace(triangle_plan.scene, guardrail=guardrail)
+    assert bridge_of([dataclasses.replace(triangle_plan, scene=scene)]) == []
