@@ -151,7 +151,7 @@ def _shapes(urdf: Path, root: ElementTree.Element, model: Any, tag: Literal["col
     xml = ElementTree.tostring(root, encoding="unicode")
     try:
         with _refusals_named(urdf):
-            shapes = pin.buildGeomFromUrdfString(model, xml, kind, mesh_loader=mesh_loader())
+            shapes = pin.buildGeomFromUrdfString(model, xml, kind, mesh_loader=mesh_loader(root))
     except ModelError:
         # Names the mesh, where one is the cause.
         require_near_meshes(root, tag, str(urdf))

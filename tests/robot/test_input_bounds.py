@@ -117,6 +117,9 @@ def test_visual_meshes_are_read_when_they_are_asked_for(urdf_folder: Path) -> No
     (mesh,) = load_copy(urdf_folder).visual_model.geometryObjects
     (moved,) = load_copy(urdf_folder, mount=np.diag([-1, -1, 1, 1])).visual_model.geometryObjects
     assert faces_of(mesh.geometry).shape == (4, 3)
+    part.write_text(f"{TETRAHEDRON}f 1 2 3\n")
+    (other,) = load_copy(urdf_folder).visual_model.geometryObjects
+    assert faces_of(other.geometry).shape == (5, 3)
     assert not mesh.placement.isApprox(moved.placement)
     for damaged in ("v 0\nf 1 1 1\n", TETRAHEDRON.replace("1", "1e200", 1)):
         part.write_text(damaged)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
+from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -68,13 +70,31 @@ def locate_meshes(urdf: Path, root: ElementTree.Element, package_dirs: Sequence[
             mesh.set("filename", checked[name])
 
 
-def mesh_loader() -> Any:
+def mesh_loader(root: ElementTree.Element | None = None) -> Any:
     """Return a loader of meshes that builds boxes along the axes.
 
     Building coal's usual bounding volumes takes longer than reading, and crashes the process with vertices
-    that are far away.
+    that are far away. For the content of a URDF, whose meshes are located, it is the same one each time,
+    which keeps what it has read, until one of these files changes.
     """
-    return coal.CachedMeshLoader(coal.NODE_TYPE.BV_AABB)  # a file is often that of several shapes
+    if root is None:
+        return coal.CachedMeshLoader(coal.NODE_TYPE.BV_AABB)
+    return _kept(tuple(_stamp(mesh.get("filename", "")) for mesh in root.iter("mesh")))
+
+
+# A campaign's process loads one robot again and again.
+@lru_cache(maxsize=2)
+def _kept(stamps: tuple[tuple[str, int, int], ...]) -> Any:
+    del stamps
+    return mesh_loader()
+
+
+def _stamp(name: str) -> tuple[str, int, int]:
+    """What changes with a file."""
+    with suppress(OSError):  # gone since it was located: the loader says so
+        found = os.stat(name)  # noqa: PTH116  Path takes as long as all else here
+        return name, found.st_mtime_ns, found.st_size
+    return name, 0, 0
 
 
 def is_mesh(geometry: Any) -> bool:
