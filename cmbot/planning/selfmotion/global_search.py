@@ -46,9 +46,10 @@ _BESIDE = 40
 _REFINEMENTS, _ABOUT = 3, 2
 # Checks of a chart at most, and random postures of each as a multiple of those that charts are grown from.
 _CHECKS, _SEEDS_OF_A_CHECK = 5, 5
-# Charts of so many tool paths and arms at most are kept, by what they depend on, with their samplers.
-# Decimals of the poses that they hold: far below the tolerance with which they do.
-_KEPT, _DIGITS = 4, 12
+# Charts of so many tool paths and arms at most are kept, by what they depend on, with their samplers; not
+# those of a path with more postures than the second number. Decimals of the poses that they hold: far below
+# the tolerance with which they do.
+_KEPT, _MOST_KEPT, _DIGITS = 4, 100_000, 12
 _CHARTED: dict[tuple[object, ...], tuple[SelfMotionSampler, tuple[FloatArray, ...]]] = {}
 
 
@@ -390,7 +391,10 @@ def _sampled(context: PlanningContext) -> tuple[SelfMotionSampler, list[FloatArr
     known = (*asked, *(array.tobytes() for array in arrays), *context.postures.geometry)
     if known not in _CHARTED:
         sampler = SelfMotionSampler(context)
-        _CHARTED[known] = sampler, tuple(_charted(sampler, context, goals))
+        drawn = _charted(sampler, context, goals)
+        if sum(map(len, drawn)) > _MOST_KEPT:
+            return sampler, drawn
+        _CHARTED[known] = sampler, tuple(drawn)
         for earlier in list(_CHARTED)[:-_KEPT]:
             _CHARTED.pop(earlier, None)
     sampler, charts = _CHARTED[known]

@@ -79,6 +79,10 @@ def test_arms_that_weigh_otherwise_share_charts(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(global_search, "_KEPT", 2)
     searched(planner={"chart_seeds": 40})
     assert len(global_search._CHARTED) == 2
+    # Long paths would fill the memory.
+    monkeypatch.setattr(global_search, "_MOST_KEPT", 10)
+    searched(planner={"chart_seeds": 41})
+    assert not any(41 in key for key in global_search._CHARTED)
 
 
 def test_freedom_never_costs_torque(search: GlobalSearch) -> None:
