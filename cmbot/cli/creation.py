@@ -122,6 +122,10 @@ def new(
             out.print("The base is rigid: guardrail.stiffness says how it bends, base.name what it is.")
         for remark in robot.remarks:
             out.print(flat(remark))
+        if limits_content is not None:
+            out.print(
+                flat(f"The assumed limits are in {limits}: put those of your robot's data sheet there.")
+            )
         out.print(flat(f"Written: {', '.join(map(str, written))}. Plan it: cmbot plan {path}"))
 
 
