@@ -58,6 +58,11 @@ class Surface:
         a, b, c = (self.vertices[corner] for corner in self.faces.T)
         return cross(b - a, c - a)
 
+    @cached_property
+    def size(self) -> float:
+        """The diagonal of the box about it, m."""
+        return float(np.linalg.norm(np.ptp(self.vertices[self.faces].reshape(-1, 3), axis=0)))
+
     @property
     def area(self) -> float:
         """Of all triangles, m2."""
@@ -294,7 +299,7 @@ def _collapsed(surface: Surface, most: int) -> Surface:
     for cell in _CELLS:
         if len(best.faces) <= most:
             break
-        joined = _joined(surface, cell * _size(surface))
+        joined = _joined(surface, cell * surface.size)
         count = most - 6  # `_as_far` adds as many
         if len(joined.faces) > count:
             faces = joined.faces.astype(np.int32)
@@ -336,14 +341,9 @@ def _as_far(surface: Surface, original: Surface) -> Surface:
         for sign in (-1, 1):
             farthest = (sign * corners[..., axis]).max(axis=1)
             short = farthest.max() - (sign * reached[:, axis]).max(initial=-np.inf)
-            if short > _SHORT * _size(original):
+            if short > _SHORT * original.size:
                 added.append(Surface(corners[farthest.argmax()], np.arange(3).reshape(1, 3)))
     return merged([surface, *added]) if added else surface
-
-
-def _size(surface: Surface) -> float:
-    """Return the diagonal of the box about it, m."""
-    return float(np.linalg.norm(np.ptp(surface.vertices[surface.faces].reshape(-1, 3), axis=0)))
 
 
 def _shared_edges(faces: IntArray) -> tuple[IntArray, IntArray]:
