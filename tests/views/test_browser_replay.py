@@ -212,6 +212,24 @@ def test_keys_slider_and_seeking(shown: Chrome) -> None:
         assert time() == reached
 
 
+def test_backs_of_triangles_are_drawn_behind_fronts(shown: Chrome) -> None:
+    """Without a ghost, which has its own materials: each front has one back, of the same shape."""
+    front, back, offset, alike = shown.execute_script(
+        """const found = { 0: [], 1: [], 2: [] };
+        for (const name of ["robot", "rails"]) {
+            cmbotReplay.stage.node(name).traverse((mesh) => {
+                if (mesh.geometry) found[mesh.material.side].push(mesh);
+            });
+        }
+        const shapes = (meshes) => new Set(meshes.map(({ geometry }) => geometry.uuid));
+        const [fronts, backs] = [shapes(found[0]), shapes(found[1])];
+        return [found[0].length, found[1].length, found[1].every(({ material }) => material.polygonOffset),
+            found[2].length === 0 && fronts.symmetricDifference(backs).size === 0];"""
+    )
+    assert front == back > 10
+    assert offset and alike
+
+
 @pytest.mark.parametrize("how", ["ghost", "beside"])
 @pytest.mark.parametrize("size", [(1280, 800), (390, 844)])
 def test_card_and_bar_cover_nothing_of_what_is_shown(shown: Chrome, size: tuple[int, int], how: str) -> None:

@@ -14,6 +14,21 @@ const HALF_ANGLE = Math.tan(Math.PI / 10);  // tangent of half the fitted field 
 // The size of a part of the view without what is covered.
 const clearOf = ({ wide, high, above, below, edge }) => ({ wide: wide - edge, high: high - above - below });
 
+// Draw the backs of triangles a little farther away: along the outline of a round part a triangle's back is as near as
+// another's front, and its dark dots would be seen there. Fronts and backs share their shapes.
+function partSides(node) {
+  const meshes = [];
+  node.traverse((mesh) => { if (mesh.material?.side === THREE.DoubleSide) meshes.push(mesh); });
+  for (const mesh of meshes) {
+    const back = mesh.clone();
+    back.material = mesh.material.clone();
+    Object.assign(back.material, { side: THREE.BackSide, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 20 });
+    Object.assign(mesh.material, { side: THREE.FrontSide, shadowSide: THREE.DoubleSide });
+    back.castShadow = false;
+    mesh.parent.add(back);
+  }
+}
+
 class Stage {
   constructor(data) {
     this.data = data;
@@ -28,6 +43,7 @@ class Stage {
     this.torque = Object.fromEntries(MOTIONS.map((name) => [name, new THREE.Vector3()]));
     this.marks = new Marks(this, data);
     this.bending = data.bending && new Bending(this, data.bending);
+    for (const name of ["robot", "rails"]) partSides(this.node(name));
     this.colours = new Colours(this, data);
     this.compare = "ghost";
     this.withArrow = true;
@@ -282,13 +298,13 @@ class Stage {
     this.redraw();
   }
 
-  // How much of a view that fills the window card and bar cover, px: from above, from below and, where the view is not
+  // How much of a view that fills the window card, bar and a film's note cover, px: from above, from below and, where the view is not
   // below the card but beside it, from the left. Columns have one camera, and are below it.
   covered(high) {
     if (getComputedStyle(this.view).position !== "fixed") return [0, 0, 0];
-    const box = this.view.getBoundingClientRect(), bar = document.getElementById("bar").getBoundingClientRect();
-    const card = document.getElementById("card")?.getBoundingClientRect();
-    const below = bar.height > 0 ? Math.max(box.bottom - bar.top, 0) : 0;
+    const box = this.view.getBoundingClientRect();
+    const [card, bar, note] = ["card", "bar", "magnified"].map((id) => document.getElementById(id)?.getBoundingClientRect());
+    const below = Math.max(...[bar, note].map((part) => (part?.height > 0 ? box.bottom - part.top : 0)), 0);
     if (card && !this.belowCard && !this.beside) return [0, below, Math.min(card.right - box.left, 0.9 * box.width)];
     const above = card ? Math.max(card.bottom - box.top, 0) : 0;
     const share = Math.min(1, (0.7 * high) / Math.max(above + below, 1));
@@ -344,8 +360,9 @@ class Stage {
     this.viewer.renderer.shadowMap.type = THREE.BasicShadowMap;
     this.world.traverse((part) => {
       if (!part.material?.isMeshPhongMaterial) return;
-      const { color, side, transparent, opacity } = part.material;
-      part.material = new THREE.MeshLambertMaterial({ color, side, transparent, opacity });
+      const { color, side, transparent, opacity, polygonOffset, polygonOffsetFactor, polygonOffsetUnits } = part.material;
+      const offset = { polygonOffset, polygonOffsetFactor, polygonOffsetUnits };
+      part.material = new THREE.MeshLambertMaterial({ color, side, transparent, opacity, ...offset });
     });
     this.viewer.needs_render = false;
     this.viewer.set_dirty = () => {};
