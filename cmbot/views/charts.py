@@ -45,6 +45,8 @@ _OF_SLIDING = {"angle": "position", "torque": "force"}
 
 # Segments further apart in time than this, s, have a gap between them: where an arm waits, or has no path.
 _GAP = 1e-6
+# What a peak is lower than its bound by rounding, as a share.
+_ROUNDING = 1e-5
 
 # When it begins, s after the work, and its samples.
 _Part = tuple[float, Samples]
@@ -191,8 +193,14 @@ def downsampled(t: FloatArray, y: FloatArray, most: int = MOST_POINTS) -> tuple[
 
 
 def floor_name(plan: Plan) -> str:
-    """Return what a plan's torque floor is called."""
-    return "lower bound" if plan.torque_floor_kind == "proven" else "lower bound (estimate)"
+    """Return what a plan's torque floor is called: one at rest where the moving arm has less."""
+    name = "lower bound at rest" if _undercuts(plan) else "lower bound"
+    return name if plan.torque_floor_kind == "proven" else f"{name} (estimate)"
+
+
+def _undercuts(plan: Plan) -> bool:
+    """Whether inertia takes the peak below the bound of the static torque."""
+    return plan.gap_to_floor is not None and plan.gap_to_floor < -_ROUNDING
 
 
 def floor_meaning(plan: Plan) -> str:
@@ -201,7 +209,8 @@ def floor_meaning(plan: Plan) -> str:
     if bound is None:
         return ""
     has = "has" if bound.kind == "proven" else "was found to have"
-    return f"at one via-point no posture within the limits {has} a smaller static torque ({bound.basis})"
+    meaning = f"at one via-point no posture within the limits {has} a smaller static torque ({bound.basis})"
+    return f"{meaning}; moving, the arm has less" if _undercuts(plan) else meaning
 
 
 def _torque(plan: Plan) -> Chart:

@@ -157,6 +157,11 @@ def test_headlines_say_what_was_gained(triangle_plan: Plan, triangle_tracking: T
     assert floor.value == f"{100 * triangle_plan.gap_to_floor:+.3f} %"
     assert f"lower bound {triangle_plan.torque_floor:.1f} Nm: " in floor.detail
     assert floor.detail.endswith("no posture within the limits has a smaller static torque (proven)")
+    # Of the static torque: inertia may take a peak below it, which is no contradiction.
+    static = replace(triangle_plan.objective, floor=triangle_plan.torque_floor + 1.0)
+    _, floor, *_ = headlines(replace(triangle_plan, objective=static), None)
+    assert "lower bound at rest" in floor.detail
+    assert floor.detail.endswith("(proven); moving, the arm has less")
     bound = replace(triangle_plan.lower_bound, kind="estimated", missed=0.5)
     _, floor, *_ = headlines(replace(triangle_plan, lower_bound=bound), None)
     assert (
