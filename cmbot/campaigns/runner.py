@@ -27,6 +27,8 @@ _SETTINGS = {
     # A task whose worker dies is tried again by `run_tasks`, which counts.
     "distributed.scheduler.allowed-failures": 0,
     "distributed.scheduler.worker-saturation": 1.0,
+    # It looks at every worker a hundred times a second, which only waits for its child.
+    "distributed.worker.profile.enabled": False,
     "distributed.nanny.pre-spawn-environ": {
         "DASK_LOGGING__DISTRIBUTED": "critical",
         # Matrices are small, and every worker has a task: more threads only wait for each other.
