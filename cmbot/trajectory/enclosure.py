@@ -253,6 +253,7 @@ def highest(
     convex: Callable[[FloatArray, IntArray], FloatArray],
     remainder: FloatArray,
     resolution: float,
+    exact: Callable[[FloatArray, IntArray], FloatArray] | None = None,
 ) -> Peak:
     """Enclose the largest value of a convex function of interpolants.
 
@@ -267,13 +268,15 @@ def highest(
         What the interpolants may miss, in the function's unit.
     resolution : float
         How far the hull may lie above the largest value that was found, in the function's unit.
+    exact : callable, optional
+        What `convex` bounds from above, the nearer the shorter a piece, for values at the ends of pieces.
     """
     piece = np.arange(len(control))
     start, width = pieces.start.copy(), pieces.end - pieces.start
     value, time, bound = -np.inf, float(pieces.start[0]), -np.inf
     for halving in range(_HALVINGS + 1):
         at = convex(control, piece)
-        ends = at[:, [0, -1]]
+        ends = at[:, [0, -1]] if exact is None else exact(control[:, :, [0, -1]], piece)
         if not np.isfinite(at).all():
             return Peak(time=time, value=np.nan, bound=np.nan)
         k, side = np.unravel_index(ends.argmax(), ends.shape)

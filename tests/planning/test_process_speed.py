@@ -37,6 +37,9 @@ def test_the_speed_is_kept_at_all_times(steady_plan: Plan) -> None:
     (stroke,) = steady_plan.job.strokes
     x, path = stroke.trajectory, stroke.task.path
     t = np.linspace(0, x.duration, 20_001)
+    # The tool is often slowest or quickest where a lead ends: there is the largest deviation, or beside it.
+    k = np.flatnonzero(np.diff(path.process_speed(t) > 0))
+    t = np.sort(np.append(t, np.linspace(t[k], t[k + 1], 1_001)))
     q, v, _ = x.states(t)
     J = Kinematics(steady_plan.robot).tool_point_jacobians(q)[1]
     asked = path.process_speed(t)
@@ -46,7 +49,7 @@ def test_the_speed_is_kept_at_all_times(steady_plan: Plan) -> None:
     assert missed <= check.value <= TOLERANCE == check.bound
     assert missed == pytest.approx(check.value, rel=1e-3)
     # 0.2236 m at 0.1 m/s between two leads.
-    assert on.mean() * x.duration == pytest.approx(np.hypot(0.1, 0.2) / 0.1, rel=1e-3)
+    assert np.diff(t)[on[1:]].sum() == pytest.approx(np.hypot(0.1, 0.2) / 0.1, rel=1e-3)
     told = " ".join(remarks(steady_plan))
     assert "Process speed: 0.1 m/s on 0.224 m between the leads" in told
     assert f"(allowed: {100 * TOLERANCE:g} %)" in told

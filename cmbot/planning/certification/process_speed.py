@@ -45,6 +45,9 @@ def speed_deviation(path: ToolPath, pieces: Pieces, velocity: FloatArray, remain
         below = 1 - np.einsum("kdn,kd->kn", control, along) / speed[piece, None]
         return np.asarray(np.maximum(above, below))
 
+    def exact(control: FloatArray, piece: IntArray) -> FloatArray:
+        return np.asarray(np.abs(np.linalg.norm(control, axis=1) / speed[piece, None] - 1))
+
     between = Pieces(trajectory=pieces.trajectory, start=pieces.start[on], end=pieces.end[on])
     control = pieces.control_points(velocity)[on]
-    return highest(between, control, missed, remainder[on] / speed, _RESOLUTION)
+    return highest(between, control, missed, remainder[on] / speed, _RESOLUTION, exact)
