@@ -20,10 +20,10 @@ from cmbot.siting.placed_scene import joined, scene_at, with_strokes
 from cmbot.siting.screening import screen
 from cmbot.siting.search import StandOptions, Stood, judged
 
-__all__ = ["SHIPPED_ROBOT", "Standing", "best_scene", "require_standing", "stand"]
+__all__ = ["Standing", "best_scene", "require_on_guardrail", "require_standing", "stand"]
 
-SHIPPED_ROBOT = "the shipped robot, an arm on a climber that holds a guardrail"
-"""For whose scenes alone stances and steps are sought."""
+# For whose scenes alone stances and steps are sought.
+_SHIPPED_ROBOT = "the shipped robot, an arm on a climber that holds a guardrail"
 
 _LEFT_OUT = ("failed", "too much torque", "blocked", "no posture", "out of reach")
 _LONGEST_NAME = 90
@@ -181,6 +181,18 @@ def best_scene(standing: Standing) -> dict[str, Any]:
     return update_file(best).file.as_data()
 
 
+def require_on_guardrail(scene: Scene) -> None:
+    """Refuse a scene whose robot holds no guardrail.
+
+    Raises
+    ------
+    SceneError
+    """
+    if not scene.on_guardrail or not scene.guardrail.post_positions:
+        key, got = ("guardrail", "none") if scene.on_guardrail else ("robot", "another robot")
+        raise SceneError(scene.source, key, got, _SHIPPED_ROBOT)
+
+
 def require_standing(scene: Scene, members: Sequence[str] = ()) -> None:
     """Refuse a scene whose stances cannot be sought, or members that its guardrail has not.
 
@@ -188,9 +200,7 @@ def require_standing(scene: Scene, members: Sequence[str] = ()) -> None:
     ------
     SceneError, InputError
     """
-    if not scene.on_guardrail or not scene.guardrail.post_positions:
-        key, got = ("guardrail", "none") if scene.on_guardrail else ("robot", "another robot")
-        raise SceneError(scene.source, key, got, SHIPPED_ROBOT)
+    require_on_guardrail(scene)
     if scene.planner.objective == "sag":
         expected = "torque or hold, by which stances are screened"
         raise SceneError(scene.source, "planner.objective", "sag", expected)

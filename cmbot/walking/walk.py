@@ -16,7 +16,7 @@ from cmbot.common.yaml_reader import read_yaml
 from cmbot.hold import AdhesionPeak
 from cmbot.robot import Climber
 from cmbot.scene import FootholdFile, Scene, StanceFile, load_scene
-from cmbot.siting import SHIPPED_ROBOT, Candidate, candidate_at, in_world
+from cmbot.siting import Candidate, candidate_at, in_world, require_on_guardrail
 from cmbot.walking.balance import Balance
 from cmbot.walking.route import Edge, Route, nodes_between
 from cmbot.walking.steps import Move, Step, arm_move, plan_step
@@ -313,9 +313,7 @@ def stance_of(scene: Scene) -> Candidate:
     SceneError
         When it does not stand on a member of a guardrail.
     """
-    if not scene.on_guardrail or not scene.guardrail.post_positions:
-        key, got = ("guardrail", "none") if scene.on_guardrail else ("robot", "another robot")
-        raise SceneError(scene.source, key, got, SHIPPED_ROBOT)
+    require_on_guardrail(scene)
     stance = scene.robot.stance
     if scene.file.guardrail.stance is not None and stance is not None:
         file = scene.file.guardrail.stance
