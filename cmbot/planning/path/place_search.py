@@ -34,8 +34,6 @@ _TOLERANCE = 1e-6
 _DAMPING, _LONGEST_STEP = 1e-8, 0.8
 # Violation of a posture that does not hold the tool.
 _NOT_HELD = 1e9
-# Metres for a radian: what of a pose is missed is rather its point than its orientation.
-_LEVER = 1.0
 
 Violation = Callable[[FloatArray], FloatArray]
 """By how much postures (N, n) that hold the tool break what they have to keep, (N,); 0: not at all."""
@@ -204,7 +202,8 @@ def _nearest_postures(
         if not len(active):
             break
         J = task_jacobian(task.on_axis, at, metric)[:, :, going]
-        J[3:] *= np.where(task.cone is not None and (error[3:] == 0).all(axis=0), 0.0, _LEVER)
+        if task.cone is not None:
+            J[3:] *= (error[3:] != 0).any(axis=0)
         now = x[:, active]
         slope = np.einsum("ikn,in->kn", J, error)
         stuck = ((now <= lower) & (slope < 0)) | ((now >= upper) & (slope > 0))
@@ -218,10 +217,9 @@ def _nearest_postures(
 
 
 def _error(task: ToolTask, p_WT: FloatArray, R_WT: FloatArray, goals: ToolPoses) -> FloatArray:
-    """Task coordinates (N, m) to goals (N,), turns times the lever; of a cone what is beyond it."""
+    """Task coordinates (N, m) to goals (N,), a radian as a metre; of a cone what is beyond it."""
     error = task.on_axis.errors(p_WT, R_WT, goals)
     if task.cone is not None:
         angle = np.linalg.norm(error[:, 3:], axis=1)
         error[:, 3:] *= np.maximum(1 - task.cone / np.maximum(angle, task.cone), 0.0)[:, None]
-    error[:, 3:] *= _LEVER
     return error
