@@ -22,8 +22,7 @@ from cmbot.views.replay_data import (
     FRAME_STEP,
     MOST_POSES,
     Frames,
-    bending_data,
-    bent_poses,
+    bending_of,
     frame_times,
     link_names,
     pair_joints,
@@ -112,6 +111,7 @@ def _data(first: Plan, plans: Mapping[str, Plan], names: Mapping[str, str]) -> d
     small = [chart.data(MOST_SMALL_POINTS) for chart in _joint_charts(first, plans)]
     bridge = bridge_of(list(plans.values()))
     drawn = [*scene_commands(first), *bridge_commands(bridge)]
+    bending, bent = bending_of(each, reach(first.robot))
     return motions | {
         "motions": list(motions),
         "names": dict(names),
@@ -125,10 +125,10 @@ def _data(first: Plan, plans: Mapping[str, Plan], names: Mapping[str, str]) -> d
         "margin": min(plan.options.safety_margin_m for plan in plans.values()),
         "links": link_names(first.robot),
         "joints": list(first.robot.joints),
-        "bending": bending_data(each, reach(first.robot)),
+        "bending": bending,
         "pairs": list(pairs),
         "pairJoints": pair_joints(first, pairs),
-        "focus": focus_of(first, list(plans.values()), bent_poses(each, reach(first.robot)), bridge),
+        "focus": focus_of(first, list(plans.values()), bent, bridge),
         "reach": reach(first.robot),
         "arrow": ARROW * reach(first.robot),
         "around": bool(bridge),

@@ -44,8 +44,7 @@ from cmbot.views.page import pack, pack_exactly
 
 __all__ = [
     "Frames",
-    "bending_data",
-    "bent_poses",
+    "bending_of",
     "frame_times",
     "link_names",
     "pair_joints",
@@ -114,11 +113,12 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
     bridge = bridge_of([plan])
     drawn = [*scene_commands(plan), *bridge_commands(bridge)]
     # With all motions it is known how far the arm bends and what is near it.
+    bending, bent = bending_of([frames], reach(plan.robot))
     return data | {
-        "bending": bending_data([frames], reach(plan.robot)),
+        "bending": bending,
         "pairs": list(frames.pairs),
         "pairJoints": pair_joints(plan, frames.pairs),
-        "focus": focus_of(plan, [plan], bent_poses([frames], reach(plan.robot)), bridge),
+        "focus": focus_of(plan, [plan], bent, bridge),
         "reach": reach(plan.robot),
         "arrow": ARROW * reach(plan.robot),
         "around": bool(bridge),
@@ -260,20 +260,18 @@ def _resampled(times: FloatArray, t: FloatArray, values: FloatArray) -> FloatArr
     return np.stack([np.interp(times, t, column) for column in values.T], axis=1)
 
 
-def bending_data(frames: Sequence[Frames], reach: float) -> dict[str, Any] | None:
-    """Return how the first arm bends, with the factor that suits the motions of all; None of a rigid one."""
+def bending_of(frames: Sequence[Frames], reach: float) -> tuple[dict[str, Any] | None, list[FloatArray]]:
+    """Return how the first arm bends, with the factor that suits the motions of all; None of a rigid one.
+
+    And poses (K, n, 7) of the arms' links in all motions, as they are bent by that factor.
+    """
+    deflection = max(each.deflection for each in frames)
+    factor = drawn_factor(deflection, reach)
+    poses = [bent for each in frames for bent in each.bent(factor)]
     bending = frames[0].bending
     if bending is None:
-        return None
-    deflection = max(each.deflection for each in frames)
-    factors = (drawn_factor(deflection, reach), most_factor(deflection, reach))
-    return bending.data() | {"factors": factors}
-
-
-def bent_poses(frames: Sequence[Frames], reach: float) -> list[FloatArray]:
-    """Return poses (K, n, 7) of the arms' links in all motions, as they are bent by that factor."""
-    deflection = max(each.deflection for each in frames)
-    return [poses for each in frames for poses in each.bent(drawn_factor(deflection, reach))]
+        return None, poses
+    return bending.data() | {"factors": (factor, most_factor(deflection, reach))}, poses
 
 
 def pair_joints(plan: Plan, pairs: Iterable[str]) -> list[list[int]]:
