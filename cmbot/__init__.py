@@ -33,7 +33,7 @@ from cmbot.common.errors import (
     SceneError,
     SimulationDiverged,
 )
-from cmbot.common.first_use import on_first_use
+from cmbot.common.lazy_imports import on_first_use
 from cmbot.version import __version__
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from cmbot.archive.motion_files import columns
 from cmbot.archive.names import PLAN_FILE
 from cmbot.archive.strict_json import json_bytes
 from cmbot.archive.writing import resolved_file, save
-from cmbot.common.first_use import on_first_use
+from cmbot.common.lazy_imports import on_first_use
 
 if TYPE_CHECKING:
     from cmbot.archive.reading import load_plan, plan_data

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cmbot.common.first_use import on_first_use
+from cmbot.common.lazy_imports import on_first_use
 from cmbot.views.compare import compare_page
 from cmbot.views.film import film
 from cmbot.views.gallery import gallery_page
