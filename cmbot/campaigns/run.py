@@ -18,7 +18,7 @@ from cmbot.campaigns.results import parquet, plan_place, result_row
 from cmbot.campaigns.runner import require_dask, run_tasks
 from cmbot.campaigns.task import Task, TaskResult
 from cmbot.common.errors import ArchiveError
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.common.validation import given_path
 from cmbot.planning import robot_of
 from cmbot.scene import RobotSource, Scene

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError, create
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from cmbot.common.errors import InputError
-from cmbot.common.short_repr import fields_repr
+from cmbot.common.representation import fields_repr
 
 __all__ = [
     "CheckedFields",

@@ -13,7 +13,7 @@ from pydantic import Field
 from scipy.linalg import block_diag
 
 from cmbot.common.arrays import FloatArray, IntArray, read_only
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.common.validation import CheckedFields
 from cmbot.elastic.base import ElasticBase
 from cmbot.robot import Robot, external_forces, turn_axis

@@ -13,7 +13,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.errors import InputError
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.elastic.beam import SectionConstants, section_constants
 from cmbot.elastic.frame import Frame, Member
 from cmbot.elastic.guardrail import Guardrail

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 
 __all__ = ["AngleSection", "BarSection", "Guardrail", "GuardrailMaterial", "Post", "Rail", "Section"]
 

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 
 __all__ = ["Foot", "mean_distance"]
 

@@ -17,7 +17,7 @@ from scipy.linalg import block_diag
 from cmbot.collision import Clearances
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import InputError
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.elastic.stiffness_parameters import StiffnessParameters
 from cmbot.identification.estimation import Identification
 from cmbot.identification.measurements import MeasuringSetup

@@ -16,7 +16,7 @@ from scipy.linalg import block_diag, expm
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.common.validation import validated
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.stiffness_parameters import (

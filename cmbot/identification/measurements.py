@@ -26,7 +26,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.common.validation import FileModel, given_path, plain, refusal, require_type, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml
 from cmbot.identification.records import RingDown, read_record

@@ -11,7 +11,7 @@ import numpy as np
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ModelError, PathNotFound, SceneError
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.common.validation import counted
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm

@@ -10,7 +10,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.hold import AdhesionPeak
 from cmbot.planning.certification.certificate import Certificate
 from cmbot.planning.certification.check import Check

@@ -15,7 +15,7 @@ from cmbot.collision import Clearances, extent_of
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra, PlanningError, SceneError
 from cmbot.common.installation import install_command
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.common.validation import counted
 from cmbot.common.yaml_reader import lines_named
 from cmbot.optimization import piqp_module

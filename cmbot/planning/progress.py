@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from cmbot.common.errors import beyond
 from cmbot.common.eta import Eta, Remaining
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 
 if TYPE_CHECKING:
     from cmbot.optimization.exchange import ExchangeReport

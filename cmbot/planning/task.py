@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray, cross
 from cmbot.common.errors import InputError
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import Keep, ToolPath, ToolPoses, shortest_turns
 

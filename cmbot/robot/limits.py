@@ -25,7 +25,7 @@ from pydantic import Field
 
 from cmbot.common.arrays import BoolArray, FloatArray, read_only
 from cmbot.common.errors import InputError, ModelError
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.common.validation import FileModel, counted, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml
 from cmbot.robot.joint_kinds import JointUnits, joint_units, prismatic_joints

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.cards import card
 from cmbot.common.errors import InputError
+from cmbot.common.representation import card
 from cmbot.common.validation import counted
 from cmbot.hold import Foot, Holding
 from cmbot.robot.elasticity import JointElasticity, LinkTube

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.errors import InputError
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.common.validation import CheckedFields, FileModel, plain, require_type, shown
 from cmbot.scene.fields import Angles, Length, Slug, Text, Vector, exactly_one, one_of_schema
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import ConfigDict, Field, GetPydanticSchema, model_validator
 
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.common.validation import CheckedFields, FileModel, refusal, shown
 from cmbot.scene.base.stance import Stance
 from cmbot.scene.fields import (

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.cards import card
+from cmbot.common.representation import card
 from cmbot.common.validation import (
     FileModel,
     check_fields,

@@ -13,9 +13,8 @@ from pydantic import ConfigDict, Field
 from threadpoolctl import threadpool_limits
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.cards import card
 from cmbot.common.errors import InputError
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import card, short_repr
 from cmbot.common.validation import checked_options
 from cmbot.common.watching import watched_share
 from cmbot.elastic import elastic_base

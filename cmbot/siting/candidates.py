@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.robot import Climber
 from cmbot.scene import (
     FootholdFile,

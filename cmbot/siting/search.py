@@ -10,7 +10,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import CmbotError
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.planning import Plan, plan
 from cmbot.scene import Scene
 from cmbot.siting.candidates import Candidate

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cmbot.common.errors import InputError, PlanningError, SceneError
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.common.validation import counted, shown
 from cmbot.planning import robot_of, strokes_of, task_of
 from cmbot.scene import Scene, update_file

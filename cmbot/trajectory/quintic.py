@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from cmbot.common.arrays import FloatArray, IntArray, read_only
 from cmbot.common.errors import InputError
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.trajectory.polynomials import derivative, hull, roots_in_unit_interval, values
 
 __all__ = ["LARGEST", "Extrema", "QuinticTrajectory", "hermite_coefficients"]

@@ -11,7 +11,7 @@ import numpy as np
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.planning import (
     FreeMove,
     FreeSpace,

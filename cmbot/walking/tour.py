@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cmbot.common.errors import CmbotError, PlanningError
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.common.validation import counted
 from cmbot.planning import Plan
 from cmbot.scene import Scene

@@ -10,7 +10,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import CmbotError, PlanningError, SceneError
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.common.validation import counted, validated
 from cmbot.common.yaml_reader import read_yaml
 from cmbot.hold import AdhesionPeak

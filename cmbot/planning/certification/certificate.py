@@ -15,7 +15,7 @@ import numpy as np
 from cmbot.collision import RESOLUTION, Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import LimitViolation
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.elastic.sag import Sag
 from cmbot.planning.certification.check import Check, largest_check
 from cmbot.planning.certification.enclosed_motion import EnclosedMotion

@@ -9,7 +9,7 @@ import numpy as np
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.elastic.sag import Sag
 from cmbot.hold import AdhesionPeak
 from cmbot.planning.task import ToolTask

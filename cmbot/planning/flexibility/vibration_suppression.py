@@ -18,7 +18,7 @@ import numpy as np
 from scipy import sparse
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.elastic.arm import ElasticArm
 from cmbot.optimization import (
     OBJECTIVE,

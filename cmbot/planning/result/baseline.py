@@ -10,7 +10,7 @@ import numpy as np
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.planning.certification.metrics import MotionMetrics, Samples, figures, measure
 from cmbot.planning.context import SAMPLE_STEP
 from cmbot.planning.free_motion.return_move import SAME_POSTURE

@@ -11,7 +11,7 @@ import numpy as np
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
-from cmbot.common.cards import card
+from cmbot.common.representation import card
 from cmbot.common.validation import require_type
 from cmbot.elastic.sag import Sag
 from cmbot.planning.certification.certificate import Certificate

@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import null_space, project_onto_task
 from cmbot.planning.selfmotion.charts import GraphLayer

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from cmbot.common.errors import MissingExtra, ModelError
 from cmbot.common.installation import model_folder
+from cmbot.common.representation import short_repr
 from cmbot.common.robot_library import LIBRARY, LIBRARY_EXTRA, is_robot_name, library_robots, library_srdf
-from cmbot.common.short_repr import short_repr
 from cmbot.common.validation import given_path, hint
 
 __all__ = ["RobotFiles", "robot_files"]

@@ -8,7 +8,7 @@ from functools import cached_property
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError, remedy_for
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.scene.path.builder import timed_path
 from cmbot.scene.path.path_file import StrokeFile
 from cmbot.scene.path.path_source import PathSource

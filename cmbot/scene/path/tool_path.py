@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import InputError
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.scene.path.curves import Curve
 from cmbot.scene.path.time_law import LegLaw, ProcessPart, SpeedProfile, TimeLaw
 from cmbot.scene.path.tool_poses import ToolPoses

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from cmbot.common.errors import InputError
-from cmbot.common.short_repr import short_repr
+from cmbot.common.representation import short_repr
 from cmbot.common.validation import CheckedFields, shown
 from cmbot.scene.fields import Angle, Length, LongVector, Slug, Text, UnitVector, Vector, given_of
 from cmbot.scene.mesh_file import is_mesh_file

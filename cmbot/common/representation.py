@@ -1,18 +1,22 @@
-"""A repr of some hundred characters for dataclasses whose fields are arrays or dataclasses themselves."""
+"""How objects are shown: a short repr for dataclasses of arrays, and a card of HTML in a notebook."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import MISSING, fields
+from html import escape
 from typing import Any
 
-__all__ = ["LONGEST_REPR", "fields_repr", "short_repr"]
+__all__ = ["LONGEST_REPR", "card", "fields_repr", "short_repr"]
 
 LONGEST_REPR = 300
 """Characters of a short repr at most."""
 
 # Characters of a field's value at most.
 _LONGEST_VALUE = 60
+# Readable on light and on dark ground: no colours but the text's own.
+_BOX = "border:1px solid rgba(128,128,128,.5);border-radius:8px;padding:8px 14px;display:inline-block"
+_CELL = "padding:1px 14px 1px 0;border:0"
 
 
 def short_repr(self: Any) -> str:
@@ -46,6 +50,27 @@ def fields_repr(name: str, values: Mapping[str, object]) -> str:
     return f"{name}({', '.join(shown)})"
 
 
+def card(
+    title: str, sentence: str = "", rows: Iterable[Sequence[str]] = (), headings: Sequence[str] = ()
+) -> str:
+    """Return a card as HTML; all that is given is text, and stays text.
+
+    Parameters
+    ----------
+    title, sentence : str
+    rows : iterable of sequences of str
+        Of a table: names, then values.
+    headings : sequence of str, optional
+    """
+    head = _row("th", headings)
+    body = "".join(_row("td", row) for row in rows)
+    table = f'<table style="margin:6px 0 0;border-collapse:collapse">{head}{body}</table>'
+    return (
+        f'<div style="{_BOX}"><strong>{escape(title)}</strong>'
+        f"{f'<div>{escape(sentence)}</div>' if sentence else ''}{table if body else ''}</div>"
+    )
+
+
 def _is_default(value: object, default: object) -> bool:
     if default is MISSING or hasattr(value, "shape"):
         return False
@@ -67,3 +92,13 @@ def _short(value: object) -> str:
     else:
         return f"<{type(value).__name__}>"
     return text if len(text) <= _LONGEST_VALUE else f"{text[: _LONGEST_VALUE - 1]}…"
+
+
+def _row(tag: str, texts: Sequence[str]) -> str:
+    # A single column beside the names has words, several have numbers.
+    side = "right" if len(texts) > 2 else "left"
+    cells = (
+        f'<{tag} style="{_CELL};text-align:{side if number else "left"}">{escape(text)}</{tag}>'
+        for number, text in enumerate(texts)
+    )
+    return f"<tr>{''.join(cells)}</tr>" if texts else ""
