@@ -2,7 +2,6 @@
 
 from cmbot.robot.arm_model import convex_hull, encloses_volume
 from cmbot.robot.climber import CLIMBING_JOINTS, Climber, ClimberBodies
-from cmbot.robot.climbing import ARM_JOINTS, Side, load_climbing_robot
 from cmbot.robot.description.files import RobotFiles, robot_files
 from cmbot.robot.description.frames import arm_frames
 from cmbot.robot.description.mesh_file import faces_of, is_mesh, locate_meshes, vertices_of
@@ -21,7 +20,7 @@ from cmbot.robot.joint_kinds import (
 )
 from cmbot.robot.kinematics import Chain, Kinematics, PostureBatch, Postures, ToolBatch, link_poses
 from cmbot.robot.limits import JointLimits
-from cmbot.robot.loading import inspect_loaded, load_robot, srdf_text
+from cmbot.robot.loading import ARM_JOINTS, Side, inspect_loaded, load_climbing_robot, load_robot, srdf_text
 from cmbot.robot.robot import Robot
 from cmbot.robot.self_collision import MOST_FAR, NEAR, sampled_postures
 

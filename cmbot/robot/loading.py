@@ -1,11 +1,11 @@
-"""From a URDF, its SRDF, its joint-limits and its elasticity file to a `Robot`."""
+"""From URDF, SRDF, joint-limits and elasticity file to a `Robot`; the shipped robot also as it climbs."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 from xml.etree import ElementTree
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ModelError
 from cmbot.common.input_files import read_input
+from cmbot.common.installation import model_folder
 from cmbot.common.validation import hint
 from cmbot.robot.arm_model import arm_model, attach_payload, build_model, set_tool_length
 from cmbot.robot.description.files import RobotFiles, robot_files
@@ -26,7 +27,12 @@ from cmbot.robot.limits import joint_limits
 from cmbot.robot.robot import Robot
 from cmbot.robot.self_collision import PAIR, srdf_of
 
-__all__ = ["inspect_loaded", "load_robot", "srdf_text"]
+__all__ = ["ARM_JOINTS", "Side", "inspect_loaded", "load_climbing_robot", "load_robot", "srdf_text"]
+
+ARM_JOINTS = tuple(f"joint_{number}" for number in range(1, 8))
+"""Of the shipped robot."""
+Side = Literal[1, 2]
+"""Number of a foot."""
 
 # An arm that weighs less is one without masses, kg.
 _LIGHTEST = 1e-3
@@ -175,6 +181,39 @@ def load_robot(
         content_hash=hashlib.sha256(b"\0".join(contents)).hexdigest(),
         foot_point=tuple(foot_point.tolist()),
         remarks=(*assumed, *made.remarks),
+    )
+
+
+def load_climbing_robot(
+    foot: Side, root: FloatArray, arm: FloatArray, *, tool_length: float | None = None, payload: float = 0.0
+) -> Robot:
+    """Load the shipped robot on one foot, with its five climbing joints as the joints that move.
+
+    Parameters
+    ----------
+    foot : int
+        The foot that holds. On foot 2 the joints are in the other order, ``climb_5`` first.
+    root : (4, 4)
+        Pose of that foot in W.
+    arm : (7,), rad
+        Posture in which the arm is locked.
+    tool_length, payload : float, optional
+        As in `load_robot`; both are the arm's. The tool of this robot is the other foot.
+    """
+    folder = model_folder() / "urdf"
+    urdf, swings = ("cmbot.urdf", "foot_2") if foot == 1 else ("cmbot_on_foot_2.urdf", "foot_1_place")
+    return load_robot(
+        folder / urdf,
+        base_frame=f"foot_{foot}",
+        tool_frame=swings,
+        limits=folder / "joint_limits.yaml",
+        srdf=folder / "climbing.srdf",
+        elasticity=folder / "climbing.elasticity.yaml",
+        root=root,
+        locked=dict(zip(ARM_JOINTS, arm.tolist(), strict=True)),
+        tool_length=tool_length,
+        payload=payload,
+        carrier="tool0",
     )
 
 
