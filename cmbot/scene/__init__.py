@@ -9,9 +9,8 @@ from cmbot.scene.mesh_file import load_mesh
 from cmbot.scene.migration import migrated
 from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, pose
 from cmbot.scene.options import MOST_SAMPLES, PlannerOptions
-from cmbot.scene.path.kept import AxisCone, Keep
 from cmbot.scene.path.legs import ArcTo, Goal, Leg
-from cmbot.scene.path.path_file import StrokeFile
+from cmbot.scene.path.path_file import AxisCone, Keep, StrokeFile
 from cmbot.scene.path.raster_parts import rows_alone
 from cmbot.scene.path.stroke import Stroke, coverage_of, pieces_left_out
 from cmbot.scene.path.time_law import LegLaw, PiecewiseLaw, SpeedProfile

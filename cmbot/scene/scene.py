@@ -30,9 +30,8 @@ from cmbot.scene.fields import (
 )
 from cmbot.scene.obstacles import Obstacle, ObstacleFile, pose
 from cmbot.scene.options import PlannerOptions
-from cmbot.scene.path.kept import AxisCone, Keep
 from cmbot.scene.path.legs import AUTO, Goal, Leg
-from cmbot.scene.path.path_file import MOST_ORDERED, PathFile, StrokeFile, ToolPathFile
+from cmbot.scene.path.path_file import MOST_ORDERED, AxisCone, Keep, PathFile, StrokeFile, ToolPathFile
 from cmbot.scene.path.path_source import PathSource, surface_of
 from cmbot.scene.path.raster_parts import raster_parts, require_apart
 from cmbot.scene.path.stroke import Stroke, timed_stroke

@@ -26,8 +26,7 @@ from cmbot.scene.base.stance import resolved_stance
 from cmbot.scene.fields import si_fields
 from cmbot.scene.mesh_file import is_mesh_file
 from cmbot.scene.obstacles import Mesh, Obstacle, obstacle_data, obstacle_from_file
-from cmbot.scene.path.kept import AxisCone
-from cmbot.scene.path.path_file import FEWEST_WAYPOINTS
+from cmbot.scene.path.path_file import FEWEST_WAYPOINTS, AxisCone
 from cmbot.scene.scene import FORMAT, RobotFile, RobotSource, Scene, SceneFile
 from cmbot.scene.stow import start_posture
 from cmbot.scene.tool import Tool

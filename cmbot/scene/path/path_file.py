@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, GetPydanticSchema, PlainSerializer, WrapValidator, model_validator
 
-from cmbot.common.validation import FileModel, counted, refusal
+from cmbot.common.validation import FileModel, counted, hint, refusal, shown
 from cmbot.scene.fields import Slug
-from cmbot.scene.path.kept import Keep
 from cmbot.scene.path.legs import AUTO, Goal, Leg, SecondsOrAuto, Speed, ViaPoints, Waypoint
 from cmbot.scene.path.time_law import LegLaw, SpeedProfile
 from cmbot.scene.raster.raster import Raster
@@ -24,6 +24,8 @@ __all__ = [
     "MOST_ORDERED",
     "RESERVED",
     "SMOOTH",
+    "AxisCone",
+    "Keep",
     "PathFile",
     "StrokeFile",
     "ToolPathFile",
@@ -42,8 +44,54 @@ RESERVED = ("approach", "work", "return")
 FREE_MOVE = re.compile(r"free_\d+")
 """Names of the free moves between strokes."""
 
-
 _TIMES = ("seconds", "speed_m_s")
+_KEPT = ("pose", "axis", "position")
+
+
+class AxisCone(FileModel):
+    """The tool point, and a cone about the path's axis that the tool's axis stays in."""
+
+    axis_within_deg: Annotated[float, Field(ge=0.1, le=90)]
+    """Largest angle between the tool's axis and that of the path."""
+
+    @property
+    def angle(self) -> float:
+        """That angle, rad."""
+        return math.radians(self.axis_within_deg)
+
+    def __str__(self) -> str:
+        return f"axis within {self.axis_within_deg:g} deg"
+
+
+def _name_or_cone(value: Any, cone: Any) -> Any:
+    """One of the names, or what `cone` makes of a mapping: one error, where a union would have several."""
+    if value in _KEPT:
+        return value
+    if isinstance(value, dict | AxisCone):
+        return cone(value)
+    expected = f"a known value{hint(value, _KEPT)}"
+    raise refusal(expected, got=shown(value), choices=(*_KEPT, "{axis_within_deg: 10}"))
+
+
+def _as_data(kept: Any) -> Any:
+    return kept if isinstance(kept, str) else kept.model_dump()
+
+
+def _json_schema(schema: Any, handler: Any) -> dict[str, Any]:
+    # The mapping first: messages name its keys.
+    return {"anyOf": [handler(schema), {"enum": list(_KEPT), "type": "string"}]}
+
+
+Keep = Annotated[
+    Literal["pose", "axis", "position"] | AxisCone,
+    GetPydanticSchema(
+        lambda _, handler: handler(
+            Annotated[AxisCone, WrapValidator(_name_or_cone), PlainSerializer(_as_data)]
+        ),
+        _json_schema,
+    ),
+]
+"""What a tool path prescribes of the tool: its pose, its axis, its position, or a cone for its axis."""
 
 
 class PathFile(FileModel):
