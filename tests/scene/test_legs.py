@@ -110,6 +110,13 @@ def test_timed_poses_are_those_of_a_second_computation(
         assert "three points on a line" in refused.got or "no length" in refused.expected
 
 
+@pytest.mark.parametrize("axis", [[1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0.6, -0.8]])
+def test_half_a_turn_of_the_axis_goes_the_same_way_in_a_second_computation(axis: list[float]) -> None:
+    there = {"xyz": [0, 0, 0], "frame": "world", "axis": axis}
+    back = {"xyz": [0, 0, 1], "frame": "world", "axis": [-each for each in axis]}
+    check_path(scene_of(legs=[{"to": back, "seconds": 2}], **{"from": there}))
+
+
 @settings(max_examples=20)
 @given(
     legs,

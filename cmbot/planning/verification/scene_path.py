@@ -197,9 +197,11 @@ class ScenePath:
             points, axis, angle, length = self._arc(leg.arc, p)
             turn = axis * angle if leg.arc.turns else np.zeros(3)
         else:
-            end, R_end = (p, R) if leg.to is None else self._goal(leg.to, R)
+            end, turn = p, np.zeros(3)
+            if leg.to is not None:
+                end, turn = self._point(leg.to), self._turn_to(leg.to, R)
             way = np.array(leg.by) if leg.by is not None else end - p
-            turn, length = Rotation.from_matrix(R_end @ R.T).as_rotvec(), float(np.linalg.norm(way))
+            length = float(np.linalg.norm(way))
 
             def points(share: FloatArray) -> FloatArray:
                 return np.asarray(p + share[:, None] * way)
@@ -217,22 +219,31 @@ class ScenePath:
 
     def _goal(self, goal: Goal, R: FloatArray) -> tuple[FloatArray, FloatArray]:
         """A pose in W, from the orientation `R` before."""
+        return self._point(goal), rodrigues(self._turn_to(goal, R)) @ R
+
+    def _point(self, goal: Goal) -> FloatArray:
+        """The point of a pose in W."""
         p_frame, R_frame = self._frames[goal.frame]
-        p = p_frame + R_frame @ np.array(goal.xyz)
+        return np.asarray(p_frame + R_frame @ np.array(goal.xyz))
+
+    def _turn_to(self, goal: Goal, R: FloatArray) -> FloatArray:
+        """The rotation vector in W from the orientation `R` to that of a pose."""
+        R_frame = self._frames[goal.frame][1]
         if goal.rpy_deg is not None:
-            return p, R_frame @ rpy(goal.rpy_deg)
+            return np.asarray(Rotation.from_matrix(R_frame @ rpy(goal.rpy_deg) @ R.T).as_rotvec())
         if goal.axis is None:
-            return p, R
+            return np.zeros(3)
         z = R_frame @ np.array(goal.axis) / np.linalg.norm(goal.axis)
         cross, cosine = np.cross(R[:, 2], z), float(R[:, 2] @ z)
         sine = float(np.linalg.norm(cross))
         if cosine < 0 and sine < 1e-12:
-            cross = np.cross(R[:, 2], np.eye(3)[np.abs(R[:, 2]).argmin()])
-            return p, rodrigues(np.pi * cross / np.linalg.norm(cross)) @ R
+            cross = np.cross(R[:, 2], np.eye(3)[np.abs(R[:, 2]).round(9).argmin()])
+            # Its matrix does not say which way half a turn goes.
+            return np.asarray(np.pi * cross / np.linalg.norm(cross))
         K = skew(cross)
         # 1 / (1 + cosine), which loses its digits near half a turn.
         share = 1 / (1 + cosine) if cosine > 0 else (1 - cosine) / sine**2
-        return p, (np.eye(3) + K + share * K @ K) @ R
+        return np.asarray(Rotation.from_matrix(np.eye(3) + K + share * K @ K).as_rotvec())
 
     def _arc(self, arc: ArcTo, p: FloatArray) -> tuple[_Points, FloatArray, float, float]:
         """Points by the share, the axis, the angle and the length of an arc from `p`."""

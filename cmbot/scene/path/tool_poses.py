@@ -49,7 +49,7 @@ def shortest_turns(z: FloatArray, z_goal: FloatArray) -> FloatArray:
     sine = np.linalg.norm(product, axis=1)
     vectors = product * (np.arctan2(sine, cosine) / np.maximum(sine, _NO_TURN))[:, None]
     for k in np.flatnonzero((sine < _OPPOSITE) & (cosine < 0)):
-        # Half a turn about any axis across z.
-        across = cross(z[k], np.eye(3)[np.abs(z[k]).argmin()])
+        # Half a turn about an axis across z, which rounding does not choose.
+        across = cross(z[k], np.eye(3)[np.abs(z[k]).round(9).argmin()])
         vectors[k] = np.pi * across / np.linalg.norm(across)
     return np.asarray(vectors)
