@@ -3,6 +3,8 @@
 import ast
 import inspect
 import json
+import platform
+import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -20,7 +22,9 @@ HEAVY = {"pinocchio", "coal", "numpy", "scipy", "meshcat", "trimesh", "yourdfpy"
 NOT_TO_PLAN = {"IPython", "matplotlib", "meshcat", "networkx", "requests", "selenium", "ssl", "tornado"}
 NOT_TO_PLAN |= {"trimesh", "yourdfpy", "zmq"}
 NOT_TO_PLAN |= {f"cmbot.{name}" for name in ("campaigns", "identification", "siting", "walking")}
-NOT_TO_PLAN |= {f"scipy.{name}" for name in ("integrate", "interpolate", "ndimage", "signal", "stats")}
+NOT_TO_PLAN |= {
+    f"scipy.{name}" for name in ("integrate", "interpolate", "ndimage", "optimize", "signal", "stats")
+}
 
 
 def printed_by(code: str) -> list[str]:
@@ -92,6 +96,24 @@ finally:
     print(gc.get_threshold()[0] >= 10_000, {each["num_threads"] for each in threadpoolctl.threadpool_info()})
 """
     assert printed_by(look)[-1] == "True {1}"
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="glibc's allocator is set up")
+def test_memory_of_blocks_that_come_and_go_stays() -> None:
+    look = """
+import resource, sys
+from cmbot.__main__ import main
+sys.argv = ["cmbot", "--version"]
+try:
+    main()
+finally:
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for megabytes in range(1, 24):
+        b"-" * (megabytes << 20)
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+    # The largest one's pages, and not those of all.
+    assert int(printed_by(look)[-1]) < 2 * 23 * 2**20 / resource.getpagesize()
 
 
 def test_nothing_is_looked_through_at_the_end() -> None:

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import nnls
 
-from cmbot.optimization import nearest
+from cmbot.optimization import least_distance, nearest
 
 
 def problem_of(rng: np.random.Generator, unknowns: int, bounds: int) -> tuple[np.ndarray, ...]:
@@ -40,3 +41,19 @@ def test_what_bounds_nothing_is_left_out(rng: np.random.Generator) -> None:
     np.testing.assert_array_equal(nearest(point, factor, np.zeros((1, 2)), np.array([-1.0])), point)
     held = nearest(point, factor, np.vstack([np.zeros(2), np.eye(2)]), np.append(-1.0, point - 1.0))
     np.testing.assert_allclose(held, point - 1.0, atol=1e-9)
+
+
+def test_nonnegative_least_squares_are_those_of_scipy(rng: np.random.Generator) -> None:
+    """Also where columns are the same, numbers are whole, so that steps end at several bounds at once."""
+    for number in range(300):
+        rows, columns = rng.integers(1, 30, 2)
+        A, b = rng.normal(size=(rows, columns)), rng.normal(size=rows)
+        if number % 3 == 0:
+            A[:, columns // 2 :] = A[:, : columns - columns // 2]
+        if number % 5 == 0:
+            A = A.round()
+        if number % 7 == 0:
+            b = -np.abs(A).sum(axis=1)
+        u = least_distance._nonnegative_least_squares(A, b)
+        assert u is not None and u.min() >= 0
+        assert np.linalg.norm(A @ u - b) == pytest.approx(nnls(A, b)[1], rel=1e-9, abs=1e-9)
