@@ -28,23 +28,29 @@ __all__ = ["campaign"]
 _MOST_REASONS = 5
 
 
+FileArgument = Annotated[
+    Path,
+    typer.Argument(metavar="FILE", help="A campaign file, a CSV table of jobs, or a folder of scenes."),
+]
+OutputOption = Annotated[
+    Path | None, typer.Option("--output", "-o", help="Folder to write; out/NAME if left out.")
+]
+WorkersOption = Annotated[int, typer.Option("--workers", help="Processes on this machine.")]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option("--scheduler", metavar="ADDRESS", help="Use the workers of this dask scheduler."),
+]
+PagesOption = Annotated[bool, typer.Option("--pages", help="Write replay and report of every plan.")]
+AgainOption = Annotated[bool, typer.Option("--again", help="Plan those again that were not planned before.")]
+
+
 def campaign(
-    file: Annotated[
-        Path,
-        typer.Argument(metavar="FILE", help="A campaign file, a CSV table of jobs, or a folder of scenes."),
-    ],
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Folder to write; out/NAME if left out.")
-    ] = None,
-    workers: Annotated[int, typer.Option("--workers", help="Processes on this machine.")] = 1,
-    scheduler: Annotated[
-        str | None,
-        typer.Option("--scheduler", metavar="ADDRESS", help="Use the workers of this dask scheduler."),
-    ] = None,
-    pages: Annotated[bool, typer.Option("--pages", help="Write replay and report of every plan.")] = False,
-    again: Annotated[
-        bool, typer.Option("--again", help="Plan those again that were not planned before.")
-    ] = False,
+    file: FileArgument,
+    output: OutputOption = None,
+    workers: WorkersOption = 1,
+    scheduler: SchedulerOption = None,
+    pages: PagesOption = False,
+    again: AgainOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> ExitStatus:

@@ -27,6 +27,7 @@ __all__ = [
     "ConsoleProgress",
     "ExitStatus",
     "FiguresOption",
+    "ForceOption",
     "JsonOption",
     "LostOutputError",
     "QuietOption",
@@ -100,7 +101,7 @@ JsonOption = Annotated[
     bool, typer.Option("--json", help="Print one JSON object on standard output instead of tables.")
 ]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors (and JSON).")]
-
+ForceOption = Annotated[bool, typer.Option("--force", help="Replace what is there.")]
 FiguresOption = Annotated[
     bool, typer.Option("--figures", help="Draw plots as PNG and SVG into the plan directory, too.")
 ]

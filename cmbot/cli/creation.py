@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import cmbot
-from cmbot.cli.console import JsonOption, QuietOption, flat, out, print_json
+from cmbot.cli.console import ForceOption, JsonOption, QuietOption, flat, out, print_json
 from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError, ModelError
 from cmbot.common.installation import scene_folder
@@ -28,45 +28,55 @@ _NO_SLUG = re.compile(r"[^A-Za-z0-9_\-]+")
 _LARGEST, _LARGEST_ANGLE = 1e4, 360.0
 
 
+Numbers = tuple[float, float, float]
+SourceOption = Annotated[
+    str | None, typer.Option("--from", metavar="URDF", help="A URDF, or the name of a robot such as panda.")
+]
+ToolAtOption = Annotated[
+    Numbers | None,
+    typer.Option(
+        "--tool-at",
+        metavar="X Y Z",
+        help="With --from: tool point at the start, m, in the frame of the URDF's root link.",
+    ),
+]
+FromSceneOption = Annotated[
+    str | None,
+    typer.Option(
+        "--from-scene",
+        metavar="SCENE",
+        help="In place of --from: a scene of cmbot-scene/1, to be written as cmbot-scene/2.",
+    ),
+]
+RpyOption = Annotated[
+    Numbers | None,
+    typer.Option("--rpy-deg", metavar="R P Y", help="Roll, pitch, yaw of the tool there; left out: any."),
+]
+BaseOption = Annotated[
+    str | None, typer.Option("--base", metavar="FRAME", help="Base frame; left out: the only choice.")
+]
+ToolOption = Annotated[
+    str | None, typer.Option("--tool", metavar="FRAME", help="Tool frame; left out: the only choice.")
+]
+PackagesOption = Annotated[
+    list[Path] | None,
+    typer.Option("--package-dir", metavar="DIR", help="Where package:// is sought first; repeatable."),
+]
+OutputOption = Annotated[
+    Path | None, typer.Option("--output", "-o", help="Scene file to write; NAME.yaml if left out.")
+]
+
+
 def new(
-    source: Annotated[
-        str | None,
-        typer.Option("--from", metavar="URDF", help="A URDF, or the name of a robot such as panda."),
-    ] = None,
-    tool_at: Annotated[
-        tuple[float, float, float] | None,
-        typer.Option(
-            "--tool-at",
-            metavar="X Y Z",
-            help="With --from: tool point at the start, m, in the frame of the URDF's root link.",
-        ),
-    ] = None,
-    scene: Annotated[
-        str | None,
-        typer.Option(
-            "--from-scene",
-            metavar="SCENE",
-            help="In place of --from: a scene of cmbot-scene/1, to be written as cmbot-scene/2.",
-        ),
-    ] = None,
-    rpy_deg: Annotated[
-        tuple[float, float, float] | None,
-        typer.Option("--rpy-deg", metavar="R P Y", help="Roll, pitch, yaw of the tool there; left out: any."),
-    ] = None,
-    base: Annotated[
-        str | None, typer.Option("--base", metavar="FRAME", help="Base frame; left out: the only choice.")
-    ] = None,
-    tool: Annotated[
-        str | None, typer.Option("--tool", metavar="FRAME", help="Tool frame; left out: the only choice.")
-    ] = None,
-    package_dir: Annotated[
-        list[Path] | None,
-        typer.Option("--package-dir", metavar="DIR", help="Where package:// is sought first; repeatable."),
-    ] = None,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Scene file to write; NAME.yaml if left out.")
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace files that are there.")] = False,
+    source: SourceOption = None,
+    tool_at: ToolAtOption = None,
+    scene: FromSceneOption = None,
+    rpy_deg: RpyOption = None,
+    base: BaseOption = None,
+    tool: ToolOption = None,
+    package_dir: PackagesOption = None,
+    output: OutputOption = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -91,42 +101,47 @@ def new(
     limits = path.with_name(f"{path.stem}.limits.yaml")
     _require_numbers("--tool-at", tool_at, _LARGEST)
     _require_numbers("--rpy-deg", rpy_deg or (), _LARGEST_ANGLE)
-    if source == _SHIPPED and (base, tool) != (None, None):
-        raise InputError("--base, --tool", "", "frames", "none with --from cmbot: its frames are known")
     packages = tuple(package_dir or ())
-    if packages and source == _SHIPPED:
-        raise InputError("--package-dir", "", "a folder", "none with --from cmbot: its files are known")
-    for place in packages:
-        if not place.is_dir():
-            raise InputError("--package-dir", "", str(place), "a folder that exists")
-    composed = _composed(source, base, tool, tool_at, rpy_deg, path, limits, packages)
-    robot, start, text, limits_content = composed
+    _require_applicable(source, base, tool, packages)
+    robot, start, text, limits_text = _composed(source, base, tool, tool_at, rpy_deg, path, limits, packages)
     from cmbot.archive import write_file
 
     written = [path]
-    if limits_content is not None:
+    if limits_text is not None:
         require_new(limits, force)
-        write_file(limits, limits_content.encode())
+        write_file(limits, limits_text.encode())
         written.append(limits)
     write_file(path, text.encode())
     if as_json:
         print_json({"verb": "new", "files": [str(file) for file in written], "remarks": list(robot.remarks)})
     elif not quiet:
-        joints = f"{robot.dof} joints from {robot.base_frame} to {robot.tool_frame}"
-        out.print(flat(f"{robot.name}: {joints}"))
-        by = ", ".join(f"{x:g}" for x in start.by)
-        out.print(
-            f"A first leg takes the tool by ({by}) m in {start.seconds:g} s: put your own into tool_path."
-        )
-        if source != _SHIPPED:
-            out.print("The base is rigid: guardrail.stiffness says how it bends, base.name what it is.")
-        for remark in robot.remarks:
-            out.print(flat(remark))
-        if limits_content is not None:
-            out.print(
-                flat(f"The assumed limits are in {limits}: put those of your robot's data sheet there.")
-            )
-        out.print(flat(f"Written: {', '.join(map(str, written))}. Plan it: cmbot plan {path}"))
+        _print_new(robot, start, written, shipped=source == _SHIPPED)
+
+
+def _require_applicable(source: str, base: str | None, tool: str | None, packages: tuple[Path, ...]) -> None:
+    """Refuse frames and folders that the shipped robot does not need, and folders that are not there."""
+    if source == _SHIPPED and (base, tool) != (None, None):
+        raise InputError("--base, --tool", "", "frames", "none with --from cmbot: its frames are known")
+    if packages and source == _SHIPPED:
+        raise InputError("--package-dir", "", "a folder", "none with --from cmbot: its files are known")
+    for place in packages:
+        if not place.is_dir():
+            raise InputError("--package-dir", "", str(place), "a folder that exists")
+
+
+def _print_new(robot: Robot, start: StartPosture, written: list[Path], *, shipped: bool) -> None:
+    """Print what was written of a scene: the file and, where they were assumed, the joint limits."""
+    joints = f"{robot.dof} joints from {robot.base_frame} to {robot.tool_frame}"
+    out.print(flat(f"{robot.name}: {joints}"))
+    by = ", ".join(f"{x:g}" for x in start.by)
+    out.print(f"A first leg takes the tool by ({by}) m in {start.seconds:g} s: put your own into tool_path.")
+    if not shipped:
+        out.print("The base is rigid: guardrail.stiffness says how it bends, base.name what it is.")
+    for remark in robot.remarks:
+        out.print(flat(remark))
+    for limits in written[1:]:
+        out.print(flat(f"The assumed limits are in {limits}: put those of your robot's data sheet there."))
+    out.print(flat(f"Written: {', '.join(map(str, written))}. Plan it: cmbot plan {written[0]}"))
 
 
 def _migrate(source: str, output: Path | None, *, force: bool, as_json: bool, quiet: bool) -> None:
@@ -148,8 +163,8 @@ def _composed(
     source: str,
     base: str | None,
     tool: str | None,
-    tool_at: tuple[float, float, float],
-    rpy_deg: tuple[float, float, float] | None,
+    tool_at: Numbers,
+    rpy_deg: Numbers | None,
     path: Path,
     limits: Path,
     packages: tuple[Path, ...],
@@ -161,32 +176,16 @@ def _composed(
     from cmbot.robot import Kinematics, robot_files
     from cmbot.scene import PlannerOptions, limits_text, pose, scene_text
 
-    try:
-        robot = cmbot.load_robot(source, base_frame=base, tool_frame=tool, package_dirs=packages)
-    except ModelError as error:
-        option = {"base_frame": "--base", "tool_frame": "--tool"}.get(error.key)
-        if option is None:
-            raise
-        # The option is what has to be changed.
-        raise InputError(option, "", error.got, error.expected, error.choices) from error
+    robot = _loaded(source, base, tool, packages)
     orientation = None if rpy_deg is None else np.array(pose((0, 0, 0), np.radians(rpy_deg)))[:3, :3]
     start = find_start(robot, _obstacles(source), np.array(tool_at), orientation)
     shipped, own_limits = source == _SHIPPED, robot_files(source).limits is not None
-    block: dict[str, tuple[object, str]] = {"model": (_model(source, path), "")}
-    if not shipped:
-        block["base_frame"] = (robot.base_frame, "")
-        block["tool_frame"] = (robot.tool_frame, "the frame that follows the tool path")
-        if not own_limits:
-            block["limits"] = (limits.name, "accelerations and jerks, assumed: put your robot's there")
-    if packages:
-        folder = path.resolve().parent
-        block["package_dirs"] = ([os.path.relpath(place.resolve(), folder) for place in packages], "")
-    block["payload_kg"] = (0.0, "point mass at the tool")
+    assumed = None if shipped or own_limits else limits
     default = start.safety_margin == PlannerOptions().safety_margin_m
     text = scene_text(
         name=_slug(path.stem),
         schema=str(scene_folder() / "scene.schema.json"),
-        robot=block,
+        robot=_robot_entry(robot, source, path, assumed, packages),
         on_guardrail=shipped,
         posture=start.posture,
         prismatic=robot.limits.prismatic,
@@ -196,10 +195,36 @@ def _composed(
         seconds=start.seconds,
         safety_margin_m=None if default else start.safety_margin,
     )
-    if shipped or own_limits:
-        return robot, start, text, None
     known = robot.limits
-    return robot, start, text, limits_text(robot.joints, known.acceleration, known.jerk, known.prismatic)
+    skeleton = limits_text(robot.joints, known.acceleration, known.jerk, known.prismatic)
+    return robot, start, text, None if assumed is None else skeleton
+
+
+def _loaded(source: str, base: str | None, tool: str | None, packages: tuple[Path, ...]) -> Robot:
+    """The robot; where a frame has to be chosen, the error names the option."""
+    try:
+        return cmbot.load_robot(source, base_frame=base, tool_frame=tool, package_dirs=packages)
+    except ModelError as error:
+        option = {"base_frame": "--base", "tool_frame": "--tool"}.get(error.key)
+        if option is None:
+            raise
+        raise InputError(option, "", error.got, error.expected, error.choices) from error
+
+
+def _robot_entry(
+    robot: Robot, source: str, path: Path, assumed: Path | None, packages: tuple[Path, ...]
+) -> dict[str, tuple[object, str]]:
+    """The scene's ``robot:`` block, each value with its comment; `assumed` is the file of assumed limits."""
+    entry: dict[str, tuple[object, str]] = {"model": (_model(source, path), "")}
+    if source != _SHIPPED:
+        entry["base_frame"] = (robot.base_frame, "")
+        entry["tool_frame"] = (robot.tool_frame, "the frame that follows the tool path")
+    if assumed is not None:
+        entry["limits"] = (assumed.name, "accelerations and jerks, assumed: put your robot's there")
+    if packages:
+        folder = path.resolve().parent
+        entry["package_dirs"] = ([os.path.relpath(place.resolve(), folder) for place in packages], "")
+    return entry | {"payload_kg": (0.0, "point mass at the tool")}
 
 
 def _obstacles(source: str) -> tuple[Obstacle, ...]:

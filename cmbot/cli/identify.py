@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import cmbot
-from cmbot.cli.console import JsonOption, QuietOption, complete_scene, flat, out, print_json, print_table
+from cmbot.cli.console import (
+    ForceOption,
+    JsonOption,
+    QuietOption,
+    complete_scene,
+    flat,
+    out,
+    print_json,
+    print_table,
+)
 from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError
 from cmbot.common.installation import scene_folder
@@ -20,39 +29,48 @@ if TYPE_CHECKING:
 __all__ = ["identify"]
 
 
+SourcesArgument = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="FILE...",
+        help="Files of measurements; with --propose a scene, or those files for more postures.",
+        autocompletion=complete_scene,
+    ),
+]
+OutputOption = Annotated[
+    Path | None, typer.Option("--output", "-o", help="File to write; named by FILE if left out.")
+]
+ProposeOption = Annotated[
+    int | None, typer.Option("--propose", help="Propose so many postures to measure in.", min=1, max=100)
+]
+JobOption = Annotated[
+    Path | None, typer.Option("--job", help="With --propose: a plan directory, whose motion counts.")
+]
+WeightOption = Annotated[
+    float | None, typer.Option("--weight", help="With --propose: kg that are hung on; 5 if left out.")
+]
+GaugeOption = Annotated[
+    float | None, typer.Option("--gauge", help="With --propose: error of the gauge, mm; 0.1 if left out.")
+]
+AxesOption = Annotated[
+    str, typer.Option("--axes", help="With --propose: components that are measured, such as z.")
+]
+MisfitOption = Annotated[
+    bool,
+    typer.Option("--accept-misfit", help="Use measurements that plainly do not fit, with larger errors."),
+]
+
+
 def identify(
-    sources: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="FILE...",
-            help="Files of measurements; with --propose a scene, or those files for more postures.",
-            autocompletion=complete_scene,
-        ),
-    ],
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="File to write; named by FILE if left out.")
-    ] = None,
-    propose: Annotated[
-        int | None, typer.Option("--propose", help="Propose so many postures to measure in.", min=1, max=100)
-    ] = None,
-    job: Annotated[
-        Path | None, typer.Option("--job", help="With --propose: a plan directory, whose motion counts.")
-    ] = None,
-    weight: Annotated[
-        float | None, typer.Option("--weight", help="With --propose: kg that are hung on; 5 if left out.")
-    ] = None,
-    gauge: Annotated[
-        float | None,
-        typer.Option("--gauge", help="With --propose: error of the gauge, mm; 0.1 if left out."),
-    ] = None,
-    axes: Annotated[
-        str, typer.Option("--axes", help="With --propose: components that are measured, such as z.")
-    ] = "xyz",
-    accept_misfit: Annotated[
-        bool,
-        typer.Option("--accept-misfit", help="Use measurements that plainly do not fit, with larger errors."),
-    ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+    sources: SourcesArgument,
+    output: OutputOption = None,
+    propose: ProposeOption = None,
+    job: JobOption = None,
+    weight: WeightOption = None,
+    gauge: GaugeOption = None,
+    axes: AxesOption = "xyz",
+    accept_misfit: MisfitOption = False,
+    force: ForceOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -70,12 +88,7 @@ def identify(
         if as_json:
             print_json({"verb": "identify", "file": str(target), **_promised(made)})
         elif not quiet:
-            from cmbot.identification import proposal_remarks
-
-            for line in proposal_remarks(made):
-                out.print(flat(line))
-            all_sheets = (*(sources if made.measured else ()), str(target))
-            out.print(f"Sheet to fill in: {flat(target)}; then: cmbot identify {flat(' '.join(all_sheets))}")
+            _print_proposal(made, target, sources)
         return
     from cmbot.archive import write_file
     from cmbot.identification import stiffness_text
@@ -88,12 +101,25 @@ def identify(
     if as_json:
         print_json({"verb": "identify", "file": str(target), **_summary(found)})
     elif not quiet:
-        from cmbot.identification import HEADINGS, identified_rows, remarks
+        _print_identification(found, target)
 
-        print_table("Stiffness", HEADINGS, list(identified_rows(found)), text_columns=1)
-        for line in remarks(found):
-            out.print(flat(line))
-        out.print(f"Written to {flat(target)}; in a scene: identified: {flat(target)}")
+
+def _print_proposal(made: Proposal, sheet: Path, sources: list[str]) -> None:
+    from cmbot.identification import proposal_remarks
+
+    for line in proposal_remarks(made):
+        out.print(flat(line))
+    all_sheets = (*(sources if made.measured else ()), str(sheet))
+    out.print(f"Sheet to fill in: {flat(sheet)}; then: cmbot identify {flat(' '.join(all_sheets))}")
+
+
+def _print_identification(found: Identification, target: Path) -> None:
+    from cmbot.identification import HEADINGS, identified_rows, remarks
+
+    print_table("Stiffness", HEADINGS, list(identified_rows(found)), text_columns=1)
+    for line in remarks(found):
+        out.print(flat(line))
+    out.print(f"Written to {flat(target)}; in a scene: identified: {flat(target)}")
 
 
 def _propose(

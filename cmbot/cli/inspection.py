@@ -16,6 +16,7 @@ import typer
 import cmbot
 from cmbot.cli.console import (
     ExitStatus,
+    ForceOption,
     JsonOption,
     QuietOption,
     complete_scene,
@@ -222,7 +223,7 @@ def scenes(
     html: Annotated[
         Path | None, typer.Option("--html", help="Page to write instead, with a picture of each scene.")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace the page if it is there.")] = False,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """List the shipped scenes, each with what it is about.

@@ -15,6 +15,7 @@ import cmbot
 from cmbot.cli.console import (
     ConsoleProgress,
     FiguresOption,
+    ForceOption,
     JsonOption,
     QuietOption,
     SceneArgument,
@@ -75,7 +76,7 @@ def plan(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Plan directory to write; out/NAME if left out.")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace a plan directory that is there.")] = False,
+    force: ForceOption = False,
     changes: Annotated[
         list[str] | None,
         typer.Option(

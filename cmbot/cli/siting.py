@@ -14,6 +14,7 @@ import typer
 import cmbot
 from cmbot.cli.console import (
     ConsoleProgress,
+    ForceOption,
     JsonOption,
     QuietOption,
     SceneArgument,
@@ -46,6 +47,40 @@ ScenesArgument = Annotated[
     ),
 ]
 
+StancesFolderOption = Annotated[
+    Path | None, typer.Option("--output", "-o", help="Folder to write; out/NAME_stances if left out.")
+]
+WalkFolderOption = Annotated[
+    Path | None, typer.Option("--output", "-o", help="Folder to write; out/NAME_walk if left out.")
+]
+TourFolderOption = Annotated[
+    Path | None, typer.Option("--output", "-o", help="New folder to write; out/NAME_tour if left out.")
+]
+ObjectiveOption = Annotated[
+    str | None, typer.Option("--objective", help="torque or hold, in place of the scene's.")
+]
+PlansOption = Annotated[int, typer.Option("--plans", help="How many of the best stances to plan.", min=0)]
+TourPlansOption = Annotated[
+    int, typer.Option("--plans", help="How many of the best stances to plan for each group.", min=1)
+]
+SpacingOption = Annotated[float, typer.Option("--spacing", help="Metres between places of foot 1.", min=0.01)]
+PairSpacingOption = Annotated[
+    float, typer.Option("--pair-spacing", help="Metres between places of two feet.", min=0.05)
+]
+GoalOption = Annotated[
+    Path, typer.Option("--to", help="Where to: a scene, or a file with foot_1 and foot_2.")
+]
+WalkSpacingOption = Annotated[
+    float, typer.Option("--spacing", help="Metres between places of the feet.", min=0.05)
+]
+OneFootOption = Annotated[bool, typer.Option("--one-foot", help="Leave foot 2 free.")]
+MaxTorqueOption = Annotated[
+    float | None,
+    typer.Option("--max-torque", help="Newton metres on the guardrail at work at most.", min=0.0),
+]
+SpeedOption = Annotated[
+    float, typer.Option("--speed", help="Metres a second of a foot at most.", min=1e-3, max=1.0)
+]
 MembersOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -56,26 +91,15 @@ MembersOption = Annotated[
 
 def stand(
     scenes: ScenesArgument,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Folder to write; out/NAME_stances if left out.")
-    ] = None,
-    objective: Annotated[
-        str | None, typer.Option("--objective", help="torque or hold, in place of the scene's.")
-    ] = None,
-    plans: Annotated[int, typer.Option("--plans", help="How many of the best stances to plan.", min=0)] = 3,
-    spacing: Annotated[
-        float, typer.Option("--spacing", help="Metres between places of foot 1.", min=0.01)
-    ] = 0.05,
-    pair_spacing: Annotated[
-        float, typer.Option("--pair-spacing", help="Metres between places of two feet.", min=0.05)
-    ] = 0.15,
-    one_foot: Annotated[bool, typer.Option("--one-foot", help="Leave foot 2 free.")] = False,
-    max_torque: Annotated[
-        float | None,
-        typer.Option("--max-torque", help="Newton metres on the guardrail at work at most.", min=0.0),
-    ] = None,
+    output: StancesFolderOption = None,
+    objective: ObjectiveOption = None,
+    plans: PlansOption = 3,
+    spacing: SpacingOption = 0.05,
+    pair_spacing: PairSpacingOption = 0.15,
+    one_foot: OneFootOption = False,
+    max_torque: MaxTorqueOption = None,
     members: MembersOption = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace the files of an earlier search.")] = False,
+    force: ForceOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -97,7 +121,7 @@ def stand(
     name = "_".join(each.name for each in loaded)
     directory = output if output is not None else Path("out") / f"{name}_stances"
     from cmbot.archive import require_absent, write_files
-    from cmbot.siting import StandOptions, shared_out
+    from cmbot.siting import StandOptions
     from cmbot.siting import stand as find
 
     require_absent(directory, (*_FILES, "best.yaml", "best_1.yaml"), force=force)
@@ -116,11 +140,22 @@ def stand(
     if as_json:
         print_result("stand", directory, _summary(standings))
     elif not quiet:
-        for number, standing in enumerate(standings, start=1):
-            _print_standing(standing, f"Stances {number}" if len(standings) > 1 else "Stances")
-        for line in shared_out(standings):
-            out.print(flat(line))
-        out.print(f"Written to {flat(directory)} in {time.perf_counter() - started:.1f} s.")
+        _print_standings(standings)
+        _print_written(directory, started)
+
+
+def _print_standings(standings: Sequence[Standing]) -> None:
+    from cmbot.siting import shared_out
+
+    for number, standing in enumerate(standings, start=1):
+        _print_standing(standing, f"Stances {number}" if len(standings) > 1 else "Stances")
+    for line in shared_out(standings):
+        out.print(flat(line))
+
+
+def _print_written(directory: Path, started: float) -> None:
+    """Print where the results are, and the seconds since the command began."""
+    out.print(f"Written to {flat(directory)} in {time.perf_counter() - started:.1f} s.")
 
 
 def _print_standing(standing: Standing, title: str) -> None:
@@ -145,17 +180,11 @@ def _remove_earlier(directory: Path, written: Collection[str]) -> None:
 
 def walk(
     scene: SceneArgument,
-    to: Annotated[Path, typer.Option("--to", help="Where to: a scene, or a file with foot_1 and foot_2.")],
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Folder to write; out/NAME_walk if left out.")
-    ] = None,
-    spacing: Annotated[
-        float, typer.Option("--spacing", help="Metres between places of the feet.", min=0.05)
-    ] = 0.15,
-    speed: Annotated[
-        float, typer.Option("--speed", help="Metres a second of a foot at most.", min=1e-3, max=1.0)
-    ] = 0.03,
-    force: Annotated[bool, typer.Option("--force", help="Replace the files of an earlier walk.")] = False,
+    to: GoalOption,
+    output: WalkFolderOption = None,
+    spacing: WalkSpacingOption = 0.15,
+    speed: SpeedOption = 0.03,
+    force: ForceOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -188,23 +217,15 @@ def walk(
         print_table("Steps", ("", "moves", "from", "to", "seconds"), rows, text_columns=4)
         for line in walked.in_words():
             out.print(flat(line))
-        out.print(f"Written to {flat(directory)} in {time.perf_counter() - started:.1f} s.")
+        _print_written(directory, started)
 
 
 def tour(
     scenes: ScenesArgument,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="New folder to write; out/NAME_tour if left out.")
-    ] = None,
-    plans: Annotated[
-        int, typer.Option("--plans", help="How many of the best stances to plan for each group.", min=1)
-    ] = 3,
-    spacing: Annotated[
-        float, typer.Option("--spacing", help="Metres between places of two feet.", min=0.05)
-    ] = 0.15,
-    speed: Annotated[
-        float, typer.Option("--speed", help="Metres a second of a foot at most.", min=1e-3, max=1.0)
-    ] = 0.03,
+    output: TourFolderOption = None,
+    plans: TourPlansOption = 3,
+    spacing: WalkSpacingOption = 0.15,
+    speed: SpeedOption = 0.03,
     members: MembersOption = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
@@ -230,32 +251,28 @@ def tour(
     from cmbot.walking import tour as find
 
     require_new_folder(directory)
-    standing, walking = (
-        StandOptions(plans=plans, pair_spacing=spacing, members=tuple(members or ())),
-        WalkOptions(spacing=spacing, speed=speed),
-    )
+    standing = StandOptions(plans=plans, pair_spacing=spacing, members=tuple(members or ()))
     with ConsoleProgress(quiet=quiet) as progress:
-        found = find(loaded, standing, walking, progress.stage)
+        found = find(loaded, standing, WalkOptions(spacing=spacing, speed=speed), progress.stage)
+    data = tour_data(found)
     with new_folder(directory) as draft:
         for part_name, _, part in found.parts:
             if isinstance(part, Plan):
                 cmbot.save(part, draft / part_name, added=pages(part))
             else:
                 write_files(draft / part_name, _walk_contents(part))
-        write_files(
-            draft, {"tour.json": json_bytes(tour_data(found)), "index.html": tour_page(found).encode()}
-        )
+        write_files(draft, {"tour.json": json_bytes(data), "index.html": tour_page(found).encode()})
     if as_json:
-        print_result("tour", directory, tour_data(found))
+        print_result("tour", directory, data)
     elif not quiet:
         rows = [
             (part["name"], part["kind"], f"{part['begin']:.1f}", f"{part['seconds']:.1f}")
-            for part in tour_data(found)["parts"]
+            for part in data["parts"]
         ]
         print_table("Tour", ("", "what", "begins, s", "seconds"), rows, text_columns=2)
         for line in found.in_words():
             out.print(flat(line))
-        out.print(f"Written to {flat(directory)} in {time.perf_counter() - started:.1f} s.")
+        _print_written(directory, started)
         out.print(f"Look at it: open {flat(directory / 'index.html')} in a browser.")
 
 
