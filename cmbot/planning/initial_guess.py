@@ -252,20 +252,22 @@ def shifted_problem(context: PlanningContext, guess: InitialGuess, via_points: F
     return TorqueProblem(context, form, guess.lower_bound.value)
 
 
-def searched(context: PlanningContext) -> tuple[GlobalSearch, GlobalSolution | PathNotFound]:
-    """The global search, and what it finds from any start.
+def searched(
+    context: PlanningContext, bounded_as: GlobalSearch | None = None
+) -> tuple[GlobalSearch, GlobalSolution | PathNotFound]:
+    """The global search, and what it finds from any start; its bound is that of another one where given.
 
     Where the tool's axis may lean and nothing is found with it in the middle of its cone, it leans all along.
     """
     if context.task.cone is None:
-        search = GlobalSearch(context)
+        search = GlobalSearch(context, bounded_as=bounded_as)
         return search, solved(search, pinned=False)
     failures: list[PathNotFound] = []
     for lean in (None, *_leans(context.task.cone)):
         if failures and context.reporter.expired():
             break
         try:
-            search = GlobalSearch(context, lean)
+            search = GlobalSearch(context, lean, bounded_as)
             return search, search.solve(pinned=False)
         except PathNotFound as failure:
             failures.append(failure)

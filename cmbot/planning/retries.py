@@ -161,7 +161,7 @@ def clearer_guess(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tu
         )
         wider = replace(context, options=replace(context.options, safety_margin_m=factor * margin))
         try:
-            guess = sliding_guess(context, failed.guess.unreached, searched(wider)[0].bounded_as(search))
+            guess = sliding_guess(context, failed.guess.unreached, searched(wider, search)[0])
             fallback = (
                 f"From postures at the safety margin no trajectory keeps clear ({_told(failure)}): planned "
                 f"from such that keep {100 * (factor - 1):.0f} % more."

@@ -136,7 +136,7 @@ def test_where_the_middle_of_the_cone_is_blocked_the_axis_leans(monkeypatch: pyt
     """In four directions, until a way is found; without a cone there is nothing else to try."""
     tried = list[FloatArray | None]()
 
-    def search(context: PlanningContext, lean: FloatArray | None = None) -> Any:
+    def search(context: PlanningContext, lean: FloatArray | None = None, bounded_as: Any = None) -> Any:
         tried.append(lean)
         if len(tried) < found:
             raise context.path_not_found(f"blocked {len(tried)}", context.first)

@@ -12,6 +12,7 @@ in the cone.
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -82,6 +83,8 @@ class GlobalSearch:
     lean : (3, 3), optional
         Where the tool's axis may lean: rotation in the tool's frame by which charts hold it apart from the
         middle of its cone.
+    bounded_as : GlobalSearch, optional
+        One of the same task that leaves less out, whose lower bound is taken.
 
     Attributes
     ----------
@@ -97,7 +100,12 @@ class GlobalSearch:
         When a via-point has no admissible posture: which one, and what excluded most postures there.
     """
 
-    def __init__(self, context: PlanningContext, lean: FloatArray | None = None) -> None:
+    def __init__(
+        self,
+        context: PlanningContext,
+        lean: FloatArray | None = None,
+        bounded_as: GlobalSearch | None = None,
+    ) -> None:
         self._leaning, self._context = context, context.on_axis
         if lean is not None:
             self._context = replace(context, task=context.task.leaning(lean))
@@ -105,7 +113,15 @@ class GlobalSearch:
         # The charts have one turn of these joints; the edges between charts count their angles modulo a turn.
         self._winding = context.robot.limits.winding
         self._wide = context.robot.dof - context.task.dimension > 1
-        self._given_bound: LowerBound | None = None
+        # The bound with the axis in the middle of its cone and that of all postures, and postures with them.
+        self._bound: LowerBound | None = None
+        self.lower_bound: LowerBound
+        self._lowest: FloatArray
+        self._lowest_leaning: FloatArray
+        self._bound_is_given = bounded_as is not None
+        if bounded_as is not None:
+            self._bound, self._lowest = bounded_as._bound, bounded_as._lowest
+            self.lower_bound, self._lowest_leaning = bounded_as.lower_bound, bounded_as._lowest_leaning
         # How often each chart has been made denser.
         self._rounds = np.zeros(len(context.goals), dtype=np.intp)
         self._sampler, each = _sampled(context)
@@ -114,30 +130,37 @@ class GlobalSearch:
     def _chart(self, each: list[FloatArray]) -> None:
         """Find the lower bound and the graph of charts, (M, d) each."""
         context = self._context
-        self._each, lowest = self._bounded(each)
+        self._each = self._bounded(each)
         if self._wide or self._leaning is not context:
-            charts = charts_of(context, self._with_more(self._each, lowest))
+            charts = charts_of(context, self._with_more(self._each))
             self._layers = [GraphLayer(context, chart) for chart in charts]
         self._allow(context.options.step_share)
         self.first_chart = self._layers[0].chart
 
-    def _bounded(self, each: list[FloatArray]) -> tuple[list[FloatArray], FloatArray]:
-        """Find the lower bound; return all charts, (M, d) each, and a posture (d,) with that value.
+    def _bounded(self, each: list[FloatArray]) -> list[FloatArray]:
+        """Find the lower bound, unless it is known; return all charts, (M, d) each.
 
         Where it is set, and where no posture is admissible, more random postures check the chart first; in
         the second case denser charts do, too.
         """
-        context, sampler = self._context, self._sampler
+        context, sampler, known = self._context, self._sampler, self._bound
+        self._spacing = sampler.spacing
         for _ in range(_CHECKS):
             self._layers = [GraphLayer(context, chart) for chart in charts_of(context, each)]
-            empty = next((k for k, best in enumerate(best_nodes(self._layers)) if best is None), None)
+            best = best_nodes(self._layers)
+            empty = next((k for k, node in enumerate(best) if node is None), None)
             if empty is None:
-                self._bound, lowest = find_lower_bound(context, self._layers, sampler.spacing)
+                if known is not None and self._holds(known, best):
+                    return each
+                known = None
+                self._bound, self._lowest = find_lower_bound(context, self._layers, sampler.spacing)
+                at = self._bound.via_point
                 if context.reporter.expired():
                     break
+            else:
+                at = empty
             before = sum(len(q) for q in each)
             number = _SEEDS_OF_A_CHECK * context.options.chart_seeds
-            at = self._bound.via_point if empty is None else empty
             each = sampler.complete(each, context.goals, [at], number)
             if sum(len(q) for q in each) == before:
                 break
@@ -148,15 +171,19 @@ class GlobalSearch:
             if self._leaning is not context:
                 failure.add_hint("only postures with the axis in the middle of its cone are searched")
             raise failure
-        if self._leaning is context:
-            self._bound, lowest = with_proof(context, self._bound, lowest, sampler.coverage)
-            self.lower_bound = self._bound
+        if self._leaning is context and self._bound is not None:
+            self._bound, self._lowest = with_proof(context, self._bound, self._lowest, sampler.coverage)
+            self.lower_bound, self._lowest_leaning = self._bound, self._lowest
         else:
             found = find_lower_bound(self._leaning, self._layers, sampler.spacing)
             self.lower_bound, self._lowest_leaning = with_proof(self._leaning, *found, sampler.coverage)
-        self.lower_bound = self._given_bound or self.lower_bound
-        self._spacing = sampler.spacing
-        return each, lowest
+        return each
+
+    def _holds(self, bound: LowerBound, best: Sequence[int | None]) -> bool:
+        """Whether the bound holds for charts with these best nodes, as it does unless they are denser."""
+        node = best[bound.via_point]
+        found = self._layers[bound.via_point].chart.value
+        return self._bound_is_given or node is None or bool(found[node] >= bound.value - bound.error)
 
     def _refine(self, each: list[FloatArray], via_point: int) -> bool:
         """Make charts, (M, d) each, denser about a via-point; return whether they became so."""
@@ -169,12 +196,6 @@ class GlobalSearch:
         self._context.reporter.step(f"charting via-point {via_point + 1} more densely")
         self._each = self._sampler.refined(each, self._context.goals, beside.tolist(), rounds)
         return self._each is not each
-
-    def bounded_as(self, other: GlobalSearch) -> GlobalSearch:
-        """Return the same charts with the lower bound of a search that leaves less out."""
-        bounded = copy.copy(self)
-        bounded._given_bound = bounded.lower_bound = other.lower_bound
-        return bounded
 
     def halved(self, share: float = np.inf) -> GlobalSearch:
         """Return the same charts with half the steps between via-points, or half of those of a `share`."""
@@ -310,14 +331,16 @@ class GlobalSearch:
         value = context.objective.at_rest(context.postures.at(q))
         return GlobalSolution(q=unwound, value=value)
 
-    def _with_more(self, each: list[FloatArray], lowest: FloatArray) -> list[FloatArray]:
-        """Add to coarse charts the finer ones of the whole pose, and sequences beside the posture `lowest`.
+    def _with_more(self, each: list[FloatArray]) -> list[FloatArray]:
+        """Add to coarse charts the finer ones of the whole pose, and sequences beside the lowest posture.
 
         Where the axis may lean, also sequences beside the leaning posture of the lower bound. So freedom
         never raises the peak, and a sequence leads on from the scene's own posture.
         """
         context = self._context
-        more = [sequences_beside(context, lowest, self._bound.via_point, self._spacing)]
+        more = list[list[FloatArray]]()
+        if self._bound is not None:
+            more.append(sequences_beside(context, self._lowest, self._bound.via_point, self._spacing))
         if context.robot.dof > _POSE and not context.reporter.expired():
             pose = replace(context, task=replace(context.task, keep="pose"))
             more.append(_sampled(pose)[1])

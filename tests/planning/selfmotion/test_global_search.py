@@ -18,6 +18,7 @@ from cmbot.planning.path.projection import null_space, project_onto_task
 from cmbot.planning.selfmotion import global_search
 from cmbot.planning.selfmotion.dynamic_programming import refine
 from cmbot.planning.selfmotion.global_search import sequences_beside
+from cmbot.planning.selfmotion.lower_bound import LowerBound, find_lower_bound
 from cmbot.planning.selfmotion.sampler import SelfMotionSampler
 from cmbot.robot import Dynamics
 
@@ -246,3 +247,25 @@ def test_a_way_that_is_narrower_than_the_charts_is_found(monkeypatch: pytest.Mon
     monkeypatch.setattr(global_search, "_REFINEMENTS", 0)
     with pytest.raises(PathNotFound, match=r"no way was found .* of \d+ postures that were tried"):
         GlobalSearch(context).solve(pinned=False)
+
+
+def test_denser_charts_keep_the_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is found again only where they hold a posture below it, which shows that it was none."""
+    search, found = GlobalSearch(sliding(planner={"chart_spacing": 0.5})), list[float]()
+    bound, before = search.lower_bound, len(search._each[3])
+
+    def find(*arguments: Any) -> tuple[LowerBound, FloatArray]:
+        lower, posture = find_lower_bound(*arguments)
+        found.append(lower.value)
+        return lower, posture
+
+    monkeypatch.setattr(global_search, "find_lower_bound", find)
+    assert search._refine(search._each, 3)
+    search._chart(search._each)
+    assert len(search._each[3]) > before
+    assert search.lower_bound is bound
+    assert not found
+    search._bound = search.lower_bound = replace(bound, value=2 * bound.value, error=0.0)
+    search._chart(search._each)
+    assert search.lower_bound.value == pytest.approx(bound.value, rel=1e-5)
+    assert found
