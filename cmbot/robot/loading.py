@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 from xml.etree import ElementTree
@@ -117,19 +118,10 @@ def load_robot(
     ('joint_1', 'joint_2')
     """
     files = robot_files(model, srdf=srdf, limits=limits, elasticity=elasticity, package_dirs=package_dirs)
-    urdf, packages = files.urdf, files.package_dirs
-    content, described = _read(urdf, packages)
-    semantics = None if files.srdf is None else parse_urdf(files.srdf, "an SRDF", packages)
-    # Frames can be sought only in a tree, and which links move is known only with the frames.
-    _refuse_errors(urdf, inspect_urdf(described, moving=()))
-    base_frame, tool_frame = arm_frames(
-        described,
-        semantics,
-        files.base_frame if base_frame is None else base_frame,
-        files.tool_frame if tool_frame is None else tool_frame,
-        str(urdf),
-    )
-    _refuse_errors(urdf, inspect_inertias(described, moving_links(described, base_frame)))
+    urdf = files.urdf
+    content, described = _read(urdf, files.package_dirs)
+    semantics = None if files.srdf is None else parse_urdf(files.srdf, "an SRDF", files.package_dirs)
+    base_frame, tool_frame = _checked_frames(files, described, semantics, base_frame, tool_frame)
     made = arm_model(
         urdf,
         described,
@@ -137,29 +129,21 @@ def load_robot(
         base_frame,
         tool_frame,
         srdf=str(files.srdf),
-        package_dirs=packages,
+        package_dirs=files.package_dirs,
         locked=locked or {},
     )
-    X_WB = None if mount is None else _pose(mount)
-    X_WR = None if root is None else _pose(root, "root")
-    foot_point = np.zeros(3) if X_WR is None else np.array(X_WR.translation)
-
-    def placed(model: Any, shapes: Any) -> Any:
-        """Shapes on the mount and with the tool's length; the model is changed, too."""
-        if X_WB is not None:
-            X_UB = model.frames[model.getFrameId(base_frame)].placement
-            _move_root(model, shapes, X_WB * X_UB.inverse())
-        if X_WR is not None:
-            _move_root(model, shapes, X_WR)
-        if tool_length is not None:
-            set_tool_length(model, shapes, carrier or tool_frame, tool_length, source=str(urdf))
-        return shapes
-
-    arm, collision = made.model, placed(made.model, made.collision)
-    attach_payload(arm, carrier or tool_frame, payload)
-    if not (mass := sum(inertia.mass for inertia in list(arm.inertias)[1:])) >= _LIGHTEST:
-        got = f"{mass:g} kg from {base_frame!r} to {tool_frame!r}"
-        raise ModelError(str(urdf), "link.inertial.mass", got, f"an arm of at least {_LIGHTEST:g} kg")
+    carrier = carrier or tool_frame
+    placement = _Placement(
+        base_frame=base_frame,
+        X_WB=None if mount is None else _pose(mount),
+        X_WR=None if root is None else _pose(root, "root"),
+        carrier=carrier,
+        tool_length=tool_length,
+        source=str(urdf),
+    )
+    arm, collision = made.model, placement.applied(made.model, made.collision)
+    attach_payload(arm, carrier, payload)
+    _require_mass(arm, urdf, base_frame, tool_frame)
     limited, assumed = joint_limits(arm, urdf, files.limits)
     beside = (file for file in (files.srdf, files.limits, files.elasticity) if file)
     tubes, springs = ({}, {}) if files.elasticity is None else read_elasticity(files.elasticity, arm)
@@ -168,9 +152,9 @@ def load_robot(
         name=described.get("name", urdf.stem),
         urdf=urdf.resolve(),
         model=arm,
-        floating_model=_on_free_flyer(arm, foot_point),
+        floating_model=_on_free_flyer(arm, placement.foot_point),
         collision_model=collision,
-        read_visual_model=lambda: placed(*made.read_visual()),
+        read_visual_model=lambda: placement.applied(*made.read_visual()),
         limits=limited,
         group_states=made.group_states,
         elasticity=tubes,
@@ -179,9 +163,76 @@ def load_robot(
         tool_frame=tool_frame,
         payload=payload,
         content_hash=hashlib.sha256(b"\0".join(contents)).hexdigest(),
-        foot_point=tuple(foot_point.tolist()),
+        foot_point=tuple(placement.foot_point.tolist()),
         remarks=(*assumed, *made.remarks),
     )
+
+
+def _checked_frames(
+    files: RobotFiles,
+    described: ElementTree.Element,
+    semantics: ElementTree.Element | None,
+    base_frame: str | None,
+    tool_frame: str | None,
+) -> tuple[str, str]:
+    """Base and tool frame of the arm, in a URDF without errors."""
+    # Frames can be sought only in a tree, and which links move is known only with the frames.
+    _refuse_errors(files.urdf, inspect_urdf(described, moving=()))
+    base_frame, tool_frame = arm_frames(
+        described,
+        semantics,
+        files.base_frame if base_frame is None else base_frame,
+        files.tool_frame if tool_frame is None else tool_frame,
+        str(files.urdf),
+    )
+    _refuse_errors(files.urdf, inspect_inertias(described, moving_links(described, base_frame)))
+    return base_frame, tool_frame
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Placement:
+    """Where the arm is mounted, and where its tool ends: applied to any of its models.
+
+    Attributes
+    ----------
+    base_frame : str
+    X_WB, X_WR : pinocchio.SE3 or None
+        Poses of the base frame and of the URDF's root link; None: as the URDF has them.
+    carrier : str
+        The link of the tool point.
+    tool_length : float or None, m
+    source : str
+        The URDF, for messages.
+    """
+
+    base_frame: str
+    X_WB: Any
+    X_WR: Any
+    carrier: str
+    tool_length: float | None
+    source: str
+
+    @property
+    def foot_point(self) -> FloatArray:
+        """O0 in W (3,), m: the origin of the URDF's root link."""
+        return np.zeros(3) if self.X_WR is None else np.array(self.X_WR.translation)
+
+    def applied(self, model: Any, shapes: Any) -> Any:
+        """Shapes on the mount and with the tool's length; the model is changed, too."""
+        if self.X_WB is not None:
+            X_UB = model.frames[model.getFrameId(self.base_frame)].placement
+            _move_root(model, shapes, self.X_WB * X_UB.inverse())
+        if self.X_WR is not None:
+            _move_root(model, shapes, self.X_WR)
+        if self.tool_length is not None:
+            set_tool_length(model, shapes, self.carrier, self.tool_length, source=self.source)
+        return shapes
+
+
+def _require_mass(arm: Any, urdf: Path, base_frame: str, tool_frame: str) -> None:
+    if not (mass := sum(inertia.mass for inertia in list(arm.inertias)[1:])) >= _LIGHTEST:
+        got = f"{mass:g} kg from {base_frame!r} to {tool_frame!r}"
+        raise ModelError(str(urdf), "link.inertial.mass", got, f"an arm of at least {_LIGHTEST:g} kg")
 
 
 def load_climbing_robot(
