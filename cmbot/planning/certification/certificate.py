@@ -140,29 +140,9 @@ def certify(
     checks = [range_check(robot, trajectory), *rates, torque, continuity_check(robot, trajectory)]
     checks += posture_checks(robot, trajectory, start, end)
     checks.append(_clearance_check(nearest, clearances, options.safety_margin_m))
-    expected = "" if sag is None else "expected "
     if via_points is not None:
-        checks.append(_duration_check(task, trajectory))
-        checks += _via_point_checks(task, motion, options, via_points, expected)
-        quantity, most = "tool tilt", task.cone
-        if most is None:
-            # Unlike a cone, which is what is prescribed, that is for what lies between via-points.
-            quantity, most = "tool rotation", float(np.deg2rad(options.max_tool_rotation_deg))
-        checks += [
-            _enclosed(f"{expected}tool deviation", deviation, options.max_tool_deviation_m, "m"),
-            _enclosed(quantity, rotation, most, "rad"),
-            _enclosed(f"{expected}tool lag", lag, options.max_tool_lag_m, "m"),
-        ]
-        if sag is not None and sag.covariance is not None and options.deviation_sigmas:
-            promised = (options.deviation_sigmas, options.max_tool_deviation_m)
-            checks.append(spread_check(task.path, sag, trajectory, deviation.bound, *promised))
-    if task.max_speed is not None:
-        checks.append(_enclosed(f"{expected}tool speed", motion.tool_speed(), task.max_speed, "m/s"))
-    if task.speed_tolerance is not None:
-        missed = motion.process_speed()
-        checks.append(
-            _enclosed(f"{expected}deviation of the process speed", missed, task.speed_tolerance, "of it")
-        )
+        checks += _path_checks(task, trajectory, motion, options, via_points, sag, deviation, rotation, lag)
+    checks += _speed_checks(task, motion, sag)
     checks += () if hold is None else hold.checks()
     guardrail, mean, rms, static = motion.guardrail_torque()
     if task.max_base_torque is not None:
@@ -202,6 +182,52 @@ def _clearance_check(nearest: NearestApproach, clearances: Clearances, margin: f
         unit="m",
         at_least=True,
     )
+
+
+def _path_checks(
+    task: ToolTask,
+    trajectory: QuinticTrajectory,
+    motion: EnclosedMotion,
+    options: PlannerOptions,
+    via_points: int,
+    sag: Sag | None,
+    deviation: Peak,
+    rotation: Peak,
+    lag: Peak,
+) -> list[Check]:
+    """Where the tool is while it is on: at the via-points, and how far off its timed pose at any time."""
+    expected = _expected(sag)
+    quantity, most = "tool tilt", task.cone
+    if most is None:
+        # Unlike a cone, which is what is prescribed, that is for what lies between via-points.
+        quantity, most = "tool rotation", float(np.deg2rad(options.max_tool_rotation_deg))
+    checks = [
+        _duration_check(task, trajectory),
+        *_via_point_checks(task, motion, options, via_points, expected),
+        _enclosed(f"{expected}tool deviation", deviation, options.max_tool_deviation_m, "m"),
+        _enclosed(quantity, rotation, most, "rad"),
+        _enclosed(f"{expected}tool lag", lag, options.max_tool_lag_m, "m"),
+    ]
+    if sag is not None and sag.covariance is not None and options.deviation_sigmas:
+        promised = (options.deviation_sigmas, options.max_tool_deviation_m)
+        checks.append(spread_check(task.path, sag, trajectory, deviation.bound, *promised))
+    return checks
+
+
+def _speed_checks(task: ToolTask, motion: EnclosedMotion, sag: Sag | None) -> list[Check]:
+    """How fast the tool is, and how far off the process speed, where the task bounds these."""
+    expected, checks = _expected(sag), list[Check]()
+    if task.max_speed is not None:
+        checks.append(_enclosed(f"{expected}tool speed", motion.tool_speed(), task.max_speed, "m/s"))
+    if task.speed_tolerance is not None:
+        quantity, missed = f"{expected}deviation of the process speed", motion.process_speed()
+        checks.append(_enclosed(quantity, missed, task.speed_tolerance, "of it"))
+    return checks
+
+
+def _expected(sag: Sag | None) -> str:
+    """What is said before the name of a figure of the tool's point where sag is compensated."""
+    return "" if sag is None else "expected "
 
 
 def _via_point_checks(
