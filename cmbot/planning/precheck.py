@@ -27,7 +27,7 @@ from cmbot.planning.context import (
     task_of,
 )
 from cmbot.planning.reach import beyond_reach, without_posture
-from cmbot.planning.task import task_dimension
+from cmbot.planning.task import ToolTask, task_dimension
 from cmbot.robot import Dynamics, Finding, Robot
 from cmbot.scene import PlannerOptions, Scene, Stroke, Tool, ToolPath, coverage_of
 from cmbot.trajectory import SUPPORT
@@ -92,60 +92,11 @@ def precheck_scene(scene: Scene) -> Precheck:
     with failures_explained(scene):
         robot = robot_of(scene)
         strokes = strokes_of(scene, robot)
-    task, clearances = task_of(strokes[0], scene), Clearances(robot, scene.obstacles)
-    joints = counted(robot.dof, "joint")
-    workpieces = counted(sum(obstacle.workpiece for obstacle in scene.obstacles), "workpiece")
-    point = ", ".join(f"{x:.4f}" for x in task.path.corners[0])
-    found = [
-        ("scene", f"{scene.name} ({scene.source})"),
-        ("robot", f"{robot.name}: {joints}, {robot.mass:.2f} kg ({robot.arm_mass:.2f} kg moving)"),
-        *_paths(strokes),
-        ("obstacles", f"{len(scene.obstacles)}, of them {workpieces}"),
-        ("tool point at the start", f"({point}) m"),
-    ]
-    if robot.pushed:
-        force = ", ".join(f"{x:g}" for x in robot.tool_force)
-        found.append(("process force on the tool", f"({force}) N along its axes"))
-    if scene.tool.max_speed_m_s is not None:
-        fastest = max(_speeds(stroke.path).max() for stroke in strokes)
-        found.append(("tool speed", f"{fastest:.4g} of at most {scene.tool.max_speed_m_s:g} m/s"))
-    if robot.remarks:
-        found.append(("assumed", " ".join(robot.remarks)))
-    if rigid := rigid_arm_remark(scene, robot):
-        found.append(("bending", rigid))
-    warnings: list[Finding] = []
-    smallest = clearances.smallest(scene.posture[None])
-    if smallest.pair[0] >= 0:
-        pair, distance = clearances.pairs[smallest.pair[0]], float(smallest.distance[0])
-        found.append(("clearance at the start", f"{distance:.4f} m ({pair.link} to {pair.other})"))
-        margin = scene.planner.safety_margin_m
-        if distance < margin:
-            clear = (
-                "a start that is clear: another posture, other obstacles or a lower planner.safety_margin_m"
-            )
-            warnings.append(_warning(scene.file.posture_key, pair.describe(distance, margin), clear))
-    # Where the work may start elsewhere, the arm waits in the scene's posture with its tool off.
-    stays = scene.planner.start == "pinned" or scene.planner.knots == "fixed"
-    efforts = Dynamics(robot if stays else robot.tool_off).static_efforts(scene.posture[None])
-    use = np.abs(efforts.joint_torque[0]) / robot.limits.torque
-    joint = robot.joints[use.argmax()]
-    found += [
-        ("smallest singular value there", f"{task.smallest_singular_value(robot, scene.posture):.4f}"),
-        (f"torque on the {scene.base_name} there", f"{np.linalg.norm(efforts.guardrail_torque):.2f} Nm"),
-        ("largest joint torque there", f"{use.max():.2f} of the bound of {joint}"),
-        *_return(scene, robot),
-    ]
-    if use.max() > 1.0:
-        effort = "force" if robot.limits.prismatic[use.argmax()] else "torque"
-        got = f"{use.max():.2f} of the {effort} that {joint} can bear, at rest"
-        warnings.append(_warning(scene.file.posture_key, got, "at most 1: another posture or less payload"))
-    within = f"at most {robot.reach:.3f} m, the arm with its tool stretched out (lengths are in metres)"
-    furthest: dict[str, float] = {}
-    for stroke in strokes:
-        for key, away in beyond_reach(stroke, robot):
-            furthest[key] = max(away, furthest.get(key, 0.0))
-    for key, away in furthest.items():
-        warnings.append(_warning(key, f"an end {away:.3f} m from the arm's first joint", within))
+    task = task_of(strokes[0], scene)
+    start = (_clearance_at_start(scene, robot), _statics_at_start(scene, robot, task))
+    found = [*_asked(scene, robot, strokes, task), *(pair for part in start for pair in part.found)]
+    warnings = [warning for part in start for warning in part.warnings]
+    warnings += _out_of_reach(strokes, robot)
     warnings += without_posture(scene)
     for stroke in strokes:
         warnings += _too_fast(scene.tool, stroke)
@@ -157,7 +108,79 @@ def precheck_scene(scene: Scene) -> Precheck:
         _warning(key, f"numbers that look like {looks}", units) for key, looks, units in mistaken_units(scene)
     ]
     # Rows of a raster share their key, and what is the matter with them.
-    return Precheck(found=tuple(found), warnings=tuple(dict.fromkeys([*mistaken, *warnings])))
+    return Precheck(
+        found=(*found, *_return(scene, robot)), warnings=tuple(dict.fromkeys([*mistaken, *warnings]))
+    )
+
+
+def _asked(
+    scene: Scene, robot: Robot, strokes: Sequence[Stroke], task: ToolTask
+) -> Iterator[tuple[str, str]]:
+    """What a scene asks for: robot, paths, surroundings, the tool, and what was assumed."""
+    joints = counted(robot.dof, "joint")
+    workpieces = counted(sum(obstacle.workpiece for obstacle in scene.obstacles), "workpiece")
+    point = ", ".join(f"{x:.4f}" for x in task.path.corners[0])
+    yield "scene", f"{scene.name} ({scene.source})"
+    yield "robot", f"{robot.name}: {joints}, {robot.mass:.2f} kg ({robot.arm_mass:.2f} kg moving)"
+    yield from _paths(strokes)
+    yield "obstacles", f"{len(scene.obstacles)}, of them {workpieces}"
+    yield "tool point at the start", f"({point}) m"
+    if robot.pushed:
+        force = ", ".join(f"{x:g}" for x in robot.tool_force)
+        yield "process force on the tool", f"({force}) N along its axes"
+    if scene.tool.max_speed_m_s is not None:
+        fastest = max(_speeds(stroke.path).max() for stroke in strokes)
+        yield "tool speed", f"{fastest:.4g} of at most {scene.tool.max_speed_m_s:g} m/s"
+    if robot.remarks:
+        yield "assumed", " ".join(robot.remarks)
+    if rigid := rigid_arm_remark(scene, robot):
+        yield "bending", rigid
+
+
+def _clearance_at_start(scene: Scene, robot: Robot) -> Precheck:
+    """The smallest distance in the start posture."""
+    clearances, margin = Clearances(robot, scene.obstacles), scene.planner.safety_margin_m
+    smallest = clearances.smallest(scene.posture[None])
+    if smallest.pair[0] < 0:
+        return Precheck(found=(), warnings=())
+    pair, distance = clearances.pairs[smallest.pair[0]], float(smallest.distance[0])
+    clear = "a start that is clear: another posture, other obstacles or a lower planner.safety_margin_m"
+    warning = _warning(scene.file.posture_key, pair.describe(distance, margin), clear)
+    return Precheck(
+        found=(("clearance at the start", f"{distance:.4f} m ({pair.link} to {pair.other})"),),
+        warnings=(warning,) if distance < margin else (),
+    )
+
+
+def _statics_at_start(scene: Scene, robot: Robot, task: ToolTask) -> Precheck:
+    """How far the start posture is from a singularity, and what the arm asks in it at rest."""
+    # Where the work may start elsewhere, the arm waits in the scene's posture with its tool off.
+    stays = scene.planner.start == "pinned" or scene.planner.knots == "fixed"
+    efforts = Dynamics(robot if stays else robot.tool_off).static_efforts(scene.posture[None])
+    use = np.abs(efforts.joint_torque[0]) / robot.limits.torque
+    joint = robot.joints[use.argmax()]
+    effort = "force" if robot.limits.prismatic[use.argmax()] else "torque"
+    got = f"{use.max():.2f} of the {effort} that {joint} can bear, at rest"
+    warning = _warning(scene.file.posture_key, got, "at most 1: another posture or less payload")
+    return Precheck(
+        found=(
+            ("smallest singular value there", f"{task.smallest_singular_value(robot, scene.posture):.4f}"),
+            (f"torque on the {scene.base_name} there", f"{np.linalg.norm(efforts.guardrail_torque):.2f} Nm"),
+            ("largest joint torque there", f"{use.max():.2f} of the bound of {joint}"),
+        ),
+        warnings=(warning,) if use.max() > 1.0 else (),
+    )
+
+
+def _out_of_reach(strokes: Sequence[Stroke], robot: Robot) -> Iterator[Finding]:
+    """Keys of legs that end farther from the arm's first joint than the arm is long."""
+    within = f"at most {robot.reach:.3f} m, the arm with its tool stretched out (lengths are in metres)"
+    furthest: dict[str, float] = {}
+    for stroke in strokes:
+        for key, away in beyond_reach(stroke, robot):
+            furthest[key] = max(away, furthest.get(key, 0.0))
+    for key, away in furthest.items():
+        yield _warning(key, f"an end {away:.3f} m from the arm's first joint", within)
 
 
 def _paths(strokes: Sequence[Stroke]) -> Iterator[tuple[str, str]]:
