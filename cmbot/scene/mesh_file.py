@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,8 @@ __all__ = ["is_mesh_file", "load_mesh"]
 # The formats that trimesh reads without further packages.
 _FORMATS = ("glb", "obj", "off", "ply", "stl")
 _FARTHEST = 1e4  # m, as of any coordinate in a scene
+# Files that were read last and are kept: planning and pages ask for the same ones several times.
+_KEPT = 8
 # The errors that its readers raise when a file is damaged.
 _DAMAGED = (
     OSError,
@@ -42,7 +45,8 @@ def load_mesh(path: Path, name: str = "", *, key: str = "") -> trimesh.Trimesh:
     """Load an obstacle's mesh file (GLB, OBJ, OFF, PLY or STL), in metres, without its colours.
 
     Errors name the obstacle of that `name`, or a `key` in its place. Vertices that only differ in colour or
-    normal become one: they would take the mesh apart.
+    normal become one: they would take the mesh apart. Files of the same content give the same mesh, which is
+    not to be changed.
 
     Raises
     ------
@@ -53,17 +57,9 @@ def load_mesh(path: Path, name: str = "", *, key: str = "") -> trimesh.Trimesh:
     suffix = path.suffix.lower().removeprefix(".")
     if suffix not in _FORMATS:
         raise SceneError(str(path), key, f"the format {path.suffix!r}", "a mesh file", _FORMATS)
-    # They take a while to come, and few scenes have a mesh.
-    import trimesh
-
-    from cmbot.robot import encloses_volume
-
-    content = io.BytesIO(read_input(path, SceneError, kind="a mesh file", key=key, largest=LARGEST_MESH))
+    content = read_input(path, SceneError, kind="a mesh file", key=key, largest=LARGEST_MESH)
     try:
-        # As a stream: a file's reader would also open what it names, such as materials.
-        with np.errstate(invalid="ignore"):  # vertices that are too far away are refused below
-            mesh = trimesh.load_mesh(content, file_type=suffix)
-            mesh.merge_vertices(merge_tex=True, merge_norm=True)
+        mesh = _parsed(content, suffix)
         vertices = np.asarray(mesh.vertices, dtype=float)
     except _DAMAGED as error:
         raise SceneError(str(path), key, f"unreadable ({shown(str(error))})", "a mesh file") from error
@@ -72,6 +68,21 @@ def load_mesh(path: Path, name: str = "", *, key: str = "") -> trimesh.Trimesh:
     if not (np.abs(vertices) <= _FARTHEST).all():
         got, expected = "a mesh that is larger or not finite", f"vertices within {_FARTHEST:g} m"
         raise SceneError(str(path), key, got, expected)
+    # It takes a while to come, and few scenes have a mesh.
+    from cmbot.robot import encloses_volume
+
     if len(mesh.faces) == 0 or not encloses_volume(vertices):
         raise SceneError(str(path), key, "no volume", "a mesh with three dimensions")
+    return mesh
+
+
+@lru_cache(maxsize=_KEPT)
+def _parsed(content: bytes, suffix: str) -> trimesh.Trimesh:
+    # It takes a while to come, too.
+    import trimesh
+
+    # As a stream: a file's reader would also open what it names, such as materials.
+    with np.errstate(invalid="ignore"):  # vertices that are too far away are refused
+        mesh = trimesh.load_mesh(io.BytesIO(content), file_type=suffix)
+        mesh.merge_vertices(merge_tex=True, merge_norm=True)
     return mesh

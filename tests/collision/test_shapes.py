@@ -102,6 +102,17 @@ def test_normals_and_textures_do_not_take_a_mesh_apart(tmp_path: Path) -> None:
     assert (len(mesh.vertices), len(mesh.split(only_watertight=False))) == (8, 1)
 
 
+def test_a_mesh_is_read_once_and_anew_when_its_file_changes(tmp_path: Path) -> None:
+    for folder, size in (("a", 1.0), ("b", 1.0), ("c", 2.0)):
+        (tmp_path / folder).mkdir()
+        box_mesh((size, 1, 1)).export(tmp_path / folder / "box.stl")
+    meshes = {folder: load_mesh(tmp_path / folder / "box.stl") for folder in "abc"}
+    assert meshes["a"] is meshes["b"]
+    assert np.ptp(meshes["c"].vertices[:, 0]) == pytest.approx(2.0)
+    (tmp_path / "c" / "box.stl").replace(tmp_path / "a" / "box.stl")
+    assert load_mesh(tmp_path / "a" / "box.stl") is meshes["c"]
+
+
 def clearances_with(robot: Robot, file: Path) -> Clearances:
     return Clearances(robot, [Obstacle(name="thing", shape=Mesh(path=file), X_WO=X_WO)])
 

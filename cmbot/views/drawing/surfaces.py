@@ -96,7 +96,7 @@ def visual_surface(shape: Any, source: str) -> Surface:
 
 
 def obstacle_surface(obstacle: Obstacle, piece: float = np.inf) -> Surface:
-    """Return an obstacle in W; its mesh file is read again. Bars have a cross-section every `piece`, m."""
+    """Return an obstacle in W. Bars have a cross-section every `piece`, m."""
     match obstacle.shape:
         case Box(size=size):
             surface = bar(size, piece)
