@@ -19,10 +19,7 @@ from cmbot.siting.footholds import climber_in_the_way
 from cmbot.siting.placed_scene import scene_at
 from cmbot.siting.screening import Screening
 
-__all__ = ["MEANS", "StandOptions", "Stood", "judged"]
-
-MEANS = ("reach", "postures", "obstacles", "charts", "plan")
-"""By what stances are judged."""
+__all__ = ["StandOptions", "Stood", "judged"]
 
 # Seconds for a plan and for the charts of a stroke.
 _PLAN_SECONDS, _CHART_SECONDS = 20.0, 10.0

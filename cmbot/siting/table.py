@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from cmbot.common.validation import counted
-from cmbot.siting.search import MEANS, Stood
+from cmbot.siting.search import Stood
 from cmbot.siting.standing import Standing
 
 __all__ = ["bounds_table", "in_words", "planned_table", "shared_out", "stances_csv"]
@@ -37,6 +37,22 @@ _COLUMNS = (
     *("foot_2_member", "foot_2_along_m", "foot_2_face", "foot_2_turn_deg", "x", "y", "z"),
     *("climb_1_deg", "climb_2_deg", "climb_3_deg", "climb_4_deg", "climb_5_deg", "reason"),
 )
+_ENDED = {
+    "out of reach": "{} out of reach",
+    "no posture": "{} in which no posture within the bounds of joints and feet was found",
+    "blocked": "{} found blocked",
+    "screened": "{} that were only screened",
+    "planned": "{} planned",
+    "failed": "{} of which planning failed",
+    "too much torque": "{} that load the guardrail with more than is allowed",
+}
+_JUDGED = {
+    "reach": "the reach of the links: {}",
+    "postures": "sampled postures within the bounds of joints, feet and joint velocities: {}",
+    "obstacles": "obstacles and charts at some via-points: {}",
+    "charts": "charts at all via-points: {}",
+    "plan": "plans: {}",
+}
 _LEFT_OUT_BY = {
     "postures": "by sampled postures, obstacles left out",
     "obstacles": "by charts at some via-points, obstacles included",
@@ -47,20 +63,10 @@ _LEFT_OUT_BY = {
 def in_words(standing: Standing) -> Iterator[str]:
     """Yield what was found, a sentence or two each."""
     ranked, unit = standing.ranked, standing.unit
-    count, heavy = standing.count, standing.count("too much torque")
-    yield (
-        f"{len(ranked)} stances: {count('out of reach')} out of reach, {count('no posture')} in which no "
-        f"posture within the bounds of joints and feet was found, {count('blocked')} found blocked, "
-        f"{count('planned')} planned, {count('failed')} of which planning failed"
-        f"{f', {heavy} that load the guardrail with more than is allowed' if heavy else ''}."
-    )
-    judged = {name: sum(each.judged == name for each in ranked) for name in MEANS}
-    yield (
-        f"Judged by the reach of the links: {judged['reach']}, by sampled postures within the bounds of "
-        f"joints, feet and joint velocities: {judged['postures']}, by obstacles and charts at some "
-        f"via-points: {judged['obstacles']}, by charts at all: {judged['charts']}, "
-        f"by plans: {judged['plan']}."
-    )
+    ended = {status: standing.count(status) for status in _ENDED}
+    yield f"{len(ranked)} stances: {_counted(ended, _ENDED)}."
+    judged = {name: sum(each.judged == name for each in ranked) for name in _JUDGED}
+    yield f"Judged by {_counted(judged, _JUDGED)}."
     best = standing.best
     if best is None or best.plan is None:
         yield "No stance was planned: the scene has the most promising one by its bound; it may be blocked."
@@ -87,6 +93,11 @@ def in_words(standing: Standing) -> Iterator[str]:
             f"{counted(len(failed), 'stance')} of which planning failed might be better by their bounds, "
             f"from {bound:.1f} {unit}; stances.csv says why."
         )
+
+
+def _counted(counts: Mapping[str, int], words: Mapping[str, str]) -> str:
+    """Return the words for all numbers but zero."""
+    return ", ".join(said.format(counts[name]) for name, said in words.items() if counts[name])
 
 
 def _judged_least(ranked: Sequence[Stood]) -> str:
@@ -122,7 +133,7 @@ def shared_out(standings: Sequence[Standing]) -> Iterator[str]:
     if len(standings) == 1:
         return
     strokes = sum(len(each.strokes) for each in standings)
-    yield f"{strokes} strokes from {len(standings)} stances: fewer were not found to do."
+    yield f"{strokes} strokes from {len(standings)} stances: no fewer were found to be enough."
     for number, each in enumerate(standings, start=1):
         yield f"Stance {number}: {', '.join(each.strokes)}; {each.ranked[0].place}."
 

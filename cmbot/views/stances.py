@@ -7,7 +7,9 @@ from html import escape
 
 import numpy as np
 
+from cmbot.planning import robot_of, strokes_of
 from cmbot.siting import Standing, bounds_table, in_words, planned_table, shared_out
+from cmbot.views.guardrail_map import Stand, guardrail_map
 from cmbot.views.page import still_page, table
 
 __all__ = ["stances_page"]
@@ -24,8 +26,13 @@ _COLOURS = {
     "no posture": "#8a8f98",
     "out of reach": "#c9ced6",
 }
-# Rows of the table.
-_ROWS = 60
+# Rows of the table, and those of them that are open.
+_ROWS, _OPEN = 60, 10
+_MEANING = {"Nm": "peak torque on the guardrail at work", "N": "adhesion needed at work"}
+_CAPTION = (
+    "Numbered: the peak that was planned. Others: an estimate of what a stance asks at least; along the "
+    "upper edge those without one. Pointing at a dot tells its stance."
+)
 
 
 def stances_page(standings: Sequence[Standing]) -> str:
@@ -42,9 +49,21 @@ def stances_page(standings: Sequence[Standing]) -> str:
         if several:
             content += f"<h2>Stance {number}: {escape(', '.join(standing.strokes))}</h2>"
             content += "".join(f"<p>{escape(sentence)}</p>" for sentence in in_words(standing))
-        content += f"<section>{_map(standing)}</section>{_tables(standing)}"
+        content += _where(standing) + _map(standing) + _tables(standing)
     said = shared_out(standings) if several else in_words(standings[0])
     return still_page(f"Where to stand: {name}", said, content)
+
+
+def _where(standing: Standing) -> str:
+    """Where the feet of the first stance hold, on the guardrail."""
+    if not standing.ranked:
+        return ""
+    first, best = standing.ranked[0], standing.best
+    strokes = strokes_of(standing.scene, robot_of(standing.scene))
+    paths = [stroke.path.outline() for stroke in strokes]
+    name = "the best stance" if best is not None else "the most promising stance"
+    drawn = guardrail_map(standing.scene, [], [Stand(first.candidate, name, paths)])
+    return f"<section>{drawn}</section>"
 
 
 def _tables(standing: Standing) -> str:
@@ -56,7 +75,11 @@ def _tables(standing: Standing) -> str:
     headings, rows = bounds_table(standing, _ROWS)
     if rows:
         said = "Not planned: what they ask at least, estimates that the search goes by"
-        content += f"<h2>{said}</h2><section>{table(rows, headings, text_columns=4)}</section>"
+        shown = table(rows[:_OPEN], headings, text_columns=4)
+        if more := rows[_OPEN:]:
+            words = f"{len(more)} more"
+            shown += f"<details><summary>{words}</summary>{table(more, headings, text_columns=4)}</details>"
+        content += f"<h2>{said}</h2><section>{shown}</section>"
     return content
 
 
@@ -77,7 +100,9 @@ def _map(standing: Standing) -> str:
             )
             x += 40 + 8 * len(name)
     drawn = f'<g font-size="13">{legend}{"".join(_axes(low, high, top, standing.unit))}</g>{marks}'
-    return f'<div class="wide"><svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img">{drawn}</svg></div>'
+    svg = f'<div class="wide"><svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img">{drawn}</svg></div>'
+    said = f"All stances, by where foot 1 holds and by the {_MEANING[standing.unit]}"
+    return f'<h2>{said}</h2><section>{svg}<p class="caption">{_CAPTION}</p></section>'
 
 
 def _axes(low: float, high: float, top: float, unit: str) -> Iterator[str]:
@@ -90,7 +115,7 @@ def _axes(low: float, high: float, top: float, unit: str) -> Iterator[str]:
     for value in _ticks(low, high, 8):
         x = _x(value, low, high)
         yield f'<text x="{x:.0f}" y="{_HEIGHT - 28}" text-anchor="middle">{value:g}</text>'
-    said = "foot 1 along the guardrail, x in m"
+    said = "where foot 1 holds: x along the guardrail, m"
     yield f'<text x="{_WIDTH // 2}" y="{_HEIGHT - 8}" text-anchor="middle">{said}</text>'
 
 
@@ -105,12 +130,18 @@ def _ticks(low: float, high: float, count: int) -> list[float]:
 
 def _marks(standing: Standing, low: float, high: float, top: float) -> Iterator[str]:
     # The best last, above the others.
-    for each in reversed(standing.ranked):
+    for rank, each in reversed([*enumerate(standing.ranked, start=1)]):
         x = _x(float(each.candidate.root[0, 3]), low, high)
         value = each.bound if each.plan is None else each.plan.objective.planned_peak
-        y = _y(min(value, top), top) if np.isfinite(value) else _WITHOUT
-        radius = 5 if each.status == "planned" else 2.5
-        yield f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius}" fill="{_COLOURS[each.status]}"/>'
+        known = np.isfinite(value)
+        y = _y(min(value, top), top) if known else _WITHOUT
+        radius = 5 if each.plan is not None else 2.5
+        figure = f", {value:.1f} {standing.unit}" if known else ""
+        said = escape(f"{rank}: {each.place}, {each.status}{figure}")
+        circle = f'cx="{x:.1f}" cy="{y:.1f}" r="{radius}" fill="{_COLOURS[each.status]}"'
+        yield f"<circle {circle}><title>{said}</title></circle>" if known else f"<circle {circle}/>"
+        if each.plan is not None:
+            yield f'<text class="label" x="{x + 8:.1f}" y="{y + 4:.1f}" font-size="13">{rank}</text>'
 
 
 def _x(value: float, low: float, high: float) -> float:

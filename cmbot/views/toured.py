@@ -8,9 +8,10 @@ from itertools import chain
 import numpy as np
 
 from cmbot.planning import Plan
+from cmbot.views.guardrail_map import Stand, guardrail_map
 from cmbot.views.page import still_page, table
 from cmbot.views.report import REPORT
-from cmbot.views.walked import guardrail_map, steps_table
+from cmbot.views.walked import steps_table
 from cmbot.walking import Tour, Walk, walk_samples
 
 __all__ = ["tour_page"]
@@ -32,9 +33,11 @@ def tour_page(tour: Tour) -> str:
     rows = ((name, *_row(part, begin)) for name, begin, part in parts)
     content = f"<section>{table(rows, heads, text_columns=2)}</section>"
     samples = [list(walk_samples(each)) for each in tour.walks]
-    names = [", ".join(each.strokes) for each in tour.standings]
-    stances = [(each.candidate, name) for each, name in zip(tour.works, names, strict=True)]
-    content += f"<section>{guardrail_map(tour.plans[0].scene, [*chain(*samples)], stances)}</section>"
+    stands = [
+        Stand(each.candidate, _what(plan), [stroke.task.path.outline() for stroke in plan.strokes])
+        for each, plan in zip(tour.works, tour.plans, strict=True)
+    ]
+    content += f"<section>{guardrail_map(tour.plans[0].scene, [*chain(*samples)], stands)}</section>"
     for name, _, part in parts:
         pages = {"report": REPORT} if isinstance(part, Plan) else {"walk": "index.html"}
         links = (f'<a href="{name}/{page}">{what}</a>' for what, page in (pages | _REPLAY).items())

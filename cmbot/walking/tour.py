@@ -22,7 +22,6 @@ from cmbot.siting import (
     joined,
     require_standing,
     scene_at,
-    shared_out,
     stand,
 )
 from cmbot.version import __version__
@@ -93,7 +92,8 @@ class Tour:
             f"{counted(steps, 'step')} between them, in {self.seconds:.0f} s: {work:.0f} s of work, "
             f"{walked:.0f} s of walking. Every motion is certified."
         )
-        yield from list(shared_out(self.standings))[:1]
+        if len(self.works) > 1:
+            yield "No fewer stances were found to be enough."
         peak = max(plan.job.figures.peak_guardrail_torque for plan in self.plans)
         yield f"At work the torque on the guardrail is at most {peak:.1f} Nm."
         needed = [each for each in (_needed(part) for _, _, part in self.parts) if each is not None]

@@ -64,7 +64,7 @@ def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome]:
 def test_jobs_that_no_stance_reaches_are_done_from_two(both: tuple[Path, Outcome]) -> None:
     folder, outcome = both
     assert outcome.status == 0, outcome.err
-    assert "2 strokes from 2 stances: fewer were not found to do." in outcome.out
+    assert "2 strokes from 2 stances: no fewer were found to be enough." in outcome.out
     names = {path.name for path in (folder / "out").iterdir()}
     assert names == {"stances.csv", "index.html", "best_1.yaml", "best_2.yaml", "notes.txt"}
     scenes = [cmbot.load_scene(folder / "out" / f"best_{k}.yaml") for k in (1, 2)]
