@@ -58,17 +58,17 @@ def focus_of(
     workpieces beside it and the torque's arrow, in W, m; of them those that enclose the others along many
     directions. What is `beside` is drawn, too, and may hide them.
     """
-    motions = [plan.baseline.q]
-    motions += [segment.trajectory.q for each in plans for segment in each.job.segments]
+    motions = [(plan.robot, plan.baseline.q)]
+    motions += [(each.robot, segment.trajectory.q) for each in plans for segment in each.job.segments]
     torques = [plan.baseline.guardrail_torque, *(each.job_samples[0].guardrail_torque for each in plans)]
     torque = np.concatenate(torques)
     largest = max(float(np.linalg.norm(torque, axis=1).max()), 1e-9)
-    foot = np.array([plan.robot.foot_point])
-    points = [foot, foot + ARROW * reach(plan.robot) * torque / largest, plan.baseline.tool_point]
+    feet = np.array([each.robot.foot_point for each in plans])
+    points = [feet, feet[:1] + ARROW * reach(plan.robot) * torque / largest, plan.baseline.tool_point]
     points += [each.samples.tool_point for each in plans]
     outlines = [stroke.task.path.outline() for each in plans for stroke in each.strokes]
     points += [*outlines, *_workpieces(plan, np.concatenate(outlines))]
-    poses = [link_poses(plan.robot, q[:: max(1, len(q) // 50)]) for q in motions]
+    poses = [link_poses(robot, q[:: max(1, len(q) // 50)]) for robot, q in motions]
     points += [_corners(plan.robot, each) for each in (*poses, *bent)]
     cloud = np.concatenate(points)
     return focus_on(cloud, *_direction(plan, outlines, cloud, beside))

@@ -16,7 +16,7 @@ from cmbot.simulation import Tracking
 from cmbot.version import __version__
 from cmbot.views.camera import ARROW, focus_of
 from cmbot.views.charts import MOST_SMALL_POINTS, ROOM, Chart, Curve, joint_axes
-from cmbot.views.drawing import bridge_commands, bridge_of, reach, scene_commands
+from cmbot.views.drawing import bridge_commands, bridge_of, carrier_commands, reach, scene_commands
 from cmbot.views.page import STAGE_SCRIPTS, assemble, table
 from cmbot.views.replay_data import (
     FRAME_STEP,
@@ -110,7 +110,12 @@ def _data(first: Plan, plans: Mapping[str, Plan], names: Mapping[str, str]) -> d
     each = list(frames.values())
     small = [chart.data(MOST_SMALL_POINTS) for chart in _joint_charts(first, plans)]
     bridge = bridge_of(list(plans.values()))
+    # Arms that stand elsewhere, or on something else, bring along what carries them.
+    carrier = _carrier(first)
+    owners = [key for key, plan in plans.items() if _carrier(plan) != carrier]
     drawn = [*scene_commands(first), *bridge_commands(bridge)]
+    for key in owners:
+        drawn += carrier_commands(plans[key], key)
     bending, bent = bending_of(each, reach(first.robot))
     return motions | {
         "motions": list(motions),
@@ -119,6 +124,8 @@ def _data(first: Plan, plans: Mapping[str, Plan], names: Mapping[str, str]) -> d
         "robot": first.robot.name,
         "base": first.scene.base_name,
         "foot": list(first.robot.foot_point),
+        "feet": {key: list(plan.robot.foot_point) for key, plan in plans.items()},
+        "owners": owners,
         **{"start": 0.0, "workStart": 0.0, "workEnd": end, "end": end},
         **{"legTimes": [], "moves": [], "floor": None, "floorName": ""},
         **{"approach": None, "return": None, "rest": None},
@@ -136,6 +143,10 @@ def _data(first: Plan, plans: Mapping[str, Plan], names: Mapping[str, str]) -> d
         "charts": [chart.data() for chart in _charts(first, plans)],
         "jointCharts": small,
     }
+
+
+def _carrier(plan: Plan) -> tuple[tuple[float, ...], list[bytes]]:
+    return tuple(plan.robot.foot_point), carrier_commands(plan, "")
 
 
 def _strokes(plan: Plan) -> list[tuple[float, float]]:

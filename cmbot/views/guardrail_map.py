@@ -100,11 +100,12 @@ def guardrail_map(scene: Scene, samples: Sequence[WalkSamples], stands: Sequence
         for foot in part.move.holds:
             share = part.share[:, foot - 1]
             colour = _UNKNOWN if np.isnan(share).all() else _colour(float(np.nanmax(share)))
-            parts.append(_foot(*window.at(part.feet[-1, foot - 1]), foot, colour))
+            parts.append(_foot(window.at(part.feet[-1, foot - 1]), foot, colour))
     for number, (stand, feet) in enumerate(zip(stands, places, strict=True), start=1):
-        for foot, (x, y) in enumerate(window.at(feet), start=1):
+        for which, at in enumerate(window.at(feet), start=1):
             if not samples:
-                parts.append(_foot(x, y, foot, _UNKNOWN))
+                parts.append(_foot(at, which, _UNKNOWN))
+            x, y = at
             square = f'x="{x - 11:.1f}" y="{y - 11:.1f}" width="22" height="22"'
             parts.append(f'<rect {square} fill="none" stroke="{_WORK}" stroke-width="3"/>')
         x, y = window.at(feet[0])
@@ -153,7 +154,8 @@ def _line(window: _Window, points: FloatArray, style: str) -> str:
     return f'<polyline points="{words}" fill="none" {style}/>'
 
 
-def _foot(x: float, y: float, number: int, colour: str) -> str:
+def _foot(at: FloatArray, number: int, colour: str) -> str:
+    x, y = at
     circle = f'<circle cx="{x:.1f}" cy="{y:.1f}" r="9" fill="{colour}"/>'
     place = f'x="{x:.1f}" y="{y + 4:.1f}"'
     return f'{circle}<text class="on" {place} font-size="11" text-anchor="middle">{number}</text>'

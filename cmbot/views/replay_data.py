@@ -261,17 +261,21 @@ def _resampled(times: FloatArray, t: FloatArray, values: FloatArray) -> FloatArr
 
 
 def bending_of(frames: Sequence[Frames], reach: float) -> tuple[dict[str, Any] | None, list[FloatArray]]:
-    """Return how the first arm bends, with the factor that suits the motions of all; None of a rigid one.
+    """Return how the arms bend, with the factors that suit the motions of all; None where none does.
 
-    And poses (K, n, 7) of the arms' links in all motions, as they are bent by that factor.
+    And poses (K, n, 7) of the arms' links in all motions, as they are bent by the first factor.
     """
     deflection = max(each.deflection for each in frames)
     factor = drawn_factor(deflection, reach)
     poses = [bent for each in frames for bent in each.bent(factor)]
-    bending = frames[0].bending
-    if bending is None:
+    arms = [each.bending for each in frames]
+    if not any(arms):
         return None, poses
-    return bending.data() | {"factors": (factor, most_factor(deflection, reach))}, poses
+    return {
+        "chains": [None if arm is None else arm.data() for arm in arms],
+        "simulated": any(arm is not None and arm.simulated for arm in arms),
+        "factors": (factor, most_factor(deflection, reach)),
+    }, poses
 
 
 def pair_joints(plan: Plan, pairs: Iterable[str]) -> list[list[int]]:

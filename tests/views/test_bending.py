@@ -46,15 +46,16 @@ def tool_along(data: dict[str, Any], plan: Plan, motion: dict[str, Any], frames:
     q, u = floats(motion["q"], plan.robot.dof), floats(motion["u"])
     u = u.reshape(len(q), -1)
     tool = plan.robot.model.frames[plan.robot.tool_frame_id].placement.homogeneous
-    return np.array([(ends(data["bending"], q[k], u[k])[-1] @ tool)[:3, 3] for k in frames])
+    return np.array([(ends(data["bending"]["chains"][0], q[k], u[k])[-1] @ tool)[:3, 3] for k in frames])
 
 
 def test_the_chain_without_bending_is_the_rigid_arm(data: dict[str, Any], triangle_plan: Plan) -> None:
     model, made = triangle_plan.robot.model, triangle_plan.robot.model.createData()
     q = triangle_plan.samples.q[300]
     pin.forwardKinematics(model, made, q)
-    u = np.zeros(sum(not joint["driven"] for joint in data["bending"]["joints"]))
-    for frame, rigid in zip(ends(data["bending"], q, u), list(made.oMi)[1:], strict=True):
+    (chain,) = data["bending"]["chains"]
+    u = np.zeros(sum(not joint["driven"] for joint in chain["joints"]))
+    for frame, rigid in zip(ends(chain, q, u), list(made.oMi)[1:], strict=True):
         np.testing.assert_allclose(frame, rigid.homogeneous, atol=1e-9)
 
 
@@ -294,7 +295,7 @@ def test_the_page_bends_arm_and_rails(
     if chrome.current_url != replay_file.as_uri():
         open_page(chrome, replay_file)
     plain = data_of(replay_page(triangle_plan))
-    source = plain["bending"]
+    (source,) = plain["bending"]["chains"]
     chrome.execute_script("cmbotReplay.pause(); cmbotReplay.seek(cmbotReplay.workStart)")
     q = floats(plain["planned"]["q"], 7)[0]
     u = floats(plain["planned"]["u"])
@@ -307,7 +308,8 @@ def test_the_page_bends_arm_and_rails(
         return found;
     })()"""
     # The tip of the last link, and the foot: as it is drawn, and as the rails have it.
-    drawn = """return (({ bending: { drawn: { planned: { links, foot, tip, factor } }, support } }) => {
+    drawn = """return (({ bending: { drawn: { planned: { links, foot, tip, factor } }, chains } }) => {
+        const { support } = chains.planned;
         const { place, maps } = links.at(-1), ends = support.mapsOf(foot, tip, factor);
         const at = support.members.findIndex(([a]) => support.nodes[a].distanceTo(support.feet[0]) < 1e-9);
         const tool = place.clone().multiply(maps.at(-1));

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from browser import ask, open_page, require_quiet
+from browser import ask, open_page, require_quiet, slide
 from command_line import output, refusal
 from page_data import data_of, floats, without_shapes
 from selenium.webdriver import Chrome
@@ -73,6 +73,58 @@ def test_it_shows_every_plan(chrome: Chrome, text: str, tmp_path: Path) -> None:
     tools = [ask(chrome, f"cmbotReplay.pose('link_7', '{arm}')") for arm in ("planned", "plan_2")]
     assert tools[0] != pytest.approx(tools[1], abs=1e-3)
     assert not chrome.find_element("id", "save-csv").is_displayed()
+
+
+@pytest.mark.browser
+def test_a_ghost_stands_on_what_carries_it(chrome: Chrome, text: str, tmp_path: Path) -> None:
+    """Its rails bend with its own sag, not with that of the arm that is drawn whole."""
+    path = tmp_path / "compare.html"
+    path.write_text(text, encoding="utf-8")
+    open_page(chrome, path)
+    chrome.execute_script("cmbotReplay.pause(); cmbotReplay.seek(0.4 * cmbotReplay.end)")
+    slide(chrome, "deflection", 50)
+    feet, bases, rails = chrome.execute_script(
+        """const { bending, grounds } = cmbotReplay.stage, names = ["planned", "plan_2"];
+        const rails = (name) => { let found; grounds[name][0].rails.traverse((mesh) => {
+            found = mesh.geometry ? Array.from(mesh.geometry.attributes.position.array) : found; });
+            return found; };
+        return [names.map((name) => bending.drawn[name].foot.elements.slice(12, 15)),
+            names.map((name) => grounds[name][0].base.position.toArray()), names.map(rails)];"""
+    )
+    np.testing.assert_allclose(bases, feet, atol=1e-9)
+    first, second = np.reshape(rails, (2, -1, 3))
+    apart = np.linalg.norm(first - second, axis=1)
+    assert 1e-3 < np.linalg.norm(np.subtract(*feet)) < 0.5
+    assert apart.max() > 1e-3
+    assert apart.min() < 1e-6  # where the posts are held
+
+
+@pytest.mark.browser
+def test_an_arm_that_stands_elsewhere_brings_its_base(
+    chrome: Chrome, short_plan: Plan, tmp_path: Path
+) -> None:
+    robot = without_shapes(short_plan).robot
+    moved = np.add(robot.foot_point, (0.5, 0.0, 0.0))
+    other = replace(without_shapes(short_plan), robot=replace(robot, foot_point=tuple(map(float, moved))))
+    text = compare_page({"here": without_shapes(short_plan), "there": other})
+    data = data_of(text)
+    assert data["owners"] == ["plan_2"]
+    assert data["feet"] == {"planned": list(robot.foot_point), "plan_2": moved.tolist()}
+    path = tmp_path / "compare.html"
+    path.write_text(text, encoding="utf-8")
+    open_page(chrome, path)
+    require_quiet(chrome, path)
+    chrome.execute_script("cmbotReplay.compare('beside')")
+    shown = """const { stage } = cmbotReplay, seen = {};
+        stage.posed(arguments[0], () => {
+            for (const name of ["planned", "plan_2"]) seen[name] = stage.grounds[name].at(-1).rails.visible;
+            seen.arrow = stage.arrow.group.position.x;
+        });
+        return seen;"""
+    for motion, foot in data["feet"].items():
+        seen = chrome.execute_script(shown, motion)
+        assert (seen["planned"], seen["plan_2"]) == (motion == "planned", motion == "plan_2")
+        assert seen["arrow"] == pytest.approx(foot[0], abs=0.1)
 
 
 @pytest.mark.browser

@@ -2,7 +2,13 @@
 
 from cmbot.views.drawing.bending import Bending, Intervals, drawn_factor, most_factor
 from cmbot.views.drawing.bridge import bridge_of
-from cmbot.views.drawing.meshcat_scene import bridge_commands, moving_robot_commands, reach, scene_commands
+from cmbot.views.drawing.meshcat_scene import (
+    bridge_commands,
+    carrier_commands,
+    moving_robot_commands,
+    reach,
+    scene_commands,
+)
 from cmbot.views.drawing.support import supports
 from cmbot.views.drawing.surfaces import obstacle_surface
 
@@ -11,6 +17,7 @@ __all__ = [
     "Intervals",
     "bridge_commands",
     "bridge_of",
+    "carrier_commands",
     "drawn_factor",
     "most_factor",
     "moving_robot_commands",

@@ -56,7 +56,7 @@ class Bending:
     def __init__(self, arm: ElasticArm, plan: Plan, *, simulated: bool) -> None:
         self._arm = arm
         self._plan = plan
-        self._simulated = simulated
+        self.simulated = simulated
         self._tubes = tube_strains(arm)
 
     @classmethod
@@ -74,13 +74,13 @@ class Bending:
         driven, with the index among the driven or the elastic ones. ``links``: of each link of the robot the
         joints whose frames carry its beginning and its end, the pose of the link's frame in the latter, the
         ends of its tube, and which of the beams of ``strains`` are its segments. ``base``: the joint that
-        carries the foot; -1 where it is rigid. ``frame``: the guardrail's beams, with their own ``strains``
+        carries the ``foot``, in W; -1 where it is rigid. ``frame``: the guardrail's beams, with ``strains``
         where these are known; None without. ``pole``: the beams of a pole that carries the foot, each from
         where it is held to the foot.
         """
         pole = None if self._arm.base is None else pole_of(self._plan.scene)
         return {
-            "simulated": self._simulated,
+            "foot": list(self._arm.robot.foot_point),
             "joints": list(self._joints()),
             "links": list(self._links()),
             "strains": packed_strains(self._tubes),

@@ -28,7 +28,7 @@ from cmbot.views.drawing.surfaces import (
     visual_surface,
 )
 
-__all__ = ["bridge_commands", "moving_robot_commands", "reach", "scene_commands"]
+__all__ = ["bridge_commands", "carrier_commands", "moving_robot_commands", "reach", "scene_commands"]
 
 MOST_ROBOT_FACES = 24_000
 MOST_OBSTACLE_FACES = 12_000
@@ -67,16 +67,26 @@ def scene_commands(plan: Plan) -> list[bytes]:
     used.
     """
     robot = plan.robot
-    # A robot without visual shapes is drawn with its collision shapes.
-    shapes = list(robot.visual_model.geometryObjects) or list(robot.collision_model.geometryObjects)
     thick = 0.002 * reach(robot)
     paths = [tube(stroke.task.path.outline(), thick) for stroke in plan.strokes]
-    commands = [*_PLAIN, *_robot(shapes, str(robot.urdf)), *_bridge(plan.scene)]
+    commands = [*_PLAIN, *_robot(_shapes(robot), str(robot.urdf)), *_bridge(plan.scene)]
     commands.append(_set_mesh("/path", paths, PATH))
     if plan.rows_left_out:
         left_out = [tube(points, thick) for points in plan.rows_left_out]
         commands.append(_set_mesh("/left_out", left_out, LEFT_OUT))
     return [umsgpack.packb(command) for command in commands]
+
+
+def carrier_commands(plan: Plan, key: str) -> list[bytes]:
+    """Return packed commands for what carries a further plan's arm, in W: below ``/others/key``.
+
+    ``base`` is the fixed part of the robot, ``rails`` what that stands on.
+    """
+    fixed = [shape for shape in _shapes(plan.robot) if not shape.parentJoint]
+    base = list(_robot(fixed, str(plan.robot.urdf)))
+    for number, command in enumerate(base):
+        command["path"] = f"/others/{key}/base/{number}"
+    return [umsgpack.packb(command) for command in (*base, *_supports(plan.scene, f"/others/{key}/rails"))]
 
 
 def bridge_commands(parts: Sequence[Obstacle]) -> list[bytes]:
@@ -121,6 +131,11 @@ def reach(robot: Robot) -> float:
     return max(robot.reach, SHORTEST_REACH)
 
 
+def _shapes(robot: Robot) -> list[Any]:
+    """The visual shapes; a robot without any is drawn with its collision shapes."""
+    return list(robot.visual_model.geometryObjects) or list(robot.collision_model.geometryObjects)
+
+
 def _robot(shapes: Sequence[Any], urdf: str) -> Iterator[Command]:
     surfaces = simplified([visual_surface(shape, urdf) for shape in shapes], MOST_ROBOT_FACES)
     groups: dict[tuple[int, tuple[float, ...]], list[Surface]] = {}
@@ -141,10 +156,14 @@ def _bridge(scene: Scene) -> Iterator[Command]:
         groups.setdefault(WORKPIECE if obstacle.workpiece else CONCRETE, []).append(surface)
     for number, (colour, group) in enumerate(groups.items()):
         yield _set_mesh(f"/bridge/{number}", group, colour, shininess=10)
-    # Rails and poles have vertices along them, to be bent.
-    if bending:
-        bars = [obstacle_surface(obstacle, RAIL_PIECE) for obstacle in bending]
-        yield _set_mesh("/rails", bars, STEEL, shininess=10)
+    yield from _supports(scene, "/rails")
+
+
+def _supports(scene: Scene, path: str) -> Iterator[Command]:
+    """What the foot is on. It has vertices along it, to be bent."""
+    bars = [obstacle_surface(obstacle, RAIL_PIECE) for obstacle in supports(scene)]
+    if bars:
+        yield _set_mesh(path, bars, STEEL, shininess=10)
 
 
 def _set_mesh(

@@ -41,13 +41,15 @@ class Colours {
       return found;
     });
     if (!bending) return;
-    const tubes = new Strains(bending.strains), of = new Map(this.parts.map((part) => [part.mesh, part]));
+    const [first] = bending.chains;
+    if (!first) return;
+    const tubes = new Strains(first.strains), of = new Map(this.parts.map((part) => [part.mesh, part]));
     stage.bending.arms[MOTIONS[0]].forEach((skins, link) => {
-      for (const { mesh, stations } of skins) this.addStrains(of.get(mesh), tubes, alongTube(bending.links[link].beams, stations));
+      for (const { mesh, stations } of skins) this.addStrains(of.get(mesh), tubes, alongTube(first.links[link].beams, stations));
     });
-    if (!bending.frame?.strains) return;
-    const frame = new Strains(bending.frame.strains);
-    for (const { mesh, stations } of stage.bending.ground) {
+    if (!first.frame?.strains) return;
+    const frame = new Strains(first.frame.strains);
+    for (const { mesh, stations } of stage.bending.grounds[MOTIONS[0]]) {
       this.parts.push(this.part(mesh, null));
       this.addStrains(this.parts.at(-1), frame, alongMembers(stations));
     }

@@ -86,7 +86,7 @@ class Marks {
     for (const name of MOTIONS) {
       if (!motions[name].error) continue;
       const motion = motions[name], share = (k) => k / (TRACED - 1), { bending } = this.stage;
-      const places = Array.from({ length: TRACED }, (_, k) => this.bentTool(motion, share(k), (tool) => bending.toolAt(motion, share(k), tool, factor)));
+      const places = Array.from({ length: TRACED }, (_, k) => this.bentTool(motion, share(k), (tool) => bending.toolAt(name, motion, share(k), tool, factor)));
       this.bent[name].trace.geometry.setFromPoints(places);
     }
   }

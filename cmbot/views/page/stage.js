@@ -38,12 +38,14 @@ class Stage {
     for (const command of data.commands) this.viewer.handle_command_bytearray(bytesOf(command));
     const [first, ...others] = MOTIONS;
     this.arms = { [first]: data.links.map((_, i) => this.node("robot", String(i + 1))) };
+    // What carries each arm: its base and what that stands on.
+    this.grounds = { [first]: [{ base: this.node("robot", "0"), rails: this.node("rails"), shared: false }] };
     this.ghosts = others.map((name) => this.addGhost(name));
     this.arrow = this.addArrow();
     this.torque = Object.fromEntries(MOTIONS.map((name) => [name, new THREE.Vector3()]));
     this.marks = new Marks(this, data);
     this.bending = data.bending && new Bending(this, data.bending);
-    for (const name of ["robot", "rails"]) partSides(this.node(name));
+    for (const path of [["robot"], ["rails"], ...this.owners.map((name) => ["others", name])]) partSides(this.node(...path));
     this.colours = new Colours(this, data);
     this.compare = "ghost";
     this.withArrow = true;
@@ -160,6 +162,7 @@ class Stage {
     });
     if (borrowed.length) this.dressAs(motion);
     for (const ghost of this.ghosts) ghost.visible = this.compare === "ghost";
+    this.showGround(motion);
     this.marks.show(motion, this.compare);
     this.arrow.group.visible = this.withArrow;
     this.drawTorque(this.torque[motion], motion);
@@ -171,26 +174,41 @@ class Stage {
     });
   }
 
-  // Give the first arm's shapes and the rails the bending and the colours of one motion.
+  // Give the first arm's shapes and what carries them the bending and the colours of one motion.
   dressAs(motion) {
     this.bending?.shape(MOTIONS[0], motion);
-    this.bending?.shapeBase(motion);
+    if (!this.owners.includes(motion)) this.bending?.shapeGround(MOTIONS[0], motion);
     this.colours.paint(motion);
   }
 
-  // A ghost shares the first arm's shapes. It is drawn twice, first into the depth buffer only, so that no shape
-  // shows through another; with an offset in depth, some thousandths of the distance, so that it vanishes where both arms nearly coincide.
+  // The motions of other plans whose arms stand elsewhere, or on something else: they have a base and supports of their own.
+  get owners() {
+    return this.data.owners ?? [];
+  }
+
+  // Show what carries the arm of one motion.
+  showGround(motion) {
+    const own = this.owners.includes(motion) ? motion : MOTIONS[0];
+    for (const name of [MOTIONS[0], ...this.owners]) {
+      const { base, rails } = this.grounds[name].at(-1);
+      base.visible = rails.visible = name === own;
+    }
+  }
+
+  // A ghost shares the first arm's shapes, and stands on a ghost of what carries it. It is drawn twice, first into the depth
+  // buffer only, so that no shape shows through another; with an offset in depth, some thousandths of the distance, so that
+  // it vanishes where both arms nearly coincide.
   addGhost(name) {
     const behind = { polygonOffset: true, polygonOffsetFactor: 2, polygonOffsetUnits: 600 };
     const depth = new THREE.MeshBasicMaterial({ colorWrite: false, ...behind });
     const tint = new THREE.MeshLambertMaterial({
       color: COLOURS[name], transparent: true, opacity: 0.4, depthWrite: false, ...behind });
-    const ghost = new THREE.Group();
+    const ghost = new THREE.Group(), own = this.owners.includes(name);
     this.world.add(ghost);
-    this.arms[name] = this.arms[MOTIONS[0]].map((link) => {
+    const twinOf = (node) => {
       const twin = new THREE.Group();
       for (const [order, material] of [[1, depth], [2, tint]]) {
-        const copy = link.clone(true);
+        const copy = node.clone(true);
         copy.traverse((part) => {
           part.renderOrder = order;
           part.castShadow = part.receiveShadow = false;
@@ -200,7 +218,12 @@ class Stage {
       }
       ghost.add(twin);
       return twin;
-    });
+    };
+    this.arms[name] = this.arms[MOTIONS[0]].map(twinOf);
+    const [base, rails] = own ? ["base", "rails"].map((part) => this.node("others", name, part))
+      : [this.node("robot", "0"), this.node("rails")];
+    this.grounds[name] = [{ base: twinOf(base), rails: twinOf(rails), shared: true }];
+    if (own) this.grounds[name].push({ base, rails, shared: false });
     return ghost;
   }
 
@@ -227,7 +250,7 @@ class Stage {
     const share = vector.length() / this.peak;
     const length = Math.max(share * this.data.arrow, 10 * thick);
     const direction = vector.clone().normalize();
-    group.position.set(...this.data.foot);
+    group.position.set(...(this.data.feet?.[motion] ?? this.data.foot));
     this.bending?.carried(motion, 0, group.position);
     group.quaternion.setFromUnitVectors(new THREE.Vector3(0, 0, 1), direction);
     shaft.scale.set(1, 1, length - 5 * thick);
