@@ -286,7 +286,7 @@ class SelfMotionSampler:
         return sets.postures[0]
 
     def _sets(self, charts: Sequence[FloatArray]) -> PoissonDiskSets:
-        return PoissonDiskSets(charts, self._postures.metric)
+        return PoissonDiskSets(charts, self._postures.metric, self._limits.range_middle)
 
     def _empty_sets(self, number: int) -> PoissonDiskSets:
         return self._sets([np.empty((0, len(self._limits.lower)))] * number)
