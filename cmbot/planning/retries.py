@@ -185,18 +185,10 @@ def more_via_points(failed: Attempt, failure: PlanningError, run: Run[Work]) -> 
         number = factor * (count - 1) + 1
         if number > _MOST_VIA_POINTS or context.reporter.expired():
             break
-        context.reporter.stage("path")
-        context.reporter.step(f"the tool strays between via-points; trying {number} of them")
-        finer = replace(context, times=context.task.path.via_times(number))
-        fallback = (
-            f"With {count} via-points the tool strays from its path between them ({_told(failure)}): planned "
-            f"with {context.stroke.key}.via_points {number} instead."
-        )
-        try:
-            guess = initial_guess(finer)
-            return run(replace(failed, context=finer, guess=guess, fallbacks=(*failed.fallbacks, fallback)))
-        except PlanningError:
-            continue
+        step = f"the tool strays between via-points; trying {number} of them"
+        reason = f"the tool strays from its path between them ({_told(failure)})"
+        if planned := _with_via_points(number, failed, run, step, reason):
+            return planned
     raise failure
 
 
@@ -212,19 +204,28 @@ def fewer_via_points(failed: Attempt, failure: PlanningError, run: Run[Work]) ->
         number = max(round(share * (count - 1)), _FEWEST_IN_A_LEG * legs) + 1
         if number >= count or context.reporter.expired():
             break
-        context.reporter.stage("path")
-        context.reporter.step(f"no trajectory keeps the rates; trying {number} via-points")
-        coarser = replace(context, times=context.task.path.via_times(number))
-        fallback = (
-            f"With {count} via-points no trajectory was found ({_told(failure)}): planned with "
-            f"{context.stroke.key}.via_points {number} instead."
-        )
-        try:
-            guess = initial_guess(coarser)
-            return run(replace(failed, context=coarser, guess=guess, fallbacks=(*failed.fallbacks, fallback)))
-        except PlanningError:
-            continue
+        step = f"no trajectory keeps the rates; trying {number} via-points"
+        reason = f"no trajectory was found ({_told(failure)})"
+        if planned := _with_via_points(number, failed, run, step, reason):
+            return planned
     raise failure
+
+
+def _with_via_points(
+    number: int, failed: Attempt, run: Run[Work], step: str, reason: str
+) -> tuple[Attempt, Work] | None:
+    """Plan with so many via-points; None where that fails, too."""
+    context, count = failed.context, len(failed.context.times)
+    context.reporter.stage("path")
+    context.reporter.step(step)
+    other = replace(context, times=context.task.path.via_times(number))
+    instead = f"{context.stroke.key}.via_points {number} instead"
+    fallback = f"With {count} via-points {reason}: planned with {instead}."
+    try:
+        guess = initial_guess(other)
+        return run(replace(failed, context=other, guess=guess, fallbacks=(*failed.fallbacks, fallback)))
+    except PlanningError:
+        return None
 
 
 def another_start(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tuple[Attempt, Work]:
