@@ -1,4 +1,4 @@
-"""Balance: what holding on to one foot asks at rest, with the arm as a counterweight.
+"""Balance: the loads of holding on to one foot at rest, with the arm as a counterweight.
 
 The arm is locked while the climber moves. All that its posture changes is where its centre of mass is, so
 many postures of the arm are judged at once.
@@ -19,25 +19,25 @@ from cmbot.robot import Climber, ClimberBodies, Postures, Side
 from cmbot.scene import FootholdFile, Scene, StanceFile, feet_at
 from cmbot.siting import Candidate, bare_climber, scene_at
 
-__all__ = ["SPARE", "Asked", "Balance", "foot_at"]
+__all__ = ["SPARE", "Balance", "StepLoad", "foot_at"]
 
 # Counterweights grow from the nearest to the arm's posture of so many random ones: rounds, random postures in
 # each, their distance in a joint, rad, and how many are kept: those of the furthest centres of mass.
 _SEEDS, _ROUNDS, _DRAWN, _STEP, _KEPT = 20_000, 20, 1500, 0.35, 800
 SPARE = 0.9
-"""Share of what joints and feet bear that is left for the way between two stances."""
+"""Share of the bounds of joints and feet that both ends of a step may use; the rest is for the motion."""
 # Share of their torques that the arm's joints use at rest at most, the base turned by up to this, rad.
 _HELD, _TILT = 0.95, np.radians(35.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Asked:
-    """What holding on to one foot asks, with each of K postures of the arm.
+class StepLoad:
+    """The loads of holding on to one foot, with each of K postures of the arm.
 
     Attributes
     ----------
     use : (K,)
-        The largest share of a bound, of climbing joints and foot; infinite where it is not this foot's turn.
+        The largest share of a bound, of climbing joints and foot; infinite where this foot holds nothing.
     effort : (K,)
         The largest share of a climbing joint's effort.
     joint : (K,)
@@ -53,7 +53,7 @@ class Asked:
 
 
 class Balance:
-    """Counterweights, and what stances ask with them.
+    """Counterweights, and the loads of stances with them.
 
     Parameters
     ----------
@@ -119,19 +119,19 @@ class Balance:
             way.append(self._parent[way[-1]])
         return way
 
-    def asked(self, node: Candidate, foot: Side) -> Asked:
-        """What a stance asks when one of its feet lets go and the other, `foot`, holds."""
+    def step_load(self, node: Candidate, foot: Side) -> StepLoad:
+        """Return the loads of a stance when one of its feet lets go and the other, `foot`, holds."""
         K = len(self.arms)
         place = node.stance.foot_1 if foot == 1 else node.stance.foot_2
         if place is None:
             never = np.full(K, np.inf)
-            return Asked(use=never, effort=never, joint=np.ones(K), adhesion=never)
+            return StepLoad(use=never, effort=never, joint=np.ones(K), adhesion=never)
         bodies, R = self._climber.bodies(node.climber), node.root[:3, :3]
         effort = self._torques(bodies, foot, R) / self._climber.effort
         holding, wrench = self._holding(place, foot), self._wrench(bodies, foot, R)
         adhesion = holding.each(wrench)[:, 0] if holding.flat else np.zeros(K)
         largest = effort.max(axis=1)
-        return Asked(
+        return StepLoad(
             use=np.maximum(largest, holding.share(wrench)[0]),
             effort=largest,
             joint=effort.argmax(axis=1) + 1.0,
@@ -158,7 +158,7 @@ class Balance:
 
     def leads_away(self, scene: Scene, node: Candidate) -> bool:
         """Whether one of the feet can be lifted in a stance, as far as that is known at rest."""
-        use = np.minimum(*(self.asked(node, foot).use for foot in (1, 2)))
+        use = np.minimum(*(self.step_load(node, foot).use for foot in (1, 2)))
         return bool((use <= SPARE).any()) and bool(((use <= SPARE) & ~self.impossible(scene, node)).any())
 
     def _holding(self, place: FootholdFile, foot: Side) -> Holding:

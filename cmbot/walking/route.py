@@ -87,13 +87,13 @@ class Route:
 
     Attributes
     ----------
-    asked : dict of int to (N, K) array
+    use : dict of int to (N, K) array
         By the foot that holds: largest shares of bounds that the nodes use with each posture of the arm.
     """
 
     def __init__(self, nodes: list[Candidate], balance: Balance) -> None:
         self.nodes = nodes
-        self.asked = {foot: np.array([balance.asked(node, foot).use for node in nodes]) for foot in _FEET}
+        self.use = {foot: np.array([balance.step_load(node, foot).use for node in nodes]) for foot in _FEET}
         numbers = dict[Key | None, int]()
         # Of the places of each foot; they are equal where the places are.
         self._place = {
@@ -111,11 +111,12 @@ class Route:
 
     def _edges(self, foot: Side) -> IntArray:
         """Pairs (E, 2) of nodes between which a foot goes while the other one holds."""
-        goes, stays, asked = self._place[foot], self._place[_other(foot)], self.asked[_other(foot)] <= SPARE
+        goes, stays = self._place[foot], self._place[_other(foot)]
+        held = self.use[_other(foot)] <= SPARE
         found = [np.zeros((0, 2), dtype=np.intp)]
         for place in np.unique(stays[stays != self._free]):
             group = np.flatnonzero(stays == place)
-            good = asked[group].astype(np.float32)
+            good = held[group].astype(np.float32)
             common = (good @ good.T > 0) & (goes[group][:, None] != goes[group])
             found.append(group[np.argwhere(np.triu(common))])
         return np.vstack(found)
@@ -128,10 +129,10 @@ class Route:
     def leave_out(self, node: int, weights: BoolArray) -> None:
         """Leave out the postures (K,) of the arm that are not possible in a node."""
         for foot in _FEET:
-            self.asked[foot][node, weights] = np.inf
+            self.use[foot][node, weights] = np.inf
             here = (self._ends == node).any(axis=1) & (self._goes == _other(foot))
             ends = self._ends[here]
-            use = np.maximum(self.asked[foot][ends[:, 0]], self.asked[foot][ends[:, 1]])
+            use = np.maximum(self.use[foot][ends[:, 0]], self.use[foot][ends[:, 1]])
             self._closed[here] |= ~(use <= SPARE).any(axis=1)
 
     def counterweights(self, edge: Edge, before: int) -> IntArray:
@@ -139,8 +140,8 @@ class Route:
 
         That in which the arm is `before` comes first where it will do.
         """
-        asked = self.asked[_other(edge.foot)]
-        use = np.maximum(asked[edge.before], asked[edge.after])
+        shares = self.use[_other(edge.foot)]
+        use = np.maximum(shares[edge.before], shares[edge.after])
         order = np.argsort(use, kind="stable")
         order = order[use[order] <= SPARE]
         return np.concatenate([order[order == before], order[order != before]])
@@ -161,14 +162,14 @@ class Route:
             k = before
         return edges[::-1]
 
-    def least_asked(self, node: int) -> tuple[Edge, float] | None:
-        """Return the step from a node that asks the smallest share of a bound, and that; None without any."""
+    def least_use(self, node: int) -> tuple[Edge, float] | None:
+        """Return the step from a node with the smallest share of a bound, and that; None without any."""
         best: tuple[Edge, float] | None = None
         for foot in _FEET:
-            goes, stays, asked = self._place[foot], self._place[_other(foot)], self.asked[_other(foot)]
+            goes, stays, use = self._place[foot], self._place[_other(foot)], self.use[_other(foot)]
             beside = np.flatnonzero((stays == stays[node]) & (goes != goes[node]))
             if stays[node] != self._free and len(beside):
-                least = np.maximum(asked[node], asked[beside]).min(axis=1)
+                least = np.maximum(use[node], use[beside]).min(axis=1)
                 k = int(least.argmin())
                 if np.isfinite(least[k]) and (best is None or least[k] < best[1]):
                     best = Edge(before=node, after=int(beside[k]), foot=foot), float(least[k])

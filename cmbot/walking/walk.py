@@ -283,15 +283,15 @@ class _Search:
         tried = ""
         if self.failures:
             tried = f", {len(self.failures)} were tried in vain (the last: {self.failures[-1]})"
-        least = self._route.least_asked(here)
+        least = self._route.least_use(here)
         if least is None:
             return f"{begin}; from {_names(self._route.nodes[here])} no step leads anywhere{tried}"
         edge, use = least
         node = self._route.nodes[edge.after]
-        asked = self._balance.asked(node, 2 if edge.foot == 1 else 1)
-        k = int(asked.use.argmin())
-        adhesion = f", adhesion needed {asked.adhesion[k] / 1e3:.2f} kN" if asked.adhesion[k] > 0 else ""
-        effort = f"climb_{asked.joint[k]:.0f} {100 * asked.effort[k]:.0f} % of its effort"
+        load = self._balance.step_load(node, 2 if edge.foot == 1 else 1)
+        k = int(load.use.argmin())
+        adhesion = f", adhesion needed {load.adhesion[k] / 1e3:.2f} kN" if load.adhesion[k] > 0 else ""
+        effort = f"climb_{load.joint[k]:.0f} {100 * load.effort[k]:.0f} % of its effort"
         return (
             f"{begin}; from {_names(self._route.nodes[here])} the easiest step, to {_names(node)}, uses "
             f"{100 * use:.0f} % of what is allowed ({effort}{adhesion}){tried}"

@@ -78,20 +78,20 @@ def test_on_foot_2_it_is_the_same_robot() -> None:
 @pytest.mark.parametrize("foot", [1, 2])
 def test_what_holding_on_to_a_foot_asks(scene: Scene, node: Candidate, balance: Balance, foot: Any) -> None:
     """Against the whole robot's inverse dynamics."""
-    asked, goes = balance.asked(node, foot), 2 if foot == 1 else 1
+    load, goes = balance.step_load(node, foot), 2 if foot == 1 else 1
     for k in (0, 17):
         robot = swinging_robot(scene, node, goes, balance.arms[k])
         q = node.climber if foot == 1 else node.climber[::-1].copy()
         torque = pin.computeGeneralizedGravity(robot.model, robot.model.createData(), q)
-        assert asked.effort[k] == pytest.approx(np.abs(torque / robot.limits.torque).max(), rel=1e-6)
+        assert load.effort[k] == pytest.approx(np.abs(torque / robot.limits.torque).max(), rel=1e-6)
         data = robot.model.createData()
         pin.rnea(robot.model, data, q, np.zeros(5), np.zeros(5))
         centre = pin.centerOfMass(robot.model, data, q)
         moment = np.cross(centre - robot.foot_point, robot.arm_mass * robot.model.gravity.linear)
         wrench = np.hstack([robot.arm_mass * robot.model.gravity.linear, moment])[None]
-        assert asked.adhesion[k] == pytest.approx(robot.holding.each(wrench)[0, 0], rel=1e-6)
-        share = max(robot.holding.share(wrench)[0][0], asked.effort[k])
-        assert asked.use[k] == pytest.approx(share, rel=1e-6)
+        assert load.adhesion[k] == pytest.approx(robot.holding.each(wrench)[0, 0], rel=1e-6)
+        share = max(robot.holding.share(wrench)[0][0], load.effort[k])
+        assert load.use[k] == pytest.approx(share, rel=1e-6)
 
 
 def test_a_step_is_certified(walked: Walk) -> None:
@@ -170,7 +170,7 @@ def test_the_route_has_only_steps_that_hold(scene: Scene, node: Candidate, balan
         holds = 2 if edge.foot == 1 else 1
         weights = route.counterweights(edge, -1)
         assert len(weights)
-        assert (route.asked[holds][[edge.before, edge.after]][:, weights] <= 0.9).all()
+        assert (route.use[holds][[edge.before, edge.after]][:, weights] <= 0.9).all()
     for edge in edges:
         route.close(edge)
     assert route.shortest(0) != edges
