@@ -245,7 +245,7 @@ def misfit(proposal: Proposal, runs: int, console: Console) -> None:
             measured = simulated(proposal, truth, arm, rng)
             found = estimate(replace(measured, deflection=spoil(measured.deflection, rng)), modelled)
             scales.append(found.parts[0].scale)
-            named.append({slip.label.row for slip in found.slips if slip.plain} == rows)
+            named.append({slip.label.row for slip in found.slips if slip.significant} == rows)
             try:
                 require_fit(found)
             except InputError:

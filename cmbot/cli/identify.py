@@ -211,7 +211,7 @@ def _summary(found: Identification) -> dict[str, object]:
                 "file": found.measurements[slip.label.sheet].source,
                 "key": f"measurements[{slip.label.row}].{slip.label.kind}",
                 "standard_deviations": slip.deviations,
-                "plain": slip.plain,
+                "plain": slip.significant,
             }
             for slip in found.slips
         ],

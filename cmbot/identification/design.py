@@ -189,30 +189,30 @@ def propose(
         raise InputError("propose", "axes", repr(axes), "letters of xyz")
     setup = setup or MeasuringSetup()
     seen = np.array([axis in axes for axis in "xyz"])
-    rng, tell = np.random.default_rng(seed), _Telling(scene, setup, seen, job, known)
-    pool = tell.clear(tell.random(rng))
+    rng, design = np.random.default_rng(seed), _PostureDesign(scene, setup, seen, job, known)
+    pool = design.clear(design.random(rng))
     if len(pool) < number:
         expected = f"{number} or more: a smaller safety margin, or less weight"
         raise InputError("propose", "number", f"{len(pool)} clear postures", expected)
-    G = tell.rows(pool)
-    chosen = _exchanged(G, tell.W, _greedy(G, tell.W, number))
+    G = design.rows(pool)
+    chosen = _exchanged(G, design.W, _greedy(G, design.W, number))
     count = len(pool)
     for size in _REFINED:
-        best, near = pool[chosen], tell.clear(tell.near(rng, pool[chosen], size))
+        best, near = pool[chosen], design.clear(design.near(rng, pool[chosen], size))
         count += len(near)
         pool = np.concatenate([best, near])
-        G = np.concatenate([G[chosen], tell.rows(near)]) if len(near) else G[chosen]
-        chosen = _exchanged(G, tell.W, list(range(number)))
-    after = sag_along(tell.arm, tell.covariance(_covariance(G, chosen)), job)
+        G = np.concatenate([G[chosen], design.rows(near)]) if len(near) else G[chosen]
+        chosen = _exchanged(G, design.W, list(range(number)))
+    after = sag_along(design.arm, design.covariance(_covariance(G, chosen)), job)
     q = pool[chosen]
-    q = q[_tour(np.array(scene.posture), q, tell.speeds)]
+    q = q[_tour(np.array(scene.posture), q, design.speeds)]
     return Proposal(
         scene=scene,
         setup=setup,
         q=q,
         seen=seen,
-        deflection=tell.deflection(q),
-        before=tell.before,
+        deflection=design.deflection(q),
+        before=design.before,
         after=after,
         job=job,
         candidates=count,
@@ -220,7 +220,7 @@ def propose(
     )
 
 
-class _Telling:
+class _PostureDesign:
     """Which postures can be measured in, and what each would tell of the sag along a job."""
 
     def __init__(

@@ -71,7 +71,7 @@ class Identification:
         Whether measurements and prior fit, and by which factor their errors were taken to be larger.
     slips : tuple of Slip
         Rows that do not fit the others, the worst first.
-    strange : tuple of (Label, float)
+    unmatched : tuple of (Label, float)
         Frequencies, Hz, that were left out, as no mode of the arm is near.
     stiffness : IdentifiedStiffness
         For scenes: its covariance is about what was identified.
@@ -92,7 +92,7 @@ class Identification:
     joint: FloatArray
     parts: tuple[Part, ...]
     slips: tuple[Slip, ...]
-    strange: tuple[tuple[Label, float], ...]
+    unmatched: tuple[tuple[Label, float], ...]
     stiffness: IdentifiedStiffness
     job: FloatArray | None
     before: SagAlong | None
@@ -164,7 +164,7 @@ def _estimate(sheets: tuple[Measurements, ...], modelled: ElasticArm) -> Identif
         joint=joint,
         parts=tuple(replace(part, scale=problem.scale[part.kind]) for part in stated),
         slips=wrong,
-        strange=problem.strange,
+        unmatched=problem.unmatched,
         stiffness=_stiffness(sheets[0], modelled, arm, mean, joint[:p, :p]),
         job=job,
         before=None if job is None else sag_along(modelled, np.diag(problem.prior**2), job),

@@ -8,8 +8,8 @@ until it is as large as its redundancy: the estimation of variance components (H
 1979). The prior is one of the parts, so an arm that is far from its model is told from wrong measurements.
 
 Before that single rows are sought that stand out (data snooping; Baarda, 1968): the one with the largest
-studentised residual at a robust estimate is left out, and the next, until the rest fit. What these tell of a
-row is then compared with it.
+studentised residual at a robust estimate is left out, and the next, until the rest fit. The row is
+then compared with what these predict of it.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ __all__ = ["Part", "Slip", "parts", "rescaled", "slips"]
 
 # Probability of a larger misfit below which a part is doubted.
 _DOUBTED = 0.01
-# That of a row, among all of them, below which it is plainly wrong.
-_PLAIN = 1e-5
+# That of a row, among all of them, below which it is wrong.
+_SIGNIFICANT = 1e-5
 # Share of the rows that may be wrong ones.
 _FEW = 1 / 3
 # Rounds in which scales are found, and by what share a part may still be off.
@@ -69,7 +69,7 @@ class Slip:
     ----------
     label : Label
     expected : (k,)
-        What the others tell of it: of a deflection the components that were measured, m, or frequencies, Hz.
+        Predicted by the others: of a deflection the components that were measured, m, or frequencies, Hz.
     deviations : float
         How far it is from that, in standard deviations of both.
     probability : float
@@ -82,9 +82,9 @@ class Slip:
     probability: float
 
     @property
-    def plain(self) -> bool:
-        """Whether chance hardly does that."""
-        return self.probability < _PLAIN
+    def significant(self) -> bool:
+        """Whether it is too improbable to be noise."""
+        return self.probability < _SIGNIFICANT
 
 
 def parts(problem: Problem, x: FloatArray) -> tuple[Part, ...]:
@@ -141,33 +141,35 @@ def slips(problem: Problem, x: FloatArray) -> tuple[Slip, ...]:
         if not doubted:
             break
         blocks = problem.blocks(problem.first(robust=True))
-        found.append(_farthest(problem, [block for block in blocks if block.label.kind in doubted], blocks))
+        found.append(
+            _largest_residual(problem, [block for block in blocks if block.label.kind in doubted], blocks)
+        )
         problem.left_out = {*left_out, *found}
         x = problem.first()
     else:
-        # All of them scatter, and none can be told apart.
+        # All of them scatter: none stands out.
         found = found[:1]
         problem.left_out = {*left_out, *found}
         x = problem.first()
-    told = _told(problem, x, found, rows)
+    compared = _compared(problem, x, found, rows)
     problem.left_out = left_out
-    return told
+    return compared
 
 
-def _farthest(problem: Problem, some: Sequence[Block], blocks: Sequence[Block]) -> Label:
+def _largest_residual(problem: Problem, some: Sequence[Block], blocks: Sequence[Block]) -> Label:
     """The row with the largest studentised residual."""
     A = problem.covariance(blocks)
 
-    def log_chance(block: Block) -> float:
+    def log_probability(block: Block) -> float:
         k = len(block.residual)
         own = np.eye(k) - block.slope @ A @ block.slope.T
         return float(chi2.logsf(block.residual @ np.linalg.solve(own, block.residual), k))
 
-    return min((each for each in some if each.label not in problem.left_out), key=log_chance).label
+    return min((each for each in some if each.label not in problem.left_out), key=log_probability).label
 
 
-def _told(problem: Problem, x: FloatArray, left: Sequence[Label], rows: int) -> tuple[Slip, ...]:
-    """What the others tell of rows that are left out."""
+def _compared(problem: Problem, x: FloatArray, left: Sequence[Label], rows: int) -> tuple[Slip, ...]:
+    """Rows that are left out beside what the others predict of them."""
     blocks = problem.blocks(x)
     A, of = problem.covariance(blocks), {part.kind: part for part in _parts(problem, blocks)}
     found = list[Slip]()
@@ -178,16 +180,16 @@ def _told(problem: Problem, x: FloatArray, left: Sequence[Label], rows: int) -> 
         apart = np.eye(k) + block.slope @ A @ block.slope.T
         square = float(block.residual @ np.linalg.solve(apart, block.residual))
         if rest is None or rest.probability >= _DOUBTED:
-            chance = chi2.sf(square, k)
+            probability = chi2.sf(square, k)
         else:
             square *= rest.redundancy / rest.square
-            chance = fisher.sf(square / k, k, rest.redundancy)
+            probability = fisher.sf(square / k, k, rest.redundancy)
         found.append(
             Slip(
                 label=block.label,
-                expected=problem.as_the_others_have_it(block),
+                expected=problem.predicted(block),
                 deviations=float(np.sqrt(square)),
-                probability=min(1.0, rows * float(chance)),
+                probability=min(1.0, rows * float(probability)),
             )
         )
     return tuple(sorted(found, key=lambda slip: -slip.deviations))

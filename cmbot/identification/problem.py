@@ -149,11 +149,11 @@ class Problem:
         return np.asarray(np.linalg.inv(J.T @ J))
 
     @property
-    def strange(self) -> tuple[tuple[Label, float], ...]:
+    def unmatched(self) -> tuple[tuple[Label, float], ...]:
         """Frequencies, Hz, that are left out, as no mode of the arm is near."""
-        return tuple(each for sheet in self._sheets for each in sheet.strange)
+        return tuple(each for sheet in self._sheets for each in sheet.unmatched)
 
-    def as_the_others_have_it(self, block: Block) -> FloatArray:
+    def predicted(self, block: Block) -> FloatArray:
         """Return what a block should have been to have no residual: deflections, m, or frequencies, Hz."""
         return self._sheets[block.label.sheet].without_residual(block)
 
@@ -179,18 +179,18 @@ class _Sheet:
         self.vibrates = any(len(f) for f in given.frequencies)
         nothing = _Matched(np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros(0))
         self._matched = [nothing] * len(given.q)
-        self.strange: list[tuple[Label, float]] = []
+        self.unmatched: list[tuple[Label, float]] = []
 
     def match(self, at: FloatArray) -> None:
         """Find out which mode each measured frequency is of, at parameters (p,)."""
-        self.strange = []
+        self.unmatched = []
         shares = self._given.frequency_shares or tuple(map(np.zeros_like, self._given.frequencies))
         for k, (f, own) in enumerate(zip(self._given.frequencies, shares, strict=True)):
             if len(f):
                 log, _ = self._frequencies(at, k, _MODES)
                 found = _matched(np.log(f), own, log, self._given.setup.frequency_sd_share)
                 label = Label("frequencies_hz", self._number, k)
-                self.strange += [(label, hz) for hz in f.tolist() if np.log(hz) not in found.log]
+                self.unmatched += [(label, hz) for hz in f.tolist() if np.log(hz) not in found.log]
                 self._matched[k] = found
 
     def blocks(self, prior: FloatArray, at: FloatArray, by_weights: FloatArray) -> Iterator[Block]:

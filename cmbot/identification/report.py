@@ -90,7 +90,7 @@ def unseen(found: Identification) -> tuple[tuple[str, ...], int]:
 def remarks(found: Identification) -> Iterator[str]:
     """Yield what an identification means: exactness along the job, what was not seen, doubts, assumptions."""
     yield from _misfits(found)
-    for (_, sheet, row), frequency in found.strange:
+    for (_, sheet, row), frequency in found.unmatched:
         key = f"{found.measurements[sheet].source}: measurements[{row}]"
         yield f"{key}: {frequency:.4g} Hz is left out, as no mode of the arm is within 30 % of it."
     if found.before is not None and found.after is not None:
@@ -134,7 +134,7 @@ def _misfits(found: Identification) -> Iterator[str]:
             f"of {_percent(part.probability)}; the errors allow for that{as_if}."
         )
     for slip in found.slips:
-        source, key, got, expected = _told(found, slip)
+        source, key, got, expected = _in_words(found, slip)
         yield f"Fits the others worst: {source}: {key}: got {got}, expected {expected}."
 
 
@@ -143,8 +143,8 @@ def _percent(probability: float) -> str:
     return f"{share:.1g} %" if share >= _LEAST_SHARE else f"less than {_LEAST_SHARE:g} %"
 
 
-def _told(found: Identification, slip: Slip) -> tuple[str, str, str, str]:
-    """File and key of a row that does not fit, what it has, and what the others tell."""
+def _in_words(found: Identification, slip: Slip) -> tuple[str, str, str, str]:
+    """File and key of a row that does not fit, its values, and those that the others predict."""
     kind, sheet, row = slip.label
     given = found.measurements[sheet]
     if kind == "frequencies_hz":
@@ -167,12 +167,12 @@ def require_fit(found: Identification) -> None:
     Raises
     ------
     InputError
-        A row is far from what the others tell, or all of them fit several times worse than stated, or the arm
-        is nothing like its model.
+        A row is far from what the others predict, all of them fit several times worse than stated, or the arm
+        is far from its model.
     """
-    if plain := [_told(found, slip) for slip in found.slips if slip.plain]:
-        source, key, got, expected = plain[0]
-        also = "".join(f"; nor does {other[1]} fit" for other in plain[1:])
+    if wrong := [_in_words(found, slip) for slip in found.slips if slip.significant]:
+        source, key, got, expected = wrong[0]
+        also = "".join(f"; nor does {other[1]} fit" for other in wrong[1:])
         todo = "a slip, a wrong sign or axis? Measure again or write null"
         raise InputError(source, key, got, f"{expected}{also}: {todo}; or {_ACCEPT}")
     for part in found.parts:

@@ -55,15 +55,18 @@ def test_postures_are_clear_and_can_be_held(proposal: Proposal) -> None:
 def test_it_tells_more_than_chance(proposal: Proposal) -> None:
     arm, setup = measured_arm(SCENE), MeasuringSetup()
     rng = np.random.default_rng(0)
-    tell = design._Telling(SCENE, setup, np.ones(3, dtype=bool), proposal.job, None)
-    q = tell.clear(tell.random(rng))[:24]
-    G = tell.rows(q)
-    shares = [np.trace(tell.W @ design._covariance(G, list(range(k, k + 4)))) ** 0.5 for k in range(0, 24, 4)]
+    posture_design = design._PostureDesign(SCENE, setup, np.ones(3, dtype=bool), proposal.job, None)
+    q = posture_design.clear(posture_design.random(rng))[:24]
+    G = posture_design.rows(q)
+    shares = [
+        np.trace(posture_design.W @ design._covariance(G, list(range(k, k + 4)))) ** 0.5
+        for k in range(0, 24, 4)
+    ]
     assert proposal.after.share < min(shares)
     assert proposal.after.share < 0.5 * proposal.before.share
     # The promise is the covariance of the linearised problem there.
-    own = tell.rows(proposal.q)
-    assert np.trace(tell.W @ design._covariance(own, [0, 1, 2, 3])) ** 0.5 == pytest.approx(
+    own = posture_design.rows(proposal.q)
+    assert np.trace(posture_design.W @ design._covariance(own, [0, 1, 2, 3])) ** 0.5 == pytest.approx(
         proposal.after.share
     )
     prior = prior_deviations(DeflectionModel(arm, setup, q[:1]).parameters, setup.prior)

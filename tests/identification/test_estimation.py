@@ -124,7 +124,7 @@ def test_rows_that_do_not_fit_are_named_and_refused(
 ) -> None:
     require_fit(found[2])
     assert found[2].slips == ()
-    assert {slip.label.row for slip in swapped.slips if slip.plain} == {1, 4}
+    assert {slip.label.row for slip in swapped.slips if slip.significant} == {1, 4}
     given = found[2].measurements[0]
     for slip in swapped.slips:
         # What the others tell is what was measured.
@@ -222,7 +222,7 @@ def test_frequencies_tell_more_and_components_left_out_less(
     assert np.all(np.diag(more.covariance) <= np.diag(less.covariance) * 1.2)
     assert np.linalg.slogdet(more.covariance)[1] < np.linalg.slogdet(less.covariance)[1]
     # No mode is near: it tells nothing, and that is said.
-    assert more.strange == ((Label("frequencies_hz", 0, 0), 9e3),)
+    assert more.unmatched == ((Label("frequencies_hz", 0, 0), 9e3),)
     assert any("measurements[0]: 9000 Hz is left out" in line for line in remarks(more))
 
 
