@@ -15,8 +15,8 @@ OBJECTIVE = 0
 
 # Constraints nearer than this share of a sampling step are the same; sharpened, this share of that.
 _SAME, _SHARPER = 0.005, 0.1
-# A set that has grown by this factor and a few more is thinned. Constraints without a multiplier (as a share
-# of all) go where they are this far from their bounds, and all but the worst within so many sampling steps.
+# A set that has grown by this factor and a few more drops constraints: those without a multiplier (as a share
+# of all) that are this far from their bounds, and all but the worst within so many sampling steps.
 _GROWTH, _MORE = 1.2, 50
 _NEGLIGIBLE, _FAR, _WINDOW = 1e-6, -0.5, 2.0
 

@@ -277,7 +277,7 @@ def _hints(context: PlanningContext, failure: PlanningError, *, automatic: bool)
         return  # ever longer times were tried
     # Seeking advice takes no longer than what it is about, or a small share of the time.
     reporter = context.reporter
-    tried = replace(context, reporter=reporter.quiet(max(reporter.used, _ADVICE * reporter.limit)))
+    tried = replace(context, reporter=reporter.silent(max(reporter.used, _ADVICE * reporter.limit)))
     for _ in range(_TRIALS):
         factors = slower_legs(tried, failure)
         if factors is None:

@@ -117,7 +117,7 @@ class ProgressReporter:
         # When the optimisation began, and when the passes before compensation and each round of it ended.
         self._ends = [clock()]
 
-    def quiet(self, most: float = math.inf) -> ProgressReporter:
+    def silent(self, most: float = math.inf) -> ProgressReporter:
         """Return a reporter that reports nothing and knows the time left, s, or `most` of it."""
         return ProgressReporter(clock=self._clock, limit=min(self.time_left, most))
 

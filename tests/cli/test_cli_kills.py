@@ -43,13 +43,13 @@ CALLS: dict[str, tuple[Callable[[bool], None], bool, bool]] = {
 def plans(short_plan: Plan) -> tuple[Plan, Plan]:
     """Two plans that differ, with few samples of the baseline."""
 
-    def thinned(step: int) -> Plan:
+    def decimated(step: int) -> Plan:
         samples = short_plan.baseline
         whole = {field.name: getattr(samples, field.name) for field in fields(samples)}
         few = {name: None if value is None else value[::step] for name, value in whole.items()}
         return replace(short_plan, baseline=Samples(**few))
 
-    return thinned(200), thinned(100)
+    return decimated(200), decimated(100)
 
 
 @pytest.fixture(scope="module")

@@ -75,7 +75,7 @@ def test_what_is_needed(seed: int, number: int) -> None:
 
 
 def test_small_sets_are_left_alone() -> None:
-    """And those that have hardly grown since they were thinned, or since growth is counted."""
+    """And those that have hardly grown since some were dropped, or since growth is counted."""
     rng = np.random.default_rng(0)
 
     def all_needed(some: ConstraintSet) -> bool:

@@ -1,4 +1,4 @@
-"""Iterates of a solver: exact derivatives, constraints that follow a step, and sets that are thinned."""
+"""Iterates of a solver: exact derivatives, constraints that follow a step, and sets that drop constraints."""
 
 from functools import cache
 

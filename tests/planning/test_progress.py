@@ -186,9 +186,9 @@ def test_what_is_sought_beside_has_the_time_left_or_less() -> None:
     clock = Listener()
     reporter = ProgressReporter(clock=lambda: clock.now, limit=60.0)
     clock.now += 50.0
-    assert reporter.quiet().time_left == 10.0
-    assert reporter.quiet(15.0).time_left == 10.0
-    brief = reporter.quiet(5.0)
+    assert reporter.silent().time_left == 10.0
+    assert reporter.silent(15.0).time_left == 10.0
+    brief = reporter.silent(5.0)
     clock.now += 5.0
     assert brief.expired() and not reporter.expired()
 

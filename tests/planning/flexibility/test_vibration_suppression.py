@@ -1,6 +1,6 @@
-"""Vibration suppression: the tool comes to rest without swinging on; nothing else that matters changes.
+"""Vibration suppression: the tool comes to rest without residual vibration; figures and bounds do not change.
 
-Splines are changed in windows that are small however long the path, and quiet at their ends.
+Splines are changed in windows that are small however long the path, and at rest at their ends.
 """
 
 from itertools import pairwise
@@ -39,12 +39,12 @@ def planned(modes: int, via_points: int = 28, **planner: object) -> Plan:
 
 
 @pytest.fixture(scope="module")
-def loud() -> Plan:
+def unsuppressed() -> Plan:
     return planned(0)
 
 
 @pytest.fixture(scope="module")
-def quiet() -> Plan:
+def suppressed() -> Plan:
     """For the modelled stiffness alone."""
     return planned(2, **EXACT)
 
@@ -68,30 +68,30 @@ def diameter(of: Plan, options: SimulationOptions) -> float:
     return float(pdist(tracking.dynamic[tracking.t > tracking.stop + 1e-9][::5]).max())
 
 
-def test_the_tool_comes_to_rest_as_predicted(loud: Plan, quiet: Plan) -> None:
+def test_the_tool_comes_to_rest_as_predicted(unsuppressed: Plan, suppressed: Plan) -> None:
     """In the simulation, which knows nothing of how it was done."""
-    before, after = (float(np.linalg.norm(swing(each, FINE))) for each in (loud, quiet))
+    before, after = (float(np.linalg.norm(swing(each, FINE))) for each in (unsuppressed, suppressed))
     # What is left are the faster modes.
     assert after < 0.15 * before
-    assert quiet.suppression.share > 0.9
-    assert quiet.suppression.modes == 2
+    assert suppressed.suppression.share > 0.9
+    assert suppressed.suppression.modes == 2
     # Both modes' amplitudes coincide at some time: twice that is the most the tool swings through.
-    assert 0.4 * before < 2 * quiet.suppression.before < 1.5 * before
-    assert quiet.suppression.after < 0.1 * quiet.suppression.before
+    assert 0.4 * before < 2 * suppressed.suppression.before < 1.5 * before
+    assert suppressed.suppression.after < 0.1 * suppressed.suppression.before
 
 
-def test_nothing_else_changes(loud: Plan, quiet: Plan, tmp_path: Path) -> None:
+def test_nothing_else_changes(unsuppressed: Plan, suppressed: Plan, tmp_path: Path) -> None:
     """And the plan is read back as it was."""
-    assert loud.suppression is None
-    assert load_plan(save(quiet, tmp_path / "plan"), verify=True).suppression == quiet.suppression
-    assert quiet.certificate.holds
-    np.testing.assert_allclose(quiet.trajectory.q, loud.trajectory.q, rtol=0, atol=1e-12)
-    assert np.abs(quiet.trajectory.jumps(3)).max() < 1e-9
-    ends = quiet.trajectory.t[[0, -1]]
+    assert unsuppressed.suppression is None
+    assert load_plan(save(suppressed, tmp_path / "plan"), verify=True).suppression == suppressed.suppression
+    assert suppressed.certificate.holds
+    np.testing.assert_allclose(suppressed.trajectory.q, unsuppressed.trajectory.q, rtol=0, atol=1e-12)
+    assert np.abs(suppressed.trajectory.jumps(3)).max() < 1e-9
+    ends = suppressed.trajectory.t[[0, -1]]
     for order in (1, 2, 3):
-        assert np.abs(quiet.trajectory.evaluate(ends, order)).max() < 1e-9
-    assert quiet.figures.peak_guardrail_torque <= loud.figures.peak_guardrail_torque * (1 + 1e-5)
-    moved = quiet.trajectory.evaluate(loud.samples.t) - loud.samples.q
+        assert np.abs(suppressed.trajectory.evaluate(ends, order)).max() < 1e-9
+    assert suppressed.figures.peak_guardrail_torque <= unsuppressed.figures.peak_guardrail_torque * (1 + 1e-5)
+    moved = suppressed.trajectory.evaluate(unsuppressed.samples.t) - unsuppressed.samples.q
     assert 1e-9 < np.abs(moved).max() < 1e-3
 
 
@@ -163,12 +163,12 @@ def test_where_the_time_is_over_the_plan_is_left_as_it_is(monkeypatch: pytest.Mo
     assert "vibration at the ends of the legs is not suppressed: the time, 60 s" in sentence
 
 
-def test_what_stiffness_may_be_is_suppressed(loud: Plan, robust: Plan) -> None:
+def test_what_stiffness_may_be_is_suppressed(unsuppressed: Plan, robust: Plan) -> None:
     """The largest swing over the interval falls, as the plan says, with no more jerk than before."""
     swings = []
     for factor in (0.7, 0.85, 1.0, 1.15, 1.3):
         options = SimulationOptions(settle_s=1.0, guardrail_factor=factor, link_factor=factor)
-        swings.append([diameter(each, options) for each in (loud, robust)])
+        swings.append([diameter(each, options) for each in (unsuppressed, robust)])
     before, after = np.max(swings, axis=0)
     assert after < 0.6 * before
     done = robust.suppression
@@ -180,11 +180,11 @@ def test_what_stiffness_may_be_is_suppressed(loud: Plan, robust: Plan) -> None:
     assert {(1.0, 0.0), (1.0, 1.0)} < set(zip(done.stiffness, done.load_kg, strict=True))
     assert max(done.swing_with) < 0.6 * max(done.swing_without)
     times = np.linspace(0.0, 11.0, 1101)
-    jerks = [np.abs(each.trajectory.evaluate(times, 3)).max() for each in (loud, robust)]
+    jerks = [np.abs(each.trajectory.evaluate(times, 3)).max() for each in (unsuppressed, robust)]
     assert jerks[1] < 1.02 * jerks[0]
 
 
-def test_a_change_that_does_not_help_is_not_made(monkeypatch: pytest.MonkeyPatch, loud: Plan) -> None:
+def test_a_change_that_does_not_help_is_not_made(monkeypatch: pytest.MonkeyPatch, unsuppressed: Plan) -> None:
     """What counts is how the tool swings with all carriers, not the amplitudes of the slowest modes."""
 
     def one_case_hardly_better(leg: LegVibration, trajectories: list[QuinticTrajectory]) -> FloatArray:
@@ -196,7 +196,7 @@ def test_a_change_that_does_not_help_is_not_made(monkeypatch: pytest.MonkeyPatch
     left = planned(2)
     assert left.suppression.shares == (0.0, 0.0)
     assert left.suppression.after == left.suppression.before
-    np.testing.assert_array_equal(left.trajectory.a, loud.trajectory.a)
+    np.testing.assert_array_equal(left.trajectory.a, unsuppressed.trajectory.a)
     assert "makes the largest swing hardly smaller" in " ".join(remarks(left))
 
 
