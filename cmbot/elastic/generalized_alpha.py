@@ -29,8 +29,11 @@ __all__ = ["DrivenMotion", "ElasticMotion", "ElasticSystem", "GeneralizedAlpha"]
 
 # Displacement, m or rad, beyond which the model of springs between rigid bodies is not valid.
 _MAX_DISPLACEMENT = 1.0
-# Steps between two reports of progress, and between two trials of a second correction.
-_PROGRESS_STEPS, _RENEWED = 100, 10
+# Steps of one length, between two reports of progress, and between two trials of a second correction.
+_BLOCK, _RENEWED = 100, 10
+# Share of the tolerance that the error of a longer step may have, and that from which they become twice as
+# long: that makes it eight times as large.
+_MAY_LACK, _LACKS_LITTLE = 1e-2, 1e-3
 
 
 class DrivenMotion(Protocol):
@@ -81,13 +84,35 @@ class ElasticMotion:
     a: FloatArray  # (N, f): their accelerations
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Scheme:
+    """The method with steps of one length.
+
+    Rows of a state are acceleration, displacement, rate and auxiliary acceleration; the predictor keeps the
+    first.
+    """
+
+    predictor: FloatArray  # (4, 4)
+    corrector: FloatArray  # (4, 1): what a change of the acceleration makes of them
+    tangent: FloatArray  # (f, f): of all forces by the acceleration, but those of the mass
+    truncation: float  # s2
+
+    def error(self, accelerations: FloatArray) -> float:
+        """Largest error of a step in any coordinate, by the `accelerations` (N + 1, f) before and after each.
+
+        What the displacement's next term of Taylor's series lacks (Hulbert and Jang, 1995).
+        """
+        return float(self.truncation * np.abs(np.diff(accelerations, axis=0)).max(initial=0.0))
+
+
 class GeneralizedAlpha:
     """The integrator of one system; it owns working memory, so threads must not share it.
 
     No step is longer than `step`, s. `rho_inf` is the spectral radius at infinite frequency, 0 to 1: 1 damps
     nothing. `corrections` is the number of Newton corrections a step. With a `tolerance`, m or rad, all of
     them are tried every few steps only; where a second one moves nothing by more than that, the steps until
-    then have one, with the mass matrix of the first of them.
+    then have one, with the mass matrix of the first of them. While their error is below a hundredth of the
+    tolerance, steps are longer, up to `longest` times, a power of two.
     """
 
     def __init__(
@@ -98,9 +123,10 @@ class GeneralizedAlpha:
         rho_inf: float,
         corrections: int,
         tolerance: float = 0.0,
+        longest: int = 1,
     ) -> None:
         self._system, self._step, self._corrections = system, step, corrections
-        self._tolerance = tolerance
+        self._tolerance, self._longest = tolerance, longest
         self._alpha_m = (2 * rho_inf - 1) / (rho_inf + 1)
         self._alpha_f = rho_inf / (rho_inf + 1)
         self._gamma = 0.5 + self._alpha_f - self._alpha_m
@@ -130,7 +156,7 @@ class GeneralizedAlpha:
 
         Each continues the one before in position and velocity. Where the acceleration jumps, a step ends.
         `forces` are the external ones along each motion, in place of the system's.
-        `progress` is called every 100 steps with the time that has been reached, s.
+        `progress` is called about every 100 steps with the time that has been reached, s.
 
         Raises
         ------
@@ -162,57 +188,80 @@ class GeneralizedAlpha:
         start: float,
         progress: Callable[[float], None],
     ) -> ElasticMotion:
-        steps = max(int(np.ceil(motion.duration / self._step * (1 - 1e-12))), 1)
-        h = motion.duration / steps
-        t = np.linspace(0.0, motion.duration, steps + 1)
-        joints, rates, accelerations = motion.states(t)
-        system, f = self._system, len(u)
-        alpha_m, alpha_f, beta, gamma = self._alpha_m, self._alpha_f, self._beta, self._gamma
-        share = (1 - alpha_f) / (1 - alpha_m)
-        to_v, to_u = h * gamma * share, h**2 * beta * share
-        tangent = system.added_mass + to_u * system.stiffness + to_v * system.damping
-        # Rows: acceleration, displacement, rate, auxiliary acceleration. The predictor keeps the first.
-        corrector = np.array([1.0, to_u, to_v, share])[:, None]
-        kept, last = 1 / (1 - alpha_m), -alpha_m / (1 - alpha_m)
-        predictor = np.array(
-            [
-                [1.0, 0.0, 0.0, 0.0],
-                [h**2 * beta * kept, 1.0, h, h**2 * (0.5 - beta + beta * last)],
-                [h * gamma * kept, 0.0, 1.0, h * (1 - gamma + gamma * last)],
-                [kept, 0.0, 0.0, last],
-            ]
-        )
-        # Acceleration, displacement and rate at every step.
-        states = np.empty((steps + 1, 3, f))
-        state = np.zeros((4, f))
+        count = max(int(np.ceil(motion.duration / self._step * (1 - 1e-12))), 1)
+        t = np.linspace(0.0, motion.duration, count + 1)
+        state = np.zeros((4, len(u)))
         state[1], state[2] = u, v
-        coordinates = self._coordinates(joints[:1], rates[:1], accelerations[:1])[0]
-        state[0] += self._correction(coordinates, state, system.added_mass, refactor=True)
+        joints, *rates = motion.states(t[:1])
+        coordinates = self._coordinates(joints, *rates)[0]
+        state[0] += self._correction(coordinates, state, self._system.added_mass, refactor=True)
         state[3] = state[0]
-        states[0] = state[:3]
-        careful = self._tolerance == 0
-        for first in range(1, steps + 1, _PROGRESS_STEPS):
-            block = slice(first, first + _PROGRESS_STEPS)
-            prescribed = self._coordinates(joints[block], rates[block], accelerations[block])
-            for k, coordinates in enumerate(prescribed, start=first):
-                tried = k % _RENEWED == 0
-                state = predictor @ state
-                for correction in range(self._corrections if careful or tried else 1):
-                    renewed = correction == 0 and (careful or k % _RENEWED == 1)
-                    change = self._correction(coordinates, state, tangent, refactor=renewed)
-                    state += corrector * change
-                    if tried and correction == 1:
-                        careful = not to_u * np.abs(change).max(initial=0.0) < self._tolerance
-                states[k] = state[:3]
+        # Times, driven coordinates, and the rows of the state but the last, block by block.
+        blocks = [(t[:1], joints, state[None, :3])]
+        done, length, self._careful = 0, 1, self._tolerance == 0
+        while done < count:
+            while length > count - done:
+                length //= 2
+            number = min(_BLOCK, (count - done) // length)
+            some = t[done + length * np.arange(1, number + 1)]
+            joints, *rates = motion.states(some)
+            scheme = self._scheme(motion.duration / count * length)
+            after, states = self._block_of(self._coordinates(joints, *rates), state, scheme)
+            error = scheme.error(np.concatenate([state[None, 0], states[:, 0]]))
             # Also false for NaN.
-            valid = np.abs(states[block, 1]).max(axis=1, initial=0.0) < _MAX_DISPLACEMENT
+            if length > 1 and not error < _MAY_LACK * self._tolerance:
+                length //= 2
+                continue
+            valid = np.abs(states[:, 1]).max(axis=1, initial=0.0) < _MAX_DISPLACEMENT
             if not valid.all():
-                k = first + int(np.argmin(valid))
-                raise SimulationDiverged(time=start + float(t[k]), state=states[k, 1].tolist())
-            if len(prescribed) == _PROGRESS_STEPS:
-                progress(start + float(t[first + _PROGRESS_STEPS - 1]))
+                k = int(np.argmin(valid))
+                raise SimulationDiverged(time=start + float(some[k]), state=states[k, 1].tolist())
+            state, done = after, done + length * number
+            blocks.append((some, joints, states))
+            if number == _BLOCK:
+                progress(start + float(some[-1]))
+            if error < _LACKS_LITTLE * self._tolerance:
+                length = min(2 * length, self._longest)
+        times, joints, states = (np.concatenate(each) for each in zip(*blocks, strict=True))
         a, u, v = (np.ascontiguousarray(states[:, row]) for row in range(3))
-        return ElasticMotion(t=start + t, joints=joints, u=u, v=v, a=a)
+        return ElasticMotion(t=start + times, joints=joints, u=u, v=v, a=a)
+
+    def _scheme(self, h: float) -> _Scheme:
+        """The method with steps of `h`, s."""
+        alpha_m, beta, gamma = self._alpha_m, self._beta, self._gamma
+        share = (1 - self._alpha_f) / (1 - alpha_m)
+        to_v, to_u = h * gamma * share, h**2 * beta * share
+        kept, last = 1 / (1 - alpha_m), -alpha_m / (1 - alpha_m)
+        predictor = [
+            [1.0, 0.0, 0.0, 0.0],
+            [h**2 * beta * kept, 1.0, h, h**2 * (0.5 - beta + beta * last)],
+            [h * gamma * kept, 0.0, 1.0, h * (1 - gamma + gamma * last)],
+            [kept, 0.0, 0.0, last],
+        ]
+        system = self._system
+        return _Scheme(
+            predictor=np.array(predictor),
+            corrector=np.array([1.0, to_u, to_v, share])[:, None],
+            tangent=system.added_mass + to_u * system.stiffness + to_v * system.damping,
+            truncation=h**2 * abs(beta - 1 / 6),
+        )
+
+    def _block_of(
+        self, prescribed: FloatArray, state: FloatArray, scheme: _Scheme
+    ) -> tuple[FloatArray, FloatArray]:
+        """Steps from a `state` (4, f): the one after them, and at each (N, 3, f) the rows but the last."""
+        states, to_u = np.empty((len(prescribed), 3, state.shape[1])), scheme.corrector[1, 0]
+        for k, coordinates in enumerate(prescribed):
+            careful, tried = self._careful, k % _RENEWED == _RENEWED - 1
+            state = scheme.predictor @ state
+            for correction in range(self._corrections if careful or tried else 1):
+                renewed = correction == 0 and (careful or k % _RENEWED == 0)
+                change = self._correction(coordinates, state, scheme.tangent, refactor=renewed)
+                state += scheme.corrector * change
+                if tried and correction == 1:
+                    self._careful = not to_u * np.abs(change).max(initial=0.0) < self._tolerance
+            states[k] = state[:3]
+        return state, states
 
     def _coordinates(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         """Positions, rates and accelerations (N, 3 n) of all coordinates, the driven ones (N, d) set."""

@@ -47,8 +47,9 @@ __all__ = [
 
 Distance = Annotated[float, Field(ge=0)]
 
-# Displacement, m or rad, by which a second correction of a step has to move something to be made.
-_TOLERANCE = 1e-8
+# Displacement, m or rad, by which a second correction of a step has to move something to be made, and which
+# the error of a step longer than asked for may have; how much longer steps may be.
+_TOLERANCE, _LONGEST = 1e-8, 8
 # Step, s, at which the sag is computed; the cubic spline between is within 3e-5 mm on the shipped scenes.
 _SAG_STEP = 0.02
 
@@ -327,6 +328,8 @@ def track_work(
         rho_inf=options.spectral_radius,
         corrections=options.corrections,
         tolerance=_TOLERANCE,
+        # What a controller does between the ends of longer steps would be left out.
+        longest=_LONGEST if curve is None else 1,
     )
     bent = integrator.run(motions, start, np.zeros_like(start), progress, forces)
 

@@ -143,6 +143,23 @@ def test_corrections_that_gain_nothing_are_left_out(monkeypatch: pytest.MonkeyPa
         assert np.abs(found[0.0] - found[1e-8]).max() < 1e-4
 
 
+def test_steps_are_longer_where_nothing_vibrates() -> None:
+    """A slow motion, then a quick one, whose steps are those that were asked for."""
+    system, t = soft_arm(), np.linspace(0.0, 60.0, 500)
+    slow = PrescribedMotion.through(t, np.column_stack([2e-4 * np.sin(np.pi * t / t[-1]) ** 2] * 2))
+    start, runs = equilibrium(system, np.zeros(2)), []
+    for longest in (1, 8):
+        options = {"step": 0.004, "rho_inf": 0.8, "corrections": 2, "tolerance": 1e-8, "longest": longest}
+        runs.append(GeneralizedAlpha(system, **options).run([slow, swinging(2)], start, 0 * start))
+    even, longer = runs
+    quick = longer.t >= t[-1]
+    assert (~quick).sum() < 0.3 * (even.t < t[-1]).sum()
+    at = np.searchsorted(even.t, longer.t - 1e-9)
+    np.testing.assert_allclose(longer.t, even.t[at], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(longer.u, even.u[at], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(np.diff(longer.t[quick]), 0.004, rtol=1e-9)
+
+
 def energy(system: ElasticSystem, q: FloatArray, v: FloatArray) -> FloatArray:
     """Kinetic, gravity's and elastic energy, J."""
     data, u = system.model.createData(), q[:, system.elastic]
