@@ -30,8 +30,8 @@ from cmbot.common.errors import PathNotFound
 from cmbot.planning import Plan, robot_of, strokes_of, task_of
 from cmbot.scene import Scene
 from cmbot.siting import Standing, StandOptions, candidates_of, in_world, scene_at, screen, stand
+from cmbot.siting.candidates import climber_in_the_way
 from cmbot.siting.charting import bounded_quickly
-from cmbot.siting.footholds import climber_in_the_way
 
 __all__ = ["DOCUMENT", "REFERENCE", "blocks", "found", "screened"]
 

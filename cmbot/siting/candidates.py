@@ -18,9 +18,9 @@ from cmbot.scene import (
     foothold_face,
     foothold_pose,
 )
-from cmbot.siting.footholds import in_the_way
+from cmbot.siting.footholds import bare_climber, in_the_way
 
-__all__ = ["APART", "REACH", "Candidate", "candidate_at", "candidates_of", "places_of"]
+__all__ = ["APART", "REACH", "Candidate", "candidate_at", "candidates_of", "climber_in_the_way", "places_of"]
 
 REACH = 0.9
 """Foot 2 is sought no further from foot 1 than this, m: both legs and their offsets."""
@@ -163,3 +163,25 @@ def places_of(scene: Scene, spacing: float) -> Iterator[FootholdFile]:
                     continue
                 for turn in (0.0, 180.0):
                     yield place.model_copy(update={"turn_deg": turn})
+
+
+def climber_in_the_way(scene: Scene, candidate: Candidate) -> str | None:
+    """Return what of the climber comes too near to what in a stance; None where nothing does.
+
+    Links of the climber may be nearer to each other than the safety margin, but must not touch: it is locked.
+
+    Parameters
+    ----------
+    scene : Scene
+        As `in_world` returns it.
+    candidate : Candidate
+    """
+    climber = bare_climber(candidate.root, scene.obstacles, foot_2=candidate.stance.foot_2 is None)
+    numbers = np.arange(len(climber.pairs))
+    distance = climber.distances(candidate.climber[None], np.zeros_like(numbers), numbers)
+    own = np.array([pair.self_collision for pair in climber.pairs], dtype=np.bool_)
+    spare = distance - np.where(own, 0.0, scene.planner.safety_margin_m)
+    if len(spare) == 0 or spare.min() >= 0:
+        return None
+    pair = climber.pairs[int(spare.argmin())]
+    return f"{pair.link} and {pair.other} come too near to each other"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -14,10 +13,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.robot import ARM_JOINTS, Robot, load_climbing_robot
 from cmbot.scene import Box, FootholdFile, Obstacle, Scene, foothold_pose
 
-if TYPE_CHECKING:
-    from cmbot.siting.candidates import Candidate
-
-__all__ = ["bare_climber", "climber_in_the_way", "in_the_way", "lift_height", "without_links"]
+__all__ = ["bare_climber", "in_the_way", "lift_height", "without_links"]
 
 # The foot in its frame, as the URDF has it, m: sides, and its centre above the member's axis.
 _FOOT, _CENTRE = (0.13, 0.05, 0.15), 0.065
@@ -55,28 +51,6 @@ def bare_climber(root: FloatArray, obstacles: Sequence[Obstacle] = (), *, foot_2
     left_out = {"tool"} if foot_2 else {"tool", "foot_2"}
     moving = without_links(robot, lambda link: link in left_out or link.startswith("link_"))
     return Clearances(moving, obstacles)
-
-
-def climber_in_the_way(scene: Scene, candidate: Candidate) -> str | None:
-    """Return what of the climber comes too near to what in a stance; None where nothing does.
-
-    Links of the climber may be nearer to each other than the safety margin, but must not touch: it is locked.
-
-    Parameters
-    ----------
-    scene : Scene
-        As `in_world` returns it.
-    candidate : Candidate
-    """
-    climber = bare_climber(candidate.root, scene.obstacles, foot_2=candidate.stance.foot_2 is None)
-    numbers = np.arange(len(climber.pairs))
-    distance = climber.distances(candidate.climber[None], np.zeros_like(numbers), numbers)
-    own = np.array([pair.self_collision for pair in climber.pairs], dtype=np.bool_)
-    spare = distance - np.where(own, 0.0, scene.planner.safety_margin_m)
-    if len(spare) == 0 or spare.min() >= 0:
-        return None
-    pair = climber.pairs[int(spare.argmin())]
-    return f"{pair.link} and {pair.other} come too near to each other"
 
 
 def without_links(robot: Robot, left_out: Callable[[str], bool]) -> Robot:

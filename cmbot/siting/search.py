@@ -13,9 +13,8 @@ from cmbot.common.errors import CmbotError
 from cmbot.common.representation import short_repr
 from cmbot.planning import Plan, plan
 from cmbot.scene import Scene
-from cmbot.siting.candidates import Candidate
+from cmbot.siting.candidates import Candidate, climber_in_the_way
 from cmbot.siting.charting import bounded_quickly, chart
-from cmbot.siting.footholds import climber_in_the_way
 from cmbot.siting.placed_scene import scene_at
 from cmbot.siting.screening import Screening
 

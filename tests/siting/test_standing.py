@@ -31,7 +31,7 @@ from cmbot.siting import (
     stand,
 )
 from cmbot.siting.arm import BaseArm, _Goals
-from cmbot.siting.footholds import climber_in_the_way
+from cmbot.siting.candidates import climber_in_the_way
 from cmbot.views import stances_page
 
 COARSE = StandOptions(spacing=0.7, pair_spacing=np.inf, plans=1)
