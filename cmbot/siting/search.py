@@ -1,4 +1,4 @@
-"""The search among stances: those of the smallest bounds first, each judged by ever dearer means."""
+"""The search among stances: those of the smallest bounds first, each judged by more and more costly means."""
 
 from __future__ import annotations
 
@@ -22,19 +22,20 @@ __all__ = ["StandOptions", "Stood", "judged"]
 
 # Seconds for a plan and for the charts of a stroke.
 _PLAN_SECONDS, _CHART_SECONDS = 20.0, 10.0
-# How near, m, the arm's base is to one that was planned or charted in vain where it is not tried, too.
-_ALIKE = {"plan": 0.3, "charts": 0.12}
-# So many times as many stances as are to be planned are tried, and once more that many.
+# Bases nearer, m, to one that could not be planned or charted are tried last.
+_NEAR = {"plan": 0.3, "charts": 0.12}
+# Attempts to plan: so many times the number of plans wanted and one more.
 _TRIES = 2
-# Of the torque that is allowed, so much in the postures of charts is not planned: a plan may ask less.
+# A stance is not planned where the postures of its charts have this factor of the largest torque; a plan may
+# have a smaller one.
 _ROOM = 1.05
-# Once enough are planned, stances are looked at that may be better by more than this.
+# Once enough are planned, only stances that may be better by more than this share are judged.
 _GAP = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
 class StandOptions:
-    """How many stances are looked at.
+    """Which stances are candidates, and how many of them are judged.
 
     Attributes
     ----------
@@ -43,15 +44,15 @@ class StandOptions:
     pair_spacing : float, m
         Between places of both feet; infinite: foot 2 stays free.
     plans : int
-        So many of the most promising are planned in full.
+        Number of stances that are planned in full, the best by their bounds.
     charts : int
-        So many at most are charted.
+        Largest number of stances that are charted.
     checks : int
-        So many at most are checked for obstacles.
+        Largest number of stances that are checked for obstacles.
     members : tuple of str
         Posts and rails that feet hold; empty: all.
     max_torque : float, Nm
-        Stances whose plan loads the guardrail with more at work are left out.
+        Stances whose plan has a larger peak of the torque on the guardrail at work are left out.
     """
 
     spacing: float = 0.05
@@ -65,14 +66,14 @@ class StandOptions:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Stood:
-    """What became of a candidate.
+    """A candidate, how far it was judged, and with what result.
 
     Attributes
     ----------
     candidate : Candidate
     status : str
-        ``planned``, ``failed`` where that was tried in vain, ``too much torque`` where the plan loads the
-        guardrail with more than is allowed, ``screened`` where none was tried, ``blocked`` where the
+        ``planned``, ``failed`` where planning failed, ``too much torque`` where the plan exceeds the largest
+        torque, ``screened`` where none was tried, ``blocked`` where the
         climber or all postures that were found at some via-point come too near to something, or no sequence
         of postures leads along a stroke, ``no posture`` where none within the bounds of joints and feet was
         found at one, ``out of reach``.
@@ -114,7 +115,7 @@ def judged(
     progress: Callable[[str, float], None],
     suits: Callable[[Candidate], str | None] = lambda _: None,
 ) -> tuple[Stood, ...]:
-    """Return what became of candidates for some strokes, the best first.
+    """Return the candidates for some strokes as they were judged, the best first.
 
     Parameters
     ----------
@@ -161,7 +162,7 @@ def _order(each: Stood) -> tuple[int, float]:
 
 
 class _Search:
-    """Judges stances, those of the smallest bounds first, each by ever dearer means."""
+    """Judges stances, those of the smallest bounds first, each by more and more costly means."""
 
     def __init__(
         self,
@@ -171,30 +172,30 @@ class _Search:
         suits: Callable[[Candidate], str | None],
     ) -> None:
         self._suits = suits
-        # A stance that fails takes long, and most often for want of time.
+        # Planning a stance that fails takes long, most often up to the time limit.
         limit = min(scene.planner.time_limit_s, _PLAN_SECONDS)
         self._scene = replace(scene, planner=replace(scene.planner, time_limit_s=limit))
         self.each, self._options = each, options
-        self._begins, self._in_vain = dict[int, FloatArray](), list[tuple[FloatArray, float]]()
+        self._begins, self._failures = dict[int, FloatArray](), list[tuple[FloatArray, float]]()
         self._waiting = [(one.bound, k) for k, one in enumerate(each) if one.status == "screened"]
         heapq.heapify(self._waiting)
-        # Those beside one in vain, until no others wait.
+        # Those near a failure, until no others wait.
         self._later = list[tuple[float, int]]()
         self._best: int | None = None
         self._checks = self._charts = self._tries = self._planned = 0
 
     def run(self, progress: Callable[[str, float], None]) -> None:
-        """Judge until enough are planned and none can be better, or the numbers of attempts are over."""
+        """Judge until enough are planned and none can be better, or the attempts are used up."""
         options = self._options
         while options.plans and (self._waiting or self._later):
             if not self._waiting:
-                self._waiting, self._later, self._in_vain = self._later, [], []
+                self._waiting, self._later, self._failures = self._later, [], []
                 heapq.heapify(self._waiting)
             key, k = heapq.heappop(self._waiting)
             if self.each[k].bound >= self._enough:
                 continue
-            if self.each[k].judged != "postures" and self._is_beside_one_in_vain(k):
-                # What failed there most likely fails here: others come first.
+            if self.each[k].judged != "postures" and self._is_near_a_failure(k):
+                # It most likely fails for the same reason: others come first.
                 self._later.append((key, k))
                 continue
             match self.each[k].judged:
@@ -219,23 +220,23 @@ class _Search:
             return np.inf
         return (1 - _GAP) * best.objective.planned_peak
 
-    def _is_beside_one_in_vain(self, k: int) -> bool:
+    def _is_near_a_failure(self, k: int) -> bool:
         base = self.each[k].candidate.base[:3, 3]
-        return any(np.linalg.norm(base - other) < near for other, near in self._in_vain)
+        return any(np.linalg.norm(base - other) < near for other, near in self._failures)
 
     def _check(self, k: int) -> None:
         """Leave out stances that are too near to something, or from which no postures lead along a stroke."""
         candidate, scene = self.each[k].candidate, self._scene
         why = climber_in_the_way(scene, candidate) or self._suits(candidate)
         if why is not None:
-            self._give_up(k, "blocked", "obstacles", why)
+            self._reject(k, "blocked", "obstacles", why)
             return
-        # What comes next takes longer.
+        # The next check takes longer.
         self._checks += 1
         try:
             bound = bounded_quickly(scene_at(scene, candidate, None))
         except CmbotError as error:
-            self._give_up(k, "blocked", "obstacles", str(error))
+            self._reject(k, "blocked", "obstacles", str(error))
             return
         # Nothing is charted where the tool's axis may lean.
         bound = bound or self.each[k].bound
@@ -246,15 +247,15 @@ class _Search:
         try:
             charted = chart(scene_at(self._scene, self.each[k].candidate, None), _CHART_SECONDS)
         except CmbotError as error:
-            self._give_up(k, "blocked", "charts", str(error))
+            self._reject(k, "blocked", "charts", str(error))
             return
         most = self._options.max_torque
         if charted.torque > _ROOM * most:
             why = f"{charted.torque:.1f} Nm on the guardrail in its best postures, {most:g} Nm are allowed"
-            self._give_up(k, "too much torque", "charts", why)
+            self._reject(k, "too much torque", "charts", why)
             return
         self._begins[k] = charted.begins
-        # With few via-points there is less room for what lies between postures, with many more is seen.
+        # With few via-points the allowance between postures is smaller, with many the bound is tighter.
         bound = min(max(charted.bound, self.each[k].bound), charted.expected)
         self._bounded(k, "charts", bound, charted.expected)
 
@@ -263,15 +264,15 @@ class _Search:
         try:
             made = plan(scene_at(self._scene, self.each[k].candidate, self._begins[k]))
         except CmbotError as error:
-            self._give_up(k, "failed", "plan", str(error))
+            self._reject(k, "failed", "plan", str(error))
             return
         if left_out := sum(one.unreached for one in made.coverage.values()):
-            self._give_up(k, "failed", "plan", f"{left_out:.3g} m2 of the rasters are not reached")
+            self._reject(k, "failed", "plan", f"{left_out:.3g} m2 of the rasters are not reached")
             return
         torque = made.figures.peak_guardrail_torque
         if torque > self._options.max_torque:
             allowed = f"{self._options.max_torque:g} Nm are allowed"
-            self._give_up(k, "too much torque", "plan", f"{torque:.1f} Nm on the guardrail, {allowed}")
+            self._reject(k, "too much torque", "plan", f"{torque:.1f} Nm on the guardrail, {allowed}")
             return
         # No estimate is above what was found.
         bound = min(self.each[k].bound, made.objective.planned_peak)
@@ -285,8 +286,8 @@ class _Search:
         self.each[k] = replace(self.each[k], judged=judged, bound=bound)
         heapq.heappush(self._waiting, (max(expected, bound), k))
 
-    def _give_up(self, k: int, status: str, judged: str, why: str) -> None:
+    def _reject(self, k: int, status: str, judged: str, why: str) -> None:
         self.each[k] = replace(self.each[k], status=status, judged=judged, reason=why)
         # A little further on the torque may be less.
-        if judged in _ALIKE and status != "too much torque":
-            self._in_vain.append((self.each[k].candidate.base[:3, 3], _ALIKE[judged]))
+        if judged in _NEAR and status != "too much torque":
+            self._failures.append((self.each[k].candidate.base[:3, 3], _NEAR[judged]))
