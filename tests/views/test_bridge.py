@@ -7,7 +7,7 @@ import pytest
 
 from cmbot import Plan
 from cmbot.collision import Clearances
-from cmbot.scene import Obstacle
+from cmbot.scene import Box, Obstacle, pose
 from cmbot.views.drawing import bridge, bridge_of
 
 
@@ -61,6 +61,22 @@ def test_a_bar_holds_what_is_worked_on(plan: Plan) -> None:
     start, end = bars[0].X_WO[:3, 3] - half, bars[0].X_WO[:3, 3] + half
     assert ((start >= low - 1e-9) & (start <= high + 1e-9)).all()
     assert end[1] == pytest.approx(bridge._EDGE) or end[1] == pytest.approx(bridge._GIRDERS[0])
+
+
+def test_where_no_straight_bar_is_free_one_ends_beside(triangle_plan: Plan) -> None:
+    (straight,) = (part for part in bridge_of([triangle_plan]) if part.name.startswith("holder"))
+    x, y, z = straight.X_WO[:3, 3] + 0.4 * straight.shape.size[2] * straight.X_WO[:3, 2]
+    # In front of edge beam and girder.
+    walls = [
+        Obstacle(name=f"wall_{k}", shape=Box(size=(0.12, 0.2, height)), X_WO=pose((x, at, z)))
+        for k, (at, height) in enumerate([(y, 0.2), (-1.6, 4.0)])
+    ]
+    scene = dataclasses.replace(triangle_plan.scene, obstacles=(*triangle_plan.scene.obstacles, *walls))
+    other = dataclasses.replace(triangle_plan, scene=scene)
+    (bar,) = (part for part in bridge_of([other]) if part.name.startswith("holder"))
+    ends = bar.X_WO[0, 3] + np.array([-0.5, 0.5]) * bar.shape.size[2] * bar.X_WO[0, 2]
+    assert ends[0] == pytest.approx(x)
+    assert abs(ends[1] - x) == pytest.approx(0.4)
 
 
 def test_what_the_arm_would_hit_is_left_out(triangle_plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,6 +30,8 @@ _STIFFENER = (0.02, 0.18)  # thickness, depth
 _SLEEPER, _SPACING = (0.26, 2.5, 0.22), 0.6
 _GAUGE, _RAIL_FOOT, _RAIL_WEB, _RAIL_HEAD = 1.435, (0.15, 0.03), (0.02, 0.11), (0.07, 0.04)
 _BAR = 0.06
+# How far beside what it holds a bar ends: where the arm is in the way of all straight ones, others are tried.
+_BESIDE = ((0.0,), (-0.4, 0.4, -0.8, 0.8))
 # Knots of each part of the motion that are looked at, and points of a bar.
 _KNOTS, _POINTS = 25, 24
 _TOUCHING = 1e-3
@@ -48,9 +50,14 @@ def bridge_of(plans: Sequence[Plan]) -> list[Obstacle]:
     parts = list(_parts(plan))
     free = ~_overlap(_box_bounds(parts), taken).any(axis=0)
     shown = _clear(plans, [parts[k] for k in np.flatnonzero(free)])
-    for holders in _holders(plan):
-        free = ~_pierced(holders, taken).any(axis=0)
-        shown += _clear(plans, [holders[k] for k in np.flatnonzero(free)])[:1]
+    pieces = [obstacle_surface(each) for each in plan.scene.obstacles if each.workpiece]
+    for group in _touching(pieces):
+        for beside in _BESIDE:
+            holders = _holders(plan, group, beside)
+            free = ~_pierced(holders, taken).any(axis=0)
+            if found := _clear(plans, [holders[k] for k in np.flatnonzero(free)]):
+                shown.append(found[0])
+                break
     return shown
 
 
@@ -88,19 +95,17 @@ def _parts(plan: Plan) -> Iterator[Obstacle]:
             z += section[1]
 
 
-def _holders(plan: Plan) -> Iterator[list[Obstacle]]:
-    """Yield bars that may hold each group of workpieces that touch, the shortest first."""
+def _holders(plan: Plan, group: Sequence[Surface], beside: Sequence[float]) -> list[Obstacle]:
+    """Return bars that may hold workpieces that touch, the shortest first; ending so far `beside` them, m."""
     bottom = plan.scene.guardrail.post.bottom - 0.02
-    pieces = [obstacle_surface(each) for each in plan.scene.obstacles if each.workpiece]
-    for group in _touching(pieces):
-        low, high = _bounds(merged(group))
-        x, y = (low[0] + high[0]) / 2, low[1]
-        starts = [(x, y, z) for z in (high[2] - _BAR / 2, (low[2] + high[2]) / 2, low[2] + _BAR / 2)]
-        heights = [float(np.clip(z, bottom - 0.9 * _WEB[1], bottom - 0.1)) for *_, z in starts]
-        ends = [(x, _EDGE, bottom - 0.04), *((x, _GIRDERS[0], z) for z in heights)]
-        each = [(start, end) for start, end in product(starts, ends)]
-        each.sort(key=lambda bar: float(np.linalg.norm(np.subtract(*bar))))
-        yield [_bar("holder", start, end, _BAR) for start, end in each]
+    low, high = _bounds(merged(group))
+    x, y = (low[0] + high[0]) / 2, low[1]
+    starts = [(x, y, z) for z in (high[2] - _BAR / 2, (low[2] + high[2]) / 2, low[2] + _BAR / 2)]
+    heights = [float(np.clip(z, bottom - 0.9 * _WEB[1], bottom - 0.1)) for *_, z in starts]
+    ends = [(_EDGE, bottom - 0.04), *((_GIRDERS[0], z) for z in heights)]
+    each = [(start, (x + by, *end)) for start, by, end in product(starts, beside, ends)]
+    each.sort(key=lambda bar: float(np.linalg.norm(np.subtract(*bar))))
+    return [_bar("holder", start, end, _BAR) for start, end in each]
 
 
 def _touching(surfaces: Sequence[Surface]) -> list[list[Surface]]:
