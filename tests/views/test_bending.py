@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+import trimesh
 from browser import ask, open_page, slide
 from hypothesis import given
 from hypothesis import strategies as st
@@ -21,6 +22,7 @@ from cmbot.simulation import Tracking
 from cmbot.views import replay_page
 from cmbot.views.drawing import Bending, drawn_factor, most_factor, supports
 from cmbot.views.drawing.support import pole_of
+from cmbot.views.drawing.surfaces import Surface, sliced
 from cmbot.views.replay_data import replay_data
 
 
@@ -154,6 +156,45 @@ def test_a_pole_is_a_slender_obstacle_at_the_foot(
     along = pole.beams[0, 1] - pole.beams[0, 0]
     assert along @ pole.beams[0, 1] == pytest.approx(0.0, abs=1e-12)  # its other end is at the foot, 0
     assert [each.name for each in supports(scene)] == [pole.name]
+
+
+def mesh_mast(tmp_path: Path, turned: bool) -> dict[str, Any]:
+    """An obstacle: a cylindrical mast as a mesh of long triangles, whose top is at the foot."""
+    mast = trimesh.creation.cylinder(0.05, 2.5, sections=24)
+    if turned:  # its file has it along x
+        mast.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [0, 1, 0]))
+    mast.export(tmp_path / "mast.stl")
+    turn = {"rpy_deg": [0, 90, 0]} if turned else {}
+    return {"name": "mast", "mesh": str(tmp_path / "mast.stl"), "xyz": [0, 0, -1.25], **turn}
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_mast_given_as_a_mesh_is_a_pole(tmp_path: Path, turned: bool) -> None:
+    scene = short_scene(obstacles=[mesh_mast(tmp_path, turned)], guardrail={"bays": 0})
+    pole = pole_of(scene)
+    assert pole is not None
+    np.testing.assert_allclose(pole.beams, [[[0, 0, -2.5], [0, 0, 0]]], atol=1e-6)
+    away = short_scene(
+        obstacles=[mesh_mast(tmp_path, turned) | {"xyz": [0.3, 0, -1.25]}], guardrail={"bays": 0}
+    )
+    assert pole_of(away) is None
+
+
+@pytest.mark.parametrize("longest", [0.1, 0.4])
+def test_what_is_bent_is_cut_into_slices_and_not_torn(longest: float) -> None:
+    whole = trimesh.creation.cylinder(0.05, 2.5, sections=12)
+    along = np.array([0.0, 0.0, 1.0])
+    found = sliced(Surface(np.array(whole.vertices), np.array(whole.faces)), along, longest)
+    cut = trimesh.Trimesh(found.vertices, found.faces, process=False)
+    assert np.ptp(cut.vertices[cut.faces][..., 2], axis=1).max() <= longest + 1e-9
+    # What is new lies in the planes, whose points all move alike: nothing opens between two slices.
+    new = np.abs(np.abs(cut.vertices[:, 2]) - 1.25) > 1e-9
+    count = np.ceil(2.5 / longest)
+    share = (cut.vertices[new, 2] + 1.25) * count / 2.5
+    np.testing.assert_allclose(share, np.round(share), atol=1e-6)
+    assert cut.volume == pytest.approx(whole.volume, rel=1e-9)
+    assert cut.area == pytest.approx(whole.area, rel=1e-9)
+    assert len(cut.faces) < 3 * len(whole.faces) * 2.5 / longest
 
 
 BEND = """return arguments[0].map(([from, to, shift, turn, factor]) => {

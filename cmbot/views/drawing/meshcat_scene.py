@@ -17,13 +17,14 @@ from cmbot.common.arrays import FloatArray
 from cmbot.planning import Plan
 from cmbot.robot import Robot
 from cmbot.scene import Obstacle, Scene
-from cmbot.views.drawing.support import supports
+from cmbot.views.drawing.support import pole_of, supports
 from cmbot.views.drawing.surfaces import (
     Surface,
     creased,
     merged,
     obstacle_surface,
     simplified,
+    sliced,
     tube,
     visual_surface,
 )
@@ -162,6 +163,11 @@ def _bridge(scene: Scene) -> Iterator[Command]:
 def _supports(scene: Scene, path: str) -> Iterator[Command]:
     """What the foot is on. It has vertices along it, to be bent."""
     bars = [obstacle_surface(obstacle, RAIL_PIECE) for obstacle in supports(scene)]
+    pole = pole_of(scene)
+    if pole is not None and pole.mesh:
+        start, end = pole.beams[0]
+        along = (end - start) / np.linalg.norm(end - start)
+        bars = [sliced(bar, along, RAIL_PIECE) for bar in simplified(bars, MOST_OBSTACLE_FACES)]
     if bars:
         yield _set_mesh(path, bars, STEEL, shininess=10)
 

@@ -11,7 +11,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.elastic.base import guardrail_frame, rigid_motion
 from cmbot.elastic.frame import Frame
 from cmbot.elastic.strain import BeamStrains, frame_strains
-from cmbot.scene import Box, Capsule, Cylinder, Obstacle, Scene, guardrail_obstacles
+from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Scene, guardrail_obstacles, load_mesh
 from cmbot.views.page import pack
 
 __all__ = ["Pole", "Rails", "packed_strains", "pole_of", "supports"]
@@ -24,10 +24,14 @@ _END, _UPRIGHT = 0.2, 0.7
 
 
 class Pole(NamedTuple):
-    """An obstacle that carries the foot: its name, its beams (b, 2, 3) in W, m, each held at its start."""
+    """An obstacle that carries the foot.
+
+    Its name, its beams (b, 2, 3) in W, m, each held at its start, and whether it is a mesh.
+    """
 
     name: str
     beams: FloatArray
+    mesh: bool
 
 
 def pole_of(scene: Scene) -> Pole | None:
@@ -41,7 +45,7 @@ def pole_of(scene: Scene) -> Pole | None:
     found = []
     foot = np.array(scene.guardrail.foot_point)
     for obstacle in scene.obstacles:
-        ends, radius = _axis(obstacle)
+        ends, radius = _axis(obstacle, foot)
         along = ends[1] - ends[0]
         length = float(np.linalg.norm(along))
         if obstacle.workpiece or length < _SLENDER * 2 * radius:
@@ -49,8 +53,9 @@ def pole_of(scene: Scene) -> Pole | None:
         share = float((foot - ends[0]) @ along) / length**2
         at = ends[0] + np.clip(share, 0, 1) * along
         if (distance := float(np.linalg.norm(foot - at))) <= radius + _NEAR:
-            found.append((distance, obstacle.name, _beams(ends, share)))
-    return Pole(*min(found, key=lambda each: each[0])[1:]) if found else None
+            pole = Pole(obstacle.name, _beams(ends, share), isinstance(obstacle.shape, Mesh))
+            found.append((distance, pole))
+    return min(found, key=lambda each: each[0])[1] if found else None
 
 
 def supports(scene: Scene) -> list[Obstacle]:
@@ -61,21 +66,30 @@ def supports(scene: Scene) -> list[Obstacle]:
     return [obstacle for obstacle in scene.obstacles if obstacle.name in names]
 
 
-def _axis(obstacle: Obstacle) -> tuple[FloatArray, float]:
-    """The ends (2, 3) of an obstacle's axis in W and its half width, m; no axis of a mesh or a ball."""
+def _axis(obstacle: Obstacle, foot: FloatArray) -> tuple[FloatArray, float]:
+    """The ends (2, 3) of an obstacle's axis in W and its half width, m; no axis of a ball.
+
+    That of a mesh is the longest edge of the smallest box about it; no axis of one away from the `foot`.
+    """
+    X = obstacle.X_WO
     match obstacle.shape:
         case Box(size=size):
             edges = np.array(size)
-            direction, radius = np.eye(3)[edges.argmax()], float(np.sort(edges)[1]) / 2
-            length = float(edges.max())
-        case Cylinder(radius=radius, length=length):
-            direction = np.array([0.0, 0.0, 1.0])
-        case Capsule(radius=radius, length=length):
-            direction = np.array([0.0, 0.0, 1.0])
+        case Cylinder(radius=radius, length=length) | Capsule(radius=radius, length=length):
+            edges = np.array([2 * radius, 2 * radius, length])
+        case Mesh(path=path):
+            mesh = load_mesh(path, obstacle.name)
+            low, high = mesh.bounds
+            there = np.linalg.solve(X, np.append(foot, 1.0))[:3]
+            if ((there < low - _NEAR) | (there > high + _NEAR)).any():
+                return np.zeros((2, 3)), np.inf
+            about = mesh.bounding_box_oriented.primitive
+            edges, X = np.array(about.extents), X @ np.array(about.transform)
         case _:
-            direction, length, radius = np.array([0.0, 0.0, 1.0]), 0.0, np.inf
-    ends = np.array([-0.5, 0.5])[:, None] * length * direction
-    return ends @ obstacle.X_WO[:3, :3].T + obstacle.X_WO[:3, 3], radius
+            return np.zeros((2, 3)), np.inf
+    direction = np.eye(3)[edges.argmax()]
+    ends = np.array([-0.5, 0.5])[:, None] * float(edges.max()) * direction
+    return ends @ X[:3, :3].T + X[:3, 3], float(np.sort(edges)[1]) / 2
 
 
 def _beams(ends: FloatArray, share: float) -> FloatArray:

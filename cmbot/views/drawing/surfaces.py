@@ -23,7 +23,16 @@ from cmbot.common.errors import ModelError
 from cmbot.robot import faces_of, is_mesh, vertices_of
 from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere, load_mesh
 
-__all__ = ["Surface", "creased", "merged", "obstacle_surface", "simplified", "tube", "visual_surface"]
+__all__ = [
+    "Surface",
+    "creased",
+    "merged",
+    "obstacle_surface",
+    "simplified",
+    "sliced",
+    "tube",
+    "visual_surface",
+]
 
 SECTIONS, RINGS = 32, 16  # of a round solid: about its axis, and of a ball from pole to pole
 TUBE_SECTIONS = 12  # about the axis of a tube
@@ -32,6 +41,7 @@ _MOST_PIECES = 400  # of a box that is cut
 # collapsed: with more, small parts vanish.
 _CELLS, _CAREFUL = (0.0, 0.002, 0.008), 3.0
 _FEWEST = 64  # triangles, of a surface that is simplified
+_SAME = 1e-7  # between vertices at a cut, m
 _SHORT = 0.001  # may be missing at a side, as a share of its size
 
 # A triangle of less height, m, has no meaningful normal; a shorter sum of normals is rounding.
@@ -225,6 +235,24 @@ def simplified(surfaces: Sequence[Surface], most_faces: int) -> list[Surface]:
         return list(surfaces)
     most = max(_most_of_each(counts, most_faces), _FEWEST)
     return [each if len(each.faces) <= most else _collapsed(each, most) for each in surfaces]
+
+
+def sliced(surface: Surface, along: FloatArray, piece: float) -> Surface:
+    """Return a surface that is cut by planes across the direction `along` (3,), at most `piece`, m, apart."""
+    # Only for masts that are meshes, which it has read.
+    from trimesh import intersections
+
+    slice_faces: Any = intersections.slice_faces_plane
+    height = surface.vertices @ along
+    low, high = height.min(), height.max()
+    planes = np.linspace(low, high, _pieces(high - low, piece) + 1)
+    planes[[0, -1]] = low - piece, high + piece
+    parts = []
+    for below, above in pairwise(planes):
+        vertices, faces, _ = slice_faces(surface.vertices, surface.faces, along, below * along)
+        vertices, faces, _ = slice_faces(vertices, faces, -along, above * along)
+        parts.append(Surface(vertices, np.asarray(faces, dtype=np.intp)))
+    return _joined(merged(parts), _SAME)
 
 
 def creased(surface: Surface, angle: float) -> tuple[Surface, FloatArray]:
