@@ -43,6 +43,8 @@ CONCRETE, STEEL, WORKPIECE, PATH = 0xC2BDB3, 0x7D8C99, 0x2F9E8F, 0x7B2CBF
 PALE, WOOD = 0xB9C3CB, 0xCFC4B2  # what is drawn only
 LEFT_OUT = 0xD62828  # rows of rasters that are not reached
 SHINE = 0x303030
+# The largest luminance of a part of the robot, and the shares of red, green and blue in it (ITU-R BT.709).
+_LIGHTEST, _LUMINANCE = 0.78, np.array([0.2126, 0.7152, 0.0722])
 DOUBLE_SIDE = 2  # three.js: draw the back faces too
 
 # The viewer's MessagePack codes for typed arrays.
@@ -143,9 +145,17 @@ def _robot(shapes: Sequence[Any], urdf: str) -> Iterator[Command]:
     for shape, surface in zip(shapes, surfaces, strict=True):
         groups.setdefault((int(shape.parentJoint), tuple(shape.meshColor)), []).append(surface)
     for number, ((joint, rgba), group) in enumerate(groups.items()):
-        red, green, blue = (round(255 * float(np.clip(value, 0, 1))) for value in rgba[:3])
-        colour = (red << 16) + (green << 8) + blue
-        yield _set_mesh(f"/robot/{joint}/{number}", group, colour, opacity=float(rgba[3]), shininess=60)
+        yield _set_mesh(
+            f"/robot/{joint}/{number}", group, _colour(rgba), opacity=float(rgba[3]), shininess=60
+        )
+
+
+def _colour(rgba: Sequence[float]) -> int:
+    """A colour of a URDF as 0xRRGGBB. In white and light grey no shade would be seen: they are darkened."""
+    value = np.clip(rgba[:3], 0, 1)
+    value = value * min(1.0, _LIGHTEST / max(float(value @ _LUMINANCE), _LIGHTEST))
+    red, green, blue = (round(255 * float(each)) for each in value)
+    return (red << 16) + (green << 8) + blue
 
 
 def _bridge(scene: Scene) -> Iterator[Command]:
