@@ -45,7 +45,7 @@ class ExchangeOptions:
     peak_tolerance : float
         The peak is low enough within this share of its lower bound.
     least_peak_tolerance : float
-        Where that is missed, which a moving arm often does by a hair, within this share of the least that was
+        Where that is missed, which a moving arm often does narrowly, within this share of the least that was
         attained: the last thousandths of a peak would cost all the jerk that the limits allow.
     feasibility_tolerance : float
         Violations up to this count as met.
@@ -68,12 +68,12 @@ class ExchangeOptions:
         Where the start violates constraints by more, the lower bound is not attempted: the peak is minimised
         first, as far as that. Where all else is violated so much a bound on the peak only stands in the way.
     attempt_steps : int
-        It is given up after so many steps that do not halve violations beyond that.
+        An attempt ends after this number of steps that do not halve violations beyond that.
     attempt_iterations : int
-        And after so many at none of which the known constraints were met: where the lower bound is missed by
-        a hair, violations fall quickly up to that, and hardly any further.
+        It also ends after this number at none of which the known constraints were met: where the lower bound
+        is missed narrowly, violations fall quickly up to that, and hardly any further.
     stalls : int
-        So often nothing new is violated by too much before the solver is given up.
+        Number of passes in which nothing new is violated by too much before the solver ends.
     slsqp_accuracy, slsqp_peak_accuracy : float
         Of the mean square, and of the peak, which need not be known better than its tolerance.
     slsqp_iterations : int

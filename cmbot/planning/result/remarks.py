@@ -23,7 +23,7 @@ from cmbot.scene import STOW
 __all__ = ["remarks"]
 
 # A peak lower by less than this share is no gain; a baseline this near to the lower bound leaves none, and
-# what sequences of postures ask is told where it is further away.
+# the peak of sequences of postures is told where it is further away.
 _GAIN, _NEAR_BOUND = 1e-2, 1e-2
 # Areas that differ by less are the same, relative.
 _SAME_AREA = 1e-6
@@ -218,8 +218,8 @@ def _start(plan: Plan) -> Iterator[str]:
         )
         if figures.peak_guardrail_torque > worst * (1 + _GAIN):
             yield (
-                f"The approach asks more of the {plan.scene.base_name} than baseline and work do; "
-                "start: pinned, or a start posture nearer to this one, spares it."
+                f"The approach loads the {plan.scene.base_name} more than baseline and work do; "
+                "start: pinned, or a start posture nearer to this one, avoids it."
             )
 
 
@@ -259,7 +259,7 @@ def _baseline(plan: Plan) -> Iterator[str]:
     if strays(plan):
         yield (
             f"The baseline leaves its path by up to {1e3 * plan.drift:.1f} mm, as near a singular posture it "
-            "cannot follow: what it asks there says little."
+            "cannot follow: its torque there is no measure."
         )
 
 
@@ -388,17 +388,17 @@ def _lower_bound(plan: Plan) -> Iterator[str]:
     basis = f"({bound.basis}; error {error})"
     if bound.kind == "proven":
         yield (
-            f"{name}: no plan within the limits has a static peak below {value} {basis}: {where} asks "
-            f"less{gap}."
+            f"{name}: no plan within the limits has a static peak below {value} {basis}: {where} has "
+            f"a smaller value{gap}."
         )
     elif bound.error <= _CLOSED * bound.value:
         yield (
             f"{name}: no plan within the limits was found with a static peak below {value} {basis}: {where} "
-            f"was found that asks less{gap}."
+            f"was found with a smaller value{gap}."
         )
     else:
         yield (
-            f"{name}, not closed: {where} was found that asks less than {value}, but the search ended "
+            f"{name}, not closed: {where} was found with less than {value}, but the search ended "
             f"with {error} open{gap}."
         )
     yield from _sequences(plan)
@@ -416,7 +416,7 @@ def _lower_bound(plan: Plan) -> Iterator[str]:
 
 
 def _sequences(plan: Plan) -> Iterator[str]:
-    """What the way from one via-point to the next asks beyond what the worst of them does."""
+    """By how much the peak between via-points exceeds that at the worst of them."""
     objective, bound, choice = plan.objective, plan.lower_bound, plan.choice
     if bound is None or choice is None:
         return

@@ -145,10 +145,8 @@ def test_one_leg_without_suppression_does_not_hide_the_others(
 
 
 def test_words_of_the_trade_are_explained_where_they_are_used(triangle_plan: Plan) -> None:
-    at = triangle_plan.lower_bound.via_point + 1
-    assert f"at via-point {at} of the 50 that the motion passes through, no posture asks less" in line(
-        triangle_plan, "Lower bound: "
-    )
+    at, said = triangle_plan.lower_bound.via_point + 1, line(triangle_plan, "Lower bound: ")
+    assert f"at via-point {at} of the 50 that the motion passes through, no posture has a smaller" in said
     approach = line(triangle_plan, "Approach: ")
     assert approach.startswith("Approach: before the work the arm goes there from the scene's posture, in ")
     assert approach.endswith(" mm, certified.")
@@ -178,13 +176,13 @@ def test_a_plan_that_asks_more_than_the_baseline_says_so(triangle_plan: Plan) ->
     assert "Hardly" not in said
 
 
-def test_an_approach_that_asks_more_than_all_that_follows_says_so(triangle_plan: Plan) -> None:
-    assert "The approach asks more" not in " ".join(remarks(triangle_plan))
+def test_an_approach_with_a_larger_peak_than_all_that_follows_says_so(triangle_plan: Plan) -> None:
+    assert "The approach loads" not in " ".join(remarks(triangle_plan))
     approach = triangle_plan.approach
     figures = replace(approach.certificate.figures, peak_guardrail_torque=600.0)
     hard = replace(approach.certificate, figures=figures)
-    asking = changed(triangle_plan, "approach", certificate=hard)
-    said = line(asking, "The approach asks more of the guardrail")
+    loading = changed(triangle_plan, "approach", certificate=hard)
+    said = line(loading, "The approach loads the guardrail more")
     assert "start: pinned" in said
 
 
@@ -207,7 +205,7 @@ def test_a_floor_is_called_what_it_is(triangle_plan: Plan) -> None:
         in said
     )
     assert f"postures are missed, with 95 % confidence; error {error}): at via-point" in said
-    assert "no posture was found that asks less" in said
+    assert "no posture was found with a smaller value" in said
     unknown = line(replace(triangle_plan, lower_bound=replace(estimate, missed=None)), "Lower bound: ")
     assert f"383.79 Nm (estimate; error {error}): at" in unknown
 
