@@ -50,8 +50,9 @@ Distance = Annotated[float, Field(ge=0)]
 # Displacement, m or rad, by which a second correction of a step has to move something to be made, and which
 # the error of a step longer than asked for may have; how much longer steps may be.
 _TOLERANCE, _LONGEST = 1e-8, 8
-# Step, s, at which the sag is computed; the cubic spline between is within 3e-5 mm on the shipped scenes.
-_SAG_STEP = 0.02
+# Step, s, at which the sag is computed where joints move at this speed, rad/s, or quicker; the cubic spline
+# between is within 3e-5 mm on the shipped scenes. Slower ones have longer steps, up to so many times.
+_SAG_STEP, _SPEED, _LONGEST_SAG_STEP = 0.02, 0.1, 8.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -427,8 +428,13 @@ def _sag(arm: ElasticArm, motion: PrescribedMotion, t: FloatArray) -> FloatArray
     """Displacement (N, 3), m, of the tool at rest in the postures at times `t` (N,)."""
     from scipy.interpolate import CubicSpline
 
-    steps = max(int(np.ceil(motion.duration / _SAG_STEP * (1 - 1e-12))), 1)
-    some = np.linspace(0.0, motion.duration, steps + 1)
+    def times(step: float) -> FloatArray:
+        steps = max(int(np.ceil(motion.duration / step * (1 - 1e-12))), 1)
+        return np.linspace(0.0, motion.duration, steps + 1)
+
+    fastest = float(np.abs(motion.states(times(_SAG_STEP))[1]).max())
+    slower = min(_SPEED / fastest, _LONGEST_SAG_STEP) if fastest > 0 else 1.0
+    some = times(_SAG_STEP * max(slower, 1.0))
     tool = CubicSpline(some, Sag(arm).following(motion.states(some)[0]))
     return np.asarray(tool(np.minimum(t, motion.duration)))
 

@@ -25,6 +25,7 @@ from cmbot.simulation import (
     tracking_remarks,
     tracking_rows,
 )
+from cmbot.simulation import tracking as tracking_module
 from cmbot.simulation.tracking import MotionTracking, elastic_arm_of
 
 OPTIONS = SimulationOptions()
@@ -77,6 +78,25 @@ def test_the_error_starts_at_the_sag_and_follows_it(tracking: Tracking, short_pl
     # The trajectory is driven as it is.
     again = track(arm, short_plan.task, PrescribedMotion.along(short_plan.trajectory), OPTIONS)
     np.testing.assert_array_equal(again.error, motion.error)
+
+
+def test_the_sag_of_a_slow_motion_is_computed_less_often(
+    short_plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arm, given, counts = elastic_arm_of(short_plan, OPTIONS), short_plan.trajectory, list[int]()
+    following = Sag.following
+
+    def counted(self: Sag, q: np.ndarray) -> np.ndarray:
+        counts.append(len(q))
+        return following(self, q)
+
+    monkeypatch.setattr(Sag, "following", counted)
+    for factor in (1.0, 20.0):
+        slow = replace(given, t=factor * given.t, v=given.v / factor, a=given.a / factor**2)
+        t = np.linspace(0.0, slow.t[-1], 50)
+        found = tracking_module._sag(arm, PrescribedMotion.along(slow), t)
+        np.testing.assert_allclose(found, Sag(arm).at(slow.evaluate(t)).tool, rtol=0, atol=1e-8)
+    assert counts[1] < 0.2 * t[-1] / 0.02
 
 
 def test_the_command_is_what_the_joints_do(tracking: Tracking, short_plan: Plan) -> None:
