@@ -339,9 +339,9 @@ class _SqpState(Generic[AnyIterate]):
         o, before_step = self._options, self.iterate
         shorter = min(1.0, float(np.abs(step.p).max()) / o.optimality_radius)
         self._promised = predicted / max(shorter, o.min_radius)
-        trial, gained = self._tried(model, step.p, predicted)
+        trial, gained, foreseen = self._tried(model, step.p, predicted)
         # What a step overlooked does not make it too long, unless it does so again.
-        overlooked = self.iterate is not before_step
+        overlooked = self.iterate is not before_step and foreseen >= o.shrink * predicted
         self._excused = overlooked and gained < o.shrink * predicted and not self._excused
         # Where little is to be gained only violations are left, and the shorter the steps, the fewer.
         creeps = self._creeps and self.iterate.values.violation > o.feasibility_tolerance
@@ -391,9 +391,12 @@ class _SqpState(Generic[AnyIterate]):
         firmest = self._step(model, np.full(families, o.max_penalty), o.optimality_radius, 0.0).p
         return bool(model.violations(firmest, families=families).max() > enough)
 
-    def _tried(self, model: NlpModel, p: FloatArray, predicted: float) -> tuple[AnyIterate | None, float]:
+    def _tried(
+        self, model: NlpModel, p: FloatArray, predicted: float
+    ) -> tuple[AnyIterate | None, float, float]:
         """Take the step `p` (n,) and evaluate what it gains; where that is little, correct it.
 
+        Also what the last trial gains by the constraints that were known before it.
         The iterate gets every constraint that one of the trials violates, but for corrections on the way to
         others: what they break of the known constraints is enough to correct them.
         """
@@ -401,12 +404,12 @@ class _SqpState(Generic[AnyIterate]):
         stiffness = o.correction_damping * predicted / max(length**2, _LEAST_PREDICTION)
         trial = _displaced(self.iterate, p)
         best: AnyIterate | None = None
-        most = -np.inf
+        most = foreseen = -np.inf
         for correction in range(o.max_corrections + 1):
             if trial is None:
                 break
             last = correction == o.max_corrections or self._stop()
-            gained = self._gain(trial)
+            gained = foreseen = self._gain(trial)
             if correction == 0 or last or gained >= o.correct_below * predicted:
                 trial = trial.separated()
                 self.iterate = self.iterate.refresh(trial)
@@ -418,7 +421,7 @@ class _SqpState(Generic[AnyIterate]):
             bent = replace(trial.model, gradient=model.gradient + model.hessian @ p, hessian=model.hessian)
             change = self._step(bent, o.correction_penalty * self.penalty, length, stiffness).p
             p, trial = p + change, _displaced(trial, change)
-        return (None if best is None else best.refresh(self.iterate)), most
+        return (None if best is None else best.refresh(self.iterate)), most, foreseen
 
     def _gain(self, trial: AnyIterate) -> float:
         """How far the merit falls from the iterate to a trial with the same constraints."""

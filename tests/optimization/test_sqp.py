@@ -153,6 +153,18 @@ def test_what_comes_into_view_on_the_way_counts(x: list[float], steepness: float
         assert ended.iterate.all_of_it.violation <= 1e-7
 
 
+@pytest.mark.parametrize(("p", "shorter"), [((-1.6, 0.0), False), ((2.0, 2.0), True)])
+def test_a_step_is_excused_only_for_what_was_not_known(p: tuple[float, float], shorter: bool) -> None:
+    """Both overlook a constraint; the second would be refused by what is known, too."""
+    start = Veiled(np.array([1.7, 1.0]), 0.0)
+    state = sqp._SqpState(start, 2, SqpOptions(initial_penalty=30.0, max_corrections=0), None, lambda: False)
+    before, step = state.damping, replace(solve_qp(state.iterate.model, np.ones(2), 1.0), p=np.array(p))
+    state.take(state.iterate.model, step, 3.0)
+    assert state.iterate.known
+    np.testing.assert_array_equal(state.iterate.x, start.x)
+    assert (state.damping > before) == shorter
+
+
 @dataclass(frozen=True)
 class Rim(Ripples):
     """A way along the rim of a disc: ``min x_1, |x| <= 1``, which bends away from every straight step."""
