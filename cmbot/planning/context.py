@@ -44,6 +44,8 @@ SAMPLE_STEP = 0.01
 
 # Steps of a motion at most; steps grow by these factors.
 _MOST_STEPS, _LONGER = 40_000, (1.0, 2.0, 5.0)
+# Beside what the arm asks anyway this share of it is nothing.
+_NEGLIGIBLE = 1e-2
 
 
 def sample_step(duration: float, step: float = SAMPLE_STEP) -> float:
@@ -124,6 +126,17 @@ class PlanningContext:
         if not self.robot.pushed:
             return self
         return replace(self, robot=self.robot.tool_off, objective=self.idle_objective)
+
+    @cached_property
+    def negligible(self) -> float:
+        """Value of the objective that is nothing beside what the arm asks anyway, at rest where it is before.
+
+        Or on the job before. A peak at rest may be zero, as where the arm's mass can be held above its base;
+        shares of that say nothing.
+        """
+        off = self.tool_off
+        before = float(off.objective.at_rest(off.postures.at(self.posture[None]))[0])
+        return _NEGLIGIBLE * max(self.reached, before)
 
     @cached_property
     def on_axis(self) -> PlanningContext:

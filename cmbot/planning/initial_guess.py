@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import OptimisationFailed, PathNotFound
+from cmbot.optimization import find_violations
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.gradient_projection import find_path
 from cmbot.planning.path.projection import project_onto_task
@@ -25,7 +25,7 @@ __all__ = [
     "fixed_guess",
     "initial_guess",
     "leap",
-    "leaps_told",
+    "require_no_leap",
     "roughness",
     "shifted_problem",
     "sliding_guess",
@@ -136,22 +136,24 @@ def leap(context: PlanningContext, via_points: FloatArray) -> float:
     return float(share[long[~reached | (moved > _OFF_THE_MIDDLE * steps[long])]].max(initial=0.0))
 
 
-@contextmanager
-def leaps_told(context: PlanningContext, via_points: FloatArray) -> Iterator[None]:
-    """Say in an `OptimisationFailed` that the via-points (n, d), rad, leap, where they do."""
-    try:
-        yield
-    except OptimisationFailed as failure:
-        if leap(context, via_points) == 0.0:
-            raise
-        raise OptimisationFailed(
-            "only by leaps to other branches of postures, off the tool path, were via-points joined in time",
-            constraint=failure.constraint,
-            violation=failure.violation,
-            undecided=failure.undecided,
-            trajectory=failure.trajectory,
-            remedy="another start posture, or less that is kept of the tool's pose",
-        ) from failure
+def require_no_leap(problem: TorqueProblem) -> None:
+    """Refuse a problem whose via-points leap: of the suite's scenes no trajectory led on from there.
+
+    Raises
+    ------
+    OptimisationFailed
+        With what the splines through them violate most.
+    """
+    form = problem.parametrization
+    if leap(problem.context, form.via_points) == 0.0:
+        return
+    worst = find_violations(problem, form.trajectory, np.inf, 0.0, 1).worst
+    raise OptimisationFailed(
+        "only by leaps to other branches of postures, off the tool path, were via-points joined in time",
+        constraint=worst.name,
+        violation=worst.value,
+        remedy="another start posture, or less that is kept of the tool's pose",
+    )
 
 
 def roughness(problem: TorqueProblem) -> float:

@@ -21,7 +21,7 @@ from cmbot.planning.flexibility.vibration_suppression import suppress_vibration
 from cmbot.planning.free_motion.approach import plan_approach
 from cmbot.planning.free_motion.free_move import largest_objective
 from cmbot.planning.free_motion.return_move import SAME_POSTURE, plan_return
-from cmbot.planning.initial_guess import initial_guess, leaps_told, sliding_guess
+from cmbot.planning.initial_guess import initial_guess, require_no_leap, sliding_guess
 from cmbot.planning.job import Job, Segment
 from cmbot.planning.objectives import WrenchFunction
 from cmbot.planning.path.first_posture import starting_at_path
@@ -321,8 +321,8 @@ def _certified_motion(attempt: Attempt) -> StrokeMotion:
     compensation = suppression = None
     with constraints_named(context):
         problem = guess.problem
-        with leaps_told(context, problem.parametrization.via_points):
-            optimised = optimise(problem, each_pass)
+        require_no_leap(problem)
+        optimised = optimise(problem, each_pass)
         if context.sag is not None:
             optimised, compensation, problem = compensate(context, guess, optimised, context.sag, each_pass)
     if context.arm is not None and suppresses_vibration(options):
@@ -351,7 +351,9 @@ def _certified_motion(attempt: Attempt) -> StrokeMotion:
         reporter.step("planning the approach to the start")
         at_rest = context.objective.at_rest(context.postures.at(optimised.trajectory.q))
         chart = context.first[None] if guess.search is None else guess.search.first_chart.q
-        approach = plan_approach(context, posture, chart, way=guess.way, allowed=float(at_rest.max()))
+        stays = guess.choice is not None and guess.choice.pinned is not None
+        allowed = float(at_rest.max())
+        approach = plan_approach(context, posture, chart, way=guess.way, allowed=allowed, dispensable=stays)
     work = Segment(
         name=context.stroke.name,
         kind="stroke",

@@ -35,6 +35,7 @@ from cmbot.planning.initial_guess import (
     SMOOTHER,
     InitialGuess,
     initial_guess,
+    leap,
     roughness,
     searched,
     sliding_guess,
@@ -176,10 +177,11 @@ def more_via_points(failed: Attempt, failure: PlanningError, run: Run[Work]) -> 
     """Where the tool strays from its path between via-points: more of them, which hold it more often.
 
     Splines miss a smooth path by the square of their segments' length or less, so a deviation of r times its
-    bound asks for sqrt(r) times the segments; twice as many are tried first.
+    bound asks for sqrt(r) times the segments; twice as many are tried first. They help no guess that leaps.
     """
     context, count = failed.context, len(failed.context.times)
-    ratio = _excess_between_via_points(failure)
+    leaps = leap(context, failed.guess.problem.parametrization.via_points) > 0.0
+    ratio = 1.0 if leaps else _excess_between_via_points(failure)
     most = int(np.clip(np.ceil(np.sqrt(ratio)), *_FINER))
     for factor in sorted({_FINER[0], most}) if ratio > 1.0 else ():
         number = factor * (count - 1) + 1

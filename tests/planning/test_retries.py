@@ -19,7 +19,14 @@ from cmbot.common.errors import LimitViolation, MissingExtra, OptimisationFailed
 from cmbot.optimization import exchange
 from cmbot.planning import Plan, plan, planner, remarks
 from cmbot.planning.free_motion.approach import reachable
-from cmbot.planning.initial_guess import InitialGuess, initial_guess, leap, roughness, sliding_guess
+from cmbot.planning.initial_guess import (
+    InitialGuess,
+    initial_guess,
+    leap,
+    require_no_leap,
+    roughness,
+    sliding_guess,
+)
 from cmbot.planning.precheck import solver_of
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.retries import (
@@ -268,6 +275,32 @@ def test_a_guess_that_leaps_between_branches_is_made_in_shorter_steps(
     via_points = [each.problem.parametrization.via_points for each in (rough, smooth)]
     assert [leap(context, q) > 0 for q in via_points] == [leaps, False]
     assert (smooth.search.step_share < rough.search.step_share) == leaps
+
+
+def test_a_guess_that_leaps_is_not_optimised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No trajectory follows it, whatever the optimiser and the number of its via-points."""
+    leg = ([0.0, 0.0, -0.15], 300.0)
+    context = context_of(six_joint_scene(tmp_path, "ur3", POSTURE, path_of("axis", 9, leg)))
+    guess = sliding_guess(context)
+    attempt, late = Attempt(context=context, guess=guess), ProgressReporter(limit=0.0)
+    with pytest.raises(OptimisationFailed, match=r"only by leaps to other.*another start") as caught:
+        require_no_leap(guess.problem)
+    assert caught.value.violation > 0.1
+    assert more_via_points_is_refused(attempt, caught.value)
+    require_no_leap(initial_guess(context).problem)
+    monkeypatch.setattr(planner, "optimise", None)
+    monkeypatch.setattr(planner, "initial_guess", lambda _: guess)
+    with pytest.raises(OptimisationFailed, match="only by leaps"):
+        planner._search(replace(context, reporter=late), automatic=False)
+
+
+def more_via_points_is_refused(attempt: Attempt, failure: OptimisationFailed) -> bool:
+    astray = OptimisationFailed("astray", constraint="tool deviation", violation=3.0)
+    for each in (failure, astray):
+        with pytest.raises(OptimisationFailed) as caught:
+            more_via_points(attempt, each, Failing(each))
+        assert caught.value is each
+    return True
 
 
 def test_a_trajectory_that_nearly_meets_the_constraints_is_left_to_the_certificate(

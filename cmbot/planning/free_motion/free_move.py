@@ -15,7 +15,7 @@ from cmbot.planning.certification.certificate import Certificate, certify
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.roadmap import lower_peak
-from cmbot.planning.free_motion.rrt_connect import rrt_connect
+from cmbot.planning.free_motion.rrt_connect import MOST_GROWTHS, rrt_connect
 from cmbot.planning.job import Segment
 from cmbot.planning.objectives import efforts_of
 from cmbot.planning.task import ToolTask
@@ -59,6 +59,8 @@ class FreeMove:
         When it begins on the job's clock.
     allowed : float
         Value of the objective that the rest of the job reaches anyway.
+    most_growths : int
+        Of the trees that seek it: fewer where there is something else to do.
     """
 
     name: str
@@ -69,6 +71,7 @@ class FreeMove:
     remedy: str
     begin: float = 0.0
     allowed: float = 0.0
+    most_growths: int = MOST_GROWTHS
 
 
 def plan_move(
@@ -102,7 +105,7 @@ def plan_move(
     allowed = (1 + _SAME) * max(move.allowed, *space.cost(ends))
     given = first(space)
     stop = context.reporter.part_expired(_TIME_SHARE, _MORE_TIME)
-    path = _path(space, ends, given, known, allowed, stop)
+    path = _path(space, ends, given, known, allowed, stop, move.most_growths)
     if path is None:
         raise _unconnected(context, space, move)
     held = context.task.held_at_start()
@@ -215,6 +218,7 @@ def _path(
     known: Callable[[FreeSpace], FloatArray | None],
     allowed: float,
     stop: Callable[[], bool],
+    most_growths: int,
 ) -> FloatArray | None:
     """A free path (k, n): the first whose peak is allowed, else one whose peak is as low as was found."""
     found = [] if given is None else [given]
@@ -222,7 +226,7 @@ def _path(
         found.append(ends)
     if not found:
         path = known(space)
-        path = rrt_connect(space, ends[0], ends[1:], stop) if path is None else path
+        path = rrt_connect(space, ends[0], ends[1:], stop, most_growths) if path is None else path
         found = [] if path is None else [space.shorten(path)]
     for path in found:
         if space.peak(path) <= allowed:

@@ -10,21 +10,27 @@ from cmbot.common.arrays import FloatArray
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.robot import PostureMetric
 
-__all__ = ["rrt_connect"]
+__all__ = ["MOST_GROWTHS", "rrt_connect"]
 
-# Longest step of a tree, rad, and how often the trees are grown before the search is given up.
+# Longest step of a tree, rad, and how often the trees are grown before the search is given up: also so often
+# one after the other without a new posture, as where the roots of a tree are shut in.
 _STEP = 0.3
-_MOST_GROWTHS = 4000
+MOST_GROWTHS, _SHUT_IN = 4000, 300
 
 
 def rrt_connect(
-    space: FreeSpace, start: FloatArray, ends: FloatArray, stop: Callable[[], bool] = lambda: False
+    space: FreeSpace,
+    start: FloatArray,
+    ends: FloatArray,
+    stop: Callable[[], bool] = lambda: False,
+    most: int = MOST_GROWTHS,
 ) -> FloatArray | None:
     """Connect a free posture (n,) to one of some others (m, n) by a broken line of free ones, (k, n).
 
     A tree grows from the start, and one with as many roots from the others, towards random postures and
     towards each other (RRT-Connect; Kuffner and LaValle, 2000). The random numbers are the same in every run.
-    None when no connection was found; the search is given up when `stop` says so.
+    None when no connection was found; the search is given up when `stop` says so, after `most` growths, and
+    where a tree finds no new posture any more.
     """
     nearest = np.argsort(space.robot.metric.lengths(ends - start), kind="stable")
     for end in ends[nearest]:
@@ -33,10 +39,10 @@ def rrt_connect(
     rng = np.random.default_rng(0)
     lower, upper = space.robot.limits.within_a_turn
     trees = (_Tree(start[None], space.robot.metric), _Tree(ends, space.robot.metric))
-    for growth in range(_MOST_GROWTHS):
-        if stop():
-            break
+    for growth in range(most):
         tree, other = trees[growth % 2], trees[1 - growth % 2]
+        if tree.fruitless >= _SHUT_IN or stop():
+            break
         new = tree.grow(space, rng.uniform(lower, upper))
         if new is None:
             continue
@@ -56,6 +62,8 @@ class _Tree:
     def __init__(self, roots: FloatArray, metric: PostureMetric) -> None:
         self.q = roots
         self._parent, self._metric = [-1] * len(roots), metric
+        # Steps since the last one to a new posture.
+        self.fruitless = 0
 
     def grow(self, space: FreeSpace, target: FloatArray) -> int | None:
         """Take one step from the nearest posture towards `target`; return the new posture's index."""
@@ -64,11 +72,13 @@ class _Tree:
         length = float(self._metric.lengths(move))
         if length == 0.0:
             return nearest
+        self.fruitless += 1
         new = target if length <= _STEP else self.q[nearest] + move * (_STEP / length)
         if not space.straight(self.q[nearest], new):
             return None
         self.q = np.vstack([self.q, new])
         self._parent.append(nearest)
+        self.fruitless = 0
         return len(self._parent) - 1
 
     def to_root(self, index: int) -> FloatArray:

@@ -322,7 +322,7 @@ class GlobalSearch:
             stays = start is not None
             # A start that stays is a lower bound as well.
             at_start = float(layers[0].chart.value[chosen[0]]) if stays else 0.0
-            bound = max(self.lower_bound.value, at_start)
+            bound = max(self.lower_bound.value, at_start, context.negligible)
             q = refine(self._leaning, q, self._steps, self._spacing, bound, self._winding, start_stays=stays)
         unwound, beyond = self._unwound(q, start)
         if beyond.any():

@@ -115,7 +115,8 @@ def find_lower_bound(
     is_wide = context.robot.dof - context.task.dimension > 1
     bound = (_searched_one_by_one if is_wide else _searched_together)(context, search, each, postures)
     searched = np.flatnonzero(np.isfinite(bound))
-    where = int(searched[each[searched].argmax()])
+    # Where all is negligible nothing was searched.
+    where = int(searched[each[searched].argmax()] if len(searched) else each.argmax())
     # No objective is negative, whatever samples of a wide self-motion leave open.
     error = float(each[where] - max(bound.max(), 0.0))
     return LowerBound(value=float(each[where]), error=error, via_point=where, each=each), postures[where]
@@ -148,20 +149,23 @@ def _searched_one_by_one(
     """The same where the self-motion is wide: by descent, and by search only where that leaves the largest.
 
     A descent costs a tenth of a search, and nearly always shows that a via-point does not set the bound.
+    Values that are negligible are not searched.
     """
+    least = context.negligible
     bound, descended = np.full(len(each), -np.inf), np.zeros(len(each), dtype=np.bool_)
     while True:
         k = int(each.argmax())
         searched = np.isfinite(bound)
-        if searched[k] or (searched.any() and context.reporter.expired()):
+        late = searched.any() and context.reporter.expired()
+        if searched[k] or late or each[k] <= least:
             return bound
         context.reporter.part(_STEP, int(descended.sum()), len(each), at_most=True)
         if not descended[k]:
-            enough = float(each[descended].max(initial=-np.inf))
+            enough = float(each[descended].max(initial=least))
             each[k] = search.descend(k, each[k], enough, postures)
             descended[k] = each[k] > enough
             continue
-        incumbent = float(each[searched].max(initial=-np.inf))
+        incumbent = float(each[searched].max(initial=least))
         each[[k]], bound[[k]] = search.minimise(np.array([k]), each[[k]], incumbent, postures)
 
 

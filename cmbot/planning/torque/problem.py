@@ -61,7 +61,7 @@ class TorqueProblem:
         Around the initial guess.
     least : float
         What the objective's peak cannot fall below, but for what motion takes off. In postures that do not
-        move the arm rests, and they count too.
+        move the arm rests, and they count too; so does what is negligible.
     """
 
     def __init__(self, context: PlanningContext, parametrization: Parametrization, least: float) -> None:
@@ -79,7 +79,8 @@ class TorqueProblem:
         fixed = np.setdiff1d(np.arange(len(t)), parametrization.movable)
         if parametrization.retraction is None:
             fixed = fixed[[0, -1]]
-        self.lower_bound = max(least, float(self.at_via_points[fixed].max(initial=0.0))) / self.scale
+        at_fixed = float(self.at_via_points[fixed].max(initial=0.0))
+        self.lower_bound = max(least, at_fixed, context.negligible) / self.scale
         self.objective: StateFunction = ScaledObjective(context.objective, self.scale)
         self.bounds = _kinematic_bounds(robot, 1 - _EXACT_SHARE_IN_TOLERANCES * options.constraint_tolerance)
         inside = 1 - _SAMPLED_SHARE / options.samples_per_segment**2

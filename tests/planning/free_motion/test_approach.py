@@ -13,7 +13,7 @@ from cmbot.planning import Plan, certify_move, plan
 from cmbot.planning.free_motion import free_move
 from cmbot.planning.free_motion.approach import joined_starts, plan_approach
 from cmbot.planning.free_motion.free_space import FreeSpace
-from cmbot.planning.free_motion.rrt_connect import rrt_connect
+from cmbot.planning.free_motion.rrt_connect import MOST_GROWTHS, rrt_connect
 from cmbot.planning.path.gradient_projection import self_motion_postures
 from cmbot.planning.progress import ProgressReporter
 from cmbot.robot import Dynamics, Kinematics
@@ -107,6 +107,20 @@ def test_a_blocked_approach_is_refused() -> None:
     _, J = Kinematics(context.robot).tool_jacobian(context.posture)
     smallest = np.linalg.svd(J, compute_uv=False)[-1]
     assert caught.value.smallest_singular_value == pytest.approx(smallest)
+
+
+def test_the_way_to_a_start_that_is_only_better_is_not_sought_for_long(
+    triangle_plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    context, most = context_of(triangle_plan.scene), list[int]()
+    monkeypatch.setattr(FreeSpace, "straight", lambda *_: False)
+    monkeypatch.setattr(free_move, "rrt_connect", lambda *arguments: most.append(arguments[-1]))
+    for dispensable in (True, False):
+        with pytest.raises(PathNotFound, match="was found"):
+            plan_approach(
+                context, triangle_plan.start.posture, context.posture[None], dispensable=dispensable
+            )
+    assert 0 < most[0] < most[1] == MOST_GROWTHS
 
 
 def test_what_is_in_the_way_of_an_approach_is_named(triangle_plan: Plan) -> None:

@@ -14,7 +14,7 @@ from cmbot.planning.context import robot_of
 from cmbot.planning.free_motion import roadmap
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.roadmap import lower_peak
-from cmbot.planning.free_motion.rrt_connect import rrt_connect
+from cmbot.planning.free_motion.rrt_connect import MOST_GROWTHS, _Tree, rrt_connect
 from cmbot.planning.progress import ProgressReporter
 
 START, END = np.radians([[-10, -90, 90, -60, 10, 50, 0], [-10, -90, 90, 60, 10, 50, 40]])
@@ -92,7 +92,9 @@ def test_trees_lead_around_postures_that_cannot_be_held(space: FreeSpace) -> Non
         assert all(walled.straight(a, b) for a, b in pairwise(line))
 
 
-def test_trees_lead_to_the_one_of_several_postures_that_can_be_reached(space: FreeSpace) -> None:
+def test_trees_lead_to_the_one_of_several_postures_that_can_be_reached(
+    space: FreeSpace, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The nearest of them is shut in."""
     shut = START + 0.2 * (END - START)
     shut[4] += 0.5
@@ -106,6 +108,16 @@ def test_trees_lead_to_the_one_of_several_postures_that_can_be_reached(space: Fr
     path = rrt_connect(walled, START, np.stack([shut, END]))
     np.testing.assert_array_equal(path[[0, -1]], [START, END])
     assert rrt_connect(walled, START, shut[None], stop=iter([*50 * [False], True]).__next__) is None
+    # Around it there is soon nothing new; without that all growths would be tried.
+    steps, grow = [0], _Tree.grow
+
+    def counted(tree: _Tree, *arguments: Any) -> int | None:
+        steps[0] += 1
+        return grow(tree, *arguments)
+
+    monkeypatch.setattr(_Tree, "grow", counted)
+    assert rrt_connect(walled, START, shut[None]) is None
+    assert steps[0] < MOST_GROWTHS
 
 
 def test_a_line_is_checked_wherever_it_may_be_blocked(space: FreeSpace) -> None:

@@ -15,7 +15,7 @@ from cmbot.planning import GlobalSearch, Plan, plan
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.progress import Progress, ProgressReporter
-from cmbot.planning.selfmotion.lower_bound import LowerBound
+from cmbot.planning.selfmotion.lower_bound import LowerBound, _BranchAndBound
 from cmbot.scene import Scene
 
 KINDS = ("pose", "axis", "position")
@@ -137,6 +137,17 @@ def test_the_error_is_small_where_the_self_motion_is_narrow(kind: str, bound: Lo
 @pytest.fixture(scope="module")
 def pose() -> LowerBound:
     return GlobalSearch(context_of(scene_of("pose"))).lower_bound
+
+
+def test_where_all_is_negligible_nothing_is_searched(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bound is then what was found, and nothing is known of what lies below."""
+    context = context_of(scene_of("position"))
+    off = context.tool_off
+    at_rest = off.objective.at_rest(off.postures.at(context.posture[None]))[0]
+    assert context.negligible == pytest.approx(0.01 * at_rest)
+    monkeypatch.setattr(_BranchAndBound, "minimise", None)
+    found = GlobalSearch(replace(context, reached=1e6)).lower_bound
+    assert 0 < found.value == found.error == found.each.max() < 1e4
 
 
 def test_more_freedom_has_a_lower_floor(kind: str, bound: LowerBound, pose: LowerBound) -> None:
