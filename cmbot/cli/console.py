@@ -30,6 +30,7 @@ __all__ = [
     "ForceOption",
     "JsonOption",
     "LostOutputError",
+    "PlanArgument",
     "QuietOption",
     "SceneArgument",
     "complete_scene",
@@ -129,6 +130,7 @@ SceneArgument = Annotated[
         autocompletion=complete_scene,
     ),
 ]
+PlanArgument = Annotated[Path, typer.Argument(metavar="DIR", help="A plan directory.")]
 
 
 class ExitStatus(IntEnum):

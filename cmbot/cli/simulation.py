@@ -13,7 +13,9 @@ import cmbot
 from cmbot.cli.console import (
     ConsoleProgress,
     FiguresOption,
+    ForceOption,
     JsonOption,
+    PlanArgument,
     QuietOption,
     err,
     flat,
@@ -37,52 +39,61 @@ _LEFT_OUT = ("format", "assumptions")
 DetailsOption = Annotated[bool, typer.Option("--details", help="Print all figures, not only the answer.")]
 
 
+DampingOption = Annotated[float, typer.Option("--damping", help="Share of critical damping of every mode.")]
+InitialOption = Annotated[
+    str, typer.Option("--initial", help="How the arm hangs at first: equilibrium, or undeformed.")
+]
+StiffnessOption = Annotated[
+    float, typer.Option("--stiffness", help="Factor on the stiffness of guardrail, links and joints.")
+]
+ShareOption = Annotated[
+    float | None,
+    typer.Option(
+        "--stiffness-share",
+        help="Simulate with all stiffness less and more by this share, too: 0.3 is 30 % softer and 30 % "
+        "stiffer, 0 neither. Left out: what the plan allows for (quiet_stiffness_share).",
+    ),
+]
+SegmentsOption = Annotated[int, typer.Option("--segments", help="Elastic segments of each link.")]
+RateOption = Annotated[
+    float | None,
+    typer.Option(
+        "--rate",
+        help="Positions a second that the controller is sent, such as 125; needs --servo. Left out: the "
+        "whole motion is known to it.",
+    ),
+]
+SetPointsOption = Annotated[
+    str,
+    typer.Option(
+        "--set-points",
+        help="With --rate: from one to the next the command goes along a line (interpolated) or jumps "
+        "(held).",
+    ),
+]
+ServoOption = Annotated[
+    float | None,
+    typer.Option(
+        "--servo",
+        help="How quickly joints follow: the bandwidth of their position control, Hz, such as 10. Left "
+        "out: they follow exactly.",
+    ),
+]
+DelayOption = Annotated[float, typer.Option("--delay", help="Seconds by which the joints follow late.")]
+
+
 def simulate(
-    directory: Annotated[Path, typer.Argument(metavar="DIR", help="A plan directory.")],
-    damping: Annotated[
-        float, typer.Option("--damping", help="Share of critical damping of every mode.")
-    ] = 0.01,
-    initial: Annotated[
-        str, typer.Option("--initial", help="How the arm hangs at first: equilibrium, or undeformed.")
-    ] = "equilibrium",
-    stiffness: Annotated[
-        float, typer.Option("--stiffness", help="Factor on the stiffness of guardrail, links and joints.")
-    ] = 1.0,
-    stiffness_share: Annotated[
-        float | None,
-        typer.Option(
-            "--stiffness-share",
-            help="Simulate with all stiffness less and more by this share, too: 0.3 is 30 % softer and 30 % "
-            "stiffer, 0 neither. Left out: what the plan allows for (quiet_stiffness_share).",
-        ),
-    ] = None,
-    segments: Annotated[int, typer.Option("--segments", help="Elastic segments of each link.")] = 1,
-    rate: Annotated[
-        float | None,
-        typer.Option(
-            "--rate",
-            help="Positions a second that the controller is sent, such as 125; needs --servo. Left out: the "
-            "whole motion is known to it.",
-        ),
-    ] = None,
-    set_points: Annotated[
-        str,
-        typer.Option(
-            "--set-points",
-            help="With --rate: from one to the next the command goes along a line (interpolated) or jumps "
-            "(held).",
-        ),
-    ] = "interpolated",
-    servo: Annotated[
-        float | None,
-        typer.Option(
-            "--servo",
-            help="How quickly joints follow: the bandwidth of their position control, Hz, such as 10. Left "
-            "out: they follow exactly.",
-        ),
-    ] = None,
-    delay: Annotated[float, typer.Option("--delay", help="Seconds by which the joints follow late.")] = 0.0,
-    force: Annotated[bool, typer.Option("--force", help="Replace tracking errors that are there.")] = False,
+    directory: PlanArgument,
+    damping: DampingOption = 0.01,
+    initial: InitialOption = "equilibrium",
+    stiffness: StiffnessOption = 1.0,
+    stiffness_share: ShareOption = None,
+    segments: SegmentsOption = 1,
+    rate: RateOption = None,
+    set_points: SetPointsOption = "interpolated",
+    servo: ServoOption = None,
+    delay: DelayOption = 0.0,
+    force: ForceOption = False,
     figures: FiguresOption = False,
     details: DetailsOption = False,
     as_json: JsonOption = False,
@@ -145,7 +156,7 @@ def reproduce(
         bool,
         typer.Option("--quick", help="Only the stiffnesses times 1, 0.7 and 1.3, and no plan of least sag."),
     ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace a reproduction that is there.")] = False,
+    force: ForceOption = False,
     details: DetailsOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,

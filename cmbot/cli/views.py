@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import cmbot
-from cmbot.cli.console import ConsoleProgress, flat, out
+from cmbot.cli.console import ConsoleProgress, ForceOption, PlanArgument, flat, out
 from cmbot.common.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,7 +33,6 @@ __all__ = [
 # Seconds of motion in a second of a GIF.
 _GIF_SPEED = 4.0
 _LONGEST_SIZE = 12
-PlanArgument = Annotated[Path, typer.Argument(metavar="DIR", help="A plan directory.")]
 
 
 def replay(
@@ -198,7 +197,7 @@ def compare(
         list[Path], typer.Argument(metavar="DIR DIR...", help="Plan directories of one arm, 2 to 6.")
     ],
     html: Annotated[Path, typer.Option("--html", help="Page to write.")] = Path("compare.html"),
-    force: Annotated[bool, typer.Option("--force", help="Replace the page if it is there.")] = False,
+    force: ForceOption = False,
 ) -> None:
     """Write a page that shows several plans together: overlaid in 3-D and in plots, figures side by side.
 
@@ -228,7 +227,7 @@ def export(
         Path | None,
         typer.Option("--ros-package", metavar="FOLDER", help="Description package of the robot to write."),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace the file if it is there.")] = False,
+    force: ForceOption = False,
 ) -> None:
     """Write a plan for ROS 2: the job as messages for Foxglove and RViz, the robot as a package.
 
