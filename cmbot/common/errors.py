@@ -214,6 +214,7 @@ def remedy_for(
     path: str = "tool_path",
     more_time: str = _TIME,
     smoother: str = "",
+    at_limits: bool = True,
 ) -> str:
     """Return what most often helps where a constraint cannot be kept; empty where nothing is known to.
 
@@ -229,12 +230,14 @@ def remedy_for(
         What gives the joints more time along it.
     smoother : str
         What makes its time law smoother, to be appended to that.
+    at_limits : bool
+        Joints are at limits of their rates: where they are not, a tool that is far away has no lack of time.
     """
     # A jump between segments is no limit of the joint whose derivatives it names.
     some = () if constraint.startswith("jump") else _REMEDIES
     what = next((what for name, what in some if name in constraint), "")
     if violation > FAR_BEYOND and constraint.startswith("tool "):
-        what = "{time}"
+        what = "{time}" if at_limits else "more {path}.via_points"
     return what.format(path=path, time=more_time, smoother=smoother)
 
 

@@ -51,13 +51,14 @@ def constraints_named(context: PlanningContext) -> Iterator[None]:
     except OptimisationFailed as failure:
         name, late = _named(context, failure), _LATE in failure.reason
         remedy = "a larger planner.time_limit_s" if late else failure.remedy
+        at_limits = bool(_factors(context, failure.trajectory).max() >= _AT_LIMIT)
         raise OptimisationFailed(
             failure.reason.replace(_LATE, _time_over(context)),
             constraint=name,
             violation=failure.violation,
             undecided=failure.undecided,
             trajectory=failure.trajectory,
-            remedy=remedy or context.stroke.remedy_for(name, failure.violation),
+            remedy=remedy or context.stroke.remedy_for(name, failure.violation, at_limits=at_limits),
         ) from failure
 
 

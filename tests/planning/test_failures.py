@@ -136,6 +136,26 @@ def test_a_time_that_was_over_is_told_with_the_limit_and_what_was_used(context: 
     ]
 
 
+def test_a_tool_far_away_needs_time_where_joints_are_hasty_and_via_points_where_not(
+    context: PlanningContext, trajectory: QuinticTrajectory
+) -> None:
+    for slower_by, remedy in ((0.2, "more seconds in tool_path.legs"), (100, "more tool_path.via_points")):
+        timed = QuinticTrajectory(
+            t=slower_by * trajectory.t,
+            q=trajectory.q,
+            v=trajectory.v / slower_by,
+            a=trajectory.a / slower_by**2,
+        )
+        astray = OptimisationFailed("no", constraint="tool deviation", violation=99.0, trajectory=timed)
+        path = replace(context.task.path, seconds=slower_by * context.task.path.seconds)
+        with (
+            pytest.raises(OptimisationFailed) as caught,
+            constraints_named(replace(context, task=replace(context.task, path=path))),
+        ):
+            raise astray
+        assert str(caught.value).endswith(f"far beyond its bound: {remedy} may help")
+
+
 RASTER = {
     "origin": [1.8, 0.7, -1.9],
     "u": [0, -0.1, 0],

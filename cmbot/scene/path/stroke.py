@@ -92,14 +92,21 @@ class Stroke:
         more = {0: "more seconds", len(moving): "lower speeds"}.get(fast, "more seconds or lower speeds")
         return f"{more} in {self.key}.legs"
 
-    def remedy_for(self, constraint: str, violation: float = 0.0) -> str:
+    def remedy_for(self, constraint: str, violation: float = 0.0, *, at_limits: bool = True) -> str:
         """Return what most often helps where a constraint cannot be kept, by the keys of the scene.
 
-        The violation is a share of its bound.
+        The violation is a share of its bound; `at_limits` are joints whose rates are at their bounds.
         """
         is_smooth = self.file.speed_profile.kind == "jerk_limited"
         smoother = "" if is_smooth else f", or {self.key}.speed_profile.kind jerk_limited,"
-        return remedy_for(constraint, violation, path=self.key, more_time=self.more_time, smoother=smoother)
+        return remedy_for(
+            constraint,
+            violation,
+            path=self.key,
+            more_time=self.more_time,
+            smoother=smoother,
+            at_limits=at_limits,
+        )
 
     def _in_file(self, leg: int) -> int:
         """The number in the file of a leg of the timed path, which may go back and in passes."""
