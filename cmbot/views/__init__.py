@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from cmbot.common.lazy_imports import on_first_use
 from cmbot.views.compare import compare_page
 from cmbot.views.film import film
-from cmbot.views.gallery import gallery_page
+from cmbot.views.overview.gallery import gallery_page
 from cmbot.views.page import assemble_plain, write_page
 from cmbot.views.plots import figure_files, plot, require_matplotlib
 from cmbot.views.replay import ReplayServer, replay, replay_page
@@ -18,10 +18,10 @@ from cmbot.views.report import REPLAY, REPORT, pages, report, report_page
 from cmbot.views.show import Shown, show
 
 if TYPE_CHECKING:
-    from cmbot.views.stances import stances_page
-    from cmbot.views.toured import tour_page
+    from cmbot.views.overview.stances import stances_page
+    from cmbot.views.overview.tour import tour_page
+    from cmbot.views.overview.walk import walk_page
     from cmbot.views.walk_replay import walk_replay_page
-    from cmbot.views.walked import walk_page
 
 __all__ = [
     "REPLAY",
@@ -49,9 +49,9 @@ __all__ = [
 ]
 
 _LATER = {
-    "cmbot.views.stances": ("stances_page",),
-    "cmbot.views.toured": ("tour_page",),
+    "cmbot.views.overview.stances": ("stances_page",),
+    "cmbot.views.overview.tour": ("tour_page",),
     "cmbot.views.walk_replay": ("walk_replay_page",),
-    "cmbot.views.walked": ("walk_page",),
+    "cmbot.views.overview.walk": ("walk_page",),
 }
 __getattr__ = on_first_use(__name__, _LATER)

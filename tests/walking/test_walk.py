@@ -20,7 +20,7 @@ from cmbot.robot import Climber, Kinematics, load_climbing_robot
 from cmbot.scene import FootholdFile, Scene, StanceFile
 from cmbot.siting import Candidate, in_the_way, places_of
 from cmbot.views import walk_page
-from cmbot.views.guardrail_map import guardrail_map
+from cmbot.views.overview.guardrail_map import guardrail_map
 from cmbot.walking import (
     Walk,
     WalkOptions,

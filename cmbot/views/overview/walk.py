@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cmbot.views.guardrail_map import guardrail_map
+from cmbot.views.overview.guardrail_map import guardrail_map
 from cmbot.views.page import still_page, table
 from cmbot.walking import Walk, WalkSamples, walk_samples
 

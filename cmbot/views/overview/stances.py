@@ -9,7 +9,7 @@ import numpy as np
 
 from cmbot.planning import robot_of, strokes_of
 from cmbot.siting import Standing, bounds_table, in_words, planned_table, shared_out
-from cmbot.views.guardrail_map import Stand, guardrail_map
+from cmbot.views.overview.guardrail_map import Stand, guardrail_map
 from cmbot.views.page import still_page, table
 
 __all__ = ["stances_page"]

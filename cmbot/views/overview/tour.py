@@ -8,10 +8,10 @@ from itertools import chain
 import numpy as np
 
 from cmbot.planning import Plan
-from cmbot.views.guardrail_map import Stand, guardrail_map
+from cmbot.views.overview.guardrail_map import Stand, guardrail_map
+from cmbot.views.overview.walk import steps_table
 from cmbot.views.page import still_page, table
 from cmbot.views.report import REPORT
-from cmbot.views.walked import steps_table
 from cmbot.walking import Tour, Walk, walk_samples
 
 __all__ = ["tour_page"]
