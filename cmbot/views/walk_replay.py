@@ -23,7 +23,7 @@ __all__ = ["walk_replay_page"]
 
 _ONLY = "planned"  # the name of the one motion
 # Places of a foot that are drawn, and how little it moves from one sample to the next where it stays, m.
-_MOST_PLACES, _STAYS = 80, 1e-5
+_MOST_PLACES, _STAYS = 160, 1e-5
 # Of the camera, rad; and how far links and tool reach beyond the joints, m.
 _AZIMUTH, _ROOM = np.pi / 3, 0.2
 _JOINTS = (*CLIMBING_JOINTS, *ARM_JOINTS)

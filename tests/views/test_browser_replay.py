@@ -254,3 +254,12 @@ def test_card_and_bar_cover_nothing_of_what_is_shown(shown: Chrome, size: tuple[
         assert not ((x > left) & (x < right) & (y > top) & (y < bottom)).any()
     # As large as that allows.
     assert max(np.ptp(parts[0], axis=0) / size) > 0.25
+
+
+def test_what_takes_long_is_played_faster_at_first(chrome: Chrome, replay_file: Path) -> None:
+    open_page(chrome, replay_file)
+    speeds = "return [20, 120, 121, 1395, 4000, 1e6].map(speedFor)"
+    assert chrome.execute_script(speeds) == [1, 1, 2, 30, 100, 100]
+    offered = "[...document.querySelectorAll('#speed option')].map((option) => Number(option.value))"
+    assert ask(chrome, offered) == [0.25, 0.5, 1, 2, 4]
+    assert ask(chrome, "document.getElementById('speed').value") == "1"

@@ -36,6 +36,7 @@ MOST_OBSTACLE_FACES = 12_000
 """With these, and `MOST_POSES` of `replay_data`, a page stays below 5 MB, but for meshes of loose parts."""
 
 SHORTEST_REACH = 0.05  # m
+WAY_SECTIONS = 8  # of the tube along a foot's way, which has many points
 RAIL_PIECE = 0.15  # between two cross-sections of a rail, m
 CREASE = np.deg2rad(35.0)  # edges with a larger angle are shaded as sharp
 
@@ -123,7 +124,7 @@ def moving_robot_commands(
     length : float, m
         To which the tubes' thickness is scaled.
     """
-    tubes = [tube(way, 0.002 * length) for way in ways]
+    tubes = [tube(way, 0.002 * length, sections=WAY_SECTIONS) for way in ways]
     shapes = list(visual.geometryObjects)
     commands = [*_PLAIN, *_robot(shapes, urdf), *_bridge(scene), _set_mesh("/path", tubes, PATH)]
     return [umsgpack.packb(command) for command in commands]

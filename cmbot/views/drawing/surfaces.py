@@ -201,15 +201,15 @@ def hull(points: FloatArray) -> Surface:
     return Surface(points[used], faces.reshape(-1, 3))
 
 
-def tube(points: FloatArray, radius: float) -> Surface:
+def tube(points: FloatArray, radius: float, *, sections: int = TUBE_SECTIONS) -> Surface:
     """Return a tube through `points` (N, 3), m, with a ball at each."""
     pieces = []
     for start, end in pairwise(points):
         turned = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end - start)
         X = pin.SE3(turned, 0.5 * (start + end)).homogeneous
         length = float(np.linalg.norm(end - start))
-        pieces.append(cylinder(radius, length, sections=TUBE_SECTIONS).moved(X))
-    joint = ball(1.6 * radius, sections=TUBE_SECTIONS, rings=TUBE_SECTIONS)
+        pieces.append(cylinder(radius, length, sections=sections).moved(X))
+    joint = ball(1.6 * radius, sections=sections, rings=sections)
     return merged([*pieces, *(Surface(joint.vertices + point, joint.faces) for point in points)])
 
 

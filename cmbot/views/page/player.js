@@ -1,5 +1,10 @@
 // Sets arms and numbers for a time on the job's clock, and plays. `onTime` is called with every new time.
 const TURN = Math.PI / 36;  // of the view by a key
+const LONG = 120;  // s: what takes longer is played faster at first
+const FAST = [10, 30, 100];  // further speeds of long jobs
+
+// The speed at which a job of so many seconds is played at first.
+const speedFor = (seconds) => [1, 2, 4, ...FAST].find((times) => seconds <= LONG * times) ?? FAST.at(-1);
 
 class Player {
   constructor(data, onTime) {
@@ -22,6 +27,7 @@ class Player {
     if (strain > 0) this.stage.colours.top = roundedUp(strain);
     else this.ui.colours.querySelector("[value=strain]").remove();
     this.legend = new Legend(this.stage.colours, holds);
+    this.offerSpeeds(data.end - data.start);
     this.connect();
     this.note(0);
     if (data.bending) this.offerFactors(data.bending.factors);
@@ -40,6 +46,12 @@ class Player {
     ui.deflection.addEventListener("input", () => this.magnify(Number(ui.deflection.value)));
     window.addEventListener("keydown", (event) => this.onKey(event));
     stage.onDrawn = (part) => this.placeLabels(part);
+  }
+
+  offerSpeeds(seconds) {
+    const { speed } = this.ui, first = speedFor(seconds);
+    if (seconds > LONG) for (const times of FAST) speed.add(new Option(`${times} ×`, String(times)));
+    speed.value = String(first);
   }
 
   // On a narrow page: all controls.

@@ -23,7 +23,6 @@ start((data) => {
   for (const id of ["compare", "arrow"]) player.ui[id].closest("label").hidden = true;
   player.ui.colours.querySelector("[value=load]").textContent = "what is borne";
   player.legend.share = "share of what it can bear";
-  for (const times of [10, 30]) player.ui.speed.add(new Option(`${times} ×`, String(times)));
   player.colour("load");
   return player;
 });
