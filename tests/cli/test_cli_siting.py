@@ -76,7 +76,7 @@ def test_jobs_that_no_stance_reaches_are_done_from_two(both: tuple[Path, Outcome
     assert {(row["group"], row["strokes"]) for row in rows} == {("1", "left"), ("2", "right")}
     page = (folder / "out" / "index.html").read_text()
     assert "<h2>Stance 1: left</h2>" in page
-    assert page.count("<svg") == 2
+    assert page.count("<svg") == 4  # each on the guardrail, and among the others
 
 
 def test_scenes_of_an_earlier_search_do_not_stay(both: tuple[Path, Outcome]) -> None:
