@@ -98,6 +98,20 @@ finally:
     assert printed_by(look)[-1] == "True {1}"
 
 
+def test_what_scipy_imports_of_numpy_is_loaded_when_it_is_used() -> None:
+    look = """
+import sys
+from cmbot.__main__ import main
+sys.argv = ["cmbot", "--version"]
+try:
+    main()
+finally:
+    import numpy, scipy.linalg
+    print("unittest" in sys.modules, numpy.testing.assert_allclose.__name__, "unittest" in sys.modules)
+"""
+    assert printed_by(look)[-1] == "False assert_allclose True"
+
+
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="glibc's allocator is set up")
 def test_memory_of_blocks_that_come_and_go_stays() -> None:
     look = """
