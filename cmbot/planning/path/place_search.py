@@ -79,10 +79,12 @@ def worst_missed(
     None where one is found for each. `known` (n,), rad and m, is a posture to begin with.
     """
     search = _Search(robot, task, goals, known, violation)
+    # Mostly that is all.
+    search.begin()
     for number in _ROUNDS:
-        search.attempt(np.flatnonzero(~search.found), number)
         if search.found.all():
             return None
+        search.attempt(np.flatnonzero(~search.found), number)
     while not search.found.all():
         place = int(search.lack.argmax())
         search.attempt(np.array([place]), _LAST)
@@ -98,7 +100,7 @@ class _Search:
     def __init__(
         self, robot: Robot, task: ToolTask, goals: ToolPoses, known: FloatArray, violation: Violation | None
     ) -> None:
-        self._robot, self._task, self._known, self._violation = robot, task, known, violation
+        self._robot, self._task, self._violation = robot, task, violation
         number = len(goals.point)
         rotation = np.broadcast_to(goals.rotation, (number, 3, 3))
         self._goals = ToolPoses(point=goals.point, rotation=rotation)
@@ -119,13 +121,16 @@ class _Search:
         held = self._miss < _TOLERANCE
         return np.where(held, self._broken / (1.0 + self._broken), 1.0 + self._miss)
 
+    def begin(self) -> None:
+        """Start at each place from the known posture."""
+        self._seek(np.arange(len(self._q)), self._q.copy())
+
     def attempt(self, places: IntArray, number: int) -> None:
         """Start at places (k,) from so many random postures, then from those of places beside them."""
         limits = self._robot.limits
         middle, half = limits.range_middle, limits.sampled_half
         q = self._rng.uniform(middle - half, middle + half, (number * len(places), len(middle)))
         self._seek(np.repeat(places, number), q)
-        self._seek(places, np.tile(self._known, (len(places), 1)))
         while True:
             found = self.found
             for way in (1, -1):
@@ -141,7 +146,7 @@ class _Search:
         self._seek(np.full(1, place), self._q[place][None], _MORE_STEPS)
         metric = self._postures.metric
         for scatter in _SCATTER if self._miss[place] < _TOLERANCE else ():
-            moves = self._rng.normal(0.0, scatter, (_COPIES, len(self._known)))
+            moves = self._rng.normal(0.0, scatter, (_COPIES, self._q.shape[1]))
             self._seek(np.full(_COPIES, place), self._q[place] + metric.positions(moves))
 
     def _seek(self, places: IntArray, q: FloatArray, steps: int = _STEPS) -> None:
