@@ -122,6 +122,8 @@ class ExchangeReport:
         Exchange iterations so far.
     iterations : int
         Solver iterations of this one.
+    ended : bool
+        The solver ended by itself.
     constraints : int
         Size of the constraint set.
     peak_torque : float
@@ -133,6 +135,7 @@ class ExchangeReport:
     stage: str
     number: int
     iterations: int
+    ended: bool
     constraints: int
     peak_torque: float
     worst: Violation
@@ -332,7 +335,7 @@ class _Exchange:
             limit = max(end.peak, target) if bound is None else bound
             found = self._separated(limit)
             known, self._constraints = self._constraints, found.added_to(self._constraints)
-            self._report(stage, iterations, found)
+            self._report(stage, iterations, found, ended=done)
             worst, nothing_new = found.worst_beside(limit), self._constraints is known
             met = worst.value <= o.feasibility_tolerance
             self._keep(found)
@@ -402,11 +405,12 @@ class _Exchange:
         trajectory = self.form.trajectory
         return find_violations(self._program, trajectory, bound, o.feasibility_tolerance, o.most_violations)
 
-    def _report(self, stage: Stage, iterations: int, found: Separation) -> None:
+    def _report(self, stage: Stage, iterations: int, found: Separation, *, ended: bool) -> None:
         report = ExchangeReport(
             stage=stage.name,
             number=len(self.reports) + 1,
             iterations=iterations,
+            ended=ended,
             constraints=len(self._constraints),
             peak_torque=found.peak * self._program.scale,
             worst=found.worst,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -50,6 +51,8 @@ _TRIALS = 3
 _ADVICE = 0.1
 # The scene's posture is planned from, too, where that may lower the peak of the job by more than this share.
 _WORTH_PLANNING = 1e-2
+# That is given up where its peak is above by this share, which is more than less smoothing lowers it by.
+_HARDLY_LOWERED = 0.02
 # Peaks of two orders of strokes that differ by less are the same.
 _SAME_PEAK = 1.001
 
@@ -241,8 +244,11 @@ def _lighter(attempt: Attempt, motion: StrokeMotion) -> tuple[Attempt, StrokeMot
         here, there = (each.problem.parametrization.via_points for each in (stays, guess))
         if np.array_equal(here, there):
             return attempt, motion
-        other, lighter = with_retries(replace(attempt, guess=stays), _certified_motion)
-    except PlanningError:
+        useless = (1 + _HARDLY_LOWERED) * asked
+        other, lighter = with_retries(
+            replace(attempt, guess=stays), partial(_certified_motion, useless=useless)
+        )
+    except (PlanningError, _UselessMotion):
         return attempt, motion
     peak = _peak(other.context, lighter.job.segments)
     if margin * peak > asked:
@@ -307,7 +313,15 @@ def _return(context: PlanningContext, before: tuple[Segment, ...]) -> Segment | 
     return plan_return(context, work.trajectory.q[-1], begin=work.end, allowed=allowed)
 
 
-def _certified_motion(attempt: Attempt) -> StrokeMotion:
+class _UselessMotion(Exception):
+    """The least peak of a motion is more than it may be."""
+
+
+def _certified_motion(attempt: Attempt, useless: float = np.inf) -> StrokeMotion:
+    """Optimise and certify the motion of an attempt, with the free moves that go with it.
+
+    A `_UselessMotion` is raised where its least peak is above `useless`.
+    """
     context, guess = attempt.context, attempt.guess
     reporter, options = context.reporter, context.options
     reporter.stage("optimise")
@@ -317,6 +331,8 @@ def _certified_motion(attempt: Attempt) -> StrokeMotion:
 
     def each_pass(report: ExchangeReport, rounds: int = 0) -> None:
         reporter.passed(report, context.objective.unit, most, rounds=rounds, most_rounds=MOST_ROUNDS)
+        if report.stage == "peak" and report.ended and report.peak_torque > useless:
+            raise _UselessMotion
 
     compensation = suppression = None
     with constraints_named(context):

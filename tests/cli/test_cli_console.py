@@ -115,7 +115,7 @@ def test_passes_are_told_with_what_is_left_at_most() -> None:
 def a_pass(number: int) -> ExchangeReport:
     worst = Violation("jerk of joint_1", 0.5)
     return ExchangeReport(
-        stage="peak", number=number, iterations=3, constraints=9, peak_torque=380.0, worst=worst
+        stage="peak", number=number, iterations=3, ended=True, constraints=9, peak_torque=380.0, worst=worst
     )
 
 

@@ -33,7 +33,13 @@ class Listener:
         self.now += after
         worst = Violation("jerk of joint_1", 0.5)
         report = ExchangeReport(
-            stage="peak", number=number, iterations=3, constraints=9, peak_torque=380.0, worst=worst
+            stage="peak",
+            number=number,
+            iterations=3,
+            ended=True,
+            constraints=9,
+            peak_torque=380.0,
+            worst=worst,
         )
         self.reporter.passed(report, "Nm", 40, **rounds)
         return self.told[-1]
