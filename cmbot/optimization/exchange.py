@@ -383,9 +383,9 @@ class _Exchange:
             sqp = replace(
                 sqp,
                 met_within=o.attempt_iterations,
-                stuck_steps=o.attempt_steps,
-                stuck_share=0.5,
-                stuck_violation=o.nearly_met,
+                infeasible_steps=o.attempt_steps,
+                infeasible_share=0.5,
+                infeasible_violation=o.nearly_met,
             )
         result = solve_sqp(start, self._families, sqp, self._warm, o.stop)
         self._warm = result

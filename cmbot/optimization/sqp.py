@@ -47,7 +47,7 @@ class SqpOptions:
         Quadratic programs, but for corrections.
     initial_penalty, min_penalty, max_penalty : float
         Weights of the largest violation of each family. The objective is about 1: with a first weight far
-        below, steps would pay for it with violations from which no way leads back, as through an obstacle.
+        below, steps would trade it for violations that later ones cannot undo, as through an obstacle.
     penalty_growth : float
         Factor by which a penalty grows where violations stay.
     penalty_margin : float
@@ -78,14 +78,15 @@ class SqpOptions:
         A step that leaves this share of the violations does little about them.
     steering : float
         Share that a step removes, at least, of the violations that can be removed where nothing else counts.
-    hopeless : float
-        Where no penalty brings violations down to this share they cannot be met.
+    infeasible_ratio : float
+        Where no penalty brings violations down to this share the problem is taken for locally infeasible.
     stall_steps, stall_tolerance, stall_promise : int, float, float
         So many iterations that together gain less than the second, a share as `optimality_tolerance`, end it
         where the constraints are met and a step within `optimality_radius` promises no more than the third:
-        near a solution it takes fewer, elsewhere it creeps. Where they are not met, steps are shortened then.
-        Where they do not bring the violation down to the share `hopeless`, it ends if no step can.
-    stuck_steps, stuck_share, stuck_violation : int, float, float
+        near a solution it takes fewer, elsewhere progress is slow. Where they are not met, steps are
+        shortened; where these do not bring the violation down to the share `infeasible_ratio`, it ends if no
+        step can.
+    infeasible_steps, infeasible_share, infeasible_violation : int, float, float
         So many steps that leave this share of what is violated by more than that end it.
     met_within : float
         So many iterations at none of which the constraints were met end it.
@@ -123,13 +124,13 @@ class SqpOptions:
     contraction: float = 0.4
     stays: float = 0.5
     steering: float = 0.5
-    hopeless: float = 0.9
+    infeasible_ratio: float = 0.9
     stall_steps: int = 8
     stall_tolerance: float = 1e-5
     stall_promise: float = 5e-4
-    stuck_steps: int = 30
-    stuck_share: float = 0.8
-    stuck_violation: float = 2e-2
+    infeasible_steps: int = 30
+    infeasible_share: float = 0.8
+    infeasible_violation: float = 2e-2
     met_within: float = np.inf
     close_gap: bool = False
 
@@ -225,7 +226,7 @@ def solve_sqp(
 
 
 class _SqpState(Generic[AnyIterate]):
-    """Where a run has come to."""
+    """The state of a run between two steps."""
 
     def __init__(
         self,
@@ -242,7 +243,7 @@ class _SqpState(Generic[AnyIterate]):
         if warm is not None:
             self.multipliers = _extended(warm.multipliers, start)
             self.damping = min(warm.damping, self.damping)
-            # Penalties fall again to what multipliers ask for.
+            # Penalties fall again to what the multipliers need.
             needed, others = np.zeros(families), ~start.values.in_epigraph
             np.add.at(needed, start.values.family[others], options.penalty_margin * self.multipliers[others])
             self.penalty = np.clip(needed, options.min_penalty, options.max_penalty)
@@ -258,7 +259,7 @@ class _SqpState(Generic[AnyIterate]):
 
     @property
     def optimality_tolerance(self) -> float:
-        """Decrease that nothing is worth doing for, at the iterate."""
+        """Predicted decrease below which the iterate is optimal."""
         return self._options.optimality_tolerance * self._size
 
     @property
@@ -271,12 +272,12 @@ class _SqpState(Generic[AnyIterate]):
     def status(self) -> SqpStatus:
         """How it has ended; the iteration limit while it has not."""
         met = self.iterate.values.violation <= self._options.feasibility_tolerance
-        if self._status is SqpStatus.ITERATION_LIMIT and met and self._creeps:
+        if self._status is SqpStatus.ITERATION_LIMIT and met and self._is_stalling:
             return SqpStatus.STALLED
         return self._status
 
     @property
-    def _creeps(self) -> bool:
+    def _is_stalling(self) -> bool:
         """Whether the last steps have gained little, and the next ones promise little."""
         o, last = self._options, self._gained[-self._options.stall_steps :]
         little = len(last) == o.stall_steps and sum(last) <= o.stall_tolerance * self._size
@@ -313,7 +314,7 @@ class _SqpState(Generic[AnyIterate]):
         return max(model.merit(self.penalty) - model.after(p, self.penalty), _LEAST_PREDICTION)
 
     def ends(self, model: NlpModel, step: QpStep) -> bool:
-        """Whether a step that promises little is not worth taking; end then, or find out what is wrong."""
+        """Whether a step of little predicted decrease is refused, with the status or penalties set."""
         o, families = self._options, len(self.penalty)
         if not step.solved or self.damping > o.max_damping:
             if self.damping > o.max_damping:
@@ -328,7 +329,7 @@ class _SqpState(Generic[AnyIterate]):
             return converged
         if model.violations(step.p, families=families).max() <= o.stays * model.violation:
             return False
-        if self.penalty.min() >= o.max_penalty or self._hopeless(model, step):
+        if self.penalty.min() >= o.max_penalty or self._is_infeasible(model, step):
             self._status = SqpStatus.INFEASIBLE
         else:
             self.penalty = np.minimum(o.penalty_growth * self.penalty, o.max_penalty)
@@ -344,8 +345,8 @@ class _SqpState(Generic[AnyIterate]):
         overlooked = self.iterate is not before_step and foreseen >= o.shrink * predicted
         self._excused = overlooked and gained < o.shrink * predicted and not self._excused
         # Where little is to be gained only violations are left, and the shorter the steps, the fewer.
-        creeps = self._creeps and self.iterate.values.violation > o.feasibility_tolerance
-        if (gained < o.shrink * predicted and not self._excused) or creeps:
+        stalling = self._is_stalling and self.iterate.values.violation > o.feasibility_tolerance
+        if (gained < o.shrink * predicted and not self._excused) or stalling:
             square = max(float(step.p @ step.p), _LEAST_PREDICTION)
             self.damping = max(o.damping_growth * self.damping, o.damping_share * predicted / square)
             self._radius = o.contraction * min(self._radius, float(np.abs(step.p).max()))
@@ -365,27 +366,28 @@ class _SqpState(Generic[AnyIterate]):
                 met = model.violation <= o.feasibility_tolerance
                 self._status = SqpStatus.STALLED if met else SqpStatus.INFEASIBLE
         self._violations.append(self.iterate.values.violation)
-        if self._stuck(model, step):
+        if self._makes_no_progress(model, step):
             self._status = SqpStatus.INFEASIBLE
 
     def _step(self, model: NlpModel, penalty: FloatArray, radius: float, damping: float = 0.0) -> QpStep:
         return solve_qp(model, penalty, radius, damping, close_gap=self._options.close_gap)
 
-    def _stuck(self, model: NlpModel, step: QpStep) -> bool:
+    def _makes_no_progress(self, model: NlpModel, step: QpStep) -> bool:
         """Whether many steps have left violations, or some have most of them and no step can lower them."""
         o, tolerance = self._options, self._options.feasibility_tolerance
-        last, few = (self._violations[-1 - steps :] for steps in (o.stuck_steps, o.stall_steps))
-        if len(last) > o.stuck_steps and min(last) > max(o.stuck_violation, o.stuck_share * last[0]):
+        last, few = (self._violations[-1 - steps :] for steps in (o.infeasible_steps, o.stall_steps))
+        most = max(o.infeasible_violation, o.infeasible_share * last[0])
+        if len(last) > o.infeasible_steps and min(last) > most:
             return True
         if len(self._violations) > o.met_within and min(self._violations) > tolerance:
             return True
-        stays = len(few) > o.stall_steps and min(few) > max(tolerance, o.hopeless * few[0])
-        return stays and self._hopeless(model, step)
+        stays = len(few) > o.stall_steps and min(few) > max(tolerance, o.infeasible_ratio * few[0])
+        return stays and self._is_infeasible(model, step)
 
-    def _hopeless(self, model: NlpModel, step: QpStep) -> bool:
+    def _is_infeasible(self, model: NlpModel, step: QpStep) -> bool:
         """Whether a step does not lower violations, and not even one for which only they count."""
         o, families = self._options, len(self.penalty)
-        enough = o.hopeless * model.violation
+        enough = o.infeasible_ratio * model.violation
         if model.violations(step.p, families=families).max() <= enough:
             return False
         firmest = self._step(model, np.full(families, o.max_penalty), o.optimality_radius, 0.0).p

@@ -206,7 +206,7 @@ def test_where_only_violations_are_left_steps_are_shortened(angle: float) -> Non
     assert much.iterate.model.violation > 1e-2
 
 
-def test_a_step_that_lowers_violations_is_not_hopeless(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_step_that_lowers_violations_is_feasible(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever comes of the program that weighs nothing else: it may stay unsolved."""
     start = Ripples(np.array([3.0, -3.0]), 1.0)
     state = sqp._SqpState(start, 2, SqpOptions(), None, lambda: False)
@@ -214,8 +214,8 @@ def test_a_step_that_lowers_violations_is_not_hopeless(monkeypatch: pytest.Monke
     step = state.steered(model)
     none = replace(step, p=np.zeros(2), solved=False)
     monkeypatch.setattr(sqp, "solve_qp", lambda *_, **__: none)
-    assert not state._hopeless(model, step)
-    assert state._hopeless(model, none)
+    assert not state._is_infeasible(model, step)
+    assert state._is_infeasible(model, none)
 
 
 def test_what_cannot_be_met_is_said() -> None:

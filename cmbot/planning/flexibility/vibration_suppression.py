@@ -251,7 +251,7 @@ class _Search:
         self._X = np.zeros((problem.space.dimension, trajectory.q.shape[1]))
         self._shares = np.zeros(len(windows))
         # Nothing is sought where every leg ends at rest, nor where nothing was found.
-        self._hopeless = np.array([window.amplitude < _AT_REST for window in windows])
+        self._skipped = np.array([window.amplitude < _AT_REST for window in windows])
         self._here, self._broken = trajectory, 0.0
         self._held, self._earlier = self._held_here(), list[_HalfSpaces]()
 
@@ -262,7 +262,7 @@ class _Search:
 
     def changed(self) -> tuple[QuinticTrajectory, list[float]]:
         """Return the changed trajectory, and the share of each window's change that it took."""
-        unfit = ~self._hopeless
+        unfit = ~self._skipped
         for _ in range(_ROUNDS):
             if not unfit.any() or self._problem.context.reporter.expired():
                 break
@@ -289,7 +289,7 @@ class _Search:
         self._broken, self._held = max(found.worst.value, found.peak - self._peak), self._held_here()
         unfit = self._shares == 0
         np.logical_or.at(unfit, self._window_at(self._held.times), self._held.value > self._tolerance)
-        return np.asarray(unfit & ~self._hopeless)
+        return np.asarray(unfit & ~self._skipped)
 
     def _step(self, unfit: BoolArray) -> None:
         """Work out the change of the windows that are unfit, to first order around the trajectory here."""
@@ -306,7 +306,7 @@ class _Search:
             window, here = self._windows[k], at == k
             found = window.change(known.rows[here], known.most[here])
             # Without a change that keeps to the room here, one is sought from the start, once.
-            self._hopeless[k] = found is None and self._shares[k] == 0
+            self._skipped[k] = found is None and self._shares[k] == 0
             self._X[window.coefficients] = 0.0 if found is None else found.x
             self._shares[k] = 0.0 if found is None else found.share
         if (self._shares[unfit] == 0).any():

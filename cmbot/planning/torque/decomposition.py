@@ -33,7 +33,7 @@ _CLOSER = 0.5
 _ACCURACY, _STALL_STEPS, _STALL_GAIN = 5e-5, 4, 5e-4
 # And where so many steps do not bring violations beyond this down to that share: hardly any trajectory near
 # keeps the constraints.
-_STUCK_STEPS, _STUCK_SHARE, _STUCK_VIOLATION = 6, 0.5, 0.3
+_INFEASIBLE_STEPS, _INFEASIBLE_SHARE, _INFEASIBLE_VIOLATION = 6, 0.5, 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,9 +134,9 @@ def exchange_options(problem: TorqueProblem) -> ExchangeOptions:
             optimality_tolerance=_ACCURACY,
             stall_steps=_STALL_STEPS,
             stall_tolerance=_STALL_GAIN,
-            stuck_steps=_STUCK_STEPS,
-            stuck_share=_STUCK_SHARE,
-            stuck_violation=_STUCK_VIOLATION,
+            infeasible_steps=_INFEASIBLE_STEPS,
+            infeasible_share=_INFEASIBLE_SHARE,
+            infeasible_violation=_INFEASIBLE_VIOLATION,
             feasibility_tolerance=_CLOSER * o.constraint_tolerance,
             max_iterations=min(SqpOptions.max_iterations, o.max_iterations),
         ),
