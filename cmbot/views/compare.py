@@ -14,9 +14,16 @@ from cmbot.common.errors import InputError
 from cmbot.planning import Plan, Samples, verdict
 from cmbot.simulation import Tracking
 from cmbot.version import __version__
-from cmbot.views.camera import ARROW, focus_of
 from cmbot.views.charts import MOST_SMALL_POINTS, ROOM, Chart, Curve, joint_axes
-from cmbot.views.drawing import bridge_commands, bridge_of, carrier_commands, reach, scene_commands
+from cmbot.views.drawing import (
+    ARROW,
+    bridge_commands,
+    bridge_of,
+    carrier_commands,
+    focus_of,
+    reach,
+    scene_commands,
+)
 from cmbot.views.page import STAGE_SCRIPTS, assemble, table
 from cmbot.views.replay_data import (
     FRAME_STEP,

@@ -27,14 +27,16 @@ from cmbot.planning import (
 from cmbot.robot import Kinematics, Robot
 from cmbot.simulation import MotionTracking, Tracking
 from cmbot.trajectory import QuinticTrajectory
-from cmbot.views.camera import ARROW, focus_of, link_poses
 from cmbot.views.charts import floor_name, work_begins, work_ends
 from cmbot.views.drawing import (
+    ARROW,
     Bending,
     Intervals,
     bridge_commands,
     bridge_of,
     drawn_factor,
+    focus_of,
+    link_poses,
     most_factor,
     reach,
     scene_commands,

@@ -13,8 +13,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.installation import model_folder
 from cmbot.planning import robot_of
 from cmbot.robot import ARM_JOINTS, CLIMBING_JOINTS
-from cmbot.views.camera import focus_on
-from cmbot.views.drawing import moving_robot_commands, reach
+from cmbot.views.drawing import focus_on, moving_robot_commands, reach
 from cmbot.views.page import STAGE_SCRIPTS, assemble, pack
 from cmbot.views.replay_data import MOST_POSES
 from cmbot.walking import Walk, WalkSamples, walk_samples

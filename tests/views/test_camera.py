@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 
 from cmbot.planning import Plan
 from cmbot.scene import Box, Obstacle
-from cmbot.views.camera import RISE, focus_of, seen, width_of
+from cmbot.views.drawing.camera import RISE, focus_of, seen, width_of
 from cmbot.views.drawing.surfaces import box
 
 SIZE = np.array([0.4, 0.6, 0.8])

@@ -1,7 +1,8 @@
-"""What is drawn in 3-D: robot and bridge as meshes for the viewer, and how they bend."""
+"""What is drawn in 3-D: robot and bridge as meshes, how they bend, and from where they are seen."""
 
 from cmbot.views.drawing.bending import Bending, Intervals, drawn_factor, most_factor
 from cmbot.views.drawing.bridge import bridge_of
+from cmbot.views.drawing.camera import ARROW, focus_of, focus_on, link_poses
 from cmbot.views.drawing.meshcat_scene import (
     bridge_commands,
     carrier_commands,
@@ -13,12 +14,16 @@ from cmbot.views.drawing.support import supports
 from cmbot.views.drawing.surfaces import obstacle_surface
 
 __all__ = [
+    "ARROW",
     "Bending",
     "Intervals",
     "bridge_commands",
     "bridge_of",
     "carrier_commands",
     "drawn_factor",
+    "focus_of",
+    "focus_on",
+    "link_poses",
     "most_factor",
     "moving_robot_commands",
     "obstacle_surface",

@@ -14,7 +14,9 @@ from cmbot.common.arrays import FloatArray
 from cmbot.planning import Plan
 from cmbot.robot import Robot
 from cmbot.scene import Obstacle
-from cmbot.views.drawing import obstacle_surface, reach, supports
+from cmbot.views.drawing.meshcat_scene import reach
+from cmbot.views.drawing.support import supports
+from cmbot.views.drawing.surfaces import obstacle_surface
 
 __all__ = ["ARROW", "RISE", "focus_of", "focus_on", "link_poses", "seen"]
 

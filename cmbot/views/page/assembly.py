@@ -36,7 +36,7 @@ __all__ = [
 STAGE_SCRIPTS = ("stage.js", "marks.js", "beams.js", "bending.js", "colours.js", "motions.js", "player.js")
 """The 3-D view and the time, shared by replay and report."""
 
-_RESOURCES = files("cmbot.views") / "page"
+_RESOURCES = files("cmbot.views.page")
 
 
 def assemble(
