@@ -112,7 +112,7 @@ Shape = Box | Cylinder | Capsule | Sphere | Mesh
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Obstacle:
-    """Something that must not be hit.
+    """An obstacle: a shape, placed in W.
 
     Attributes
     ----------
@@ -146,7 +146,7 @@ class Obstacle:
 
 
 class ObstacleFile(FileModel):
-    """Something that must not be hit: exactly one shape, placed in W."""
+    """An obstacle: exactly one shape, placed in W."""
 
     model_config = ConfigDict(json_schema_extra=one_of_schema(_SHAPES))
 

@@ -40,31 +40,31 @@ class PlannerOptions:
         ``fixed``: they stay on the gradient-projection path (Chang 2021, Eq. (30) to the letter).
     start : str
         With sliding knots: ``free`` lets the arm first go to a better posture with the same tool pose, where
-        that lowers the peak by more than `gap_target` and the way there asks no more, but for 1 %, than the
-        whole job from the scene's posture; ``pinned`` keeps that posture as long as a path leads on from
-        there.
+        that lowers the peak by more than `gap_target` and the peak of the approach is at most 1 % above that
+        of the whole job from the scene's posture; ``pinned`` keeps that posture as long as a path leads on
+        from there.
     objective : str
         What is minimised; ``torque``: the norm of the torque on the guardrail (Chang 2021, Eq. (12));
         ``sag``: the tool's displacement at rest by the elasticity of guardrail and links; ``hold``: the
         adhesion that the feet need, the largest of them.
     moment_about : str
-        Of the torque. ``foot``: about O0, n_0. ``base``: about the origin of the arm's base frame, n_1
-        without the lever of Eq. (12).
+        The point about which the torque is taken. ``foot``: O0, n_0. ``base``: the origin of the arm's base
+        frame, n_1 without the lever of Eq. (12).
     axis_weights : three floats
         Factors of the torque's components along x, y and z of W in its norm.
     compensate : bool
         Shift the via-points by the tool's predicted sag, so that the bent arm follows the path.
     deviation_sigmas : float
-        With `compensate` and an identified stiffness: the bent tool stays within the allowed deviation though
-        its sag be off by this many standard deviations; 0 promises that of the expected tool alone.
+        With `compensate` and an identified stiffness: the bent tool stays within the allowed deviation even
+        if its sag is off by this many standard deviations; 0: that holds for the expected tool alone.
     quiet_modes : int
         With sliding knots: number of elastic modes, the slowest first, that are brought to rest at the ends
         of the legs. Splines cannot follow modes much faster than their segments.
     quiet_stiffness_share : float
-        By which share of the modelled one all stiffness may be more or less: the largest amplitude over all
-        that is what falls. An identified stiffness makes it smaller, two standard deviations.
+        Share by which all stiffness may differ from the modelled one: the largest amplitude in that range is
+        minimised. With an identified stiffness it is at most two standard deviations.
     quiet_payload_kg : float
-        By how much the payload may be more or less than modelled, kg.
+        By how much the payload may differ from the modelled one, kg.
     avoidance : str
         ``smooth``: the clearance gradient is multiplied by ``1 - d/d_s``, so it fades in, and blends from one
         near pair to the next. ``switch``: Chang 2021, Eq. (17) to the letter; joint rates jump.
@@ -122,7 +122,7 @@ class PlannerOptions:
         Relative violation below which the optimiser takes a constraint for met.
     time_limit_s : float
         Time after which nothing new is begun: the best motion so far is certified and returned. Where there
-        is none, the error says what was the matter.
+        is none, the error states the cause.
     max_passes : int
         Most exchange iterations.
     max_iterations : int

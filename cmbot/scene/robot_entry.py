@@ -26,7 +26,7 @@ from cmbot.scene.fields import (
 __all__ = ["BaseFile", "Joints", "MountFile", "PostureFile", "RobotFile", "RobotSource"]
 
 Joints = Literal["elastic", "rigid"]
-"""Whether joints give way as the robot's elasticity file says."""
+"""Whether joints bend as the robot's elasticity file says."""
 
 # A path is checked as the text that a file would hold.
 _AS_TEXT = GetPydanticSchema(lambda _, handler: handler(Text))
@@ -36,7 +36,7 @@ class MountFile(FileModel):
     """A pose in W: of the robot's base frame, or of a workpiece."""
 
     xyz: Vector
-    """m."""
+    """Position, m."""
     rpy_deg: Angles
     """Roll, pitch, yaw as in URDF: R = Rz(yaw) Ry(pitch) Rx(roll)."""
 
@@ -80,9 +80,9 @@ class RobotFile(FileModel):
     srdf: Text | None = None
     """Of another URDF: path of its SRDF, if there is one."""
     elasticity: Text | None = None
-    """Of another URDF: path of the file that says what of it bends; left out: as beside the URDF."""
+    """Of another URDF: path of its elasticity file; left out: as beside the URDF."""
     joints: Joints | None = None
-    """Whether joints give way as the elasticity file says; left out: ``rigid``, as in the paper, in
+    """Whether joints bend as the elasticity file says; left out: ``rigid``, as in the paper, in
     ``cmbot-scene/1``, else ``elastic``."""
     package_dirs: Annotated[tuple[Text, ...], Field(max_length=100)] | None = None
     """Of another URDF: folders in which ``package://`` is sought first, relative to the scene file."""
@@ -118,7 +118,7 @@ class RobotSource(CheckedFields):
     limits, srdf, elasticity : Path or None
         Joint limits, SRDF, elasticity file. None also where they lie beside the URDF.
     joints : str
-        ``elastic``: they give way as the elasticity file says; or ``rigid``.
+        ``elastic``: they bend as the elasticity file says; or ``rigid``.
     package_dirs : tuple of Path or None
         Where ROS packages are sought first.
     mount_xyz, mount_rpy : tuple of float or None

@@ -66,8 +66,8 @@ class SceneFile(FileModel):
     model_config = ConfigDict(serialize_by_alias=True)
 
     format: Literal["cmbot-scene/1", "cmbot-scene/2"]
-    """The second knows `base`, `start`, `return`, `tool`, `frames`, `identified` and more kinds of legs,
-    too."""
+    """The second one also has `base`, `start`, `return`, `tool`, `frames`, `identified` and more kinds of
+    legs."""
     name: Slug
     """Also the name of the folder that a plan is written to."""
     robot: RobotFile = RobotFile()
@@ -81,14 +81,14 @@ class SceneFile(FileModel):
     """Where the arm goes after the work; of ``cmbot-scene/2``; left out: nowhere. An arm whose SRDF has no
     group state ``stow`` is put away where it started."""
     tool: Tool | None = None
-    """What the process asks while the tool is on; of ``cmbot-scene/2``."""
+    """The process force and the largest speed while the tool is on; of ``cmbot-scene/2``."""
     frames: Annotated[dict[Slug, MountFile] | None, Field(max_length=100)] = None
     """Frames of workpieces by their names, in W; of ``cmbot-scene/2``."""
     tool_path: ToolPathFile
     obstacles: Annotated[tuple[ObstacleFile, ...], Field(max_length=1000)] = ()
     guardrail: GuardrailFile = GuardrailFile()
     identified: IdentifiedStiffness | None = None
-    """What ``cmbot identify`` found of the stiffness, or the path of that file; of ``cmbot-scene/2``; left
+    """The stiffness that ``cmbot identify`` found, or the path of its file; of ``cmbot-scene/2``; left
     out: as modelled."""
     planner: PlannerOptions = PlannerOptions()
 
@@ -240,7 +240,7 @@ class Scene:
     return_to : str
         Where the arm goes after the work: ``stow``, ``start`` or ``none``, nowhere.
     tool : Tool
-        What the process asks while the tool is on.
+        The process force and the largest speed while the tool is on.
     keep : str or AxisCone
         What the tool path prescribes of the tool: its ``pose``, ``axis`` or ``position``, or a cone.
     start_pose : Goal or None
@@ -256,7 +256,7 @@ class Scene:
     speed_m_s : float or None
         Or the speed, m/s.
     max_base_torque_nm : float or None
-        With ``auto``: the largest torque on the base that the motion may ask.
+        With ``auto``: the largest torque on the base, Nm.
     time_laws : tuple of LegLaw or None
         What planning found with ``auto``.
     speed_tolerance : float or None

@@ -20,7 +20,7 @@ Force = Annotated[float, Field(ge=-1e4, le=1e4)]
 
 @dataclass(frozen=True, kw_only=True)
 class Tool(CheckedFields):
-    """What the process asks while the tool is on: along the whole tool path, not on the approach.
+    """The process force and the largest speed while the tool is on: along the tool path, not on free moves.
 
     Attributes
     ----------
@@ -28,8 +28,8 @@ class Tool(CheckedFields):
         Force that acts on the tool, at the tool point, along the tool's axes, N. The recoil of a nozzle and
         the steel against which a tool is pressed act along the negative z axis: ``[0, 0, -20]``.
     max_speed_m_s : float or None
-        Largest speed of the tool point, m/s. The tool path keeps it exactly, the arm's tool with 5 % to spare
-        for what is between via-points; left out: any speed.
+        Largest speed of the tool point, m/s. The tool path keeps it exactly; the arm's tool may exceed it by
+        5 % between via-points. Left out: any speed.
 
     Raises
     ------

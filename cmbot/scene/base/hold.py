@@ -38,7 +38,7 @@ class HoldFile(FileModel):
     friction: Annotated[float, Field(ge=1e-3, le=10)] = 0.4
     """Between plate and steel."""
     safety: Annotated[float, Field(ge=1, le=100)] = 2.0
-    """Times what the foot needs is what it must be able to bear."""
+    """Safety factor on the load of the foot, or on the adhesion that it needs."""
     adhesion_n: Load | None = None
     """Of a magnet: the pull that takes it off, N, on this steel and with this paint; see docs/hold.md."""
     force_n: tuple[Load, Load, Load] | None = None

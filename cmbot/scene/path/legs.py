@@ -84,12 +84,12 @@ class Goal(CheckedFields):
     Attributes
     ----------
     xyz : three floats
-        Of the tool point, m, in `frame`.
+        Place of the tool point, m, in `frame`.
     rpy_deg : three floats or None
         Its orientation in `frame`: roll, pitch, yaw as in URDF. Left out with `axis`: as before.
     axis : three floats or None
-        In place of it the direction of the tool's z axis in `frame`, a unit vector, to which the tool turns
-        on the shortest way.
+        In place of `rpy_deg` the direction of the tool's z axis in `frame`, a unit vector; the tool turns to
+        it on the shortest way.
     frame : str
         ``world``, ``tool`` (the tool's pose where the path begins) or the name of one of `frames`.
 
@@ -118,9 +118,9 @@ class ArcTo(CheckedFields):
     via, to : three floats or None
         Points of the arc, m, in `frame`; `to` is its end.
     centre, axis : three floats or None
-        In place of them a point of the axis, m, and its direction, a unit vector, in `frame`.
+        In place of `via` and `to` an axis in `frame`: a point of it, m, and its direction, a unit vector.
     angle_deg : float or None
-        With `centre` and `axis`: the angle about it.
+        With `centre` and `axis`: the angle about that axis.
     turns : bool
         Whether the tool turns with the arc, as about a pipe; otherwise it keeps its orientation.
     frame : str
@@ -159,15 +159,15 @@ class Leg(CheckedFields):
     by : three floats or None
         Displacement in W, m, along a straight line.
     to : Goal or None
-        In place of it the pose at its end, on a straight line to which the tool turns in proportion.
+        In place of `by` the pose at its end: a straight line, on which the tool turns in proportion.
     arc : ArcTo or None
-        In place of it an arc.
+        In place of `by` an arc.
     pause : float or None
-        In place of it seconds in which the tool waits.
+        In place of `by` seconds in which the tool waits.
     seconds : float, "auto" or None
         Duration, s; ``auto``: the shortest within the limits, of ``cmbot-scene/2``.
     speed_m_s : float or None
-        In place of it the speed at which the tool cruises, m/s; the ramps come on top.
+        In place of `seconds` the speed at which the tool cruises, m/s; the ramps come on top.
 
     Raises
     ------

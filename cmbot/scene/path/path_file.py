@@ -105,7 +105,7 @@ class PathFile(FileModel):
     start_pose: Annotated[Goal | None, Field(alias="from")] = None
     """Where the path begins, in place of the tool's pose in the start posture; of ``cmbot-scene/2``."""
     legs: Annotated[tuple[Leg, ...], Field(max_length=2000)] = ()
-    """From where the path begins, each from rest to rest."""
+    """Legs from where the path begins, each from rest to rest."""
     waypoints: Annotated[tuple[Waypoint, ...] | None, Field(min_length=FEWEST_WAYPOINTS, max_length=2000)] = (
         None
     )
@@ -119,13 +119,13 @@ class PathFile(FileModel):
     joints and tool, of ``cmbot-scene/2``, there also for all legs that have no time of their own, and beside
     `strokes` for all strokes."""
     max_base_torque_nm: Annotated[float, Field(gt=0, le=1e6)] | None = None
-    """With ``seconds: auto``: the largest torque on the base, Nm, that the motion may ask with the tool on;
-    left out: any; of ``cmbot-scene/2``."""
+    """With ``seconds: auto``: the largest torque on the base, Nm, with the tool on; left out: any; of
+    ``cmbot-scene/2``."""
     time_laws: Annotated[tuple[LegLaw, ...], Field(max_length=2000)] | None = None
     """How legs with ``seconds: auto`` are covered, as planning found it: in the scenes of plans. Left out: it
     is searched."""
     speed_m_s: Speed | None = None
-    """In place of it the speed at which the tool cruises along them, m/s."""
+    """In place of `seconds` the speed at which the tool cruises along `waypoints` or `raster`, m/s."""
     speed_tolerance: Annotated[float, Field(ge=1e-4, le=0.5)] | None = None
     """By what share the tool's speed may miss the process speed, certified for all times between `lead_in_m`
     and `lead_out_m`, on a path without a stop; in a raster whose rows are not blended on every row, where
@@ -136,7 +136,7 @@ class PathFile(FileModel):
     as at the path's start; its time comes on top. The tool is on there, too. Left out: it speeds up on the
     path; of ``cmbot-scene/2``."""
     lead_out_m: Annotated[float, Field(ge=1e-4, le=100)] | None = None
-    """Behind the path the same, for slowing down; of ``cmbot-scene/2``."""
+    """Length, m, of such a way after the path, on which the tool slows down; of ``cmbot-scene/2``."""
     blend_radius_m: Annotated[float | None, Field(ge=1e-4, le=100)] = None
     """Radius by which corners between straight legs, and between the rows of a raster, are rounded, m; left
     out, and where the way turns by more than 150 degrees, the tool rests there; of ``cmbot-scene/2``."""
@@ -147,9 +147,9 @@ class PathFile(FileModel):
     """How often the path is followed, to and fro, without leaving it; left out: once; of
     ``cmbot-scene/2``."""
     via_points: ViaPoints = 50
-    """Via-points in all; the ends of the legs are among them. ``auto``: as many as the path's length, turns,
-    bends, ramps and time ask for, and its tolerances, of ``cmbot-scene/2``; beside `strokes` for all strokes
-    without a number."""
+    """Via-points in all; the ends of the legs are among them. ``auto``: a number that follows from the
+    path's length, turns, bends, ramps, time and tolerances, of ``cmbot-scene/2``; beside `strokes` for all
+    strokes without a number."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -128,11 +128,11 @@ class Raster(CheckedFields):
         In place of a rectangle part of a cylinder, worked on from outside: the tool's z axis points at the
         cylinder's.
     mesh : str or None
-        In place of them the name of an obstacle that is a mesh, or the path of a mesh file (GLB, OBJ, OFF,
-        PLY or STL), relative to the scene file. A file is placed in `frame`, and is no obstacle: what the arm
-        has to keep clear of is one of `obstacles`, and then its name is enough.
+        In place of a rectangle or a cylinder the name of an obstacle that is a mesh, or the path of a mesh
+        file (GLB, OBJ, OFF, PLY or STL), relative to the scene file. A file is placed in `frame` and is no
+        obstacle: what the arm has to keep clear of is one of `obstacles`, and then its name is enough.
     faces : FaceSelection or None
-        Of that mesh.
+        Those of its faces that are worked on.
     along : three floats or None
         Direction in `frame` of the first row over them; the next one lies towards ``normal x along``. Of a
         curved row points at most half a spacing apart, and at least 5, are on a spline.
