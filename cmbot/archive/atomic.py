@@ -121,9 +121,10 @@ def replace_folder(contents: Mapping[str, bytes], target: Path, keep: Collection
         _sync(target.parent)
         # The folder itself gets the same files and its name back: shells and programs may be open in it, and
         # what is not the plan's has never left it.
-        for path in list(new.iterdir()):
-            if is_own(path) or path.name in contents:
-                path.unlink()
+        replaced = [path for path in new.iterdir() if is_own(path) or path.name in contents]
+        # Large files take long to free.
+        with ThreadPoolExecutor() as threads:
+            list(threads.map(Path.unlink, replaced))
         for name in (*keep, *contents):
             _link(target / name, new / name)
         _sync(new)
