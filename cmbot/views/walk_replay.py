@@ -13,7 +13,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.installation import model_folder
 from cmbot.planning import robot_of
 from cmbot.robot import ARM_JOINTS, CLIMBING_JOINTS
-from cmbot.views.drawing import focus_on, moving_robot_commands, reach
+from cmbot.views.drawing import focus_on, moving_robot_commands, reach, workpieces
 from cmbot.views.page import STAGE_SCRIPTS, assemble, pack
 from cmbot.views.replay_data import MOST_POSES
 from cmbot.walking import Walk, WalkSamples, walk_samples
@@ -25,6 +25,7 @@ _ONLY = "planned"  # the name of the one motion
 _MOST_PLACES, _STAYS = 160, 1e-5
 # Of the camera, rad; and how far links and tool reach beyond the joints, m.
 _AZIMUTH, _ROOM = np.pi / 3, 0.2
+_BESIDE = 0.5  # of all that moves, within which workpieces are shown, m
 _JOINTS = (*CLIMBING_JOINTS, *ARM_JOINTS)
 
 
@@ -58,6 +59,8 @@ def _data(walk: Walk) -> dict[str, Any]:
     frames = len(times)
     feet = np.concatenate([part.feet for part in samples])
     robot = robot_of(walk.scene)
+    places = poses[..., :3].reshape(-1, 3)
+    beside = workpieces(walk.scene.obstacles, places, _BESIDE)
     motion = {
         "poses": pack(poses),
         "torque": pack(np.zeros((frames, 3))),
@@ -95,7 +98,7 @@ def _data(walk: Walk) -> dict[str, Any]:
         "bending": None,
         "pairs": [],
         "pairJoints": [],
-        "focus": focus_on(poses[..., :3].reshape(-1, 3), _AZIMUTH, _ROOM),
+        "focus": focus_on(np.concatenate([places, *beside]), _AZIMUTH, _ROOM),
         "reach": reach(robot),
         "commands": [
             base64.b64encode(command).decode("ascii")

@@ -376,6 +376,9 @@ def test_it_is_dark_where_the_system_is(shown: Chrome) -> None:
     light = picture(shown)
     with media(shown, features=[{"name": "prefers-color-scheme", "value": "dark"}]):
         dark, readable = picture(shown), contrast(shown)
+        # Paths glow there, so that they are seen before the dark background.
+        glow = ask(shown, "cmbotReplay.stage.node('path').children[0].material.emissive.toArray()")
+        assert max(glow) > 0.3
     assert light.mean() > 190
     assert dark.mean() < 80
     assert min(readable, contrast(shown)) > 4.5

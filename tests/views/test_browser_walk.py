@@ -10,6 +10,7 @@ from selenium.webdriver import Chrome
 from walks import one_step
 
 from cmbot.archive import json_bytes
+from cmbot.views import walk_page
 from cmbot.views.walk_replay import _thinned
 from cmbot.walking import walk_data, walk_samples
 
@@ -43,3 +44,19 @@ def test_the_walk_is_shown(chrome: Chrome, tmp_path: Path) -> None:
     assert texts[:2] == ["step 1 of 1: foot 1 swings", "free"]
     assert texts[2] == f"{100 * part.share[at, 1]:.0f} %"
     assert severe_messages(chrome) == []
+
+
+def test_tables_of_still_pages_stay_readable_on_a_phone(chrome: Chrome, tmp_path: Path) -> None:
+    path = tmp_path / "walk.html"
+    path.write_text(walk_page(one_step()), encoding="utf-8")
+    phone = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
+    chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
+    try:
+        chrome.get(path.as_uri())
+        assert ask(chrome, "document.documentElement.scrollWidth") == 390
+        head, row = ask(
+            chrome, "['thead', 'tbody'].map((part) => document.querySelector(`${part} tr`).offsetHeight)"
+        )
+        assert max(head, row) < 70  # two or three lines
+    finally:
+        chrome.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})

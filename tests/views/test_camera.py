@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 
 from cmbot.planning import Plan
 from cmbot.scene import Box, Obstacle
-from cmbot.views.drawing.camera import RISE, focus_of, seen, width_of
+from cmbot.views.drawing.camera import RISE, focus_of, seen, width_of, workpieces
 from cmbot.views.drawing.surfaces import box
 
 SIZE = np.array([0.4, 0.6, 0.8])
@@ -28,6 +28,17 @@ def test_a_box_hides_what_is_behind_it(points: np.ndarray, eye: np.ndarray) -> N
     outside = (np.abs(points) > SIZE / 2).any(axis=1) & (np.abs(eye) > SIZE / 2).any()
     assert not found[(depth > 1e-6) & outside].any()
     assert found[depth < -0.05].all()
+
+
+def test_workpieces_are_shown_as_far_as_they_are_near() -> None:
+    X = np.eye(4)
+    plank = Obstacle(name="plank", shape=Box(size=(10.0, 0.2, 0.2)), X_WO=X, workpiece=True)
+    wall = replace(plank, name="wall", workpiece=False)
+    far = replace(plank, name="far", X_WO=X + np.array([0, 0, 0, 5.0]) * np.eye(4)[:, 1:2])
+    (corners,) = workpieces([wall, plank, far], np.array([[1.0, 0, 0], [2.0, 0, 0]]), 0.5)
+    np.testing.assert_allclose(
+        [corners.min(axis=0), corners.max(axis=0)], [[0.5, -0.1, -0.1], [2.5, 0.1, 0.1]]
+    )
 
 
 def test_what_is_near_a_point_does_not_hide_it() -> None:

@@ -2,7 +2,7 @@
 
 from cmbot.views.drawing.bending import Bending, Intervals, drawn_factor, most_factor
 from cmbot.views.drawing.bridge import bridge_of
-from cmbot.views.drawing.camera import ARROW, focus_of, focus_on, link_poses
+from cmbot.views.drawing.camera import ARROW, focus_of, focus_on, link_poses, workpieces
 from cmbot.views.drawing.meshcat_scene import (
     bridge_commands,
     carrier_commands,
@@ -30,4 +30,5 @@ __all__ = [
     "reach",
     "scene_commands",
     "supports",
+    "workpieces",
 ]

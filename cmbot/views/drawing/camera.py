@@ -18,7 +18,7 @@ from cmbot.views.drawing.meshcat_scene import reach
 from cmbot.views.drawing.support import supports
 from cmbot.views.drawing.surfaces import obstacle_surface
 
-__all__ = ["ARROW", "RISE", "focus_of", "focus_on", "link_poses", "seen"]
+__all__ = ["ARROW", "RISE", "focus_of", "focus_on", "link_poses", "seen", "workpieces"]
 
 ARROW = 0.32  # of the largest torque, as a share of the reach
 RISE = 0.24  # of a camera, upwards in a length of 1 across
@@ -52,13 +52,13 @@ _PLACES, _CLOSE = 24, 0.01
 
 
 def focus_of(
-    plan: Plan, plans: Sequence[Plan], bent: Sequence[FloatArray], beside: Sequence[Obstacle] = ()
+    plan: Plan, plans: Sequence[Plan], bent: Sequence[FloatArray], around: Sequence[Obstacle] = ()
 ) -> dict[str, Any]:
     """Return points that the view shows, a ball about them, and the direction to the camera.
 
     The points are those of the arm, rigid and with the poses (K, n, 7) of `bent` links, the path, the
     workpieces beside it and the torque's arrow, in W, m; of them those that enclose the others along many
-    directions. What is `beside` is drawn, too, and may hide them.
+    directions. What is `around` is drawn, too, and may hide them.
     """
     motions = [(plan.robot, plan.baseline.q)]
     motions += [(each.robot, segment.trajectory.q) for each in plans for segment in each.job.segments]
@@ -69,11 +69,12 @@ def focus_of(
     points = [feet, feet[:1] + ARROW * reach(plan.robot) * torque / largest, plan.baseline.tool_point]
     points += [each.samples.tool_point for each in plans]
     outlines = [stroke.task.path.outline() for each in plans for stroke in each.strokes]
-    points += [*outlines, *_workpieces(plan, np.concatenate(outlines))]
+    beside = _BESIDE * reach(plan.robot)
+    points += [*outlines, *workpieces(plan.scene.obstacles, np.concatenate(outlines), beside)]
     poses = [link_poses(robot, q[:: max(1, len(q) // 50)]) for robot, q in motions]
     points += [_corners(plan.robot, each) for each in (*poses, *bent)]
     cloud = np.concatenate(points)
-    return focus_on(cloud, *_direction(plan, outlines, cloud, beside))
+    return focus_on(cloud, *_direction(plan, outlines, cloud, around))
 
 
 def focus_on(cloud: FloatArray, azimuth: float, rise: float = RISE, room: float = 0.0) -> dict[str, Any]:
@@ -194,14 +195,13 @@ def _corners(robot: Robot, poses: FloatArray) -> FloatArray:
     return np.concatenate(found)
 
 
-def _workpieces(plan: Plan, path: FloatArray) -> Iterator[FloatArray]:
-    """Yield corners (8, 3) in W of boxes about the workpieces, as far as they are beside a `path` (K, 3)."""
-    room = _BESIDE * reach(plan.robot)
-    for obstacle in plan.scene.obstacles:
+def workpieces(obstacles: Sequence[Obstacle], near: FloatArray, room: float) -> Iterator[FloatArray]:
+    """Yield corners (8, 3) in W of boxes about workpieces, as far as they are beside points (K, 3), m."""
+    for obstacle in obstacles:
         if not obstacle.workpiece:
             continue
         vertices = obstacle_surface(obstacle).vertices
-        low = np.maximum(vertices.min(axis=0), path.min(axis=0) - room)
-        high = np.minimum(vertices.max(axis=0), path.max(axis=0) + room)
+        low = np.maximum(vertices.min(axis=0), near.min(axis=0) - room)
+        high = np.minimum(vertices.max(axis=0), near.max(axis=0) + room)
         if (low <= high).all():
             yield np.array(list(product(*zip(low, high, strict=True))))

@@ -26,7 +26,7 @@ _WORK, _IN_THE_WAY, _WORKED_ON, _PATH = "#b26a00", "#8a7a5c", "#2f9e8f", "#8b4fd
 _BESIDE = 0.1
 # Shown along a guardrail that is as long, m.
 _LEAST_WIDTH = 6.0
-# Shown beside feet and paths, m, a quarter of it below; edges above and below, px.
+# Shown beside feet and paths, m, half of it below; edges above and below, px.
 _ROOM, _ABOVE, _BELOW = 0.4, 4.0, 12.0
 # Points of a way that are nearer to each other are one, px.
 _CLOSE = 1.0
@@ -88,7 +88,7 @@ def guardrail_map(scene: Scene, samples: Sequence[WalkSamples], stands: Sequence
     shown = np.vstack([*(part.feet.reshape(-1, 3) for part in samples), *places, *paths])
     low, high = shown.min(axis=0), shown.max(axis=0)
     left, right = _widened(low[0] - _ROOM, high[0] + _ROOM, scene.guardrail.post_positions)
-    window = _Window(left, right, low[2] - _ROOM / 4, high[2] + _ROOM)
+    window = _Window(left, right, low[2] - _ROOM / 2, high[2] + _ROOM)
     parts = [*_members(scene, window), *_obstacles(scene, window, bool(paths))]
     parts += [_line(window, path, f'stroke="{_PATH}" stroke-width="2"') for path in paths]
     for part in samples:

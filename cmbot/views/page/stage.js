@@ -91,6 +91,11 @@ class Stage {
       this.viewer.set_property(["Background"], "top_color", top);
       this.viewer.set_property(["Background"], "bottom_color", bottom);
       this.viewer.show_background();
+      // Paths are dark: before a dark background they glow.
+      for (const name of ["path", "left_out"]) {
+        this.node(name).traverse((mesh) => mesh.material?.emissive?.copy(mesh.material.color).multiplyScalar(dark.matches ? 0.6 : 0));
+      }
+      this.redraw();
     };
     dark.addEventListener("change", colour);
     colour();
