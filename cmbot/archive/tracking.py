@@ -39,6 +39,8 @@ _FORMAT = "cmbot-tracking/1"
 _PLANNED, _BASELINE, _METRICS = TRACKING_FILES
 _TABLES = {_PLANNED: "planned", _BASELINE: "baseline"}
 _COLUMNS = ("t", *(f"{part}_{axis}" for part in ("error", "static") for axis in "xyz"))
+# Of an elastic base; rotations as in `MotionTracking.base`. Tables of cmbot 0.1 have none.
+_BASE = tuple(f"{part}_{axis}" for part in ("base", "base_rotation") for axis in "xyz")
 
 
 class _Entry(FileModel):
@@ -110,8 +112,10 @@ def save_tracking(
     contents = {}
     for name, attribute in _TABLES.items():
         motion: MotionTracking = getattr(tracking, attribute)
-        table = np.column_stack([motion.t, motion.error, motion.static])
-        contents[name] = table_csv(_COLUMNS, table, name)
+        table, columns = np.column_stack([motion.t, motion.error, motion.static]), _COLUMNS
+        if motion.base is not None:
+            table, columns = np.column_stack([table, motion.base]), _COLUMNS + _BASE
+        contents[name] = table_csv(columns, table, name)
     pages = shown_files(added)
     require_plan_directory(folder)
     with claim(folder):
@@ -176,7 +180,7 @@ def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
     baseline, planned = PrescribedWork.baseline(plan), PrescribedWork.planned(plan)
     seconds = max(baseline.duration, planned.duration) + file.options.settle_s
     rows = seconds / file.options.output_step_s
-    largest = {PLAN_FILE: LARGEST_TEXT, **dict.fromkeys(_TABLES, largest_table(rows, len(_COLUMNS)))}
+    largest = {PLAN_FILE: LARGEST_TEXT, **dict.fromkeys(_TABLES, largest_table(rows, len(_COLUMNS + _BASE)))}
     contents = {name: read_file(folder / name, size) for name, size in largest.items()}
     for name, got in _hashes(contents).items():
         if got != (expected := file.files.get(name)):
@@ -184,14 +188,16 @@ def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
             raise ArchiveError(source, f"files.{name}", f"{got[:16]}… now", why)
     motions = {}
     for name, work, sag in ((_BASELINE, baseline, None), (_PLANNED, planned, plan.sag)):
-        table = read_table(contents[name], str(folder / name), _COLUMNS)
-        t, error, static = table[:, 0].copy(), table[:, 1:4].copy(), table[:, 4:].copy()
+        with_base = contents[name].partition(b"\n")[0].endswith(_BASE[-1].encode())
+        table = read_table(contents[name], str(folder / name), _COLUMNS + _BASE if with_base else _COLUMNS)
+        t, error, static = table[:, 0].copy(), table[:, 1:4].copy(), table[:, 4:7].copy()
         rigid, predicted = expected_tool(plan.robot, work, t, sag)
         entry: _Motion = getattr(file, _TABLES[name])
         frequencies = np.array([mode.frequency for mode in entry.modes], dtype=np.float64)
         execution = execution_error(plan.robot, work, t, file.options)
+        base = table[:, 7:].copy() if with_base else None
         motions[_TABLES[name]] = motion_tracking(
-            work, t, rigid + predicted, error, static, frequencies, execution
+            work, t, rigid + predicted, error, static, frequencies, execution, base
         )
     return Tracking(options=file.options, seconds=file.seconds, interval=file.interval, **motions)
 
@@ -227,6 +233,14 @@ def _motion(motion: MotionTracking) -> dict[str, Any]:
             {}
             if motion.execution is None
             else {"largest_execution_error": float(np.linalg.norm(motion.execution, axis=1).max())}
+        ),
+        **(
+            {}
+            if motion.base is None
+            else {
+                "largest_base_displacement": motion.largest_base_displacement,
+                "largest_base_rotation": motion.largest_base_rotation,
+            }
         ),
     }
 

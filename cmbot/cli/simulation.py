@@ -260,13 +260,21 @@ def _print_reproduction(found: Reproduction, *, details: bool) -> None:
 
 
 def _print_summary(plan: Plan, tracking: Tracking) -> None:
-    from cmbot.simulation import INTERVAL_HEADINGS, interval_rows, tracking_summary, tracking_verdict
+    from cmbot.simulation import (
+        INTERVAL_HEADINGS,
+        base_movement,
+        interval_rows,
+        tracking_summary,
+        tracking_verdict,
+    )
 
     rows = list(tracking_summary(tracking, compensated=plan.options.compensate))
     print_table(f"{plan.scene.name}, mm", ("", "baseline", "planned"), rows, text_columns=1)
     if others := list(interval_rows(plan, tracking)):
         print_table("With another stiffness", INTERVAL_HEADINGS, others, text_columns=2)
     out.print(tracking_verdict(plan, tracking))
+    if moved := base_movement(plan, tracking):
+        out.print(moved)
     for said in _rigid(plan):
         out.print(said)
 

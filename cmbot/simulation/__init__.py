@@ -7,6 +7,7 @@ from cmbot.simulation.options import SimulationOptions
 from cmbot.simulation.prescribed_motion import PrescribedMotion, PrescribedWork
 from cmbot.simulation.summary import (
     INTERVAL_HEADINGS,
+    base_movement,
     beyond_margin,
     interval_rows,
     tracking_remarks,
@@ -38,6 +39,7 @@ __all__ = [
     "Statistics",
     "StiffnessCase",
     "Tracking",
+    "base_movement",
     "beyond_margin",
     "elastic_arm_of",
     "execution_error",

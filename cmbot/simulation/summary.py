@@ -16,6 +16,7 @@ from cmbot.simulation.tracking import MotionTracking, Tracking
 
 __all__ = [
     "INTERVAL_HEADINGS",
+    "base_movement",
     "beyond_margin",
     "interval_rows",
     "tracking_remarks",
@@ -92,6 +93,26 @@ def tracking_verdict(plan: Plan, tracking: Tracking) -> str:
         Of that plan.
     """
     return f"{_margin(plan, tracking)}{_swaying(plan, tracking)}"
+
+
+def base_movement(plan: Plan, tracking: Tracking) -> str:
+    """Return in a sentence how far the base moves and turns under the foot; empty where it is rigid.
+
+    Parameters
+    ----------
+    plan : Plan
+    tracking : Tracking
+        Of that plan.
+    """
+    before, after = tracking.baseline, tracking.planned
+    if before.base is None or after.base is None:
+        return ""
+    way, other = (1e3 * motion.largest_base_displacement for motion in (after, before))
+    turn, other_turn = (float(np.rad2deg(motion.largest_base_rotation)) for motion in (after, before))
+    return (
+        f"Under the foot the {plan.scene.base_name} moves by up to {way:.3g} mm and turns by up to "
+        f"{turn:.3g} deg (baseline {other:.3g} mm, {other_turn:.3g} deg)."
+    )
 
 
 def beyond_margin(plan: Plan, tracking: Tracking) -> str:

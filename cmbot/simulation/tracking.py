@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import numpy as np
 import pinocchio as pin
 from pydantic import ConfigDict, Field
+from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
 from cmbot.common.arrays import FloatArray
@@ -79,6 +80,9 @@ class MotionTracking:
     execution : (N, 3), m, or None
         Part of the error: the tool point of a rigid arm as the controller moves its joints, less that of the
         commanded ones. None where joints follow exactly.
+    base : (N, 6), m and rad, or None
+        Displacement of the base under the foot along the axes of W, and its rotation, first about x, then
+        about the turned y, then about the turned z. None where the base is rigid.
     """
 
     t: FloatArray
@@ -89,6 +93,7 @@ class MotionTracking:
     path_error: FloatArray
     metrics: ErrorMetrics
     execution: FloatArray | None = None
+    base: FloatArray | None = None
 
     __repr__ = short_repr
 
@@ -101,6 +106,18 @@ class MotionTracking:
     def largest_off_path(self) -> float:
         """Largest distance of the bent tool from its path along the strokes, m."""
         return self.largest(self.path_error)
+
+    @property
+    def largest_base_displacement(self) -> float:
+        """How far the base moves under the foot while the joints move, m; 0 where it is rigid."""
+        return 0.0 if self.base is None else self.largest(self.base[:, :3])
+
+    @property
+    def largest_base_rotation(self) -> float:
+        """Angle by which the base turns under the foot while the joints move, rad; 0 where it is rigid."""
+        if self.base is None:
+            return 0.0
+        return self.largest(Rotation.from_euler("XYZ", self.base[:, 3:]).as_rotvec())
 
     def largest(self, error: FloatArray) -> float:
         """Return the largest norm of an error (N, 3) while the joints move, m; rows of NaN are left out."""
@@ -338,12 +355,14 @@ def track_work(
     t = options.output_step_s * np.arange(outputs, dtype=np.float64)
     rigid, predicted = expected_tool(arm.robot, work, t, sag)
     q = work.postures(t) if curve is None else curve(t)
-    error = _bent_tool(arm, q, bent, t) - rigid - predicted
+    u = _elastic_coordinates(bent, t)
+    error = _bent_tool(arm, q, u) - rigid - predicted
     static = -predicted
     for part, at, own in work.split(t):
         static[at] += _sag(loaded[part.path is not None], part.motion, own)
     execution = execution_error(arm.robot, work, t, options, curve)
-    return motion_tracking(work, t, rigid + predicted, error, static, modes.frequencies, execution)
+    base = None if arm.base is None else u[:, arm.springs["base", ""]]
+    return motion_tracking(work, t, rigid + predicted, error, static, modes.frequencies, execution, base)
 
 
 def expected_tool(
@@ -390,6 +409,7 @@ def motion_tracking(
     static: FloatArray,
     frequencies: FloatArray,
     execution: FloatArray | None = None,
+    base: FloatArray | None = None,
 ) -> MotionTracking:
     """Return a tracking error with all that follows from it and from the motion.
 
@@ -405,6 +425,8 @@ def motion_tracking(
         Of the modes in the motion's first posture, ascending.
     execution : (N, 3), m, optional
         From `execution_error`.
+    base : (N, 6), m and rad, optional
+        Displacement and rotation of an elastic base.
     """
     command, path_error = np.full_like(error, np.nan), np.full_like(error, np.nan)
     for part, at, own in work.split(t):
@@ -420,6 +442,7 @@ def motion_tracking(
         command=command,
         path_error=path_error,
         execution=execution,
+        base=base,
         metrics=error_metrics(t, error, static, path_error, moving, frequencies),
     )
 
@@ -439,14 +462,18 @@ def _sag(arm: ElasticArm, motion: PrescribedMotion, t: FloatArray) -> FloatArray
     return np.asarray(tool(np.minimum(t, motion.duration)))
 
 
-def _bent_tool(arm: ElasticArm, q: FloatArray, bent: ElasticMotion, t: FloatArray) -> FloatArray:
-    """Tool points (N, 3), m, at times `t` (N,), which may be between the steps of the integrator."""
+def _elastic_coordinates(bent: ElasticMotion, t: FloatArray) -> FloatArray:
+    """Elastic coordinates (N, f) at times `t` (N,), which may be between the steps of the integrator."""
     from scipy.interpolate import CubicHermiteSpline
 
     # Of fourth order: its error is below that of the integrator.
-    u = CubicHermiteSpline(bent.t, bent.u, bent.v)(t)
+    return np.asarray(CubicHermiteSpline(bent.t, bent.u, bent.v)(t))
+
+
+def _bent_tool(arm: ElasticArm, q: FloatArray, u: FloatArray) -> FloatArray:
+    """Tool points (N, 3), m, at joint angles `q` (N, n) and elastic coordinates `u` (N, f)."""
     model, data, tool = arm.model, arm.model.createData(), arm.tool_frame_id
-    p = np.empty((len(t), 3))
+    p = np.empty((len(q), 3))
     for k, configuration in enumerate(arm.configuration(q, u)):
         pin.forwardKinematics(model, data, configuration)
         p[k] = pin.updateFramePlacement(model, data, tool).translation

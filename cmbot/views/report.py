@@ -30,6 +30,7 @@ from cmbot.scene import ToolPath
 from cmbot.simulation import (
     INTERVAL_HEADINGS,
     Tracking,
+    base_movement,
     beyond_margin,
     interval_rows,
     tracking_remarks,
@@ -296,7 +297,8 @@ def _sections(plan: Plan, tracking: Tracking | None) -> Iterator[str]:
     if tracking is not None:
         errors = table(tracking_rows(tracking), ("mm", "", "x", "y", "z", "norm"), text_columns=2)
         said = tracking_remarks(tracking, compensated=plan.options.compensate)
-        sentences = _list([tracking_verdict(plan, tracking), *said])
+        told = (tracking_verdict(plan, tracking), base_movement(plan, tracking), *said)
+        sentences = _list([sentence for sentence in told if sentence])
         interval = list(interval_rows(plan, tracking))
         others = table(interval, INTERVAL_HEADINGS, text_columns=2) if interval else ""
         yield section("Simulation", errors + others + sentences, kind="long")

@@ -73,6 +73,21 @@ def refused(plan: Plan, folder: Path, file: str, key: str) -> ArchiveError:
 TABLES = ("tracking.csv", "tracking_baseline.csv")
 
 
+def test_tables_without_the_base_are_read_too(folder: Path, short_plan: Plan) -> None:
+    for name in TABLES:
+        lines = (folder / name).read_text("ascii").splitlines()
+        rewrite(
+            folder,
+            name,
+            "\n".join(line.rsplit(",", 6)[0] for line in lines).encode(),
+            listed_in="tracking.json",
+        )
+    read = load_tracking(short_plan, folder)
+    assert read is not None
+    assert read.planned.base is None
+    assert read.planned.largest_off_path > 0
+
+
 @pytest.mark.parametrize("name", [*TABLES, "tracking.json"])
 def test_a_missing_file_is_an_error(folder: Path, short_plan: Plan, name: str) -> None:
     (folder / name).unlink()

@@ -21,6 +21,7 @@ from cmbot.common.errors import ArchiveError
 from cmbot.planning import Plan
 from cmbot.simulation import (
     Tracking,
+    base_movement,
     interval_rows,
     tracking_remarks,
     tracking_rows,
@@ -33,6 +34,7 @@ FILES = {*TABLES, "tracking.json"}
 PAGES = ("replay.html", "report.html")
 WRITTEN = (*TABLES, "tracking.json", *PAGES)
 COLUMNS = ["t", "error_x", "error_y", "error_z", "static_x", "static_y", "static_z"]
+COLUMNS += ["base_x", "base_y", "base_z", "base_rotation_x", "base_rotation_y", "base_rotation_z"]
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +66,7 @@ def test_it_adds_tables_of_the_errors_and_changes_no_file(
         np.testing.assert_array_equal(table[:, 0], motion.t)
         np.testing.assert_allclose(np.diff(table[:, 0]), 0.005, atol=1e-12)
         np.testing.assert_allclose(table[:, 1:4], motion.error, atol=1e-12)
-        np.testing.assert_allclose(table[:, 4:], motion.static, atol=1e-12)
+        np.testing.assert_allclose(table[:, 4:], np.hstack([motion.static, motion.base]), atol=1e-12)
 
 
 def test_the_figures_are_those_of_the_tables(simulated: tuple[Path, Outcome], saved_short: Path) -> None:
@@ -86,7 +88,7 @@ def test_the_figures_are_those_of_the_tables(simulated: tuple[Path, Outcome], sa
         deviation = np.sqrt(np.average((error - mean) ** 2, axis=0, weights=weight))
         assert [figures["standard_deviation"][axis] for axis in "xyz"] == pytest.approx(deviation, abs=1e-12)
         rest = table[table[:, 0] >= data[motion]["stop"] - 1e-9]
-        dynamic = rest[:, 1:4] - rest[:, 4:]
+        dynamic = rest[:, 1:4] - rest[:, 4:7]
         residual = data[motion]["residual"]
         assert [residual["peak_to_peak"][axis] for axis in "xyz"] == pytest.approx(
             np.ptp(dynamic, axis=0), abs=1e-12
@@ -109,6 +111,7 @@ def test_it_prints_a_summary_and_with_details_all_figures(
     assert [line.split() for line in rest[2 : 2 + len(others)]] == [" ".join(row).split() for row in others]
     assert rest[2 + len(others) :] == [
         tracking_verdict(short_plan, short_tracking),
+        base_movement(short_plan, short_tracking),
         f"Written to {', '.join(str(folder / name) for name in WRITTEN)}.",
         f"All figures: {folder / 'report.html'}, under Simulation; --details --force prints them.",
     ]

@@ -6,11 +6,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from small_motions import arm_on_its_guardrail, swing
 from small_scenes import parts, short_scene
 
 from cmbot.common.errors import InputError, SimulationDiverged
+from cmbot.elastic import elastic_base
 from cmbot.elastic.sag import Sag
 from cmbot.planning import Plan, ToolTask
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
@@ -97,6 +99,38 @@ def test_the_sag_of_a_slow_motion_is_computed_less_often(
         found = tracking_module._sag(arm, PrescribedMotion.along(slow), t)
         np.testing.assert_allclose(found, Sag(arm).at(slow.evaluate(t)).tool, rtol=0, atol=1e-8)
     assert counts[1] < 0.2 * t[-1] / 0.02
+
+
+def test_the_base_gives_way_to_the_wrench_on_it_as_its_stiffness_says(
+    tracking: Tracking, short_plan: Plan
+) -> None:
+    moved, guardrail = tracking.planned.base, elastic_base(short_plan.scene.guardrail)
+    assert moved is not None
+    assert guardrail is not None
+    model, data = short_plan.robot.model, short_plan.robot.model.createData()
+    pin.centerOfMass(model, data, short_plan.trajectory.q[0])
+    # The arm, and the climber, which the model holds still.
+    bodies = ((data.mass[0], data.com[0]), (model.inertias[0].mass, model.inertias[0].lever))
+    wrench = np.zeros(6)
+    for mass, centre in bodies:
+        weight = mass * model.gravity.linear
+        wrench += np.concatenate([weight, np.cross(centre - short_plan.robot.foot_point, weight)])
+    expected = np.linalg.solve(guardrail.stiffness, wrench)
+    # At rest in its first posture; the loads of the bent arm are a little different.
+    for part in (slice(3), slice(3, 6)):
+        assert moved[0, part] == pytest.approx(expected[part], abs=0.03 * np.abs(expected[part]).max())
+
+
+def test_the_largest_rotation_of_the_base_is_an_angle(tracking: Tracking) -> None:
+    angles, count = np.array([0.3, -0.2, 0.5]), len(tracking.planned.t)
+    turned = replace(tracking.planned, base=np.tile([0.003, 0.0, 0.004, *angles], (count, 1)))
+    rotation = np.eye(3)
+    for axis, angle in zip(np.eye(3), angles, strict=True):
+        rotation = rotation @ pin.AngleAxis(angle, axis).toRotationMatrix()
+    assert turned.largest_base_rotation == pytest.approx(np.arccos((np.trace(rotation) - 1) / 2))
+    assert turned.largest_base_displacement == pytest.approx(0.005)
+    rigid = replace(tracking.planned, base=None)
+    assert (rigid.largest_base_displacement, rigid.largest_base_rotation) == (0.0, 0.0)
 
 
 def test_the_command_is_what_the_joints_do(tracking: Tracking, short_plan: Plan) -> None:
