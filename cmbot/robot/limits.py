@@ -50,6 +50,8 @@ Positive = Annotated[float, Field(ge=_LEAST, le=1e9)]
 _TURN = 2 * np.pi
 # The range of a joint that slides ends somewhere, m.
 _FURTHEST = 1e3
+# Fields of `JointLimits` that say yes or no of each joint.
+_KINDS = ("prismatic", "assumed_acceleration", "assumed_jerk")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,6 +68,8 @@ class JointLimits:
         Bound of the magnitude.
     prismatic : (n,)
         Which joints slide; left out: none.
+    assumed_acceleration, assumed_jerk : (n,)
+        Which of these limits no file gives, or a file that says that it assumes them; left out: none.
 
     Raises
     ------
@@ -80,14 +84,17 @@ class JointLimits:
     jerk: FloatArray
     torque: FloatArray
     prismatic: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    assumed_acceleration: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    assumed_jerk: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
 
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        if np.size(self.prismatic) == 0:
-            object.__setattr__(self, "prismatic", np.zeros(np.shape(self.lower), dtype=np.bool_))
+        for name in _KINDS:
+            if np.size(getattr(self, name)) == 0:
+                object.__setattr__(self, name, np.zeros(np.shape(self.lower), dtype=np.bool_))
         for each in fields(self):
-            array = np.array(getattr(self, each.name), dtype=bool if each.name == "prismatic" else float)
+            array = np.array(getattr(self, each.name), dtype=bool if each.name in _KINDS else float)
             if array.shape != np.shape(self.lower) or np.isnan(array).any():
                 expected = f"numbers, shape {np.shape(self.lower)}"
                 raise InputError("JointLimits", each.name, array.tolist(), expected)
@@ -235,6 +242,8 @@ def joint_limits(model: Any, urdf: Path, path: Path | None) -> tuple[JointLimits
         jerk=jerk,
         torque=torque,
         prismatic=prismatic,
+        assumed_acceleration=np.array([listed.assumed or value is None for value in given]),
+        assumed_jerk=np.array([listed.assumed or value is None for value in given_jerk]),
     )
     told = tuple(_assumed(given, given_jerk))
     if listed.assumed:

@@ -1,5 +1,6 @@
 """The robot as a ROS package: other code reads it, and it is the robot that was planned with."""
 
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -49,11 +50,29 @@ def test_the_srdf_names_arm_tool_and_stow(package: Path, short_plan: Plan) -> No
     np.testing.assert_allclose(values, short_plan.robot.group_states["stow"])
 
 
+def test_it_says_which_limits_are_assumed(package: Path, short_plan: Plan, tmp_path: Path) -> None:
+    known = (package / "config" / "joint_limits.yaml").read_text(encoding="utf-8")
+    assert "assumed" not in known + (package / "package.xml").read_text(encoding="utf-8")
+    limits = short_plan.robot.limits
+    some = np.arange(7) % 2 == 1
+    robot = replace(short_plan.robot, limits=replace(limits, assumed_jerk=some))
+    other = export_ros_package(replace(short_plan, robot=robot), tmp_path / "assumed_description")
+    lines = (other / "config" / "joint_limits.yaml").read_text(encoding="utf-8").splitlines()
+    jerks = [line for line in lines if "max_jerk" in line]
+    assert [line.endswith("  # assumed") for line in jerks] == some.tolist()
+    assert not any("assumed" in line for line in lines if "max_acceleration" in line)
+    for line in lines:
+        if "max_" in line:
+            digits = line.split("#")[0].split(":")[1].strip()
+            assert "." in digits and len(digits.replace(".", "").strip("0")) <= 6
+    assert "limits are assumed" in (other / "package.xml").read_text(encoding="utf-8")
+
+
 def test_limits_and_manifest(package: Path, short_plan: Plan) -> None:
     limits = YAML(typ="safe").load(package / "config" / "joint_limits.yaml")["joint_limits"]
     assert list(limits) == list(short_plan.robot.joints)
     found = [limits[joint]["max_acceleration"] for joint in limits]
-    np.testing.assert_allclose(found, short_plan.robot.limits.acceleration)
+    np.testing.assert_allclose(found, short_plan.robot.limits.acceleration, rtol=1e-5)
     manifest = ElementTree.parse(package / "package.xml").getroot()
     assert manifest.findtext("name") == package.name
     assert "project(cmbot_description)" in (package / "CMakeLists.txt").read_text(encoding="utf-8")

@@ -262,6 +262,8 @@ def test_limits_that_no_file_gives_are_assumed(tmp_path: Path) -> None:
     np.testing.assert_allclose(robot.limits.acceleration, [3, np.pi / 2, 3])
     np.testing.assert_allclose(robot.limits.jerk, 10 * robot.limits.acceleration)
     assert "of 2 joints of 3 are assumed" in robot.remarks[0]
+    np.testing.assert_array_equal(robot.limits.assumed_acceleration, [False, True, True])
+    assert robot.limits.assumed_jerk.all()
     robot = limited(
         tmp_path,
         "all: {acceleration_deg: 180, jerk_deg: 360}\njoints: {joint_1: {acceleration_deg: 90, jerk_deg: 9}}",
@@ -269,6 +271,7 @@ def test_limits_that_no_file_gives_are_assumed(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.rad2deg(robot.limits.acceleration), [90, 180, 180])
     np.testing.assert_allclose(np.rad2deg(robot.limits.jerk), [9, 360, 360])
     assert not any("assumed" in remark for remark in robot.remarks)
+    assert not (robot.limits.assumed_acceleration | robot.limits.assumed_jerk).any()
     with pytest.raises(ModelError, match=r"joint_limits.yaml:2: all.jerk_deg: got 0, expected at least"):
         limited(tmp_path, "all: {acceleration_deg: 180, jerk_deg: 0}")
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import re
 import shutil
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 
 from cmbot.archive.atomic import refusals
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import given_path
 from cmbot.planning import Plan, require_plan
@@ -31,7 +31,7 @@ _MANIFEST = """<?xml version="1.0"?>
 <package format="3">
   <name>{name}</name>
   <version>0.1.0</version>
-  <description>Description of the robot {robot}, written by cmbot</description>
+  <description>Description of the robot {robot}, written by cmbot{assumed}</description>
   <maintainer email="nobody@example.org">nobody</maintainer>
   <license>as of the robot's files</license>
   <buildtool_depend>ament_cmake</buildtool_depend>
@@ -49,7 +49,7 @@ def export_ros_package(plan: Plan, folder: str | Path) -> Path:
 
     ``urdf/`` has its URDF with meshes by ``package://``, which are in ``meshes/``; ``config/`` its SRDF with
     the group of the arm, the tool as ``end_effector`` and the state ``stow``, and the joint limits that were
-    planned with, as MoveIt reads them.
+    planned with, as MoveIt reads them; those that are assumed are marked.
 
     Parameters
     ----------
@@ -84,7 +84,9 @@ def export_ros_package(plan: Plan, folder: str | Path) -> Path:
     locate_meshes(described.urdf, urdf, described.package_dirs)
     meshes = _moved_meshes(urdf, name)
     texts = {
-        "package.xml": _MANIFEST.format(name=name, robot=re.sub(r"[<&>]", "_", robot.name)),
+        "package.xml": _MANIFEST.format(
+            name=name, robot=re.sub(r"[<&>]", "_", robot.name), assumed=_assumption(robot)
+        ),
         "CMakeLists.txt": _CMAKE.format(name=name),
         "urdf/robot.urdf": _text(urdf),
         "config/robot.srdf": _text(_semantics(plan, described)),
@@ -160,21 +162,39 @@ def _semantics(plan: Plan, files: RobotFiles) -> ElementTree.Element:
     return srdf
 
 
+def _assumption(robot: Robot) -> str:
+    """Say for the manifest that limits are assumed, where some are."""
+    return "; some limits are assumed, see config/joint_limits.yaml" if _assumes(robot) else ""
+
+
+def _assumes(robot: Robot) -> bool:
+    return bool(robot.limits.assumed_acceleration.any() or robot.limits.assumed_jerk.any())
+
+
 def _limits(robot: Robot) -> str:
-    """Return the joints' limits, SI, as MoveIt reads them."""
-    limits, lines = robot.limits, ["joint_limits:"]
-    bounds: Mapping[str, Sequence[float] | FloatArray] = {
-        "velocity": limits.velocity,
-        "acceleration": limits.acceleration,
-        "jerk": limits.jerk,
+    """Return the joints' limits, SI, as MoveIt reads them; comments say which are assumed."""
+    limits, certain = robot.limits, np.zeros(robot.dof, dtype=np.bool_)
+    lines = ["# What the motion was planned with, rad and s, of joints that slide m and s."]
+    if _assumes(robot):
+        lines.append("# assumed: no data of the robot's maker; its joint-limits file lacks it, or says so.")
+    lines.append("joint_limits:")
+    bounds: Mapping[str, tuple[FloatArray, BoolArray]] = {
+        "velocity": (limits.velocity, certain),
+        "acceleration": (limits.acceleration, limits.assumed_acceleration),
+        "jerk": (limits.jerk, limits.assumed_jerk),
     }
     for i, joint in enumerate(robot.joints):
         lines.append(f"  {joint}:")
-        for kind, values in bounds.items():
+        for kind, (values, assumed) in bounds.items():
             if np.isfinite(values[i]):
                 lines.append(f"    has_{kind}_limits: true")
-                lines.append(f"    max_{kind}: {float(values[i])!r}")
+                lines.append(f"    max_{kind}: {_number(values[i])}{'  # assumed' if assumed[i] else ''}")
     return "\n".join(lines) + "\n"
+
+
+def _number(value: float) -> str:
+    """A number with six significant digits and a point, which ROS and YAML 1.1 need to read it as one."""
+    return np.format_float_positional(value, precision=6, fractional=False, trim="0")
 
 
 def _text(root: ElementTree.Element) -> str:
