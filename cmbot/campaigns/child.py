@@ -34,8 +34,8 @@ __all__ = ["run_in_child"]
 _CONTEXT = multiprocessing.get_context("forkserver")
 # Characters of standard error that are kept.
 _DETAILS = 4000
-# Tasks that a process runs at most.
-_TASKS = 100
+# Tasks that a process runs at most, and how many objects they make between two searches for reference cycles.
+_TASKS, _BETWEEN_SEARCHES = 100, 50_000
 
 
 def run_in_child(task: Task) -> TaskResult:
@@ -145,6 +145,7 @@ def _serve(connection: Connection, log: str) -> None:
     os.setsid()
     # What the server has imported is not looked through again and again: that would copy its pages, too.
     gc.freeze()
+    gc.set_threshold(_BETWEEN_SEARCHES)
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.__stdout__.fileno() if sys.__stdout__ else 1)
     os.dup2(os.open(log, os.O_WRONLY | os.O_APPEND), 2)
     threading.Thread(target=_end_with_parent, daemon=True).start()

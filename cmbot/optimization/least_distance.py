@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy import linalg
+from scipy.linalg.lapack import dgels
 
 from cmbot.common.arrays import FloatArray
 
@@ -75,7 +76,7 @@ def _nonnegative_least_squares(A: FloatArray, b: FloatArray) -> FloatArray | Non
         free[slope.argmax()] = True
         while True:
             best = np.zeros_like(u)
-            best[free] = np.linalg.lstsq(A[:, free], b)[0]
+            best[free] = _least_squares(A[:, free], b)
             low = free & (best <= 0)
             if not low.any():
                 break
@@ -86,3 +87,9 @@ def _nonnegative_least_squares(A: FloatArray, b: FloatArray) -> FloatArray | Non
             u[~free] = 0.0
         u = best
     return None
+
+
+def _least_squares(A: FloatArray, b: FloatArray) -> FloatArray:
+    """Minimise ``|A x - b|``; by QR factorisation, which is quicker, where columns are independent."""
+    _, x, dependent = dgels(A, b)
+    return np.asarray(np.linalg.lstsq(A, b)[0] if dependent else x[: A.shape[1]])
