@@ -221,42 +221,42 @@ def _search(context: PlanningContext, *, automatic: bool) -> tuple[Attempt, Stro
 
 
 def _lighter(attempt: Attempt, motion: StrokeMotion) -> tuple[Attempt, StrokeMotion]:
-    """The motion from the scene's posture in place of one whose approach asks more than all of that does.
+    """The motion from the scene's posture in place of one whose approach has a larger peak than that job.
 
-    The peak over the whole job counts: a better start is none where the way there is worse.
+    The peak over the whole job counts: a better start is none where the approach to it is worse.
     """
     context, guess, approach = attempt.context, attempt.guess, motion.approach
     pinned = None if guess.choice is None else guess.choice.pinned
     if approach is None or pinned is None or guess.failures or context.reporter.expired():
         return attempt, motion
-    asked, margin = _peak(context, motion.job.segments), 1 + context.options.gap_target
+    highest, margin = _peak(context, motion.job.segments), 1 + context.options.gap_target
     rest = _peak(context, [each for each in motion.job.segments if each is not approach])
     off = context.tool_off
     idle = off.objective.at_rest(off.postures.at(np.stack([context.posture, context.first])))
     before = float(idle.max())
-    # No job from the scene's posture asks less than it does at rest, before the tool is on or then.
-    if asked <= max(margin, 1 + _WORTH_PLANNING) * max(pinned, rest, before, context.reached):
+    # No job from the scene's posture has a smaller peak than at rest there, with the tool off or on.
+    if highest <= max(margin, 1 + _WORTH_PLANNING) * max(pinned, rest, before, context.reached):
         return attempt, motion
     context.reporter.stage("path")
-    context.reporter.step("the approach asks more than the work; trying the scene's posture")
+    context.reporter.step("the peak is on the approach; trying the scene's posture")
     try:
         stays = sliding_guess(context, search=guess.search, stay=True)
         here, there = (each.problem.parametrization.via_points for each in (stays, guess))
         if np.array_equal(here, there):
             return attempt, motion
-        useless = (1 + _HARDLY_LOWERED) * asked
+        useless = (1 + _HARDLY_LOWERED) * highest
         other, lighter = with_retries(
             replace(attempt, guess=stays), partial(_certified_motion, useless=useless)
         )
     except (PlanningError, _UselessMotion):
         return attempt, motion
     peak = _peak(other.context, lighter.job.segments)
-    if margin * peak > asked:
+    if margin * peak > highest:
         return attempt, motion
     unit = context.objective.unit
     fallback = (
-        f"A start that is better at work is not used: the approach to it would ask {asked:.4g} {unit}, the "
-        f"whole job from the scene's posture {peak:.4g} {unit}."
+        f"A start that is better at work is not used: the approach to it would have a peak of "
+        f"{highest:.4g} {unit}, the whole job from the scene's posture {peak:.4g} {unit}."
     )
     return replace(other, fallbacks=(*other.fallbacks, fallback)), lighter
 

@@ -1,6 +1,6 @@
 """Retries: what is tried where no certified motion is found, in the order of `RETRIES`.
 
-1. `finer_samples`: where the certificate misses a bound by a hair, twice the samples per segment.
+1. `finer_samples`: where the certificate misses a bound narrowly, twice the samples per segment.
 2. `shorter_steps`: a guess with shorter steps between via-points, and 1.
 3. `clearer_guess`: where a clearance cannot be kept, a guess that keeps a little more of it, and 1, 2.
 4. `more_via_points`: where the tool strays between via-points, 2 to 4 times as many, and 1 to 3.
@@ -13,9 +13,9 @@
 
 Each remedy runs while there is time (`PlannerOptions.time_limit_s`).
 
-Blends at corners are no remedy: the tool rests at every corner (`ToolPath.leg_times`), so a corner asks no
-more of the joints than any other end of a leg. What asks much jerk are the jumps of acceleration at the ends
-of trapezoidal ramps; ``tool_path.speed_profile.kind: jerk_limited`` has none.
+Blends at corners are no remedy: the tool rests at every corner (`ToolPath.leg_times`), so a corner is no
+harder for the joints than any other end of a leg. Jumps of acceleration need much jerk, as at the ends of
+trapezoidal ramps; ``tool_path.speed_profile.kind: jerk_limited`` has none.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class Retry(Protocol):
 
 
 def finer_samples(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tuple[Attempt, Work]:
-    """Where the certificate misses a bound by a hair, which sampled constraints overlooked."""
+    """Where the certificate misses a bound narrowly, which sampled constraints overlooked."""
     context = failed.context
     options = context.options
     missed = isinstance(failure, LimitViolation) and _excess(failure) <= _BY_A_HAIR
@@ -119,7 +119,7 @@ def finer_samples(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tu
     context.reporter.stage("path")
     options = replace(options, samples_per_segment=2 * options.samples_per_segment)
     context = replace(context, options=options)
-    fallback = f"A bound was missed by a hair ({failure}): planned with twice the samples instead."
+    fallback = f"A bound was missed narrowly ({failure}): planned with twice the samples instead."
     guess = initial_guess(context, failed.guess.search)
     return run(replace(failed, context=context, guess=guess, fallbacks=(*failed.fallbacks, fallback)))
 
@@ -177,7 +177,7 @@ def more_via_points(failed: Attempt, failure: PlanningError, run: Run[Work]) -> 
     """Where the tool strays from its path between via-points: more of them, which hold it more often.
 
     Splines miss a smooth path by the square of their segments' length or less, so a deviation of r times its
-    bound asks for sqrt(r) times the segments; twice as many are tried first. They help no guess that leaps.
+    bound needs sqrt(r) times the segments; twice as many are tried first. They help no guess that leaps.
     """
     context, count = failed.context, len(failed.context.times)
     leaps = leap(context, failed.guess.problem.parametrization.via_points) > 0.0

@@ -351,7 +351,7 @@ def test_where_a_bound_is_missed_by_a_hair_there_are_more_samples(
     assert found.context.options.samples_per_segment == 2 * samples
     assert found.guess.problem.samples_per_segment == 2 * samples
     (sentence,) = found.fallbacks
-    assert "missed by a hair" in sentence
+    assert "missed narrowly" in sentence
 
 
 def strays(constraint: str, violation: float) -> OptimisationFailed:

@@ -121,7 +121,7 @@ def test_a_better_start_whose_approach_asks_more_than_the_whole_other_job_is_lef
     assert planned.choice is not None
     assert planned.choice.free < 1.01 * planned.choice.pinned < asked
     assert (planned.start.moved, planned.approach) == (0.0, None)
-    said = "A start that is better at work is not used: the approach to it would ask "
+    said = "A start that is better at work is not used: the approach to it would have a peak of "
     assert any(line.startswith(said) for line in planned.fallbacks)
     assert planned.job.figures.peak_guardrail_torque < asked
 
