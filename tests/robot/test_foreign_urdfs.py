@@ -262,7 +262,7 @@ def test_limits_that_no_file_gives_are_assumed(tmp_path: Path) -> None:
     np.testing.assert_allclose(robot.limits.acceleration, [3, np.pi / 2, 3])
     np.testing.assert_allclose(robot.limits.jerk, 10 * robot.limits.acceleration)
     assert "of 2 joints of 3 are assumed" in robot.remarks[0]
-    np.testing.assert_array_equal(robot.limits.assumed_acceleration, [False, True, True])
+    np.testing.assert_array_equal(robot.limits.assumed_acceleration, [True, False, True])
     assert robot.limits.assumed_jerk.all()
     robot = limited(
         tmp_path,
