@@ -35,31 +35,42 @@ _GIF_SPEED = 4.0
 _LONGEST_SIZE = 12
 
 
+ReplayedArgument = Annotated[
+    Path, typer.Argument(metavar="DIR", help="A plan directory, or a walk's folder.")
+]
+HtmlOption = Annotated[
+    Path | None, typer.Option("--html", help="Page to write; DIR/replay.html if left out.")
+]
+ServeOption = Annotated[bool, typer.Option("--serve", help="Serve the page on 127.0.0.1 instead.")]
+VideoOption = Annotated[
+    Path | None, typer.Option("--video", help="Film it instead, such as FILE.mp4; takes minutes.")
+]
+GifOption = Annotated[
+    Path | None, typer.Option("--gif", help="Film it as a small GIF instead, four times as fast.")
+]
+FpsOption = Annotated[int | None, typer.Option("--fps", help="Frames a second of a film; 30, of a GIF 10.")]
+SizeOption = Annotated[
+    str | None, typer.Option("--size", metavar="WxH", help="Of a film; 1280x720, of a GIF 640x360.")
+]
+BendingOption = Annotated[
+    float | None,
+    typer.Option("--bending", help="Times by which a film magnifies deflections; as its page."),
+]
+ColoursOption = Annotated[
+    str | None, typer.Option("--colours", help="Of the arm in a film: own, load or strain.")
+]
+
+
 def replay(
-    directory: Annotated[Path, typer.Argument(metavar="DIR", help="A plan directory, or a walk's folder.")],
-    html: Annotated[
-        Path | None, typer.Option("--html", help="Page to write; DIR/replay.html if left out.")
-    ] = None,
-    serve: Annotated[bool, typer.Option("--serve", help="Serve the page on 127.0.0.1 instead.")] = False,
-    video: Annotated[
-        Path | None, typer.Option("--video", help="Film it instead, such as FILE.mp4; takes minutes.")
-    ] = None,
-    gif: Annotated[
-        Path | None, typer.Option("--gif", help="Film it as a small GIF instead, four times as fast.")
-    ] = None,
-    fps: Annotated[
-        int | None, typer.Option("--fps", help="Frames a second of a film; 30, of a GIF 10.")
-    ] = None,
-    size: Annotated[
-        str | None, typer.Option("--size", metavar="WxH", help="Of a film; 1280x720, of a GIF 640x360.")
-    ] = None,
-    bending: Annotated[
-        float | None,
-        typer.Option("--bending", help="Times by which a film magnifies deflections; as its page."),
-    ] = None,
-    colours: Annotated[
-        str | None, typer.Option("--colours", help="Of the arm in a film: own, load or strain.")
-    ] = None,
+    directory: ReplayedArgument,
+    html: HtmlOption = None,
+    serve: ServeOption = False,
+    video: VideoOption = None,
+    gif: GifOption = None,
+    fps: FpsOption = None,
+    size: SizeOption = None,
+    bending: BendingOption = None,
+    colours: ColoursOption = None,
 ) -> None:
     """Write a page that replays a plan, or a walk, in any browser, without a network.
 
@@ -78,7 +89,7 @@ def replay(
         if value is not None and filmed is None:
             raise InputError("cmbot replay", name, str(value), "it with --video or --gif")
     from cmbot.archive import PLAN_FILE, WALK_FILE
-    from cmbot.views import REPLAY, film, replay_page
+    from cmbot.views import REPLAY, replay_page
 
     is_walk = _is_file(directory / WALK_FILE) and not _is_file(directory / PLAN_FILE)
     if is_walk and filmed is None:
@@ -95,28 +106,43 @@ def replay(
     if html is not None:
         cmbot.replay(loaded, html=html, tracking=tracking)
         out.print(f"Written to {flat(html)}.")
-        return
-    page = replay_page(loaded, tracking)
-    if serve:
-        _serve(page, loaded.scene.name)
+    elif serve:
+        _serve(replay_page(loaded, tracking), loaded.scene.name)
     elif filmed is not None:
-        if gif is not None and gif.suffix.lower() != ".gif":
-            raise InputError("cmbot replay", "--gif", str(gif), "a file whose name ends with .gif")
-        started = time.perf_counter()
-        with ConsoleProgress() as progress:
-            progress.stage("filming", 0.0)
-            frames = film(
-                page,
-                filmed,
-                speed=_GIF_SPEED if gif else 1.0,
-                fps=fps or (10 if gif else 30),
-                size=shape,
-                bending=bending,
-                colours=colours or "own",
-                progress=lambda share: progress.stage("filming", share),
-            )
-        seconds = time.perf_counter() - started
-        out.print(f"Written to {flat(filmed)}: {frames} frames in {seconds:.1f} s.")
+        page = replay_page(loaded, tracking)
+        _film(page, filmed, shape, fps=fps, as_gif=gif is not None, bending=bending, colours=colours)
+
+
+def _film(
+    page: str,
+    file: Path,
+    size: tuple[int, int],
+    *,
+    fps: int | None,
+    as_gif: bool,
+    bending: float | None,
+    colours: str | None,
+) -> None:
+    """Film a replay page, and print how long that took."""
+    from cmbot.views import film
+
+    if as_gif and file.suffix.lower() != ".gif":
+        raise InputError("cmbot replay", "--gif", str(file), "a file whose name ends with .gif")
+    started = time.perf_counter()
+    with ConsoleProgress() as progress:
+        progress.stage("filming", 0.0)
+        frames = film(
+            page,
+            file,
+            speed=_GIF_SPEED if as_gif else 1.0,
+            fps=fps or (10 if as_gif else 30),
+            size=size,
+            bending=bending,
+            colours=colours or "own",
+            progress=lambda share: progress.stage("filming", share),
+        )
+    seconds = time.perf_counter() - started
+    out.print(f"Written to {flat(file)}: {frames} frames in {seconds:.1f} s.")
 
 
 def _serve(page: str, name: str) -> None:

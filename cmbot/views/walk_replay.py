@@ -103,7 +103,11 @@ def _data(walk: Walk) -> dict[str, Any]:
         "commands": [
             base64.b64encode(command).decode("ascii")
             for command in moving_robot_commands(
-                body.visual, body.urdf, walk.scene, [_thinned(feet[:, foot]) for foot in (0, 1)], robot.reach
+                body.visual,
+                body.urdf,
+                walk.scene,
+                [_decimated(feet[:, foot]) for foot in (0, 1)],
+                robot.reach,
             )
         ],
     }
@@ -179,7 +183,7 @@ def _parts(walk: Walk) -> list[list[Any]]:
     return parts
 
 
-def _thinned(way: FloatArray) -> FloatArray:
+def _decimated(way: FloatArray) -> FloatArray:
     """Places of a foot along its way without those where it stays, at most `_MOST_PLACES`."""
     moved = np.linalg.norm(np.diff(way, axis=0), axis=1) > _STAYS
     way = way[np.concatenate([[True], moved])]

@@ -11,7 +11,7 @@ from walks import one_step
 
 from cmbot.archive import json_bytes
 from cmbot.views import walk_page
-from cmbot.views.walk_replay import _thinned
+from cmbot.views.walk_replay import _decimated
 from cmbot.walking import walk_data, walk_samples
 
 pytestmark = pytest.mark.browser
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.browser
 def test_few_places_are_drawn_of_a_long_way() -> None:
     still = np.zeros((500, 3))
     way = np.vstack([still, np.linspace([0, 0, 0], [1, 0, 0], 5000), still + np.array([1.0, 0.0, 0.0])])
-    drawn = _thinned(way)
+    drawn = _decimated(way)
     assert len(drawn) <= 160
     np.testing.assert_allclose(drawn[[0, -1]], [[0, 0, 0], [1, 0, 0]])
     assert np.linalg.norm(np.diff(drawn, axis=0), axis=1).max() < 0.02
