@@ -16,7 +16,7 @@ from cmbot.planning.job import RETURN
 from cmbot.planning.result.holding import holding_remarks
 from cmbot.planning.result.plan import Plan
 from cmbot.planning.result.stroke_plan import ObjectiveMetrics
-from cmbot.planning.result.verdict import strays, verdict
+from cmbot.planning.result.verdict import further, strays, travels, verdict
 from cmbot.robot import Kinematics, postures_in_words
 from cmbot.scene import STOW
 
@@ -32,6 +32,8 @@ _CLOSED = 1e-2
 # More jerk than so many times the baseline's, and than that share of the limits, may well make the tool sway
 # more.
 _MORE_JERK, _LITTLE_JERK = 2.0, 1e-3
+# Joints that travel so many times as far as the baseline's are told.
+_FURTHER = 2.0
 # A lower bound below this share of the baseline's peak counts as zero.
 _NOTHING = 1e-9
 
@@ -47,6 +49,7 @@ def remarks(plan: Plan) -> Iterator[str]:
     yield from _coverage(plan)
     yield from _baseline(plan)
     yield _gain(plan)
+    yield from _travel(plan)
     yield from _nothing_gained(plan)
     yield from _lower_bound(plan)
     yield from holding_remarks(plan)
@@ -348,6 +351,21 @@ def _gain(plan: Plan) -> str:
         f"Against the baseline, {whose} motion without optimisation: {peak} "
         f"{change:+z.2f} %{why}, the mean {100 * mean:+.2f} %; at most {difference:.1f} Nm less, "
         f"at {time:.1f} s."
+    )
+
+
+def _travel(plan: Plan) -> Iterator[str]:
+    """Where the joints travel much further than the baseline's: how far, and which one most."""
+    factor = further(plan)
+    if factor < _FURTHER:
+        return
+    ours, theirs = travels(plan)
+    joint = int(plan.robot.metric.coordinates(ours - theirs).argmax())
+    units = plan.robot.limits.units(joint, shown=True)
+    far, baseline = (f"{units.factor * each[joint]:.3g} {units.position}" for each in (ours, theirs))
+    yield (
+        f"At work the joints travel {factor:.1f} times as far as the baseline's, most of all "
+        f"{plan.robot.joints[joint]}, {far} in place of {baseline}: by self-motion, which lowers the torque."
     )
 
 

@@ -7,6 +7,7 @@ from math import inf
 
 import numpy as np
 
+from cmbot.common.arrays import FloatArray
 from cmbot.common.validation import counted
 from cmbot.planning.certification.check import Check
 from cmbot.planning.context import end_posture_of
@@ -14,12 +15,26 @@ from cmbot.planning.job import Job, Segment
 from cmbot.planning.result.plan import Plan
 from cmbot.robot import Dynamics
 
-__all__ = ["bound_use", "during", "left_out", "promises", "strays", "tightest_check", "verdict"]
+__all__ = [
+    "bound_use",
+    "during",
+    "further",
+    "left_out",
+    "promises",
+    "strays",
+    "tightest_check",
+    "travels",
+    "verdict",
+]
 
 # Peaks that differ by less, as a share of them, are the same.
 _SAME = 1e-3
 # A peak lower by less than this share is hardly a gain.
 _LITTLE = 1e-2
+# A gain below this share is told with what it costs: joints that travel so many times as far, or more.
+_SMALL, _FURTHER = 5e-2, 3.0
+# A motion of joints by less is none, rad.
+_NO_TRAVEL = 1e-6
 # Times the tool deviation of a plan: a baseline that strays further follows another path.
 _STRAYS = 10.0
 
@@ -41,6 +56,8 @@ def verdict(plan: Plan, *, area: bool = True) -> str:
         text += f" (it {' and '.join(faults)})"
     if _SAME < 1 - peak / before < _LITTLE:
         text += ": hardly anything is gained"
+    elif _LITTLE <= 1 - peak / before < _SMALL and (factor := further(plan)) >= _FURTHER:
+        text += f", with joints that travel {factor:.1f} times as far at work"
     if len(job.segments) > 1:
         work, other = (figures.peak_guardrail_torque for figures in (plan.figures, plan.baseline_figures))
         text += f"; the work alone {work:.1f} Nm (baseline {other:.1f} Nm)"
@@ -51,6 +68,36 @@ def verdict(plan: Plan, *, area: bool = True) -> str:
         f"{text}. Tightest promise: {check.quantity} {during(segment, job)}, at {check.time:.1f} s, "
         f"{100 * bound_use(check):.0f} % of its bound{_room(check)}."
     )
+
+
+def further(plan: Plan) -> float:
+    """Return how many times as far as the baseline's the joints travel along the strokes.
+
+    Parameters
+    ----------
+    plan : Plan
+    """
+    ours, theirs = travels(plan)
+    metric = plan.robot.metric
+    return float(metric.lengths(ours) / max(metric.lengths(theirs), _NO_TRAVEL))
+
+
+def travels(plan: Plan) -> tuple[FloatArray, FloatArray]:
+    """Return how far each joint travels along the strokes, (n,), rad, of joints that slide m.
+
+    From knot to knot of the plan, and from sample to sample of the baseline.
+
+    Parameters
+    ----------
+    plan : Plan
+    """
+    planned = [stroke.trajectory.q for stroke in plan.job.strokes]
+    baseline = [segment.samples.q for segment in plan.baseline_segments if segment.kind == "stroke"]
+    ours, theirs = (
+        np.sum([np.abs(np.diff(q, axis=0)).sum(axis=0) for q in motion], axis=0)
+        for motion in (planned, baseline)
+    )
+    return ours, theirs
 
 
 def left_out(plan: Plan) -> str:

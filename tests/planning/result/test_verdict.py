@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from plan_folders import changed, without_approach
 
-from cmbot.planning import Check, Plan, bound_use, tightest_check, verdict
+from cmbot.planning import Check, Plan, bound_use, remarks, tightest_check, verdict
+from cmbot.planning.result.verdict import further, travels
 
 
 def test_the_posture_in_which_the_arm_begins_decides_on_the_triangle(triangle_plan: Plan) -> None:
@@ -48,6 +49,32 @@ def test_hardly_a_gain_is_called_so(triangle_plan: Plan) -> None:
             "less than the baseline's 486.4 Nm: hardly anything is gained"
             in verdict(replace(work, scene=scene))
         ) == hardly
+
+
+@pytest.mark.parametrize(("share", "little"), [(0.98, True), (0.9, False)])
+def test_a_small_gain_is_told_with_the_joints_that_travel_further(
+    triangle_plan: Plan, share: float, little: bool
+) -> None:
+    before = triangle_plan.baseline_job_figures.peak_guardrail_torque
+    figures = replace(triangle_plan.job.segments[-1].figures, peak_guardrail_torque=share * before)
+    certificate = replace(triangle_plan.job.segments[-1].certificate, figures=figures)
+    work = changed(without_approach(triangle_plan), "work", certificate=certificate)
+    work = replace(work, scene=replace(work.scene, posture=work.start.posture))
+    once = further(work)
+    assert once == pytest.approx(
+        np.linalg.norm(np.abs(np.diff(work.trajectory.q, axis=0)).sum(axis=0))
+        / np.linalg.norm(np.abs(np.diff(work.baseline_segments[0].samples.q, axis=0)).sum(axis=0))
+    )
+    (stroke,) = work.baseline_segments
+    q = stroke.samples.q
+    nearer = replace(stroke.samples, q=q[0] + 0.1 * (q - q[0]))
+    work.__dict__["baseline_segments"] = (replace(stroke, samples=nearer),)
+    assert further(work) == pytest.approx(10 * once)
+    assert (f", with joints that travel {10 * once:.1f} times as far at work" in verdict(work)) == little
+    (told,) = (remark for remark in remarks(work) if remark.startswith("At work the joints travel"))
+    joint = int((travels(work)[0] - travels(work)[1]).argmax())
+    far, less = np.rad2deg([way[joint] for way in travels(work)])
+    assert f"most of all {work.robot.joints[joint]}, {far:.3g} deg in place of {less:.3g} deg" in told
 
 
 @pytest.mark.parametrize(
