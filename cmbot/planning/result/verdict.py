@@ -79,7 +79,7 @@ def further(plan: Plan) -> float:
     """
     ours, theirs = travels(plan)
     metric = plan.robot.metric
-    return float(metric.lengths(ours) / max(metric.lengths(theirs), _NO_TRAVEL))
+    return float(metric.lengths(ours)) / max(float(metric.lengths(theirs)), _NO_TRAVEL)
 
 
 def travels(plan: Plan) -> tuple[FloatArray, FloatArray]:

@@ -60,15 +60,14 @@ def test_a_small_gain_is_told_with_the_joints_that_travel_further(
     certificate = replace(triangle_plan.job.segments[-1].certificate, figures=figures)
     work = changed(without_approach(triangle_plan), "work", certificate=certificate)
     work = replace(work, scene=replace(work.scene, posture=work.start.posture))
-    once = further(work)
+    *others, stroke = work.baseline_segments
+    q, once = stroke.samples.q, further(work)
     assert once == pytest.approx(
         np.linalg.norm(np.abs(np.diff(work.trajectory.q, axis=0)).sum(axis=0))
-        / np.linalg.norm(np.abs(np.diff(work.baseline_segments[0].samples.q, axis=0)).sum(axis=0))
+        / np.linalg.norm(np.abs(np.diff(q, axis=0)).sum(axis=0))
     )
-    (stroke,) = work.baseline_segments
-    q = stroke.samples.q
     nearer = replace(stroke.samples, q=q[0] + 0.1 * (q - q[0]))
-    work.__dict__["baseline_segments"] = (replace(stroke, samples=nearer),)
+    work.__dict__["baseline_segments"] = (*others, replace(stroke, samples=nearer))
     assert further(work) == pytest.approx(10 * once)
     assert (f", with joints that travel {10 * once:.1f} times as far at work" in verdict(work)) == little
     (told,) = (remark for remark in remarks(work) if remark.startswith("At work the joints travel"))
