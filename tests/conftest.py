@@ -22,7 +22,7 @@ from urdf_arms import arm_scene, endless_scene
 from cmbot.common.installation import model_folder
 from cmbot.planning import Plan, plan, planner, robot_of
 from cmbot.planning.progress import Progress, ProgressReporter
-from cmbot.planning.selfmotion import global_search
+from cmbot.planning.selfmotion import sampler
 from cmbot.robot import Dynamics, Kinematics, Robot, load_robot
 from cmbot.scene import PlannerOptions, load_scene
 from cmbot.simulation import SimulationOptions, Tracking, simulate
@@ -58,7 +58,7 @@ def _without_the_default_time_limit() -> Iterator[None]:
 @pytest.fixture(autouse=True)
 def _without_charts_of_other_tests() -> None:
     """What a test finds does not depend on those before it."""
-    global_search._CHARTED.clear()
+    sampler._CHARTED.clear()
 
 
 @pytest.fixture(scope="session")

@@ -82,6 +82,16 @@ def test_behind_a_gap_there_are_no_edges(stage: GlobalSearch) -> None:
     assert len(found[2].after) == len(found[3].after) == 0
 
 
+def test_edges_of_shorter_steps_are_those_left_of_longer_ones(stage: GlobalSearch) -> None:
+    half = stage.halved()
+    anew = edges_along(half._layers, half._steps, half._winding)
+    assert sum(len(each.before) for each in anew) > 0
+    for found, expected in zip(half._edges, anew, strict=True):
+        assert found.number == expected.number
+        for name in ("before", "after", "length"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+
+
 @given(st.integers(0, 2**32 - 1), st.integers(0, 30), st.integers(0, 30))
 def test_edges_go_round_where_joints_do(seed: int, some: int, others: int) -> None:
     rng = np.random.default_rng(seed)

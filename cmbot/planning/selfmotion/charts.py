@@ -16,7 +16,15 @@ from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.context import PlanningContext
 from cmbot.robot import PostureMetric
 
-__all__ = ["Chart", "GraphLayer", "best_nodes", "charts_of", "check_clearances", "connected_parts"]
+__all__ = [
+    "Chart",
+    "GraphLayer",
+    "LayerCache",
+    "best_nodes",
+    "charts_of",
+    "check_clearances",
+    "connected_parts",
+]
 
 # Postures within this many spacings of each other are on the same part of the self-motion.
 _BESIDE = 1.5
@@ -115,6 +123,23 @@ class GraphLayer:
     def best(self) -> int | None:
         """Return the index of the admissible node with the smallest value; None when there is none."""
         return best_nodes([self])[0]
+
+
+class LayerCache:
+    """Layers of charts: those of charts that stay are kept, with what is known of their clearances."""
+
+    def __init__(self, context: PlanningContext) -> None:
+        self._context = context
+        # By the arrays' identities; the arrays are kept so that these stay theirs.
+        self._known: dict[int, tuple[FloatArray, GraphLayer]] = {}
+
+    def layers(self, each: Sequence[FloatArray]) -> list[GraphLayer]:
+        """Return the layers of charts, arrays (M, n); those of other charts are forgotten."""
+        new = [q for q in each if id(q) not in self._known]
+        made = iter(charts_of(self._context, new))
+        all_ = [self._known.get(id(q)) or (q, GraphLayer(self._context, next(made))) for q in each]
+        self._known = {id(q): (q, layer) for q, layer in all_}
+        return [layer for _, layer in all_]
 
 
 def check_clearances(layers: Sequence[GraphLayer], which: Sequence[BoolArray | IntArray | int]) -> BoolArray:

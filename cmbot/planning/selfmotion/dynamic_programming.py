@@ -59,6 +59,16 @@ class Edges:
             least[self.after[self._first]] = np.minimum.reduceat(value, self._first)
         return least
 
+    def within(
+        self, q_a: FloatArray, q_b: FloatArray, step: FloatArray, winding: BoolArray, usable: BoolArray
+    ) -> Edges:
+        """Return those of them that are `usable` (E,), within shorter steps (n,); see `edges`."""
+        kept = np.flatnonzero(usable)
+        moves = _moves(q_a[self.before[kept]], q_b[self.after[kept]], winding) / step
+        short = (np.abs(moves) <= 1.0).all(axis=1)
+        kept = kept[short]
+        return Edges(self.before[kept], self.after[kept], (moves[short] ** 2).sum(axis=1), self.number)
+
     @cached_property
     def _first(self) -> IntArray:
         """The first edge to each posture with edges."""
@@ -76,26 +86,44 @@ def edges(q_a: FloatArray, q_b: FloatArray, step: FloatArray, winding: BoolArray
     trees = (cKDTree(_in_steps(q, step, turn), boxsize=box) for q in (q_a, q_b))
     near = next(trees).sparse_distance_matrix(next(trees), _A_STEP, p=np.inf, output_type="ndarray")
     before, after = near["i"], near["j"]
-    moves = q_a[before] - q_b[after]
-    if box is not None:
-        moves[:, winding] = nearest_turn(moves[:, winding])
-    moves /= step
+    moves = _moves(q_a[before], q_b[after], winding) / step
     reachable = (np.abs(moves) <= 1.0).all(axis=1)
     order = np.flatnonzero(reachable)
     order = order[np.lexsort((before[order], after[order]))]
     return Edges(before[order], after[order], (moves[order] ** 2).sum(axis=1), len(q_b))
 
 
-def edges_along(layers: Sequence[GraphLayer], steps: FloatArray, winding: BoolArray) -> list[Edges]:
+def _moves(q_a: FloatArray, q_b: FloatArray, winding: BoolArray) -> FloatArray:
+    """Moves (E, n) between postures, the shorter way round of joints that turn by more than a whole turn."""
+    moves = q_a - q_b
+    if winding.any():
+        moves[:, winding] = nearest_turn(moves[:, winding])
+    return moves
+
+
+def edges_along(
+    layers: Sequence[GraphLayer],
+    steps: FloatArray,
+    winding: BoolArray,
+    known: Sequence[Edges] = (),
+    longer: Sequence[Edges] = (),
+) -> list[Edges]:
     """Find the edges between layers, `steps` (k, n) apart at most; see `edges`.
 
     Nodes that are known to be inadmissible have none, and from those to which none leads there are none.
+    `known` are those between the first layers, `longer` such of longer steps between all.
     """
     found, reached = list[Edges](), layers[0].admissible
-    for (before, after), step in zip(pairwise(layers), steps, strict=True):
-        i, j = np.flatnonzero(before.admissible & reached), np.flatnonzero(after.admissible)
-        few = edges(before.chart.q[i], after.chart.q[j], step, winding)
-        found.append(Edges(i[few.before], j[few.after], few.length, len(after.chart.q)))
+    for k, ((before, after), step) in enumerate(zip(pairwise(layers), steps, strict=True)):
+        if k < len(known):
+            found.append(known[k])
+        elif longer:
+            usable = (before.admissible & reached)[longer[k].before] & after.admissible[longer[k].after]
+            found.append(longer[k].within(before.chart.q, after.chart.q, step, winding, usable))
+        else:
+            i, j = np.flatnonzero(before.admissible & reached), np.flatnonzero(after.admissible)
+            few = edges(before.chart.q[i], after.chart.q[j], step, winding)
+            found.append(Edges(i[few.before], j[few.after], few.length, len(after.chart.q)))
         reached = np.zeros(len(after.chart.q), dtype=np.bool_)
         reached[found[-1].after] = True
     return found

@@ -22,9 +22,10 @@ from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning.context import PlanningContext, no_start_left
 from cmbot.planning.path.projection import project_onto_task
-from cmbot.planning.selfmotion.charts import Chart, GraphLayer, best_nodes, charts_of, connected_parts
+from cmbot.planning.selfmotion.charts import Chart, GraphLayer, LayerCache, best_nodes, connected_parts
 from cmbot.planning.selfmotion.dynamic_programming import (
     BottleneckDynamicProgram,
+    Edges,
     blocked,
     edges_along,
     nearest_turn,
@@ -32,7 +33,7 @@ from cmbot.planning.selfmotion.dynamic_programming import (
 )
 from cmbot.planning.selfmotion.followed_bound import followed_bound
 from cmbot.planning.selfmotion.lower_bound import LowerBound, find_lower_bound, with_proof
-from cmbot.planning.selfmotion.sampler import SelfMotionSampler
+from cmbot.planning.selfmotion.sampler import sampled_charts
 from cmbot.scene import ToolPoses, shortest_turns
 
 __all__ = ["GlobalSearch", "GlobalSolution", "sequences_beside"]
@@ -45,13 +46,10 @@ _POSE = 6
 _BESIDE = 40
 # How often charts are made denser where no way leads through a via-point, and at how many beside it.
 _REFINEMENTS, _ABOUT = 3, 2
+# Charts with more edges between them are dense enough.
+_MANY_EDGES = 100_000
 # Checks of a chart at most, and random postures of each as a multiple of those that charts are grown from.
 _CHECKS, _SEEDS_OF_A_CHECK = 5, 5
-# Charts of so many tool paths and arms at most are kept, by what they depend on, with their samplers; not
-# those of a path with more postures than the second number. Decimals of the poses that they hold: far below
-# the tolerance with which they do.
-_KEPT, _MOST_KEPT, _DIGITS = 4, 100_000, 12
-_CHARTED: dict[tuple[object, ...], tuple[SelfMotionSampler, tuple[FloatArray, ...]]] = {}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +122,14 @@ class GlobalSearch:
             self.lower_bound, self._lowest_leaning = bounded_as.lower_bound, bounded_as._lowest_leaning
         # How often each chart has been made denser.
         self._rounds = np.zeros(len(context.goals), dtype=np.intp)
-        self._sampler, each = _sampled(context)
+        self._sampler, each = sampled_charts(context)
+        # What is added to charts of a bound, the charts with it, and the layers of both.
+        self._more_of: LowerBound | None = None
+        self._more = list[list[FloatArray]]()
+        self._joined = dict[int, tuple[FloatArray, FloatArray]]()
+        self._own, self._wider = LayerCache(context), LayerCache(context)
+        self._layers, self._edges, self._linked = list[GraphLayer](), list[Edges](), list[GraphLayer]()
+        self._steps = np.empty(0)
         self._chart(each)
 
     def _chart(self, each: list[FloatArray]) -> None:
@@ -132,8 +137,7 @@ class GlobalSearch:
         context = self._context
         self._each = self._bounded(each)
         if self._wide or self._leaning is not context:
-            charts = charts_of(context, self._with_more(self._each))
-            self._layers = [GraphLayer(context, chart) for chart in charts]
+            self._layers = self._wider.layers(self._with_more(self._each))
         self._allow(context.options.step_share)
         self.first_chart = self._layers[0].chart
 
@@ -146,7 +150,7 @@ class GlobalSearch:
         context, sampler, known = self._context, self._sampler, self._bound
         self._spacing = sampler.spacing
         for _ in range(_CHECKS):
-            self._layers = [GraphLayer(context, chart) for chart in charts_of(context, each)]
+            self._layers = self._own.layers(each)
             best = best_nodes(self._layers)
             empty = next((k for k, node in enumerate(best) if node is None), None)
             if empty is None:
@@ -185,10 +189,21 @@ class GlobalSearch:
         found = self._layers[bound.via_point].chart.value
         return self._bound_is_given or node is None or bool(found[node] >= bound.value - bound.error)
 
+    def _is_too_far(self, via_point: int, pace: float) -> bool:
+        """Whether a step asks joints to be faster, by the factor `pace`, in denser charts, too.
+
+        What charts miss is within their spacing of what they have, at both ends of a step.
+        """
+        context, k = self._context, max(via_point, 1)
+        spacing = self._sampler.spacing_after(int(self._rounds[k - 1 : k + 1].min()))
+        moved = self.step_share * context.robot.limits.velocity * (context.times[k] - context.times[k - 1])
+        return pace > 1 + float((2 * spacing / context.robot.metric.weight / moved).max())
+
     def _refine(self, each: list[FloatArray], via_point: int) -> bool:
         """Make charts, (M, d) each, denser about a via-point; return whether they became so."""
         rounds = int(self._rounds[via_point]) + 1
-        if rounds > _REFINEMENTS or self._context.reporter.expired():
+        many = max((len(e.before) for e in self._edges[max(via_point - 1, 0) : via_point + 1]), default=0)
+        if rounds > _REFINEMENTS or many > _MANY_EDGES or self._context.reporter.expired():
             return False
         beside = np.arange(max(via_point - _ABOUT, 0), min(via_point + _ABOUT + 1, len(each)))
         beside = beside[self._rounds[beside] < rounds]
@@ -226,7 +241,9 @@ class GlobalSearch:
             except PathNotFound as failure:
                 k = int(np.abs(self._context.times - failure.time).argmin())
                 halved = self.step_share < self._context.options.step_share
-                if starts is not None or halved or not self._refine(self._each, k):
+                if starts is not None or halved or self._is_too_far(k, failure.pace):
+                    raise
+                if not self._refine(self._each, k):
                     raise
                 self._chart(self._each)
 
@@ -294,11 +311,19 @@ class GlobalSearch:
         """Let joints use that share of their velocity bounds between via-points."""
         context = self._context
         self.step_share = step_share
+        before = self._steps
         self._steps = (
             step_share * context.robot.limits.velocity * np.diff(context.times)[:, None]
             + 0.5 * context.options.chart_spacing / context.robot.metric.weight
         )
-        self._edges = edges_along(self._layers, self._steps, self._winding)
+        # What was found between the same charts is found again, or holds what shorter steps leave of it.
+        same = [a is b for a, b in zip(self._layers, self._linked, strict=False)]
+        self._linked, known, longer = self._layers, list[Edges](), list[Edges]()
+        if np.array_equal(before, self._steps):
+            known = self._edges[: max(same.index(False) - 1, 0) if False in same else len(self._edges)]
+        elif all(same) and same and (self._steps <= before).all():
+            longer = self._edges
+        self._edges = edges_along(self._layers, self._steps, self._winding, known, longer)
 
     def _moves(self, start: FloatArray, q: FloatArray) -> FloatArray:
         """Moves (M, d) from a posture (d,) to others, the shorter way round where that stays in range."""
@@ -337,18 +362,29 @@ class GlobalSearch:
         Where the axis may lean, also sequences beside the leaning posture of the lower bound. So freedom
         never raises the peak, and a sequence leads on from the scene's own posture.
         """
-        context = self._context
-        more = list[list[FloatArray]]()
+        if self._more_of is not self._bound:
+            self._more_of, self._more, self._joined = self._bound, self._found_beside(), {}
+        more = zip(*self._more, strict=True)
+        # Charts that stay are the same arrays again.
+        all_ = [
+            self._joined.get(id(q)) or (q, np.vstack([q, *some])) for q, some in zip(each, more, strict=True)
+        ]
+        self._joined = {id(q): (q, joined) for q, joined in all_}
+        return [joined for _, joined in all_]
+
+    def _found_beside(self) -> list[list[FloatArray]]:
+        """Postures, (m, d) at each via-point, that charts get beside their own."""
+        context, more = self._context, list[list[FloatArray]]()
         if self._bound is not None:
             more.append(sequences_beside(context, self._lowest, self._bound.via_point, self._spacing))
         if context.robot.dof > _POSE and not context.reporter.expired():
             pose = replace(context, task=replace(context.task, keep="pose"))
-            more.append(_sampled(pose)[1])
+            more.append(sampled_charts(pose)[1])
         if self._leaning is not context:
             k = self.lower_bound.via_point
             goals = _leaning_goals(self._leaning, self._lowest_leaning, k)
             more.append(sequences_beside(context, self._lowest_leaning, k, self._spacing, goals))
-        return [np.vstack(of_point) for of_point in zip(each, *more, strict=True)]
+        return more
 
     def _unwound(self, q: FloatArray, start: FloatArray | None) -> tuple[FloatArray, BoolArray]:
         """The same postures (n, d) on the turns next to each other, from those of `start` (d,) if given.
@@ -397,46 +433,6 @@ class GlobalSearch:
         search._layers, search._winding = layers, self._winding & (np.arange(len(limits.lower)) != joint)
         search._allow(self.step_share)
         return search, same_as[0]
-
-
-def _sampled(context: PlanningContext) -> tuple[SelfMotionSampler, list[FloatArray]]:
-    """Postures (M, d) of the charts at all via-points, and the sampler that goes on from there.
-
-    Jobs of a campaign often have the tool path and the arm in common, and differ in what it carries or how
-    fast it moves.
-    """
-    goals, limits, task, options = context.goals, context.robot.limits, context.task, context.options
-    # So that they do not depend on how the via-points' times were rounded.
-    goals = replace(goals, point=goals.point.round(_DIGITS), rotation=goals.rotation.round(_DIGITS))
-    lean = np.zeros(0) if task.lean is None else task.lean
-    arrays = (limits.lower, limits.upper, goals.point, goals.rotation, context.first, lean)
-    asked = (task.keep, task.path.turns, options.chart_spacing, options.chart_seeds)
-    known = (*asked, *(array.tobytes() for array in arrays), *context.postures.geometry)
-    if known not in _CHARTED:
-        sampler = SelfMotionSampler(context)
-        drawn = _charted(sampler, context, goals)
-        if sum(map(len, drawn)) > _MOST_KEPT:
-            return sampler, drawn
-        _CHARTED[known] = sampler, tuple(drawn)
-        for earlier in list(_CHARTED)[:-_KEPT]:
-            _CHARTED.pop(earlier, None)
-    sampler, charts = _CHARTED[known]
-    return sampler.copied(), list(charts)
-
-
-def _charted(sampler: SelfMotionSampler, context: PlanningContext, goals: ToolPoses) -> list[FloatArray]:
-    step = f"charting the postures that hold the tool's {context.task.keep}"
-
-    def report(done: int, total: int) -> None:
-        context.reporter.part(step, done, total)
-        if context.reporter.expired():
-            reason = (
-                f"{context.time_in_words}, was over when {done} of {total} via-points had been charted; take "
-                f"a longer one, fewer {context.stroke.key}.via_points or a larger planner.chart_spacing"
-            )
-            raise context.path_not_found(reason, context.first)
-
-    return sampler.along(goals, context.first[None], report)
 
 
 def _leaning_goals(context: PlanningContext, posture: FloatArray, via_point: int) -> ToolPoses:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -26,7 +26,7 @@ from cmbot.planning.path.projection import TangentPredictor, null_space, project
 from cmbot.planning.selfmotion.poisson_disk import PoissonDiskSets
 from cmbot.scene import ToolPoses
 
-__all__ = ["Coverage", "SelfMotionSampler"]
+__all__ = ["Coverage", "SelfMotionSampler", "sampled_charts"]
 
 # Newton steps that put random postures onto the task.
 _RANDOM_STEPS = 40
@@ -46,6 +46,11 @@ _STRIDE, _PAIRS = 6, 4
 _DENSER, _MOST_REFINED = 4, 6000
 # Rounds of random postures along the path at most, and the factor of their number from one to the next.
 _ROUNDS, _MORE = 6, 2
+# Charts of so many tool paths and arms at most are kept, by what they depend on, with their samplers; not
+# those of a path with more postures than the second number. Decimals of the poses that they hold: far below
+# the tolerance with which they do.
+_KEPT, _MOST_KEPT, _DIGITS = 4, 100_000, 12
+_CHARTED: dict[tuple[object, ...], tuple[SelfMotionSampler, tuple[FloatArray, ...]]] = {}
 
 
 @dataclass(frozen=True)
@@ -106,6 +111,10 @@ class SelfMotionSampler:
     def spacing(self) -> float:
         """Spacing that charts keep everywhere, rad; it grows where they would have too many postures."""
         return self._spacing_of(self._beyond)
+
+    def spacing_after(self, rounds: int) -> float:
+        """Spacing of charts that were made denser in so many rounds, rad."""
+        return float(self.spacing / _DENSER ** (rounds / max(self._freedom, 1)))
 
     def copied(self) -> SelfMotionSampler:
         """Return one that goes on as this one would, random numbers included."""
@@ -197,7 +206,7 @@ class SelfMotionSampler:
         some = [k for k in at if len(charts[k]) <= _MOST_REFINED // _DENSER]
         if not some:
             return charts
-        self._denser = _DENSER ** (rounds / max(self._freedom, 1))
+        self._denser = self.spacing / self.spacing_after(rounds)
         sets = self._sets([charts[k] for k in some])
         self._grow(_Postures.of_each(sets.postures), goals[np.asarray(some)], sets, most=_MOST_REFINED)
         self._denser = 1.0
@@ -358,3 +367,43 @@ class _Postures:
 
     def __getitem__(self, index: BoolArray) -> _Postures:
         return _Postures(self.q[index], self.of[index])
+
+
+def sampled_charts(context: PlanningContext) -> tuple[SelfMotionSampler, list[FloatArray]]:
+    """Postures (M, d) of the charts at all via-points, and the sampler that goes on from there.
+
+    Jobs of a campaign often have the tool path and the arm in common, and differ in what it carries or how
+    fast it moves.
+    """
+    goals, limits, task, options = context.goals, context.robot.limits, context.task, context.options
+    # So that they do not depend on how the via-points' times were rounded.
+    goals = replace(goals, point=goals.point.round(_DIGITS), rotation=goals.rotation.round(_DIGITS))
+    lean = np.zeros(0) if task.lean is None else task.lean
+    arrays = (limits.lower, limits.upper, goals.point, goals.rotation, context.first, lean)
+    asked = (task.keep, task.path.turns, options.chart_spacing, options.chart_seeds)
+    known = (*asked, *(array.tobytes() for array in arrays), *context.postures.geometry)
+    if known not in _CHARTED:
+        sampler = SelfMotionSampler(context)
+        drawn = _charted(sampler, context, goals)
+        if sum(map(len, drawn)) > _MOST_KEPT:
+            return sampler, drawn
+        _CHARTED[known] = sampler, tuple(drawn)
+        for earlier in list(_CHARTED)[:-_KEPT]:
+            _CHARTED.pop(earlier, None)
+    sampler, charts = _CHARTED[known]
+    return sampler.copied(), list(charts)
+
+
+def _charted(sampler: SelfMotionSampler, context: PlanningContext, goals: ToolPoses) -> list[FloatArray]:
+    step = f"charting the postures that hold the tool's {context.task.keep}"
+
+    def report(done: int, total: int) -> None:
+        context.reporter.part(step, done, total)
+        if context.reporter.expired():
+            reason = (
+                f"{context.time_in_words}, was over when {done} of {total} via-points had been charted; take "
+                f"a longer one, fewer {context.stroke.key}.via_points or a larger planner.chart_spacing"
+            )
+            raise context.path_not_found(reason, context.first)
+
+    return sampler.along(goals, context.first[None], report)

@@ -16,7 +16,8 @@ from cmbot.planning import GlobalSearch, plan
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import null_space, project_onto_task
 from cmbot.planning.selfmotion import global_search
-from cmbot.planning.selfmotion.dynamic_programming import refine
+from cmbot.planning.selfmotion import sampler as sampling
+from cmbot.planning.selfmotion.dynamic_programming import edges_along, refine
 from cmbot.planning.selfmotion.global_search import sequences_beside
 from cmbot.planning.selfmotion.lower_bound import LowerBound, find_lower_bound
 from cmbot.planning.selfmotion.sampler import SelfMotionSampler
@@ -66,7 +67,7 @@ def test_arms_that_weigh_otherwise_share_charts(monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.setattr(SelfMotionSampler, "along", along)
     own = searched(robot={"payload_kg": 2.0})
-    global_search._CHARTED.clear()
+    sampling._CHARTED.clear()
     light, shared = searched(), searched(robot={"payload_kg": 2.0})
     # The speed counts as little; so does how it rounds the via-points' times.
     searched(tool_path={"legs": [{"by": [0, -0.3, 0], "seconds": 4.4}]})
@@ -77,13 +78,13 @@ def test_arms_that_weigh_otherwise_share_charts(monkeypatch: pytest.MonkeyPatch)
     searched(robot={"tool_length_m": 0.2})
     searched(tool_path={"legs": [{"by": [0, -0.29, 0], "seconds": 4}]})
     assert len(drawn) == 4
-    monkeypatch.setattr(global_search, "_KEPT", 2)
+    monkeypatch.setattr(sampling, "_KEPT", 2)
     searched(planner={"chart_seeds": 40})
-    assert len(global_search._CHARTED) == 2
+    assert len(sampling._CHARTED) == 2
     # Long paths would fill the memory.
-    monkeypatch.setattr(global_search, "_MOST_KEPT", 10)
+    monkeypatch.setattr(sampling, "_MOST_KEPT", 10)
     searched(planner={"chart_seeds": 41})
-    assert not any(41 in key for key in global_search._CHARTED)
+    assert not any(41 in key for key in sampling._CHARTED)
 
 
 def test_freedom_never_costs_torque(search: GlobalSearch) -> None:
@@ -154,11 +155,26 @@ def test_joints_that_are_too_slow_are_named() -> None:
     # So much slower, the next via-point is reached.
     assert caught.value.pace > 1
     slow["legs"][0]["seconds"] *= 1.01 * caught.value.pace
+    assert search._is_too_far(2, caught.value.pace) == (caught.value.pace > 2)
     search = GlobalSearch(sliding(tool_path=slow, planner={"chart_spacing": 0.1}))
     try:
         search.solve(pinned=True)
     except PathNotFound as later:
         assert later.progress > caught.value.progress
+
+
+def test_charts_get_no_denser_where_joints_are_far_too_slow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What charts miss is within their spacing of what they have."""
+    slow = {"legs": [{"by": [0, -0.6, 0], "seconds": 0.3}], "via_points": 5}
+    search = GlobalSearch(sliding(tool_path=slow, planner={"chart_spacing": 0.1}))
+    sampler = search._sampler
+    assert sampler.spacing_after(0) == sampler.spacing
+    assert sampler.spacing_after(2) == pytest.approx(sampler.spacing / 16)
+    monkeypatch.setattr(sampler, "refined", None)
+    monkeypatch.setattr(sampler, "spacing_after", lambda rounds: 1e-3)
+    with pytest.raises(PathNotFound, match="too far from those before"):
+        search.solve(pinned=False)
+    assert not search._is_too_far(2, 1.0)
 
 
 @pytest.fixture(scope="module", params=["axis", "position"])
@@ -250,7 +266,7 @@ def test_a_way_that_is_narrower_than_the_charts_is_found(monkeypatch: pytest.Mon
 
 
 def test_denser_charts_keep_the_bound(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is found again only where they hold a posture below it, which shows that it was none."""
+    """The bound is found again only where they hold a posture below it, which shows that it was none."""
     search, found = GlobalSearch(sliding(planner={"chart_spacing": 0.5})), list[float]()
     bound, before = search.lower_bound, len(search._each[3])
 
@@ -260,9 +276,21 @@ def test_denser_charts_keep_the_bound(monkeypatch: pytest.MonkeyPatch) -> None:
         return lower, posture
 
     monkeypatch.setattr(global_search, "find_lower_bound", find)
+    layers, edges = search._layers, search._edges
     assert search._refine(search._each, 3)
     search._chart(search._each)
     assert len(search._each[3]) > before
+    # What is known of the charts that stay, and of the edges that lead there, is kept.
+    assert [a is b for a, b in zip(layers, search._layers, strict=True)] == [
+        k not in range(1, 6) for k in range(8)
+    ]
+    monkeypatch.setattr(search._context.clearances, "check_collision", None)
+    anew = edges_along(search._layers, search._steps, search._winding)
+    for got, expected in zip(search._edges, anew, strict=True):
+        np.testing.assert_array_equal(got.before, expected.before)
+    assert len(search._edges[3].before) > len(edges[3].before)
+    monkeypatch.undo()
+    monkeypatch.setattr(global_search, "find_lower_bound", find)
     assert search.lower_bound is bound
     assert not found
     search._bound = search.lower_bound = replace(bound, value=2 * bound.value, error=0.0)
