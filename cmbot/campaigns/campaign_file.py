@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -17,7 +15,7 @@ from cmbot.common.errors import InputError, SceneError
 from cmbot.common.input_files import read_csv
 from cmbot.common.validation import FileModel, given_path, refusal, shown, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml, yaml_value
-from cmbot.scene import Scene, scene_from_data, scene_path
+from cmbot.scene import Scene, changed_content, is_within, scene_from_data, scene_path
 
 __all__ = ["CampaignFile", "Entry", "EntryFile", "read_campaign"]
 
@@ -25,8 +23,6 @@ _LARGEST_TABLE = 100_000_000
 _MOST_ENTRIES = 1_000_000
 # Columns of a table that are no keys of a scene.
 _OWN_COLUMNS = ("name", "at_m", "scene")
-# A step of a key such as tool_path.legs[0].by[2].
-_STEP = re.compile(r"\.?([A-Za-z_]\w*)|\[(\d{1,4})\]")
 
 _Text = Annotated[str, Field(min_length=1, max_length=1000)]
 _Values = dict[_Text, Any]
@@ -105,7 +101,7 @@ class _Source:
         """An error about an entry, named by where that stands; `values` are the keys that it sets."""
         key = f"{self.prefix}{error.key}"
         if isinstance(error, SceneError) and self.prefix:
-            within = any(re.match(rf"{re.escape(value)}(\W|$)", error.key) for value in values)
+            within = is_within(error.key, values)
             key = f"{self.prefix}set.{error.key}" if within else f"{self.prefix}scene: {error.key}"
         return type(error)(self.file, key, error.got, error.expected, error.choices, line=self.line)
 
@@ -223,9 +219,7 @@ class _Templates:
             self._read[named] = self._template(named)
         data, folder = self._read[named]
         values = {**file.set, **given.set}
-        content = deepcopy(data) | {"name": given.name}
-        for key, value in values.items():
-            _put(content, key, value)
+        content = changed_content(data, values) | {"name": given.name}
         scene = scene_from_data(content, folder, self._source)
         return Entry(name=given.name, scene=scene, at_m=given.at_m, values=values)
 
@@ -233,36 +227,3 @@ class _Templates:
         beside = self._folder / named
         path = scene_path(beside) if beside.is_file() else scene_path(named)
         return read_yaml(path, SceneError), path.parent
-
-
-def _put(content: dict[str, Any], key: str, value: Any) -> None:
-    """Set a value of a scene file's content by its key."""
-    steps = _steps(key)
-    place: Any = content
-    for step, following in zip(steps, [*steps[1:], None], strict=True):
-        if isinstance(step, int):
-            if not isinstance(place, list) or step >= len(place):
-                length = len(place) if isinstance(place, list) else 0
-                raise SceneError("", key, f"item {step} of a list of {length}", "one that the scene has")
-        elif not isinstance(place, dict):
-            raise SceneError("", key, f"a key {step} of no block", "a key of the scene file")
-        if following is None:
-            place[step] = value
-        elif isinstance(step, int):
-            place = place[step]
-        else:
-            if place.get(step) is None:
-                place[step] = {}
-            place = place[step]
-
-
-def _steps(key: str) -> list[str | int]:
-    steps, end = list[str | int](), 0
-    for found in _STEP.finditer(key):
-        if found.start() != end:
-            break
-        steps.append(found[1] if found[1] is not None else int(found[2]))
-        end = found.end()
-    if end != len(key) or not steps or steps[0] == "name":
-        raise SceneError("", key, "no key", "a key of the scene file, such as tool_path.legs[0].seconds")
-    return steps

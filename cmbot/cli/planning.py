@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -26,7 +26,7 @@ from cmbot.cli.console import (
     print_table,
 )
 from cmbot.cli.views import plot_files, require_plots
-from cmbot.common.errors import InputError
+from cmbot.common.errors import InputError, SceneError
 from cmbot.common.installation import scene_folder
 
 if TYPE_CHECKING:
@@ -36,11 +36,6 @@ __all__ = ["plan"]
 
 # Entries of plan.json that are too long for a summary, or have another form there.
 _LEFT_OUT = ("format", "scene", "files", "floor", "passes")
-# Keys of the scene that are no options, but may be taken for some.
-_SCENE_KEYS = (
-    *("posture_deg", "robot", "payload_kg", "tool_length_m", "obstacles", "guardrail"),
-    *("tool_path", "via_points", "legs", "seconds", "keep", "speed_profile", "ramp"),
-)
 
 
 def _print_options(wanted: bool) -> None:
@@ -49,7 +44,8 @@ def _print_options(wanted: bool) -> None:
         return
     # The models that check the options also wrote the schema.
     schema = json.loads((scene_folder() / "scene.schema.json").read_text(encoding="utf-8"))
-    out.print("Options of --set NAME=VALUE, and of a scene file's planner block:")
+    out.print("Options of --set NAME=VALUE, and of a scene file's planner block; --set also takes")
+    out.print("keys of the scene file, such as tool_path.legs[0].seconds:")
     for name, option in schema["$defs"]["PlannerOptions"]["properties"].items():
         default = json.dumps(option["default"])
         out.print(f"\n{name}={default.strip(chr(34))}  ({_allowed(option)})")
@@ -80,7 +76,10 @@ def plan(
     changes: Annotated[
         list[str] | None,
         typer.Option(
-            "--set", metavar="NAME=VALUE", help="A planner option in place of the scene's; may be repeated."
+            "--set",
+            metavar="NAME=VALUE",
+            help="A planner option, or a value by its key in the scene file, in place of the scene's; "
+            "may be repeated.",
         ),
     ] = None,
     list_options: Annotated[
@@ -96,12 +95,11 @@ def plan(
     """Plan a scene, print what was gained, write a plan directory with a replay and a report.
 
     Examples: [bold]cmbot plan triangle -o out/triangle[/bold],
-    [bold]cmbot plan triangle --set compensate=true --set start=pinned[/bold]
+    [bold]cmbot plan triangle --set compensate=true --set robot.payload_kg=2[/bold]
     """
     del list_options
     started = time.perf_counter()
-    loaded = cmbot.load_scene(scene)
-    options = _changed(asdict(loaded.planner), changes or [])
+    loaded, options = _loaded(scene, changes or [])
     # Imports the robot's libraries: after the scene file, so that its errors are reported at once.
     from cmbot.archive import claim, require_free
     from cmbot.planning import precheck_options
@@ -131,24 +129,61 @@ def plan(
         out.print(f"Look at it: open {flat(directory / REPORT)} in a browser.")
 
 
-def _changed(options: dict[str, Any], changes: Sequence[str]) -> cmbot.PlannerOptions:
-    """Return planner options with what ``--set`` changes of them."""
-    from cmbot.common.validation import shown, validated
-    from cmbot.common.yaml_reader import yaml_value
+def _loaded(scene: str, changes: Sequence[str]) -> tuple[cmbot.Scene, cmbot.PlannerOptions]:
+    """Return a scene and its planner's options with what ``--set`` changes of them."""
+    from cmbot.common.validation import validated
     from cmbot.scene import PlannerOptions
+
+    given = _given(scene, changes)
+    options = {name: given.pop(name) for name in list(given) if name in _option_names()}
+    loaded = _with_values(scene, given) if given else cmbot.load_scene(scene)
+    return loaded, validated(PlannerOptions, asdict(loaded.planner) | options, "--set", InputError)
+
+
+def _given(scene: str, changes: Sequence[str]) -> dict[str, object]:
+    """What ``--set`` changes: planner's options by their names, other values by keys of the scene file."""
+    from cmbot.common.validation import hint, shown
+    from cmbot.common.yaml_reader import read_yaml, yaml_value
+    from cmbot.scene import SceneFile, scene_path, whole_key
 
     given: dict[str, object] = {}
     for change in changes:
-        name, equals, text = change.partition("=")
+        key, equals, text = change.partition("=")
         if not equals:
             raise InputError("--set", "", shown(change), "NAME=VALUE, such as start=pinned")
+        name = key.removeprefix("planner.")
         if name in given:
             raise InputError("--set", flat(name), "the same option again", "each option once")
-        if name in _SCENE_KEYS:
-            expected = "one of the planner's options; it is part of the scene: change it in the scene file"
-            raise InputError("--set", name, "a key of the scene", expected)
+        options = _option_names()
+        if name.isidentifier() and name not in (*options, *SceneFile.model_fields, "return"):
+            whole = whole_key(name, read_yaml(scene_path(scene), SceneError))
+            meant = f"; did you mean {whole}?" if whole else hint(name, options)
+            expected = f"a planner option or a key of the scene file{meant}"
+            raise InputError("--set", flat(name), "an unknown key", expected, () if whole else options)
         given[name] = yaml_value(text, f"--set: {flat(name)}", InputError)
-    return validated(PlannerOptions, options | given, "--set", InputError)
+    return given
+
+
+def _option_names() -> tuple[str, ...]:
+    from cmbot.scene import PlannerOptions
+
+    return tuple(field.name for field in fields(PlannerOptions))
+
+
+def _with_values(scene: str, values: Mapping[str, object]) -> cmbot.Scene:
+    """Return a scene with other values, by keys of its file."""
+    from cmbot.common.yaml_reader import lines_named, read_yaml
+    from cmbot.scene import changed_content, is_within, scene_from_data, scene_path
+
+    path = scene_path(scene)
+    with lines_named(path):
+        data = read_yaml(path, SceneError)
+        try:
+            return scene_from_data(changed_content(data, values), path.parent, str(path))
+        except SceneError as error:
+            if is_within(error.key, values):
+                raise SceneError("--set", error.key, error.got, error.expected, error.choices) from error
+            raise
 
 
 def _summary(planned: Plan, directory: Path) -> dict[str, Any]:

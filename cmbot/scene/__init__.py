@@ -5,6 +5,7 @@ from cmbot.scene.base.guardrail import GuardrailFile, feet_at, guardrail_from_fi
 from cmbot.scene.base.hold import HoldFile
 from cmbot.scene.base.identified import IdentifiedBase, IdentifiedSpring, IdentifiedStiffness
 from cmbot.scene.base.stance import FootholdFile, StanceFile, axis_point, foothold_face, foothold_pose
+from cmbot.scene.changes import changed_content, is_within, whole_key
 from cmbot.scene.mesh_file import load_mesh
 from cmbot.scene.migration import migrated
 from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, pose
@@ -75,12 +76,14 @@ __all__ = [
     "ToolPoses",
     "axis_point",
     "cells_of",
+    "changed_content",
     "coverage_of",
     "feet_at",
     "foothold_face",
     "foothold_pose",
     "guardrail_from_file",
     "guardrail_obstacles",
+    "is_within",
     "limits_text",
     "load_mesh",
     "load_scene",
@@ -96,4 +99,5 @@ __all__ = [
     "shipped_scenes",
     "shortest_turns",
     "update_file",
+    "whole_key",
 ]

@@ -70,7 +70,10 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
     ),
     ("plan short.yaml -o empty.yaml/plan", ("empty.yaml/plan: got a place below ", "which is a file")),
     ("reproduce -o empty.yaml", ("empty.yaml/triangle: got a place below ", "which is a file")),
-    ("plan short.yaml --set seconds=3", ("--set: seconds: got a key of the scene", "in the scene file")),
+    (
+        "plan short.yaml --set seconds=3",
+        ("--set: seconds: got an unknown key", "did you mean tool_path.legs[0].seconds?"),
+    ),
     (
         "check nosuch.yaml",
         (

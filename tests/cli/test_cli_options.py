@@ -76,6 +76,28 @@ def test_set_overrides_one_option(
     assert type(getattr(options, name)) is type(getattr(before, name))
 
 
+def test_set_takes_keys_of_the_scene_file(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    planned = list[cmbot.Scene]()
+
+    def plan(scene: cmbot.Scene, **_: object) -> None:
+        planned.append(scene)
+        raise cmbot.InputError("plan", "", "enough", "no more")
+
+    monkeypatch.setattr(cmbot, "plan", plan)
+    before = cmbot.load_scene("short.yaml")
+    words = ("robot.payload_kg=2", "tool_path.legs[0].seconds=4", "planner.start=pinned", "max_passes=7")
+    assert run("plan", "short.yaml", *(part for word in words for part in ("--set", word))).status == 2
+    (scene,) = planned
+    assert (scene.name, scene.source) == (before.name, before.source)
+    assert (scene.robot.payload, scene.legs[0].seconds) == (2, 4)
+    assert scene.file.robot.payload_kg == 2
+    assert scene.legs[0].by == before.legs[0].by
+    # What is wrong in the file itself is named by the file.
+    text = (folder / "short.yaml").read_text(encoding="utf-8")
+    (folder / "wrong.yaml").write_text(f"{text}\nmore: 1\n", encoding="utf-8")
+    assert "error: wrong.yaml:" in refusal("plan", "wrong.yaml", "--set", "robot.payload_kg=2")
+
+
 def test_set_may_be_repeated_or_left_out(known: list[cmbot.PlannerOptions]) -> None:
     words = ("--set", "knots=sliding", "--set", "start=pinned", "--set", "smoothing_weight=1e-3")
     assert run("plan", "short.yaml", *words).status == 0
@@ -97,13 +119,27 @@ def test_what_was_set_is_planned_and_kept(folder: Path) -> None:
     ("words", "message"),
     [
         (("start",), "got 'start', expected NAME=VALUE, such as start=pinned"),
-        (("strat=free",), "strat: got an unknown key, expected a known key; did you mean start? (one of:"),
+        (
+            ("strat=free",),
+            "strat: got an unknown key, expected a planner option or a key of the scene file; did you mean "
+            "start? (one of: knots, ",
+        ),
         (("start=fre",), "start: got 'fre', expected a known value; did you mean free? (one of: free, p"),
         (("start=",), "start: got None, expected a known value"),
         (
             ("via_points=3000",),
-            "via_points: got a key of the scene, expected one of the planner's options; it is part",
+            "via_points: got an unknown key, expected a planner option or a key of the scene file; did you "
+            "mean tool_path.via_points?",
         ),
+        (
+            ("ramp=0.3",),
+            "ramp: got an unknown key, expected a planner option or a key of the scene file; did",
+        ),
+        (("robot.payload_kg=-1",), "robot.payload_kg: got -1, expected at least 0"),
+        (("tool_path.legs[7].seconds=3",), "tool_path.legs[7].seconds: got item 7 of a list of 1, expected"),
+        (("tool_path.via=3",), "tool_path.via: got an unknown key, expected a known key"),
+        (("name=other",), "name: got no key, expected a key of the scene file"),
+        (("start=free", "planner.start=free"), "start: got the same option again"),
         (("compensate=yes",), "compensate: got 'yes', expected true or false"),
         (("max_passes=many",), "max_passes: got 'many', expected a whole number"),
         (("max_passes=0",), "max_passes: got 0, expected at least 1"),
