@@ -10,19 +10,20 @@ from typing import Literal
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError, LimitViolation, PlanningError
 from cmbot.common.validation import checked_options, require_type
 from cmbot.common.watching import watched
 from cmbot.optimization import ExchangeReport
-from cmbot.planning.certification.certificate import certify
+from cmbot.planning.certification.certificate import Certificate, certify
 from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.failures import constraints_named, in_keys, slower, slower_legs
-from cmbot.planning.flexibility.sag_compensation import MOST_ROUNDS, compensate
-from cmbot.planning.flexibility.vibration_suppression import suppress_vibration
+from cmbot.planning.flexibility.sag_compensation import MOST_ROUNDS, Compensation, compensate
+from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression, suppress_vibration
 from cmbot.planning.free_motion.approach import plan_approach
 from cmbot.planning.free_motion.free_move import largest_objective
 from cmbot.planning.free_motion.return_move import SAME_POSTURE, plan_return
-from cmbot.planning.initial_guess import initial_guess, require_no_leap, sliding_guess
+from cmbot.planning.initial_guess import InitialGuess, initial_guess, require_no_leap, sliding_guess
 from cmbot.planning.job import Job, Segment
 from cmbot.planning.objectives import WrenchFunction
 from cmbot.planning.path.first_posture import starting_at_path
@@ -40,8 +41,9 @@ from cmbot.planning.result.plan import Plan
 from cmbot.planning.result.stroke_plan import Start
 from cmbot.planning.retries import Attempt, with_retries
 from cmbot.planning.stroke_order import in_least_travel
-from cmbot.planning.torque import optimise, segments
+from cmbot.planning.torque import Optimised, optimise, segments
 from cmbot.scene import PlannerOptions, Scene
+from cmbot.trajectory import QuinticTrajectory
 
 __all__ = ["plan"]
 
@@ -323,53 +325,16 @@ def _certified_motion(attempt: Attempt, useless: float = np.inf) -> StrokeMotion
     A `_UselessMotion` is raised where its least peak is above `useless`.
     """
     context, guess = attempt.context, attempt.guess
-    reporter, options = context.reporter, context.options
-    reporter.stage("optimise")
-
-    # Every segment of a long path may have as many.
-    most = options.max_passes * len(segments(guess.problem))
-
-    def each_pass(report: ExchangeReport, rounds: int = 0) -> None:
-        reporter.passed(report, context.objective.unit, most, rounds=rounds, most_rounds=MOST_ROUNDS)
-        if report.stage == "peak" and report.ended and report.peak_torque > useless:
-            raise _UselessMotion
-
-    compensation = suppression = None
-    with constraints_named(context):
-        problem = guess.problem
-        require_no_leap(problem)
-        optimised = optimise(problem, each_pass)
-        if context.sag is not None:
-            optimised, compensation, problem = compensate(context, guess, optimised, context.sag, each_pass)
-    if context.arm is not None and suppresses_vibration(options):
-        optimised, suppression = suppress_vibration(context.arm, problem, optimised)
-
-    reporter.stage("certify")
+    optimised, compensation, suppression = _optimised(context, guess, useless)
+    context.reporter.stage("certify")
     posture = optimised.trajectory.q[0]
     moved = float(np.abs(context.robot.metric.coordinates(posture - context.posture)).max())
-    certificate = certify(
-        context.robot,
-        context.task,
-        optimised.trajectory,
-        context.clearances,
-        options,
-        via_points=len(context.times),
-        start=context.posture if moved <= SAME_POSTURE else None,
-        sag=context.sag,
-    )
-    if optimised.failure is not None and not certificate.holds:
-        raise optimised.failure
-    certificate.require()
+    certificate = _certified(context, optimised, start=context.posture if moved <= SAME_POSTURE else None)
     approach: Segment | None = None
     if moved <= SAME_POSTURE:
         posture, moved = context.posture, 0.0
     elif guess.search is not None or context.first is not context.posture:
-        reporter.step("planning the approach to the start")
-        at_rest = context.objective.at_rest(context.postures.at(optimised.trajectory.q))
-        chart = context.first[None] if guess.search is None else guess.search.first_chart.q
-        stays = guess.choice is not None and guess.choice.pinned is not None
-        allowed = float(at_rest.max())
-        approach = plan_approach(context, posture, chart, way=guess.way, allowed=allowed, dispensable=stays)
+        approach = _approach(context, guess, optimised.trajectory)
     work = Segment(
         name=context.stroke.name,
         kind="stroke",
@@ -387,4 +352,59 @@ def _certified_motion(attempt: Attempt, useless: float = np.inf) -> StrokeMotion
         suppression=suppression,
         start=Start(posture=posture, moved=moved, failures=guess.failures),
         job=Job(segments=(*before, work, *after)),
+    )
+
+
+def _optimised(
+    context: PlanningContext, guess: InitialGuess, useless: float
+) -> tuple[Optimised, Compensation | None, VibrationSuppression | None]:
+    """The optimised motion, with sag compensated and vibration suppressed where something bends."""
+    reporter, options = context.reporter, context.options
+    reporter.stage("optimise")
+    # Every segment of a long path may have as many.
+    most = options.max_passes * len(segments(guess.problem))
+
+    def each_pass(report: ExchangeReport, rounds: int = 0) -> None:
+        reporter.passed(report, context.objective.unit, most, rounds=rounds, most_rounds=MOST_ROUNDS)
+        if report.stage == "peak" and report.ended and report.peak_torque > useless:
+            raise _UselessMotion
+
+    compensation = suppression = None
+    with constraints_named(context):
+        problem = guess.problem
+        require_no_leap(problem)
+        optimised = optimise(problem, each_pass)
+        if context.sag is not None:
+            optimised, compensation, problem = compensate(context, guess, optimised, context.sag, each_pass)
+    if context.arm is not None and suppresses_vibration(options):
+        optimised, suppression = suppress_vibration(context.arm, problem, optimised)
+    return optimised, compensation, suppression
+
+
+def _certified(context: PlanningContext, optimised: Optimised, start: FloatArray | None) -> Certificate:
+    """The certificate of an optimised motion; where none holds, the error is the solver's if it has one."""
+    certificate = certify(
+        context.robot,
+        context.task,
+        optimised.trajectory,
+        context.clearances,
+        context.options,
+        via_points=len(context.times),
+        start=start,
+        sag=context.sag,
+    )
+    if optimised.failure is not None and not certificate.holds:
+        raise optimised.failure
+    certificate.require()
+    return certificate
+
+
+def _approach(context: PlanningContext, guess: InitialGuess, trajectory: QuinticTrajectory) -> Segment:
+    """The free move to where a trajectory starts."""
+    context.reporter.step("planning the approach to the start")
+    at_rest = context.objective.at_rest(context.postures.at(trajectory.q))
+    chart = context.first[None] if guess.search is None else guess.search.first_chart.q
+    stays = guess.choice is not None and guess.choice.pinned is not None
+    return plan_approach(
+        context, trajectory.q[0], chart, way=guess.way, allowed=float(at_rest.max()), dispensable=stays
     )
