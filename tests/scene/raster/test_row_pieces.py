@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_face_rasters import HOLE, prism, scene_of
-from test_legs import SECOND, check_path
-from test_legs import scene_of as path_scene
+from raster_scenes import HOLE, prism, raster_scene
+from timed_paths import SECOND, check_path, scene_of
 
 from cmbot import load_scene
 from cmbot.common.errors import InputError, SceneError
@@ -93,7 +92,7 @@ def test_pieces_are_where_a_second_computation_has_them(
     raster: dict[str, Any], frame: str, more: dict[str, Any]
 ) -> None:
     raster = {**raster, "frame": frame, "overscan_m": 0.02, "pieces": PIECES}
-    scene = path_scene(raster=raster, speed_m_s=0.1, **more)
+    scene = scene_of(raster=raster, speed_m_s=0.1, **more)
     check_path(scene)
     (stroke,) = scene.timed_strokes(np.eye(4))
     assert len(stroke.path.seconds) == (1 if more else 5)
@@ -102,7 +101,7 @@ def test_pieces_are_where_a_second_computation_has_them(
 def test_pieces_of_faces_are_where_a_second_computation_has_them(tmp_path: Path) -> None:
     plate = prism([(0, 0), (0.3, 0), (0.3, 0.2), (0, 0.2)])
     pieces = [{"row": 1, "begin_m": 0.1, "end_m": 0.3}, {"row": 2, "begin_m": 0.05, "end_m": 0.2}]
-    scene = scene_of(tmp_path, plate, pieces=pieces)
+    scene = raster_scene(tmp_path, plate, pieces=pieces)
     check_path(scene)
     (found,) = coverage_of(scene.timed_strokes(np.eye(4))).values()
     # Overscan covers, too, as far as there is a surface: 0.02 m at three of the four ends.
@@ -112,7 +111,7 @@ def test_pieces_of_faces_are_where_a_second_computation_has_them(tmp_path: Path)
 
 def test_a_face_with_a_hole_becomes_strokes_that_cover_it(tmp_path: Path) -> None:
     """Two plates with a gap wider than the rows' distance are as a face with a notch all through."""
-    scene = scene_of(tmp_path, HOLE, {"seconds": 20.0, "blend_radius_m": 0.01}, spacing_m=0.02)
+    scene = raster_scene(tmp_path, HOLE, {"seconds": 20.0, "blend_radius_m": 0.01}, spacing_m=0.02)
     apart = scene.in_cells(np.eye(4))
     assert [(file.name, file.part_of) for file in apart.each_stroke] == [
         ("work_1", "work"),
@@ -133,7 +132,7 @@ def test_a_face_with_a_hole_becomes_strokes_that_cover_it(tmp_path: Path) -> Non
 
 
 def test_what_is_left_out_of_a_rectangle_is_known() -> None:
-    scene = path_scene(raster={**RECTANGLE, "pieces": PIECES}, speed_m_s=0.1)
+    scene = scene_of(raster={**RECTANGLE, "pieces": PIECES}, speed_m_s=0.1)
     strokes = scene.timed_strokes(np.eye(4))
     (found,) = coverage_of(strokes).values()
     covered = 0.05 * 0.15 + 0.1 * 0.15 + 0.05 * 0.08
@@ -164,7 +163,7 @@ def test_keys_are_those_of_the_file_whatever_the_parts_and_the_order() -> None:
 
 
 def test_the_key_of_a_file_with_one_path_is_that_of_all_its_parts(tmp_path: Path) -> None:
-    apart = scene_of(tmp_path, HOLE, {"seconds": 20.0}, spacing_m=0.02).in_cells(np.eye(4))
+    apart = raster_scene(tmp_path, HOLE, {"seconds": 20.0}, spacing_m=0.02).in_cells(np.eye(4))
     assert [stroke.key for stroke in apart.timed_strokes(np.eye(4))] == ["tool_path"] * 2
 
 
@@ -212,5 +211,5 @@ def test_rasters_that_others_depend_on_are_in_one_part(strokes: list[dict[str, A
 )
 def test_pieces_that_no_row_has(pieces: list[dict[str, Any]], key: str) -> None:
     with pytest.raises((SceneError, InputError)) as caught:
-        path_scene(raster={**RECTANGLE, "pieces": pieces}, speed_m_s=0.1)
+        scene_of(raster={**RECTANGLE, "pieces": pieces}, speed_m_s=0.1)
     assert key in str(caught.value)

@@ -11,32 +11,15 @@ import pytest
 import trimesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from raster_scenes import HOLE, OVERSCAN, RASTER, STAND_OFF, prism, raster_scene
 from scipy.spatial.transform import Rotation
-from test_legs import SECOND, check_path, vectors
+from timed_paths import check_path, vectors
 
 from cmbot import load_scene
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra, SceneError
 from cmbot.planning import precheck_scene
 from cmbot.scene import Coverage, Scene, Stroke, coverage_of, update_file
-
-SPACING, STAND_OFF, OVERSCAN = 0.05, 0.1, 0.02
-RASTER = {
-    "mesh": "part",
-    "faces": {"normal": [0, 0, 1]},
-    "along": [1, 0, 0],
-    "spacing_m": SPACING,
-    "stand_off_m": STAND_OFF,
-    "overscan_m": OVERSCAN,
-    "frame": "bracket",
-}
-
-
-def prism(outline: list[tuple[float, float]]) -> trimesh.Trimesh:
-    """A plate of 10 mm whose upper face, at z = 0, is a convex polygon."""
-    corners = np.array(outline)
-    points = np.vstack([np.column_stack([corners, np.full(len(corners), z)]) for z in (-0.01, 0.0)])
-    return trimesh.convex.convex_hull(points)
 
 
 def bent_sheet(radius: float, span_deg: float, length: float, facets: int, thickness: float = 0.01) -> Any:
@@ -56,18 +39,6 @@ def bent_sheet(radius: float, span_deg: float, length: float, facets: int, thick
     )
 
 
-def scene_of(
-    folder: Path, solid: trimesh.Trimesh, more: dict[str, Any] | None = None, **raster: Any
-) -> Scene:
-    """Its obstacle is in the frame of the raster."""
-    file = folder / "part.stl"
-    file.write_bytes(solid.export(file_type="stl"))
-    data = copy.deepcopy(SECOND)
-    data["tool_path"] = {"via_points": 300, "raster": {**RASTER, **raster}, **(more or {"speed_m_s": 0.1})}
-    data["obstacles"] = [{"name": "part", "mesh": str(file), **data["frames"]["bracket"]}]
-    return load_scene(data)
-
-
 def stroke_of(scene: Scene) -> Stroke:
     return scene.timed_strokes(np.eye(4))[0]
 
@@ -83,7 +54,7 @@ def in_frame(scene: Scene, vectors: FloatArray) -> FloatArray:
 
 def test_rows_of_a_plate_are_those_of_its_rectangle(tmp_path: Path) -> None:
     plate = prism([(0, 0), (0.3, 0), (0.3, 0.2), (0, 0.2)])
-    scene = scene_of(tmp_path, plate)
+    scene = raster_scene(tmp_path, plate)
     stroke = stroke_of(scene)
     rectangle = copy.deepcopy(scene.file.as_data())
     rectangle["tool_path"]["raster"] = {
@@ -104,11 +75,11 @@ def test_rows_of_a_plate_are_those_of_its_rectangle(tmp_path: Path) -> None:
 
 def test_what_is_left_out_of_a_triangle_is_known(tmp_path: Path) -> None:
     """Rows end where their middle does: of each strip a triangle is left at the slanting side."""
-    stroke = stroke_of(scene_of(tmp_path, prism([(0, 0), (0.4, 0), (0, 0.2)]), overscan_m=0.0))
+    stroke = stroke_of(raster_scene(tmp_path, prism([(0, 0), (0.4, 0), (0, 0.2)]), overscan_m=0.0))
     assert len(stroke.surface.pieces) == 4
     assert covered(stroke).area == pytest.approx(0.04, rel=1e-5)
     assert covered(stroke).left_out == pytest.approx(4 * 0.5 * 0.025 * 0.05, rel=1e-4)
-    wider = stroke_of(scene_of(tmp_path, prism([(0, 0), (0.4, 0), (0, 0.2)]), overscan_m=0.051))
+    wider = stroke_of(raster_scene(tmp_path, prism([(0, 0), (0.4, 0), (0, 0.2)]), overscan_m=0.051))
     assert covered(wider).left_out == 0.0
 
 
@@ -121,7 +92,7 @@ def test_on_a_bent_sheet_the_tool_is_square_to_it(
         return
     sheet = bent_sheet(radius, span, 0.4, facets)
     more = {"speed_m_s": 0.1} | ({} if blend is None else {"blend_radius_m": blend})
-    scene = scene_of(
+    scene = raster_scene(
         tmp_path, sheet, more, faces={"normal": [0, 0, 1], "within_deg": 40}, along=along, overscan_m=0.0
     )
     check_path(scene)
@@ -158,7 +129,7 @@ def test_rows_through_the_vertices_of_a_mesh_are_those_of_a_second_computation(t
     for off in (0.0, 3e-9, 3e-8):
         sheet.vertices += [off, off, 0]
         faces = {"normal": [0, 0, 1], "within_deg": 40}
-        scene = scene_of(tmp_path, sheet, more, faces=faces, spacing_m=0.06)
+        scene = raster_scene(tmp_path, sheet, more, faces=faces, spacing_m=0.06)
         check_path(scene)
 
 
@@ -177,17 +148,14 @@ def test_rows_over_any_plate_are_those_of_a_second_computation(
     plate = prism((0.3 * rng.normal(size=(9, 2))).tolist())
     turn = Rotation.from_euler("x", float(rng.uniform(-15, 15)), degrees=True)
     plate.apply_transform(np.block([[turn.as_matrix(), np.zeros((3, 1))], [np.zeros(3), np.ones(1)]]))
-    scene = scene_of(tmp_path, plate, more, along=rng.normal(size=3).tolist())
+    scene = raster_scene(tmp_path, plate, more, along=rng.normal(size=3).tolist())
     check_path(scene)
     p = in_frame(scene, stroke_of(scene).path.position(np.linspace(0, 20, 101))) @ turn.as_matrix()
     np.testing.assert_allclose(p[:, 2], STAND_OFF, atol=1e-6)
 
 
-HOLE = trimesh.util.concatenate([prism([(x, 0), (x + 0.1, 0), (x + 0.1, 0.2), (x, 0.2)]) for x in (0, 0.13)])
-
-
 def test_a_gap_in_a_plane_is_passed(tmp_path: Path) -> None:
-    stroke = stroke_of(scene_of(tmp_path, HOLE))
+    stroke = stroke_of(raster_scene(tmp_path, HOLE))
     assert stroke.surface.area == pytest.approx(0.04, rel=1e-5)
     assert covered(stroke).left_out == 0.0
     lengths = np.linalg.norm(np.diff(stroke.path.corners, axis=0), axis=1)[::2]
@@ -231,7 +199,7 @@ def test_faces_that_have_no_raster(
     tmp_path: Path, mesh: trimesh.Trimesh, raster: dict[str, Any], key: str, got: str, expected: str
 ) -> None:
     with pytest.raises(SceneError) as caught:
-        stroke_of(scene_of(tmp_path, mesh, **raster))
+        stroke_of(raster_scene(tmp_path, mesh, **raster))
     assert caught.value.key == f"tool_path.raster.{key}"
     assert got in caught.value.got
     assert expected in caught.value.expected
@@ -239,20 +207,22 @@ def test_faces_that_have_no_raster(
 
 def test_a_box_chooses_one_layer(tmp_path: Path) -> None:
     faces = {"normal": [0, 0, 1], "box": [[-1, -1, -0.1], [1, 1, 0.1]]}
-    assert stroke_of(scene_of(tmp_path, layers(), faces=faces)).surface.area == pytest.approx(0.04, rel=1e-5)
+    assert stroke_of(raster_scene(tmp_path, layers(), faces=faces)).surface.area == pytest.approx(
+        0.04, rel=1e-5
+    )
 
 
 def test_the_scene_of_a_file_is_the_same_again(tmp_path: Path) -> None:
-    scene = scene_of(tmp_path, HOLE)
+    scene = raster_scene(tmp_path, HOLE)
     again = load_scene(scene.file.as_data())
     assert again.content_hash == scene.content_hash == update_file(scene).content_hash
     assert again.raster == scene.raster
     # The mesh is part of it.
-    assert scene_of(tmp_path, layers()).content_hash != scene.content_hash
+    assert raster_scene(tmp_path, layers()).content_hash != scene.content_hash
 
 
 def test_without_shapely_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = scene_of(tmp_path, HOLE)
+    scene = raster_scene(tmp_path, HOLE)
     monkeypatch.setitem(sys.modules, "shapely", None)
     with pytest.raises(MissingExtra, match="shapely is not installed"):
         stroke_of(scene)
@@ -260,7 +230,7 @@ def test_without_shapely_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.
 
 def test_a_mesh_file_in_the_frame_is_as_the_obstacle_there(tmp_path: Path) -> None:
     sheet = bent_sheet(0.4, 40.0, 0.3, 12)
-    named = scene_of(tmp_path, sheet)
+    named = raster_scene(tmp_path, sheet)
     data = named.file.as_data()
     data["obstacles"], data["tool_path"]["raster"]["mesh"] = [], "part.stl"
     (tmp_path / "scene.yaml").write_text(json.dumps(data), encoding="utf-8")

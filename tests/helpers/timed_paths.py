@@ -1,0 +1,46 @@
+"""Scenes of tool paths, and their timed poses against the second computation of them."""
+
+import copy
+from typing import Any
+
+import numpy as np
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from small_scenes import SHORT
+
+from cmbot import load_scene
+from cmbot.planning.verification.scene_path import ScenePath
+from cmbot.scene import Scene
+
+SECOND = {
+    **{key: value for key, value in SHORT.items() if key != "posture_deg"},
+    "format": "cmbot-scene/2",
+    "start": {"posture_deg": SHORT["posture_deg"]},
+    "frames": {"bracket": {"xyz": [0.3, -0.2, 0.7], "rpy_deg": [10, -40, 130]}},
+}
+WHERE = np.array([1.8, 0.7, -2.0])
+
+
+def scene_of(**tool_path: Any) -> Scene:
+    data: dict[str, Any] = copy.deepcopy(SECOND)
+    data["tool_path"] = {"via_points": 60, **tool_path}
+    return load_scene(data)
+
+
+def vectors(size: float = 1.0) -> st.SearchStrategy[list[float]]:
+    number = st.floats(-size, size).map(lambda x: round(x, 4))
+    return st.lists(number, min_size=3, max_size=3).filter(lambda v: float(np.abs(v).max()) > 0.05 * size)
+
+
+def check_path(scene: Scene) -> None:
+    """The timed poses of every stroke against the second computation of them."""
+    X_WT = np.eye(4)
+    X_WT[:3, :3], X_WT[:3, 3] = Rotation.from_rotvec([0.3, -1.2, 0.5]).as_matrix(), WHERE
+    for number, stroke in enumerate(scene.timed_strokes(X_WT)):
+        path, second = stroke.path, ScenePath(scene, X_WT[:3, 3], X_WT[:3, :3], number)
+        times = np.unique(np.concatenate([np.linspace(0, path.duration, 301), path.breaks]))
+        p, R = second.poses(times)
+        poses = path.poses(times)
+        np.testing.assert_allclose(poses.point, p, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(np.broadcast_to(poses.rotation, R.shape), R, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(stroke.via_times, second.via_times(), rtol=1e-9)
