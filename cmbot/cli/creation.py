@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import os
 import re
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -98,24 +101,25 @@ def new(
         raise InputError(missing, "", "nothing", "--from URDF and --tool-at X Y Z, or --from-scene SCENE")
     path = output if output is not None else Path(f"{_slug(Path(source).name.partition('.')[0])}.yaml")
     require_new(path, force)
-    limits = path.with_name(f"{path.stem}.limits.yaml")
     _require_numbers("--tool-at", tool_at, _LARGEST)
     _require_numbers("--rpy-deg", rpy_deg or (), _LARGEST_ANGLE)
     packages = tuple(package_dir or ())
     _require_applicable(source, base, tool, packages)
-    robot, start, text, limits_text = _composed(source, base, tool, tool_at, rpy_deg, path, limits, packages)
+    made = _composed(source, base, tool, tool_at, rpy_deg, path, packages)
     from cmbot.archive import write_file
 
-    written = [path]
-    if limits_text is not None:
-        require_new(limits, force)
-        write_file(limits, limits_text.encode())
-        written.append(limits)
-    write_file(path, text.encode())
+    # The scene last: it names the others.
+    *others, scene_file = sorted(made.files, key=lambda file: file == path)
+    for file in others:
+        require_new(file, force)
+    for file in (*others, scene_file):
+        write_file(file, made.files[file].encode())
+    written = [scene_file, *others]
+    remarks = [*made.robot.remarks, *made.remarks]
     if as_json:
-        print_json({"verb": "new", "files": [str(file) for file in written], "remarks": list(robot.remarks)})
+        print_json({"verb": "new", "files": [str(file) for file in written], "remarks": remarks})
     elif not quiet:
-        _print_new(robot, start, written, shipped=source == _SHIPPED)
+        _print_new(made, remarks, written, shipped=source == _SHIPPED)
 
 
 def _require_applicable(source: str, base: str | None, tool: str | None, packages: tuple[Path, ...]) -> None:
@@ -129,18 +133,22 @@ def _require_applicable(source: str, base: str | None, tool: str | None, package
             raise InputError("--package-dir", "", str(place), "a folder that exists")
 
 
-def _print_new(robot: Robot, start: StartPosture, written: list[Path], *, shipped: bool) -> None:
-    """Print what was written of a scene: the file and, where they were assumed, the joint limits."""
+def _print_new(made: _Made, remarks: Sequence[str], written: Sequence[Path], *, shipped: bool) -> None:
+    """Print what was written of a scene: the file and those beside it."""
+    robot, start = made.robot, made.start
     joints = f"{robot.dof} joints from {robot.base_frame} to {robot.tool_frame}"
     out.print(flat(f"{robot.name}: {joints}"))
     by = ", ".join(f"{x:g}" for x in start.by)
     out.print(f"A first leg takes the tool by ({by}) m in {start.seconds:g} s: put your own into tool_path.")
     if not shipped:
         out.print("The base is rigid: guardrail.stiffness says how it bends, base.name what it is.")
-    for remark in robot.remarks:
+    for remark in remarks:
         out.print(flat(remark))
     for limits in written[1:]:
-        out.print(flat(f"The assumed limits are in {limits}: put those of your robot's data sheet there."))
+        if limits.suffix == ".yaml":
+            out.print(
+                flat(f"The assumed limits are in {limits}: put those of your robot's data sheet there.")
+            )
     out.print(flat(f"Written: {', '.join(map(str, written))}. Plan it: cmbot plan {written[0]}"))
 
 
@@ -159,6 +167,16 @@ def _migrate(source: str, output: Path | None, *, force: bool, as_json: bool, qu
         out.print(flat(f"Written: {path}, which means the same. Plan it: cmbot plan {path}"))
 
 
+@dataclass(frozen=True)
+class _Made:
+    """A robot, its start posture, what is to be said of both, and the texts of the files to write."""
+
+    robot: Robot
+    start: StartPosture
+    remarks: tuple[str, ...]
+    files: Mapping[Path, str]
+
+
 def _composed(
     source: str,
     base: str | None,
@@ -166,26 +184,40 @@ def _composed(
     tool_at: Numbers,
     rpy_deg: Numbers | None,
     path: Path,
-    limits: Path,
     packages: tuple[Path, ...],
-) -> tuple[Robot, StartPosture, str, str | None]:
-    """The robot, its start, the scene's text and that of its joint limits; None where it has them."""
+) -> _Made:
+    """What is written: the scene, joint limits where the robot has none, an SRDF where its own blocks it."""
     import numpy as np
 
     from cmbot.planning import find_start
     from cmbot.robot import Kinematics, robot_files
     from cmbot.scene import PlannerOptions, limits_text, pose, scene_text
 
+    def start_of(robot: Robot) -> StartPosture:
+        return find_start(robot, _obstacles(source), np.array(tool_at), orientation)
+
+    def usual(start: StartPosture) -> bool:
+        return start.safety_margin == PlannerOptions().safety_margin_m
+
     robot = _loaded(source, base, tool, packages)
     orientation = None if rpy_deg is None else np.array(pose((0, 0, 0), np.radians(rpy_deg)))[:3, :3]
-    start = find_start(robot, _obstacles(source), np.array(tool_at), orientation)
+    start, srdf, files = start_of(robot), path.with_suffix(".srdf"), dict[Path, str]()
+    remarks: tuple[str, ...] = ()
     shipped, own_limits = source == _SHIPPED, robot_files(source).limits is not None
+    if not shipped and not usual(start):
+        text, said = _always_near(source, packages, srdf)
+        with tempfile.TemporaryDirectory() as folder:
+            draft = Path(folder, srdf.name)
+            draft.write_text(text, encoding="utf-8")
+            freed = _loaded(source, base, tool, packages, draft)
+        if usual(better := start_of(freed)):
+            robot, start, files, remarks = freed, better, {srdf: text}, (said,)
+    limits = path.with_name(f"{path.stem}.limits.yaml")
     assumed = None if shipped or own_limits else limits
-    default = start.safety_margin == PlannerOptions().safety_margin_m
-    text = scene_text(
+    files[path] = scene_text(
         name=_slug(path.stem),
         schema=str(scene_folder() / "scene.schema.json"),
-        robot=_robot_entry(robot, source, path, assumed, packages),
+        robot=_robot_entry(robot, source, path, assumed, srdf if srdf in files else None, packages),
         on_guardrail=shipped,
         posture=start.posture,
         prismatic=robot.limits.prismatic,
@@ -193,17 +225,35 @@ def _composed(
         keep=start.keep,
         by=start.by,
         seconds=start.seconds,
-        safety_margin_m=None if default else start.safety_margin,
+        safety_margin_m=None if usual(start) else start.safety_margin,
     )
-    known = robot.limits
-    skeleton = limits_text(robot.joints, known.acceleration, known.jerk, known.prismatic)
-    return robot, start, text, None if assumed is None else skeleton
+    if assumed is not None:
+        known = robot.limits
+        files[assumed] = limits_text(robot.joints, known.acceleration, known.jerk, known.prismatic)
+    return _Made(robot=robot, start=start, remarks=remarks, files=files)
 
 
-def _loaded(source: str, base: str | None, tool: str | None, packages: tuple[Path, ...]) -> Robot:
+def _always_near(source: str, packages: tuple[Path, ...], path: Path) -> tuple[str, str]:
+    """The text of an SRDF that leaves out links which no motion can part, and a remark with their names."""
+    from xml.etree import ElementTree
+
+    from cmbot.robot import robot_files, srdf_text
+
+    text = srdf_text(robot_files(source, package_dirs=packages))
+    pairs = [pair for pair in ElementTree.fromstring(text) if pair.get("reason") == "Always"]
+    names = ", ".join(f"{pair.get('link1')} and {pair.get('link2')}" for pair in pairs)
+    return (
+        text,
+        f"Nearly always nearer to each other than the safety margin: {names}; {path} leaves them out.",
+    )
+
+
+def _loaded(
+    source: str, base: str | None, tool: str | None, packages: tuple[Path, ...], srdf: Path | None = None
+) -> Robot:
     """The robot; where a frame has to be chosen, the error names the option."""
     try:
-        return cmbot.load_robot(source, base_frame=base, tool_frame=tool, package_dirs=packages)
+        return cmbot.load_robot(source, base_frame=base, tool_frame=tool, package_dirs=packages, srdf=srdf)
     except ModelError as error:
         option = {"base_frame": "--base", "tool_frame": "--tool"}.get(error.key)
         if option is None:
@@ -212,7 +262,12 @@ def _loaded(source: str, base: str | None, tool: str | None, packages: tuple[Pat
 
 
 def _robot_entry(
-    robot: Robot, source: str, path: Path, assumed: Path | None, packages: tuple[Path, ...]
+    robot: Robot,
+    source: str,
+    path: Path,
+    assumed: Path | None,
+    srdf: Path | None,
+    packages: tuple[Path, ...],
 ) -> dict[str, tuple[object, str]]:
     """The scene's ``robot:`` block, each value with its comment; `assumed` is the file of assumed limits."""
     entry: dict[str, tuple[object, str]] = {"model": (_model(source, path), "")}
@@ -221,6 +276,8 @@ def _robot_entry(
         entry["tool_frame"] = (robot.tool_frame, "the frame that follows the tool path")
     if assumed is not None:
         entry["limits"] = (assumed.name, "accelerations and jerks, assumed: put your robot's there")
+    if srdf is not None:
+        entry["srdf"] = (srdf.name, "by sampling: which of its links need not be checked against each other")
     if packages:
         folder = path.resolve().parent
         entry["package_dirs"] = ([os.path.relpath(place.resolve(), folder) for place in packages], "")

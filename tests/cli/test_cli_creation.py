@@ -85,6 +85,24 @@ def test_a_scene_of_a_urdf_with_limits_and_an_orientation(here: Path, urdf_folde
     np.testing.assert_allclose(X.rotation, [[0, 1, 0], [1, 0, 0], [0, 0, -1]], rtol=0, atol=1e-4)
 
 
+def test_links_that_no_motion_parts_are_left_out_not_the_margin(here: Path) -> None:
+    """A UR5's own SRDF checks links that are always 19.8 mm apart, below the default margin."""
+    command = ("new", "--from", "ur5", "--tool-at", "0.3", "0.1", "0.4", "-o", "arm.yaml")
+    (told,) = (line for line in output(*command).splitlines() if line.startswith("Nearly always nearer"))
+    assert "forearm_link and wrist_2_link" in told
+    assert told.endswith("; arm.srdf leaves them out.")
+    scene = cmbot.load_scene("arm.yaml")
+    assert (scene.planner.safety_margin_m, scene.robot.srdf) == (0.02, here / "arm.srdf")
+    parted, whole = (
+        Clearances(robot, []).smallest(scene.posture[None]).distance[0]
+        for robot in (robot_of(scene), cmbot.load_robot("ur5"))
+    )
+    assert parted >= 0.02 > whole
+    assert run(*command).status == 2
+    (here / "arm.yaml").unlink()
+    assert "arm.srdf" in run(*command).err
+
+
 def test_a_scene_of_an_arm_on_a_rail(here: Path) -> None:
     """Postures in rad and m, limits of joints that slide in m; packages as they are given."""
     (here / "packages").mkdir()
