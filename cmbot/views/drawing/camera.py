@@ -7,12 +7,11 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
 from cmbot.planning import Plan
-from cmbot.robot import Robot
+from cmbot.robot import Chain, Robot
 from cmbot.scene import Obstacle
 from cmbot.views.drawing.meshcat_scene import reach
 from cmbot.views.drawing.support import supports
@@ -93,12 +92,10 @@ def focus_on(cloud: FloatArray, azimuth: float, rise: float = RISE, room: float 
 
 def link_poses(robot: Robot, q: FloatArray) -> FloatArray:
     """Return poses (N, n, 7) of the joint frames in W at postures `q` (N, n)."""
-    data = robot.model.createData()
     poses = np.empty((*q.shape, 7))
-    for k, q_k in enumerate(q):
-        pin.forwardKinematics(robot.model, data, q_k)
-        for joint in range(1, robot.model.njoints):
-            poses[k, joint - 1] = pin.SE3ToXYZQUAT(data.oMi[joint])
+    for joint, (origin, _, axes) in enumerate(Chain(robot.model, [np.eye(3)] * robot.dof).walk(q.T)):
+        poses[:, joint, :3] = origin.T
+        poses[:, joint, 3:] = Rotation.from_matrix(axes.transpose(2, 1, 0)).as_quat(canonical=True)
     return poses
 
 
