@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from admissible_postures import admissible, restarts, values
 from scipy import optimize
 from small_scenes import context_of, short_scene
 from urdf_arms import endless_scene, panda_scene
 
-from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.common.arrays import FloatArray
 from cmbot.planning import GlobalSearch, Plan, plan
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import project_onto_task
@@ -47,28 +48,6 @@ def bound(planned: Plan) -> LowerBound:
     return planned.lower_bound
 
 
-def admissible(context: PlanningContext, q: FloatArray) -> BoolArray:
-    limits, at = context.robot.limits, context.postures.at(q)
-    holds = ((q >= limits.lower) & (q <= limits.upper)).all(axis=1)
-    holds &= (np.abs(at.joint_torque) <= limits.torque).all(axis=1)
-    holds[holds] = ~context.clearances.check_collision(q[holds], context.options.safety_margin_m)
-    return holds
-
-
-def restarts(context: PlanningContext, via_point: int, rng: np.random.Generator) -> FloatArray:
-    """Random admissible postures with the tool where it is at a via-point."""
-    limits = context.robot.limits
-    q = rng.uniform(np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi), (RESTARTS, 7))
-    goal = context.goals[via_point]
-    placed, reached = project_onto_task(context.postures, context.task, q, goal, steps=40)
-    placed = placed[reached]
-    return placed[admissible(context, placed)]
-
-
-def values(context: PlanningContext, q: FloatArray) -> FloatArray:
-    return context.objective.at_rest(context.postures.at(q))
-
-
 def descended(context: PlanningContext, via_point: int, start: FloatArray) -> FloatArray:
     """Where SLSQP gets to from a posture: the task, joint ranges and torques kept, clearances not."""
     postures, task, limits = context.postures, context.task, context.robot.limits
@@ -97,7 +76,7 @@ def descended(context: PlanningContext, via_point: int, start: FloatArray) -> Fl
 def test_no_random_posture_is_below_the_floor(
     context: PlanningContext, bound: LowerBound, rng: np.random.Generator
 ) -> None:
-    q = restarts(context, bound.via_point, rng)
+    q = restarts(context, bound.via_point, rng, RESTARTS)
     value = values(context, q)
     assert len(q) > 50
     assert value.min() >= bound.value - min(bound.error, 1e-3 * bound.value)
@@ -113,7 +92,7 @@ def test_at_every_via_point_some_posture_has_no_more(
     assert bound.value == bound.each[bound.via_point] == bound.each.max()
     last = len(bound.each) - 1
     # Elsewhere than where it is set, wide self-motions are known by coarse charts alone.
-    assert bound.each[last] <= np.quantile(values(context, restarts(context, last, rng)), 0.1)
+    assert bound.each[last] <= np.quantile(values(context, restarts(context, last, rng, RESTARTS)), 0.1)
 
 
 def test_a_search_that_ends_early_bounds_from_below(context: PlanningContext, bound: LowerBound) -> None:
@@ -167,7 +146,7 @@ def test_other_arms(make: Callable[..., Scene], keep: str, tmp_path: Path, rng: 
     scene = make(tmp_path, keep=keep, via_points=5)
     planned = plan(scene, options=replace(scene.planner, quiet_modes=0))
     context, bound = context_of(scene), planned.lower_bound
-    q = restarts(context, bound.via_point, rng)
+    q = restarts(context, bound.via_point, rng, RESTARTS)
     assert len(q) > 50
     assert values(context, q).min() >= bound.value - bound.error
     assert planned.certificate.holds

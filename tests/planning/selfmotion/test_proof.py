@@ -6,14 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from admissible_postures import admissible, restarts, values
 from finite_differences import check_derivative
 from oracles.inverse_kinematics import postures as closed_form
 from small_scenes import context_of, short_scene
 from urdf_arms import arm_scene, endless_scene, panda_scene, path_of, six_joint_scene
 
-from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.planning.context import PlanningContext
-from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.selfmotion.lower_bound import LowerBound, with_proof
 from cmbot.planning.selfmotion.proof import TorqueFloorProof, _push_slopes
 from cmbot.planning.selfmotion.reachability import out_of_reach
@@ -42,28 +41,6 @@ def prover(context: PlanningContext) -> TorqueFloorProof:
     return found
 
 
-def values(context: PlanningContext, q: FloatArray) -> FloatArray:
-    return context.objective.at_rest(context.postures.at(q))
-
-
-def admissible(context: PlanningContext, q: FloatArray) -> BoolArray:
-    limits, at = context.robot.limits, context.postures.at(q)
-    holds = ((q >= limits.lower) & (q <= limits.upper)).all(axis=1)
-    holds &= (np.abs(at.joint_torque) <= limits.torque).all(axis=1)
-    holds[holds] = ~context.clearances.check_collision(q[holds], context.options.safety_margin_m)
-    return holds
-
-
-def restarts(context: PlanningContext, via_point: int, rng: np.random.Generator) -> FloatArray:
-    limits = context.robot.limits
-    low, high = np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi)
-    q = rng.uniform(low, high, (RESTARTS, len(low)))
-    goal = context.goals[via_point]
-    placed, reached = project_onto_task(context.postures, context.task, q, goal, steps=40)
-    placed = placed[reached]
-    return placed[admissible(context, placed)]
-
-
 def test_a_proof_finds_what_the_closed_form_finds() -> None:
     context = context_of(short_scene())
     proof = prover(context).prove(7, ABOVE_ALL)
@@ -84,7 +61,7 @@ def test_nothing_is_found_below_on_other_arms(
     make: Callable[[Path], Scene], tmp_path: Path, rng: np.random.Generator
 ) -> None:
     context = context_of(make(tmp_path))
-    found = values(context, restarts(context, 3, rng))
+    found = values(context, restarts(context, 3, rng, RESTARTS))
     assert len(found) > 20
     proof = prover(context).prove(3, float(found.min()))
     assert proof.lowest <= proof.value <= found.min()
@@ -93,7 +70,7 @@ def test_nothing_is_found_below_on_other_arms(
 
 def test_a_tool_on_the_last_axis_may_turn(rng: np.random.Generator) -> None:
     context = context_of(short_scene(tool_path={"keep": "axis"}))
-    found = values(context, restarts(context, 2, rng))
+    found = values(context, restarts(context, 2, rng, RESTARTS))
     proof = prover(context).prove(2, float(found.min()))
     assert proof.lowest <= proof.value <= found.min()
     assert proof.value - proof.lowest <= ACCURACY * proof.value
@@ -111,7 +88,7 @@ def test_nothing_is_found_below_under_a_force(
     force: list[float], keep: str, rng: np.random.Generator
 ) -> None:
     context = context_of(pushed_scene(force, keep))
-    found = values(context, restarts(context, 3, rng))
+    found = values(context, restarts(context, 3, rng, RESTARTS))
     assert len(found) > 20
     proof = prover(context).prove(3, float(found.min()))
     assert proof.lowest <= proof.value <= found.min()
@@ -169,7 +146,7 @@ def test_out_of_reach_is_said_where_it_is_proven(tmp_path: Path) -> None:
     assert out_of_reach(far, 0) == (
         "out of reach: no posture within the joint ranges holds the tool's pose there (proven)"
     )
-    assert len(restarts(far, 0, np.random.default_rng(1))) == 0
+    assert len(restarts(far, 0, np.random.default_rng(1), RESTARTS)) == 0
     assert "the arm with its tool stretched out, 3.780 m, does not reach" in out_of_reach(moved([4, 0, 0]), 0)
 
 
