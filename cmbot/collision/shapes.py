@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
     import trimesh
 
 __all__ = ["PairedShapes", "ShapePair", "coal_shapes", "extent_of", "touched_by"]
+
+# Meshes whose hulls are kept.
+_KEPT = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,8 +132,7 @@ def coal_shapes(shape: Shape, name: str) -> list[tuple[Any, Any]]:
         case Sphere(radius=radius):
             geometry = coal.Sphere(radius)
         case Mesh(path=path):
-            parts = load_mesh(path, name).split(only_watertight=False)
-            return [(_hull(part, path, name), pin.SE3.Identity()) for part in parts]
+            return [(hull, pin.SE3.Identity()) for hull in _hulls(load_mesh(path, name), path, name)]
     return [(geometry, pin.SE3.Identity())]
 
 
@@ -168,6 +171,12 @@ def extent_of(obstacle: Obstacle) -> FloatArray:
         X_WS = pin.SE3(np.array(obstacle.X_WO)) * X_OS
         corners += [X_WS.act(np.array(corner)) for corner in product(*ends.T)]
     return np.array([np.min(corners, axis=0), np.max(corners, axis=0)])
+
+
+@lru_cache(maxsize=_KEPT)
+def _hulls(mesh: trimesh.Trimesh, path: Path, name: str) -> tuple[Any, ...]:
+    """Convex hulls of the connected parts of a mesh, which clearances of every stroke and page ask for."""
+    return tuple(_hull(part, path, name) for part in mesh.split(only_watertight=False))
 
 
 def _hull(part: trimesh.Trimesh, path: Path, name: str) -> Any:

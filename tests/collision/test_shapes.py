@@ -16,6 +16,7 @@ from robot_files import FLAT, write_flat_obj
 from robot_files import pose as pose_of
 
 from cmbot.collision import Clearances, extent_of
+from cmbot.collision.shapes import coal_shapes
 from cmbot.common.errors import SceneError
 from cmbot.robot import Robot, convex_hull, encloses_volume
 from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, load_mesh, pose
@@ -111,6 +112,9 @@ def test_a_mesh_is_read_once_and_anew_when_its_file_changes(tmp_path: Path) -> N
     assert np.ptp(meshes["c"].vertices[:, 0]) == pytest.approx(2.0)
     (tmp_path / "c" / "box.stl").replace(tmp_path / "a" / "box.stl")
     assert load_mesh(tmp_path / "a" / "box.stl") is meshes["c"]
+    # Neither are its hulls made again.
+    hulls = [coal_shapes(Mesh(path=tmp_path / "b" / "box.stl"), "thing") for _ in range(2)]
+    assert hulls[0][0][0] is hulls[1][0][0]
 
 
 def clearances_with(robot: Robot, file: Path) -> Clearances:

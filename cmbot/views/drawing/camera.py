@@ -13,8 +13,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.planning import Plan
 from cmbot.robot import Chain, Robot
 from cmbot.scene import Obstacle
-from cmbot.views.drawing.meshcat_scene import reach
-from cmbot.views.drawing.support import supports
+from cmbot.views.drawing.meshcat_scene import reach, surroundings
 from cmbot.views.drawing.surfaces import obstacle_surface
 
 __all__ = ["ARROW", "RISE", "focus_of", "focus_on", "link_poses", "seen", "workpieces"]
@@ -143,9 +142,8 @@ def _direction(
     x, y, _ = plan.samples.tool_point.mean(axis=0) - np.array(plan.robot.foot_point)
     arm = np.arctan2(y, x)
     usual = float(min((arm - np.pi / 4, arm + np.pi / 4), key=lambda angle: abs(angle - np.pi / 2)))
-    still = {obstacle.name for obstacle in supports(plan.scene)}
-    hiding = [*(each for each in plan.scene.obstacles if each.name not in still), *beside]
-    surfaces = [obstacle_surface(each) for each in hiding]
+    surfaces = [surface for _, surface in surroundings(plan.scene)]
+    surfaces += [obstacle_surface(each) for each in beside]
     corners = np.concatenate([np.zeros((0, 3, 3)), *(each.vertices[each.faces] for each in surfaces)])
     path = np.concatenate([_spread(outline) for outline in outlines])
     path = path[np.unique(np.linspace(0, len(path) - 1, _PLACES).astype(int))]

@@ -7,6 +7,7 @@ geometries have neither normals nor 16-bit arrays, and its identifiers contain t
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,14 @@ from cmbot.views.drawing.surfaces import (
     visual_surface,
 )
 
-__all__ = ["bridge_commands", "carrier_commands", "moving_robot_commands", "reach", "scene_commands"]
+__all__ = [
+    "bridge_commands",
+    "carrier_commands",
+    "moving_robot_commands",
+    "reach",
+    "scene_commands",
+    "surroundings",
+]
 
 MOST_ROBOT_FACES = 24_000
 MOST_OBSTACLE_FACES = 12_000
@@ -159,12 +167,18 @@ def _colour(rgba: Sequence[float]) -> int:
     return (red << 16) + (green << 8) + blue
 
 
-def _bridge(scene: Scene) -> Iterator[Command]:
+@lru_cache(maxsize=2)
+def surroundings(scene: Scene) -> tuple[tuple[Obstacle, Surface], ...]:
+    """Return the obstacles that do not bend with the foot, as they are drawn: simplified, in W."""
     bending = supports(scene)
     others = [obstacle for obstacle in scene.obstacles if not any(obstacle is each for each in bending)]
     surfaces = simplified([obstacle_surface(obstacle) for obstacle in others], MOST_OBSTACLE_FACES)
+    return tuple(zip(others, surfaces, strict=True))
+
+
+def _bridge(scene: Scene) -> Iterator[Command]:
     groups: dict[int, list[Surface]] = {}
-    for obstacle, surface in zip(others, surfaces, strict=True):
+    for obstacle, surface in surroundings(scene):
         groups.setdefault(WORKPIECE if obstacle.workpiece else CONCRETE, []).append(surface)
     for number, (colour, group) in enumerate(groups.items()):
         yield _set_mesh(f"/bridge/{number}", group, colour, shininess=10)
