@@ -86,3 +86,26 @@ def test_jobs_without_a_rail_are_not_along_one(chrome: Chrome, tmp_path: Path) -
     open_page(chrome, page)
     assert chrome.find_element("id", "place").text == "Peak torque of each job"
     assert ask(chrome, "document.querySelector('.why p').textContent") == 599 * "x" + "…"
+
+
+def test_jobs_whose_arms_begin_in_the_heaviest_posture_are_told_by_their_work(
+    chrome: Chrome, tmp_path: Path
+) -> None:
+    rows = [_row(k) for k in range(5)]
+    for k, row in enumerate(rows):
+        row["planned_job.peak_guardrail_torque"] = row["baseline_job.peak_guardrail_torque"]
+        row["planned_work.peak_guardrail_torque"] = (1 - 0.1 * k) * row["baseline_work.peak_guardrail_torque"]
+    page = tmp_path / "index.html"
+    page.write_text(overview_page("span", rows, tmp_path), encoding="utf-8")
+    open_page(chrome, page)
+    assert severe_messages(chrome) == []
+    summary = ask(chrome, "document.getElementById('summary').textContent")
+    assert summary.endswith("asks 0.0 % below its baseline, at work alone 20.0 % below.")
+    assert ask(chrome, "document.getElementById('colour').value") == "work"
+    assert (
+        ask(chrome, "document.getElementById('below').textContent") == "The work alone below the baseline, %"
+    )
+    slide(chrome, "colour", "gain")
+    assert ask(chrome, "document.getElementById('below').textContent") == "Below the baseline, %"
+    # One value has one colour.
+    assert ask(chrome, "document.getElementById('key').textContent") == "0.0 %not planned"

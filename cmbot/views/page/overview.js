@@ -44,8 +44,9 @@ function colouring() {
   const known = numbers(values);
   const low = Math.min(...ends(known)), high = Math.max(...ends(known));
   const unit = kind === "clearance" ? "mm" : "%";
-  const legend = known.length ? [[shade(0), `${low.toFixed(1)} ${unit}`], [shade(1), `${high.toFixed(1)} ${unit}`]] : [];
-  return { of: (k) => (values[k] === null ? colour("--bad") : shade((values[k] - low) / (high - low || 1))),
+  const same = low.toFixed(1) === high.toFixed(1);
+  const legend = known.length ? [...(same ? [] : [[shade(0), `${low.toFixed(1)} ${unit}`]]), [shade(1), `${high.toFixed(1)} ${unit}`]] : [];
+  return { of: (k) => (values[k] === null ? colour("--bad") : shade(same ? 1 : (values[k] - low) / (high - low))),
     legend: [...legend, [colour("--bad"), "not planned"]] };
 }
 
@@ -236,20 +237,29 @@ element("map").addEventListener("click", (event) => {
 function drawAll() {
   drawMap();
   drawHistogram("peaks", data.planned);
-  drawHistogram("gains", gain);
+  const work = element("colour").value === "work";
+  element("below").textContent = `${work ? "The work alone below" : "Below"} the baseline, %`;
+  drawHistogram("gains", work ? workGain : gain);
 }
 
 for (const end of [...new Set(data.ended)].sort()) element("end").append(new Option(end, end));
-const gains = numbers(gain).sort((a, b) => a - b);
-if (gains.length) {
+/* In words, how far the middle one of jobs is below its baseline. */
+function middle(values) {
+  const sorted = numbers(values).sort((a, b) => a - b);
+  const value = sorted[Math.floor((sorted.length - 1) / 2)];
+  return value >= 0 ? `${value.toFixed(1)} % below` : `${(-value).toFixed(1)} % above`;
+}
+
+if (numbers(gain).length) {
   const worst = data.planned.reduce((best, value, k) => (value !== null && (best < 0 || value > data.planned[best]) ? k : best), -1);
-  const middle = gains[Math.floor((gains.length - 1) / 2)];
-  const said = middle >= 0 ? `${middle.toFixed(1)} % below` : `${(-middle).toFixed(1)} % above`;
   element("summary").textContent =
-    `The base must bear at most ${data.planned[worst].toFixed(1)} Nm (${data.name[worst]}); the median job asks ${said} its baseline.`;
+    `The base must bear at most ${data.planned[worst].toFixed(1)} Nm (${data.name[worst]}); the median job asks ${middle(gain)} its baseline, at work alone ${middle(workGain)}.`;
+  // The posture in which the arms begin may decide over whole jobs: then the work tells them apart.
+  const spread = (values) => { const [low, high] = ends(numbers(values)); return high - low; };
+  if (spread(gain) < 0.1 && spread(workGain) >= 0.1) element("colour").value = "work";
 }
 for (const id of ["find", "end"]) element(id).addEventListener("input", () => { limit = PAGE; drawTable(); });
-element("colour").addEventListener("input", drawMap);
+element("colour").addEventListener("input", drawAll);
 element("more").addEventListener("click", () => { limit += PAGE; drawTable(); });
 window.addEventListener("resize", drawAll);
 window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawAll);
