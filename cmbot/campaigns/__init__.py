@@ -1,4 +1,4 @@
-"""Many scenes planned on several processes: resumable, one that crashes or hangs costs itself alone."""
+"""Many scenes planned on several processes: resumable; one that crashes or hangs affects no other."""
 
 from cmbot.campaigns.campaign_file import CampaignFile, Entry, read_campaign
 from cmbot.campaigns.run import OVERVIEW, RESULTS, Campaign, CampaignProgress, campaign

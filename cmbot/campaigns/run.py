@@ -1,4 +1,4 @@
-"""A campaign: many scenes planned on several processes, and a table of what came out."""
+"""A campaign: many scenes planned on several processes, and a table of their results."""
 
 from __future__ import annotations
 

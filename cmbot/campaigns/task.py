@@ -1,4 +1,4 @@
-"""A task of a campaign, and what became of it."""
+"""A task of a campaign, and its result."""
 
 from __future__ import annotations
 

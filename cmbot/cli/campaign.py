@@ -1,4 +1,4 @@
-"""The verb of the command line that plans many scenes."""
+"""The command that plans many scenes: `cmbot campaign`."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ def main() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")
     # No search for reference cycles at exit.
     atexit.register(gc.freeze)
-    # --debug is allowed before the verb and after it.
+    # --debug is allowed before the command and after it.
     words = [word for word in sys.argv[1:] if word != "--debug"]
     try:
         status = _run(words)
@@ -72,8 +72,8 @@ def _run(words: list[str]) -> int:
     except _UsageError as error:
         # The message is empty where the help was printed.
         if message := flat(error.format_message()):
-            verb = error.ctx.command_path if error.ctx is not None else "cmbot"
-            where = f". See: {verb} --help"
+            command = error.ctx.command_path if error.ctx is not None else "cmbot"
+            where = f". See: {command} --help"
             _print_error(f"{_cut(message.rstrip('.'), LONGEST_MESSAGE - len(where))}{where}")
         return ExitStatus.BAD_INPUT
     except CmbotError as error:
@@ -90,7 +90,7 @@ def _run(words: list[str]) -> int:
 
 
 def _app_for(words: list[str]) -> typer.Typer:
-    """The app with no verb but the one that is called: Typer evaluates the options of each."""
+    """The app with the called command alone: Typer evaluates the options of each."""
     called = copy(app)
     named = [each for each in app.registered_commands if getattr(each.callback, "__name__", "") in words[:1]]
     called.registered_commands = named or app.registered_commands
@@ -165,24 +165,24 @@ def _options(
     del debug, version
 
 
-def _with_sign(verb: Callable[..., int | None]) -> Callable[..., int | None]:
-    """A verb that first shows that it has begun: imports and reading take up to a second."""
+def _with_sign(command: Callable[..., int | None]) -> Callable[..., int | None]:
+    """A command that first shows that it has begun: imports and reading take up to a second."""
 
-    @wraps(verb)
+    @wraps(command)
     def begun(**options: Any) -> int | None:
         if not options.get("quiet"):
             err.show_sign("reading …")
         try:
-            return verb(**options)
+            return command(**options)
         finally:
             err.erase_sign()
 
     return begun
 
 
-_VERBS: tuple[Callable[..., int | None], ...] = (
+_COMMANDS: tuple[Callable[..., int | None], ...] = (
     *(plan, stand, walk, tour, campaign, new, replay, report, compare, export, simulate, identify, reproduce),
     *(check, scenes, schema, doctor),
 )
-for _verb in _VERBS:
-    app.command()(_verb if _verb in (new, scenes, schema, doctor) else _with_sign(_verb))
+for _command in _COMMANDS:
+    app.command()(_command if _command in (new, scenes, schema, doctor) else _with_sign(_command))

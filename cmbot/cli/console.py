@@ -1,4 +1,4 @@
-"""Standard output and standard error of the command line, exit statuses, options that verbs share."""
+"""Standard output and standard error of the command line, exit statuses, options that commands share."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ def print_json(data: Mapping[str, Any]) -> None:
 
 
 def print_result(verb: str, directory: Path, entries: Mapping[str, Any]) -> None:
-    """Print as JSON what a verb wrote into a directory."""
+    """Print as JSON what a command wrote into a directory."""
     files = sorted(path.name for path in directory.iterdir())
     print_json({"verb": verb, "directory": str(directory), "files": files, **entries})
 

@@ -1,4 +1,4 @@
-"""The verb of the command line that writes a new scene."""
+"""The command that writes a new scene: `cmbot new`."""
 
 from __future__ import annotations
 

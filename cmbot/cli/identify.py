@@ -1,4 +1,4 @@
-"""The verb of the command line that identifies stiffness from measurements."""
+"""The command that identifies stiffness from measurements: `cmbot identify`."""
 
 from __future__ import annotations
 

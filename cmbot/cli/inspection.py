@@ -1,4 +1,4 @@
-"""The verbs of the command line that inspect: a URDF, a scene, the installation."""
+"""The commands that inspect a URDF, a scene or the installation: `check`, `scenes`, `schema`, `doctor`."""
 
 from __future__ import annotations
 
@@ -197,14 +197,14 @@ def _check_scene(file: str) -> tuple[Sequence[Finding], dict[str, str], str]:
         expected = "a URDF (.urdf, .xml, .xacro) or a scene file (.yaml, .yml, .json)"
         raise InputError(file, "", f"a file that is neither ({error.got})", expected) from error
     precheck = precheck_scene(scene)
-    warnings, verb = len(precheck.warnings), f"cmbot plan {flat(file)}"
+    warnings, plan = len(precheck.warnings), f"cmbot plan {flat(file)}"
     conclusion = (
         "No warning. Checked: the start, and places along the path, each for a posture that is within the "
-        f"joint ranges, clear and strong enough. Not checked: the way from one to the next; {verb} finds out."
+        f"joint ranges, clear and strong enough. Not checked: the way from one to the next; {plan} finds out."
     )
     if warnings:
         them = "it" if warnings == 1 else "them"
-        conclusion = f"{counted(warnings, 'warning')}; {verb} would have to deal with {them}."
+        conclusion = f"{counted(warnings, 'warning')}; {plan} would have to deal with {them}."
     return precheck.warnings, dict(precheck.found), conclusion
 
 

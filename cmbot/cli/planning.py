@@ -1,4 +1,4 @@
-"""The verb of the command line that plans."""
+"""The command that plans: `cmbot plan`."""
 
 from __future__ import annotations
 

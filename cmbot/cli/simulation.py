@@ -1,4 +1,4 @@
-"""The verbs of the command line that simulate."""
+"""The commands that simulate: `cmbot simulate` and `cmbot reproduce`."""
 
 from __future__ import annotations
 

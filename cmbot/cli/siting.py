@@ -1,4 +1,4 @@
-"""The verbs of the command line that look for a place to stand, and for the steps to get there."""
+"""The commands for stances and the steps between them: `cmbot stand`, `walk` and `tour`."""
 
 from __future__ import annotations
 

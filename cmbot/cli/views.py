@@ -1,4 +1,4 @@
-"""The verbs of the command line that show a plan, and what other verbs need to add pages and plots to one."""
+"""The commands that show a plan, and what others need to add pages and plots to it."""
 
 from __future__ import annotations
 

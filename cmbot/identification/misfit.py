@@ -1,4 +1,4 @@
-"""Whether measurements and model fit: what chance allows, which row stands out, and what errors are then.
+"""Misfit of measurements and model: its probability, the rows that are outliers, and the errors to be taken.
 
 At the estimate the residuals r of a part of the least squares have the covariance ``B = I - H``, in units of
 their standard deviations, with the leverage ``H = J A J'`` and the covariance A of the unknowns. So their sum

@@ -1,4 +1,4 @@
-"""What an identification tells, in rows and sentences, the file of it, and what is refused."""
+"""The results of an identification in rows and sentences, their file, and what is refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Charting: what a stance asks by the planner's charts, obstacles and joint velocities included."""
+"""Charting: the bound of a stance by the planner's charts, obstacles and joint velocities included."""
 
 from __future__ import annotations
 

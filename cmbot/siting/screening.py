@@ -1,12 +1,12 @@
-"""Screening: what a stance asks at least at some via-points, by sampled postures, for thousands of stances.
+"""Screening: bounds of thousands of stances, from sampled postures at some via-points.
 
 The arm is the same in every stance; only its base is elsewhere. So all postures are found in the base's
 frame, in a few large batches: near neighbours of the tool's pose in a table of random postures, put on the
-task and moved along the self-motion to where the objective is less; more of them at the via-point that asks
-most, until that has been searched closely. Obstacles are left out, so a stance may
-be blocked; joint ranges, joint torques and the feet's bounds count, and the velocities by which the joints
-lead the tool through a posture at the path's own speed. The largest, over the via-points, of the smallest
-value that was found is an estimate of the stance's lower bound from above.
+task and moved along the self-motion to where the objective is less; more of them at the via-point of the
+largest value, until that has been searched closely. Obstacles are left out, so a stance may be blocked; joint
+ranges, joint torques and the feet's bounds count, and the velocities by which the joints lead the tool
+through a posture at the path's own speed. The largest, over the via-points, of the smallest value that was
+found is an estimate of the stance's lower bound from above.
 """
 
 from __future__ import annotations

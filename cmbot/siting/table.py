@@ -1,4 +1,4 @@
-"""What was found of stances: in words, and as a table."""
+"""The results of a search among stances: in words, and as a table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the verbs of the command line do, write and print when all goes well."""
+"""What the commands do, write and print when all goes well."""
 
 import re
 import shutil

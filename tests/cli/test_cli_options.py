@@ -1,4 +1,4 @@
-"""What long verbs have in common: ``--json``, ``--quiet``, ``--figures``; and ``--set`` of ``cmbot plan``."""
+"""Options of long commands: ``--json``, ``--quiet``, ``--figures``; and ``--set`` of ``cmbot plan``."""
 
 import json
 from pathlib import Path

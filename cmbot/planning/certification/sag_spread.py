@@ -1,4 +1,4 @@
-"""How far the tool may be from its path, for all that a stiffness may be that was identified."""
+"""How far the tool may be from its path within the uncertainty of an identified stiffness."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Vibration at the end of a leg, linear in the joints' snap, for every stiffness and load that may be."""
+"""Vibration at the end of a leg, linear in the joints' snap, for all stiffnesses and loads of an interval."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the splines on a few legs can do against the vibration at the legs' ends.
+"""The change of the splines on a few legs that minimises the vibration at the legs' ends.
 
 A long path is divided into windows of a few legs: splines with support in two of them are not changed, so
 that every window is a small problem of its own.

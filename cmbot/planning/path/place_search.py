@@ -1,4 +1,4 @@
-"""Whether places of a path have postures: within the joint ranges, and clear and strong enough if asked.
+"""Whether places of a path have postures: within the joint ranges, and on request clear and strong enough.
 
 Inverse kinematics at many places at once: the squared task error is minimised over the joint ranges by
 Levenberg and Marquardt's method with Sugihara's damping, projected onto the ranges, from a few postures at
