@@ -88,8 +88,12 @@ def test_the_approach_is_before_the_work(shown: Chrome, triangle_plan: Plan, sha
     clearances = Clearances(triangle_plan.robot, triangle_plan.scene.obstacles)
     distance = clearances.smallest(q).distance[0]
     assert number(shown, "planned-clearance") == pytest.approx(1e3 * distance, abs=0.2)
-    peak = approach.certificate.figures.peak_guardrail_torque
-    assert number(shown, "planned-peak") == pytest.approx(peak, abs=0.06)
+    for name, figures in (
+        ("planned", triangle_plan.job.figures),
+        ("baseline", triangle_plan.baseline_job_figures),
+    ):
+        assert number(shown, f"{name}-peak") == pytest.approx(figures.peak_guardrail_torque, abs=0.06)
+        assert number(shown, f"{name}-closest") == pytest.approx(1e3 * figures.min_clearance, abs=0.06)
     assert "approach, tool off" in shown.find_element("id", "subtitle").text
     assert shown.find_element("id", "time").text == f"{now[0]:.2f} / {approach.duration + 20:.2f} s"
 
@@ -143,7 +147,7 @@ def test_the_baseline_has_no_torque_on_the_approach(shown: Chrome) -> None:
 
 
 def test_the_numbers_are_those_of_the_plan(shown: Chrome, triangle_plan: Plan) -> None:
-    samples, figures = triangle_plan.samples, triangle_plan.figures
+    samples, figures = triangle_plan.samples, triangle_plan.job.figures
     shown.execute_script("cmbotReplay.seek(cmbotReplay.workStart + 8)")
     texts = {
         key: shown.find_element("id", f"planned-{key}").text

@@ -31,6 +31,7 @@ class Player {
     this.connect();
     this.note(0);
     if (data.bending) this.offerFactors(data.bending.factors);
+    this.showJob();
     this.seek(data.start);
   }
 
@@ -183,12 +184,20 @@ class Player {
     stage.marks.setNear(name, near);
     stage.marks.setBent(name, motion, moment);
     this.put(`${name}-torque`, newtonMetres(stage.torque[name].length()));
-    this.put(`${name}-peak`, newtonMetres(motion.peakTorque));
     this.putClearance(`${name}-clearance`, motion.clearanceAt(moment));
-    this.putClearance(`${name}-closest`, motion.minClearance);
     if (name === MOTIONS[0]) {
       const where = near ? this.data.pairs[near.pair] : "";
       this.put("near-label", near ? `${millimetres(near.distance)}, ${where}` : "");
+    }
+  }
+
+  // What does not change with time: the largest torque and the smallest clearance of the whole job.
+  showJob() {
+    for (const name of MOTIONS) {
+      const motions = this.phases.map((phase) => phase.motions[name]);
+      this.put(`${name}-peak`, newtonMetres(Math.max(...motions.map((motion) => motion.peakTorque))));
+      const clearances = motions.map((motion) => motion.minClearance).filter((value) => value !== null);
+      this.putClearance(`${name}-closest`, clearances.length ? Math.min(...clearances) : null);
     }
   }
 
