@@ -27,13 +27,13 @@ _VIA_POINTS = 13
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Charted:
-    """What the charts of all strokes say.
+    """Bounds and sequences from the charts of all strokes.
 
     Attributes
     ----------
     bound : float
-        Largest of what sequences of postures that the joints can follow along the strokes ask at rest, at
-        least, in the objective's unit: an estimate (`GlobalSearch.followed_bound`).
+        Largest of the strokes' lower bounds at rest for sequences of postures that the joints can follow, in
+        the objective's unit: an estimate (`GlobalSearch.followed_bound`).
     expected : float
         Largest value, at rest, of the best sequences that were found.
     torque : float, Nm

@@ -24,7 +24,7 @@ def fewest_groups(bound: FloatArray, excluded: Collection[_Group] = ()) -> tuple
     Parameters
     ----------
     bound : (S, C)
-        What each of C stances asks for each of S strokes; infinite where it does not reach it.
+        Bound of each of C stances for each of S strokes; infinite where it does not reach it.
     excluded : collection of frozenset of int
         Strokes that no stance does together, whatever their bounds say.
 
@@ -76,7 +76,7 @@ def _smallest_cover(sets: BoolArray) -> list[int] | None:
 
 
 def _parted(cover: BoolArray, bound: FloatArray) -> tuple[_Group, ...]:
-    """Strokes of overlapping sets (S, k), each with the stance that asks least for it among the best ones."""
+    """Strokes of overlapping sets (S, k), each with that of the best stances whose bound is smallest."""
     stance = [int(bound[each].max(axis=0).argmin()) for each in cover.T]
     asked = np.where(cover, bound[:, stance], np.inf)
     group = asked.argmin(axis=1)

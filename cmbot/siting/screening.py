@@ -43,7 +43,7 @@ class Screening:
     within_reach : (S, C)
         Whether the tool's places are within reach of the arm's links.
     bound : (S, C)
-        What each asks at least, in the objective's unit; infinite where no posture was found.
+        Bound of each, in the objective's unit; infinite where no posture was found.
     torque, adhesion : (S, C), Nm and N
         Largest torque and adhesion at rest in the postures of that bound.
     """
@@ -130,7 +130,7 @@ class _Stroke:
             report(_ROUGH + (1 - _ROUGH) * float(1 - open_.mean()))
 
     def _least(self, via_point: int, some: IntArray, effort: Effort) -> FloatArray:
-        """What some of the stances ask at a via-point, (3, k)."""
+        """Values of some of the stances at a via-point, (3, k)."""
         time = float(_times(self.task, _VIA_POINTS)[via_point])
         at_once = max(_AT_ONCE // (effort.tried * (1 + 2 * effort.walked)), 1)
         parts = [np.empty((3, 0))]

@@ -83,7 +83,7 @@ def in_words(standing: Standing) -> Iterator[str]:
         more = 1 - least / peak
         by = f"by more than {100 * more:.1f} %" if more > 0 else "than the best one"
         yield (
-            f"No stance that was not planned was found to ask less than {least:.1f} {unit} (estimate, "
+            f"No stance that was not planned has a bound below {least:.1f} {unit} (estimate, "
             f"{_LEFT_OUT_BY[_judged_least(ranked)]}): none may be better {by}."
         )
     failed = [each for each in ranked if each.status == "failed" and each.bound < peak]
@@ -119,13 +119,13 @@ def planned_table(standing: Standing) -> _Table:
 
 
 def bounds_table(standing: Standing, most: int) -> _Table:
-    """Return headings and rows of others, the most promising first: what they ask at least, estimates."""
+    """Return headings and rows of the others, the most promising first: their bounds, which are estimates."""
     rows = list[tuple[str, ...]]()
     for rank, each in enumerate(standing.ranked[:most], start=1):
         if each.plan is None:
             bound = f"{each.bound:.1f}" if np.isfinite(each.bound) else "-"
             rows.append((str(rank), each.place, each.status, each.judged, bound))
-    return ("", "stance", "status", "judged by", f"asks at least, {standing.unit}"), rows
+    return ("", "stance", "status", "judged by", f"bound, {standing.unit}"), rows
 
 
 def shared_out(standings: Sequence[Standing]) -> Iterator[str]:

@@ -138,7 +138,7 @@ def walk(
 
     One foot lets go, the climbing joints swing it with the arm locked as a counterweight, it holds again.
     Every move is certified: ranges, velocities, efforts, clearances, and what the foot that holds bears. On
-    two feet the arm moves to where the next step asks least.
+    two feet the arm moves to where the next step has the smallest load.
 
     Parameters
     ----------
@@ -278,7 +278,7 @@ class _Search:
         self._route.leave_out(k, self._balance.impossible(self._scene, self._route.nodes[k]))
 
     def _no_way(self, here: int) -> str:
-        """Why there is no route, with the figures of the step that asks least."""
+        """Why there is no route, with the figures of the step of the smallest load."""
         begin = "no walk: no steps that joints and feet can bear at rest lead there"
         tried = ""
         if self.failures:

@@ -69,7 +69,9 @@ def test_it_sorts_finds_and_tells(chrome: Chrome, tmp_path: Path) -> None:
     chrome.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
     assert 0 < left < right < 390
     summary = ask(chrome, "document.getElementById('summary').textContent")
-    assert summary.startswith("The base must bear at most 394.0 Nm (bay_2); the median job asks 2.5 % below")
+    assert summary.startswith(
+        "The base must bear at most 394.0 Nm (bay_2); the peak of the median job is 2.5 % below"
+    )
     # The map has drawn its points, each in its place.
     assert ask(chrome, "points.length") == 300
     colours = (
@@ -100,7 +102,7 @@ def test_jobs_whose_arms_begin_in_the_heaviest_posture_are_told_by_their_work(
     open_page(chrome, page)
     assert severe_messages(chrome) == []
     summary = ask(chrome, "document.getElementById('summary').textContent")
-    assert summary.endswith("asks 0.0 % below its baseline, at work alone 20.0 % below.")
+    assert summary.endswith("is 0.0 % below its baseline's, at work alone 20.0 % below.")
     assert ask(chrome, "document.getElementById('colour').value") == "work"
     assert (
         ask(chrome, "document.getElementById('below').textContent") == "The work alone below the baseline, %"

@@ -218,7 +218,7 @@ def test_what_is_planned_is_apart_from_what_is_bounded(standing: Standing) -> No
     needed = f"{figures.adhesion_needed.peak / 1e3:.2f}"
     assert rows == [("1", best, f"{figures.peak_guardrail_torque:.1f}", needed)]
     headings, rows = bounds_table(standing, 12)
-    assert "asks at least" in headings[-1]
+    assert "bound, " in headings[-1]
     assert [row[0] for row in rows] == [str(k) for k in range(2, 13)]
     assert [row[-1] for row in rows[:2]] == [f"{each.bound:.1f}" for each in standing.ranked[1:3]]
     page = stances_page([standing])

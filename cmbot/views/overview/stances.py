@@ -30,7 +30,7 @@ _COLOURS = {
 _ROWS, _OPEN = 60, 10
 _MEANING = {"Nm": "peak torque on the guardrail at work", "N": "adhesion needed at work"}
 _CAPTION = (
-    "Numbered: the peak that was planned. Others: an estimate of what a stance asks at least; along the "
+    "Numbered: the peak that was planned. Others: an estimate of a stance's lower bound; along the "
     "upper edge those without one. Pointing at a dot tells its stance."
 )
 
@@ -74,7 +74,7 @@ def _tables(standing: Standing) -> str:
         content += f"<h2>Planned</h2><section>{table(rows, headings, text_columns=2)}</section>"
     headings, rows = bounds_table(standing, _ROWS)
     if rows:
-        said = "Not planned: what they ask at least, estimates that the search goes by"
+        said = "Not planned: bounds, estimates by which the search proceeds"
         shown = table(rows[:_OPEN], headings, text_columns=4)
         if more := rows[_OPEN:]:
             words = f"{len(more)} more"

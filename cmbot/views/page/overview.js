@@ -253,7 +253,7 @@ function middle(values) {
 if (numbers(gain).length) {
   const worst = data.planned.reduce((best, value, k) => (value !== null && (best < 0 || value > data.planned[best]) ? k : best), -1);
   element("summary").textContent =
-    `The base must bear at most ${data.planned[worst].toFixed(1)} Nm (${data.name[worst]}); the median job asks ${middle(gain)} its baseline, at work alone ${middle(workGain)}.`;
+    `The base must bear at most ${data.planned[worst].toFixed(1)} Nm (${data.name[worst]}); the peak of the median job is ${middle(gain)} its baseline's, at work alone ${middle(workGain)}.`;
   // The posture in which the arms begin may decide over whole jobs: then the work tells them apart.
   const spread = (values) => { const [low, high] = ends(numbers(values)); return high - low; };
   if (spread(gain) < 0.1 && spread(workGain) >= 0.1) element("colour").value = "work";
