@@ -176,6 +176,25 @@ class Clearances:
                 near[k] = any(pin.computeCollision(self._geometry, self._geometry_data, p) for p in pairs)
         return near
 
+    def any_below(self, q: FloatArray, least: FloatArray) -> BoolArray:
+        """Return in which of the postures `q` (N, n) any distance is below `least` (N,), m, of its own.
+
+        That is what `smallest` tells, too, for which all distances about as small have to be computed.
+        """
+        # A posture that is not finite counts as a collision, as in coal.
+        below: BoolArray = ~np.all(np.isfinite(q), axis=1)
+        known = np.flatnonzero(~below)
+        for bounds in self._broad_phase.lower_bounds(q[known]):
+            at = known[bounds.block]
+            pair, row = np.nonzero(bounds.value <= least[at] + _SLACK)
+            lower = bounds.tightened(pair, row)
+            order = np.lexsort((lower, row))
+            order = order[lower[order] <= least[at][row[order]] + _SLACK]
+            for k, pairs in _grouped(row[order], pair[order].tolist()):
+                self._place_shapes(q[at[k]])
+                below[at[k]] = any(self._distance(number) < least[at[k]] for number in pairs)
+        return below
+
     def _collides(self, q: FloatArray, margin: float) -> bool:
         """Whether any distance is below the `margin`, which is the requests', m, in posture `q` (n,)."""
         pairs = self._cache.near(q, margin + _SLACK) if np.isfinite(q).all() else None

@@ -248,6 +248,20 @@ def test_a_collision_is_any_distance_below_the_margin(
         np.testing.assert_array_equal(clearances.check_collision(q[:20], margin), smallest[:20] < margin)
 
 
+def test_each_posture_may_have_a_bound_of_its_own(
+    triangle: tuple[Clearances, Clearances], rng: np.random.Generator
+) -> None:
+    clearances, every = triangle
+    q = np.concatenate([smooth_path(3, 0.5, 40), rng.uniform(-3, 3, (600, 7)), np.full((1, 7), np.nan)])
+    smallest = every.smallest(q).distance
+    # Just below the distance, just above it, and far off; negative ones, too.
+    for off in (-1e-6, 1e-6, -0.1, 0.1, -10.0):
+        below = np.where(np.isnan(smallest), True, off > 0)
+        np.testing.assert_array_equal(clearances.any_below(q, np.nan_to_num(smallest) + off), below)
+    assert (smallest < 0).any() and (smallest > 0.01).any()
+    assert clearances.any_below(q[:0], np.empty(0)).shape == (0,)
+
+
 def test_one_by_one_and_many_in_any_order_agree(
     triangle: tuple[Clearances, Clearances], rng: np.random.Generator
 ) -> None:

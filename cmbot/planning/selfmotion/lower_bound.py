@@ -387,16 +387,15 @@ class _BranchAndBound:
         reach = np.einsum("kd,kdn,n->k", cells.half, np.abs(cells.edges), clearances.reach)
         # Cells that reach further are nearly always clear somewhere.
         check = np.flatnonzero(hopeful | (reach < _WIDE))
-        # The test against the margin is quicker than the distance.
         near = check[clearances.check_collision(cells.q[check], margin)]
-        distance = np.full(len(value), np.inf)
-        distance[near] = clearances.smallest(cells.q[near]).distance
-        best = best.copy()
-        for k in np.flatnonzero(hopeful & (distance >= margin)):
+        blocked = np.zeros(len(value), dtype=np.bool_)
+        blocked[near] = clearances.any_below(cells.q[near], margin - reach[near])
+        best, hopeful[near] = best.copy(), False
+        for k in np.flatnonzero(hopeful):
             if value[k] < best[cells.of[k]]:
                 best[cells.of[k]], postures[self._some[cells.of[k]]] = value[k], cells.q[k]
         turn = np.einsum("kd,kdn,n->k", cells.half, np.abs(cells.edges), ~limits.prismatic)
-        return best, (distance + reach >= margin) & (self._beyond_cone(cells.q, cells.of) <= turn)
+        return best, ~blocked & (self._beyond_cone(cells.q, cells.of) <= turn)
 
     def _admissible_but_for_clearance(self, q: FloatArray, of: IntArray) -> BoolArray:
         """Which postures keep to joint ranges, joint torques and the cone of the tool's axis."""

@@ -414,10 +414,8 @@ class TorqueFloorProof:
         clear = np.ones(len(boxes), dtype=np.bool_)
         # Wider ones are nearly always clear somewhere.
         check = np.flatnonzero(reach < _WIDE)
-        q = boxes.middle[check]
-        near = clearances.check_collision(q, margin)
-        distance = clearances.smallest(q[near]).distance
-        clear[check[near]] = distance + reach[check[near]] >= margin - _DISTANCE_ROUNDING
+        least = margin - _DISTANCE_ROUNDING - reach[check]
+        clear[check] = ~clearances.any_below(boxes.middle[check], least)
         return clear
 
     def _tried(
