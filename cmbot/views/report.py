@@ -38,7 +38,7 @@ from cmbot.simulation import (
     tracking_verdict,
 )
 from cmbot.version import __version__, versions
-from cmbot.views.charts import MOST_SMALL_POINTS, charts, floor_meaning, floor_name, joint_charts
+from cmbot.views.charts import MOST_SMALL_POINTS, charts, floor_name, joint_charts
 from cmbot.views.page import STAGE_SCRIPTS, assemble, table, write_page
 from cmbot.views.replay import replay_html
 from cmbot.views.replay_data import replay_data
@@ -206,7 +206,7 @@ def _lower_bound_card(plan: Plan) -> Headline:
     return Headline(
         title="Above the lower bound",
         value=f"{100 * gap:+.3f} %",
-        detail=f"{floor_name(plan)} {bound:.1f} Nm: {floor_meaning(plan)}",
+        detail=f"{floor_name(plan)} {bound:.1f} Nm, explained at the torque's plot",
     )
 
 

@@ -7,10 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from small_scenes import short_scene
 
 from cmbot.planning import Plan
 from cmbot.scene import Box, Obstacle
 from cmbot.views.drawing.camera import RISE, focus_of, seen, width_of, workpieces
+from cmbot.views.drawing.meshcat_scene import reach
 from cmbot.views.drawing.surfaces import box
 
 SIZE = np.array([0.4, 0.6, 0.8])
@@ -81,6 +83,16 @@ def test_no_wall_hides_the_path_in_the_first_view(triangle_plan: Plan) -> None:
     walled = replace(triangle_plan, scene=scene)
     assert hidden(free, wall) > 0.9
     assert hidden(focus_of(walled, [walled], []), wall) < 0.1
+
+
+@pytest.mark.parametrize("length", [1.0, 50.0])
+def test_the_pole_on_which_the_arm_stands_is_shown(short_plan: Plan, length: float) -> None:
+    """Its end, too, unless that is far away."""
+    mast = {"name": "mast", "cylinder": [0.05, length], "xyz": [0, 0, -length / 2]}
+    plan = replace(short_plan, scene=short_scene(obstacles=[mast], guardrail={"bays": 0}))
+    lowest = np.array(focus_of(plan, [plan], [])["points"])[:, 2].min()
+    without = np.array(focus_of(short_plan, [short_plan], [])["points"])[:, 2].min()
+    assert lowest == pytest.approx(min(without, -min(length, 1.5 * reach(plan.robot))))
 
 
 def test_without_anything_in_the_way_the_arm_is_seen_from_beside(short_plan: Plan) -> None:

@@ -15,6 +15,7 @@ from cmbot.planning import Certificate, Plan, bound_use, remarks
 from cmbot.scene import Coverage
 from cmbot.simulation import Tracking, tracking_rows, tracking_verdict
 from cmbot.views import pages, report_page
+from cmbot.views.charts import charts
 from cmbot.views.report import headlines
 
 
@@ -155,17 +156,25 @@ def test_headlines_say_what_was_gained(triangle_plan: Plan, triangle_tracking: T
     assert peak.detail.startswith(f"at work {peak.before} → {reached}")
     assert peak.detail.endswith("486.4 Nm on the approach")
     assert floor.value == f"{100 * triangle_plan.gap_to_floor:+.3f} %"
-    assert f"lower bound {triangle_plan.torque_floor:.1f} Nm: " in floor.detail
-    assert floor.detail.endswith("no posture within the limits has a smaller static torque (proven)")
+    assert floor.detail == f"lower bound {triangle_plan.torque_floor:.1f} Nm, explained at the torque's plot"
+
+    def explained(plan: Plan) -> str:
+        return next(chart.note for chart in charts(plan, None) if chart.key == "torque")
+
+    said = explained(triangle_plan)
+    assert said.endswith("no posture within the limits has a smaller static torque (proven).")
     # Of the static torque: inertia may take a peak below it, which is no contradiction.
     static = replace(triangle_plan.objective, floor=triangle_plan.torque_floor + 1.0)
     _, floor, *_ = headlines(replace(triangle_plan, objective=static), None)
     assert "lower bound at rest" in floor.detail
-    assert floor.detail.endswith("(proven); moving, the arm has less")
+    assert explained(replace(triangle_plan, objective=static)).endswith("(proven); moving, the arm has less.")
     bound = replace(triangle_plan.lower_bound, kind="estimated", missed=0.5)
-    _, floor, *_ = headlines(replace(triangle_plan, lower_bound=bound), None)
+    estimated = replace(triangle_plan, lower_bound=bound)
+    _, floor, *_ = headlines(estimated, None)
+    assert floor.detail.startswith("lower bound (estimate) ")
     assert (
-        "was found to have a smaller static torque (estimate; at most 50.00 % of the postures" in floor.detail
+        "was found to have a smaller static torque (estimate; at most 50.00 % of the postures"
+        in explained(estimated)
     )
     work, approach = (len(of.certificate.checks) for of in (triangle_plan, triangle_plan.approach))
     assert certified.value == f"{work + approach} of {work + approach} hold"

@@ -14,14 +14,15 @@ from cmbot.planning import Plan
 from cmbot.robot import Chain, Robot
 from cmbot.scene import Obstacle
 from cmbot.views.drawing.meshcat_scene import reach, surroundings
+from cmbot.views.drawing.support import pole_of
 from cmbot.views.drawing.surfaces import obstacle_surface
 
 __all__ = ["ARROW", "RISE", "focus_of", "focus_on", "link_poses", "seen", "workpieces"]
 
 ARROW = 0.32  # of the largest torque, as a share of the reach
 RISE = 0.24  # of a camera, upwards in a length of 1 across
-# How far beside the tool path workpieces are shown, as a share of the reach.
-_BESIDE = 0.1
+# How far beside the tool path workpieces are shown, and a pole from the foot, as shares of the reach.
+_BESIDE, _POLE = 0.1, 1.5
 # Directions all around, (200, 3), on a spiral over the sphere.
 _ANGLES = np.pi * (1 + 5**0.5) * np.arange(200)
 _HEIGHTS = np.linspace(-1, 1, 200)
@@ -54,9 +55,9 @@ def focus_of(
 ) -> dict[str, Any]:
     """Return points that the view shows, a ball about them, and the direction to the camera.
 
-    The points are those of the arm, rigid and with the poses (K, n, 7) of `bent` links, the path, the
-    workpieces beside it and the torque's arrow, in W, m; of them those that enclose the others along many
-    directions. What is `around` is drawn, too, and may hide them.
+    The points are those of the arm, rigid and with the poses (K, n, 7) of `bent` links, the pole on which it
+    stands, the path, the workpieces beside it and the torque's arrow, in W, m; of them those that enclose the
+    others along many directions. What is `around` is drawn, too, and may hide them.
     """
     motions = [(plan.robot, plan.baseline.q)]
     motions += [(each.robot, segment.trajectory.q) for each in plans for segment in each.job.segments]
@@ -66,6 +67,10 @@ def focus_of(
     feet = np.array([each.robot.foot_point for each in plans])
     points = [feet, feet[:1] + ARROW * reach(plan.robot) * torque / largest, plan.baseline.tool_point]
     points += [each.samples.tool_point for each in plans]
+    if (pole := pole_of(plan.scene)) is not None:
+        away = pole.beams.reshape(-1, 3) - feet[0]
+        length = np.linalg.norm(away, axis=1, keepdims=True)
+        points.append(feet[0] + away * np.minimum(1.0, _POLE * reach(plan.robot) / np.maximum(length, 1e-9)))
     outlines = [stroke.task.path.outline() for each in plans for stroke in each.strokes]
     beside = _BESIDE * reach(plan.robot)
     points += [*outlines, *workpieces(plan.scene.obstacles, np.concatenate(outlines), beside)]
