@@ -49,7 +49,10 @@ def test_work_and_walks_are_on_one_clock(works: tuple[Stood, ...], standings: tu
     page = tour_page(made)
     assert "<script" not in page.replace("<script></script>", "")
     assert [page.count(f'href="{part}"') for part in ("work_1/report.html", "walk_1/replay.html")] == [1, 1]
-    assert page.count("<polyline") == 2 * len(walked.moves)
+    # The ways of both feet in each move, and the tool path of each stroke.
+    strokes = sum(len(plan.strokes) for plan in made.plans)
+    assert page.count('class="way"') == 2 * len(walked.moves)
+    assert page.count("<polyline") == 2 * len(walked.moves) + strokes
 
 
 def test_where_no_walk_leads_on_another_stance_is_taken(
