@@ -206,6 +206,7 @@ def test_processes_plan_as_one_does_and_ctrl_c_ends_them(file: Path, tmp_path: P
     planned = out / "jobs" / "first.json"
     while process.poll() is None and not planned.exists():
         time.sleep(0.05)
+    assert process.poll() is None, process.communicate()
     started = psutil.Process(process.pid).children(recursive=True)
     os.killpg(process.pid, signal.SIGINT)
     printed, errors = process.communicate(timeout=60)
