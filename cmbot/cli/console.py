@@ -6,8 +6,8 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from enum import IntEnum
 from pathlib import Path
 from typing import Annotated, Any, Self, TextIO
@@ -18,7 +18,7 @@ from rich.control import Control
 from rich.segment import ControlType
 from rich.table import Table
 
-from cmbot.common.errors import CmbotError
+from cmbot.common.errors import CmbotError, PlanningError
 from cmbot.common.errors import one_line as flat
 from cmbot.common.installation import shipped_scenes
 from cmbot.common.progress_line import ProgressLine
@@ -42,6 +42,7 @@ __all__ = [
     "print_pairs",
     "print_result",
     "print_table",
+    "scenes_named",
 ]
 
 
@@ -131,6 +132,16 @@ SceneArgument = Annotated[
     ),
 ]
 PlanArgument = Annotated[Path, typer.Argument(metavar="DIR", help="A plan directory.")]
+
+
+@contextmanager
+def scenes_named(*scenes: str) -> Iterator[None]:
+    """Name in an error the scenes for which there is no plan, as they were called."""
+    try:
+        yield
+    except PlanningError as error:
+        error.add_source(", ".join(scenes))
+        raise
 
 
 class ExitStatus(IntEnum):

@@ -24,6 +24,7 @@ from cmbot.cli.console import (
     out,
     print_result,
     print_table,
+    scenes_named,
 )
 from cmbot.cli.views import plot_files, require_plots
 from cmbot.common.errors import InputError, SceneError
@@ -110,7 +111,7 @@ def plan(
         require_plots(figures)
         for finding in () if quiet else precheck_options(options, loaded.tool):
             err.print(flat(f"warning: {finding.key}: got {finding.got}, expected {finding.expected}"))
-        with ConsoleProgress(quiet=quiet) as console_progress:
+        with scenes_named(scene), ConsoleProgress(quiet=quiet) as console_progress:
             planned = cmbot.plan(loaded, options=options, progress=console_progress.update)
         if not quiet:
             err.show_sign("writing …")

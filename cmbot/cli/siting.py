@@ -23,6 +23,7 @@ from cmbot.cli.console import (
     out,
     print_result,
     print_table,
+    scenes_named,
 )
 from cmbot.common.errors import InputError
 
@@ -132,7 +133,7 @@ def stand(
         members=tuple(members or ()),
         max_torque=float("inf") if max_torque is None else max_torque,
     )
-    with ConsoleProgress(quiet=quiet) as progress:
+    with scenes_named(*scenes), ConsoleProgress(quiet=quiet) as progress:
         standings = find(loaded, options, progress.stage)
     contents = _contents(standings)
     write_files(directory, contents, force=force)
@@ -204,7 +205,7 @@ def walk(
 
     goal = load_goal(to)
     require_absent(directory, _WALK_FILES, force=force)
-    with ConsoleProgress(quiet=quiet) as progress:
+    with scenes_named(scene), ConsoleProgress(quiet=quiet) as progress:
         walked = find(loaded, goal, WalkOptions(spacing=spacing, speed=speed), progress.stage)
     write_files(directory, _walk_contents(walked), force=force)
     if as_json:
@@ -252,7 +253,7 @@ def tour(
 
     require_new_folder(directory)
     standing = StandOptions(plans=plans, pair_spacing=spacing, members=tuple(members or ()))
-    with ConsoleProgress(quiet=quiet) as progress:
+    with scenes_named(*scenes), ConsoleProgress(quiet=quiet) as progress:
         found = find(loaded, standing, WalkOptions(spacing=spacing, speed=speed), progress.stage)
     data = tour_data(found)
     with new_folder(directory) as draft:

@@ -81,6 +81,14 @@ class CmbotError(Exception):
     def __init__(self, message: str) -> None:
         super().__init__(_cut(one_line(message), LONGEST_MESSAGE))
 
+    def add_source(self, source: str) -> None:
+        """Put before the message what it is about, such as the scene's file."""
+        shown = one_line(source)
+        if len(shown) > _SHORT_SOURCE:
+            shown = f"…{shown[1 - _SHORT_SOURCE :]}"
+        room = LONGEST_MESSAGE - len(shown) - 2
+        self.args = (f"{shown}: {_cut_within(str(self), room)}",)
+
     def add_hint(self, hint: str) -> None:
         """Append a hint to the message, which is shortened for it where need be."""
         message = _cut(str(self), max(LONGEST_MESSAGE - len(hint) - 2, 0))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from textwrap import shorten
 
 import numpy as np
 
@@ -28,6 +29,8 @@ _TRIED = 15
 # Steps that may turn out impossible before a walk is given up.
 _MOST_FAILURES = 20
 _SAME_PLACE = 1e-6
+# Characters of the cause for which a step failed, within a message that is about more.
+_LONGEST_CAUSE = 120
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,6 +208,7 @@ class _Search:
         self._options, self._progress = options, progress
         self._checked = set[int]()
         self.arm, self._weight, self.failures = arm, -1, list[str]()
+        self._last = ""
 
     def steps(self) -> list[Step]:
         """Plan until the goal is reached."""
@@ -235,8 +239,8 @@ class _Search:
             if step is None:
                 self._route.close(edges[0])
                 if len(self.failures) >= _MOST_FAILURES:
-                    why = f"no walk after {_MOST_FAILURES} steps in vain, the last: {self.failures[-1]}"
-                    raise PlanningError(why)
+                    begin = f"no walk after {_MOST_FAILURES} steps in vain, the last: {self._last}"
+                    raise PlanningError(f"{begin}: {self.failures[-1]}")
                 continue
             made.append(step)
             came.append(state)
@@ -262,7 +266,8 @@ class _Search:
             self.arm, self._weight = arm, k
             moves = swung if moved is None else (moved, *swung)
             return Step(foot=edge.foot, before=before, after=after, moves=moves)
-        self.failures.append(f"{_names(before)} to {_names(after)}: {why}")
+        self.failures.append(_cause(why))
+        self._last = f"{_names(before)} to {_names(after)}"
         return None
 
     def _way(self, weight: int) -> FloatArray:
@@ -296,6 +301,11 @@ class _Search:
             f"{begin}; from {_names(self._route.nodes[here])} the easiest step, to {_names(node)}, uses "
             f"{100 * use:.0f} % of what is allowed ({effort}{adhesion}){tried}"
         )
+
+
+def _cause(why: str) -> str:
+    """The first clause of a cause, so that a message that is about more than that holds it."""
+    return shorten(why.partition("; ")[0], _LONGEST_CAUSE, placeholder=" …")
 
 
 def _names(node: Candidate) -> str:

@@ -240,7 +240,7 @@ def test_a_hopeless_scene_says_how_far_it_came(folder: Path) -> None:
     *progress, error = outcome.err.splitlines()
     assert progress == ["following the tool path"]
     assert re.fullmatch(
-        r"error: no path beyond t = \d\.\d\d s \(\d+% of the tool path\): \w.*",
+        r"error: \S*far\.yaml: no path beyond t = \d\.\d\d s \(\d+% of the tool path\): \w.*",
         error,
     )
     assert "singular" not in error  # it is not the reason
@@ -357,6 +357,7 @@ def test_legs_too_fast_for_the_joints_name_bound_joint_and_remedy(folder: Path) 
         hasty["planner"] |= {"knots": knots, "start": "pinned"}
         write_scene(folder / "hasty.yaml", hasty)
         line = refusal("plan", "hasty.yaml", "--quiet", status=3)
+        assert line.startswith("error: hasty.yaml: ")
         assert re.search(r"(velocity|acceleration|jerk) of joint_\d, (\d+\.\d\d%|far) beyond its bound", line)
         assert line.count("more seconds") == 1
         # So slow a leg was planned.

@@ -15,6 +15,11 @@ def test_a_message_is_one_short_printable_line(text: str) -> None:
         assert str(error).isprintable()
         assert len(str(error)) <= LONGEST_MESSAGE
         assert str(error).endswith("; a hint")
+        error.add_source(f"{text}.yaml")
+        assert ".yaml: " in str(error)
+        assert str(error).isprintable()
+        assert len(str(error)) <= LONGEST_MESSAGE
+        assert str(error).endswith("; a hint")
 
 
 def test_one_line_keeps_blanks_and_letters() -> None:

@@ -34,7 +34,7 @@ from cmbot.walking import (
 from cmbot.walking.balance import Balance
 from cmbot.walking.route import Edge, Route, nodes_between
 from cmbot.walking.steps import swinging_robot
-from cmbot.walking.walk import _Search
+from cmbot.walking.walk import _cause, _Search
 
 
 @pytest.fixture(scope="module")
@@ -222,6 +222,14 @@ def test_steps_that_lead_nowhere_are_not_walked() -> None:
     assert search.tried == 8
     assert search.arm[0] == 5.0
     assert search._weight == 1
+
+
+def test_causes_are_short_within_what_is_said_of_a_walk() -> None:
+    """They are as long as messages themselves: a message that is cut leaves out what matters."""
+    first = "no path beyond t = 0.10 s: link_3 is too near to post_2"
+    assert _cause(f"{first}; another place for the tool path may help") == first
+    assert len(_cause("word " * 100)) <= 120
+    assert _cause("word " * 100).endswith("word …")
 
 
 def test_a_step_that_does_not_hold_is_refused_with_its_figures() -> None:
