@@ -147,7 +147,9 @@ def refusals(directory: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        where = f" at {error.filename}" if error.filename else ""
+        # What lies in hidden folders of ours says nothing to who called.
+        named = error.filename and ".cmbot-" not in str(error.filename)
+        where = f" at {error.filename}" if named else ""
         got = f"a refusal of the system ({error.strerror or error}{where})"
         raise ArchiveError(str(directory), "", got, "a place that can be written to") from error
 
@@ -175,9 +177,10 @@ def _lock(work: Path, target: Path, attempts: int) -> int:
                 continue
             except (FileNotFoundError, FileExistsError):
                 # The call that had the lock removes it at this moment; or, as in /proc, nothing can be made.
-                if attempt + 1 == attempts:
-                    raise
-                continue
+                if attempt + 1 < attempts:
+                    continue
+                got, expected = "a place where no file can be made", "a place that can be written to"
+                raise ArchiveError(str(target), "", got, expected) from None
             cleanup.pop_all()
             return descriptor
     expected = "one process at a time: wait until it has finished, or take another place"

@@ -163,6 +163,9 @@ def _given(file: CampaignFile, path: Path, folder: Path) -> Iterator[tuple[Entry
     for k, entry in enumerate(file.jobs):
         yield entry, _Source(file=str(path), prefix=f"jobs[{k}].")
     if file.table is not None:
+        if path.suffix.lower() != ".csv" and not (folder / file.table).exists():
+            got = f"no such file {shown(file.table)}"
+            raise InputError(str(path), "table", got, "a CSV table of jobs, relative to the campaign file")
         yield from _rows(folder / file.table, file.scene)
     if file.folder is not None:
         where = folder / file.folder

@@ -74,6 +74,10 @@ def _run(words: list[str]) -> int:
         if message := flat(error.format_message()):
             command = error.ctx.command_path if error.ctx is not None else "cmbot"
             where = f". See: {command} --help"
+            option: Any = getattr(error, "param", None)
+            if getattr(option, "nargs", 1) > 1:
+                numbers = f"{option.opts[0]} takes {option.nargs} numbers: {option.metavar}"
+                message = f"{message.rstrip('.')}; {numbers}"
             _print_error(f"{_cut(message.rstrip('.'), LONGEST_MESSAGE - len(where))}{where}")
         return ExitStatus.BAD_INPUT
     except CmbotError as error:

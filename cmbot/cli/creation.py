@@ -100,12 +100,13 @@ def new(
         missing = "--from" if source is None else "--tool-at"
         raise InputError(missing, "", "nothing", "--from URDF and --tool-at X Y Z, or --from-scene SCENE")
     path = output if output is not None else Path(f"{_slug(Path(source).name.partition('.')[0])}.yaml")
-    require_new(path, force)
     _require_numbers("--tool-at", tool_at, _LARGEST)
     _require_numbers("--rpy-deg", rpy_deg or (), _LARGEST_ANGLE)
     packages = tuple(package_dir or ())
     _require_applicable(source, base, tool, packages)
-    made = _composed(source, base, tool, tool_at, rpy_deg, path, packages)
+    robot = _loaded(source, base, tool, packages)
+    require_new(path, force)
+    made = _composed(robot, source, tool_at, rpy_deg, path, packages)
     from cmbot.archive import write_file
 
     # The scene last: it names the others.
@@ -158,8 +159,8 @@ def _migrate(source: str, output: Path | None, *, force: bool, as_json: bool, qu
     from cmbot.scene import migrated
 
     path = output if output is not None else Path(f"{_slug(Path(source).stem)}.yaml")
-    require_new(path, force)
     text = migrated(source, path, scene_folder() / "scene.schema.json")
+    require_new(path, force)
     write_file(path, text.encode())
     if as_json:
         print_json({"verb": "new", "files": [str(path)], "remarks": []})
@@ -178,9 +179,8 @@ class _Made:
 
 
 def _composed(
+    robot: Robot,
     source: str,
-    base: str | None,
-    tool: str | None,
     tool_at: Numbers,
     rpy_deg: Numbers | None,
     path: Path,
@@ -199,7 +199,6 @@ def _composed(
     def usual(start: StartPosture) -> bool:
         return start.safety_margin == PlannerOptions().safety_margin_m
 
-    robot = _loaded(source, base, tool, packages)
     orientation = None if rpy_deg is None else np.array(pose((0, 0, 0), np.radians(rpy_deg)))[:3, :3]
     start, srdf, files = start_of(robot), path.with_suffix(".srdf"), dict[Path, str]()
     remarks: tuple[str, ...] = ()
@@ -209,7 +208,7 @@ def _composed(
         with tempfile.TemporaryDirectory() as folder:
             draft = Path(folder, srdf.name)
             draft.write_text(text, encoding="utf-8")
-            freed = _loaded(source, base, tool, packages, draft)
+            freed = _loaded(source, robot.base_frame, robot.tool_frame, packages, draft)
         if usual(better := start_of(freed)):
             robot, start, files, remarks = freed, better, {srdf: text}, (said,)
     limits = path.with_name(f"{path.stem}.limits.yaml")

@@ -94,8 +94,8 @@ def identify(
     from cmbot.identification import stiffness_text
 
     target = output if output is not None else Path(f"{sources[-1].removesuffix('.yaml')}.stiffness.yaml")
-    require_new(target, force)
     found = cmbot.identify(*sources, accept_misfit=accept_misfit)
+    require_new(target, force)
     names = ", ".join(Path(source).name for source in sources)
     write_file(target, stiffness_text(found.stiffness, names).encode())
     if as_json:
@@ -134,7 +134,7 @@ def _propose(
 ) -> tuple[Proposal, Path]:
     """Propose postures, and write the sheet."""
     from cmbot.archive import write_file
-    from cmbot.identification import MeasuringSetup, is_sheet, job_postures, propose
+    from cmbot.identification import MeasuringSetup, is_sheet, job_postures, propose, require_axes
 
     known, setup = None, MeasuringSetup()
     if is_sheet(sources[0]):
@@ -147,12 +147,13 @@ def _propose(
         scene, called = cmbot.load_scene(sources[0]), sources[0]
         stem = f"{scene.name}.measurements"
     target = output if output is not None else Path(f"{stem}.yaml")
-    require_new(target, force)
     setup = _changed(setup, {name: value for name, value in given.items() if value is not None})
     if job is None and known is not None and known.job is not None:
         along = known.job
     else:
         along = job_postures(scene if job is None else cmbot.load_plan(job))
+    require_axes(axes, "cmbot identify", "--axes")
+    require_new(target, force)
     made = propose(scene, number, along, setup, axes=axes, known=known)
     write_file(target, made.sheet(_from(target, called)).encode())
     return made, target

@@ -100,9 +100,9 @@ def check(
     [bold]cmbot check panda --write-srdf panda.srdf[/bold]
     """
     is_urdf = _is_robot(file)
+    findings, found, conclusion = _check_urdf(file) if is_urdf else _check_scene(file)
     if write_srdf is not None:
         _require_new(write_srdf, is_urdf)
-    findings, found, conclusion = _check_urdf(file) if is_urdf else _check_scene(file)
     usable = not _errors(findings)
     if usable and write_srdf is not None:
         found["SRDF written"] = _write_srdf(file, write_srdf)
@@ -185,12 +185,8 @@ def _check_scene(file: str) -> tuple[Sequence[Finding], dict[str, str], str]:
     try:
         scene = cmbot.load_scene(file)
     except SceneError as error:
-        if not _is_file(Path(file)) and "did you mean" not in str(error):
-            from cmbot.common.robot_library import library_robots
-            from cmbot.common.validation import hint
-
-            if meant := hint(file, ("cmbot", *(library_robots() or ()))):
-                error.add_hint(meant.removeprefix("; "))
+        if not (_is_file(Path(file)) or Path(file).suffix):
+            raise _no_name(file, error) from error
         if error.key or Path(file).suffix.lower() in _SCENE_SUFFIXES or not _is_file(Path(file)):
             raise
         # Nothing in it could be read as a scene's.
@@ -206,6 +202,26 @@ def _check_scene(file: str) -> tuple[Sequence[Finding], dict[str, str], str]:
         them = "it" if warnings == 1 else "them"
         conclusion = f"{counted(warnings, 'warning')}; {plan} would have to deal with {them}."
     return precheck.warnings, dict(precheck.found), conclusion
+
+
+def _no_name(file: str, error: SceneError) -> InputError:
+    """The error for what is no file and no name that is known."""
+    from cmbot.common.robot_library import LIBRARY_EXTRA, library_robots
+    from cmbot.common.validation import hint
+
+    robots = library_robots()
+    known = ("cmbot", *sorted(robots or ()))
+    _, asks, tip = error.expected.partition("; did you mean")
+    robot = "a robot" if robots else f"a robot (of the extra {LIBRARY_EXTRA})"
+    expected = f"a URDF, a scene file, or the name of {robot} or a shipped scene"
+    choices = (*shipped_scenes(), *known)
+    return InputError(
+        error.source,
+        error.key,
+        error.got,
+        f"{expected}{asks}{tip}" if asks else f"{expected}{hint(file, known)}",
+        choices,
+    )
 
 
 def _errors(findings: Sequence[Finding]) -> int:

@@ -208,8 +208,10 @@ def _options(given: dict[str, Any]) -> SimulationOptions:
         return validated(cmbot.SimulationOptions, given, "cmbot simulate", InputError)
     except InputError as error:
         key = error.key.partition("[")[0]
-        option = _CALLED.get(key, f"--{key}")
-        raise InputError(error.source, option, error.got, error.expected, error.choices) from error
+        option, expected = _CALLED.get(key, f"--{key}"), error.expected
+        for name, called in _CALLED.items():
+            expected = expected.replace(name, called)
+        raise InputError(error.source, option, error.got, expected, error.choices) from error
 
 
 def _summary(plan: Plan, tracking: Tracking) -> dict[str, Any]:

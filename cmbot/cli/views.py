@@ -205,8 +205,8 @@ def report(
     Example: [bold]cmbot report out/triangle[/bold]
     """
     if html is not None:
-        require_new(html, force)
         loaded = cmbot.load_plan(directory)
+        require_new(html, force)
         cmbot.report(loaded, html=html, tracking=cmbot.load_tracking(loaded, directory))
         out.print(f"Written to {flat(html)}.")
         return
@@ -229,10 +229,12 @@ def compare(
 
     Example: [bold]cmbot compare out/triangle out/pinned --html compare.html[/bold]
     """
-    require_new(html, force)
     from cmbot.views import compare_page, write_page
 
-    names = [flat(directory.resolve().name) for directory in directories]
+    places = [directory.resolve() for directory in directories]
+    if len(set(places)) < len(places):
+        raise InputError("cmbot compare", "", "one directory more than once", "different plan directories")
+    names = [flat(place.name) for place in places]
     # Folders of the same name are told apart by their paths.
     shown = [
         name if names.count(name) == 1 else flat(path) for name, path in zip(names, directories, strict=True)
@@ -240,6 +242,7 @@ def compare(
     plans = dict(zip(shown, map(cmbot.load_plan, directories), strict=True))
     tracked = zip(plans.items(), directories, strict=True)
     page = compare_page(plans, {name: cmbot.load_tracking(plan, place) for (name, plan), place in tracked})
+    require_new(html, force)
     write_page(html, page)
     out.print(f"Written to {flat(html)}.")
 
@@ -262,11 +265,11 @@ def export(
     """
     if mcap is None and ros_package is None:
         raise InputError("cmbot export", "", "nothing to write", "--mcap or --ros-package")
-    if mcap is not None:
-        require_new(mcap, force)
     from cmbot.archive import export_mcap, export_ros_package
 
     loaded = cmbot.load_plan(directory)
+    if mcap is not None:
+        require_new(mcap, force)
     if ros_package is not None:
         export_ros_package(loaded, ros_package)
         out.print(f"Written to {flat(ros_package)}.")

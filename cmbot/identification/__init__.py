@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cmbot.common.yaml_reader import lines_named
-from cmbot.identification.design import Proposal, job_postures, propose
+from cmbot.identification.design import Proposal, job_postures, propose, require_axes
 from cmbot.identification.estimation import Identification, Weight, estimate
 from cmbot.identification.measurements import (
     Measurements,
@@ -54,6 +54,7 @@ __all__ = [
     "propose",
     "read_measurements",
     "remarks",
+    "require_axes",
     "require_fit",
     "sag_along",
     "stiffness_text",

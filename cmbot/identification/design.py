@@ -27,7 +27,7 @@ from cmbot.planning import Plan, QuinticTrajectory, build_context, follow_path, 
 from cmbot.robot import Dynamics
 from cmbot.scene import Scene
 
-__all__ = ["Proposal", "job_postures", "propose"]
+__all__ = ["Proposal", "job_postures", "propose", "require_axes"]
 
 # Postures that are chosen from, random ones that are tried for them, and how many at a time.
 _CANDIDATES, _MOST_TRIED, _AT_ONCE = 800, 40_000, 2000
@@ -147,6 +147,12 @@ def _followed(scene: Scene) -> Iterator[FloatArray]:
         yield found.q
 
 
+def require_axes(axes: str, source: str = "propose", key: str = "axes") -> None:
+    """Refuse components of a deflection other than ``x``, ``y`` and ``z`` with an `InputError`."""
+    if not axes or set(axes) - set("xyz"):
+        raise InputError(source, key, repr(axes), "letters of xyz")
+
+
 def propose(
     scene: Scene,
     number: int,
@@ -185,8 +191,7 @@ def propose(
     """
     if not 1 <= number <= _CANDIDATES:
         raise InputError("propose", "number", number, f"1 to {_CANDIDATES} postures")
-    if not axes or set(axes) - set("xyz"):
-        raise InputError("propose", "axes", repr(axes), "letters of xyz")
+    require_axes(axes)
     setup = setup or MeasuringSetup()
     seen = np.array([axis in axes for axis in "xyz"])
     rng, design = np.random.default_rng(seed), _PostureDesign(scene, setup, seen, job, known)

@@ -258,6 +258,8 @@ class Robot:
         if q.shape != (self.dof,) or not np.isfinite(q).all():
             slides = bool(self.limits.prismatic.any())
             got = q.tolist() if slides else np.rad2deg(q).tolist()
+            if q.ndim == 1 and q.size != self.dof:
+                got = counted(q.size, "number")
             what = "finite joint position" if slides else "finite joint angle"
             raise error_type(source, key, got, counted(self.dof, what))
         outside = np.flatnonzero((q < self.limits.lower) | (q > self.limits.upper))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
-from pydantic import AfterValidator, ConfigDict, Field
+from pydantic import AfterValidator, Field
 
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import FileModel, refusal
+from cmbot.common.validation import CheckedFields, refusal
 
 __all__ = ["MOST_SAMPLES", "PlannerOptions"]
 
@@ -27,10 +27,10 @@ AxisWeights = Annotated[tuple[AxisWeight, AxisWeight, AxisWeight], AfterValidato
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlannerOptions:
+class PlannerOptions(CheckedFields):
     """How a motion is planned; every option has a default.
 
-    The bounds in the annotations are checked where a scene file is read and again by `cmbot.plan`. They are
+    The bounds in the annotations are checked where a scene file is read and where options are made. They are
     wide: they exclude what has no meaning or cannot be computed, not what is unusual.
 
     Attributes
@@ -127,9 +127,12 @@ class PlannerOptions:
         Most exchange iterations.
     max_iterations : int
         Most iterations of the solver in each of them (the paper's bound).
-    """
 
-    __pydantic_config__: ClassVar[ConfigDict] = FileModel.model_config
+    Raises
+    ------
+    InputError
+        When an option is of another type, or out of its bounds.
+    """
 
     knots: Literal["sliding", "fixed"] = "sliding"
     start: Literal["free", "pinned"] = "free"

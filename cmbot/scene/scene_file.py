@@ -250,7 +250,9 @@ def _found(base_folder: Path, source: str, text: str, key: str) -> Path:
         return path.resolve()
     kind, known = ("folder" if key == _PACKAGES else "file"), ""
     if key == "robot.model":
-        known = f", or cmbot{hint(text, ('cmbot', *(library_robots() or ())))}"
+        robots = library_robots()
+        named = "the name of a robot" + ("" if robots else f" (of the extra {LIBRARY_EXTRA})")
+        known = f", cmbot, or {named}{hint(text, ('cmbot', *(robots or ())))}"
     raise SceneError(source, key, shown(text), f"a {kind} that exists (relative to the scene file){known}")
 
 

@@ -72,7 +72,7 @@ WRONG = {
     "jobs: []": r"got none of them, expected one of jobs, table and folder",
     "job: [{name: a}]": r"job: .*jobs",
     "folder: nowhere": r"folder: no such folder 'nowhere'",
-    "table: nowhere.csv": r"nowhere.csv: no such file",
+    "table: nowhere.csv": r"all.yaml:3: table: no such file 'nowhere.csv', expected",
     "table: t.csv\n# 1\n": r"t.csv:1: got 'naam,at_m', expected a line of different columns, among them name",
     "table: t.csv\n# 2\n": r"t.csv:3: got 1 cells, expected 2 as in line 1",
     "table: t.csv\n# 3\n": r"t.csv:2: robot.payload_kg: got 'much', expected a number",

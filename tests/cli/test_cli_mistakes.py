@@ -45,7 +45,7 @@ obstacles:
         ("      seconds: 4\n", "", "7: tool_path.legs[0]: got none"),
         ("    sphere: 0.1\n", "", "12: obstacles[0]: got none"),
         ("sphere: 0.1", "mesh: none.obj", "13: obstacles[0].mesh: got 'none.obj'"),
-        ("10, 50, 0]", "10, 50]", "4: posture_deg: got [-10.0, "),
+        ("10, 50, 0]", "10, 50]", "4: posture_deg: got 6 numbers, expected 7"),
         ("8\n", "8\nplanner:\n  chart_seeds: 2147483648\n", "12: planner.chart_seeds: got 2147483648"),
         ("8\n", "8\n  via_points: 9\n", "11: tool_path.via_points: got the same key again"),
         ("8\n", "8 9: x\n", "10: got mapping values are not allowed here"),

@@ -31,6 +31,8 @@ def check_positive_definite(rows: Matrix6, key: str) -> None:
     if not np.all(np.abs(scaled) <= 1 + 1e-9):
         raise refusal(expected, got="a matrix that is not positive definite", key=(key,))
     if not np.allclose(scaled, scaled.T, rtol=0, atol=1e-9):
-        raise refusal(expected, got="a matrix that is not symmetric", key=(key,))
+        i, j = np.unravel_index(np.abs(scaled - scaled.T).argmax(), matrix.shape)
+        got = f"a matrix that is not symmetric: [{i}][{j}] is {matrix[i, j]:g}, [{j}][{i}] {matrix[j, i]:g}"
+        raise refusal(expected, got=got, key=(key,))
     if np.linalg.eigvalsh(scaled)[0] <= 1e-12:
         raise refusal(expected, got="a matrix that is not positive definite", key=(key,))
