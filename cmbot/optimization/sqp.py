@@ -86,6 +86,9 @@ class SqpOptions:
         near a solution it takes fewer, elsewhere progress is slow. Where they are not met, steps are
         shortened; where these do not bring the violation down to the share `infeasible_ratio`, it ends if no
         step can.
+    stall_patience : int
+        So many times as many iterations that together gain no more end it whatever is promised: along curved
+        constraints only short steps are accepted, and what longer ones promise is not kept.
     infeasible_steps, infeasible_share, infeasible_violation : int, float, float
         So many steps that leave this share of what is violated by more than that end it.
     met_within : float
@@ -128,6 +131,7 @@ class SqpOptions:
     stall_steps: int = 8
     stall_tolerance: float = 1e-5
     stall_promise: float = 5e-4
+    stall_patience: int = 3
     infeasible_steps: int = 30
     infeasible_share: float = 0.8
     infeasible_violation: float = 2e-2
@@ -278,10 +282,12 @@ class _SqpState(Generic[AnyIterate]):
 
     @property
     def _is_stalling(self) -> bool:
-        """Whether the last steps have gained little, and the next ones promise little."""
-        o, last = self._options, self._gained[-self._options.stall_steps :]
-        little = len(last) == o.stall_steps and sum(last) <= o.stall_tolerance * self._size
-        return little and self._promised <= o.stall_promise * self._size
+        """Whether the last steps have gained little, and the next ones promise little or many have."""
+        o = self._options
+        promising = self._promised > o.stall_promise * self._size
+        steps = o.stall_patience * o.stall_steps if promising else o.stall_steps
+        last = self._gained[-steps:]
+        return len(last) == steps and sum(last) <= o.stall_tolerance * self._size
 
     def steered(self, model: NlpModel) -> QpStep:
         """Solve the quadratic program; where violations stay that need not, with larger penalties.
@@ -340,9 +346,9 @@ class _SqpState(Generic[AnyIterate]):
         o, before_step = self._options, self.iterate
         shorter = min(1.0, float(np.abs(step.p).max()) / o.optimality_radius)
         self._promised = predicted / max(shorter, o.min_radius)
-        trial, gained, foreseen = self._tried(model, step.p, predicted)
+        trial, gained = self._tried(model, step.p, predicted)
         # What a step overlooked does not make it too long, unless it does so again.
-        overlooked = self.iterate is not before_step and foreseen >= o.shrink * predicted
+        overlooked = self.iterate is not before_step
         self._excused = overlooked and gained < o.shrink * predicted and not self._excused
         # Where little is to be gained only violations are left, and the shorter the steps, the fewer.
         stalling = self._is_stalling and self.iterate.values.violation > o.feasibility_tolerance
@@ -393,12 +399,9 @@ class _SqpState(Generic[AnyIterate]):
         firmest = self._step(model, np.full(families, o.max_penalty), o.optimality_radius, 0.0).p
         return bool(model.violations(firmest, families=families).max() > enough)
 
-    def _tried(
-        self, model: NlpModel, p: FloatArray, predicted: float
-    ) -> tuple[AnyIterate | None, float, float]:
+    def _tried(self, model: NlpModel, p: FloatArray, predicted: float) -> tuple[AnyIterate | None, float]:
         """Take the step `p` (n,) and evaluate what it gains; where that is little, correct it.
 
-        Also what the last trial gains by the constraints that were known before it.
         The iterate gets every constraint that one of the trials violates, but for corrections on the way to
         others: what they break of the known constraints is enough to correct them.
         """
@@ -406,12 +409,12 @@ class _SqpState(Generic[AnyIterate]):
         stiffness = o.correction_damping * predicted / max(length**2, _LEAST_PREDICTION)
         trial = _displaced(self.iterate, p)
         best: AnyIterate | None = None
-        most = foreseen = -np.inf
+        most = -np.inf
         for correction in range(o.max_corrections + 1):
             if trial is None:
                 break
             last = correction == o.max_corrections or self._stop()
-            gained = foreseen = self._gain(trial)
+            gained = self._gain(trial)
             if correction == 0 or last or gained >= o.correct_below * predicted:
                 trial = trial.separated()
                 self.iterate = self.iterate.refresh(trial)
@@ -423,7 +426,7 @@ class _SqpState(Generic[AnyIterate]):
             bent = replace(trial.model, gradient=model.gradient + model.hessian @ p, hessian=model.hessian)
             change = self._step(bent, o.correction_penalty * self.penalty, length, stiffness).p
             p, trial = p + change, _displaced(trial, change)
-        return (None if best is None else best.refresh(self.iterate)), most, foreseen
+        return (None if best is None else best.refresh(self.iterate)), most
 
     def _gain(self, trial: AnyIterate) -> float:
         """How far the merit falls from the iterate to a trial with the same constraints."""

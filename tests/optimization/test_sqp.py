@@ -153,16 +153,16 @@ def test_what_comes_into_view_on_the_way_counts(x: list[float], steepness: float
         assert ended.iterate.all_of_it.violation <= 1e-7
 
 
-@pytest.mark.parametrize(("p", "shorter"), [((-1.6, 0.0), False), ((2.0, 2.0), True)])
-def test_a_step_is_excused_only_for_what_was_not_known(p: tuple[float, float], shorter: bool) -> None:
-    """Both overlook a constraint; the second would be refused by what is known, too."""
-    start = Veiled(np.array([1.7, 1.0]), 0.0)
-    state = sqp._SqpState(start, 2, SqpOptions(initial_penalty=30.0, max_corrections=0), None, lambda: False)
-    before, step = state.damping, replace(solve_qp(state.iterate.model, np.ones(2), 1.0), p=np.array(p))
-    state.take(state.iterate.model, step, 3.0)
-    assert state.iterate.known
-    np.testing.assert_array_equal(state.iterate.x, start.x)
-    assert (state.damping > before) == shorter
+def test_what_is_promised_again_and_again_is_not_waited_for() -> None:
+    options = SqpOptions(stall_tolerance=1e-3)
+    state = sqp._SqpState(Ripples(np.array([1.0, 1.0]), 0.0), 2, options, None, lambda: False)
+    for number in range(1, 40):
+        state._gained.append(1e-5)
+        for promised, steps in ((0.0, options.stall_steps), (1.0, 3 * options.stall_steps)):
+            state._promised = promised
+            assert (state.status is SqpStatus.STALLED) == (number >= steps)
+    state._gained[-1] = 1e-2
+    assert state.status is SqpStatus.ITERATION_LIMIT
 
 
 @dataclass(frozen=True)
