@@ -25,7 +25,7 @@ __all__ = [
     "fixed_guess",
     "initial_guess",
     "leap",
-    "require_no_leap",
+    "leap_failure",
     "roughness",
     "shifted_problem",
     "sliding_guess",
@@ -136,19 +136,16 @@ def leap(context: PlanningContext, via_points: FloatArray) -> float:
     return float(share[long[~reached | (moved > _OFF_THE_MIDDLE * steps[long])]].max(initial=0.0))
 
 
-def require_no_leap(problem: TorqueProblem) -> None:
-    """Refuse a problem whose via-points leap: of the suite's scenes no trajectory led on from there.
+def leap_failure(problem: TorqueProblem) -> OptimisationFailed | None:
+    """Return the failure of a problem whose via-points leap, with what splines through them violate most.
 
-    Raises
-    ------
-    OptimisationFailed
-        With what the splines through them violate most.
+    None where none leaps.
     """
     form = problem.parametrization
     if leap(problem.context, form.via_points) == 0.0:
-        return
+        return None
     worst = find_violations(problem, form.trajectory, np.inf, 0.0, 1).worst
-    raise OptimisationFailed(
+    return OptimisationFailed(
         "only by leaps to other branches of postures, off the tool path, were via-points joined in time",
         constraint=worst.name,
         violation=worst.value,

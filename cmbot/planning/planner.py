@@ -11,7 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import InputError, LimitViolation, PlanningError
+from cmbot.common.errors import InputError, LimitViolation, OptimisationFailed, PlanningError
 from cmbot.common.validation import checked_options, require_type
 from cmbot.common.watching import watched
 from cmbot.optimization import ExchangeReport
@@ -23,7 +23,7 @@ from cmbot.planning.flexibility.vibration_suppression import VibrationSuppressio
 from cmbot.planning.free_motion.approach import plan_approach
 from cmbot.planning.free_motion.free_move import largest_objective
 from cmbot.planning.free_motion.return_move import SAME_POSTURE, plan_return
-from cmbot.planning.initial_guess import InitialGuess, initial_guess, require_no_leap, sliding_guess
+from cmbot.planning.initial_guess import InitialGuess, initial_guess, leap_failure, sliding_guess
 from cmbot.planning.job import Job, Segment
 from cmbot.planning.objectives import WrenchFunction
 from cmbot.planning.path.first_posture import starting_at_path
@@ -372,8 +372,10 @@ def _optimised(
     compensation = suppression = None
     with constraints_named(context):
         problem = guess.problem
-        require_no_leap(problem)
-        optimised = optimise(problem, each_pass)
+        try:
+            optimised = optimise(problem, each_pass)
+        except OptimisationFailed as failure:
+            raise leap_failure(problem) or failure from failure
         if context.sag is not None:
             optimised, compensation, problem = compensate(context, guess, optimised, context.sag, each_pass)
     if context.arm is not None and suppresses_vibration(options):

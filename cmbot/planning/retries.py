@@ -36,6 +36,7 @@ from cmbot.planning.initial_guess import (
     InitialGuess,
     initial_guess,
     leap,
+    leap_failure,
     roughness,
     searched,
     sliding_guess,
@@ -409,7 +410,10 @@ def _retried(
 
 
 class _Once(Generic[Work]):
-    """Work that raises the failure of the same attempt before."""
+    """Work that raises the failure of the same attempt before.
+
+    After a failure nothing is optimised from a guess that leaps: hardly any trajectory leads on from there.
+    """
 
     def __init__(self, work: Callable[[Attempt], Work]) -> None:
         self._work = work
@@ -419,6 +423,9 @@ class _Once(Generic[Work]):
         for before, failure in self._failed:
             if _are_same(before, attempt):
                 raise failure
+        leaps = leap_failure(attempt.guess.problem) if self._failed else None
+        if leaps is not None:
+            raise leaps
         try:
             return self._work(attempt)
         except _FAILURES as failure:
