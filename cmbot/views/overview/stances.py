@@ -29,9 +29,10 @@ _COLOURS = {
 # Rows of the table, and those of them that are open.
 _ROWS, _OPEN = 60, 10
 _MEANING = {"Nm": "peak torque on the guardrail at work", "N": "adhesion needed at work"}
+_PLANNED = "Numbered: the peak that was planned. Others: an"
 _CAPTION = (
-    "Numbered: the peak that was planned. Others: an estimate of a stance's lower bound; along the "
-    "upper edge those without one. Pointing at a dot tells its stance."
+    " estimate of a stance's lower bound; along the upper edge those without one. Pointing at a dot tells "
+    "its stance."
 )
 
 
@@ -102,7 +103,8 @@ def _map(standing: Standing) -> str:
     drawn = f'<g font-size="13">{legend}{"".join(_axes(low, high, top, standing.unit))}</g>{marks}'
     svg = f'<div class="wide"><svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img">{drawn}</svg></div>'
     said = f"All stances, by where foot 1 holds and by the {_MEANING[standing.unit]}"
-    return f'<h2>{said}</h2><section>{svg}<p class="caption">{_CAPTION}</p></section>'
+    caption = (_PLANNED if standing.count("planned") else "An") + _CAPTION
+    return f'<h2>{said}</h2><section>{svg}<p class="caption">{caption}</p></section>'
 
 
 def _axes(low: float, high: float, top: float, unit: str) -> Iterator[str]:
