@@ -70,6 +70,19 @@ class _Group:
 
 
 @dataclass(frozen=True, kw_only=True)
+class _MovingGroup:
+    """One moving shape, and B shapes with as many edges each that move, too, and may touch it.
+
+    `pairs` (B,) are their numbers, `radius` (B,), m, the sum of both radii.
+    """
+
+    shape: int
+    others: list[int]
+    pairs: IntArray
+    radius: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
 class LowerBounds:
     """Lower bounds of the distances of P pairs in a block of N postures."""
 
@@ -103,16 +116,18 @@ class BroadPhase:
     def __init__(self, robot: Robot, shapes: Sequence[Any], pairs: Sequence[tuple[int, int]]) -> None:
         self._boxes = [_rounded_box(shape) for shape in shapes]
         self._number = len(pairs)
-        self._both_move: list[tuple[int, int, int]] = []
+        both_move: dict[tuple[int, int], list[tuple[int, int]]] = {}
         resting: dict[int, list[tuple[int, int]]] = {}
         for pair, (first, second) in enumerate(pairs):
             if self._boxes[second].joint > 0:
-                self._both_move.append((pair, first, second))
+                alike = (second, len(self._boxes[first].edges()))
+                both_move.setdefault(alike, []).append((pair, first))
             else:
                 resting.setdefault(first, []).append((pair, second))
+        self._both_move = [self._moving(shape, others) for (shape, _), others in both_move.items()]
         self._groups = [self._group(shape, others) for shape, others in resting.items()]
         # The vectors of each moving box: centre, half edges and, where it is a second one, axes.
-        with_axes = {second for _, _, second in self._both_move}
+        with_axes = {group.shape for group in self._both_move}
         moving = sorted({shape for pair in pairs for shape in pair if self._boxes[shape].joint > 0})
         self._carried = [[k for k in moving if self._boxes[k].joint == j + 1] for j in range(robot.dof)]
         self._vectors: dict[int, FloatArray] = {}
@@ -143,6 +158,14 @@ class BroadPhase:
             radius=np.array([box.radius + self._boxes[shape].radius for box in boxes]),
         )
 
+    def _moving(self, shape: int, others: list[tuple[int, int]]) -> _MovingGroup:
+        return _MovingGroup(
+            shape=shape,
+            others=[other for _, other in others],
+            pairs=np.array([pair for pair, _ in others]),
+            radius=np.array([self._boxes[other].radius + self._boxes[shape].radius for _, other in others]),
+        )
+
     def _bounds(self, q: FloatArray, block: slice) -> LowerBounds:
         placed: dict[int, _PlacedBox] = {}
         for carried, (origin, _, vectors) in zip(self._carried, self._chain.walk(q), strict=True):
@@ -159,12 +182,15 @@ class BroadPhase:
             centre = (group.axes @ box.centre - group.offset).reshape(size)
             edges = ((group.axes @ edge).reshape(size) for edge in box.edges)
             value[group.pairs] = _gap(centre, edges, group.half) - group.radius[:, None]
-        for pair, first, second in self._both_move:
-            one, other = placed[first], placed[second]
-            centre = (other.axes * (one.centre - other.centre)).sum(axis=1)
-            edges = ((other.axes * edge).sum(axis=1) for edge in one.edges)
-            radius = self._boxes[first].radius + self._boxes[second].radius
-            value[pair] = _gap(centre, edges, self._boxes[second].half) - radius
+        for moving in self._both_move:
+            box, others = placed[moving.shape], [placed[other] for other in moving.others]
+            along = box.axes[:, None]
+            centre = (along * (np.stack([other.centre for other in others]) - box.centre)).sum(axis=2)
+            # Of each shape the first edges, then the second ones.
+            each = zip(*(other.edges for other in others), strict=True)
+            edges = ((along * np.stack(edge)).sum(axis=2) for edge in each)
+            half = self._boxes[moving.shape].half[:, None]
+            value[moving.pairs] = _gap(centre, edges, half) - moving.radius[:, None]
         return LowerBounds(block=block, value=value, _placed=placed, _groups=self._groups)
 
 
