@@ -312,8 +312,8 @@ def _sections(plan: Plan, tracking: Tracking | None) -> Iterator[str]:
 
 
 def _key(plan: Plan) -> str:
-    motion = "the paper's motion" if plan.scene.on_guardrail else "the motion"
-    words = f"baseline: {motion}, not optimised"
+    motion = "the paper's motion, which" if plan.scene.on_guardrail else "a motion along the same path that"
+    words = f"baseline: {motion} is not optimised"
     return f'<i class="swatch planned"></i>planned <i class="swatch baseline"></i>{escape(words)}'
 
 

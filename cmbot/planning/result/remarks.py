@@ -144,35 +144,41 @@ def _suppression(done: VibrationSuppression, base: str) -> str:
     if not done.worth_it and done.swing_with != done.swing_without:
         return (
             f"{what}{'is left as it is' if done.modes == 1 else 'are left as they are'}: the change that was "
-            f"tried makes the largest swing hardly smaller. {_swings(done)}"
+            f"tried makes the largest swing hardly smaller. {_swings(done, made=False)}"
         )
     if not any(done.shares):
         return (
             f"{what}could not be brought to rest at the ends of the legs: no change of the motion that was "
-            f"tried keeps every bound. {_swings(done)}"
+            f"tried keeps every bound. {_swings(done, made=False)}"
         )
     return (
         f"{what}{'is' if done.modes == 1 else 'are'} made {100 * done.share:.0f} % smaller at the ends of "
-        f"{_suppressed_legs(done.shares)}, by how the joints move. {_swings(done)}"
+        f"{_suppressed_legs(done.shares)}, as predicted. {_swings(done, made=True)}"
     )
 
 
-def _swings(done: VibrationSuppression) -> str:
-    """What the tool swings through after the stop, for all that was simulated."""
+def _swings(done: VibrationSuppression, *, made: bool) -> str:
+    """What the tool swings through after the stop: the most of all that was simulated, and as modelled."""
     if not done.stiffness:
         return (
             f"As predicted, they would leave the tool swinging by {1e3 * done.before:.4f} mm to either side "
             f"without that, and by {1e3 * done.after:.4f} mm with it."
         )
-    cases = []
-    each = (done.stiffness, done.load_kg, done.swing_without, done.swing_with)
-    for factor, load, without, with_it in zip(*each, strict=True):
-        at = f"at {factor:.3g} times the stiffness" if not load else f"with {load:g} kg more at the tool"
-        swing, before = f"{1e3 * with_it:.3f}", f"{1e3 * without:.3f}"
-        cases.append(f"{swing} mm {'as before' if swing == before else f'instead of {before}'} {at}")
+    cases, word = [*zip(done.swing_with, done.swing_without, strict=True)], "without" if made else "with"
+
+    def told(with_it: float, without: float) -> str:
+        here, other = (f"{1e3 * each:.3f}" for each in ((with_it, without) if made else (without, with_it)))
+        return f"{here} mm" if here == other else f"{here} mm ({word} that {other})"
+
+    most = told(*(max(each) for each in zip(*cases, strict=True)))
+    low, high, load = min(done.stiffness), max(done.stiffness), max(done.load_kg)
+    carried = f" and with up to {load:g} kg more" if load else ""
+    modelled = [
+        case for *at, case in zip(done.stiffness, done.load_kg, cases, strict=True) if at == [1.0, 0.0]
+    ]
     return (
-        "In the 2 s after the stop the tool swings through, simulated for small deflections beside the sag, "
-        f"{'; '.join(cases)}."
+        f"In the 2 s after the stop the tool swings through {most} at most, simulated at {low:.3g} to "
+        f"{high:.3g} times the stiffness{carried}{f'; as modelled {told(*modelled[0])}' if modelled else ''}."
     )
 
 
@@ -202,6 +208,11 @@ def _start(plan: Plan) -> Iterator[str]:
         yield (
             f"Starts elsewhere: from the scene's posture, {plan.start.failures[0].reason}. "
             f"{other} with the same tool pose leads to the end, {where}. Bring the arm there first."
+        )
+    elif plan.compensation is not None and _next_to_it(plan):
+        yield (
+            f"Starts in the {plan.scene.pinned_posture}, with the sag compensated: up to {_furthest(plan)} a "
+            "joint from it, so that the bent arm's tool is where the path begins."
         )
     elif plan.scene.begins_elsewhere:
         yield f"Starts where the tool path begins, in the posture {where}."
@@ -331,6 +342,12 @@ def _process_speed(plan: Plan) -> Iterator[str]:
         )
 
 
+def _next_to_it(plan: Plan) -> bool:
+    """Whether the start is nearer to the scene's posture than postures of a chart are to each other."""
+    moves = plan.start.posture - plan.scene.posture
+    return bool(plan.robot.metric.lengths(moves) < plan.options.chart_spacing)
+
+
 def _furthest(plan: Plan) -> str:
     """How far joints of each kind are moved at most before the work."""
     slides, moves = plan.robot.limits.prismatic, np.abs(plan.start.posture - plan.scene.posture)
@@ -423,6 +440,8 @@ def _lower_bound(plan: Plan) -> Iterator[str]:
     yield from _sequences(plan)
     if plan.several:
         return  # each stroke has starts of its own
+    if plan.start.moved == 0 and not pinned:
+        return  # that is where it starts
     other, peak = (
         ("in another posture (start: free)", plan.choice.free)
         if pinned

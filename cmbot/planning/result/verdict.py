@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from math import inf
 
@@ -37,6 +38,8 @@ _SMALL, _FURTHER = 5e-2, 3.0
 _NO_TRAVEL = 1e-6
 # Times the tool deviation of a plan: a baseline that strays further follows another path.
 _STRAYS = 10.0
+# What the certificate calls how far a joint is from an end of its range: a share of that says nothing.
+_RANGE = re.compile("distance of (.*) from the middle of its range")
 
 
 def verdict(plan: Plan, *, area: bool = True) -> str:
@@ -64,10 +67,11 @@ def verdict(plan: Plan, *, area: bool = True) -> str:
     if area and (missing := left_out(plan)):
         text += f"; {missing}"
     segment, check = tightest_check(job)
-    return (
-        f"{text}. Tightest promise: {check.quantity} {during(segment, job)}, at {check.time:.1f} s, "
-        f"{100 * bound_use(check):.0f} % of its bound{_room(check)}."
-    )
+    when = f"{during(segment, job)}, at {check.time:.1f} s"
+    promise = f"{check.quantity} {when}, {100 * bound_use(check):.0f} % of its bound"
+    if (joint := _RANGE.fullmatch(check.quantity)) and check.holds:
+        promise = f"{joint[1]} stays within its range {when}"
+    return f"{text}. Tightest promise: {promise}{_room(check)}."
 
 
 def further(plan: Plan) -> float:

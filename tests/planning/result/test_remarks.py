@@ -93,6 +93,17 @@ def test_a_base_too_soft_for_an_equilibrium_is_told(triangle_plan: Plan) -> None
     )
 
 
+def test_a_start_that_only_the_sag_moved_is_called_so(compensated_short: tuple[Plan, Tracking]) -> None:
+    plan = compensated_short[0]
+    shifted = plan.scene.posture + 0.01
+    beside = replace(plan, start=replace(plan.start, posture=shifted, moved=0.01))
+    assert line(beside, "Starts in ").startswith(
+        "Starts in the scene's posture, with the sag compensated: up to 0.6 deg a joint from it"
+    )
+    far = replace(plan, start=replace(plan.start, posture=plan.scene.posture + 0.1, moved=0.1))
+    assert line(far, "Starts in ").startswith("Starts in a better posture")
+
+
 def suppressed(of: Plan, **changes: object) -> str:
     """Remarks on a plan whose vibration was suppressed."""
     done = {
@@ -115,15 +126,18 @@ def test_what_is_done_about_vibration_is_told(triangle_plan: Plan) -> None:
         in said
     )
     assert (
-        "0.500 mm instead of 2.000 at 0.7 times the stiffness; 0.100 mm instead of 1.000 with 1 kg more"
-        in said
-    )
+        "swings through 0.500 mm (without that 2.000) at most, simulated at 0.7 to 1 times the stiffness and "
+        "with up to 1 kg more."
+    ) in said
     assert "could not be brought to rest" in suppressed(triangle_plan, shares=(0.0, 0.0))
     assert "slowest vibration of guardrail and links is made" in suppressed(triangle_plan, modes=1)
     in_vain = suppressed(triangle_plan, shares=(0.0, 0.0), swing_with=(1.9e-3, 1e-3))
     assert "are left as they are: the change that was tried makes the largest swing hardly smaller" in in_vain
-    # What comes out the same is not said to be there instead of itself.
-    assert "2.000 mm as before at 0.7 times" in suppressed(triangle_plan, swing_with=(1.9999e-3, 1e-4))
+    assert "swings through 2.000 mm (with that 1.900) at most" in in_vain
+    # What comes out the same is not told twice; what becomes worse as modelled is told.
+    assert "swings through 2.000 mm at most" in suppressed(triangle_plan, swing_with=(1.9999e-3, 1e-4))
+    worse = {"load_kg": (0.0, 0.0), "swing_without": (2e-3, 5e-5), "swing_with": (1e-3, 1e-4)}
+    assert "; as modelled 0.100 mm (without that 0.050)." in suppressed(triangle_plan, **worse)
     old = dict.fromkeys(("stiffness", "load_kg", "swing_without", "swing_with"), ())
     assert "by 1.0000 mm to either side without that, and by 0.3000 mm" in suppressed(triangle_plan, **old)
 
@@ -131,7 +145,7 @@ def test_what_is_done_about_vibration_is_told(triangle_plan: Plan) -> None:
 @pytest.mark.parametrize(
     ("shares", "words"),
     [
-        ((1.0, 1.0, 1.0), "are made 100 % smaller at the ends of the legs, by how"),
+        ((1.0, 1.0, 1.0), "are made 100 % smaller at the ends of the legs, as predicted. "),
         ((1.0, 0.5, 0.0), "at the ends of 2 of the 3 legs, and not at those of 1, where no change"),
     ],
 )
@@ -153,6 +167,9 @@ def test_words_of_the_trade_are_explained_where_they_are_used(triangle_plan: Pla
     assert line(triangle_plan, "Against the baseline, the paper's motion without optimisation: ")
     pinned = "Had it started in the scene's posture (start: pinned)"
     assert "the peak at rest would be " in line(triangle_plan, pinned)
+    # Where it starts there, nothing is said of what would have been.
+    stays = replace(triangle_plan, start=replace(triangle_plan.start, moved=0.0))
+    assert pinned not in " ".join(remarks(stays))
     none = replace(triangle_plan, choice=Choice(free=400.0, pinned=None))
     assert "no sequence of postures through the charts was found" in line(none, pinned)
 

@@ -30,6 +30,20 @@ def test_the_posture_in_which_the_arm_begins_decides_on_the_triangle(triangle_pl
     )
 
 
+def test_a_joint_at_the_end_of_its_range_is_said_to_be_there(triangle_plan: Plan) -> None:
+    check = Check(
+        quantity="distance of joint_1 from the middle of its range",
+        time=3.0,
+        value=np.deg2rad(169.7),
+        bound=np.deg2rad(170.0),
+        unit="rad",
+    )
+    work = triangle_plan.job.segments[-1]
+    certificate = replace(work.certificate, checks=(check,))
+    said = verdict(changed(without_approach(triangle_plan), "work", certificate=certificate))
+    assert said.endswith("Tightest promise: joint_1 stays within its range at work, at 3.0 s (0.3 deg left).")
+
+
 def test_a_job_of_work_alone_gains(triangle_plan: Plan) -> None:
     scene = replace(triangle_plan.scene, posture=triangle_plan.start.posture)
     said = verdict(replace(without_approach(triangle_plan), scene=scene))
