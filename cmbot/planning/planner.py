@@ -375,7 +375,10 @@ def _optimised(
         try:
             optimised = optimise(problem, each_pass)
         except OptimisationFailed as failure:
-            raise leap_failure(problem) or failure from failure
+            leaps = leap_failure(problem)
+            if leaps is None:
+                raise
+            raise leaps from failure
         if context.sag is not None:
             optimised, compensation, problem = compensate(context, guess, optimised, context.sag, each_pass)
     if context.arm is not None and suppresses_vibration(options):

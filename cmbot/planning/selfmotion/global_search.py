@@ -221,6 +221,8 @@ class GlobalSearch:
     def solve(self, *, pinned: bool, starts: BoolArray | None = None) -> GlobalSolution:
         """Find the sequence with the smallest peak, then mean square, of the objective at rest.
 
+        What is asked again is not searched again.
+
         Parameters
         ----------
         pinned : bool
@@ -233,8 +235,15 @@ class GlobalSearch:
         PathNotFound
             When no sequence of admissible postures can be followed to the end.
         """
-        if pinned:
-            return self._solve(self._context.first, starts)
+        asked = pinned, None if starts is None else starts.tobytes()
+        if asked not in self._solutions:
+            solution = self._solve(self._context.first, starts) if pinned else self._solve_freely(starts)
+            # Charts may have become denser, and what was found before with them is forgotten.
+            self._solutions[asked] = solution
+        return self._solutions[asked]
+
+    def _solve_freely(self, starts: BoolArray | None) -> GlobalSolution:
+        """Find the best sequence from any of the `starts` (M,), if need be in denser charts."""
         while True:
             try:
                 return self._solve(None, starts)
@@ -311,6 +320,7 @@ class GlobalSearch:
         """Let joints use that share of their velocity bounds between via-points."""
         context = self._context
         self.step_share = step_share
+        self._solutions: dict[tuple[bool, bytes | None], GlobalSolution] = {}
         before = self._steps
         self._steps = (
             step_share * context.robot.limits.velocity * np.diff(context.times)[:, None]

@@ -265,6 +265,28 @@ def test_a_way_that_is_narrower_than_the_charts_is_found(monkeypatch: pytest.Mon
         GlobalSearch(context).solve(pinned=False)
 
 
+def test_what_is_asked_again_is_not_searched_again(
+    context: PlanningContext, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    search, tried = GlobalSearch(context), list[object]()
+    real = GlobalSearch._solve
+
+    def solve(self: GlobalSearch, *arguments: Any) -> Any:
+        tried.append(arguments)
+        return real(self, *arguments)
+
+    monkeypatch.setattr(GlobalSearch, "_solve", solve)
+    starts = np.ones(len(search.first_chart.q), dtype=np.bool_)
+    found = [search.solve(pinned=pinned, starts=some) for pinned in (False, True) for some in (None, starts)]
+    again = [search.solve(pinned=pinned, starts=some) for pinned in (False, True) for some in (None, starts)]
+    assert [a is b for a, b in zip(found, again, strict=True)] == 4 * [True]
+    assert len(tried) == 4
+    assert search.halved().solve(pinned=True) is not found[2]
+    search._chart(search._each)
+    assert search.solve(pinned=True) is not found[2]
+    np.testing.assert_array_equal(search.solve(pinned=True).q, found[2].q)
+
+
 def test_denser_charts_keep_the_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     """The bound is found again only where they hold a posture below it, which shows that it was none."""
     search, found = GlobalSearch(sliding(planner={"chart_spacing": 0.5})), list[float]()
