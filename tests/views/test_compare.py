@@ -1,6 +1,7 @@
 """Several plans on one page, with and without a browser."""
 
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -62,12 +63,17 @@ def test_a_verdict_is_amber_where_the_bent_tool_leaves_its_path(
     assert re.search(r'class="verdict good"[^>]*><summary><b>rigid.</b> Every promise is kept', page)
 
 
-@pytest.mark.browser
-def test_it_shows_every_plan(chrome: Chrome, text: str, tmp_path: Path) -> None:
-    path = tmp_path / "compare.html"
+@pytest.fixture(scope="module")
+def page_file(text: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("compare") / "compare.html"
     path.write_text(text, encoding="utf-8")
-    open_page(chrome, path)
-    require_quiet(chrome, path)
+    return path
+
+
+@pytest.mark.browser
+def test_it_shows_every_plan(chrome: Chrome, page_file: Path) -> None:
+    open_page(chrome, page_file)
+    require_quiet(chrome, page_file)
     chrome.execute_script("cmbotReplay.compare('beside')")
     assert [label.text for label in chrome.find_elements("css selector", ".half")] == ["<short>", "strokes"]
     tools = [ask(chrome, f"cmbotReplay.pose('link_7', '{arm}')") for arm in ("planned", "plan_2")]
@@ -76,11 +82,11 @@ def test_it_shows_every_plan(chrome: Chrome, text: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.browser
-def test_a_ghost_stands_on_what_carries_it(chrome: Chrome, text: str, tmp_path: Path) -> None:
+def test_a_ghost_stands_on_what_carries_it(chrome: Chrome, page_file: Path) -> None:
     """Its rails bend with its own sag, not with that of the arm that is drawn whole."""
-    path = tmp_path / "compare.html"
-    path.write_text(text, encoding="utf-8")
-    open_page(chrome, path)
+    if chrome.current_url != page_file.as_uri():
+        open_page(chrome, page_file)
+    chrome.execute_script("cmbotReplay.compare('ghost')")
     chrome.execute_script("cmbotReplay.pause(); cmbotReplay.seek(0.4 * cmbotReplay.end)")
     slide(chrome, "deflection", 50)
     feet, bases, rails = chrome.execute_script(
@@ -160,7 +166,8 @@ def test_what_is_refused(short_plan: Plan, saved_short: Path, tmp_path: Path) ->
         compare_page({"a": short_plan})
     page = tmp_path / "page.html"
     page.touch()
-    assert "already there" in refusal("compare", saved_short, saved_short, "--html", page)
+    other_folder = shutil.copytree(saved_short, tmp_path / "other")
+    assert "already there" in refusal("compare", saved_short, other_folder, "--html", page)
 
 
 def test_the_command_names_plans_by_their_folders(
