@@ -21,6 +21,8 @@ from cmbot.views.drawing import (
     bridge_of,
     carrier_commands,
     focus_of,
+    obstacle_commands,
+    path_commands,
     reach,
     scene_commands,
 )
@@ -53,7 +55,7 @@ def compare_page(plans: Mapping[str, Plan], trackings: Mapping[str, Tracking | N
     """Return an HTML page that shows several plans of one arm together, on the clock of their jobs.
 
     Like `report_page`, it opens no connection and runs only its own two scripts. The surroundings are those
-    of the first plan.
+    of the first plan; arms stand on what is their own, and every plan's tool paths are shown.
 
     Parameters
     ----------
@@ -123,6 +125,10 @@ def _data(first: Plan, plans: Mapping[str, Plan], names: Mapping[str, str]) -> d
     drawn = [*scene_commands(first), *bridge_commands(bridge)]
     for key in owners:
         drawn += carrier_commands(plans[key], key)
+    paths = path_commands(first)
+    for key, plan in plans.items():
+        if path_commands(plan) != paths:
+            drawn += path_commands(plan, f"/others/{key}")
     bending, bent = bending_of(each, reach(first.robot))
     return motions | {
         "motions": list(motions),
@@ -227,10 +233,10 @@ def _key(keys: Mapping[str, str], plans: Mapping[str, Plan]) -> str:
     """Return the colours of the plans and, where their surroundings differ, whose are drawn."""
     named = " ".join(f'<span><i class="swatch {key}"></i>{escape(name)}</span>' for key, name in keys.items())
     (first, plan), *others = plans.items()
-    drawn = scene_commands(plan)
-    if all(scene_commands(other) == drawn for _, other in others):
+    drawn = obstacle_commands(plan.scene)
+    if all(obstacle_commands(other.scene) == drawn for _, other in others):
         return named
-    return f"{named} (surroundings and path are those of {escape(first)})"
+    return f"{named} (the surroundings are those of {escape(first)})"
 
 
 def _rows(plans: Mapping[str, Plan]) -> Iterator[tuple[str, ...]]:

@@ -1,5 +1,6 @@
 """Several plans on one page, with and without a browser."""
 
+import base64
 import re
 import shutil
 from dataclasses import replace
@@ -8,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+import umsgpack
 from browser import ask, open_page, require_quiet, slide
 from command_line import output, refusal
 from page_data import data_of, floats, without_shapes
@@ -16,6 +18,7 @@ from selenium.webdriver import Chrome
 from cmbot.archive import save
 from cmbot.common.errors import InputError
 from cmbot.planning import Plan
+from cmbot.scene import Box, Obstacle, pose
 from cmbot.simulation import Tracking
 from cmbot.views import compare_page
 
@@ -151,9 +154,18 @@ def test_plans_with_long_names_fit_a_phone(chrome: Chrome, short_plan: Plan, tmp
 
 
 def test_the_page_says_whose_surroundings_it_shows(text: str, short_plan: Plan) -> None:
+    """And shows the paths of all plans."""
     alike = compare_page({"one": without_shapes(short_plan), "two": without_shapes(short_plan)})
-    assert "surroundings and path are those of &lt;short&gt;" in text
+    wall = Obstacle(name="wall", shape=Box(size=(0.1, 1.0, 1.0)), X_WO=pose((-3.0, 0.0, 0.0)))
+    plan = without_shapes(short_plan)
+    scene = replace(plan.scene, obstacles=(*plan.scene.obstacles, wall))
+    other = compare_page({"<one>": plan, "two": replace(plan, scene=scene)})
+    assert "(the surroundings are those of &lt;one&gt;)" in other
     assert "surroundings" not in alike
+    paths = ["/path", "/others/plan_2/path"]
+    for page, shown in ((text, paths), (alike, paths[:1])):
+        commands = [umsgpack.unpackb(base64.b64decode(command)) for command in data_of(page)["commands"]]
+        assert [each["path"] for each in commands if each["path"].endswith("/path")] == shown
 
 
 def test_what_is_refused(short_plan: Plan, saved_short: Path, tmp_path: Path) -> None:

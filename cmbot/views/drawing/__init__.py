@@ -7,6 +7,8 @@ from cmbot.views.drawing.meshcat_scene import (
     bridge_commands,
     carrier_commands,
     moving_robot_commands,
+    obstacle_commands,
+    path_commands,
     reach,
     scene_commands,
 )
@@ -26,7 +28,9 @@ __all__ = [
     "link_poses",
     "most_factor",
     "moving_robot_commands",
+    "obstacle_commands",
     "obstacle_surface",
+    "path_commands",
     "reach",
     "scene_commands",
     "supports",

@@ -34,6 +34,8 @@ __all__ = [
     "bridge_commands",
     "carrier_commands",
     "moving_robot_commands",
+    "obstacle_commands",
+    "path_commands",
     "reach",
     "scene_commands",
     "surroundings",
@@ -79,14 +81,26 @@ def scene_commands(plan: Plan) -> list[bytes]:
     used.
     """
     robot = plan.robot
-    thick = 0.002 * reach(robot)
-    paths = [tube(stroke.task.path.outline(), thick) for stroke in plan.strokes]
-    commands = [*_PLAIN, *_robot(_shapes(robot), str(robot.urdf)), *_bridge(plan.scene)]
-    commands.append(_set_mesh("/path", paths, PATH))
-    if plan.rows_left_out:
-        left_out = [tube(points, thick) for points in plan.rows_left_out]
-        commands.append(_set_mesh("/left_out", left_out, LEFT_OUT))
-    return [umsgpack.packb(command) for command in commands]
+    commands = [*_PLAIN, *_robot(_shapes(robot), str(robot.urdf)), *_supports(plan.scene, "/rails")]
+    packed = [umsgpack.packb(command) for command in commands]
+    return [*packed, *obstacle_commands(plan.scene), *path_commands(plan)]
+
+
+def obstacle_commands(scene: Scene) -> list[bytes]:
+    """Return packed commands for the obstacles that do not bend with the foot: below ``/bridge``."""
+    return [umsgpack.packb(command) for command in _bridge(scene)]
+
+
+def path_commands(plan: Plan, above: str = "") -> list[bytes]:
+    """Return packed commands for the tool's paths and rows that are not reached: ``/path``, ``/left_out``."""
+    thick = 0.002 * reach(plan.robot)
+    outlines = [stroke.task.path.outline() for stroke in plan.strokes]
+    drawn = {"path": (outlines, PATH), "left_out": (plan.rows_left_out, LEFT_OUT)}
+    return [
+        umsgpack.packb(_set_mesh(f"{above}/{name}", [tube(points, thick) for points in lines], colour))
+        for name, (lines, colour) in drawn.items()
+        if lines
+    ]
 
 
 def carrier_commands(plan: Plan, key: str) -> list[bytes]:
@@ -134,7 +148,8 @@ def moving_robot_commands(
     """
     tubes = [tube(way, 0.002 * length, sections=WAY_SECTIONS) for way in ways]
     shapes = list(visual.geometryObjects)
-    commands = [*_PLAIN, *_robot(shapes, urdf), *_bridge(scene), _set_mesh("/path", tubes, PATH)]
+    commands = [*_PLAIN, *_robot(shapes, urdf), *_supports(scene, "/rails"), *_bridge(scene)]
+    commands.append(_set_mesh("/path", tubes, PATH))
     return [umsgpack.packb(command) for command in commands]
 
 
@@ -182,7 +197,6 @@ def _bridge(scene: Scene) -> Iterator[Command]:
         groups.setdefault(WORKPIECE if obstacle.workpiece else CONCRETE, []).append(surface)
     for number, (colour, group) in enumerate(groups.items()):
         yield _set_mesh(f"/bridge/{number}", group, colour, shininess=10)
-    yield from _supports(scene, "/rails")
 
 
 def _supports(scene: Scene, path: str) -> Iterator[Command]:

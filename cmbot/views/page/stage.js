@@ -92,8 +92,9 @@ class Stage {
       this.viewer.set_property(["Background"], "bottom_color", bottom);
       this.viewer.show_background();
       // Paths are dark: before a dark background they glow.
-      for (const name of ["path", "left_out"]) {
-        this.node(name).traverse((mesh) => mesh.material?.emissive?.copy(mesh.material.color).multiplyScalar(dark.matches ? 0.6 : 0));
+      const above = [[], ...MOTIONS.slice(1).map((name) => ["others", name])];
+      for (const path of above.flatMap((names) => [[...names, "path"], [...names, "left_out"]])) {
+        this.node(...path).traverse((mesh) => mesh.material?.emissive?.copy(mesh.material.color).multiplyScalar(dark.matches ? 0.6 : 0));
       }
       this.redraw();
     };
