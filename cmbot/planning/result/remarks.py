@@ -362,10 +362,10 @@ def _gain(plan: Plan) -> str:
     difference, time = plan.largest_torque_difference
     fixed = plan.options.knots == "fixed" and plan.start.moved == 0
     why = " (fixed via-points cannot lower it)" if fixed else ""
-    whose = "the paper's" if plan.scene.on_guardrail else "the"
+    motion = "the paper's motion" if plan.scene.on_guardrail else "a motion along the same path"
     peak = "the static peak" if plan.robot.pushed else "the peak of the gravity torque"
     return (
-        f"Against the baseline, {whose} motion without optimisation: {peak} "
+        f"Against the baseline, {motion} without optimisation: {peak} "
         f"{change:+z.2f} %{why}, the mean {100 * mean:+.2f} %; at most {difference:.1f} Nm less, "
         f"at {time:.1f} s."
     )
