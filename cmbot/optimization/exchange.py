@@ -123,7 +123,7 @@ class ExchangeReport:
     iterations : int
         Solver iterations of this one.
     ended : bool
-        The solver ended by itself.
+        The solver ended by itself; True of plans that were written before this was told.
     constraints : int
         Size of the constraint set.
     peak_torque : float
@@ -135,7 +135,7 @@ class ExchangeReport:
     stage: str
     number: int
     iterations: int
-    ended: bool
+    ended: bool = True
     constraints: int
     peak_torque: float
     worst: Violation

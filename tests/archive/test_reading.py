@@ -177,3 +177,10 @@ def test_options_that_are_newer_than_a_plan_have_their_defaults(short_plan, tmp_
     edit(tmp_path / "plan", lambda data: data["scene"]["planner"].update(smoothing_weight=0.2))
     with pytest.raises(ArchiveError, match=r"hashes\.resolved_scene"):
         load_plan(tmp_path / "plan")
+
+
+def test_passes_that_do_not_tell_whether_the_solver_ended_are_read(short_plan, tmp_path):
+    """As plans before 0.2.0 have them."""
+    save(short_plan, tmp_path / "plan")
+    edit(tmp_path / "plan", lambda data: [entry.pop("ended") for entry in data["passes"]])
+    assert all(entry.ended for entry in load_plan(tmp_path / "plan").passes)
