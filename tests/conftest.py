@@ -14,9 +14,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import pytest
 from hypothesis import settings
-from numpy.typing import NDArray
 from rail_arms import rail_scene
 from small_scenes import short_scene, strokes_scene
+from state_samples import FloatArray, StateSamples
 from urdf_arms import arm_scene, endless_scene
 
 from cmbot.common.installation import model_folder
@@ -28,9 +28,6 @@ from cmbot.scene import PlannerOptions, load_scene
 from cmbot.simulation import SimulationOptions, Tracking, simulate
 
 pytest_plugins = ["plan_folders"]
-
-FloatArray = NDArray[np.float64]
-StateSamples = Callable[..., tuple[FloatArray, FloatArray, FloatArray]]
 
 # A shell starts jobs in the background without SIGINT, and children inherit that; some tests send it to them.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

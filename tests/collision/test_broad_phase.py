@@ -8,10 +8,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
-from conftest import StateSamples
 from distance_tables import SHAPES, TOLERANCE, all_distances
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from state_samples import StateSamples
 
 from cmbot.collision import Clearances, PairedShapes
 from cmbot.collision.broad_phase import BroadPhase

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import StateSamples
 from distance_tables import SHAPES, TOLERANCE, all_distances
 from finite_differences import check_derivative
 from hypothesis import given, settings
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from oracles.distances import capsule_of, from_capsule
 from robot_files import load_copy
 from scipy.spatial.transform import Rotation
+from state_samples import StateSamples
 
 from cmbot.collision import Clearances
 from cmbot.robot import Robot, load_robot

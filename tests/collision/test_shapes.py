@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from conftest import StateSamples
 from distance_tables import all_distances
 from numpy.typing import NDArray
 from oracles.distances import between_hulls, capsule_of
 from robot_files import FLAT, write_flat_obj
 from robot_files import pose as pose_of
+from state_samples import StateSamples
 
 from cmbot.collision import Clearances, extent_of
 from cmbot.collision.shapes import coal_shapes

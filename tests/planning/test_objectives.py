@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import StateSamples as RandomStates
 from finite_differences import check_derivative, check_state_derivatives
 from hypothesis import given
 from hypothesis import strategies as st
 from plan_folders import edit, refused
 from small_scenes import context_of, short_scene
+from state_samples import StateSamples as RandomStates
 
 import cmbot
 from cmbot.common.arrays import FloatArray

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import StateSamples
 from robot_files import load_copy, pose, replace
+from state_samples import StateSamples
 
 from cmbot.common.errors import ModelError
 from cmbot.robot import Dynamics, Kinematics, Robot, load_robot

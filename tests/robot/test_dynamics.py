@@ -6,11 +6,11 @@ from functools import partial
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import FloatArray, StateSamples
 from finite_differences import check_derivative, finite_difference
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import newton_euler
+from state_samples import FloatArray, StateSamples
 
 from cmbot.robot import Dynamics, Kinematics, Robot, load_robot
 

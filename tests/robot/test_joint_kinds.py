@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import StateSamples
 from oracles import newton_euler
 from rail_arms import RAIL_JOINTS, rail_data, rail_scene, shipped_arm_on_rail
 from robot_files import replace
 from small_motions import wild
+from state_samples import StateSamples
 
 from cmbot.collision import Clearances
 from cmbot.common.errors import InputError, ModelError

@@ -3,11 +3,11 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import StateSamples
 from finite_differences import check_derivative, finite_difference
 from hypothesis import given
 from hypothesis import strategies as st
 from oracles import newton_euler
+from state_samples import StateSamples
 
 from cmbot.robot import Chain, Dynamics, Kinematics, Postures, Robot, load_robot
 

@@ -7,9 +7,9 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import StateSamples
 from robot_files import FLAT, load_copy, replace, write_flat_obj
 from scipy.spatial import ConvexHull
+from state_samples import StateSamples
 from urdf_arms import KINOVA, KINOVA_JOINTS, PANDA, PANDA_JOINTS, limits_file
 
 from cmbot.common.errors import ModelError

@@ -6,10 +6,10 @@ from functools import partial
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import FloatArray, StateSamples
 from finite_differences import check_derivative
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from state_samples import FloatArray, StateSamples
 
 from cmbot.robot import Dynamics, Kinematics, Postures, Robot
 

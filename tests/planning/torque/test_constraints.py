@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import StateSamples as RandomStates
 from finite_differences import check_derivative, check_state_derivatives
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from small_scenes import parts, short_context, short_scene
+from state_samples import StateSamples as RandomStates
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray, IntArray

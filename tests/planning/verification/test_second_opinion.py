@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import StateSamples
 from numpy.typing import NDArray
 from oracles import newton_euler
 from rail_arms import rail_scene
 from random_arms import random_arm
 from small_scenes import short_scene
+from state_samples import StateSamples
 from urdf_arms import arm_scene, endless_scene, six_joint_scene
 
 import cmbot.scene.path.builder
