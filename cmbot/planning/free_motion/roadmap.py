@@ -25,8 +25,9 @@ _NEIGHBOURS = 12
 # Edges that are checked in a round before the rest is left: where nearly all are blocked, more postures help
 # more than more checks.
 _MOST_CHECKS = 400
-# Once a path is found, so many rounds in a row that lower the peak by no more than this share end it.
-_FRUITLESS, _LITTLE = 2, 1e-3
+# So many rounds in a row that lower the peak by no more than this share end it, and a few more where no path
+# was found yet: where there is one, the first round nearly always finds it.
+_FRUITLESS, _FRUITLESS_AT_FIRST, _LITTLE = 2, 3, 1e-3
 # Bounds are compared with this tolerance, relative.
 _ROUNDING = 1e-9
 
@@ -59,15 +60,16 @@ def lower_peak(
     """
     roadmap, rng, given = _Roadmap(space, path[[0, -1]]), np.random.default_rng(0), path
     peak, rounds, fruitless = space.peak(path), 0, 0
-    while peak > enough and rounds < _MOST_ROUNDS and fruitless < _FRUITLESS and not stop():
+    while peak > enough and rounds < _MOST_ROUNDS and not stop():
+        if fruitless >= (_FRUITLESS_AT_FIRST if path is given else _FRUITLESS):
+            break
         rounds, before = rounds + 1, peak
         drawn = np.vstack([_anywhere(space, rng), _about(path, rng, space.robot.metric)])
         roadmap.add(drawn, peak)
         found = roadmap.bottleneck_path(peak, stop)
         if found is not None:
             path, peak = found, space.peak(found)
-        little = peak > (1 - _LITTLE) * before
-        fruitless = fruitless + 1 if little and path is not given else 0
+        fruitless = fruitless + 1 if peak > (1 - _LITTLE) * before else 0
     return path
 
 
