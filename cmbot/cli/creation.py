@@ -159,7 +159,7 @@ def _migrate(source: str, output: Path | None, *, force: bool, as_json: bool, qu
     from cmbot.scene import migrated
 
     path = output if output is not None else Path(f"{_slug(Path(source).stem)}.yaml")
-    text = migrated(source, path, scene_folder() / "scene.schema.json")
+    text = migrated(source, path, _schema(path))
     require_new(path, force)
     write_file(path, text.encode())
     if as_json:
@@ -215,7 +215,7 @@ def _composed(
     assumed = None if shipped or own_limits else limits
     files[path] = scene_text(
         name=_slug(path.stem),
-        schema=str(scene_folder() / "scene.schema.json"),
+        schema=_schema(path),
         robot=_robot_entry(robot, source, path, assumed, srdf if srdf in files else None, packages),
         on_guardrail=shipped,
         posture=start.posture,
@@ -295,6 +295,14 @@ def _model(source: str, path: Path) -> str:
     if source == _SHIPPED or not Path(source).exists():
         return source
     return os.path.relpath(Path(source).resolve(), path.resolve().parent)
+
+
+def _schema(path: Path) -> str:
+    """How a scene names its JSON Schema: beside it, from it in a checkout, else where cmbot is installed."""
+    schema, folder = scene_folder().resolve() / "scene.schema.json", path.resolve().parent
+    if (folder / schema.name).is_file():
+        return schema.name
+    return os.path.relpath(schema, folder) if folder.is_relative_to(schema.parents[1]) else str(schema)
 
 
 def _slug(text: str) -> str:

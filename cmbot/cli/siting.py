@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Collection, Sequence
 from dataclasses import replace
@@ -295,14 +294,14 @@ def _known(objective: str) -> Literal["torque", "hold"]:
 
 
 def _contents(standings: Sequence[Standing]) -> dict[str, bytes]:
+    from cmbot.common.yaml_reader import yaml_text
     from cmbot.siting import best_scene, stances_csv
     from cmbot.views import stances_page
 
     contents = dict(zip(_FILES, (stances_csv(standings), stances_page(standings)), strict=True))
     for number, each in enumerate(standings, start=1):
-        # YAML in which JSON is valid: what `cmbot.load_scene` reads.
         name = "best.yaml" if len(standings) == 1 else f"best_{number}.yaml"
-        contents[name] = f"{_MARK}{json.dumps(best_scene(each), indent=2)}\n"
+        contents[name] = f"{_MARK}# Metres, seconds, degrees.\n{yaml_text(best_scene(each))}"
     return {name: text.encode() for name, text in contents.items()}
 
 

@@ -1,13 +1,15 @@
-"""Reads a YAML 1.2 file into plain data; what could be misread is refused."""
+"""Reads a YAML 1.2 file into plain data; what could be misread is refused. Writes such data."""
 
 from __future__ import annotations
 
+import json
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
 from functools import lru_cache
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -23,17 +25,19 @@ from ruamel.yaml.events import (
 )
 from ruamel.yaml.nodes import ScalarNode
 from ruamel.yaml.reader import ReaderError
+from ruamel.yaml.representer import SafeRepresenter
 
 from cmbot.common.errors import InputError
 from cmbot.common.input_files import read_input
 from cmbot.common.validation import key_path, shown
 
-__all__ = ["LARGEST_FILE", "lines_named", "read_yaml", "yaml_value"]
+__all__ = ["LARGEST_FILE", "lines_named", "read_yaml", "yaml_text", "yaml_value"]
 
 LARGEST_FILE = 2_000_000
 """Size in bytes above which a file is refused."""
 
-_DEEPEST = 50
+_DEEPEST, _WIDTH = 50, 120
+_WORD = re.compile(r"[A-Za-z][A-Za-z0-9_./\-]*")
 _XML = re.compile(r"\s*<[?!A-Za-z]")
 # 2,000 legs and 1,000 obstacles have half as many; each takes some 50 microseconds.
 _MOST_VALUES = 100_000
@@ -89,6 +93,27 @@ def yaml_value(text: str, source: str, error_type: type[InputError]) -> Any:
     except InputError as error:
         error.set_line(None)
         raise
+
+
+def yaml_text(data: Mapping[str, Any]) -> str:
+    """Return plain data as YAML that `read_yaml` reads: blocks in their order, short lists on a line each."""
+    yaml: Any = YAML(typ="safe", pure=True)
+    yaml.default_flow_style, yaml.sort_base_mapping_type_on_output, yaml.width = None, False, _WIDTH
+    yaml.allow_unicode, yaml.Representer = True, _Representer
+    text = StringIO()
+    # Through JSON: lists for tuples, and no object that is there twice, which would become an alias.
+    yaml.dump(json.loads(json.dumps(data)), text)
+    return text.getvalue()
+
+
+class _Representer(SafeRepresenter):
+    """Writes text that is more than a word in quotes: not all that is written plain is read as it was."""
+
+    def represent_str(self, data: str) -> Any:
+        return self.represent_scalar(_TEXT, data, style=None if _WORD.fullmatch(data) else '"')
+
+
+_Representer.add_representer(str, _Representer.represent_str)
 
 
 def _parsed(text: str, source: str, error_type: type[InputError]) -> Any:

@@ -20,7 +20,7 @@ _ROBOT_FILES = ("limits", "srdf", "elasticity")
 _SCHEMA = "$schema="
 
 
-def migrated(source: str | Path, target: Path, schema: Path) -> str:
+def migrated(source: str | Path, target: Path, schema: str) -> str:
     """Return the text of a scene file of ``cmbot-scene/1`` in ``cmbot-scene/2``, comments and all.
 
     Parameters
@@ -29,8 +29,8 @@ def migrated(source: str | Path, target: Path, schema: Path) -> str:
         The name of a shipped scene, or the path of a scene file.
     target : Path
         Where it is to lie: relative paths in it start there.
-    schema : Path
-        The JSON Schema, for editors.
+    schema : str
+        Where the JSON Schema lies, for editors.
 
     Raises
     ------

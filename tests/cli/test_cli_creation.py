@@ -11,6 +11,7 @@ from rail_arms import rail_urdf
 from urdf_arms import ROBOTS, only_collision
 
 import cmbot
+from cmbot.cli.creation import _schema
 from cmbot.collision import Clearances
 from cmbot.common.installation import scene_folder
 from cmbot.planning import robot_of
@@ -127,6 +128,14 @@ def test_a_scene_of_an_arm_on_a_rail(here: Path) -> None:
     )
     assert "\n  rail: {acceleration_m_s2: 0.8, jerk_m_s3: 8}\n" in limits
     assert "degrees" not in output("check", "a/rail.yaml")
+
+
+def test_the_schema_is_named_so_that_a_scene_can_be_moved_with_it(here: Path) -> None:
+    schema = scene_folder().resolve() / "scene.schema.json"
+    assert _schema(here / "own.yaml") == str(schema)
+    assert _schema(schema.parents[1] / "of_ours" / "own.yaml") == "../scenes/scene.schema.json"
+    (here / schema.name).write_bytes(schema.read_bytes())
+    assert _schema(here / "own.yaml") == schema.name
 
 
 def test_a_scene_of_the_shipped_robot(here: Path) -> None:

@@ -29,6 +29,9 @@ def test_it_writes_the_table_the_page_and_the_scene(stood: tuple[Path, Outcome])
     rows = [*csv.DictReader((folder / "out" / "stances.csv").read_text().splitlines())]
     assert f"{len(rows)} stances: " in outcome.out
     best = cmbot.load_scene(folder / "out" / "best.yaml")
+    first, _, *blocks = (folder / "out" / "best.yaml").read_text().splitlines()
+    assert first == "# Written by cmbot stand: the scene in its best stance."
+    assert {"name: short_stance", "planner:", "  objective: hold"} <= {*blocks}
     assert best.planner.objective == "hold"
     assert best.robot.stance.foot == pytest.approx([float(rows[0][axis]) for axis in "xyz"], abs=1e-4)
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from cmbot.common import yaml_reader
 from cmbot.common.errors import ModelError, SceneError
-from cmbot.common.yaml_reader import LARGEST_FILE, read_yaml
+from cmbot.common.yaml_reader import LARGEST_FILE, read_yaml, yaml_text, yaml_value
 
 
 def refused(folder: Path, content: str | bytes) -> SceneError:
@@ -21,6 +21,35 @@ def refused(folder: Path, content: str | bytes) -> SceneError:
     assert error.source == str(path)
     assert "\n" not in str(error)
     return error
+
+
+_SCALARS = (
+    st.none()
+    | st.booleans()
+    | st.integers(-(10**9), 10**9)
+    | st.floats(allow_nan=False, allow_infinity=False)
+    | st.text(st.characters(categories=("L", "N", "P", "Zs", "S")), max_size=20)
+    | st.sampled_from(["on", "null", "010", "1e3", "12:30", "~", "- a", "a: b", "#", "\n"])
+)
+_KEYS = st.text("abc_1", min_size=1, max_size=5) | st.just("on")
+
+
+@given(
+    st.dictionaries(
+        _KEYS,
+        st.recursive(
+            _SCALARS, lambda some: st.lists(some, max_size=4) | st.dictionaries(_KEYS, some, max_size=4)
+        ),
+        max_size=5,
+    )
+)
+@settings(max_examples=30, deadline=None)
+def test_what_is_written_is_read_again(data):
+    shared = [1.0, 2.0]
+    data = data | {"one": shared, "two": shared, "three": {"a": shared}}
+    text = yaml_text(data)
+    assert yaml_value(text, "text", SceneError) == data
+    assert "\n" + "two: [1.0, 2.0]" in text
 
 
 def test_plain_data_in_yaml_1_2(tmp_path):
