@@ -136,7 +136,7 @@ def _slowest(what: str, bound: float, stage: str, results: Mapping[str, Any]) ->
 def _command(results: Mapping[str, Any]) -> Goal:
     triangle = next(row for row in results["planned"] if row["scene"] == "triangle")
     remark = f"wall time, solver {triangle['solver']}"
-    return _below("whole `cmbot plan triangle`", 2.5, triangle["command"], "s", remark)
+    return _below("whole `cmbot plan triangle`", 1.8, triangle["command"], "s", remark)
 
 
 def _growth(results: Mapping[str, Any]) -> list[Goal]:
