@@ -109,7 +109,7 @@ def test_an_objective_that_gravity_has_no_part_in_is_warned_of(
     start = f"warning: planner.axis_weights: got {weights}: gravity has no torque about z"
     assert [warning.startswith(start) for warning in warnings] == [True] * warned
     assert last.endswith("short.yaml: far enough")
-    assert run(*words, "--quiet").err == f"{last}\n"
+    assert run(*words, "--quiet").err.endswith("short.yaml: far enough\n")
 
 
 def test_that_gravity_has_no_torque_about_z_is_so() -> None:
