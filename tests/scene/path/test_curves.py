@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from finite_differences import finite_difference
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -91,11 +91,14 @@ def test_points_on_a_line_have_no_arc() -> None:
 
 @CURVES
 @settings(max_examples=20)
+@example(seed=474)
 @given(seed=seeds)
 def test_lengths_slopes_and_curvature(make: type, seed: int) -> None:
     curve = make(np.random.default_rng(seed))
-    p, tangent = curve.position(FINE), curve.tangent(FINE)
-    assert np.linalg.norm(np.diff(p, axis=0), axis=1).sum() == pytest.approx(curve.length, rel=1e-4)
+    # Chords are shorter than tight corners.
+    chords = np.diff(curve.position(np.linspace(0, 1, 40_001)), axis=0)
+    assert np.linalg.norm(chords, axis=1).sum() == pytest.approx(curve.length, rel=1e-4)
+    tangent = curve.tangent(FINE)
     for share in (0.123, 0.4567, 0.9):
         slope = finite_difference(lambda s: curve.position(s)[0], np.array([share]), step=1e-7)[:, 0]
         np.testing.assert_allclose(curve.slope(np.array([share]))[0], slope, atol=1e-4 * curve.length)
