@@ -44,7 +44,15 @@ from cmbot.planning.result.baseline import BaselineSegment
 from cmbot.planning.result.plan import Plan, Seconds, require_plan
 from cmbot.planning.result.remarks import remarks
 from cmbot.planning.result.stroke_plan import ObjectiveMetrics, Start, StrokePlan, objective_metrics
-from cmbot.planning.result.verdict import bound_use, during, left_out, promises, tightest_check, verdict
+from cmbot.planning.result.verdict import (
+    bound_use,
+    during,
+    left_out,
+    promised,
+    promises,
+    tightest_check,
+    verdict,
+)
 from cmbot.planning.selfmotion.followed_bound import quick_bound
 from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
@@ -116,6 +124,7 @@ __all__ = [
     "precheck_options",
     "precheck_scene",
     "project_onto_task",
+    "promised",
     "promises",
     "quick_bound",
     "remarks",

@@ -19,6 +19,7 @@ from cmbot.planning import (
     bound_use,
     during,
     left_out,
+    promised,
     promises,
     remarks,
     require_plan,
@@ -213,13 +214,12 @@ def _lower_bound_card(plan: Plan) -> Headline:
 def _certificate_card(plan: Plan) -> Headline:
     parts = {name: [check.holds for check in found.checks] for name, found in certificates(plan).items()}
     segment, tightest = tightest_check(plan.job)
-    use = f"{100 * bound_use(tightest):.0f} % of its bound"
     of_each = ", ".join(f"{name} {sum(held)} of {len(held)}" for name, held in parts.items())
     holds = [held for part in parts.values() for held in part]
     return Headline(
         title="Certified checks, whole job",
         value=f"{sum(holds)} of {len(holds)} hold",
-        detail=f"tightest: {tightest.quantity} {during(segment, plan.job)}, {use}"
+        detail=f"tightest: {promised(tightest, during(segment, plan.job))}"
         + (f"; {of_each}" if len(parts) > 1 else ""),
         state="good" if all(holds) else "bad",
     )

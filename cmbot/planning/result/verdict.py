@@ -21,6 +21,7 @@ __all__ = [
     "during",
     "further",
     "left_out",
+    "promised",
     "promises",
     "strays",
     "tightest_check",
@@ -67,11 +68,15 @@ def verdict(plan: Plan, *, area: bool = True) -> str:
     if area and (missing := left_out(plan)):
         text += f"; {missing}"
     segment, check = tightest_check(job)
-    when = f"{during(segment, job)}, at {check.time:.1f} s"
-    promise = f"{check.quantity} {when}, {100 * bound_use(check):.0f} % of its bound"
-    if (joint := _RANGE.fullmatch(check.quantity)) and check.holds:
-        promise = f"{joint[1]} stays within its range {when}"
+    promise = promised(check, f"{during(segment, job)}, at {check.time:.1f} s")
     return f"{text}. Tightest promise: {promise}{_room(check)}."
+
+
+def promised(check: Check, when: str) -> str:
+    """Return what a check promises, and how near it is to its bound, in words; `when` as `during` says it."""
+    if (joint := _RANGE.fullmatch(check.quantity)) and check.holds:
+        return f"{joint[1]} stays within its range {when}"
+    return f"{check.quantity} {when}, {100 * bound_use(check):.0f} % of its bound"
 
 
 def further(plan: Plan) -> float:
