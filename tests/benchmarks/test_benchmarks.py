@@ -241,7 +241,7 @@ PLANNED = {
     "scene": "triangle",
     "solver": "sqp",
     "motion": 20.0,
-    "command": 2.0,
+    "command": 1.7,
     "plan": 1.0,
     "way": 0.4,
     "polish": 0.3,

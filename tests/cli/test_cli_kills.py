@@ -60,7 +60,7 @@ def trackings(short_tracking: Tracking) -> tuple[Tracking, Tracking]:
         motions = {}
         for name in ("baseline", "planned"):
             motion = getattr(short_tracking, name)
-            few = {key: getattr(motion, key)[::20] for key in ("t", "error", "static")}
+            few = {key: getattr(motion, key)[::20] for key in ("t", "error", "static", "base")}
             motions[name] = replace(motion, **few | {"error": factor * few["error"]})
         return replace(short_tracking, **motions)
 

@@ -261,7 +261,7 @@ def test_how_joints_are_driven_is_an_option(saved_short: Path, tmp_path: Path) -
     folder = Path(shutil.copytree(saved_short, tmp_path / "plan"))
     refused = run("simulate", folder, "--rate", "125")
     assert refused.status == 2
-    assert "--servo: got nothing, expected a number beside set_point_rate_hz" in refused.err
+    assert "--servo: got nothing, expected a number beside --rate" in refused.err
     weak = run("simulate", folder, "--servo", "0")
     assert weak.status == 2
     assert "--servo: got 0.0, expected at least 0.1" in weak.err

@@ -268,7 +268,8 @@ class Player {
     const [x, y] = this.stage.onScreen(point, part), half = label.offsetWidth / 2 + 4;
     const across = Math.max(Math.min(x, part.left + part.wide - half), part.left + part.edge + half);
     const down = Math.min(y + below, part.top + part.high - part.below - label.offsetHeight - 4);
-    label.style.transform = `translate(${across.toFixed(1)}px, ${down.toFixed(1)}px) translateX(-50%)`;
+    // On whole pixels: between them text is blurred, and not always in the same way.
+    label.style.transform = `translate(${Math.round(across - label.offsetWidth / 2)}px, ${Math.round(down)}px)`;
   }
 }
 
