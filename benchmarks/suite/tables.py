@@ -147,6 +147,7 @@ def _success(key: str, title: str, groups: Groups) -> Sheet:
         with_path = [row for row in rows if _exists(row)]
         planned = [row for row in rows if _is_planned(row)]
         seconds = [row["plan"]["cpu_seconds"] for row in planned]
+        answered = [row["plan"]["cpu_seconds"] for row in rows if "cpu_seconds" in row.get("plan", {})]
         gaps = [row["plan"]["gap"] for row in planned if row["plan"]["gap"] is not None]
         lower = [1 - row["plan"]["peak"] / row["plan"]["baseline_peak"] for row in planned]
         cells.append(
@@ -156,8 +157,9 @@ def _success(key: str, title: str, groups: Groups) -> Sheet:
                 f"{len(with_path)}",
                 f"{len(planned)}",
                 f"{len(planned) / len(with_path):.0%}" if with_path else "–",
-                _quantile(seconds, 0.5, "{:.1f}"),
+                _quantile(seconds, 0.5, "{:.2f}"),
                 _quantile(seconds, 0.95, "{:.1f}"),
+                _quantile(answered, 0.95, "{:.1f}"),
                 _quantile(gaps, 0.5, "{:.1%}"),
                 _quantile(gaps, 0.95, "{:.1%}"),
                 _quantile(lower, 0.5, "{:.0%}"),
@@ -171,6 +173,7 @@ def _success(key: str, title: str, groups: Groups) -> Sheet:
         "share",
         "s, median",
         "s, 95 %",
+        "with refusals",
         "gap, median",
         "gap, 95 %",
         "below baseline, median",
