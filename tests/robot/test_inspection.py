@@ -192,7 +192,7 @@ def remove_or_double_element(root: ElementTree.Element, data: st.DataObject) -> 
     data.draw(st.sampled_from([parent.remove, parent.append]))(child)
 
 
-@settings(max_examples=180, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=180, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(data=st.data())
 def test_any_damage_ends_in_an_error_or_a_robot(
     original: ElementTree.Element, urdf_folder: Path, capfd: pytest.CaptureFixture[str], data: st.DataObject
@@ -215,7 +215,7 @@ def test_any_damage_ends_in_an_error_or_a_robot(
 
 @given(content=st.binary(max_size=200))
 @example(content=b"<robot name='x'><link name='a'/></robot>")
-@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 def test_any_bytes_end_in_an_error(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "robot.urdf"
     file.write_bytes(content)

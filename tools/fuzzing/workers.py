@@ -13,6 +13,8 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
+import psutil
+
 from fuzzing.cases import Case
 from fuzzing.trials import Verdict, fresh_folder, time_limit, try_case
 
@@ -112,7 +114,9 @@ def _serve(connection: Connection, folder: Path, log: Path) -> None:
         os.dup2(os.open(os.devnull, os.O_RDWR), 0)
         os.dup2(file.fileno(), 1)
         os.dup2(file.fileno(), 2)
-        resource.setrlimit(resource.RLIMIT_AS, (_MOST_MEMORY, _MOST_MEMORY))
+        # Beside what the process has by then: with many cores, threads of libraries have reserved much.
+        most = _MOST_MEMORY + psutil.Process().memory_info().vms
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         while True:
             try:

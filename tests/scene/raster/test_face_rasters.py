@@ -83,7 +83,7 @@ def test_what_is_left_out_of_a_triangle_is_known(tmp_path: Path) -> None:
     assert covered(wider).left_out == 0.0
 
 
-@settings(max_examples=5, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=5, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(st.floats(0.2, 0.6), st.floats(20, 70), st.integers(8, 30), vectors(), st.sampled_from([None, 0.03]))
 def test_on_a_bent_sheet_the_tool_is_square_to_it(
     tmp_path: Path, radius: float, span: float, facets: int, along: list[float], blend: float | None
@@ -133,7 +133,7 @@ def test_rows_through_the_vertices_of_a_mesh_are_those_of_a_second_computation(t
         check_path(scene)
 
 
-@settings(max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(
     st.integers(0, 2**32 - 1),
     st.fixed_dictionaries({"kind": st.sampled_from(["trapezoidal", "jerk_limited"])}),
