@@ -47,14 +47,16 @@ def main() -> None:
             mallopt(*setting)
     # Matrices are small: the threads of BLAS would mostly wait for each other. Read when NumPy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    before = signal.signal(signal.SIGINT, lambda *_: os._exit(_STOPPED))
+    signal.signal(signal.SIGINT, lambda *_: os._exit(_STOPPED))
     from cmbot.cli import main as run
+    from cmbot.cli import take_signals
 
-    signal.signal(signal.SIGINT, before)
-    # What is half-written is taken away, as by Ctrl-C.
-    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     try:
+        take_signals()
         run()
+    except KeyboardInterrupt:
+        # Before `run` could turn it into an exit status.
+        sys.exit(_STOPPED)
     finally:
         # All is done: there is nothing left to stop.
         signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -25,6 +25,7 @@ from cmbot.cli.creation import new
 from cmbot.cli.identify import identify
 from cmbot.cli.inspection import check, doctor, scenes, schema
 from cmbot.cli.planning import plan
+from cmbot.cli.signals import raised_again
 from cmbot.cli.simulation import reproduce, simulate
 from cmbot.cli.siting import stand, tour, walk
 from cmbot.cli.views import compare, export, replay, report
@@ -67,7 +68,8 @@ def main() -> None:
 def _run(words: list[str]) -> int:
     try:
         # Not `app()`: it replaces the hook and prints errors in a box of many lines.
-        status = typer.main.get_command(_app_for(words))(words, prog_name="cmbot", standalone_mode=False)
+        with raised_again():
+            status = typer.main.get_command(_app_for(words))(words, prog_name="cmbot", standalone_mode=False)
         return status if isinstance(status, int) else ExitStatus.DONE
     except _UsageError as error:
         # The message is empty where the help was printed.

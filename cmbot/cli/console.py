@@ -18,10 +18,11 @@ from rich.control import Control
 from rich.segment import ControlType
 from rich.table import Table
 
+from cmbot.cli.signals import check_signals
 from cmbot.common.errors import CmbotError, PlanningError
 from cmbot.common.errors import one_line as flat
 from cmbot.common.installation import shipped_scenes
-from cmbot.common.progress_line import ProgressLine
+from cmbot.common.progress_line import ProgressLine, Report
 
 __all__ = [
     "ConsoleProgress",
@@ -193,7 +194,7 @@ def print_table(
 
 
 class ConsoleProgress(ProgressLine):
-    """Progress on standard error, or none where it is to be quiet."""
+    """Progress on standard error, or none where it is to be quiet; with each report, signals are checked."""
 
     def __init__(self, *, quiet: bool = False, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__(err, quiet=quiet, clock=clock)
@@ -201,3 +202,18 @@ class ConsoleProgress(ProgressLine):
     def __enter__(self) -> Self:
         err.erase_sign()
         return super().__enter__()
+
+    def __exit__(self, *error: object) -> None:
+        super().__exit__(*error)
+        if error[0] is None:
+            check_signals()
+
+    def update(self, progress: Report, prefix: str = "") -> None:
+        """Show a report, after a prefix such as the scene's name."""
+        check_signals()
+        super().update(progress, prefix)
+
+    def stage(self, description: str, share: float | None = None) -> None:
+        """Show what is being done, and the share of all the work that is done, where it is known."""
+        check_signals()
+        super().stage(description, share)

@@ -75,7 +75,7 @@ def test_an_encoding_without_a_letter_is_no_error(tmp_path: Path) -> None:
 @pytest.mark.parametrize("delay", [0.0, 0.02, 0.1, 0.3, 0.6, 1.0])
 def test_ctrl_c_is_quiet_at_any_time(delay: float, tmp_path: Path) -> None:
     with subprocess.Popen(
-        [sys.executable, "-c", INSTALLED, "plan", "triangle", "--quiet", "-o", tmp_path / "plan"],
+        [sys.executable, "-c", UNFINISHED, "plan", "triangle", "--quiet", "-o", tmp_path / "plan"],
         env=environment(),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -87,7 +87,54 @@ def test_ctrl_c_is_quiet_at_any_time(delay: float, tmp_path: Path) -> None:
         process.send_signal(signal.SIGINT)
         out, err = process.communicate()
     assert (process.returncode, out, err) == (130, b"", b"")
-    assert not (tmp_path / "plan").exists()
+    assert not list(tmp_path.iterdir())
+
+
+# What becomes of an exception where another language calls Python.
+ELSEWHERE = {
+    "another error": "    try:\n        signal.raise_signal(number)\n"
+    "    except BaseException as error:\n        raise ValueError(repr(error)) from error\n",
+    "nothing": "    try:\n        signal.raise_signal(number)\n    except BaseException:\n        pass\n",
+    "a report": "    class Lost:\n        def __del__(self):\n            signal.raise_signal(number)\n"
+    "    Lost()\n",
+}
+
+
+@pytest.mark.parametrize("becomes", ELSEWHERE)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_call_whatever_becomes_of_its_exception(
+    becomes: str, number: signal.Signals, tmp_path: Path
+) -> None:
+    reading = f"def read(*_):\n{ELSEWHERE[becomes]}    return load(*_)\n"
+    names = f"import cmbot, signal\nnumber, load = {number:d}, cmbot.load_scene\n"
+    replaced = names + reading + "cmbot.load_scene = read\n"
+    done = subprocess.run(
+        [sys.executable, "-c", replaced + INSTALLED, "plan", "triangle", "--quiet", "-o", tmp_path / "plan"],
+        env=environment(),
+        capture_output=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (128 + number, b"begun\n", b"")
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_else_nobody_receives_is_reported_as_ever() -> None:
+    replaced = "class Lost:\n    def __del__(self):\n        raise ValueError('lost')\nimport cmbot\n"
+    reading = "def read(*_):\n    Lost()\n    raise cmbot.SceneError('scene', '', 'one', 'another')\n"
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            replaced + reading + "cmbot.load_scene = read\n" + INSTALLED,
+            "plan",
+            "triangle",
+        ],
+        env=environment(),
+        capture_output=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert b"ValueError: lost" in done.stderr
 
 
 def test_a_call_that_is_terminated_leaves_nothing(tmp_path: Path) -> None:
