@@ -47,6 +47,8 @@ def main() -> None:
             mallopt(*setting)
     # Matrices are small: the threads of BLAS would mostly wait for each other. Read when NumPy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # pydantic would look for plugins through all packages that are installed.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
     signal.signal(signal.SIGINT, lambda *_: os._exit(_STOPPED))
     from cmbot.cli import main as run
     from cmbot.cli import take_signals

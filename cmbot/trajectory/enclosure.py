@@ -10,9 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import cached_property
-from math import comb
+from math import comb, lcm
 
 import numpy as np
 
@@ -52,16 +51,19 @@ def _to_bernstein() -> FloatArray:
 
     From the Chebyshev polynomials' own: those have whole coefficients, so that none of their digits is lost.
     """
-    power = [[Fraction(1)], [Fraction(-1), Fraction(2)]]  # of T_k at 2 u - 1, by powers of u
+    power = [[1], [-1, 2]]  # of T_k at 2 u - 1, by powers of u
     for _ in range(DEGREE - 1):
         last, before = power[-1], power[-2]
-        double = [Fraction(0), *(4 * c for c in last)]
-        same = [-2 * c for c in last] + [Fraction(0)]
-        older = before + [Fraction(0)] * (len(double) - len(before))
+        double = [0, *(4 * c for c in last)]
+        same = [-2 * c for c in last] + [0]
+        older = before + [0] * (len(double) - len(before))
         power.append([a + b - c for a, b, c in zip(double, same, older, strict=True)])
+    # The share of the j-th power in the i-th Bernstein coefficient is comb(i, j) / comb(d, j).
+    whole = lcm(*(comb(DEGREE, j) for j in range(DEGREE + 1)))
+    weights = [whole // comb(DEGREE, j) for j in range(DEGREE + 1)]
     columns = [
         [
-            float(sum(Fraction(comb(i, j), comb(DEGREE, j)) * c for j, c in enumerate(of[: i + 1])))
+            sum(comb(i, j) * weights[j] * c for j, c in enumerate(of[: i + 1])) / whole
             for i in range(DEGREE + 1)
         ]
         for of in power
