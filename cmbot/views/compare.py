@@ -21,6 +21,7 @@ from cmbot.views.drawing import (
     bridge_of,
     carrier_commands,
     focus_of,
+    jobs_of,
     obstacle_commands,
     path_commands,
     reach,
@@ -86,7 +87,7 @@ def compare_page(plans: Mapping[str, Plan], trackings: Mapping[str, Tracking | N
             "verdict": "".join(
                 _verdict(name, plan, tracked.get(name), len(plans) < _MANY) for name, plan in plans.items()
             ),
-            "cards": "",
+            "cards": "".join(_cards(keys, plans)),
             "key": _key(keys, plans),
             "bending": " hidden",
             "shares": SHARES if len(plans) == _WITH_SHARES else "",
@@ -118,7 +119,8 @@ def _data(first: Plan, plans: Mapping[str, Plan], names: Mapping[str, str]) -> d
     }
     each = list(frames.values())
     small = [chart.data(MOST_SMALL_POINTS) for chart in _joint_charts(first, plans)]
-    bridge = bridge_of(list(plans.values()))
+    margin = min(plan.options.safety_margin_m for plan in plans.values())
+    bridge = bridge_of(first.scene, jobs_of(plans.values()), margin)
     # Arms that stand elsewhere, or on something else, bring along what carries them.
     carrier = _carrier(first)
     owners = [key for key, plan in plans.items() if _carrier(plan) != carrier]
@@ -142,7 +144,7 @@ def _data(first: Plan, plans: Mapping[str, Plan], names: Mapping[str, str]) -> d
         **{"start": 0.0, "workStart": 0.0, "workEnd": end, "end": end},
         **{"legTimes": [], "moves": [], "floor": None, "floorName": ""},
         **{"approach": None, "return": None, "rest": None},
-        "margin": min(plan.options.safety_margin_m for plan in plans.values()),
+        "margin": margin,
         "links": link_names(first.robot),
         "joints": list(first.robot.joints),
         "bending": bending,
@@ -227,6 +229,37 @@ def _verdict(name: str, plan: Plan, tracking: Tracking | None, whole: bool) -> s
     first = f"<summary><b>{escape(name)}.</b> {escape(said)}</summary>"
     words = f"{first}{escape(verdict(plan, area=False))}</details>"
     return f'<details class="verdict {state}"{" open" if whole else ""}>{words}'
+
+
+def _cards(keys: Mapping[str, str], plans: Mapping[str, Plan]) -> Iterator[str]:
+    """Yield what decides between the plans."""
+    jobs = [plan.job.figures for plan in plans.values()]
+    peaks, clearances = [one.peak_guardrail_torque for one in jobs], [1e3 * one.min_clearance for one in jobs]
+    work = [plan.figures.peak_guardrail_torque for plan in plans.values()]
+    base = next(iter(plans.values())).scene.base_name
+    yield _card(keys, f"Peak {base} torque, whole job", "Nm", peaks)
+    yield _card(keys, f"Peak {base} torque at work", "Nm", work)
+    if np.isfinite(clearances).all():
+        yield _card(keys, "Smallest clearance", "mm", clearances, most=True)
+    yield _card(keys, "Time of the whole job", "s", [plan.job.duration for plan in plans.values()])
+
+
+def _card(keys: Mapping[str, str], title: str, unit: str, values: list[float], most: bool = False) -> str:
+    """A figure of all plans, the least or the `most` in bold, and by how much it is ahead of the next."""
+    ordered = sorted(values, reverse=most)
+    shown, best = [f"{value:.1f}" for value in values], f"{ordered[0]:.1f}"
+    ahead = [name for name, text in zip(keys.values(), shown, strict=True) if text == best]
+    detail = "the same in all"
+    if len(ahead) < len(shown):
+        by = abs(ordered[0] - ordered[len(ahead)])
+        then = " than the next" if len(shown) > len(ahead) + 1 else ""
+        detail = f"{', '.join(ahead)}: {by:.1f} {unit} {'more' if most else 'less'}{then}"
+    texts = []
+    for (key, name), text in zip(keys.items(), shown, strict=True):
+        tag = "b" if text == best and len(ahead) < len(shown) else "span"
+        texts.append(f'<{tag} class="{key}" title="{escape(name)}">{text}</{tag}>')
+    first = f'<article class="card each"><h2>{escape(title)}</h2><p>{" ".join(texts)} {unit}</p>'
+    return f"{first}<p>{escape(detail)}</p></article>"
 
 
 def _key(keys: Mapping[str, str], plans: Mapping[str, Plan]) -> str:

@@ -36,6 +36,7 @@ from cmbot.views.drawing import (
     bridge_of,
     drawn_factor,
     focus_of,
+    jobs_of,
     link_poses,
     most_factor,
     reach,
@@ -112,7 +113,7 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
         "return": _return(plan, frames, frame_times(0.0, back, step)) if back > 0 else None,
         "rest": None if back > 0 else _rest(plan, tracking, frames, frame_times(work_end, end, step) - begin),
     }
-    bridge = bridge_of([plan])
+    bridge = bridge_of(plan.scene, jobs_of([plan]), plan.options.safety_margin_m)
     drawn = [*scene_commands(plan), *bridge_commands(bridge)]
     # With all motions it is known how far the arm bends and what is near it.
     bending, bent = bending_of([frames], reach(plan.robot))

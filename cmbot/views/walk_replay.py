@@ -13,7 +13,16 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.installation import model_folder
 from cmbot.planning import robot_of
 from cmbot.robot import ARM_JOINTS, CLIMBING_JOINTS
-from cmbot.views.drawing import focus_on, moving_robot_commands, reach, workpieces
+from cmbot.views.drawing import (
+    bridge_commands,
+    bridge_of,
+    focus_on,
+    link_corners,
+    link_poses,
+    moving_robot_commands,
+    reach,
+    workpieces,
+)
 from cmbot.views.page import STAGE_SCRIPTS, assemble, pack
 from cmbot.views.replay_data import MOST_POSES
 from cmbot.walking import Walk, WalkSamples, walk_samples
@@ -23,8 +32,8 @@ __all__ = ["walk_replay_page"]
 _ONLY = "planned"  # the name of the one motion
 # Places of a foot that are drawn, and how little it moves from one sample to the next where it stays, m.
 _MOST_PLACES, _STAYS = 160, 1e-5
-# Of the camera, rad; and how far links and tool reach beyond the joints, m.
-_AZIMUTH, _ROOM = np.pi / 3, 0.2
+_AZIMUTH = np.pi / 3  # of the camera, rad
+_KNOTS = 25  # of each move that the first view is fitted to
 _BESIDE = 0.5  # of all that moves, within which workpieces are shown, m
 _JOINTS = (*CLIMBING_JOINTS, *ARM_JOINTS)
 
@@ -60,7 +69,14 @@ def _data(walk: Walk) -> dict[str, Any]:
     feet = np.concatenate([part.feet for part in samples])
     robot = robot_of(walk.scene)
     places = poses[..., :3].reshape(-1, 3)
+    motions = [(move.robot, move.segment.trajectory.q) for move in walk.moves]
+    swept = [link_corners(each, link_poses(each, q[:: max(1, len(q) // _KNOTS)])) for each, q in motions]
     beside = workpieces(walk.scene.obstacles, places, _BESIDE)
+    margin = walk.scene.planner.safety_margin_m
+    bridge = bridge_of(walk.scene, motions, margin)
+    drawn = moving_robot_commands(
+        body.visual, body.urdf, walk.scene, [_decimated(feet[:, foot]) for foot in (0, 1)], robot.reach
+    )
     motion = {
         "poses": pack(poses),
         "torque": pack(np.zeros((frames, 3))),
@@ -93,22 +109,16 @@ def _data(walk: Walk) -> dict[str, Any]:
         "return": None,
         "rest": None,
         "floor": None,
-        "margin": walk.scene.planner.safety_margin_m,
+        "margin": margin,
         _ONLY: motion,
         "bending": None,
         "pairs": [],
         "pairJoints": [],
-        "focus": focus_on(np.concatenate([places, *beside]), _AZIMUTH, _ROOM),
+        "focus": focus_on(np.concatenate([places, *swept, *beside]), _AZIMUTH),
         "reach": reach(robot),
+        "around": bool(bridge),
         "commands": [
-            base64.b64encode(command).decode("ascii")
-            for command in moving_robot_commands(
-                body.visual,
-                body.urdf,
-                walk.scene,
-                [_decimated(feet[:, foot]) for foot in (0, 1)],
-                robot.reach,
-            )
+            base64.b64encode(command).decode("ascii") for command in (*drawn, *bridge_commands(bridge))
         ],
     }
 

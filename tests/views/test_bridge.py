@@ -4,11 +4,14 @@ import dataclasses
 
 import numpy as np
 import pytest
+from walks import one_step
 
 from cmbot import Plan
 from cmbot.collision import Clearances
 from cmbot.scene import Box, Obstacle, pose
-from cmbot.views.drawing import bridge, bridge_of
+from cmbot.views.drawing import bridge, bridge_of, jobs_of
+
+MARGIN = 0.02  # m
 
 
 @pytest.fixture(params=["triangle_plan", "line_plan"])
@@ -18,12 +21,16 @@ def plan(request: pytest.FixtureRequest) -> Plan:
     return found
 
 
+def drawn(plan: Plan) -> list[Obstacle]:
+    return bridge_of(plan.scene, jobs_of([plan]), plan.options.safety_margin_m)
+
+
 def kinds(parts: list[Obstacle]) -> set[str]:
     return {part.name.rpartition("_")[0] for part in parts}
 
 
 def test_the_job_keeps_clear_of_all_that_is_drawn(plan: Plan) -> None:
-    parts = bridge_of([plan])
+    parts = drawn(plan)
     assert kinds(parts) >= {
         "web",
         "flange",
@@ -44,15 +51,31 @@ def test_the_job_keeps_clear_of_all_that_is_drawn(plan: Plan) -> None:
     assert distances.min() > 0.5 * plan.options.safety_margin_m
 
 
+def test_a_walk_keeps_clear_of_what_is_drawn() -> None:
+    """With every link of the climber and the arm, on whichever foot it stands."""
+    walk = one_step()
+    motions = [(move.robot, move.segment.trajectory.q) for move in walk.moves]
+    parts = bridge_of(walk.scene, motions, MARGIN)
+    assert kinds(parts) >= {"walkway", "web", "sleeper", "track"}
+    for robot, q in motions:
+        clearances = Clearances(robot, parts)
+        others = [k for k, pair in enumerate(clearances.pairs) if not pair.self_collision]
+        some = q[::7]
+        posture, pair = np.divmod(np.arange(len(some) * len(others)), len(others))
+        assert clearances.distances(some, posture, np.array(others)[pair]).min() > 0.5 * MARGIN
+    # With a larger margin the swinging leg is too near to the walkway's edge.
+    assert "edge_beam" not in kinds(bridge_of(walk.scene, motions, 0.8))
+
+
 def test_nothing_is_drawn_where_an_obstacle_is(plan: Plan) -> None:
     # The scenes have a walkway of their own.
-    assert "walkway" not in kinds(bridge_of([plan]))
+    assert "walkway" not in kinds(drawn(plan))
 
 
 def test_a_bar_holds_what_is_worked_on(plan: Plan) -> None:
     pieces = [each for each in plan.scene.obstacles if each.workpiece]
     assert pieces
-    bars = [part for part in bridge_of([plan]) if part.name.startswith("holder")]
+    bars = [part for part in drawn(plan) if part.name.startswith("holder")]
     # The triangle's three bars touch: they are one bracket.
     assert len(bars) == 1
     bounds = np.array([bridge._bounds(bridge.obstacle_surface(each)) for each in pieces])
@@ -64,7 +87,7 @@ def test_a_bar_holds_what_is_worked_on(plan: Plan) -> None:
 
 
 def test_where_no_straight_bar_is_free_one_ends_beside(triangle_plan: Plan) -> None:
-    (straight,) = (part for part in bridge_of([triangle_plan]) if part.name.startswith("holder"))
+    (straight,) = (part for part in drawn(triangle_plan) if part.name.startswith("holder"))
     x, y, z = straight.X_WO[:3, 3] + 0.4 * straight.shape.size[2] * straight.X_WO[:3, 2]
     # In front of edge beam and girder.
     walls = [
@@ -73,7 +96,7 @@ def test_where_no_straight_bar_is_free_one_ends_beside(triangle_plan: Plan) -> N
     ]
     scene = dataclasses.replace(triangle_plan.scene, obstacles=(*triangle_plan.scene.obstacles, *walls))
     other = dataclasses.replace(triangle_plan, scene=scene)
-    (bar,) = (part for part in bridge_of([other]) if part.name.startswith("holder"))
+    (bar,) = (part for part in drawn(other) if part.name.startswith("holder"))
     ends = bar.X_WO[0, 3] + np.array([-0.5, 0.5]) * bar.shape.size[2] * bar.X_WO[0, 2]
     assert ends[0] == pytest.approx(x)
     assert abs(ends[1] - x) == pytest.approx(0.4)
@@ -81,7 +104,7 @@ def test_where_no_straight_bar_is_free_one_ends_beside(triangle_plan: Plan) -> N
 
 def test_what_the_arm_would_hit_is_left_out(triangle_plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     def webs() -> int:
-        return sum(part.name.startswith("web") for part in bridge_of([triangle_plan]))
+        return sum(part.name.startswith("web") for part in drawn(triangle_plan))
 
     assert webs() == 2
     monkeypatch.setattr(bridge, "_GIRDERS", (0.3, -3.75))
@@ -91,4 +114,4 @@ def test_what_the_arm_would_hit_is_left_out(triangle_plan: Plan, monkeypatch: py
 def test_without_a_guardrail_there_is_no_bridge(triangle_plan: Plan) -> None:
     guardrail = dataclasses.replace(triangle_plan.scene.guardrail, post_positions=())
     scene = dataclasses.replace(triangle_plan.scene, guardrail=guardrail)
-    assert bridge_of([dataclasses.replace(triangle_plan, scene=scene)]) == []
+    assert drawn(dataclasses.replace(triangle_plan, scene=scene)) == []

@@ -43,6 +43,7 @@ def test_the_walk_is_shown(chrome: Chrome, tmp_path: Path) -> None:
     )
     assert texts[:2] == ["step 1 of 1: foot 1 swings", "free"]
     assert texts[2] == f"{100 * part.share[at, 1]:.0f} %"
+    assert chrome.find_element("id", "drawn").text == "pale parts are no obstacles"
     assert severe_messages(chrome) == []
 
 

@@ -8,7 +8,7 @@ out, and so is one in the place of an obstacle.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 
@@ -17,10 +17,12 @@ import numpy as np
 from cmbot.collision import Clearances
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.planning import Plan
-from cmbot.scene import Box, Obstacle, pose
+from cmbot.robot import Robot
+from cmbot.scene import Box, Obstacle, Scene, pose
+from cmbot.views.drawing.camera import link_corners, link_poses
 from cmbot.views.drawing.surfaces import Surface, merged, obstacle_surface
 
-__all__ = ["bridge_of"]
+__all__ = ["bridge_of", "jobs_of"]
 
 # Lengths in m; y and z are those of W, z from the lower side of the walkway, where the posts end.
 _BEYOND = 0.6  # of the last post
@@ -37,32 +39,45 @@ _KNOTS, _POINTS = 25, 24
 _TOUCHING = 1e-3
 
 
-def bridge_of(plans: Sequence[Plan]) -> list[Obstacle]:
-    """Return parts of the bridge behind the guardrail of plans as boxes; none where there is no guardrail.
+def bridge_of(scene: Scene, motions: Iterable[tuple[Robot, FloatArray]], margin: float) -> list[Obstacle]:
+    """Return parts of the bridge behind the guardrail as boxes; none where there is no guardrail.
 
-    The scene is that of the first plan; the arms of all keep clear of the parts.
+    Parameters
+    ----------
+    scene : Scene
+    motions : iterable of (Robot, (N, n) array)
+        Robots with the knots of their motions, rad.
+    margin : float, m
+        Parts to which these come nearer are left out.
     """
-    plan = plans[0]
-    if not plan.scene.guardrail.post_positions:
+    if not scene.guardrail.post_positions:
         return []
-    solids = [_bounds(obstacle_surface(each)) for each in plan.scene.obstacles if not each.workpiece]
+    some = [(robot, q[:: max(1, len(q) // _KNOTS)]) for robot, q in motions]
+    solids = [_bounds(obstacle_surface(each)) for each in scene.obstacles if not each.workpiece]
     taken = np.array(solids).reshape(-1, 1, 2, 3)
-    parts = list(_parts(plan))
+    parts = list(_parts(scene))
     free = ~_overlap(_box_bounds(parts), taken).any(axis=0)
-    shown = _clear(plans, [parts[k] for k in np.flatnonzero(free)])
-    pieces = [obstacle_surface(each) for each in plan.scene.obstacles if each.workpiece]
+    shown = _clear(some, margin, [parts[k] for k in np.flatnonzero(free)])
+    pieces = [obstacle_surface(each) for each in scene.obstacles if each.workpiece]
     for group in _touching(pieces):
         for beside in _BESIDE:
-            holders = _holders(plan, group, beside)
+            holders = _holders(scene, group, beside)
             free = ~_pierced(holders, taken).any(axis=0)
-            if found := _clear(plans, [holders[k] for k in np.flatnonzero(free)]):
+            if found := _clear(some, margin, [holders[k] for k in np.flatnonzero(free)]):
                 shown.append(found[0])
                 break
     return shown
 
 
-def _parts(plan: Plan) -> Iterator[Obstacle]:
-    posts, bottom = plan.scene.guardrail.post_positions, plan.scene.guardrail.post.bottom - 0.02
+def jobs_of(plans: Iterable[Plan]) -> Iterator[tuple[Robot, FloatArray]]:
+    """Yield the motions of whole jobs, for `bridge_of`."""
+    for plan in plans:
+        for segment in plan.job.segments:
+            yield plan.robot, segment.trajectory.q
+
+
+def _parts(scene: Scene) -> Iterator[Obstacle]:
+    posts, bottom = scene.guardrail.post_positions, scene.guardrail.post.bottom - 0.02
     low, high = min(posts) - _BEYOND, max(posts) + _BEYOND
     along, middle = high - low, (low + high) / 2
 
@@ -95,9 +110,9 @@ def _parts(plan: Plan) -> Iterator[Obstacle]:
             z += section[1]
 
 
-def _holders(plan: Plan, group: Sequence[Surface], beside: Sequence[float]) -> list[Obstacle]:
+def _holders(scene: Scene, group: Sequence[Surface], beside: Sequence[float]) -> list[Obstacle]:
     """Return bars that may hold workpieces that touch, the shortest first; ending so far `beside` them, m."""
-    bottom = plan.scene.guardrail.post.bottom - 0.02
+    bottom = scene.guardrail.post.bottom - 0.02
     low, high = _bounds(merged(group))
     x, y = (low[0] + high[0]) / 2, low[1]
     starts = [(x, y, z) for z in (high[2] - _BAR / 2, (low[2] + high[2]) / 2, low[2] + _BAR / 2)]
@@ -118,22 +133,34 @@ def _touching(surfaces: Sequence[Surface]) -> list[list[Surface]]:
     return groups
 
 
-def _clear(plans: Sequence[Plan], parts: Sequence[Obstacle]) -> list[Obstacle]:
-    """Return the parts to which the whole jobs keep the safety margin, as far as their knots tell."""
-    plan = plans[0]
+def _clear(
+    motions: Sequence[tuple[Robot, FloatArray]], margin: float, parts: Sequence[Obstacle]
+) -> list[Obstacle]:
+    """Return the parts to which motions keep the safety margin, m, as far as their knots tell."""
     parts = [replace(part, name=f"{part.name}_{number}") for number, part in enumerate(parts)]
-    base, bounds = plan.robot.base_point, _box_bounds(parts)
-    away = np.linalg.norm(base - np.clip(base, bounds[:, 0], bounds[:, 1]), axis=1)
-    near = [parts[k] for k in np.flatnonzero(away < plan.robot.reach)]
-    clearances = Clearances(plan.robot, near)
-    each = [segment.trajectory.q for one in plans for segment in one.job.segments]
-    q = np.concatenate([knots[:: max(1, len(knots) // _KNOTS)] for knots in each])
-    margin = plan.options.safety_margin_m
+    hit = set[str]()
+    for robot, postures in _by_robot(motions):
+        hit |= _hit(robot, postures, margin, [part for part in parts if part.name not in hit])
+    return [part for part in parts if part.name not in hit]
+
+
+def _by_robot(motions: Sequence[tuple[Robot, FloatArray]]) -> Iterator[tuple[Robot, FloatArray]]:
+    """Yield each robot once, with the postures of all its motions."""
+    robots = {id(robot): robot for robot, _ in motions}
+    for key, robot in robots.items():
+        yield robot, np.concatenate([q for each, q in motions if id(each) == key])
+
+
+def _hit(robot: Robot, q: FloatArray, margin: float, parts: list[Obstacle]) -> set[str]:
+    """Return the names of parts to which a robot comes nearer than the margin, m, in postures `q` (N, n)."""
+    swept = link_corners(robot, link_poses(robot, q))
+    about = np.stack([swept.min(axis=0), swept.max(axis=0)])
+    near = [parts[k] for k in np.flatnonzero(_overlap(_box_bounds(parts), about, margin))]
+    clearances = Clearances(robot, near)
     others = np.array([not pair.self_collision for pair in clearances.pairs], dtype=bool)
     posture, pair = np.nonzero((clearances.lower_bounds(q) < margin) & others)
-    hit = pair[clearances.distances(q, posture, pair) < margin]
-    names = {clearances.pairs[k].other for k in hit}
-    return [part for part in parts if part.name not in names]
+    close = pair[clearances.distances(q, posture, pair) < margin]
+    return {clearances.pairs[k].other for k in close}
 
 
 def _box(name: str, size: Sequence[float], centre: Sequence[float]) -> Obstacle:

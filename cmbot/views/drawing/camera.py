@@ -17,7 +17,7 @@ from cmbot.views.drawing.meshcat_scene import reach, surroundings
 from cmbot.views.drawing.support import pole_of
 from cmbot.views.drawing.surfaces import obstacle_surface
 
-__all__ = ["ARROW", "RISE", "focus_of", "focus_on", "link_poses", "seen", "workpieces"]
+__all__ = ["ARROW", "RISE", "focus_of", "focus_on", "link_corners", "link_poses", "seen", "workpieces"]
 
 ARROW = 0.32  # of the largest torque, as a share of the reach
 RISE = 0.24  # of a camera, upwards in a length of 1 across
@@ -75,16 +75,16 @@ def focus_of(
     beside = _BESIDE * reach(plan.robot)
     points += [*outlines, *workpieces(plan.scene.obstacles, np.concatenate(outlines), beside)]
     poses = [link_poses(robot, q[:: max(1, len(q) // 50)]) for robot, q in motions]
-    points += [_corners(plan.robot, each) for each in (*poses, *bent)]
+    points += [link_corners(plan.robot, each) for each in (*poses, *bent)]
     cloud = np.concatenate(points)
     return focus_on(cloud, *_direction(plan, outlines, cloud, around))
 
 
-def focus_on(cloud: FloatArray, azimuth: float, rise: float = RISE, room: float = 0.0) -> dict[str, Any]:
-    """Return what `focus_of` does for points (K, 3) in W, with `room` about them, m."""
-    low, high = cloud.min(axis=0) - room, cloud.max(axis=0) + room
+def focus_on(cloud: FloatArray, azimuth: float, rise: float = RISE) -> dict[str, Any]:
+    """Return what `focus_of` does for points (K, 3) in W."""
+    low, high = cloud.min(axis=0), cloud.max(axis=0)
     # Those that are outermost along some direction decide what is seen.
-    outermost = cloud[(_DIRECTIONS @ cloud.T).argmax(axis=1)] + room * _DIRECTIONS
+    outermost = cloud[(_DIRECTIONS @ cloud.T).argmax(axis=1)]
     return {
         "centre": ((low + high) / 2).tolist(),
         "radius": max(float(np.linalg.norm(high - low)) / 2, 1e-3),
@@ -179,7 +179,7 @@ def _spread(outline: FloatArray) -> FloatArray:
     return np.stack([np.interp(at, along, column) for column in outline.T], axis=1)
 
 
-def _corners(robot: Robot, poses: FloatArray) -> FloatArray:
+def link_corners(robot: Robot, poses: FloatArray) -> FloatArray:
     """Origins of frames with `poses` (N, n, 7), and corners of boxes about the links' shapes, in W (K, 3)."""
     found = [poses[..., :3].reshape(-1, 3)]
     for shape in robot.collision_model.geometryObjects:

@@ -94,6 +94,10 @@ start((data) => {
 
   player.stage.scrollWithWheel();
 
+  // On a phone the verdicts on compared plans are folded: figures and view come soon.
+  const verdicts = [...document.querySelectorAll("details.verdict")];
+  if (window.matchMedia("(max-width: 640px)").matches) for (const each of verdicts) each.open = false;
+
   // On paper, pictures and plots have fixed sizes, px, whatever the window.
   const STILL = [440, 500], PLOT = 690, SMALL_PLOT = 112;
   window.addEventListener("beforeprint", () => {
@@ -101,6 +105,7 @@ start((data) => {
     const { legTimes, workStart, workEnd } = data;
     const times = legTimes.length > 2 && legTimes.length <= 5 ? legTimes : [workStart, (workStart + workEnd) / 2, workEnd];
     player.pause();
+    for (const each of verdicts) each.open = true;
     for (const chart of charts) chart.draw(chart.small ? SMALL_PLOT : PLOT);
     const giveBack = player.stage.borrowSize(...STILL);
     stills.replaceChildren(...times.map((time) => {
