@@ -75,15 +75,15 @@ def test_memory_is_bounded_for_each_task_alone(monkeypatch: pytest.MonkeyPatch) 
     assert run_in_child(each).value == [process, limit]
 
 
-def listening() -> set[str]:
-    """Addresses on which this process and those that it started listen."""
+def listening() -> set[tuple[int, str, int]]:
+    """Where this process and those that it started listen: process, address and port."""
     psutil = importlib.import_module("psutil")
-    own, found = psutil.Process(), set[str]()
+    own, found = psutil.Process(), set[tuple[int, str, int]]()
     for each in (own, *own.children(recursive=True)):
         # A task's process may have ended by now.
         with suppress(psutil.NoSuchProcess):
             sockets = each.net_connections("inet")
-            found |= {one.laddr.ip for one in sockets if one.status == psutil.CONN_LISTEN}
+            found |= {(each.pid, *one.laddr) for one in sockets if one.status == psutil.CONN_LISTEN}
     return found
 
 
@@ -91,10 +91,12 @@ def test_tasks_on_dask_are_resumed(tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     # Starting it takes seconds, so once for all.
     tasks, seen, addresses = (*TASKS[:4], task("end_worker")), list[TaskResult](), set[str]()
+    # A browser of other tests may listen, too.
+    before = listening()
 
     def note(result: TaskResult) -> None:
         seen.append(result)
-        addresses.update(listening())
+        addresses.update(address for _, address, _ in listening() - before)
 
     first = run_tasks(tasks, tmp_path / "new", attempts=2, report=note)
     assert addresses == {"127.0.0.1"}

@@ -27,6 +27,8 @@ ARGUMENTS = (
     "--host-resolver-rules=MAP * ~NOTFOUND",
     "--window-size=720,560",
 )
+# Only so that nothing waits for ever, s: a frame may take seconds where many processes draw on few cores.
+_PATIENCE = 300
 
 
 def programs(*names: str) -> list[str]:
@@ -53,6 +55,7 @@ def chromium(folder: Path) -> Iterator[webdriver.Chrome]:
         options.add_argument(argument)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     chrome = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
+    chrome.set_script_timeout(_PATIENCE)
     try:
         chrome.get("about:blank")  # its own first page asks for things of its own
         yield chrome

@@ -36,7 +36,9 @@ def ran(
         cells = nbformat.read(path, as_version=4).cells
         whole.cells += [cell for cell in cells if cell.cell_type == "code"]
         ends.append(len(whole.cells))
-    NotebookClient(whole, timeout=300, resources={"metadata": {"path": str(folder.parent)}}).execute()
+    NotebookClient(
+        whole, timeout=300, startup_timeout=300, resources={"metadata": {"path": str(folder.parent)}}
+    ).execute()
     shown = [
         {kind: text for output in cell.outputs for kind, text in output.get("data", {}).items()}
         | {"stdout": "".join(output.get("text", "") for output in cell.outputs)}

@@ -124,17 +124,17 @@ def test_the_server_serves_this_computer_alone(triangle_plan: Plan, text: str) -
     server = replay(triangle_plan, serve=True)
     with server:
         assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", server.url)
-        with urllib.request.urlopen(server.url, timeout=10) as answer:
+        with urllib.request.urlopen(server.url, timeout=60) as answer:
             assert answer.headers["Content-Type"] == "text/html; charset=utf-8"
             assert answer.read().decode() == text
         # Every address 127.x.y.z is this computer: a server on all interfaces would answer here.
         with pytest.raises(ConnectionRefusedError):
-            socket.create_connection(("127.0.0.2", server.port), timeout=10)
+            socket.create_connection(("127.0.0.2", server.port), timeout=60)
         assert server.wait(timeout=0) is False
         server.close()
     assert server.wait() is True
     with pytest.raises(ConnectionRefusedError):
-        socket.create_connection(("127.0.0.1", server.port), timeout=10)
+        socket.create_connection(("127.0.0.1", server.port), timeout=60)
 
 
 def test_the_server_refuses_other_paths_hosts_and_ports() -> None:
@@ -142,7 +142,7 @@ def test_the_server_refuses_other_paths_hosts_and_ports() -> None:
         for url, host, status in ((f"{server.url}x", "localhost", 404), (server.url, "evil.example", 421)):
             request = urllib.request.Request(url, headers={"Host": host})
             with pytest.raises(urllib.error.HTTPError) as caught:
-                urllib.request.urlopen(request, timeout=10)
+                urllib.request.urlopen(request, timeout=60)
             caught.value.close()
             assert caught.value.code == status
         for port in (server.port, 70_000, -1):
