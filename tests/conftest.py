@@ -27,6 +27,7 @@ from cmbot.planning.selfmotion import sampler
 from cmbot.robot import Dynamics, Kinematics, Robot, load_robot
 from cmbot.scene import PlannerOptions, load_scene
 from cmbot.simulation import SimulationOptions, Tracking, simulate
+from cmbot.siting import charting
 
 pytest_plugins = ["plan_folders"]
 
@@ -48,12 +49,15 @@ providers.is_local_module_file = lambda path: False  # type: ignore[attr-defined
 def _without_the_default_time_limit() -> Iterator[None]:
     """On a slow machine too, plans are what they are: only limits that a test gives count."""
 
-    def reporter(progress: Callable[[Progress], None] | None, limit: float) -> ProgressReporter:
+    def reporter(
+        progress: Callable[[Progress], None] | None = None, limit: float = math.inf
+    ) -> ProgressReporter:
         given = limit != PlannerOptions.time_limit_s
         return ProgressReporter(progress, limit=limit if given else math.inf)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(planner, "ProgressReporter", reporter)
+        for module in (planner, charting):
+            patch.setattr(module, "ProgressReporter", reporter)
         yield
 
 

@@ -131,16 +131,6 @@ class ProgressReporter:
         """Whether the time is over, and so is a share `more` of it."""
         return self._clock() >= self._began + (1.0 + more) * self._limit
 
-    def part_expired(self, share: float, more: float) -> Callable[[], bool]:
-        """Return what says whether that share of the time left now is over.
-
-        No sooner than after a share `more` of all the time, unless that is over by so much before.
-        """
-        now, limit = self._clock(), self._limit
-        late = min(now + more * limit, self._began + (1.0 + more) * limit)
-        end = max(now + share * self.time_left, late)
-        return lambda: self._clock() >= end
-
     @property
     def limit(self) -> float:
         """How long planning, or of several strokes the present one, may take, s."""

@@ -59,8 +59,8 @@ def bounded_quickly(scene: Scene) -> float:
     return max(quick_bound(context, _VIA_POINTS) for context in _strokes(scene))
 
 
-def chart(scene: Scene, limit: float) -> Charted:
-    """Chart the strokes of a scene, each for `limit` s at most.
+def chart(scene: Scene) -> Charted:
+    """Chart the strokes of a scene, each within the scene's time limit.
 
     Raises
     ------
@@ -69,7 +69,8 @@ def chart(scene: Scene, limit: float) -> Charted:
     """
     found = list[Charted]()
     for context in _strokes(scene):
-        search, solution = searched(replace(context, reporter=ProgressReporter(limit=limit)))
+        reporter = ProgressReporter(limit=scene.planner.time_limit_s)
+        search, solution = searched(replace(context, reporter=reporter))
         if isinstance(solution, PathNotFound):
             raise solution
         bound = min(search.followed_bound(), solution.peak)

@@ -20,8 +20,6 @@ from cmbot.siting.screening import Screening
 
 __all__ = ["StandOptions", "Stood", "judged"]
 
-# Seconds for a plan and for the charts of a stroke.
-_PLAN_SECONDS, _CHART_SECONDS = 20.0, 10.0
 # Bases nearer, m, to one that could not be planned or charted are tried last.
 _NEAR = {"plan": 0.3, "charts": 0.12}
 # Attempts to plan: so many times the number of plans wanted and one more.
@@ -172,9 +170,7 @@ class _Search:
         suits: Callable[[Candidate], str | None],
     ) -> None:
         self._suits = suits
-        # Planning a stance that fails takes long, most often up to the time limit.
-        limit = min(scene.planner.time_limit_s, _PLAN_SECONDS)
-        self._scene = replace(scene, planner=replace(scene.planner, time_limit_s=limit))
+        self._scene = scene
         self.each, self._options = each, options
         self._begins, self._failures = dict[int, FloatArray](), list[tuple[FloatArray, float]]()
         self._waiting = [(one.bound, k) for k, one in enumerate(each) if one.status == "screened"]
@@ -245,7 +241,7 @@ class _Search:
     def _chart(self, k: int) -> None:
         self._charts += 1
         try:
-            charted = chart(scene_at(self._scene, self.each[k].candidate, None), _CHART_SECONDS)
+            charted = chart(scene_at(self._scene, self.each[k].candidate, None))
         except CmbotError as error:
             self._reject(k, "blocked", "charts", str(error))
             return

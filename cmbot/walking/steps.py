@@ -16,7 +16,6 @@ from cmbot.planning import (
     FreeMove,
     FreeSpace,
     PlanningContext,
-    ProgressReporter,
     Segment,
     ToolTask,
     build_context,
@@ -45,8 +44,6 @@ __all__ = [
 _ON_THE_WAY = 9
 # Samples of a move at which the speed of the foot is found, and by how much it is then slowed further.
 _SAMPLES, _ROUNDING = 400, 1 + 1e-6
-# Seconds that the search for a swing, and for a way of the arm, may take.
-_SWING_SECONDS, _ARM_SECONDS = 6.0, 20.0
 _EVERYTHING = 1e12
 Kind = Literal["arm", "lift", "swing", "set"]
 """Of a move."""
@@ -136,7 +133,6 @@ def arm_move(scene: Scene, node: Candidate, way: FloatArray) -> Move | None:
         return space.shorten(way) if free and len(way) > 2 else None
 
     context = build_context(scene_at(scene, node, start), scene.planner)
-    context = replace(context, reporter=ProgressReporter(limit=_ARM_SECONDS))
     segment = plan_move(context, _named("arm", start, end, "the counterweight's posture"), given)
     holds: tuple[Side, ...] = (1,) if node.stance.foot_2 is None else (1, 2)
     return Move(kind="arm", robot=context.robot.tool_off, holds=holds, node=node, arm=start, segment=segment)
@@ -192,7 +188,6 @@ def plan_step(
         parts.append(("set", near, down[:, ::turn]))
     moves = list[Move]()
     for kind, context, path in parts:
-        context = replace(context, reporter=ProgressReporter(limit=_SWING_SECONDS))
         move = _named(kind, path[0], path[-1], _ENDS[kind])
         segment = plan_move(context, move, partial(_given, None if kind == "swing" else path))
         slow = _slowed(context, segment, speed)

@@ -200,16 +200,10 @@ def test_what_is_sought_beside_has_the_time_left_or_less() -> None:
 
 
 @pytest.mark.parametrize(
-    ("begun", "ends"),
-    # 40 % of what is left; 20 % of the limit where that is more, as long as less than that is over.
-    [(0.0, 24.0), (30.0, 42.0), (50.0, 62.0), (59.0, 71.0), (65.0, 72.0), (80.0, 80.0)],
+    ("used", "more", "over"), [(59, 0, False), (60, 0, True), (71, 0.2, False), (72, 0.2, True)]
 )
-def test_part_of_the_time_left(begun: float, ends: float) -> None:
+def test_what_is_a_must_may_exceed_the_limit(used: float, more: float, over: bool) -> None:
     clock = Listener()
     reporter = ProgressReporter(clock=lambda: clock.now, limit=60.0)
-    clock.now += begun
-    over = reporter.part_expired(0.4, 0.2)
-    clock.now = 100.0 + ends - 1e-6
-    assert not over()
-    clock.now = 100.0 + ends
-    assert over()
+    clock.now += used
+    assert reporter.expired(more) is over

@@ -30,18 +30,18 @@ def scene() -> Scene:
 
 
 def test_what_charts_say_is_what_denser_charts_find(scene: Scene) -> None:
-    quickly, charted = bounded_quickly(scene), chart(scene, 60.0)
+    quickly, charted = bounded_quickly(scene), chart(scene)
     assert 180 < charted.bound <= charted.expected
     assert quickly == pytest.approx(charted.bound, rel=0.02)
     dense = replace(scene, planner=replace(scene.planner, chart_spacing=0.1, step_share=1.0))
-    assert max(quickly, charted.bound) <= chart(dense, 60.0).expected <= 1.05 * charted.expected
+    assert max(quickly, charted.bound) <= chart(dense).expected <= 1.05 * charted.expected
 
 
 def test_a_stance_in_the_way_of_something_has_none(scene: Scene) -> None:
     wall = {"name": "wall", "box": [3.0, 0.05, 1.0], "xyz": [2.0, 0.2, -1.9]}
     data = scene.file.as_data()
     walled = cmbot.load_scene({**data, "obstacles": [*data["obstacles"], wall]})
-    for charted in (bounded_quickly, lambda walled: chart(walled, 60.0)):
+    for charted in (bounded_quickly, lambda walled: chart(walled)):
         with pytest.raises(PathNotFound, match="wall"):
             charted(walled)
 

@@ -3,7 +3,7 @@
 import csv
 import json
 import re
-from itertools import pairwise
+from itertools import count, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +11,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from small_scenes import short_scene
-from walks import ARM_DEG, CLAMP, feet, one_step
+from walks import ARM_DEG, CLAMP, COUNTERWEIGHT_DEG, feet, one_step
 from walks import scene_on_two_feet as scene_at
 
 import cmbot
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PlanningError, SceneError
+from cmbot.planning import FreeSpace, ProgressReporter
 from cmbot.robot import Climber, Kinematics, load_climbing_robot
 from cmbot.scene import FootholdFile, Scene, StanceFile
 from cmbot.siting import Candidate, in_the_way, places_of
@@ -33,7 +35,7 @@ from cmbot.walking import (
 )
 from cmbot.walking.balance import Balance
 from cmbot.walking.route import Edge, Route, nodes_between
-from cmbot.walking.steps import swinging_robot
+from cmbot.walking.steps import plan_step, swinging_robot
 from cmbot.walking.walk import _cause, _Search
 
 
@@ -55,6 +57,28 @@ def node(scene: Scene) -> Candidate:
 @pytest.fixture(scope="module")
 def walked() -> Walk:
     return one_step()
+
+
+def test_a_step_is_the_same_on_a_slow_machine(walked: Walk, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On one whose every look at the clock takes an hour, while trees seek the way."""
+    (step,), straight = walked.steps, FreeSpace.straight
+    (whole,) = (move.segment.trajectory.q[[0, -1]] for move in step.moves if move.kind == "swing")
+
+    def but_the_whole(space: FreeSpace, start: FloatArray, end: FloatArray) -> bool:
+        return not np.allclose([start, end], whole) and straight(space, start, end)
+
+    def planned() -> list[FloatArray]:
+        arm = np.radians(COUNTERWEIGHT_DEG)
+        moves = plan_step(walked.scene, step.before, step.after, step.foot, arm, walked.speed)
+        return [move.segment.trajectory.q for move in moves]
+
+    monkeypatch.setattr(FreeSpace, "straight", but_the_whole)
+    quick = planned()
+    hours = (3600.0 * k for k in count())
+    monkeypatch.setattr(ProgressReporter.__init__, "__defaults__", (None, hours.__next__, np.inf))
+    for one, other in zip(quick, planned(), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert next(hours) > 3600.0
 
 
 def test_on_foot_2_it_is_the_same_robot() -> None:

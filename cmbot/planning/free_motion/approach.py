@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 from scipy import sparse
@@ -11,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.planning.context import PlanningContext
-from cmbot.planning.free_motion.free_move import FreeMove, free_space, plan_move
+from cmbot.planning.free_motion.free_move import MORE_TIME, FreeMove, free_space, plan_move
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.graph import graph_of, path_between_ends
 from cmbot.planning.free_motion.rrt_connect import MOST_GROWTHS, rrt_connect
@@ -19,9 +20,8 @@ from cmbot.planning.job import Segment, free_move_name
 
 __all__ = ["joined_starts", "plan_approach", "reachable"]
 
-# Postures to which trees grow at once at most; share of the time left that this may take, and of the limit
-# that it has in any case.
-_MOST_GOALS, _TIME_SHARE, _MORE_TIME = 40, 0.4, 0.2
+# Postures to which trees grow at once at most.
+_MOST_GOALS = 40
 # Growths of trees at most that seek the way to a better start. Of 12 ways in random scenes one took more than
 # half of that, and asked more than the work.
 _FEW_GROWTHS = 1500
@@ -114,7 +114,7 @@ def joined_starts(context: PlanningContext, chart: FloatArray) -> Iterator[tuple
     largest = np.argsort(-np.bincount(part, minlength=number), kind="stable")[:_MOST_GOALS]
     cost = space.cost(nodes)
     goals = [min(np.flatnonzero(part == k), key=lambda at: float(cost[at])) for k in largest]
-    stop = context.reporter.part_expired(_TIME_SHARE, _MORE_TIME)
+    stop = partial(context.reporter.expired, MORE_TIME)
     while goals and not stop():
         path = rrt_connect(space, context.posture, nodes[goals], stop)
         if path is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -23,13 +24,12 @@ from cmbot.robot import Dynamics, Robot
 from cmbot.scene import PlannerOptions, SpeedProfile
 from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
-__all__ = ["FreeMove", "certify_move", "free_space", "largest_objective", "plan_move"]
+__all__ = ["MORE_TIME", "FreeMove", "certify_move", "free_space", "largest_objective", "plan_move"]
 
 # Distance of the spline's knots along the path, rad; halved while the spline's certificate does not hold.
 _KNOT_SPACING, _HALVINGS = 0.4, 4
-# Share of the time left that the search for a free move may take, as without an approach there are other
-# starts, and share of the time limit that it has in any case: no plan is complete without its free moves.
-_TIME_SHARE, _MORE_TIME = 0.4, 0.2
+# Share of the time limit by which the search for a free move may exceed it: no plan is complete without them.
+MORE_TIME = 0.2
 # Share of the limits that a free move may use.
 _LIMIT_SHARE = 0.95
 # Postures of the straight line that are looked at where nothing leads to the other end.
@@ -104,7 +104,7 @@ def plan_move(
     ends = np.stack([move.start, move.end])
     allowed = (1 + _SAME) * max(move.allowed, *space.cost(ends))
     given = first(space)
-    stop = context.reporter.part_expired(_TIME_SHARE, _MORE_TIME)
+    stop = partial(context.reporter.expired, MORE_TIME)
     path = _path(space, ends, given, known, allowed, stop, move.most_growths)
     if path is None:
         raise _unconnected(context, space, move)

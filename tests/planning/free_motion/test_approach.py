@@ -1,7 +1,7 @@
 """The approach: certified motions to a better start, along the self-motion or around it."""
 
 from dataclasses import replace
-from itertools import pairwise
+from itertools import chain, pairwise, repeat
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from small_scenes import context_of, parts, short_scene
 
 from cmbot.collision import Clearances
 from cmbot.common.errors import PathNotFound
-from cmbot.planning import Plan, certify_move, plan
+from cmbot.planning import Plan, Segment, certify_move, plan
 from cmbot.planning.free_motion import free_move
 from cmbot.planning.free_motion.approach import joined_starts, plan_approach
 from cmbot.planning.free_motion.free_space import FreeSpace
@@ -135,6 +135,18 @@ def test_what_is_in_the_way_of_an_approach_is_named(triangle_plan: Plan) -> None
     with pytest.raises(PathNotFound, match=expected) as caught:
         plan_approach(context, triangle_plan.start.posture, context.posture[None])
     assert caught.value.pair is not None
+
+
+def test_before_the_limit_the_time_does_not_matter(triangle_plan: Plan) -> None:
+    """Trees have to seek the way."""
+    found = list[Segment]()
+    for later in (0.0, 59.0):
+        # Nothing is over when the reporter is made and the search begins.
+        clock = chain([0.0] * 6, repeat(later)).__next__
+        context = replace(context_of(triangle_plan.scene), reporter=ProgressReporter(clock=clock, limit=60.0))
+        found.append(plan_approach(context, triangle_plan.start.posture, context.posture[None]))
+    one, other = (each.trajectory for each in found)
+    np.testing.assert_array_equal(one.q, other.q)
 
 
 def test_connected_postures_are_joined_by_free_lines(triangle_plan: Plan, rng: np.random.Generator) -> None:
