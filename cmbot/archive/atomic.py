@@ -72,7 +72,9 @@ def exclusive(target: Path, attempts: int = _ATTEMPTS) -> Iterator[Path]:
     with ExitStack() as cleanup:
         with refusals(target):
             cleanup.callback(_remove_empty, [parent for parent in target.parents if not parent.exists()])
-            cleanup.callback(_unlock, work, _lock(work, target, attempts))
+            lock = _Lock(work)
+            cleanup.callback(lock.release)
+            lock.acquire(target, attempts)
         cleanup.callback(_held.reset, _held.set(_held.get() | {target}))
         if put_back := _settle(work, target):
             text = f"{target}: a call was interrupted when it wrote there; put back: {', '.join(put_back)}"
@@ -161,37 +163,55 @@ def _work_folder(target: Path) -> Path:
 # The lock
 
 
-def _lock(work: Path, target: Path, attempts: int) -> int:
-    """Make the work folder and lock it; return the lock's file descriptor."""
-    for attempt in range(attempts):
-        time.sleep(_PAUSE if attempt else 0.0)
-        with ExitStack() as cleanup:
+class _Lock:
+    """A work folder and the lock in it.
+
+    `release` undoes what `acquire` has done so far, also where a signal has interrupted it.
+    """
+
+    def __init__(self, work: Path) -> None:
+        self._work, self._descriptor = work, -1
+
+    def acquire(self, target: Path, attempts: int) -> None:
+        """Make the folder and lock it, for what is done to a target."""
+        for attempt in range(attempts):
+            time.sleep(_PAUSE if attempt else 0.0)
             try:
-                work.mkdir(parents=True, exist_ok=True)
-                descriptor = os.open(work / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)
-                cleanup.callback(os.close, descriptor)
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                if not os.path.samestat(os.fstat(descriptor), (work / _LOCK).stat()):
-                    continue
-            except BlockingIOError:
-                continue
+                self._work.mkdir(parents=True, exist_ok=True)
+                if self._take(os.O_CREAT):
+                    return
             except (FileNotFoundError, FileExistsError):
                 # The call that had the lock removes it at this moment; or, as in /proc, nothing can be made.
                 if attempt + 1 < attempts:
                     continue
                 got, expected = "a place where no file can be made", "a place that can be written to"
                 raise ArchiveError(str(target), "", got, expected) from None
-            cleanup.pop_all()
-            return descriptor
-    expected = "one process at a time: wait until it has finished, or take another place"
-    raise ArchiveError(str(target), "", "a place where another process is writing", expected)
+        expected = "one process at a time: wait until it has finished, or take another place"
+        raise ArchiveError(str(target), "", "a place where another process is writing", expected)
 
+    def release(self) -> None:
+        """Remove lock and folder, unless another call has them."""
+        with suppress(OSError):  # there is none
+            if self._descriptor >= 0 or self._take():
+                (self._work / _LOCK).unlink()
+        with suppress(OSError):  # not empty: another call has it, or has taken it between the two
+            self._work.rmdir()
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
 
-def _unlock(work: Path, descriptor: int) -> None:
-    with suppress(OSError):  # not empty: another call has taken it between the two
-        (work / _LOCK).unlink()
-        work.rmdir()
-    os.close(descriptor)
+    def _take(self, flags: int = 0) -> bool:
+        """Lock the file; return False where another call has it."""
+        descriptor = os.open(self._work / _LOCK, os.O_RDWR | flags, 0o666)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if os.path.samestat(os.fstat(descriptor), (self._work / _LOCK).stat()):
+                self._descriptor = descriptor
+        except BlockingIOError:
+            pass
+        finally:
+            if self._descriptor != descriptor:
+                os.close(descriptor)
+        return self._descriptor >= 0
 
 
 def _remove_empty(folders: Sequence[Path]) -> None:

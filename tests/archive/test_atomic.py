@@ -9,8 +9,9 @@ import signal
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from itertools import count
 from pathlib import Path
-from types import SimpleNamespace
+from types import FrameType, SimpleNamespace
 
 import pytest
 from command_line import ROOT, environment
@@ -142,6 +143,42 @@ def test_a_lock_that_vanishes_again_and_again_is_given_up(
     monkeypatch.setattr(os.path, "samestat", lambda one, other: False)
     with pytest.raises(ArchiveError, match="another process is writing"), claim(plan):
         pass
+
+
+class Interruption:
+    """Raises KeyboardInterrupt before a line of taking a lock, counted from 1; `done` says whether it did."""
+
+    def __init__(self, line: int) -> None:
+        self.left, self.done = line, False
+
+    def __call__(self, frame: FrameType, event: str, _: object) -> Interruption | None:
+        if frame.f_code.co_filename != atomic.__file__ or frame.f_code.co_name not in ("acquire", "_take"):
+            return None
+        if event == "line" and not self.done:
+            self.left -= 1
+            if self.left == 0:
+                self.done = True
+                raise KeyboardInterrupt
+        return self
+
+
+def test_a_lock_that_is_interrupted_leaves_nothing(tmp_path: Path) -> None:
+    """Wherever the signal comes: the folder may have been made by then, and the lock."""
+    before = sys.gettrace()
+    for line in count(1):
+        interruption = Interruption(line)
+        try:
+            sys.settrace(interruption)
+            with claim(tmp_path / "folder" / "plan"):
+                sys.settrace(before)
+        except KeyboardInterrupt:
+            pass
+        finally:
+            sys.settrace(before)
+        assert not list(tmp_path.iterdir()), line
+        if not interruption.done:
+            break
+    assert line > 8
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="no /proc")
