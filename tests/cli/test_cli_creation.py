@@ -11,7 +11,6 @@ from rail_arms import rail_urdf
 from urdf_arms import ROBOTS, only_collision
 
 import cmbot
-from cmbot.cli.creation import _schema
 from cmbot.collision import Clearances
 from cmbot.common.installation import scene_folder
 from cmbot.planning import robot_of
@@ -130,12 +129,22 @@ def test_a_scene_of_an_arm_on_a_rail(here: Path) -> None:
     assert "degrees" not in output("check", "a/rail.yaml")
 
 
-def test_the_schema_is_named_so_that_a_scene_can_be_moved_with_it(here: Path) -> None:
+def test_the_schema_is_named_so_that_a_scene_can_be_moved_with_it(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def schema_of(name: str) -> str:
+        output("new", "--from", "cmbot", "--tool-at", "1.8", "0.8", "-1.5", "-o", name, "--force")
+        first = (here / name).read_text(encoding="utf-8").splitlines()[0]
+        return first.partition("$schema=")[2]
+
     schema = scene_folder().resolve() / "scene.schema.json"
-    assert _schema(here / "own.yaml") == str(schema)
-    assert _schema(schema.parents[1] / "of_ours" / "own.yaml") == "../scenes/scene.schema.json"
+    assert schema_of("own.yaml") == str(schema)
     (here / schema.name).write_bytes(schema.read_bytes())
-    assert _schema(here / "own.yaml") == schema.name
+    assert schema_of("own.yaml") == schema.name
+    # In a checkout of its own.
+    monkeypatch.setattr("cmbot.cli.creation.scene_folder", lambda: here / "scenes")
+    (here / "of_ours").mkdir()
+    assert schema_of("of_ours/own.yaml") == "../scenes/scene.schema.json"
 
 
 def test_a_scene_of_the_shipped_robot(here: Path) -> None:
