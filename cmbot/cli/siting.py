@@ -134,7 +134,7 @@ def stand(
     )
     with scenes_named(*scenes), ConsoleProgress(quiet=quiet) as progress:
         standings = find(loaded, options, progress.stage)
-    contents = _contents(standings)
+    contents = _contents(standings, name)
     write_files(directory, contents, force=force)
     _remove_earlier(directory, contents.keys())
     if as_json:
@@ -154,8 +154,9 @@ def _print_standings(standings: Sequence[Standing]) -> None:
 
 
 def _print_written(directory: Path, started: float) -> None:
-    """Print where the results are, and the seconds since the command began."""
+    """Print where the results and their page are, and the seconds since the command began."""
     out.print(f"Written to {flat(directory)} in {time.perf_counter() - started:.1f} s.")
+    out.print(f"Look at it: open {flat(directory / 'index.html')} in a browser.")
 
 
 def _print_standing(standing: Standing, title: str) -> None:
@@ -273,7 +274,6 @@ def tour(
         for line in found.in_words():
             out.print(flat(line))
         _print_written(directory, started)
-        out.print(f"Look at it: open {flat(directory / 'index.html')} in a browser.")
 
 
 def _walk_contents(walked: Walk) -> dict[str, bytes]:
@@ -293,16 +293,17 @@ def _known(objective: str) -> Literal["torque", "hold"]:
     raise InputError("cmbot stand", "--objective", objective, "a known value", ("torque", "hold"))
 
 
-def _contents(standings: Sequence[Standing]) -> dict[str, bytes]:
+def _contents(standings: Sequence[Standing], name: str) -> dict[str, bytes]:
     from cmbot.common.yaml_reader import yaml_text
     from cmbot.siting import best_scene, stances_csv
     from cmbot.views import stances_page
 
-    contents = dict(zip(_FILES, (stances_csv(standings), stances_page(standings)), strict=True))
+    texts = (stances_csv(standings), stances_page(standings, name))
+    contents = dict(zip(_FILES, texts, strict=True))
     for number, each in enumerate(standings, start=1):
-        name = "best.yaml" if len(standings) == 1 else f"best_{number}.yaml"
-        contents[name] = f"{_MARK}# Metres, seconds, degrees.\n{yaml_text(best_scene(each))}"
-    return {name: text.encode() for name, text in contents.items()}
+        file = "best.yaml" if len(standings) == 1 else f"best_{number}.yaml"
+        contents[file] = f"{_MARK}# Metres, seconds, degrees.\n{yaml_text(best_scene(each))}"
+    return {file: text.encode() for file, text in contents.items()}
 
 
 def _summary(standings: Sequence[Standing]) -> dict[str, Any]:

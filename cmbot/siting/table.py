@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from cmbot.common.validation import counted
+from cmbot.planning import Plan
 from cmbot.siting.search import Stood
 from cmbot.siting.standing import Standing
 
@@ -61,17 +62,22 @@ _LEFT_OUT_BY = {
 
 
 def in_words(standing: Standing) -> Iterator[str]:
-    """Yield what was found, a sentence or two each."""
-    ranked, unit = standing.ranked, standing.unit
+    """Yield what was found, a sentence or two each, the best stance first."""
+    ranked, best = standing.ranked, standing.best
+    if best is None or best.plan is None:
+        yield "No stance was planned: the scene has the most promising one by its bound; it may be blocked."
+    else:
+        yield from _best_in_words(standing, best, best.plan)
     ended = {status: standing.count(status) for status in _ENDED}
     yield f"{len(ranked)} stances: {_counted(ended, _ENDED)}."
     judged = {name: sum(each.judged == name for each in ranked) for name in _JUDGED}
     yield f"Judged by {_counted(judged, _JUDGED)}."
-    best = standing.best
-    if best is None or best.plan is None:
-        yield "No stance was planned: the scene has the most promising one by its bound; it may be blocked."
-        return
-    peak, figures = best.plan.objective.planned_peak, best.plan.figures
+
+
+def _best_in_words(standing: Standing, best: Stood, plan: Plan) -> Iterator[str]:
+    """What the best stance asks, and how much better another one may be."""
+    ranked, unit = standing.ranked, standing.unit
+    peak, figures = plan.objective.planned_peak, plan.figures
     needed = figures.adhesion_needed
     also = "" if needed is None else f", adhesion needed {needed.peak / 1e3:.2f} kN ({needed.mode})"
     yield (

@@ -22,6 +22,7 @@ from cmbot.planning import (
     Samples,
     Segment,
     figures,
+    job_metrics,
     measure,
 )
 from cmbot.robot import Kinematics, Robot
@@ -106,9 +107,9 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
         "margin": plan.options.safety_margin_m,
         "links": link_names(plan.robot),
         "approach": _approach(plan, frames, start, step) if start < begin else None,
-        "planned": frames.motion(plan.samples, plan.figures, times, planned, _on(plan.job.segments)),
+        "planned": frames.motion(plan.samples, plan.work.figures, times, planned, _on(plan.job.segments)),
         "baseline": frames.motion(
-            plan.baseline, plan.baseline_figures, times, baseline, _on(plan.baseline_segments)
+            plan.baseline, _baseline_at_work(plan), times, baseline, _on(plan.baseline_segments)
         ),
         "return": _return(plan, frames, frame_times(0.0, back, step)) if back > 0 else None,
         "rest": None if back > 0 else _rest(plan, tracking, frames, frame_times(work_end, end, step) - begin),
@@ -379,6 +380,12 @@ def _rest(plan: Plan, tracking: Tracking | None, frames: Frames, times: FloatArr
         "planned": frames.motion(plan.samples, plan.figures, times, tracking.planned, _ALWAYS),
         "baseline": frames.motion(plan.baseline, plan.baseline_figures, times, tracking.baseline, _ALWAYS),
     }
+
+
+def _baseline_at_work(plan: Plan) -> MotionMetrics:
+    """Return the baseline's figures from its first stroke to its last one, with free moves between them."""
+    strokes = [k for k, segment in enumerate(plan.baseline_segments) if segment.kind == "stroke"]
+    return job_metrics(plan.baseline_segments[strokes[0] : strokes[-1] + 1])
 
 
 def _on(segments: Sequence[Segment | BaselineSegment]) -> list[tuple[float, float]]:

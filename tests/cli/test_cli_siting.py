@@ -78,6 +78,8 @@ def test_jobs_that_no_stance_reaches_are_done_from_two(both: tuple[Path, Outcome
     rows = [*csv.DictReader((folder / "out" / "stances.csv").read_text().splitlines())]
     assert {(row["group"], row["strokes"]) for row in rows} == {("1", "left"), ("2", "right")}
     page = (folder / "out" / "index.html").read_text()
+    assert "<h1>Where to stand: left_right</h1>" in page
+    assert f"Look at it: open {folder / 'out' / 'index.html'}" in outcome.out
     assert "<h2>Stance 1: left</h2>" in page
     assert page.count("<svg") == 4  # each on the guardrail, and among the others
 

@@ -33,6 +33,7 @@ from cmbot.siting import (
 from cmbot.siting.arm import BaseArm, _Goals
 from cmbot.siting.candidates import climber_in_the_way
 from cmbot.views import stances_page
+from cmbot.views.overview.stances import _apart
 
 COARSE = StandOptions(spacing=0.7, pair_spacing=np.inf, plans=1)
 
@@ -178,7 +179,9 @@ def test_the_best_stance_needs_less_than_the_scenes(scene: Scene, standing: Stan
     np.testing.assert_allclose(best.samples.tool_point[0], usual.samples.tool_point[0], atol=1e-6)
     loaded = cmbot.load_scene(best_scene(standing))
     assert loaded.robot.stance == best.scene.robot.stance
-    assert sum("may be better" in line for line in in_words(standing)) == 1
+    said = list(in_words(standing))
+    assert said[0].startswith(f"Best of those planned: {standing.best.place}, ")
+    assert sum("may be better" in line for line in said) == 1
 
 
 def test_none_that_was_not_planned_may_be_much_better(standing: Standing) -> None:
@@ -192,7 +195,7 @@ def test_stances_that_load_the_guardrail_too_much_are_left_out(scene: Scene) -> 
     heavy = [each for each in standing.ranked if each.status == "too much torque"]
     assert len(heavy) == 1
     assert "Nm on the guardrail in its best postures, 1 Nm are allowed" in heavy[0].reason
-    assert ", 1 that load the guardrail" in next(in_words(standing))
+    assert sum(", 1 that load the guardrail" in line for line in in_words(standing)) == 1
     assert standing.count("failed") == 0
     assert standing.best is None
 
@@ -209,6 +212,15 @@ def test_the_page_opens_no_connection(standing: Standing) -> None:
     known = [each for each in standing.ranked if np.isfinite(each.bound)]
     assert page.count("<title>1: ") == 1
     assert page.count("</title></circle>") == len(known)
+
+
+def test_numbers_beside_dots_are_apart() -> None:
+    given = [(100.0, 300.0, 1), (100.0, 297.0, 2), (104.0, 290.0, 3), (300.0, 291.0, 4)]
+    placed = {rank: (x, y) for x, y, rank in _apart(given)}
+    assert placed[1] == (100.0, 300.0)
+    assert placed[4] == (300.0, 291.0)
+    assert [placed[k][0] for k in (1, 2, 3)] == [100.0, 100.0, 104.0]
+    assert np.all(-np.diff([placed[k][1] for k in (1, 2, 3)]) >= 13.0)
 
 
 def test_what_is_planned_is_apart_from_what_is_bounded(standing: Standing) -> None:

@@ -1,5 +1,7 @@
 """The walk's replay in a browser: the robot where the walk has it, what its feet bear."""
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +47,19 @@ def test_the_walk_is_shown(chrome: Chrome, tmp_path: Path) -> None:
     assert texts[2] == f"{100 * part.share[at, 1]:.0f} %"
     assert chrome.find_element("id", "drawn").text == "pale parts are no obstacles"
     assert severe_messages(chrome) == []
+
+
+def test_the_table_of_steps_ends_with_the_arms_own_move() -> None:
+    """Steps and seconds add up to the walk's."""
+    walk = one_step()
+    arm = replace(walk.moves[0], kind="arm")
+    page = walk_page(replace(walk, last=arm))
+    rows = re.findall(r"<tr>(<th class=\"text\" scope=\"row\">.*?)</tr>", page)
+    cells = [re.findall(r">([^<]*)</t", row) for row in rows]
+    assert [row[1] for row in cells] == ["foot 1", "arm"]
+    seconds = sum(float(row[5]) for row in cells)
+    assert seconds == pytest.approx(walk.seconds + arm.segment.duration, abs=0.11)
+    assert float(cells[1][4]) == pytest.approx(walk.seconds, abs=0.06)
 
 
 def test_tables_of_still_pages_stay_readable_on_a_phone(chrome: Chrome, tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from page_data import floats
+from page_data import floats, without_shapes
 from plan_folders import changed
 
 from cmbot.collision import Clearances
@@ -54,6 +54,20 @@ def test_links_and_numbers_are_those_of_the_samples(data: dict[str, Any], triang
         np.testing.assert_allclose(floats(data[name]["clearance"]), samples.clearance[::2], rtol=1e-6)
     assert data["planned"]["peakTorque"] == triangle_plan.figures.peak_guardrail_torque
     assert data["baseline"]["minClearance"] == triangle_plan.baseline_figures.min_clearance
+
+
+def test_free_moves_between_strokes_count_for_the_largest_values(strokes_plan: Plan) -> None:
+    data = replay_data(without_shapes(strokes_plan))
+    assert data["moves"]
+    jobs = (strokes_plan.job.figures, strokes_plan.baseline_job_figures)
+    for name, job in zip(("planned", "baseline"), jobs, strict=True):
+        phases = [each[name] for each in (data["approach"], data, data["return"]) if each is not None]
+        assert max(each["peakTorque"] for each in phases) == pytest.approx(job.peak_guardrail_torque)
+        assert min(each["minClearance"] for each in phases) == pytest.approx(job.min_clearance)
+        # No value that the page shows is beyond its largest one.
+        torque = np.linalg.norm(floats(data[name]["torque"], 3), axis=1)
+        assert torque.max() <= data[name]["peakTorque"] * 1.001
+        assert floats(data[name]["clearance"]).min() >= data[name]["minClearance"] - 1e-3
 
 
 def test_the_approach_leads_to_the_work_as_certified(data: dict[str, Any], triangle_plan: Plan) -> None:

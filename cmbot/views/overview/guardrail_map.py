@@ -108,9 +108,11 @@ def guardrail_map(scene: Scene, samples: Sequence[WalkSamples], stands: Sequence
             x, y = at
             square = f'x="{x - 11:.1f}" y="{y - 11:.1f}" width="22" height="22"'
             parts.append(f'<rect {square} fill="none" stroke="{_WORK}" stroke-width="3"/>')
+        # Ways go below the feet, too; without them only the names of what is on the rail are above.
         x, y = window.at(feet[0])
+        y = y - 18 if samples else window.at(feet)[:, 1].max() + 32
         label = f"{number}: {stand.label}" if len(stands) > 1 else stand.label
-        parts.append(_text(x, y - 18, label, 13))
+        parts.append(_text(x, y, label, 13))
     drawn = f'<svg viewBox="0 0 {_WIDTH} {window.height:.0f}" role="img">{"".join(parts)}</svg>'
     kind = "wide" if samples else "map"
     return f'<div class="{kind}">{drawn}</div><p class="caption">{" ".join(_key(samples, stands))}</p>'

@@ -15,6 +15,7 @@ from cmbot.views.page import still_page, table
 __all__ = ["stances_page"]
 
 _WIDTH, _HEIGHT, _EDGE = 900, 380, 60
+_LABEL = (18.0, 13.0)  # room for a number beside a dot, px
 # Where stances without a bound are drawn.
 _WITHOUT = 42.0
 _COLOURS = {
@@ -36,15 +37,17 @@ _CAPTION = (
 )
 
 
-def stances_page(standings: Sequence[Standing]) -> str:
+def stances_page(standings: Sequence[Standing], name: str | None = None) -> str:
     """Return an HTML page that opens no connection and runs no script.
 
     Parameters
     ----------
     standings : sequence of Standing
         As `cmbot.siting.stand` returns them.
+    name : str, optional
+        What they are for; the name of the first one's scene if left out.
     """
-    name, several = standings[0].scene.name, len(standings) > 1
+    several = len(standings) > 1
     content = ""
     for number, standing in enumerate(standings, start=1):
         if several:
@@ -52,7 +55,7 @@ def stances_page(standings: Sequence[Standing]) -> str:
             content += "".join(f"<p>{escape(sentence)}</p>" for sentence in in_words(standing))
         content += _where(standing) + _map(standing) + _tables(standing)
     said = shared_out(standings) if several else in_words(standings[0])
-    return still_page(f"Where to stand: {name}", said, content)
+    return still_page(f"Where to stand: {name or standings[0].scene.name}", said, content)
 
 
 def _where(standing: Standing) -> str:
@@ -101,7 +104,9 @@ def _map(standing: Standing) -> str:
             )
             x += 40 + 8 * len(name)
     drawn = f'<g font-size="13">{legend}{"".join(_axes(low, high, top, standing.unit))}</g>{marks}'
-    svg = f'<div class="wide"><svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img">{drawn}</svg></div>'
+    # Where not all of it is seen, the side of the best one is.
+    side = " from-right" if xs[0] > (low + high) / 2 else ""
+    svg = f'<div class="wide{side}"><svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img">{drawn}</svg></div>'
     said = f"All stances, by where foot 1 holds and by the {_MEANING[standing.unit]}"
     caption = (_PLANNED if standing.count("planned") else "An") + _CAPTION
     return f'<h2>{said}</h2><section>{svg}<p class="caption">{caption}</p></section>'
@@ -131,6 +136,7 @@ def _ticks(low: float, high: float, count: int) -> list[float]:
 
 
 def _marks(standing: Standing, low: float, high: float, top: float) -> Iterator[str]:
+    labels = list[tuple[float, float, int]]()
     # The best last, above the others.
     for rank, each in reversed([*enumerate(standing.ranked, start=1)]):
         x = _x(float(each.candidate.root[0, 3]), low, high)
@@ -143,7 +149,19 @@ def _marks(standing: Standing, low: float, high: float, top: float) -> Iterator[
         circle = f'cx="{x:.1f}" cy="{y:.1f}" r="{radius}" fill="{_COLOURS[each.status]}"'
         yield f"<circle {circle}><title>{said}</title></circle>" if known else f"<circle {circle}/>"
         if each.plan is not None:
-            yield f'<text class="label" x="{x + 8:.1f}" y="{y + 4:.1f}" font-size="13">{rank}</text>'
+            labels.append((x + 8, y + 4, rank))
+    for x, y, rank in _apart(labels):
+        yield f'<text class="label" x="{x:.1f}" y="{y:.1f}" font-size="13">{rank}</text>'
+
+
+def _apart(labels: Sequence[tuple[float, float, int]]) -> Iterator[tuple[float, float, int]]:
+    """Labels at x, y, px, the best below: those that would be drawn over each other are moved up."""
+    placed = list[tuple[float, float]]()
+    for x, y, rank in sorted(labels, key=lambda label: -label[1]):
+        above = [other for left, other in placed if abs(x - left) < _LABEL[0] and other - y < _LABEL[1]]
+        at = min([y, *(other - _LABEL[1] for other in above)])
+        placed.append((x, at))
+        yield x, at, rank
 
 
 def _x(value: float, low: float, high: float) -> float:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cmbot.common.arrays import FloatArray
 from cmbot.views.overview.guardrail_map import guardrail_map
 from cmbot.views.page import still_page, table
 from cmbot.walking import Walk, WalkSamples, walk_samples
@@ -32,10 +33,21 @@ def steps_table(walk: Walk, samples: Sequence[WalkSamples]) -> str:
     rows, begins = [], iter(walk.begins)
     for number, step in enumerate(walk.steps, start=1):
         begin = [next(begins) for _ in step.moves]
-        share = max(float(np.nanmax(largest[id(move)], initial=0.0)) for move in step.moves)
-        used = f"{100 * share:.0f} %" if share > 0 else ""
+        used = _share(*(largest[id(move)] for move in step.moves))
         effort = max(move.segment.figures.limit_use.torque for move in step.moves)
         cells = (str(number), f"foot {step.foot}", *step.places, f"{begin[0]:.1f}", f"{step.seconds:.1f}")
         rows.append((*cells, f"{100 * effort:.0f} %", used))
+    if walk.last is not None:
+        segment = walk.last.segment
+        cells = ("", "arm", "", "the start of the work", f"{walk.begins[-1]:.1f}", f"{segment.duration:.1f}")
+        rows.append(
+            (*cells, f"{100 * segment.figures.limit_use.torque:.0f} %", _share(largest[id(walk.last)]))
+        )
     heads = ("", "moves", "from", "to", "begins, s", "seconds", "effort of joints", "share that a foot bears")
     return table(rows, heads, text_columns=4)
+
+
+def _share(*shares: FloatArray) -> str:
+    """The largest share of its bounds that a foot uses; nothing where none is known."""
+    largest = max(float(np.nanmax(each, initial=0.0)) for each in shares)
+    return f"{100 * largest:.0f} %" if largest > 0 else ""
