@@ -86,6 +86,11 @@ def open_page(chrome: webdriver.Chrome, page: Path) -> None:
     next_frame(chrome)
 
 
+def shows(chrome: webdriver.Chrome, page: Path) -> bool:
+    """Whether a page is open, at whatever time and with whatever view its address has."""
+    return chrome.current_url.partition("#")[0] == page.as_uri()
+
+
 def next_frame(chrome: webdriver.Chrome) -> None:
     chrome.execute_async_script(
         "const done = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(() => done()))"

@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
-from browser import ask, open_page, slide
+from browser import ask, open_page, shows, slide
 from hypothesis import given
 from hypothesis import strategies as st
 from page_data import data_of, floats
@@ -213,7 +213,7 @@ def bent(chrome: Chrome, beams: list[tuple[Any, ...]]) -> np.ndarray:
 def test_beams_bend_as_clamped_ones_and_are_never_torn_or_stretched(
     chrome: Chrome, replay_file: Path, rng: np.random.Generator
 ) -> None:
-    if chrome.current_url != replay_file.as_uri():
+    if not shows(chrome, replay_file):
         open_page(chrome, replay_file)
     beams = []
     for factor in (0.0, 0.5, 1.0, 8.0, 50.0, 200.0):
@@ -249,7 +249,7 @@ def test_beams_bend_as_clamped_ones_and_are_never_torn_or_stretched(
 
 @pytest.mark.browser
 def test_a_pole_leads_the_foot_and_two_halves_follow_it(chrome: Chrome, replay_file: Path) -> None:
-    if chrome.current_url != replay_file.as_uri():
+    if not shows(chrome, replay_file):
         open_page(chrome, replay_file)
     shift, turn = [0.11, 0.02, -0.01], [0.01, 0.24, 0.05]
     mast = [[[0, 0, -2.5], [0, 0, 0]]]
@@ -333,7 +333,7 @@ def drawn_ends(
 def test_the_page_bends_arm_and_rails(
     chrome: Chrome, replay_file: Any, triangle_plan: Plan, data: dict[str, Any]
 ) -> None:
-    if chrome.current_url != replay_file.as_uri():
+    if not shows(chrome, replay_file):
         open_page(chrome, replay_file)
     plain = data_of(replay_page(triangle_plan))
     (source,) = plain["bending"]["chains"]
@@ -385,7 +385,7 @@ def choose_colours(chrome: Chrome, kind: str) -> None:
 
 @pytest.mark.browser
 def test_colours_say_what_links_and_rails_bear(chrome: Chrome, replay_file: Any, triangle_plan: Plan) -> None:
-    if chrome.current_url != replay_file.as_uri():
+    if not shows(chrome, replay_file):
         open_page(chrome, replay_file)
     chrome.execute_script("cmbotReplay.pause(); cmbotReplay.seek(cmbotReplay.workStart)")
     own = ask(chrome, "cmbotReplay.stage.colours.parts.map((part) => part.mesh.material.color.getHex())")

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from browser import ask, next_frame, open_page, require_quiet, screen, slide
+from browser import ask, next_frame, open_page, require_quiet, screen, shows, slide
 from page_data import without_shapes
 from plan_folders import without_approach
 from selenium.webdriver import Chrome
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.browser
 @pytest.fixture
 def shown(chrome: Chrome, replay_file: Path) -> Chrome:
     """The browser with the page open at the work's beginning, paused."""
-    if chrome.current_url != replay_file.as_uri():
+    if not shows(chrome, replay_file):
         open_page(chrome, replay_file)
     slide(chrome, "deflection", 0)  # the rigid arm
     chrome.execute_script("cmbotReplay.pause(); cmbotReplay.seek(cmbotReplay.workStart)")
@@ -258,6 +258,38 @@ def test_card_and_bar_cover_nothing_of_what_is_shown(shown: Chrome, size: tuple[
         assert not ((x > left) & (x < right) & (y > top) & (y < bottom)).any()
     # As large as that allows.
     assert max(np.ptp(parts[0], axis=0) / size) > 0.25
+
+
+def test_the_address_keeps_time_and_view(shown: Chrome, replay_file: Path) -> None:
+    """Who opens it sees the same; without a view of one's own it is fitted to the window."""
+    wait = "setTimeout(arguments[0], 350)"  # until time and view rest
+    shown.execute_script("cmbotReplay.resetView(); cmbotReplay.seek(3.25)")
+    shown.execute_async_script(wait)
+    assert shown.current_url == f"{replay_file.as_uri()}#3.25"
+    shown.execute_script("cmbotReplay.stage.turn(0.4, 0.1)")
+    shown.execute_async_script(wait)
+    address, camera = shown.current_url, ask(shown, "cmbotReplay.camera")
+    shown.execute_script("cmbotReplay.resetView(); cmbotReplay.seek(0)")
+    assert ask(shown, "cmbotReplay.camera") != pytest.approx(camera, abs=0.05)
+    shown.execute_async_script(wait)
+    assert shown.current_url == replay_file.as_uri()
+    shown.execute_script("window.location.hash = arguments[0]", address.partition("#")[2])
+    shown.execute_async_script(wait)
+    assert ask(shown, "cmbotReplay.time") == 3.25
+    assert ask(shown, "cmbotReplay.camera") == pytest.approx(camera, abs=2e-3)
+    shown.execute_script("cmbotReplay.resetView()")
+
+
+def test_keys_are_listed_and_one_hides_what_is_no_obstacle(shown: Chrome) -> None:
+    body, around = shown.find_element("tag name", "body"), "cmbotReplay.stage.node('around').visible"
+    assert not shown.find_element("id", "help").is_displayed()
+    body.send_keys("?")
+    assert "hide or show what is no obstacle" in shown.find_element("id", "help").text
+    for visible in (False, True):
+        body.send_keys("b")
+        assert ask(shown, around) is visible
+    body.send_keys("?")
+    assert not shown.find_element("id", "help").is_displayed()
 
 
 def test_what_takes_long_is_played_faster_at_first(chrome: Chrome, replay_file: Path) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import ask, next_frame, open_page, require_quiet, screen, slide
+from browser import ask, next_frame, open_page, require_quiet, screen, shows, slide
 from page_data import hostile, without_shapes
 from PIL import Image, ImageColor
 from selenium.webdriver import Chrome
@@ -34,7 +34,7 @@ EVIL = "</script><script>window.hacked=1</script><img src=x onerror='window.hack
 @pytest.fixture
 def shown(chrome: Chrome, report_file: Path) -> Chrome:
     """The browser with the page open at the work's beginning, paused, scrolled to its top."""
-    if chrome.current_url != report_file.as_uri():
+    if not shows(chrome, report_file):
         open_page(chrome, report_file)
     chrome.execute_script("cmbotReplay.pause(); cmbotReplay.compare('ghost'); window.scrollTo(0, 0)")
     slide(chrome, "deflection", 0)  # the rigid arm

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import umsgpack
-from browser import ask, open_page, require_quiet, slide
+from browser import ask, open_page, require_quiet, shows, slide
 from command_line import output, refusal
 from page_data import data_of, floats, without_shapes
 from selenium.webdriver import Chrome
@@ -104,7 +104,7 @@ def test_it_shows_every_plan(chrome: Chrome, page_file: Path) -> None:
 @pytest.mark.browser
 def test_a_ghost_stands_on_what_carries_it(chrome: Chrome, page_file: Path) -> None:
     """Its rails bend with its own sag, not with that of the arm that is drawn whole."""
-    if chrome.current_url != page_file.as_uri():
+    if not shows(chrome, page_file):
         open_page(chrome, page_file)
     chrome.execute_script("cmbotReplay.compare('ghost')")
     chrome.execute_script("cmbotReplay.pause(); cmbotReplay.seek(0.4 * cmbotReplay.end)")

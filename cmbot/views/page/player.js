@@ -47,6 +47,28 @@ class Player {
     ui.deflection.addEventListener("input", () => this.magnify(Number(ui.deflection.value)));
     window.addEventListener("keydown", (event) => this.onKey(event));
     stage.onDrawn = (part) => this.placeLabels(part);
+    stage.onTurned = () => this.keepAddress();
+    window.addEventListener("hashchange", () => this.follow(window.location.hash));
+  }
+
+  // Go where an address leads: a time and, behind a slash, the camera, such as report.html#12.5/x,y,z,x,y,z, from and to.
+  follow(hash) {
+    const [time, camera = ""] = hash.slice(1).split("/"), values = camera.split(",").map(Number);
+    if (values.length === 6 && values.every(Number.isFinite)) this.stage.look(values);
+    this.seek(Number(time || this.data.start));
+  }
+
+  // Keep time and camera in the page's address, once they rest. A page within another one has none of its own.
+  keepAddress() {
+    if (this.playing || window !== window.parent) return;
+    clearTimeout(this.waiting);
+    this.waiting = setTimeout(() => {
+      const { stage, time, data } = this, short = (value) => Number(value.toFixed(3));
+      const place = stage.turned ? `/${stage.place.map(short).join()}` : "";
+      const hash = place || time !== data.start ? `#${short(time)}${place}` : "";
+      const { pathname, search } = window.location;
+      if (hash !== window.location.hash) window.history.replaceState(null, "", pathname + search + hash);
+    }, 300);
   }
 
   offerSpeeds(seconds) {
@@ -125,10 +147,12 @@ class Player {
       event.preventDefault();
       return;
     }
-    const step = event.shiftKey ? 1 : 0.1;
+    const step = event.shiftKey ? 1 : 0.1, { stage } = this;
     const onControl = target.tagName === "BUTTON" || target.type === "checkbox";
     const times = { ArrowLeft: this.time - step, ArrowRight: this.time + step, Home: this.data.start, End: this.data.end };
-    if (key === " " && !onControl) this.playing ? this.pause() : this.play();
+    if (key === "?") this.ui.help.togglePopover?.();
+    else if (key.toLowerCase() === "b") stage.toggleAround();
+    else if (key === " " && !onControl) this.playing ? this.pause() : this.play();
     else if (key in times && target.id !== "deflection") this.seek(times[key]);
     else return;
     event.preventDefault();
@@ -166,6 +190,7 @@ class Player {
     this.put("time", `${seconds(this.time)} / ${seconds(data.end)} s`);
     this.ui.scrub.setAttribute("aria-valuetext", `${seconds(this.time)} s`);
     this.onTime(this.time);
+    this.keepAddress();
     stage.redraw();
   }
 
@@ -237,6 +262,7 @@ class Player {
 
   pause() {
     this.setPlaying(false);
+    this.keepAddress();
   }
 
   setPlaying(playing) {
@@ -294,8 +320,8 @@ function start(begin) {
   try {
     const data = JSON.parse(document.getElementById("replay-data").textContent);
     nameMotions(data);
-    const player = begin(data), at = Number(window.location.hash.slice(1) || data.start);  // such as report.html#12.5
-    player.seek(at);
+    const player = begin(data);
+    player.follow(window.location.hash);
     window.cmbotReplay = {
       start: data.start,
       workStart: data.workStart,
@@ -314,7 +340,7 @@ function start(begin) {
       draw: () => player.stage.render(),
       csv: () => player.downloads.csv(),
       ros: () => player.downloads.ros(),
-      get camera() { return [...player.stage.viewer.camera.position.toArray(), ...player.stage.viewer.controls.target.toArray()]; },
+      get camera() { return player.stage.place; },
       pose: (link, arm = "planned") => player.stage.pose(arm, data.links.indexOf(link)),
     };
   } catch (error) {

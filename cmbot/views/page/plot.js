@@ -34,8 +34,9 @@ class TorquePlot {
     const style = getComputedStyle(document.documentElement);
     this.colour = (name) => style.getPropertyValue(`--${name}`);
     // Words stand above the curves.
-    const title = `Torque on the ${this.data.base}, 0 to ${newtonMetres(this.peak)}`, left = this.x(this.data.workStart) + 6;
-    for (const phase of this.phases) if (phase.free) this.shade(phase, left + this.pen.measureText(title).width);
+    const title = `Torque on the ${this.data.base}, 0 to ${newtonMetres(this.peak)}`, long = this.pen.measureText(title).width;
+    const left = Math.max(Math.min(this.x(this.data.workStart) + 6, this.width - INSET - long), INSET);
+    for (const phase of this.phases) if (phase.free) this.shade(phase, left, left + long);
     for (const time of this.data.legTimes) this.upright(time, this.colour("line"), 1);
     this.line([[this.x(this.data.start), this.y(0)], [this.x(this.data.end), this.y(0)]], this.colour("line"), 1);
     for (const phase of this.phases) this.drawPhase(phase);
@@ -45,12 +46,16 @@ class TorquePlot {
   }
 
   // A free move, with its label, or its name where there is less room; none where the title is.
-  shade({ start, end, label, free }, title) {
+  shade({ start, end, label, free }, titleBegin, titleEnd) {
     this.pen.fillStyle = this.colour("free-move");
     this.pen.fillRect(this.x(start), 0, this.x(end) - this.x(start), this.height);
     const room = this.x(end) - this.x(start) - 8;
-    const shown = [label, free].find((text) => this.pen.measureText(text).width <= room);
-    if (shown && (start < this.data.workStart || this.x(start) > title)) this.text(shown, this.x(start) + 4, TITLE);
+    const from = this.x(start) + 4, beside = (wide) => from + wide < titleBegin || from > titleEnd;
+    const shown = [label, free].find((text) => {
+      const { width } = this.pen.measureText(text);
+      return width <= room && beside(width);
+    });
+    if (shown) this.text(shown, from, TITLE);
   }
 
   drawPhase(phase) {

@@ -66,6 +66,7 @@ class Stage {
     }).observe(view);
     // A view that nobody has turned yet is fitted to its size again.
     viewer.controls.addEventListener("start", () => { this.turned = true; });
+    viewer.controls.addEventListener("end", () => this.onTurned?.());
     viewer.set_3d_pane_size();
   }
 
@@ -307,6 +308,8 @@ class Stage {
     camera.far = 100 * best.distance;
     camera.position.copy(controls.target).addScaledVector(outward, best.distance - near);
     controls.update();
+    this.turned = false;
+    this.onTurned?.();
     this.redraw();
   }
 
@@ -319,6 +322,28 @@ class Stage {
     const [north, south] = [most(([, y, z]) => y + half * z), most(([, y, z]) => half * z - y)];
     const distance = Math.max((east + west) / (2 * side), (north + south) / (2 * half));
     return { distance, across: (east - west) / 2, height: (north - south) / 2, scale: high / distance };
+  }
+
+  // Where the camera is, and what it looks at, in the viewer's coordinates.
+  get place() {
+    const { camera, controls } = this.viewer;
+    return [...camera.position.toArray(), ...controls.target.toArray()];
+  }
+
+  look(values) {
+    const { camera, controls } = this.viewer;
+    this.turned = true;
+    camera.position.fromArray(values);
+    controls.target.fromArray(values, 3);
+    controls.update();
+    this.redraw();
+  }
+
+  // Hide or show what is drawn for orientation only.
+  toggleAround() {
+    const around = this.node("around");
+    around.visible = !around.visible;
+    this.redraw();
   }
 
   // Fit a view that nobody has turned to what covers it now.
@@ -350,6 +375,7 @@ class Stage {
     camera.position.copy(controls.target).add(new THREE.Vector3().setFromSpherical(at));
     controls.update();
     this.redraw();
+    this.onTurned?.();
   }
 
   approach(factor) {
@@ -358,6 +384,7 @@ class Stage {
     camera.position.sub(controls.target).multiplyScalar(factor).add(controls.target);
     controls.update();
     this.redraw();
+    this.onTurned?.();
   }
 
   shift(right, up) {
@@ -368,6 +395,7 @@ class Stage {
     controls.target.add(by);
     controls.update();
     this.redraw();
+    this.onTurned?.();
   }
 
   // On a page longer than the window the wheel scrolls; with Ctrl it zooms the view.
