@@ -26,7 +26,7 @@ _BLOCK = 512
 _PROJECTIONS = 4
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _RoundedBox:
     """A box grown by a radius, in the frame of a joint (0: W); its axes (3, 3) are rows; lengths in m."""
 
@@ -42,7 +42,7 @@ class _RoundedBox:
         return self.half[long, None] * self.axes[long]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _PlacedBox:
     """A rounded box in N postures, in W: its centre (3, N), half edges (k, 3, N) and, where needed, axes."""
 
@@ -51,7 +51,7 @@ class _PlacedBox:
     axes: FloatArray
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Group:
     """One moving shape and the B shapes at rest that it may touch; lengths in m.
 
@@ -69,7 +69,7 @@ class _Group:
     radius: FloatArray
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _MovingGroup:
     """One moving shape, and B shapes with as many edges each that move, too, and may touch it.
 
@@ -82,7 +82,7 @@ class _MovingGroup:
     radius: FloatArray
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class LowerBounds:
     """Lower bounds of the distances of P pairs in a block of N postures."""
 

@@ -36,7 +36,7 @@ _GJK_TOLERANCE = 1e-10
 _T = TypeVar("_T")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Smallest:
     """The smallest distance in each of N postures.
 
@@ -53,7 +53,7 @@ class Smallest:
     pair: IntArray
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Nearest:
     """The nearest points of one pair in one posture.
 

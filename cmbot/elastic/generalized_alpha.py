@@ -84,7 +84,7 @@ class ElasticMotion:
     a: FloatArray  # (N, f): their accelerations
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Scheme:
     """The method with steps of one length.
 

@@ -22,7 +22,7 @@ Computed = TypeVar("Computed")
 _ALL = slice(None)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class StateSamples:
     """Times (N,), and positions, velocities and accelerations (N, n) of the joints there."""
 
@@ -59,7 +59,7 @@ class StateSamples:
         return cast(Computed, self._computed[key])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Linearization:
     """Values (N,) and their derivatives (N, n) by position, velocity and acceleration.
 
@@ -106,7 +106,7 @@ class StateFunction(Protocol):
         """Linearize component number ``component[k]`` at state k."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class KinematicBound:
     """``low <= derivative of the joint's position <= high`` at all times (Chang 2021, Eq. (31)).
 

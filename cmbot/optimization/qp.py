@@ -33,7 +33,7 @@ def piqp_module() -> Any:
         raise MissingExtra("piqp", "fast") from error
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class NlpValues:
     """A nonlinear program at a point: ``min f + b, c_k <= b for k in the epigraph, c_k <= 0 for the others``.
 
@@ -74,7 +74,7 @@ class NlpValues:
         return largest
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class NlpModel(NlpValues):
     """A nonlinear program to second order around a point, for a step p.
 
@@ -101,7 +101,7 @@ class NlpModel(NlpValues):
         return self.objective + quadratic + self._peak(value) + float(penalty @ left)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class QpStep:
     """Solution of a quadratic program: a step, and the multipliers of the constraints."""
 

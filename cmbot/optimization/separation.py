@@ -25,7 +25,7 @@ _BLOCK = 4096
 _PEAK = 0.1
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Separation:
     """What a trajectory violates.
 
@@ -55,7 +55,7 @@ class Separation:
         return constraints.extended(self.family, self.component, self.time)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class WorstViolations:
     """Where one family of constraints is violated, the worst first."""
 

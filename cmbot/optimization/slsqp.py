@@ -55,7 +55,7 @@ def solve_slsqp(start: NlpEvaluation, accuracy: float, max_iterations: int) -> t
     return dense.end(result.x), int(result.nit)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DenseValues:
     """Objective, its gradient (n,), constraints ``c <= 0`` (K,) and their Jacobian (K, n) at y."""
 

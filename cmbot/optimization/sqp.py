@@ -181,7 +181,7 @@ class Iterate(Protocol):
 AnyIterate = TypeVar("AnyIterate", bound=Iterate)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class SqpResult(Generic[AnyIterate]):
     """Where a run ended, and what the next one may go on with."""
 

@@ -61,7 +61,7 @@ def sample_step(duration: float, step: float = SAMPLE_STEP) -> float:
         power *= 10.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class PlanningContext:
     """What every stage of planning needs."""
 

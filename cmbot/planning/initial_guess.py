@@ -63,7 +63,7 @@ class Choice:
     pinned: float | None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class InitialGuess:
     """Where the optimisation starts, and what is known of it."""
 

@@ -23,7 +23,7 @@ __all__ = ["ToolTask", "task_dimension"]
 _NO_TURN, _NEARLY_HALF_A_TURN = 1e-300, -0.9
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ToolTask:
     """The part of a tool path that the arm has to follow, as m task coordinates.
 

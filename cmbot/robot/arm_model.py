@@ -49,7 +49,7 @@ _LARGEST_PAYLOAD = 1e4  # kg
 _MOST_NAMED = 6
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class ArmModel:
     """Pinocchio's model of an arm, only whose joints move, its shapes, and remarks on what was assumed.
 

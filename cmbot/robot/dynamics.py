@@ -39,7 +39,7 @@ def external_forces(model: Any, tool_frame_id: int, tool_force: Sequence[float])
     return forces
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Efforts:
     """Joint torques and wrench on the guardrail at N states.
 
@@ -63,7 +63,7 @@ class Efforts:
         return np.hstack([self.guardrail_force, self.guardrail_torque])
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class EffortDerivatives:
     """Some rows of the efforts at N states, with their derivatives."""
 

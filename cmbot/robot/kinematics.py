@@ -99,7 +99,7 @@ def _frame_about(axis: FloatArray) -> FloatArray:
     return np.column_stack([x, pin.skew(axis) @ x, axis])
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class ToolBatch:
     """The tool in N postures; everything in W.
 
@@ -175,7 +175,7 @@ class ToolBatch:
         return J
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class PostureBatch(ToolBatch):
     """The tool and the masses in N postures; everything in W.
 

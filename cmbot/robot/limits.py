@@ -54,7 +54,7 @@ _FURTHEST = 1e3
 _KINDS = ("prismatic", "assumed_acceleration", "assumed_jerk")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class JointLimits:
     """Bounds of every joint (Chang 2021, Eqs. (31)-(32) and Table 3); the arrays are read-only.
 

@@ -27,7 +27,7 @@ _SHORTEST = 0.1
 _NO_FORCE = (0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Robot:
     """An arm on its base, ready for planning. Its pinocchio models must not be changed.
 

@@ -48,7 +48,7 @@ class _Shares:
         return self._frame.shares(first, second, candidate.root[:3, 3])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Contacts:
     """Flat contacts, one a load."""
 

@@ -25,7 +25,7 @@ _ORDERS = 4
 _FAR = 0.02
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LocalRows:
     """Local splines and their first three derivatives at N times, as far as they live there.
 

@@ -53,7 +53,7 @@ def hermite_coefficients(
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Extrema:
     """The exact extremes of one derivative on every segment of a trajectory.
 

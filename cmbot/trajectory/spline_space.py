@@ -35,7 +35,7 @@ knots between them, and joins zero with C3 on both sides, exists; it is then uni
 """
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SplineSpace:
     """C3 quintic splines on fixed knot times, at rest at both ends (Chang 2021, Eqs. (34)-(37)).
 

@@ -74,7 +74,7 @@ class MotionMetrics:
     __repr__ = short_repr
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Samples:
     """A motion at N times, with everything that is plotted or written of it.
 

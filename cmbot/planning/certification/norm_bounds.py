@@ -19,7 +19,7 @@ from cmbot.trajectory import Ellipses, Pieces
 __all__ = ["NormBounds", "norm_bounds", "timed_pose_bounds"]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class NormBounds:
     """What norms do not exceed on Bernstein ellipses, R around each of K pieces.
 

@@ -82,7 +82,7 @@ class ElasticPath:
         return found
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Matrices:
     """An arm linearised about its equilibria `u` (g, f) in postures `q` (g, n), as by `Linearised`."""
 
@@ -163,7 +163,7 @@ class LegVibration:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Carried:
     """The system among k carriers, for C cases and g + 1 postures, the last of them the end's."""
 

@@ -44,7 +44,7 @@ Leg = tuple[int, int]
 """First and last knot of a leg."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Change:
     """A change X (s, d) of coefficients, and the share by which the largest amplitude falls, as predicted."""
 
@@ -194,7 +194,7 @@ class Window:
         return np.asarray(y.transpose(1, 0, 2).reshape(k, s * d))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Weighted:
     """Weights of amplitudes, the change y (s d,) of the least squares by them, its metric's factor."""
 

@@ -196,7 +196,7 @@ def _shown(
     return sorted(numbers, key=lambda k: cases[k])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Held:
     """Times (K,), values (K,) and derivatives (K, (n - 4) d) by the coefficients of what is held.
 
@@ -209,7 +209,7 @@ class _Held:
     curved: BoolArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _HalfSpaces:
     """Where ``rows X <= most``: of each a time (K,), a derivative (K, (n - 4) d) and a bound (K,)."""
 

@@ -42,7 +42,7 @@ _SLOWER, _SAMPLES = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0), 8
 _NO_TORQUE = 1e-9
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class FreeMove:
     """A free move to be planned.
 

@@ -24,7 +24,7 @@ _ANY = float(np.finfo(np.float64).max)
 _FIRST_BLOCK, _GROWTH = 8, 4
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FreeSpace:
     """Postures within the joint ranges whose shapes keep a margin, and whose cost is bounded.
 

@@ -44,7 +44,7 @@ _COARSE_STEP = 0.05
 _LONGEST_STEP = 0.1
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class JointPath:
     """A path in joint space that follows the tool path: the paper's motion without optimisation.
 

@@ -39,7 +39,7 @@ Violation = Callable[[FloatArray], FloatArray]
 """By how much postures (N, n) that hold the tool break what they have to keep, (N,); 0: not at all."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class MissedPlace:
     """A place for which no posture was found.
 

@@ -94,7 +94,7 @@ def null_space(postures: Postures, task: ToolTask, q: FloatArray) -> FloatArray:
     return metric.positions(null)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TangentPredictor:
     """Postures `q` (N, n) that hold the tool at `goals`, and their derivatives of least norm by the task.
 

@@ -33,7 +33,7 @@ _RANGE_LEFT, _CLEARANCE_LEFT, _TORQUE_USE = 0.02, 0.002, 0.9
 _SINGULAR = 0.01
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class StartPosture:
     """Where a new scene starts, and a first leg.
 

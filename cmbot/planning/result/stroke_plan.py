@@ -28,7 +28,7 @@ __all__ = ["ObjectiveMetrics", "Start", "StrokePlan", "combined", "objective_met
 _PEAK_SAMPLES = 400
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Start:
     """Where a motion starts, and the starts that failed.
 

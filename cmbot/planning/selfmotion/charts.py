@@ -32,7 +32,7 @@ _BESIDE = 1.5
 _TOGETHER = 10
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Chart:
     """Postures that hold the tool task at one point.
 

@@ -30,7 +30,7 @@ _A_STEP = 1 + 1e-9
 _AROUND, _ROUNDS, _NEARER, _NEAR_BOUND = 30, 24, 0.8, 1e-3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Edges:
     """Which postures of one via-point can follow which of the one before, as a sparse list.
 
@@ -143,7 +143,7 @@ def nearest_turn(angle: FloatArray) -> FloatArray:
     return np.asarray(angle - 2 * np.pi * np.round(angle / (2 * np.pi)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BottleneckDynamicProgram:
     """Dynamic programming over the layers of all via-points.
 

@@ -52,7 +52,7 @@ _MANY_EDGES = 100_000
 _CHECKS, _SEEDS_OF_A_CHECK = 5, 5
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class GlobalSolution:
     """Postures at the via-points with the smallest peak of the objective at rest.
 

@@ -28,7 +28,7 @@ _TURN = 2 * np.pi
 _OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class JointBoxes:
     """Boxes of joint angles between `lower` and `upper` (N, n), rad.
 

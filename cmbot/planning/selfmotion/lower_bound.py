@@ -50,7 +50,7 @@ _DOUBT = 1.5
 _PROVEN, _LOWERED = 1e-3, 1e-5
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class LowerBound:
     """A lower bound of the peak of the objective at rest, over all admissible plans.
 
@@ -207,7 +207,7 @@ def with_proof(
     return replace(bound, value=value, error=error, each=each, kind="proven"), posture
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Cells:
     """Boxes on the self-motion: centres (M, n), unit edges (M, d, n), half lengths (M, d), via-points."""
 

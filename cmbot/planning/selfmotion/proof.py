@@ -59,7 +59,7 @@ _TRIES, _EVERY = 5, 3
 _FEW = 200
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Proof:
     """What is true of every admissible posture at a via-point.
 

@@ -346,7 +346,7 @@ class SelfMotionSampler:
         return _Postures(self._limits.turned_to_middle(some.q), some.of)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Postures:
     """Postures (N, n) and the ascending indices (N,) of their charts."""
 

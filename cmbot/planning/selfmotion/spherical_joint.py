@@ -28,7 +28,7 @@ _INNER = (3, 4)
 _ON_AXIS = 1e-9
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class WristChain:
     """An arm whose last three joints are spherical: axes in W while all joints are at zero.
 

@@ -37,7 +37,7 @@ _STRIDES = (16, 4, 1)
 _FEW = 8
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class JointTorque:
     """Joint torques within their bounds (Chang 2021, Eq. (32)); components: +1..+n, then -1..-n."""
 
@@ -320,7 +320,7 @@ def _tool(postures: Postures, states: StateSamples) -> ToolBatch:
     return states.computed(id(postures), lambda s: postures.tool_at(s.q))
 
 
-@dataclass
+@dataclass(eq=False)
 class _Memory:
     """Postures (N, n), and what the distances of all pairs are not below in them (N, P)."""
 
@@ -328,7 +328,7 @@ class _Memory:
     at_least: FloatArray
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Bounds:
     """Lower bounds (N, P) of the distances of all pairs in N postures, and which are these distances."""
 

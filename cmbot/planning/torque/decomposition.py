@@ -36,7 +36,7 @@ _ACCURACY, _STALL_STEPS, _STALL_GAIN = 5e-5, 4, 5e-4
 _INFEASIBLE_STEPS, _INFEASIBLE_SHARE, _INFEASIBLE_VIOLATION = 6, 0.5, 0.3
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Optimised:
     """An optimised trajectory and how it was found.
 

@@ -27,7 +27,7 @@ _ORIGIN = 1e-7
 _BLOCK = 1 << 17
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class ConvexShape:
     """The sum of a box, a disc across z and a ball, each about the origin; or the hull of points.
 
@@ -65,7 +65,7 @@ def hull(points: FloatArray) -> tuple[FloatArray, ConvexShape]:
     return centre, ConvexShape(points=corners - centre)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Proven:
     """The smallest distance of several pairs of shapes, at N states.
 
@@ -83,7 +83,7 @@ class Proven:
     pair: IntArray
 
 
-@dataclass(kw_only=True)
+@dataclass(kw_only=True, eq=False)
 class _Items:
     """Pairs at states whose distances are sought, M of them; the origin is each second shape's.
 

@@ -74,7 +74,7 @@ def hold_checks(
             yield _worst(quantity, times, use, (1 + _LIMIT) / hold.safety, "of its bounds")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Contact:
     """The middle of a contact (3,), m, in W, axes (3, 3) as columns, half of its sides, m."""
 

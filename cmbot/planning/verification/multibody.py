@@ -20,7 +20,7 @@ __all__ = ["Body", "JointBounds", "Multibody", "PlacedShape", "turn"]
 _GRAVITY = np.array([0.0, 0.0, -9.81])
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Body:
     """A rigid body, in the frame of the joint that carries it.
 
@@ -41,7 +41,7 @@ class Body:
     inertia: FloatArray
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class PlacedShape:
     """A collision shape of a link.
 
@@ -61,7 +61,7 @@ class PlacedShape:
     shape: ConvexShape
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class JointBounds:
     """Bounds of n joints, as `cmbot.robot.JointLimits` has them: each (n,), rad, s and Nm, or m, s and N."""
 
@@ -73,7 +73,7 @@ class JointBounds:
     torque: FloatArray
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Multibody:
     """An arm of n joints that turn or slide, base to tool, and everything that is fixed to W.
 

@@ -65,7 +65,7 @@ def timed_path(file: PathFile, place: PathSource, X_WT: FloatArray) -> tuple[Too
     return builder.path(), builder.surface
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Part:
     """A leg with everything in W."""
 

@@ -19,7 +19,7 @@ from cmbot.scene.raster.surface import PlainSurface, Surface
 __all__ = ["PathSource", "surface_of"]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class PathSource:
     """Where a path is described, and the frames in which its poses are.
 

@@ -30,7 +30,7 @@ _SAME_TIME = 1e-9
 _DIGITS = 9
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class ToolPath:
     """Legs, each from rest to rest, with one speed profile: straight lines, or the curves that are given.
 
@@ -422,7 +422,7 @@ class ToolPath:
             yield which, curve, share[which], there[which]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class ShiftedToolPath(ToolPath):
     """A tool path that is displaced over time; `leg_offset` is measured from the displaced leg.
 
