@@ -36,10 +36,14 @@ def raised_again() -> Iterator[None]:
 
     pydantic, for one, reports a KeyboardInterrupt while it builds a model as a SchemaError.
     """
+    done = False
     try:
         yield
+        done = True
     finally:
-        check_signals()
+        # Who handles the exception itself, such as a server that Ctrl-C stops, has done what was asked.
+        if not done:
+            check_signals()
 
 
 def _raise(number: int, frame: FrameType | None) -> None:

@@ -112,6 +112,22 @@ def test_files_are_short_documented_and_without_print_assert_and_broad_except() 
         assert not list(forbidden(tree, may_print=path.is_relative_to(PRINTING) or path == MAIN)), path
 
 
+def compared_by_value(tree: ast.AST) -> Iterator[str]:
+    """Dataclasses that hold arrays, of which comparing them would ask for one truth."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ClassDef):
+            decorators = [ast.unparse(each) for each in node.decorator_list]
+            data = any(each.startswith("dataclass") and "eq=False" not in each for each in decorators)
+            types = (ast.unparse(each.annotation) for each in node.body if isinstance(each, ast.AnnAssign))
+            if data and any("Array" in each for each in types):
+                yield node.name
+
+
+def test_what_holds_arrays_is_compared_by_identity() -> None:
+    assert [*compared_by_value(ast.parse("@dataclass(frozen=True)\nclass A:\n    x: FloatArray"))] == ["A"]
+    assert not [f"{path}: {name}" for path in FILES for name in compared_by_value(syntax(path))]
+
+
 def installed_scripts(requirements: list[str]) -> set[str]:
     """Commands that come with packages."""
     names = (re.match(r"[\w.\-]+", requirement)[0] for requirement in requirements)  # type: ignore[index]
