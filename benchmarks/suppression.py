@@ -15,6 +15,7 @@ import json
 import sys
 import tempfile
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -81,7 +82,8 @@ def triangles(count: int, seed: int) -> dict[str, Scene]:
         file = Path(folder, "campaign.yaml")
         # JSON is YAML.
         file.write_text(json.dumps(variants(2 * count, seed)), encoding="utf-8")
-        return {entry.name: entry.scene for entry in read_campaign(file)[1][::2]}
+        entries = islice(read_campaign(file)[1], 0, None, 2)
+        return {entry.name: entry.scene for entry in entries}
 
 
 def tell_of(scenes: dict[str, Scene], steps: int, console: Console) -> None:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -106,8 +105,8 @@ class _Source:
         return type(error)(self.file, key, error.got, error.expected, error.choices, line=self.line)
 
 
-def read_campaign(path: str | Path) -> tuple[CampaignFile, tuple[Entry, ...]]:
-    """Read and check a campaign: every scene in it is one.
+def read_campaign(path: str | Path) -> tuple[CampaignFile, Iterator[Entry]]:
+    """Read a campaign; its entries are read and checked one after the other, as they are asked for.
 
     Parameters
     ----------
@@ -131,30 +130,31 @@ def read_campaign(path: str | Path) -> tuple[CampaignFile, tuple[Entry, ...]]:
         file = file.model_copy(update={"name": file.name or path.stem})
     with lines_named(path):
         require_task_name(str(file.name), str(path), "name")
-        entries = tuple(_entries(file, path))
-    if not entries:
-        raise InputError(str(path), "", "a campaign without jobs", "at least one job")
-    if len(entries) > _MOST_ENTRIES:
-        raise InputError(str(path), "", f"{len(entries)} jobs", f"at most {_MOST_ENTRIES:,} of them")
-    return file, entries
+    return file, _entries(file, path)
 
 
 def _entries(file: CampaignFile, path: Path) -> Iterator[Entry]:
     folder = path if path.is_dir() else path.parent
     templates = _Templates(folder, str(path))
-    seen = Counter[str]()
-    for given, source in _given(file, path, folder):
-        seen[given.name] += 1
-        try:
-            _require_name(given.name, seen[given.name])
-            yield templates.entry(given, file)
-        except InputError as error:
-            raise source.error(error, given.set) from error
+    seen = set[str]()
+    with lines_named(path):
+        for given, source in _given(file, path, folder):
+            if len(seen) == _MOST_ENTRIES:
+                raise InputError(str(path), "", "more jobs", f"at most {_MOST_ENTRIES:,} of them")
+            try:
+                _require_name(given.name, seen)
+                entry = templates.entry(given, file)
+            except InputError as error:
+                raise source.error(error, given.set) from error
+            seen.add(given.name)
+            yield entry
+        if not seen:
+            raise InputError(str(path), "", "a campaign without jobs", "at least one job")
 
 
-def _require_name(name: str, times: int) -> None:
+def _require_name(name: str, seen: Collection[str]) -> None:
     require_task_name(name, "", "name")
-    if times > 1:
+    if name in seen:
         raise InputError("", "name", shown(name), "a name that no other job has")
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
 from dataclasses import asdict
 from typing import Any
 
@@ -17,13 +17,13 @@ PLAN_SCENE = f"{__name__}:plan_scene"
 """Name of the function for a `Task`."""
 
 
-def plan_scene(scene: Mapping[str, object], directory: str, *, pages: bool = False) -> dict[str, Any]:
+def plan_scene(scene: str, directory: str, *, pages: bool = False) -> dict[str, Any]:
     """Plan a scene and write its plan directory, in place of one that is there.
 
     Parameters
     ----------
-    scene : mapping
-        Content of a scene file with absolute paths.
+    scene : str
+        Content of a scene file with absolute paths, as JSON.
     directory : str
     pages : bool
         Whether replay and report are written, too.
@@ -35,7 +35,7 @@ def plan_scene(scene: Mapping[str, object], directory: str, *, pages: bool = Fal
         ``reason`` of the others.
     """
     try:
-        planned = plan(load_scene(scene))
+        planned = plan(load_scene(json.loads(scene)))
     except PlanningError as error:
         return {"ended": "no plan", "reason": str(error)}
     except CmbotError as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import sys
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from typing import Any
@@ -12,7 +13,7 @@ from cmbot.campaigns.campaign_file import Entry
 from cmbot.campaigns.task import TaskResult, TaskStatus
 from cmbot.common.errors import MissingExtra
 
-__all__ = ["PLANS", "parquet", "plan_place", "result_row"]
+__all__ = ["PLANS", "given_cells", "parquet", "plan_place", "result_row"]
 
 PLANS = "plans"
 """Folder of the plan directories: in 256 folders, so that none has too many."""
@@ -26,26 +27,38 @@ def plan_place(name: str) -> str:
     return f"{PLANS}/{hashlib.sha256(name.encode()).hexdigest()[:2]}/{name}"
 
 
-def result_row(entry: Entry, result: TaskResult, place: str) -> dict[str, Any]:
+def given_cells(entry: Entry) -> dict[str, Any]:
+    """Return what is known of a job beforehand, by the names of columns."""
+    values = {sys.intern(f"set.{key}"): _cell(given) for key, given in entry.values.items()}
+    return {"name": entry.name, "at_m": entry.at_m, **values}
+
+
+def result_row(given: Mapping[str, Any], result: TaskResult, place: str) -> dict[str, Any]:
     """Return what became of a job: text, numbers and None by the names of columns.
 
     ``ended`` is ``planned``, ``no plan``, ``refused``, ``crashed``, ``timed out``, ``out of memory``, or
     ``failed``: an error in cmbot. ``reason`` says why in a line, and is empty where it is planned.
+
+    Parameters
+    ----------
+    given : mapping
+        As `given_cells` returns them.
+    result : TaskResult
+    place : str
+        Of the plan directory in the campaign's folder.
     """
     value: Mapping[str, Any] = result.value if isinstance(result.value, dict) else {}
     planned = value.get("ended") == "planned"
-    row: dict[str, Any] = {
-        "name": entry.name,
-        "at_m": entry.at_m,
+    return {
+        **given,
         "ended": value.get("ended") or _end(result),
         "reason": result.error or value.get("reason", ""),
         "plan": place if planned else None,
         "attempts": result.attempts,
         "seconds": result.seconds,
         "cpu_seconds": result.cpu_seconds,
+        **_flat({name: each for name, each in value.items() if name not in _LEFT_OUT}),
     }
-    row |= {f"set.{key}": _cell(given) for key, given in entry.values.items()}
-    return row | _flat({name: each for name, each in value.items() if name not in _LEFT_OUT})
 
 
 def _end(result: TaskResult) -> str:
@@ -60,7 +73,8 @@ def _flat(value: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         if isinstance(each, Mapping):
             found |= _flat(each, f"{prefix}{name}.")
         else:
-            found[f"{prefix}{name}"] = each
+            # Rows have the same names of columns, which take more memory than the figures.
+            found[sys.intern(f"{prefix}{name}")] = each
     return found
 
 

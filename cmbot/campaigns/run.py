@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import time
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -14,8 +16,8 @@ from cmbot.archive import PLAN_FILE, claim, json_bytes, resolved_file, write_fil
 from cmbot.campaigns.campaign_file import CampaignFile, Entry, read_campaign
 from cmbot.campaigns.overview import overview_page
 from cmbot.campaigns.planned import PLAN_SCENE
-from cmbot.campaigns.results import parquet, plan_place, result_row
-from cmbot.campaigns.runner import require_dask, run_tasks
+from cmbot.campaigns.results import given_cells, parquet, plan_place, result_row
+from cmbot.campaigns.runner import require_dask, task_results
 from cmbot.campaigns.task import Task, TaskResult
 from cmbot.common.errors import ArchiveError
 from cmbot.common.representation import short_repr
@@ -128,56 +130,59 @@ def campaign(
     """
     begin = time.perf_counter()
     given, entries = read_campaign(file)
-    require_dask()
     name = str(given.name)
     directory = Path("out") / name if output is None else given_path(output, "campaign", "output", "a folder")
-    tasks = _tasks(given, entries, directory, pages=pages)
+    rows = dict[str, dict[str, Any]]()
+
+    def noted() -> Iterator[Entry]:
+        for entry in entries:
+            rows[entry.name] = given_cells(entry)
+            yield entry
+
+    tasks = deque(_tasks(given, noted(), directory, pages=pages))
+    require_dask()
     ends, resumed = Counter[str](), 0
-
-    def report(result: TaskResult) -> None:
-        nonlocal resumed
-        value = result.value if isinstance(result.value, dict) else {}
-        ends[str(value.get("ended") or result.status)] += 1
-        resumed += result.resumed
-        if progress is not None:
-            progress(CampaignProgress(done=ends.total(), total=len(tasks), resumed=resumed, ends=dict(ends)))
-
     with claim(directory):
         _require_own(directory)
         write_file(directory / _MARK, json_bytes({"format": _RESULT_FORMAT, "name": name}))
-        found = run_tasks(
-            tasks,
+        results = task_results(
+            # Those that have ended are not held.
+            (tasks.popleft() for _ in range(len(tasks))),
             directory / _TASKS,
             workers=workers,
             scheduler=scheduler,
             attempts=_ATTEMPTS,
             accept=partial(_is_whole, directory=directory, again=again),
-            report=report,
         )
-        rows = tuple(
-            result_row(entry, result, plan_place(entry.name))
-            for entry, result in zip(entries, found, strict=True)
-        )
-        write_file(directory / RESULTS, parquet(rows))
-        write_file(directory / OVERVIEW, overview_page(name, rows, directory).encode())
-    return Campaign(name=name, directory=directory, rows=rows, seconds=time.perf_counter() - begin)
+        with closing(results):
+            for result in results:
+                row = result_row(rows[result.name], result, plan_place(result.name))
+                rows[result.name] = row
+                ends[row["ended"]] += 1
+                resumed += result.resumed
+                if progress is not None:
+                    done = ends.total()
+                    progress(CampaignProgress(done=done, total=len(rows), resumed=resumed, ends=dict(ends)))
+        found = tuple(rows.values())
+        write_file(directory / RESULTS, parquet(found))
+        write_file(directory / OVERVIEW, overview_page(name, found, directory).encode())
+    return Campaign(name=name, directory=directory, rows=found, seconds=time.perf_counter() - begin)
 
 
-def _tasks(given: CampaignFile, entries: Sequence[Entry], directory: Path, *, pages: bool) -> list[Task]:
+def _tasks(given: CampaignFile, entries: Iterable[Entry], directory: Path, *, pages: bool) -> Iterator[Task]:
     known = {name: version for name, version in versions().items() if name != "python"}
     robots = _Robots()
-    return [
-        Task(
+    for entry in entries:
+        yield Task(
             name=entry.name,
             function=PLAN_SCENE,
-            arguments={"scene": resolved_file(entry.scene).as_data(), "pages": pages},
+            # As text a scene takes a tenth of the memory: all jobs of the campaign wait at once.
+            arguments={"scene": json.dumps(resolved_file(entry.scene).as_data()), "pages": pages},
             unkeyed={"directory": str(directory.resolve() / plan_place(entry.name))},
             inputs={**known, "scene": entry.scene.content_hash, "robot": robots.hash_of(entry.scene)},
             time_limit=given.time_limit_s,
             memory_limit=given.memory_limit_mb * 1_000_000,
         )
-        for entry in entries
-    ]
 
 
 class _Robots:

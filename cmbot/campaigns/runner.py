@@ -6,9 +6,9 @@ import importlib
 import json
 import logging
 import signal
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import asdict, replace
 from multiprocessing import resource_tracker
 from pathlib import Path
@@ -18,9 +18,12 @@ from cmbot.campaigns.child import run_in_child
 from cmbot.campaigns.task import Task, TaskResult, TaskStatus
 from cmbot.common.errors import CmbotError, InputError, MissingExtra
 
-__all__ = ["require_dask", "run_tasks"]
+__all__ = ["require_dask", "run_tasks", "task_results"]
 
 _FORMAT = "cmbot-task/1"
+# Tasks that dask has at a time; each takes tens of kilobytes there. For each process of this machine; and for
+# a scheduler, whose workers may be many, or become more as its queue grows.
+_AHEAD_HERE, _AHEAD_THERE = 4, 5000
 _SETTINGS = {
     # Workers start processes of their own.
     "distributed.worker.daemon": False,
@@ -85,36 +88,66 @@ def run_tasks(
     MissingExtra
         When tasks are to be run and dask is not installed.
     """
+    results = task_results(
+        tasks,
+        directory,
+        workers=workers,
+        scheduler=scheduler,
+        attempts=attempts,
+        fresh=fresh,
+        accept=accept,
+    )
+    found: dict[str, TaskResult] = {}
+    with closing(results):
+        for result in results:
+            found[result.name] = result
+            if report is not None:
+                report(result)
+    return tuple(found[task.name] for task in tasks)
+
+
+def task_results(
+    tasks: Iterable[Task],
+    directory: str | Path,
+    *,
+    workers: int = 1,
+    scheduler: str | None = None,
+    attempts: int = 1,
+    fresh: bool = False,
+    accept: Callable[[TaskResult], bool] | None = None,
+) -> Generator[TaskResult]:
+    """Yield results as the tasks end, first those that are there; neither tasks nor results are held.
+
+    `run_tasks` says what the parameters mean, and returns all results.
+    """
     directory = Path(directory)
-    if twice := [name for name, number in Counter(task.name for task in tasks).items() if number > 1]:
-        raise InputError("run_tasks", "tasks", f"several tasks named {twice[0]!r}", "a unique name for each")
     if not workers >= 1:
         raise InputError("run_tasks", "workers", workers, "a whole number from 1 on")
-    found: dict[str, TaskResult] = {}
-
-    def ended(result: TaskResult) -> None:
-        found[result.name] = result
-        if report is not None:
-            report(result)
-
-    left = []
+    left, names = deque[Task](), set[str]()
     for task in tasks:
+        if task.name in names:
+            raise InputError(
+                "run_tasks", "tasks", f"several tasks named {task.name!r}", "a unique name for each"
+            )
+        names.add(task.name)
         known = None if fresh else _known(directory, task)
         if known is None or (accept is not None and not accept(known)):
             left.append(task)
         else:
-            ended(known)
+            yield known
     if left:
-        for result in _run(left, workers, scheduler, attempts):
-            _store(directory, result)
-            ended(result)
-    return tuple(found[task.name] for task in tasks)
+        with closing(_run(left, workers, scheduler, attempts)) as results:
+            for result in results:
+                _store(directory, result)
+                yield result
 
 
-def _run(tasks: Sequence[Task], workers: int, scheduler: str | None, attempts: int) -> Iterator[TaskResult]:
-    """Yield results as the tasks end."""
+def _run(left: deque[Task], workers: int, scheduler: str | None, attempts: int) -> Generator[TaskResult]:
+    """Yield results as the tasks end; takes them from `left`."""
     distributed = require_dask()
-    with _client(distributed, min(workers, len(tasks)), scheduler) as client:
+    workers = min(workers, len(left))
+    ahead = _AHEAD_HERE * workers if scheduler is None else _AHEAD_THERE
+    with _client(distributed, workers, scheduler) as client:
         futures = dict[Any, tuple[Task, int]]()
 
         def submit(task: Task, attempt: int) -> Any:
@@ -125,7 +158,7 @@ def _run(tasks: Sequence[Task], workers: int, scheduler: str | None, attempts: i
             futures[future] = task, attempt
             return future
 
-        ends = distributed.as_completed([submit(task, 1) for task in tasks])
+        ends = distributed.as_completed([submit(left.popleft(), 1) for _ in range(min(ahead, len(left)))])
         for future in ends:
             task, attempt = futures.pop(future)
             if future.status == "finished":
@@ -137,6 +170,8 @@ def _run(tasks: Sequence[Task], workers: int, scheduler: str | None, attempts: i
                 result = TaskResult(
                     name=task.name, key=task.key, status=TaskStatus.CRASHED, error=text, attempts=attempt
                 )
+            if left:
+                ends.add(submit(left.popleft(), 1))
             if result.worth_a_retry and attempt < attempts:
                 ends.add(submit(task, attempt + 1))
             else:

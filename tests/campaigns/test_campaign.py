@@ -1,5 +1,6 @@
 """Campaigns from the file to the table: what is planned, kept, planned again, and shown."""
 
+import gc
 import importlib
 import io
 import json
@@ -25,7 +26,7 @@ from cmbot.campaigns import OVERVIEW, RESULTS, CampaignProgress, Task, TaskResul
 from cmbot.campaigns import run as run_module
 from cmbot.campaigns.overview import overview_page
 from cmbot.campaigns.planned import plan_scene
-from cmbot.campaigns.results import parquet, result_row
+from cmbot.campaigns.results import given_cells, parquet, result_row
 from cmbot.common.errors import ModelError
 from cmbot.scene import Scene
 
@@ -139,10 +140,21 @@ def test_a_robot_that_is_none_stops_it_before_anything_is_planned(file: Path, ra
 def test_a_robot_is_loaded_once_whatever_it_carries(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     loaded, load = list[Scene](), run_module.robot_of
     monkeypatch.setattr(run_module, "robot_of", lambda scene: (loaded.append(scene), load(scene))[1])
-    tasks = run_module._tasks(*read_campaign(file), file.parent / "out", pages=False)
+    tasks = list(run_module._tasks(*read_campaign(file), file.parent / "out", pages=False))
     assert len(loaded) == 1
     assert {task.inputs["robot"] for task in tasks} == {load(loaded[0]).content_hash}
     assert len({task.key for task in tasks}) == len(tasks) == 3
+
+
+def test_jobs_that_wait_hold_no_scenes(file: Path) -> None:
+    def scenes() -> int:
+        gc.collect()
+        return sum(isinstance(each, Scene) for each in gc.get_objects())
+
+    before = scenes()
+    tasks = list(run_module._tasks(*read_campaign(file), file.parent / "out", pages=False))
+    assert len(tasks) == 3
+    assert scenes() == before
 
 
 def test_results_of_every_kind_fit_into_a_row() -> None:
@@ -156,7 +168,7 @@ def test_results_of_every_kind_fit_into_a_row() -> None:
         ),
     }
     entry: Any = type("", (), {"name": "a", "at_m": None, "values": {"x": [1, 2], "y": 1}})
-    rows = [result_row(entry, result, "plans/aa/a") for result in ends.values()]
+    rows = [result_row(given_cells(entry), result, "plans/aa/a") for result in ends.values()]
     assert [row["ended"] for row in rows] == list(ends)
     assert all(row["reason"] and row["plan"] is None for row in rows)
     assert rows[0]["set.x"] == "[1, 2]"

@@ -24,7 +24,7 @@ def entries(folder: Path, text: str, **others: str) -> tuple[Entry, ...]:
     for name, content in others.items():
         (folder / f"{name}.csv").write_text(content, encoding="utf-8")
     (folder / "all.yaml").write_text(text, encoding="utf-8")
-    return read_campaign(folder / "all.yaml")[1]
+    return tuple(read_campaign(folder / "all.yaml")[1])
 
 
 def test_jobs_are_variants_of_a_scene(folder: Path) -> None:
@@ -101,4 +101,4 @@ def test_a_template_that_is_wrong_is_not_the_jobs_fault(folder: Path) -> None:
         entries(folder, f"{HEAD}jobs: [{{name: a}}]\n")
     (folder / "jobs.csv").write_text("name\nx\n", encoding="utf-8")
     with pytest.raises(InputError, match=r"jobs.csv:1: got no column scene"):
-        read_campaign(folder / "jobs.csv")
+        tuple(read_campaign(folder / "jobs.csv")[1])

@@ -3,6 +3,7 @@
 import importlib
 import json
 import sys
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -119,9 +120,10 @@ def test_only_a_result_of_the_same_inputs_is_kept(tmp_path: Path, monkeypatch: p
     module = importlib.import_module("cmbot.campaigns.runner")
     ran = list[str]()
 
-    def here(tasks: tuple[Task, ...], *_: object) -> list[TaskResult]:
-        ran.extend(each.name for each in tasks)
-        return [TaskResult(name=each.name, key=each.key, status=TaskStatus.DONE, value=7) for each in tasks]
+    def here(tasks: Iterable[Task], *_: object) -> Iterator[TaskResult]:
+        for each in tasks:
+            ran.append(each.name)
+            yield TaskResult(name=each.name, key=each.key, status=TaskStatus.DONE, value=7)
 
     monkeypatch.setattr(module, "_run", here)
     one, other = task("one", "add", x=1, y=1), task("other", "add", x=1, y=1)
