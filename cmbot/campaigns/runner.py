@@ -6,6 +6,7 @@ import importlib
 import json
 import logging
 import signal
+import sys
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
@@ -192,11 +193,29 @@ def _client(distributed: Any, workers: int, scheduler: str | None) -> Iterator[A
         with _ctrl_c_later():
             ends.enter_context(importlib.import_module("dask").config.set(_SETTINGS))
             # What goes wrong is in the results; tornado tells of callbacks that a cluster's end cuts short.
-            for name in ("distributed", "tornado"):
+            for name in ("distributed", "distributed.client", "tornado"):
                 logging.getLogger(name).setLevel(logging.CRITICAL)
+            ends.enter_context(_script_unread())
             cluster = ends.enter_context(distributed.LocalCluster(**local, **options))
             client = ends.enter_context(distributed.Client(cluster))
         yield client
+
+
+@contextmanager
+def _script_unread() -> Iterator[None]:
+    """Keep processes that ``multiprocessing`` starts from running the user's script first, as it has them do.
+
+    No task needs it, and where it calls `run_tasks` outside of ``if __name__ == "__main__"`` they would, too.
+    """
+    main = sys.modules["__main__"]
+    file, spec = vars(main).pop("__file__", None), main.__spec__
+    main.__spec__ = None
+    try:
+        yield
+    finally:
+        main.__spec__ = spec
+        if file is not None:
+            main.__file__ = file
 
 
 @contextmanager

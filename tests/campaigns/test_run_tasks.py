@@ -2,6 +2,8 @@
 
 import importlib
 import json
+import os
+import subprocess
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
@@ -114,6 +116,23 @@ def test_tasks_on_dask_are_resumed(tmp_path: Path) -> None:
     # No worker, and no dask, is needed where every result is there.
     again = run_tasks(tasks, tmp_path / "new")
     assert again == tuple(replace(result, resumed=True) for result in first)
+
+
+def test_a_script_needs_no_guard(tmp_path: Path) -> None:
+    """Processes of ``multiprocessing`` begin with the user's script, which begins with a campaign."""
+    pytest.importorskip("distributed")
+    script = tmp_path / "script.py"
+    script.write_text(
+        f"""from cmbot.campaigns import Task, run_tasks
+print("begin")
+tasks = [Task(name=f"t{{k}}", function="{CALLS}:add", arguments={{"x": 1, "y": k}}) for k in range(6)]
+print([result.value for result in run_tasks(tasks, "out", workers=1)], __file__ == {str(script)!r})
+""",
+        encoding="utf-8",
+    )
+    there = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run([sys.executable, script], cwd=tmp_path, env=there, capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("begin\n[1, 2, 3, 4, 5, 6] True\n", "")
 
 
 def test_only_a_result_of_the_same_inputs_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
