@@ -69,6 +69,8 @@ class ExchangeOptions:
         first, as far as that. Where all else is violated so much a bound on the peak only stands in the way.
     attempt_steps : int
         An attempt ends after this number of steps that do not halve violations beyond that.
+    attempt_stays : int
+        It also ends after this number of steps that hardly lower violations, if no step can to first order.
     attempt_iterations : int
         It also ends after this number at none of which the known constraints were met: where the lower bound
         is missed narrowly, violations fall quickly up to that, and hardly any further.
@@ -99,6 +101,7 @@ class ExchangeOptions:
     nearly_ended: float = 0.03
     far_off: float = 4.0
     attempt_steps: int = 6
+    attempt_stays: int = 2
     attempt_iterations: int = 25
     stalls: int = 3
     slsqp_accuracy: float = 1e-8
@@ -383,6 +386,7 @@ class _Exchange:
             sqp = replace(
                 sqp,
                 met_within=o.attempt_iterations,
+                stay_steps=o.attempt_stays,
                 infeasible_steps=o.attempt_steps,
                 infeasible_share=0.5,
                 infeasible_violation=o.nearly_met,

@@ -84,8 +84,10 @@ class SqpOptions:
         So many iterations that together gain less than the second, a share as `optimality_tolerance`, end it
         where the constraints are met and a step within `optimality_radius` promises no more than the third:
         near a solution it takes fewer, elsewhere progress is slow. Where they are not met, steps are
-        shortened; where these do not bring the violation down to the share `infeasible_ratio`, it ends if no
-        step can.
+        shortened.
+    stay_steps : int
+        Where so many iterations do not bring the violation down to the share `infeasible_ratio`, it ends if
+        no step can.
     stall_patience : int
         So many times as many iterations that together gain no more end it whatever is promised: along curved
         constraints only short steps are accepted, and what longer ones promise is not kept.
@@ -131,6 +133,7 @@ class SqpOptions:
     stall_steps: int = 8
     stall_tolerance: float = 1e-5
     stall_promise: float = 5e-4
+    stay_steps: int = 8
     stall_patience: int = 3
     infeasible_steps: int = 30
     infeasible_share: float = 0.8
@@ -381,13 +384,13 @@ class _SqpState(Generic[AnyIterate]):
     def _makes_no_progress(self, model: NlpModel, step: QpStep) -> bool:
         """Whether many steps have left violations, or some have most of them and no step can lower them."""
         o, tolerance = self._options, self._options.feasibility_tolerance
-        last, few = (self._violations[-1 - steps :] for steps in (o.infeasible_steps, o.stall_steps))
+        last, few = (self._violations[-1 - steps :] for steps in (o.infeasible_steps, o.stay_steps))
         most = max(o.infeasible_violation, o.infeasible_share * last[0])
         if len(last) > o.infeasible_steps and min(last) > most:
             return True
         if len(self._violations) > o.met_within and min(self._violations) > tolerance:
             return True
-        stays = len(few) > o.stall_steps and min(few) > max(tolerance, o.infeasible_ratio * few[0])
+        stays = len(few) > o.stay_steps and min(few) > max(tolerance, o.infeasible_ratio * few[0])
         return stays and self._is_infeasible(model, step)
 
     def _is_infeasible(self, model: NlpModel, step: QpStep) -> bool:

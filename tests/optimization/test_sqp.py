@@ -237,6 +237,12 @@ def test_what_cannot_be_met_is_said() -> None:
     ended = solve_sqp(Torn(np.array([1.0, 1.0]), 0.0))
     assert ended.status is SqpStatus.INFEASIBLE
     assert ended.iterate.model.violation == pytest.approx(0.5, rel=0.12)
+    # As soon as so many steps have not lowered it.
+    start = Torn(np.array([2.0, -1.0]), 0.0)
+    few, many = (sqp.solve_sqp(start, 2, SqpOptions(stay_steps=n, max_penalty=1e12)) for n in (2, 8))
+    assert few.status is many.status is SqpStatus.INFEASIBLE
+    assert many.iterations - few.iterations == 6
+    assert few.iterate.model.violation == pytest.approx(0.5, rel=1e-6)
 
 
 def test_a_warm_start_goes_on_where_the_last_run_ended() -> None:

@@ -133,6 +133,7 @@ def exchange_options(problem: TorqueProblem) -> ExchangeOptions:
         sqp=SqpOptions(
             optimality_tolerance=_ACCURACY,
             stall_steps=_STALL_STEPS,
+            stay_steps=_STALL_STEPS,
             stall_tolerance=_STALL_GAIN,
             infeasible_steps=_INFEASIBLE_STEPS,
             infeasible_share=_INFEASIBLE_SHARE,
