@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from scipy.optimize import nnls
 
-from cmbot.optimization import least_distance, nearest
+from cmbot.optimization import nearest
 
 
 def problem_of(rng: np.random.Generator, unknowns: int, bounds: int) -> tuple[np.ndarray, ...]:
@@ -43,17 +42,20 @@ def test_what_bounds_nothing_is_left_out(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(held, point - 1.0, atol=1e-9)
 
 
-def test_nonnegative_least_squares_are_those_of_scipy(rng: np.random.Generator) -> None:
-    """Also where columns are the same, numbers are whole, so that steps end at several bounds at once."""
-    for number in range(300):
-        rows, columns = rng.integers(1, 30, 2)
-        A, b = rng.normal(size=(rows, columns)), rng.normal(size=rows)
-        if number % 3 == 0:
-            A[:, columns // 2 :] = A[:, : columns - columns // 2]
-        if number % 5 == 0:
-            A = A.round()
-        if number % 7 == 0:
-            b = -np.abs(A).sum(axis=1)
-        u = least_distance._nonnegative_least_squares(A, b)
-        assert u is not None and u.min() >= 0
-        assert np.linalg.norm(A @ u - b) == pytest.approx(nnls(A, b)[1], rel=1e-9, abs=1e-9)
+@pytest.mark.parametrize("gap", [1e-3, 1e-6, 1e-8, 1e-9, 1e-11])
+@pytest.mark.parametrize("unknowns", [3, 12, 28])
+def test_bounds_that_hardly_agree(rng: np.random.Generator, unknowns: int, gap: float) -> None:
+    """Pairs of opposite bounds about one point: with a gap it is found, overlapping there is none.
+
+    Multipliers are large then, and as many bounds as there are unknowns seem not to be enough.
+    """
+    for _ in range(10):
+        point, factor, half, _ = problem_of(rng, unknowns, 20 * unknowns)
+        inside = rng.normal(size=unknowns)
+        C, room = np.vstack([half, -half]), np.append(half @ inside, -half @ inside)
+        found = nearest(point, factor, C, room + gap)
+        assert found is not None
+        assert (C @ found - room).max() < gap + 1e-9
+        none = nearest(point, factor, C, room - gap)
+        # What contradicts itself by less than round-off may be met to round-off.
+        assert none is None or (C @ none - room).max() < 1e-4
