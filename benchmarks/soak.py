@@ -3,6 +3,7 @@
     python benchmarks/soak.py                                  # 2,000 knot sets, 20 jobs
     python benchmarks/soak.py --knots 1000000 --jobs 10000 --workers 2
     python benchmarks/soak.py --document                       # what is there goes to docs/reliability.md
+    python benchmarks/soak.py --job j4-007-xarm7               # that job alone: what was found, and its file
 
 Knot sets: times, positions, velocities and accelerations of the shipped arm in four kinds (`KINDS`). Dense
 samples may not lie outside what the certificate encloses. Jobs are those of `suite.jobs`, made small, judged
@@ -18,7 +19,7 @@ import re
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -26,8 +27,9 @@ from typing import Any
 
 import numpy as np
 from enclosures import Case, case, outside
-from report.document import RESULTS, ROOT, page
-from report.tables import Sheet, markdown, print_sheets
+from report.document import ROOT
+from report.reliability import document, sheets
+from report.tables import print_sheets
 from rich.console import Console
 from run_suite import hash_of, planner_files
 from suite.jobs import job_name, make_job, plan_job
@@ -42,10 +44,9 @@ from cmbot.planning import robot_of
 from cmbot.robot import Robot
 from cmbot.trajectory import QuinticTrajectory
 
-__all__ = ["KINDS", "REFERENCE", "blocks", "certified_knots", "knot_set", "planned_job", "sheets"]
+__all__ = ["KINDS", "certified_knots", "knot_set", "planned_job"]
 
 FORMAT = "cmbot-soak/1"
-PAGE, REFERENCE = ROOT / "docs" / "reliability.md", RESULTS / "soak.json"
 KINDS = ("C3, least jerk", "free velocities and accelerations", "nearly at rest", "uneven times")
 # Knot sets in a task, and its time limit, s; of a job: making and planning.
 _TOGETHER, _KNOT_SECONDS, _JOB_SECONDS = 250, 900.0, 600.0
@@ -53,7 +54,6 @@ _EVEN, _WINDOW = 200, 25
 _NEARLY, _SHORTEST, _LONGEST = 1e-7, 0.02, 5.0
 # Jobs are made small: what they do is what larger ones do.
 _VIA_POINTS, _SAMPLES = 8, 10
-_NUMBER = re.compile(r"[-+]?\d[\d.,e+-]*")
 
 
 @cache
@@ -106,14 +106,17 @@ def certified_knots(first: int, number: int) -> dict[str, Any]:
 def planned_job(seed: int, number: int) -> dict[str, Any]:
     """Make a small random job, plan it, and judge the plan."""
     with tempfile.TemporaryDirectory() as folder:
-        made = make_job(seed, number, folder)
-        file = Path(folder, "job.yaml")
-        data = json.loads(file.read_text(encoding="utf-8"))
-        for stroke in data["tool_path"]["strokes"]:
-            stroke["via_points"] = _VIA_POINTS
-        data["planner"] = data.get("planner", {}) | {"samples_per_segment": _SAMPLES}
-        file.write_text(json.dumps(data), encoding="utf-8")
-        return made | plan_job(folder)
+        return _small_job(seed, number, Path(folder))
+
+
+def _small_job(seed: int, number: int, folder: Path) -> dict[str, Any]:
+    made, file = make_job(seed, number, str(folder)), folder / "job.yaml"
+    data = json.loads(file.read_text(encoding="utf-8"))
+    for stroke in data["tool_path"]["strokes"]:
+        stroke["via_points"] = _VIA_POINTS
+    data["planner"] = data.get("planner", {}) | {"samples_per_segment": _SAMPLES}
+    file.write_text(json.dumps(data), encoding="utf-8")
+    return made | plan_job(str(folder))
 
 
 def _run(arguments: argparse.Namespace, console: Console) -> dict[str, Any]:
@@ -179,64 +182,16 @@ def _jobs_found(results: Sequence[TaskResult]) -> list[dict[str, Any]]:
     return rows
 
 
-def sheets(results: Mapping[str, Any]) -> list[Sheet]:
-    """Return the tables: knot sets, what went wrong with them, jobs, why they were not planned."""
-    knots, jobs = results["knots"], results["jobs"]
-    failed = Counter(failure["kind"] for failure in knots["failures"])
-    rows = [(kind, f"{number:,}", f"{failed[kind]:,}") for kind, number in sorted(knots["sets"].items())]
-    total = sum(knots["sets"].values())
-    rows.append(("all", f"{total:,}", f"{len(knots['failures']):,}"))
-    each = 1e3 * knots["cpu_seconds"] / max(total, 1)
-    title = f"Knot sets: {knots['samples']:,} samples, {each:.0f} ms of processor time each"
-    ends, wrong = Counter(job["status"] for job in jobs), [job for job in jobs if job.get("violations")]
-    arms = sorted({job.get("arm", "?") for job in jobs})
-    by_arm = []
-    for arm in [*arms, "all"]:
-        some = [job for job in jobs if arm in (job.get("arm", "?"), "all")]
-        here = Counter(job["status"] for job in some)
-        broken = sum(bool(job.get("violations")) for job in some)
-        by_arm.append((arm, f"{len(some)}", *(f"{here[end]}" for end in sorted(ends)), f"{broken}"))
-    why = Counter((job["status"], _kind_of(job["reason"])) for job in jobs if job.get("reason"))
-    why.update(("false certificate", _kind_of(broken)) for job in wrong for broken in job["violations"])
-    return [
-        Sheet(key="soak-knots", title=title, headings=("knot sets", "number", "failures"), rows=tuple(rows)),
-        Sheet(
-            key="soak-knots-failures",
-            title="Failures of knot sets",
-            headings=("kind", "what", "number", "first seed"),
-            rows=tuple(_failures(knots["failures"])) or (("none", "–", "0", "–"),),
-        ),
-        Sheet(
-            key="soak-jobs",
-            title="Jobs",
-            headings=("arm", "jobs", *sorted(ends), "false certificate"),
-            rows=tuple(by_arm),
-        ),
-        Sheet(
-            key="soak-jobs-failures",
-            title="Why jobs were not planned",
-            headings=("ended", "reason", "jobs"),
-            rows=tuple((end, kind, f"{n}") for (end, kind), n in why.most_common()) or (("–", "–", "0"),),
-        ),
-    ]
-
-
-def _failures(failures: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str, str]]:
-    alike: dict[tuple[str, str], list[Any]] = {}
-    for failure in failures:
-        alike.setdefault((failure["kind"], _kind_of(failure["what"])), []).append(failure["seed"])
-    return [(kind, what, f"{len(seeds)}", str(seeds[0])) for (kind, what), seeds in alike.items()]
-
-
-def _kind_of(text: str) -> str:
-    """A reason without its numbers, and without what follows on from it."""
-    return _NUMBER.sub("…", text.split(";")[0].replace("|", "/"))[:160]
-
-
-def blocks(results: Mapping[str, Any]) -> dict[str, str]:
-    """Return what goes between the markers of docs/reliability.md."""
-    made = sheets(results)
-    return {sheet.key: f"{sheet.title}.\n\n{markdown(sheet)}" for sheet in made}
+def _alone(name: str, output: Path) -> dict[str, Any]:
+    """Make, plan and judge the job of a name in a folder of its own, which is kept."""
+    found = re.fullmatch(r"j(\d+)-(\d+)-\w+", name)
+    seed, number = map(int, found.groups()) if found else (0, 0)
+    if job_name(seed, number) != name:
+        sys.exit(f"--job: got {name!r}, expected the name of a job, such as {job_name(4, 7)}")
+    folder = output / "alone" / name
+    folder.mkdir(parents=True, exist_ok=True)
+    with threadpool_limits(limits=1):
+        return {"file": str(folder / "job.yaml"), **_small_job(seed, number, folder)}
 
 
 def main() -> int:
@@ -248,15 +203,21 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=1, help="processes (default: %(default)s)")
     parser.add_argument("--output", type=Path, default=ROOT / "out" / "soak", help="default: out/soak")
     parser.add_argument("--document", action="store_true", help="put the results into docs/reliability.md")
+    parser.add_argument(
+        "--job", metavar="NAME", help="make, plan and judge this job alone, and keep its file"
+    )
     arguments = parser.parse_args()
+    if arguments.job is not None:
+        found = _alone(arguments.job, arguments.output)
+        print(json.dumps(found, indent=1))
+        return int(bool(found.get("violations")))
     console = Console(width=max(150, Console().width))
     results = _run(arguments, console)
     text = json.dumps(results, indent=1) + "\n"
     (arguments.output / "results.json").write_text(text, encoding="utf-8")
     print_sheets(sheets(results), console)
     if arguments.document:
-        REFERENCE.write_text(text, encoding="utf-8")
-        PAGE.write_text(page(PAGE, blocks(results)), encoding="utf-8")
+        document(results)
     broken = results["knots"]["failures"] or any(job.get("violations") for job in results["jobs"])
     return int(bool(broken))
 
