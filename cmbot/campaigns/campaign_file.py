@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -12,9 +12,9 @@ from pydantic import Field, model_validator
 from cmbot.campaigns.task import require_task_name
 from cmbot.common.errors import InputError, SceneError
 from cmbot.common.input_files import read_csv
-from cmbot.common.validation import FileModel, given_path, refusal, shown, validated
+from cmbot.common.validation import FileModel, counted, given_path, hint, refusal, shown, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml, yaml_value
-from cmbot.scene import Scene, changed_content, is_within, scene_from_data, scene_path
+from cmbot.scene import Scene, changed_content, is_within, scene_from_data, scene_path, shipped_scenes
 
 __all__ = ["CampaignFile", "Entry", "EntryFile", "read_campaign"]
 
@@ -57,8 +57,8 @@ class CampaignFile(FileModel):
     """A folder whose scene files (``*.yaml``) are further jobs."""
     time_limit_s: Annotated[float, Field(gt=0, le=86400)] = 300.0
     """Wall time of a job, after which its process is killed."""
-    memory_limit_mb: Annotated[int, Field(ge=500, le=1_000_000)] = 4000
-    """Address space of a job's process."""
+    memory_limit_mb: Annotated[int, Field(ge=1000, le=1_000_000)] = 4000
+    """Address space of a job's process, of which it uses a part."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -96,13 +96,10 @@ class _Source:
     prefix: str = ""
     line: int | None = None
 
-    def error(self, error: InputError, values: Iterable[str] = ()) -> InputError:
-        """An error about an entry, named by where that stands; `values` are the keys that it sets."""
-        key = f"{self.prefix}{error.key}"
-        if isinstance(error, SceneError) and self.prefix:
-            within = is_within(error.key, values)
-            key = f"{self.prefix}set.{error.key}" if within else f"{self.prefix}scene: {error.key}"
-        return type(error)(self.file, key, error.got, error.expected, error.choices, line=self.line)
+    def error(self, error: InputError, key: str | None = None) -> InputError:
+        """An error about an entry, named by where that stands; by its `key` there where that is another."""
+        named = f"{self.prefix}{error.key if key is None else key}"
+        return type(error)(self.file, named, error.got, error.expected, error.choices, line=self.line)
 
 
 def read_campaign(path: str | Path) -> tuple[CampaignFile, Iterator[Entry]]:
@@ -121,9 +118,9 @@ def read_campaign(path: str | Path) -> tuple[CampaignFile, Iterator[Entry]]:
     kind = "a campaign file, a CSV table or a folder of scenes"
     path = given_path(path, "cmbot.campaign", "file", kind)
     if path.is_dir():
-        file = CampaignFile(format="cmbot-campaign/1", name=path.resolve().name, folder=str(path.resolve()))
+        file = CampaignFile(format="cmbot-campaign/1", name=path.resolve().name, folder=".")
     elif path.suffix.lower() == ".csv":
-        file = CampaignFile(format="cmbot-campaign/1", name=path.stem, table=str(path.resolve()))
+        file = CampaignFile(format="cmbot-campaign/1", name=path.stem, table=path.name)
     else:
         with lines_named(path):
             file = validated(CampaignFile, read_yaml(path, InputError, kind), str(path), InputError)
@@ -135,7 +132,7 @@ def read_campaign(path: str | Path) -> tuple[CampaignFile, Iterator[Entry]]:
 
 def _entries(file: CampaignFile, path: Path) -> Iterator[Entry]:
     folder = path if path.is_dir() else path.parent
-    templates = _Templates(folder, str(path))
+    templates = _Templates(file, str(path), folder)
     seen = set[str]()
     with lines_named(path):
         for given, source in _given(file, path, folder):
@@ -143,11 +140,10 @@ def _entries(file: CampaignFile, path: Path) -> Iterator[Entry]:
                 raise InputError(str(path), "", "more jobs", f"at most {_MOST_ENTRIES:,} of them")
             try:
                 _require_name(given.name, seen)
-                entry = templates.entry(given, file)
             except InputError as error:
-                raise source.error(error, given.set) from error
+                raise source.error(error) from error
             seen.add(given.name)
-            yield entry
+            yield templates.entry(given, source)
         if not seen:
             raise InputError(str(path), "", "a campaign without jobs", "at least one job")
 
@@ -174,14 +170,15 @@ def _given(file: CampaignFile, path: Path, folder: Path) -> Iterator[tuple[Entry
                 str(path), "folder", f"no such folder {shown(file.folder)}", "a folder of scenes"
             )
         for scene in sorted(where.glob("*.yaml")):
-            yield EntryFile(name=scene.stem, scene=str(scene.resolve())), _Source(file=str(scene))
+            named = str(Path(file.folder, scene.name))
+            yield EntryFile(name=scene.stem, scene=named), _Source(file=str(scene))
 
 
 def _rows(table: Path, scene: str | None) -> Iterator[tuple[EntryFile, _Source]]:
     rows = read_csv(table, InputError, kind="a CSV table of jobs", largest=_LARGEST_TABLE)
     heading = [name.strip() for name in rows[0]] if rows else []
     if "name" not in heading or len(set(heading)) < len(heading) or "" in heading:
-        expected = "a line of different columns, among them name"
+        expected = "a line of different columns with commas between them, among them name"
         raise InputError(str(table), "", shown(",".join(heading)), expected, line=1)
     if scene is None and "scene" not in heading:
         raise InputError(str(table), "", "no column scene", "one, or a campaign file with a scene", line=1)
@@ -189,17 +186,19 @@ def _rows(table: Path, scene: str | None) -> Iterator[tuple[EntryFile, _Source]]
         if not row:
             continue
         if len(row) != len(heading):
-            raise InputError(str(table), "", f"{len(row)} cells", f"{len(heading)} as in line 1", line=line)
-        cells = {name: cell.strip() for name, cell in zip(heading, row, strict=True)}
+            raise InputError(
+                str(table), "", counted(len(row), "cell"), f"{len(heading)} as in line 1", line=line
+            )
+        by_name = {name: cell.strip() for name, cell in zip(heading, row, strict=True)}
         source = _Source(file=str(table), line=line)
         try:
             # An empty cell leaves a key as the scene has it.
             values = {
                 key: yaml_value(cell, "", InputError)
-                for key, cell in cells.items()
+                for key, cell in by_name.items()
                 if cell and key not in ("name", "scene")
             }
-            data = {name: cells[name] for name in ("name", "scene") if cells.get(name)}
+            data = {name: by_name[name] for name in ("name", "scene") if by_name.get(name)}
             data |= {"at_m": values.pop("at_m")} if "at_m" in values else {}
             yield validated(EntryFile, {**data, "set": values}, "", InputError), source
         except InputError as error:
@@ -209,24 +208,48 @@ def _rows(table: Path, scene: str | None) -> Iterator[tuple[EntryFile, _Source]]
 class _Templates:
     """The scenes that entries are variants of, each read once."""
 
-    def __init__(self, folder: Path, source: str) -> None:
-        self._folder, self._source = folder, source
+    def __init__(self, file: CampaignFile, source: str, folder: Path) -> None:
+        self._file, self._source, self._folder = file, source, folder
         self._read = dict[str, tuple[dict[str, Any], Path]]()
 
-    def entry(self, given: EntryFile, file: CampaignFile) -> Entry:
-        """The entry with its scene; a `SceneError` names a key of that."""
-        named = given.scene or file.scene
-        if named is None:
-            raise InputError("", "scene", "nothing", "a scene, here or for the whole campaign")
-        if named not in self._read:
-            self._read[named] = self._template(named)
-        data, folder = self._read[named]
-        values = {**file.set, **given.set}
-        content = changed_content(data, values) | {"name": given.name}
-        scene = scene_from_data(content, folder, self._source)
+    def entry(self, given: EntryFile, source: _Source) -> Entry:
+        """The entry with its scene; what is wrong is named by where it stands."""
+        data, path = self._template(given, source)
+        values = {**self._file.set, **given.set}
+        try:
+            content = changed_content(data, values) | {"name": given.name}
+            scene = scene_from_data(content, path.parent, self._source)
+        except SceneError as error:
+            raise self._named(error, given, source, data, path) from error
         return Entry(name=given.name, scene=scene, at_m=given.at_m, values=values)
 
-    def _template(self, named: str) -> tuple[dict[str, Any], Path]:
-        beside = self._folder / named
-        path = scene_path(beside) if beside.is_file() else scene_path(named)
-        return read_yaml(path, SceneError), path.parent
+    def _named(
+        self, error: SceneError, given: EntryFile, source: _Source, data: dict[str, Any], path: Path
+    ) -> InputError:
+        """An error in what an entry or the campaign sets, in the scene file, or in how these go together."""
+        if is_within(error.key, given.set):
+            return source.error(error, f"set.{error.key}" if source.prefix else error.key)
+        if is_within(error.key, self._file.set):
+            return _Source(file=self._source).error(error, f"set.{error.key}")
+        try:
+            with lines_named(path):
+                scene_from_data(data, path.parent, str(path))
+        except SceneError as own:
+            if own.key == error.key:
+                return own
+        return source.error(error, f"scene: {error.key}")
+
+    def _template(self, given: EntryFile, source: _Source) -> tuple[dict[str, Any], Path]:
+        named = given.scene or self._file.scene
+        if named is None:
+            raise source.error(InputError("", "scene", "nothing", "a scene, here or for the whole campaign"))
+        if named not in self._read:
+            path = self._folder / named
+            if not path.is_file():
+                if named not in (names := shipped_scenes()):
+                    expected = f"a scene file beside {self._source}, or a shipped scene{hint(named, names)}"
+                    missing = SceneError("", "scene", f"no such file {shown(named)}", expected)
+                    raise (source if given.scene else _Source(file=self._source)).error(missing)
+                path = scene_path(named)
+            self._read[named] = read_yaml(path, SceneError), path
+        return self._read[named]

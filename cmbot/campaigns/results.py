@@ -13,13 +13,15 @@ from cmbot.campaigns.campaign_file import Entry
 from cmbot.campaigns.task import TaskResult, TaskStatus
 from cmbot.common.errors import MissingExtra
 
-__all__ = ["PLANS", "given_cells", "parquet", "plan_place", "result_row"]
+__all__ = ["PLANS", "given_cells", "parquet", "plan_place", "require_pyarrow", "result_row"]
 
 PLANS = "plans"
 """Folder of the plan directories: in 256 folders, so that none has too many."""
 
 # Of entries of a result: texts that the table has whole, or that are no figures.
 _LEFT_OUT = ("ended", "reason", "remarks")
+# The keys of limits, by how jobs end that would need more.
+_LIMITS = {"timed out": "time_limit_s", "out of memory": "memory_limit_mb"}
 
 
 def plan_place(name: str) -> str:
@@ -52,13 +54,18 @@ def result_row(given: Mapping[str, Any], result: TaskResult, place: str) -> dict
     return {
         **given,
         "ended": value.get("ended") or _end(result),
-        "reason": result.error or value.get("reason", ""),
+        "reason": _reason(result) or value.get("reason", ""),
         "plan": place if planned else None,
         "attempts": result.attempts,
         "seconds": result.seconds,
         "cpu_seconds": result.cpu_seconds,
         **_flat({name: each for name, each in value.items() if name not in _LEFT_OUT}),
     }
+
+
+def _reason(result: TaskResult) -> str:
+    key = _LIMITS.get(_end(result))
+    return f"{result.error}; a larger {key} may help" if key else result.error
 
 
 def _end(result: TaskResult) -> str:
@@ -90,11 +97,7 @@ def parquet(rows: Sequence[Mapping[str, Any]]) -> bytes:
     MissingExtra
         When pyarrow is not installed.
     """
-    try:
-        pyarrow = import_module("pyarrow")
-        writer = import_module("pyarrow.parquet")
-    except ImportError as error:
-        raise MissingExtra("pyarrow", "campaign") from error
+    pyarrow = require_pyarrow()
     columns = dict[str, list[Any]]()
     for name in dict.fromkeys(name for row in rows for name in row):
         column = [row.get(name) for row in rows]
@@ -104,5 +107,14 @@ def parquet(rows: Sequence[Mapping[str, Any]]) -> bytes:
             column = [None if value is None else to(value) for value in column]
         columns[name] = column
     stream = io.BytesIO()
-    writer.write_table(pyarrow.table(columns), stream)
+    pyarrow.parquet.write_table(pyarrow.table(columns), stream)
     return stream.getvalue()
+
+
+def require_pyarrow() -> Any:
+    """Return the module ``pyarrow``; a `MissingExtra` where it is not installed."""
+    try:
+        import_module("pyarrow.parquet")
+        return import_module("pyarrow")
+    except ImportError as error:
+        raise MissingExtra("pyarrow", "campaign") from error

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,15 +16,16 @@ from cmbot.archive import PLAN_FILE, claim, json_bytes, resolved_file, write_fil
 from cmbot.campaigns.campaign_file import CampaignFile, Entry, read_campaign
 from cmbot.campaigns.overview import overview_page
 from cmbot.campaigns.planned import PLAN_SCENE
-from cmbot.campaigns.results import given_cells, parquet, plan_place, result_row
+from cmbot.campaigns.results import given_cells, parquet, plan_place, require_pyarrow, result_row
 from cmbot.campaigns.runner import require_dask, task_results
 from cmbot.campaigns.task import Task, TaskResult
-from cmbot.common.errors import ArchiveError
+from cmbot.common.errors import ArchiveError, InputError
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import given_path
+from cmbot.common.validation import given_path, shown
 from cmbot.planning import robot_of
 from cmbot.scene import RobotSource, Scene
 from cmbot.version import versions
+from cmbot.views import REPORT
 
 __all__ = ["OVERVIEW", "RESULTS", "Campaign", "CampaignProgress", "campaign"]
 
@@ -64,6 +65,8 @@ class Campaign:
         With ``results.parquet``, ``index.html`` and the plan directories.
     rows : tuple of mapping
         A row for each job, as in the table: ``name``, ``ended``, ``reason``, ``plan``, figures.
+    kept : Counter of str
+        How many results of earlier calls were kept, by how they had ended.
     seconds : float, s
         Wall time of this call.
     """
@@ -71,6 +74,7 @@ class Campaign:
     name: str
     directory: Path
     rows: tuple[Mapping[str, Any], ...]
+    kept: Counter[str]
     seconds: float
 
     __repr__ = short_repr
@@ -94,7 +98,8 @@ def campaign(
     """Plan many scenes; go on where an earlier call stopped.
 
     A job whose scene, robot and versions are those of its result is not planned again, however it ended. One
-    that crashes, hangs or finds no memory costs itself alone; it is tried twice.
+    that crashes, hangs or finds no memory costs itself alone; it is tried twice, and again with other limits.
+    When the call is interrupted, the table has the jobs that have ended.
 
     Parameters
     ----------
@@ -107,7 +112,7 @@ def campaign(
     scheduler : str, optional
         Address of a dask scheduler, whose workers are used instead; they see the same files.
     pages : bool
-        Write replay and report of every plan.
+        Write replay and report of every plan; one without them is planned again.
     again : bool
         Plan those again that were not planned.
     progress : callable, optional
@@ -116,19 +121,21 @@ def campaign(
     Raises
     ------
     InputError
-        When the campaign, a scene or a robot in it is wrong: nothing is planned then.
+        When the campaign, a scene or a robot in it is wrong, or an argument: nothing is planned then.
     ArchiveError
-        When the folder holds something else, another process is writing there, or the system refuses.
+        When the folder holds another campaign or something else, another process is writing there, or the
+        system refuses.
     MissingExtra
         When dask or pyarrow is not installed.
 
     Examples
     --------
     >>> done = cmbot.campaign("bridge.yaml", "out/bridge", workers=2)  # doctest: +SKIP
-    >>> done.ends  # doctest: +SKIP
+    >>> dict(done.ends)  # doctest: +SKIP
     {'planned': 58, 'no plan': 2}
     """
     begin = time.perf_counter()
+    _require_arguments(workers, scheduler)
     given, entries = read_campaign(file)
     name = str(given.name)
     directory = Path("out") / name if output is None else given_path(output, "campaign", "output", "a folder")
@@ -141,9 +148,10 @@ def campaign(
 
     tasks = deque(_tasks(given, noted(), directory, pages=pages))
     require_dask()
-    ends, resumed = Counter[str](), 0
+    require_pyarrow()
+    ends, kept = Counter[str](), Counter[str]()
     with claim(directory):
-        _require_own(directory)
+        _require_own(directory, name)
         write_file(directory / _MARK, json_bytes({"format": _RESULT_FORMAT, "name": name}))
         results = task_results(
             # Those that have ended are not held.
@@ -152,21 +160,40 @@ def campaign(
             workers=workers,
             scheduler=scheduler,
             attempts=_ATTEMPTS,
-            accept=partial(_is_whole, directory=directory, again=again),
+            accept=partial(_is_whole, directory=directory, pages=pages, again=again),
         )
-        with closing(results):
-            for result in results:
-                row = result_row(rows[result.name], result, plan_place(result.name))
-                rows[result.name] = row
-                ends[row["ended"]] += 1
-                resumed += result.resumed
-                if progress is not None:
-                    done = ends.total()
-                    progress(CampaignProgress(done=done, total=len(rows), resumed=resumed, ends=dict(ends)))
+        try:
+            with closing(results):
+                for result in results:
+                    row = result_row(rows[result.name], result, plan_place(result.name))
+                    rows[result.name] = row
+                    ends[row["ended"]] += 1
+                    kept[row["ended"]] += result.resumed
+                    if progress is not None:
+                        done, resumed = ends.total(), kept.total()
+                        progress(
+                            CampaignProgress(done=done, total=len(rows), resumed=resumed, ends=dict(ends))
+                        )
+        except (KeyboardInterrupt, SystemExit):
+            _write(directory, name, [row for row in rows.values() if "ended" in row])
+            raise
         found = tuple(rows.values())
-        write_file(directory / RESULTS, parquet(found))
-        write_file(directory / OVERVIEW, overview_page(name, found, directory).encode())
-    return Campaign(name=name, directory=directory, rows=found, seconds=time.perf_counter() - begin)
+        _write(directory, name, found)
+    seconds = time.perf_counter() - begin
+    return Campaign(name=name, directory=directory, rows=found, kept=+kept, seconds=seconds)
+
+
+def _write(directory: Path, name: str, rows: Sequence[Mapping[str, Any]]) -> None:
+    write_file(directory / RESULTS, parquet(rows))
+    write_file(directory / OVERVIEW, overview_page(name, rows, directory).encode())
+
+
+def _require_arguments(workers: object, scheduler: object) -> None:
+    if not (isinstance(workers, int) and workers >= 1):
+        raise InputError("cmbot.campaign", "workers", shown(workers), "a whole number from 1 on")
+    if not (scheduler is None or isinstance(scheduler, str)):
+        expected = "the address of a dask scheduler, tcp://HOST:PORT, or None"
+        raise InputError("cmbot.campaign", "scheduler", shown(scheduler), expected)
 
 
 def _tasks(given: CampaignFile, entries: Iterable[Entry], directory: Path, *, pages: bool) -> Iterator[Task]:
@@ -177,8 +204,8 @@ def _tasks(given: CampaignFile, entries: Iterable[Entry], directory: Path, *, pa
             name=entry.name,
             function=PLAN_SCENE,
             # As text a scene takes a tenth of the memory: all jobs of the campaign wait at once.
-            arguments={"scene": json.dumps(resolved_file(entry.scene).as_data()), "pages": pages},
-            unkeyed={"directory": str(directory.resolve() / plan_place(entry.name))},
+            arguments={"scene": json.dumps(resolved_file(entry.scene).as_data())},
+            unkeyed={"directory": str(directory.resolve() / plan_place(entry.name)), "pages": pages},
             inputs={**known, "scene": entry.scene.content_hash, "robot": robots.hash_of(entry.scene)},
             time_limit=given.time_limit_s,
             memory_limit=given.memory_limit_mb * 1_000_000,
@@ -199,14 +226,26 @@ class _Robots:
         return self._hashes[empty]
 
 
-def _require_own(directory: Path) -> None:
-    """Refuse a folder that holds something else than a campaign."""
-    if directory.is_dir() and any(directory.iterdir()) and not (directory / _MARK).is_file():
-        expected = "a new folder, or that of a campaign, which goes on"
-        raise ArchiveError(str(directory), "", "a folder with other files in it", expected)
+def _require_own(directory: Path, name: str) -> None:
+    """Refuse a folder that holds something else than the campaign of this name."""
+    mark = directory / _MARK
+    if not mark.is_file():
+        if directory.is_dir() and any(directory.iterdir()):
+            expected = "a new folder, or that of a campaign, which goes on"
+            raise ArchiveError(str(directory), "", "a folder with other files in it", expected)
+        return
+    try:
+        found = json.loads(mark.read_text(encoding="utf-8"))["name"]
+    except (OSError, ValueError, LookupError, TypeError):
+        found = None
+    if found != name:
+        expected = f"{name!r}, whose results these would replace: take another folder"
+        raise ArchiveError(str(mark), "name", shown(found), expected)
 
 
-def _is_whole(result: TaskResult, directory: Path, *, again: bool) -> bool:
+def _is_whole(result: TaskResult, directory: Path, *, pages: bool, again: bool) -> bool:
     """Whether a result of an earlier call holds: its plan is there, or it has none and that is taken."""
     planned = isinstance(result.value, dict) and result.value.get("ended") == "planned"
-    return (directory / plan_place(result.name) / PLAN_FILE).is_file() if planned else not again
+    needed = (PLAN_FILE, REPORT) if pages else (PLAN_FILE,)
+    place = directory / plan_place(result.name)
+    return all((place / name).is_file() for name in needed) if planned else not again

@@ -8,7 +8,7 @@ import logging
 import signal
 import sys
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import asdict, replace
 from multiprocessing import resource_tracker
@@ -18,6 +18,7 @@ from typing import Any
 from cmbot.campaigns.child import run_in_child
 from cmbot.campaigns.task import Task, TaskResult, TaskStatus
 from cmbot.common.errors import CmbotError, InputError, MissingExtra
+from cmbot.common.validation import shown
 
 __all__ = ["require_dask", "run_tasks", "task_results"]
 
@@ -54,8 +55,8 @@ def run_tasks(
 ) -> tuple[TaskResult, ...]:
     """Run tasks on several processes; each writes its result as ``NAME.json`` when it ends.
 
-    A task whose file is there and has its key is not run again, however it ended. One that crashes or hangs
-    costs itself alone.
+    A task whose file is there and has its key is not run again, however it ended; where it did not return, as
+    long as its limits are the same. One that crashes or hangs costs itself alone.
 
     Parameters
     ----------
@@ -83,7 +84,7 @@ def run_tasks(
     Raises
     ------
     InputError
-        When two tasks have the same name, or `workers` is not positive.
+        When two tasks have the same name, `workers` is not positive, or no scheduler answers at its address.
     ArchiveError
         When a result cannot be written.
     MissingExtra
@@ -124,13 +125,13 @@ def task_results(
     directory = Path(directory)
     if not workers >= 1:
         raise InputError("run_tasks", "workers", workers, "a whole number from 1 on")
-    left, names = deque[Task](), set[str]()
+    left, limits = deque[Task](), dict[str, dict[str, float | None]]()
     for task in tasks:
-        if task.name in names:
+        if task.name in limits:
             raise InputError(
                 "run_tasks", "tasks", f"several tasks named {task.name!r}", "a unique name for each"
             )
-        names.add(task.name)
+        limits[task.name] = _limits(task)
         known = None if fresh else _known(directory, task)
         if known is None or (accept is not None and not accept(known)):
             left.append(task)
@@ -139,7 +140,7 @@ def task_results(
     if left:
         with closing(_run(left, workers, scheduler, attempts)) as results:
             for result in results:
-                _store(directory, result)
+                _store(directory, result, limits[result.name])
                 yield result
 
 
@@ -182,7 +183,12 @@ def _run(left: deque[Task], workers: int, scheduler: str | None, attempts: int) 
 @contextmanager
 def _client(distributed: Any, workers: int, scheduler: str | None) -> Iterator[Any]:
     if scheduler is not None:
-        with distributed.Client(scheduler) as client:
+        try:
+            client = distributed.Client(scheduler)
+        except (OSError, ValueError, TypeError) as error:
+            expected = f"the address of a dask scheduler that is running, tcp://HOST:PORT ({error})"
+            raise InputError("run_tasks", "scheduler", shown(scheduler), expected) from error
+        with client:
             yield client
         return
     # Without an address the dashboard's server takes a fixed port, which a second campaign finds taken.
@@ -241,21 +247,30 @@ def require_dask() -> Any:
         raise MissingExtra("dask.distributed", "campaign") from error
 
 
+def _limits(task: Task) -> dict[str, float | None]:
+    return {"time_limit": task.time_limit, "memory_limit": task.memory_limit}
+
+
 def _known(directory: Path, task: Task) -> TaskResult | None:
-    """The result on the disk that has a task's key; None where there is none, or it is damaged."""
+    """The result on the disk that has a task's key; None where there is none, or it is damaged.
+
+    One that did not return may do so with other limits.
+    """
     try:
         data = json.loads((directory / f"{task.name}.json").read_text(encoding="utf-8"))
+        limits = {name: data.pop(name, None) for name in _limits(task)}
         if data.pop("format") != _FORMAT or data["key"] != task.key:
             return None
-        return replace(TaskResult(**data), resumed=True)
+        result = replace(TaskResult(**data), resumed=True)
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return None
+    return result if result.status is TaskStatus.DONE or limits == _limits(task) else None
 
 
-def _store(directory: Path, result: TaskResult) -> None:
+def _store(directory: Path, result: TaskResult, limits: Mapping[str, float | None]) -> None:
     # It brings the planner with it, which the tasks' processes may not need.
     from cmbot.archive import json_bytes, write_file
 
-    data = {"format": _FORMAT, **asdict(result)}
+    data = {"format": _FORMAT, **asdict(result), **limits}
     del data["resumed"]
     write_file(directory / f"{result.name}.json", json_bytes(data, indent=1))

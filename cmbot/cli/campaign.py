@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -63,6 +64,7 @@ def campaign(
     if not workers >= 1:
         raise InputError("--workers", "", workers, "a whole number from 1 on")
     import cmbot
+    from cmbot.campaigns import OVERVIEW, RESULTS
 
     with ConsoleProgress(quiet=quiet) as console:
 
@@ -85,20 +87,23 @@ def campaign(
             if not quiet:
                 err.print("stopped; the same command goes on from here")
             raise
-    planned = done.ends["planned"]
+    failed = [row for row in done.rows if row["ended"] != "planned"]
     if as_json:
         print_json(
             {
                 "verb": "campaign",
                 "directory": str(done.directory),
+                "files": [str(done.directory / file) for file in (RESULTS, OVERVIEW)],
                 "jobs": len(done.rows),
                 "ends": dict(done.ends),
+                "kept": dict(done.kept),
+                "failed": [{name: row[name] for name in ("name", "ended", "reason")} for row in failed],
                 "seconds": done.seconds,
             }
         )
     elif not quiet:
-        _print(done)
-    return ExitStatus.DONE if planned == len(done.rows) else ExitStatus.NO_PLAN
+        _print(done, failed)
+    return ExitStatus.NO_PLAN if failed else ExitStatus.DONE
 
 
 def _sentence(progress: CampaignProgress) -> str:
@@ -106,15 +111,21 @@ def _sentence(progress: CampaignProgress) -> str:
     return ", ".join([f"planning: {progress.done} of {progress.total}", *others])
 
 
-def _print(done: Campaign) -> None:
+def _print(done: Campaign, failed: Sequence[Mapping[str, Any]]) -> None:
     from cmbot.campaigns import OVERVIEW, RESULTS
+    from cmbot.common.validation import counted
 
     counts = ", ".join(f"{number} {end}" for end, number in done.ends.items())
-    out.print(f"{flat(done.name)}: {len(done.rows)} jobs in {done.seconds:.1f} s: {counts}.")
-    failed = [row for row in done.rows if row["ended"] != "planned"]
+    kept, kept_failures = done.kept.total(), done.kept.total() - done.kept["planned"]
+    before = f", {kept} of them before" if kept else ""
+    out.print(
+        f"{flat(done.name)}: {counted(len(done.rows), 'job')} in {done.seconds:.1f} s{before}: {counts}."
+    )
     for row in failed[:_MOST_REASONS]:
         out.print(flat(f"{row['name']}: {row['ended']}: {row['reason']}"))
     if len(failed) > _MOST_REASONS:
         out.print(f"… and {len(failed) - _MOST_REASONS} more.")
+    if kept_failures:
+        out.print(f"{kept_failures} of these ended so before; --again plans them again.")
     out.print(f"Table: {flat(done.directory / RESULTS)}.")
     out.print(f"Look at it: open {flat(done.directory / OVERVIEW)} in a browser.")

@@ -27,7 +27,7 @@ from cmbot.campaigns import run as run_module
 from cmbot.campaigns.overview import overview_page
 from cmbot.campaigns.planned import plan_scene
 from cmbot.campaigns.results import given_cells, parquet, result_row
-from cmbot.common.errors import ModelError
+from cmbot.common.errors import ArchiveError, InputError, ModelError
 from cmbot.scene import Scene
 
 TEXT = """format: cmbot-campaign/1
@@ -105,6 +105,53 @@ def test_a_campaign_plans_and_goes_on(file: Path, ran: list[str]) -> None:
     assert table(folder)["heavy"]["set.robot.payload_kg"] == 3.0
     cmbot.campaign(file, folder, again=True)
     assert ran == ["first", "heavy", "far"]
+    # Pages are added where they are missing, and stay.
+    del ran[:]
+    cmbot.campaign(file, folder, pages=True)
+    assert ran == ["first", "heavy"]
+    kept = cmbot.campaign(file, folder).kept
+    assert (ran, kept) == (["first", "heavy"], {"planned": 2, "no plan": 1})
+    for row in list(table(folder).values())[:2]:
+        assert (folder / row["plan"] / "report.html").is_file()
+
+
+def test_what_has_ended_is_in_the_table_of_an_interrupted_campaign(file: Path, ran: list[str]) -> None:
+    folder = file.parent / "out"
+
+    def stop(progress: CampaignProgress) -> None:
+        if progress.done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        cmbot.campaign(file, folder, progress=stop)
+    assert list(table(folder)) == ["first", "heavy"]
+    assert len(data_of((folder / OVERVIEW).read_text(encoding="utf-8"))["name"]) == 2
+    assert [row["name"] for row in cmbot.campaign(file, folder).rows] == ["first", "heavy", "far"]
+    assert ran == ["first", "heavy", "far"]
+
+
+def test_a_folder_holds_one_campaign(file: Path, ran: list[str]) -> None:
+    folder = file.parent / "out"
+    text = TEXT[: TEXT.index("jobs:")] + "jobs: [{name: far, set: {'tool_path.legs[0].by': [0, -9, 0]}}]\n"
+    file.write_text(text, encoding="utf-8")
+    cmbot.campaign(file, folder)
+    written = (folder / RESULTS).read_bytes()
+    file.write_text(text.replace("name: span", "name: other"), encoding="utf-8")
+    with pytest.raises(
+        ArchiveError, match=r"campaign.json: name: got 'span', expected 'other', whose results"
+    ):
+        cmbot.campaign(file, folder)
+    (folder / "campaign.json").write_text("[]", encoding="utf-8")
+    with pytest.raises(ArchiveError, match=r"campaign.json: name: got None, expected 'other'"):
+        cmbot.campaign(file, folder)
+    assert (folder / RESULTS).read_bytes() == written
+    assert ran == ["far"]
+
+
+def test_arguments_that_are_wrong_are_named(file: Path) -> None:
+    for name, value in (("workers", "two"), ("workers", 0), ("scheduler", 5), ("scheduler", "nonsense")):
+        with pytest.raises(InputError, match=f"{name}: got {value!r}, expected"):
+            cmbot.campaign(file, file.parent / "out", **{name: value})
 
 
 def test_the_command_line_says_what_failed(file: Path, ran: list[str]) -> None:
@@ -117,8 +164,14 @@ def test_the_command_line_says_what_failed(file: Path, ran: list[str]) -> None:
     assert "planning: 3 of 3, 1 no plan" in outcome.err
     assert (folder / OVERVIEW).is_file()
     outcome = run("campaign", file, "-o", folder, "--json")
-    assert json.loads(outcome.out)["ends"] == {"planned": 2, "no plan": 1}
+    told = json.loads(outcome.out)
+    assert told["ends"] == told["kept"] == {"planned": 2, "no plan": 1}
+    assert [(each["name"], each["ended"]) for each in told["failed"]] == [("far", "no plan")]
+    assert told["files"] == [str(folder / RESULTS), str(folder / OVERVIEW)]
     assert len(ran) == 3
+    outcome = run("campaign", file, "-o", folder)
+    assert " s, 3 of them before: 2 planned, 1 no plan." in outcome.out
+    assert "1 of these ended so before; --again plans them again." in outcome.out
     (file.parent / "taken").mkdir()
     (file.parent / "taken" / "thesis.txt").touch()
     outcome = run("campaign", file, "-o", file.parent / "taken")
@@ -172,6 +225,10 @@ def test_results_of_every_kind_fit_into_a_row() -> None:
     assert [row["ended"] for row in rows] == list(ends)
     assert all(row["reason"] and row["plan"] is None for row in rows)
     assert rows[0]["set.x"] == "[1, 2]"
+    assert [row["reason"] for row in rows[1:3]] == [
+        "killed after 3 s; a larger time_limit_s may help",
+        "MemoryError: x; a larger memory_limit_mb may help",
+    ]
     # Columns of text and numbers become text; those of whole and other numbers, numbers.
     kinds = [{"a": 1, "b": 1}, {"a": 1.5, "b": "x"}, {"c": None}]
     read = pyarrow.read_table(io.BytesIO(parquet(kinds))).to_pylist()
@@ -227,7 +284,8 @@ def test_processes_plan_as_one_does_and_ctrl_c_ends_them(file: Path, tmp_path: P
     _, alive = psutil.wait_procs(started, timeout=60)
     # Where nobody asks for the status of orphans, as in some containers, they stay as zombies.
     assert all(each.status() == psutil.STATUS_ZOMBIE for each in alive)
-    # What was finished is there, whole, and is what this process plans.
+    # What was finished is there, whole, also in the table, and is what this process plans.
+    assert "first" in table(out)
     result = json.loads(planned.read_text(encoding="utf-8"))["value"]
     scene = cmbot.load_scene({**deepcopy(SHORT), "name": "first"})
     here = cmbot.plan(scene)

@@ -10,6 +10,7 @@ from small_scenes import SHORT
 from cmbot.campaigns import Entry, read_campaign
 from cmbot.common.errors import InputError, SceneError
 
+LEGS = ", ".join(["{by: [0, -0.1, 0], seconds: 2}"] * 9)
 HEAD = "format: cmbot-campaign/1\nscene: short.yaml\n"
 
 
@@ -68,14 +69,21 @@ WRONG = {
     "jobs: [{name: a, set: {'tool_path.via_points.x': 1}}]": r"got a key x of no block",
     "jobs: [{name: a, set: {'tool_path..x': 1}}]": r"got no key, expected a key of the scene file",
     "jobs: [{name: a, set: {name: b}}]": r"got no key, expected a key of the scene file",
-    "jobs: [{name: a, scene: nowhere}]": r"jobs\[0\].scene: nowhere: no such file|no such",
+    "jobs: [{name: a, scene: lime}]": (
+        r"all.yaml:3: jobs\[0\].scene: no such file 'lime', expected .* beside .*all.yaml.*mean line\?"
+    ),
+    "set: {tool_path.via_points: x}\njobs: [{name: a}]": r"all.yaml:3: set.tool_path.via_points: got 'x'",
+    f"jobs: [{{name: a, set: {{tool_path.legs: [{LEGS}]}}}}]": (
+        r"all.yaml:3: jobs\[0\].scene: tool_path.via_points: got 8, expected more than the 9 legs"
+    ),
     "jobs: []": r"got none of them, expected one of jobs, table and folder",
     "job: [{name: a}]": r"job: .*jobs",
     "folder: nowhere": r"folder: no such folder 'nowhere'",
     "table: nowhere.csv": r"all.yaml:3: table: no such file 'nowhere.csv', expected",
-    "table: t.csv\n# 1\n": r"t.csv:1: got 'naam,at_m', expected a line of different columns, among them name",
-    "table: t.csv\n# 2\n": r"t.csv:3: got 1 cells, expected 2 as in line 1",
+    "table: t.csv\n# 1\n": r"t.csv:1: got 'naam,at_m', expected a line of different columns with commas",
+    "table: t.csv\n# 2\n": r"t.csv:3: got 1 cell, expected 2 as in line 1",
     "table: t.csv\n# 3\n": r"t.csv:2: robot.payload_kg: got 'much', expected a number",
+    "table: t.csv\n# 5\n": r"t.csv:3: scene: no such file 'b.yaml', expected a scene file beside .*all.yaml",
     "table: t.csv\n# 4\n": r"t.csv:2: at_m: got 'near', expected a number",
 }
 TABLES = {
@@ -83,6 +91,7 @@ TABLES = {
     "2": "name,at_m\na,1\nb\n",
     "3": "name,robot.payload_kg\na,much\n",
     "4": "name,at_m\na,near\n",
+    "5": "name,scene\na,\nb,b.yaml\n",
 }
 
 
@@ -97,8 +106,25 @@ def test_what_is_wrong_is_named_by_its_place(folder: Path, text: str) -> None:
 def test_a_template_that_is_wrong_is_not_the_jobs_fault(folder: Path) -> None:
     with (folder / "short.yaml").open("a", encoding="utf-8") as file:
         file.write("more: 1\n")
-    with pytest.raises(SceneError, match=r"jobs\[0\].scene: more: "):
+    lines = (folder / "short.yaml").read_text(encoding="utf-8").count("\n")
+    with pytest.raises(SceneError, match=rf"short.yaml:{lines}: more: got an unknown key"):
         entries(folder, f"{HEAD}jobs: [{{name: a}}]\n")
+    with pytest.raises(SceneError, match=rf"short.yaml:{lines}: more: got an unknown key"):
+        (folder / "all.yaml").unlink()
+        tuple(read_campaign(folder)[1])
+    with pytest.raises(SceneError, match=r"all.yaml:2: scene: no such file 'gone.yaml'"):
+        entries(folder, f"{HEAD.replace('short', 'gone')}jobs: [{{name: a}}]\n")
     (folder / "jobs.csv").write_text("name\nx\n", encoding="utf-8")
     with pytest.raises(InputError, match=r"jobs.csv:1: got no column scene"):
         tuple(read_campaign(folder / "jobs.csv")[1])
+
+
+def test_files_are_named_as_they_were_given(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    (folder / "jobs.csv").write_text("name,scene,at_m\nx,line,near\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"^jobs.csv:2: at_m: got 'near'"):
+        tuple(read_campaign("jobs.csv")[1])
+    (folder / "span").mkdir()
+    (folder / "span" / "a.yaml").write_text("format: cmbot-scene/2\n", encoding="utf-8")
+    with pytest.raises(SceneError, match=r"^span/a.yaml: "):
+        tuple(read_campaign("span")[1])

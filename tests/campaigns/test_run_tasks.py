@@ -154,8 +154,16 @@ def test_only_a_result_of_the_same_inputs_is_kept(tmp_path: Path, monkeypatch: p
     assert json.loads((tmp_path / "one.json").read_text(encoding="utf-8"))["key"] == changed.key
     assert [result.resumed for result in run_tasks([changed, other], tmp_path)] == [True, True]
     assert [result.resumed for result in run_tasks([changed], tmp_path, fresh=True)] == [False]
-    # How long a task may take does not decide what it returns.
+    # How long a task may take does not decide what it returns, but may decide whether it does.
     assert replace(one, time_limit=1).key == one.key
+    hung = TaskResult(name="one", key=one.key, status=TaskStatus.TIMED_OUT, error="killed after 1 s")
+    monkeypatch.setattr(module, "_run", lambda *_: (each for each in [hung]))
+    for limits, resumed in (
+        ({"time_limit": 1}, False),
+        ({"time_limit": 1}, True),
+        ({"memory_limit": 9}, False),
+    ):
+        assert [result.resumed for result in run_tasks([replace(one, **limits)], tmp_path)] == [resumed]
 
 
 def test_bad_tasks_and_a_missing_dask_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
