@@ -175,7 +175,9 @@ def campaign(
                             CampaignProgress(done=done, total=len(rows), resumed=resumed, ends=dict(ends))
                         )
         except (KeyboardInterrupt, SystemExit):
-            _write(directory, name, [row for row in rows.values() if "ended" in row])
+            # Those that are kept come first: before anything new the table may be of more than has been read.
+            if ends.total() > kept.total():
+                _write(directory, name, [row for row in rows.values() if "ended" in row])
             raise
         found = tuple(rows.values())
         _write(directory, name, found)

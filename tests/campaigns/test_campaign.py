@@ -128,6 +128,9 @@ def test_what_has_ended_is_in_the_table_of_an_interrupted_campaign(file: Path, r
     assert len(data_of((folder / OVERVIEW).read_text(encoding="utf-8"))["name"]) == 2
     assert [row["name"] for row in cmbot.campaign(file, folder).rows] == ["first", "heavy", "far"]
     assert ran == ["first", "heavy", "far"]
+    with pytest.raises(KeyboardInterrupt):
+        cmbot.campaign(file, folder, progress=stop)
+    assert list(table(folder)) == ["first", "heavy", "far"]
 
 
 def test_a_folder_holds_one_campaign(file: Path, ran: list[str]) -> None:
