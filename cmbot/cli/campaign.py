@@ -108,7 +108,8 @@ def campaign(
 
 def _sentence(progress: CampaignProgress) -> str:
     others = [f"{number} {end}" for end, number in progress.ends.items() if end != "planned"]
-    return ", ".join([f"planning: {progress.done} of {progress.total}", *others])
+    before = [f"{progress.resumed} before"] if progress.resumed else []
+    return ", ".join([f"planning: {progress.done} of {progress.total}", *before, *others])
 
 
 def _print(done: Campaign, failed: Sequence[Mapping[str, Any]]) -> None:
