@@ -187,7 +187,7 @@ def _client(distributed: Any, workers: int, scheduler: str | None) -> Iterator[A
             client = distributed.Client(scheduler)
         except (OSError, ValueError, TypeError) as error:
             expected = f"the address of a dask scheduler that is running, tcp://HOST:PORT ({error})"
-            raise InputError("run_tasks", "scheduler", shown(scheduler), expected) from error
+            raise InputError("scheduler", "", shown(scheduler), expected) from error
         with client:
             yield client
         return
