@@ -246,7 +246,7 @@ def new_folder(directory: str | Path) -> Iterator[Path]:
     target = _resolved(directory)
     with refusals(directory):
         target.parent.mkdir(parents=True, exist_ok=True)
-        draft = Path(mkdtemp(prefix=f".{target.name}.", dir=target.parent))
+        draft = Path(mkdtemp(prefix=f".{target.name}.cmbot-", dir=target.parent))
     try:
         yield draft
         with refusals(directory):

@@ -165,19 +165,21 @@ def reproduce(
 
     Example: [bold]cmbot reproduce -o out/reproduce[/bold]
     """
+    from cmbot.archive import claim
     from cmbot.reproduction import FACTORS, QUICK_FACTORS, require_room, save_reproduction
     from cmbot.reproduction import as_json as numbers
     from cmbot.reproduction import reproduce as run
 
-    require_room(output, force=force)
-    with ConsoleProgress(quiet=quiet) as progress:
-        found = run(
-            factors=QUICK_FACTORS if quick else FACTORS,
-            least_sag=not quick,
-            on_step=lambda scene, what, share: progress.stage(f"{scene}: {what}", share),
-            progress=lambda scene, step: progress.update(step, f"{scene}: "),
-        )
-    written = save_reproduction(found, output, force=force)
+    with claim(output):
+        require_room(output, force=force)
+        with ConsoleProgress(quiet=quiet) as progress:
+            found = run(
+                factors=QUICK_FACTORS if quick else FACTORS,
+                least_sag=not quick,
+                on_step=lambda scene, what, share: progress.stage(f"{scene}: {what}", share),
+                progress=lambda scene, step: progress.update(step, f"{scene}: "),
+            )
+        written = save_reproduction(found, output, force=force)
     if as_json:
         entries = numbers(found)
         print_result("reproduce", output, {name: entries[name] for name in entries if name not in _LEFT_OUT})

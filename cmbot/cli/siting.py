@@ -120,11 +120,10 @@ def stand(
         loaded = [replace(each, planner=replace(each.planner, objective=wanted)) for each in loaded]
     name = "_".join(each.name for each in loaded)
     directory = output if output is not None else Path("out") / f"{name}_stances"
-    from cmbot.archive import require_absent, write_files
+    from cmbot.archive import claim, require_absent, write_files
     from cmbot.siting import StandOptions
     from cmbot.siting import stand as find
 
-    require_absent(directory, (*_FILES, "best.yaml", "best_1.yaml"), force=force)
     options = StandOptions(
         spacing=spacing,
         pair_spacing=float("inf") if one_foot else pair_spacing,
@@ -132,11 +131,13 @@ def stand(
         members=tuple(members or ()),
         max_torque=float("inf") if max_torque is None else max_torque,
     )
-    with scenes_named(*scenes), ConsoleProgress(quiet=quiet) as progress:
-        standings = find(loaded, options, progress.stage)
-    contents = _contents(standings, name)
-    write_files(directory, contents, force=force)
-    _remove_earlier(directory, contents.keys())
+    with claim(directory):
+        require_absent(directory, (*_FILES, "best.yaml", "best_1.yaml"), force=force)
+        with scenes_named(*scenes), ConsoleProgress(quiet=quiet) as progress:
+            standings = find(loaded, options, progress.stage)
+        contents = _contents(standings, name)
+        write_files(directory, contents, force=force)
+        _remove_earlier(directory, contents.keys())
     if as_json:
         print_result("stand", directory, _summary(standings))
     elif not quiet:
@@ -199,15 +200,16 @@ def walk(
     started = time.perf_counter()
     loaded = cmbot.load_scene(scene)
     directory = output if output is not None else Path("out") / f"{loaded.name}_walk"
-    from cmbot.archive import require_absent, write_files
+    from cmbot.archive import claim, require_absent, write_files
     from cmbot.walking import WalkOptions, load_goal
     from cmbot.walking import walk as find
 
     goal = load_goal(to)
-    require_absent(directory, _WALK_FILES, force=force)
-    with scenes_named(scene), ConsoleProgress(quiet=quiet) as progress:
-        walked = find(loaded, goal, WalkOptions(spacing=spacing, speed=speed), progress.stage)
-    write_files(directory, _walk_contents(walked), force=force)
+    with claim(directory):
+        require_absent(directory, _WALK_FILES, force=force)
+        with scenes_named(scene), ConsoleProgress(quiet=quiet) as progress:
+            walked = find(loaded, goal, WalkOptions(spacing=spacing, speed=speed), progress.stage)
+        write_files(directory, _walk_contents(walked), force=force)
     if as_json:
         print_result("walk", directory, {"steps": len(walked.steps), "words": list(walked.in_words())})
     elif not quiet:
@@ -244,25 +246,26 @@ def tour(
     loaded = [cmbot.load_scene(scene) for scene in scenes]
     name = "_".join(each.name for each in loaded)
     directory = output if output is not None else Path("out") / f"{name}_tour"
-    from cmbot.archive import json_bytes, new_folder, require_new_folder, write_files
+    from cmbot.archive import claim, json_bytes, new_folder, require_new_folder, write_files
     from cmbot.planning import Plan
     from cmbot.siting import StandOptions
     from cmbot.views import pages, tour_page
     from cmbot.walking import WalkOptions, tour_data
     from cmbot.walking import tour as find
 
-    require_new_folder(directory)
     standing = StandOptions(plans=plans, pair_spacing=spacing, members=tuple(members or ()))
-    with scenes_named(*scenes), ConsoleProgress(quiet=quiet) as progress:
-        found = find(loaded, standing, WalkOptions(spacing=spacing, speed=speed), progress.stage)
-    data = tour_data(found)
-    with new_folder(directory) as draft:
-        for part_name, _, part in found.parts:
-            if isinstance(part, Plan):
-                cmbot.save(part, draft / part_name, added=pages(part))
-            else:
-                write_files(draft / part_name, _walk_contents(part))
-        write_files(draft, {"tour.json": json_bytes(data), "index.html": tour_page(found).encode()})
+    with claim(directory):
+        require_new_folder(directory)
+        with scenes_named(*scenes), ConsoleProgress(quiet=quiet) as progress:
+            found = find(loaded, standing, WalkOptions(spacing=spacing, speed=speed), progress.stage)
+        data = tour_data(found)
+        with new_folder(directory) as draft:
+            for part_name, _, part in found.parts:
+                if isinstance(part, Plan):
+                    cmbot.save(part, draft / part_name, added=pages(part))
+                else:
+                    write_files(draft / part_name, _walk_contents(part))
+            write_files(draft, {"tour.json": json_bytes(data), "index.html": tour_page(found).encode()})
     if as_json:
         print_result("tour", directory, data)
     elif not quiet:

@@ -3,6 +3,7 @@
 import csv
 import json
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from command_line import Outcome, run
@@ -121,3 +122,24 @@ def test_jobs_of_other_bridges_are_refused(both: tuple[Path, Outcome]) -> None:
     assert refused.status == 2
     assert "guardrail: got another one, expected the same guardrail in all scenes of a bridge" in refused.err
     assert not (folder / "new").exists()
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no /proc")
+@pytest.mark.parametrize(
+    ("verb", "words", "search"),
+    [
+        ("stand", (), "cmbot.siting.stand"),
+        ("walk", ("--to", "line"), "cmbot.walking.walk"),
+        ("tour", (), "cmbot.walking.tour"),
+        ("reproduce", (), "cmbot.reproduction.reproduce"),
+    ],
+)
+def test_a_place_that_cannot_be_written_to_is_refused_before_the_search(
+    verb: str, words: tuple[str, ...], search: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(search, Mock(side_effect=pytest.fail.Exception("searched first")))
+    scene = () if verb == "reproduce" else ("triangle",)
+    refused = run(verb, *scene, *words, "-o", "/proc/x")
+    assert refused.status == 2
+    assert refused.err.startswith("error: /proc/x: got a place ")
+    assert refused.err.endswith(", expected a place that can be written to\n")
