@@ -38,6 +38,13 @@ LARGEST_FILE = 2_000_000
 
 _DEEPEST, _WIDTH = 50, 120
 _WORD = re.compile(r"[A-Za-z][A-Za-z0-9_./\-]*")
+# How ruamel.yaml says what it misses, with tokens of its own; messages of cmbot have these words elsewhere.
+_MISSED = re.compile(r"expected (.+?),? but (?:got|found) (.+)|could not find expected (.+)")
+_TOKENS = {
+    "<block end>": "the end of the block above",
+    "'?'": "a key",
+    "'<block mapping start>'": "a key that is indented otherwise",
+}
 _XML = re.compile(r"\s*<[?!A-Za-z]")
 # 2,000 legs and 1,000 obstacles have half as many; each takes some 50 microseconds.
 _MOST_VALUES = 100_000
@@ -266,7 +273,11 @@ class _Document:
 
 
 def _syntax_problem(error: MarkedYAMLError) -> str:
-    parts = [" ".join(str(part).split()) for part in (error.context, error.problem) if part]
-    problem = ", ".join(parts) or "a syntax error"
+    context, problem = (" ".join(str(part or "").split()) for part in (error.context, error.problem))
+    if missed := _MISSED.fullmatch(problem):
+        expected, got, alone = missed.groups()
+        where = f"{_TOKENS.get(got, got)} where {_TOKENS.get(expected, expected)} should be"
+        problem = f"no {alone}" if alone else where
+    problem = ", ".join(filter(None, (problem.removeprefix("found "), context))) or "a syntax error"
     mark = error.problem_mark or error.context_mark
     return f"{problem} (column {mark.column + 1})" if mark else problem
