@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from difflib import get_close_matches
+from itertools import islice
 from pathlib import Path
 from tempfile import mkdtemp
 
@@ -281,15 +282,14 @@ def read_file(path: Path, largest: int = LARGEST_TEXT) -> bytes:
 def plans_nearby(folder: Path) -> str:
     """Return a question that names the plan directories that may have been meant.
 
-    Those in `folder`, the one of its name in ``out``, or those with similar names here and there. It is empty
-    where there are none, or `folder` is one itself.
+    Those in `folder`, the one of its name in ``out`` or those in that, or those with similar names here and
+    there. It is empty where there are none, or `folder` is one itself.
     """
     try:
         if (folder / PLAN_FILE).exists():
             return ""
         default = _DEFAULT_PLACE / folder
-        found = sorted(path.parent for path in folder.glob(f"*/{PLAN_FILE}"))
-        found = found or ([default] if (default / PLAN_FILE).is_file() else [])
+        found = _inside(folder) or ([default] if (default / PLAN_FILE).is_file() else _inside(default))
         found = found or [*_similar(folder), *_similar(default)]
     except OSError:  # a folder without permission, a name that is too long
         return ""
@@ -297,6 +297,14 @@ def plans_nearby(folder: Path) -> str:
         return ""
     more = " or another one there" if len(found) > _MOST_SUGGESTED else ""
     return f"; did you mean {' or '.join(map(str, found[:_MOST_SUGGESTED]))}{more}?"
+
+
+def _inside(folder: Path) -> list[Path]:
+    """The plan directories in a folder; of a campaign's some of those below ``plans``, which may be many."""
+    if found := sorted(path.parent for path in folder.glob(f"*/{PLAN_FILE}")):
+        return found
+    below = (path.parent for place in sorted(folder.glob("plans/*")) for path in place.glob(f"*/{PLAN_FILE}"))
+    return list(islice(below, _MOST_SUGGESTED + 1))
 
 
 def _similar(folder: Path) -> list[Path]:

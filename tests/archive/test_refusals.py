@@ -37,6 +37,15 @@ def test_a_plan_directory_nearby_is_asked_for(triangle_folder, tmp_path, monkeyp
     (tmp_path / "bare").mkdir()
     with pytest.raises(ArchiveError, match=r"^bare/plan\.json: no such file, expected a plan directory, as"):
         load_plan("bare")
+    campaign = tmp_path / "out" / "bridge"
+    for number in range(5):
+        place = campaign / "plans" / f"{number}f" / f"bay_{number}"
+        place.mkdir(parents=True)
+        (place / "plan.json").touch()
+    meant = r"did you mean \S*/0f/bay_0 or \S*/1f/bay_1 or \S*/2f/bay_2 or another one there\?$"
+    for name in ("bridge", "out/bridge"):
+        with pytest.raises(ArchiveError, match=meant):
+            load_plan(name)
     for number in range(3):
         (tmp_path / "out" / f"a{number}").mkdir()
         (tmp_path / "out" / f"a{number}" / "plan.json").touch()
