@@ -74,8 +74,7 @@ def _run(words: list[str]) -> int:
     except _UsageError as error:
         # The message is empty where the help was printed.
         if message := flat(error.format_message()):
-            command = error.ctx.command_path if error.ctx is not None else "cmbot"
-            where = f". See: {command} --help"
+            where = f". See: {_called(error, words)} --help"
             option: Any = getattr(error, "param", None)
             if getattr(option, "nargs", 1) > 1:
                 numbers = f"{option.opts[0]} takes {option.nargs} numbers: {option.metavar}"
@@ -93,6 +92,17 @@ def _run(words: list[str]) -> int:
         if error.errno not in (errno.EPIPE, errno.ENOSPC):
             raise
         return ExitStatus.DONE
+
+
+def _called(error: Any, words: list[str]) -> str:
+    """The command that a wrong command line is one of; an error in how an option is given does not name it."""
+    if error.ctx is not None and error.ctx.command_path != "cmbot":
+        return str(error.ctx.command_path)
+    return f"cmbot {words[0]}" if words[:1] in [[name] for name in _names()] else "cmbot"
+
+
+def _names() -> list[str]:
+    return [getattr(each.callback, "__name__", "") for each in app.registered_commands]
 
 
 def _app_for(words: list[str]) -> typer.Typer:

@@ -240,9 +240,9 @@ def compare(
         name if names.count(name) == 1 else flat(path) for name, path in zip(names, directories, strict=True)
     ]
     plans = dict(zip(shown, map(cmbot.load_plan, directories), strict=True))
+    require_new(html, force)
     tracked = zip(plans.items(), directories, strict=True)
     page = compare_page(plans, {name: cmbot.load_tracking(plan, place) for (name, plan), place in tracked})
-    require_new(html, force)
     write_page(html, page)
     out.print(f"Written to {flat(html)}.")
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
+from cmbot.common.validation import counted
 from cmbot.planning import Plan, Samples, verdict
 from cmbot.simulation import Tracking
 from cmbot.version import __version__
@@ -98,13 +99,12 @@ def compare_page(plans: Mapping[str, Plan], trackings: Mapping[str, Tracking | N
 
 def _require_alike(plans: Mapping[str, Plan]) -> None:
     if not 2 <= len(plans) <= MOST_PLANS:
-        raise InputError("cmbot.compare", "plans", len(plans), f"2 to {MOST_PLANS} different plans")
+        raise InputError("cmbot compare", "", counted(len(plans), "plan"), f"2 to {MOST_PLANS} different plans")
     (first, plan), *others = plans.items()
     for name, other in others:
         if (link_names(other.robot), other.robot.joints) != (link_names(plan.robot), plan.robot.joints):
-            raise InputError(
-                "compare", name, f"an arm {other.robot.name}", f"that of {first}, {plan.robot.name}"
-            )
+            got, expected = f"another arm ({other.robot.name})", f"that of {first} ({plan.robot.name})"
+            raise InputError("cmbot compare", name, got, expected)
 
 
 def _data(first: Plan, plans: Mapping[str, Plan], names: Mapping[str, str]) -> dict[str, Any]:
