@@ -95,7 +95,7 @@ def _run(words: list[str]) -> int:
 
 
 def _called(error: Any, words: list[str]) -> str:
-    """The command that a wrong command line is one of; an error in how an option is given does not name it."""
+    """The command of a wrong command line; an error in how an option is given does not name it."""
     if error.ctx is not None and error.ctx.command_path != "cmbot":
         return str(error.ctx.command_path)
     return f"cmbot {words[0]}" if words[:1] in [[name] for name in _names()] else "cmbot"

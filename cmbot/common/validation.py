@@ -65,6 +65,19 @@ _PHRASES = {
     "string_too_long": "text of at most {max_length} characters",
     "json_invalid": "valid text and a depth that a file of this format can have ({error})",
 }
+# What files of cmbot are, by what their formats begin with, and what to do with one that is given elsewhere.
+_KINDS = {
+    "cmbot-scene": ("a scene", "cmbot plan {file} plans it"),
+    "cmbot-campaign": ("a campaign", "cmbot campaign {file} plans it"),
+    "cmbot-measurements": ("a sheet of measurements", "cmbot identify {file} reads it"),
+    "cmbot-stiffness": ("an identified stiffness", "a scene names it as identified"),
+    "cmbot-joint-limits": ("a file of joint limits", "a scene names it as robot.limits"),
+    "cmbot-elasticity": ("a file of elasticity", "a scene names it as robot.elasticity"),
+    "cmbot-plan": ("part of a plan directory", "cmbot replay {folder} shows it"),
+    "cmbot-tracking": ("part of a plan directory", "cmbot report {folder} shows it"),
+    "cmbot-walk": ("part of a walk's folder", "cmbot replay {folder} shows it"),
+    "cmbot-tour": ("part of a tour's folder", "{folder}/index.html shows it"),
+}
 
 
 class FileModel(BaseModel):
@@ -248,6 +261,10 @@ def input_error(source: str, error: ValidationError, error_type: type[InputError
         choices = tuple(str(choice) for choice in node.get("enum", ()))
         known = f"a known value{hint(detail['input'], choices)}"
         expected = known if choices else repr(node.get("const"))
+        if loc == ("format",) and (other := _other_kind(detail["input"], choices or (node.get("const"),))):
+            file = Path(source)
+            got, rest = f"{other[0]} ({detail['input']})", other[1].format(file=file, folder=file.parent)
+            expected, choices = f"{' or '.join(choices) or node.get('const')}; {rest}", ()
     elif kind in _LENGTHS and node.get("minItems", 0) == node.get("maxItems"):
         expected = f"a list of {node['maxItems']} items"
     elif kind in _PHRASES:
@@ -313,6 +330,12 @@ def hint(word: object, choices: Sequence[str]) -> str:
     """Return ``; did you mean X?`` where a choice is close to `word`, otherwise nothing."""
     close = difflib.get_close_matches(str(word), choices, n=1)
     return f"; did you mean {close[0]}?" if close else ""
+
+
+def _other_kind(format_: object, known: Sequence[object]) -> tuple[str, str] | None:
+    """What a file of another format than the known ones is, and what to do with it."""
+    kind = str(format_).partition("/")[0]
+    return None if any(str(each).startswith(f"{kind}/") for each in known) else _KINDS.get(kind)
 
 
 def _most_telling(errors: list[ErrorDetails]) -> ErrorDetails:

@@ -170,7 +170,7 @@ def walk(
     first = stance_of(scene)
     last = stance_of(to) if isinstance(to, Scene) else _stance_from(to, scene)
     if last.stance == first.stance:
-        got, expected = "the stance in which the walk is to end", "another one: the robot stands there already"
+        got, expected = "the stance where the walk is to end", "another one: the robot stands there already"
         raise SceneError(scene.source, "guardrail.stance", got, expected)
     posture = np.array(scene.posture)
     progress("listing stances", 0.0)

@@ -34,6 +34,7 @@ FRAMES = {
 FILES = {
     "short.yaml": json.dumps(SHORT),
     "broken.yaml": "format: [cmbot-scene/1\nname: x",
+    "campaign.yaml": "format: cmbot-campaign/1\nscene: triangle\njobs:\n- name: a\n",
     "empty.yaml": "",
     "list.yaml": "[1, 2]",
     "twice.yaml": "format: cmbot-scene/1\nformat: cmbot-scene/1\n",
@@ -53,6 +54,7 @@ FILES = {
     "other_version/plan.json": '{"format": "cmbot-plan/999"}',
     "no_plan/notes.txt": "",
 }
+_A_CAMPAIGN = "expected cmbot-scene/1 or cmbot-scene/2; cmbot campaign campaign.yaml plans it"
 # The words after cmbot, and what the error has to name.
 BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
     (
@@ -73,6 +75,7 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
         ("robot.yaml:1: robot.model: got 'zzz/zzz'", ", cmbot, or the name of a robot"),
     ),
     ("new --from panda --tool-at .5 0 -o x.yaml", ("--tool-at takes 3 numbers: X Y Z. See: cmbot new",)),
+    ("new --from panda --tool-at .5 0", ("'--tool-at' requires 3 arguments. See: cmbot new --help",)),
     ("plan model.yaml", ("model.yaml:1: robot.model: got 'cmbto'", "; did you mean cmbot?")),
     (
         "check frame.yaml",
@@ -92,7 +95,9 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
         ),
     ),
     ("plan no_plan", ("no_plan: got a folder",)),
-    ("plan broken.yaml", ("broken.yaml:2: got ", "expected valid YAML")),
+    ("plan broken.yaml", ("broken.yaml:2: got ':' where ',' or ']' should be, ", "expected valid YAML")),
+    ("plan campaign.yaml", ("campaign.yaml:1: format: got a campaign (cmbot-campaign/1)", _A_CAMPAIGN)),
+    ("check campaign.yaml", ("campaign.yaml:1: format: got a campaign", _A_CAMPAIGN)),
     ("plan empty.yaml", ("empty.yaml: got an empty file", "a mapping")),
     ("plan list.yaml", ("list.yaml: got ", "a mapping")),
     ("plan twice.yaml", ("twice.yaml:2: format: got the same key again,",)),
@@ -143,7 +148,7 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
     ("walk short.yaml", ("Missing option '--to'. See: cmbot walk --help",)),
     ("walk short.yaml --to nosuch.yaml", ("nosuch.yaml: no such file, expected a scene file",)),
     ("walk other.yaml --to short.yaml", ("other.yaml: robot: got another robot",)),
-    ("walk short.yaml --to short.yaml", ("guardrail.stance: got the same", "the robot stands there already")),
+    ("walk short.yaml --to short.yaml", ("stance: got the stance where", "robot stands there already")),
     ("tour", ("Missing argument 'SCENE'. See: cmbot tour --help",)),
     ("tour other.yaml", ("other.yaml: robot: got another robot, expected the shipped robot",)),
     ("tour short.yaml --on moon", ("members (--on): got 'moon', expected a member",)),
@@ -152,6 +157,7 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
         "campaign nosuch.yaml",
         ("nosuch.yaml: no such file, expected a campaign file, a CSV table",),
     ),
+    ("campaign short.yaml", ("short.yaml:1: format: got a scene (", "; cmbot plan short.yaml plans it")),
     ("campaign list.yaml", ("list.yaml: got [1, 2]", "a mapping")),
     ("campaign no_plan", ("no_plan: got a campaign without jobs, expected at least one job",)),
     ("campaign short.yaml --workers 0", ("--workers: got 0, expected a whole number from 1 on",)),

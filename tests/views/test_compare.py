@@ -195,9 +195,10 @@ def test_what_is_refused(short_plan: Plan, saved_short: Path, tmp_path: Path) ->
     model = short_plan.robot.model.copy()
     model.names[1] = "shoulder"
     other = replace(short_plan, robot=replace(short_plan.robot, model=model))
-    with pytest.raises(InputError, match=r"^cmbot compare: b: got another arm \(cmbot\), expected that of a \(cmbot\)$"):
+    said = r"^cmbot compare: b: got another arm \(cmbot\), expected that of a \(cmbot\)$"
+    with pytest.raises(InputError, match=said):
         compare_page({"a": short_plan, "b": other})
-    with pytest.raises(InputError, match="^cmbot compare: got 1 plan, expected 2 to 6 different plans$"):
+    with pytest.raises(InputError, match=r"^cmbot compare: got 1 plan, expected 2 to 6 different plans$"):
         compare_page({"a": short_plan})
     page = tmp_path / "page.html"
     page.touch()
