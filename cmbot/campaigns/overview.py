@@ -33,6 +33,7 @@ def overview_page(name: str, rows: Sequence[Mapping[str, Any]], directory: Path)
     """
     ends = Counter(row["ended"] for row in rows)
     counts = ", ".join(f"{number:,} {escape(end)}" for end, number in ends.most_common())
+    jobs = f"{len(rows):,} {'job' if len(rows) == 1 else 'jobs'}"
     return assemble_plain(
         "overview.html",
         styles=("common.css", "overview.css"),
@@ -40,7 +41,7 @@ def overview_page(name: str, rows: Sequence[Mapping[str, Any]], directory: Path)
         data=_columns(rows, directory),
         texts={
             "title": escape(name),
-            "counts": f"{len(rows):,} jobs: {counts}",
+            "counts": f"{jobs}: {counts}",
             "made": f"Made by cmbot {__version__}.",
         },
     )
@@ -60,15 +61,14 @@ def _columns(rows: Sequence[Mapping[str, Any]], directory: Path) -> dict[str, li
         "clearance": [_short(row.get("planned_job.min_clearance")) for row in rows],
         "duration": [_short(row.get("duration")) for row in rows],
         "seconds": [_short(row["seconds"]) for row in rows],
-        "link": [_link(row["plan"], directory) for row in rows],
+        "plan": [row["plan"] for row in rows],
+        "report": [_report(row["plan"], directory) for row in rows],
     }
 
 
-def _link(place: str | None, directory: Path) -> str | None:
-    if place is None:
-        return None
-    report = f"{place}/{REPORT}"
-    return report if (directory / report).is_file() else f"{place}/"
+def _report(place: str | None, directory: Path) -> str | None:
+    """The page in a plan directory that the job's name leads to, where it is there."""
+    return REPORT if place is not None and (directory / place / REPORT).is_file() else None
 
 
 def _cut(reason: str) -> str:

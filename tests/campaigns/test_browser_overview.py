@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import ask, chromium, open_page, severe_messages, slide
+from browser import ask, chromium, open_page, screen, severe_messages, slide
 from selenium.webdriver import Chrome
 
 from cmbot.campaigns.overview import overview_page
@@ -80,6 +80,80 @@ def test_it_sorts_finds_and_tells(chrome: Chrome, tmp_path: Path) -> None:
     assert ask(chrome, colours) > 5
 
 
+def labels(chrome: Chrome, page: Path, width: int) -> list[str]:
+    """All that is written on the map of a page so wide."""
+    open_page(chrome, page)
+    with screen(chrome, width, 844):
+        chrome.execute_script(
+            """window.written = [];
+            const write = CanvasRenderingContext2D.prototype.fillText;
+            CanvasRenderingContext2D.prototype.fillText = function (text, ...at) {
+              window.written.push(text);
+              write.call(this, text, ...at);
+            };
+            drawMap();"""
+        )
+    assert severe_messages(chrome) == []
+    written: list[str] = ask(chrome, "window.written")
+    return written
+
+
+def test_a_phones_map_has_a_scale_around_the_peaks(chrome: Chrome, tmp_path: Path) -> None:
+    page = tmp_path / "index.html"
+    for places in ([3.0 * k for k in range(1, 10)], [1.0, 9.0], [0.0, 900.0], [0.0, 21.0, 33.0]):
+        rows = [_row(k) | {"at_m": place} for k, place in enumerate(places)]
+        page.write_text(overview_page("span", rows, tmp_path), encoding="utf-8")
+        numbers = [float(text) for text in labels(chrome, page, 390) if text[-1].isdigit()]
+        heights = [number for number in numbers if 100 < number < 800]
+        peaks = [row["planned_job.peak_guardrail_torque"] for row in rows]
+        if max(places) < 100:
+            assert min(heights) <= min(peaks) <= max(peaks) <= max(heights)
+            assert len(numbers) - len(heights) >= 3
+            assert max(heights) - min(heights) < 50
+        else:
+            assert {0.0, 500.0} <= {*numbers}
+    # From and to say what of it is shown.
+    slide(chrome, "from", -1)
+    slide(chrome, "to", 10)
+    assert ask(chrome, "points.length") == 1
+
+
+def test_what_is_not_on_the_map_is_said(chrome: Chrome, tmp_path: Path) -> None:
+    page = tmp_path / "index.html"
+    rows = [_row(k) | {"at_m": None if k % 3 == 0 else 3.0 * k} for k in range(9)]
+    page.write_text(overview_page("span", rows, tmp_path), encoding="utf-8")
+    open_page(chrome, page)
+    shown = chrome.find_element("id", "unplaced").text
+    assert shown == "Not on the map, without a place (at_m): 3 of 9 jobs."
+    assert "not planned" not in chrome.find_element("id", "key").text
+
+
+def test_without_a_plan_there_is_no_torque_to_draw(chrome: Chrome, tmp_path: Path) -> None:
+    none = {f"{which}.peak_guardrail_torque": None for which in FIGURES}
+    rows = [_row(k) | none | {"ended": "no plan", "reason": "far", "plan": None} for k in range(3)]
+    page = tmp_path / "index.html"
+    page.write_text(overview_page("span", rows[:1], tmp_path), encoding="utf-8")
+    assert "<p>1 job: 1 no plan</p>" in page.read_text(encoding="utf-8")
+    page.write_text(overview_page("span", rows, tmp_path), encoding="utf-8")
+    assert "Peak torque, Nm" not in labels(chrome, page, 390)
+    assert not chrome.find_element("id", "histograms").is_displayed()
+    assert ask(chrome, "points.length") == 3
+    assert chrome.find_element("id", "key").text == "not planned"
+
+
+def test_a_name_leads_to_the_report_or_the_folder_is_named(chrome: Chrome, tmp_path: Path) -> None:
+    rows = [_row(k) for k in range(2)]
+    (tmp_path / rows[0]["plan"]).mkdir(parents=True)
+    (tmp_path / rows[0]["plan"] / "report.html").touch()
+    page = tmp_path / "index.html"
+    page.write_text(overview_page("span", rows, tmp_path), encoding="utf-8")
+    open_page(chrome, page)
+    links = "[...document.querySelectorAll('#rows a')].map((link) => link.getAttribute('href'))"
+    assert ask(chrome, links) == ["plans/aa/bay_0/report.html"]
+    last = "[...document.querySelectorAll('#rows td:last-child')].map((cell) => cell.textContent)"
+    assert ask(chrome, last) == ["plans/aa/bay_0", "plans/aa/bay_1"]
+
+
 def test_jobs_without_a_rail_are_not_along_one(chrome: Chrome, tmp_path: Path) -> None:
     rows = [_row(k) | {"at_m": None} for k in range(3)]
     rows[1] |= {"ended": "no plan", "reason": 700 * "x"}
@@ -104,10 +178,8 @@ def test_jobs_whose_arms_begin_in_the_heaviest_posture_are_told_by_their_work(
     summary = ask(chrome, "document.getElementById('summary').textContent")
     assert summary.endswith("is 0.0 % below its baseline's, at work alone 20.0 % below.")
     assert ask(chrome, "document.getElementById('colour').value") == "work"
-    assert (
-        ask(chrome, "document.getElementById('below').textContent") == "The work alone below the baseline, %"
-    )
+    assert ask(chrome, "document.getElementById('below').textContent") == "Reduction at work, %"
     slide(chrome, "colour", "gain")
-    assert ask(chrome, "document.getElementById('below').textContent") == "Below the baseline, %"
+    assert ask(chrome, "document.getElementById('below').textContent") == "Reduction of the peak torque, %"
     # One value has one colour.
-    assert ask(chrome, "document.getElementById('key').textContent") == "0.0 %not planned"
+    assert ask(chrome, "document.getElementById('key').textContent") == "0.0 %"

@@ -262,7 +262,7 @@ def test_the_overview_of_ten_thousand_jobs_is_small_and_safe(tmp_path: Path) -> 
     columns = data_of(page)
     assert {len(column) for column in columns.values()} == {10_001}
     assert columns["baseline"][0] == 400.123
-    assert columns["link"][0] == "plans/aa/x/"
+    assert (columns["plan"][0], columns["report"][0]) == ("plans/aa/x", None)
     assert len(columns["reason"][-1]) == 600
 
 

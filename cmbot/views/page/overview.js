@@ -7,6 +7,8 @@ const anyPlace = data.at.some((at) => at !== null);
 const place = data.at.map((at, k) => (anyPlace ? at : k + 1));
 const element = (id) => document.getElementById(id);
 const numbers = (values) => values.filter((value) => value !== null);
+const linkOf = (k) => (data.report[k] === null ? null : `${data.plan[k]}/${data.report[k]}`);
+const planned = (k) => data.planned[k] !== null;
 const digits = (value, number) => (value === null ? "" : value.toFixed(number));
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
@@ -14,14 +16,16 @@ const COLUMNS = [
   { title: "job", of: (k) => data.name[k] },
   { title: anyPlace ? "at, m" : "number", of: (k) => place[k], digits: anyPlace ? 2 : 0 },
   { title: "ended", of: (k) => data.ended[k] },
-  { title: "baseline, Nm", of: (k) => data.baseline[k], digits: 1 },
-  { title: "planned, Nm", of: (k) => data.planned[k], digits: 1 },
-  { title: "below, %", of: (k) => gain[k], digits: 1 },
-  { title: "work below, %", of: (k) => workGain[k], digits: 1 },
+  { title: "baseline's peak, Nm", of: (k) => data.baseline[k], digits: 1 },
+  { title: "planned peak, Nm", of: (k) => data.planned[k], digits: 1 },
+  { title: "reduction, %", of: (k) => gain[k], digits: 1 },
+  { title: "at work, %", of: (k) => workGain[k], digits: 1 },
   { title: "clearance, mm", of: (k) => (data.clearance[k] === null ? null : 1e3 * data.clearance[k]), digits: 0 },
   { title: "motion, s", of: (k) => data.duration[k], digits: 1 },
-  { title: "planned in, s", of: (k) => data.seconds[k], digits: 1 },
+  { title: "computed in, s", of: (k) => data.seconds[k], digits: 1 },
 ];
+// Plans without a page of their own are named by where they are.
+if (data.plan.some((plan, k) => plan !== null && !linkOf(k))) COLUMNS.push({ title: "plan directory", of: (k) => data.plan[k] });
 const PAGE = 200;
 let order = { column: 1, sign: 1 };
 let limit = PAGE;
@@ -35,9 +39,10 @@ function shade(share) {
 
 function colouring() {
   const kind = element("colour").value;
+  const others = data.planned.includes(null) ? [[colour("--bad"), "not planned"]] : [];
   if (kind === "ended") {
-    return { of: (k) => (data.ended[k] === "planned" ? colour("--good") : colour("--bad")),
-      legend: [[colour("--good"), "planned"], [colour("--bad"), "not planned"]] };
+    const good = data.planned.some((value) => value !== null) ? [[colour("--good"), "planned"]] : [];
+    return { of: (k) => colour(planned(k) ? "--good" : "--bad"), legend: [...good, ...others] };
   }
   const clearance = () => data.clearance.map((value) => (value === null ? null : 1e3 * value));
   const values = kind === "gain" ? gain : kind === "work" ? workGain : clearance();
@@ -47,7 +52,7 @@ function colouring() {
   const same = low.toFixed(1) === high.toFixed(1);
   const legend = known.length ? [...(same ? [] : [[shade(0), `${low.toFixed(1)} ${unit}`]]), [shade(1), `${high.toFixed(1)} ${unit}`]] : [];
   return { of: (k) => (values[k] === null ? colour("--bad") : shade(same ? 1 : (values[k] - low) / (high - low))),
-    legend: [...legend, [colour("--bad"), "not planned"]] };
+    legend: [...legend, ...others] };
 }
 
 /* The least and the greatest of many numbers. */
@@ -68,50 +73,75 @@ function canvas(id) {
   return { draw, width, height };
 }
 
-function ticks(low, high, number) {
-  const raw = (high - low) / number || 1, power = 10 ** Math.floor(Math.log10(raw));
-  const step = [1, 2, 5, 10].map((each) => each * power).find((each) => each >= raw);
-  const first = Math.ceil(low / step), last = Math.floor(high / step + 1e-9);
-  return Array.from({ length: Math.max(last - first + 1, 0) }, (_, k) => Number(((first + k) * step).toPrecision(12)));
+/* Round numbers from `low` to `high`: as few as possible, but `least`. */
+function ticks(low, high, least) {
+  const power = 10 ** Math.ceil(Math.log10(high - low || 1));
+  for (const step of [1, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01].map((share) => share * power)) {
+    const first = Math.ceil(low / step - 1e-9), last = Math.floor(high / step + 1e-9);
+    if (last - first + 1 >= least) return Array.from({ length: last - first + 1 }, (_, k) => Number(((first + k) * step).toPrecision(12)));
+  }
+  return [low, high];
+}
+
+/* Round numbers around what is drawn; from 0 where the least is not far from it. */
+function around(low, high) {
+  if (high <= 0) return [0, 1];
+  const inside = low < 0.5 * high || low === high ? ticks(0, high, 4) : ticks(low, high, 3);
+  const step = inside[1] - inside[0];
+  if (inside[0] > low) inside.unshift(inside[0] - step);
+  if (inside.at(-1) < high) inside.push(inside.at(-1) + step);
+  return inside.map((tick) => Number(tick.toPrecision(12)));
+}
+
+/* What of the places is shown: all of them, or what was asked for. */
+function shownPlaces() {
+  let [low, high] = ends(numbers(place));
+  if (low === high) [low, high] = [low - 1, high + 1];
+  const [from, to] = ["from", "to"].map((id) => element(id).value);
+  const asked = [from === "" ? low : Number(from), to === "" ? high : Number(to)];
+  return asked[0] < asked[1] ? asked : [low, high];
 }
 
 let points = [];
 function drawMap() {
-  const { draw, width, height } = canvas("map");
   const { of, legend } = colouring();
   element("key").replaceChildren(...legend.flatMap(([paint, text]) => {
     const swatch = document.createElement("i");
     swatch.style.background = paint;
     return [swatch, text];
   }));
-  const box = { left: 52, right: width - 12, top: 10, bottom: height - 34 };
-  let [left, right] = ends(numbers(place)), [, top] = ends(numbers(data.planned));
-  if (left === right) [left, right] = [left - 1, right + 1];
+  const heights = numbers(data.planned);
+  element("map").className = heights.length ? "" : "empty";
+  const { draw, width, height } = canvas("map");
+  // Below the axis, a line of those without a plan.
+  const box = { left: 52, right: width - 12, top: 26, bottom: height - (heights.length < count ? 54 : 36) };
+  const [left, right] = shownPlaces();
   const x = (value) => box.left + ((value - left) / (right - left)) * (box.right - box.left);
-  const y = (value) => box.bottom - (value / (1.05 * top || 1)) * (box.bottom - box.top);
-  for (const tick of ticks(0, top, 5)) {
+  const levels = heights.length ? around(...ends(heights)) : [];
+  const [low, high] = [levels[0], levels.at(-1)];
+  const y = (value) => box.bottom - ((value - low) / (high - low)) * (box.bottom - box.top);
+  for (const level of levels) {
     draw.beginPath();
-    draw.moveTo(box.left, y(tick));
-    draw.lineTo(box.right, y(tick));
+    draw.moveTo(box.left, y(level));
+    draw.lineTo(box.right, y(level));
     draw.stroke();
     draw.textAlign = "right";
-    draw.fillText(`${tick}`, box.left - 6, y(tick) + 4);
+    draw.fillText(`${level}`, box.left - 6, y(level) + 4);
   }
   draw.textAlign = "center";
-  const across = ticks(left, right, Math.max(width / 110, 2)).filter((tick) => anyPlace || Number.isInteger(tick));
-  for (const tick of across) draw.fillText(`${tick}`, x(tick), box.bottom + 16);
+  const across = ticks(left, right, Math.max(width / 160, 3)).filter((tick) => anyPlace || (Number.isInteger(tick) && tick >= 1 && tick <= count));
+  for (const tick of across) draw.fillText(`${tick}`, x(tick), height - 20);
   draw.fillText(anyPlace ? "along the rail, m" : "job", (box.left + box.right) / 2, height - 3);
   draw.textAlign = "left";
-  draw.fillText("Nm", 4, 12);
+  if (levels.length) draw.fillText("Peak torque, Nm", 4, 12);
   points = [];
   for (let k = 0; k < count; k += 1) {
-    if (place[k] === null) continue;
-    const there = data.planned[k] !== null;
-    const at = [x(place[k]), there ? y(data.planned[k]) : box.bottom];
+    if (place[k] === null || place[k] < left || place[k] > right) continue;
+    const at = [x(place[k]), planned(k) ? y(data.planned[k]) : height - 42];
     points.push([...at, k]);
     draw.fillStyle = of(k);
     draw.beginPath();
-    if (there) draw.arc(...at, 4, 0, 2 * Math.PI);
+    if (planned(k)) draw.arc(...at, 4, 0, 2 * Math.PI);
     else draw.rect(at[0] - 4, at[1] - 4, 8, 8);
     draw.fill();
   }
@@ -135,7 +165,7 @@ function drawHistogram(id, values) {
   draw.fillText(low.toFixed(1), 0, height - 4);
   draw.textAlign = "right";
   draw.fillText(high.toFixed(1), width, height - 4);
-  draw.fillText(`at most ${most.toLocaleString("en")} in a bar`, width, 11);
+  draw.fillText(`highest bar: ${most.toLocaleString("en")} ${most === 1 ? "job" : "jobs"}`, width, 11);
 }
 
 function chosen() {
@@ -163,9 +193,9 @@ function drawTable() {
     const row = document.createElement("tr");
     COLUMNS.forEach((column, number) => {
       const cell = document.createElement("td"), value = column.of(k);
-      if (number === 0 && data.link[k]) {
+      if (number === 0 && linkOf(k)) {
         const link = document.createElement("a");
-        link.href = data.link[k];
+        link.href = linkOf(k);
         link.textContent = value;
         cell.append(link);
       } else cell.textContent = column.digits === undefined ? value : digits(value, column.digits);
@@ -219,10 +249,10 @@ function nearest(event) {
 element("map").addEventListener("pointermove", (event) => {
   const found = nearest(event), tip = element("tip");
   tip.hidden = found === null;
-  element("map").style.cursor = found && data.link[found[2]] ? "pointer" : "default";
+  element("map").style.cursor = found && linkOf(found[2]) ? "pointer" : "default";
   if (!found) return;
   const [x, y, k] = found;
-  const figures = data.planned[k] === null ? `${data.ended[k]}: ${data.reason[k]}`
+  const figures = !planned(k) ? `${data.ended[k]}: ${data.reason[k]}`
     : `${digits(data.planned[k], 1)} Nm, baseline ${digits(data.baseline[k], 1)} Nm`;
   tip.textContent = `${data.name[k]}\n${figures}`;
   tip.style.left = `${Math.min(x + 10, element("map").clientWidth - 200)}px`;
@@ -231,14 +261,14 @@ element("map").addEventListener("pointermove", (event) => {
 element("map").addEventListener("pointerleave", () => { element("tip").hidden = true; });
 element("map").addEventListener("click", (event) => {
   const found = nearest(event);
-  if (found && data.link[found[2]]) window.location.href = data.link[found[2]];
+  if (found && linkOf(found[2])) window.location.href = linkOf(found[2]);
 });
 
 function drawAll() {
   drawMap();
   drawHistogram("peaks", data.planned);
   const work = element("colour").value === "work";
-  element("below").textContent = `${work ? "The work alone below" : "Below"} the baseline, %`;
+  element("below").textContent = work ? "Reduction at work, %" : "Reduction of the peak torque, %";
   drawHistogram("gains", work ? workGain : gain);
 }
 
@@ -263,6 +293,13 @@ element("colour").addEventListener("input", drawAll);
 element("more").addEventListener("click", () => { limit += PAGE; drawTable(); });
 window.addEventListener("resize", drawAll);
 window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawAll);
+for (const id of ["from", "to"]) element(id).addEventListener("input", drawMap);
+[element("from").placeholder, element("to").placeholder] = ends(numbers(place)).map((end) => `${Number(end.toFixed(2))}`);
+element("unit").textContent = anyPlace ? "m" : "";
+const unplaced = place.filter((each) => each === null).length;
+element("unplaced").textContent = unplaced ? `Not on the map, without a place (at_m): ${unplaced.toLocaleString("en")} of ${count.toLocaleString("en")} jobs.` : "";
+element("unplaced").hidden = !unplaced;
+element("histograms").hidden = !numbers(data.planned).length;
 element("place").textContent = anyPlace ? "Along the rail" : "Peak torque of each job";
 drawHeads();
 drawTable();
