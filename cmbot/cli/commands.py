@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import errno
 import gc
+import inspect
 import io
 import sys
 import traceback
@@ -17,6 +18,7 @@ from typing import Annotated, Any
 
 import typer
 import typer.main
+from typer.core import TyperCommand, TyperGroup
 
 import cmbot
 from cmbot.cli.campaign import campaign
@@ -33,8 +35,28 @@ from cmbot.common.errors import LONGEST_MESSAGE, CmbotError, InputError, Plannin
 
 __all__ = ["app", "main"]
 
+
+class _Flags:
+    """Help that does not give flags a value: Typer shows ``--force <bool>``."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """The parameters of the command, with ``--help``."""
+        params: list[Any] = super().get_params(ctx)  # type: ignore[misc]
+        for each in params:
+            if getattr(each, "is_flag", False) and each.metavar is None:
+                each.metavar = ""
+        return params
+
+
+class _Command(_Flags, TyperCommand): ...
+
+
+class _Group(_Flags, TyperGroup): ...
+
+
 app = typer.Typer(
     name="cmbot",
+    cls=_Group,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
@@ -200,5 +222,14 @@ _COMMANDS: tuple[Callable[..., int | None], ...] = (
     *(plan, stand, walk, tour, campaign, new, replay, report, compare, export, simulate, identify, reproduce),
     *(check, scenes, schema, doctor),
 )
+
+
+def _paragraphs(text: str) -> str:
+    """Text whose paragraphs are a line each, which a terminal breaks; but examples have their own lines."""
+    parts = inspect.cleandoc(text).split("\n\n")
+    return "\n\n".join(each if each.startswith("Example") else each.replace("\n", " ") for each in parts)
+
+
 for _command in _COMMANDS:
-    app.command()(_command if _command in (new, scenes, schema, doctor) else _with_sign(_command))
+    _register = app.command(cls=_Command, help=_paragraphs(_command.__doc__ or ""))
+    _register(_command if _command in (new, scenes, schema, doctor) else _with_sign(_command))

@@ -32,7 +32,7 @@ __all__ = ["identify"]
 SourcesArgument = Annotated[
     list[str],
     typer.Argument(
-        metavar="FILE...",
+        metavar="FILE",
         help="Files of measurements; with --propose a scene, or those files for more postures.",
         autocompletion=complete_scene,
     ),

@@ -149,9 +149,7 @@ def simulate(
 
 
 def reproduce(
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="Folder to write; out/reproduce if left out.")
-    ] = Path("out/reproduce"),
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write.")] = Path("out/reproduce"),
     quick: Annotated[
         bool,
         typer.Option("--quick", help="Only the stiffnesses times 1, 0.7 and 1.3, and no plan of least sag."),

@@ -48,16 +48,19 @@ VideoOption = Annotated[
 GifOption = Annotated[
     Path | None, typer.Option("--gif", help="Film it as a small GIF instead, four times as fast.")
 ]
-FpsOption = Annotated[int | None, typer.Option("--fps", help="Frames a second of a film; 30, of a GIF 10.")]
+FpsOption = Annotated[
+    int | None, typer.Option("--fps", help="Frames a second of a film; left out: 30, of a GIF 10.")
+]
 SizeOption = Annotated[
-    str | None, typer.Option("--size", metavar="WxH", help="Of a film; 1280x720, of a GIF 640x360.")
+    str | None,
+    typer.Option("--size", metavar="WxH", help="Size of a film, px; left out: 1280x720, of a GIF 640x360."),
 ]
 BendingOption = Annotated[
     float | None,
-    typer.Option("--bending", help="Times by which a film magnifies deflections; as its page."),
+    typer.Option("--bending", help="Times by which a film magnifies deflections; left out: as the page."),
 ]
 ColoursOption = Annotated[
-    str | None, typer.Option("--colours", help="Of the arm in a film: own, load or strain.")
+    str | None, typer.Option("--colours", help="Of the arm in a film: own, load or strain; left out: own.")
 ]
 
 
@@ -220,7 +223,7 @@ def report(
 
 def compare(
     directories: Annotated[
-        list[Path], typer.Argument(metavar="DIR DIR...", help="Plan directories of one arm, 2 to 6.")
+        list[Path], typer.Argument(metavar="DIR", help="Plan directories of one arm, 2 to 6.")
     ],
     html: Annotated[Path, typer.Option("--html", help="Page to write.")] = Path("compare.html"),
     force: ForceOption = False,
@@ -254,9 +257,11 @@ def export(
     ] = None,
     ros_package: Annotated[
         Path | None,
-        typer.Option("--ros-package", metavar="FOLDER", help="Description package of the robot to write."),
+        typer.Option("--ros-package", metavar="FOLDER", help="Description package to write; a new folder."),
     ] = None,
-    force: ForceOption = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace the file named with --mcap if it is there.")
+    ] = False,
 ) -> None:
     """Write a plan for ROS 2: the job as messages for Foxglove and RViz, the robot as a package.
 

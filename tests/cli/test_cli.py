@@ -100,6 +100,14 @@ def test_help_of_a_verb_shows_an_example(verb: str, example: str) -> None:
     assert example in plain(output(verb, "--help"))
 
 
+def test_help_breaks_lines_where_the_terminal_does_and_gives_flags_no_value() -> None:
+    text = output("stand", "--help")
+    assert " guardrail. Strokes that no stance does together" in text
+    assert "--one-foot" in text
+    for each in (text, output("--help")):
+        assert "bool" not in each
+
+
 def test_plan_writes_a_directory_and_prints_plain_lines(folder: Path, planned: Outcome) -> None:
     assert planned.status == 0, planned.err
     assert names(folder) == {"short.yaml", "plan"}
