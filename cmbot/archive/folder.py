@@ -282,12 +282,14 @@ def read_file(path: Path, largest: int = LARGEST_TEXT) -> bytes:
 def plans_nearby(folder: Path) -> str:
     """Return a question that names the plan directories that may have been meant.
 
-    Those in `folder`, the one of its name in ``out`` or those in that, or those with similar names here and
-    there. It is empty where there are none, or `folder` is one itself.
+    The one around a file, those in `folder`, the one of its name in ``out`` or those in that, or those with
+    similar names here and there. It is empty where there are none, or `folder` is one itself.
     """
     try:
         if (folder / PLAN_FILE).exists():
             return ""
+        if folder.is_file() and (folder.parent / PLAN_FILE).is_file():
+            return f"; did you mean {folder.parent}?"
         default = _DEFAULT_PLACE / folder
         found = _inside(folder) or ([default] if (default / PLAN_FILE).is_file() else _inside(default))
         found = found or [*_similar(folder), *_similar(default)]

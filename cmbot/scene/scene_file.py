@@ -288,6 +288,8 @@ def scene_path(source: str | Path) -> Path:
         beside = f"{text}.yaml"
         tip = f"; did you mean {beside}?" if os.path.isfile(beside) else hint(path.stem, names)  # noqa: PTH113
         raise SceneError(where, "", "no such file", f"{expected}{tip}", names)
+    if os.path.isdir(path):  # noqa: PTH112
+        raise SceneError(str(path), "", "a folder", expected, names)
     return path
 
 

@@ -58,7 +58,7 @@ def test_no_folder(triangle_folder):
         load_plan(triangle_folder / "nowhere")
     with pytest.raises(ArchiveError):
         load_plan("pl\0an")
-    words = r"plan\.json: got a file, not a folder, expected a plan directory"
+    words = r"plan\.json: got a file, not a folder, expected a plan directory, .*; did you mean \S*/plan\?$"
     with pytest.raises(ArchiveError, match=words):
         load_plan(triangle_folder / "plan.json")
 

@@ -94,7 +94,7 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
             "one of: angle_steel, bracket_faces, gusset_plate, line, panda_sanding, pipe, triangle",
         ),
     ),
-    ("plan no_plan", ("no_plan: got a folder",)),
+    ("plan no_plan", ("no_plan: got a folder, expected a scene file or the name of a shipped scene (one",)),
     ("plan broken.yaml", ("broken.yaml:2: got ':' where ',' or ']' should be, ", "expected valid YAML")),
     ("plan campaign.yaml", ("campaign.yaml:1: format: got a campaign (cmbot-campaign/1)", _A_CAMPAIGN)),
     ("check campaign.yaml", ("campaign.yaml:1: format: got a campaign", _A_CAMPAIGN)),
