@@ -357,9 +357,12 @@ def _joint(joint: ElementTree.Element) -> Iterator[Finding]:
         return
     axis = joint.find("axis")
     if axis is not None:
-        numbers = _floats(axis.get("xyz", "1 0 0"))
+        text = axis.get("xyz")
+        # Without <axis> it is x; without its xyz readers take zero.
+        numbers = [0.0] if text is None else _floats(text)
         if numbers and math.hypot(*numbers) < _ZERO:
-            yield _error(f"{_name(joint)}.axis", shown(axis.get("xyz")), "a direction, not zero")
+            got = "no xyz" if text is None else shown(text)
+            yield _error(f"{_name(joint)}.axis", got, "a direction, not zero")
     limit = joint.find("limit")
     if limit is None:
         if kind in ("revolute", "prismatic"):

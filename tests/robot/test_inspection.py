@@ -35,6 +35,7 @@ DAMAGE = {
     "inertia not definite": (INERTIA_1, INERTIA_1.replace("0.02", "-0.5"), "[link_1].inertial", "none neg"),
     "inertia incomplete": (INERTIA_1, INERTIA_1[:-10], "link[link_1].inertia.iyz", "a value"),
     "zero axis": ('<axis xyz="0.0 0.0 1.0" />', '<axis xyz="0 0 0" />', ".axis", "not zero"),
+    "axis of nothing": ('<axis xyz="0.0 0.0 1.0" />', "<axis />", ".axis", "not zero"),
     "short axis": ('<axis xyz="0.0 0.0 1.0" />', '<axis xyz="0 1" />', ".axis.xyz", "3 finite"),
     "tab between": ('<axis xyz="0.0 0.0 1.0" />', '<axis xyz="0&#9;0 1" />', ".axis.xyz", "3 finite"),
     "empty rpy": ('rpy="-1.5707963267948966 0.0 0.0"', 'rpy=""', ".origin.rpy", "3 finite"),
