@@ -163,7 +163,7 @@ def _frames(
 
 def _encode(encoder: str, draft: Path, target: str, fps: int, frames: Iterator[bytes]) -> int:
     """Encode the frames; return their number."""
-    words = [encoder, "-loglevel", "error", "-nostdin", "-f", "image2pipe", "-c:v", "mjpeg"]
+    words = [encoder, "-loglevel", "error", "-nostdin", "-y", "-f", "image2pipe", "-c:v", "mjpeg"]
     words += ["-framerate", str(fps), "-i", "-"]
     gif = draft.suffix.lower() == ".gif"
     words += ["-vf", _GIF] if gif else _VIDEO
@@ -182,6 +182,7 @@ def _encode(encoder: str, draft: Path, target: str, fps: int, frames: Iterator[b
         if status:
             messages.seek(0)
             reason = messages.read().decode("utf-8", "replace").strip().splitlines() or ["no reason given"]
+            why = reason[-1].replace(str(draft.absolute()), target)
             expected = "a file that ffmpeg can write, such as FILE.mp4"
-            raise InputError(target, "", f"a refusal of ffmpeg ({reason[-1]})", expected)
+            raise InputError(target, "", f"a refusal of ffmpeg ({why})", expected)
     return count

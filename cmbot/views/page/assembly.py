@@ -107,7 +107,7 @@ def write_page(path: Path, text: str) -> None:
 
 @contextlib.contextmanager
 def draft_of(path: Path) -> Iterator[Path]:
-    """Give the name of a temporary file beside `path` that is renamed to it, unless an error is raised.
+    """Give the path of an empty file beside `path` that is renamed to it, unless an error is raised.
 
     Where `path` is a link, what it leads to is replaced.
     """
@@ -117,6 +117,8 @@ def draft_of(path: Path) -> Iterator[Path]:
     place = Path(os.path.realpath(path))
     draft = place.parent / f".{uuid.uuid4().hex}{path.suffix}"
     try:
+        # Where that cannot be done, no film is made first.
+        draft.touch()
         yield draft
         draft.replace(place)
     except OSError as error:
