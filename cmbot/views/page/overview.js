@@ -19,7 +19,7 @@ const COLUMNS = [
   { title: "baseline's peak, Nm", of: (k) => data.baseline[k], digits: 1 },
   { title: "planned peak, Nm", of: (k) => data.planned[k], digits: 1 },
   { title: "reduction, %", of: (k) => gain[k], digits: 1 },
-  { title: "at work, %", of: (k) => workGain[k], digits: 1 },
+  { title: "at\u00a0work, %", of: (k) => workGain[k], digits: 1 },
   { title: "clearance, mm", of: (k) => (data.clearance[k] === null ? null : 1e3 * data.clearance[k]), digits: 0 },
   { title: "motion, s", of: (k) => data.duration[k], digits: 1 },
   { title: "computed in, s", of: (k) => data.seconds[k], digits: 1 },
