@@ -18,7 +18,7 @@ from cmbot.archive.folder import (
     write_files,
 )
 from cmbot.archive.motion_files import columns
-from cmbot.archive.names import PLAN_FILE
+from cmbot.archive.names import PLAN_FILE, WALK_FILE
 from cmbot.archive.strict_json import json_bytes
 from cmbot.archive.writing import resolved_file, save
 from cmbot.common.lazy_imports import on_first_use
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from cmbot.archive.reading import load_plan, plan_data
     from cmbot.archive.ros import export_mcap, export_ros_package
     from cmbot.archive.tracking import load_tracking, require_no_tracking, save_tracking, tracking_json
-    from cmbot.archive.walks import WALK_FILE, load_walk
+    from cmbot.archive.walks import load_walk
 
 __all__ = [
     "PLAN_FILE",
@@ -59,6 +59,6 @@ _LATER = {
     "cmbot.archive.reading": ("load_plan", "plan_data"),
     "cmbot.archive.ros": ("export_mcap", "export_ros_package"),
     "cmbot.archive.tracking": ("load_tracking", "require_no_tracking", "save_tracking", "tracking_json"),
-    "cmbot.archive.walks": ("WALK_FILE", "load_walk"),
+    "cmbot.archive.walks": ("load_walk",),
 }
 __getattr__ = on_first_use(__name__, _LATER)

@@ -20,6 +20,7 @@ from cmbot.archive.names import (
     PLAN_FILE,
     SAVED_FILES,
     SHOWN_FILES,
+    WALK_FILE,
     is_own,
 )
 from cmbot.archive.strict_json import read_json
@@ -280,7 +281,7 @@ def read_file(path: Path, largest: int = LARGEST_TEXT) -> bytes:
 
 
 def plans_nearby(folder: Path) -> str:
-    """Return a question that names the plan directories that may have been meant.
+    """Return a question that names the plan directories that may have been meant, or what shows a walk.
 
     The one around a file, those in `folder`, the one of its name in ``out`` or those in that, or those with
     similar names here and there. It is empty where there are none, or `folder` is one itself.
@@ -288,6 +289,8 @@ def plans_nearby(folder: Path) -> str:
     try:
         if (folder / PLAN_FILE).exists():
             return ""
+        if (folder / WALK_FILE).is_file():
+            return "; this folder is a walk's, which cmbot replay shows"
         if folder.is_file() and (folder.parent / PLAN_FILE).is_file():
             return f"; did you mean {folder.parent}?"
         default = _DEFAULT_PLACE / folder

@@ -14,11 +14,14 @@ __all__ = [
     "SAVED_FILES",
     "SHOWN_FILES",
     "TRACKING_FILES",
+    "WALK_FILE",
     "is_own",
 ]
 
 FORMAT, EARLIER_FORMAT = "cmbot-plan/2", "cmbot-plan/1"
 PLAN_FILE = "plan.json"
+WALK_FILE = "walk.json"
+"""In the folder of a walk, which is no plan directory."""
 SAVED_FILES = ("trajectory.csv", "baseline.csv", "trajectory.npz", "trajectory.ros.json")
 """The files beside `PLAN_FILE` of every plan, with `JOB_FILES`."""
 JOB_FILES = ("job.csv", "job.npz", "job.ros.json")

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from cmbot.archive.folder import read_file
+from cmbot.archive.names import WALK_FILE
 from cmbot.archive.strict_json import read_json
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError, CmbotError
@@ -20,9 +21,8 @@ from cmbot.siting import Candidate, candidate_at, in_world
 from cmbot.trajectory import QuinticTrajectory
 from cmbot.walking import Kind, Move, Step, Walk, certified_move, stance_of
 
-__all__ = ["WALK_FILE", "load_walk"]
+__all__ = ["load_walk"]
 
-WALK_FILE = "walk.json"
 # Moves join where they are nearer, rad; feet are where they should be, m; figures that are computed again.
 _SAME_POSTURE, _SAME_PLACE, _SAME, _SAME_ZERO = 1e-9, 1e-6, 1e-6, 1e-9
 _LARGEST = 200 * 1024 * 1024

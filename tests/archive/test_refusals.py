@@ -46,6 +46,9 @@ def test_a_plan_directory_nearby_is_asked_for(triangle_folder, tmp_path, monkeyp
     for name in ("bridge", "out/bridge"):
         with pytest.raises(ArchiveError, match=meant):
             load_plan(name)
+    (tmp_path / "bare" / "walk.json").touch()
+    with pytest.raises(ArchiveError, match=r"; this folder is a walk's, which cmbot replay shows$"):
+        load_plan("bare")
     for number in range(3):
         (tmp_path / "out" / f"a{number}").mkdir()
         (tmp_path / "out" / f"a{number}" / "plan.json").touch()
