@@ -42,7 +42,7 @@ _MEGABYTE = 1024 * (1024 if sys.platform == "darwin" else 1)
 
 @dataclass(frozen=True, kw_only=True)
 class Costs:
-    """What one size costs: via-points and the path's duration, s; process times, s; peak memory, MB."""
+    """What one size costs: via-points and the path's duration, s; process times, s; peak memory, MiB."""
 
     via_points: int
     path: float
@@ -112,7 +112,7 @@ def measured(via_points: int) -> Costs:
 
 
 def peak_memory() -> float:
-    """Largest memory that this process has had, MB."""
+    """Largest memory that this process has had, MiB."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / _MEGABYTE
 
 
@@ -134,7 +134,7 @@ def sentence(costs: Costs) -> str:
         f"{costs.via_points} via-points, {costs.path:.0f} s of path: "
         f"global stage {costs.global_stage:.2f} s, "
         f"optimisation {costs.optimisation:.2f} s, certificate {costs.certificate:.2f} s, "
-        f"{costs.memory:.0f} MB, peak {costs.peak:.2f} Nm"
+        f"{costs.memory:.0f} MiB, peak {costs.peak:.2f} Nm"
     )
 
 

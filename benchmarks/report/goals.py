@@ -6,11 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["SAME_OPTIMUM", "Goal", "beside", "goals", "ratio", "total"]
+__all__ = ["MEGABYTE", "SAME_OPTIMUM", "Goal", "beside", "goals", "ratio", "total"]
 
 # Objectives nearer than this share are the same optimum; violations up to it are none.
 SAME_OPTIMUM = 1e-4
-_MEGABYTE, _GIGABYTE = 2.0**20, 1e9
+# Memory is measured in units of the first, byte, and shown in decimal ones.
+MEGABYTE, _GIGABYTE = 2.0**20, 1e9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,7 +143,7 @@ def _command(results: Mapping[str, Any]) -> Goal:
 def _growth(results: Mapping[str, Any]) -> list[Goal]:
     largest = next((row for row in results["growth"] if row["via_points"] == 5000), None)
     time = None if largest is None else largest["global_stage"] + largest["optimisation"]
-    memory = None if largest is None else largest["memory"] * _MEGABYTE / _GIGABYTE
+    memory = None if largest is None else largest["memory"] * MEGABYTE / _GIGABYTE
     remark = "global stage and optimisation"
     return [
         _below("5,000 via-points", 60.0, time, "s", remark),

@@ -12,7 +12,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from report.goals import SAME_OPTIMUM, Goal, beside, ratio, total
+from report.goals import MEGABYTE, SAME_OPTIMUM, Goal, beside, ratio, total
 
 # Of an optimum, as a share of it, and of a violation. How solvers end that found an optimum.
 _MET, _ENDED = 1e-5, ("solved", "converged", "stalled")
@@ -186,7 +186,9 @@ def _growth(rows: Sequence[Mapping[str, Any]]) -> Sheet:
         power = "–" if last is None else f"{log(seconds / last[1]) / log(n / last[0]):.2f}"
         stages = (f"{row[stage]:.2f}" for stage in ("global_stage", "optimisation", "certificate"))
         each = f"{1e3 * seconds / n:.1f}"
-        cells.append((f"{n}", power, each, f"{seconds:.2f}", *stages, f"{row['memory']:.0f}"))
+        cells.append(
+            (f"{n}", power, each, f"{seconds:.2f}", *stages, f"{row['memory'] * MEGABYTE / 1e6:.0f}")
+        )
         last = n, seconds
     headings = (
         "via-points",

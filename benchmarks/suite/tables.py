@@ -20,12 +20,15 @@ __all__ = ["REFERENCE", "blocks", "document", "failures", "sheets", "show"]
 REFERENCE = RESULTS / "suite.json"
 
 _PLANNED = "planned"
+# Goals: of scenes with a path the share that is planned; processor times of plans, s.
+_SHARE, _MEDIAN, _MOST = 0.97, 2.0, 8.0
 
 
 def sheets(results: Mapping[str, Any]) -> list[Sheet]:
-    """Return the tables: by set and keep, by arm, failures, false statements."""
+    """Return the tables: goals, by set and keep, by arm, failures, false statements."""
     rows = results["scenes"]
     return [
+        _goals(rows, results["tuning_seed"]),
         _success("suite-keep", "Success by what the path keeps", _by_keep(rows, results["tuning_seed"])),
         _success("suite-arm", "Success by arm", _grouped(rows, lambda row: (row.get("arm", "?"),))),
         _kinds(rows),
@@ -141,6 +144,42 @@ def _grouped(rows: Sequence[Mapping[str, Any]], of: Callable[[Mapping[str, Any]]
     return dict(sorted(groups.items()))
 
 
+def _goals(rows: Sequence[Mapping[str, Any]], tuning: int) -> Sheet:
+    """What was to be reached on each set, and what was."""
+    sets = {
+        name: some
+        for name in ("fresh", "tuning")
+        if (some := [row for row in rows if (row["seed"] == tuning) == (name == "tuning")])
+    }
+
+    def share(of: Callable[[Mapping[str, Any]], bool], goal: float | None) -> list[str]:
+        cells = []
+        for some in sets.values():
+            those = [row for row in some if of(row)]
+            done = sum(map(_is_planned, those))
+            met = "" if goal is None else f", {'met' if done >= goal * len(those) else 'missed'}"
+            cells.append(f"{done} of {len(those)}: {done / len(those):.1%}{met}" if those else "–")
+        return cells
+
+    def seconds(quantile: float, goal: float) -> list[str]:
+        cells = []
+        for some in sets.values():
+            taken = [row["plan"]["cpu_seconds"] for row in some if _is_planned(row)]
+            met = taken and np.quantile(taken, quantile) < goal
+            cells.append(f"{_quantile(taken, quantile, '{:.2f}')} s, {'met' if met else 'missed'}")
+        return cells
+
+    from_start = share(lambda row: bool(row.get("oracle", {}).get("scene")), None)
+    lines = [
+        ("planned, of scenes with a path", f"at least {_SHARE:.0%}", *share(_exists, _SHARE)),
+        ("planned, of those with a path from their own start", "–", *from_start),
+        ("processor time, median", f"below {_MEDIAN:g} s", *seconds(0.5, _MEDIAN)),
+        ("processor time, 95 % of plans", f"below {_MOST:g} s", *seconds(0.95, _MOST)),
+    ]
+    headings = ("goal", "to be reached", *sets)
+    return Sheet(key="suite-goals", title="Goals on random scenes", headings=headings, rows=tuple(lines))
+
+
 def _success(key: str, title: str, groups: Groups) -> Sheet:
     cells = []
     for name, rows in groups.items():
@@ -156,7 +195,7 @@ def _success(key: str, title: str, groups: Groups) -> Sheet:
                 f"{len(rows)}",
                 f"{len(with_path)}",
                 f"{len(planned)}",
-                f"{len(planned) / len(with_path):.0%}" if with_path else "–",
+                f"{len(planned) / len(with_path):.1%}" if with_path else "–",
                 _quantile(seconds, 0.5, "{:.2f}"),
                 _quantile(seconds, 0.95, "{:.1f}"),
                 _quantile(answered, 0.95, "{:.1f}"),

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import run_suite
 from plan_folders import changed
+from report.document import PAGE, page
 from rich.console import Console
 from suite import jobs, judge, oracle, scenes, tables
 from suite.task import TimedPath, read_scene, world_of
@@ -201,6 +202,24 @@ def test_a_small_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert run_suite.suite_run([5], 2, 1, tmp_path, again=False, console=console) == results
     died = good | {"plan": {"status": "crash", "reason": "signal SIGSEGV"}}
     assert tables.failures(results | {"scenes": [died]})[0][1].startswith("crash (path: ")
+
+
+def test_goals_are_judged_by_what_was_counted_not_by_what_is_shown() -> None:
+    """61 of 63 is 97 % when rounded, and less than that."""
+    seen = {"any": True, "scene": False}
+    planned = {"oracle": seen, "plan": {"status": "planned", "cpu_seconds": 1.0}}
+    missed = {"oracle": seen | {"scene": True}, "plan": {"status": "no path", "cpu_seconds": 9.0}}
+    none = {"oracle": {"any": False}, "plan": {"status": "no path", "cpu_seconds": 9.0}}
+    fresh = [{**row, "seed": 2} for row in [planned] * 61 + [missed] * 2 + [none] * 5]
+    rows = tables._goals([*fresh, {**planned, "seed": 1}], 1).rows
+    assert rows[0][2:] == ("61 of 63: 96.8%, missed", "1 of 1: 100.0%, met")
+    assert rows[1][2:] == ("0 of 2: 0.0%", "–")
+    assert rows[2][2:] == ("1.00 s, met",) * 2
+
+
+def test_the_tables_of_the_suite_follow_from_its_results() -> None:
+    results = json.loads(tables.REFERENCE.read_text(encoding="utf-8"))
+    assert page(PAGE, tables.blocks(results)) == PAGE.read_text(encoding="utf-8")
 
 
 def test_a_random_job_is_one_of_strokes_from_poses_of_their_own(tmp_path: Path) -> None:
