@@ -62,7 +62,8 @@ app = typer.Typer(
     rich_markup_mode="rich",
     help="Plan the motion of a robot arm that works from a base that bends.\n\n"
     "Example: [bold]cmbot plan triangle[/bold], then open out/triangle/report.html in a browser.",
-    epilog="Exit status: 0 done, 2 bad input, 3 no plan, 130 stopped with Ctrl-C, 1 anything else.",
+    epilog="Exit status: 0 done, 2 bad input, 3 no plan, 130 stopped with Ctrl-C, 143 terminated, "
+    "1 anything else.",
 )
 
 # The base of Typer's errors about a command line; Typer does not export it.

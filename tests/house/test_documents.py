@@ -19,6 +19,7 @@ from small_scenes import SHORT
 import cmbot
 from cmbot import __version__
 from cmbot.archive import columns
+from cmbot.campaigns import CampaignFile
 from cmbot.cli import app
 from cmbot.elastic.beam import beam_mass, beam_stiffness
 from cmbot.planning import Plan, remarks
@@ -116,6 +117,22 @@ def test_named_commands_exist() -> None:
             assert set(options) <= known | WHOLE, f"cmbot {verb} in {name_of(document)}"
             named.add(verb)
     assert named - WHOLE == set(verbs), "a command that no document names"
+
+
+def test_pages_list_all_shipped_scenes_keys_of_campaigns_and_verbs_with_json() -> None:
+    page = (DOCS / "command_line.md").read_text("utf-8")
+    (listed,) = re.findall(r"a shipped scene \((.*?)\)", page)
+    assert sorted(re.findall(r"`(\w+)`", listed)) == sorted(shipped_scenes())
+    campaigns = (DOCS / "campaigns.md").read_text("utf-8")
+    table = campaigns.split("| key | what | if left out |")[1].split("\n\n")[0]
+    assert re.findall(r"^\| `(\w+)` \|", table, flags=re.MULTILINE) == list(CampaignFile.model_fields)
+    for key in ("time_limit_s", "memory_limit_mb"):
+        (row,) = re.findall(rf"^\| `{key}` .*", table, flags=re.MULTILINE)
+        assert row.endswith(f"| {CampaignFile.model_fields[key].default:g} |")
+    (sentence,) = re.findall(r"With `--json`, (.*?) print one JSON object", page)
+    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    with_json = {verb for verb, it in commands.items() if any("--json" in p.opts for p in it.params)}
+    assert set(re.findall(r"`(?:cmbot )?(\w+)`", sentence)) == with_json
 
 
 def test_named_targets_paths_columns_and_code_exist() -> None:
