@@ -8,12 +8,10 @@ pictures from ``tools/plot_figures.py``. tests/house/test_documents.py compares 
 from __future__ import annotations
 
 import argparse
-import math
 import re
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -46,7 +44,7 @@ def run(*words: str) -> str:
         return subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True).stdout
 
 
-def operation(plan: cmbot.Plan, planning: float = math.nan) -> Iterator[Row]:
+def operation(plan: cmbot.Plan) -> Iterator[Row]:
     """Yield the figures of the whole job, and of its work alone: name and unit, baseline, planned."""
     work, job = (plan.baseline_figures, plan.figures), (plan.baseline_job_figures, plan.job.figures)
     for name, pair in (("over the whole job, with the approach", job), ("while working", work)):
@@ -59,14 +57,6 @@ def operation(plan: cmbot.Plan, planning: float = math.nan) -> Iterator[Row]:
     seconds = plan.trajectory.duration
     yield "time of the work, s", f"{seconds:.1f}", f"{seconds:.1f}"
     yield "time of the approach, s", "-", f"{plan.job.duration - seconds:.1f}"
-    yield "processor time to plan, s", "-", f"{planning:.1f}"
-
-
-def processor_time(scene: cmbot.Scene) -> float:
-    """Return the processor time, s, of planning a scene in a process that has planned before."""
-    begin = time.process_time()
-    cmbot.plan(scene)
-    return time.process_time() - begin
 
 
 def side_by_side(both: Iterable[Iterable[Row]]) -> str:
@@ -109,7 +99,7 @@ def main() -> None:
     # Its first line is the table's header, which begins with blanks.
     write_between(docs / "command_line.md", "output of cmbot plan triangle", f"```text\n{printed}\n```")
     plans = [cmbot.plan(cmbot.load_scene(name)) for name in SCENES]
-    both = (operation(plan, processor_time(plan.scene)) for plan in plans)
+    both = (operation(plan) for plan in plans)
     write_between(ROOT / "README.md", "operation", side_by_side(both))
     write_between(docs / "results.md", "figures", side_by_side(plan.rows() for plan in plans))
     write_between(docs / "results.md", "tracking of the triangle", tracking_table(plans[0]))

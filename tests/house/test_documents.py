@@ -192,8 +192,8 @@ def plans(triangle_plan: Plan, line_plan: Plan) -> list[Plan]:
     return [triangle_plan, line_plan]
 
 
-# Not determined by the problem: the machine's times, and what only has to stay below a bound.
-UNDETERMINED = ("time to plan", "tool deviation", "tool rotation")
+# Not determined by the problem: what only has to stay below a bound.
+UNDETERMINED = ("tool deviation", "tool rotation")
 # The optimum is the same on every processor to this share; the way of an approach to a little more.
 SAME, SAME_APPROACH = 1e-3, 1e-2
 
