@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from cmbot.campaigns.task import require_task_name
 from cmbot.common.errors import InputError, SceneError
-from cmbot.common.input_files import read_csv
+from cmbot.common.input_files import is_file, is_folder, read_csv
 from cmbot.common.validation import FileModel, counted, given_path, hint, refusal, shown, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml, yaml_value
 from cmbot.scene import Scene, changed_content, is_within, scene_from_data, scene_path, shipped_scenes
@@ -117,7 +117,7 @@ def read_campaign(path: str | Path) -> tuple[CampaignFile, Iterator[Entry]]:
     """
     kind = "a campaign file, a CSV table or a folder of scenes"
     path = given_path(path, "cmbot.campaign", "file", kind)
-    if path.is_dir():
+    if is_folder(path):
         file = CampaignFile(format="cmbot-campaign/1", name=path.resolve().name, folder=".")
     elif path.suffix.lower() == ".csv":
         file = CampaignFile(format="cmbot-campaign/1", name=path.stem, table=path.name)
@@ -131,7 +131,7 @@ def read_campaign(path: str | Path) -> tuple[CampaignFile, Iterator[Entry]]:
 
 
 def _entries(file: CampaignFile, path: Path) -> Iterator[Entry]:
-    folder = path if path.is_dir() else path.parent
+    folder = path if is_folder(path) else path.parent
     templates = _Templates(file, str(path), folder)
     seen = set[str]()
     with lines_named(path):
@@ -159,13 +159,13 @@ def _given(file: CampaignFile, path: Path, folder: Path) -> Iterator[tuple[Entry
     for k, entry in enumerate(file.jobs):
         yield entry, _Source(file=str(path), prefix=f"jobs[{k}].")
     if file.table is not None:
-        if path.suffix.lower() != ".csv" and not (folder / file.table).exists():
+        if path.suffix.lower() != ".csv" and not is_file(folder / file.table):
             got = f"no such file {shown(file.table)}"
             raise InputError(str(path), "table", got, "a CSV table of jobs, relative to the campaign file")
         yield from _rows(folder / file.table, file.scene)
     if file.folder is not None:
         where = folder / file.folder
-        if not where.is_dir():
+        if not is_folder(where):
             raise InputError(
                 str(path), "folder", f"no such folder {shown(file.folder)}", "a folder of scenes"
             )
@@ -245,7 +245,7 @@ class _Templates:
             raise source.error(InputError("", "scene", "nothing", "a scene, here or for the whole campaign"))
         if named not in self._read:
             path = self._folder / named
-            if not path.is_file():
+            if not is_file(path):
                 if named not in (names := shipped_scenes()):
                     expected = f"a scene file beside {self._source}, or a shipped scene{hint(named, names)}"
                     missing = SceneError("", "scene", f"no such file {shown(named)}", expected)

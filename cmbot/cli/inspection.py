@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 from collections.abc import Sequence
@@ -27,6 +26,7 @@ from cmbot.cli.console import (
 )
 from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError, SceneError
+from cmbot.common.input_files import is_file
 from cmbot.common.installation import install_command, model_folder, scene_folder, shipped_scenes
 from cmbot.version import __version__
 
@@ -137,7 +137,7 @@ def _is_robot(file: str) -> bool:
     if Path(file).suffix.lower() in _ROBOT_SUFFIXES:
         return True
     # Path.exists raises for names that no file can have.
-    if _is_file(Path(file)) or os.path.exists(scene_folder() / f"{file}.yaml"):  # noqa: PTH110
+    if is_file(file) or is_file(scene_folder() / f"{file}.yaml"):
         return False
     return file == "cmbot" or file in (library_robots() or ())
 
@@ -185,9 +185,9 @@ def _check_scene(file: str) -> tuple[Sequence[Finding], dict[str, str], str]:
     try:
         scene = cmbot.load_scene(file)
     except SceneError as error:
-        if not (_is_file(Path(file)) or Path(file).suffix):
+        if not (is_file(file) or Path(file).suffix):
             raise _no_name(file, error) from error
-        if error.key or Path(file).suffix.lower() in _SCENE_SUFFIXES or not _is_file(Path(file)):
+        if error.key or Path(file).suffix.lower() in _SCENE_SUFFIXES or not is_file(file):
             raise
         # Nothing in it could be read as a scene's.
         expected = "a URDF (.urdf, .xml, .xacro) or a scene file (.yaml, .yml, .json)"
@@ -226,13 +226,6 @@ def _no_name(file: str, error: SceneError) -> InputError:
 
 def _errors(findings: Sequence[Finding]) -> int:
     return sum(finding.severity == "error" for finding in findings)
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except OSError:  # a name that is too long
-        return False
 
 
 def scenes(

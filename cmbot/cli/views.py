@@ -14,6 +14,7 @@ import typer
 import cmbot
 from cmbot.cli.console import ConsoleProgress, ForceOption, PlanArgument, flat, out
 from cmbot.common.errors import InputError
+from cmbot.common.input_files import is_file
 
 if TYPE_CHECKING:
     from cmbot.planning import Plan
@@ -94,7 +95,7 @@ def replay(
     from cmbot.archive import PLAN_FILE, WALK_FILE
     from cmbot.views import REPLAY, replay_page
 
-    is_walk = _is_file(directory / WALK_FILE) and not _is_file(directory / PLAN_FILE)
+    is_walk = is_file(directory / WALK_FILE) and not is_file(directory / PLAN_FILE)
     if is_walk and filmed is None:
         _replay_walk(directory, html, serve=serve)
         return
@@ -157,14 +158,6 @@ def _serve(page: str, name: str) -> None:
             server.wait()
         except KeyboardInterrupt:
             return
-
-
-def _is_file(path: Path) -> bool:
-    """Whether there is a file; not where its name cannot be one: who reads it says so."""
-    try:
-        return path.is_file()
-    except OSError:
-        return False
 
 
 def _replay_walk(directory: Path, html: Path | None, *, serve: bool) -> None:

@@ -13,12 +13,31 @@ from pathlib import Path
 
 from cmbot.common.errors import InputError
 
-__all__ = ["LARGEST_MESH", "LARGEST_TEXT", "read_csv", "read_input", "require_input", "require_replaceable"]
+__all__ = [
+    "LARGEST_MESH",
+    "LARGEST_TEXT",
+    "is_file",
+    "is_folder",
+    "read_csv",
+    "read_input",
+    "require_input",
+    "require_replaceable",
+]
 
 LARGEST_TEXT = 20_000_000
 """Bytes of a URDF, an SRDF or a plan.json."""
 LARGEST_MESH = 50_000_000
 """Bytes of a mesh."""
+
+
+def is_file(path: str | Path) -> bool:
+    """Return whether there is a file; False for a name that none can have, where `Path.is_file` raises."""
+    return os.path.isfile(path)  # noqa: PTH113
+
+
+def is_folder(path: str | Path) -> bool:
+    """Return whether there is a folder; False for a name that none can have, where `Path.is_dir` raises."""
+    return os.path.isdir(path)  # noqa: PTH112
 
 
 def read_input(

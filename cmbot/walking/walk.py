@@ -11,6 +11,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import CmbotError, PlanningError, SceneError
+from cmbot.common.input_files import is_file
 from cmbot.common.representation import short_repr
 from cmbot.common.validation import counted, validated
 from cmbot.common.yaml_reader import read_yaml
@@ -356,7 +357,7 @@ def load_goal(path: str | Path) -> Scene | StanceFile:
     SceneError
         When it is neither.
     """
-    if Path(path).is_file() and "foot_1" in (data := read_yaml(path, SceneError)):
+    if is_file(path) and "foot_1" in (data := read_yaml(path, SceneError)):
         return validated(StanceFile, data, str(path), SceneError)
     # As text: a path is never the name of a shipped scene.
     return load_scene(str(path))

@@ -119,6 +119,15 @@ def test_a_template_that_is_wrong_is_not_the_jobs_fault(folder: Path) -> None:
         tuple(read_campaign(folder / "jobs.csv")[1])
 
 
+def test_names_that_no_file_can_have_are_named(folder: Path) -> None:
+    long = "a" * 300
+    for text in (f"scene: {long}", f"scene: line\nfolder: {long}", f"scene: line\ntable: {long}"):
+        with pytest.raises(InputError, match=r"no such f\w+ 'a+"):
+            entries(folder, f"format: cmbot-campaign/1\n{text}\njobs: [{{name: a}}]\n")
+    with pytest.raises(InputError, match=r"got a file that cannot be read \(File name too long\)"):
+        read_campaign(long)
+
+
 def test_files_are_named_as_they_were_given(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
     (folder / "jobs.csv").write_text("name,scene,at_m\nx,line,near\n", encoding="utf-8")

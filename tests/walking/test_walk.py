@@ -268,5 +268,7 @@ def test_where_to(tmp_path: Any, scene: Scene) -> None:
     assert isinstance(goal, StanceFile)
     assert goal.foot_2.along_m == 4.74
     assert isinstance(load_goal(Path("triangle")), Scene)
+    with pytest.raises(SceneError, match="no such file"):
+        load_goal("a" * 300)
     with pytest.raises(SceneError, match="the shipped robot, an arm on a climber that holds a guardrail"):
         walk(short_scene(guardrail={"bays": 0}), goal)
