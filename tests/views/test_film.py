@@ -64,7 +64,9 @@ def test_what_no_film_can_be(tmp_path: Path, name: str, value: Any) -> None:
 def test_where_no_file_can_be_nothing_is_filmed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(video, "_program", lambda *_: "true")
     monkeypatch.setattr(video, "_opened", lambda *_: pytest.fail("opened first"))
-    with pytest.raises(InputError, match=r"film\.mp4: got a file that cannot be written \(No such file or"):
+    with pytest.raises(
+        InputError, match=r"film\.mp4: got a file that cannot be written \(there is no folder \S*/missing\)"
+    ):
         film("<p>page</p>", tmp_path / "missing" / "film.mp4")
     assert list(tmp_path.iterdir()) == []
 

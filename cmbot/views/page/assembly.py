@@ -122,7 +122,9 @@ def draft_of(path: Path) -> Iterator[Path]:
         yield draft
         draft.replace(place)
     except OSError as error:
-        raise _cannot_write(path, error.strerror or str(error)) from error
+        missing = isinstance(error, FileNotFoundError) and not place.parent.exists()
+        why = f"there is no folder {path.parent}" if missing else error.strerror or str(error)
+        raise _cannot_write(path, why) from error
     finally:
         with contextlib.suppress(OSError):
             draft.unlink(missing_ok=True)
