@@ -23,7 +23,7 @@ PAGE, REFERENCE = ROOT / "docs" / "reliability.md", RESULTS / "soak.json"
 # How jobs end; the page says what each means, so each has a column.
 _ENDS = ("planned", "no plan", "refused", "raised", "crashed", "timed out")
 # Numbers, and names of joints and links: what reasons of one kind differ in.
-_PARTICULAR = re.compile(r"[-+]?\d[\d.,e+-]*|\w*_\w+")
+_PARTICULAR = re.compile(r"[-+]?\d[\d.,e+-]*|\b(?!tool_path\b)\w*_\w+")
 _LONGEST_REASON = 220
 
 
