@@ -14,7 +14,7 @@ import typer
 import cmbot
 from cmbot.cli.console import ConsoleProgress, ForceOption, PlanArgument, flat, out
 from cmbot.common.errors import InputError
-from cmbot.common.input_files import is_file
+from cmbot.common.input_files import is_file, is_folder
 
 if TYPE_CHECKING:
     from cmbot.planning import Plan
@@ -279,7 +279,7 @@ def export(
 def require_new(path: Path, force: bool) -> None:
     """Refuse a file to write that is there already, unless it may be replaced, and a folder always."""
     # Those of Path raise for names that no file can have.
-    if os.path.isdir(path):  # noqa: PTH112
+    if is_folder(path):
         raise InputError(str(path), "", "a folder", "the path of a file to write")
     if os.path.exists(path) and not force:  # noqa: PTH110
         raise InputError(str(path), "", "a file that is already there", "a new file, or --force")

@@ -15,7 +15,6 @@ Deflections are along the axes of W. Differences need no calibrated arm; absolut
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,6 +25,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
+from cmbot.common.input_files import is_file
 from cmbot.common.representation import short_repr
 from cmbot.common.validation import FileModel, given_path, plain, refusal, require_type, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml
@@ -217,7 +217,7 @@ def _no_sheet(scene: str) -> InputError:
 def is_sheet(source: str | Path) -> bool:
     """Whether it is a file of measurements, which need not be filled in, by its format."""
     # Path.is_file raises for names that no file can have.
-    if not os.path.isfile(source):  # noqa: PTH113
+    if not is_file(source):
         return False
     return str(read_yaml(source, InputError).get("format")).startswith("cmbot-measurements/")
 

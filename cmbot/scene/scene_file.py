@@ -15,7 +15,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.errors import MissingExtra, SceneError
-from cmbot.common.input_files import LARGEST_MESH, read_csv, read_input
+from cmbot.common.input_files import LARGEST_MESH, is_file, is_folder, read_csv, read_input
 from cmbot.common.installation import scene_folder, shipped_scenes
 from cmbot.common.robot_library import LIBRARY, LIBRARY_EXTRA, is_robot_name, library_robots
 from cmbot.common.validation import counted, given_path, hint, plain, shown, validated
@@ -244,9 +244,9 @@ def update_file(scene: Scene) -> Scene:
 def _found(base_folder: Path, source: str, text: str, key: str) -> Path:
     """The path of a file that a scene names."""
     path = base_folder / text
-    if key == _PACKAGES and os.path.isdir(path):  # noqa: PTH112  they raise for names that no file can have
+    if key == _PACKAGES and is_folder(path):
         return path.resolve()
-    if key != _PACKAGES and os.path.isfile(path):  # noqa: PTH113
+    if key != _PACKAGES and is_file(path):
         return path.resolve()
     kind, known = ("folder" if key == _PACKAGES else "file"), ""
     if key == "robot.model":
@@ -286,9 +286,9 @@ def scene_path(source: str | Path) -> Path:
         text = str(path)
         where = text if text.isprintable() and len(text) <= _LONGEST_SOURCE else shown(text)
         beside = f"{text}.yaml"
-        tip = f"; did you mean {beside}?" if os.path.isfile(beside) else hint(path.stem, names)  # noqa: PTH113
+        tip = f"; did you mean {beside}?" if is_file(beside) else hint(path.stem, names)
         raise SceneError(where, "", "no such file", f"{expected}{tip}", names)
-    if os.path.isdir(path):  # noqa: PTH112
+    if is_folder(path):
         raise SceneError(str(path), "", "a folder", expected, names)
     return path
 

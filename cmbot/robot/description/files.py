@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from cmbot.common.errors import MissingExtra, ModelError
+from cmbot.common.input_files import is_file
 from cmbot.common.installation import model_folder
 from cmbot.common.representation import short_repr
 from cmbot.common.robot_library import LIBRARY, LIBRARY_EXTRA, is_robot_name, library_robots, library_srdf
@@ -71,7 +71,7 @@ def robot_files(
     else:
         urdf = given_path(model, "load_robot", "model", "cmbot, a robot's name, or the path of a URDF")
         # A folder of that name may be the robot's plan.
-        if is_robot_name(str(model)) and not os.path.isfile(urdf):  # noqa: PTH113  as elsewhere
+        if is_robot_name(str(model)) and not is_file(urdf):
             urdf = _in_library(str(model))
             near = library_srdf(urdf)
     return RobotFiles(
