@@ -1,6 +1,6 @@
 """Send a planned job to a robot that runs ROS 2.
 
-A plan directory has the whole job as a ROS ``trajectory_msgs/JointTrajectory``, ``job.ros.json``. This makes
+``cmbot export DIR --ros FILE`` writes the whole job as a ROS ``trajectory_msgs/JointTrajectory``. This makes
 the goal of a ``control_msgs/FollowJointTrajectory`` action of it, and sends it where ROS is installed:
 ``python 07_send_to_a_robot.py out/triangle /arm_controller``. Without ROS, or without a controller, it shows
 the goal. The arm has to stand in the posture that it prints first.
@@ -8,9 +8,11 @@ the goal. The arm has to stand in the posture that it prints first.
 
 import json
 import sys
+import tempfile
 from pathlib import Path
 
 import cmbot
+from cmbot.archive import export_ros
 
 # The fields of control_msgs/action/FollowJointTrajectory, its goal.
 GOAL = """trajectory_msgs/JointTrajectory trajectory
@@ -21,7 +23,10 @@ builtin_interfaces/Duration goal_time_tolerance"""
 
 def goal_of(folder: Path, *, tolerance: float = 0.01) -> dict:
     """The goal of the whole job; at its end every joint may be off by `tolerance`, rad."""
-    trajectory = json.loads((folder / "job.ros.json").read_text(encoding="utf-8"))
+    with tempfile.TemporaryDirectory() as place:
+        file = Path(place) / "job.ros.json"
+        export_ros(cmbot.load_plan(folder), file)
+        trajectory = json.loads(file.read_text(encoding="utf-8"))
     bounds = [{"name": joint, "position": tolerance} for joint in trajectory["joint_names"]]
     goal = {
         "trajectory": trajectory,
@@ -85,7 +90,5 @@ if __name__ == "__main__":
     if len(sys.argv) > 1:
         main(Path(sys.argv[1]), *sys.argv[2:3])
     else:
-        import tempfile
-
         with tempfile.TemporaryDirectory() as temporary:
             main(short_plan(Path(temporary)))

@@ -6,6 +6,7 @@ takes all of them, some minutes each. The status is 1 if a kill left neither the
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
@@ -13,12 +14,12 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import warnings
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 import cmbot
+import cmbot.archive
 
 SCENE = {
     "format": "cmbot-scene/1",
@@ -28,7 +29,7 @@ SCENE = {
     "tool_path": {"legs": [{"by": [0, -0.3, 0], "seconds": 4}], "via_points": 8},
     "planner": {"knots": "fixed", "path_step_s": 0.02},
 }
-SYSTEM_CALLS = "chmod,flock,fsync,link,linkat,mkdir,rename,renameat2,rmdir,unlink,unlinkat"
+SYSTEM_CALLS = "flock,mkdir,rename,rmdir,unlink,unlinkat"
 ENTRY = "from cmbot.cli import main; main()"
 NOTES = "notes.txt"
 # The words of each command, and those that make what is there before it.
@@ -69,12 +70,11 @@ def _kills(words: tuple[str, ...], made_by: list[tuple[str, ...]]) -> Iterator[s
         _run(made)
     if made_by:
         (work / "plan" / NOTES).write_text("mine", encoding="utf-8")
-        (work / "plan" / "report.html").write_text("old", encoding="utf-8")
+        cmbot.archive.add_file(work / "plan", "report.html", b"old")
     work.rename(before)
     shutil.copytree(before, work)
     _run(words, "-o", "log", "-e", f"trace={SYSTEM_CALLS}")
-    old, wanted = _contents(before / "plan"), _contents(work / "plan")
-    changed = {name for name in wanted if wanted[name] != old.get(name)}
+    old, wanted = _state(before / "plan"), _state(work / "plan")
     lines = re.findall(r"^(\d+) +(\w+)\(", Path("log").read_text(encoding="utf-8"), flags=re.MULTILINE)
     # strace counts the calls of each thread by itself; the main one does all of the writing.
     calls = [call for thread, call in lines if thread == lines[0][0]]
@@ -85,16 +85,12 @@ def _kills(words: tuple[str, ...], made_by: list[tuple[str, ...]]) -> Iterator[s
         shutil.copytree(before, work)
         kill = f"inject={call}:signal=KILL:when={reached[call]}"
         _run(words, "-o", "log", "-e", f"trace={SYSTEM_CALLS}", "-e", kill, status=-9)
-        found = _contents(work / "plan")
         notes = [path.read_text(encoding="utf-8") for path in work.rglob(NOTES)]
-        if notes != ["mine"] * len(made_by[:1]):
+        found = _state(work / "plan")
+        if notes != ["mine"] * len(made_by[:1]) or found not in (old, wanted):
             yield "neither"
-        elif found == old:
-            yield "old"
         else:
-            renewed = {name for name in found if found[name] != old.get(name)}
-            whole = found.keys() == wanted.keys() and renewed == changed and _is_readable(work / "plan")
-            yield "new" if whole else "neither"
+            yield "old" if found == old else "new"
 
 
 def _run(words: tuple[str, ...], *strace: str, status: int = 0) -> None:
@@ -107,20 +103,17 @@ def _run(words: tuple[str, ...], *strace: str, status: int = 0) -> None:
         sys.exit(f"{' '.join(words)}: status {done.returncode}: {done.stderr}")
 
 
-def _contents(folder: Path) -> dict[str, bytes]:
-    """What the files of a plan directory hold, but for those that are not the plan's."""
-    return {path.name: path.read_bytes() for path in folder.glob("[!.]*") if path.name != NOTES}
-
-
-def _is_readable(directory: Path) -> bool:
-    """Whether plan and tracking errors are there and belong to each other."""
+def _state(folder: Path) -> tuple[frozenset[str], str] | None:
+    """What a reader finds in a plan directory: the names of its files, and figures that tell plans apart."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            cmbot.load_tracking(cmbot.load_plan(directory), directory)
+        plan = cmbot.load_plan(folder, verify=True)
+        tracking = cmbot.load_tracking(plan, folder)
     except cmbot.InputError:
-        return False
-    return True
+        return None
+    data = cmbot.archive.plan_data(folder)
+    report = data["files"].get("report.html") == hashlib.sha256(b"old").hexdigest()
+    said = (plan.figures, None if tracking is None else tracking.options, report)
+    return frozenset(data["files"]), repr(said)
 
 
 if __name__ == "__main__":

@@ -7,35 +7,41 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cmbot.archive.folder import (
+from cmbot.archive.folder import write_file
+from cmbot.archive.names import PLAN_FILE, STANCES_FILE, TOUR_FILE, WALK_FILE
+from cmbot.archive.places import (
     add_file,
     claim,
     new_folder,
+    record_of,
     require_absent,
     require_free,
     require_new_folder,
-    write_file,
-    write_files,
+    write_results,
 )
-from cmbot.archive.motion_files import columns
-from cmbot.archive.names import PLAN_FILE, WALK_FILE
+from cmbot.archive.plan_file import resolved_file
 from cmbot.archive.strict_json import json_bytes
-from cmbot.archive.writing import resolved_file, save
+from cmbot.archive.tables import columns
+from cmbot.archive.writing import export_csv, save
 from cmbot.common.lazy_imports import on_first_use
 
 if TYPE_CHECKING:
     from cmbot.archive.reading import load_plan, plan_data
-    from cmbot.archive.ros import export_mcap, export_ros_package
+    from cmbot.archive.ros import export_mcap, export_ros, export_ros_package
     from cmbot.archive.tracking import load_tracking, require_no_tracking, save_tracking, tracking_json
     from cmbot.archive.walks import load_walk
 
 __all__ = [
     "PLAN_FILE",
+    "STANCES_FILE",
+    "TOUR_FILE",
     "WALK_FILE",
     "add_file",
     "claim",
     "columns",
+    "export_csv",
     "export_mcap",
+    "export_ros",
     "export_ros_package",
     "json_bytes",
     "load_plan",
@@ -43,6 +49,7 @@ __all__ = [
     "load_walk",
     "new_folder",
     "plan_data",
+    "record_of",
     "require_absent",
     "require_free",
     "require_new_folder",
@@ -52,12 +59,12 @@ __all__ = [
     "save_tracking",
     "tracking_json",
     "write_file",
-    "write_files",
+    "write_results",
 ]
 
 _LATER = {
     "cmbot.archive.reading": ("load_plan", "plan_data"),
-    "cmbot.archive.ros": ("export_mcap", "export_ros_package"),
+    "cmbot.archive.ros": ("export_mcap", "export_ros", "export_ros_package"),
     "cmbot.archive.tracking": ("load_tracking", "require_no_tracking", "save_tracking", "tracking_json"),
     "cmbot.archive.walks": ("load_walk",),
 }

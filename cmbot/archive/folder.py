@@ -1,169 +1,188 @@
-"""Plan directories on the disk: what may be written where, and how it is read."""
+"""Folders that change at once: a record names every file beside it by its hash, and is written last.
+
+Who writes to the folder NAME holds a lock, ``.NAME.lock`` beside it. The parts of what is new are written as
+``.FILE.part``; the part of the record is the last. From then on the new content counts: what the new record
+lacks is removed, each part gets its name, the record the last. `exclusive` goes on with what a call that was
+killed has begun, or, where the record's part is missing or incomplete, removes the other parts. Readers take
+no lock: `read_folder` reads each file from its part or its name, whichever has the hash in the record.
+"""
 
 from __future__ import annotations
 
+import fcntl
+import hashlib
+import json
 import os
 import re
 import shutil
-from collections.abc import Collection, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
-from difflib import get_close_matches
-from itertools import islice
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from contextvars import ContextVar
+from io import BufferedWriter
 from pathlib import Path
-from tempfile import mkdtemp
+from typing import Any
 
-from cmbot.archive.atomic import exclusive, put_file, recover, refusals, replace_folder
-from cmbot.archive.names import (
-    EARLIER_FILES,
-    JOB_FILES,
-    OWN_FILES,
-    PLAN_FILE,
-    SAVED_FILES,
-    SHOWN_FILES,
-    WALK_FILE,
-    is_own,
-)
-from cmbot.archive.strict_json import read_json
+from cmbot.archive.names import FORMATS
+from cmbot.archive.strict_json import json_bytes, read_json
 from cmbot.common.errors import ArchiveError
-from cmbot.common.input_files import LARGEST_TEXT, read_input
+from cmbot.common.input_files import LARGEST_TEXT, read_input, require_replaceable
 from cmbot.common.validation import shown
 
 __all__ = [
-    "add_file",
+    "FILE_NAME",
     "add_files",
-    "claim",
-    "new_folder",
-    "plans_nearby",
+    "drafted",
+    "exclusive",
     "read_file",
-    "require_absent",
-    "require_free",
-    "require_new_folder",
-    "require_plan_directory",
-    "shown_files",
+    "read_folder",
+    "read_record",
+    "refusals",
+    "replace_folder",
+    "resolved",
+    "sealed",
     "write_file",
-    "write_files",
-    "write_folder",
 ]
 
-_FORMAT_OF_ANY_VERSION = re.compile(r"cmbot-plan/\d+")
-_FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._\-]{0,199}")
-# Where the command line puts plans by default.
-_DEFAULT_PLACE = Path("out")
-_MOST_SUGGESTED = 3
+FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._\-]{0,199}")
+_PART = re.compile(r"\.([A-Za-z0-9][A-Za-z0-9._\-]{0,199})\.part")
+_FILES, _CONTENT = "files", "content"
+# How often a lock is tried, and how long to wait in between, s.
+_ATTEMPTS, _PAUSE = 20, 0.02
+# How long a reader waits for a writer that is between two files, s.
+_PATIENCE = 1.0
+_LARGEST_FILE = 500_000_000
+
+_held: ContextVar[frozenset[Path]] = ContextVar("held", default=frozenset())
+
+
+# One process at a time
 
 
 @contextmanager
-def claim(directory: str | Path) -> Iterator[None]:
-    """Keep other processes from writing to a plan directory, or to where one is to be, in the meantime.
+def exclusive(target: Path) -> Iterator[None]:
+    """Keep other processes and threads from writing to a target, and finish or undo what one has left there.
 
-    What a call that was killed has left there is brought to rest first.
+    Folders above the target are made as needed, and removed again if nothing is in them at the end. Inside
+    another `exclusive` of the same target this does nothing.
+
+    Parameters
+    ----------
+    target : Path
+        Absolute and without links: a folder with a record, or a file. It need not exist.
 
     Raises
     ------
     ArchiveError
-        When another process has claimed it, or nothing can be written there.
+        When another process has the target, or the system refuses.
     """
-    directory = Path(directory)
-    with ExitStack() as claimed:
-        with refusals(directory):
-            target = _resolved(directory)
-            _require_writable(directory, target)
-        claimed.enter_context(exclusive(target))
+    if target in _held.get():
+        yield
+        return
+    lock = target.with_name(f".{target.name}.lock")
+    with ExitStack() as cleanup:
+        with refusals(target):
+            missing = [place for place in (target, *target.parents) if not place.exists()]
+            cleanup.callback(_remove_empty, missing)
+            cleanup.enter_context(_locked(lock, target))
+            cleanup.callback(_remove, lock)
+            _settle(target)
+        cleanup.callback(_held.reset, _held.set(_held.get() | {target}))
         yield
 
 
-def write_folder(contents: Mapping[str, bytes], directory: Path, *, force: bool) -> None:
-    """Write a plan directory of files by their names: it appears whole or not at all.
+def _locked(lock: Path, target: Path) -> BufferedWriter:
+    """Return the open file of a lock, which is held until it is closed."""
+    for attempt in range(_ATTEMPTS):
+        time.sleep(_PAUSE if attempt else 0.0)
+        try:
+            lock.parent.mkdir(parents=True, exist_ok=True)
+            file = lock.open("ab")
+        except FileNotFoundError:
+            # The call before this one has removed an empty folder; or, as in /proc, none can be made.
+            if attempt + 1 < _ATTEMPTS:
+                continue
+            raise
+        with suppress(BlockingIOError, FileNotFoundError):
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # The call before this one may have removed it.
+            if os.path.samestat(os.fstat(file.fileno()), lock.stat()):
+                return file
+        file.close()
+    expected = "one process at a time: wait until it has finished, or take another place"
+    raise ArchiveError(str(target), "", "a place where another process is writing", expected)
 
-    With `force` it replaces the plan that is there. What is not the plan's stays there. An `ArchiveError` is
-    raised when something is in the way or the system refuses; nothing is left behind then.
-    """
-    with claim(directory):
-        require_free(directory, force=force)
-        _require_names(contents)
-        replace_folder(contents, _resolved(directory))
+
+def _remove(lock: Path) -> None:
+    with suppress(OSError):
+        lock.unlink()
 
 
-def require_free(directory: str | Path, *, force: bool = False) -> None:
-    """Refuse a directory that `save` would refuse, before a long computation.
+def _remove_empty(folders: Sequence[Path]) -> None:
+    for folder in folders:
+        with suppress(OSError):  # not empty, never made, or a file
+            folder.rmdir()
+
+
+@contextmanager
+def refusals(directory: Path) -> Iterator[None]:
+    """Turn an OSError into an ArchiveError."""
+    try:
+        yield
+    except OSError as error:
+        # Hidden files of ours say nothing to who called.
+        named = error.filename and not Path(str(error.filename)).name.startswith(".")
+        where = f" at {error.filename}" if named else ""
+        got = f"a refusal of the system ({error.strerror or error}{where})"
+        raise ArchiveError(str(directory), "", got, "a place that can be written to") from error
+
+
+# Writing
+
+
+def replace_folder(
+    target: Path,
+    name: str,
+    record: Mapping[str, Any],
+    contents: Mapping[str, bytes],
+    kept: Collection[str] = (),
+) -> None:
+    """Make a folder hold the files `contents` and a record of them, all at once; to be called in `exclusive`.
+
+    What an earlier record there names is removed, but for the files `kept`, whose hashes the new one takes
+    over. What no record names stays.
 
     Parameters
     ----------
-    directory : str or Path
-    force : bool
-        A plan directory or an empty folder may be there, but nothing else.
-
-    Raises
-    ------
-    ArchiveError
-        When something is in the way, or no folder can be made there.
-    """
-    directory = Path(directory)
-    with refusals(directory):
-        target = _resolved(directory)
-        _require_writable(directory, target)
-        if not target.exists():
-            return
-        if not target.is_dir():
-            raise ArchiveError(str(directory), "", "a file of that name", "the name of a new folder")
-        if not force:
-            expected = "a new folder; --force (in Python force=True) replaces a plan"
-            raise ArchiveError(str(directory), "", "a folder that is already there", expected)
-        if any(target.iterdir()) and not _is_plan_directory(target):
-            got = "a folder with something other than a plan in it"
-            expected = "a plan directory or an empty folder: nothing else is replaced, not even with --force"
-            raise ArchiveError(str(directory), "", got, expected)
-        _require_no_folder(OWN_FILES, target)
-
-
-def add_file(directory: str | Path, name: str, content: bytes | str) -> Path:
-    """Add a file to a plan directory, whole or not at all; an earlier one of its name is replaced.
-
-    Parameters
-    ----------
-    directory : str or Path
-        A plan directory.
+    target : Path
     name : str
-        Of the file, such as ``replay.html``; not one of the plan's own files.
-    content : bytes or str
-        Text is written in UTF-8.
-
-    Returns
-    -------
-    Path
-        Of the file.
-
-    Raises
-    ------
-    ArchiveError
-        When `directory` is no plan directory, the name is not possible, another process is writing there, or
-        the system refuses.
+        Of the record.
+    record : mapping
+        Without the hashes.
+    contents : mapping of str to bytes
+        By the names of the files.
+    kept : collection of str
     """
-    directory = Path(directory)
-    if not _FILE_NAME.fullmatch(name):
-        expected = "letters, digits, ., - and _, beginning with a letter or digit"
-        raise ArchiveError("add_file", "name", shown(name), expected)
-    if name in (PLAN_FILE, *SAVED_FILES, *JOB_FILES, *EARLIER_FILES):
-        raise ArchiveError("add_file", "name", name, "a name that is not one of the plan's own files")
-    target, data = require_plan_directory(directory), _in_bytes(content)
-    with exclusive(target) as work, refusals(directory):
-        put_file(target / name, data, work)
-    return directory / name
+    with exclusive(target), refusals(target):
+        target.mkdir(exist_ok=True)
+        for file in (*contents, name):
+            if (target / file).is_dir():
+                raise ArchiveError(str(target / file), "", "a folder", "a file, or nothing")
+        earlier = _files(_whole(target / name))
+        whole = sealed(record, contents, {file: earlier[file] for file in kept})
+        try:
+            for file, content in (*contents.items(), (name, json_bytes(whole, indent=2))):
+                _write(_part(target / file), content)
+        finally:
+            _settle(target)
 
 
-def add_files(directory: Path, contents: Mapping[str, bytes]) -> tuple[Path, ...]:
-    """Add files, all of them or none, to a plan directory; earlier ones of their names are replaced.
-
-    The names are those of files that cmbot adds. An `ArchiveError` is raised as by `add_file`.
-    """
-    target = require_plan_directory(directory)
-    with claim(directory):
-        _require_names(contents)
-        _require_no_folder(contents, target)
-        with refusals(directory):
-            keep = {path.name for path in target.iterdir() if is_own(path)} - contents.keys()
-        replace_folder(contents, target, sorted(keep))
-    return tuple(directory / name for name in contents)
+def add_files(target: Path, name: str, contents: Mapping[str, bytes]) -> None:
+    """Add files to a folder and its record, all or none; earlier ones of their names are replaced."""
+    with exclusive(target):
+        record = read_record(target, name)
+        kept = record[_FILES].keys() - contents.keys()
+        replace_folder(target, name, record, contents, kept)
 
 
 def write_file(path: Path, content: bytes) -> None:
@@ -174,171 +193,26 @@ def write_file(path: Path, content: bytes) -> None:
     ArchiveError
         When the system refuses, or another process is writing it.
     """
-    target = _resolved(path)
-    with exclusive(target) as work, refusals(path.parent):
-        put_file(target, content, work)
+    target = resolved(path)
+    with exclusive(target), refusals(path.parent):
+        require_replaceable(target, ArchiveError)
+        try:
+            _write(_part(target), content)
+            _part(target).replace(target)
+        finally:
+            _part(target).unlink(missing_ok=True)
 
 
-def require_absent(directory: str | Path, names: Collection[str], *, force: bool = False) -> None:
-    """Refuse a folder that has files of some names, unless they may be replaced; folders are always refused.
-
-    Parameters
-    ----------
-    directory : str or Path
-    names : collection of str
-    force : bool
-        They may be replaced.
-
-    Raises
-    ------
-    ArchiveError
-        When one is there, or nothing can be written there.
-    """
-    directory = Path(directory)
-    with refusals(directory):
-        target = _resolved(directory)
-        _require_writable(directory, target)
-        if target.exists() and not target.is_dir():
-            raise ArchiveError(str(directory), "", "a file of that name", "the name of a folder")
-        _require_no_folder(names, target)
-        there = [name for name in names if (target / name).exists()]
-        if there and not force:
-            expected = "a folder without these files, or --force"
-            raise ArchiveError(str(directory), "", ", ".join(there), expected)
+def sealed(
+    record: Mapping[str, Any], contents: Mapping[str, bytes], kept: Mapping[str, str] | None = None
+) -> dict[str, Any]:
+    """Return a record with the hashes of all files beside it, and of its own content."""
+    files = {**(kept or {}), **{name: _hash(content) for name, content in contents.items()}}
+    data = {key: value for key, value in record.items() if key != _CONTENT} | {_FILES: files}
+    return data | {_CONTENT: _content_hash(data)}
 
 
-def write_files(directory: str | Path, contents: Mapping[str, bytes], *, force: bool = False) -> None:
-    """Write files into a folder, which is made as needed: all of them or none; others stay there.
-
-    Parameters
-    ----------
-    directory : str or Path
-        Need not be a plan directory.
-    contents : mapping of str to bytes
-        By the names of the files.
-    force : bool
-        Earlier ones of their names are replaced.
-
-    Raises
-    ------
-    ArchiveError
-        As by `require_absent`, and when another process is writing there.
-    """
-    directory = Path(directory)
-    with claim(directory):
-        require_absent(directory, contents.keys(), force=force)
-        target = _resolved(directory)
-        with refusals(directory):
-            there = target.iterdir() if target.exists() else ()
-            keep = {path.name for path in there if is_own(path)} - contents.keys()
-        replace_folder(contents, target, sorted(keep))
-
-
-@contextmanager
-def new_folder(directory: str | Path) -> Iterator[Path]:
-    """Give a draft of a folder that appears whole under its name, or, after an error, not at all.
-
-    Raises
-    ------
-    ArchiveError
-        As by `require_new_folder`, and when the system refuses.
-    """
-    directory = Path(directory)
-    require_new_folder(directory)
-    target = _resolved(directory)
-    with refusals(directory):
-        target.parent.mkdir(parents=True, exist_ok=True)
-        draft = Path(mkdtemp(prefix=f".{target.name}.cmbot-", dir=target.parent))
-    try:
-        yield draft
-        with refusals(directory):
-            draft.chmod(0o755)
-            # An empty folder of that name is replaced, any other one is not.
-            draft.rename(target)
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
-
-
-def require_new_folder(directory: str | Path) -> None:
-    """Refuse a folder that is there and not empty, before a long computation.
-
-    Raises
-    ------
-    ArchiveError
-        When one is there, or no folder can be made there.
-    """
-    directory = Path(directory)
-    with refusals(directory):
-        target = _resolved(directory)
-        _require_writable(directory, target)
-        if target.exists() and (not target.is_dir() or any(target.iterdir())):
-            raise ArchiveError(str(directory), "", "something that is already there", "a new or empty folder")
-
-
-def read_file(path: Path, largest: int = LARGEST_TEXT) -> bytes:
-    """Return a file's content; an `ArchiveError` if it is missing, no regular file, too large, unreadable."""
-    return read_input(path, ArchiveError, kind="a file of the plan directory", largest=largest)
-
-
-def plans_nearby(folder: Path) -> str:
-    """Return a question that names the plan directories that may have been meant, or what shows a walk.
-
-    The one around a file, those in `folder`, the one of its name in ``out`` or those in that, or those with
-    similar names here and there. It is empty where there are none, or `folder` is one itself.
-    """
-    try:
-        if (folder / PLAN_FILE).exists():
-            return ""
-        if (folder / WALK_FILE).is_file():
-            return "; this folder is a walk's, which cmbot replay shows"
-        if folder.is_file() and (folder.parent / PLAN_FILE).is_file():
-            return f"; did you mean {folder.parent}?"
-        default = _DEFAULT_PLACE / folder
-        found = _inside(folder) or ([default] if (default / PLAN_FILE).is_file() else _inside(default))
-        found = found or [*_similar(folder), *_similar(default)]
-    except OSError:  # a folder without permission, a name that is too long
-        return ""
-    if not found:
-        return ""
-    more = " or another one there" if len(found) > _MOST_SUGGESTED else ""
-    return f"; did you mean {' or '.join(map(str, found[:_MOST_SUGGESTED]))}{more}?"
-
-
-def _inside(folder: Path) -> list[Path]:
-    """The plan directories in a folder; of a campaign's some of those below ``plans``, which may be many."""
-    if found := sorted(path.parent for path in folder.glob(f"*/{PLAN_FILE}")):
-        return found
-    below = (path.parent for place in sorted(folder.glob("plans/*")) for path in place.glob(f"*/{PLAN_FILE}"))
-    return list(islice(below, _MOST_SUGGESTED + 1))
-
-
-def _similar(folder: Path) -> list[Path]:
-    """The plan directory beside a missing folder whose name is most similar."""
-    if folder.exists():
-        return []
-    names = [path.parent.name for path in folder.parent.glob(f"*/{PLAN_FILE}")]
-    return [folder.parent / name for name in get_close_matches(folder.name, names, n=1)]
-
-
-def shown_files(contents: Mapping[str, bytes | str] | None) -> dict[str, bytes]:
-    """Return the bytes of pages and plots by their names; refuse other names."""
-    given = contents or {}
-    if strange := sorted(given.keys() - set(SHOWN_FILES)):
-        raise ArchiveError("added", "", shown(strange[0]), "a page or a plot of a plan", SHOWN_FILES)
-    return {name: _in_bytes(content) for name, content in given.items()}
-
-
-def _in_bytes(content: bytes | str) -> bytes:
-    if isinstance(content, bytes):
-        return content
-    try:
-        return content.encode()
-    except UnicodeEncodeError as error:
-        got = f"a character that is none (at position {error.start})"
-        raise ArchiveError("add_file", "content", got, "text that UTF-8 can hold") from error
-
-
-def _resolved(directory: Path) -> Path:
+def resolved(directory: Path) -> Path:
     """Return the absolute path without links: the target of a link is replaced, not the link."""
     try:
         target = directory.resolve()
@@ -349,47 +223,173 @@ def _resolved(directory: Path) -> Path:
     return target
 
 
-def _require_writable(directory: Path, target: Path) -> None:
-    """Refuse a directory that is not writable, or whose nearest existing ancestor is no folder or not."""
-    above = next(parent for parent in target.parents if parent.exists())
-    expected = "a place that can be written to"
-    if not above.is_dir():
-        raise ArchiveError(str(directory), "", f"a place below {above}, which is a file", expected)
-    if not os.access(above, os.W_OK | os.X_OK):
-        raise ArchiveError(str(directory), "", f"a place in {above}, where this user may not write", expected)
-    if target.is_dir() and not os.access(target, os.W_OK | os.X_OK):
-        raise ArchiveError(str(directory), "", "a folder in which this user may not write", expected)
+@contextmanager
+def drafted(target: Path) -> Iterator[Path]:
+    """Give a draft of a folder that appears whole under its name, or, after an error, not at all.
+
+    To be called inside `exclusive`; an empty folder of that name is replaced.
+    """
+    draft = _part(target)
+    with exclusive(target), refusals(target):
+        draft.mkdir()
+        # Nobody else knows it: it needs no lock of its own.
+        token = _held.set(_held.get() | {draft})
+        try:
+            yield draft
+            draft.rename(target)
+        finally:
+            _held.reset(token)
+            shutil.rmtree(draft, ignore_errors=True)
 
 
-def _is_plan_directory(folder: Path) -> bool:
-    """Whether the folder has a plan.json of cmbot; other programs write files of that name, too."""
-    path = folder / PLAN_FILE
+def _part(path: Path) -> Path:
+    return path.with_name(f".{path.name}.part")
+
+
+def _write(path: Path, content: bytes) -> None:
+    with path.open("xb") as file:
+        file.write(content)
+
+
+def _settle(target: Path) -> None:
+    """Give the parts in a folder their names, if its new record is complete; remove them otherwise."""
+    if (draft := _part(target)).is_dir():
+        shutil.rmtree(draft)
+    draft.unlink(missing_ok=True)
+    if not target.is_dir():
+        return
+    for name in FORMATS:
+        if new := _whole(_part(target / name)):
+            earlier = _whole(target / name)
+            for file in _files(earlier).keys() - _files(new).keys():
+                (target / file).unlink(missing_ok=True)
+            for file in _files(new):
+                with suppress(FileNotFoundError):  # kept, or moved before
+                    _part(target / file).replace(target / file)
+            _part(target / name).replace(target / name)
+    for path in target.iterdir():
+        if _PART.fullmatch(path.name) and not path.is_dir():
+            path.unlink()
+
+
+# Reading
+
+
+def read_file(path: Path, largest: int = LARGEST_TEXT) -> bytes:
+    """Return a file's content; an `ArchiveError` if it is missing, no regular file, too large, unreadable."""
+    return read_input(path, ArchiveError, kind="a file of the plan directory", largest=largest)
+
+
+def read_record(folder: Path, name: str) -> dict[str, Any]:
+    """Return the record that counts in a folder, also where a call was killed before it had its name.
+
+    Raises
+    ------
+    ArchiveError
+        When it is missing, damaged, of another version or changed.
+    """
+    if whole := _whole(_part(folder / name)):
+        return whole
+    path = folder / name
+    data, expected = read_json(read_file(path), str(path)), FORMATS[name]
+    written, kind = shown(data.get("format")), expected.partition("/")[0]
+    if data.get("format") != expected or _CONTENT not in data:
+        if str(data.get("format")).partition("/")[0] == kind:
+            verb = kind.removeprefix("cmbot-")
+            why = f"written by a development version; cmbot {verb} SCENE makes it anew"
+            raise ArchiveError(str(path), "format", written, f"{expected!r}: {why}")
+        raise ArchiveError(str(path), "format", written, repr(expected))
+    if not _is_sealed(data):
+        raise ArchiveError(str(path), _CONTENT, "another hash", "the content that cmbot wrote, unchanged")
+    return data
+
+
+def read_folder(
+    folder: Path, name: str, wanted: Callable[[Mapping[str, str]], Collection[str]]
+) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """Read a record and files beside it as they were written together, whatever is written meanwhile.
+
+    Parameters
+    ----------
+    folder : Path
+    name : str
+        Of the record.
+    wanted : callable
+        From the record's hashes by the names of files to the names of those that are read.
+
+    Returns
+    -------
+    tuple of dict
+        The record, and the files' contents by their names.
+
+    Raises
+    ------
+    ArchiveError
+        As by `read_record`; also for a file that is missing, or of another hash than the record has.
+    """
+    deadline = time.monotonic() + _PATIENCE
+    while True:
+        version = _version(folder / name)
+        try:
+            record = read_record(folder, name)
+            hashes = _files(record)
+            return record, {file: _read(folder / file, hashes, name) for file in wanted(hashes)}
+        except ArchiveError:
+            # A writer was between two files, or there is one.
+            between = _part(folder / name).exists() or _version(folder / name) != version
+            if not between or time.monotonic() > deadline:
+                raise
+        time.sleep(_PAUSE)
+
+
+def _version(path: Path) -> tuple[int, int] | None:
+    """What differs between two records that have had the same name; None where there is none."""
+    try:
+        status = path.stat()
+    except (OSError, ValueError):  # a ValueError: a name that no file can have
+        return None
+    return status.st_ino, status.st_mtime_ns
+
+
+def _read(path: Path, hashes: Mapping[str, str], record: str) -> bytes:
+    expected = f"the file that was saved with {record}"
+    if path.name not in hashes:
+        raise ArchiveError(str(path.with_name(record)), _FILES, f"no {path.name}", expected)
+    with suppress(ArchiveError):  # there is none, or it has been given its name
+        content = read_file(_part(path), _LARGEST_FILE)
+        if _hash(content) == hashes[path.name]:
+            return content
+    content = read_file(path, _LARGEST_FILE)
+    if _hash(content) == hashes[path.name]:
+        return content
+    raise ArchiveError(str(path), "", "other content", expected)
+
+
+def _whole(path: Path) -> dict[str, Any] | None:
+    """The record in a file; None where it is none, incomplete or changed."""
     try:
         data = read_json(read_file(path), str(path))
     except ArchiveError:
-        return False
-    return _FORMAT_OF_ANY_VERSION.fullmatch(str(data.get("format"))) is not None
+        return None
+    return data if _is_sealed(data) else None
 
 
-def require_plan_directory(directory: Path) -> Path:
-    """Return the absolute path of a plan directory; refuse any other folder."""
-    with refusals(directory):
-        target = _resolved(directory)
-        recover(target)
-        if not _is_plan_directory(target):
-            raise ArchiveError(str(directory), "", "no plan directory", "a folder that a plan was saved in")
-    return target
+def _is_sealed(data: Mapping[str, Any]) -> bool:
+    content = {key: value for key, value in data.items() if key != _CONTENT}
+    return data.get(_CONTENT) == _content_hash(content)
 
 
-def _require_names(names: Collection[str]) -> None:
-    """Refuse names other than those of a plan's files: what has another name is never replaced or deleted."""
-    if strange := sorted(set(names) - OWN_FILES):
-        expected = "names of the files that cmbot writes into a plan directory"
-        raise ArchiveError("a plan directory", "", f"a file {shown(strange[0])}", expected)
+def _content_hash(data: Mapping[str, Any]) -> str:
+    # A file may hold halves of characters, which UTF-8 cannot.
+    return _hash(json.dumps(data).encode("ascii"))
 
 
-def _require_no_folder(names: Collection[str], target: Path) -> None:
-    """Refuse folders with the names of a plan's files."""
-    for name in sorted(names):
-        if (target / name).is_dir():
-            raise ArchiveError(str(target / name), "", "a folder", "a file of the plan, or nothing")
+def _files(record: Mapping[str, Any] | None) -> dict[str, str]:
+    """The hashes of a record by the names of files; empty without one."""
+    files = {} if record is None else record.get(_FILES)
+    names = files.items() if isinstance(files, dict) else ()
+    return {name: value for name, value in names if FILE_NAME.fullmatch(name) and name not in FORMATS}
+
+
+def _hash(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()

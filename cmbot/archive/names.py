@@ -1,33 +1,34 @@
-"""Names of the files that cmbot writes into a plan directory: all others there are not the plan's."""
+"""Names of the files that cmbot writes into its folders."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 __all__ = [
-    "EARLIER_FILES",
-    "EARLIER_FORMAT",
-    "FORMAT",
+    "BASELINE_FILE",
+    "FORMATS",
     "JOB_FILES",
     "OWN_FILES",
     "PLAN_FILE",
-    "SAVED_FILES",
+    "PLAN_FILES",
     "SHOWN_FILES",
+    "STANCES_FILE",
+    "TOUR_FILE",
     "TRACKING_FILES",
     "WALK_FILE",
-    "is_own",
 ]
 
-FORMAT, EARLIER_FORMAT = "cmbot-plan/2", "cmbot-plan/1"
-PLAN_FILE = "plan.json"
-WALK_FILE = "walk.json"
-"""In the folder of a walk, which is no plan directory."""
-SAVED_FILES = ("trajectory.csv", "baseline.csv", "trajectory.npz", "trajectory.ros.json")
-"""The files beside `PLAN_FILE` of every plan, with `JOB_FILES`."""
-JOB_FILES = ("job.csv", "job.npz", "job.ros.json")
+PLAN_FILE, WALK_FILE, TOUR_FILE, STANCES_FILE = "plan.json", "walk.json", "tour.json", "stances.json"
+FORMATS = {
+    PLAN_FILE: "cmbot-plan/2",
+    WALK_FILE: "cmbot-walk/1",
+    TOUR_FILE: "cmbot-tour/1",
+    STANCES_FILE: "cmbot-stances/1",
+}
+"""The records of folders, which name all other files there, and their formats."""
+JOB_FILES = ("job.csv", "job.npz")
 """The whole job on one clock."""
-EARLIER_FILES = ("approach.csv", "approach.npz", "approach.ros.json")
-"""Those that plans of `EARLIER_FORMAT` have in place of `JOB_FILES`, where they have an approach."""
+BASELINE_FILE = "baseline.csv"
+PLAN_FILES = (*JOB_FILES, BASELINE_FILE)
+"""What a plan is read from, beside its record."""
 TRACKING_FILES = ("tracking.csv", "tracking_baseline.csv", "tracking.json")
 """Those of a plan that has been simulated: the tables of both motions, and the metrics."""
 
@@ -41,10 +42,5 @@ SHOWN_FILES = (
     *(f"{plot}.{kind}" for plot in _PLOTS for kind in ("png", "svg")),
 )
 """Pages and plots."""
-OWN_FILES = frozenset({PLAN_FILE, *SAVED_FILES, *JOB_FILES, *EARLIER_FILES, *TRACKING_FILES, *SHOWN_FILES})
-"""All files that belong to a plan: only these are ever replaced or deleted."""
-
-
-def is_own(path: Path) -> bool:
-    """Whether something in a plan directory is one of `OWN_FILES`; a folder never is."""
-    return path.name in OWN_FILES and (path.is_symlink() or not path.is_dir())
+OWN_FILES = frozenset({PLAN_FILE, *PLAN_FILES, *TRACKING_FILES, *SHOWN_FILES})
+"""All files that belong to a plan."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -11,14 +10,13 @@ from typing import Any
 import numpy as np
 from pydantic import ConfigDict
 
-from cmbot.archive.atomic import recover
-from cmbot.archive.folder import add_files, claim, read_file, require_plan_directory, shown_files
-from cmbot.archive.motion_files import largest_table, read_table, table_csv
+from cmbot.archive.folder import add_files, read_folder
 from cmbot.archive.names import PLAN_FILE, TRACKING_FILES
+from cmbot.archive.places import claim, require_plan_directory, shown_files
 from cmbot.archive.strict_json import json_bytes, read_json
+from cmbot.archive.tables import read_table, table_csv
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError
-from cmbot.common.input_files import LARGEST_TEXT
 from cmbot.common.validation import FileModel, given_path, require_type, shown, validated
 from cmbot.planning import Plan, require_plan
 from cmbot.simulation import (
@@ -39,7 +37,7 @@ _FORMAT = "cmbot-tracking/1"
 _PLANNED, _BASELINE, _METRICS = TRACKING_FILES
 _TABLES = {_PLANNED: "planned", _BASELINE: "baseline"}
 _COLUMNS = ("t", *(f"{part}_{axis}" for part in ("error", "static") for axis in "xyz"))
-# Of an elastic base; rotations as in `MotionTracking.base`. Tables of cmbot 0.1 have none.
+# Of an elastic base; rotations as in `MotionTracking.base`.
 _BASE = tuple(f"{part}_{axis}" for part in ("base", "base_rotation") for axis in "xyz")
 
 
@@ -63,7 +61,6 @@ class _TrackingFile(_Entry):
     interval: tuple[StiffnessCase, ...] = ()
     baseline: _Motion
     planned: _Motion
-    files: dict[str, str]
 
 
 def save_tracking(
@@ -75,8 +72,7 @@ def save_tracking(
 ) -> tuple[Path, ...]:
     """Add the tracking errors to a plan directory, all files or none.
 
-    The metrics have a file of their own, ``tracking.json``: ``plan.json``, the certified record of the plan
-    with the hashes of its files, is never changed.
+    The metrics have a file of their own, ``tracking.json``; ``plan.json`` takes the hashes of the new files.
 
     Parameters
     ----------
@@ -117,12 +113,13 @@ def save_tracking(
             table, columns = np.column_stack([table, motion.base]), _COLUMNS + _BASE
         contents[name] = table_csv(columns, table, name)
     pages = shown_files(added)
-    require_plan_directory(folder)
+    contents[_METRICS] = json_bytes(tracking_json(tracking), indent=2)
+    target = require_plan_directory(folder)
     with claim(folder):
         require_no_tracking(folder, force=force)
-        hashes = _hashes({PLAN_FILE: read_file(folder / PLAN_FILE), **contents})
-        contents[_METRICS] = json_bytes(tracking_json(tracking) | {"files": hashes}, indent=2)
-        return add_files(folder, contents | pages)
+        added_files = contents | pages
+        add_files(target, PLAN_FILE, added_files)
+        return tuple(folder / name for name in added_files)
 
 
 def require_no_tracking(directory: str | Path, *, force: bool = False) -> None:
@@ -169,23 +166,15 @@ def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
     """
     require_plan(plan, "cmbot.load_tracking")
     folder = given_path(directory, "cmbot.load_tracking", "directory", "the path of a plan directory")
-    recover(folder)
-    if not any((folder / name).exists() for name in TRACKING_FILES):
-        return None
     source = str(folder / _METRICS)
-    data = read_json(read_file(folder / _METRICS), source)
+    _, contents = read_folder(folder, PLAN_FILE, lambda hashes: TRACKING_FILES if _METRICS in hashes else ())
+    if not contents:
+        return None
+    data = read_json(contents[_METRICS], source)
     if data.get("format") != _FORMAT:
         raise ArchiveError(source, "format", shown(data.get("format")), repr(_FORMAT))
     file = validated(_TrackingFile, data, source, ArchiveError)
     baseline, planned = PrescribedWork.baseline(plan), PrescribedWork.planned(plan)
-    seconds = max(baseline.duration, planned.duration) + file.options.settle_s
-    rows = seconds / file.options.output_step_s
-    largest = {PLAN_FILE: LARGEST_TEXT, **dict.fromkeys(_TABLES, largest_table(rows, len(_COLUMNS + _BASE)))}
-    contents = {name: read_file(folder / name, size) for name, size in largest.items()}
-    for name, got in _hashes(contents).items():
-        if got != (expected := file.files.get(name)):
-            why = f"{str(expected)[:16]}…: {name} has changed since the simulation; simulate again"
-            raise ArchiveError(source, f"files.{name}", f"{got[:16]}… now", why)
     motions = {}
     for name, work, sag in ((_BASELINE, baseline, None), (_PLANNED, planned, plan.sag)):
         with_base = contents[name].partition(b"\n")[0].endswith(_BASE[-1].encode())
@@ -248,7 +237,3 @@ def _motion(motion: MotionTracking) -> dict[str, Any]:
 def _by_axis(values: FloatArray) -> dict[str, float]:
     """Numbers of x, y, z and, if there is a fourth, the norm."""
     return dict(zip(("x", "y", "z", "norm"), values.tolist(), strict=False))
-
-
-def _hashes(contents: Mapping[str, bytes]) -> dict[str, str]:
-    return {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}

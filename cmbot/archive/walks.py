@@ -9,42 +9,29 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from cmbot.archive.folder import read_file
+from cmbot.archive.consistency import require_same
+from cmbot.archive.folder import read_folder
 from cmbot.archive.names import WALK_FILE
-from cmbot.archive.strict_json import read_json
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import ArchiveError, CmbotError
+from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import FileModel, given_path, shown, validated
+from cmbot.hold import AdhesionPeak
+from cmbot.planning import Check
 from cmbot.robot import ARM_JOINTS, Climber, Side
 from cmbot.scene import Scene, SceneFile, StanceFile, foothold_pose, scene_from_file
 from cmbot.siting import Candidate, candidate_at, in_world
 from cmbot.trajectory import QuinticTrajectory
-from cmbot.walking import Kind, Move, Step, Walk, certified_move, stance_of
+from cmbot.walking import Kind, Move, Step, Walk, certified_move, stance_of, walk_data
 
 __all__ = ["load_walk"]
 
 # Moves join where they are nearer, rad; feet are where they should be, m; figures that are computed again.
 _SAME_POSTURE, _SAME_PLACE, _SAME, _SAME_ZERO = 1e-9, 1e-6, 1e-6, 1e-9
-_LARGEST = 200 * 1024 * 1024
+# The hashes of the record and of its files, and the version of what has written them.
+_NOT_OF_THE_WALK = ("files", "content", "cmbot")
 
 _Row = tuple[float, ...]
 _Seconds = Annotated[float, Field(ge=0)]
-
-
-class _KnotsFile(FileModel):
-    t: _Row
-    q: tuple[_Row, ...]
-    v: tuple[_Row, ...]
-    a: tuple[_Row, ...]
-
-
-class _CheckFile(FileModel):
-    quantity: str
-    time: float
-    value: float
-    bound: float
-    unit: str
-    at_least: bool
 
 
 class _MoveFile(FileModel):
@@ -54,8 +41,8 @@ class _MoveFile(FileModel):
     holds: tuple[Side, ...]
     joints: tuple[str, ...]
     arm: Annotated[_Row, Field(min_length=len(ARM_JOINTS), max_length=len(ARM_JOINTS))]
-    knots: _KnotsFile
-    checks: tuple[_CheckFile, ...]
+    knots: QuinticTrajectory
+    checks: tuple[Check, ...]
 
 
 class _StepFile(FileModel):
@@ -67,13 +54,6 @@ class _StepFile(FileModel):
     moves: Annotated[tuple[_MoveFile, ...], Field(min_length=1)]
 
 
-class _PeakFile(FileModel):
-    peak: float
-    mode: str
-    time: float
-    foot: int
-
-
 class _WalkFile(FileModel):
     format: Literal["cmbot-walk/1"]
     cmbot: str
@@ -81,11 +61,13 @@ class _WalkFile(FileModel):
     goal: StanceFile
     seconds: _Seconds
     max_foot_speed: Annotated[float, Field(gt=0)]
-    adhesion_needed: _PeakFile | None
+    adhesion_needed: AdhesionPeak | None
     effort_used: float
     steps: tuple[_StepFile, ...]
     last: _MoveFile | None
     words: tuple[str, ...]
+    files: dict[str, str]
+    content: str
 
 
 def load_walk(directory: str | Path) -> Walk:
@@ -114,8 +96,8 @@ def load_walk(directory: str | Path) -> Walk:
     --------
     >>> steps = cmbot.load_walk("out/walk")  # doctest: +SKIP
     """
-    path = given_path(directory, "cmbot.load_walk", "directory", "the path of a folder") / WALK_FILE
-    data = read_json(read_file(path, _LARGEST), str(path))
+    folder = given_path(directory, "cmbot.load_walk", "directory", "the path of a folder")
+    path, (data, _) = folder / WALK_FILE, read_folder(folder, WALK_FILE, lambda hashes: ())
     file = validated(_WalkFile, data, str(path), ArchiveError)
     scene = scene_from_file(file.scene, path.parent.resolve(), str(path))
     reader = _Reader(str(path), scene, file.max_foot_speed)
@@ -124,7 +106,11 @@ def load_walk(directory: str | Path) -> Walk:
     reader.require_stance(goal, "goal")
     last = None if file.last is None else reader.move(file.last, "last", "arm")
     walk = Walk(scene=scene, goal=goal, steps=steps, last=last, failures=(), speed=file.max_foot_speed)
-    _require_figures(walk, file, str(path))
+    got, expected = (
+        {name: entry for name, entry in entries.items() if name not in _NOT_OF_THE_WALK}
+        for entries in (data, walk_data(walk))
+    )
+    require_same(got, expected, str(path), "", _SAME, _SAME_ZERO)
     return walk
 
 
@@ -193,12 +179,8 @@ class _Reader:
             raise self._error(
                 f"{key}.begin", f"{file.begin:g}", f"{self._clock:g}, where the one before ends"
             )
-        arm, own = np.array(file.arm), {name: getattr(file.knots, name) for name in ("t", "q", "v", "a")}
+        arm, trajectory = np.array(file.arm), file.knots
         self._require_posture(arm, self._arm, f"{key}.arm")
-        try:
-            trajectory = QuinticTrajectory(**{name: np.array(rows) for name, rows in own.items()})
-        except (CmbotError, ValueError) as error:
-            raise self._error(f"{key}.knots", shown(str(error)), "knots of a motion") from error
         both: tuple[Side, ...] = (1,) if self._here.stance.foot_2 is None else (1, 2)
         if file.kind == "arm" and file.holds != both:
             raise self._error(f"{key}.holds", shown(list(file.holds)), shown(list(both)))
@@ -217,37 +199,11 @@ class _Reader:
         else:
             self._angles = end
         self._clock += trajectory.duration
-        self._require_checks(move, file, key)
         return move
 
     def _require_posture(self, found: FloatArray, expected: FloatArray, key: str) -> None:
         if np.abs(found - expected).max() > _SAME_POSTURE:
             raise self._error(key, "another posture", "that in which the move before ends")
 
-    def _require_checks(self, move: Move, file: _MoveFile, key: str) -> None:
-        names = tuple(check.quantity for check in file.checks)
-        again = move.segment.certificate.checks
-        if names != tuple(check.quantity for check in again):
-            raise self._error(f"{key}.checks", shown(list(names)), "the checks that are computed again")
-        for k, (read, check) in enumerate(zip(file.checks, again, strict=True)):
-            _require_same(self.source, f"{key}.checks[{k}].value", read.value, check.value)
-            _require_same(self.source, f"{key}.checks[{k}].bound", read.bound, check.bound)
-        _require_same(self.source, f"{key}.seconds", file.seconds, move.segment.duration)
-
     def _error(self, key: str, got: str, expected: str) -> ArchiveError:
         return ArchiveError(self.source, key, got, expected)
-
-
-def _require_figures(walk: Walk, file: _WalkFile, source: str) -> None:
-    _require_same(source, "seconds", file.seconds, walk.seconds)
-    _require_same(source, "effort_used", file.effort_used, walk.effort)
-    needed = walk.adhesion_needed
-    if (needed is None) != (file.adhesion_needed is None):
-        raise ArchiveError(source, "adhesion_needed", "another entry", "null only without a flat contact")
-    if needed is not None and file.adhesion_needed is not None:
-        _require_same(source, "adhesion_needed.peak", file.adhesion_needed.peak, needed.peak)
-
-
-def _require_same(source: str, key: str, read: float, again: float) -> None:
-    if not np.isclose(read, again, rtol=_SAME, atol=_SAME_ZERO):
-        raise ArchiveError(source, key, f"{read:g}", f"{again:g}, as computed again")

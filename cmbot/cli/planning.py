@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 __all__ = ["plan"]
 
 # Entries of plan.json that are too long for a summary, or have another form there.
-_LEFT_OUT = ("format", "scene", "files", "floor", "passes")
+_LEFT_OUT = ("format", "scene", "files", "content", "floor", "passes")
 
 
 def _print_options(wanted: bool) -> None:

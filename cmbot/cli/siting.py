@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -35,7 +35,7 @@ __all__ = ["stand", "tour", "walk"]
 _SHOWN = 10
 _FILES = ("stances.csv", "index.html")
 _MARK = "# Written by cmbot stand: the scene in its best stance.\n"
-_WALK_FILES = ("walk.csv", "walk.json", "index.html", "replay.html")
+_WALK_FILES = ("walk.csv", "index.html", "replay.html")
 
 
 ScenesArgument = Annotated[
@@ -120,7 +120,7 @@ def stand(
         loaded = [replace(each, planner=replace(each.planner, objective=wanted)) for each in loaded]
     name = "_".join(each.name for each in loaded)
     directory = output if output is not None else Path("out") / f"{name}_stances"
-    from cmbot.archive import claim, require_absent, write_files
+    from cmbot.archive import STANCES_FILE, claim, require_absent, write_results
     from cmbot.siting import StandOptions
     from cmbot.siting import stand as find
 
@@ -132,14 +132,13 @@ def stand(
         max_torque=float("inf") if max_torque is None else max_torque,
     )
     with claim(directory):
-        require_absent(directory, (*_FILES, "best.yaml", "best_1.yaml"), force=force)
+        require_absent(directory, (*_FILES, STANCES_FILE, "best.yaml", "best_1.yaml"), force=force)
         with scenes_named(*scenes), ConsoleProgress(quiet=quiet) as progress:
             standings = find(loaded, options, progress.stage)
-        contents = _contents(standings, name)
-        write_files(directory, contents, force=force)
-        _remove_earlier(directory, contents.keys())
+        summary = _summary(standings)
+        write_results(directory, STANCES_FILE, summary, _contents(standings, name), force=force)
     if as_json:
-        print_result("stand", directory, _summary(standings))
+        print_result("stand", directory, summary)
     elif not quiet:
         _print_standings(standings)
         _print_written(directory, started)
@@ -173,13 +172,6 @@ def _print_standing(standing: Standing, title: str) -> None:
         out.print(flat(line))
 
 
-def _remove_earlier(directory: Path, written: Collection[str]) -> None:
-    """Remove the scenes of an earlier search that found other stances."""
-    for path in directory.glob("best*.yaml"):
-        if path.name not in written and path.read_bytes().startswith(_MARK.encode()):
-            path.unlink()
-
-
 def walk(
     scene: SceneArgument,
     to: GoalOption,
@@ -200,16 +192,16 @@ def walk(
     started = time.perf_counter()
     loaded = cmbot.load_scene(scene)
     directory = output if output is not None else Path("out") / f"{loaded.name}_walk"
-    from cmbot.archive import claim, require_absent, write_files
+    from cmbot.archive import WALK_FILE, claim, require_absent
     from cmbot.walking import WalkOptions, load_goal
     from cmbot.walking import walk as find
 
     goal = load_goal(to)
     with claim(directory):
-        require_absent(directory, _WALK_FILES, force=force)
+        require_absent(directory, (*_WALK_FILES, WALK_FILE), force=force)
         with scenes_named(scene), ConsoleProgress(quiet=quiet) as progress:
             walked = find(loaded, goal, WalkOptions(spacing=spacing, speed=speed), progress.stage)
-        write_files(directory, _walk_contents(walked), force=force)
+        _write_walk(directory, walked, force=force)
     if as_json:
         print_result("walk", directory, {"steps": len(walked.steps), "words": list(walked.in_words())})
     elif not quiet:
@@ -246,7 +238,7 @@ def tour(
     loaded = [cmbot.load_scene(scene) for scene in scenes]
     name = "_".join(each.name for each in loaded)
     directory = output if output is not None else Path("out") / f"{name}_tour"
-    from cmbot.archive import claim, json_bytes, new_folder, require_new_folder, write_files
+    from cmbot.archive import TOUR_FILE, claim, new_folder, require_new_folder, write_results
     from cmbot.planning import Plan
     from cmbot.siting import StandOptions
     from cmbot.views import pages, tour_page
@@ -264,8 +256,8 @@ def tour(
                 if isinstance(part, Plan):
                     cmbot.save(part, draft / part_name, added=pages(part))
                 else:
-                    write_files(draft / part_name, _walk_contents(part))
-            write_files(draft, {"tour.json": json_bytes(data), "index.html": tour_page(found).encode()})
+                    _write_walk(draft / part_name, part)
+            write_results(draft, TOUR_FILE, data, {"index.html": tour_page(found).encode()})
     if as_json:
         print_result("tour", directory, data)
     elif not quiet:
@@ -279,14 +271,14 @@ def tour(
         _print_written(directory, started)
 
 
-def _walk_contents(walked: Walk) -> dict[str, bytes]:
-    from cmbot.archive import json_bytes
+def _write_walk(directory: Path, walked: Walk, *, force: bool = False) -> None:
+    from cmbot.archive import WALK_FILE, write_results
     from cmbot.views import walk_page, walk_replay_page
     from cmbot.walking import walk_csv, walk_data
 
-    pages = (walk_page(walked).encode(), walk_replay_page(walked).encode())
-    files = (walk_csv(walked).encode(), json_bytes(walk_data(walked)), *pages)
-    return dict(zip(_WALK_FILES, files, strict=True))
+    files = (walk_csv(walked).encode(), walk_page(walked).encode(), walk_replay_page(walked).encode())
+    contents = dict(zip(_WALK_FILES, files, strict=True))
+    write_results(directory, WALK_FILE, walk_data(walked), contents, force=force)
 
 
 def _known(objective: str) -> Literal["torque", "hold"]:

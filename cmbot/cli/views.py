@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,7 +15,7 @@ import typer
 import cmbot
 from cmbot.cli.console import ConsoleProgress, ForceOption, PlanArgument, flat, out
 from cmbot.common.errors import InputError
-from cmbot.common.input_files import is_file, is_folder
+from cmbot.common.input_files import is_folder
 
 if TYPE_CHECKING:
     from cmbot.planning import Plan
@@ -92,10 +93,10 @@ def replay(
     for name, value in (("--fps", fps), ("--size", size), ("--bending", bending), ("--colours", colours)):
         if value is not None and filmed is None:
             raise InputError("cmbot replay", name, str(value), "it with --video or --gif")
-    from cmbot.archive import PLAN_FILE, WALK_FILE
+    from cmbot.archive import WALK_FILE, record_of
     from cmbot.views import REPLAY, replay_page
 
-    is_walk = is_file(directory / WALK_FILE) and not is_file(directory / PLAN_FILE)
+    is_walk = record_of(directory) == WALK_FILE
     if is_walk and filmed is None:
         _replay_walk(directory, html, serve=serve)
         return
@@ -161,7 +162,7 @@ def _serve(page: str, name: str) -> None:
 
 
 def _replay_walk(directory: Path, html: Path | None, *, serve: bool) -> None:
-    from cmbot.archive import load_walk, write_file
+    from cmbot.archive import load_walk
     from cmbot.views import REPLAY, walk_replay_page, write_page
 
     walked = load_walk(directory)
@@ -169,11 +170,9 @@ def _replay_walk(directory: Path, html: Path | None, *, serve: bool) -> None:
     if serve:
         _serve(page, walked.scene.name)
         return
-    written = html if html is not None else directory / REPLAY
     if html is not None:
         write_page(html, page)
-    else:
-        write_file(written, page.encode("utf-8", "replace"))
+    written = html or _add(directory, REPLAY, page)
     out.print(f"Written to {flat(written)}.")
 
 
@@ -248,32 +247,51 @@ def export(
     mcap: Annotated[
         Path | None, typer.Option("--mcap", metavar="FILE", help="MCAP file of ROS 2 messages to write.")
     ] = None,
+    csv: Annotated[
+        Path | None, typer.Option("--csv", metavar="FILE", help="Table to write, as job.csv; see --work.")
+    ] = None,
+    work: Annotated[
+        bool, typer.Option("--work", help="In the table the work alone, on its own clock.")
+    ] = False,
+    ros: Annotated[
+        Path | None,
+        typer.Option(
+            "--ros", metavar="FILE", help="JSON of a ROS JointTrajectory of the whole job to write."
+        ),
+    ] = None,
     ros_package: Annotated[
         Path | None,
         typer.Option("--ros-package", metavar="FOLDER", help="Description package to write; a new folder."),
     ] = None,
     force: Annotated[
-        bool, typer.Option("--force", help="Replace the file named with --mcap if it is there.")
+        bool, typer.Option("--force", help="Replace files with these names that are there.")
     ] = False,
 ) -> None:
-    """Write a plan for ROS 2: the job as messages for Foxglove and RViz, the robot as a package.
+    """Write a plan for other programs: the job as a table or for ROS 2, the robot as a package.
 
-    Examples: [bold]cmbot export out/triangle --mcap triangle.mcap[/bold],
+    Examples: [bold]cmbot export out/triangle --csv work.csv --work[/bold],
+    [bold]cmbot export out/triangle --mcap triangle.mcap[/bold],
     [bold]cmbot export out/triangle --ros-package cmbot_description[/bold]
     """
-    if mcap is None and ros_package is None:
-        raise InputError("cmbot export", "", "nothing to write", "--mcap or --ros-package")
-    from cmbot.archive import export_mcap, export_ros_package
+    if mcap is None and csv is None and ros is None and ros_package is None:
+        raise InputError("cmbot export", "", "nothing to write", "--csv, --ros, --mcap or --ros-package")
+    if work and csv is None:
+        raise InputError("cmbot export", "--work", "no table", "it with --csv FILE")
+    from cmbot.archive import export_csv, export_mcap, export_ros, export_ros_package
 
     loaded = cmbot.load_plan(directory)
-    if mcap is not None:
-        require_new(mcap, force)
-    if ros_package is not None:
-        export_ros_package(loaded, ros_package)
-        out.print(f"Written to {flat(ros_package)}.")
-    if mcap is not None:
-        export_mcap(loaded, mcap)
-        out.print(f"Written to {flat(mcap)}.")
+    exports: tuple[tuple[Path | None, Callable[[Plan, Path], object]], ...] = (
+        (csv, partial(export_csv, work=work)),
+        (ros, export_ros),
+        (mcap, export_mcap),
+    )
+    for file, _ in exports:
+        if file is not None:
+            require_new(file, force)
+    for file, write in ((ros_package, export_ros_package), *exports):
+        if file is not None:
+            write(loaded, file)
+            out.print(f"Written to {flat(file)}.")
 
 
 def require_new(path: Path, force: bool) -> None:

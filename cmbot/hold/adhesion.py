@@ -23,6 +23,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
+from cmbot.common.file_types import Count, NonNegative
 from cmbot.hold.foot import Foot
 
 __all__ = ["MODES", "AdhesionPeak", "FlatContact", "Holding", "needed_by_load"]
@@ -64,10 +65,10 @@ class AdhesionPeak:
         Which foot, from 1.
     """
 
-    peak: float
+    peak: NonNegative
     mode: str
-    time: float
-    foot: int = 1
+    time: NonNegative
+    foot: Count = 1
 
 
 class Holding:

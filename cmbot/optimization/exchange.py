@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from cmbot.common.errors import OptimisationFailed
+from cmbot.common.file_types import Count
 from cmbot.common.validation import counted
 from cmbot.optimization.constraint_set import OBJECTIVE, ConstraintSet, Violation
 from cmbot.optimization.evaluation import NlpEvaluation, Stage
@@ -126,7 +127,7 @@ class ExchangeReport:
     iterations : int
         Solver iterations of this one.
     ended : bool
-        The solver ended by itself; True of plans that were written before this was told.
+        The solver ended by itself.
     constraints : int
         Size of the constraint set.
     peak_torque : float
@@ -136,10 +137,10 @@ class ExchangeReport:
     """
 
     stage: str
-    number: int
-    iterations: int
-    ended: bool = True
-    constraints: int
+    number: Count
+    iterations: Count
+    ended: bool
+    constraints: Count
     peak_torque: float
     worst: Violation
 

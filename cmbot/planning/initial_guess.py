@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import OptimisationFailed, PathNotFound
+from cmbot.common.file_types import NonNegative
 from cmbot.optimization import find_violations
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.gradient_projection import find_path
@@ -59,8 +60,8 @@ class Choice:
         Peak of the objective at rest over the via-points; None where no sequence of postures was found.
     """
 
-    free: float | None
-    pinned: float | None
+    free: NonNegative | None
+    pinned: NonNegative | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

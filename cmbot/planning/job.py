@@ -227,8 +227,7 @@ def job_metrics(segments: Iterable[Timed], begin: float = 0.0) -> MotionMetrics:
     strokes = [segment.figures for segment in segments if segment.kind == "stroke"]
     seconds = np.array([segment.duration for segment in segments])
     mean = np.average([figures.mean_guardrail_torque for figures in each], weights=seconds)
-    rms = [figures.rms_guardrail_torque for figures in each if figures.rms_guardrail_torque is not None]
-    timed = all(figures.duration is not None for figures in each)
+    square = np.square([figures.rms_guardrail_torque for figures in each])
     use = {
         field.name: max(getattr(figures.limit_use, field.name) for figures in each)
         for field in fields(LimitUse)
@@ -236,9 +235,7 @@ def job_metrics(segments: Iterable[Timed], begin: float = 0.0) -> MotionMetrics:
     return MotionMetrics(
         peak_guardrail_torque=max(figures.peak_guardrail_torque for figures in each),
         mean_guardrail_torque=float(mean),
-        rms_guardrail_torque=float(np.sqrt(np.average(np.square(rms), weights=seconds)))
-        if len(rms) == len(each)
-        else None,
+        rms_guardrail_torque=float(np.sqrt(np.average(square, weights=seconds))),
         peak_static_guardrail_torque=max(figures.peak_static_guardrail_torque for figures in each),
         min_clearance=min(figures.min_clearance for figures in each),
         max_tool_deviation=max((figures.max_tool_deviation for figures in strokes), default=0.0),
@@ -246,8 +243,8 @@ def job_metrics(segments: Iterable[Timed], begin: float = 0.0) -> MotionMetrics:
         max_tool_lag=max((figures.max_tool_lag for figures in strokes), default=0.0),
         limit_use=LimitUse(**use),
         adhesion_needed=_largest_adhesion(segments, begin),
-        duration=float(seconds.sum()) if timed else None,
-        guardrail_torque_integral=float(mean * seconds.sum()) if timed else None,
+        duration=float(seconds.sum()),
+        guardrail_torque_integral=float(mean * seconds.sum()),
     )
 
 

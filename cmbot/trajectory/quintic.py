@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from cmbot.common.arrays import FloatArray, IntArray, read_only
 from cmbot.common.errors import InputError
+from cmbot.common.file_types import Row, Rows
 from cmbot.common.representation import short_repr
 from cmbot.trajectory.polynomials import derivative, hull, roots_in_unit_interval, values
 
@@ -97,10 +98,10 @@ class QuinticTrajectory:
         When shapes differ, a number is not finite or beyond `LARGEST`, or times do not increase.
     """
 
-    t: FloatArray
-    q: FloatArray
-    v: FloatArray
-    a: FloatArray
+    t: Row
+    q: Rows
+    v: Rows
+    a: Rows
 
     __repr__ = short_repr
 

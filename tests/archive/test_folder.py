@@ -1,223 +1,414 @@
-"""Plan directories appear whole or not at all, and replace nothing but plans."""
+"""Folders appear whole or not at all, whatever stops a call, and replace nothing but what a record names."""
 
+import itertools
+import json
 import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from itertools import count, product
 from pathlib import Path
-from unittest.mock import Mock
 
 import pytest
-from plan_folders import names
+from command_line import ROOT, environment
+from killed_calls import dies_at, fails_at
+from plan_folders import edit, names, seal
 
-from cmbot.archive import add_file, atomic, require_free, write_files
-from cmbot.archive.folder import add_files, write_folder
-from cmbot.archive.names import EARLIER_FILES, JOB_FILES, SAVED_FILES
+from cmbot.archive import (
+    STANCES_FILE,
+    add_file,
+    claim,
+    new_folder,
+    record_of,
+    require_absent,
+    require_new_folder,
+    write_file,
+    write_results,
+)
+from cmbot.archive.folder import read_folder, read_record
 from cmbot.common.errors import ArchiveError
 
-CONTENTS = {"plan.json": b'{"format": "cmbot-plan/1"}', "trajectory.csv": b"1,2\n", "trajectory.npz": b"\0"}
-CHANGED = CONTENTS | {"trajectory.csv": b"3,4\n"}
-FILES = set(CONTENTS)
+OLD = {"stances.csv": b"old", "index.html": b"old", "best_1.yaml": b"old", "best_2.yaml": b"old"}
+NEW = {"stances.csv": b"new", "index.html": b"old", "best.yaml": b"new"}
+FULL = OSError(28, "No space left on device")
+
+
+def write(folder: Path, contents: dict[str, bytes], *, force: bool = False) -> None:
+    write_results(folder, STANCES_FILE, {"best": list(contents)[-1]}, contents, force=force)
+
+
+def read(folder: Path) -> dict[str, bytes] | None:
+    """What a reader finds."""
+    try:
+        record, contents = read_folder(folder, STANCES_FILE, lambda files: files)
+    except ArchiveError:
+        return None
+    assert record["best"] in contents
+    return contents
+
+
+def on_disk(folder: Path) -> dict[str, bytes]:
+    """All files of a folder but its record."""
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != STANCES_FILE}
+
+
+def write_tour(folder: Path) -> None:
+    with new_folder(folder) as draft:
+        write(draft / "1_work", OLD)
+        write(draft, NEW)
+
+
+CALLS: dict[str, tuple[Callable[[Path], object], dict[str, bytes] | None, dict[str, bytes]]] = {
+    "new": (partial(write, contents=NEW), None, NEW),
+    "force": (partial(write, contents=NEW, force=True), OLD, NEW),
+    "add": (lambda folder: add_file(folder, "replay.html", b"new"), OLD, OLD | {"replay.html": b"new"}),
+    "replace": (lambda folder: add_file(folder, "index.html", b"new"), OLD, OLD | {"index.html": b"new"}),
+    "tour": (write_tour, None, NEW),
+}
+DIES: dict[str, Callable[[int, Callable[[], object]], bool]] = {
+    "kill": dies_at,
+    "full": lambda step, call: fails_at(step, call, FULL),
+    "Ctrl-C": lambda step, call: fails_at(step, call, KeyboardInterrupt()),
+}
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A plan directory with a file that is not the plan's."""
-    write_folder(CONTENTS, tmp_path / "plan", force=False)
-    (tmp_path / "plan" / "old").touch()
-    return tmp_path / "plan"
+    """A folder with a record and a file that is not of it, in a folder of its own."""
+    write(tmp_path / "work" / "stood", OLD)
+    (tmp_path / "work" / "stood" / "notes.txt").write_bytes(b"mine")
+    return tmp_path / "work" / "stood"
 
 
-ALWAYS = 0
+@pytest.mark.parametrize("how", DIES)
+@pytest.mark.parametrize("name", CALLS)
+def test_whatever_stops_a_call_the_old_or_the_new_is_there(tmp_path: Path, name: str, how: str) -> None:
+    call, old, new = CALLS[name]
+    mine = {} if old is None else {"notes.txt": b"mine"}
+    before, work, seen = tmp_path / "before", tmp_path / "work", list[dict[str, bytes] | None]()
+    before.mkdir()
+    if old is not None:
+        write(before / "stood", old)
+        (before / "stood" / "notes.txt").write_bytes(b"mine")
+    target = work / "stood"
+    for step in itertools.count(1):
+        shutil.rmtree(work, ignore_errors=True)
+        shutil.copytree(before, work)
+        died = DIES[how](step, lambda: call(target))
+        found = read(target)
+        assert found in (old, new), step
+        seen.append(found)
+        if not died:
+            break
+        with claim(target):
+            # What was begun is finished or removed; nothing else has changed.
+            assert read(target) == found
+            if found is not None and name != "tour":
+                assert on_disk(target) == found | mine
+        assert names(work) <= {"stood"}
+        assert found is not None or not target.exists() or not names(target)
+        if found == old:
+            call(target)
+        assert read(target) == new
+        # A lock that the system does not let us remove stays.
+        assert names(target) - {"1_work", ".1_work.lock"} == {*new, *mine, STANCES_FILE}
+    assert seen[-1] == new
+    assert seen.count(old) > 4
+    if how == "kill":
+        assert seen == sorted(seen, key=lambda state: state == new)
 
 
-def failing(function, at, error):
-    """Stand-in for `function` whose call number `at` fails."""
-    calls = count(1)
-
-    def stand_in(*args):
-        if next(calls) == at or at == ALWAYS:
-            raise error
-        return function(*args)
-
-    return stand_in
-
-
-# Three files, the folder, the folder above; with force again the folder and the one above.
-@pytest.mark.parametrize("call", range(1, 8))
-@pytest.mark.parametrize("force", [False, True])
-@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
-def test_a_failure_leaves_nothing_behind(tmp_path, monkeypatch, call, force, error):
-    target = tmp_path / "above" / "plan"
-    if force:
-        write_folder(CONTENTS, target, force=False)
-        (target / "old").touch()
-    monkeypatch.setattr(os, "fsync", failing(os.fsync, call, error))
-    if force or call <= 5:
-        with pytest.raises(ArchiveError if isinstance(error, OSError) else KeyboardInterrupt):
-            write_folder(CHANGED, target, force=force)
-    if call < 5 and not force:
-        assert not list(tmp_path.iterdir())
-        return
-    if force:
-        assert names(target) == FILES | {"old"}
-        expected = CONTENTS if call < 5 else CHANGED
-        assert (target / "trajectory.csv").read_bytes() == expected["trajectory.csv"]
-        assert names(target.parent) == {"plan"}
+@pytest.mark.parametrize("how", DIES)
+def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path, how: str) -> None:
+    path = tmp_path / "work" / "table"
+    for step in itertools.count(1):
+        shutil.rmtree(tmp_path / "work", ignore_errors=True)
+        write_file(path, b"old")
+        died = DIES[how](step, lambda: write_file(path, b"new"))
+        assert path.read_bytes() in (b"old", b"new")
+        if not died:
+            break
+        write_file(path, b"newest")
+        assert (names(path.parent), path.read_bytes()) == ({"table"}, b"newest")
+    assert step > 6
 
 
-@pytest.mark.parametrize("call", range(1, 7))  # three for each of two swaps
-@pytest.mark.parametrize("error", [OSError(5, "Input/output error"), KeyboardInterrupt()])
-def test_a_failed_rename_leaves_a_whole_plan(folder, monkeypatch, call, error):
-    monkeypatch.setattr(atomic, "_swap_at_once", lambda one, other: False)
-    monkeypatch.setattr(Path, "rename", failing(Path.rename, call, error))
-    with pytest.raises((ArchiveError, KeyboardInterrupt)):
-        write_folder(CHANGED, folder, force=True)
-    assert names(folder) == FILES | {"old"}
-    expected = CONTENTS if call < 3 else CHANGED
-    assert (folder / "trajectory.csv").read_bytes() == expected["trajectory.csv"]
-    assert names(folder.parent) == {"plan"}
+def test_readers_beside_a_writer_find_one_of_both(folder: Path) -> None:
+    """They take no lock, and never see a mixture."""
+    end, found = threading.Event(), []
+
+    def look() -> None:
+        while not end.is_set():
+            found.append(read(folder))
+
+    with ThreadPoolExecutor() as threads:
+        looking = [threads.submit(look) for _ in range(2)]
+        try:
+            for number in range(60):
+                write(folder, (NEW, OLD)[number % 2], force=True)
+        finally:
+            end.set()
+        for each in looking:
+            each.result()
+    assert all(each in (OLD, NEW) for each in found)
 
 
-def test_a_place_that_cannot_be_written_to(tmp_path):
-    (tmp_path / "file").touch()
-    with pytest.raises(ArchiveError, match="a place that can be written to"):
-        write_folder(CONTENTS, tmp_path / "file" / "plan", force=False)
-    with pytest.raises(ArchiveError, match="the path of a folder"):
-        write_folder(CONTENTS, tmp_path / "pl\0an", force=False)
-    (tmp_path / "circle").symlink_to(tmp_path / "circle")
+def test_a_reader_changes_nothing(folder: Path) -> None:
+    """Also where a call was killed in between, in a folder that may not be written to."""
+    step = next(
+        step
+        for step in itertools.count(1)
+        if not _is_between(folder, step, partial(write, folder, NEW, force=True))
+    )
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    folder.chmod(0o555)
+    try:
+        assert read(folder) == NEW, step
+        assert record_of(folder) == STANCES_FILE
+    finally:
+        folder.chmod(0o755)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def _is_between(folder: Path, step: int, call: Callable[[], object]) -> bool:
+    """Kill a call at a step of it; whether the old state still counts after it."""
+    assert dies_at(step, call)
+    return read(folder) == OLD
+
+
+def test_a_changed_or_missing_file_is_named(folder: Path) -> None:
+    (folder / "best_1.yaml").write_bytes(b"edited")
+    with pytest.raises(ArchiveError, match=r"best_1\.yaml: got other content") as caught:
+        read_folder(folder, STANCES_FILE, lambda files: files)
+    assert caught.value.expected == "the file that was saved with stances.json"
+    (folder / "best_1.yaml").unlink()
+    with pytest.raises(ArchiveError, match=r"best_1\.yaml: no such file"):
+        read_folder(folder, STANCES_FILE, lambda files: files)
+    with pytest.raises(ArchiveError, match=r"stances\.json: files: got no other\.csv"):
+        read_folder(folder, STANCES_FILE, lambda files: ["other.csv"])
+    assert read_folder(folder, STANCES_FILE, lambda files: ["index.html"])[1] == {"index.html": b"old"}
+
+
+def test_a_changed_record_and_those_of_other_versions_are_refused(folder: Path) -> None:
+    record = folder / STANCES_FILE
+    record.write_bytes(record.read_bytes().replace(b"best_2.yaml", b"best_3.yaml"))
+    with pytest.raises(ArchiveError, match=r"stances\.json: content: got another hash"):
+        read_record(folder, STANCES_FILE)
+    for change in (
+        lambda data: data.pop("content"),
+        lambda data: data.update(format="cmbot-stances/0"),
+        lambda data: data.update(format="cmbot-stances/7"),
+    ):
+        data = json.loads(record.read_bytes())
+        change(data)
+        record.write_text(json.dumps(data))
+        with pytest.raises(
+            ArchiveError, match=r"format: .*'cmbot-stances/1': written by a development version"
+        ):
+            read_record(folder, STANCES_FILE)
+    edit(folder, lambda data: data.update(format="another/1"), STANCES_FILE)
+    with pytest.raises(ArchiveError, match=r"format: got 'another/1', expected 'cmbot-stances/1'$"):
+        read_record(folder, STANCES_FILE)
+
+
+def test_what_a_record_does_not_name_stays(folder: Path) -> None:
+    for name in (".hidden", "best_9.yaml"):
+        (folder / name).write_bytes(b"mine")
+    (folder / "photos").mkdir()
+    (folder / ".photos.part").mkdir()
+    before = folder.stat()
+    write(folder, NEW, force=True)
+    mine = {".hidden", "best_9.yaml", "photos", ".photos.part", "notes.txt"}
+    assert names(folder) == {*NEW, *mine, STANCES_FILE}
+    # A shell that stands in it stays there.
+    assert os.path.samestat(folder.stat(), before)
+
+
+@pytest.mark.parametrize("name", ["../outside", "/outside", "a/b", "", ".."])
+def test_a_record_that_names_what_is_elsewhere_removes_nothing(folder: Path, name: str) -> None:
+    outside = folder.parent / "outside"
+    outside.write_bytes(b"mine")
+    edit(folder, lambda data: data["files"].update({name: "0" * 64}), STANCES_FILE)
+    write(folder, NEW, force=True)
+    assert outside.read_bytes() == b"mine"
+
+
+def test_a_record_whose_hashes_are_none_is_replaced(folder: Path) -> None:
+    (folder / STANCES_FILE).write_bytes(seal({"format": "cmbot-stances/1", "files": [1]}))
+    write(folder, NEW, force=True)
+    assert read(folder) == NEW
+
+
+def test_names_that_are_there_are_refused_without_force(folder: Path) -> None:
+    with pytest.raises(ArchiveError, match="a folder without these files, or --force") as caught:
+        write(folder, NEW)
+    assert caught.value.got == "stances.csv, index.html, stances.json"
     with pytest.raises(ArchiveError):
-        write_folder(CONTENTS, tmp_path / "circle" / "plan", force=False)
+        require_absent(folder, ["index.html"])
+    require_absent(folder, ["best.yaml"])
+    require_absent(folder.parent / "new", ["best.yaml"])
+    (folder / "best.yaml").mkdir()
+    for force in (False, True):
+        with pytest.raises(ArchiveError, match=r"best\.yaml: got a folder"):
+            write(folder, NEW, force=force)
+    with pytest.raises(ArchiveError, match="a file of that name"):
+        write(folder / "notes.txt", NEW)
+    assert read(folder) == OLD
+
+
+def test_folders_above_are_made_and_removed_again(tmp_path: Path) -> None:
+    with claim(tmp_path / "above" / "below" / "plan"):
+        assert names(tmp_path / "above" / "below") == {".plan.lock"}
+    assert not names(tmp_path)
+    write(tmp_path / "above" / "below" / "plan", NEW)
+    assert names(tmp_path / "above" / "below") == {"plan"}
+    with claim(tmp_path / "above" / "other"):
+        pass
+    assert names(tmp_path / "above") == {"below"}
+
+
+def test_a_new_folder_is_new_or_empty(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    for name in ("empty", "new"):
+        write_tour(tmp_path / name)
+        assert read(tmp_path / name) == NEW
+        assert read(tmp_path / name / "1_work") == OLD
+        with pytest.raises(ArchiveError, match="a new or empty folder"):
+            require_new_folder(tmp_path / name)
+    (tmp_path / "file").touch()
+    with pytest.raises(ArchiveError, match="a new or empty folder"):
+        write_tour(tmp_path / "file")
+    with pytest.raises(ZeroDivisionError), new_folder(tmp_path / "failed") as draft:
+        write(draft, OLD)
+        raise ZeroDivisionError
+    assert names(tmp_path) == {"empty", "new", "file"}
+
+
+def test_a_link_is_followed_and_stays(folder: Path) -> None:
+    link = folder.parent / "link"
+    link.symlink_to(folder)
+    write(link, NEW, force=True)
+    write_file(link / "notes.txt", b"ours")
+    assert link.is_symlink()
+    assert read(folder) == NEW
+    assert (folder / "notes.txt").read_bytes() == b"ours"
+
+
+@pytest.mark.parametrize(
+    ("path", "words"),
+    [
+        ("file/plan", "a place below .*file, which is a file"),
+        ("file/below/plan", "a place below .*file, which is a file"),
+        ("pl\0an", "the path of a folder"),
+        ("circle/plan", "the path of a folder"),
+        ("x" * 300, "a refusal of the system"),
+        ("/", "the root of all folders"),
+        ("/proc/new/plan", "a place that can be written to"),
+    ],
+)
+def test_places_where_nothing_can_be_made(tmp_path: Path, path: str, words: str) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "circle").symlink_to(tmp_path / "circle")
+    with pytest.raises(ArchiveError, match=words), claim(tmp_path / path):
+        pass
+    with pytest.raises(ArchiveError):
+        write_file(tmp_path / path, b"")
     assert names(tmp_path) == {"file", "circle"}
 
 
-def test_an_existing_folder_is_refused(folder):
-    (folder.parent / "empty").mkdir()
-    write = partial(write_folder, CONTENTS, force=False)
-    for directory, ask in product((folder, folder.parent / "empty"), (write, require_free)):
-        with pytest.raises(ArchiveError, match=r"already there.*--force \(in Python force=True\)"):
-            ask(directory)
-    assert names(folder) == FILES | {"old"}
+def test_where_this_user_may_not_write(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
 
+    def access(place: Path, mode: int) -> bool:
+        asked.append((Path(place), mode))
+        return Path(place) != folder
 
-def test_what_is_free_and_where_nothing_can_be_made_is_said_before_the_work(folder, monkeypatch):
-    require_free(folder.parent / "new")
-    require_free(str(folder.parent / "new" / "below"), force=True)
-    require_free(folder, force=True)
-    for below in ("plan.json/new", "plan.json/new/below"):
-        with pytest.raises(ArchiveError, match=r"got a place below .*plan\.json, which is a file"):
-            require_free(folder / below)
-    access = Mock(return_value=False)
     monkeypatch.setattr(os, "access", access)
-    for directory, force in ((folder.parent / "new" / "below", False), (folder, True)):
-        with pytest.raises(ArchiveError, match="where this user may not write, expected a place that can be"):
-            require_free(directory, force=force)
-    assert [Path(place) for (place, _), _ in access.call_args_list] == [folder.parent, folder.parent]
+    with pytest.raises(ArchiveError, match="a folder in which this user may not write"), claim(folder):
+        pass
+    with pytest.raises(ArchiveError, match=f"a place in {folder}, where this user may not write"):
+        require_new_folder(folder / "new" / "below")
+    with claim(folder.parent / "new"):
+        pass
+    assert {mode for _, mode in asked} == {os.W_OK | os.X_OK}
 
 
-@pytest.mark.parametrize("version", [1, 2])
-@pytest.mark.parametrize("place", ["plan", "link"])
-def test_force_replaces_a_plan_of_any_version_and_its_pages_alone(folder, version, place):
-    (folder.parent / "link").symlink_to(folder)
-    (folder / "plan.json").write_text(f'{{"format": "cmbot-plan/{version}"}}')
-    add_files(folder, {"tracking.csv": b"", "report.html": b""})
-    (folder / "photos").mkdir()
-    (folder / "photos" / "report.html").touch()
-    before = folder.stat()
-    write_folder(CONTENTS, folder.parent / place, force=True)
-    assert names(folder) == FILES | {"old", "photos"}
-    assert names(folder / "photos") == {"report.html"}
-    # A shell that stands in it stays there.
-    assert os.path.samestat(folder.stat(), before)
-    assert names(folder.parent) == {"plan", "link"}
-    assert (folder.parent / "link").is_symlink()
+def test_what_is_no_file_is_not_replaced_by_one(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(ArchiveError, match="not a regular file"):
+        write_file(tmp_path / "pipe", b"")
+    with pytest.raises(ArchiveError, match="a refusal of the system"):
+        write_file(tmp_path, b"")
+    assert names(tmp_path) == {"pipe"}
 
 
-def test_a_new_and_with_force_an_empty_folder_are_filled(tmp_path):
-    (tmp_path / "empty").mkdir()
-    for name, force in (("empty", True), ("new", True), ("above/below", False)):
-        write_folder(CONTENTS, tmp_path / name, force=force)
-        assert {path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} == CONTENTS
-    assert (names(tmp_path), names(tmp_path / "above")) == ({"empty", "new", "above"}, {"below"})
+HOLDER = """
+import sys
+from pathlib import Path
+from cmbot.archive import claim
+with claim(Path(sys.argv[1])):
+    print("claimed", flush=True)
+    sys.stdin.readline()
+"""
 
 
-@pytest.mark.parametrize("plan_json", [None, "{}", '{"format": "another-plan/1"}', "[1]", '{"format": '])
-@pytest.mark.parametrize("ask", [partial(write_folder, CONTENTS), require_free])
-def test_force_never_destroys_another_folder(tmp_path, plan_json, ask):
-    (tmp_path / "thesis.tex").write_text("years of work")
-    if plan_json is not None:
-        (tmp_path / "plan.json").write_text(plan_json)
-    before = names(tmp_path)
-    with pytest.raises(ArchiveError, match="something other than a plan"):
-        ask(tmp_path, force=True)
-    assert names(tmp_path) == before
+def test_one_process_at_a_time_and_a_dead_one_blocks_nobody(folder: Path) -> None:
+    holder = subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(folder)],
+        env=environment(),
+        cwd=ROOT,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    with holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline()
+        with pytest.raises(ArchiveError, match=f"{folder}: got a place where another process is writing"):
+            write(folder, NEW, force=True)
+        assert read(folder) == OLD
+        holder.send_signal(signal.SIGKILL)
+        holder.wait()
+        assert names(folder.parent) == {"stood", ".stood.lock"}
+        write(folder, NEW, force=True)
+    assert names(folder.parent) == {"stood"}
 
 
-@pytest.mark.parametrize("swaps", [True, False])
-@pytest.mark.parametrize("links", [True, False])
-def test_on_any_file_system_all_files_change_at_once(folder, monkeypatch, swaps, links):
-    if not swaps:
-        monkeypatch.setattr(atomic, "_swap_at_once", lambda one, other: False)
-    if not links:
-        monkeypatch.setattr(Path, "hardlink_to", failing(Path.hardlink_to, ALWAYS, OSError(1, "no")))
-    pages = {"replay.html": b"1", "report.html": b"2"}
-    assert add_files(folder, pages) == (folder / "replay.html", folder / "report.html")
-    assert {path.name: path.read_bytes() for path in folder.iterdir()} == CONTENTS | pages | {"old": b""}
-    assert all(path.stat().st_nlink == 1 for path in folder.iterdir())
-    assert names(folder.parent) == {"plan"}
+def test_threads_exclude_each_other_but_calls_inside_do_not(folder: Path) -> None:
+    with claim(folder), ThreadPoolExecutor() as threads:
+        write(folder, NEW, force=True)
+        with pytest.raises(ArchiveError, match="another process is writing"):
+            threads.submit(write, folder, OLD, force=True).result()
+        threads.submit(write, folder.parent / "other", OLD).result()
+    assert read(folder) == NEW
+    assert names(folder.parent) == {"stood", "other"}
 
 
-@pytest.mark.parametrize("call", range(1, 10))
-def test_files_that_are_no_plan_are_written_all_or_none(tmp_path, monkeypatch, call):
-    target, others = tmp_path / "stood", {"notes.txt": b"mine", "plan.json": b"{}"}
-    before = {"stances.csv": b"1", "best.yaml": b"1"}
-    write_files(target, {**before, **others})
-    after = dict.fromkeys(before, b"2")
-    with pytest.raises(ArchiveError, match="a folder without these files, or --force"):
-        write_files(target, after)
-    with monkeypatch.context() as patched:
-        patched.setattr(os, "fsync", failing(os.fsync, call, OSError(28, "No space left on device")))
-        try:
-            write_files(target, after, force=True)
-        except ArchiveError:
-            assert call <= 7
-    there = {path.name: path.read_bytes() for path in target.iterdir()}
-    assert there in ({**before, **others}, {**after, **others})
-    assert names(tmp_path) == {"stood"}
+def test_a_lock_that_is_removed_while_it_is_taken_is_taken_again(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The call before ends between opening and locking: its file is no lock any more."""
+    import fcntl
 
+    lock, flock, calls = folder.parent / ".stood.lock", fcntl.flock, itertools.count()
 
-def test_folders_with_names_of_files_are_in_the_way(folder):
-    (folder / "report.html").mkdir()
-    for ask in (partial(require_free, force=True), partial(write_folder, CONTENTS, force=True)):
-        with pytest.raises(ArchiveError, match=r"report\.html: got a folder"):
-            ask(folder)
-    with pytest.raises(ArchiveError, match=r"report\.html: got a folder"):
-        add_files(folder, {"report.html": b""})
-    assert names(folder) == FILES | {"old", "report.html"}
+    def late(file: object, operation: int) -> None:
+        number = next(calls)
+        if number == 0:
+            lock.unlink()
+        elif number == 1:
+            lock.unlink()
+            lock.touch()
+        flock(file, operation)  # type: ignore[arg-type]
 
-
-def test_only_names_of_a_plans_files_are_written(tmp_path):
-    with pytest.raises(ArchiveError, match=r"got a file 'thesis\.tex'"):
-        write_folder(CONTENTS | {"thesis.tex": b""}, tmp_path / "plan", force=False)
-    assert not list(tmp_path.iterdir())
-
-
-def test_force_never_replaces_a_file(tmp_path):
-    (tmp_path / "file").write_text("mine")
-    with pytest.raises(ArchiveError, match="a file of that name"):
-        write_folder(CONTENTS, tmp_path / "file", force=True)
-    assert (tmp_path / "file").read_text() == "mine"
-
-
-def test_files_are_added_to_plan_directories_and_replaced(folder):
-    assert add_file(folder, "replay.html", "<p>ü</p>") == folder / "replay.html"
-    assert (folder / "replay.html").read_bytes() == "<p>ü</p>".encode()
-    add_file(str(folder), "replay.html", b"\x00")
-    assert (folder / "replay.html").read_bytes() == b"\x00"
-    assert names(folder) == FILES | {"old", "replay.html"}
-    for directory in (folder.parent, folder.parent / "nowhere"):
-        with pytest.raises(ArchiveError, match="no plan directory"):
-            add_file(directory, "report.html", "")
-    assert names(folder.parent) == {"plan"}
+    monkeypatch.setattr(fcntl, "flock", late)
+    with claim(folder):
+        assert next(calls) == 3
+    assert names(folder.parent) == {"stood"}
 
 
 ELSEWHERE = ("", ".", "..", "../x", "a/b", "/x", ".hidden", "a\0", "a\n", "x" * 300)
@@ -227,28 +418,28 @@ ELSEWHERE = ("", ".", "..", "../x", "a/b", "/x", ".hidden", "a\0", "a\n", "x" * 
     ("name", "content", "words"),
     [
         *((name, "", "add_file: name") for name in ELSEWHERE),
-        *(
-            (name, "", "the plan's own files")
-            for name in ("plan.json", *SAVED_FILES, *JOB_FILES, *EARLIER_FILES)
-        ),
-        ("report.html", "\ud800", "add_file: content"),
+        *((name, "", "the plan's own files") for name in ("plan.json", "job.csv", "job.npz", "baseline.csv")),
+        ("report.html", "\ud800", r"add_file: content: got a character that is none \(at position 0\)"),
     ],
 )
-def test_what_must_not_be_added(folder, name, content, words):
+def test_what_must_not_be_added(folder: Path, name: str, content: str, words: str) -> None:
+    before = on_disk(folder)
     with pytest.raises(ArchiveError, match=words):
         add_file(folder, name, content)
-    assert names(folder) == FILES | {"old"}
-    assert (folder / "plan.json").read_bytes() == CONTENTS["plan.json"]
+    with pytest.raises(ArchiveError, match=r"notes\.txt: got no plan directory|add_file"):
+        add_file(folder / "notes.txt", name, content)
+    assert on_disk(folder) == before
+    assert read(folder) == OLD
 
 
-@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
-def test_a_failed_addition_leaves_what_was_there(folder, monkeypatch, error):
-    add_file(folder, "report.html", "first")
-    (folder / "folder").mkdir()
-    with pytest.raises(ArchiveError):
-        add_file(folder, "folder", "")
-    monkeypatch.setattr(os, "fsync", failing(os.fsync, 1, error))
-    with pytest.raises((ArchiveError, KeyboardInterrupt)):
-        add_file(folder, "report.html", "second")
-    assert (folder / "report.html").read_text() == "first"
-    assert names(folder) == FILES | {"old", "report.html", "folder"}
+def test_a_file_is_added_as_text_or_bytes(folder: Path) -> None:
+    assert add_file(str(folder), "replay.html", "<p>ü</p>") == folder / "replay.html"
+    assert read(folder) == OLD | {"replay.html": "<p>ü</p>".encode()}
+    add_file(folder, "replay.html", b"\x00")
+    assert read(folder) == OLD | {"replay.html": b"\x00"}
+    (folder / "report.html").mkdir()
+    with pytest.raises(ArchiveError, match=r"report\.html: got a folder"):
+        add_file(folder, "report.html", "")
+    for directory in (folder.parent, folder.parent / "nowhere"):
+        with pytest.raises(ArchiveError, match="no plan directory"):
+            add_file(directory, "replay.html", "")

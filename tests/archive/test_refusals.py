@@ -1,12 +1,13 @@
 """What is refused of a plan directory as a whole: missing, damaged, of another version, of another plan."""
 
+import json
 import re
 
 import numpy as np
 import pytest
-from plan_folders import FILES, edit, npz, refused, rewrite
+from plan_folders import FILES, edit, npz, refused, rewrite, seal
 
-from cmbot.archive import load_plan
+from cmbot.archive import add_file, load_plan
 from cmbot.common.errors import ArchiveError
 
 
@@ -84,11 +85,30 @@ def test_files_of_another_plan(triangle_folder, name):
     assert caught.value.source == str(triangle_folder / name)
 
 
-@pytest.mark.parametrize("version", ["cmbot-plan/3", "cmbot-scene/1", 1, None])
+@pytest.mark.parametrize("version", ["cmbot-plan/1", "cmbot-plan/3", "cmbot-scene/1", 1, None])
 def test_other_versions(triangle_folder, version):
     edit(triangle_folder, lambda data: (data.update(format=version), data.pop("seconds")))
     error = refused(triangle_folder, "plan.json", "format")
-    assert error.expected == "'cmbot-plan/2' or 'cmbot-plan/1'"
+    why = ": written by a development version; cmbot plan SCENE makes it anew"
+    assert error.expected == "'cmbot-plan/2'" + why * str(version).startswith("cmbot-plan")
+
+
+def test_pages_may_be_missing_and_a_changed_one_is_named_by_verify(triangle_folder):
+    for name in ("report.html", "replay.html", "notes.txt"):
+        add_file(triangle_folder, name, "page")
+    (triangle_folder / "replay.html").unlink()
+    load_plan(triangle_folder, verify=True)
+    (triangle_folder / "report.html").write_text("edited")
+    load_plan(triangle_folder)
+    with pytest.raises(ArchiveError, match="other content") as caught:
+        load_plan(triangle_folder, verify=True)
+    assert caught.value.source == str(triangle_folder / "report.html")
+
+
+def test_an_edited_plan_is_refused(triangle_folder):
+    path = triangle_folder / "plan.json"
+    path.write_text(path.read_text().replace('"drift": ', '"drift": 1', 1))
+    assert "unchanged" in refused(triangle_folder, "plan.json", "content").expected
 
 
 def with_number(number, name="drift"):
@@ -108,15 +128,28 @@ def with_number(number, name="drift"):
         (with_number("-Infinity"), "", "-Infinity"),
         (with_number("9" * 5000), "", "integer"),
         # Too large for a float.
-        (with_number("1e999"), "drift", ""),
-        (with_number("1e999", "velocity"), "baseline.limit_use.velocity", ""),
-        (with_number("1e999", "min_clearance"), "baseline.min_clearance", ""),
     ],
 )
 def test_damaged_json(triangle_folder, change, key, got):
     path = triangle_folder / "plan.json"
     path.write_bytes(change(path.read_text()).encode(errors="surrogateescape"))
     assert got in str(refused(triangle_folder, "plan.json", key))
+
+
+@pytest.mark.parametrize(
+    ("name", "key"),
+    [
+        ("drift", "drift"),
+        ("velocity", "baseline.limit_use.velocity"),
+        ("min_clearance", "baseline.min_clearance"),
+    ],
+)
+def test_numbers_too_large_for_a_float(triangle_folder, name, key):
+    path = triangle_folder / "plan.json"
+    text = with_number("1e999", name)(path.read_text())
+    sealed = seal(json.loads(text)).replace(b"Infinity", b"1e999")
+    path.write_bytes(sealed)
+    refused(triangle_folder, "plan.json", key)
 
 
 def test_a_baseline_that_ends_too_early(triangle_folder):

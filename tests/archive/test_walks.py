@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from plan_folders import seal
 from walks import one_step
 
 from cmbot.archive import json_bytes, load_walk
@@ -21,7 +22,7 @@ def data() -> dict[str, Any]:
 
 
 def written(data: dict[str, Any], folder: Path) -> Path:
-    (folder / "walk.json").write_bytes(json_bytes(data))
+    (folder / "walk.json").write_bytes(seal({**data, "files": {}}))
     return folder
 
 

@@ -296,5 +296,5 @@ def test_processes_plan_as_one_does_and_ctrl_c_ends_them(file: Path, tmp_path: P
     assert result["planned_job"]["peak_guardrail_torque"] == here.job.figures.peak_guardrail_torque
     (place,) = (out / "plans").glob("*/first")
     cmbot.save(here, tmp_path / "here")
-    for name in ("job.csv", "trajectory.npz"):
+    for name in ("job.csv", "job.npz"):
         assert (place / name).read_bytes() == (tmp_path / "here" / name).read_bytes()

@@ -31,9 +31,7 @@ from small_scenes import SHORT
 import cmbot
 from cmbot.archive import claim
 
-SAVED = {"plan.json", "baseline.csv", "replay.html", "report.html"} | {
-    f"trajectory.{suffix}" for suffix in ("csv", "npz", "ros.json")
-}
+SAVED = {"plan.json", "job.csv", "job.npz", "baseline.csv", "replay.html", "report.html"}
 
 
 @pytest.fixture(scope="module")
@@ -215,14 +213,13 @@ def test_pages_are_added_by_the_archive(directory: Path, monkeypatch: pytest.Mon
     assert tuple(save.call_args.kwargs["added"]) == pages
 
 
-def test_what_a_killed_call_left_is_put_back_with_a_warning(directory: Path) -> None:
-    work = directory.with_name(".plan.cmbot-part")
-    work.mkdir()
-    directory.rename(work / "old")
+def test_what_a_killed_call_left_is_removed(directory: Path) -> None:
+    for part in (directory / ".report.html.part", directory / ".plan.json.part"):
+        part.write_bytes(b"half of")
+    directory.with_name(".plan.lock").touch()
     outcome = run_apart("report", directory)
-    text = f"warning: {directory}: a call was interrupted when it wrote there; put back: the plan\n"
-    assert (outcome.status, outcome.err) == (0, text)
-    assert not work.exists()
+    assert (outcome.status, outcome.err) == (0, "")
+    assert not [name for name in names(directory) | names(directory.parent) if name.startswith(".")]
 
 
 def test_a_plan_directory_may_be_the_current_folder(

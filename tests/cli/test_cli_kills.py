@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import warnings
 from collections.abc import Callable
 from dataclasses import fields, replace
 from itertools import count
@@ -20,8 +19,9 @@ from small_scenes import SHORT
 import cmbot
 import cmbot.views
 from cmbot.archive import load_plan, load_tracking, plan_data, writing
-from cmbot.archive.names import OWN_FILES
+from cmbot.archive.folder import read_folder
 from cmbot.cli import planning, simulation, views
+from cmbot.common.errors import ArchiveError
 from cmbot.planning import Plan, Samples
 from cmbot.simulation import Tracking
 
@@ -99,46 +99,26 @@ def folder(
         (cmbot, "load_tracking", lambda plan, directory: trackings[0]),
         (cmbot.views, "pages", lambda plan, tracking=None: pages),
         (cmbot.views, "report_page", lambda plan, tracking: "<p>new</p>"),
-        (writing, "_plan_json", remembered(writing._plan_json)),
+        (writing, "scene_entry", remembered(writing.scene_entry)),
         (writing, "samples_csv", remembered(writing.samples_csv)),
-        (os, "fsync", lambda descriptor: None),
     ):
         monkeypatch.setattr(module, name, value)
     return tmp_path
 
 
-def own_files(folder: Path) -> dict[str, bytes] | None:
-    """What the plan's files in a folder hold, if it is there."""
-    if not folder.exists():
+def whole(folder: Path) -> dict[str, bytes] | None:
+    """What a reader finds of the plan in a folder, if there is one."""
+    try:
+        _, contents = read_folder(folder, "plan.json", lambda hashes: hashes)
+    except ArchiveError:
         return None
-    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name in OWN_FILES}
+    return contents
 
 
-def notes(folder: Path) -> list[str]:
-    """What stands in all files in and below a folder that are not the plan's."""
-    return [path.read_text(encoding="utf-8") for path in folder.rglob(NOTES)]
-
-
-# Killed at every other step: where all that is different is the swap of names, at the others.
-@pytest.mark.parametrize(
-    ("name", "swaps", "first"),
-    [
-        ("plan", True, 1),
-        ("simulate", True, 2),
-        ("plan --force", True, 1),
-        ("plan --force", False, 2),
-        ("simulate --force", True, 2),
-        ("simulate --force", False, 1),
-        ("report", True, 1),
-    ],
-)
+# Killed at every other step.
+@pytest.mark.parametrize("name", CALLS)
 def test_a_kill_leaves_the_old_or_the_new(
-    folder: Path,
-    plans: tuple[Plan, Plan],
-    trackings: tuple[Tracking, Tracking],
-    name: str,
-    swaps: bool,
-    first: int,
+    folder: Path, plans: tuple[Plan, Plan], trackings: tuple[Tracking, Tracking], name: str
 ) -> None:
     call, there, simulated = CALLS[name]
     before, work = folder / "before", folder / "work"
@@ -150,34 +130,29 @@ def test_a_kill_leaves_the_old_or_the_new(
         (before / "plan" / NOTES).write_text("mine", encoding="utf-8")
     if simulated:
         cmbot.save_tracking(trackings[0], before / "plan")
-    mine = notes(before)
     shutil.copytree(before, work)
     call(False)
-    old, new = own_files(before / "plan"), own_files(TARGET)
+    old, new = whole(before / "plan"), whole(TARGET)
     assert old != new
+    assert new is not None
     assert names(work) == {"plan"}
     seen = []
-    for step in count(min(first, APART), APART):
+    for step in count(1, APART):
         shutil.rmtree(work)
         shutil.copytree(before, work)
-        if not dies_at(step, lambda: call(False), swaps=swaps):
+        if not dies_at(step, lambda: call(False)):
             break
-        state = own_files(TARGET)
-        # Without a swap of names there is a moment without the plan; the next call puts it in place.
-        assert state in (old, new) or (not swaps and state is None)
-        assert notes(work) == mine
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)
-            if len(seen) % 2 and (there or state is not None):
-                plan_data(TARGET)
-                assert own_files(TARGET) in ((old, new) if state is None else (state,))
-                assert names(work) == {"plan"}
-            call(True)
-        assert own_files(TARGET) == new
-        assert notes(TARGET) == mine
+        state = whole(TARGET)
+        assert state in (old, new)
+        if state is not None:
+            plan_data(TARGET)
+        # The next call goes on with what was begun, or begins anew; with the same words where it may.
+        call(True)
+        assert whole(TARGET) == new
+        assert names(TARGET) == {*new, "plan.json", *([NOTES] if there else [])}
+        assert not there or (TARGET / NOTES).read_text(encoding="utf-8") == "mine"
         assert names(work) == {"plan"}
         seen.append(state)
     assert (seen[0], seen[-1]) == (old, new)
-    for place in (before / "plan", TARGET) if there else (TARGET,):
-        tracking = load_tracking(load_plan(place), place)
-        assert (tracking is None) == ("tracking.json" not in names(place))
+    tracking = load_tracking(load_plan(TARGET), TARGET)
+    assert (tracking is None) == ("tracking.json" not in new)

@@ -168,7 +168,7 @@ def test_json_of_a_plan_is_that_of_plan_json(folder: Path) -> None:
     assert {name: value for name, value in data.items() if name not in own} == {
         name: kept[name] for name in data.keys() - own
     }
-    assert kept.keys() - data.keys() == {"floor", "passes"}
+    assert kept.keys() - data.keys() == {"content", "floor", "passes"}
     assert data["verdict"] == data["remarks"][0]
     assert any(remark.startswith("Certified: ") for remark in data["remarks"])
     # Progress is told on standard error.

@@ -211,8 +211,7 @@ def forge(folder: Path, forgery: Forgery) -> None:
 
 def put_job(folder: Path, job: Job) -> None:
     """Put the motions of a job into a plan directory, with every hash made right."""
-    for name, x in (("trajectory", job.strokes[0].trajectory), ("job", job.trajectory)):
-        rewrite(folder, f"{name}.npz", knots(x))
+    rewrite(folder, "job.npz", knots(job.trajectory))
 
 
 def changed_scene(data: dict[str, Any], change: Callable[[dict[str, Any]], object], folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""Calls in a process that dies at its k-th step on the file system."""
+"""Calls in a process that dies, or in which the system refuses, at the k-th step on the file system."""
 
 from __future__ import annotations
 
@@ -10,29 +10,31 @@ import traceback
 import warnings
 from collections.abc import Callable
 from itertools import count
-from pathlib import Path
 from typing import Any
 
-from cmbot.archive import atomic
+import pytest
 
-# What changes names, or makes them outlast a power cut; `pathlib` and `shutil` call these.
-STEPS = ("chmod", "fsync", "link", "mkdir", "rename", "replace", "rmdir", "unlink")
+from cmbot.common.errors import ArchiveError
+
+# What changes names; `pathlib` and `shutil` call these.
+STEPS = ("chmod", "link", "mkdir", "rename", "replace", "rmdir", "unlink")
 
 
-def dies_at(step: int, call: Callable[[], object], *, swaps: bool = True) -> bool:
+def dies_at(step: int, call: Callable[[], object]) -> bool:
     """Run a call in a process that is killed before its step number `step`, from 1; whether there was one.
 
-    Steps are system calls that open for writing, write, change names or synchronise; a file is killed after
-    half of its content, too. Without `swaps` the system seems to have no swap of names.
+    Steps are system calls that open for writing, write or change names; a file is killed after half of its
+    content, too.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # of a fork beside threads: none is used there
         child = os.fork()
     if child == 0:
-        _end_at(step, swaps)
         status = 1
         try:
-            call()
+            with pytest.MonkeyPatch.context() as patch:
+                _at(patch, step, lambda: os.kill(os.getpid(), signal.SIGKILL))
+                call()
             status = 0
         finally:  # nothing of the parent's runs in it
             if status:
@@ -43,13 +45,30 @@ def dies_at(step: int, call: Callable[[], object], *, swaps: bool = True) -> boo
     return status != 0
 
 
-def _end_at(step: int, swaps: bool) -> None:
-    """Make this process die at a step."""
+def fails_at(step: int, call: Callable[[], object], error: BaseException) -> bool:
+    """Run a call in which step number `step`, as those of `dies_at`, raises; whether there was one."""
+    raised = []
+
+    def fail() -> None:
+        raised.append(step)
+        raise error
+
+    with pytest.MonkeyPatch.context() as patch:
+        _at(patch, step, fail)
+        try:
+            call()
+        except (ArchiveError, OSError, KeyboardInterrupt):
+            assert raised
+    return bool(raised)
+
+
+def _at(patch: pytest.MonkeyPatch, step: int, end: Callable[[], None]) -> None:
+    """Let the calls on the file system end at a step."""
     steps = count(1)
 
     def reach() -> None:
         if next(steps) == step:
-            os.kill(os.getpid(), signal.SIGKILL)
+            end()
 
     def counted(function: Callable[..., Any]) -> Callable[..., Any]:
         def stand_in(*args: Any, **options: Any) -> Any:
@@ -59,8 +78,7 @@ def _end_at(step: int, swaps: bool) -> None:
         return stand_in
 
     for name in STEPS:
-        setattr(os, name, counted(getattr(os, name)))
-    atomic._swap_at_once = counted(atomic._swap_at_once) if swaps else _no_swap
+        patch.setattr(os, name, counted(getattr(os, name)))
 
     class HalfWritten(io.BufferedWriter):
         def write(self, content: Any) -> int:
@@ -71,24 +89,13 @@ def _end_at(step: int, swaps: bool) -> None:
             reach()
             return half + super().write(content[half:])
 
-    open_file, open_descriptor = io.open, os.open
+    open_file = io.open
 
     def open_counted(path: Any, mode: str = "r", *args: Any, **options: Any) -> Any:
         if not set(mode) & set("wxa+"):
             return open_file(path, mode, *args, **options)
-        assert set(mode) <= set("wxb"), mode
+        assert set(mode) <= set("wxab"), mode
         reach()
         return HalfWritten(open_file(path, mode, buffering=0))
 
-    def open_descriptor_counted(path: Any, flags: int, *args: Any, **options: Any) -> int:
-        if flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT):
-            reach()
-        return open_descriptor(path, flags, *args, **options)
-
-    io.open = open_counted  # type: ignore[assignment]
-    os.open = open_descriptor_counted
-
-
-def _no_swap(one: Path, other: Path) -> bool:
-    del one, other
-    return False
+    patch.setattr(io, "open", open_counted)

@@ -18,10 +18,7 @@ from cmbot.common.errors import ArchiveError
 from cmbot.planning import Job, Plan, QuinticTrajectory, Samples, plan
 from cmbot.simulation import SimulationOptions, Tracking, simulate
 
-MOTIONS = ("trajectory", "job")
-FILES = {"plan.json", "baseline.csv"} | {
-    f"{name}{end}" for name in MOTIONS for end in (".csv", ".npz", ".ros.json")
-}
+FILES = {"plan.json", "job.csv", "job.npz", "baseline.csv"}
 """All files of a plan."""
 
 
@@ -80,39 +77,23 @@ def without_approach(planned: Plan) -> Plan:
     return replace(planned, job=Job(segments=(replace(planned.job.strokes[0], begin=0.0),)))
 
 
-def as_earlier(folder: Path) -> Path:
-    """Turn a plan directory into one of the version before."""
-    approach, files = load_plan(folder).approach, dict[str, bytes]()
-    if approach is not None:
-        files = {"approach.npz": knots(approach.trajectory), "approach.csv": b"", "approach.ros.json": b""}
-    for end in ("csv", "npz", "ros.json"):
-        (folder / f"job.{end}").unlink()
-
-    def change(data: dict[str, Any]) -> None:
-        data["format"], block = "cmbot-plan/1", data.pop("segments")[0]
-        del data["strokes"]
-        kept = {key: block[key] for key in block if key not in ("name", "kind", "begin")}
-        data["approach"] = None if approach is None else kept
-        for key in ("baseline", "planned"):
-            del data[key]["job"], data[key]["free"]
-        data["files"] = {name: each for name, each in data["files"].items() if not name.startswith("job.")}
-
-    edit(folder, change)
-    for name, content in files.items():
-        rewrite(folder, name, content)
-    return folder
-
-
 def names(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
 
 
-def edit(folder: Path, change: Callable[[dict[str, Any]], object], name: str = "plan.json") -> None:
+def seal(data: dict[str, Any]) -> bytes:
+    """A record with the hash of its own content, made right."""
+    data = {key: value for key, value in data.items() if key != "content"}
+    data["content"] = hashlib.sha256(json.dumps(data).encode("ascii")).hexdigest()
+    return json.dumps(data).encode("ascii")
 
+
+def edit(folder: Path, change: Callable[[dict[str, Any]], object], name: str = "plan.json") -> None:
+    """Change the content of a record as a program would that also keeps its hash right."""
     path = folder / name
     data = json.loads(path.read_text(encoding="utf-8"))
     change(data)
-    path.write_text(json.dumps(data), encoding="utf-8")
+    path.write_bytes(seal(data))
 
 
 def rewrite(folder: Path, name: str, content: bytes, listed_in: str = "plan.json") -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from plan_folders import edit
 from rosbags.highlevel import AnyReader
 from small_scenes import short_scene
 
@@ -97,8 +98,7 @@ def test_the_directory(held: Plan, tmp_path: Path) -> None:
     again = load_plan(folder, verify=True)
     names = [check.quantity for check in again.certificate.checks]
     assert "adhesion needed by a second computation" in names
-    data["planned"]["job"]["adhesion_needed"]["peak"] *= 0.9
-    (folder / "plan.json").write_text(json.dumps(data))
+    edit(folder, lambda data: data["planned"]["job"]["adhesion_needed"].update(peak=1.0))
     with pytest.raises(ArchiveError, match=r"planned\.job\.adhesion_needed\.peak"):
         load_plan(folder)
 

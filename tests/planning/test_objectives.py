@@ -303,7 +303,7 @@ def test_round_trip(about_base: Plan, with_own: Plan, tmp_path: Path) -> None:
     changed = shutil.copytree(tmp_path / "base", tmp_path / "changed")
     edit(changed, lambda data: data["objective"].update(baseline_peak=1.0))
     with pytest.raises(
-        ArchiveError, match=r"objective\.baseline_peak: got 1.0, expected .* as measured again"
+        ArchiveError, match=r"objective\.baseline_peak: got 1.0, expected .* as computed again"
     ):
         cmbot.load_plan(changed, verify=True)
     edit(changed, lambda data: data["objective"].update(axis_weights=[1.0, 1.0, 0.0]))

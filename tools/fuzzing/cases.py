@@ -155,15 +155,16 @@ def _mutated_plan(rng: Random, corpus: Corpus) -> Files:
 
 
 def _rehashed(files: Files) -> Files:
-    """Return a plan's files with the right hashes in its JSON files, where those can be read."""
+    """Return a plan's files with the right hashes in its plan.json, where that can be read."""
     hashes = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
-    for name in ("plan.json", "tracking.json"):
-        try:
-            data = json.loads(files[name])
-            data["files"] = {each: hashes[each] for each in data["files"] if each in hashes}
-            files[name] = json.dumps(data).encode("utf-8", "surrogatepass")
-        except (KeyError, ValueError, TypeError, RecursionError):
-            continue
+    try:
+        data = json.loads(files["plan.json"])
+        data["files"] = {each: hashes[each] for each in data["files"] if each in hashes}
+        data.pop("content", None)
+        data["content"] = hashlib.sha256(json.dumps(data).encode()).hexdigest()
+        files["plan.json"] = json.dumps(data).encode("utf-8", "surrogatepass")
+    except (AttributeError, KeyError, ValueError, TypeError, RecursionError):
+        return files
     return files
 
 
@@ -172,7 +173,7 @@ _OPTIONS = {
     "replay": ("--html",),
     "report": ("--html", "--force"),
     "compare": ("--html", "--force"),
-    "export": ("--mcap", "--ros-package", "--force"),
+    "export": ("--mcap", "--csv", "--work", "--ros", "--ros-package", "--force"),
     "simulate": ("--damping", "--initial", "--stiffness", "--segments", "--force", "--json", "--details"),
     "identify": (
         "-o",
@@ -209,7 +210,18 @@ _OPTIONS = {
 }
 _NUMBERS = ("--damping", "--stiffness", "--segments", "--weight", "--gauge", "--plans", "--spacing")
 _NUMBERS += ("--pair-spacing", "--speed")
-_FILES = ("-o", "--output", "--html", "--mcap", "--ros-package", "--job", "--from", "--from-scene")
+_FILES = (
+    "-o",
+    "--output",
+    "--html",
+    "--mcap",
+    "--csv",
+    "--ros",
+    "--ros-package",
+    "--job",
+    "--from",
+    "--from-scene",
+)
 _FILES += ("--write-srdf", "--to")
 _WITH_VALUE = {*_NUMBERS, *_FILES, "--set", "--initial", "--propose", "--axes", "--tool-at", "--rpy-deg"}
 _WITH_VALUE |= {"--base", "--tool", "--objective"}

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cmbot.archive.folder import write_file
+from cmbot.archive.ros.job_file import Message, joint_trajectory, stamp
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra
 from cmbot.common.validation import given_path
@@ -28,8 +29,6 @@ _STEEL, _WORKPIECE, _PATH = (0.49, 0.55, 0.6), (0.18, 0.62, 0.56), (0.48, 0.17, 
 _CUBE, _SPHERE, _CYLINDER, _LINE_STRIP, _TRIANGLES = 1, 2, 3, 4, 11
 _LINE_WIDTH = 0.01  # m
 _SEPARATOR = "=" * 80
-
-Message = dict[str, Any]
 
 
 def export_mcap(plan: Plan, path: str | Path) -> None:
@@ -73,16 +72,15 @@ def export_mcap(plan: Plan, path: str | Path) -> None:
 def _messages(plan: Plan) -> Iterator[tuple[str, str, float, Message]]:
     """Yield topic, type, time and content of every message, in the order of time."""
     samples, _ = plan.job_samples
-    stamp = _stamp(0.0)
-    yield "/joint_trajectory", "trajectory_msgs/msg/JointTrajectory", 0.0, _trajectory(plan, stamp)
-    yield "/markers", "visualization_msgs/msg/MarkerArray", 0.0, {"markers": list(_markers(plan, stamp))}
+    yield "/joint_trajectory", "trajectory_msgs/msg/JointTrajectory", 0.0, joint_trajectory(plan)
+    yield "/markers", "visualization_msgs/msg/MarkerArray", 0.0, {"markers": list(_markers(plan))}
     some = np.unique(np.append(np.arange(0, len(samples.t), round(_STEP / 0.01)), len(samples.t) - 1))
     names, poses = link_poses(plan.robot, samples.q[some])
     # O0 has the axes of W.
     held = np.array([*plan.robot.foot_point, 0.0, 0.0, 0.0, 1.0])
     for k, each in zip(some, poses, strict=True):
         time = float(samples.t[k])
-        header = {"stamp": _stamp(time), "frame_id": WORLD}
+        header = {"stamp": stamp(time), "frame_id": WORLD}
         yield (
             "/joint_states",
             "sensor_msgs/msg/JointState",
@@ -112,27 +110,8 @@ def _messages(plan: Plan) -> Iterator[tuple[str, str, float, Message]]:
         yield "/base_wrench", "geometry_msgs/msg/WrenchStamped", time, message
 
 
-def _trajectory(plan: Plan, stamp: Message) -> Message:
-    samples, _ = plan.job_samples
-    rows = zip(samples.t, samples.q, samples.v, samples.a, samples.joint_torque, strict=True)
-    return {
-        "header": {"stamp": stamp, "frame_id": ""},
-        "joint_names": list(plan.robot.joints),
-        "points": [
-            {
-                "positions": q.tolist(),
-                "velocities": v.tolist(),
-                "accelerations": a.tolist(),
-                "effort": torque.tolist(),
-                "time_from_start": _stamp(float(t)),
-            }
-            for t, q, v, a, torque in rows
-        ],
-    }
-
-
-def _markers(plan: Plan, stamp: Message) -> Iterator[Message]:
-    header, count = {"stamp": stamp, "frame_id": WORLD}, 0
+def _markers(plan: Plan) -> Iterator[Message]:
+    header, count = {"stamp": stamp(0.0), "frame_id": WORLD}, 0
 
     def marker(kind: int, name: str, X: FloatArray, scale: Any, colour: Any, points: Any = ()) -> Message:
         nonlocal count
@@ -177,11 +156,6 @@ def _solids(obstacle: Obstacle, marker: Callable[..., Message]) -> Iterator[Mess
             mesh = load_mesh(path, obstacle.name)
             corners = np.array(mesh.vertices)[np.array(mesh.faces).ravel()]
             yield marker(_TRIANGLES, obstacle.name, X, (1.0, 1.0, 1.0), colour, corners)
-
-
-def _stamp(time: float) -> Message:
-    seconds, nanoseconds = divmod(round(1e9 * time), 10**9)
-    return {"sec": seconds, "nanosec": nanoseconds}
 
 
 def _vector(values: Any) -> Message:

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from cmbot.archive.atomic import refusals
+from cmbot.archive.folder import refusals
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import given_path

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cmbot.common.arrays import FloatArray
+from cmbot.common.file_types import OrInfinite
 
 __all__ = ["Check", "largest_check"]
 
@@ -27,8 +28,8 @@ class Check:
 
     quantity: str
     time: float
-    value: float
-    bound: float
+    value: OrInfinite
+    bound: OrInfinite
     unit: str
     at_least: bool = False
 

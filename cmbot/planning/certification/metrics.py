@@ -9,6 +9,7 @@ import numpy as np
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
+from cmbot.common.file_types import ModerateOrInfinite, NonNegative
 from cmbot.common.representation import short_repr
 from cmbot.elastic.sag import Sag
 from cmbot.hold import AdhesionPeak
@@ -22,10 +23,10 @@ __all__ = ["LimitUse", "MotionMetrics", "Samples", "figures", "measure", "tool_l
 class LimitUse:
     """Largest share of each bound that is used, over all joints and times; 1 is at the bound."""
 
-    velocity: float
-    acceleration: float
-    jerk: float
-    torque: float
+    velocity: NonNegative
+    acceleration: NonNegative
+    jerk: NonNegative
+    torque: NonNegative
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,8 +37,8 @@ class MotionMetrics:
     ----------
     peak_guardrail_torque, mean_guardrail_torque : float, Nm
         Largest value and time mean of the norm of the torque on the guardrail.
-    rms_guardrail_torque : float or None, Nm
-        Root of its mean square over time; None in plans of earlier versions.
+    rms_guardrail_torque : float, Nm
+        Root of its mean square over time.
     peak_static_guardrail_torque : float, Nm
         Largest norm at rest in the motion's postures: the part that gravity asks.
     min_clearance : float, m
@@ -51,25 +52,24 @@ class MotionMetrics:
         Largest distance of the tool point from its timed place, along the leg.
     limit_use : LimitUse
     adhesion_needed : AdhesionPeak or None
-        Largest adhesion that a foot needs; None where no foot has a flat contact, and in plans of earlier
-        versions.
-    duration : float or None, s
-    guardrail_torque_integral : float or None, Nm s
-        Of the torque's norm over that time; both None in plans of earlier versions.
+        Largest adhesion that a foot needs; None where no foot has a flat contact.
+    duration : float, s
+    guardrail_torque_integral : float, Nm s
+        Of the torque's norm over that time.
     """
 
-    peak_guardrail_torque: float
-    mean_guardrail_torque: float
-    rms_guardrail_torque: float | None
-    peak_static_guardrail_torque: float
-    min_clearance: float
-    max_tool_deviation: float
-    max_tool_rotation: float
-    max_tool_lag: float
+    peak_guardrail_torque: NonNegative
+    mean_guardrail_torque: NonNegative
+    rms_guardrail_torque: NonNegative
+    peak_static_guardrail_torque: NonNegative
+    min_clearance: ModerateOrInfinite
+    max_tool_deviation: NonNegative
+    max_tool_rotation: NonNegative
+    max_tool_lag: NonNegative
     limit_use: LimitUse
     adhesion_needed: AdhesionPeak | None = None
-    duration: float | None = None
-    guardrail_torque_integral: float | None = None
+    duration: NonNegative
+    guardrail_torque_integral: NonNegative
 
     __repr__ = short_repr
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import OptimisationFailed
+from cmbot.common.file_types import Count, NonNegative
 from cmbot.elastic.sag import Sag
 from cmbot.planning.certification.sag_spread import largest_spread
 from cmbot.planning.context import PlanningContext
@@ -54,10 +55,10 @@ class Compensation:
         where none is known.
     """
 
-    rounds: int
-    largest_shift: float
-    last_change: float
-    deviation: float = 0.0
+    rounds: Count
+    largest_shift: NonNegative
+    last_change: NonNegative
+    deviation: NonNegative = 0.0
 
 
 def compensate(

@@ -18,6 +18,7 @@ import numpy as np
 from scipy import sparse
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.common.file_types import Count, NonNegative, Share
 from cmbot.common.representation import short_repr
 from cmbot.elastic.arm import ElasticArm
 from cmbot.optimization import (
@@ -84,14 +85,14 @@ class VibrationSuppression:
         a tenth, the change is not made, and all shares are 0.
     """
 
-    modes: int
-    shares: tuple[float, ...]
-    before: float
-    after: float
-    stiffness: tuple[float, ...] = ()
+    modes: Count
+    shares: tuple[Share, ...]
+    before: NonNegative
+    after: NonNegative
+    stiffness: tuple[NonNegative, ...] = ()
     load_kg: tuple[float, ...] = ()
-    swing_without: tuple[float, ...] = ()
-    swing_with: tuple[float, ...] = ()
+    swing_without: tuple[NonNegative, ...] = ()
+    swing_with: tuple[NonNegative, ...] = ()
 
     __repr__ = short_repr
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
+from cmbot.common.file_types import NonNegative
 from cmbot.common.representation import card
 from cmbot.common.validation import require_type
 from cmbot.elastic.sag import Sag
@@ -37,10 +38,10 @@ __all__ = ["Plan", "Seconds", "require_plan"]
 class Seconds:
     """Wall time of each stage, s."""
 
-    path: float
-    optimise: float
-    certify: float
-    total: float
+    path: NonNegative
+    optimise: NonNegative
+    certify: NonNegative
+    total: NonNegative
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,6 +10,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
+from cmbot.common.file_types import NonNegative
 from cmbot.common.representation import short_repr
 from cmbot.optimization import ExchangeReport, StateSamples
 from cmbot.planning.certification.metrics import MotionMetrics, Samples
@@ -74,10 +75,10 @@ class ObjectiveMetrics:
     unit: str
     own: bool
     moment_about: str | None
-    axis_weights: tuple[float, float, float] | None
-    baseline_peak: float
-    planned_peak: float
-    floor: float | None
+    axis_weights: tuple[NonNegative, NonNegative, NonNegative] | None
+    baseline_peak: NonNegative
+    planned_peak: NonNegative
+    floor: NonNegative | None
 
     __repr__ = short_repr
 

@@ -17,6 +17,7 @@ from typing import Literal
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.common.file_types import Count, NonNegative, Row, Share
 from cmbot.common.representation import short_repr
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import null_space, project_onto_task
@@ -73,12 +74,12 @@ class LowerBound:
         where it is proven or not known.
     """
 
-    value: float
-    error: float
-    via_point: int
-    each: FloatArray
+    value: NonNegative
+    error: NonNegative
+    via_point: Count
+    each: Row
     kind: Literal["proven", "estimated"] = "estimated"
-    missed: float | None = None
+    missed: Share | None = None
 
     __repr__ = short_repr
 

@@ -62,6 +62,7 @@ DOUBLE_SIDE = 2  # three.js: draw the back faces too
 _TYPED_ARRAYS = {
     "float32": ("Float32Array", 0x17),
     "int16": ("Int16Array", 0x13),
+    "uint16": ("Uint16Array", 0x14),
     "uint32": ("Uint32Array", 0x16),
 }
 
@@ -230,7 +231,8 @@ def _set_mesh(
         "transparent": opacity < 1,
         "opacity": opacity,
     }
-    data = {"attributes": attributes, "index": _packed(surface.faces.astype(np.uint32), 1)}
+    number = np.uint16 if len(surface.vertices) <= np.iinfo(np.uint16).max else np.uint32
+    data = {"attributes": attributes, "index": _packed(surface.faces.astype(number), 1)}
     geometry = {"uuid": f"{path} geometry", "type": "BufferGeometry", "data": data}
     parts = {"geometry": geometry["uuid"], "material": material["uuid"]}
     lowered = {

@@ -88,8 +88,10 @@ def test_what_it_keeps(compensated: Plan) -> None:
 
 def test_a_compensated_plan_is_read_back(compensated: Plan, tmp_path: Path) -> None:
     save(compensated, tmp_path / "plan")
-    header = (tmp_path / "plan" / "trajectory.csv").read_text(encoding="utf-8").splitlines()[0]
-    assert header.endswith("clearance,expected_tool_x,expected_tool_y,expected_tool_z")
+    header = (tmp_path / "plan" / "job.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert header.endswith(
+        "clearance,expected_tool_x,expected_tool_y,expected_tool_z,adhesion_needed,segment"
+    )
     back = load_plan(tmp_path / "plan", verify=True)
     assert back.compensation == compensated.compensation
     assert back.figures.max_tool_deviation == pytest.approx(compensated.figures.max_tool_deviation, rel=1e-9)

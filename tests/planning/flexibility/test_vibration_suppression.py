@@ -15,7 +15,6 @@ from scipy.spatial.distance import pdist
 from small_scenes import short_scene
 
 from cmbot.archive import load_plan, resolved_file, save
-from cmbot.archive.schema import SuppressionFile
 from cmbot.common.arrays import FloatArray
 from cmbot.planning import Plan, plan, planner, remarks
 from cmbot.planning.flexibility.leg_vibration import LegVibration
@@ -131,9 +130,6 @@ def test_a_window_without_suppression_leaves_the_others_theirs(
     assert made.certificate.holds
     save(made, tmp_path / "plan")
     assert load_plan(tmp_path / "plan").suppression == made.suppression
-    # Files of before do not tell the legs apart.
-    file = SuppressionFile(modes=2, share=0.5, before=1e-3, after=5e-4)
-    assert file.made().shares == (0.5,)
 
 
 def test_steps_that_bounds_bend_do_not_go_to_and_fro() -> None:

@@ -1,4 +1,4 @@
-"""What is refused of knots and tables; numbers as text have the digits of Python's `repr`."""
+"""What is refused of knots and tables, and the digits that numbers have in them."""
 
 import io
 import zipfile
@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from plan_folders import npz, refused, rewrite
 
-from cmbot.archive.motion_files import _LONGEST_CELL, columns, read_knots, read_motion, table_csv
+from cmbot.archive.knots import read_knots
+from cmbot.archive.tables import columns, read_motion, table_csv
 from cmbot.common.errors import ArchiveError
 from cmbot.trajectory import LARGEST
 
@@ -66,7 +67,7 @@ def member_without_header(knots):
     ],
 )
 def test_damaged_knots(saved_triangle, content, key):
-    with np.load(saved_triangle / "trajectory.npz") as knots:
+    with np.load(saved_triangle / "job.npz") as knots:
         damaged = content(knots)
     with pytest.raises(ArchiveError) as caught:
         read_knots(damaged, "FILE", 7)
@@ -77,10 +78,10 @@ def test_damaged_knots(saved_triangle, content, key):
     "content", [knots_with(t=lambda t: t + 1), knots_with(t=lambda t: 2 * t), lambda knots: b""]
 )
 def test_knots_of_another_scene(triangle_folder, content):
-    with np.load(triangle_folder / "trajectory.npz") as knots:
+    with np.load(triangle_folder / "job.npz") as knots:
         other = content(knots)
-    rewrite(triangle_folder, "trajectory.npz", other)
-    refused(triangle_folder, "trajectory.npz", "t" if other else "")
+    rewrite(triangle_folder, "job.npz", other)
+    refused(triangle_folder, "job.npz", "t" if other else "")
 
 
 def test_lone_arrays_and_pickles_are_not_opened(saved_triangle, tmp_path):
@@ -90,7 +91,7 @@ def test_lone_arrays_and_pickles_are_not_opened(saved_triangle, tmp_path):
 
     lone = io.BytesIO()
     np.save(lone, np.zeros(3))
-    with np.load(saved_triangle / "trajectory.npz") as knots:
+    with np.load(saved_triangle / "job.npz") as knots:
         pickled = npz(**{**knots, "q": np.array([Trap()], dtype=object)})
     for content, words in ((lone.getvalue(), "not a zip file"), (pickled, r"FILE: q: got .*'descr': '\|O'")):
         with pytest.raises(ArchiveError, match=words):
@@ -149,7 +150,7 @@ def test_nothing_but_a_clearance_may_be_infinite():
 # Sizes at which the form changes.
 @example(np.outer([1.0, -1.0, 1 + 2**-52, 1 - 2**-53], 10.0 ** np.arange(-30, 30)))
 def test_every_number_has_the_digits_of_its_repr(table: np.ndarray) -> None:
-    """They read back as the same bits, also the sign of zero, and are no longer than tables are taken for."""
+    """They read back as the same bits, also the sign of zero."""
     table = table[np.isfinite(table).all(axis=1) & (np.abs(table) <= LARGEST).all(axis=1)]
     names = tuple(f"column_{k}" for k in range(table.shape[1]))
     header, *lines = table_csv(names, table, "FILE").decode().splitlines()
@@ -160,4 +161,21 @@ def test_every_number_has_the_digits_of_its_repr(table: np.ndarray) -> None:
     for cell, number in zip(chain.from_iterable(cells), table.ravel().tolist(), strict=True):
         digits, shortest = (Decimal(text).normalize().as_tuple().digits for text in (cell, repr(number)))
         assert digits == shortest
-        assert len(cell) < _LONGEST_CELL
+
+
+@given(arrays.arrays(np.float64, (4, 3), elements=st.floats(-1e6, 1e6)))
+def test_numbers_of_some_digits_are_no_further_off(table: np.ndarray) -> None:
+    """Nine digits, and nine after the point; the others have their own number."""
+    text = table_csv(("t", "q", "clearance"), table, "FILE", (None, 9, 9), ["a", "b", "c", "c"]).decode()
+    header, *rows = text.splitlines()
+    assert header == "t,q,clearance,segment"
+    assert [row.rsplit(",", 1)[1] for row in rows] == ["a", "b", "c", "c"]
+    read = np.array([list(map(float, row.split(",")[:3])) for row in rows])
+    np.testing.assert_array_equal(read[:, 0], table[:, 0])
+    for column in (1, 2):
+        allowed = 1e-9 * np.maximum(1.0, 10 * np.abs(table[:, column]))
+        assert (np.abs(read - table)[:, column] <= allowed).all()
+        for row in rows:
+            number = Decimal(row.split(",")[column]).as_tuple()
+            assert len(number.digits) <= 9
+            assert number.exponent >= -9

@@ -1,0 +1,150 @@
+"""A job's knots as a NumPy .npz file, from which the quintics of every segment are built again."""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+import zipfile
+import zlib
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from cmbot.archive.names import PLAN_FILE
+from cmbot.archive.plan_file import PlanFile
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import ArchiveError, InputError
+from cmbot.common.validation import counted, shown
+from cmbot.planning import QuinticTrajectory
+from cmbot.scene import Stroke
+
+__all__ = ["knots_npz", "read_knots", "require_times", "segment_trajectories"]
+
+# Relative tolerance of times.
+_SAME = 1e-9
+_KNOTS = ("t", "q", "v", "a")
+# Several times as many as a scene may have via-points.
+_MOST_KNOTS = 100_000
+# Begins an entry of the directory at a zip file's end; few numbers contain it by chance.
+_ZIP_ENTRY, _MOST_ENTRIES = b"PK\x01\x02", 100
+_NPY_VERSION_1 = b"\x93NUMPY\x01\x00"
+# Narrower than NumPy's own reader, which evaluates the header as Python.
+_NPY_HEADER = re.compile(
+    rb"\{'descr': '<f8', 'fortran_order': (?P<order>True|False), "
+    rb"'shape': \((?P<rows>\d{1,9}),(?: (?P<columns>\d{1,9}))?\), \} *\n"
+)
+# What zipfile raises for a file that is damaged or no .zip at all.
+_DAMAGED = (
+    EOFError,
+    KeyError,
+    NotImplementedError,
+    OSError,
+    RuntimeError,
+    ValueError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+
+
+def knots_npz(trajectory: QuinticTrajectory) -> bytes:
+    """Return a trajectory's knots as .npz: they define the quintics exactly; nothing is pickled."""
+    file = io.BytesIO()
+    np.savez(file, t=trajectory.t, q=trajectory.q, v=trajectory.v, a=trajectory.a)
+    return file.getvalue()
+
+
+def segment_trajectories(
+    file: PlanFile, content: bytes, source: str, dof: int, strokes: Sequence[Stroke]
+) -> tuple[QuinticTrajectory, ...]:
+    """Return the trajectory of each segment of a job, on its own clock, from the `content` of ``job.npz``.
+
+    Raises
+    ------
+    ArchiveError
+        When it is damaged, or its times are not those of the segments and of the strokes' via-points.
+    """
+    whole, last = read_knots(content, source, dof), file.segments[-1]
+    require_times(whole.t, last.begin + last.seconds, source, PLAN_FILE)
+    trajectories, remaining = [], iter(strokes)
+    for segment in file.segments:
+        ends = np.array([segment.begin, segment.begin + segment.seconds])
+        first, end = (int(np.abs(whole.t - each).argmin()) for each in ends)
+        if end <= first or (np.abs(whole.t[[first, end]] - ends) > _SAME * np.maximum(ends, 1.0)).any():
+            expected = f"knots at {ends[0]:g} and {ends[1]:g} s ({segment.name})"
+            raise ArchiveError(source, "t", "no knot where a segment begins or ends", expected)
+        part = slice(first, end + 1)
+        own = replace(
+            whole, t=whole.t[part] - whole.t[first], q=whole.q[part], v=whole.v[part], a=whole.a[part]
+        )
+        if segment.kind == "stroke":
+            stroke = next(remaining)
+            require_times(own.t, stroke.path.duration, source, "the scene")
+            if own.t.shape == stroke.via_times.shape and np.allclose(own.t, stroke.via_times, _SAME, _SAME):
+                # The sums on the job's clock are rounded.
+                own = replace(own, t=stroke.via_times)
+        trajectories.append(own)
+    return tuple(trajectories)
+
+
+def require_times(t: FloatArray, duration: float, source: str, whose: str) -> None:
+    """Refuse times `t` (N,) of the file `source` that do not run from 0 to `duration`, s, as `whose` do."""
+    if t[0] != 0.0 or abs(t[-1] - duration) > _SAME * duration:
+        raise ArchiveError(source, "t", f"{t[0]:g} to {t[-1]:g} s", f"0 to {duration:g} s, as in {whose}")
+
+
+def read_knots(content: bytes, source: str, dof: int) -> QuinticTrajectory:
+    """Return the trajectory of `dof` joints whose knots are in a file's `content`; `source` is for messages.
+
+    An `ArchiveError` is raised when the file is damaged, holds other arrays, or they are no knots. Names,
+    types and shapes are checked before numbers are unpacked.
+    """
+    if content.count(_ZIP_ENTRY) > _MOST_ENTRIES:  # zipfile makes an object of each
+        raise ArchiveError(source, "", "many members", f"the arrays {', '.join(_KNOTS)}")
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            _require_members(archive, source)
+            knots = {name: _array(archive, name, source, dof) for name in _KNOTS}
+    except ArchiveError:
+        raise
+    except _DAMAGED as error:
+        got = f"a damaged file ({shown(str(error))})"
+        raise ArchiveError(source, "", got, "a NumPy .npz file") from error
+    try:
+        return QuinticTrajectory(**knots)
+    except InputError as error:
+        raise ArchiveError(source, error.key, error.got, error.expected) from error
+
+
+def _require_members(archive: zipfile.ZipFile, source: str) -> None:
+    names = archive.namelist()
+    if sorted(names) != sorted(f"{name}.npy" for name in _KNOTS):
+        got = shown(", ".join(names[: len(_KNOTS) + 1]))
+        raise ArchiveError(source, "", f"the members {got}", f"the arrays {', '.join(_KNOTS)}")
+
+
+def _array(archive: zipfile.ZipFile, name: str, source: str, dof: int) -> FloatArray:
+    """Return an array (n,) or (n, dof) of float64; of another one, only the header is unpacked."""
+    with archive.open(f"{name}.npy") as member:
+        preamble = member.read(10)
+        if len(preamble) != 10 or preamble[:8] != _NPY_VERSION_1:
+            raise ArchiveError(source, name, shown(preamble), "an array in version 1.0 of NumPy's format")
+        header = member.read(int.from_bytes(preamble[8:], "little"))
+        match = _NPY_HEADER.fullmatch(header)
+        if match is None:
+            got = shown(header.decode("latin-1").strip())
+            raise ArchiveError(source, name, got, "an array of float64, with one or two dimensions")
+        shape = tuple(int(match[key]) for key in ("rows", "columns") if match[key])
+        rows, wanted = shape[0], ((shape[0],) if name == "t" else (shape[0], dof))
+        if not 2 <= rows <= _MOST_KNOTS or shape != wanted:
+            expected = f"2 to {_MOST_KNOTS} knots" + ("" if name == "t" else f" of {counted(dof, 'joint')}")
+            raise ArchiveError(source, name, f"an array of shape {shape}", expected)
+        size = 8 * math.prod(shape)
+        numbers = member.read(size + 1)
+        if len(numbers) != size:
+            got = "fewer numbers" if len(numbers) < size else "more numbers"
+            raise ArchiveError(source, name, got, f"an array of shape {shape}, as its header says")
+    order: Literal["F", "C"] = "F" if match["order"] == b"True" else "C"
+    return np.frombuffer(numbers, "<f8").reshape(shape, order=order)

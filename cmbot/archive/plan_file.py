@@ -1,0 +1,338 @@
+"""plan.json: the dataclasses of planning themselves, and what they have beside their fields.
+
+Classes of this module stand where an entry has other keys than the dataclass: a `Segment` has its trajectory
+in ``job.npz`` and its figures among its own keys, a `Certificate` has figures that the motion has, a `Start`
+is in degrees unless joints slide, and `PathNotFound` is an exception.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
+
+import numpy as np
+from pydantic import (
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    PlainSerializer,
+    TypeAdapter,
+    model_serializer,
+    model_validator,
+)
+from pydantic_core import CoreSchema, core_schema
+
+from cmbot.common.errors import PathNotFound
+from cmbot.common.file_types import NonNegative, OrInfinite, Share
+from cmbot.common.validation import FileModel, refusal
+from cmbot.planning import (
+    Certificate,
+    Check,
+    Choice,
+    Compensation,
+    ExchangeReport,
+    LowerBound,
+    MotionMetrics,
+    ObjectiveMetrics,
+    Plan,
+    Seconds,
+    Segment,
+    Start,
+    StrokePlan,
+    VibrationSuppression,
+)
+from cmbot.robot import Robot
+from cmbot.scene import Mesh, PlannerOptions, Scene, SceneFile, scene_from_file, update_file
+from cmbot.version import versions
+
+__all__ = ["HashesFile", "MotionFile", "PlanFile", "StrokeEntries", "made", "resolved_file", "scene_entry"]
+
+T = TypeVar("T")
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+Name = Annotated[str, Field(min_length=1, max_length=100)]
+
+
+class _Beside:
+    """Properties that an entry has beside the fields of its dataclass; reading passes over them."""
+
+    def __init__(self, *names: str) -> None:
+        self._names = names
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        schema = handler(source)
+        resolved: Any = handler.resolve_ref_schema(schema)
+        arguments = resolved["schema"] | {"extra_behavior": "ignore"}
+        write = core_schema.wrap_serializer_function_ser_schema(
+            lambda entry, fields_of: fields_of(entry) | {name: getattr(entry, name) for name in self._names},
+            schema=schema,
+        )
+        own: Any = {**resolved, "schema": arguments, "serialization": write}
+        own.pop("ref", None)
+        entry: CoreSchema = own
+        return entry
+
+
+@dataclass(frozen=True, kw_only=True)
+class CertificateFile:
+    """`Certificate` without the figures, which the motion has."""
+
+    clearance_bound: OrInfinite
+    guardrail_torque_bound: OrInfinite
+    adhesion_bound: OrInfinite
+    checks: Annotated[tuple[Annotated[Check, _Beside("holds")], ...], Field(min_length=1)]
+
+    @classmethod
+    def of(cls, certificate: Certificate) -> Self:
+        """Return it of a certificate."""
+        return made(cls, certificate)
+
+    def made(self, figures: MotionMetrics) -> Certificate:
+        """Return it as the planner has it."""
+        return made(Certificate, self, figures=figures)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionFile(MotionMetrics):
+    """Figures of the strokes, of the free moves, and of the whole job."""
+
+    free: MotionMetrics | None
+    job: MotionMetrics
+
+
+@dataclass(frozen=True, kw_only=True)
+class SegmentFile(MotionMetrics):
+    """Figures, times in s and certificate of a `Segment`."""
+
+    name: Name
+    kind: Literal["stroke", "free"]
+    begin: NonNegative
+    """On the job's clock."""
+    seconds: Annotated[float, Field(gt=0)]
+    along_self_motion: bool
+    certificate: CertificateFile
+
+    @classmethod
+    def of(cls, segment: Segment) -> Self:
+        """Return it of a segment."""
+        certificate = CertificateFile.of(segment.certificate)
+        names = ("name", "kind", "begin", "along_self_motion")
+        own = {name: getattr(segment, name) for name in names}
+        return made(cls, segment.figures, **own, seconds=segment.duration, certificate=certificate)
+
+
+class FailureFile(FileModel):
+    """`PathNotFound`, from one start."""
+
+    reason: str
+    time: float
+    progress: Share
+    smallest_singular_value: float
+    pair: tuple[str, str] | None
+
+
+class StartFile(FileModel):
+    """`Start`, in degrees; the posture of an arm with joints that slide in rad and m."""
+
+    posture_deg: Annotated[tuple[float, ...], Field(min_length=1)] | None = None
+    posture: Annotated[tuple[float, ...], Field(min_length=1)] | None = None
+    moved_deg: NonNegative
+    failures: tuple[FailureFile, ...]
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if (self.posture_deg is None) == (self.posture is None):
+            both = "none" if self.posture is None else "posture_deg and posture"
+            raise refusal("exactly one of these keys", got=both, choices=("posture_deg", "posture"))
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_other(self, handler: Any) -> dict[str, Any]:
+        other = "posture_deg" if self.posture_deg is None else "posture"
+        return {key: value for key, value in handler(self).items() if key != other}
+
+    @classmethod
+    def of(cls, start: Start, robot: Robot) -> StartFile:
+        """Return it of a start."""
+        slides = bool(robot.limits.prismatic.any())
+        failures = [
+            FailureFile(**{name: getattr(each, name) for name in FailureFile.model_fields})
+            for each in start.failures
+        ]
+        return cls(
+            posture=tuple(start.posture.tolist()) if slides else None,
+            posture_deg=None if slides else tuple(np.degrees(start.posture).tolist()),
+            moved_deg=float(np.degrees(start.moved)),
+            failures=tuple(failures),
+        )
+
+    def made(self) -> Start:
+        """Return it as the planner has it."""
+        return Start(
+            posture=np.radians(self.posture_deg) if self.posture_deg else np.array(self.posture, dtype=float),
+            moved=math.radians(self.moved_deg),
+            failures=tuple(PathNotFound(**dict(failure)) for failure in self.failures),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class StrokeEntries:
+    """What is planned of a stroke, or of all of them."""
+
+    baseline: MotionMetrics
+    suppression: Annotated[VibrationSuppression, _Beside("share")] | None
+    """null: the vibration was not suppressed."""
+    compensation: Compensation | None
+    """null: the sag was not compensated."""
+    objective: Annotated[ObjectiveMetrics, _Beside("gap")]
+    floor: LowerBound | None
+    choice: Choice | None
+    start: StartFile
+    drift: NonNegative
+    """Of the baseline's tool point, m."""
+    smallest_singular_value: NonNegative
+    """Along the baseline."""
+    passes: tuple[ExchangeReport, ...]
+
+    @classmethod
+    def of(cls, stroke: StrokePlan, robot: Robot, **own: object) -> Self:
+        """Return it of what is planned of a stroke, with the fields of a class below."""
+        start = StartFile.of(stroke.start, robot)
+        given = {"baseline": stroke.baseline_figures, "floor": stroke.lower_bound, "start": start} | own
+        return made(cls, stroke, **given)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StrokeFile(StrokeEntries):
+    """`StrokePlan`, one of several."""
+
+    name: Name
+    baseline_begin: NonNegative
+    """When the baseline's stroke begins in ``baseline.csv``, s."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HashesFile:
+    """SHA-256 of the inputs."""
+
+    robot: Sha256
+    """`Robot.content_hash`."""
+    scene: Sha256
+    """`Scene.content_hash` of the scene as it was read."""
+    resolved_scene: Sha256
+    """The same of the scene in this file, whose paths are absolute."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanFile(StrokeEntries):
+    """All of a plan but its arrays, and but the hashes of the other files and of this one."""
+
+    __pydantic_config__: ClassVar[ConfigDict] = FileModel.model_config
+
+    format: Literal["cmbot-plan/2"] = "cmbot-plan/2"
+    status: Literal["certified"] = "certified"
+    baseline: MotionFile
+    planned: MotionFile
+    segments: Annotated[tuple[SegmentFile, ...], Field(min_length=1, max_length=10_000)]
+    """Of the job, in the order of time."""
+    strokes: Annotated[tuple[StrokeFile, ...], Field(max_length=200)]
+    """Empty where there is one: the plan's entries are its own."""
+    torque_floor: NonNegative | None
+    """Of the torque on the guardrail, Nm; null with fixed knots or another objective."""
+    torque_floor_kind: Literal["proven", "estimated"] | None
+    """null without a bound."""
+    torque_floor_error: NonNegative | None
+    """How far the true value may lie below the bound, Nm; null without one."""
+    gap_to_floor: float | None
+    """Planned peak less its lower bound, as a share of the bound."""
+    fallbacks: tuple[str, ...]
+    seconds: Seconds
+    certificate: CertificateFile
+    options: PlannerOptions
+    scene: Annotated[SceneFile, PlainSerializer(SceneFile.as_data)]
+    versions: dict[str, str]
+    hashes: HashesFile
+
+    @classmethod
+    def of_plan(
+        cls, plan: Plan, scene: SceneFile, baseline: MotionFile | None, hashes: HashesFile
+    ) -> PlanFile:
+        """Return it of a plan; what `baseline` says of the baseline is measured, where it is not given."""
+        measured = baseline or made(
+            MotionFile, plan.baseline_figures, free=plan.baseline_free_figures, job=plan.baseline_job_figures
+        )
+        planned = made(MotionFile, plan.figures, free=plan.job.free_figures, job=plan.job.figures)
+        return cls.of(
+            plan,
+            plan.robot,
+            format="cmbot-plan/2",
+            status="certified" if plan.job.certificate.holds else "a promise is broken",
+            baseline=measured,
+            planned=planned,
+            segments=tuple(map(SegmentFile.of, plan.job.segments)),
+            strokes=tuple(
+                StrokeFile.of(stroke, plan.robot, name=stroke.name, baseline_begin=begin)
+                for stroke, begin in zip(plan.several, _begins(plan), strict=True)
+            ),
+            certificate=CertificateFile.of(plan.certificate),
+            scene=scene,
+            versions=versions(),
+            hashes=hashes,
+        )
+
+    def as_data(self) -> dict[str, Any]:
+        """Return it ready for JSON; what is looked for comes first."""
+        data: dict[str, Any] = TypeAdapter(PlanFile).dump_python(self, mode="json")
+        first = {name: data[name] for name in ("format", "status", "baseline", "planned")}
+        return first | data
+
+
+def _begins(plan: Plan) -> list[float]:
+    """When each of several strokes begins in the table of the baseline, s."""
+    if not plan.several:
+        return []
+    begins = {each.name: each.begin for each in plan.baseline_segments}
+    return [begins[stroke.name] - begins[plan.strokes[0].name] for stroke in plan.several]
+
+
+def made(kind: type[T], source: object, /, **changes: object) -> T:
+    """Return the dataclass whose fields are attributes of `source`, some of them changed or added."""
+    names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+    return kind(**{name: changes[name] if name in changes else getattr(source, name) for name in names})
+
+
+# The scene of a plan
+
+
+def scene_entry(plan: Plan) -> tuple[SceneFile, HashesFile]:
+    """Return a plan's scene as its file has it, and the hashes of what it was planned from.
+
+    Raises
+    ------
+    SceneError
+        When a file that the scene names is missing, or no scene file describes it.
+    """
+    given = update_file(plan.scene)
+    scene = resolved_file(given)
+    return scene, HashesFile(
+        robot=plan.robot.content_hash,
+        scene=given.content_hash,
+        resolved_scene=scene_from_file(scene, Path.cwd(), plan.scene.source).content_hash,
+    )
+
+
+def resolved_file(scene: Scene) -> SceneFile:
+    """Return the scene's content with absolute paths, so that it can be read back from anywhere."""
+    # The scene's own obstacles come before the guardrail's members.
+    shapes = [obstacle.shape for obstacle in scene.obstacles[: len(scene.file.obstacles)]]
+    obstacles = tuple(
+        file.model_copy(update={"mesh": str(shape.path)}) if isinstance(shape, Mesh) else file
+        for file, shape in zip(scene.file.obstacles, shapes, strict=True)
+    )
+    paths = {name: getattr(scene.robot, name) for name in ("model", "limits", "srdf", "elasticity")}
+    resolved: dict[str, object] = {name: str(path) for name, path in paths.items() if path is not None}
+    if scene.robot.package_dirs is not None:
+        resolved["package_dirs"] = tuple(map(str, scene.robot.package_dirs))
+    robot = scene.file.robot.model_copy(update=resolved)
+    return scene.file.model_copy(update={"obstacles": obstacles, "robot": robot})

@@ -1,0 +1,137 @@
+"""Motions as tables: one row a sample, SI units, radians, world frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import ArchiveError
+from cmbot.common.validation import counted, shown
+from cmbot.planning import Samples
+from cmbot.trajectory import LARGEST
+
+__all__ = ["columns", "read_motion", "read_table", "samples_csv", "table_csv"]
+
+_JOINT_COLUMNS = ("q", "v", "a", "j", "tau")
+_VECTORS = ("guardrail_torque", "guardrail_force", "tool")
+_CLEARANCE, _SEGMENT, _ADHESION = "clearance", "segment", "adhesion_needed"
+# Digits in all, and after the point; the baseline's joints are read back, and figures computed from them.
+_DIGITS, _READ_BACK = 9, 12
+
+
+def columns(dof: int, *, compensated: bool = False) -> tuple[str, ...]:
+    """Return the columns' names for an arm of `dof` joints: ``t, q1, ..., clearance``.
+
+    With compensated sag, ``tool`` is the commanded point and ``expected_tool``, at the end, the one with sag.
+    """
+    joints = (f"{letter}{i}" for letter in _JOINT_COLUMNS for i in range(1, dof + 1))
+    vectors = (f"{vector}_{axis}" for vector in _VECTORS for axis in "xyz")
+    expected = (f"expected_tool_{axis}" for axis in ("xyz" if compensated else ""))
+    return ("t", *joints, *vectors, _CLEARANCE, *expected)
+
+
+def samples_csv(samples: Samples, source: str, labels: Sequence[str] | None = None) -> bytes:
+    """Return samples (N,) as CSV; `source` is for messages.
+
+    Of a whole job `labels` (N,), the names of the segments, are the last column, after the adhesion that each
+    foot with a flat contact needs. Numbers have to be finite, but for a clearance without obstacles.
+    """
+    vectors = (samples.guardrail_torque, samples.guardrail_force, samples.tool_point)
+    joints = (samples.q, samples.v, samples.a, samples.j, samples.joint_torque)
+    expected = samples.expected_tool_point
+    more = [] if expected is None else [expected]
+    names = columns(samples.q.shape[1], compensated=expected is not None)
+    if labels is not None and samples.adhesion_needed is not None:
+        feet = samples.adhesion_needed.shape[1]
+        names += (_ADHESION,) if feet == 1 else tuple(f"{_ADHESION}_{foot}" for foot in range(1, feet + 1))
+        more.append(samples.adhesion_needed)
+    table = np.column_stack([samples.t, *joints, *vectors, samples.clearance, *more])
+    number = 1 + 4 * samples.q.shape[1]
+    joint = _READ_BACK if labels is None else _DIGITS
+    digits = [None, *[joint] * (number - 1), *[_DIGITS] * (len(names) - number)]
+    return table_csv(names, table, source, digits, labels)
+
+
+def table_csv(
+    names: tuple[str, ...],
+    table: FloatArray,
+    source: str,
+    digits: Sequence[int | None] = (),
+    labels: Sequence[str] | None = None,
+) -> bytes:
+    """Return a table (N, k) of finite numbers with its columns' names as CSV.
+
+    `digits` (k,) are as many as the numbers of each column have at most, and after the point; None, and where
+    they are left out: all. `labels` (N,) are one more column.
+    """
+    table = np.array(table)
+    _require_numbers(table, names, source)
+    digits = digits or [None] * len(names)
+    form = ",".join("%r" if number is None else f"%.{number}g" for number in digits)
+    for column, number in enumerate(digits):
+        if number is not None:
+            table[:, column] = np.round(table[:, column], number)
+    rows = [form % tuple(row) for row in table.tolist()]
+    if labels is not None:
+        names, rows = (*names, _SEGMENT), [f"{row},{label}" for row, label in zip(rows, labels, strict=True)]
+    return "\n".join([",".join(names), *rows, ""]).encode()
+
+
+def read_motion(
+    content: bytes, source: str, dof: int
+) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
+    """Read a table of samples of n = `dof` joints, as `read_table` does; `source` is the file, for messages.
+
+    Returns the times (N,), s, and position, velocity, acceleration and jerk, (N, n) each.
+    """
+    table = read_table(content, source, columns(dof))
+    q, v, a, j = (table[:, 1 + k * dof : 1 + (k + 1) * dof].copy() for k in range(4))
+    return table[:, 0].copy(), (q, v, a, j)
+
+
+def read_table(content: bytes, source: str, names: tuple[str, ...]) -> FloatArray:
+    """Return the table (N, k) with the columns `names`, of which the first is the time.
+
+    Columns may not be missing or unknown, cells have to be numbers of reasonable size, times to increase.
+    """
+    try:
+        header, *lines = content.decode("ascii").splitlines() or [""]
+    except UnicodeDecodeError as error:
+        got = f"a strange byte (byte {error.start})"
+        raise ArchiveError(source, "", got, "a table of numbers") from error
+    if header != ",".join(names):
+        raise ArchiveError(source, "line 1", shown(header), f"the columns {','.join(names)}")
+    table = np.array([_read_row(line, number, source, names) for number, line in enumerate(lines, start=2)])
+    if len(table) < 2 or not (np.diff(table[:, 0]) > 0).all():
+        got, expected = counted(len(table), "row"), "two or more rows, their times increasing"
+        raise ArchiveError(source, "t", got, expected)
+    _require_numbers(table, names, source)
+    return table
+
+
+def _read_row(line: str, number: int, source: str, names: tuple[str, ...]) -> list[float]:
+    cells, row = line.split(","), list[float]()
+    if len(cells) != len(names):
+        got, expected = (counted(len(each), "cell") for each in (cells, names))
+        raise ArchiveError(source, f"line {number}", got, expected)
+    try:
+        row.extend(map(float, cells))
+    except ValueError as error:
+        # The row has the numbers before the first cell that is none.
+        key = f"line {number}, {names[len(row)]}"
+        raise ArchiveError(source, key, shown(cells[len(row)]), "a number") from error
+    return row
+
+
+def _require_numbers(table: FloatArray, names: tuple[str, ...], source: str) -> None:
+    wrong = ~(np.abs(table) <= LARGEST)
+    if _CLEARANCE in names:
+        clearance = names.index(_CLEARANCE)
+        wrong[:, clearance] &= table[:, clearance] != math.inf
+    if wrong.any():
+        row, column = np.argwhere(wrong)[0]
+        key = f"line {row + 2}, {names[column]}"
+        raise ArchiveError(source, key, table[row, column], f"a finite number of at most {LARGEST:g}")
