@@ -41,6 +41,7 @@ __all__ = [
     "replace_folder",
     "resolved",
     "sealed",
+    "without_hashes",
     "write_file",
 ]
 
@@ -208,8 +209,13 @@ def sealed(
 ) -> dict[str, Any]:
     """Return a record with the hashes of all files beside it, and of its own content."""
     files = {**(kept or {}), **{name: _hash(content) for name, content in contents.items()}}
-    data = {key: value for key, value in record.items() if key != _CONTENT} | {_FILES: files}
-    return data | {_CONTENT: _content_hash(data)}
+    data = {**without_hashes(record), _FILES: files}
+    return {**data, _CONTENT: _content_hash(data)}
+
+
+def without_hashes(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a record says beside the hashes of files and of its own content."""
+    return {key: value for key, value in record.items() if key not in (_FILES, _CONTENT)}
 
 
 def resolved(directory: Path) -> Path:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from cmbot.archive.consistency import require_fit, require_same, require_segments
-from cmbot.archive.folder import read_folder
+from cmbot.archive.folder import read_folder, without_hashes
 from cmbot.archive.knots import require_times, segment_trajectories
 from cmbot.archive.names import BASELINE_FILE, JOB_FILES, PLAN_FILE, PLAN_FILES
 from cmbot.archive.places import plans_nearby
@@ -53,8 +53,6 @@ __all__ = ["load_plan", "plan_data"]
 
 # Relative and absolute tolerance of metrics computed again: processors round differently.
 _SAME, _SAME_ZERO = 1e-6, 1e-9
-# The hashes of a record and of its files, and the versions of what has written them.
-_NOT_OF_THE_PLAN = ("files", "content", "versions")
 
 
 def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
@@ -96,10 +94,9 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
         return (*PLAN_FILES, *(name for name in shown_files if (folder / name).exists()))
 
     data, contents = _read(folder, wanted)
-    own = {name: entry for name, entry in data.items() if name not in ("files", "content")}
-    file = validated(PlanFile, own, str(source), ArchiveError)
+    file = validated(PlanFile, without_hashes(data), str(source), ArchiveError)
     with _as_archive_error(str(source)):
-        scene = _scene(file, data, source)
+        scene = _scene(file, source)
         robot = _robot(scene, file, source)
         strokes = strokes_of(scene, robot)
         end = end_posture_of(scene, robot)
@@ -126,11 +123,7 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
         raise ArchiveError(table, "", "other motions between the strokes", "the quickest straight ones")
     baseline = made(MotionFile, plan.baseline_figures, free=file.baseline.free, job=file.baseline.job)
     again = PlanFile.of_plan(plan, file.scene, baseline, file.hashes).as_data()
-    got, expected = (
-        {name: entry for name, entry in entries.items() if name not in _NOT_OF_THE_PLAN}
-        for entries in (data, again)
-    )
-    require_same(got, expected, str(source), "")
+    require_same(without_hashes(data), again | {"versions": data["versions"]}, str(source), "")
     return _verified(plan, file.baseline, clearances, source) if verify else plan
 
 
@@ -165,8 +158,8 @@ def _read(folder: Path, wanted: Any) -> tuple[dict[str, Any], dict[str, bytes]]:
         raise ArchiveError(source, "", "no such file", f"{expected}{plans_nearby(folder)}") from error
 
 
-def _scene(file: PlanFile, data: Mapping[str, Any], source: Path) -> Scene:
-    scene = scene_from_file(file.scene, source.parent, str(source), data["scene"])
+def _scene(file: PlanFile, source: Path) -> Scene:
+    scene = scene_from_file(file.scene, source.parent, str(source))
     what = "the scene in this file or the meshes that it names have changed since"
     _require_hash(scene.content_hash, file.hashes.resolved_scene, source, "hashes.resolved_scene", what)
     # The hash is that of the file that the scene was read from.
@@ -194,7 +187,7 @@ def _job(
         task = tasks[min(number, len(tasks) - 1)]
         own = task if entry.kind == "stroke" else task.held_at_start()
         number += entry.kind == "stroke"
-        certificate = _certificate(entry, f"{source}", f"segments[{k}].certificate")
+        certificate = _certificate(entry, str(source), f"segments[{k}].certificate")
         segments.append(made(Segment, entry, trajectory=trajectory, certificate=certificate, task=own))
     return Job(segments=tuple(segments))
 

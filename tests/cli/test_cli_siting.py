@@ -11,7 +11,7 @@ from small_scenes import short_scene
 
 import cmbot
 
-FILES = {"stances.csv", "best.yaml", "index.html"}
+FILES = {"stances.csv", "stances.json", "best.yaml", "index.html"}
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +70,7 @@ def test_jobs_that_no_stance_reaches_are_done_from_two(both: tuple[Path, Outcome
     assert outcome.status == 0, outcome.err
     assert "2 strokes from 2 stances: no fewer were found to be enough." in outcome.out
     names = {path.name for path in (folder / "out").iterdir()}
-    assert names == {"stances.csv", "index.html", "best_1.yaml", "best_2.yaml", "notes.txt"}
+    assert names == {"stances.csv", "index.html", "best_1.yaml", "best_2.yaml", "stances.json", "notes.txt"}
     scenes = [cmbot.load_scene(folder / "out" / f"best_{k}.yaml") for k in (1, 2)]
     assert [scene.each_stroke[0].name for scene in scenes] == ["left", "right"]
     assert scenes[0].robot.stance.foot[0] < scenes[1].robot.stance.foot[0]
@@ -91,7 +91,7 @@ def test_scenes_of_an_earlier_search_do_not_stay(both: tuple[Path, Outcome]) -> 
     again = run("stand", folder / "left.yaml", *words)
     assert again.status == 0, again.err
     names = {path.name for path in (folder / "out").iterdir()}
-    assert names == {"stances.csv", "index.html", "best.yaml", "notes.txt"}
+    assert names == {"stances.csv", "index.html", "best.yaml", "stances.json", "notes.txt"}
 
 
 @pytest.mark.parametrize("verb", ["stand", "tour"])
