@@ -103,7 +103,8 @@ def _locked(lock: Path, target: Path) -> BufferedWriter:
             # The call before this one has removed an empty folder; or, as in /proc, none can be made.
             if attempt + 1 < _ATTEMPTS:
                 continue
-            raise
+            got, expected = "a place where no file can be made", "a place that can be written to"
+            raise ArchiveError(str(target), "", got, expected) from None
         with suppress(BlockingIOError, FileNotFoundError):
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             # The call before this one may have removed it.
@@ -166,10 +167,10 @@ def replace_folder(
     """
     with exclusive(target), refusals(target):
         target.mkdir(exist_ok=True)
-        for file in (*contents, name):
+        earlier = _files(_whole(target / name))
+        for file in (*contents, name, *earlier):
             if (target / file).is_dir():
                 raise ArchiveError(str(target / file), "", "a folder", "a file, or nothing")
-        earlier = _files(_whole(target / name))
         whole = sealed(record, contents, {file: earlier[file] for file in kept})
         try:
             for file, content in (*contents.items(), (name, json_bytes(whole, indent=2))):
@@ -236,13 +237,15 @@ def drafted(target: Path) -> Iterator[Path]:
     To be called inside `exclusive`; an empty folder of that name is replaced.
     """
     draft = _part(target)
-    with exclusive(target), refusals(target):
-        draft.mkdir()
+    with exclusive(target):
         # Nobody else knows it: it needs no lock of its own.
         token = _held.set(_held.get() | {draft})
         try:
+            with refusals(target):
+                draft.mkdir()
             yield draft
-            draft.rename(target)
+            with refusals(target):
+                draft.rename(target)
         finally:
             _held.reset(token)
             shutil.rmtree(draft, ignore_errors=True)

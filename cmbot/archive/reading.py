@@ -123,7 +123,9 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
         raise ArchiveError(table, "", "other motions between the strokes", "the quickest straight ones")
     baseline = made(MotionFile, plan.baseline_figures, free=file.baseline.free, job=file.baseline.job)
     again = PlanFile.of_plan(plan, file.scene, baseline, file.hashes).as_data()
-    require_same(without_hashes(data), again | {"versions": data["versions"]}, str(source), "")
+    # What it was made of, and by what, is not computed.
+    given = {name: data[name] for name in ("scene", "versions")}
+    require_same(without_hashes(data), again | given, str(source), "")
     return _verified(plan, file.baseline, clearances, source) if verify else plan
 
 

@@ -102,7 +102,7 @@ def load_walk(directory: str | Path) -> Walk:
     reader.require_stance(goal, "goal")
     last = None if file.last is None else reader.move(file.last, "last", "arm")
     walk = Walk(scene=scene, goal=goal, steps=steps, last=last, failures=(), speed=file.max_foot_speed)
-    again = walk_data(walk) | {"cmbot": file.cmbot}
+    again = walk_data(walk) | {"scene": data["scene"], "cmbot": file.cmbot}
     require_same(without_hashes(data), again, str(path), "", _SAME, _SAME_ZERO)
     return walk
 

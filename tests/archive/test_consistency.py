@@ -116,6 +116,29 @@ def test_what_is_wrong_or_does_not_fit_is_named_by_its_key(folder, change, key):
     refused(folder, "plan.json", key)
 
 
+def test_strokes_that_the_scene_has_not(folder):
+    def one(data):
+        entries = (
+            "baseline",
+            "suppression",
+            "compensation",
+            "objective",
+            "floor",
+            "choice",
+            "start",
+            "drift",
+        )
+        stroke = {key: data[key] for key in (*entries, "smallest_singular_value", "passes")}
+        stroke["baseline"] = {
+            key: stroke["baseline"][key] for key in stroke["baseline"].keys() - {"job", "free"}
+        }
+        data["strokes"] = [stroke | {"name": "other", "baseline_begin": 0.0}]
+
+    edit(folder, one)
+    error = refused(folder, "plan.json", "strokes")
+    assert (error.got, error.expected) == ("'other'", "none, by the scene")
+
+
 def test_an_approach_that_is_denied(folder):
     edit(folder, lambda data: data["segments"].pop(0))
     assert refused(folder, "plan.json", "segments").expected.startswith("approach, work")

@@ -255,6 +255,13 @@ def test_names_that_are_there_are_refused_without_force(folder: Path) -> None:
     for force in (False, True):
         with pytest.raises(ArchiveError, match=r"best\.yaml: got a folder"):
             write(folder, NEW, force=force)
+    (folder / "best.yaml").rmdir()
+    (folder / "best_2.yaml").unlink()
+    (folder / "best_2.yaml").mkdir()
+    with pytest.raises(ArchiveError, match=r"best_2\.yaml: got a folder"):
+        write(folder, {"stances.csv": b"new"}, force=True)
+    (folder / "best_2.yaml").rmdir()
+    (folder / "best_2.yaml").write_bytes(b"old")
     with pytest.raises(ArchiveError, match="a file of that name"):
         write(folder / "notes.txt", NEW)
     assert read(folder) == OLD
@@ -307,7 +314,7 @@ def test_a_link_is_followed_and_stays(folder: Path) -> None:
         ("circle/plan", "the path of a folder"),
         ("x" * 300, "a refusal of the system"),
         ("/", "the root of all folders"),
-        ("/proc/new/plan", "a place that can be written to"),
+        ("/proc/new/plan", "a place where no file can be made, expected a place that can be written to"),
     ],
 )
 def test_places_where_nothing_can_be_made(tmp_path: Path, path: str, words: str) -> None:

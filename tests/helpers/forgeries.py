@@ -217,7 +217,5 @@ def put_job(folder: Path, job: Job) -> None:
 def changed_scene(data: dict[str, Any], change: Callable[[dict[str, Any]], object], folder: Path) -> None:
     """Change the scene in the content of a plan.json, and the hash of it there."""
     change(data["scene"])
-    scene = scene_from_file(
-        validated(SceneFile, data["scene"], "scene", SceneError), folder, "scene", data["scene"]
-    )
+    scene = scene_from_file(validated(SceneFile, data["scene"], "scene", SceneError), folder, "scene")
     data["hashes"]["resolved_scene"] = scene.content_hash
