@@ -43,6 +43,7 @@ _REQUIRED = {
     "coal": "coal",
     "numpy": "numpy",
     "scipy": "scipy",
+    "annotated-types": "annotated_types",
     "pydantic": "pydantic",
     "ruamel.yaml": "ruamel.yaml",
     "meshcat": "meshcat",

@@ -278,5 +278,6 @@ def test_replay_serves_the_page_until_ctrl_c(directory: Path) -> None:
             out, err = process.communicate(timeout=60)
         finally:
             process.kill()
+    assert run("replay", directory).status == 0
     assert page == (directory / "replay.html").read_text(encoding="utf-8")
     assert (process.returncode, out, err) == (0, "", "")
