@@ -128,7 +128,7 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
         else validated(PlanFile, data, str(source), ArchiveError)
     )
     with _as_archive_error(str(source)):
-        scene = _scene(read, data, source)
+        scene = _scene(read, source)
         robot = _robot(scene, read, source)
         strokes = strokes_of(scene, robot)
         end = end_posture_of(scene, robot)
@@ -270,8 +270,8 @@ def _contents(folder: Path, file: PlanFile, dof: int) -> dict[str, bytes]:
     return contents
 
 
-def _scene(file: PlanFile | EarlierPlanFile, data: dict[str, Any], source: Path) -> Scene:
-    scene = scene_from_file(file.scene, source.parent, str(source), data["scene"])
+def _scene(file: PlanFile | EarlierPlanFile, source: Path) -> Scene:
+    scene = scene_from_file(file.scene, source.parent, str(source))
     what = "the scene in this file or the meshes that it names have changed since"
     _require_hash(scene.content_hash, file.hashes.resolved_scene, source, "hashes.resolved_scene", what)
     # The hash is that of the file that the scene was read from.

@@ -244,7 +244,7 @@ def precheck_options(options: PlannerOptions, tool: Tool | None = None) -> Itera
 def mistaken_units(scene: Scene) -> Iterator[tuple[str, str, str]]:
     """Yield what of a scene looks as if it were in other units: key, the units it looks like, and its own."""
     key = scene.file.posture_key
-    if key.endswith("posture_deg"):
+    if key == "start.posture_deg":
         angles = np.abs(np.degrees(scene.posture))
         fractions = np.abs(angles - np.round(angles)) > _WHOLE
         if 0.5 < angles.max() <= 2 * np.pi and fractions.sum() >= 2:

@@ -7,7 +7,6 @@ from cmbot.scene.base.identified import IdentifiedBase, IdentifiedSpring, Identi
 from cmbot.scene.base.stance import FootholdFile, StanceFile, axis_point, foothold_face, foothold_pose
 from cmbot.scene.changes import changed_content, is_within, whole_key
 from cmbot.scene.mesh_file import load_mesh
-from cmbot.scene.migration import migrated
 from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, pose
 from cmbot.scene.options import MOST_SAMPLES, PlannerOptions
 from cmbot.scene.path.legs import ArcTo, Goal, Leg
@@ -87,7 +86,6 @@ __all__ = [
     "limits_text",
     "load_mesh",
     "load_scene",
-    "migrated",
     "pieces_left_out",
     "pose",
     "rows_alone",

@@ -114,7 +114,7 @@ _RIGID = "{bays: 0}  # none: a rigid base; {bays: 0, stiffness: [3 in N/m, 3 in 
 def _posture(q: FloatArray, prismatic: BoolArray) -> str:
     """The entry of a posture (n,)."""
     if not prismatic.any():
-        return f"posture_deg: {_flow([round(angle, 4) for angle in np.rad2deg(q).tolist()])}"
+        return f"start:\n  posture_deg: {_flow([round(angle, 4) for angle in np.rad2deg(q).tolist()])}"
     numbers = _flow([round(value, 5) for value in q.tolist()])
     return f"start:\n  posture: {numbers}  # rad and, of joints that slide, m"
 

@@ -341,7 +341,7 @@ def stance_of(scene: Scene) -> Candidate:
 def _stance_from(stance: StanceFile, scene: Scene) -> Candidate:
     data = scene.file.as_data()
     guardrail = {**data["guardrail"], "stance": stance.model_dump(mode="json", exclude_none=True)}
-    return stance_of(load_scene({**data, "format": "cmbot-scene/2", "guardrail": guardrail}))
+    return stance_of(load_scene({**data, "guardrail": guardrail}))
 
 
 def load_goal(path: str | Path) -> Scene | StanceFile:

@@ -1,6 +1,5 @@
 """Plan directories read back: the same plan, and on request certified again."""
 
-import hashlib
 import json
 import math
 import shutil
@@ -12,10 +11,9 @@ import pytest
 from plan_folders import FILES, changed, edit, same_arrays
 
 from cmbot.archive import load_plan, save
-from cmbot.common.errors import ArchiveError, PathNotFound
+from cmbot.common.errors import PathNotFound
 from cmbot.planning import Job, Plan, Start
 from cmbot.planning.certification.metrics import figures
-from cmbot.scene import PlannerOptions
 
 
 @pytest.fixture(scope="module")
@@ -160,23 +158,6 @@ def test_verify_certifies_again(saved_triangle, triangle_plan):
         for got, expected in zip(own, made.checks, strict=True):
             assert got.quantity == expected.quantity
             assert got.value == pytest.approx(expected.value, rel=1e-9, abs=1e-12)
-
-
-def test_options_that_are_newer_than_a_plan_have_their_defaults(short_plan, tmp_path):
-    """An earlier version stored, and hashed, a scene that knew nothing of them."""
-    save(short_plan, tmp_path / "plan")
-
-    def without(data):
-        for options in (data["options"], data["scene"]["planner"]):
-            del options["peak_tolerance"]
-        text = json.dumps(data["scene"], sort_keys=True, separators=(",", ":"))
-        data["hashes"]["resolved_scene"] = hashlib.sha256(text.encode()).hexdigest()
-
-    edit(tmp_path / "plan", without)
-    assert load_plan(tmp_path / "plan").options.peak_tolerance == PlannerOptions().peak_tolerance
-    edit(tmp_path / "plan", lambda data: data["scene"]["planner"].update(smoothing_weight=0.2))
-    with pytest.raises(ArchiveError, match=r"hashes\.resolved_scene"):
-        load_plan(tmp_path / "plan")
 
 
 def test_passes_that_do_not_tell_whether_the_solver_ended_are_read(short_plan, tmp_path):

@@ -57,7 +57,7 @@ def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome]:
     folder = tmp_path_factory.mktemp("both")
     for name, x in (("left", -3.2), ("right", 3.2)):
         begin = {"frame": "world", "xyz": [x, 0.78, -1.96], "rpy_deg": [0, 180, 0]}
-        job = short_scene(name=name, format="cmbot-scene/2", tool_path={"from": begin})
+        job = short_scene(name=name, tool_path={"from": begin})
         (folder / f"{name}.yaml").write_text(json.dumps(job.file.as_data()))
     words = ("--one-foot", "--spacing", "0.8", "--plans", "0", "-o", folder / "out")
     (folder / "out").mkdir()

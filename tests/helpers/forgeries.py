@@ -134,7 +134,7 @@ def _tool(**entries: object) -> Callable[[dict[str, Any]], object]:
     def change(data: dict[str, Any]) -> None:
         # What is left out means another speed profile in the second format.
         data["tool_path"].setdefault("speed_profile", {"kind": "trapezoidal"})
-        data.update(format="cmbot-scene/2", tool=entries)
+        data.update(tool=entries)
 
     return change
 
@@ -218,7 +218,5 @@ def put_job(folder: Path, job: Job) -> None:
 def changed_scene(data: dict[str, Any], change: Callable[[dict[str, Any]], object], folder: Path) -> None:
     """Change the scene in the content of a plan.json, and the hash of it there."""
     change(data["scene"])
-    scene = scene_from_file(
-        validated(SceneFile, data["scene"], "scene", SceneError), folder, "scene", data["scene"]
-    )
+    scene = scene_from_file(validated(SceneFile, data["scene"], "scene", SceneError), folder, "scene")
     data["hashes"]["resolved_scene"] = scene.content_hash

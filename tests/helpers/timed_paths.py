@@ -13,9 +13,7 @@ from cmbot.planning.verification.scene_path import ScenePath
 from cmbot.scene import Scene
 
 SECOND = {
-    **{key: value for key, value in SHORT.items() if key != "posture_deg"},
-    "format": "cmbot-scene/2",
-    "start": {"posture_deg": SHORT["posture_deg"]},
+    **SHORT,
     "frames": {"bracket": {"xyz": [0.3, -0.2, 0.7], "rpy_deg": [10, -40, 130]}},
 }
 WHERE = np.array([1.8, 0.7, -2.0])

@@ -270,7 +270,7 @@ def test_the_file_makes_the_same_arm_with_the_same_spread(
 
 def scene_with(identified: object, folder: Path, **changes: object) -> Scene:
 
-    data = SCENE.file.as_data() | {"format": "cmbot-scene/2", "identified": identified} | changes
+    data = SCENE.file.as_data() | {"identified": identified} | changes
     path = folder / "scene.yaml"
     path.write_text(json.dumps(data), encoding="utf-8")
     return load_scene(path)
@@ -293,8 +293,6 @@ def test_an_identified_stiffness_belongs_to_its_robot_and_place(
         scene_with(data, tmp_path, guardrail={"stiffness": [1e6, 1e6, 1e6, 1e5, 1e5, 1e5]})
     with pytest.raises(SceneError, match="expected elastic, as joints were identified"):
         scene_with(data, tmp_path, robot={"joints": "rigid"})
-    with pytest.raises(SceneError, match="identified: got identified, expected no such key in cmbot-scene/1"):
-        scene_with(data, tmp_path, format="cmbot-scene/1")
     with pytest.raises(SceneError, match="expected 32 rows of 32 numbers"):
         scene_with(data | {"covariance": data["covariance"][:-1]}, tmp_path)
     fewer = [row[:-21] for row in data["covariance"][:-21]]

@@ -26,7 +26,7 @@ ADHESION = 100e3
 
 def magnet_scene(adhesion: float | None = ADHESION, **planner: Any) -> cmbot.Scene:
     hold = {"kind": "magnet", "adhesion_n": adhesion} if adhesion else {"kind": "welded"}
-    changes = {"format": "cmbot-scene/2", "guardrail": {"hold": hold}, "planner": planner}
+    changes = {"guardrail": {"hold": hold}, "planner": planner}
     return short_scene(**changes, tool={"process_force_n": [0, 0, -100]})
 
 
@@ -154,7 +154,7 @@ def away() -> Plan:
 
 def away_scene(stance: Any) -> cmbot.Scene:
     hold = {"kind": "magnet", "adhesion_n": ADHESION}
-    changes = {"format": "cmbot-scene/2", "guardrail": {"hold": hold, "stance": stance}}
+    changes = {"guardrail": {"hold": hold, "stance": stance}}
     return short_scene(**changes, tool={"process_force_n": [0, 0, -100]})
 
 

@@ -152,7 +152,7 @@ def blocked(begin: dict[str, Any], **more: Any) -> Scene:
             "format": "cmbot-scene/2",
             "name": "one",
             "robot": {"model": "cmbot"},
-            "posture_deg": [-10, -90, 90, 0, 10, 50, 0],
+            "start": {"posture_deg": [-10, -90, 90, 0, 10, 50, 0]},
             "tool_path": {"from": begin, "legs": [{"by": [0, 0.1, 0], "seconds": 3}]},
         }
     ).each_stroke
@@ -182,7 +182,7 @@ def test_a_stroke_in_an_obstacle_is_refused_before_any_is_planned() -> None:
             "format": "cmbot-scene/2",
             "name": "one",
             "robot": {"model": "cmbot"},
-            "posture_deg": [-10, -90, 90, 0, 10, 50, 0],
+            "start": {"posture_deg": [-10, -90, 90, 0, 10, 50, 0]},
             "tool_path": {"legs": [{"by": [0, 0.1, 0], "seconds": 3}]},
             "obstacles": [{"name": "crate", "box": [0.05, 0.05, 0.05], "xyz": [1.8154, 0.78, -1.9628]}],
         }

@@ -184,8 +184,8 @@ def test_a_scene_names_folders_of_packages(tmp_path: Path) -> None:
     put(tmp_path / "else" / "arm_meshes" / "part.obj")
     mesh_arm(tmp_path / "urdf", "package://arm_meshes/part.obj")
     (tmp_path / "s.yaml").write_text(
-        "format: cmbot-scene/1\nname: s\nrobot: {model: urdf/arm.urdf, package_dirs: [else]}\n"
-        "posture_deg: [0, 0, 0]\ntool_path: {legs: [{by: [0, 0, 1], seconds: 1}]}\n",
+        "format: cmbot-scene/2\nname: s\nrobot: {model: urdf/arm.urdf, package_dirs: [else]}\n"
+        "start: {posture_deg: [0, 0, 0]}\ntool_path: {legs: [{by: [0, 0, 1], seconds: 1}]}\n",
         encoding="utf-8",
     )
     scene = load_scene(tmp_path / "s.yaml")

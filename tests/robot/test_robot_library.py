@@ -80,7 +80,7 @@ def test_the_second_reading_leaves_out_the_same_pairs(tmp_path: Path) -> None:
     robot = load("ur5", tmp_path, None, "tool0")
     names = [shape.name.rpartition("_")[0] for shape in robot.collision_model.geometryObjects]
     pairs = {frozenset((names[p.first], names[p.second])) for p in robot.collision_model.collisionPairs}
-    scene = {**SHORT, "posture_deg": [0] * 6}
+    scene = {**SHORT, "start": {"posture_deg": [0] * 6}}
     scene["robot"] = {
         "model": str(robot.urdf),
         "package_dirs": [str(ROBOTS.parent.parent)],

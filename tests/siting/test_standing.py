@@ -39,9 +39,7 @@ COARSE = StandOptions(spacing=0.7, pair_spacing=np.inf, plans=1)
 
 
 def scene_of(objective: str = "hold", **changes: Any) -> Scene:
-    return short_scene(
-        planner={"objective": objective, "knots": "sliding"}, format="cmbot-scene/2", **changes
-    )
+    return short_scene(planner={"objective": objective, "knots": "sliding"}, **changes)
 
 
 @pytest.fixture(scope="module")

@@ -165,7 +165,7 @@ class Leg(CheckedFields):
     pause : float or None
         In place of `by` seconds in which the tool waits.
     seconds : float, "auto" or None
-        Duration, s; ``auto``: the shortest within the limits, of ``cmbot-scene/2``.
+        Duration, s; ``auto``: the shortest within the limits.
     speed_m_s : float or None
         In place of `seconds` the speed at which the tool cruises, m/s; the ramps come on top.
 
@@ -202,11 +202,6 @@ class Leg(CheckedFields):
     def given_seconds(self) -> float:
         """Seconds that are given, s: 0 where they follow from a speed, or are to be found."""
         return self.seconds if isinstance(self.seconds, float) else self.pause or 0.0
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether it is a displacement in so many seconds, all that ``cmbot-scene/1`` knows."""
-        return self.by is not None and self.seconds is not None and self.seconds != AUTO
 
 
 def _unit_quaternion(row: tuple[float, ...]) -> tuple[float, ...]:

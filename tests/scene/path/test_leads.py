@@ -49,7 +49,7 @@ def scene_of(**tool_path: Any) -> Scene:
     for stroke in tool_path.get("strokes", ()):
         stroke |= many
     own = tool_path if "strokes" in tool_path else many | tool_path
-    return load_scene({**copy.deepcopy(SHORT), "format": "cmbot-scene/2", "tool_path": own})
+    return load_scene({**copy.deepcopy(SHORT), "tool_path": own})
 
 
 def path_of(**tool_path: Any) -> ToolPath:
