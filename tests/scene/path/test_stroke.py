@@ -54,7 +54,8 @@ def test_of_all_strokes_without_a_number() -> None:
 
 
 def test_a_plan_has_the_number(tmp_path: Any) -> None:
-    scene = short_scene(tool_path={"via_points": "auto"})
+    profile = {"kind": "jerk_limited", "ramp": 0.25}
+    scene = short_scene(tool_path={"via_points": "auto", "speed_profile": profile})
     assert ("via-points", "13") in precheck_scene(scene).found
     planned = plan(scene)
     assert planned.scene.via_points == len(planned.trajectory.t) == 13
