@@ -365,7 +365,10 @@ def _elastic(plan: Plan) -> Iterator[Row]:
             )
     if suppression is not None:
         yield "suppressed elastic modes", str(suppression.modes)
-        yield "their amplitudes at the ends of the legs are less by", f"{100 * suppression.share:.4g} %"
+        yield (
+            "their amplitudes at the ends of the legs are less by, on average",
+            f"{100 * suppression.share:.4g} %",
+        )
         if 0 < suppression.shares.count(0.0) < len(suppression.shares):
             yield "leg ends without a change", f"{suppression.shares.count(0.0)}"
         yield "largest amplitude at the tool without it, mm", f"{1e3 * suppression.before:.4f}"

@@ -141,19 +141,21 @@ def _suppression(done: VibrationSuppression, base: str) -> str:
     what = f"Vibration suppression: the {modes} of {base} and links "
     if done.at_rest:
         return f"{what}{'is' if done.modes == 1 else 'are'} next to none at the ends of the legs anyway."
+    # Of several strokes one may be left as it is, and another one not.
+    if any(done.shares):
+        return (
+            f"{what}{'is' if done.modes == 1 else 'are'} made {100 * done.share:.0f} % smaller"
+            f"{' on average' if len(done.shares) > 1 else ''} at the ends of "
+            f"{_suppressed_legs(done.shares)}, as predicted. {_swings(done, made=True)}"
+        )
     if not done.worth_it and done.swing_with != done.swing_without:
         return (
             f"{what}{'is left as it is' if done.modes == 1 else 'are left as they are'}: the change that was "
             f"tried makes the largest swing hardly smaller. {_swings(done, made=False)}"
         )
-    if not any(done.shares):
-        return (
-            f"{what}could not be brought to rest at the ends of the legs: no change of the motion that was "
-            f"tried keeps every bound. {_swings(done, made=False)}"
-        )
     return (
-        f"{what}{'is' if done.modes == 1 else 'are'} made {100 * done.share:.0f} % smaller at the ends of "
-        f"{_suppressed_legs(done.shares)}, as predicted. {_swings(done, made=True)}"
+        f"{what}could not be brought to rest at the ends of the legs: no change of the motion that was "
+        f"tried keeps every bound. {_swings(done, made=False)}"
     )
 
 
@@ -408,7 +410,7 @@ def _lower_bound(plan: Plan) -> Iterator[str]:
     objective = plan.objective
     if not objective.is_guardrail_torque:
         yield (
-            f"Minimised: {_objective(objective)}, from a peak of "
+            f"Minimised: {_objective(plan)}, from a peak of "
             f"{_value(objective, objective.baseline_peak)} in the baseline to "
             f"{_value(objective, objective.planned_peak)}."
         )
@@ -476,11 +478,13 @@ def _value(objective: ObjectiveMetrics, value: float, more_digits: int = 0) -> s
     return f"{factor * value:.{2 + more_digits}f} {unit}".rstrip()
 
 
-def _objective(objective: ObjectiveMetrics) -> str:
+def _objective(plan: Plan) -> str:
+    objective, holding = plan.objective, plan.robot.holding
     if objective.own:
         return objective.name
     if objective.name == "hold":
-        return "the adhesion that the feet need"
+        magnets = holding is not None and holding.adhesive
+        return "the adhesion that the feet need" if magnets else "the pull of magnets in place of the clamps"
     if objective.axis_weights is None:
         return f"the tool's {objective.name}"
     weights = ", ".join(f"{weight:g}" for weight in objective.axis_weights)

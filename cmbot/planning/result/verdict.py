@@ -169,9 +169,17 @@ def strays(plan: Plan) -> bool:
     return plan.drift > _STRAYS * plan.options.max_tool_deviation_m
 
 
-def tightest_check(job: Job) -> tuple[Segment, Check]:
-    """Return the promise of a job that uses most of its bound, with the segment that makes it."""
-    return max(job.checks(), key=lambda each: bound_use(each[1]))
+def tightest_check(job: Job, quantity: str | None = None) -> tuple[Segment, Check]:
+    """Return the promise of a job that uses most of its bound, with the segment that makes it.
+
+    Parameters
+    ----------
+    job : Job
+    quantity : str, optional
+        Of the promises of that quantity alone, which every segment makes.
+    """
+    some = (each for each in job.checks() if quantity in (None, each[1].quantity))
+    return max(some, key=lambda each: bound_use(each[1]))
 
 
 def bound_use(check: Check) -> float:
