@@ -291,7 +291,10 @@ class Plan(StrokePlan):
 
     @property
     def peak_static_reduction(self) -> float:
-        """How much lower the planned motion's static torque peak is than the baseline's, as a share."""
+        """How much lower the planned motion's static torque peak is than the baseline's, as a share.
+
+        Of a baseline that breaks limits (`cmbot.planning.baseline_faults`) that is no gain.
+        """
         baseline = self.baseline_figures.peak_static_guardrail_torque
         return 1.0 - self.figures.peak_static_guardrail_torque / baseline
 
