@@ -57,7 +57,7 @@ class Certificate:
     guardrail_torque_bound : float, Nm
         The torque on the guardrail is nowhere larger: with the peak among the figures, an interval.
     adhesion_bound : float, N
-        No foot needs more adhesion at any time; infinite where none has a flat contact.
+        No foot needs more adhesion at any time; infinite where none holds by it.
     """
 
     checks: tuple[Check, ...]

@@ -51,8 +51,8 @@ class MotionMetrics:
         Largest distance of the tool point from its timed place, along the leg.
     limit_use : LimitUse
     adhesion_needed : AdhesionPeak or None
-        Largest adhesion that a foot needs; None where no foot has a flat contact, and in plans of earlier
-        versions.
+        Largest adhesion that a foot needs; None where no foot holds by it, such as clamps, and in plans of
+        earlier versions.
     duration : float or None, s
     guardrail_torque_integral : float or None, Nm s
         Of the torque's norm over that time; both None in plans of earlier versions.
@@ -207,7 +207,7 @@ def figures(robot: Robot, samples: Samples) -> MotionMetrics:
             jerk=use(samples.j, limits.jerk),
             torque=use(samples.joint_torque, limits.torque),
         ),
-        adhesion_needed=holding.worst(wrench, samples.t) if holding and holding.flat else None,
+        adhesion_needed=holding.worst(wrench, samples.t) if holding and holding.adhesive else None,
         duration=duration,
         guardrail_torque_integral=integral,
     )

@@ -69,9 +69,9 @@ def hold_checks(
                 bound = hold.adhesion_n / hold.safety * (1 + _LIMIT)
                 yield _worst(f"adhesion needed{which} by a second computation", times, own, bound, "N")
         if hold.force_n is not None and hold.moment_nm is not None:
-            use = (np.abs(load) / np.array([*hold.force_n, *hold.moment_nm])).max(axis=1)
+            use = hold.safety * (np.abs(load) / np.array([*hold.force_n, *hold.moment_nm])).max(axis=1)
             quantity = f"load of the clamp{which} by a second computation"
-            yield _worst(quantity, times, use, (1 + _LIMIT) / hold.safety, "of its bounds")
+            yield _worst(quantity, times, use, 1 + _LIMIT, "of its bounds")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
