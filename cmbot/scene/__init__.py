@@ -17,6 +17,7 @@ from cmbot.scene.path.stroke import Stroke, coverage_of, pieces_left_out
 from cmbot.scene.path.time_law import LegLaw, PiecewiseLaw, SpeedProfile
 from cmbot.scene.path.tool_path import ShiftedToolPath, ToolPath, share_out_segments
 from cmbot.scene.path.tool_poses import ToolPoses, shortest_turns
+from cmbot.scene.path.waypoints import SAME_PLACE
 from cmbot.scene.raster.pieces import RowPiece, cells_of
 from cmbot.scene.raster.raster import CylinderPatch, FaceSelection, Raster
 from cmbot.scene.raster.surface import Coverage
@@ -34,6 +35,7 @@ from cmbot.scene.tool import SPEED_TOLERANCE, Tool
 
 __all__ = [
     "MOST_SAMPLES",
+    "SAME_PLACE",
     "SPEED_TOLERANCE",
     "STOW",
     "WORK",
