@@ -2,7 +2,7 @@
 
 from cmbot.common.installation import shipped_scenes
 from cmbot.scene.base.guardrail import GuardrailFile, feet_at, guardrail_from_file, guardrail_obstacles
-from cmbot.scene.base.hold import HoldFile
+from cmbot.scene.base.hold import HoldFile, held_member
 from cmbot.scene.base.identified import IdentifiedBase, IdentifiedSpring, IdentifiedStiffness
 from cmbot.scene.base.stance import FootholdFile, StanceFile, axis_point, foothold_face, foothold_pose
 from cmbot.scene.changes import changed_content, is_within, whole_key
@@ -85,6 +85,7 @@ __all__ = [
     "foothold_pose",
     "guardrail_from_file",
     "guardrail_obstacles",
+    "held_member",
     "is_within",
     "limits_text",
     "load_mesh",
