@@ -5,7 +5,14 @@ from cmbot.siting.footholds import bare_climber, in_the_way, lift_height, withou
 from cmbot.siting.placed_scene import in_world, joined, scene_at
 from cmbot.siting.screening import Screening, screen
 from cmbot.siting.search import StandOptions, Stood
-from cmbot.siting.standing import Standing, best_scene, require_on_guardrail, require_standing, stand
+from cmbot.siting.standing import (
+    Standing,
+    best_scene,
+    require_on_guardrail,
+    require_planned,
+    require_standing,
+    stand,
+)
 from cmbot.siting.table import bounds_table, in_words, planned_table, shared_out, stances_csv
 
 __all__ = [
@@ -29,6 +36,7 @@ __all__ = [
     "places_of",
     "planned_table",
     "require_on_guardrail",
+    "require_planned",
     "require_standing",
     "scene_at",
     "screen",

@@ -235,6 +235,38 @@ def test_xacro_is_expanded_without_ros(tmp_path: Path, capfd: pytest.CaptureFixt
     assert capfd.readouterr() == ("", "")
 
 
+NESTED = "<xacro:if value='1'>" + "<a>" * 3000 + "</a>" * 3000 + "</xacro:if>"
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ('<xacro:include filename="arm.xacro"/>', "in which arm.xacro includes itself"),
+        ('<xacro:include filename="other.xacro"/>', "in which arm.xacro includes itself"),
+        ('<xacro:macro name="m"><xacro:m/></xacro:macro><xacro:m/>', "a macro that calls itself"),
+        (NESTED, "nested too deep"),
+        ("<xacro:include/>", "missing attribute 'filename'"),
+        (
+            '<xacro:property name="p" value="1" scope="parent"/><xacro:property name="p" remove="1"/>',
+            "expand",
+        ),
+        ("<a><xacro:attribute name='&lt;' value='3'/></a>", "not well-formed"),
+        ("""<l n="${'\\ud800'}"/><xacro:if value="1"/>""", "codec can"),
+    ],
+)
+def test_xacro_that_has_no_end_or_makes_no_xml(tmp_path: Path, content: str, said: str) -> None:
+    pytest.importorskip("xacrodoc")
+    head = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="arm">'
+    put(tmp_path / "other.xacro", f'{head}<xacro:include filename="arm.xacro"/></robot>')
+    file = tmp_path / "arm.xacro"
+    put(file, f"{head}{content}</robot>")
+    with pytest.raises(ModelError, match=rf"^{file}: got xacro .*{said}"):
+        load_robot(file)
+    # What was wrong with it is forgotten.
+    good = write_xacro(tmp_path)
+    assert load_robot(good, package_dirs=[tmp_path / "else"]).dof == 3
+
+
 def test_xacro_is_named_as_what_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "xacrodoc", None)
     with pytest.raises(

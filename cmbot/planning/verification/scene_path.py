@@ -32,6 +32,8 @@ from cmbot.scene import ArcTo, CylinderPatch, Goal, Leg, Mesh, Raster, Scene
 __all__ = ["ScenePath"]
 
 _Points = Callable[[FloatArray], FloatArray]
+# Neighbouring waypoints that are nearer, m, are one.
+_SAME_PLACE = 1e-4
 # Durations whose shares agree to this many digits are the same.
 _DIGITS = 9
 # The largest turn of a rounded corner, rad.
@@ -307,9 +309,6 @@ class ScenePath:
         self, rows: list[tuple[FloatArray, FloatArray]], R: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Rows on splines with straight steps between them, on which the tool turns."""
-        from scipy.interpolate import make_interp_spline
-        from scipy.spatial.transform import RotationSpline
-
         legs: list[tuple[float, _Points, _Points, tuple[float, float] | None]] = []
 
         def turned(axis: FloatArray, R: FloatArray) -> FloatArray:
@@ -332,14 +331,9 @@ class ScenePath:
             each = [R]
             for axis in axes[1:]:
                 each.append(turned(axis, each[-1]))
-            steps = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=1))
-            at = np.append(0.0, np.cumsum(steps)) / steps.sum()
-            spline, orientations = (
-                make_interp_spline(at, points, k=3),
-                RotationSpline(at, Rotation.from_matrix(each)),
-            )
-            edges = float(at[1]), float(1 - at[-2])
-            legs.append((_length(spline.derivative(), at), spline, partial(_matrices, orientations), edges))
+            at, length, places, turns = _spline(points, Rotation.from_matrix(each))
+            edges = (float(at[1]), float(1 - at[-2])) if len(at) > 2 else None
+            legs.append((length, places, turns, edges))
             R = each[-1]
         file, total = self._file, sum(length for length, *_ in legs)
         for length, places, turns, at_ends in legs:
@@ -396,20 +390,27 @@ class ScenePath:
         return self._end()
 
     def _add_spline(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-        from scipy.interpolate import make_interp_spline
-        from scipy.spatial.transform import RotationSpline
-
-        points = rows[:, :3]
-        steps = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=1))
-        at = np.append(0.0, np.cumsum(steps)) / steps.sum()
-        spline = make_interp_spline(at, points, k=3)
-        orientations = RotationSpline(at, Rotation.from_quat(rows[:, 3:], scalar_first=True))
+        kept = rows[:1]
+        for row in rows[1:]:
+            if ((row[:3] - kept[-1, :3]) ** 2).sum() >= _SAME_PLACE**2:
+                kept = np.vstack([kept, row])
+        _, length, points, turns = _spline(kept[:, :3], Rotation.from_quat(kept[:, 3:], scalar_first=True))
         file = self._file
-        length, cruises = _length(spline.derivative(), at), file.given_time is None
         seconds = file.given_time or self._cruise(length, file.speed_m_s)
-        turns = partial(_matrices, orientations)
-        self._legs.append(TimedLeg(seconds, spline, turns, length, cruises))
-        return points[-1], orientations(1.0).as_matrix()
+        self._legs.append(TimedLeg(seconds, points, turns, length, file.given_time is None))
+        return self._end()
+
+
+def _spline(points: FloatArray, orientations: Rotation) -> tuple[FloatArray, float, _Points, _Points]:
+    """Shares of the points, the length, points and orientations of a spline; through three a parabola."""
+    from scipy.interpolate import make_interp_spline
+    from scipy.spatial.transform import RotationSpline
+
+    steps = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=1))
+    at = np.append(0.0, np.cumsum(steps)) / steps.sum()
+    spline = make_interp_spline(at, points, k=min(3, len(points) - 1))
+    turns = partial(_matrices, RotationSpline(at, orientations))
+    return at, _length(spline.derivative(), at), spline, turns
 
 
 def _ends(raster: Raster, length: float) -> list[tuple[int, float]]:

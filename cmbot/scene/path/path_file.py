@@ -13,8 +13,9 @@ from pydantic import ConfigDict, Field, GetPydanticSchema, PlainSerializer, Wrap
 
 from cmbot.common.validation import FileModel, counted, hint, refusal, shown
 from cmbot.scene.fields import Slug
-from cmbot.scene.path.legs import AUTO, Goal, Leg, SecondsOrAuto, Speed, ViaPoints, Waypoint
+from cmbot.scene.path.legs import AUTO, Goal, Leg, SecondsOrAuto, Speed, ViaPoints
 from cmbot.scene.path.time_law import LegLaw, SpeedProfile
+from cmbot.scene.path.waypoints import SAME_PLACE, Waypoint, distinct, turned_in_place
 from cmbot.scene.raster.raster import Raster
 
 __all__ = [
@@ -110,8 +111,8 @@ class PathFile(FileModel):
         None
     )
     """In place of `legs`, points in m and unit quaternions of the tool in W (x, y, z, qw, qx, qy, qz), which
-    it passes without a stop, from the first to the last; in a file also the path of a CSV file with these
-    columns, relative to it."""
+    it passes without a stop, from the first to the last; neighbours less than 0.1 mm apart are one; in a
+    file also the path of a CSV file with these columns, relative to it."""
     raster: Raster | None = None
     """In place of `legs`, rows over a surface, with `blend_radius_m` without a stop."""
     seconds: SecondsOrAuto | None = None
@@ -202,6 +203,7 @@ class PathFile(FileModel):
         if not self.legs and self.start_pose is not None:
             expected = "no such key beside waypoints or a raster, where the path begins"
             raise refusal(expected, got="a pose", key=("from",))
+        self._check_waypoints()
         self._check_leads()
         passes = self.passes or 1
         leads = sum(lead is not None for lead in (self.lead_in_m, self.lead_out_m))
@@ -215,6 +217,32 @@ class PathFile(FileModel):
         if self.given_seconds > LONGEST:
             expected = f"legs of at most {LONGEST:,} s in all (10 h)"
             raise refusal(expected, got=f"{self.given_seconds:g} s", key=("legs",))
+
+    def _check_waypoints(self) -> None:
+        if self.waypoints is None:
+            return
+        if turn := turned_in_place(self.waypoints, self.keep if isinstance(self.keep, str) else "axis"):
+            number, angle = turn
+            got = f"a turn by {math.degrees(angle):.2g} deg at the place of the waypoint before"
+            expected = "a way along which it turns, or legs, of which one turns the tool where it is"
+            raise refusal(expected, got=got, key=("waypoints", number))
+        if self.merged and len(self.passed) < FEWEST_WAYPOINTS:
+            got = f"{counted(len(self.waypoints), 'waypoint')} at {counted(len(self.passed), 'place')}"
+            expected = (
+                f"{FEWEST_WAYPOINTS} places or more, {1e3 * SAME_PLACE:g} mm apart or more; a line is a leg"
+            )
+            raise refusal(expected, got=got, key=("waypoints",))
+
+    @property
+    def passed(self) -> tuple[Waypoint, ...]:
+        """The waypoints without those at the place of the one before."""
+        rows = self.waypoints or ()
+        return tuple(rows[k] for k in distinct(rows)) if rows else ()
+
+    @property
+    def merged(self) -> int:
+        """How many waypoints are at the place of the one before."""
+        return len(self.waypoints or ()) - len(self.passed)
 
     def _check_leads(self) -> None:
         rests = self.raster is not None and self.blend_radius_m is None
@@ -255,7 +283,8 @@ class PathFile(FileModel):
             rows, area = counted(self.raster.rows, "row"), f"{self.raster.area:.3g} m2"
             return f"a raster of {rows} over {area}{'' if self.raster.cylinder is None else ' of a cylinder'}"
         if self.waypoints is not None:
-            return f"a spline through {counted(len(self.waypoints), 'waypoint')}"
+            merged = f" ({self.merged} more at the place of the one before)" if self.merged else ""
+            return f"a spline through {counted(len(self.passed), 'waypoint')}{merged}"
         return counted(len(self.legs), "leg")
 
 
