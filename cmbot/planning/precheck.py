@@ -27,6 +27,7 @@ from cmbot.planning.context import (
     task_of,
 )
 from cmbot.planning.reach import beyond_reach, without_posture
+from cmbot.planning.stiffness import identified_in_words
 from cmbot.planning.task import ToolTask, task_dimension
 from cmbot.robot import Dynamics, Finding, Robot
 from cmbot.scene import PlannerOptions, Scene, Stroke, Tool, ToolPath, coverage_of
@@ -135,6 +136,8 @@ def _asked(
         yield "assumed", " ".join(robot.remarks)
     if rigid := rigid_arm_remark(scene, robot):
         yield "bending", rigid
+    if identified := identified_in_words(scene):
+        yield "stiffness", identified
 
 
 def _clearance_at_start(scene: Scene, robot: Robot) -> Precheck:

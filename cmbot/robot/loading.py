@@ -73,9 +73,9 @@ def load_robot(
         Links that bound the arm; default: where there is one choice, the root link, and the link of the
         SRDF's end effector, the tip of its chain, or the last link of the longest row of joints.
     limits : path, optional
-        Joint-limits file (acceleration and jerk); default: ``joint_limits.yaml`` beside the URDF. Without
-        one, acceleration limits of 2 /s times the velocity limits and jerk limits of 10 /s times these are
-        assumed.
+        Joint-limits file (acceleration and jerk); default: ``joint_limits.yaml`` beside the URDF, unless it
+        is of another kind, such as MoveIt's. Without one, acceleration limits of 2 /s times the velocity
+        limits and jerk limits of 10 /s times these are assumed.
     srdf : path, optional
         Disabled collision pairs and group states, such as ``stow``; default: the file beside the URDF with
         its name, if there.
@@ -164,8 +164,16 @@ def load_robot(
         payload=payload,
         content_hash=hashlib.sha256(b"\0".join(contents)).hexdigest(),
         foot_point=tuple(placement.foot_point.tolist()),
-        remarks=(*assumed, *made.remarks),
+        remarks=(*_left_alone(files), *assumed, *made.remarks),
     )
+
+
+def _left_alone(files: RobotFiles) -> Iterator[str]:
+    if files.left_alone is not None:
+        yield (
+            f"{files.left_alone} is left alone: it is no joint-limits file of cmbot's, which have a format, "
+            "but of another kind, such as MoveIt's."
+        )
 
 
 def _checked_frames(

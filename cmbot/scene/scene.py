@@ -93,8 +93,8 @@ class SceneFile(FileModel):
     obstacles: Annotated[tuple[ObstacleFile, ...], Field(max_length=1000)] = ()
     guardrail: GuardrailFile = GuardrailFile()
     identified: IdentifiedStiffness | None = None
-    """The stiffness that ``cmbot identify`` found, or the path of its file; left out: as
-    modelled."""
+    """The stiffness that ``cmbot identify`` found, or the path of its file; left out: as modelled. Stiffness and
+    mass of its base take the place of the guardrail's."""
     planner: PlannerOptions = PlannerOptions()
 
     @model_validator(mode="after")
@@ -105,8 +105,13 @@ class SceneFile(FileModel):
         if self.guardrail.stance is not None and self.robot.model != "cmbot":
             expected = "no such key with a URDF of one's own, whose mount says where it stands"
             raise refusal(expected, got="stance", key=("guardrail", "stance"))
-        if self.identified is not None:
-            self._check_identified(self.identified)
+        identified = self.identified
+        if identified is not None:
+            self._check_identified(identified)
+        measured = identified is not None and identified.base is not None
+        if self.guardrail.mass is not None and self.guardrail.stiffness is None and not measured:
+            expected = "no mass where no stiffness is given"
+            raise refusal(expected, got="a mass alone", key=("guardrail", "mass"))
         taken = set(self.guardrail.member_names)
         for index, obstacle in enumerate(self.obstacles):
             if obstacle.name in taken:
@@ -116,8 +121,8 @@ class SceneFile(FileModel):
         return self
 
     def _check_identified(self, identified: IdentifiedStiffness) -> None:
-        if self.guardrail.stiffness is not None:
-            expected = "no such key beside identified, which has the stiffness"
+        if self.guardrail.stiffness is not None and identified.base is None:
+            expected = "no such key beside identified, which has no base: it was measured on a rigid one"
             raise refusal(expected, got="stiffness", key=("guardrail", "stiffness"))
         if identified.joints and self.robot.joints == "rigid":
             raise refusal("elastic, as joints were identified", got="rigid", key=("robot", "joints"))

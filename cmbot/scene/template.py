@@ -29,7 +29,7 @@ tool_path:
   legs:
     - {{by: {by}, seconds: {seconds}}}
   speed_profile: {{kind: jerk_limited, ramp: 0.25}}
-  via_points: 12
+  via_points: auto  # by the length of the legs, or a number
 
 # Boxes, cylinders, capsules, spheres and meshes, such as
 #   - {{name: table, box: [1.0, 1.0, 0.05], xyz: [0.5, 0, -0.2]}}

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 from robot_files import replace
+from urdf_arms import limits_file
 
 from cmbot.common.errors import MissingExtra, ModelError, SceneError
-from cmbot.robot import Robot, inspect_urdf, load_robot, parse_urdf
+from cmbot.robot import Robot, inspect_urdf, load_robot, parse_urdf, robot_files
+from cmbot.robot.limits import JointEntry
 from cmbot.scene import load_scene
 
 INERTIA = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
@@ -306,6 +308,61 @@ def test_limits_that_no_file_gives_are_assumed(tmp_path: Path) -> None:
     assert not (robot.limits.assumed_acceleration | robot.limits.assumed_jerk).any()
     with pytest.raises(ModelError, match=r"joint_limits.yaml:2: all.jerk_deg: got 0, expected at least"):
         limited(tmp_path, "all: {acceleration_deg: 180, jerk_deg: 0}")
+
+
+MOVEIT = "joint_limits:\n  joint_1:\n    has_acceleration_limits: true\n    max_acceleration: 3.75\n"
+FOREIGN_LIMITS = {
+    "MoveIt": MOVEIT,
+    "MoveIt with scaling": f"# limits\n\ndefault_velocity_scaling_factor: 0.1\n{MOVEIT}",
+    "Franka": "joint1:\n  limit: {lower: -2.7, upper: 2.7, velocity: 2.1, effort: 87.0}\n",
+    "parameters of ROS 2": "/**:\n  ros__parameters:\n    robot_description_planning:\n      format: x\n",
+    "with anchors": "joint_limits:\n  joint_1: &all {max_velocity: 1}\n  joint_2: *all\n",
+    "of another program": "format: 2\nlimits: []\n",
+}
+
+
+@pytest.mark.parametrize("text", FOREIGN_LIMITS.values(), ids=FOREIGN_LIMITS)
+def test_limits_of_another_kind_are_left_alone(tmp_path: Path, text: str) -> None:
+    urdf, beside = write(tmp_path, *ARM), tmp_path / "joint_limits.yaml"
+    alone = load_robot(urdf)
+    beside.write_text(text, encoding="utf-8")
+    robot = load_robot(urdf)
+    (remark,) = (each for each in robot.remarks if each not in alone.remarks)
+    assert str(beside) in remark
+    assert "left alone" in remark
+    assert (robot_files(urdf).limits, robot_files(urdf).left_alone) == (None, beside)
+    np.testing.assert_array_equal(robot.limits.acceleration, alone.limits.acceleration)
+    assert robot.content_hash == alone.content_hash
+    # Who names such a file is told that it is none, and who names another has no remark.
+    with pytest.raises(ModelError, match=r"joint_limits\.yaml"):
+        load_robot(urdf, limits=beside)
+    named = limits_file(tmp_path, ["joint_1"])
+    assert not any("left alone" in each for each in load_robot(urdf, limits=named).remarks)
+
+
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        ("joints: {joint_1: {acceleration_deg: 60}}", "format"),
+        ("all: {jerk_m_s3: 2}", "format"),
+        ("format: cmbot-joint-limits/2", "format"),
+        ('{"format": "cmbot-joint-limits/1", "joint": {}}', "joint"),
+        ("\ufeffformat: 'cmbot-scene/1'", "format"),
+        ("format: cmbot-joint-limits/1\njoints: [", ""),
+    ],
+)
+def test_limits_of_ours_with_a_mistake_are_refused(tmp_path: Path, text: str, key: str) -> None:
+    (tmp_path / "joint_limits.yaml").write_text(text, encoding="utf-8")
+    with pytest.raises(ModelError) as caught:
+        load_robot(write(tmp_path, *ARM))
+    assert caught.value.source == str(tmp_path / "joint_limits.yaml")
+    assert caught.value.key == key
+
+
+@pytest.mark.parametrize("name", JointEntry.model_fields)
+def test_every_limit_of_ours_tells_a_file_that_lacks_its_format(tmp_path: Path, name: str) -> None:
+    (tmp_path / "joint_limits.yaml").write_text(f"joint_1: {{{name}: 1}}", encoding="utf-8")
+    assert robot_files(write(tmp_path, *ARM)).limits is not None
 
 
 SRDF_CASES = {

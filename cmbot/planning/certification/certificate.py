@@ -250,7 +250,7 @@ def _duration_check(task: ToolTask, trajectory: QuinticTrajectory) -> Check:
     return Check(
         quantity="difference of the trajectory's times from the tool path's",
         time=last,
-        value=max(abs(first), abs(last - duration)),
+        value=float(np.max(np.abs([first, last - duration]))),
         bound=_SAME_DURATION * duration,
         unit="s",
     )

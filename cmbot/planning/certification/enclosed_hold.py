@@ -53,7 +53,9 @@ class EnclosedHold:
         """The largest adhesion that a foot needs; None where none holds by it."""
         if not self._adhesion:
             return None
-        number, peak = max(self._adhesion.items(), key=lambda each: each[1].value)
+        # Of values that are no numbers the first counts as the largest.
+        which = int(np.argmax([peak.value for peak in self._adhesion.values()]))
+        number, peak = list(self._adhesion.items())[which]
         wrench = self._at(peak.time)
         mode = self.holding.mode(number, wrench)
         return AdhesionPeak(peak=max(peak.value, 0.0), mode=mode, time=peak.time, foot=number + 1)
@@ -61,8 +63,9 @@ class EnclosedHold:
     @property
     def needed_bound(self) -> float:
         """No foot needs more adhesion at any time, N; infinite where none holds by it."""
-        bounds = [max(peak.bound, 0.0) for peak in self._adhesion.values()]
-        return max(bounds, default=np.inf)
+        if not self._adhesion:
+            return np.inf
+        return float(np.max([peak.bound for peak in self._adhesion.values()], initial=0.0))
 
     def checks(self) -> Iterator[Check]:
         """Yield what each foot bears against what is known of it."""

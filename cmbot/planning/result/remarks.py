@@ -17,6 +17,7 @@ from cmbot.planning.result.holding import holding_remarks
 from cmbot.planning.result.plan import Plan
 from cmbot.planning.result.stroke_plan import ObjectiveMetrics
 from cmbot.planning.result.verdict import baseline_faults, further, strays, travels, verdict
+from cmbot.planning.stiffness import identified_in_words
 from cmbot.robot import Kinematics, postures_in_words
 from cmbot.scene import STOW
 
@@ -82,10 +83,8 @@ def remarks(plan: Plan) -> Iterator[str]:
 def _bending(plan: Plan) -> Iterator[str]:
     if rigid := rigid_arm_remark(plan.scene, plan.robot):
         yield rigid
-    if (identified := plan.scene.file.identified) is not None:
-        of = [counted(len(identified.links), "link"), counted(len(identified.joints), "joint")]
-        of += [plan.scene.base_name] * (identified.base is not None)
-        yield f"Stiffness as identified, not as modelled: {', '.join(of)}."
+    if identified := identified_in_words(plan.scene):
+        yield identified
     done = plan.compensation
     if done is not None:
         rounds = counted(done.rounds, "round")

@@ -201,8 +201,6 @@ class GuardrailFile(FileModel):
             got = "a factor beside it" if self.stiffness is not None else "a factor"
             raise refusal("posts whose stiffness it is of", got=got, key=("stiffness_factor",))
         if self.mass is not None:
-            if self.stiffness is None:
-                raise refusal("no mass where no stiffness is given", got="a mass alone", key=("mass",))
             check_positive_definite(self.mass, "mass")
         return self
 
