@@ -93,8 +93,8 @@ class SceneFile(FileModel):
     obstacles: Annotated[tuple[ObstacleFile, ...], Field(max_length=1000)] = ()
     guardrail: GuardrailFile = GuardrailFile()
     identified: IdentifiedStiffness | None = None
-    """The stiffness that ``cmbot identify`` found, or the path of its file; left out: as modelled. Stiffness and
-    mass of its base take the place of the guardrail's."""
+    """The stiffness that ``cmbot identify`` found, or the path of its file; left out: as modelled. Stiffness
+    and mass of its base take the place of the guardrail's."""
     planner: PlannerOptions = PlannerOptions()
 
     @model_validator(mode="after")
