@@ -287,10 +287,11 @@ def inspect_loaded(model: str | Path) -> list[Finding]:
     files = robot_files(model)
     try:
         root = parse_urdf(files.urdf, package_dirs=files.package_dirs)
-        if default_arm(files, root) is None:
-            build_model(files.urdf, root, files.package_dirs)
-            return []
-        return [*_questionable_masses(load_robot(model))]
+        arm = default_arm(files, root)
+        *_, unusable = build_model(files.urdf, root, files.package_dirs)
+        expected = "a mesh file: a box is drawn in its place"
+        found = [Finding(severity="warning", key=key, got=got, expected=expected) for key, got in unusable]
+        return found if arm is None else [*found, *_questionable_masses(load_robot(model))]
     except ModelError as error:
         key = error.key if error.source == str(files.urdf) else f"{error.source}: {error.key}"
         return [Finding(severity="error", key=key, got=str(error.got), expected=error.expected)]
@@ -338,7 +339,7 @@ def srdf_text(files: RobotFiles) -> str:
     _, root = _read(files.urdf, files.package_dirs)
     _refuse_errors(files.urdf, inspect_urdf(root, moving=()))
     name = root.get("name", files.urdf.stem)
-    model, collision = build_model(files.urdf, root, files.package_dirs)
+    model, collision, _ = build_model(files.urdf, root, files.package_dirs)
     semantics = () if files.srdf is None else parse_urdf(files.srdf, "an SRDF", files.package_dirs)
     return srdf_of(model, collision, name, [each for each in semantics if each.tag != PAIR])
 

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import coal
 import numpy as np
 import pytest
 from robot_files import replace
@@ -363,6 +364,65 @@ def test_limits_of_ours_with_a_mistake_are_refused(tmp_path: Path, text: str, ke
 def test_every_limit_of_ours_tells_a_file_that_lacks_its_format(tmp_path: Path, name: str) -> None:
     (tmp_path / "joint_limits.yaml").write_text(f"joint_1: {{{name}: 1}}", encoding="utf-8")
     assert robot_files(write(tmp_path, *ARM)).limits is not None
+
+
+MISSING = '<visual><origin xyz="9 9 9"/><geometry><mesh filename="package://nowhere/sticker.dae"/></geometry>'
+MISSING += "</visual>"
+TURNED = '<origin xyz="0.1 -0.2 0.3" rpy="0.4 -0.5 1.2"/>'
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        '<box size="0.1 0.2 0.3"/>',
+        '<cylinder radius="0.1" length="0.5"/>',
+        '<sphere radius="0.2"/>',
+        '<mesh filename="part.obj" scale="0.1 0.2 0.3"/>',
+    ],
+)
+def test_a_missing_visual_mesh_is_a_box_about_the_link(tmp_path: Path, shape: str) -> None:
+    """All of the link's collision shape is in it, and it is at most twice as wide."""
+    (tmp_path / "part.obj").write_text(TETRAHEDRON, encoding="utf-8")
+    body = f"<collision>{TURNED}<geometry>{shape}</geometry></collision>"
+    robot = load_robot(
+        write(tmp_path, *ARM[:3], f'<link name="link_3">{INERTIA}{body}{MISSING}</link>', *ARM[4:])
+    )
+    (remark,) = (each for each in robot.remarks if "sticker.dae" in each)
+    assert "drawn as boxes: link[link_3].mesh.filename" in remark
+    (drawn,) = robot.visual_model.geometryObjects
+    (solid,) = (each for each in robot.collision_model.geometryObjects if each.name.startswith("link_3"))
+    directions = np.random.default_rng(1).normal(size=(500, 3))
+    directions = np.concatenate([directions, np.eye(3), -np.eye(3)])
+    X = drawn.placement.inverse() * solid.placement
+    reached = np.array([support(solid.geometry, X.rotation.T @ u) + X.translation @ u for u in directions])
+    held = np.abs(directions) @ drawn.geometry.halfSide
+    assert (reached <= held + 1e-9).all()
+    widths = [each[-6:-3] + each[-3:] for each in (held, reached)]
+    assert (widths[0] <= 2 * widths[1]).all()
+
+
+def support(geometry: Any, u: np.ndarray) -> float:
+    """How far a shape about its origin reaches along u."""
+    if isinstance(geometry, coal.ConvexBase):
+        return max(float(geometry.point(i) @ u) for i in range(geometry.num_points))
+    if isinstance(geometry, coal.Box):
+        return float(np.abs(u) @ geometry.halfSide)
+    if isinstance(geometry, coal.Sphere):
+        return float(geometry.radius * np.linalg.norm(u))
+    across = np.hypot(u[0], u[1]) if isinstance(geometry, coal.Cylinder) else np.linalg.norm(u)
+    return float(geometry.halfLength * abs(u[2]) + geometry.radius * across)
+
+
+def test_a_sticker_that_is_missing_hides_no_other_shape(tmp_path: Path) -> None:
+    seen = f"<visual><geometry>{BOX}</geometry></visual>"
+    parts = [link("link_3", MISSING + seen), link("bare", MISSING, "")]
+    parts[1] = parts[1].replace("<collision><geometry></geometry></collision>", "")
+    held = joint("held", "fixed", "link_3", "bare", "")
+    robot = load_robot(write(tmp_path, *ARM[:3], *parts, *ARM[4:], held))
+    shapes = list(robot.visual_model.geometryObjects)
+    # Where a link has neither, there is a small box where the mesh would be.
+    np.testing.assert_allclose([2 * each.geometry.halfSide for each in shapes], [[0.02] * 3, [0.05] * 3])
+    assert "and 1 other." in " ".join(robot.remarks)
 
 
 SRDF_CASES = {
