@@ -152,7 +152,10 @@ def _united(key: str, data: dict[str, Any], more: dict[str, Any], first: Scene, 
 
 def _read(scene: Scene, data: dict[str, Any]) -> Scene:
     """The scene of a file's content, read where another one was; options as Python has them."""
-    file = type(scene.file).model_validate_json(json.dumps(data | {"format": "cmbot-scene/2"}))
+    if scene.file.format != "cmbot-scene/2":
+        # Where nothing is said of joints, they are rigid there, and here they would not be.
+        data = data | {"format": "cmbot-scene/2", "robot": {**data["robot"], "joints": scene.file.joints}}
+    file = type(scene.file).model_validate_json(json.dumps(data))
     return replace(scene_from_file(file, Path(scene.source).parent, scene.source), planner=scene.planner)
 
 
