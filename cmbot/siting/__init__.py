@@ -1,6 +1,14 @@
 """Where to stand: candidates along the guardrail, screened and ranked, the best planned."""
 
-from cmbot.siting.candidates import APART, REACH, Candidate, candidate_at, candidates_of, places_of
+from cmbot.siting.candidates import (
+    APART,
+    REACH,
+    Candidate,
+    candidate_at,
+    candidates_of,
+    own_candidate,
+    places_of,
+)
 from cmbot.siting.footholds import bare_climber, in_the_way, lift_height, without_links
 from cmbot.siting.placed_scene import in_world, joined, scene_at
 from cmbot.siting.screening import Screening, screen
@@ -33,6 +41,7 @@ __all__ = [
     "in_world",
     "joined",
     "lift_height",
+    "own_candidate",
     "places_of",
     "planned_table",
     "require_on_guardrail",
