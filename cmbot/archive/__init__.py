@@ -25,7 +25,7 @@ from cmbot.common.lazy_imports import on_first_use
 
 if TYPE_CHECKING:
     from cmbot.archive.reading import load_plan, plan_data
-    from cmbot.archive.ros import export_mcap, export_ros_package
+    from cmbot.archive.ros import export_mcap, export_ros, export_ros_package
     from cmbot.archive.tracking import load_tracking, require_no_tracking, save_tracking, tracking_json
     from cmbot.archive.walks import load_walk
 
@@ -36,6 +36,7 @@ __all__ = [
     "claim",
     "columns",
     "export_mcap",
+    "export_ros",
     "export_ros_package",
     "json_bytes",
     "load_plan",
@@ -57,7 +58,7 @@ __all__ = [
 
 _LATER = {
     "cmbot.archive.reading": ("load_plan", "plan_data"),
-    "cmbot.archive.ros": ("export_mcap", "export_ros_package"),
+    "cmbot.archive.ros": ("export_mcap", "export_ros", "export_ros_package"),
     "cmbot.archive.tracking": ("load_tracking", "require_no_tracking", "save_tracking", "tracking_json"),
     "cmbot.archive.walks": ("load_walk",),
 }

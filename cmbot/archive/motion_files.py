@@ -8,7 +8,7 @@ import re
 import zipfile
 import zlib
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic_core import to_json
@@ -32,6 +32,8 @@ __all__ = [
     "read_table",
     "samples_csv",
     "table_csv",
+    "trajectory_json",
+    "trajectory_message",
 ]
 
 _JOINT_COLUMNS = ("q", "v", "a", "j", "tau")
@@ -80,7 +82,7 @@ def motion_files(
     return {
         f"{name}.csv": _csv(names, table, labels),
         f"{name}.npz": knots_npz(trajectory),
-        f"{name}.ros.json": _ros_json(robot, samples),
+        f"{name}.ros.json": trajectory_json(robot, samples),
     }
 
 
@@ -214,22 +216,30 @@ def _require_numbers(table: FloatArray, names: tuple[str, ...], source: str) -> 
 # ROS 2
 
 
-def _ros_json(robot: Robot, samples: Samples) -> bytes:
-    """Samples, all of them finite, as a ``trajectory_msgs/JointTrajectory``."""
+def trajectory_json(robot: Robot, samples: Samples, *, effort: bool = False) -> bytes:
+    """Return `trajectory_message` as JSON."""
+    return to_json(trajectory_message(robot, samples, effort=effort)) + b"\n"
+
+
+def trajectory_message(robot: Robot, samples: Samples, *, effort: bool = False) -> dict[str, Any]:
+    """Return samples, all of them finite, as a ``trajectory_msgs/JointTrajectory``; the first is at time 0.
+
+    Its points have the joints' torques only with `effort`: most controllers refuse them.
+    """
     nanoseconds = np.rint(1e9 * (samples.t - samples.t[0])).astype(np.int64).tolist()
-    joints = (each.tolist() for each in (samples.q, samples.v, samples.a, samples.joint_torque))
+    fields = {"positions": samples.q, "velocities": samples.v, "accelerations": samples.a}
+    if effort:
+        fields["effort"] = samples.joint_torque
+    rows = zip(*(values.tolist() for values in fields.values()), strict=True)
     points = [
         {
-            "positions": q,
-            "velocities": v,
-            "accelerations": a,
-            "effort": effort,
+            **dict(zip(fields, row, strict=True)),
             "time_from_start": {"sec": time // 10**9, "nanosec": time % 10**9},
         }
-        for q, v, a, effort, time in zip(*joints, nanoseconds, strict=True)
+        for row, time in zip(rows, nanoseconds, strict=True)
     ]
     header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
-    return to_json({"header": header, "joint_names": robot.joints, "points": points}) + b"\n"
+    return {"header": header, "joint_names": list(robot.joints), "points": points}
 
 
 # Knots

@@ -248,12 +248,20 @@ def export(
     mcap: Annotated[
         Path | None, typer.Option("--mcap", metavar="FILE", help="MCAP file of ROS 2 messages to write.")
     ] = None,
+    ros: Annotated[
+        Path | None,
+        typer.Option("--ros", metavar="FILE", help="JointTrajectory of the job to write, in JSON."),
+    ] = None,
     ros_package: Annotated[
         Path | None,
         typer.Option("--ros-package", metavar="FOLDER", help="Description package to write; a new folder."),
     ] = None,
     force: Annotated[
-        bool, typer.Option("--force", help="Replace the file named with --mcap if it is there.")
+        bool, typer.Option("--force", help="Replace files named with --mcap and --ros that are there.")
+    ] = False,
+    effort: Annotated[
+        bool,
+        typer.Option("--effort", help="With --mcap and --ros: torques, too, for controllers that take them."),
     ] = False,
 ) -> None:
     """Write a plan for ROS 2: the job as messages for Foxglove and RViz, the robot as a package.
@@ -261,19 +269,25 @@ def export(
     Examples: [bold]cmbot export out/triangle --mcap triangle.mcap[/bold],
     [bold]cmbot export out/triangle --ros-package cmbot_description[/bold]
     """
-    if mcap is None and ros_package is None:
-        raise InputError("cmbot export", "", "nothing to write", "--mcap or --ros-package")
-    from cmbot.archive import export_mcap, export_ros_package
+    if mcap is None and ros is None and ros_package is None:
+        raise InputError("cmbot export", "", "nothing to write", "--mcap, --ros or --ros-package")
+    if effort and mcap is None and ros is None:
+        raise InputError("cmbot export", "--effort", "no trajectory to write", "it with --mcap or --ros")
+    from cmbot.archive import export_mcap, export_ros, export_ros_package
 
     loaded = cmbot.load_plan(directory)
-    if mcap is not None:
-        require_new(mcap, force)
+    for path in (mcap, ros):
+        if path is not None:
+            require_new(path, force)
     if ros_package is not None:
         export_ros_package(loaded, ros_package)
         out.print(f"Written to {flat(ros_package)}.")
     if mcap is not None:
-        export_mcap(loaded, mcap)
+        export_mcap(loaded, mcap, effort=effort)
         out.print(f"Written to {flat(mcap)}.")
+    if ros is not None:
+        export_ros(loaded, ros, effort=effort)
+        out.print(f"Written to {flat(ros)}.")
 
 
 def require_new(path: Path, force: bool) -> None:

@@ -105,10 +105,9 @@ class SceneFile(FileModel):
         if self.guardrail.stance is not None and self.robot.model != "cmbot":
             expected = "no such key with a URDF of one's own, whose mount says where it stands"
             raise refusal(expected, got="stance", key=("guardrail", "stance"))
-        identified = self.identified
-        if identified is not None:
-            self._check_identified(identified)
-        measured = identified is not None and identified.base is not None
+        if self.identified is not None:
+            self._check_identified(self.identified)
+        measured = self.identified is not None and self.identified.base is not None
         if self.guardrail.mass is not None and self.guardrail.stiffness is None and not measured:
             expected = "no mass where no stiffness is given"
             raise refusal(expected, got="a mass alone", key=("guardrail", "mass"))

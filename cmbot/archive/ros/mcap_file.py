@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cmbot.archive.folder import write_file
+from cmbot.archive.motion_files import trajectory_message
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra
 from cmbot.common.validation import given_path
@@ -32,7 +33,7 @@ _SEPARATOR = "=" * 80
 Message = dict[str, Any]
 
 
-def export_mcap(plan: Plan, path: str | Path) -> None:
+def export_mcap(plan: Plan, path: str | Path, *, effort: bool = False) -> None:
     """Write the planned job of a plan as an MCAP file of ROS 2 messages, whole or not at all.
 
     Every 0.02 s, and at the end: ``/joint_states``, ``/tf`` (each link in the frame ``world``, which is W,
@@ -45,6 +46,8 @@ def export_mcap(plan: Plan, path: str | Path) -> None:
     plan : Plan
     path : str or Path
         An earlier file of that name is replaced.
+    effort : bool
+        Give the points of ``/joint_trajectory`` the joints' torques, too: see `export_ros`.
 
     Raises
     ------
@@ -64,17 +67,20 @@ def export_mcap(plan: Plan, path: str | Path) -> None:
     content = io.BytesIO()
     with Writer(content) as writer:
         schemas = {name: writer.register_msgdef(name, text) for name, text in _schemas().items()}
-        for topic, kind, time, message in _messages(plan):
+        for topic, kind, time, message in _messages(plan, effort=effort):
             nanoseconds = round(1e9 * time)
             writer.write_message(topic, schemas[kind], message, nanoseconds, nanoseconds)
     write_file(target, content.getvalue())
 
 
-def _messages(plan: Plan) -> Iterator[tuple[str, str, float, Message]]:
+def _messages(plan: Plan, *, effort: bool) -> Iterator[tuple[str, str, float, Message]]:
     """Yield topic, type, time and content of every message, in the order of time."""
     samples, _ = plan.job_samples
     stamp = _stamp(0.0)
-    yield "/joint_trajectory", "trajectory_msgs/msg/JointTrajectory", 0.0, _trajectory(plan, stamp)
+    job = trajectory_message(plan.robot, samples, effort=effort)
+    # A message of MCAP has all fields: those left out are empty.
+    job["points"] = [{"effort": [], **point} for point in job["points"]]
+    yield "/joint_trajectory", "trajectory_msgs/msg/JointTrajectory", 0.0, job
     yield "/markers", "visualization_msgs/msg/MarkerArray", 0.0, {"markers": list(_markers(plan, stamp))}
     some = np.unique(np.append(np.arange(0, len(samples.t), round(_STEP / 0.01)), len(samples.t) - 1))
     names, poses = link_poses(plan.robot, samples.q[some])
@@ -110,25 +116,6 @@ def _messages(plan: Plan) -> Iterator[tuple[str, str, float, Message]]:
         }
         message = {"header": header | {"frame_id": FOOT}, "wrench": wrench}
         yield "/base_wrench", "geometry_msgs/msg/WrenchStamped", time, message
-
-
-def _trajectory(plan: Plan, stamp: Message) -> Message:
-    samples, _ = plan.job_samples
-    rows = zip(samples.t, samples.q, samples.v, samples.a, samples.joint_torque, strict=True)
-    return {
-        "header": {"stamp": stamp, "frame_id": ""},
-        "joint_names": list(plan.robot.joints),
-        "points": [
-            {
-                "positions": q.tolist(),
-                "velocities": v.tolist(),
-                "accelerations": a.tolist(),
-                "effort": torque.tolist(),
-                "time_from_start": _stamp(float(t)),
-            }
-            for t, q, v, a, torque in rows
-        ],
-    }
 
 
 def _markers(plan: Plan, stamp: Message) -> Iterator[Message]:
