@@ -174,7 +174,7 @@ def test_only_on_some_members(both: tuple[Path, Outcome]) -> None:
 
 def test_jobs_of_other_bridges_are_refused(both: tuple[Path, Outcome]) -> None:
     folder, _ = both
-    other = short_scene(name="other", format="cmbot-scene/2", guardrail={"bays": 6})
+    other = short_scene(name="other", guardrail={"bays": 6})
     (folder / "other.yaml").write_text(json.dumps(other.file.as_data()))
     refused = run("stand", folder / "left.yaml", folder / "other.yaml", "-o", folder / "new")
     assert refused.status == 2

@@ -51,7 +51,7 @@ JUDGED_WITH: tuple[tuple[type, str], ...] = (
 @pytest.fixture(scope="module")
 def held_plan() -> Plan:
     plate = {"name": "plate", "box": [0.5, 0.02, 0.5], "xyz": [2.3, 0.6, -2.06]}
-    return plan(short_scene(format="cmbot-scene/2", obstacles=[plate], guardrail={"hold": MAGNET}))
+    return plan(short_scene(obstacles=[plate], guardrail={"hold": MAGNET}))
 
 
 def certified(planned: Plan, trajectory: QuinticTrajectory | None = None) -> Certificate:

@@ -206,7 +206,7 @@ def test_places_are_tried_by_length_whatever_the_via_points_are() -> None:
     told = set()
     for via_points in (8, 60, "auto"):
         way = {"legs": legs, "via_points": via_points}
-        scene = short_scene(format="cmbot-scene/2", tool_path=way)
+        scene = short_scene(tool_path=way)
         robot = parts(scene)[0]
         assert not [*beyond_reach(stroke_of(scene, robot), robot)]
         (warning,) = (w for w in precheck_scene(scene).warnings if w.key.startswith("tool_path.legs"))

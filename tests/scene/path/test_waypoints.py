@@ -143,7 +143,7 @@ def test_a_plan_says_how_many_were_merged() -> None:
     orientation = Rotation.from_matrix(pose.rotation.reshape(3, 3)).as_quat(scalar_first=True).tolist()
     steps = ([0, 0, 0], [0, 0, 0], [0, -0.05, 0], [0, -0.05, 3e-5], [0, -0.1, 0.02])
     rows = [[*(pose.point[0] + step).tolist(), *orientation] for step in steps]
-    repeated = short_scene(format="cmbot-scene/2", tool_path={"legs": [], "waypoints": rows, **WAY})
+    repeated = short_scene(tool_path={"legs": [], "waypoints": rows, **WAY})
     said = "2 waypoints are merged with the one before, less than 0.1 mm away."
     assert said in list(remarks(plan(repeated, progress=False)))
     found = dict(precheck_scene(repeated).found)
