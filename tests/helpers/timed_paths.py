@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
+from oracles.scene_path import ScenePath
 from scipy.spatial.transform import Rotation
 from small_scenes import SHORT
 
 from cmbot import load_scene
-from cmbot.planning.verification.scene_path import ScenePath
 from cmbot.scene import Scene
 
 SECOND = {

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from oracles.scene_path import ScenePath
 from small_scenes import SHORT
 
 from cmbot import load_scene
 from cmbot.common.errors import SceneError
-from cmbot.planning.verification.scene_path import ScenePath
 from cmbot.scene import Scene, SpeedProfile, ToolPath
 from cmbot.scene.path.time_law import law_with_leads
 

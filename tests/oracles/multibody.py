@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cmbot.common.arrays import BoolArray, FloatArray
-from cmbot.planning.verification.convex_distance import ConvexShape
+from oracles.convex_distance import ConvexShape
 
 __all__ = ["Body", "JointBounds", "Multibody", "PlacedShape", "turn"]
 
