@@ -79,19 +79,42 @@ class DescribedArm:
     @classmethod
     def of(cls, source: RobotSource, robot: Robot) -> DescribedArm:
         """Return what a scene's robot is; which files and frames are meant is no opinion: the loader's."""
-        files = robot_files(**{name: source.files[name] for name in _FILES})
         stance, xyz, rpy = source.stance, source.mount_xyz, source.mount_rpy
+        return cls.in_files(
+            robot_files(**{name: source.files[name] for name in _FILES}),
+            robot,
+            X_WB=None if xyz is None or rpy is None else pose_of(xyz, rpy),
+            X_WR=None if stance is None else stance.root,
+            locked={} if stance is None else stance.locked,
+            tool_length=source.tool_length,
+            payload=source.payload,
+        )
+
+    @classmethod
+    def in_files(
+        cls,
+        files: RobotFiles,
+        robot: Robot,
+        *,
+        locked: Mapping[str, float],
+        tool_length: float | None,
+        payload: float,
+        carrier: str | None = None,
+        X_WB: FloatArray | None = None,
+        X_WR: FloatArray | None = None,
+    ) -> DescribedArm:
+        """Return what files say of a robot; `locked` has the joints that do not stand as in the SRDF."""
         return cls(
             files=files,
             urdf=parse_urdf(files.urdf, package_dirs=files.package_dirs),
             base=robot.base_frame,
             tool=robot.tool_frame,
-            carrier=robot.tool_frame,
-            X_WB=None if xyz is None or rpy is None else pose_of(xyz, rpy),
-            X_WR=None if stance is None else stance.root,
-            locked=_group_states(files) | ({} if stance is None else stance.locked),
-            tool_length=source.tool_length,
-            payload=source.payload,
+            carrier=carrier or robot.tool_frame,
+            X_WB=X_WB,
+            X_WR=X_WR,
+            locked=_group_states(files) | dict(locked),
+            tool_length=tool_length,
+            payload=payload,
         )
 
     @cached_property

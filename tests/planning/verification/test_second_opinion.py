@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from oracle_arms import body_of, shapes_and_pairs
-from oracles import newton_euler
+from oracles import chang2021_arm
 from oracles.convex_distance import smallest_distances
 from rail_arms import rail_scene
 from random_arms import random_arm
@@ -118,10 +118,10 @@ def test_bodies_move_as_in_the_paper(cmbot_robot: Robot, random_states: StateSam
     body = body_of(load_scene("triangle"))
     states = random_states(cmbot_robot, 50)
     tau, force, torque = body.efforts(*states)
-    expected_tau, n_0, f_0 = newton_euler.efforts(*states)
+    expected_tau, n_0, f_0 = chang2021_arm.efforts(*states)
     for got, expected in ((tau, expected_tau), (torque, -n_0), (force, -f_0)):
         np.testing.assert_allclose(got, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
-    for got, expected in zip(body.tool_poses(states[0]), newton_euler.tool_pose(states[0]), strict=True):
+    for got, expected in zip(body.tool_poses(states[0]), chang2021_arm.tool_pose(states[0]), strict=True):
         np.testing.assert_allclose(got, expected, rtol=0, atol=1e-12)
 
 
