@@ -19,7 +19,7 @@ from cmbot.collision import Clearances, PointDistances
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.sag import Sag
 from cmbot.planning.certification.check import Check, largest_check
-from cmbot.planning.verification.described_arm import DescribedArm, pose_of
+from cmbot.planning.verification.described_arm import DescribedArm
 from cmbot.planning.verification.engine import engine_states, is_installed
 from cmbot.planning.verification.hold import hold_checks
 from cmbot.planning.verification.timed_path import DescribedPath
@@ -264,9 +264,7 @@ def _stroke_checks(
     strokes = scene.timed_strokes(X_WT)
     stroke, keep = strokes[number], strokes[number].file.keep
     times, motion = _states(trajectory)
-    described = DescribedPath(
-        stroke, _frames(scene, X_WT if number == 0 else strokes[number - 1].path.end_pose)
-    )
+    described = DescribedPath(scene, stroke, X_WT if number == 0 else strokes[number - 1].path.end_pose)
     yield from _path_checks(stroke, described, times)
     most = stroke.file.max_base_torque_nm
     if most is not None:
@@ -292,13 +290,6 @@ def _stroke_checks(
         turned = _angles(R, R_timed) if keep == "pose" else _between(R[:, :, 2], R_timed[:, :, 2])
         yield largest_check("turn of the tool at its via-point", via, turned, _VIA_POINT, "rad")
     yield from _speed_checks(scene, stroke, kinematics, times, motion)
-
-
-def _frames(scene: Scene, X_tool: FloatArray) -> dict[str, FloatArray]:
-    """Poses (4, 4) in W of the frames of a stroke, before which the tool is in the pose `X_tool`."""
-    named = (scene.file.frames or {}).items()
-    each = {name: pose_of(frame.xyz, np.radians(frame.rpy_deg)) for name, frame in named}
-    return {"world": np.eye(4), "tool": X_tool, **each}
 
 
 def _path_checks(stroke: Stroke, described: DescribedPath, times: FloatArray) -> Iterator[Check]:

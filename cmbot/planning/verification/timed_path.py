@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.planning.verification.described_arm import pose_of
-from cmbot.scene import ArcTo, Goal, Leg, LegLaw, Raster, SpeedProfile, Stroke, StrokeFile
+from cmbot.scene import ArcTo, Goal, Leg, LegLaw, Raster, Scene, SpeedProfile, Stroke, StrokeFile
 
 __all__ = ["DescribedPath"]
 
@@ -177,10 +177,12 @@ class DescribedPath:
 
     Parameters
     ----------
+    scene : Scene
+        With its frames.
     stroke : Stroke
-        What the package made of the file.
-    frames : mapping of str to (4, 4)
-        Poses in W; the path begins in that of the tool where it has no start of its own.
+        What the package made of its file.
+    X_tool : (4, 4)
+        Pose of the tool before, in which the path begins where it has no start of its own.
 
     Attributes
     ----------
@@ -188,7 +190,10 @@ class DescribedPath:
         Legs that are neither rounded nor have leads: only these are computed again.
     """
 
-    def __init__(self, stroke: Stroke, frames: Mapping[str, FloatArray]) -> None:
+    def __init__(self, scene: Scene, stroke: Stroke, X_tool: FloatArray) -> None:
+        named = (scene.file.frames or {}).items()
+        frames = {name: pose_of(frame.xyz, np.radians(frame.rpy_deg)) for name, frame in named}
+        frames |= {"world": np.eye(4), "tool": X_tool}
         self._path, self._file, self._frames = stroke.path, stroke.file, frames
         self._has_leads = bool(stroke.file.lead_in_m or stroke.file.lead_out_m)
         self._legs = _LegPath(stroke.file, frames) if stroke.file.legs else None
