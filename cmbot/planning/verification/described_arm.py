@@ -104,15 +104,16 @@ class DescribedArm:
         X_WR: FloatArray | None = None,
     ) -> DescribedArm:
         """Return what files say of a robot; `locked` has the joints that do not stand as in the SRDF."""
+        urdf = parse_urdf(files.urdf, package_dirs=files.package_dirs)
         return cls(
             files=files,
-            urdf=parse_urdf(files.urdf, package_dirs=files.package_dirs),
+            urdf=urdf,
             base=robot.base_frame,
             tool=robot.tool_frame,
             carrier=carrier or robot.tool_frame,
             X_WB=X_WB,
             X_WR=X_WR,
-            locked=_group_states(files) | dict(locked),
+            locked=_group_states(files, urdf) | dict(locked),
             tool_length=tool_length,
             payload=payload,
         )
@@ -204,10 +205,11 @@ def _link(joint: Element, tag: str) -> str:
     return "" if found is None else found.get("link", "")
 
 
-def _group_states(files: RobotFiles) -> dict[str, float]:
-    """Positions of joints, rad or m, by the SRDF."""
+def _group_states(files: RobotFiles, urdf: Element) -> dict[str, float]:
+    """Positions of the movable joints of a URDF, rad or m, that its SRDF names."""
     if files.srdf is None:
         return {}
     semantics = parse_urdf(files.srdf, "an SRDF", files.package_dirs)
-    entries = semantics.findall("group_state/joint")
-    return {entry.get("name", ""): float(entry.get("value", "")) for entry in entries}
+    movable = {each.get("name", "") for each in urdf.findall("joint") if each.get("type") in _MOVABLE}
+    entries = {each.get("name", ""): each.get("value", "") for each in semantics.findall("group_state/joint")}
+    return {name: float(entries[name]) for name in movable & entries.keys()}

@@ -8,7 +8,6 @@ whole robot, with the foot and all that does not move.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -191,9 +190,7 @@ def _place(model: Any, data: Any, arm: DescribedArm) -> None:
     import mujoco
 
     for name, value in arm.locked.items():
-        # An SRDF may name joints that are fixed, or none.
-        with suppress(KeyError):
-            data.qpos[model.joint(name).qposadr[0]] = value
+        data.qpos[model.joint(name).qposadr[0]] = value
     X = arm.X_WR
     if arm.X_WB is not None:
         mujoco.mj_kinematics(model, data)

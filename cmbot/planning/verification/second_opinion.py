@@ -303,8 +303,7 @@ def _path_checks(stroke: Stroke, described: DescribedPath, times: FloatArray) ->
         yield largest_check(
             f"turn between the timed tool path and that {_FROM}", times, turned, _POSES, "rad"
         )
-    else:
-        away = described.misses(times)
+    elif len(away := described.misses(times)):
         quantity = f"distance of the timed tool path from what the file names {_BY}"
         yield largest_check(quantity, np.zeros(len(away)), away, _NAMED, "m")
     late = np.abs(stroke.via_times - described.via_times)

@@ -272,5 +272,5 @@ def _surface_misses(raster: Raster, X: FloatArray, p: FloatArray, z: FloatArray)
         radius = np.linalg.norm(arm, axis=1)
         height, normal = radius - raster.cylinder.radius, arm / radius[:, None]
     else:
-        return np.zeros((1, 2))
+        return np.empty((0, 2))
     return np.stack([np.abs(height - raster.stand_off_m), np.linalg.norm(ahead + normal, axis=1)], axis=1)
