@@ -13,6 +13,7 @@ __all__ = [
     "PLAN_FILE",
     "SAVED_FILES",
     "SHOWN_FILES",
+    "TOUR_FILE",
     "TRACKING_FILES",
     "WALK_FILE",
     "is_own",
@@ -20,8 +21,8 @@ __all__ = [
 
 FORMAT, EARLIER_FORMAT = "cmbot-plan/2", "cmbot-plan/1"
 PLAN_FILE = "plan.json"
-WALK_FILE = "walk.json"
-"""In the folder of a walk, which is no plan directory."""
+WALK_FILE, TOUR_FILE = "walk.json", "tour.json"
+"""In the folders of a walk and of a tour, which are no plan directories."""
 SAVED_FILES = ("trajectory.csv", "baseline.csv", "trajectory.npz", "trajectory.ros.json")
 """The files beside `PLAN_FILE` of every plan, with `JOB_FILES`."""
 JOB_FILES = ("job.csv", "job.npz", "job.ros.json")

@@ -30,6 +30,7 @@ from cmbot.cli.planning import plan
 from cmbot.cli.signals import raised_again
 from cmbot.cli.simulation import reproduce, simulate
 from cmbot.cli.siting import stand, tour, walk
+from cmbot.cli.verification import verify
 from cmbot.cli.views import compare, export, replay, report
 from cmbot.common.errors import (
     LONGEST_MESSAGE,
@@ -222,7 +223,22 @@ def _with_sign(command: Callable[..., int | None]) -> Callable[..., int | None]:
 
 
 _COMMANDS: tuple[Callable[..., int | None], ...] = (
-    *(plan, stand, walk, tour, campaign, new, replay, report, compare, export, simulate, identify, reproduce),
+    *(
+        plan,
+        stand,
+        walk,
+        tour,
+        campaign,
+        new,
+        replay,
+        report,
+        compare,
+        export,
+        simulate,
+        verify,
+        identify,
+        reproduce,
+    ),
     *(check, scenes, schema, doctor),
 )
 

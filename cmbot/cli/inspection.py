@@ -69,7 +69,7 @@ _OPTIONAL = (
     ("distributed", "campaign"),
     ("shapely", "surfaces"),
     ("mcap-ros2-support", "ros"),
-    ("mujoco", "test"),
+    ("mujoco", "verify"),
     ("hypothesis", "test"),
 )
 

@@ -166,6 +166,9 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
     # Inputs are looked at before places that are taken.
     ("compare nosuch other --html empty.yaml", ("nosuch: no such folder, expected a plan directory",)),
     ("compare folder folder", ("got one directory more than once, expected different plan directories",)),
+    ("verify nosuch", ("nosuch: no such folder",)),
+    ("verify other_version", ("other_version", "cmbot-plan/999")),
+    ("verify folder --engine bullet", ("--engine: got bullet", "one of: mujoco")),
     ("report nosuch --html empty.yaml", ("nosuch: no such folder",)),
     ("export nosuch --mcap empty.yaml", ("nosuch: no such folder",)),
     ("new --from nosuch --tool-at .5 0 .4 -o empty.yaml", ("nosuch: no such file",)),

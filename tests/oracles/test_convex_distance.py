@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from oracles.distances import between_hulls
 from scipy.spatial.transform import Rotation
 
-from cmbot.planning.verification import convex_distance
-from cmbot.planning.verification.convex_distance import ConvexShape, Proven, hull, smallest_distances
+from oracles import convex_distance
+from oracles.convex_distance import ConvexShape, Proven, hull, smallest_distances
+from oracles.distances import between_hulls
 
 FloatArray = NDArray[np.float64]
 WIDTH = 1e-6
