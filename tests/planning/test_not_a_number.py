@@ -18,7 +18,6 @@ from cmbot.common.arrays import FloatArray
 from cmbot.planning import Plan, plan
 from cmbot.planning.certification.certificate import Certificate, Check, certify
 from cmbot.planning.certification.joint_checks import continuity_check
-from cmbot.planning.verification.multibody import Multibody
 from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Dynamics, Kinematics
 from cmbot.trajectory import Extrema, Pieces, QuinticTrajectory
@@ -39,9 +38,6 @@ CERTIFIED_WITH: tuple[tuple[type, str], ...] = (
 # Of what this returns the certificate reads the Jacobian alone.
 READ = {"tool_point_jacobians": slice(1, None)}
 JUDGED_WITH: tuple[tuple[type, str], ...] = (
-    (Multibody, "frames"),
-    (Multibody, "efforts"),
-    (Multibody, "tool_poses"),
     (Dynamics, "efforts"),
     (Kinematics, "tool_poses"),
     (Clearances, "smallest"),

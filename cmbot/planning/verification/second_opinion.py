@@ -261,6 +261,11 @@ def _stroke_checks(
     X_WT = np.eye(4)
     start = Kinematics(robot).tool_poses(np.array(scene.posture)[None])
     X_WT[:3, 3], X_WT[:3, :3] = (pose[0] for pose in start)
+    size = np.abs(X_WT).max()
+    if not np.isfinite(size):
+        # No path begins there.
+        yield Check(quantity="place of the tool at the start", time=0.0, value=size, bound=0.0, unit="m")
+        return
     strokes = scene.timed_strokes(X_WT)
     stroke, keep = strokes[number], strokes[number].file.keep
     times, motion = _states(trajectory)
