@@ -98,7 +98,7 @@ def test_the_plan_is_certified_and_judged_as_it_is(held_plan: Plan) -> None:
 
 
 @pytest.mark.parametrize(("owner", "name"), CERTIFIED_WITH)
-@settings(max_examples=15)
+@settings(max_examples=5)
 @given(seed=SEEDS)
 def test_no_certificate_holds_by_what_is_not_a_number(
     held_plan: Plan, owner: type, name: str, seed: int
@@ -110,7 +110,7 @@ def test_no_certificate_holds_by_what_is_not_a_number(
 
 
 @pytest.mark.parametrize(("owner", "name"), JUDGED_WITH)
-@settings(max_examples=15)
+@settings(max_examples=5)
 @given(seed=SEEDS)
 def test_no_second_opinion_agrees_with_what_is_not_a_number(
     held_plan: Plan, owner: type, name: str, seed: int
