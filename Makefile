@@ -27,6 +27,7 @@ lint: .venv/tested
 	$(BIN)/lint-imports
 	$(BIN)/python tools/build_models.py --check
 	$(BIN)/python tools/build_schema.py --check
+	$(BIN)/python tools/structure.py
 
 bench: .venv/benched
 	$(BIN)/python benchmarks/run.py

@@ -66,9 +66,9 @@ def sweep(via_points: int, **options: object) -> Scene:
         seconds, row, side = seconds + STROKE_S + STEP_S, row + up, -side
     return load_scene(
         {
-            "format": "cmbot-scene/1",
+            "format": "cmbot-scene/2",
             "name": "sweep",
-            "posture_deg": [-10, -90, 90, 0, 10, 50, 0],
+            "start": {"posture_deg": [-10, -90, 90, 0, 10, 50, 0]},
             "tool_path": {"legs": legs, "via_points": via_points},
             "obstacles": [
                 {"name": "slab", "box": [6, 1.2, 0.12], "xyz": [1, -0.8, -1.06]},

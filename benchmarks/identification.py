@@ -288,7 +288,7 @@ def tracking(proposal: Proposal, runs: int, console: Console) -> None:
     """Print how far the true arm is off its path, by what was known of it."""
     rng, modelled = np.random.default_rng(0), measured_arm(proposal.scene)
     rigid = proposal.scene
-    second = rigid.file.as_data() | {"format": "cmbot-scene/2"}
+    second = rigid.file.as_data()
     elastic = load_scene(second | {"robot": {**second["robot"], "joints": "elastic"}})
     truth = soft(modelled, proposal.setup, rng)
     arm = truth.arm(modelled)

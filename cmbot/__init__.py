@@ -101,8 +101,9 @@ _ROOMS = {
     "cmbot.views": ("plot", "replay", "report", "show"),
     "cmbot.walking": ("Tour", "Walk", "tour", "walk"),
 }
-__getattr__ = on_first_use(__name__, _ROOMS)
+_MODULES = [module.rpartition(".")[2] for module in _ROOMS]
+__getattr__ = on_first_use(__name__, _ROOMS, _MODULES)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *__all__, *_MODULES})

@@ -69,7 +69,7 @@ LIMITS = "format: cmbot-joint-limits/1\njoints:\n" + "".join(
 )
 
 SCENE = """\
-format: cmbot-scene/1
+format: cmbot-scene/2
 name: sanding
 
 robot:
@@ -80,7 +80,7 @@ robot:
   mount: {xyz: [0, 0, 0], rpy_deg: [0, 0, 0]}  # where the base frame is held, in W
   payload_kg: 1.0
 
-posture_deg: [0, 35, 0, 85, 0, 60, 0]  # the tool point straight ahead, its axis down
+start: {posture_deg: [0, 35, 0, 85, 0, 60, 0]}  # the tool point straight ahead, its axis down
 
 tool_path:
   keep: axis  # a disc may spin about its axis

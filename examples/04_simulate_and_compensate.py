@@ -12,9 +12,9 @@ import cmbot
 # A scene may be a mapping as well as a file: what is left out has its default, the guardrail, too.
 scene = cmbot.load_scene(
     {
-        "format": "cmbot-scene/1",
+        "format": "cmbot-scene/2",
         "name": "stroke",
-        "posture_deg": [-10, -90, 90, 0, 10, 50, 0],
+        "start": {"posture_deg": [-10, -90, 90, 0, 10, 50, 0]},
         "tool_path": {"legs": [{"by": [0, -0.4, 0], "seconds": 4}], "via_points": 8},
     }
 )

@@ -32,9 +32,9 @@ def stress(wrench: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 scene = cmbot.load_scene(
     {
-        "format": "cmbot-scene/1",
+        "format": "cmbot-scene/2",
         "name": "stroke",
-        "posture_deg": [-10, -90, 90, 0, 10, 50, 0],
+        "start": {"posture_deg": [-10, -90, 90, 0, 10, 50, 0]},
         "tool_path": {"keep": "position", "legs": [{"by": [0, -0.2, 0], "seconds": 3}], "via_points": 5},
         "planner": {"chart_spacing": 0.4},  # rad, coarse: a self-motion of four dimensions is wide
     }

@@ -13,9 +13,9 @@ import cmbot
 
 scene = cmbot.load_scene(
     {
-        "format": "cmbot-scene/1",
+        "format": "cmbot-scene/2",
         "name": "stroke",
-        "posture_deg": [-10, -90, 90, 0, 10, 50, 0],
+        "start": {"posture_deg": [-10, -90, 90, 0, 10, 50, 0]},
         "tool_path": {"legs": [{"by": [0, -0.3, 0], "seconds": 4}], "via_points": 8},
         "planner": {"knots": "fixed"},
     }

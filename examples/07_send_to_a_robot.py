@@ -54,10 +54,17 @@ def send(goal: dict, controller: str) -> None:
     set_message_fields(message, goal)
     sent = client.send_goal_async(message)
     rclpy.spin_until_future_complete(node, sent)
-    done = sent.result().get_result_async()
+    handle = sent.result()
+    if not handle.accepted:
+        rclpy.shutdown()
+        raise SystemExit(f"{controller} did not accept the goal: its log says why")
+    done = handle.get_result_async()
     rclpy.spin_until_future_complete(node, done)
-    print(done.result().result.error_string or "done")
+    result = done.result().result
     rclpy.shutdown()
+    if result.error_code != FollowJointTrajectory.Result.SUCCESSFUL:
+        raise SystemExit(f"the arm did not finish: error {result.error_code}, {result.error_string}")
+    print("done")
 
 
 def short_plan(folder: Path) -> Path:

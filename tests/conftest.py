@@ -107,7 +107,7 @@ def compensated_short() -> tuple[Plan, Tracking]:
 def returning_plan() -> Plan:
     """From the short scene's posture to work, with an approach, and to the stow posture."""
     planner = {"knots": "sliding"}
-    return plan(short_scene(format="cmbot-scene/2", planner=planner, **{"return": "stow"}))
+    return plan(short_scene(planner=planner, **{"return": "stow"}))
 
 
 @pytest.fixture(scope="session")

@@ -22,10 +22,10 @@ import cmbot
 import cmbot.archive
 
 SCENE = {
-    "format": "cmbot-scene/1",
+    "format": "cmbot-scene/2",
     "name": "short",
     "robot": {"model": "cmbot"},
-    "posture_deg": [-10, -90, 90, 0, 10, 50, 0],
+    "start": {"posture_deg": [-10, -90, 90, 0, 10, 50, 0]},
     "tool_path": {"legs": [{"by": [0, -0.3, 0], "seconds": 4}], "via_points": 8},
     "planner": {"knots": "fixed", "path_step_s": 0.02},
 }

@@ -16,7 +16,6 @@ is written from the JSON Schema `scenes/scene.schema.json` by `tools/build_schem
 first line `# yaml-language-server: $schema=…` check a scene while it is typed; `cmbot new`
 names the schema of the installation there, or `scene.schema.json` beside the scene where `cmbot schema` has
 written it, which goes with the scene to other machines. Lengths are metres, angles degrees, times seconds.
-`cmbot-scene/1` is read as ever; what is marked as of `cmbot-scene/2` needs that format.
 
 A whole job, from the stowed arm and back to it (`cmbot plan gusset_plate`):
 

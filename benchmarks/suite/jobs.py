@@ -52,7 +52,7 @@ def make_job(seed: int, number: int, folder: str) -> dict[str, Any]:
     rng, tool_path = np.random.default_rng([seed, number, 1]), data.pop("tool_path")
     start = next((q for _ in range(_TRIES) if (q := start_posture(world, rng)) is not None), None)
     if start is not None:
-        data["posture_deg"] = np.degrees(start).round(1).tolist()
+        data["start"]["posture_deg"] = np.degrees(start).round(1).tolist()
     legs, strokes = tool_path["legs"], []
     rpy_deg = Rotation.from_matrix(R).as_euler("xyz", degrees=True).tolist()
     for k in rng.permutation(len(legs)):
@@ -68,10 +68,8 @@ def make_job(seed: int, number: int, folder: str) -> dict[str, Any]:
             }
         )
     data |= {
-        "format": "cmbot-scene/2",
         "name": job_name(seed, number),
         "return": "start",
-        "start": {"posture_deg": data.pop("posture_deg")},
         "tool_path": {"strokes": strokes},
     }
     Path(folder, "job.yaml").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")

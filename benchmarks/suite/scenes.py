@@ -312,7 +312,7 @@ def _scene_data(
     profile: dict[str, Any],
     obstacles: list[dict[str, Any]],
 ) -> dict[str, Any]:
-    robot: dict[str, Any] = {"model": "cmbot"}
+    robot: dict[str, Any] = {"model": "cmbot", "joints": "rigid"}
     if mount is not None:
         robot = {
             "model": str(arm.urdf),
@@ -324,10 +324,10 @@ def _scene_data(
         }
     length = sum(float(np.linalg.norm(by)) for by, _ in legs)
     return {
-        "format": "cmbot-scene/1",
+        "format": "cmbot-scene/2",
         "name": name,
         "robot": robot,
-        "posture_deg": np.degrees(q).round(1).tolist(),
+        "start": {"posture_deg": np.degrees(q).round(1).tolist()},
         "tool_path": {
             "keep": keep,
             "legs": [{"by": by.tolist(), "seconds": seconds} for by, seconds in legs],

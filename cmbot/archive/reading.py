@@ -66,9 +66,9 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
     ----------
     directory : str or Path
     verify : bool
-        Certify trajectory and approach again (some seconds), and require pages, plots and tracking errors
-        that are there to be those that were written. Peaks of a custom objective are not checked: the file
-        has only its name.
+        Certify trajectory and approach again, and compute them a second time, with the extra ``verify``
+        also by MuJoCo (some seconds); require pages, plots and tracking errors that are there to be those
+        that were written. Peaks of a custom objective are not checked: the file has only its name.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
         When a file is missing, damaged, of another version, or contradicts the others; when robot, scene or
         meshes have changed since; with `verify`, when the metrics in the file are not those of the motion.
     LimitViolation
-        With `verify`, when trajectory or approach breaks a promise.
+        With `verify`, when trajectory or approach breaks a promise, or the second computation differs.
 
     Examples
     --------

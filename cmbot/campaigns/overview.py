@@ -8,12 +8,13 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from cmbot.common.errors import whole_sentences
 from cmbot.version import __version__
 from cmbot.views import REPORT, assemble_plain
 
 __all__ = ["overview_page"]
 
-# A reason of more characters is cut; the table of results has it whole.
+# Of a reason of more characters the first sentences are shown; the table of results has it whole.
 _LONGEST_REASON = 600
 # Significant digits of a figure.
 _DIGITS = 6
@@ -53,10 +54,12 @@ def _columns(rows: Sequence[Mapping[str, Any]], directory: Path) -> dict[str, li
         "name": [row["name"] for row in rows],
         "at": [_short(row["at_m"]) for row in rows],
         "ended": [row["ended"] for row in rows],
-        "reason": [_cut(str(row["reason"])) for row in rows],
+        "reason": [whole_sentences(str(row["reason"]), _LONGEST_REASON) for row in rows],
         "baseline": [_short(row.get("baseline_job.peak_guardrail_torque")) for row in rows],
         "planned": [_short(row.get("planned_job.peak_guardrail_torque")) for row in rows],
         "workBaseline": [_short(row.get("baseline_work.peak_guardrail_torque")) for row in rows],
+        "faults": [row.get("baseline_job_faults") or "" for row in rows],
+        "workFaults": [row.get("baseline_work_faults") or "" for row in rows],
         "workPlanned": [_short(row.get("planned_work.peak_guardrail_torque")) for row in rows],
         "clearance": [_short(row.get("planned_job.min_clearance")) for row in rows],
         "duration": [_short(row.get("duration")) for row in rows],
@@ -69,10 +72,6 @@ def _columns(rows: Sequence[Mapping[str, Any]], directory: Path) -> dict[str, li
 def _report(place: str | None, directory: Path) -> str | None:
     """The page in a plan directory that the job's name leads to, where it is there."""
     return REPORT if place is not None and (directory / place / REPORT).is_file() else None
-
-
-def _cut(reason: str) -> str:
-    return reason if len(reason) <= _LONGEST_REASON else f"{reason[: _LONGEST_REASON - 1]}…"
 
 
 def _short(value: float | None) -> float | None:

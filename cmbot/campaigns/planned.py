@@ -8,7 +8,7 @@ from typing import Any
 
 from cmbot.archive import save
 from cmbot.common.errors import CmbotError, PlanningError
-from cmbot.planning import plan, remarks, verdict
+from cmbot.planning import baseline_faults, plan, remarks, verdict
 from cmbot.scene import load_scene
 
 __all__ = ["PLAN_SCENE", "plan_scene"]
@@ -62,4 +62,7 @@ def plan_scene(scene: str, directory: str, *, pages: bool = False) -> dict[str, 
         "gap_to_floor": planned.gap_to_floor,
         "planning_seconds": planned.seconds.total,
         **{name: asdict(each) for name, each in figures.items()},
+        # Where a baseline breaks a limit, no gain on it is one.
+        "baseline_work_faults": baseline_faults(planned, work=True),
+        "baseline_job_faults": baseline_faults(planned),
     }

@@ -30,8 +30,15 @@ from cmbot.cli.planning import plan
 from cmbot.cli.signals import raised_again
 from cmbot.cli.simulation import reproduce, simulate
 from cmbot.cli.siting import stand, tour, walk
+from cmbot.cli.verification import verify
 from cmbot.cli.views import compare, export, replay, report
-from cmbot.common.errors import LONGEST_MESSAGE, CmbotError, InputError, PlanningError
+from cmbot.common.errors import (
+    LONGEST_MESSAGE,
+    CmbotError,
+    InputError,
+    PlanningError,
+    whole_sentences,
+)
 
 __all__ = ["app", "main"]
 
@@ -102,7 +109,7 @@ def _run(words: list[str]) -> int:
             if getattr(option, "nargs", 1) > 1:
                 numbers = f"{option.opts[0]} takes {option.nargs} numbers: {option.metavar}"
                 message = f"{message.rstrip('.')}; {numbers}"
-            _print_error(f"{_cut(message.rstrip('.'), LONGEST_MESSAGE - len(where))}{where}")
+            _print_error(f"{whole_sentences(message.rstrip('.'), LONGEST_MESSAGE - len(where))}{where}")
         return ExitStatus.BAD_INPUT
     except CmbotError as error:
         if _debugging():
@@ -165,7 +172,7 @@ def _report(kind: type[BaseException], error: BaseException, trace: TracebackTyp
         sys.__excepthook__(kind, error, trace)
     else:
         end = " (a bug in cmbot: --debug shows where)"
-        _print_error(_cut(flat(f"{kind.__name__}: {error}"), LONGEST_MESSAGE - len(end)) + end)
+        _print_error(whole_sentences(flat(f"{kind.__name__}: {error}"), LONGEST_MESSAGE - len(end)) + end)
 
 
 def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
@@ -182,10 +189,6 @@ def _print_error(text: str) -> None:
     """Print one line; a terminal breaks it between words."""
     terminal = err.is_terminal
     err.print(f"error: {flat(text)}", style="red" if terminal else "", soft_wrap=not terminal)
-
-
-def _cut(text: str, length: int) -> str:
-    return text if len(text) <= length else f"{text[: length - 1]}…"
 
 
 def _print_version(wanted: bool) -> None:
@@ -220,7 +223,22 @@ def _with_sign(command: Callable[..., int | None]) -> Callable[..., int | None]:
 
 
 _COMMANDS: tuple[Callable[..., int | None], ...] = (
-    *(plan, stand, walk, tour, campaign, new, replay, report, compare, export, simulate, identify, reproduce),
+    *(
+        plan,
+        stand,
+        walk,
+        tour,
+        campaign,
+        new,
+        replay,
+        report,
+        compare,
+        export,
+        simulate,
+        verify,
+        identify,
+        reproduce,
+    ),
     *(check, scenes, schema, doctor),
 )
 

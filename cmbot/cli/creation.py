@@ -43,14 +43,6 @@ ToolAtOption = Annotated[
         help="With --from: tool point at the start, m, in the frame of the URDF's root link.",
     ),
 ]
-FromSceneOption = Annotated[
-    str | None,
-    typer.Option(
-        "--from-scene",
-        metavar="SCENE",
-        help="In place of --from: a scene of cmbot-scene/1, to be written as cmbot-scene/2.",
-    ),
-]
 RpyOption = Annotated[
     Numbers | None,
     typer.Option("--rpy-deg", metavar="R P Y", help="Roll, pitch, yaw of the tool there; left out: any."),
@@ -73,7 +65,6 @@ OutputOption = Annotated[
 def new(
     source: SourceOption = None,
     tool_at: ToolAtOption = None,
-    scene: FromSceneOption = None,
     rpy_deg: RpyOption = None,
     base: BaseOption = None,
     tool: ToolOption = None,
@@ -88,17 +79,9 @@ def new(
     Example: [bold]cmbot new --from panda --tool-at 0.5 0 0.4 -o panda.yaml[/bold],
     then [bold]cmbot plan panda.yaml[/bold]
     """
-    if scene is not None:
-        of_robot: dict[str, object] = {"--from": source, "--tool-at": tool_at, "--rpy-deg": rpy_deg}
-        of_robot |= {"--base": base, "--tool": tool, "--package-dir": package_dir}
-        if given := [option for option, value in of_robot.items() if value]:
-            expected = "none with --from-scene, which has its own robot"
-            raise InputError(given[0], "", "a value", expected)
-        _migrate(scene, output, force=force, as_json=as_json, quiet=quiet)
-        return
     if source is None or tool_at is None:
         missing = "--from" if source is None else "--tool-at"
-        raise InputError(missing, "", "nothing", "--from URDF and --tool-at X Y Z, or --from-scene SCENE")
+        raise InputError(missing, "", "nothing", "--from URDF and --tool-at X Y Z")
     path = output if output is not None else Path(f"{_slug(Path(source).name.partition('.')[0])}.yaml")
     _require_numbers("--tool-at", tool_at, _LARGEST)
     _require_numbers("--rpy-deg", rpy_deg or (), _LARGEST_ANGLE)
@@ -151,21 +134,6 @@ def _print_new(made: _Made, remarks: Sequence[str], written: Sequence[Path], *, 
                 flat(f"The assumed limits are in {limits}: put those of your robot's data sheet there.")
             )
     out.print(flat(f"Written: {', '.join(map(str, written))}. Plan it: cmbot plan {written[0]}"))
-
-
-def _migrate(source: str, output: Path | None, *, force: bool, as_json: bool, quiet: bool) -> None:
-    """Write a scene of the first format in the second one."""
-    from cmbot.archive import write_file
-    from cmbot.scene import migrated
-
-    path = output if output is not None else Path(f"{_slug(Path(source).stem)}.yaml")
-    text = migrated(source, path, _schema(path))
-    require_new(path, force)
-    write_file(path, text.encode())
-    if as_json:
-        print_json({"verb": "new", "files": [str(path)], "remarks": []})
-    elif not quiet:
-        out.print(flat(f"Written: {path}, which means the same. Plan it: cmbot plan {path}"))
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,7 @@ _OPTIONAL = (
     ("distributed", "campaign"),
     ("shapely", "surfaces"),
     ("mcap-ros2-support", "ros"),
-    ("mujoco", "test"),
+    ("mujoco", "verify"),
     ("hypothesis", "test"),
 )
 

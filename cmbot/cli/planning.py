@@ -189,10 +189,11 @@ def _with_values(scene: str, values: Mapping[str, object]) -> cmbot.Scene:
 
 def _summary(planned: Plan, directory: Path) -> dict[str, Any]:
     from cmbot.archive import plan_data
-    from cmbot.planning import remarks, verdict
+    from cmbot.planning import baseline_faults, remarks, verdict
 
     entries = {name: entry for name, entry in plan_data(directory).items() if name not in _LEFT_OUT}
-    said = {"verdict": verdict(planned), "remarks": list(remarks(planned))}
+    faults = {"work": baseline_faults(planned, work=True), "job": baseline_faults(planned)}
+    said = {"verdict": verdict(planned), "remarks": list(remarks(planned)), "baseline_faults": faults}
     return {"scene": planned.scene.name, **entries, **said}
 
 

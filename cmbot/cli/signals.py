@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-__all__ = ["check_signals", "raised_again", "take_signals"]
+__all__ = ["check_signals", "interrupt_taken", "raised_again", "take_signals"]
 
 _raised: list[BaseException] = []
 
@@ -28,6 +28,11 @@ def check_signals() -> None:
     """
     if _raised:
         raise _raised[-1]
+
+
+def interrupt_taken() -> None:
+    """Forget a Ctrl-C to which something answered; what else was raised stays."""
+    _raised[:] = [each for each in _raised if not isinstance(each, KeyboardInterrupt)]
 
 
 @contextmanager

@@ -13,6 +13,7 @@ import typer
 import cmbot
 from cmbot.cli.console import (
     ConsoleProgress,
+    ExitStatus,
     ForceOption,
     JsonOption,
     QuietOption,
@@ -24,7 +25,8 @@ from cmbot.cli.console import (
     print_table,
     scenes_named,
 )
-from cmbot.common.errors import InputError
+from cmbot.cli.signals import interrupt_taken
+from cmbot.common.errors import InputError, PlanningError
 
 if TYPE_CHECKING:
     from cmbot.siting import Standing
@@ -81,6 +83,10 @@ MaxTorqueOption = Annotated[
 SpeedOption = Annotated[
     float, typer.Option("--speed", help="Metres a second of a foot at most.", min=1e-3, max=1.0)
 ]
+TimeLimitOption = Annotated[
+    float | None,
+    typer.Option("--time-limit", help="Seconds after which the best so far is kept.", min=0.0),
+]
 MembersOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -99,15 +105,18 @@ def stand(
     one_foot: OneFootOption = False,
     max_torque: MaxTorqueOption = None,
     members: MembersOption = None,
+    time_limit: TimeLimitOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
-) -> None:
+) -> int:
     """Find where the robot should stand for jobs: stances screened by bounds, the best planned.
 
     For scenes of the shipped robot alone, an arm on a climber that holds a guardrail. Strokes that no
     stance does together are done from several, as few as possible. Writes a ranked table, a page with a
-    map, and the scene with the best stance: best.yaml, or best_1.yaml and so on.
+    map, and the scene with the best stance: best.yaml, or best_1.yaml and so on. The scene's own stance is
+    planned first: no worse one is written. Ctrl-C keeps the best so far. Exit status 3 where none was
+    planned.
 
     Examples: [bold]cmbot stand line --objective hold[/bold], then
     [bold]cmbot plan out/line_stances/best.yaml[/bold];
@@ -130,18 +139,37 @@ def stand(
         plans=plans,
         members=tuple(members or ()),
         max_torque=float("inf") if max_torque is None else max_torque,
+        time_limit=float("inf") if time_limit is None else time_limit,
     )
     with claim(directory):
         require_absent(directory, (*_FILES, STANCES_FILE, "best.yaml", "best_1.yaml"), force=force)
         with scenes_named(*scenes), ConsoleProgress(quiet=quiet) as progress:
             standings = find(loaded, options, progress.stage)
+            stopped = any(standing.ended_by == "interrupt" for standing in standings)
+            if stopped:
+                interrupt_taken()
         summary = _summary(standings)
         write_results(directory, STANCES_FILE, summary, _contents(standings, name), force=force)
+    if plans and not stopped:
+        with scenes_named(*scenes):
+            _require_planned(standings, directory)
     if as_json:
         print_result("stand", directory, summary)
     elif not quiet:
         _print_standings(standings)
         _print_written(directory, started)
+    return ExitStatus.STOPPED if stopped else ExitStatus.DONE
+
+
+def _require_planned(standings: Sequence[Standing], directory: Path) -> None:
+    """Refuse a search without a plan, and say where the reasons are."""
+    from cmbot.siting import require_planned
+
+    try:
+        require_planned(standings)
+    except PlanningError as error:
+        error.add_hint(f"{flat(directory / _FILES[0])} has the reason of each")
+        raise
 
 
 def _print_standings(standings: Sequence[Standing]) -> None:
@@ -296,6 +324,8 @@ def _contents(standings: Sequence[Standing], name: str) -> dict[str, bytes]:
     texts = (stances_csv(standings), stances_page(standings, name))
     contents = dict(zip(_FILES, texts, strict=True))
     for number, each in enumerate(standings, start=1):
+        if each.plans and each.best is None:
+            continue
         file = "best.yaml" if len(standings) == 1 else f"best_{number}.yaml"
         contents[file] = f"{_MARK}# Metres, seconds, degrees.\n{yaml_text(best_scene(each))}"
     return {file: text.encode() for file, text in contents.items()}

@@ -266,6 +266,10 @@ def export(
     force: Annotated[
         bool, typer.Option("--force", help="Replace files with these names that are there.")
     ] = False,
+    effort: Annotated[
+        bool,
+        typer.Option("--effort", help="With --mcap and --ros: torques, too, for controllers that take them."),
+    ] = False,
 ) -> None:
     """Write a plan for other programs: the job as a table or for ROS 2, the robot as a package.
 
@@ -277,13 +281,15 @@ def export(
         raise InputError("cmbot export", "", "nothing to write", "--csv, --ros, --mcap or --ros-package")
     if work and csv is None:
         raise InputError("cmbot export", "--work", "no table", "it with --csv FILE")
+    if effort and mcap is None and ros is None:
+        raise InputError("cmbot export", "--effort", "no trajectory to write", "it with --mcap or --ros")
     from cmbot.archive import export_csv, export_mcap, export_ros, export_ros_package
 
     loaded = cmbot.load_plan(directory)
     exports: tuple[tuple[Path | None, Callable[[Plan, Path], object]], ...] = (
         (csv, partial(export_csv, work=work)),
-        (ros, export_ros),
-        (mcap, export_mcap),
+        (ros, partial(export_ros, effort=effort)),
+        (mcap, partial(export_mcap, effort=effort)),
     )
     for file, _ in exports:
         if file is not None:

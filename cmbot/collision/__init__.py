@@ -2,6 +2,7 @@
 
 from cmbot.collision.clearance import RESOLUTION, Clearances, Nearest, Smallest
 from cmbot.collision.motion_bounds import raise_bounds, travel
+from cmbot.collision.point_distances import PointDistances
 from cmbot.collision.shapes import PairedShapes, ShapePair, extent_of, touched_by
 
 __all__ = [
@@ -9,6 +10,7 @@ __all__ = [
     "Clearances",
     "Nearest",
     "PairedShapes",
+    "PointDistances",
     "ShapePair",
     "Smallest",
     "extent_of",

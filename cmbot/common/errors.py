@@ -18,6 +18,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 
 from cmbot.common.installation import install_command
@@ -39,6 +40,7 @@ __all__ = [
     "beyond",
     "one_line",
     "remedy_for",
+    "whole_sentences",
 ]
 
 LONGEST_MESSAGE = 390
@@ -49,8 +51,12 @@ FAR_BEYOND = 10.0
 
 # A posture whose smallest singular value is larger is not near a singular one.
 _SINGULAR = 0.05
-# Characters of a value, and of a file's path, that are kept at least where a message has to be shortened.
-_SHORT_VALUE, _SHORT_SOURCE = 60, 80
+# Characters of a value, of a file's path and of what happened that are kept at least where a message has to
+# be shortened.
+_SHORT_VALUE, _SHORT_SOURCE, _SHORT_TEXT = 60, 80, 160
+# What is said as one: in brackets and quotes no sentence ends. An apostrophe is no quote.
+_GROUP = re.compile(r"\([^()]*\)|\[[^][]*\]|(?<!\w)'[^']*'(?!\w)|(?<!\w)\"[^\"]*\"(?!\w)")
+_SENTENCE_ENDS = re.compile(r";(?= )|(?<=[.!?])(?= [A-Z])")
 
 
 def one_line(text: object) -> str:
@@ -58,8 +64,35 @@ def one_line(text: object) -> str:
     return "".join(c if c.isprintable() else " " if c.isspace() else ascii(c)[1:-1] for c in str(text))
 
 
-def _cut(text: str, length: int) -> str:
-    return text if len(text) <= length else f"{text[: length - 1]}…"
+def whole_sentences(text: str, length: int) -> str:
+    """Return text of one line as far as its sentences fit into so many characters.
+
+    The last sentences, or parts of one that a semicolon ends, are left out. Where the first one alone is too
+    long, long values in it lose their middle; where it has none, it loses words from its own.
+
+    Parameters
+    ----------
+    text : str
+    length : int
+    """
+    if len(text) <= length:
+        return text
+    masked = text
+    # From the innermost groups outwards.
+    while (once := _GROUP.sub(lambda group: "_" * len(group[0]), masked)) != masked:
+        masked = once
+    ends = [found.start() for found in _SENTENCE_ENDS.finditer(masked)]
+    if fitting := [end for end in ends if 0 < end <= length]:
+        return text[: fitting[-1]]
+    first = text[: ends[0]] if ends and ends[0] > 0 else text
+    for value in sorted((*_GROUP.findall(first), *first.split()), key=len, reverse=True):
+        if len(first) <= length or len(value) <= _SHORT_VALUE:
+            break
+        first = first.replace(value, _cut_within(value, max(len(value) - len(first) + length, _SHORT_VALUE)))
+    if len(first) <= length:
+        return first
+    begin, end = first[: length // 2 - 1].rpartition(" ")[0], first[3 - (length + 1) // 2 :].partition(" ")[2]
+    return f"{begin} … {end}" if begin and end else _cut_within(first, length)
 
 
 def _cut_within(text: str, length: int) -> str:
@@ -75,24 +108,41 @@ class CmbotError(Exception):
     Parameters
     ----------
     message : str
-        Shortened where it is longer.
+        Where it is longer, as many of its sentences as fit: `whole_sentences`.
+    end : str, optional
+        What is said at the end in any case, with a semicolon before it.
     """
 
-    def __init__(self, message: str) -> None:
-        super().__init__(_cut(one_line(message), LONGEST_MESSAGE))
+    _about, _hints = "", ""
+
+    def __init__(self, message: str, end: str = "") -> None:
+        self._text, self._end = one_line(message), one_line(end)
+        super().__init__(self._within(LONGEST_MESSAGE))
 
     def add_source(self, source: str) -> None:
         """Put before the message what it is about, such as the scene's file."""
-        shown = one_line(source)
-        if len(shown) > _SHORT_SOURCE:
-            shown = f"…{shown[1 - _SHORT_SOURCE :]}"
-        room = LONGEST_MESSAGE - len(shown) - 2
-        self.args = (f"{shown}: {_cut_within(str(self), room)}",)
+        self._about = f"{_end_of(one_line(source))}: {self._about}"
+        self._say()
 
     def add_hint(self, hint: str) -> None:
         """Append a hint to the message, which is shortened for it where need be."""
-        message = _cut(str(self), max(LONGEST_MESSAGE - len(hint) - 2, 0))
-        self.args = (f"{message}; {hint}",)
+        self._hints += f"; {one_line(hint)}"
+        self._say()
+
+    def _within(self, room: int) -> str:
+        """What happened, in so many characters."""
+        end = whole_sentences(self._end, room - min(len(self._text), _SHORT_TEXT))
+        return f"{whole_sentences(self._text, room - len(end))}{end}"
+
+    def _say(self) -> None:
+        """Make the message of its parts."""
+        room = LONGEST_MESSAGE - len(self._about)
+        text = self._within(room)
+        kept = min(len(text), _SHORT_TEXT + len(self._end))
+        hints = whole_sentences(self._hints[2:], room - 2 - kept)
+        if hints:
+            text = f"{self._within(room - 2 - len(hints))}; {hints}"
+        self.args = (f"{self._about}{text}",)
 
 
 class InputError(CmbotError, ValueError):
@@ -131,14 +181,14 @@ class InputError(CmbotError, ValueError):
         self.expected = expected
         self.choices = tuple(choices)
         self.line = line
-        super().__init__(self._message())
+        super().__init__("")
 
     def set_line(self, line: int | None) -> None:
         """Say in the message where in the file the key is."""
         self.line = line
-        self.args = (_cut(self._message(), LONGEST_MESSAGE),)
+        self._say()
 
-    def _message(self) -> str:
+    def _within(self, room: int) -> str:
         source, key, expected = one_line(self.source), one_line(self.key), one_line(self.expected)
         found = got = one_line(self.got)
         if not got.startswith("no such "):
@@ -148,13 +198,22 @@ class InputError(CmbotError, ValueError):
             line = "" if self.line is None else f":{self.line}"
             return f"{source}{line}{f': {key}' if key else ''}: {found}, expected {expected}"
 
-        if (excess := len(joined()) - LONGEST_MESSAGE) > 0:
+        if (excess := len(joined()) - room) > 0:
             # The end often says more than the middle.
             found = _cut_within(found, max(len(found) - excess, _SHORT_VALUE))
-        if len(joined()) > LONGEST_MESSAGE and len(source) > _SHORT_SOURCE:
-            source = f"…{source[1 - _SHORT_SOURCE :]}"
-        text = joined()
-        return text + _listed(self.choices, LONGEST_MESSAGE - len(text))
+        if len(joined()) > room:
+            source = _end_of(source)
+        if (excess := len(joined()) - room) > 0:
+            expected = whole_sentences(expected, max(len(expected) - excess, _SHORT_VALUE))
+        if (excess := len(joined()) - room) > 0:
+            key = _cut_within(key, max(len(key) - excess, _SHORT_VALUE))
+        text = whole_sentences(joined(), room)
+        return text + _listed(self.choices, room - len(text))
+
+
+def _end_of(source: str) -> str:
+    """The path of a file, or of a long one its end."""
+    return source if len(source) <= _SHORT_SOURCE else f"…{source[1 - _SHORT_SOURCE :]}"
 
 
 def _listed(choices: Sequence[str], room: int) -> str:
@@ -289,9 +348,10 @@ class PathNotFound(PlanningError):
         self.smallest_singular_value = smallest_singular_value
         self.pair = pair
         text = f"no path beyond t = {time:.2f} s ({progress:.0%} of the tool path): {reason}"
+        near = ""
         if 0 < smallest_singular_value < _SINGULAR:
-            text += f"; near a singular posture (smallest singular value {smallest_singular_value:.3g})"
-        super().__init__(text)
+            near = f"; near a singular posture (smallest singular value {smallest_singular_value:.3g})"
+        super().__init__(text, near)
 
 
 class OptimisationFailed(PlanningError):
@@ -330,19 +390,19 @@ class OptimisationFailed(PlanningError):
         self.undecided = undecided
         self.remedy = remedy
         if violation <= 0:
-            super().__init__(f"{reason}; every constraint is met, {constraint} with the least room")
+            super().__init__(reason, f"; every constraint is met, {constraint} with the least room")
             return
-        text = f"{reason}; worst constraint: {constraint}, {beyond(violation)}"
+        text = f"; worst constraint: {constraint}, {beyond(violation)}"
         if constraint == "peak":
             text = (
-                f"{reason}; worst constraint: the peak, which exceeds the bound that was tried for it by "
+                "; worst constraint: the peak, which exceeds the bound that was tried for it by "
                 f"{violation:.2%} of the initial guess's peak"
             )
         if remedy is None:
             remedy = remedy_for(constraint, violation)
         if "time was over" in reason:
             remedy = "a larger planner.time_limit_s"
-        super().__init__(f"{text}: {remedy} may help" if remedy else text)
+        super().__init__(reason, f"{text}: {remedy} may help" if remedy else text)
 
 
 class LimitViolation(PlanningError):
@@ -413,8 +473,7 @@ class MissingExtra(CmbotError, ImportError):
         self.command = command or install_command(extra)
         super().__init__(f"{package} is not installed; run: {self.command}")
 
-    def add_hint(self, hint: str) -> None:
-        """Append a hint to the message, which is shortened for it where need be."""
-        super().add_hint(hint)
+    def _say(self) -> None:
+        super()._say()
         # What an ImportError prints.
         self.msg = self.args[0]

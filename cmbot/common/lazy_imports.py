@@ -9,7 +9,9 @@ from importlib import import_module
 __all__ = ["on_first_use"]
 
 
-def on_first_use(package: str, modules: Mapping[str, Sequence[str]]) -> Callable[[str], object]:
+def on_first_use(
+    package: str, modules: Mapping[str, Sequence[str]], submodules: Sequence[str] = ()
+) -> Callable[[str], object]:
     """Return what a package's ``__getattr__`` is to be (PEP 562).
 
     Parameters
@@ -19,10 +21,14 @@ def on_first_use(package: str, modules: Mapping[str, Sequence[str]]) -> Callable
     modules : mapping from str to sequence of str
         The modules that define the names. No name may be that of a module of the package itself, which would
         hide it.
+    submodules : sequence of str
+        Modules of the package itself that are imported when they are first used.
     """
     module_of = {name: module for module, names in modules.items() for name in names}
 
     def attribute(name: str) -> object:
+        if name in submodules:
+            return import_module(f"{package}.{name}")
         if name not in module_of:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         value = getattr(import_module(module_of[name]), name)

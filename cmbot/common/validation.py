@@ -318,7 +318,7 @@ def key_path(steps: Sequence[str | int]) -> str:
 def shown(value: object) -> str:
     """Return a value as one short line."""
     text = repr(value)
-    return text if len(text) <= _LONGEST_SHOWN else f"{text[: _LONGEST_SHOWN - 1]}…"
+    return text if len(text) <= _LONGEST_SHOWN else f"{text[: _LONGEST_SHOWN - 2]}…{text[-1]}"
 
 
 def counted(number: int, noun: str, plural: str = "") -> str:

@@ -26,10 +26,13 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.file_types import Count, NonNegative
 from cmbot.hold.foot import Foot
 
-__all__ = ["MODES", "AdhesionPeak", "FlatContact", "Holding", "needed_by_load"]
+__all__ = ["ADHESION", "CLAMP_LOAD", "MODES", "AdhesionPeak", "FlatContact", "Holding", "needed_by_load"]
 
 MODES = ("pull", "tip", "slip")
 """What the adhesion is needed against."""
+
+ADHESION, CLAMP_LOAD = "adhesion needed", "load of the clamp"
+"""What is judged of a magnet and of a clamp: see `Holding.named`."""
 
 _POWER = 1.25
 
@@ -90,6 +93,28 @@ class Holding:
         """Numbers, from 0, of the feet with a flat contact."""
         return tuple(k for k, foot in enumerate(self.feet) if foot.half is not None)
 
+    @property
+    def adhesive(self) -> tuple[int, ...]:
+        """Numbers, from 0, of the feet that hold by adhesion: those that are flat, but for clamps."""
+        return tuple(k for k in self.flat if self.feet[k].kind != "clamp")
+
+    @property
+    def clamps(self) -> tuple[int, ...]:
+        """Numbers, from 0, of the clamps of which is known what they bear."""
+        return tuple(k for k, foot in enumerate(self.feet) if foot.force is not None)
+
+    def named(self, what: str, number: int) -> str:
+        """Return what is said of a foot: ``load of the clamp of foot 2, safety 2``; `what` leaves out which.
+
+        Parameters
+        ----------
+        what : str
+        number : int
+            Of the foot, from 0.
+        """
+        which = f" of foot {number + 1}" if len(self.feet) > 1 else ""
+        return f"{what}{which}, safety {self.feet[number].safety:g}"
+
     def load(self, number: int, wrench: FloatArray) -> FloatArray:
         """Return the loads (N, 6), N and Nm, of a foot: `Foot.from_wrench`.
 
@@ -121,10 +146,10 @@ class Holding:
         return np.asarray(self.modes(number, wrench).max(axis=1))
 
     def worst(self, wrench: FloatArray, time: FloatArray) -> AdhesionPeak:
-        """Return the largest adhesion that wrenches (N, 6) at times (N,), s, need."""
-        each = self.each(wrench)
+        """Return the largest adhesion that wrenches (N, 6) at times (N,), s, need of a foot but a clamp."""
+        each = self.each(wrench)[:, [self.flat.index(number) for number in self.adhesive]]
         k, column = np.unravel_index(int(each.argmax()), each.shape)
-        number = self.flat[int(column)]
+        number = self.adhesive[int(column)]
         mode = self.mode(number, wrench[k])
         return AdhesionPeak(peak=float(each[k, column]), mode=mode, time=float(time[k]), foot=number + 1)
 
@@ -195,14 +220,16 @@ class Holding:
         return value, gradient
 
     def use(self, number: int, wrench: FloatArray) -> FloatArray:
-        """Return the largest share (N,) of a clamp's bounds that its load uses."""
-        return np.asarray((np.abs(self.load(number, wrench)) / self._clamp(number)).max(axis=1))
+        """Return the largest share (N,) of a clamp's bounds that its load uses, safety included."""
+        shares = np.abs(self.load(number, wrench)) / self._clamp(number)
+        return np.asarray(self.feet[number].safety * shares.max(axis=1))
 
     def use_remainder(self, number: int, force: FloatArray, torque: FloatArray) -> FloatArray:
         """Bound by how much that share may change, (K,): as `remainder`."""
         clamp, loads = self._clamp(number), self._load_bounds(number, force, torque)
         bounded = np.isfinite(clamp)
-        return np.asarray((loads[:, bounded] / clamp[bounded]).max(axis=1, initial=0.0))
+        shares = loads[:, bounded] / clamp[bounded]
+        return np.asarray(self.feet[number].safety * shares.max(axis=1, initial=0.0))
 
     def _clamp(self, number: int) -> FloatArray:
         foot = self.feet[number]

@@ -104,7 +104,8 @@ class MeasurementFile(FileModel):
     frequencies_hz: Annotated[tuple[Frequency, ...], Field(max_length=4)] = ()
     """Natural frequencies without the weight, the slowest first."""
     record: Text | None = None
-    """In place of them a CSV file ``t,ax,ay,az`` of an accelerometer on the tool: a tap, and its decay."""
+    """In place of them a CSV file ``t,ax,ay,az``, or as Klipper writes it, of an accelerometer on the tool: a
+    tap, and its decay."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:

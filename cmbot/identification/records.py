@@ -21,6 +21,8 @@ __all__ = ["RingDown", "read_record", "ring_down"]
 
 _LARGEST = 20_000_000
 _COLUMNS = (("t", "ax"), ("t", "ay"), ("t", "az"), ("t", "ax", "ay", "az"))
+# How Klipper calls them.
+_KLIPPER = {"#time": "t", "accel_x": "ax", "accel_y": "ay", "accel_z": "az"}
 # Frequencies above this, Hz, are left out; samples a period of it that are kept.
 _HIGHEST, _SAMPLES = 40.0, 6
 # Of the decay: what is left out after the tap, and its longest part that is used, s.
@@ -57,6 +59,8 @@ class RingDown:
 def read_record(path: Path) -> RingDown:
     """Read a CSV file with the columns ``t``, s, and one or all of ``ax``, ``ay``, ``az``, in any unit.
 
+    They may also be called as Klipper does: ``#time,accel_x,accel_y,accel_z``.
+
     Raises
     ------
     InputError
@@ -64,10 +68,9 @@ def read_record(path: Path) -> RingDown:
     """
     rows = read_csv(path, InputError, kind="a CSV file of an accelerometer's record", largest=_LARGEST)
     heading = tuple(name.strip() for name in rows[0]) if rows else ()
-    if heading not in _COLUMNS:
-        raise InputError(
-            str(path), "line 1", ",".join(heading), "the columns t,ax,ay,az, or t and one of them"
-        )
+    if tuple(_KLIPPER.get(name, name) for name in heading) not in _COLUMNS:
+        expected = "the columns t,ax,ay,az, or t and one of them, or Klipper's #time,accel_x,accel_y,accel_z"
+        raise InputError(str(path), "line 1", ",".join(heading), expected)
     try:
         table = np.array(rows[1:], dtype=float)
     except ValueError as error:

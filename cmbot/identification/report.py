@@ -220,7 +220,7 @@ def stiffness_text(stiffness: IdentifiedStiffness, source: str) -> str:
     """Return the file of an identified stiffness; `source` is where the measurements came from."""
     data = stiffness.model_dump(mode="json", exclude_none=True)
     lines = [
-        f"# Written by cmbot identify from {source}. In a scene of cmbot-scene/2: identified: THIS_FILE",
+        f"# Written by cmbot identify from {source}. In a scene: identified: THIS_FILE",
         f"format: {data['format']}",
     ]
     for kind in ("links", "joints"):

@@ -45,6 +45,7 @@ from cmbot.planning.result.plan import Plan, Seconds, require_plan
 from cmbot.planning.result.remarks import remarks
 from cmbot.planning.result.stroke_plan import ObjectiveMetrics, Start, StrokePlan, objective_metrics
 from cmbot.planning.result.verdict import (
+    baseline_faults,
     bound_use,
     during,
     left_out,
@@ -100,6 +101,7 @@ __all__ = [
     "WeightedMoment",
     "WrenchFunction",
     "WrenchObjective",
+    "baseline_faults",
     "bending_arm",
     "bound_use",
     "build_context",

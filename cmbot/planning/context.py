@@ -401,7 +401,7 @@ def in_cells(scene: Scene, robot: Robot) -> Scene:
 def _start_pose(scene: Scene, robot: Robot) -> FloatArray:
     """Pose (4, 4) of the tool in a scene's posture."""
     key, slides = scene.file.posture_key, np.flatnonzero(robot.limits.prismatic)
-    if len(slides) and key.endswith("posture_deg"):
+    if len(slides) and key == "start.posture_deg":
         got = f"degrees, but {robot.joints[slides[0]]} slides"
         expected = "start: {posture: [...]} in place of it, in rad and, of joints that slide, m"
         raise SceneError(scene.source, key, got, expected)

@@ -27,6 +27,7 @@ from cmbot.planning.context import (
     task_of,
 )
 from cmbot.planning.reach import beyond_reach, without_posture
+from cmbot.planning.stiffness import identified_in_words
 from cmbot.planning.task import ToolTask, task_dimension
 from cmbot.robot import Dynamics, Finding, Robot
 from cmbot.scene import PlannerOptions, Scene, Stroke, Tool, ToolPath, coverage_of
@@ -135,6 +136,8 @@ def _asked(
         yield "assumed", " ".join(robot.remarks)
     if rigid := rigid_arm_remark(scene, robot):
         yield "bending", rigid
+    if identified := identified_in_words(scene):
+        yield "stiffness", identified
 
 
 def _clearance_at_start(scene: Scene, robot: Robot) -> Precheck:
@@ -244,7 +247,7 @@ def precheck_options(options: PlannerOptions, tool: Tool | None = None) -> Itera
 def mistaken_units(scene: Scene) -> Iterator[tuple[str, str, str]]:
     """Yield what of a scene looks as if it were in other units: key, the units it looks like, and its own."""
     key = scene.file.posture_key
-    if key.endswith("posture_deg"):
+    if key == "start.posture_deg":
         angles = np.abs(np.degrees(scene.posture))
         fractions = np.abs(angles - np.round(angles)) > _WHOLE
         if 0.5 < angles.max() <= 2 * np.pi and fractions.sum() >= 2:

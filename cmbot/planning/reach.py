@@ -25,6 +25,10 @@ __all__ = ["beyond_reach", "require_postures", "require_within_reach", "without_
 _ROUNDING = 1e-9
 # Places along a stroke at which postures are sought, and along all strokes; ends of legs come on top.
 _PLACES, _ALL_PLACES, _FEWEST = 32, 480, 6
+# One for each so long a way, m, and so large a turn of the tool, rad, as `via_points: auto` has them.
+_WAY, _TURN = 0.05, np.radians(15)
+# Samples of a leg between which its way is taken for straight.
+_STEPS = 40
 
 
 def beyond_reach(stroke: Stroke, robot: Robot) -> Iterator[tuple[str, float]]:
@@ -126,14 +130,20 @@ def _is_cut(stroke: Stroke) -> bool:
 
 
 def _times(context: PlanningContext) -> FloatArray:
-    """Times (k,), s, of places along the stroke."""
-    stroke = context.stroke
-    number = max(min(_PLACES, _ALL_PLACES // len(context.strokes)), _FEWEST)
-    each = [
-        times[np.unique(np.linspace(0, len(times) - 1, number).round().astype(np.intp))]
-        for times in (stroke.path.section_times, stroke.via_times)
-    ]
-    return np.unique(np.concatenate(each))
+    """Times (k,), s, of places along the stroke, even in length and turn, whatever its via-points are."""
+    path = context.stroke.path
+    most = max(min(_PLACES, _ALL_PLACES // len(context.strokes)), _FEWEST)
+    legs = np.linspace(path.leg_times[:-1], path.leg_times[1:], _STEPS, endpoint=False, axis=1)
+    fine = np.append(legs.ravel(), path.leg_times[-1])
+    steps = np.linalg.norm(np.diff(path.position(fine), axis=0), axis=1) / _WAY
+    if path.turns:
+        chords = np.linalg.norm(np.diff(path.rotation(fine), axis=0), axis=(1, 2)) / np.sqrt(8)
+        steps += 2 * np.arcsin(np.minimum(chords, 1.0)) / _TURN
+    way = np.concatenate([[0.0], np.cumsum(steps)])
+    number = int(np.clip(np.ceil(way[-1]) + 1, _FEWEST, most))
+    ends = path.section_times
+    ends = ends[np.unique(np.linspace(0, len(ends) - 1, most).round().astype(np.intp))]
+    return np.unique(np.concatenate([ends, np.interp(np.linspace(0, way[-1], number), way, fine)]))
 
 
 def _leg(stroke: Stroke, time: float) -> int:

@@ -8,13 +8,20 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
+from cmbot.common.validation import counted
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.modes import frequency_slopes
 from cmbot.elastic.stiffness_parameters import StiffnessParameters
 from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, Scene
 
-__all__ = ["covariance_of", "known_share", "modelled_stiffness", "with_identified_stiffness"]
+__all__ = [
+    "covariance_of",
+    "identified_in_words",
+    "known_share",
+    "modelled_stiffness",
+    "with_identified_stiffness",
+]
 
 # By what share a modelled stiffness may differ from what an identified one was compared with.
 _SAME = 1e-6
@@ -61,6 +68,24 @@ def with_identified_stiffness(robot: Robot, scene: Scene) -> Robot:
         for by in [factors.get(("joint", name), 1.0)]
     }
     return replace(robot, elasticity=tubes, joint_elasticity=springs)
+
+
+def identified_in_words(scene: Scene) -> str | None:
+    """Return what is as stiff as identified, and which keys of the scene that replaces; None: nothing is."""
+    if (identified := scene.file.identified) is None:
+        return None
+    of = [counted(len(identified.links), "link"), counted(len(identified.joints), "joint")]
+    replaced = []
+    if identified.base is not None:
+        of.append(scene.base_name)
+        given = scene.file.guardrail
+        replaced = [
+            f"guardrail.{key}"
+            for key in ("stiffness", "mass", "stiffness_factor")
+            if getattr(given, key) is not None
+        ]
+    instead = f" It replaces {' and '.join(replaced)} of the scene." if replaced else ""
+    return f"Stiffness as identified, not as modelled: {', '.join(of)}.{instead}"
 
 
 def known_share(scene: Scene, arm: ElasticArm, options: PlannerOptions) -> PlannerOptions:

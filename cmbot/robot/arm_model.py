@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ import pinocchio as pin
 
 from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.errors import ModelError
-from cmbot.common.validation import hint, shown
+from cmbot.common.validation import counted, hint, shown
 from cmbot.robot.description.frames import require_independent
 from cmbot.robot.description.mesh_file import (
     FARTHEST,
@@ -23,6 +24,7 @@ from cmbot.robot.description.mesh_file import (
     is_near,
     locate_meshes,
     mesh_loader,
+    replace_unreadable,
     require_near_meshes,
     vertices_of,
 )
@@ -84,7 +86,7 @@ def arm_model(
     finds always near.
     """
     require_independent(root, base_frame, tool_frame, str(urdf))
-    full, collision = build_model(urdf, root, package_dirs)
+    full, collision, unusable = build_model(urdf, root, package_dirs)
     moving = _chain(full, str(urdf), base_frame, tool_frame)
     others = [i for i in range(1, full.njoints) if i not in moving]
     stance, absent = _stance(full, srdf, semantics)
@@ -101,9 +103,9 @@ def arm_model(
     return ArmModel(
         model=model,
         collision=collision,
-        read_visual=lambda: reduced(_shapes(urdf, root, full, "visual")),
+        read_visual=lambda: reduced(_visual_shapes(urdf, root, full)),
         group_states=_group_states(tuple(model.names)[1:], semantics),
-        remarks=(*absent, *assumed),
+        remarks=(*absent, *assumed, *_drawn_as_boxes(unusable)),
     )
 
 
@@ -122,12 +124,15 @@ def convex_hull(points: FloatArray) -> Any:
     return coal.Convex.convexHull(vertices, False, "Qt")
 
 
-def build_model(urdf: Path, root: ElementTree.Element, package_dirs: Sequence[Path] = ()) -> tuple[Any, Any]:
+def build_model(
+    urdf: Path, root: ElementTree.Element, package_dirs: Sequence[Path] = ()
+) -> tuple[Any, Any, tuple[tuple[str, str], ...]]:
     """Build the full model and its collision shapes; collision meshes become convex hulls.
 
-    `root` is the content of `urdf`, without errors in `inspect_urdf`, and is modified.
+    `root` is the content of `urdf`, without errors in `inspect_urdf`, and is modified. Also returns what
+    `locate_meshes` does.
     """
-    _adapt(urdf, root, package_dirs)
+    unusable = _adapt(urdf, root, package_dirs)
     with _refusals_named(urdf):
         model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
     collision = _shapes(urdf, root, model, "collision")
@@ -142,7 +147,27 @@ def build_model(urdf: Path, root: ElementTree.Element, package_dirs: Sequence[Pa
             except RuntimeError as error:
                 got, expected = f"the mesh {shape.meshPath}", "one whose convex hull coal can hold"
                 raise ModelError(str(urdf), shape.name, got, expected) from error
-    return model, collision
+    return model, collision, unusable
+
+
+def _visual_shapes(urdf: Path, root: ElementTree.Element, model: Any) -> Any:
+    """Visual shapes of the adapted `root`; meshes that cannot be read become boxes, with a warning."""
+    try:
+        return _shapes(urdf, root, model, "visual")
+    except ModelError:
+        told = list(_drawn_as_boxes(replace_unreadable(root, str(urdf))))
+        if not told:
+            raise
+    for text in told:
+        warnings.warn(text, stacklevel=2)
+    return _shapes(urdf, root, model, "visual")
+
+
+def _drawn_as_boxes(unusable: Sequence[tuple[str, str]]) -> Iterator[str]:
+    """Yield a remark on visual meshes, with what is the matter with the first one; none without any."""
+    for key, got in unusable[:1]:
+        more = f" and {counted(len(unusable) - 1, 'other')}" if unusable[1:] else ""
+        yield f"Visual meshes that cannot be used are drawn as boxes: {key}, {got}{more}."
 
 
 def _shapes(urdf: Path, root: ElementTree.Element, model: Any, tag: Literal["collision", "visual"]) -> Any:
@@ -170,8 +195,10 @@ def _refusals_named(urdf: Path) -> Iterator[None]:
         raise ModelError(str(urdf), "", got, "a loadable URDF") from error
 
 
-def _adapt(urdf: Path, root: ElementTree.Element, package_dirs: Sequence[Path]) -> None:
-    """Change what pinocchio's reader of URDF would read differently or refuse."""
+def _adapt(
+    urdf: Path, root: ElementTree.Element, package_dirs: Sequence[Path]
+) -> tuple[tuple[str, str], ...]:
+    """Change what pinocchio's reader of URDF would read differently or refuse; as `locate_meshes`."""
     names = {element.get("name", "") for tag in ("link", "joint") for element in root.findall(tag)}
     links = {link.get("name", "") for link in root.findall("link")}
     for joint in root.findall("joint"):
@@ -198,7 +225,7 @@ def _adapt(urdf: Path, root: ElementTree.Element, package_dirs: Sequence[Path]) 
             for element in joint.findall(tag):
                 joint.remove(element)
     _adapt_materials(root)
-    locate_meshes(urdf, root, package_dirs)
+    return locate_meshes(urdf, root, package_dirs)
 
 
 def _adapt_materials(root: ElementTree.Element) -> None:

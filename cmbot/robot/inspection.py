@@ -406,7 +406,7 @@ def overview(files: RobotFiles, root: ElementTree.Element) -> Iterator[tuple[str
     if kinds["prismatic"]:
         yield "prismatic joints", f"{kinds['prismatic']}, in m and N; the others in rad and Nm"
     yield "limits in the URDF", _limits(joints)
-    yield "joint_limits.yaml beside it", _joint_limits(files.limits, joints)
+    yield "joint_limits.yaml beside it", _joint_limits(files, joints)
     none = "none: links that are neighbours or nearly always near may touch (--write-srdf writes one)"
     yield "SRDF", none if files.srdf is None else files.srdf.name
     if files.srdf is not None:
@@ -452,10 +452,13 @@ def default_arm(files: RobotFiles, root: ElementTree.Element) -> tuple[str, str]
         return None
 
 
-def _joint_limits(path: Path | None, joints: Sequence[ElementTree.Element]) -> str:
-    if path is None:
-        return "none: acceleration and jerk limits are assumed where the scene names none"
-    known = read_joint_limits(path)
+def _joint_limits(files: RobotFiles, joints: Sequence[ElementTree.Element]) -> str:
+    if files.limits is None:
+        what = (
+            "none" if files.left_alone is None else "left alone, as it is of another kind, such as MoveIt's"
+        )
+        return f"{what}: acceleration and jerk limits are assumed where the scene names none"
+    known = read_joint_limits(files.limits)
     entries = [(known.entry(joint.get("name", "")), joint.get("type") == "prismatic") for joint in joints]
     number = sum(None not in (entry.acceleration(slides), entry.jerk(slides)) for entry, slides in entries)
     return f"acceleration and jerk of {number} of {counted(len(joints), 'movable joint')}"

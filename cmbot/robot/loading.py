@@ -73,9 +73,9 @@ def load_robot(
         Links that bound the arm; default: where there is one choice, the root link, and the link of the
         SRDF's end effector, the tip of its chain, or the last link of the longest row of joints.
     limits : path, optional
-        Joint-limits file (acceleration and jerk); default: ``joint_limits.yaml`` beside the URDF. Without
-        one, acceleration limits of 2 /s times the velocity limits and jerk limits of 10 /s times these are
-        assumed.
+        Joint-limits file (acceleration and jerk); default: ``joint_limits.yaml`` beside the URDF, unless it
+        is of another kind, such as MoveIt's. Without one, acceleration limits of 2 /s times the velocity
+        limits and jerk limits of 10 /s times these are assumed.
     srdf : path, optional
         Disabled collision pairs and group states, such as ``stow``; default: the file beside the URDF with
         its name, if there.
@@ -164,8 +164,16 @@ def load_robot(
         payload=payload,
         content_hash=hashlib.sha256(b"\0".join(contents)).hexdigest(),
         foot_point=tuple(placement.foot_point.tolist()),
-        remarks=(*assumed, *made.remarks),
+        remarks=(*_left_alone(files), *assumed, *made.remarks),
     )
+
+
+def _left_alone(files: RobotFiles) -> Iterator[str]:
+    if files.left_alone is not None:
+        yield (
+            f"{files.left_alone} is left alone: it is no joint-limits file of cmbot's, which have a format, "
+            "but of another kind, such as MoveIt's."
+        )
 
 
 def _checked_frames(
@@ -279,10 +287,11 @@ def inspect_loaded(model: str | Path) -> list[Finding]:
     files = robot_files(model)
     try:
         root = parse_urdf(files.urdf, package_dirs=files.package_dirs)
-        if default_arm(files, root) is None:
-            build_model(files.urdf, root, files.package_dirs)
-            return []
-        return [*_questionable_masses(load_robot(model))]
+        arm = default_arm(files, root)
+        *_, unusable = build_model(files.urdf, root, files.package_dirs)
+        expected = "a mesh file: a box is drawn in its place"
+        found = [Finding(severity="warning", key=key, got=got, expected=expected) for key, got in unusable]
+        return found if arm is None else [*found, *_questionable_masses(load_robot(model))]
     except ModelError as error:
         key = error.key if error.source == str(files.urdf) else f"{error.source}: {error.key}"
         return [Finding(severity="error", key=key, got=str(error.got), expected=error.expected)]
@@ -330,7 +339,7 @@ def srdf_text(files: RobotFiles) -> str:
     _, root = _read(files.urdf, files.package_dirs)
     _refuse_errors(files.urdf, inspect_urdf(root, moving=()))
     name = root.get("name", files.urdf.stem)
-    model, collision = build_model(files.urdf, root, files.package_dirs)
+    model, collision, _ = build_model(files.urdf, root, files.package_dirs)
     semantics = () if files.srdf is None else parse_urdf(files.srdf, "an SRDF", files.package_dirs)
     return srdf_of(model, collision, name, [each for each in semantics if each.tag != PAIR])
 

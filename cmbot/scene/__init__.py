@@ -2,12 +2,11 @@
 
 from cmbot.common.installation import shipped_scenes
 from cmbot.scene.base.guardrail import GuardrailFile, feet_at, guardrail_from_file, guardrail_obstacles
-from cmbot.scene.base.hold import HoldFile
+from cmbot.scene.base.hold import HoldFile, held_member
 from cmbot.scene.base.identified import IdentifiedBase, IdentifiedSpring, IdentifiedStiffness
 from cmbot.scene.base.stance import FootholdFile, StanceFile, axis_point, foothold_face, foothold_pose
 from cmbot.scene.changes import changed_content, is_within, whole_key
 from cmbot.scene.mesh_file import load_mesh
-from cmbot.scene.migration import migrated
 from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, pose
 from cmbot.scene.options import MOST_SAMPLES, PlannerOptions
 from cmbot.scene.path.legs import ArcTo, Goal, Leg
@@ -17,6 +16,7 @@ from cmbot.scene.path.stroke import Stroke, coverage_of, pieces_left_out
 from cmbot.scene.path.time_law import LegLaw, PiecewiseLaw, SpeedProfile
 from cmbot.scene.path.tool_path import ShiftedToolPath, ToolPath, share_out_segments
 from cmbot.scene.path.tool_poses import ToolPoses, shortest_turns
+from cmbot.scene.path.waypoints import SAME_PLACE
 from cmbot.scene.raster.pieces import RowPiece, cells_of
 from cmbot.scene.raster.raster import CylinderPatch, FaceSelection, Raster
 from cmbot.scene.raster.surface import Coverage
@@ -34,6 +34,7 @@ from cmbot.scene.tool import SPEED_TOLERANCE, Tool
 
 __all__ = [
     "MOST_SAMPLES",
+    "SAME_PLACE",
     "SPEED_TOLERANCE",
     "STOW",
     "WORK",
@@ -83,11 +84,11 @@ __all__ = [
     "foothold_pose",
     "guardrail_from_file",
     "guardrail_obstacles",
+    "held_member",
     "is_within",
     "limits_text",
     "load_mesh",
     "load_scene",
-    "migrated",
     "pieces_left_out",
     "pose",
     "rows_alone",

@@ -82,8 +82,7 @@ class RobotFile(FileModel):
     elasticity: Text | None = None
     """Of another URDF: path of its elasticity file; left out: as beside the URDF."""
     joints: Joints | None = None
-    """Whether joints bend as the elasticity file says; left out: ``rigid``, as in the paper, in
-    ``cmbot-scene/1``, else ``elastic``."""
+    """Whether joints bend as the elasticity file says; left out: ``elastic``."""
     package_dirs: Annotated[tuple[Text, ...], Field(max_length=100)] | None = None
     """Of another URDF: folders in which ``package://`` is sought first, relative to the scene file."""
     mount: MountFile | None = None

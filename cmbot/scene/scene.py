@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import card
@@ -30,7 +30,7 @@ from cmbot.scene.fields import (
 )
 from cmbot.scene.obstacles import Obstacle, ObstacleFile, pose
 from cmbot.scene.options import PlannerOptions
-from cmbot.scene.path.legs import AUTO, Goal, Leg
+from cmbot.scene.path.legs import Goal, Leg
 from cmbot.scene.path.path_file import MOST_ORDERED, AxisCone, Keep, PathFile, StrokeFile, ToolPathFile
 from cmbot.scene.path.path_source import PathSource, surface_of
 from cmbot.scene.path.raster_parts import raster_parts, require_apart
@@ -60,56 +60,57 @@ WORK = "work"
 """Name of the stroke of a tool path without names."""
 
 
+def _released(value: object) -> object:
+    """Say of scenes of development versions how they become scenes of this one."""
+    if value == "cmbot-scene/1":
+        raise refusal(
+            f"{FORMAT}: a development version wrote this file; tools/scene_2.py rewrites it", got=shown(value)
+        )
+    return value
+
+
 class SceneFile(FileModel):
     """The robot, its start posture, the tool path and the surroundings; in m, s, kg and degrees."""
 
     model_config = ConfigDict(serialize_by_alias=True)
 
-    format: Literal["cmbot-scene/1", "cmbot-scene/2"]
-    """The second one also has `base`, `start`, `return`, `tool`, `frames`, `identified` and more kinds of
-    legs."""
+    format: Annotated[Literal["cmbot-scene/2"], BeforeValidator(_released)]
     name: Slug
     """Also the name of the folder that a plan is written to."""
     robot: RobotFile = RobotFile()
     base: BaseFile | None = None
-    """What the robot stands on; of ``cmbot-scene/2``."""
-    posture_deg: Posture | None = None
-    """Joint angles at the start, from the base to the tool."""
+    """What the robot stands on."""
     start: PostureFile | None = None
-    """In place of `posture_deg`, and needed where joints slide; of ``cmbot-scene/2``; left out: stowed."""
+    """Where the arm is at the start; left out: stowed."""
     return_: Annotated[Literal["stow", "start", "none"] | None, Field(alias="return")] = None
-    """Where the arm goes after the work; of ``cmbot-scene/2``; left out: nowhere. An arm whose SRDF has no
-    group state ``stow`` is put away where it started."""
+    """Where the arm goes after the work; left out: nowhere. An arm whose SRDF has no group state ``stow`` is
+    put away where it started."""
     tool: Tool | None = None
-    """The process force and the largest speed while the tool is on; of ``cmbot-scene/2``."""
+    """The process force and the largest speed while the tool is on."""
     frames: Annotated[dict[Slug, MountFile] | None, Field(max_length=100)] = None
-    """Frames of workpieces by their names, in W; of ``cmbot-scene/2``."""
+    """Frames of workpieces by their names, in W."""
     tool_path: ToolPathFile
     obstacles: Annotated[tuple[ObstacleFile, ...], Field(max_length=1000)] = ()
     guardrail: GuardrailFile = GuardrailFile()
     identified: IdentifiedStiffness | None = None
-    """The stiffness that ``cmbot identify`` found, or the path of its file; of ``cmbot-scene/2``; left
-    out: as modelled."""
+    """The stiffness that ``cmbot identify`` found, or the path of its file; left out: as modelled. Stiffness
+    and mass of its base take the place of the guardrail's."""
     planner: PlannerOptions = PlannerOptions()
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if self.format == "cmbot-scene/1":
-            self._check_first_format()
-        else:
-            object.__setattr__(self, "tool_path", _smooth(self.tool_path))
         for name in self.frames or ():
             if name in ("world", "tool"):
                 raise refusal("a name that no frame has", got=name, key=("frames",))
-        if self.posture_deg is None and self.start is None and self.format == "cmbot-scene/1":
-            raise refusal("a value, this key is required", got="nothing", key=("posture_deg",))
-        if self.posture_deg is not None and self.start is not None:
-            raise refusal("no such key beside posture_deg", got="start", key=("start",))
         if self.guardrail.stance is not None and self.robot.model != "cmbot":
             expected = "no such key with a URDF of one's own, whose mount says where it stands"
             raise refusal(expected, got="stance", key=("guardrail", "stance"))
         if self.identified is not None:
             self._check_identified(self.identified)
+        measured = self.identified is not None and self.identified.base is not None
+        if self.guardrail.mass is not None and self.guardrail.stiffness is None and not measured:
+            expected = "no mass where no stiffness is given"
+            raise refusal(expected, got="a mass alone", key=("guardrail", "mass"))
         taken = set(self.guardrail.member_names)
         for index, obstacle in enumerate(self.obstacles):
             if obstacle.name in taken:
@@ -119,39 +120,11 @@ class SceneFile(FileModel):
         return self
 
     def _check_identified(self, identified: IdentifiedStiffness) -> None:
-        if self.guardrail.stiffness is not None:
-            expected = "no such key beside identified, which has the stiffness"
+        if self.guardrail.stiffness is not None and identified.base is None:
+            expected = "no such key beside identified, which has no base: it was measured on a rigid one"
             raise refusal(expected, got="stiffness", key=("guardrail", "stiffness"))
         if identified.joints and self.robot.joints == "rigid":
             raise refusal("elastic, as joints were identified", got="rigid", key=("robot", "joints"))
-
-    def _check_first_format(self) -> None:
-        path = self.tool_path
-        keys: list[tuple[str | int, ...]] = [
-            (name.rstrip("_"),)
-            for name in ("base", "start", "return_", "tool", "frames", "identified")
-            if getattr(self, name) is not None
-        ]
-        newer = ["start_pose", "waypoints", "raster", "blend_radius_m", "passes", "strokes"]
-        newer += ["speed_tolerance", "lead_in_m", "lead_out_m", "max_base_torque_nm", "time_laws"]
-        named = {name: field.alias or name for name, field in type(path).model_fields.items()}
-        keys += [("tool_path", named[name]) for name in newer if getattr(path, name) is not None]
-        keys += [("tool_path", "legs", k) for k, leg in enumerate(path.legs) if not leg.is_plain]
-        if path.via_points == AUTO:
-            keys.append(("tool_path", "via_points"))
-        if isinstance(path.keep, AxisCone):
-            expected = "pose, axis or position in cmbot-scene/1: a cone goes with cmbot-scene/2"
-            raise refusal(expected, got="a cone", key=("tool_path", "keep"))
-        newer = [
-            name
-            for name in ("hold", "stance", "stiffness_factor")
-            if getattr(self.guardrail, name) is not None
-        ]
-        keys += [("guardrail", name) for name in newer]
-        for key in keys:
-            got = "another leg than by and seconds" if key[1:2] == ("legs",) else str(key[-1])
-            expected = "no such key in cmbot-scene/1: it goes with cmbot-scene/2"
-            raise refusal(expected, got=got, key=key)
 
     def as_data(self) -> dict[str, Any]:
         """Return the file's content, every default filled in, as `cmbot.load_scene` takes it back."""
@@ -160,42 +133,32 @@ class SceneFile(FileModel):
     @property
     def joints(self) -> Joints:
         """Whether the robot's joints give way."""
-        return self.robot.joints or ("rigid" if self.format == "cmbot-scene/1" else "elastic")
+        return self.robot.joints or "elastic"
 
     @property
     def posture_key(self) -> str:
-        """The key that has the posture, such as ``posture_deg`` or ``start.posture``."""
+        """The key that has the posture, such as ``start.posture_deg``."""
         if self.start is None:
-            return "start" if self.posture_deg is None else "posture_deg"
+            return "start"
         (given,) = self.start.model_dump(exclude_none=True)
         return f"start.{given}"
 
     @property
     def posture(self) -> FloatArray | None:
         """The posture (n,) in SI, as if every joint turned where it is in degrees; None: stowed."""
-        in_degrees = self.posture_deg if self.start is None else self.start.posture_deg
-        if in_degrees is not None:
-            return np.radians(in_degrees)
-        given = None if self.start is None else self.start.posture
-        return None if given is None else np.array(given, dtype=float)
+        if self.start is None:
+            return None
+        if self.start.posture_deg is not None:
+            return np.radians(self.start.posture_deg)
+        return None if self.start.posture is None else np.array(self.start.posture, dtype=float)
 
     def with_posture(self, q: FloatArray, known: FloatArray) -> dict[str, Any]:
         """Return the entries with a posture `q` (n,), SI, in the units of the file's; its own if `known`."""
         if np.array_equal(known, q):
-            return self.model_dump(mode="json", include={"posture_deg", "start"}, exclude_none=True)
-        if self.posture_key == "posture_deg":
-            return {"posture_deg": np.degrees(q).tolist()}
+            return self.model_dump(mode="json", include={"start"}, exclude_none=True)
         if self.posture_key == "start.posture_deg":
             return {"start": {"posture_deg": np.degrees(q).tolist()}}
         return {"start": {"posture": q.tolist()}}
-
-
-def _smooth(path: ToolPathFile) -> ToolPathFile:
-    """The tool path, its strokes with the speed profile of new scenes where they have none of their own."""
-    if path.strokes is None:
-        return path.smooth_unless_given()
-    strokes = tuple(stroke.smooth_unless_given() for stroke in path.strokes)
-    return path.model_copy(update={"strokes": strokes})
 
 
 class _SceneFields(ToolPathFile):

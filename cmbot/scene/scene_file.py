@@ -26,8 +26,8 @@ from cmbot.scene.base.stance import resolved_stance
 from cmbot.scene.fields import si_fields
 from cmbot.scene.mesh_file import is_mesh_file
 from cmbot.scene.obstacles import Mesh, Obstacle, obstacle_data, obstacle_from_file
-from cmbot.scene.path.path_file import FEWEST_WAYPOINTS, AxisCone
-from cmbot.scene.scene import FORMAT, RobotFile, RobotSource, Scene, SceneFile
+from cmbot.scene.path.path_file import FEWEST_WAYPOINTS
+from cmbot.scene.scene import RobotFile, RobotSource, Scene, SceneFile
 from cmbot.scene.stow import start_posture
 from cmbot.scene.tool import Tool
 
@@ -162,9 +162,7 @@ def _waypoints(source: Path) -> list[list[float]]:
     return waypoints
 
 
-def scene_from_file(
-    file: SceneFile, base_folder: Path, source: str, stored: Mapping[str, Any] | None = None
-) -> Scene:
+def scene_from_file(file: SceneFile, base_folder: Path, source: str) -> Scene:
     """Return the scene that a checked file describes.
 
     Parameters
@@ -174,8 +172,6 @@ def scene_from_file(
         Where relative paths in `file` start.
     source : str
         Where it came from, for messages.
-    stored : mapping, optional
-        What `file` was read from, to be hashed in place of it: options that are newer have no part in it.
 
     Raises
     ------
@@ -198,7 +194,7 @@ def scene_from_file(
         guardrail=guardrail,
         planner=file.planner,
         file=file,
-        content_hash=_content_hash(file, own, source, stored),
+        content_hash=_content_hash(file, own, source),
         **dict(file.tool_path),
     )
 
@@ -226,13 +222,10 @@ def update_file(scene: Scene) -> Scene:
         "planner": plain(scene.planner, "Scene"),
     }
     if scene.return_to != (scene.file.return_ or "none"):
-        data |= {"return": scene.return_to, "format": FORMAT}
+        data["return"] = scene.return_to
     if scene.tool != (scene.file.tool or Tool()):
-        # The first format does not have it, and all else means the same in both.
-        data |= {"tool": plain(scene.tool, "Scene"), "format": FORMAT}
-    if isinstance(scene.keep, AxisCone):
-        data |= {"format": FORMAT}
-    if scene.robot.joints != scene.file.joints or data["format"] != scene.file.format:
+        data["tool"] = plain(scene.tool, "Scene")
+    if scene.robot.joints != scene.file.joints:
         data["robot"]["joints"] = scene.robot.joints
     file = validated(SceneFile, data, "Scene", SceneError)
     if file == scene.file:
@@ -323,13 +316,10 @@ def _guardrail(file: SceneFile, source: str) -> Guardrail:
     return replace(guardrail, stiffness=read_only(np.array(base.stiffness)), mass=mass, stiffness_factor=1.0)
 
 
-def _content_hash(
-    file: SceneFile, obstacles: Sequence[Obstacle], source: str, stored: Mapping[str, Any] | None = None
-) -> str:
+def _content_hash(file: SceneFile, obstacles: Sequence[Obstacle], source: str) -> str:
     """`Scene.content_hash` of a file's content, its own obstacles' meshes and those of rasters."""
-    data = file.as_data() if stored is None else stored
     # The one JSON text that equal scenes share.
-    text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    text = json.dumps(file.as_data(), sort_keys=True, separators=(",", ":"), allow_nan=False)
     total = hashlib.sha256(text.encode())
     meshes = {
         f"obstacles[{k}].mesh": one.shape.path

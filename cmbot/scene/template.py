@@ -29,7 +29,7 @@ tool_path:
   legs:
     - {{by: {by}, seconds: {seconds}}}
   speed_profile: {{kind: jerk_limited, ramp: 0.25}}
-  via_points: 12
+  via_points: auto  # by the length of the legs, or a number
 
 # Boxes, cylinders, capsules, spheres and meshes, such as
 #   - {{name: table, box: [1.0, 1.0, 0.05], xyz: [0.5, 0, -0.2]}}
@@ -114,7 +114,7 @@ _RIGID = "{bays: 0}  # none: a rigid base; {bays: 0, stiffness: [3 in N/m, 3 in 
 def _posture(q: FloatArray, prismatic: BoolArray) -> str:
     """The entry of a posture (n,)."""
     if not prismatic.any():
-        return f"posture_deg: {_flow([round(angle, 4) for angle in np.rad2deg(q).tolist()])}"
+        return f"start:\n  posture_deg: {_flow([round(angle, 4) for angle in np.rad2deg(q).tolist()])}"
     numbers = _flow([round(value, 5) for value in q.tolist()])
     return f"start:\n  posture: {numbers}  # rad and, of joints that slide, m"
 

@@ -1,11 +1,26 @@
 """Where to stand: candidates along the guardrail, screened and ranked, the best planned."""
 
-from cmbot.siting.candidates import APART, REACH, Candidate, candidate_at, candidates_of, places_of
+from cmbot.siting.candidates import (
+    APART,
+    REACH,
+    Candidate,
+    candidate_at,
+    candidates_of,
+    own_candidate,
+    places_of,
+)
 from cmbot.siting.footholds import bare_climber, in_the_way, lift_height, without_links
 from cmbot.siting.placed_scene import in_world, joined, scene_at
 from cmbot.siting.screening import Screening, screen
 from cmbot.siting.search import StandOptions, Stood
-from cmbot.siting.standing import Standing, best_scene, require_on_guardrail, require_standing, stand
+from cmbot.siting.standing import (
+    Standing,
+    best_scene,
+    require_on_guardrail,
+    require_planned,
+    require_standing,
+    stand,
+)
 from cmbot.siting.table import bounds_table, in_words, planned_table, shared_out, stances_csv
 
 __all__ = [
@@ -26,9 +41,11 @@ __all__ = [
     "in_world",
     "joined",
     "lift_height",
+    "own_candidate",
     "places_of",
     "planned_table",
     "require_on_guardrail",
+    "require_planned",
     "require_standing",
     "scene_at",
     "screen",

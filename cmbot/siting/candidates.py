@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,10 +17,20 @@ from cmbot.scene import (
     StanceFile,
     foothold_face,
     foothold_pose,
+    held_member,
 )
 from cmbot.siting.footholds import bare_climber, in_the_way
 
-__all__ = ["APART", "REACH", "Candidate", "candidate_at", "candidates_of", "climber_in_the_way", "places_of"]
+__all__ = [
+    "APART",
+    "REACH",
+    "Candidate",
+    "candidate_at",
+    "candidates_of",
+    "climber_in_the_way",
+    "own_candidate",
+    "places_of",
+]
 
 REACH = 0.9
 """Foot 2 is sought no further from foot 1 than this, m: both legs and their offsets."""
@@ -41,25 +51,55 @@ class Candidate:
     root, base : (4, 4)
         Poses of foot 1 and of the arm's base in W.
     climber : (5,), rad
+    at_origin : bool
+        Whether it is that of a scene without ``guardrail.stance``: foot 1 holds at the origin of W.
     """
 
     stance: StanceFile
     root: FloatArray
     base: FloatArray
     climber: FloatArray
+    at_origin: bool = False
 
     __repr__ = short_repr
 
     @property
-    def as_data(self) -> dict[str, Any]:
-        """What `guardrail.stance` of a scene file has."""
+    def place(self) -> str:
+        """Where the feet hold, in words."""
+        feet = [foot for foot in (self.stance.foot_1, self.stance.foot_2) if foot is not None]
+        return " and ".join(f"{foot.member} at {foot.along_m:.2f} m ({foot.face})" for foot in feet)
+
+    @property
+    def as_data(self) -> dict[str, Any] | None:
+        """What `guardrail.stance` of a scene file has; None: nothing."""
+        if self.at_origin:
+            return None
         places = {"foot_1": self.stance.foot_1, "foot_2": self.stance.foot_2}
         each = {name: "free" if place is None else place.model_dump() for name, place in places.items()}
         return {**each, "climber_deg": list(self.stance.climber_deg or ())}
 
 
+def own_candidate(scene: Scene) -> Candidate | None:
+    """Return the stance in which a scene has its robot; None where its foot holds no member."""
+    climber, file = Climber(), scene.file.guardrail.stance
+    if file is None or scene.robot.stance is None:
+        member = held_member(scene.guardrail)
+        if member is None:
+            return None
+        place = FootholdFile(member=member, along_m=0.0)
+        along = max(float(-foothold_face(scene.guardrail, place).ends[0]), 0.0)
+        place = place.model_copy(update={"along_m": along})
+        return replace(candidate_at(place, None, np.eye(4), climber.working, climber), at_origin=True)
+    stance = scene.robot.stance
+    return candidate_at(file.foot_1, file.foot_2, stance.root, np.array(stance.climber), climber)
+
+
 def candidates_of(
-    scene: Scene, spacing: float, pair_spacing: float, members: Collection[str] = ()
+    scene: Scene,
+    spacing: float,
+    pair_spacing: float,
+    members: Collection[str] = (),
+    first: Sequence[Candidate] = (),
 ) -> Iterator[Candidate]:
     """Yield the stances of the shipped robot on a scene's guardrail.
 
@@ -76,9 +116,17 @@ def candidates_of(
         Between places of both feet; infinite: foot 2 stays free.
     members : collection of str
         Those that feet hold; empty: all.
+    first : sequence of Candidate
+        Stances that come before all others, where they are on these members.
     """
     climber = Climber()
     known = set[tuple[float, ...]]()
+    for candidate in first:
+        feet = [place for place in (candidate.stance.foot_1, candidate.stance.foot_2) if place is not None]
+        X_2 = foothold_pose(scene.guardrail, feet[1]) if len(feet) > 1 else None
+        on_them = not members or all(place.member in members for place in feet)
+        if on_them and _is_new(candidate, X_2, known):
+            yield candidate
     for place in (place for place in places_of(scene, spacing) if not members or place.member in members):
         X = foothold_pose(scene.guardrail, place)
         angles = climber.hanging(X[:3, :3])

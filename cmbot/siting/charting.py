@@ -97,10 +97,10 @@ def _require_stow(context: PlanningContext) -> None:
     """Refuse a stance in which the arm cannot be put away: its base may be tilted."""
     posture = context.posture if context.end_posture is None else context.end_posture
     q = posture[None]
-    why = ""
+    why, pair = "", None
     if context.use_at_rest(context.postures.at(q))[0] > 1:
         why = f"{context.weakest_joint(q)} cannot hold the arm in its stow posture"
     elif context.clearances.check_collision(q, context.options.safety_margin_m)[0]:
-        why = "the arm in its stow posture comes too near to something"
+        why, pair = "the arm in its stow posture comes too near to something", context.most_often_near(q)
     if why:
-        raise context.path_not_found(why, posture)
+        raise context.path_not_found(why, posture, pair=pair)

@@ -38,7 +38,6 @@ def scene_at(scene: Scene, candidate: Candidate, posture: FloatArray | None) -> 
     """
     data = scene.file.as_data()
     if posture is not None:
-        data = {key: value for key, value in data.items() if key not in ("posture_deg", "start")}
         data["start"] = {"posture_deg": np.degrees(posture).tolist()}
     guardrail = {**data["guardrail"], "stance": candidate.as_data}
     name = scene.name if scene.name.endswith(_STANCE) else f"{scene.name}{_STANCE}"
@@ -152,7 +151,7 @@ def _united(key: str, data: dict[str, Any], more: dict[str, Any], first: Scene, 
 
 def _read(scene: Scene, data: dict[str, Any]) -> Scene:
     """The scene of a file's content, read where another one was; options as Python has them."""
-    file = type(scene.file).model_validate_json(json.dumps(data | {"format": "cmbot-scene/2"}))
+    file = type(scene.file).model_validate_json(json.dumps(data))
     return replace(scene_from_file(file, Path(scene.source).parent, scene.source), planner=scene.planner)
 
 

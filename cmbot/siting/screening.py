@@ -82,6 +82,8 @@ def screen(
     within = np.array([_within_reach(task, bases, robot) for task in tasks]).reshape(shape)
     figures = np.stack([np.full(shape, np.inf), np.zeros(shape), np.zeros(shape)])
     near = np.flatnonzero(within.any(axis=0))
+    if not len(near):
+        return Screening(within_reach=within, bound=figures[0], torque=figures[1], adhesion=figures[2])
     loads = StanceLoads(scene, [candidates[k] for k in near.tolist()], options, robot)
     number = np.cumsum(within.any(axis=0)) - 1  # among those within reach
     for s, task in enumerate(tasks):

@@ -3,22 +3,30 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from time import monotonic
+from typing import Literal
 
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import CmbotError
+from cmbot.common.errors import (
+    CmbotError,
+    InputError,
+    LimitViolation,
+    OptimisationFailed,
+    PathNotFound,
+)
 from cmbot.common.representation import short_repr
 from cmbot.planning import Plan, plan
-from cmbot.scene import Scene
+from cmbot.scene import PlannerOptions, Scene
 from cmbot.siting.candidates import Candidate, climber_in_the_way
 from cmbot.siting.charting import bounded_quickly, chart
 from cmbot.siting.placed_scene import scene_at
 from cmbot.siting.screening import Screening
 
-__all__ = ["StandOptions", "Stood", "judged"]
+__all__ = ["Ending", "StandOptions", "Stood", "judged"]
 
 # Bases nearer, m, to one that could not be planned or charted are tried last.
 _NEAR = {"plan": 0.3, "charts": 0.12}
@@ -27,6 +35,14 @@ _TRIES = 2
 # A stance is not planned where the postures of its charts have this factor of the largest torque; a plan may
 # have a smaller one.
 _ROOM = 1.05
+# Time that planning is given at least, s.
+_SHORTEST = 1e-3
+# Why no bound was found of stances that the arm's links do not reach, and that they do reach.
+_UNFOUND = {
+    False: "out of reach of the arm's links",
+    True: "no posture found within the bounds of joints and feet",
+}
+_TOO_MUCH = "more torque on the guardrail than is allowed"
 # Once enough are planned, only stances that may be better by more than this share are judged.
 _GAP = 0.02
 
@@ -51,6 +67,8 @@ class StandOptions:
         Posts and rails that feet hold; empty: all.
     max_torque : float, Nm
         Stances whose plan has a larger peak of the torque on the guardrail at work are left out.
+    time_limit : float, s
+        After which no stance is judged any more; what was planned until then is kept.
     """
 
     spacing: float = 0.05
@@ -60,6 +78,41 @@ class StandOptions:
     checks: int = 400
     members: tuple[str, ...] = ()
     max_torque: float = np.inf
+    time_limit: float = np.inf
+
+
+@dataclass(kw_only=True)
+class Ending:
+    """When a search ends before its time, and why it did.
+
+    Attributes
+    ----------
+    limit : float, s
+        From now on.
+    by : str
+        ``interrupt`` where the user stopped it, ``time`` where that was over, else empty.
+    keeps : bool
+        Whether something was planned that is kept.
+    """
+
+    limit: float
+    by: Literal["", "interrupt", "time"] = ""
+    keeps: bool = False
+    _began: float = field(default_factory=monotonic)
+
+    def is_due(self) -> bool:
+        """Whether no other stance is to be judged."""
+        if not self.by and self._left() <= 0:
+            self.by = "time"
+        return bool(self.by)
+
+    def within(self, scene: Scene) -> PlannerOptions:
+        """Return the scene's options with no more time than is left."""
+        given, most = scene.planner, max(self._left(), _SHORTEST)
+        return given if given.time_limit_s <= most else replace(given, time_limit_s=most)
+
+    def _left(self) -> float:
+        return self.limit - (monotonic() - self._began)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,6 +136,10 @@ class Stood:
     plan : Plan or None
     reason : str
         Why there is no plan.
+    cause : str
+        That without what it has to do with this stance alone: the same for many.
+    own : bool
+        Whether it is that of the scene, or of one of several.
     """
 
     candidate: Candidate
@@ -93,15 +150,15 @@ class Stood:
     adhesion: float
     plan: Plan | None = None
     reason: str = ""
+    cause: str = ""
+    own: bool = False
 
     __repr__ = short_repr
 
     @property
     def place(self) -> str:
         """Where the feet hold, in words."""
-        stance = self.candidate.stance
-        feet = [stance.foot_1] if stance.foot_2 is None else [stance.foot_1, stance.foot_2]
-        return " and ".join(f"{foot.member} at {foot.along_m:.2f} m ({foot.face})" for foot in feet)
+        return self.candidate.place
 
 
 def judged(
@@ -112,6 +169,8 @@ def judged(
     options: StandOptions,
     progress: Callable[[str, float], None],
     suits: Callable[[Candidate], str | None] = lambda _: None,
+    own: Mapping[Candidate, FloatArray | None] | None = None,
+    ending: Ending | None = None,
 ) -> tuple[Stood, ...]:
     """Return the candidates for some strokes as they were judged, the best first.
 
@@ -129,7 +188,11 @@ def judged(
         Takes what is done and the share of it.
     suits : callable
         Takes a candidate; why it is left out, or None.
+    own : mapping of Candidate to (n,), rad, or None, optional
+        Stances of the scenes, which are planned before all others, from these postures.
+    ending : Ending, optional
     """
+    own = own or {}
     within = np.asarray(found.within_reach[strokes].all(axis=0))
     each = [
         Stood(
@@ -139,10 +202,12 @@ def judged(
             bound=float(found.bound[strokes, k].max()),
             torque=float(found.torque[strokes, k].max()),
             adhesion=float(found.adhesion[strokes, k].max()),
+            cause="" if np.isfinite(found.bound[strokes, k].max()) else _UNFOUND[bool(within[k])],
+            own=candidate in own,
         )
         for k, candidate in enumerate(candidates)
     ]
-    _Search(scene, each, options, suits).run(progress)
+    _Search(scene, each, options, suits, own, ending or Ending(limit=options.time_limit)).run(progress)
     return tuple(sorted(each, key=_order))
 
 
@@ -168,11 +233,13 @@ class _Search:
         each: list[Stood],
         options: StandOptions,
         suits: Callable[[Candidate], str | None],
+        own: Mapping[Candidate, FloatArray | None],
+        ending: Ending,
     ) -> None:
-        self._suits = suits
+        self._suits, self._own, self._ending = suits, own, ending
         self._scene = scene
         self.each, self._options = each, options
-        self._begins, self._failures = dict[int, FloatArray](), list[tuple[FloatArray, float]]()
+        self._begins, self._failures = dict[int, FloatArray | None](), list[tuple[FloatArray, float]]()
         self._waiting = [(one.bound, k) for k, one in enumerate(each) if one.status == "screened"]
         heapq.heapify(self._waiting)
         # Those near a failure, until no others wait.
@@ -181,14 +248,39 @@ class _Search:
         self._checks = self._charts = self._tries = self._planned = 0
 
     def run(self, progress: Callable[[str, float], None]) -> None:
-        """Judge until enough are planned and none can be better, or the attempts are used up."""
+        """Judge until enough are planned and none can be better, or the attempts or the time are used up.
+
+        What was planned is kept where a user stops the search; where nothing was, it is stopped.
+        """
+        if not self._options.plans:
+            return
+        try:
+            self._plan_own(progress)
+            self._judge(progress)
+        except KeyboardInterrupt:
+            if not self._ending.keeps:
+                raise
+            self._ending.by = "interrupt"
+
+    def _plan_own(self, progress: Callable[[str, float], None]) -> None:
+        """Plan the scenes' own stances: no other one is better than they are unless it is planned, too."""
+        for k, each in enumerate(self.each):
+            if each.own and each.status != "out of reach" and not self._ending.is_due():
+                progress("planning the scene's own stance", 0.0)
+                self._begins[k] = self._own[each.candidate]
+                if why := self._suits(each.candidate):
+                    self._reject(k, "blocked", "obstacles", why, why)
+                else:
+                    self._plan(k)
+
+    def _judge(self, progress: Callable[[str, float], None]) -> None:
         options = self._options
-        while options.plans and (self._waiting or self._later):
+        while (self._waiting or self._later) and not self._ending.is_due():
             if not self._waiting:
                 self._waiting, self._later, self._failures = self._later, [], []
                 heapq.heapify(self._waiting)
             key, k = heapq.heappop(self._waiting)
-            if self.each[k].bound >= self._enough:
+            if self.each[k].status != "screened" or self.each[k].bound >= self._enough:
                 continue
             if self.each[k].judged != "postures" and self._is_near_a_failure(k):
                 # It most likely fails for the same reason: others come first.
@@ -206,6 +298,7 @@ class _Search:
                     step = f"planning stance {self._planned + 1} of {options.plans}"
                     step = "planning one that may be better" if enough else step
                     progress(step, min(self._planned / options.plans, 1.0))
+                    self._tries += 1
                     self._plan(k)
 
     @property
@@ -225,14 +318,14 @@ class _Search:
         candidate, scene = self.each[k].candidate, self._scene
         why = climber_in_the_way(scene, candidate) or self._suits(candidate)
         if why is not None:
-            self._reject(k, "blocked", "obstacles", why)
+            self._reject(k, "blocked", "obstacles", why, why)
             return
         # The next check takes longer.
         self._checks += 1
         try:
             bound = bounded_quickly(scene_at(scene, candidate, None))
         except CmbotError as error:
-            self._reject(k, "blocked", "obstacles", str(error))
+            self._reject(k, "blocked", "obstacles", str(error), _cause(error))
             return
         # Nothing is charted where the tool's axis may lean.
         bound = bound or self.each[k].bound
@@ -241,14 +334,15 @@ class _Search:
     def _chart(self, k: int) -> None:
         self._charts += 1
         try:
-            charted = chart(scene_at(self._scene, self.each[k].candidate, None))
+            scene = scene_at(self._scene, self.each[k].candidate, None)
+            charted = chart(replace(scene, planner=self._ending.within(scene)))
         except CmbotError as error:
-            self._reject(k, "blocked", "charts", str(error))
+            self._reject(k, "blocked", "charts", str(error), _cause(error))
             return
         most = self._options.max_torque
         if charted.torque > _ROOM * most:
             why = f"{charted.torque:.1f} Nm on the guardrail in its best postures, {most:g} Nm are allowed"
-            self._reject(k, "too much torque", "charts", why)
+            self._reject(k, "too much torque", "charts", why, _TOO_MUCH)
             return
         self._begins[k] = charted.begins
         # With few via-points the allowance between postures is smaller, with many the bound is tighter.
@@ -256,24 +350,28 @@ class _Search:
         self._bounded(k, "charts", bound, charted.expected)
 
     def _plan(self, k: int) -> None:
-        self._tries += 1
         try:
-            made = plan(scene_at(self._scene, self.each[k].candidate, self._begins[k]))
+            scene = scene_at(self._scene, self.each[k].candidate, self._begins[k])
+            made = plan(scene, options=self._ending.within(scene))
         except CmbotError as error:
-            self._reject(k, "failed", "plan", str(error))
+            self._reject(k, "failed", "plan", str(error), _cause(error))
             return
         if left_out := sum(one.unreached for one in made.coverage.values()):
-            self._reject(k, "failed", "plan", f"{left_out:.3g} m2 of the rasters are not reached")
+            why = "of the rasters are not reached"
+            self._reject(k, "failed", "plan", f"{left_out:.3g} m2 {why}", f"parts {why}")
             return
         torque = made.figures.peak_guardrail_torque
         if torque > self._options.max_torque:
             allowed = f"{self._options.max_torque:g} Nm are allowed"
-            self._reject(k, "too much torque", "plan", f"{torque:.1f} Nm on the guardrail, {allowed}")
+            why = f"{torque:.1f} Nm on the guardrail, {allowed}"
+            self._reject(k, "too much torque", "plan", why, _TOO_MUCH)
             return
         # No estimate is above what was found.
         bound = min(self.each[k].bound, made.objective.planned_peak)
-        self.each[k] = replace(self.each[k], status="planned", judged="plan", plan=made, bound=bound)
-        self._planned += 1
+        done = replace(self.each[k], status="planned", judged="plan", plan=made, bound=bound, cause="")
+        self.each[k], self._ending.keeps = done, True
+        # The scene's own is one more.
+        self._planned += not done.own
         if self._best is None or _order(self.each[k]) < _order(self.each[self._best]):
             self._best = k
 
@@ -282,8 +380,27 @@ class _Search:
         self.each[k] = replace(self.each[k], judged=judged, bound=bound)
         heapq.heappush(self._waiting, (max(expected, bound), k))
 
-    def _reject(self, k: int, status: str, judged: str, why: str) -> None:
-        self.each[k] = replace(self.each[k], status=status, judged=judged, reason=why)
-        # A little further on the torque may be less.
-        if judged in _NEAR and status != "too much torque":
+    def _reject(self, k: int, status: str, judged: str, why: str, cause: str) -> None:
+        self.each[k] = replace(self.each[k], status=status, judged=judged, reason=why, cause=cause)
+        # A little further on the torque may be less; and only the scene's own has its start posture.
+        if judged in _NEAR and status != "too much torque" and not self.each[k].own:
             self._failures.append((self.each[k].candidate.base[:3, 3], _NEAR[judged]))
+
+
+def _cause(error: CmbotError) -> str:
+    """Why a stance is left out, without the figures that are its own."""
+    match error:
+        case PathNotFound(pair=(link, other)):
+            return f"{link} and {other} too near to each other"
+        case PathNotFound() if error.pace > 1:
+            return "joints too slow for the path"
+        case PathNotFound():
+            return "no sequence of admissible postures found"
+        case OptimisationFailed():
+            return f"{error.constraint} beyond its bound"
+        case LimitViolation():
+            return f"{error.quantity} beyond its bound"
+        case InputError():
+            return f"{error.key}: not {error.expected}"
+        case _:
+            return str(error)

@@ -65,13 +65,22 @@ def in_words(standing: Standing) -> Iterator[str]:
     """Yield what was found, a sentence or two each, the best stance first."""
     ranked, best = standing.ranked, standing.best
     if best is None or best.plan is None:
-        yield "No stance was planned: the scene has the most promising one by its bound; it may be blocked."
+        promising = ": the scene has the most promising one by its bound; it may be blocked"
+        yield f"No stance was planned{'' if standing.plans else promising}."
     else:
         yield from _best_in_words(standing, best, best.plan)
+    yield from _own_in_words(standing)
+    if standing.ended_by:
+        by = {"time": "its time was over (--time-limit)", "interrupt": "it was stopped"}[standing.ended_by]
+        kept = "what was planned until then is kept, and others may be better" if best is not None else ""
+        yield f"The search ended early, as {by}{f': {kept}' if kept else ''}."
     ended = {status: standing.count(status) for status in _ENDED}
     yield f"{len(ranked)} stances: {_counted(ended, _ENDED)}."
     judged = {name: sum(each.judged == name for each in ranked) for name in _JUDGED}
     yield f"Judged by {_counted(judged, _JUDGED)}."
+    if reasons := standing.reasons:
+        each = "; ".join(f"{cause}, {number}" for cause, number in reasons)
+        yield f"Stances are left out most often for: {each}."
 
 
 def _best_in_words(standing: Standing, best: Stood, plan: Plan) -> Iterator[str]:
@@ -86,7 +95,7 @@ def _best_in_words(standing: Standing, best: Stood, plan: Plan) -> Iterator[str]
     )
     least = standing.best_unplanned
     if np.isfinite(least):
-        more = 1 - least / peak
+        more = 1 - least / peak if peak > 0 else 0.0
         by = f"by more than {100 * more:.1f} %" if more > 0 else "than the best one"
         yield (
             f"No stance that was not planned has a bound below {least:.1f} {unit} (estimate, "
@@ -99,6 +108,21 @@ def _best_in_words(standing: Standing, best: Stood, plan: Plan) -> Iterator[str]
             f"{counted(len(failed), 'stance')} of which planning failed might be better by their bounds, "
             f"from {bound:.1f} {unit}; stances.csv says why."
         )
+
+
+def _own_in_words(standing: Standing) -> Iterator[str]:
+    """What the scenes' own stances ask, and how much better the best one is."""
+    several = len(standing.own) > 1
+    for each in standing.own if standing.plans else ():
+        name = f"The scenes' own stance {each.place}" if several else "The scene's own stance"
+        if each.plan is None:
+            yield f"{name} was not planned: {each.reason or each.cause or 'the search ended before'}."
+        elif each is standing.best:
+            yield f"{name} is the best of those planned."
+        elif standing.best is not None and standing.best.plan is not None:
+            own, best = (one.objective.planned_peak for one in (each.plan, standing.best.plan))
+            less = f": the best one asks {100 * (1 - best / own):.1f} % less" if own > 0 else ""
+            yield f"{name} asks {own:.1f} {standing.unit} at work{less}."
 
 
 def _counted(counts: Mapping[str, int], words: Mapping[str, str]) -> str:

@@ -182,12 +182,12 @@ class Pieces:
         Parameters
         ----------
         size : (K, R)
-            What the function's norm does not exceed on the ellipses.
+            What the function's norm does not exceed on the ellipses. Where it is no number, as what became of
+            infinities, nothing is known: it counts as infinite.
         """
-        with np.errstate(over="ignore", invalid="ignore"):
+        size = np.where(np.isnan(size), np.inf, size)
+        with np.errstate(over="ignore"):
             missed = 4 * size * _RHO**-DEGREE / (_RHO - 1)
-        # Infinity times zero: nothing is known on that ellipse.
-        missed[np.isnan(missed)] = np.inf
         # On the smallest ellipse the function is about as large as on the piece.
         return np.asarray(missed.min(axis=1) + _BERNSTEIN_ROUNDING * size[:, 0])
 
@@ -267,19 +267,20 @@ def highest(
     convex : callable
         From points (L, m, d + 1) and the piece of each, (L,), to values (L, d + 1).
     remainder : (K,)
-        What the interpolants may miss, in the function's unit.
+        What the interpolants may miss, in the function's unit; infinite where that is no number.
     resolution : float
         How far the hull may lie above the largest value that was found, in the function's unit.
     exact : callable, optional
         What `convex` bounds from above, the nearer the shorter a piece, for values at the ends of pieces.
     """
     piece = np.arange(len(control))
+    remainder = np.where(np.isnan(remainder), np.inf, remainder)
     start, width = pieces.start.copy(), pieces.end - pieces.start
     value, time, bound = -np.inf, float(pieces.start[0]), -np.inf
     for halving in range(_HALVINGS + 1):
         at = convex(control, piece)
         ends = at[:, [0, -1]] if exact is None else exact(control[:, :, [0, -1]], piece)
-        if not np.isfinite(at).all():
+        if not (np.isfinite(at).all() and np.isfinite(ends).all()):
             return Peak(time=time, value=np.nan, bound=np.nan)
         k, side = np.unravel_index(ends.argmax(), ends.shape)
         if ends[k, side] > value:
@@ -289,7 +290,7 @@ def highest(
         if halving == _HALVINGS or int(open_.sum()) > _MOST:
             open_[:] = False
         if (~open_).any():
-            bound = max(bound, float((hull + remainder[piece])[~open_].max()))
+            bound = float(np.maximum(bound, (hull + remainder[piece])[~open_].max()))
         if not open_.any():
             break
         control, piece, start = control[open_], piece[open_], start[open_]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray
-from cmbot.planning import RETURN, BaselineSegment, Plan, Samples, Segment
+from cmbot.planning import RETURN, BaselineSegment, Plan, Samples, Segment, baseline_faults
 from cmbot.simulation import Tracking
 from cmbot.views.page import pack
 
@@ -45,6 +45,8 @@ _OF_SLIDING = {"angle": "position", "torque": "force"}
 
 # Segments further apart in time than this, s, have a gap between them: where an arm waits, or has no path.
 _GAP = 1e-6
+# A baseline that goes this many times as far as the planned motion is clipped.
+_FAR = 2.0
 # What a peak is lower than its bound by rounding, as a share.
 _ROUNDING = 1e-5
 
@@ -100,6 +102,31 @@ class Chart:
     work: tuple[float, float | None] = (0.0, None)  # when it begins, s, and ends, where what follows is shown
     free: str = ""  # why the free moves have no curves
 
+    def scaled_to_plan(self, least: float = 0.0) -> Chart:
+        """Return it with an axis that the planned motion decides, where the baseline goes far beyond.
+
+        What it shows of the baseline then is `_FAR` times as much as the planned motion, or `least`, needs.
+        """
+        own = [curve for curve in self.curves if curve.motion == "planned"]
+        most, (low, high) = _FAR * ROOM * max(_highest(own), least), self.axis
+        lowest = min((float(curve.y.min()) for curve in own), default=0.0)
+        if own and most > 0:
+            low, high = max(low, min(ROOM * lowest, 0.0) - most / 2), min(high, most)
+        return replace(self, axis=(low, high)).with_clipped()
+
+    def with_clipped(self) -> Chart:
+        """Return it with a word on how far the baseline goes beyond the axis, where it does."""
+        low, high = self.axis
+        other = [curve for curve in self.curves if curve.motion == "baseline"]
+        lowest = min((float(curve.y.min()) for curve in other), default=low)
+        highest = max((float(curve.y.max()) for curve in other), default=high)
+        parts = [f"up to {highest:.{self.digits}f}"] if highest > high else []
+        parts += [f"down to {lowest:.{self.digits}f}"] if lowest < low else []
+        if not parts:
+            return self
+        said = f"The baseline goes {' and '.join(parts)} {self.unit}, beyond this plot."
+        return replace(self, note=f"{self.note} {said}".lstrip())
+
     def data(self, most: int = MOST_POINTS) -> dict[str, Any]:
         """Return it ready for JSON; arrays are little-endian float32 in base64."""
         curves = []
@@ -116,8 +143,11 @@ def charts(plan: Plan, tracking: Tracking | None) -> Iterator[Chart]:
     yield _tool_deviation(plan)
     if tracking is not None:
         begin, note = work_begins(plan), _ERROR if plan.compensation is None else _COMPENSATED
-        yield from _tracking(tracking, begin, note)
-        yield _off_path(tracking, begin)
+        # One that keeps the limits is shown whole: how far it bends is what a plan may make up for.
+        broken = bool(baseline_faults(plan, work=True))
+        yield from _tracking(tracking, begin, note, clipped=broken)
+        off = _off_path(tracking, begin)
+        yield off.scaled_to_plan() if broken else off
 
 
 def joint_charts(plan: Plan) -> Iterator[Chart]:
@@ -153,7 +183,13 @@ def _joint_chart(
         room = 0.5 * (ROOM - 1) * (high - low)
         axis = (low - room, high + room)
     else:
-        axis = (min(float(c.y.min()) for c in curves), max(float(c.y.max()) for c in curves))
+        own = [curve for curve in curves if curve.motion != "baseline"] or curves
+        (least, most), (lowest, highest) = (
+            (min(float(c.y.min()) for c in some), max(float(c.y.max()) for c in some))
+            for some in (own, curves)
+        )
+        span = most - least
+        axis = (max(lowest, least - span), min(highest, most + span))
     return Chart(
         key="joint",
         title=title,
@@ -216,7 +252,7 @@ def floor_meaning(plan: Plan) -> str:
 def _torque(plan: Plan) -> Chart:
     curves = _curves(plan, lambda samples: np.linalg.norm(samples.guardrail_torque, axis=1))
     bound = plan.torque_floor
-    return Chart(
+    chart = Chart(
         key="torque",
         work=_work(plan),
         title=f"Torque on the {plan.scene.base_name}",
@@ -227,6 +263,7 @@ def _torque(plan: Plan) -> Chart:
         marks=() if bound is None else ((bound, f"{floor_name(plan)} {bound:.1f} Nm"),),
         note="" if bound is None else f"{floor_name(plan).capitalize()} of the peak: {floor_meaning(plan)}.",
     )
+    return chart.scaled_to_plan(0.0 if bound is None else bound)
 
 
 def _clearance(plan: Plan) -> Chart:
@@ -237,7 +274,7 @@ def _clearance(plan: Plan) -> Chart:
         if np.isfinite(curve.y).all()  # infinite without a pair of shapes that can collide
     )
     lowest = min((float(curve.y.min()) for curve in curves), default=0.0)
-    return Chart(
+    chart = Chart(
         key="clearance",
         work=_work(plan),
         title="Clearance",
@@ -249,11 +286,12 @@ def _clearance(plan: Plan) -> Chart:
         marks=((margin, f"margin {margin:g} mm"),),
         note="The smallest distance of the arm to obstacles and to itself.",
     )
+    return chart.scaled_to_plan(2 * margin)
 
 
 def _tool_deviation(plan: Plan) -> Chart:
     bound = 1e3 * plan.options.max_tool_deviation_m
-    return Chart(
+    chart = Chart(
         key="deviation",
         title="Tool's distance from its path",
         unit="mm",
@@ -271,6 +309,7 @@ def _tool_deviation(plan: Plan) -> Chart:
         note=_expected(plan),
         free="no tool path",
     )
+    return chart.with_clipped()
 
 
 def _expected(plan: Plan) -> str:
@@ -280,12 +319,20 @@ def _expected(plan: Plan) -> str:
     return _EXPECTED + (spread if plan.deviation_with_spread else "")
 
 
-def _tracking(tracking: Tracking, begin: float, note: str) -> Iterator[Chart]:
-    """Yield the tracking error along each axis, all to one scale; the work begins at `begin`, s."""
+def _tracking(tracking: Tracking, begin: float, note: str, *, clipped: bool) -> Iterator[Chart]:
+    """Yield the tracking error along each axis, all to one scale; the work begins at `begin`, s.
+
+    `clipped`: the planned motion decides that scale.
+    """
     motions = tracking.motions
     shown = np.vstack([each for _, motion in motions for each in (motion.error, motion.static)])
     middles = 0.5e3 * (shown.min(axis=0) + shown.max(axis=0))
     half = 0.5e3 * ROOM * float(np.ptp(shown, axis=0).max())
+    own = tracking.planned
+    planned = np.vstack([own.error, own.static])
+    far = _FAR * 0.5e3 * ROOM * float(np.ptp(planned, axis=0).max())
+    if clipped and half > far > 0:
+        middles, half = 0.5e3 * (planned.min(axis=0) + planned.max(axis=0)), far
     for number, axis in enumerate("xyz"):
         middle = float(middles[number])
         static = (Curve(motion=n, t=begin + m.t, y=1e3 * m.static[:, number], thin=True) for n, m in motions)
@@ -299,7 +346,7 @@ def _tracking(tracking: Tracking, begin: float, note: str) -> Iterator[Chart]:
             axis=(middle - half, middle + half),
             note="" if number else note,
             free=_NOT_SIMULATED,
-        )
+        ).with_clipped()
 
 
 def _off_path(tracking: Tracking, begin: float) -> Chart:

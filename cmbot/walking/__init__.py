@@ -3,6 +3,7 @@
 from cmbot.walking.files import WalkSamples, walk_csv, walk_data, walk_samples
 from cmbot.walking.steps import Kind, Move, Step, certified_move
 from cmbot.walking.tour import Tour, tour, tour_data
+from cmbot.walking.verification import second_opinion_of
 from cmbot.walking.walk import Walk, WalkOptions, load_goal, stance_of, walk
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     "WalkSamples",
     "certified_move",
     "load_goal",
+    "second_opinion_of",
     "stance_of",
     "tour",
     "tour_data",

@@ -20,6 +20,7 @@ from cmbot.siting import (
     StandOptions,
     Stood,
     joined,
+    require_planned,
     require_standing,
     scene_at,
     stand,
@@ -149,10 +150,10 @@ def tour(
         return None if balance.leads_away(world, candidate) else "no step leads away from there"
 
     standings = stand(scenes, stand_options, progress, suits)
+    if any(standing.ended_by == "interrupt" for standing in standings):
+        raise KeyboardInterrupt  # no part of a tour is one
     choices = [[each for each in standing.ranked if each.plan is not None] for standing in standings]
-    for standing, planned in zip(standings, choices, strict=True):
-        if not planned:
-            raise PlanningError(f"no stance was planned for {', '.join(standing.strokes)}")
+    require_planned(standings)
     search = _Links(choices, walk_options, progress)
     works = search.from_here(())
     if works is None:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from textwrap import shorten
 
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import CmbotError, PlanningError, SceneError
+from cmbot.common.errors import CmbotError, PlanningError, SceneError, whole_sentences
 from cmbot.common.input_files import is_file
 from cmbot.common.representation import short_repr
 from cmbot.common.validation import counted, validated
@@ -306,7 +305,7 @@ class _Search:
 
 def _cause(why: str) -> str:
     """The first clause of a cause, so that a message that is about more than that holds it."""
-    return shorten(why.partition("; ")[0], _LONGEST_CAUSE, placeholder=" …")
+    return whole_sentences(why.partition("; ")[0], _LONGEST_CAUSE)
 
 
 def _names(node: Candidate) -> str:
@@ -341,7 +340,7 @@ def stance_of(scene: Scene) -> Candidate:
 def _stance_from(stance: StanceFile, scene: Scene) -> Candidate:
     data = scene.file.as_data()
     guardrail = {**data["guardrail"], "stance": stance.model_dump(mode="json", exclude_none=True)}
-    return stance_of(load_scene({**data, "format": "cmbot-scene/2", "guardrail": guardrail}))
+    return stance_of(load_scene({**data, "guardrail": guardrail}))
 
 
 def load_goal(path: str | Path) -> Scene | StanceFile:

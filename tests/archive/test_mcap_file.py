@@ -1,5 +1,6 @@
 """A plan as an MCAP file, read back by other code: what is in it is the planned job."""
 
+import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -7,10 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import output, refusal
+from oracles.joint_trajectory_controller import refusals
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
-from cmbot.archive import export_mcap
+from cmbot.archive import export_mcap, export_ros
 from cmbot.common.errors import InputError, MissingExtra
 from cmbot.planning import Plan
 from cmbot.robot import Kinematics
@@ -35,12 +37,57 @@ def test_the_trajectory_is_the_whole_job(messages: Messages, strokes_plan: Plan)
     samples, _ = strokes_plan.job_samples
     assert time == 0
     assert tuple(message.joint_names) == strokes_plan.robot.joints
-    rows = ("positions", "q"), ("velocities", "v"), ("accelerations", "a"), ("effort", "joint_torque")
+    rows = ("positions", "q"), ("velocities", "v"), ("accelerations", "a")
     for name, attribute in rows:
         values = np.array([getattr(point, name) for point in message.points])
         np.testing.assert_array_equal(values, getattr(samples, attribute))
     times = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in message.points]
     np.testing.assert_allclose(times, samples.t, atol=1e-9)
+    assert all(len(point.effort) == 0 for point in message.points)
+
+
+@pytest.mark.parametrize("effort", [False, True])
+def test_controllers_accept_what_is_written_without_efforts(
+    short_plan: Plan, saved_short: Path, tmp_path: Path, effort: bool
+) -> None:
+    """Of Humble and of Jazzy; with efforts newer ones alone, where the controller commands an effort."""
+    bag, file = tmp_path / "job.mcap", tmp_path / "job.json"
+    words = ["--effort"] if effort else []
+    told = output("export", saved_short, "--mcap", bag, "--ros", file, *words)
+    assert told == f"Written to {bag}.\nWritten to {file}.\n"
+    message = json.loads(file.read_text(encoding="utf-8"))
+    joints = short_plan.robot.joints
+    expected = ["effort"] if effort else []
+    assert refusals(message, joints, "humble") == refusals(message, joints, "jazzy") == expected
+    assert refusals(message, joints, "humble", commands_effort=True) == expected
+    assert refusals(message, joints, "jazzy", commands_effort=True) == []
+    with AnyReader([bag]) as reader:
+        (connection,) = (each for each in reader.connections if each.topic == "/joint_trajectory")
+        ((_, _, raw),) = reader.messages([connection])
+        recorded = reader.deserialize(raw, connection.msgtype)
+    samples, _ = short_plan.job_samples
+    for point, other, torque in zip(message["points"], recorded.points, samples.joint_torque, strict=True):
+        for name in ("positions", "velocities", "accelerations"):
+            assert point[name] == getattr(other, name).tolist()
+        assert point.get("effort", []) == other.effort.tolist() == (torque.tolist() if effort else [])
+    if not effort:
+        assert file.read_bytes() == (saved_short / "job.ros.json").read_bytes()
+
+
+def test_the_oracle_refuses_what_controllers_do(short_plan: Plan, saved_short: Path) -> None:
+    good = json.loads((saved_short / "job.ros.json").read_text(encoding="utf-8"))
+    *some, last = good["points"]
+    joints = short_plan.robot.joints
+    bad = [
+        good | {"joint_names": [*joints[1:], "other"]},
+        good | {"points": []},
+        good | {"points": [*some, last | {"velocities": [1e-3] * 7}]},
+        good | {"points": [*some, some[-1]]},
+        good | {"points": [*some, last | {"positions": []}]},
+        good | {"header": {"stamp": {"sec": 1, "nanosec": 0}, "frame_id": ""}},
+    ]
+    assert not refusals(good, joints, "humble")
+    assert all(refusals(each, joints, "humble") and refusals(each, joints, "jazzy") for each in bad)
 
 
 def test_links_and_wrench_are_those_of_the_plan(messages: Messages, strokes_plan: Plan) -> None:
@@ -82,6 +129,12 @@ def test_what_is_refused(
     path = tmp_path / "short.mcap"
     assert output("export", saved_short, "--mcap", path) == f"Written to {path}.\n"
     assert "already there" in refusal("export", saved_short, "--mcap", path)
+    assert "already there" in refusal("export", saved_short, "--ros", path)
+    folder = tmp_path / "description"
+    told = refusal("export", saved_short, "--ros-package", folder, "--effort")
+    assert "--effort: got no trajectory to write" in told and not folder.exists()
+    with pytest.raises(InputError, match=r"cmbot\.export_ros: plan"):
+        export_ros(str(saved_short), path)  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"cmbot\.export_mcap: plan"):
         export_mcap(str(saved_short), path)  # type: ignore[arg-type]
     monkeypatch.setitem(sys.modules, "mcap_ros2.writer", None)

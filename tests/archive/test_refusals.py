@@ -85,7 +85,7 @@ def test_files_of_another_plan(triangle_folder, name):
     assert caught.value.source == str(triangle_folder / name)
 
 
-@pytest.mark.parametrize("version", ["cmbot-plan/1", "cmbot-plan/3", "cmbot-scene/1", 1, None])
+@pytest.mark.parametrize("version", ["cmbot-plan/1", "cmbot-plan/3", "cmbot-scene/2", 1, None])
 def test_other_versions(triangle_folder, version):
     edit(triangle_folder, lambda data: (data.update(format=version), data.pop("seconds")))
     error = refused(triangle_folder, "plan.json", "format")

@@ -95,9 +95,9 @@ def test_newton_steps_end_on_the_task(folders: list[Path], keep: str) -> None:
 
 def test_the_oracle_finds_a_path_and_none_through_a_wall(tmp_path: Path) -> None:
     scene = {
-        "format": "cmbot-scene/1",
+        "format": "cmbot-scene/2",
         "name": "wall",
-        "posture_deg": [-10, -90, 90, 0, 10, 50, 0],
+        "start": {"posture_deg": [-10, -90, 90, 0, 10, 50, 0]},
         "tool_path": {"legs": [{"by": [0, -0.2, 0], "seconds": 4}], "via_points": 8},
     }
     file = tmp_path / "scene.yaml"
@@ -107,7 +107,7 @@ def test_the_oracle_finds_a_path_and_none_through_a_wall(tmp_path: Path) -> None
     # It starts in the scene's posture, and every posture is admissible and on the path.
     _, world, path, _ = read_scene(tmp_path)
     q = np.radians(found["path_deg"])
-    np.testing.assert_allclose(q[0], np.radians(scene["posture_deg"]), atol=1e-5)
+    np.testing.assert_allclose(q[0], np.radians(scene["start"]["posture_deg"]), atol=1e-5)
     for t, q_t in zip(found["times"], q, strict=True):
         assert world.admissible(q_t)
         np.testing.assert_allclose(world.pose(q_t)[0], path.point(t), atol=1e-5)
@@ -155,7 +155,7 @@ def test_a_false_reason_is_found(triangle_plan: Plan) -> None:
 
 
 SMALL = {
-    "posture_deg": [-10, -90, 90, 0, 10, 50, 0],
+    "start": {"posture_deg": [-10, -90, 90, 0, 10, 50, 0]},
     "tool_path": {"legs": [{"by": [0, -0.1, 0], "seconds": 3}], "via_points": 6},
 }
 # Around the end of its leg.
@@ -167,7 +167,7 @@ def test_a_small_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
     def make(seed: int, number: int, folder: str) -> dict[str, Any]:
         # One that is planned in a moment, and one whose path ends at a wall.
-        data = {"format": "cmbot-scene/1", "name": "small", **SMALL}
+        data = {"format": "cmbot-scene/2", "name": "small", **SMALL}
         data["obstacles"] = [WALL] * number
         Path(folder).mkdir(parents=True)
         Path(folder, "scene.yaml").write_text(json.dumps(data), encoding="utf-8")

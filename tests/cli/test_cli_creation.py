@@ -41,6 +41,7 @@ def test_a_scene_of_the_panda(here: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert json.loads(schema.read_text(encoding="utf-8"))["title"] == "cmbot-scene/2"
     scene = cmbot.load_scene("panda.yaml")
     assert (scene.name, scene.robot.model, scene.keep) == ("panda", here / "panda.urdf", "pose")
+    assert scene.file.tool_path.via_points == "auto"
     assert scene.base_name == "base"
     assert "\n  model: panda.urdf\n" in text
     assert (scene.obstacles, scene.guardrail.post_positions) == ((), ())
@@ -239,38 +240,13 @@ def test_an_srdf_is_written_once(here: Path) -> None:
     assert "got a scene to check, expected a URDF" in refusal("check", "triangle", "--write-srdf", "b.srdf")
 
 
-def test_a_scene_of_the_first_format_becomes_one_of_the_second(here: Path) -> None:
-    (here / "old").mkdir()
-    mesh = here / "old" / "block.obj"
-    mesh.write_text(
-        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n", encoding="utf-8"
-    )
-    text = (scene_folder() / "triangle.yaml").read_text(encoding="utf-8")
-    text = text.replace("  speed_profile: {kind: trapezoidal, ramp: 0.2}  # the shape", "  # the shape")
-    text = text.replace("obstacles:\n", "obstacles:\n  - {name: block, mesh: block.obj, xyz: [3, 3, 3]}\n")
-    (here / "old" / "scene.yaml").write_text(text, encoding="utf-8")
-    assert output("new", "--from-scene", "old/scene.yaml", "-o", "new.yaml").startswith("Written: new.yaml")
-    old, new = cmbot.load_scene("old/scene.yaml"), cmbot.load_scene("new.yaml")
-    assert (old.file.format, new.file.format) == ("cmbot-scene/1", "cmbot-scene/2")
-    np.testing.assert_array_equal(old.posture, new.posture)
-    for name in ("legs", "speed_profile", "via_points", "keep", "return_to", "tool", "robot", "planner"):
-        assert getattr(old, name) == getattr(new, name)
-    assert [obstacle.name for obstacle in old.obstacles] == [obstacle.name for obstacle in new.obstacles]
-    assert (here / "new.yaml").read_text(encoding="utf-8").count("A to B") == 1
-    assert "got cmbot-scene/2, expected cmbot-scene/1" in refusal(
-        "new", "--from-scene", "new.yaml", "-o", "x.yaml"
-    )
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--from-scene", "triangle", "--tool-at", "1", "2", "3"), "--tool-at: got a value, expected none"),
         (("--tool-at", "1", "2", "3"), "--from: got nothing, expected --from URDF"),
         (("--from", "panda"), "--tool-at: got nothing"),
-        (("--from-scene", "nosuch"), "nosuch: no such file"),
     ],
 )
-def test_a_new_scene_is_of_a_robot_or_of_a_scene(here: Path, words: tuple[str, ...], said: str) -> None:
+def test_a_new_scene_is_of_a_robot_at_a_place(here: Path, words: tuple[str, ...], said: str) -> None:
     assert said in refusal("new", *words)
     assert not list(here.iterdir())

@@ -33,11 +33,11 @@ FRAMES = {
 }
 FILES = {
     "short.yaml": json.dumps(SHORT),
-    "broken.yaml": "format: [cmbot-scene/1\nname: x",
+    "broken.yaml": "format: [cmbot-scene/2\nname: x",
     "campaign.yaml": "format: cmbot-campaign/1\nscene: triangle\njobs:\n- name: a\n",
     "empty.yaml": "",
     "list.yaml": "[1, 2]",
-    "twice.yaml": "format: cmbot-scene/1\nformat: cmbot-scene/1\n",
+    "twice.yaml": "format: cmbot-scene/2\nformat: cmbot-scene/2\n",
     "slip.yaml": json.dumps({**SHORT, "tool_path": {**SHORT["tool_path"], "via_point": 8}}),
     "type.yaml": json.dumps({**SHORT, "tool_path": {**SHORT["tool_path"], "via_points": "many"}}),
     "option.yaml": json.dumps({**SHORT, "planner": {"knots": "slidin"}}),
@@ -45,7 +45,7 @@ FILES = {
     "frame.yaml": json.dumps({**SHORT, "robot": {**FRAMES, "base_frame": "arm_bas"}}),
     "robot.yaml": json.dumps({**SHORT, "robot": {"model": "zzz/zzz"}}),
     "other.yaml": json.dumps({**SHORT, "robot": FRAMES}),
-    "joints.yaml": json.dumps({**SHORT, "posture_deg": [0, 0]}),
+    "joints.yaml": json.dumps({**SHORT, "start": {"posture_deg": [0, 0]}}),
     "binary.yaml": b"\xff\xfe\x00",
     "broken.urdf": "<robot",
     "none.urdf": '<robot name="none"></robot>',
@@ -54,7 +54,7 @@ FILES = {
     "other_version/plan.json": '{"format": "cmbot-plan/999"}',
     "no_plan/notes.txt": "",
 }
-_A_CAMPAIGN = "expected cmbot-scene/1 or cmbot-scene/2; cmbot campaign campaign.yaml plans it"
+_A_CAMPAIGN = "expected cmbot-scene/2; cmbot campaign campaign.yaml plans it"
 # The words after cmbot, and what the error has to name.
 BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
     (
@@ -105,7 +105,7 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
     ("plan slip.yaml", ("slip.yaml:1: tool_path.via_point: got an unknown key", "did you mean via_points?")),
     ("plan type.yaml", ("type.yaml:1: tool_path.via_points: got 'many', expected a whole number",)),
     ("plan option.yaml", ("option.yaml:1: planner.knots: got 'slidin'", "did you mean sliding?")),
-    ("check joints.yaml", ("joints.yaml:1: posture_deg: got ", "7")),
+    ("check joints.yaml", ("joints.yaml:1: start.posture_deg: got ", "7")),
     ("check nosuch.urdf", ("nosuch.urdf: no such file",)),
     ("check broken.urdf", ("broken.urdf: ",)),
     ("check other.xml", ("other.xml: ",)),
@@ -132,7 +132,7 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
     ("scenes --html empty.yaml/x.html", ("empty.yaml/x.html: got ", "expected ")),
     ("check panda --write-srdf empty.yaml", ("--write-srdf: got empty.yaml", "path of a new file")),
     ("check short.yaml --write-srdf x.srdf", ("--write-srdf: got a scene", "a URDF to check")),
-    ("new", ("--from: got nothing", "--from URDF and --tool-at X Y Z, or --from-scene SCENE")),
+    ("new", ("--from: got nothing", "--from URDF and --tool-at X Y Z")),
     ("new --from nosuch --tool-at .5 0 .4", ("nosuch: no such file", "a URDF file, or the name of a robot")),
     ("new --from panda --tool-at .5 0 .4 -o empty.yaml", ("empty.yaml: got a file that", "or --force")),
     ("new --from panda --tool hand --tool-at .5 0 .4", ("--tool: got 'hand'", "(one of: panda_link0, ")),
@@ -166,6 +166,9 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
     # Inputs are looked at before places that are taken.
     ("compare nosuch other --html empty.yaml", ("nosuch: no such folder, expected a plan directory",)),
     ("compare folder folder", ("got one directory more than once, expected different plan directories",)),
+    ("verify nosuch", ("nosuch: no such folder",)),
+    ("verify other_version", ("other_version", "cmbot-plan/999")),
+    ("verify folder --engine bullet", ("--engine: got bullet", "one of: mujoco")),
     ("report nosuch --html empty.yaml", ("nosuch: no such folder",)),
     ("export nosuch --mcap empty.yaml", ("nosuch: no such folder",)),
     ("new --from nosuch --tool-at .5 0 .4 -o empty.yaml", ("nosuch: no such file",)),

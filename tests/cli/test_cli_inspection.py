@@ -59,11 +59,11 @@ def test_a_start_that_is_not_clear_is_warned_of(tmp_path: Path, gap: float, word
     out = output("check", path)
     first, *_, last = out.splitlines()
     assert first.startswith(
-        f"warning: {path}: posture_deg: got {words}, the safety margin is 0.02 m, expected"
+        f"warning: {path}: start.posture_deg: got {words}, the safety margin is 0.02 m, expected"
     )
     assert last == f"2 warnings; cmbot plan {path} would have to deal with them."
     start, way = json.loads(run("check", path, "--json").out)["findings"]
-    assert (start["severity"], start["key"]) == ("warning", "posture_deg")
+    assert (start["severity"], start["key"]) == ("warning", "start.posture_deg")
     # No other posture that holds the tool there is clear.
     assert (way["severity"], way["key"]) == ("warning", "tool_path.legs[0]")
     assert "none of" in way["got"] and "block" in way["got"]
@@ -86,7 +86,7 @@ def test_legs_beyond_reach_and_a_load_too_heavy_are_warned_of(tmp_path: Path) ->
     path = write_scene(tmp_path / "heavy.yaml", {**SHORT, "robot": heavy})
     first, *_ = run("check", path).out.splitlines()
     assert "of the torque that joint_" in first
-    assert first.startswith(f"warning: {path}: posture_deg: got ")
+    assert first.startswith(f"warning: {path}: start.posture_deg: got ")
 
 
 @pytest.mark.parametrize(
@@ -308,7 +308,7 @@ def test_the_rows_of_a_raster_out_of_reach_are_one_warning(tmp_path: Path) -> No
         "spacing_m": 0.1,
         "stand_off_m": 0.1,
     }
-    scene = {**SHORT, "format": "cmbot-scene/2", "tool_path": {"raster": raster, "speed_m_s": 0.1}}
+    scene = {**SHORT, "tool_path": {"raster": raster, "speed_m_s": 0.1}}
     out = run("check", write_scene(tmp_path / "far.yaml", scene)).out
     assert out.count("tool_path.raster: got an end ") == 1
     assert out.splitlines()[-1].startswith("1 warning; ")

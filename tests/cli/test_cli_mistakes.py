@@ -18,9 +18,9 @@ from cmbot.scene import PlannerOptions
 
 TEXT = """\
 # A scene whose lines are counted.
-format: cmbot-scene/1
+format: cmbot-scene/2
 name: counted
-posture_deg: [-10, -90, 90, 0, 10, 50, 0]
+start: {posture_deg: [-10, -90, 90, 0, 10, 50, 0]}
 tool_path:
   legs:
     - by: [0, -0.3, 0]
@@ -45,7 +45,7 @@ obstacles:
         ("      seconds: 4\n", "", "7: tool_path.legs[0]: got none"),
         ("    sphere: 0.1\n", "", "12: obstacles[0]: got none"),
         ("sphere: 0.1", "mesh: none.obj", "13: obstacles[0].mesh: got 'none.obj'"),
-        ("10, 50, 0]", "10, 50]", "4: posture_deg: got 6 numbers, expected 7"),
+        ("10, 50, 0]", "10, 50]", "4: start.posture_deg: got 6 numbers, expected 7"),
         ("8\n", "8\nplanner:\n  chart_seeds: 2147483648\n", "12: planner.chart_seeds: got 2147483648"),
         ("8\n", "8\n  via_points: 9\n", "11: tool_path.via_points: got the same key again"),
         ("8\n", "8 9: x\n", "10: got mapping values are not allowed here"),
@@ -74,7 +74,7 @@ def test_the_line_is_named_in_a_robots_files_too(urdf_folder: Path) -> None:
 def in_radians(**changes: Any) -> dict[str, Any]:
     return {
         **SHORT,
-        "posture_deg": [round(math.radians(angle), 4) for angle in SHORT["posture_deg"]],
+        "start": {"posture_deg": [round(math.radians(angle), 4) for angle in SHORT["start"]["posture_deg"]]},
         **changes,
     }
 
@@ -82,16 +82,20 @@ def in_radians(**changes: Any) -> dict[str, Any]:
 def test_radians_for_degrees_are_suspected(tmp_path: Path) -> None:
     path = write_scene(tmp_path / "radians.yaml", in_radians())
     first, *others = run("check", path).out.splitlines()
-    assert first == f"warning: {path}: posture_deg: got numbers that look like radians, expected degrees"
+    assert (
+        first == f"warning: {path}: start.posture_deg: got numbers that look like radians, expected degrees"
+    )
     assert others[0].startswith("warning: ")
-    with pytest.raises(cmbot.PlanningError, match=r"; posture_deg looks like radians, it is in degrees$"):
+    with pytest.raises(cmbot.PlanningError, match=r"; start.posture_deg looks like radians, it is in d"):
         cmbot.plan(cmbot.load_scene(path))
 
 
-@pytest.mark.parametrize("posture", [SHORT["posture_deg"], [0, 0, 0, 0, 0, 0, 0], [1, 2, 3, 4, 5, 6, 0]])
+@pytest.mark.parametrize(
+    "posture", [SHORT["start"]["posture_deg"], [0, 0, 0, 0, 0, 0, 0], [1, 2, 3, 4, 5, 6, 0]]
+)
 def test_degrees_are_not_taken_for_radians(posture: list[float], tmp_path: Path) -> None:
     legs = [{"by": [0, -30, 0], "seconds": 4}]
-    scene = {**SHORT, "posture_deg": posture, "tool_path": {"legs": legs}}
+    scene = {**SHORT, "start": {"posture_deg": posture}, "tool_path": {"legs": legs}}
     path = write_scene(tmp_path / "far.yaml", scene)
     outcome = run("check", path)
     assert "warning: " in outcome.out
@@ -102,8 +106,7 @@ def test_degrees_are_not_taken_for_radians(posture: list[float], tmp_path: Path)
 
 
 def test_degrees_for_radians_are_suspected(tmp_path: Path) -> None:
-    scene = {key: value for key, value in SHORT.items() if key != "posture_deg"}
-    scene |= {"format": "cmbot-scene/2", "start": {"posture": SHORT["posture_deg"]}}
+    scene = SHORT | {"start": {"posture": SHORT["start"]["posture_deg"]}}
     line = refusal("check", write_scene(tmp_path / "degrees.yaml", scene))
     assert ": start.posture[0]: got " in line
     assert line.endswith("; start.posture looks like degrees, it is in rad (start.posture_deg is in degrees)")

@@ -2,11 +2,12 @@
 
 import csv
 import json
+import re
 from pathlib import Path
 from unittest.mock import Mock
 
 import pytest
-from command_line import Outcome, run
+from command_line import Outcome, one_line, run, run_apart, write_scene
 from small_scenes import short_scene
 
 import cmbot
@@ -44,6 +45,63 @@ def test_it_replaces_nothing_unasked(stood: tuple[Path, Outcome]) -> None:
     assert "expected a folder without these files, or --force" in again.err
 
 
+@pytest.fixture
+def job(tmp_path: Path) -> Path:
+    """A scene in a folder that has the best scene of an earlier search."""
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "best.yaml").write_text("# Written by cmbot stand: the scene in its best stance.\n")
+    return write_scene(tmp_path / "short.yaml", short_scene().file.as_data())
+
+
+COARSE = ("--one-foot", "--spacing", "1.5", "--plans", "1", "--force")
+
+
+def test_where_nothing_is_planned_the_status_is_3_and_the_table_says_why(job: Path) -> None:
+    out = job.parent / "out"
+    outcome = run("stand", job, *COARSE, "--max-torque", "1", "-o", out, "--json", "--quiet")
+    assert outcome.status == 3
+    error = one_line(outcome)
+    assert re.search(r"short.yaml: no stance of \d+ was planned, most often for: ", error)
+    assert error.endswith(f"{out / 'stances.csv'} has the reason of each")
+    assert error.count("(") >= 3
+    assert {path.name for path in out.iterdir()} == FILES - {"best.yaml"}
+    rows = [*csv.DictReader((out / "stances.csv").read_text().splitlines())]
+    assert {"too much torque", "out of reach"} <= {row["status"] for row in rows}
+    assert next(row["reason"] for row in rows if row["status"] == "too much torque").endswith("are allowed")
+
+
+def test_time_that_is_over_at_once(job: Path) -> None:
+    outcome = run("stand", job, *COARSE, "--time-limit", "0", "-o", job.parent / "out", "--quiet")
+    assert outcome.status == 3
+    assert "was planned; the time was over (--time-limit), most often for: " in outcome.err
+
+
+STOPS = """
+import os, signal
+import cmbot.siting.search as search
+def stopped(scene):
+    os.kill(os.getpid(), signal.SIGINT)
+search.bounded_quickly = stopped
+from cmbot.cli import take_signals
+take_signals()
+"""
+
+
+@pytest.mark.parametrize("shown", [(), ("--json",)])
+def test_ctrl_c_keeps_the_best_so_far(job: Path, shown: tuple[str, ...]) -> None:
+    """The scene's own stance, which is planned first; the page says that the search was stopped."""
+    out = job.parent / "out"
+    outcome = run_apart("stand", job, *COARSE, *shown, "-o", out, before=STOPS)
+    assert outcome.status == 130, outcome.err
+    said = "The search ended early, as it was stopped: what was planned until then is kept"
+    assert said in (" ".join(json.loads(outcome.out)["words"]) if shown else outcome.out)
+    assert {path.name for path in out.iterdir()} == FILES
+    assert said in (out / "index.html").read_text()
+    best = cmbot.load_scene(out / "best.yaml")
+    assert best.robot == cmbot.load_scene(job).robot
+    assert "Traceback" not in outcome.err
+
+
 def test_an_objective_that_cannot_be_screened(stood: tuple[Path, Outcome]) -> None:
     folder, _ = stood
     refused = run("stand", folder / "short.yaml", "--objective", "sag")
@@ -57,7 +115,7 @@ def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome]:
     folder = tmp_path_factory.mktemp("both")
     for name, x in (("left", -3.2), ("right", 3.2)):
         begin = {"frame": "world", "xyz": [x, 0.78, -1.96], "rpy_deg": [0, 180, 0]}
-        job = short_scene(name=name, format="cmbot-scene/2", tool_path={"from": begin})
+        job = short_scene(name=name, tool_path={"from": begin})
         (folder / f"{name}.yaml").write_text(json.dumps(job.file.as_data()))
     words = ("--one-foot", "--spacing", "0.8", "--plans", "0", "-o", folder / "out")
     (folder / "out").mkdir()

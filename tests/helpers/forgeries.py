@@ -134,7 +134,7 @@ def _tool(**entries: object) -> Callable[[dict[str, Any]], object]:
     def change(data: dict[str, Any]) -> None:
         # What is left out means another speed profile in the second format.
         data["tool_path"].setdefault("speed_profile", {"kind": "trapezoidal"})
-        data.update(format="cmbot-scene/2", tool=entries)
+        data.update(tool=entries)
 
     return change
 

@@ -1,9 +1,9 @@
 """The shortest content of a scene file, and the robot block of another URDF."""
 
 MINIMAL = {
-    "format": "cmbot-scene/1",
+    "format": "cmbot-scene/2",
     "name": "small",
-    "posture_deg": [0, 90],
+    "start": {"posture_deg": [0, 90]},
     "tool_path": {"legs": [{"by": [0, 0, 1], "seconds": 2}]},
 }
 OTHER_ROBOT = {

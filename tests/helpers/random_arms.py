@@ -43,10 +43,10 @@ def random_arm(folder: Path, seed: int, *, srdf: bool = True, **robot: Any) -> S
     mount = {"xyz": rng.uniform(-1, 1, 3).tolist(), "rpy_deg": rng.uniform(-180, 180, 3).tolist()}
     return load_scene(
         {
-            "format": "cmbot-scene/1",
+            "format": "cmbot-scene/2",
             "name": "random",
             "robot": {**files, "mount": mount, **robot},
-            "posture_deg": rng.uniform(-90, 90, _JOINTS).tolist(),
+            "start": {"posture_deg": rng.uniform(-90, 90, _JOINTS).tolist()},
             "tool_path": {
                 "legs": [
                     {"by": rng.uniform(-1, 1, 3).tolist(), "seconds": float(rng.uniform(1, 5))}

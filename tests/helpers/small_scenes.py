@@ -19,20 +19,30 @@ from cmbot.scene import Scene, SpeedProfile, ToolPath, ToolPoses, load_scene
 from cmbot.trajectory.quintic import QuinticTrajectory
 
 SHORT: dict[str, Any] = {
-    "format": "cmbot-scene/1",
+    "format": "cmbot-scene/2",
     "name": "short",
-    "robot": {"model": "cmbot"},
-    "posture_deg": [-10, -90, 90, 0, 10, 50, 0],
-    "tool_path": {"legs": [{"by": [0, -0.3, 0], "seconds": 4}], "via_points": 8},
+    "robot": {"model": "cmbot", "joints": "rigid"},
+    "start": {"posture_deg": [-10, -90, 90, 0, 10, 50, 0]},
+    "tool_path": {
+        "legs": [{"by": [0, -0.3, 0], "seconds": 4}],
+        "speed_profile": {"kind": "trapezoidal"},
+        "via_points": 8,
+    },
     "planner": {"knots": "fixed", "path_step_s": 0.02},
 }
 
 
 def short_scene(
-    *, robot: dict[str, Any] | None = None, tool_path: dict[str, Any] | None = None, **changes: Any
+    *,
+    robot: dict[str, Any] | None = None,
+    tool_path: dict[str, Any] | None = None,
+    posture_deg: list[float] | None = None,
+    **changes: Any,
 ) -> Scene:
     """Scene of a short leg; entries of blocks given as mappings are changed one by one."""
     data = copy.deepcopy(SHORT)
+    if posture_deg is not None:
+        data["start"] = {"posture_deg": posture_deg}
     data["robot"] |= robot or {}
     data["tool_path"] |= tool_path or {}
     data["planner"] |= changes.pop("planner", {})
@@ -46,7 +56,6 @@ def strokes_scene(**planner: Any) -> Scene:
     begin = {"frame": "world", "xyz": [1.8154, 0.6796, -1.9628]}
     back = {"name": "back", "from": begin, "legs": [{"by": [0, 0.1, 0], "seconds": 3}], **way}
     changes = {
-        "format": "cmbot-scene/2",
         "name": "strokes",
         "tool": {"process_force_n": [0, 0, -40]},
         "tool_path": {"strokes": [there, back]},

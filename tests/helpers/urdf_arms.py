@@ -112,10 +112,10 @@ def scene_data(
         (folder / "near.srdf").write_text(f'<robot name="near">{pairs}</robot>', encoding="utf-8")
         robot["srdf"] = str(folder / "near.srdf")
     return {
-        "format": "cmbot-scene/1",
+        "format": "cmbot-scene/2",
         "name": arm,
         "robot": robot,
-        "posture_deg": posture,
+        "start": {"posture_deg": posture},
         "tool_path": tool_path,
         "planner": planner,
     }
@@ -124,7 +124,12 @@ def scene_data(
 def path_of(keep: str, via_points: int, *legs: tuple[list[float], float]) -> dict[str, Any]:
     """A tool path of legs, m, with their seconds."""
     each = [{"by": by, "seconds": seconds} for by, seconds in legs]
-    return {"legs": each, "via_points": via_points, "keep": keep}
+    return {
+        "legs": each,
+        "speed_profile": {"kind": "trapezoidal"},
+        "via_points": via_points,
+        "keep": keep,
+    }
 
 
 def six_joint_scene(

@@ -27,7 +27,6 @@ def scene_on_two_feet(
     """A short scene with both feet on the top rail."""
     begin = {"frame": "world", "xyz": [1.8, 0.78, -2.06], "rpy_deg": [0, 180, 0]}
     return short_scene(
-        format="cmbot-scene/2",
         posture_deg=list(posture),
         tool_path={"from": begin},
         guardrail={"hold": hold, "stance": feet(first, second)},

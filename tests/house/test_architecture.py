@@ -46,6 +46,15 @@ def test_imports_point_downwards(capsys: pytest.CaptureFixture[str], monkeypatch
     assert f"Contracts: {len(contracts)} kept, 0 broken." in printed
 
 
+def test_oracles_know_neither_the_robot_nor_the_scene_of_the_package() -> None:
+    named = {"cmbot.common.arrays", "cmbot.common.errors"}
+    for path in (ROOT / "tests" / "oracles").glob("*.py"):
+        for node in ast.walk(syntax(path)):
+            parts = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            parts += [each.name for each in node.names] if isinstance(node, ast.Import) else []
+            assert {part for part in parts if part.startswith("cmbot")} <= named, path
+
+
 def forbidden(tree: ast.AST, *, may_print: bool) -> Iterator[tuple[int, str]]:
     """Line and kind of what has no place in the package."""
     for node in ast.walk(tree):

@@ -8,6 +8,8 @@ import sys
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -133,3 +135,50 @@ def test_send_to_a_robot(tmp_path: Path) -> None:
     )
     assert "401 points in 4.00 s" in text
     assert text.endswith("nothing is sent\n")
+
+
+@pytest.mark.parametrize(
+    ("accepted", "code", "said"),
+    [
+        (False, 0, "/arm did not accept the goal: its log says why"),
+        (True, -4, "the arm did not finish: error -4, Aborted due to path tolerance violation"),
+        (True, 0, None),
+    ],
+)
+def test_what_a_controller_answers_is_looked_at(
+    accepted: bool, code: int, said: str | None, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    """With stand-ins for ROS 2: a goal that was refused or not finished is no success."""
+    result = SimpleNamespace(error_code=code, error_string="Aborted due to path tolerance violation")
+    handle = SimpleNamespace(accepted=accepted)
+    if accepted:
+        handle.get_result_async = lambda: future(SimpleNamespace(result=result))
+    client = SimpleNamespace(wait_for_server=lambda: True, send_goal_async=lambda _: future(handle))
+    action = SimpleNamespace(Goal=SimpleNamespace, Result=SimpleNamespace(SUCCESSFUL=0))
+    ros = SimpleNamespace(
+        init=lambda: None,
+        shutdown=lambda: None,
+        create_node=lambda _: None,
+        spin_until_future_complete=lambda *_: None,
+    )
+    for name, module in {
+        "rclpy": ros,
+        "rclpy.action": SimpleNamespace(ActionClient=lambda *_: client),
+        "control_msgs": SimpleNamespace(),
+        "control_msgs.action": SimpleNamespace(FollowJointTrajectory=action),
+        "rosidl_runtime_py": SimpleNamespace(set_message_fields=lambda *_: None),
+    }.items():
+        monkeypatch.setitem(sys.modules, name, module)
+    send = runpy.run_path(str(EXAMPLES / "07_send_to_a_robot.py"))["send"]
+    if said is None:
+        send({}, "/arm")
+        assert capsys.readouterr().out == "done\n"
+        return
+    with pytest.raises(SystemExit, match=re.escape(said)):
+        send({}, "/arm")
+    assert "done" not in capsys.readouterr().out
+
+
+def future(value: Any) -> Any:
+    """Something of rclpy that has ended."""
+    return SimpleNamespace(result=lambda: value)

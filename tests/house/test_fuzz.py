@@ -28,7 +28,8 @@ def test_every_mutant_is_accepted_or_refused_in_one_line(tmp_path: Path) -> None
     assert rate.endswith(" s")
 
 
-SCENE = "format: cmbot-scene/1\nname: x\nposture_deg: [0]\ntool_path: {legs: [{by: [1, 0, 0], seconds: 2}]}\n"
+START = "start: {posture_deg: [0]}"
+SCENE = f"format: cmbot-scene/2\nname: x\n{START}\ntool_path: {{legs: [{{by: [1, 0, 0], seconds: 2}}]}}\n"
 JUDGED = {
     "import os; os.abort()": ("crash", "exit status -6"),
     "while True: pass": ("hang", "for"),

@@ -4,14 +4,16 @@ import ast
 import inspect
 import json
 import platform
+import re
 import resource
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 
 import pytest
-from command_line import environment
+from command_line import ROOT, environment
 from small_scenes import SHORT
 
 import cmbot
@@ -61,6 +63,40 @@ def test_importing_cmbot_loads_nothing_heavy_and_a_name_what_it_needs() -> None:
     # The same look finds the heavy ones when they are there.
     assert loaded_by("import cmbot\ncmbot.load_scene") >= {"numpy", "pydantic"}
     assert "matplotlib" not in loaded_by("import cmbot\ncmbot.plot, cmbot.replay")
+
+
+def documented_names() -> list[str]:
+    """What docs/api.md names: in its tables, with what it is for example, and by its headings."""
+    lines = (ROOT / "docs" / "api.md").read_text(encoding="utf-8").splitlines()
+    names = [
+        name for line in lines if line.startswith("|") for name in re.findall(r"\bcmbot(?:\.\w+)+", line)
+    ]
+    for line, options in pairwise([*lines, ""]):
+        if line.startswith("::: "):
+            heading = re.search(r"heading: ([\w.]+)", options)
+            names.append(heading[1] if heading else line.removeprefix("::: "))
+    return sorted(set(names))
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+def test_every_documented_name_is_there_after_importing_cmbot_alone(backwards: bool) -> None:
+    names = sorted(documented_names(), reverse=backwards)
+    assert len(names) > 50
+    assert {"cmbot.planning.verdict", "cmbot.identification.propose", "cmbot.common.eta.Eta"} <= set(names)
+    look = f"""
+import sys
+import cmbot
+assert not [name for name in sys.modules if name.startswith(("cmbot.planning", "cmbot.identification"))]
+missing = []
+for name in {names!r}:
+    found = cmbot
+    for part in name.split(".")[1:]:
+        found = getattr(found, part, missing)
+    if found is missing:
+        missing.append(name)
+print(missing)
+"""
+    assert printed_by(look)[-1] == "[]"
 
 
 @pytest.mark.parametrize(

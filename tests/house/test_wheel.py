@@ -113,6 +113,7 @@ def test_the_wheel_holds_every_file_and_nothing_else_and_says_what_it_is(wheel: 
         "ros",
         "surfaces",
         "test",
+        "verify",
         "video",
         "xacro",
     }

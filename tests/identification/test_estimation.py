@@ -31,7 +31,7 @@ from cmbot.identification import (
     unseen,
 )
 from cmbot.identification.problem import Label, Problem
-from cmbot.planning import covariance_of, robot_of
+from cmbot.planning import covariance_of, precheck_scene, robot_of
 from cmbot.scene import Scene, load_scene
 
 SCENE = short_scene()
@@ -270,7 +270,7 @@ def test_the_file_makes_the_same_arm_with_the_same_spread(
 
 def scene_with(identified: object, folder: Path, **changes: object) -> Scene:
 
-    data = SCENE.file.as_data() | {"format": "cmbot-scene/2", "identified": identified} | changes
+    data = SCENE.file.as_data() | {"identified": identified} | changes
     path = folder / "scene.yaml"
     path.write_text(json.dumps(data), encoding="utf-8")
     return load_scene(path)
@@ -289,22 +289,53 @@ def test_an_identified_stiffness_belongs_to_its_robot_and_place(
         robot_of(scene_with(other, tmp_path))
     with pytest.raises(SceneError, match="expected a stiffness measured where the feet hold now"):
         scene_with(data | {"base": data["base"] | {"footholds": [[1, 0, 0]]}}, tmp_path)
-    with pytest.raises(SceneError, match="expected no such key beside identified"):
-        scene_with(data, tmp_path, guardrail={"stiffness": [1e6, 1e6, 1e6, 1e5, 1e5, 1e5]})
     with pytest.raises(SceneError, match="expected elastic, as joints were identified"):
         scene_with(data, tmp_path, robot={"joints": "rigid"})
-    with pytest.raises(SceneError, match="identified: got identified, expected no such key in cmbot-scene/1"):
-        scene_with(data, tmp_path, format="cmbot-scene/1")
     with pytest.raises(SceneError, match="expected 32 rows of 32 numbers"):
         scene_with(data | {"covariance": data["covariance"][:-1]}, tmp_path)
     fewer = [row[:-21] for row in data["covariance"][:-21]]
     without = {key: value for key, value in data.items() if key != "base"} | {"covariance": fewer}
+    with pytest.raises(SceneError, match=r"guardrail.stiffness: got stiffness, expected no such key beside"):
+        scene_with(without, tmp_path, guardrail={"stiffness": SOFT})
+    with pytest.raises(SceneError, match=r"guardrail.mass: got a mass alone"):
+        scene_with(without, tmp_path, guardrail={"mass": np.eye(6).tolist()})
     scene = scene_with(without, tmp_path)
     arm = elastic_arm(robot_of(scene), elastic_base(scene.guardrail))
     with pytest.raises(SceneError, match="expected what bends in this scene, in this order: link_1"):
         covariance_of(scene, arm)
     with pytest.raises(SceneError, match="identified: got an identified stiffness, expected a scene without"):
         measured_arm(scene)
+
+
+SOFT = [1e6, 1e6, 1e6, 1e5, 1e5, 1e5]
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"stiffness": SOFT},
+        {"stiffness": SOFT, "mass": (5 * np.eye(6)).tolist()},
+        {"mass": (5 * np.eye(6)).tolist()},
+        {"stiffness_factor": 0.5},
+    ],
+    ids="-".join,
+)
+def test_what_was_identified_wins_over_the_scene(
+    found: tuple[benchmark.Truth, ElasticArm, Identification], tmp_path: Path, given: dict[str, object]
+) -> None:
+    data = found[2].stiffness.model_dump(mode="json", exclude_none=True)
+    plain, scene = scene_with(data, tmp_path), scene_with(data, tmp_path, guardrail=given)
+    for one in (plain, scene):
+        np.testing.assert_array_equal(elastic_base(one.guardrail).stiffness, data["base"]["stiffness"])
+    np.testing.assert_array_equal(
+        elastic_base(scene.guardrail).mass, np.array(data["base"].get("mass", np.zeros((6, 6))))
+    )
+    (told,) = (value for name, value in precheck_scene(scene).found if name == "stiffness")
+    keys = [f"guardrail.{key}" for key in given]
+    assert told.endswith(f"It replaces {' and '.join(keys)} of the scene.")
+    (plainly,) = (value for name, value in precheck_scene(plain).found if name == "stiffness")
+    assert told.startswith(plainly)
+    assert "It replaces" not in plainly
 
 
 def test_nothing_that_bends_is_refused() -> None:

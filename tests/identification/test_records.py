@@ -49,6 +49,22 @@ def write(path: Path, a: np.ndarray, step: float = STEP) -> Path:
     return path
 
 
+@pytest.mark.parametrize("columns", [slice(0, 3), slice(1, 2)])
+def test_a_record_as_klipper_writes_it(tmp_path: Path, rng: np.random.Generator, columns: slice) -> None:
+    """A heading of its own, times of the printer's clock, six digits; 3200 samples a second of an ADXL345."""
+    t = 8391.25 + np.arange(12_800) / 3200.0
+    w = 2 * np.pi * 7.5
+    a = np.where(t > 8391.5, np.exp(-0.02 * w * (t - 8391.5)) * np.cos(w * (t - 8391.5)), 0.0)
+    a = 9000.0 * np.outer(a, [0.2, 1.0, 0.4])[:, columns] + 20.0 * rng.normal(size=(len(t), 3))[:, columns]
+    names = ",".join(f"accel_{axis}" for axis in "xyz"[columns])
+    lines = [f"#time,{names}"] + [",".join(f"{x:.6f}" for x in row) for row in np.column_stack([t, a])]
+    path = tmp_path / "raw_data.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    found = read_record(path)
+    np.testing.assert_allclose(found.frequencies, [7.5], rtol=3e-3)
+    np.testing.assert_allclose(found.damping, [0.02], atol=3e-3)
+
+
 def test_the_arm_after_a_tap(tmp_path: Path, rng: np.random.Generator) -> None:
     """Simulated by the elastic model; its modes are known."""
     scene = short_scene()

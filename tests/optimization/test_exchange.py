@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from oracles.literal_problem import Literal
+from literal_problem import Literal
 from scipy import optimize
 from small_scenes import problem_of, short_scene, tool_points, torque_along
 

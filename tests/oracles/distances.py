@@ -8,12 +8,10 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.optimize import minimize, minimize_scalar
 
-from cmbot.robot import Robot
-
 FloatArray = NDArray[np.float64]
 
 
-def capsule_of(robot: Robot, q: FloatArray, link: str) -> tuple[FloatArray, FloatArray, float]:
+def capsule_of(robot: Any, q: FloatArray, link: str) -> tuple[FloatArray, FloatArray, float]:
     """Ends of the axis (3,) and radius of the one capsule of a link, in W at posture `q`."""
     (shape,) = (s for s in robot.collision_model.geometryObjects if s.name == f"{link}_0")
     data = robot.model.createData()
@@ -24,7 +22,7 @@ def capsule_of(robot: Robot, q: FloatArray, link: str) -> tuple[FloatArray, Floa
 
 
 def from_capsule(
-    robot: Robot, q: FloatArray, link: str, geometry: Any, X_WO: Any, *, clear: float = 1e-6
+    robot: Any, q: FloatArray, link: str, geometry: Any, X_WO: Any, *, clear: float = 1e-6
 ) -> float:
     """Signed distance of a link's capsule to a primitive at `X_WO`.
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from told import require_told
 
 from cmbot import load_scene, plan
 from cmbot.planning import Plan
@@ -38,3 +39,7 @@ def test_a_second_opinion_agrees(job: Plan, stroke: int) -> None:
     checks = second_opinion(job.scene, job.options, trajectory, robot=job.robot, stroke=stroke)
     assert all(check.holds for check in checks)
     assert job.certificate.holds
+
+
+def test_what_is_said_of_it_is_in_certificates_and_figures(job: Plan) -> None:
+    require_told(job)

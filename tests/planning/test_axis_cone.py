@@ -31,7 +31,7 @@ CONE = np.radians(10)
 
 def scene_of(keep: Any, **planner: Any) -> Scene:
     options = {"knots": "sliding"} | planner
-    return short_scene(format="cmbot-scene/2", tool_path={"keep": keep, "via_points": 6}, planner=options)
+    return short_scene(tool_path={"keep": keep, "via_points": 6}, planner=options)
 
 
 @pytest.fixture(scope="module")

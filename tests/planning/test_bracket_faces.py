@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from told import require_told
 
 from cmbot import load_scene, plan
 from cmbot.planning import Plan
@@ -45,3 +46,7 @@ def test_the_job_asks_no_more_than_its_hardest_posture(job: Plan) -> None:
     assert job.job.figures.peak_guardrail_torque < job.baseline_job_figures.peak_guardrail_torque
     for q, end in ((job.scene.posture, 0), (job.robot.group_states["stow"], -1)):
         np.testing.assert_allclose(job.job.trajectory.q[end], q, atol=1e-9)
+
+
+def test_what_is_said_of_it_is_in_certificates_and_figures(job: Plan) -> None:
+    require_told(job)

@@ -174,7 +174,7 @@ RASTER = {
 )
 def test_remedies_name_the_keys_of_the_stroke(time: dict[str, float], more: str, changed: str) -> None:
     strokes = [{"name": name, "raster": RASTER, "via_points": 20, **time} for name in ("one", "two")]
-    scene = short_scene(format="cmbot-scene/2", tool_path={"strokes": strokes, "legs": (), "via_points": 50})
+    scene = short_scene(tool_path={"strokes": strokes, "legs": (), "via_points": 50})
     before = context_of(scene)
     before = before.at_stroke(1, scene, before.posture, 0.0, 0.0)
     key = "tool_path.strokes[1]"

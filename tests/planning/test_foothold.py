@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from oracles.contacts import contacts
 from plan_folders import edit
 from rosbags.highlevel import AnyReader
 from small_scenes import short_scene
@@ -16,10 +17,10 @@ import cmbot
 from cmbot.archive import export_mcap, load_plan, save
 from cmbot.collision import Clearances
 from cmbot.common.errors import ArchiveError, LimitViolation, OptimisationFailed, PlanningError, SceneError
+from cmbot.hold import Holding
 from cmbot.planning import Plan, certify, plan, remarks
 from cmbot.planning.result.holding import emergency_stop
-from cmbot.planning.verification.foothold import hold_checks
-from cmbot.planning.verification.robot_files import read_multibody
+from cmbot.planning.verification.hold import hold_checks
 from cmbot.robot import Dynamics, Postures
 
 ADHESION = 100e3
@@ -27,7 +28,7 @@ ADHESION = 100e3
 
 def magnet_scene(adhesion: float | None = ADHESION, **planner: Any) -> cmbot.Scene:
     hold = {"kind": "magnet", "adhesion_n": adhesion} if adhesion else {"kind": "welded"}
-    changes = {"format": "cmbot-scene/2", "guardrail": {"hold": hold}, "planner": planner}
+    changes = {"guardrail": {"hold": hold}, "planner": planner}
     return short_scene(**changes, tool={"process_force_n": [0, 0, -100]})
 
 
@@ -103,17 +104,37 @@ def test_the_directory(held: Plan, tmp_path: Path) -> None:
         load_plan(folder)
 
 
-def test_the_second_computation_notices_another_contact(held: Plan) -> None:
-    foot = replace(held.robot.feet[0], half=(0.1, 0.1))
-    t = np.array([0.0])
-    efforts = (np.zeros((1, 7)), np.array([[0.0, 0, -600]]), np.array([[300.0, 100, 0]]))
-    body = read_multibody(held.scene.robot)
-    checks = {
-        good: [*hold_checks(held.scene, body, robot, t, efforts)]
-        for good, robot in ((True, held.robot), (False, replace(held.robot, feet=(foot,))))
-    }
-    assert checks[True][0].holds
-    assert not checks[False][0].holds
+@pytest.mark.parametrize(
+    "guardrail",
+    [
+        {},
+        {"foot": {"offset_m": 0.4}},
+        {"stance": {"foot_1": {"member": "post_4", "along_m": 1.10}}},
+        {"stance": {"foot_1": {"member": "top_rail", "along_m": 3.5, "turn_deg": 180}}},
+    ],
+)
+def test_contacts_are_those_of_the_file(guardrail: dict[str, Any]) -> None:
+    hold = {"hold": {"kind": "magnet", "adhesion_n": ADHESION, "plate_m": [0.12, 0.1]}}
+    scene = short_scene(format="cmbot-scene/2", guardrail=guardrail | hold)
+    file, stance = scene.file.guardrail, scene.robot.stance
+    origin = np.zeros(3) if stance is None else np.array(stance.foot)
+    found = [*contacts(file, file.hold)]
+    assert len(found) == len(scene.feet) > 0
+    for contact, foot in zip(found, scene.feet, strict=True):
+        np.testing.assert_allclose(foot.centre, contact.centre - origin, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(foot.axes.T, contact.axes, rtol=0, atol=1e-12)
+        assert foot.half == (contact.half and pytest.approx(contact.half))
+
+
+def test_a_wrong_adhesion_is_noticed(held: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken() -> list[str]:
+        t, wrench = np.zeros(1), np.array([[0.0, 0, -600, 300, 100, 0]])
+        return [check.quantity for check in hold_checks(held.robot, t, wrench) if not check.holds]
+
+    assert not broken()
+    right = Holding.needed
+    monkeypatch.setattr(Holding, "needed", lambda self, *given: 0.99 * right(self, *given))
+    assert broken() == ["difference of the adhesion needed from a second computation"]
 
 
 def test_too_little_is_refused_with_the_figure() -> None:
@@ -154,7 +175,7 @@ def away() -> Plan:
 
 def away_scene(stance: Any) -> cmbot.Scene:
     hold = {"kind": "magnet", "adhesion_n": ADHESION}
-    changes = {"format": "cmbot-scene/2", "guardrail": {"hold": hold, "stance": stance}}
+    changes = {"guardrail": {"hold": hold, "stance": stance}}
     return short_scene(**changes, tool={"process_force_n": [0, 0, -100]})
 
 

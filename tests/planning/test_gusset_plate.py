@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from told import require_told
 
 from cmbot import load_plan, load_scene, plan, save
 from cmbot.planning import Plan
@@ -50,3 +51,7 @@ def test_the_job_begins_and_ends_stowed(job: Plan) -> None:
 def test_it_is_verified_from_its_directory(job: Plan, tmp_path: Path) -> None:
     save(job, tmp_path / "plan")
     assert load_plan(tmp_path / "plan", verify=True).certificate.holds
+
+
+def test_what_is_said_of_it_is_in_certificates_and_figures(job: Plan) -> None:
+    require_told(job)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from told import require_told
 
 from cmbot import load_scene, plan
 from cmbot.planning import Plan
@@ -36,3 +37,7 @@ def test_its_peak_is_where_the_tool_is_off(job: Plan) -> None:
     assert job.job.certificate.holds
     # Planned as asked: no stroke was planned again with more via-points or samples.
     assert not job.fallbacks
+
+
+def test_what_is_said_of_it_is_in_certificates_and_figures(job: Plan) -> None:
+    require_told(job)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from told import require_told
 
 from cmbot import load_scene, plan
 from cmbot.planning import Plan, remarks
@@ -48,3 +49,7 @@ def test_a_second_opinion_agrees(job: Plan) -> None:
     checks = second_opinion(job.scene, job.options, job.trajectory, robot=job.robot, stroke=0)
     assert all(check.holds for check in checks)
     assert job.certificate.holds
+
+
+def test_what_is_said_of_it_is_in_certificates_and_figures(job: Plan) -> None:
+    require_told(job)

@@ -157,8 +157,11 @@ def test_what_does_not_hold_is_no_plan(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("posture", "message"),
     [
-        ([0, 0, 0], r"posture_deg: got 3 numbers, expected 7 finite joint angles"),
-        ([-10, -90, 170, 0, 10, 50, 0], r"posture_deg\[2\]: got 170 deg, expected joint_3 within its range"),
+        ([0, 0, 0], r"start.posture_deg: got 3 numbers, expected 7 finite joint angles"),
+        (
+            [-10, -90, 170, 0, 10, 50, 0],
+            r"start.posture_deg\[2\]: got 170 deg, expected joint_3 within its range",
+        ),
     ],
 )
 def test_posture_that_does_not_fit(posture: list[float], message: str) -> None:

@@ -33,7 +33,7 @@ SPEED = 0.09375
 
 def scene_with(tool: dict[str, Any], **changes: Any) -> Scene:
     path = {"speed_profile": {"kind": "trapezoidal"}, **changes.pop("tool_path", {})}
-    return short_scene(format="cmbot-scene/2", tool=tool, tool_path=path, **changes)
+    return short_scene(tool=tool, tool_path=path, **changes)
 
 
 @pytest.fixture(scope="module")

@@ -30,7 +30,7 @@ def steady_plan() -> Plan:
         "lead_out_m": 0.04,
         "via_points": 14,
     }
-    return plan(short_scene(format="cmbot-scene/2", planner={"knots": "sliding"}, tool_path=path))
+    return plan(short_scene(planner={"knots": "sliding"}, tool_path=path))
 
 
 def test_the_speed_is_kept_at_all_times(steady_plan: Plan) -> None:

@@ -93,7 +93,7 @@ def test_it_is_near_copp_and_above_toppra(cmbot_robot: Robot, rng: np.random.Gen
 def quick_plan() -> Plan:
     path = {"legs": [LEG, {"pause": 0.5}], "seconds": "auto", "max_base_torque_nm": 500, "via_points": 26}
     tool = {"max_speed_m_s": 1.0}
-    return plan(short_scene(format="cmbot-scene/2", tool=tool, tool_path=path))
+    return plan(short_scene(tool=tool, tool_path=path))
 
 
 def test_a_plan_in_the_shortest_time(quick_plan: Plan) -> None:
@@ -131,7 +131,7 @@ def test_it_is_read_back_and_planned_again_in_that_time(quick_plan: Plan, tmp_pa
 def test_only_the_legs_on_which_motions_fail_are_stretched() -> None:
     """The second of two legs, which no motion follows in less than 1.03 times its law's seconds."""
     path = {"legs": [LEG, {"by": [0, 0, 0.1]}], "seconds": "auto", "via_points": 26}
-    context = context_of(short_scene(format="cmbot-scene/2", tool_path=path))
+    context = context_of(short_scene(tool_path=path))
     first = Attempt(context=context, guess=initial_guess(context))
     trajectory = first.guess.problem.parametrization.trajectory
     paths = leg_paths(context, [0, 1], trajectory)
@@ -156,11 +156,11 @@ def test_only_the_legs_on_which_motions_fail_are_stretched() -> None:
 def test_a_base_that_bears_too_little_at_rest() -> None:
     path = {"legs": [LEG], "seconds": "auto", "max_base_torque_nm": 100, "via_points": 12}
     with pytest.raises(LimitViolation, match=r"torque on the base at rest is .* the bound is 100 Nm"):
-        plan(short_scene(format="cmbot-scene/2", tool_path=path))
+        plan(short_scene(tool_path=path))
 
 
 def scene_of(**tool_path: Any) -> Any:
-    return short_scene(format="cmbot-scene/2", tool_path=tool_path)
+    return short_scene(tool_path=tool_path)
 
 
 def test_auto_is_spread_over_legs_and_strokes() -> None:
@@ -195,8 +195,3 @@ LAW = {"leg": 0, "seconds": [1.0, 1.0], "jerk": [0.0, 1.0, 0.0]}
 def test_refusals(tool_path: dict[str, Any], words: str) -> None:
     with pytest.raises(SceneError, match=words):
         scene_of(**tool_path).timed_strokes(np.eye(4))
-
-
-def test_the_first_format_does_not_know_it() -> None:
-    with pytest.raises(SceneError, match="it goes with cmbot-scene/2"):
-        short_scene(tool_path={"legs": [{**LEG, "seconds": "auto"}]})

@@ -3,6 +3,7 @@
 By the length of the stretched arm, and by its joint ranges and obstacles.
 """
 
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -152,7 +153,7 @@ def blocked(begin: dict[str, Any], **more: Any) -> Scene:
             "format": "cmbot-scene/2",
             "name": "one",
             "robot": {"model": "cmbot"},
-            "posture_deg": [-10, -90, 90, 0, 10, 50, 0],
+            "start": {"posture_deg": [-10, -90, 90, 0, 10, 50, 0]},
             "tool_path": {"from": begin, "legs": [{"by": [0, 0.1, 0], "seconds": 3}]},
         }
     ).each_stroke
@@ -182,7 +183,7 @@ def test_a_stroke_in_an_obstacle_is_refused_before_any_is_planned() -> None:
             "format": "cmbot-scene/2",
             "name": "one",
             "robot": {"model": "cmbot"},
-            "posture_deg": [-10, -90, 90, 0, 10, 50, 0],
+            "start": {"posture_deg": [-10, -90, 90, 0, 10, 50, 0]},
             "tool_path": {"legs": [{"by": [0, 0.1, 0], "seconds": 3}]},
             "obstacles": [{"name": "crate", "box": [0.05, 0.05, 0.05], "xyz": [1.8154, 0.78, -1.9628]}],
         }
@@ -197,3 +198,22 @@ def test_a_stroke_in_an_obstacle_is_refused_before_any_is_planned() -> None:
     assert caught.value.progress < 1.0
     warning = precheck_scene(scene).warnings[-1]
     assert "crate" in warning.got and warning.key.startswith("tool_path.strokes[1]")
+
+
+def test_places_are_tried_by_length_whatever_the_via_points_are() -> None:
+    """Half of a way of 2 m that takes 1 s is out of reach, and so are half of the places, not two of nine."""
+    legs = [{"by": [0, 0.01, 0], "seconds": 60}, {"by": [0, 2.0, 0], "seconds": 1}]
+    told = set()
+    for via_points in (8, 60, "auto"):
+        way = {"legs": legs, "via_points": via_points}
+        scene = short_scene(tool_path=way)
+        robot = parts(scene)[0]
+        assert not [*beyond_reach(stroke_of(scene, robot), robot)]
+        (warning,) = (w for w in precheck_scene(scene).warnings if w.key.startswith("tool_path.legs"))
+        told.add(warning)
+    (warning,) = told
+    counted = re.search(r"(\d+) of (\d+) places are like it", warning.got)
+    assert counted is not None
+    missed, tried = map(int, counted.groups())
+    assert tried >= 30
+    assert 0.2 <= missed / tried <= 0.8

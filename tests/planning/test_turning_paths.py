@@ -46,7 +46,7 @@ def scene_of(kind: str, posture: list[float] | None = None, keep: str = "pose", 
     data["tool_path"] = {"via_points": 16, "keep": keep, **PATHS[kind]}
     data["tool_path"]["speed_profile"] = {"kind": "jerk_limited", "ramp": 0.3}
     data["planner"] |= planner
-    start = {"posture_deg": posture or SHORT["posture_deg"]}
+    start = {"posture_deg": posture} if posture else SHORT["start"]
     return load_scene({"format": "cmbot-scene/2", "name": kind, "start": start, **data})
 
 

@@ -9,7 +9,7 @@ import pytest
 from finite_differences import check_derivative, finite_difference
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles import newton_euler
+from oracles import chang2021_arm
 from state_samples import FloatArray, StateSamples
 
 from cmbot.robot import Dynamics, Kinematics, Robot, load_robot
@@ -42,7 +42,7 @@ def cmbot_states(cmbot_robot: Robot, random_states: StateSamples) -> StateSample
 
 def test_efforts_are_the_papers_recursion(cmbot_dynamics: Dynamics, cmbot_states: StateSamples) -> None:
     q, v, a = cmbot_states(100_000)
-    tau, n_0, f_0 = newton_euler.efforts(q, v, a)
+    tau, n_0, f_0 = chang2021_arm.efforts(q, v, a)
     got = cmbot_dynamics.efforts(q, v, a)
     # A single component may cancel to nearly nothing, so errors count against the state's own largest torque
     # and force. Rounding accounts for about 1e-14 of it.
@@ -82,7 +82,7 @@ def test_wrench_is_the_change_of_momentum(cmbot_robot: Robot, cmbot_dynamics: Dy
     for t in np.linspace(0, 6, 13):
         q, v, a = motion(np.array([t]))
         got = cmbot_dynamics.efforts(q, v, a)
-        centre = newton_euler.centre_of_mass(q)[0]
+        centre = chang2021_arm.centre_of_mass(q)[0]
         W = weight(cmbot_robot.arm_mass)
         force, torque = W - got.guardrail_force[0], np.cross(centre, W) - got.guardrail_torque[0]
         check_derivative(momentum, [t], np.concatenate([force, torque])[:, None], rtol=1e-9)
@@ -96,7 +96,7 @@ def test_at_rest_the_force_is_the_weight_and_the_torque_its_lever(
     got = cmbot_dynamics.static_efforts(q)
     W = weight(37.62)
     np.testing.assert_allclose(got.guardrail_force, np.tile(W, (len(q), 1)), rtol=0, atol=1e-10)
-    lever = newton_euler.centre_of_mass(q)
+    lever = chang2021_arm.centre_of_mass(q)
     np.testing.assert_allclose(got.guardrail_torque, np.cross(lever, W), rtol=0, atol=1e-9)
     assert np.linalg.norm(got.guardrail_torque[0]) == pytest.approx(486.4, abs=0.05)
 

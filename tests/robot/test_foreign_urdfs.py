@@ -6,12 +6,15 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import coal
 import numpy as np
 import pytest
 from robot_files import replace
+from urdf_arms import limits_file
 
 from cmbot.common.errors import MissingExtra, ModelError, SceneError
-from cmbot.robot import Robot, inspect_urdf, load_robot, parse_urdf
+from cmbot.robot import Robot, inspect_urdf, load_robot, parse_urdf, robot_files
+from cmbot.robot.limits import JointEntry
 from cmbot.scene import load_scene
 
 INERTIA = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
@@ -184,8 +187,8 @@ def test_a_scene_names_folders_of_packages(tmp_path: Path) -> None:
     put(tmp_path / "else" / "arm_meshes" / "part.obj")
     mesh_arm(tmp_path / "urdf", "package://arm_meshes/part.obj")
     (tmp_path / "s.yaml").write_text(
-        "format: cmbot-scene/1\nname: s\nrobot: {model: urdf/arm.urdf, package_dirs: [else]}\n"
-        "posture_deg: [0, 0, 0]\ntool_path: {legs: [{by: [0, 0, 1], seconds: 1}]}\n",
+        "format: cmbot-scene/2\nname: s\nrobot: {model: urdf/arm.urdf, package_dirs: [else]}\n"
+        "start: {posture_deg: [0, 0, 0]}\ntool_path: {legs: [{by: [0, 0, 1], seconds: 1}]}\n",
         encoding="utf-8",
     )
     scene = load_scene(tmp_path / "s.yaml")
@@ -235,6 +238,38 @@ def test_xacro_is_expanded_without_ros(tmp_path: Path, capfd: pytest.CaptureFixt
     assert capfd.readouterr() == ("", "")
 
 
+NESTED = "<xacro:if value='1'>" + "<a>" * 3000 + "</a>" * 3000 + "</xacro:if>"
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ('<xacro:include filename="arm.xacro"/>', "in which arm.xacro includes itself"),
+        ('<xacro:include filename="other.xacro"/>', "in which arm.xacro includes itself"),
+        ('<xacro:macro name="m"><xacro:m/></xacro:macro><xacro:m/>', "a macro that calls itself"),
+        (NESTED, "nested too deep"),
+        ("<xacro:include/>", "missing attribute 'filename'"),
+        (
+            '<xacro:property name="p" value="1" scope="parent"/><xacro:property name="p" remove="1"/>',
+            "expand",
+        ),
+        ("<a><xacro:attribute name='&lt;' value='3'/></a>", "not well-formed"),
+        ("""<l n="${'\\ud800'}"/><xacro:if value="1"/>""", "codec can"),
+    ],
+)
+def test_xacro_that_has_no_end_or_makes_no_xml(tmp_path: Path, content: str, said: str) -> None:
+    pytest.importorskip("xacrodoc")
+    head = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="arm">'
+    put(tmp_path / "other.xacro", f'{head}<xacro:include filename="arm.xacro"/></robot>')
+    file = tmp_path / "arm.xacro"
+    put(file, f"{head}{content}</robot>")
+    with pytest.raises(ModelError, match=rf"^{file}: got xacro .*{said}"):
+        load_robot(file)
+    # What was wrong with it is forgotten.
+    good = write_xacro(tmp_path)
+    assert load_robot(good, package_dirs=[tmp_path / "else"]).dof == 3
+
+
 def test_xacro_is_named_as_what_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "xacrodoc", None)
     with pytest.raises(
@@ -274,6 +309,120 @@ def test_limits_that_no_file_gives_are_assumed(tmp_path: Path) -> None:
     assert not (robot.limits.assumed_acceleration | robot.limits.assumed_jerk).any()
     with pytest.raises(ModelError, match=r"joint_limits.yaml:2: all.jerk_deg: got 0, expected at least"):
         limited(tmp_path, "all: {acceleration_deg: 180, jerk_deg: 0}")
+
+
+MOVEIT = "joint_limits:\n  joint_1:\n    has_acceleration_limits: true\n    max_acceleration: 3.75\n"
+FOREIGN_LIMITS = {
+    "MoveIt": MOVEIT,
+    "MoveIt with scaling": f"# limits\n\ndefault_velocity_scaling_factor: 0.1\n{MOVEIT}",
+    "Franka": "joint1:\n  limit: {lower: -2.7, upper: 2.7, velocity: 2.1, effort: 87.0}\n",
+    "parameters of ROS 2": "/**:\n  ros__parameters:\n    robot_description_planning:\n      format: x\n",
+    "with anchors": "joint_limits:\n  joint_1: &all {max_velocity: 1}\n  joint_2: *all\n",
+    "of another program": "format: 2\nlimits: []\n",
+}
+
+
+@pytest.mark.parametrize("text", FOREIGN_LIMITS.values(), ids=FOREIGN_LIMITS)
+def test_limits_of_another_kind_are_left_alone(tmp_path: Path, text: str) -> None:
+    urdf, beside = write(tmp_path, *ARM), tmp_path / "joint_limits.yaml"
+    alone = load_robot(urdf)
+    beside.write_text(text, encoding="utf-8")
+    robot = load_robot(urdf)
+    (remark,) = (each for each in robot.remarks if each not in alone.remarks)
+    assert str(beside) in remark
+    assert "left alone" in remark
+    assert (robot_files(urdf).limits, robot_files(urdf).left_alone) == (None, beside)
+    np.testing.assert_array_equal(robot.limits.acceleration, alone.limits.acceleration)
+    assert robot.content_hash == alone.content_hash
+    # Who names such a file is told that it is none, and who names another has no remark.
+    with pytest.raises(ModelError, match=r"joint_limits\.yaml"):
+        load_robot(urdf, limits=beside)
+    named = limits_file(tmp_path, ["joint_1"])
+    assert not any("left alone" in each for each in load_robot(urdf, limits=named).remarks)
+
+
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        ("joints: {joint_1: {acceleration_deg: 60}}", "format"),
+        ("all: {jerk_m_s3: 2}", "format"),
+        ("format: cmbot-joint-limits/2", "format"),
+        ('{"format": "cmbot-joint-limits/1", "joint": {}}', "joint"),
+        ("\ufeffformat: 'cmbot-scene/1'", "format"),
+        ("format: cmbot-joint-limits/1\njoints: [", ""),
+    ],
+)
+def test_limits_of_ours_with_a_mistake_are_refused(tmp_path: Path, text: str, key: str) -> None:
+    (tmp_path / "joint_limits.yaml").write_text(text, encoding="utf-8")
+    with pytest.raises(ModelError) as caught:
+        load_robot(write(tmp_path, *ARM))
+    assert caught.value.source == str(tmp_path / "joint_limits.yaml")
+    assert caught.value.key == key
+
+
+@pytest.mark.parametrize("name", JointEntry.model_fields)
+def test_every_limit_of_ours_tells_a_file_that_lacks_its_format(tmp_path: Path, name: str) -> None:
+    (tmp_path / "joint_limits.yaml").write_text(f"joint_1: {{{name}: 1}}", encoding="utf-8")
+    assert robot_files(write(tmp_path, *ARM)).limits is not None
+
+
+MISSING = '<visual><origin xyz="9 9 9"/><geometry><mesh filename="package://nowhere/sticker.dae"/></geometry>'
+MISSING += "</visual>"
+TURNED = '<origin xyz="0.1 -0.2 0.3" rpy="0.4 -0.5 1.2"/>'
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        '<box size="0.1 0.2 0.3"/>',
+        '<cylinder radius="0.1" length="0.5"/>',
+        '<sphere radius="0.2"/>',
+        '<mesh filename="part.obj" scale="0.1 0.2 0.3"/>',
+    ],
+)
+def test_a_missing_visual_mesh_is_a_box_about_the_link(tmp_path: Path, shape: str) -> None:
+    """All of the link's collision shape is in it, and it is at most twice as wide."""
+    (tmp_path / "part.obj").write_text(TETRAHEDRON, encoding="utf-8")
+    body = f"<collision>{TURNED}<geometry>{shape}</geometry></collision>"
+    robot = load_robot(
+        write(tmp_path, *ARM[:3], f'<link name="link_3">{INERTIA}{body}{MISSING}</link>', *ARM[4:])
+    )
+    (remark,) = (each for each in robot.remarks if "sticker.dae" in each)
+    assert "drawn as boxes: link[link_3].mesh.filename" in remark
+    (drawn,) = robot.visual_model.geometryObjects
+    (solid,) = (each for each in robot.collision_model.geometryObjects if each.name.startswith("link_3"))
+    directions = np.random.default_rng(1).normal(size=(500, 3))
+    directions = np.concatenate([directions, np.eye(3), -np.eye(3)])
+    X = drawn.placement.inverse() * solid.placement
+    reached = np.array([support(solid.geometry, X.rotation.T @ u) + X.translation @ u for u in directions])
+    held = np.abs(directions) @ drawn.geometry.halfSide
+    assert (reached <= held + 1e-9).all()
+    widths = [each[-6:-3] + each[-3:] for each in (held, reached)]
+    assert (widths[0] <= 2 * widths[1]).all()
+
+
+def support(geometry: Any, u: np.ndarray) -> float:
+    """How far a shape about its origin reaches along u."""
+    if isinstance(geometry, coal.ConvexBase):
+        return max(float(geometry.point(i) @ u) for i in range(geometry.num_points))
+    if isinstance(geometry, coal.Box):
+        return float(np.abs(u) @ geometry.halfSide)
+    if isinstance(geometry, coal.Sphere):
+        return float(geometry.radius * np.linalg.norm(u))
+    across = np.hypot(u[0], u[1]) if isinstance(geometry, coal.Cylinder) else np.linalg.norm(u)
+    return float(geometry.halfLength * abs(u[2]) + geometry.radius * across)
+
+
+def test_a_sticker_that_is_missing_hides_no_other_shape(tmp_path: Path) -> None:
+    seen = f"<visual><geometry>{BOX}</geometry></visual>"
+    parts = [link("link_3", MISSING + seen), link("bare", MISSING, "")]
+    parts[1] = parts[1].replace("<collision><geometry></geometry></collision>", "")
+    held = joint("held", "fixed", "link_3", "bare", "")
+    robot = load_robot(write(tmp_path, *ARM[:3], *parts, *ARM[4:], held))
+    shapes = list(robot.visual_model.geometryObjects)
+    # Where a link has neither, there is a small box where the mesh would be.
+    np.testing.assert_allclose([2 * each.geometry.halfSide for each in shapes], [[0.02] * 3, [0.05] * 3])
+    assert "and 1 other." in " ".join(robot.remarks)
 
 
 SRDF_CASES = {

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import coal
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -14,7 +15,7 @@ from robot_files import load_copy, replace
 from urdf_arms import ROBOTS, limits_file
 
 from cmbot.common.errors import ModelError
-from cmbot.robot import Robot, faces_of, inspect_urdf, load_robot, parse_urdf
+from cmbot.robot import Robot, faces_of, inspect_loaded, inspect_urdf, load_robot, parse_urdf
 
 BOX = '<box size="0.13 0.05 0.15" />'
 FOOT = '<link name="foot_1">'
@@ -81,9 +82,28 @@ def test_meshes_are_files(urdf_folder: Path, kind: str, place: str) -> None:
         mesh.touch()
         os.truncate(mesh, 10**12 if kind == "large" else 0)
         expected = "at most 50 MB" if kind == "large" else expected
-    error = refused(urdf_folder)
-    assert (error.key, error.expected) == ("link[foot_1].mesh.filename", expected)
-    assert str(error.got).startswith("'part.obj', ")
+    if place == "collision":
+        error = refused(urdf_folder)
+        assert (error.key, error.expected) == ("link[foot_1].mesh.filename", expected)
+        assert str(error.got).startswith("'part.obj', ")
+        return
+    robot = load_copy(urdf_folder)
+    (remark,) = (each for each in robot.remarks if "part.obj" in each)
+    assert remark.startswith(
+        "Visual meshes that cannot be used are drawn as boxes: link[foot_1].mesh.filename"
+    )
+    (warning,) = (found for found in inspect_loaded(urdf_folder / "cmbot.urdf") if "part.obj" in found.got)
+    assert (warning.severity, warning.key) == ("warning", "link[foot_1].mesh.filename")
+    (drawn,) = robot.visual_model.geometryObjects
+    assert isinstance(drawn.geometry, coal.Box)
+    assert_stands_in(drawn, robot)
+
+
+def assert_stands_in(drawn: Any, robot: Robot) -> None:
+    """A box in place of the first foot's visual shape is its collision shape, which is one."""
+    (shape,) = (each for each in robot.collision_model.geometryObjects if each.name.startswith("foot_1_"))
+    np.testing.assert_allclose(drawn.geometry.halfSide, shape.geometry.halfSide, atol=1e-9)
+    np.testing.assert_allclose(drawn.placement.homogeneous, shape.placement.homogeneous, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -124,8 +144,9 @@ def test_visual_meshes_are_read_when_they_are_asked_for(urdf_folder: Path) -> No
     for damaged in ("v 0\nf 1 1 1\n", TETRAHEDRON.replace("1", "1e200", 1)):
         part.write_text(damaged)
         robot = load_copy(urdf_folder)
-        with pytest.raises(ModelError, match=r"link\[foot_1\].mesh.filename: got 'part.obj', which"):
-            _ = robot.visual_model
+        with pytest.warns(UserWarning, match=r"boxes: link\[foot_1\].mesh.filename, 'part.obj', which"):
+            (drawn,) = robot.visual_model.geometryObjects
+        assert_stands_in(drawn, robot)
 
 
 def test_mirrored_meshes_and_slashes_in_front_of_packages(urdf_folder: Path) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from oracles import newton_euler
+from oracles import chang2021_arm
 from rail_arms import RAIL_JOINTS, rail_data, rail_scene, shipped_arm_on_rail
 from robot_files import replace
 from small_motions import wild
@@ -117,11 +117,11 @@ def test_the_shipped_arm_on_a_rail_moves_as_in_the_paper(
     q, v, a = random_states(railed, 40)
     got = Dynamics(railed).efforts(q, v, a)
     along = a[:, :1] * [1.0, 0, 0]
-    tau, n_0, f_0 = newton_euler.efforts(q[:, 1:], v[:, 1:], a[:, 1:], along)
+    tau, n_0, f_0 = chang2021_arm.efforts(q[:, 1:], v[:, 1:], a[:, 1:], along)
     # What the rail moves besides the arm: the base's own mass.
     base, X = railed.model.inertias[1], railed.model.jointPlacements[1]
     slid = q[:, :1] * [1.0, 0, 0]
-    inertial = base.mass * (along - newton_euler.GRAVITY)
+    inertial = base.mass * (along - chang2021_arm.GRAVITY)
     force = f_0 + inertial
     moment = n_0 + np.cross(slid, f_0) + np.cross(X.act(base.lever) + slid, inertial)
     for ours, theirs in (
@@ -132,7 +132,7 @@ def test_the_shipped_arm_on_a_rail_moves_as_in_the_paper(
     ):
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9 * np.abs(theirs).max())
     p, R = Kinematics(railed).tool_poses(q)
-    expected, R_expected = newton_euler.tool_pose(q[:, 1:])
+    expected, R_expected = chang2021_arm.tool_pose(q[:, 1:])
     np.testing.assert_allclose(p, expected + slid, rtol=0, atol=1e-12)
     np.testing.assert_allclose(R, R_expected, rtol=0, atol=1e-12)
 
@@ -213,14 +213,14 @@ def test_nothing_is_larger_on_the_ellipses(railed: Robot) -> None:
             for order in range(3)
         )
         along, slid = a[:, :1] * [1.0, 0, 0], q[:, :1] * [1.0, 0, 0]
-        tau, n_0, f_0 = newton_euler.efforts(q[:, 1:], v[:, 1:], a[:, 1:], along)
-        inertial = base.mass * (along - newton_euler.GRAVITY)
+        tau, n_0, f_0 = chang2021_arm.efforts(q[:, 1:], v[:, 1:], a[:, 1:], along)
+        inertial = base.mass * (along - chang2021_arm.GRAVITY)
         moment = n_0 + np.cross(slid, f_0) + np.cross(X.act(base.lever) + slid, inertial)
         slack = 1 + 1e-9
         assert (np.abs(tau) <= of.joint_torque[k, r, 1:] * slack).all()
         assert (np.abs(f_0 + inertial)[:, 0] <= of.joint_torque[k, r, 0] * slack).all()
         assert (np.linalg.norm(moment, axis=1) <= of.guardrail_torque[k, r] * slack).all()
-        p = newton_euler.tool_pose(q[:, 1:])[0] + slid
+        p = chang2021_arm.tool_pose(q[:, 1:])[0] + slid
         assert (np.linalg.norm(p, axis=1) <= of.tool_point[k, r] * slack).all()
 
 

@@ -6,7 +6,7 @@ import pytest
 from finite_differences import check_derivative, finite_difference
 from hypothesis import given
 from hypothesis import strategies as st
-from oracles import newton_euler
+from oracles import chang2021_arm
 from state_samples import StateSamples
 
 from cmbot.robot import Chain, Dynamics, Kinematics, Postures, Robot, load_robot
@@ -20,7 +20,7 @@ def test_tool_poses_are_the_papers(
     """Chang 2021, Eqs. (1)-(3)."""
     q, _, _ = random_states(cmbot_robot, 20_000)
     p, R = cmbot_kinematics.tool_poses(q)
-    p_hand, R_hand = newton_euler.tool_pose(q)
+    p_hand, R_hand = chang2021_arm.tool_pose(q)
     # The arm reaches 3.8 m: 1e-13 is a few hundred roundings.
     np.testing.assert_allclose(p, p_hand, rtol=0, atol=1e-13)
     np.testing.assert_allclose(R, R_hand, rtol=0, atol=1e-13)
@@ -73,7 +73,7 @@ def test_tool_pose_and_jacobian(cmbot_kinematics: Kinematics, q: np.ndarray) -> 
 @given(q=ANGLES)
 def test_centre_of_mass_is_the_moving_arms(cmbot_kinematics: Kinematics, q: np.ndarray) -> None:
     centre, J = cmbot_kinematics.centre_of_mass(q)
-    np.testing.assert_allclose(centre, newton_euler.centre_of_mass(q[None])[0], rtol=0, atol=1e-13)
+    np.testing.assert_allclose(centre, chang2021_arm.centre_of_mass(q[None])[0], rtol=0, atol=1e-13)
     check_derivative(lambda x: cmbot_kinematics.centre_of_mass(x)[0], q, J, rtol=1e-10)
 
 

@@ -19,8 +19,8 @@ import pinocchio as pin
 import pytest
 import trimesh
 import yourdfpy
-from oracles import newton_euler
-from oracles.newton_euler import tensor
+from oracles import chang2021_arm
+from oracles.chang2021_arm import tensor
 
 ROOT = Path(__file__).parents[2]
 MODELS = ROOT / "models"
@@ -114,9 +114,9 @@ def test_arm_bodies_are_the_tables_and_every_body_is_possible():
     bodies = {link.name: link.inertial for link in read.robot.links if link.inertial}
     for i in range(7):
         body = bodies[f"link_{i + 1}"]
-        assert body.mass == newton_euler.MASS[i]
-        np.testing.assert_array_equal(body.origin[:3, 3], newton_euler.CENTRE_OF_MASS[i])
-        np.testing.assert_array_equal(body.inertia, tensor(newton_euler.INERTIA[i]))
+        assert body.mass == chang2021_arm.MASS[i]
+        np.testing.assert_array_equal(body.origin[:3, 3], chang2021_arm.CENTRE_OF_MASS[i])
+        np.testing.assert_array_equal(body.inertia, tensor(chang2021_arm.INERTIA[i]))
     assert bodies.keys() == {*CLIMBER, *(f"link_{i}" for i in range(1, 8))}
     for name, body in bodies.items():
         np.testing.assert_array_equal(body.origin[:3, :3], np.eye(3))
@@ -132,7 +132,7 @@ def test_replaced_inertias_are_needed_and_near(link, printed):
     excess = most - least - middle
     assert excess > 0.003  # Table 2's body is impossible
     # The boundary most = least + middle is a plane in the principal moments, excess / sqrt(3) away.
-    distance = np.linalg.norm(tensor(newton_euler.INERTIA[link - 1]) - tensor(printed))
+    distance = np.linalg.norm(tensor(chang2021_arm.INERTIA[link - 1]) - tensor(printed))
     assert distance == pytest.approx(excess / np.sqrt(3), abs=5e-5)
 
 

@@ -5,6 +5,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from oracle_arms import body_of
 from small_scenes import SHORT
 from urdf_arms import ROBOTS, only_collision
 
@@ -12,7 +13,6 @@ import cmbot.common.robot_library
 from cmbot.collision import Clearances
 from cmbot.common.errors import MissingExtra, ModelError, SceneError
 from cmbot.common.robot_library import library_robots, library_srdf
-from cmbot.planning.verification.robot_files import read_multibody
 from cmbot.robot import NEAR, Robot, load_robot, robot_files, sampled_postures, srdf_text
 from cmbot.scene import load_scene
 
@@ -80,13 +80,13 @@ def test_the_second_reading_leaves_out_the_same_pairs(tmp_path: Path) -> None:
     robot = load("ur5", tmp_path, None, "tool0")
     names = [shape.name.rpartition("_")[0] for shape in robot.collision_model.geometryObjects]
     pairs = {frozenset((names[p.first], names[p.second])) for p in robot.collision_model.collisionPairs}
-    scene = {**SHORT, "posture_deg": [0] * 6}
+    scene = {**SHORT, "start": {"posture_deg": [0] * 6}}
     scene["robot"] = {
         "model": str(robot.urdf),
         "package_dirs": [str(ROBOTS.parent.parent)],
         "tool_frame": "tool0",
     }
-    body = read_multibody(load_scene(scene).robot)
+    body = body_of(load_scene(scene))
     assert {frozenset((body.shapes[i].link, body.shapes[k].link)) for i, k in body.pairs} == pairs
     assert frozenset(("base_link", "upper_arm_link")) not in pairs
     assert frozenset(("base_link", "wrist_3_link")) in pairs

@@ -82,6 +82,11 @@ def test_values_that_people_use_are_within_the_bounds() -> None:
 
 def test_a_tool_path_of_days_is_refused() -> None:
     legs = [{"by": [0, 0, 1], "seconds": 30_000}, {"by": [0, 0, -1], "seconds": 7_000}]
-    scene = {"format": "cmbot-scene/1", "name": "slow", "posture_deg": [0], "tool_path": {"legs": legs}}
+    scene = {
+        "format": "cmbot-scene/2",
+        "name": "slow",
+        "start": {"posture_deg": [0]},
+        "tool_path": {"legs": legs},
+    }
     with pytest.raises(InputError, match=r"tool_path\.legs: got 37000 s, expected legs of at most 36,000 s"):
         cmbot.load_scene(scene)

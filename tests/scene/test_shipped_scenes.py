@@ -7,7 +7,7 @@ import build_schema
 import jsonschema
 import numpy as np
 import pytest
-from oracles import newton_euler
+from oracles import chang2021_arm
 
 from cmbot.common.errors import SceneError
 from cmbot.common.installation import scene_folder
@@ -18,7 +18,7 @@ from cmbot.scene import Box, load_scene, shipped_scenes
 
 def tool_point(posture):
     """The tool point in W, straight from the paper's table, independent of any model file."""
-    return newton_euler.tool_pose(posture[None])[0][0]
+    return chang2021_arm.tool_pose(posture[None])[0][0]
 
 
 def box_of(scene, name):

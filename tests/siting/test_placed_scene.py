@@ -28,7 +28,7 @@ STROKES: dict[str, Any] = {
 
 
 def scene_of(path: dict[str, Any], **changes: Any) -> Scene:
-    scene = short_scene(format="cmbot-scene/2", **changes)
+    scene = short_scene(**changes)
     data = {**scene.file.as_data(), "tool_path": path}
     return cmbot.load_scene(data)
 

@@ -10,7 +10,7 @@ from scipy.optimize import linprog
 from small_scenes import short_scene
 
 import cmbot
-from cmbot.common.errors import SceneError
+from cmbot.common.errors import PlanningError, SceneError
 from cmbot.planning import plan, robot_of, strokes_of, task_of
 from cmbot.robot import Climber
 from cmbot.scene import FootholdFile, Scene, StanceFile, foothold_pose
@@ -24,7 +24,9 @@ from cmbot.siting import (
     candidates_of,
     in_words,
     in_world,
+    own_candidate,
     planned_table,
+    require_planned,
     scene_at,
     screen,
     stances_csv,
@@ -39,9 +41,7 @@ COARSE = StandOptions(spacing=0.7, pair_spacing=np.inf, plans=1)
 
 
 def scene_of(objective: str = "hold", **changes: Any) -> Scene:
-    return short_scene(
-        planner={"objective": objective, "knots": "sliding"}, format="cmbot-scene/2", **changes
-    )
+    return short_scene(planner={"objective": objective, "knots": "sliding"}, **changes)
 
 
 @pytest.fixture(scope="module")
@@ -182,6 +182,150 @@ def test_the_best_stance_needs_less_than_the_scenes(scene: Scene, standing: Stan
     said = list(in_words(standing))
     assert said[0].startswith(f"Best of those planned: {standing.best.place}, ")
     assert sum("may be better" in line for line in said) == 1
+    (own,) = standing.own
+    assert own.plan.objective.planned_peak == pytest.approx(usual.objective.planned_peak, rel=1e-6)
+    np.testing.assert_allclose(own.plan.robot.foot_point, usual.robot.foot_point, atol=1e-12)
+    less = 100 * (1 - best.objective.planned_peak / own.plan.objective.planned_peak)
+    assert sum(f"own stance asks {own.plan.objective.planned_peak:.1f} N at" in line for line in said) == 1
+    assert sum(f"the best one asks {less:.1f} % less" in line for line in said) == 1
+
+
+RAIL = {"name": "top", "height_m": 0.0, "section": {"angle": [0.075, 0.008]}, "box_m": [0.075, 0.075]}
+PLACE = {"member": "post_3"}
+WIDE = StandOptions(spacing=1.5, pair_spacing=np.inf, plans=1)
+
+
+def test_no_best_stance_is_worse_than_the_scenes(scene: Scene) -> None:
+    """Of one that is better than any on another grid."""
+    (better,) = stand(scene, WIDE)
+    good = cmbot.load_scene(best_scene(better))
+    (found,) = stand(good, replace(WIDE, spacing=2.2))
+    peak = plan(good).objective.planned_peak
+    assert found.best.plan.objective.planned_peak <= peak * (1 + 1e-9)
+    assert found.best.own
+    assert cmbot.load_scene(best_scene(found)).robot.stance == good.robot.stance
+    assert "The scene's own stance is the best of those planned." in in_words(found)
+
+
+@pytest.mark.parametrize(
+    "guardrail",
+    [
+        {},
+        {"foot": {"post": 2}},
+        {"foot": {"post": 3, "offset_m": 0.4}, "rails": [RAIL]},
+        {"stance": {"foot_1": {"member": "top_rail", "along_m": 4.4, "turn_deg": 90}}},
+        {"stance": {"foot_1": {**PLACE, "along_m": 0.99}, "foot_2": {**PLACE, "along_m": 0.39}}},
+    ],
+)
+def test_the_scenes_own_stance(guardrail: dict[str, Any]) -> None:
+    scene = scene_of("torque", guardrail=guardrail)
+    own, robot = own_candidate(scene), robot_of(scene)
+    there = robot_of(scene_at(scene, own, None))
+    base = robot.model.frames[robot.model.getFrameId("arm_base")].placement
+    np.testing.assert_allclose(own.base, base.homogeneous, atol=1e-9)
+    np.testing.assert_allclose(own.root[:3, 3], robot.foot_point, atol=1e-9)
+    np.testing.assert_allclose(there.foot_point, robot.foot_point, atol=1e-12)
+    # On a grid that has it, too, it is there once, and first.
+    each = [*candidates_of(scene, 0.7, np.inf, first=[own])]
+    assert each[0] is own
+    assert [*candidates_of(scene, 0.7, np.inf, first=[own, own])][1] is not own
+    # Where feet are to hold other members, it is none.
+    assert own not in [*candidates_of(scene, 0.7, np.inf, ["post_5"], first=[own])]
+
+
+def test_the_most_frequent_reasons(standing: Standing) -> None:
+    causes = [each.cause for each in standing.ranked if each.cause]
+    assert len(causes) == len(standing.ranked) - standing.count("planned") - standing.count("screened")
+    assert 1 <= len(standing.reasons) <= 3
+    counts = [number for _, number in standing.reasons]
+    assert counts == sorted(counts, reverse=True) == [causes.count(cause) for cause, _ in standing.reasons]
+    assert max(map(causes.count, set(causes))) == counts[0]
+    first, number = standing.reasons[0]
+    assert sum(f"left out most often for: {first}, {number}" in line for line in in_words(standing)) == 1
+
+
+class _Stopped:
+    """Stops a search at a step, or lets its clock run on there."""
+
+    def __init__(self, at: str, *, interrupts: bool = True) -> None:
+        self._at, self._interrupts, self.now, self.steps = at, interrupts, 0.0, list[str]()
+
+    def clock(self) -> float:
+        return self.now
+
+    def __call__(self, step: str, share: float) -> None:
+        del share
+        self.steps.append(step)
+        if self._at in step:
+            if self._interrupts:
+                raise KeyboardInterrupt
+            self.now += 1e9
+
+
+@pytest.mark.parametrize("at", ["checking", "charting", "planning stance 1"])
+def test_a_search_that_is_stopped_keeps_the_best_so_far(scene: Scene, at: str) -> None:
+    stopped = _Stopped(at)
+    (found,) = stand(scene, WIDE, stopped)
+    assert found.ended_by == "interrupt"
+    assert found.best.own
+    assert found.count("planned") == 1
+    assert stopped.steps.index("planning the scene's own stance") < len(stopped.steps) - 1
+    # Who stopped it is not asked again.
+    assert at in stopped.steps[-1]
+    assert sum("ended early, as it was stopped: what was planned" in line for line in in_words(found)) == 1
+
+
+@pytest.mark.parametrize("at", ["screening", "own stance"])
+def test_a_search_that_has_nothing_is_stopped(scene: Scene, at: str) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        stand(scene, WIDE, _Stopped(at))
+
+
+def test_a_search_ends_with_its_time(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    late = _Stopped("checking", interrupts=False)
+    monkeypatch.setattr("cmbot.siting.search.monotonic", late.clock)
+    (found,) = stand(scene, replace(WIDE, time_limit=1e6), late)
+    assert found.ended_by == "time"
+    assert found.best.own
+    assert sum("checking" in step for step in late.steps) == 1
+    assert sum("its time was over (--time-limit): what" in line for line in in_words(found)) == 1
+
+
+def test_without_time_nothing_is_planned(scene: Scene) -> None:
+    (found,) = stand(scene, replace(WIDE, time_limit=0.0))
+    assert found.best is None
+    with pytest.raises(PlanningError, match=r"was planned; the time was over \(--time-limit\), most often"):
+        require_planned([found])
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"tool_path": {"from": {"xyz": [30, 0.8, -2]}}}, "out of reach; in the .* m from the arm's first"),
+        (
+            {"tool_path": {"from": {"xyz": [1.8, 4, -2]}}},
+            "in the nearest one, .* nearest is .* mm and .* off",
+        ),
+        (
+            {"guardrail": {"hold": {"kind": "magnet", "adhesion_n": 300}}},
+            "a foot uses [0-9]{4}% of its torque",
+        ),
+    ],
+)
+def test_where_no_stance_reaches_the_path(changes: dict[str, Any], said: str) -> None:
+    with pytest.raises(PlanningError, match=f"^no stance of [0-9]+ is left for stroke work: .*{said}"):
+        stand(scene_of("torque", **changes), WIDE)
+
+
+def test_where_none_is_within_reach_of_the_links() -> None:
+    away = scene_of("torque", tool_path={"from": {"xyz": [30, 0.8, -2]}})
+    with pytest.raises(PlanningError, match="no stance of 4 is left for stroke work: 4 out of reach; in"):
+        stand(away, replace(WIDE, members=("top_rail",)))
+
+
+def test_members_that_no_foot_holds(scene: Scene) -> None:
+    with pytest.raises(PlanningError, match="no place on bar_1 in which a foot holds; round bars"):
+        stand(scene, replace(WIDE, members=("bar_1",)))
 
 
 def test_none_that_was_not_planned_may_be_much_better(standing: Standing) -> None:
@@ -193,9 +337,12 @@ def test_stances_that_load_the_guardrail_too_much_are_left_out(scene: Scene) -> 
     """Where the best postures of the charts do, no plan is made."""
     (standing,) = stand(scene, replace(COARSE, max_torque=1.0, charts=1, checks=5))
     heavy = [each for each in standing.ranked if each.status == "too much torque"]
-    assert len(heavy) == 1
-    assert "Nm on the guardrail in its best postures, 1 Nm are allowed" in heavy[0].reason
-    assert sum(", 1 that load the guardrail" in line for line in in_words(standing)) == 1
+    (charted,) = [each for each in heavy if each.judged == "charts"]
+    assert "Nm on the guardrail in its best postures, 1 Nm are allowed" in charted.reason
+    (own,) = [each for each in heavy if each.judged == "plan"]
+    assert own.own
+    assert own.reason.endswith(" Nm on the guardrail, 1 Nm are allowed")
+    assert sum(", 2 that load the guardrail" in line for line in in_words(standing)) == 1
     assert standing.count("failed") == 0
     assert standing.best is None
 
@@ -228,11 +375,14 @@ def test_what_is_planned_is_apart_from_what_is_bounded(standing: Standing) -> No
     figures, best = standing.best.plan.figures, standing.best.place
     _, rows = planned_table(standing)
     needed = f"{figures.adhesion_needed.peak / 1e3:.2f}"
-    assert rows == [("1", best, f"{figures.peak_guardrail_torque:.1f}", needed)]
+    assert rows[0] == ("1", best, f"{figures.peak_guardrail_torque:.1f}", needed)
+    planned = standing.count("planned")
+    assert len(rows) == planned < 12
     headings, rows = bounds_table(standing, 12)
     assert "bound, " in headings[-1]
-    assert [row[0] for row in rows] == [str(k) for k in range(2, 13)]
-    assert [row[-1] for row in rows[:2]] == [f"{each.bound:.1f}" for each in standing.ranked[1:3]]
+    assert [row[0] for row in rows] == [str(k) for k in range(planned + 1, 13)]
+    others = standing.ranked[planned : planned + 2]
+    assert [row[-1] for row in rows[:2]] == [f"{each.bound:.1f}" for each in others]
     page = stances_page([standing])
     begin = page.index("<h2>Planned</h2>")
     assert begin < page.index(best, begin) < page.index("<h2>Not planned")

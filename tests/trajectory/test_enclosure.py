@@ -131,3 +131,22 @@ def test_what_is_no_number_has_no_bound() -> None:
     assert (~(pieces.remainder(np.full((5, 17), np.inf)) < np.inf)).all()
     estimated = pieces.estimated_remainder(np.sin(pieces.states[0]))
     assert ((estimated > 0) & (estimated < 0.1)).all()
+
+
+@given(seed=SEEDS)
+def test_a_remainder_that_is_no_number_is_infinite(seed: int) -> None:
+    """Wherever it is among those of the pieces: the peak is bounded by nothing then."""
+    x, rng = wild(seed), np.random.default_rng(seed)
+    pieces = Pieces.between(x, np.empty(0))
+    remainder = np.where(np.arange(len(pieces.start)) == rng.integers(len(pieces.start)), np.nan, 1e-3)
+    control = pieces.control_points(np.sin(pieces.states[0]))
+    peak = highest(pieces, control, lambda p, _: p.max(axis=1), remainder, 1e-3)
+    assert np.isfinite(peak.value)
+    assert peak.bound == np.inf
+    size = np.ones((len(pieces.start), 17))
+    size[2, rng.integers(17) :] = np.nan
+    size[3] = np.nan
+    missed = pieces.remainder(size)
+    assert missed[3] == np.inf
+    assert (missed[2] == np.inf) == bool(np.isnan(size[2, 0]))
+    assert np.isfinite(missed[[0, 1, 4]]).all()

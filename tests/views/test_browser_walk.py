@@ -11,7 +11,7 @@ from command_line import run
 from selenium.webdriver import Chrome
 from walks import one_step
 
-from cmbot.archive import json_bytes
+from cmbot.archive import WALK_FILE, write_results
 from cmbot.views import walk_page
 from cmbot.views.walk_replay import _decimated
 from cmbot.walking import walk_data, walk_samples
@@ -29,7 +29,7 @@ def test_few_places_are_drawn_of_a_long_way() -> None:
 
 
 def test_the_walk_is_shown(chrome: Chrome, tmp_path: Path) -> None:
-    (tmp_path / "walk.json").write_bytes(json_bytes(walk_data(one_step())))
+    write_results(tmp_path, WALK_FILE, walk_data(one_step()), {})
     done = run("replay", tmp_path)
     assert done.status == 0, done.err
     open_page(chrome, tmp_path / "replay.html")

@@ -135,7 +135,7 @@ def test_sag_compensation_and_vibration_suppression_are_in_tables(
     }
     vibration = {
         "suppressed elastic modes": f"{quiet.modes}",
-        "their amplitudes at the ends of the legs are less by": f"{100 * quiet.share:.4g} %",
+        "their amplitudes at the ends of the legs are less by, on average": f"{100 * quiet.share:.4g} %",
         "largest amplitude at the tool without it, mm": f"{1e3 * quiet.before:.4f}",
         "largest amplitude with it, mm": f"{1e3 * quiet.after:.4f}",
     }

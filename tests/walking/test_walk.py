@@ -113,7 +113,9 @@ def test_what_holding_on_to_a_foot_asks(scene: Scene, node: Candidate, balance: 
         centre = pin.centerOfMass(robot.model, data, q)
         moment = np.cross(centre - robot.foot_point, robot.arm_mass * robot.model.gravity.linear)
         wrench = np.hstack([robot.arm_mass * robot.model.gravity.linear, moment])[None]
-        assert load.adhesion[k] == pytest.approx(robot.holding.each(wrench)[0, 0], rel=1e-6)
+        # A clamp needs none.
+        needed = robot.holding.each(wrench)[0, 0] if robot.holding.adhesive else 0.0
+        assert load.adhesion[k] == pytest.approx(needed, rel=1e-6)
         share = max(robot.holding.share(wrench)[0][0], load.effort[k])
         assert load.use[k] == pytest.approx(share, rel=1e-6)
 
@@ -253,7 +255,7 @@ def test_causes_are_short_within_what_is_said_of_a_walk() -> None:
     first = "no path beyond t = 0.10 s: link_3 is too near to post_2"
     assert _cause(f"{first}; another place for the tool path may help") == first
     assert len(_cause("word " * 100)) <= 120
-    assert _cause("word " * 100).endswith("word …")
+    assert {*_cause("word " * 100).split()} == {"word", "…"}
 
 
 def test_a_step_that_does_not_hold_is_refused_with_its_figures() -> None:

@@ -189,7 +189,6 @@ _OPTIONS = {
     ),
     "new": (
         "--from",
-        "--from-scene",
         "--tool-at",
         "--rpy-deg",
         "--base",
@@ -220,7 +219,6 @@ _FILES = (
     "--ros-package",
     "--job",
     "--from",
-    "--from-scene",
 )
 _FILES += ("--write-srdf", "--to")
 _WITH_VALUE = {*_NUMBERS, *_FILES, "--set", "--initial", "--propose", "--axes", "--tool-at", "--rpy-deg"}
@@ -300,7 +298,8 @@ def _plannable_scene(rng: Random, scene: dict[str, Any]) -> dict[str, Any]:
     """A scene that can be planned, or nearly, with random options and a random short path."""
     scene = copy.deepcopy(scene)
     by = [round(rng.uniform(-0.1, 0.1), 3) for _ in range(3)]
-    scene["posture_deg"] = [round(angle + rng.gauss(0, 20), 1) for angle in scene["posture_deg"]]
+    posture = [round(angle + rng.gauss(0, 20), 1) for angle in scene["start"]["posture_deg"]]
+    scene["start"] = {"posture_deg": posture}
     scene["robot"] |= {
         "tool_length_m": round(rng.uniform(0.01, 0.3), 3),
         "payload_kg": rng.choice((0, 0.5, 2, 30)),
@@ -310,8 +309,6 @@ def _plannable_scene(rng: Random, scene: dict[str, Any]) -> dict[str, Any]:
         "legs": [{"by": by, "seconds": rng.choice((0.3, 2, 4, 4, 30))}],
         "via_points": rng.choice((5, 6, 8, 12)),
     }
-    if isinstance(scene["tool_path"]["keep"], dict):
-        scene["format"] = "cmbot-scene/2"
     for obstacle in scene["obstacles"]:
         obstacle["xyz"] = [round(rng.uniform(-1, 1), 2) for _ in range(3)]
     if rng.random() < 0.5:

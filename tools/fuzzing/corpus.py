@@ -77,7 +77,7 @@ def make_corpus(folder: Path) -> Corpus:
         (name, read_yaml(paths[name], InputError)) for name in sorted(paths.keys() - {"panda_sanding"})
     ]
     plans = []
-    away = {"format": "cmbot-scene/2", "return": "start"}
+    away = {"return": "start"}
     for name, changes in (
         ("fixed", {"planner": {"knots": "fixed"}}),
         ("sliding", {"planner": _QUICK} | away),
@@ -94,7 +94,7 @@ def make_corpus(folder: Path) -> Corpus:
     scenes = (
         ("small", small_scene()),
         ("full", full_scene()),
-        ("rows", small_scene(format="cmbot-scene/2", **rows)),
+        ("rows", small_scene(**rows)),
     )
     return Corpus(
         robot=robot,
@@ -109,7 +109,7 @@ def make_corpus(folder: Path) -> Corpus:
 def small_scene(**changes: Any) -> dict[str, Any]:
     """A scene in which the arm follows a short leg, planned in a moment."""
     return {
-        "format": "cmbot-scene/1",
+        "format": "cmbot-scene/2",
         "name": "small",
         "robot": {
             "model": "arm.urdf",
@@ -118,7 +118,7 @@ def small_scene(**changes: Any) -> dict[str, Any]:
             "limits": "joint_limits.yaml",
             "mount": {"xyz": [0.0, 0.3, 0.4], "rpy_deg": [0, 0, 90]},
         },
-        "posture_deg": [10, 40, 20, 80, -15, 60, 0],
+        "start": {"posture_deg": [10, 40, 20, 80, -15, 60, 0]},
         "tool_path": {"legs": [{"by": [0.0, 0.1, 0.05], "seconds": 4}], "via_points": 8},
         "guardrail": {"bays": 0},
         "planner": {"knots": "fixed", "path_step_s": 0.02},
@@ -199,7 +199,7 @@ def full_scene() -> dict[str, Any]:
 def _measured_files(folder: Path) -> Files:
     """Measurements of the arm in `folder`, and the scene with what they tell."""
     robot = small_scene()["robot"] | {"elasticity": "arm.elasticity.yaml"}
-    scene = small_scene(format="cmbot-scene/2", robot=robot, guardrail={"bays": 1})
+    scene = small_scene(robot=robot, guardrail={"bays": 1})
     t = 0.005 * np.arange(400)
     tap = np.exp(-0.6 * t) * np.sin(2 * np.pi * 6.0 * t) + 0.3 * np.exp(-1.1 * t) * np.sin(
         2 * np.pi * 9.0 * t
@@ -251,7 +251,7 @@ def _walk_file() -> bytes:
             "format": "cmbot-scene/2",
             "name": "walk",
             "robot": {"model": "cmbot"},
-            "posture_deg": arm,
+            "start": {"posture_deg": arm},
             "tool_path": {"legs": [{"by": [0.0, 0.1, 0.0], "seconds": 4}], "via_points": 8},
             "guardrail": {"hold": hold, "stance": feet},
         }

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cmbot.archive.folder import write_file
-from cmbot.archive.ros.job_file import Message, joint_trajectory, stamp
+from cmbot.archive.ros.trajectory_file import trajectory_message
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra
 from cmbot.common.validation import given_path
@@ -30,8 +30,10 @@ _CUBE, _SPHERE, _CYLINDER, _LINE_STRIP, _TRIANGLES = 1, 2, 3, 4, 11
 _LINE_WIDTH = 0.01  # m
 _SEPARATOR = "=" * 80
 
+Message = dict[str, Any]
 
-def export_mcap(plan: Plan, path: str | Path) -> None:
+
+def export_mcap(plan: Plan, path: str | Path, *, effort: bool = False) -> None:
     """Write the planned job of a plan as an MCAP file of ROS 2 messages, whole or not at all.
 
     Every 0.02 s, and at the end: ``/joint_states``, ``/tf`` (each link in the frame ``world``, which is W,
@@ -44,6 +46,8 @@ def export_mcap(plan: Plan, path: str | Path) -> None:
     plan : Plan
     path : str or Path
         An earlier file of that name is replaced.
+    effort : bool
+        Give the points of ``/joint_trajectory`` the joints' torques, too: see `export_ros`.
 
     Raises
     ------
@@ -63,24 +67,28 @@ def export_mcap(plan: Plan, path: str | Path) -> None:
     content = io.BytesIO()
     with Writer(content) as writer:
         schemas = {name: writer.register_msgdef(name, text) for name, text in _schemas().items()}
-        for topic, kind, time, message in _messages(plan):
+        for topic, kind, time, message in _messages(plan, effort=effort):
             nanoseconds = round(1e9 * time)
             writer.write_message(topic, schemas[kind], message, nanoseconds, nanoseconds)
     write_file(target, content.getvalue())
 
 
-def _messages(plan: Plan) -> Iterator[tuple[str, str, float, Message]]:
+def _messages(plan: Plan, *, effort: bool) -> Iterator[tuple[str, str, float, Message]]:
     """Yield topic, type, time and content of every message, in the order of time."""
     samples, _ = plan.job_samples
-    yield "/joint_trajectory", "trajectory_msgs/msg/JointTrajectory", 0.0, joint_trajectory(plan)
-    yield "/markers", "visualization_msgs/msg/MarkerArray", 0.0, {"markers": list(_markers(plan))}
+    stamp = _stamp(0.0)
+    job = trajectory_message(plan.robot, samples, effort=effort)
+    # A message of MCAP has all fields: those left out are empty.
+    job["points"] = [{"effort": [], **point} for point in job["points"]]
+    yield "/joint_trajectory", "trajectory_msgs/msg/JointTrajectory", 0.0, job
+    yield "/markers", "visualization_msgs/msg/MarkerArray", 0.0, {"markers": list(_markers(plan, stamp))}
     some = np.unique(np.append(np.arange(0, len(samples.t), round(_STEP / 0.01)), len(samples.t) - 1))
     names, poses = link_poses(plan.robot, samples.q[some])
     # O0 has the axes of W.
     held = np.array([*plan.robot.foot_point, 0.0, 0.0, 0.0, 1.0])
     for k, each in zip(some, poses, strict=True):
         time = float(samples.t[k])
-        header = {"stamp": stamp(time), "frame_id": WORLD}
+        header = {"stamp": _stamp(time), "frame_id": WORLD}
         yield (
             "/joint_states",
             "sensor_msgs/msg/JointState",
@@ -110,8 +118,8 @@ def _messages(plan: Plan) -> Iterator[tuple[str, str, float, Message]]:
         yield "/base_wrench", "geometry_msgs/msg/WrenchStamped", time, message
 
 
-def _markers(plan: Plan) -> Iterator[Message]:
-    header, count = {"stamp": stamp(0.0), "frame_id": WORLD}, 0
+def _markers(plan: Plan, stamp: Message) -> Iterator[Message]:
+    header, count = {"stamp": stamp, "frame_id": WORLD}, 0
 
     def marker(kind: int, name: str, X: FloatArray, scale: Any, colour: Any, points: Any = ()) -> Message:
         nonlocal count
@@ -156,6 +164,11 @@ def _solids(obstacle: Obstacle, marker: Callable[..., Message]) -> Iterator[Mess
             mesh = load_mesh(path, obstacle.name)
             corners = np.array(mesh.vertices)[np.array(mesh.faces).ravel()]
             yield marker(_TRIANGLES, obstacle.name, X, (1.0, 1.0, 1.0), colour, corners)
+
+
+def _stamp(time: float) -> Message:
+    seconds, nanoseconds = divmod(round(1e9 * time), 10**9)
+    return {"sec": seconds, "nanosec": nanoseconds}
 
 
 def _vector(values: Any) -> Message:

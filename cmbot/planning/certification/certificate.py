@@ -57,7 +57,7 @@ class Certificate:
     guardrail_torque_bound : float, Nm
         The torque on the guardrail is nowhere larger: with the peak among the figures, an interval.
     adhesion_bound : float, N
-        No foot needs more adhesion at any time; infinite where none has a flat contact.
+        No foot needs more adhesion at any time; infinite where none holds by it.
     """
 
     checks: tuple[Check, ...]
@@ -250,7 +250,7 @@ def _duration_check(task: ToolTask, trajectory: QuinticTrajectory) -> Check:
     return Check(
         quantity="difference of the trajectory's times from the tool path's",
         time=last,
-        value=max(abs(first), abs(last - duration)),
+        value=float(np.max(np.abs([first, last - duration]))),
         bound=_SAME_DURATION * duration,
         unit="s",
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.file_types import OrInfinite
@@ -35,8 +36,10 @@ class Check:
 
     @property
     def holds(self) -> bool:
-        """Whether the value keeps its bound; never true of a value that is not a number."""
-        return self.value >= self.bound if self.at_least else self.value <= self.bound
+        """Whether the value keeps its bound; never true of what is not a number, nor of endlessly much."""
+        if self.at_least:
+            return self.value >= self.bound
+        return self.value <= self.bound and self.value < inf
 
 
 def largest_check(quantity: str, times: FloatArray, value: FloatArray, bound: float, unit: str) -> Check:

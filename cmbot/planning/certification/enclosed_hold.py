@@ -9,7 +9,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from cmbot.common.arrays import FloatArray, IntArray
-from cmbot.hold import AdhesionPeak, Holding
+from cmbot.hold import ADHESION, CLAMP_LOAD, AdhesionPeak, Holding
 from cmbot.planning.certification.check import Check
 from cmbot.planning.certification.norm_bounds import NormBounds
 from cmbot.trajectory import Peak, Pieces, highest
@@ -41,37 +41,39 @@ class EnclosedHold:
 
     @cached_property
     def _adhesion(self) -> dict[int, Peak]:
-        """Of each foot with a flat contact, by its number, the adhesion that it needs, N."""
+        """Of each foot that holds by adhesion, by its number, the adhesion that it needs, N."""
         holding, peaks = self.holding, dict[int, Peak]()
-        for number in holding.flat:
+        for number in holding.adhesive:
             remainder = holding.remainder(number, *self._remainders)
             peaks[number] = self._enclosed(partial(holding.needed, number), remainder)
         return peaks
 
     @property
     def needed(self) -> AdhesionPeak | None:
-        """The largest adhesion that a foot needs; None where none has a flat contact."""
+        """The largest adhesion that a foot needs; None where none holds by it."""
         if not self._adhesion:
             return None
-        number, peak = max(self._adhesion.items(), key=lambda each: each[1].value)
+        # Of values that are no numbers the first counts as the largest.
+        which = int(np.argmax([peak.value for peak in self._adhesion.values()]))
+        number, peak = list(self._adhesion.items())[which]
         wrench = self._at(peak.time)
         mode = self.holding.mode(number, wrench)
         return AdhesionPeak(peak=max(peak.value, 0.0), mode=mode, time=peak.time, foot=number + 1)
 
     @property
     def needed_bound(self) -> float:
-        """No foot needs more adhesion at any time, N; infinite where none has a flat contact."""
-        bounds = [max(peak.bound, 0.0) for peak in self._adhesion.values()]
-        return max(bounds, default=np.inf)
+        """No foot needs more adhesion at any time, N; infinite where none holds by it."""
+        if not self._adhesion:
+            return np.inf
+        return float(np.max([peak.bound for peak in self._adhesion.values()], initial=0.0))
 
     def checks(self) -> Iterator[Check]:
         """Yield what each foot bears against what is known of it."""
         for number, foot in enumerate(self.holding.feet):
-            which = f" of foot {number + 1}" if len(self.holding.feet) > 1 else ""
             if foot.adhesion is not None:
                 peak = self._adhesion[number]
                 yield Check(
-                    quantity=f"adhesion needed{which}, safety {foot.safety:g}",
+                    quantity=self.holding.named(ADHESION, number),
                     time=peak.time,
                     value=max(peak.bound, 0.0),
                     bound=foot.adhesion / foot.safety,
@@ -81,10 +83,10 @@ class EnclosedHold:
                 remainder = self.holding.use_remainder(number, *self._remainders)
                 peak = self._enclosed(partial(self.holding.use, number), remainder)
                 yield Check(
-                    quantity=f"load of the clamp{which}, safety {foot.safety:g}",
+                    quantity=self.holding.named(CLAMP_LOAD, number),
                     time=peak.time,
                     value=peak.bound,
-                    bound=1 / foot.safety,
+                    bound=1.0,
                     unit="of its bounds",
                 )
 

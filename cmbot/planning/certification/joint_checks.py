@@ -92,7 +92,7 @@ def continuity_check(robot: Robot, trajectory: QuinticTrajectory) -> Check:
     h = np.diff(t)
     digit = _DIGITS * np.spacing(np.abs(trajectory.q).max(axis=0))
     shorter = np.concatenate([h[:1], np.minimum(h[:-1], h[1:]), h[-1:]])[:, None]
-    worst, where = 0.0, float(t[0])
+    shares = list[FloatArray]()
     position = np.where(limits.prismatic, _METRE, _HALF_TURN)
     bounds = (position, limits.velocity, limits.acceleration, limits.jerk)
     for order, bound in enumerate(bounds):
@@ -103,13 +103,12 @@ def continuity_check(robot: Robot, trajectory: QuinticTrajectory) -> Check:
         rounding = _AMPLIFIED[order] * digit / bound / shorter**order
         if order < len(bounds) - 1:
             rounding = np.minimum(rounding, _LARGEST_ALLOWANCE)
-        share = (np.abs(jump / bound) / np.maximum(rounding, _JUMP)).max(axis=1)
-        if not share.max() <= worst:
-            worst, where = float(share.max()), float(t[share.argmax()])
+        shares.append((np.abs(jump / bound) / np.maximum(rounding, _JUMP)).max(axis=1))
+    worst = np.max(shares, axis=0)
     return Check(
         quantity="jump of a joint's position, velocity, acceleration or jerk",
-        time=where,
-        value=worst,
+        time=float(t[worst.argmax()]),
+        value=float(worst.max()),
         bound=1.0,
         unit="of its allowance",
     )

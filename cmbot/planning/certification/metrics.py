@@ -52,7 +52,7 @@ class MotionMetrics:
         Largest distance of the tool point from its timed place, along the leg.
     limit_use : LimitUse
     adhesion_needed : AdhesionPeak or None
-        Largest adhesion that a foot needs; None where no foot has a flat contact.
+        Largest adhesion that a foot needs; None where no foot holds by it, such as clamps.
     duration : float, s
     guardrail_torque_integral : float, Nm s
         Of the torque's norm over that time.
@@ -207,7 +207,7 @@ def figures(robot: Robot, samples: Samples) -> MotionMetrics:
             jerk=use(samples.j, limits.jerk),
             torque=use(samples.joint_torque, limits.torque),
         ),
-        adhesion_needed=holding.worst(wrench, samples.t) if holding and holding.flat else None,
+        adhesion_needed=holding.worst(wrench, samples.t) if holding and holding.adhesive else None,
         duration=duration,
         guardrail_torque_integral=integral,
     )

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cmbot.collision import Clearances
+from cmbot.common.arrays import FloatArray
 from cmbot.trajectory import QuinticTrajectory, bernstein_coefficients, halves
 
 __all__ = ["NearestApproach", "nearest_approach"]
@@ -34,7 +35,8 @@ class NearestApproach:
     ----------
     time : float, s
     distance : float, m
-        The smallest that was found, at `time`; infinite where no pair counts.
+        The smallest that was found, at `time`; infinite where no pair counts, minus infinity where one is no
+        number.
     pair : int
         Index into `Clearances.pairs`; -1 where none counts.
     bound : float, m
@@ -85,9 +87,10 @@ def _enclosed(trajectory: QuinticTrajectory, clearances: Clearances, resolution:
         middle = start + 0.5 * width
         if halving == 0:
             guide = clearances.smallest(q)
-            k = int(guide.distance.argmin())
+            smallest = _known(guide.distance)
+            k = int(smallest.argmin())
             nearest = NearestApproach(
-                time=float(middle[k]), distance=float(guide.distance[k]), pair=int(guide.pair[k]), bound=0.0
+                time=float(middle[k]), distance=float(smallest[k]), pair=int(guide.pair[k]), bound=0.0
             )
         if alive.sum() > _FEW * len(q):
             lower = clearances.lower_bounds(q) - travel
@@ -95,7 +98,7 @@ def _enclosed(trajectory: QuinticTrajectory, clearances: Clearances, resolution:
             # It takes longer to bound all distances than to measure these.
             lower = np.full(alive.shape, -np.inf)
         row, pair = np.nonzero(alive & ~(lower >= nearest.distance - resolution))
-        measured = clearances.distances(q, row, pair)
+        measured = _known(clearances.distances(q, row, pair))
         lower[row, pair] = measured - travel[row, pair]
         if len(measured) and measured.min() < nearest.distance:
             k = int(measured.argmin())
@@ -106,7 +109,7 @@ def _enclosed(trajectory: QuinticTrajectory, clearances: Clearances, resolution:
         some = undecided.any(axis=1)
         if halving == _HALVINGS or 2 * int(some.sum()) > _MOST_INTERVALS:
             undecided[:], some[:] = False, False
-        bound = min(bound, float(lower[alive & ~undecided].min(initial=np.inf)))
+        bound = float(np.minimum(bound, lower[alive & ~undecided].min(initial=np.inf)))
         if not some.any():
             break
         control = np.concatenate([left[some], right[some]])
@@ -118,5 +121,10 @@ def _enclosed(trajectory: QuinticTrajectory, clearances: Clearances, resolution:
         time=nearest.time,
         distance=nearest.distance,
         pair=nearest.pair,
-        bound=min(bound, nearest.distance) - _ROUNDING,
+        bound=float(np.minimum(bound, nearest.distance)) - _ROUNDING,
     )
+
+
+def _known(distance: FloatArray) -> FloatArray:
+    """Distances, m; what is no number says nothing: it counts as less than any."""
+    return np.where(np.isnan(distance), -np.inf, distance)

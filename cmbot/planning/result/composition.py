@@ -20,7 +20,7 @@ from cmbot.planning.result.plan import Plan, Seconds
 from cmbot.planning.result.stroke_plan import Start, StrokePlan, objective_metrics
 from cmbot.planning.retries import Attempt
 from cmbot.planning.torque import Optimised
-from cmbot.scene import PlannerOptions, Scene
+from cmbot.scene import SAME_PLACE, PlannerOptions, Scene
 
 __all__ = ["StrokeMotion", "composed", "suppresses_vibration"]
 
@@ -153,6 +153,9 @@ def _fallbacks(attempt: Attempt, motion: StrokeMotion) -> Iterator[str]:
     """What failed, or was left out, on the way to a motion."""
     yield from attempt.fallbacks
     context, optimised = attempt.context, motion.optimised
+    if merged := context.stroke.file.merged:
+        is_ = "waypoint is" if merged == 1 else "waypoints are"
+        yield f"{merged} {is_} merged with the one before, less than {1e3 * SAME_PLACE:g} mm away."
     limit = f"{context.options.time_limit_s:g} s (planner.time_limit_s)"
     if not optimised.complete:
         expired = context.reporter.expired()

@@ -8,9 +8,9 @@ from itertools import product
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.hold import AdhesionPeak, Foot, Holding
-from cmbot.planning.job import Segment
+from cmbot.hold import CLAMP_LOAD, AdhesionPeak, Foot, Holding
 from cmbot.planning.result.plan import Plan
+from cmbot.planning.result.verdict import during, tightest_check
 from cmbot.robot import Dynamics, Robot
 
 __all__ = ["emergency_stop", "holding_remarks"]
@@ -35,11 +35,17 @@ def holding_remarks(plan: Plan) -> Iterator[str]:
         return
     if needed is not None:
         yield from _adhesion(plan, holding, needed)
-    for check in plan.job.certificate.checks:
-        if check.quantity.startswith("load of the clamp"):
-            share = f"{100 * check.value:.0f} % of its bounds"
-            yield f"Hold: the {check.quantity}, uses {share} at most, at {check.time:.1f} s."
-            break
+    for number in holding.clamps:
+        quantity = holding.named(CLAMP_LOAD, number)
+        segment, check = tightest_check(plan.job, quantity)
+        stop = max(float(holding.use(number, wrench).max()) for wrench, _ in _stops(plan))
+        yield (
+            f"Hold: the {quantity} included, uses {100 * check.value:.1f} % of its bounds at most, "
+            f"{during(segment, plan.job)}, at {check.time:.1f} s. In an emergency stop, joints at their "
+            f"bounds: {100 * stop:.1f} %."
+        )
+    if needed is None and not holding.bounded:
+        yield "Hold: what the feet bear is not given, so nothing here says whether they hold."
 
 
 def _adhesion(plan: Plan, holding: Holding, needed: AdhesionPeak) -> Iterator[str]:
@@ -48,7 +54,11 @@ def _adhesion(plan: Plan, holding: Holding, needed: AdhesionPeak) -> Iterator[st
     of = f", foot {needed.foot}" if len(holding.feet) > 1 else ""
     most = f"{_kilonewtons(needed.peak)} ({needed.mode}, at {needed.time:.1f} s{of}{other})"
     stop = emergency_stop(plan)
-    stopping = "" if stop is None else f" In an emergency stop, joints at their bounds: {_stop(stop, foot)}."
+    stopping = (
+        ""
+        if stop is None
+        else f" In an emergency stop, joints at their bounds: {_stop(stop, holding.feet[stop.foot - 1])}."
+    )
     if foot.kind == "welded":
         yield (
             "Hold: welded is assumed, so nothing here says whether the feet hold. As magnets they would need "
@@ -82,22 +92,22 @@ def emergency_stop(plan: Plan) -> AdhesionPeak | None:
     plan : Plan
     """
     holding = plan.robot.holding
-    if holding is None or not holding.flat:
+    if holding is None or not holding.adhesive:
         return None
-    peaks = [_stopped(plan, holding, segment) for segment in plan.job.segments]
-    return max(peaks, key=lambda each: each.peak)
+    return max((holding.worst(*stops) for stops in _stops(plan)), key=lambda each: each.peak)
 
 
-def _stopped(plan: Plan, holding: Holding, segment: Segment) -> AdhesionPeak:
-    robot: Robot = plan.robot if segment.kind == "stroke" else plan.robot.tool_off
-    t = np.linspace(segment.trajectory.t[0], segment.trajectory.t[-1], _STATES)
-    q, v, _ = segment.trajectory.states(t)
-    at = Dynamics(robot).wrench_derivatives(q, v, np.zeros_like(q))
-    stops = -np.sign(v) * robot.limits.acceleration
-    each = np.einsum("kin,kn->kni", at.d_a, stops)
-    wrench = at.value[:, None] + _which(robot.dof) @ each
-    number = wrench.shape[1]
-    return holding.worst(wrench.reshape(-1, 6), np.repeat(segment.begin + t, number))
+def _stops(plan: Plan) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """The wrenches (N, 6) of stops along each segment of the job, and when on its clock, (N,), s."""
+    for segment in plan.job.segments:
+        robot: Robot = plan.robot if segment.kind == "stroke" else plan.robot.tool_off
+        t = np.linspace(segment.trajectory.t[0], segment.trajectory.t[-1], _STATES)
+        q, v, _ = segment.trajectory.states(t)
+        at = Dynamics(robot).wrench_derivatives(q, v, np.zeros_like(q))
+        stops = -np.sign(v) * robot.limits.acceleration
+        each = np.einsum("kin,kn->kni", at.d_a, stops)
+        wrench = at.value[:, None] + _which(robot.dof) @ each
+        yield wrench.reshape(-1, 6), np.repeat(segment.begin + t, wrench.shape[1])
 
 
 def _which(joints: int) -> FloatArray:

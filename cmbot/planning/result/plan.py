@@ -15,6 +15,7 @@ from cmbot.common.file_types import NonNegative
 from cmbot.common.representation import card
 from cmbot.common.validation import require_type
 from cmbot.elastic.sag import Sag
+from cmbot.hold import CLAMP_LOAD
 from cmbot.planning.certification.certificate import Certificate
 from cmbot.planning.certification.metrics import MotionMetrics, Samples, measure
 from cmbot.planning.certification.sag_spread import across_path, spread_times
@@ -291,7 +292,10 @@ class Plan(StrokePlan):
 
     @property
     def peak_static_reduction(self) -> float:
-        """How much lower the planned motion's static torque peak is than the baseline's, as a share."""
+        """How much lower the planned motion's static torque peak is than the baseline's, as a share.
+
+        Of a baseline that breaks limits (`cmbot.planning.baseline_faults`) that is no gain.
+        """
         baseline = self.baseline_figures.peak_static_guardrail_torque
         return 1.0 - self.figures.peak_static_guardrail_torque / baseline
 
@@ -334,6 +338,7 @@ class Plan(StrokePlan):
                 yield from self._peaks_of_free_moves()
         yield from _adhesions("adhesion needed, whole job, kN", job)
         yield from _adhesions("adhesion needed at work, kN", work)
+        yield from self._loads_of_clamps()
         if self.coverage:
             each = self.coverage.values()
             # The baseline follows the same rows.
@@ -346,6 +351,21 @@ class Plan(StrokePlan):
         for limit in ("velocity", "acceleration", "jerk", "torque"):
             left, right = (f"{getattr(figures.limit_use, limit):.3f}" for figures in work)
             yield f"joint {limit} at work, share of its bound", left, right
+
+    def _loads_of_clamps(self) -> Iterator[tuple[str, str, str]]:
+        """What clamps bear at most: of the baseline at its samples, of the plan as certified."""
+        holding = self.robot.holding
+        if holding is None:
+            return
+        for number in holding.clamps:
+            quantity = holding.named(CLAMP_LOAD, number)
+            each = [
+                np.hstack([segment.samples.guardrail_force, segment.samples.guardrail_torque])
+                for segment in self.baseline_segments
+            ]
+            before = max(float(holding.use(number, wrench).max()) for wrench in each)
+            after = max(check.value for _, check in self.job.checks() if check.quantity == quantity)
+            yield f"{quantity} included, whole job, share of its bounds", f"{before:.3f}", f"{after:.3f}"
 
     def _peaks_of_free_moves(self) -> Iterator[tuple[str, str, str]]:
         for segment in self.job.segments:

@@ -16,7 +16,8 @@ from cmbot.planning.job import RETURN
 from cmbot.planning.result.holding import holding_remarks
 from cmbot.planning.result.plan import Plan
 from cmbot.planning.result.stroke_plan import ObjectiveMetrics
-from cmbot.planning.result.verdict import further, strays, travels, verdict
+from cmbot.planning.result.verdict import baseline_faults, further, strays, travels, verdict
+from cmbot.planning.stiffness import identified_in_words
 from cmbot.robot import Kinematics, postures_in_words
 from cmbot.scene import STOW
 
@@ -82,10 +83,8 @@ def remarks(plan: Plan) -> Iterator[str]:
 def _bending(plan: Plan) -> Iterator[str]:
     if rigid := rigid_arm_remark(plan.scene, plan.robot):
         yield rigid
-    if (identified := plan.scene.file.identified) is not None:
-        of = [counted(len(identified.links), "link"), counted(len(identified.joints), "joint")]
-        of += [plan.scene.base_name] * (identified.base is not None)
-        yield f"Stiffness as identified, not as modelled: {', '.join(of)}."
+    if identified := identified_in_words(plan.scene):
+        yield identified
     done = plan.compensation
     if done is not None:
         rounds = counted(done.rounds, "round")
@@ -141,19 +140,21 @@ def _suppression(done: VibrationSuppression, base: str) -> str:
     what = f"Vibration suppression: the {modes} of {base} and links "
     if done.at_rest:
         return f"{what}{'is' if done.modes == 1 else 'are'} next to none at the ends of the legs anyway."
+    # Of several strokes one may be left as it is, and another one not.
+    if any(done.shares):
+        return (
+            f"{what}{'is' if done.modes == 1 else 'are'} made {100 * done.share:.0f} % smaller"
+            f"{' on average' if len(done.shares) > 1 else ''} at the ends of "
+            f"{_suppressed_legs(done.shares)}, as predicted. {_swings(done, made=True)}"
+        )
     if not done.worth_it and done.swing_with != done.swing_without:
         return (
             f"{what}{'is left as it is' if done.modes == 1 else 'are left as they are'}: the change that was "
             f"tried makes the largest swing hardly smaller. {_swings(done, made=False)}"
         )
-    if not any(done.shares):
-        return (
-            f"{what}could not be brought to rest at the ends of the legs: no change of the motion that was "
-            f"tried keeps every bound. {_swings(done, made=False)}"
-        )
     return (
-        f"{what}{'is' if done.modes == 1 else 'are'} made {100 * done.share:.0f} % smaller at the ends of "
-        f"{_suppressed_legs(done.shares)}, as predicted. {_swings(done, made=True)}"
+        f"{what}could not be brought to rest at the ends of the legs: no change of the motion that was "
+        f"tried keeps every bound. {_swings(done, made=False)}"
     )
 
 
@@ -357,15 +358,18 @@ def _furthest(plan: Plan) -> str:
 
 
 def _gain(plan: Plan) -> str:
+    motion = "the paper's motion" if plan.scene.on_guardrail else "a motion along the same path"
+    begin = f"Against the baseline, {motion} without optimisation"
+    if faults := baseline_faults(plan, work=True):
+        return f"{begin}, no gain at work is stated: it {faults}."
     change = -100 * plan.peak_static_reduction
     mean = plan.figures.mean_guardrail_torque / plan.baseline_figures.mean_guardrail_torque - 1
     difference, time = plan.largest_torque_difference
     fixed = plan.options.knots == "fixed" and plan.start.moved == 0
     why = " (fixed via-points cannot lower it)" if fixed else ""
-    motion = "the paper's motion" if plan.scene.on_guardrail else "a motion along the same path"
     peak = "the static peak" if plan.robot.pushed else "the peak of the gravity torque"
     return (
-        f"Against the baseline, {motion} without optimisation: {peak} "
+        f"{begin}: {peak} "
         f"{change:+z.2f} %{why}, the mean {100 * mean:+.2f} %; at most {difference:.1f} Nm less, "
         f"at {time:.1f} s."
     )
@@ -399,6 +403,8 @@ def _nothing_gained(plan: Plan) -> Iterator[str]:
             "clearances or rest at both ends."
         )
         return
+    if baseline_faults(plan, work=True):
+        return
     near = objective.floor is not None and objective.baseline_peak < objective.floor * (1 + _NEAR_BOUND)
     why = " The baseline is near the lower bound already: there is nothing to gain." if near else ""
     yield f"Hardly anything is gained at the peak; what the plan adds is that limits are kept.{why}"
@@ -407,11 +413,12 @@ def _nothing_gained(plan: Plan) -> Iterator[str]:
 def _lower_bound(plan: Plan) -> Iterator[str]:
     objective = plan.objective
     if not objective.is_guardrail_torque:
-        yield (
-            f"Minimised: {_objective(objective)}, from a peak of "
-            f"{_value(objective, objective.baseline_peak)} in the baseline to "
-            f"{_value(objective, objective.planned_peak)}."
+        before, after = (
+            _value(objective, peak) for peak in (objective.baseline_peak, objective.planned_peak)
         )
+        faults = baseline_faults(plan, work=True)
+        which = f", which {faults}," if faults else ""
+        yield f"Minimised: {_objective(plan)}, from a peak of {before} in the baseline{which} to {after}."
     bound = plan.lower_bound
     if bound is None or plan.choice is None:
         return
@@ -476,11 +483,13 @@ def _value(objective: ObjectiveMetrics, value: float, more_digits: int = 0) -> s
     return f"{factor * value:.{2 + more_digits}f} {unit}".rstrip()
 
 
-def _objective(objective: ObjectiveMetrics) -> str:
+def _objective(plan: Plan) -> str:
+    objective, holding = plan.objective, plan.robot.holding
     if objective.own:
         return objective.name
     if objective.name == "hold":
-        return "the adhesion that the feet need"
+        magnets = holding is not None and holding.adhesive
+        return "the adhesion that the feet need" if magnets else "the pull of magnets in place of the clamps"
     if objective.axis_weights is None:
         return f"the tool's {objective.name}"
     weights = ", ".join(f"{weight:g}" for weight in objective.axis_weights)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -160,7 +160,6 @@ def combined(strokes: Sequence[StrokePlan]) -> dict[str, Any]:
     choices = [stroke.choice for stroke in strokes if stroke.choice is not None]
     compensations = [stroke.compensation for stroke in strokes if stroke.compensation is not None]
     suppressed = [stroke.suppression for stroke in strokes if stroke.suppression is not None]
-    loudest = max(suppressed, key=lambda each: max(each.swing_without, default=0.0), default=None)
     return {
         "task": strokes[0].task,
         "start": strokes[0].start,
@@ -183,16 +182,28 @@ def combined(strokes: Sequence[StrokePlan]) -> dict[str, Any]:
         )
         if compensations
         else None,
-        "suppression": replace(
-            loudest,
-            modes=max(each.modes for each in suppressed),
-            shares=tuple(share for each in suppressed for share in each.shares),
-            before=max(each.before for each in suppressed),
-            after=max(each.after for each in suppressed),
-        )
-        if loudest is not None
-        else None,
+        "suppression": _combined_suppression(suppressed) if suppressed else None,
     }
+
+
+def _combined_suppression(each: Sequence[VibrationSuppression]) -> VibrationSuppression:
+    """The largest amplitudes of all strokes, and in each case that was simulated the largest swings."""
+    swings = dict[tuple[float, float], tuple[float, float]]()
+    for one in each:
+        cases = zip(one.stiffness, one.load_kg, one.swing_without, one.swing_with, strict=True)
+        for stiffness, load, without, with_it in cases:
+            most = swings.get((stiffness, load), (0.0, 0.0))
+            swings[stiffness, load] = (max(most[0], without), max(most[1], with_it))
+    return VibrationSuppression(
+        modes=max(one.modes for one in each),
+        shares=tuple(share for one in each for share in one.shares),
+        before=max(one.before for one in each),
+        after=max(one.after for one in each),
+        stiffness=tuple(stiffness for stiffness, _ in swings),
+        load_kg=tuple(load for _, load in swings),
+        swing_without=tuple(without for without, _ in swings.values()),
+        swing_with=tuple(with_it for _, with_it in swings.values()),
+    )
 
 
 def _largest(values: Iterable[float | None]) -> float | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from math import inf
 
 import numpy as np
@@ -11,12 +11,14 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.validation import counted
 from cmbot.planning.certification.check import Check
+from cmbot.planning.certification.metrics import MotionMetrics
 from cmbot.planning.context import end_posture_of
 from cmbot.planning.job import Job, Segment
 from cmbot.planning.result.plan import Plan
 from cmbot.robot import Dynamics
 
 __all__ = [
+    "baseline_faults",
     "bound_use",
     "during",
     "further",
@@ -53,18 +55,10 @@ def verdict(plan: Plan, *, area: bool = True) -> str:
         Whether it tells what of the rasters is not reached, too; `left_out` does that alone.
     """
     base, job = plan.scene.base_name, plan.job
-    peak, before = (figures.peak_guardrail_torque for figures in (job.figures, plan.baseline_job_figures))
-    text = f"The {base} must bear {peak:.1f} Nm over the whole job ({_where(plan)}), "
-    text += _compared(peak, before)
-    if faults := [*_faults(plan)]:
-        text += f" (it {' and '.join(faults)})"
-    if _SAME < 1 - peak / before < _LITTLE:
-        text += ": hardly anything is gained"
-    elif _LITTLE <= 1 - peak / before < _SMALL and (factor := further(plan)) >= _FURTHER:
-        text += f", with joints that travel {factor:.1f} times as far at work"
+    peak = job.figures.peak_guardrail_torque
+    text = f"The {base} must bear {peak:.1f} Nm over the whole job ({_where(plan)}){_gain(plan)}"
     if len(job.segments) > 1:
-        work, other = (figures.peak_guardrail_torque for figures in (plan.figures, plan.baseline_figures))
-        text += f"; the work alone {work:.1f} Nm (baseline {other:.1f} Nm)"
+        text += f"; the work alone {_at_work(plan)}"
     if area and (missing := left_out(plan)):
         text += f"; {missing}"
     segment, check = tightest_check(job)
@@ -149,19 +143,48 @@ def _room(check: Check) -> str:
     return f" ({distance} left)" if check.holds else f" ({distance} beyond it)"
 
 
-def _faults(plan: Plan) -> Iterator[str]:
-    """Why the baseline cannot be executed, or is another motion, in a few words each."""
-    figures, limits = plan.baseline_job_figures, plan.robot.limits
+def baseline_faults(plan: Plan, *, work: bool = False) -> str:
+    """Return why no gain on the baseline is stated, in words after it; empty where it keeps the limits.
+
+    A motion that collides, breaks the limits of joints, or is beside its path is none that a plan could be
+    preferred to.
+
+    Parameters
+    ----------
+    plan : Plan
+    work : bool
+        Of the strokes alone; else of the whole job, free moves included.
+    """
+    figures = plan.baseline_figures if work else plan.baseline_job_figures
+    each = [one.samples.q for one in plan.baseline_segments if one.kind == "stroke" or not work]
+    faults = [*_faults(plan, figures, each)]
+    return " and ".join([", ".join(faults[:-1]), faults[-1]] if faults[1:] else faults)
+
+
+def _faults(plan: Plan, figures: MotionMetrics, each: Sequence[FloatArray]) -> Iterator[str]:
+    limits, options, use = plan.robot.limits, plan.options, figures.limit_use
     if figures.min_clearance < 0:
         yield "collides"
-    use = figures.limit_use
+    elif figures.min_clearance < options.safety_margin_m:
+        yield "breaks the safety margin"
     # Without jerk: that of its time law has peaks that drives round off.
     rates = max(use.velocity, use.acceleration, use.torque) > 1 + _SAME
-    each = [segment.samples.q for segment in plan.baseline_segments]
     if rates or any(bool(((q < limits.lower - _SAME) | (q > limits.upper + _SAME)).any()) for q in each):
         yield "breaks joint limits"
+    off = figures.max_tool_deviation
     if strays(plan):
         yield f"leaves its path by {1e3 * plan.drift:.0f} mm"
+    elif off > options.max_tool_deviation_m * (1 + _SAME):
+        yield f"leaves its path by {1e3 * off:.1f} mm"
+    if max(_rotations(plan)) > np.deg2rad(options.max_tool_rotation_deg) * (1 + _SAME):
+        yield "turns the tool away"
+
+
+def _rotations(plan: Plan) -> Iterator[float]:
+    """By how much the baseline turns the tool away along each stroke, rad; within a cone it may."""
+    for stroke in plan.strokes:
+        most = 0.0 if stroke.task.cone is None else stroke.task.cone
+        yield max(stroke.baseline_figures.max_tool_rotation - most, 0.0)
 
 
 def strays(plan: Plan) -> bool:
@@ -169,9 +192,17 @@ def strays(plan: Plan) -> bool:
     return plan.drift > _STRAYS * plan.options.max_tool_deviation_m
 
 
-def tightest_check(job: Job) -> tuple[Segment, Check]:
-    """Return the promise of a job that uses most of its bound, with the segment that makes it."""
-    return max(job.checks(), key=lambda each: bound_use(each[1]))
+def tightest_check(job: Job, quantity: str | None = None) -> tuple[Segment, Check]:
+    """Return the promise of a job that uses most of its bound, with the segment that makes it.
+
+    Parameters
+    ----------
+    job : Job
+    quantity : str, optional
+        Of the promises of that quantity alone, which every segment makes.
+    """
+    some = (each for each in job.checks() if quantity in (None, each[1].quantity))
+    return max(some, key=lambda each: bound_use(each[1]))
 
 
 def bound_use(check: Check) -> float:
@@ -202,6 +233,29 @@ def _where(plan: Plan) -> str:
     samples = plan.segment_samples[segment.name]
     time = segment.begin + samples.t[np.linalg.norm(samples.guardrail_torque, axis=1).argmax()]
     return f"{during(segment, plan.job)}, at {time:.1f} s"
+
+
+def _gain(plan: Plan) -> str:
+    """How the peak over the whole job compares with the baseline's, where that keeps the limits."""
+    peak, before = (
+        figures.peak_guardrail_torque for figures in (plan.job.figures, plan.baseline_job_figures)
+    )
+    if faults := baseline_faults(plan):
+        return f"; no gain is stated, as the baseline ({before:.1f} Nm) {faults}"
+    text = f", {_compared(peak, before)}"
+    if _SAME < 1 - peak / before < _LITTLE:
+        return f"{text}: hardly anything is gained"
+    if _LITTLE <= 1 - peak / before < _SMALL and (factor := further(plan)) >= _FURTHER:
+        return f"{text}, with joints that travel {factor:.1f} times as far at work"
+    return text
+
+
+def _at_work(plan: Plan) -> str:
+    work, before = (figures.peak_guardrail_torque for figures in (plan.figures, plan.baseline_figures))
+    if baseline_faults(plan) and not baseline_faults(plan, work=True):
+        # It is in its free moves that the baseline breaks a limit.
+        return f"{work:.1f} Nm, {_compared(work, before)}"
+    return f"{work:.1f} Nm (baseline {before:.1f} Nm)"
 
 
 def _compared(peak: float, baseline: float) -> str:

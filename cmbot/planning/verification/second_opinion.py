@@ -1,9 +1,10 @@
 """A second opinion on a trajectory, from the scene and the robot's files by another route.
 
 Optimiser and certificate share the dynamics, the kinematics, the distances, the timed tool path and the joint
-limits of the package: a mistake there would fool both. Here these are computed again at some hundred states,
-without them: the equations of motion body by body, distances as minimum-norm points, the path from its
-formulas, limits from the files. What both say is compared, and what a plan promises is judged a second time.
+limits of the package: a mistake there would fool both. Here these are computed again at some hundred states:
+kinematics, dynamics and the base's wrench by MuJoCo, where it is installed, distances by coal pair by pair,
+limits, timed path and hold from the files. What both say is compared, and what a plan promises is judged a
+second time.
 """
 
 from __future__ import annotations
@@ -12,46 +13,33 @@ from collections.abc import Iterator
 from itertools import zip_longest
 
 import numpy as np
+from scipy.interpolate import BPoly
 
-from cmbot.collision import Clearances
-from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.collision import Clearances, PointDistances
+from cmbot.common.arrays import FloatArray
 from cmbot.elastic.sag import Sag
-from cmbot.planning.certification.check import Check
-from cmbot.planning.verification.convex_distance import ConvexShape, Proven, hull, smallest_distances
-from cmbot.planning.verification.foothold import hold_checks
-from cmbot.planning.verification.multibody import Multibody, PlacedShape
-from cmbot.planning.verification.robot_files import mesh_parts, read_multibody
-from cmbot.planning.verification.scene_path import ScenePath
-from cmbot.robot import Dynamics, Kinematics, Robot
-from cmbot.scene import (
-    SPEED_TOLERANCE,
-    AxisCone,
-    Box,
-    Capsule,
-    Cylinder,
-    Keep,
-    Mesh,
-    PlannerOptions,
-    Scene,
-    Shape,
-    Sphere,
-    Stroke,
-)
+from cmbot.planning.certification.check import Check, largest_check
+from cmbot.planning.verification.described_arm import DescribedArm
+from cmbot.planning.verification.engine import engine_states, is_installed
+from cmbot.planning.verification.hold import hold_checks
+from cmbot.planning.verification.timed_path import DescribedPath
+from cmbot.robot import Dynamics, Efforts, Kinematics, Robot
+from cmbot.scene import SPEED_TOLERANCE, AxisCone, Obstacle, PlannerOptions, Scene, Stroke
 from cmbot.trajectory import QuinticTrajectory
 
-__all__ = ["second_opinion"]
+__all__ = ["judged_motion", "second_opinion"]
 
-# States at which torques and distances are computed again, and how many of them at most are knots.
+# States at which everything is computed again, and how many of them at most are knots.
 _STATES, _KNOTS = 300, 100
 # What two computations of the same may differ by: torques and forces as a share of the largest, tool points
-# and angles in m and rad, limits and times as a share, distances in m.
-_EFFORTS, _POSES, _SHARES, _DISTANCES = 1e-6, 1e-9, 1e-9, 1e-5
+# and angles in m and rad, limits and times as a share, distances in m, points that a file names in m.
+_EFFORTS, _POSES, _SHARES, _DISTANCES, _NAMED = 1e-6, 1e-9, 1e-9, 1e-5, 1e-4
 _LEAST_EFFORT = 1e-9
 # By what share a limit, by how much (m) a margin, by how much (m, rad) a via-point may be missed.
 _LIMIT, _MARGIN, _VIA_POINT = 1e-9, 1e-6, 1e-6
 # A position that is off by x is off by up to 60 x / h^3 in the jerk of a segment of duration h; so many last
 # digits of a position are left to rounding.
-_QUINTIC, _DIGITS = 60, 4
+_QUINTIC, _DIGITS = 60, 8
 # How the checks are called.
 _FROM, _BY = "from a second computation", "by a second computation"
 
@@ -90,293 +78,259 @@ def second_opinion(
     ModelError
         When the robot's files cannot be read as they were for `robot`.
     """
-    body = read_multibody(scene.robot)
     robot = robot.tool_off if stroke is None else robot
-    tool_force = (0.0, 0.0, 0.0) if stroke is None else scene.tool.process_force_n
-    known = _joints_check(body, robot, trajectory)
-    if not known.holds:
+    margin, arm = options.safety_margin_m, DescribedArm.of(scene.robot, robot)
+    checks = judged_motion(arm, robot, scene.obstacles, trajectory, margin)
+    if stroke is None or not all(check.holds for check in checks[:1]):
+        return checks
+    return (*checks, *_stroke_checks(scene, stroke, robot, trajectory, judged=sag is None))
+
+
+def judged_motion(
+    arm: DescribedArm,
+    robot: Robot,
+    obstacles: tuple[Obstacle, ...],
+    trajectory: QuinticTrajectory,
+    margin: float,
+) -> tuple[Check, ...]:
+    """Compute again what holds of every motion, with the tool on or off.
+
+    Parameters
+    ----------
+    arm : DescribedArm
+        What the files say of the robot.
+    robot : Robot
+        What the package made of it.
+    obstacles : tuple of Obstacle
+    trajectory : QuinticTrajectory
+    margin : float, m
+        Least distance that was promised.
+
+    Raises
+    ------
+    ModelError
+        When the robot's files cannot be read as they were for `robot`.
+    """
+    wrong = sum(mine != other for mine, other in zip_longest(arm.joints, robot.joints))
+    quantity, begin = "joints that are not those of the robot's files", float(trajectory.t[0])
+    known = Check(quantity=quantity, time=begin, value=float(wrong), bound=0.0, unit="joints")
+    if wrong:
+        # Without them nothing compares.
         return (known,)
-    times = _state_times(trajectory.t)
-    motion = _motion(trajectory, times)
-    tau, force, torque = body.efforts(motion[0], motion[1], motion[2], tool_force)
-    stance = scene.robot.stance
-    if stance is not None:
-        torque = torque - np.cross(stance.foot, force)
-    efforts = tau, force, torque
+    times, motion = _states(trajectory)
+    efforts = Dynamics(robot).efforts(*motion[:3])
     checks = [
         known,
-        *_effort_checks(
-            body,
-            robot,
-            times,
-            motion,
-            efforts,
-            None if stroke is None else scene.each_stroke[stroke].max_base_torque_nm,
-        ),
-        *hold_checks(scene, body, robot, times, efforts),
-        *_pose_checks(body, robot, times, motion[0]),
-        _limits_check(body, robot, times),
-        *_bound_checks(body, trajectory, times, motion),
-        *_clearance_checks(scene, options, body, robot, times, motion[0]),
+        _limits_check(arm, robot, begin),
+        *_bound_checks(arm, trajectory, times, motion),
+        _joint_check(arm, f"torque of {{}} {_BY}", times, np.abs(efforts.joint_torque), "torque", _TORQUE),
+        *hold_checks(robot, times, efforts.guardrail_wrench),
+        *_clearance_checks(robot, obstacles, margin, times, motion[0]),
     ]
-    if stroke is not None:
-        X_WT = np.eye(4)
-        X_WT[:3, 3], X_WT[:3, :3] = (pose[0] for pose in body.tool_poses(scene.posture[None]))
-        path = ScenePath(scene, X_WT[:3, 3], X_WT[:3, :3], stroke)
-        checks += _path_checks(scene.timed_strokes(X_WT)[stroke], path, times)
-        keep = scene.each_stroke[stroke].keep
-        if isinstance(keep, AxisCone):
-            checks.append(_tilt_check(keep, path, body, times, motion[0]))
-        if sag is None:
-            checks += _via_point_checks(keep, path, body, trajectory)
-            checks += _speed_checks(scene, stroke, path, body, times, motion)
+    if is_installed():
+        checks += _engine_checks(arm, robot, times, motion, efforts)
     return tuple(checks)
 
 
-def _state_times(knots: FloatArray) -> FloatArray:
-    """Times (N,), s: evenly spread ones, and knots."""
-    some = knots[np.linspace(0, len(knots) - 1, min(len(knots), _KNOTS)).round().astype(np.intp)]
-    return np.union1d(some, np.linspace(knots[0], knots[-1], _STATES - len(some)))
+def _states(trajectory: QuinticTrajectory) -> tuple[FloatArray, list[FloatArray]]:
+    """Times (N,), s, evenly spread ones and knots; position to jerk there, four (N, n).
 
-
-def _motion(trajectory: QuinticTrajectory, times: FloatArray) -> list[FloatArray]:
-    """Position, velocity, acceleration and jerk, four (N, n), from the knots' first three.
-
-    The quintic between two knots, in the share of the time between them, by its six conditions.
+    By SciPy's polynomials from the knots' first three; a trajectory is held at its ends.
     """
-    powers = np.arange(6)
-    each = [np.polynomial.polynomial.polyder(np.eye(6), order) for order in range(4)]
-    ends = np.array([each[order].T @ end ** powers[: 6 - order] for end in (0.0, 1.0) for order in range(3)])
-    segment = _segments(trajectory, times)
-    h = np.diff(trajectory.t)[segment, None]
-    # Positions are counted from the segment's beginning, which keeps their digits.
-    start = trajectory.q[segment]
-    given = [
-        (x[segment + end] - (start if order == 0 else 0.0)) * h**order
-        for end in (0, 1)
-        for order, x in enumerate((trajectory.q, trajectory.v, trajectory.a))
-    ]
-    coefficients = np.einsum("cg,gkj->ckj", np.linalg.inv(ends), np.stack(given))
-    u = (times - trajectory.t[segment]) / h[:, 0]
-    rates = [
-        np.einsum("pc,pk,ckj->kj", each[order], u ** powers[: 6 - order, None], coefficients) / h**order
-        for order in range(4)
-    ]
-    return [start + rates[0], *rates[1:]]
+    knots = trajectory.t
+    some = knots[np.linspace(0, len(knots) - 1, min(len(knots), _KNOTS)).round().astype(np.intp)]
+    times = np.union1d(some, np.linspace(knots[0], knots[-1], _STATES - len(some)))
+    return times, [_rates(trajectory, times, order) for order in range(4)]
 
 
-def _segments(trajectory: QuinticTrajectory, times: FloatArray) -> IntArray:
-    """Number (N,) of the segment that each of `times` (N,) is in."""
-    return np.clip(np.searchsorted(trajectory.t, times, side="right") - 1, 0, len(trajectory.t) - 2)
+def _rates(trajectory: QuinticTrajectory, times: FloatArray, order: int) -> FloatArray:
+    """The derivative of so high an order (N, n) at `times` (N,)."""
+    rows = np.stack([trajectory.q, trajectory.v, trajectory.a], axis=1)
+    return np.asarray(BPoly.from_derivatives(trajectory.t, rows)(times, order))
 
 
-def _joints_check(body: Multibody, robot: Robot, trajectory: QuinticTrajectory) -> Check:
-    """Joints of the files that the package does not have in their place; without them nothing compares."""
-    wrong = sum(mine != other for mine, other in zip_longest(body.joints, robot.joints))
-    quantity = "joints that are not those of the robot's files"
-    return Check(quantity=quantity, time=float(trajectory.t[0]), value=float(wrong), bound=0.0, unit="joints")
+_TORQUE = ("Nm", "N")
+_BOUNDED = (
+    ("velocity", ("rad/s", "m/s")),
+    ("acceleration", ("rad/s2", "m/s2")),
+    ("jerk", ("rad/s3", "m/s3")),
+)
 
 
-def _effort_checks(
-    body: Multibody,
-    robot: Robot,
-    times: FloatArray,
-    motion: list[FloatArray],
-    efforts: tuple[FloatArray, FloatArray, FloatArray],
-    most_on_base: float | None,
-) -> Iterator[Check]:
-    """What the package's dynamics differ by, and the torques against their bounds."""
-    q, v, a, _ = motion
-    theirs = Dynamics(robot).efforts(q, v, a)
-    tau, force, torque = efforts
-    for name, own, other, unit in (
-        ("joint torque", tau, theirs.joint_torque, "N" if body.slides.all() else "Nm"),
-        ("guardrail force", force, theirs.guardrail_force, "N"),
-        ("guardrail torque", torque, theirs.guardrail_torque, "Nm"),
-    ):
-        quantity = f"difference of the {name} {_FROM}"
-        bound = max(_EFFORTS * float(np.abs(own).max()), _LEAST_EFFORT)
-        yield _worst(quantity, times, np.abs(own - other).max(axis=1), bound, unit)
-    if most_on_base is not None:
-        size, bound = np.linalg.norm(torque, axis=1), most_on_base * (1 + _LIMIT)
-        yield _worst(f"torque on the base {_BY}", times, size, bound, "Nm")
-    quantity = f"torque of {{}} {_BY}"
-    yield _joint_check(body, quantity, times, np.abs(tau), body.bounds.torque, ("Nm", "N"))
-
-
-def _pose_checks(body: Multibody, robot: Robot, times: FloatArray, q: FloatArray) -> Iterator[Check]:
-    """What the package's kinematics differ by."""
-    (p, R), (p_own, R_own) = Kinematics(robot).tool_poses(q), body.tool_poses(q)
-    bound = _POSES * max(1.0, float(np.abs(p_own).max()))
-    away = np.linalg.norm(p - p_own, axis=1)
-    yield _worst(f"difference of the tool point {_FROM}", times, away, bound, "m")
-    yield _worst(f"difference of the tool's orientation {_FROM}", times, _angles(R, R_own), _POSES, "rad")
-
-
-def _limits_check(body: Multibody, robot: Robot, times: FloatArray) -> Check:
+def _limits_check(arm: DescribedArm, robot: Robot, time: float) -> Check:
     """The limit that the package has read most differently, as a share of it."""
     worst = 0.0
-    for name, own in vars(body.bounds).items():
+    for name, own in vars(arm.limits).items():
         other = getattr(robot.limits, name)
-        same = own == other
         with np.errstate(divide="ignore", invalid="ignore"):
-            share = np.where(same, 0.0, np.abs(other - own) / np.abs(own))
+            share = np.where(own == other, 0.0, np.abs(other - own) / np.abs(own))
         worst = float(np.maximum(worst, share.max()))
     quantity = "difference of a joint limit from the robot's files"
-    return Check(quantity=quantity, time=float(times[0]), value=worst, bound=_SHARES, unit="of the limit")
+    return Check(quantity=quantity, time=time, value=worst, bound=_SHARES, unit="of the limit")
 
 
 def _bound_checks(
-    body: Multibody, trajectory: QuinticTrajectory, times: FloatArray, motion: list[FloatArray]
+    arm: DescribedArm, trajectory: QuinticTrajectory, times: FloatArray, motion: list[FloatArray]
 ) -> Iterator[Check]:
     """Position, velocity, acceleration and jerk, less their rounding, against the limits in the files."""
-    bounds = body.bounds
-    endless = np.isinf(bounds.upper)
-    half = np.where(endless, np.inf, 0.5 * (bounds.upper - bounds.lower))
-    middle = np.where(endless, 0.0, bounds.lower) + np.where(endless, 0.0, half)
-    away = np.abs(motion[0] - middle)
-    quantity = f"distance of {{}} from the middle of its range {_BY}"
-    yield _joint_check(body, quantity, times, away, half, ("rad", "m"))
-    h = np.diff(trajectory.t)[_segments(trajectory, times), None]
+    lower, upper = arm.limits.lower, arm.limits.upper
+    beyond = np.maximum(lower - motion[0], motion[0] - upper).max(axis=1)
+    yield largest_check(f"way of a joint out of its range {_BY}", times, beyond, _LIMIT, "rad or m")
+    segment = np.clip(np.searchsorted(trajectory.t, times, side="right") - 1, 0, len(trajectory.t) - 2)
+    h = np.diff(trajectory.t)
+    # At a knot the shorter one of its segments.
+    shorter = np.minimum(h, np.minimum(np.append(h[1:], np.inf), np.append(np.inf, h[:-1])))[segment, None]
     digits = _QUINTIC * _DIGITS * np.spacing(np.abs(motion[0]).max())
-    rates = (
-        ("velocity", bounds.velocity, ("rad/s", "m/s")),
-        ("acceleration", bounds.acceleration, ("rad/s2", "m/s2")),
-        ("jerk", bounds.jerk, ("rad/s3", "m/s3")),
+    for order, (name, units) in enumerate(_BOUNDED, start=1):
+        at_knot = np.isin(times, trajectory.t)[:, None]
+        rounding = digits / np.where(at_knot, shorter, h[segment, None]) ** order
+        rate = np.maximum(np.abs(motion[order]) - rounding, 0.0)
+        yield _joint_check(arm, f"{name} of {{}} {_BY}", times, rate, name, units)
+
+
+def _joint_check(
+    arm: DescribedArm,
+    quantity: str,
+    times: FloatArray,
+    value: FloatArray,
+    limit: str,
+    units: tuple[str, str],
+) -> Check:
+    """The joint, of absolute values (N, n), that uses most of its limit; units if it turns or slides."""
+    bound = getattr(arm.limits, limit)
+    k, joint = np.unravel_index((value / bound).argmax(), value.shape)
+    return Check(
+        quantity=quantity.format(arm.joints[joint]),
+        time=float(times[k]),
+        value=float(value[k, joint]),
+        bound=float(bound[joint] * (1 + _LIMIT)),
+        unit=units[bool(arm.slides[joint])],
     )
-    for order, (name, bound, units) in enumerate(rates, start=1):
-        rate = np.maximum(np.abs(motion[order]) - digits / h**order, 0.0)
-        yield _joint_check(body, f"{name} of {{}} {_BY}", times, rate, bound, units)
 
 
 def _clearance_checks(
-    scene: Scene,
-    options: PlannerOptions,
-    body: Multibody,
-    robot: Robot,
-    times: FloatArray,
-    q: FloatArray,
+    robot: Robot, obstacles: tuple[Obstacle, ...], margin: float, times: FloatArray, q: FloatArray
 ) -> Iterator[Check]:
-    """What the package's clearances differ by, and the proven ones against the margin."""
-    theirs = Clearances(robot, scene.obstacles).smallest(q).distance
-    own, names = _proven_clearance(scene, body, q)
-    nearest = np.clip(theirs, own.lower, own.upper)
+    """What the package's clearances differ by, and those of coal against the margin."""
+    theirs = Clearances(robot, obstacles).smallest(q).distance
+    own, names = PointDistances(robot, obstacles).smallest(q)
+    # Of shapes that overlap only that counts; without pairs both are infinite.
+    agreed = ((own < 0) & (theirs < 0)) | (own == theirs)
     with np.errstate(invalid="ignore"):
-        # Of shapes that overlap only that counts; without pairs both are infinite.
-        agreed = ((own.upper < 0) & (theirs < 0)) | (nearest == theirs)
-        away = np.where(agreed, 0.0, np.abs(theirs - nearest))
-    yield _worst(f"difference of the clearance {_FROM}", times, away, _DISTANCES, "m")
-    k = int(own.lower.argmin())
-    who = " of {} from {}".format(*names[own.pair[k]]) if names else ""
+        away = np.where(agreed, 0.0, np.abs(theirs - own))
+    yield largest_check(f"difference of the clearance {_FROM}", times, away, _DISTANCES, "m")
+    k = int(own.argmin())
+    who = " of {} from {}".format(*names[k]) if any(names[k]) else ""
     yield Check(
         quantity=f"clearance{who} {_BY}",
         time=float(times[k]),
-        value=float(own.lower[k]),
-        bound=options.safety_margin_m - _MARGIN,
+        value=float(own[k]),
+        bound=margin - _MARGIN,
         unit="m",
         at_least=True,
     )
 
 
-def _proven_clearance(scene: Scene, body: Multibody, q: FloatArray) -> tuple[Proven, list[tuple[str, str]]]:
-    """Bounds of the smallest distance to obstacles, and of the arm to the robot's other shapes.
-
-    Also what the pairs of shapes are called.
-    """
-    shapes, pairs = _shapes_and_pairs(scene, body)
-    R_WJ, p_WJ = body.frames(q)
-    R, p = np.empty((len(shapes), len(q), 3, 3)), np.empty((len(shapes), len(q), 3))
-    for k, one in enumerate(shapes):
-        R[k] = R_WJ[one.joint] @ one.X_JS[:3, :3]
-        p[k] = p_WJ[one.joint] + R_WJ[one.joint] @ one.X_JS[:3, 3]
-    proven = smallest_distances([one.shape for one in shapes], R, p, pairs)
-    return proven, [(shapes[first].link, shapes[second].link) for first, second in pairs]
-
-
-def _shapes_and_pairs(scene: Scene, body: Multibody) -> tuple[list[PlacedShape], list[tuple[int, int]]]:
-    """Shapes of the robot and of the obstacles, and the pairs of them whose distances count."""
-    shapes, pairs = list(body.shapes), list(body.pairs)
-    moving = [k for k, one in enumerate(shapes) if one.joint > 0]
-    for obstacle in scene.obstacles:
-        for X_OS, shape in _obstacle_shapes(obstacle.shape):
-            pairs += [(k, len(shapes)) for k in moving]
-            X_WS = np.asarray(obstacle.X_WO) @ X_OS
-            shapes.append(PlacedShape(link=obstacle.name, joint=0, X_JS=X_WS, shape=shape))
-    return shapes, pairs
-
-
-def _obstacle_shapes(shape: Shape) -> Iterator[tuple[FloatArray, ConvexShape]]:
-    """Convex shapes of an obstacle with their poses in it: of a mesh the hulls of its connected parts."""
-    match shape:
-        case Box(size=size):
-            yield np.eye(4), ConvexShape(half=0.5 * np.array(size))
-        case Cylinder(radius=radius, length=length):
-            yield np.eye(4), ConvexShape(half=np.array([0.0, 0.0, 0.5 * length]), disc=radius)
-        case Capsule(radius=radius, length=length):
-            yield np.eye(4), ConvexShape(half=np.array([0.0, 0.0, 0.5 * length]), radius=radius)
-        case Sphere(radius=radius):
-            yield np.eye(4), ConvexShape(radius=radius)
-        case Mesh(path=path):
-            for points in mesh_parts(path):
-                X = np.eye(4)
-                X[:3, 3], convex = hull(points)
-                yield X, convex
-
-
-def _path_checks(stroke: Stroke, own: ScenePath, times: FloatArray) -> Iterator[Check]:
-    """What the package's timed path differs by."""
-    path = stroke.path
-    poses, (p, R) = path.poses(times), own.poses(times)
-    away = np.linalg.norm(poses.point - p, axis=1)
-    bound = _POSES * max(1.0, float(np.abs(path.corners).max()))
-    yield _worst(f"difference of the timed tool path {_FROM}", times, away, bound, "m")
-    turned = _angles(np.broadcast_to(poses.rotation, R.shape), R)
-    yield _worst(f"turn between the timed tool path and that {_FROM}", times, turned, _POSES, "rad")
-    via_times = own.via_times()
-    late = np.abs(stroke.via_times - via_times)
-    bound = _SHARES * float(via_times[-1])
-    yield _worst(f"difference of the via-points' times {_FROM}", via_times, late, bound, "s")
-
-
-def _via_point_checks(
-    keep: Keep, path: ScenePath, body: Multibody, trajectory: QuinticTrajectory
+def _engine_checks(
+    arm: DescribedArm, robot: Robot, times: FloatArray, motion: list[FloatArray], efforts: Efforts
 ) -> Iterator[Check]:
-    """Whether the tool is at its timed pose at the via-points."""
-    ends = trajectory.t[[0, -1]]
-    # A trajectory is to end with its path: where it is shorter or longer, it is held at its ends.
-    times = np.concatenate([path.via_times(), ends])
-    p, R = body.tool_poses(_motion(trajectory, np.clip(times, *ends))[0])
-    p_timed, R_timed = path.poses(times)
-    away = np.linalg.norm(p - p_timed, axis=1)
-    yield _worst("distance of the tool from its timed via-point", times, away, _VIA_POINT, "m")
-    if keep not in ("pose", "axis"):
+    """What kinematics, dynamics and the whole robot's wrench differ by from those of the second engine."""
+    q, v, a, _ = motion
+    found, (p, R) = engine_states(arm, (q, v, a), robot.tool_force), Kinematics(robot).tool_poses(q)
+    bound = _POSES * max(1.0, float(np.abs(found.tool_point).max()))
+    away = np.linalg.norm(p - found.tool_point, axis=1)
+    yield largest_check(f"difference of the tool point {_FROM}", times, away, bound, "m")
+    turned = _angles(R, found.tool_rotation)
+    yield largest_check(f"difference of the tool's orientation {_FROM}", times, turned, _POSES, "rad")
+    weight = robot.carrier_mass * np.array(robot.model.gravity.linear)
+    for name, own, other, unit in (
+        ("joint torque", found.joint_torque, efforts.joint_torque, _TORQUE[bool(arm.slides.all())]),
+        ("guardrail force", found.base_force, efforts.guardrail_force + weight, "N"),
+        ("guardrail torque", found.base_torque, efforts.guardrail_torque + robot.carrier_torque, "Nm"),
+    ):
+        if own is not None:
+            bound = max(_EFFORTS * float(np.abs(own).max()), _LEAST_EFFORT)
+            quantity, away = f"difference of the {name} {_FROM}", np.abs(own - other).max(axis=1)
+            yield largest_check(quantity, times, away, bound, unit)
+
+
+def _stroke_checks(
+    scene: Scene, number: int, robot: Robot, trajectory: QuinticTrajectory, *, judged: bool
+) -> Iterator[Check]:
+    """What the timed path differs by, and whether the tool is on it at its speed, where that is judged."""
+    X_WT = np.eye(4)
+    start = Kinematics(robot).tool_poses(np.array(scene.posture)[None])
+    X_WT[:3, 3], X_WT[:3, :3] = (pose[0] for pose in start)
+    size = np.abs(X_WT).max()
+    if not np.isfinite(size):
+        # No path begins there.
+        yield Check(quantity="place of the tool at the start", time=0.0, value=size, bound=0.0, unit="m")
         return
-    turned = _angles(R, R_timed) if keep == "pose" else _between(R[:, :, 2], R_timed[:, :, 2])
-    yield _worst("turn of the tool at its via-point", times, turned, _VIA_POINT, "rad")
+    strokes = scene.timed_strokes(X_WT)
+    stroke, keep = strokes[number], strokes[number].file.keep
+    times, motion = _states(trajectory)
+    described = DescribedPath(scene, stroke, X_WT if number == 0 else strokes[number - 1].path.end_pose)
+    yield from _path_checks(stroke, described, times)
+    most = stroke.file.max_base_torque_nm
+    if most is not None:
+        torque = np.linalg.norm(Dynamics(robot).efforts(*motion[:3]).guardrail_torque, axis=1)
+        yield largest_check(f"torque on the base {_BY}", times, torque, most * (1 + _LIMIT), "Nm")
+    kinematics = Kinematics(robot)
+    if isinstance(keep, AxisCone):
+        # A trajectory is to end with its path: where it is longer, the path's end counts.
+        z, timed = kinematics.tool_poses(motion[0])[1][:, :, 2], described.poses(times)[1]
+        bound = np.radians(keep.axis_within_deg) * (1 + _LIMIT)
+        yield largest_check(f"tool tilt {_BY}", times, _between(z, timed[:, :, 2]), bound, "rad")
+    if not judged:
+        return
+    ends = trajectory.t[[0, -1]]
+    via = np.concatenate([described.via_times, ends])
+    (p, R), (p_timed, R_timed) = (
+        kinematics.tool_poses(_rates(trajectory, np.clip(via, *ends), 0)),
+        described.poses(via),
+    )
+    away = np.linalg.norm(p - p_timed, axis=1)
+    yield largest_check("distance of the tool from its timed via-point", via, away, _VIA_POINT, "m")
+    if keep in ("pose", "axis"):
+        turned = _angles(R, R_timed) if keep == "pose" else _between(R[:, :, 2], R_timed[:, :, 2])
+        yield largest_check("turn of the tool at its via-point", via, turned, _VIA_POINT, "rad")
+    yield from _speed_checks(scene, stroke, kinematics, times, motion)
 
 
-def _tilt_check(cone: AxisCone, path: ScenePath, body: Multibody, times: FloatArray, q: FloatArray) -> Check:
-    """The angle between the tool's axis and that of the path against the scene's."""
-    # A trajectory is to end with its path: where it is longer, the path's end counts.
-    z, z_timed = (R[:, :, 2] for R in (body.tool_poses(q)[1], path.poses(times)[1]))
-    bound = np.radians(cone.axis_within_deg) * (1 + _LIMIT)
-    return _worst(f"tool tilt {_BY}", times, _between(z, z_timed), bound, "rad")
+def _path_checks(stroke: Stroke, described: DescribedPath, times: FloatArray) -> Iterator[Check]:
+    """What the package's timed path differs by from what the file says."""
+    path = stroke.path
+    if described.is_plain:
+        (p, R), poses = described.poses(times), path.poses(times)
+        away, size = np.linalg.norm(poses.point - p, axis=1), max(1.0, float(np.abs(path.corners).max()))
+        yield largest_check(f"difference of the timed tool path {_FROM}", times, away, _POSES * size, "m")
+        turned = _angles(np.broadcast_to(poses.rotation, R.shape), R)
+        yield largest_check(
+            f"turn between the timed tool path and that {_FROM}", times, turned, _POSES, "rad"
+        )
+    elif len(away := described.misses(times)):
+        quantity = f"distance of the timed tool path from what the file names {_BY}"
+        yield largest_check(quantity, np.zeros(len(away)), away, _NAMED, "m")
+    late = np.abs(stroke.via_times - described.via_times)
+    quantity, bound = f"difference of the via-points' times {_FROM}", _SHARES * float(stroke.via_times[-1])
+    yield largest_check(quantity, described.via_times, late, bound, "s")
 
 
 def _speed_checks(
-    scene: Scene, stroke: int, path: ScenePath, body: Multibody, times: FloatArray, motion: list[FloatArray]
+    scene: Scene, stroke: Stroke, kinematics: Kinematics, times: FloatArray, motion: list[FloatArray]
 ) -> Iterator[Check]:
     """The speed of the tool point against the scene's, with the tolerance that it has."""
-    speed = np.linalg.norm(body.tool_velocities(motion[0], motion[1]), axis=1)
+    J = kinematics.tool_point_jacobians(motion[0])[1]
+    speed = np.linalg.norm(np.einsum("kij,kj->ki", J, motion[1]), axis=1)
     if scene.tool.max_speed_m_s is not None:
         bound = scene.tool.max_speed_m_s * (1 + SPEED_TOLERANCE) * (1 + _LIMIT)
-        yield _worst(f"tool speed {_BY}", times, speed, bound, "m/s")
-    tolerance, asked = scene.each_stroke[stroke].speed_tolerance, path.process_speeds(times)
+        yield largest_check(f"tool speed {_BY}", times, speed, bound, "m/s")
+    tolerance, asked = stroke.file.speed_tolerance, stroke.path.process_speed(times)
     if tolerance is not None:
-        missed = np.where(asked > 0, np.abs(speed / np.where(asked > 0, asked, 1.0) - 1.0), 0.0)
-        yield _worst(
-            f"deviation of the process speed {_BY}", times, missed, tolerance * (1 + _LIMIT), "of it"
-        )
+        on, given = asked > 0, stroke.file.speed_m_s
+        missed = np.abs(speed / np.where(on, given or asked, 1.0) - 1.0) * on
+        quantity = f"deviation of the process speed {_BY}"
+        yield largest_check(quantity, times, missed, tolerance * (1 + _LIMIT), "of it")
 
 
 def _angles(R: FloatArray, other: FloatArray) -> FloatArray:
@@ -388,27 +342,3 @@ def _angles(R: FloatArray, other: FloatArray) -> FloatArray:
 def _between(z: FloatArray, other: FloatArray) -> FloatArray:
     """Angles (N,), rad, between unit vectors (N, 3) and another."""
     return np.asarray(2 * np.arcsin(np.minimum(np.linalg.norm(z - other, axis=1) / 2, 1.0)))
-
-
-def _worst(quantity: str, times: FloatArray, value: FloatArray, bound: float, unit: str) -> Check:
-    k = int(value.argmax())
-    return Check(quantity=quantity, time=float(times[k]), value=float(value[k]), bound=bound, unit=unit)
-
-
-def _joint_check(
-    body: Multibody,
-    quantity: str,
-    times: FloatArray,
-    value: FloatArray,
-    bound: FloatArray,
-    units: tuple[str, str],
-) -> Check:
-    """The joint, of absolute values (N, n), that uses most of its bound (n,); units if it turns or slides."""
-    k, joint = np.unravel_index((value / bound).argmax(), value.shape)
-    return Check(
-        quantity=quantity.format(body.joints[joint]),
-        time=float(times[k]),
-        value=float(value[k, joint]),
-        bound=float(bound[joint] * (1 + _LIMIT)),
-        unit=units[bool(body.slides[joint])],
-    )

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from cmbot.common.errors import MissingExtra, ModelError
-from cmbot.common.input_files import is_file
+from cmbot.common.input_files import is_file, read_input
 from cmbot.common.installation import model_folder
 from cmbot.common.representation import short_repr
 from cmbot.common.robot_library import LIBRARY, LIBRARY_EXTRA, is_robot_name, library_robots, library_srdf
 from cmbot.common.validation import given_path, hint
+from cmbot.common.yaml_reader import LARGEST_FILE
 
 __all__ = ["RobotFiles", "robot_files"]
 
 _SHIPPED = "cmbot"
+# MoveIt's files of joint limits have the same name. One of ours that lacks its format is known by its keys.
+_OUR_LIMITS = re.compile(
+    r"""^\ufeff?(?:\{\s*)?["']?format["']?\s*:\s*["']?cmbot-|\b(?:acceleration_deg|jerk_deg|\w+_m_s[23])\b""",
+    re.M,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +38,8 @@ class RobotFiles:
         Where the packages are sought first that the URDF names.
     base_frame, tool_frame : str or None
         Of the shipped robot's arm.
+    left_alone : pathlib.Path or None
+        A ``joint_limits.yaml`` beside the URDF that is of another kind, such as MoveIt's.
     """
 
     urdf: Path
@@ -40,6 +49,7 @@ class RobotFiles:
     package_dirs: tuple[Path, ...]
     base_frame: str | None = None
     tool_frame: str | None = None
+    left_alone: Path | None = None
 
     __repr__ = short_repr
 
@@ -59,7 +69,8 @@ def robot_files(
     Raises
     ------
     ModelError
-        When there is no such robot, or an argument is no path.
+        When there is no such robot, an argument is no path, or a file of joint limits beside the URDF cannot
+        be read.
     MissingExtra
         When `model` is no file but could be a robot of example-robot-data, and that is not installed.
     """
@@ -74,15 +85,18 @@ def robot_files(
         if is_robot_name(str(model)) and not is_file(urdf):
             urdf = _in_library(str(model))
             near = library_srdf(urdf)
+    beside = None if limits is not None else _existing(urdf.with_name("joint_limits.yaml"))
+    foreign = beside is not None and _is_foreign(beside)
     return RobotFiles(
         urdf=urdf,
         srdf=_given("srdf", srdf) or _existing(urdf.with_suffix(".srdf")) or near,
-        limits=_given("limits", limits) or _existing(urdf.with_name("joint_limits.yaml")),
+        limits=_given("limits", limits) or (None if foreign else beside),
         elasticity=_given("elasticity", elasticity) or _existing(urdf.with_suffix(".elasticity.yaml")),
         package_dirs=tuple(
             given_path(place, "load_robot", "package_dirs", "the paths of folders").resolve()
             for place in package_dirs
         ),
+        left_alone=beside if foreign else None,
         **frames,
     )
 
@@ -106,3 +120,9 @@ def _given(key: str, path: str | Path | None) -> Path | None:
 
 def _existing(path: Path) -> Path | None:
     return path if path.exists() else None
+
+
+def _is_foreign(limits: Path) -> bool:
+    """Whether a file of joint limits has something in it, and nothing that only ours have."""
+    text = read_input(limits, ModelError, largest=LARGEST_FILE).decode("utf-8", "replace")
+    return bool(text.strip()) and _OUR_LIMITS.search(text) is None

@@ -1,10 +1,13 @@
-"""Mesh files of a URDF: where they lie, and what is checked before another library reads them."""
+"""Mesh files of a URDF: where they lie, and what is checked before another library reads them.
+
+Collision meshes that cannot be used are refused. Visual ones only matter to who looks: a box is drawn.
+"""
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
@@ -13,6 +16,7 @@ from xml.etree import ElementTree
 
 import coal
 import numpy as np
+import pinocchio as pin
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import ModelError
@@ -27,6 +31,7 @@ __all__ = [
     "is_near",
     "locate_meshes",
     "mesh_loader",
+    "replace_unreadable",
     "require_near_meshes",
     "vertices_of",
 ]
@@ -38,36 +43,68 @@ FARTHEST = 1e4
 _LIBRARIES = re.compile(rb"^[ \t]*mtllib[ \t]+([^\r\n]+)", re.MULTILINE)
 # It names further files of any kind.
 _REFUSED_FORMATS = (".gltf",)
+# Edges, m, of a box in place of a visual mesh: at least, and where the link has no collision shape either.
+_THINNEST, _EDGE = 1e-3, 0.05
 
 
-def locate_meshes(urdf: Path, root: ElementTree.Element, package_dirs: Sequence[Path] = ()) -> None:
+def locate_meshes(
+    urdf: Path, root: ElementTree.Element, package_dirs: Sequence[Path] = ()
+) -> tuple[tuple[str, str], ...]:
     """Give every mesh of a URDF the absolute path of its file, in place.
 
     A path is relative to the URDF; ``package://`` to a package in one of `package_dirs`, beside the URDF or
-    above it, or one that ROS knows.
+    above it, or one that ROS knows. A visual mesh whose file is missing, no regular file, empty or too large
+    becomes a box, as `replace_unreadable` has it.
+
+    Returns
+    -------
+    tuple of (str, str)
+        Key of each visual mesh that became a box, and what is the matter with it.
 
     Raises
     ------
     ModelError
-        When a file is missing, no regular file, empty or too large.
+        When a collision mesh's file is missing, no regular file, empty or too large.
     """
-    folder, checked = urdf.resolve().parent, dict[str, str]()
+    folder, located = urdf.resolve().parent, dict[str, str]()
+
+    def locate(link: ElementTree.Element, mesh: ElementTree.Element) -> None:
+        name = mesh.get("filename", "")
+        if name not in located:
+            path = _located(name, folder, package_dirs)
+            try:
+                _require_mesh(path)
+            except ModelError as error:
+                sought = path if path.is_absolute() else "any package beside or above it or in package_dirs"
+                got = f"{shown(name)}, {error.got} ({sought})"
+                raise ModelError(str(urdf), _key(link), got, error.expected) from error
+            located[name] = str(path)
+        mesh.set("filename", located[name])
+
+    for link, _, mesh in _meshes(root, "collision"):
+        locate(link, mesh)
+    told = []
+    for link, visual, mesh in list(_meshes(root, "visual")):
+        try:
+            locate(link, mesh)
+        except ModelError as error:
+            told.append((error.key, str(error.got)))
+            _replace_by_box(link, visual)
+    return tuple(told)
+
+
+def _meshes(
+    root: ElementTree.Element, tag: str
+) -> Iterator[tuple[ElementTree.Element, ElementTree.Element, ElementTree.Element]]:
+    """Yield the meshes of a URDF's shapes `tag`, each after its link and its shape."""
     for link in root.findall("link"):
-        for mesh in link.iter("mesh"):
-            name = mesh.get("filename", "")
-            if name not in checked:
-                path = _located(name, folder, package_dirs)
-                try:
-                    _require_mesh(path)
-                except ModelError as error:
-                    key = f"link[{link.get('name')}].mesh.filename"
-                    sought = (
-                        path if path.is_absolute() else "any package beside or above it or in package_dirs"
-                    )
-                    got = f"{shown(name)}, {error.got} ({sought})"
-                    raise ModelError(str(urdf), key, got, error.expected) from error
-                checked[name] = str(path)
-            mesh.set("filename", checked[name])
+        for shape in link.findall(tag):
+            for mesh in shape.iter("mesh"):
+                yield link, shape, mesh
+
+
+def _key(link: ElementTree.Element) -> str:
+    return f"link[{link.get('name')}].mesh.filename"
 
 
 def mesh_loader(root: ElementTree.Element | None = None) -> Any:
@@ -127,18 +164,85 @@ def require_near_meshes(root: ElementTree.Element, tag: str, source: str) -> Non
     They are located before. Those are refused that coal cannot read, or whose vertices are too far away.
     """
     loader = mesh_loader()
-    for link in root.findall("link"):
-        for mesh in (mesh for shape in link.findall(tag) for mesh in shape.iter("mesh")):
-            path, scale = mesh.get("filename", ""), mesh.get("scale", "1 1 1")
-            key, name = f"link[{link.get('name')}].mesh.filename", shown(Path(path).name)
-            try:
-                shape = loader.load(path, np.array(scale.split(), dtype=float))
-            except (ValueError, RuntimeError, IndexError) as error:
-                got = f"{name}, which coal cannot read ({' '.join(str(error).split())})"
-                raise ModelError(source, key, got, "a mesh file") from error
-            if not is_near(shape):
-                got = f"{name}, which is larger or not finite"
-                raise ModelError(source, key, got, f"a mesh of vertices within {FARTHEST:g} m")
+    for link, _, mesh in _meshes(root, tag):
+        _require_near(link, mesh, loader, source)
+
+
+def replace_unreadable(root: ElementTree.Element, source: str) -> tuple[tuple[str, str], ...]:
+    """Replace the visual meshes that `require_near_meshes` refuses by boxes, in place; as `locate_meshes`.
+
+    A box is that about the link's collision shapes. A link with other visual shapes does without one.
+    """
+    loader, told = mesh_loader(), []
+    for link, visual, mesh in list(_meshes(root, "visual")):
+        try:
+            _require_near(link, mesh, loader, source)
+        except ModelError as error:
+            told.append((error.key, str(error.got)))
+            _replace_by_box(link, visual)
+    return tuple(told)
+
+
+def _require_near(link: ElementTree.Element, mesh: ElementTree.Element, loader: Any, source: str) -> None:
+    name = shown(Path(mesh.get("filename", "")).name)
+    try:
+        shape = _loaded(mesh, loader)
+    except (ValueError, RuntimeError, IndexError) as error:
+        got = f"{name}, which coal cannot read ({' '.join(str(error).split())})"
+        raise ModelError(source, _key(link), got, "a mesh file") from error
+    if not is_near(shape):
+        got = f"{name}, which is larger or not finite"
+        raise ModelError(source, _key(link), got, f"a mesh of vertices within {FARTHEST:g} m")
+
+
+def _loaded(mesh: ElementTree.Element, loader: Any) -> Any:
+    return loader.load(mesh.get("filename", ""), _numbers(mesh.get("scale", "1 1 1")))
+
+
+def _numbers(text: str) -> FloatArray:
+    return np.array(text.split(), dtype=float)
+
+
+def _replace_by_box(link: ElementTree.Element, visual: ElementTree.Element) -> None:
+    """Draw the box about a link's collision shapes in place of a visual one, unless it has another one."""
+    if len(link.findall("visual")) > 1:
+        link.remove(visual)
+        return
+    corners = np.concatenate([np.empty((0, 3)), *map(_corners, link.findall("collision"))])
+    for part in (*visual.findall("geometry"), *(visual.findall("origin") if len(corners) else ())):
+        visual.remove(part)
+    edges = np.full(3, _EDGE)
+    if len(corners):
+        edges = np.maximum(np.ptp(corners, axis=0), _THINNEST)
+        middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+        ElementTree.SubElement(visual, "origin", xyz=" ".join(map(str, middle.tolist())), rpy="0 0 0")
+    geometry = ElementTree.SubElement(visual, "geometry")
+    ElementTree.SubElement(geometry, "box", size=" ".join(map(str, edges.tolist())))
+
+
+def _corners(collision: ElementTree.Element) -> FloatArray:
+    """Corners (8, 3), m, in the link's frame, of the box about a collision shape; none of an unusable one."""
+    shape = None
+    for part in collision.findall("geometry/*"):
+        size, radius, length = (_numbers(part.get(name, "0")) for name in ("size", "radius", "length"))
+        match part.tag:
+            case "box":
+                shape = coal.Box(*size)
+            case "cylinder":
+                shape = coal.Cylinder(*radius, *length)
+            case "sphere":
+                shape = coal.Sphere(*radius)
+            case "mesh":
+                # Planning refuses one that cannot be read.
+                with suppress(ValueError, RuntimeError, IndexError):
+                    shape = _loaded(part, mesh_loader())
+    if shape is None or not is_near(shape):
+        return np.empty((0, 3))
+    box = np.array([shape.aabb_local.min_, shape.aabb_local.max_])
+    corners = np.stack(np.meshgrid(*box.T), axis=-1).reshape(-1, 3)
+    origin = collision.find("origin")
+    xyz, rpy = (np.zeros(3) if origin is None else _numbers(origin.get(k, "0 0 0")) for k in ("xyz", "rpy"))
+    return np.asarray(corners @ pin.rpy.rpyToMatrix(rpy).T + xyz)
 
 
 def _located(name: str, folder: Path, package_dirs: Sequence[Path]) -> Path:

@@ -47,10 +47,16 @@ def expand_xacro(path: Path, content: bytes, package_dirs: Sequence[Path] = ()) 
             f"{path.name} is xacro, not yet a URDF: xacro {path.name} > robot.urdf expands it too"
         )
         raise missing from error
-    failures = (xacro.XacroException, packages.PackageNotFoundError, ExpatError, OSError, ValueError)
+    # xacro raises Python's own errors for what it does not check, such as a missing attribute.
+    failures = (
+        *(xacro.XacroException, packages.PackageNotFoundError, ExpatError),
+        *(OSError, ValueError, RuntimeError, AttributeError, LookupError, TypeError),
+    )
     name, folder = _NAME.search(content), path.resolve().parent
     known: dict[str, str] = {}
     for _ in range(_MOST_PACKAGES):
+        # A failure leaves behind the files that were open.
+        xacro.init_stacks(None)
         packages.reset()
         packages.update_package_cache(known)
         try:
@@ -59,6 +65,16 @@ def expand_xacro(path: Path, content: bytes, package_dirs: Sequence[Path] = ()) 
                 name=name[1].decode(errors="replace") if name else path.name.partition(".")[0],
                 resolve_packages=False,
             )
+            # What xacro makes need not be XML.
+            expanded: str = document.to_urdf_string()
+            return expanded.encode()
+        except RecursionError as error:
+            included = next((file for file in xacro.filestack if xacro.filestack.count(file) > 1), None)
+            got = "xacro that is nested too deep, such as a macro that calls itself"
+            if included is not None:
+                got = f"xacro in which {Path(included).name} includes itself, perhaps through other files"
+            expected = "files and macros that do not lead back to themselves"
+            raise ModelError(str(path), "", got, expected) from error
         except failures as error:
             text = one_line(error)
             wanted = _MISSING.search(text)
@@ -72,7 +88,4 @@ def expand_xacro(path: Path, content: bytes, package_dirs: Sequence[Path] = ()) 
                     str(path), "", got, "xacro whose arguments have defaults, or a URDF"
                 ) from error
             known[wanted[1]] = str(place)
-        else:
-            expanded: str = document.to_urdf_string()
-            return expanded.encode()
     raise ModelError(str(path), "", "xacro of too many packages", f"at most {_MOST_PACKAGES}")

@@ -145,16 +145,16 @@ class GuardrailFile(FileModel):
     rails: Annotated[tuple[RailFile, ...], Field(max_length=100)] = _RAILS
     foot: FootFile = FootFile()
     hold: Holds | None = None
-    """How the feet hold; of ``cmbot-scene/2``; left out: welded."""
+    """How the feet hold; left out: welded."""
     stance: StanceFile | None = None
-    """Where the feet hold, in place of `foot`, which then says where W is: at that post. Of
-    ``cmbot-scene/2``, with ``model: cmbot``."""
+    """Where the feet hold, in place of `foot`, which then says where W is: at that post. With
+    ``model: cmbot``."""
     material: MaterialFile = MaterialFile()
     stiffness: Matrix6 | None = None
     """6 x 6 stiffness at the origin of W, linear then angular (N/m, N/rad, Nm/rad), or the 6 numbers of its
     diagonal; left out: the frame's."""
     stiffness_factor: Annotated[float, Field(ge=1e-3, le=1e3)] | None = None
-    """Factor on the frame's stiffness; of ``cmbot-scene/2``; left out: 1."""
+    """Factor on the frame's stiffness; left out: 1."""
     mass: Matrix6 | None = None
     """6 x 6 mass that moves with the foot, beside `stiffness`; left out: none."""
 
@@ -201,8 +201,6 @@ class GuardrailFile(FileModel):
             got = "a factor beside it" if self.stiffness is not None else "a factor"
             raise refusal("posts whose stiffness it is of", got=got, key=("stiffness_factor",))
         if self.mass is not None:
-            if self.stiffness is None:
-                raise refusal("no mass where no stiffness is given", got="a mass alone", key=("mass",))
             check_positive_definite(self.mass, "mass")
         return self
 

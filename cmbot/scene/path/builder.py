@@ -411,7 +411,7 @@ class _PathBuilder:
 
     def _waypoints(self) -> tuple[FloatArray, FloatArray]:
         """Points (K, 3) and orientations (K, 3, 3) in W, each quaternion of the sign nearer to the last."""
-        rows = np.array(self._file.waypoints, dtype=float)
+        rows = np.array(self._file.passed, dtype=float)
         orientations = Rotation.from_quat(rows[:, [4, 5, 6, 3]]).as_matrix()
         return rows[:, :3], orientations
 

@@ -1,4 +1,4 @@
-"""What a scene file says of the tool path: legs, poses and waypoints."""
+"""What a scene file says of the tool path: legs and poses."""
 
 from __future__ import annotations
 
@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-import numpy as np
-from pydantic import AfterValidator, Field, GetPydanticSchema, PlainSerializer, WrapValidator
+from pydantic import Field, GetPydanticSchema, PlainSerializer, WrapValidator
 
 from cmbot.common.errors import InputError
-from cmbot.common.validation import CheckedFields, refusal
+from cmbot.common.validation import CheckedFields
 from cmbot.scene.fields import (
     Angle,
     Angles,
-    Coordinate,
     LongVector,
     Slug,
     UnitVector,
@@ -32,11 +30,7 @@ __all__ = [
     "SecondsOrAuto",
     "Speed",
     "ViaPoints",
-    "Waypoint",
 ]
-
-# A unit quaternion up to what files round.
-_LENGTH_OF_QUATERNION = 1e-3
 
 AUTO: Literal["auto"] = "auto"
 """Seconds that are to be found."""
@@ -165,7 +159,7 @@ class Leg(CheckedFields):
     pause : float or None
         In place of `by` seconds in which the tool waits.
     seconds : float, "auto" or None
-        Duration, s; ``auto``: the shortest within the limits, of ``cmbot-scene/2``.
+        Duration, s; ``auto``: the shortest within the limits.
     speed_m_s : float or None
         In place of `seconds` the speed at which the tool cruises, m/s; the ramps come on top.
 
@@ -202,23 +196,6 @@ class Leg(CheckedFields):
     def given_seconds(self) -> float:
         """Seconds that are given, s: 0 where they follow from a speed, or are to be found."""
         return self.seconds if isinstance(self.seconds, float) else self.pause or 0.0
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether it is a displacement in so many seconds, all that ``cmbot-scene/1`` knows."""
-        return self.by is not None and self.seconds is not None and self.seconds != AUTO
-
-
-def _unit_quaternion(row: tuple[float, ...]) -> tuple[float, ...]:
-    if abs(float(np.linalg.norm(row[3:])) - 1.0) > _LENGTH_OF_QUATERNION:
-        raise refusal("x, y, z and a unit quaternion qw, qx, qy, qz", got=row)
-    return row
-
-
-Waypoint = Annotated[
-    tuple[Coordinate, ...], Field(min_length=7, max_length=7), AfterValidator(_unit_quaternion)
-]
-"""Point, m, and unit quaternion (w, x, y, z) of the tool in W."""
 
 
 def _at_most_one(instance: object, names: Sequence[str]) -> None:

@@ -13,8 +13,9 @@ from pydantic import ConfigDict, Field, GetPydanticSchema, PlainSerializer, Wrap
 
 from cmbot.common.validation import FileModel, counted, hint, refusal, shown
 from cmbot.scene.fields import Slug
-from cmbot.scene.path.legs import AUTO, Goal, Leg, SecondsOrAuto, Speed, ViaPoints, Waypoint
+from cmbot.scene.path.legs import AUTO, Goal, Leg, SecondsOrAuto, Speed, ViaPoints
 from cmbot.scene.path.time_law import LegLaw, SpeedProfile
+from cmbot.scene.path.waypoints import SAME_PLACE, Waypoint, distinct, turned_in_place
 from cmbot.scene.raster.raster import Raster
 
 __all__ = [
@@ -101,26 +102,25 @@ class PathFile(FileModel):
 
     keep: Keep = "pose"
     """What the path prescribes of the tool: its pose, its point and axis, its point alone, or with
-    ``{axis_within_deg: 10}`` its point and a cone for its axis; the cone is of ``cmbot-scene/2``."""
+    ``{axis_within_deg: 10}`` its point and a cone for its axis."""
     start_pose: Annotated[Goal | None, Field(alias="from")] = None
-    """Where the path begins, in place of the tool's pose in the start posture; of ``cmbot-scene/2``."""
+    """Where the path begins, in place of the tool's pose in the start posture."""
     legs: Annotated[tuple[Leg, ...], Field(max_length=2000)] = ()
     """Legs from where the path begins, each from rest to rest."""
     waypoints: Annotated[tuple[Waypoint, ...] | None, Field(min_length=FEWEST_WAYPOINTS, max_length=2000)] = (
         None
     )
     """In place of `legs`, points in m and unit quaternions of the tool in W (x, y, z, qw, qx, qy, qz), which
-    it passes without a stop, from the first to the last; in a file also the path of a CSV file with these
-    columns, relative to it; of ``cmbot-scene/2``."""
+    it passes without a stop, from the first to the last; neighbours less than 0.1 mm apart are one; in a
+    file also the path of a CSV file with these columns, relative to it."""
     raster: Raster | None = None
-    """In place of `legs`, rows over a surface, with `blend_radius_m` without a stop; of ``cmbot-scene/2``."""
+    """In place of `legs`, rows over a surface, with `blend_radius_m` without a stop."""
     seconds: SecondsOrAuto | None = None
     """Duration of the path through `waypoints` or of `raster`, s; ``auto``: the shortest within the limits of
-    joints and tool, of ``cmbot-scene/2``, there also for all legs that have no time of their own, and beside
+    joints and tool, also for all legs that have no time of their own, and beside
     `strokes` for all strokes."""
     max_base_torque_nm: Annotated[float, Field(gt=0, le=1e6)] | None = None
-    """With ``seconds: auto``: the largest torque on the base, Nm, with the tool on; left out: any; of
-    ``cmbot-scene/2``."""
+    """With ``seconds: auto``: the largest torque on the base, Nm, with the tool on; left out: any."""
     time_laws: Annotated[tuple[LegLaw, ...], Field(max_length=2000)] | None = None
     """How legs with ``seconds: auto`` are covered, as planning found it: in the scenes of plans. Left out: it
     is searched."""
@@ -130,25 +130,23 @@ class PathFile(FileModel):
     """By what share the tool's speed may miss the process speed, certified for all times between `lead_in_m`
     and `lead_out_m`, on a path without a stop; in a raster whose rows are not blended on every row, where
     `overscan_m` is the lead. The process speed is `speed_m_s`, or that at which the path is covered in its
-    seconds. Left out: any speed; of ``cmbot-scene/2``."""
+    seconds. Left out: any speed."""
     lead_in_m: Annotated[float, Field(ge=1e-4, le=100)] | None = None
     """Length, m, of a straight way before the path, along its tangent, on which the tool speeds up and turns
     as at the path's start; its time comes on top. The tool is on there, too. Left out: it speeds up on the
-    path; of ``cmbot-scene/2``."""
+    path."""
     lead_out_m: Annotated[float, Field(ge=1e-4, le=100)] | None = None
-    """Length, m, of such a way after the path, on which the tool slows down; of ``cmbot-scene/2``."""
+    """Length, m, of such a way after the path, on which the tool slows down."""
     blend_radius_m: Annotated[float | None, Field(ge=1e-4, le=100)] = None
     """Radius by which corners between straight legs, and between the rows of a raster, are rounded, m; left
-    out, and where the way turns by more than 150 degrees, the tool rests there; of ``cmbot-scene/2``."""
-    speed_profile: SpeedProfile = SpeedProfile()
-    """Left out: in ``cmbot-scene/2`` jerk_limited with a ramp of 0.25, which leaves less vibration; in
-    ``cmbot-scene/1`` the paper's trapezoid."""
+    out, and where the way turns by more than 150 degrees, the tool rests there."""
+    speed_profile: SpeedProfile = SMOOTH
+    """Left out: jerk_limited with a ramp of 0.25, which leaves less vibration than the paper's trapezoid."""
     passes: Annotated[int, Field(ge=1, le=100)] | None = None
-    """How often the path is followed, to and fro, without leaving it; left out: once; of
-    ``cmbot-scene/2``."""
+    """How often the path is followed, to and fro, without leaving it; left out: once."""
     via_points: ViaPoints = 50
     """Via-points in all; the ends of the legs are among them. ``auto``: a number that follows from the
-    path's length, turns, bends, ramps, time and tolerances, of ``cmbot-scene/2``; beside `strokes` for all
+    path's length, turns, bends, ramps, time and tolerances; beside `strokes` for all
     strokes without a number."""
 
     @model_validator(mode="after")
@@ -205,6 +203,7 @@ class PathFile(FileModel):
         if not self.legs and self.start_pose is not None:
             expected = "no such key beside waypoints or a raster, where the path begins"
             raise refusal(expected, got="a pose", key=("from",))
+        self._check_waypoints()
         self._check_leads()
         passes = self.passes or 1
         leads = sum(lead is not None for lead in (self.lead_in_m, self.lead_out_m))
@@ -218,6 +217,32 @@ class PathFile(FileModel):
         if self.given_seconds > LONGEST:
             expected = f"legs of at most {LONGEST:,} s in all (10 h)"
             raise refusal(expected, got=f"{self.given_seconds:g} s", key=("legs",))
+
+    def _check_waypoints(self) -> None:
+        if self.waypoints is None:
+            return
+        if turn := turned_in_place(self.waypoints, self.keep if isinstance(self.keep, str) else "axis"):
+            number, angle = turn
+            got = f"a turn by {math.degrees(angle):.2g} deg at the place of the waypoint before"
+            expected = "a way along which it turns, or legs, of which one turns the tool where it is"
+            raise refusal(expected, got=got, key=("waypoints", number))
+        if self.merged and len(self.passed) < FEWEST_WAYPOINTS:
+            got = f"{counted(len(self.waypoints), 'waypoint')} at {counted(len(self.passed), 'place')}"
+            expected = (
+                f"{FEWEST_WAYPOINTS} places or more, {1e3 * SAME_PLACE:g} mm apart or more; a line is a leg"
+            )
+            raise refusal(expected, got=got, key=("waypoints",))
+
+    @property
+    def passed(self) -> tuple[Waypoint, ...]:
+        """The waypoints without those at the place of the one before."""
+        rows = self.waypoints or ()
+        return tuple(rows[k] for k in distinct(rows)) if rows else ()
+
+    @property
+    def merged(self) -> int:
+        """How many waypoints are at the place of the one before."""
+        return len(self.waypoints or ()) - len(self.passed)
 
     def _check_leads(self) -> None:
         rests = self.raster is not None and self.blend_radius_m is None
@@ -233,11 +258,6 @@ class PathFile(FileModel):
         for name in () if rests else ("lead_in_m", "lead_out_m"):
             if getattr(self, name) is None:
                 raise refusal("a length beside speed_tolerance", got="nothing", key=(name,))
-
-    def smooth_unless_given(self) -> Self:
-        """Return the path with the speed profile of new scenes where it has none of its own."""
-        given = "speed_profile" in self.model_fields_set
-        return self if given else self.model_copy(update={"speed_profile": SMOOTH})
 
     @property
     def given_seconds(self) -> float:
@@ -263,7 +283,8 @@ class PathFile(FileModel):
             rows, area = counted(self.raster.rows, "row"), f"{self.raster.area:.3g} m2"
             return f"a raster of {rows} over {area}{'' if self.raster.cylinder is None else ' of a cylinder'}"
         if self.waypoints is not None:
-            return f"a spline through {counted(len(self.waypoints), 'waypoint')}"
+            merged = f" ({self.merged} more at the place of the one before)" if self.merged else ""
+            return f"a spline through {counted(len(self.passed), 'waypoint')}{merged}"
         return counted(len(self.legs), "leg")
 
 
@@ -294,8 +315,7 @@ class ToolPathFile(PathFile):
 
     strokes: Annotated[tuple[StrokeFile, ...] | None, Field(min_length=1, max_length=200)] = None
     """In place of all other keys: the tool is on along each, and off on the free moves from one to the next.
-    A stroke without a start of its own begins where the path of the one before it ends; of
-    ``cmbot-scene/2``."""
+    A stroke without a start of its own begins where the path of the one before it ends."""
     order: Literal["given", "best"] | None = None
     """Of the strokes; left out: as given. ``best`` takes that order and those directions in which the tool
     travels least between them, if the peak of the torque does not rise by that; each needs a start of its

@@ -162,8 +162,12 @@ class Chart {
   // Range of the axis: the bounds, or the curves alone.
   get range() {
     if (!this.zoomed) return this.spec.axis;
+    // As on the page, what goes far beyond the planned motion is clipped.
+    const planned = this.curves.filter((curve) => curve.motion !== "baseline").map((curve) => curve.extent);
     const extents = this.curves.map((curve) => curve.extent);
-    const low = Math.min(...extents.map((e) => e[0])), high = Math.max(...extents.map((e) => e[1]));
+    const ends = (all) => [Math.min(...all.map((e) => e[0])), Math.max(...all.map((e) => e[1]))];
+    const [least, most] = ends(planned.length ? planned : extents), span = most - least || 1;
+    const low = Math.max(ends(extents)[0], least - span), high = Math.min(ends(extents)[1], most + span);
     const room = 0.06 * (high - low) || 1;
     return [low - room, high + room];
   }

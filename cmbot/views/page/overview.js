@@ -1,8 +1,9 @@
 "use strict";
 const data = JSON.parse(document.getElementById("data").textContent);
 const count = data.name.length;
-const below = (planned, baseline) => planned.map((value, k) => (value === null || !baseline[k] ? null : 100 * (1 - value / baseline[k])));
-const gain = below(data.planned, data.baseline), workGain = below(data.workPlanned, data.workBaseline);
+// A baseline that breaks a limit is none to be compared with.
+const below = (planned, baseline, faults) => planned.map((value, k) => (value === null || !baseline[k] || faults[k] ? null : 100 * (1 - value / baseline[k])));
+const gain = below(data.planned, data.baseline, data.faults), workGain = below(data.workPlanned, data.workBaseline, data.workFaults);
 const anyPlace = data.at.some((at) => at !== null);
 const place = data.at.map((at, k) => (anyPlace ? at : k + 1));
 const element = (id) => document.getElementById(id);
@@ -51,8 +52,9 @@ function colouring() {
   const unit = kind === "clearance" ? "mm" : "%";
   const same = low.toFixed(1) === high.toFixed(1);
   const legend = known.length ? [...(same ? [] : [[shade(0), `${low.toFixed(1)} ${unit}`]]), [shade(1), `${high.toFixed(1)} ${unit}`]] : [];
-  return { of: (k) => (values[k] === null ? colour("--bad") : shade(same ? 1 : (values[k] - low) / (high - low))),
-    legend: [...legend, ...others] };
+  const none = values.some((value, k) => value === null && planned(k)) ? [[colour("--faint"), kind === "clearance" ? "nothing to hit" : "no reduction stated"]] : [];
+  return { of: (k) => (!planned(k) ? colour("--bad") : values[k] === null ? colour("--faint") : shade(same ? 1 : (values[k] - low) / (high - low))),
+    legend: [...legend, ...none, ...others] };
 }
 
 /* The least and the greatest of many numbers. */
@@ -253,7 +255,7 @@ element("map").addEventListener("pointermove", (event) => {
   if (!found) return;
   const [x, y, k] = found;
   const figures = !planned(k) ? `${data.ended[k]}: ${data.reason[k]}`
-    : `${digits(data.planned[k], 1)} Nm, baseline ${digits(data.baseline[k], 1)} Nm`;
+    : `${digits(data.planned[k], 1)} Nm, baseline ${digits(data.baseline[k], 1)} Nm${data.faults[k] ? `, which ${data.faults[k]}` : ""}`;
   tip.textContent = `${data.name[k]}\n${figures}`;
   tip.style.left = `${Math.min(x + 10, element("map").clientWidth - 200)}px`;
   tip.style.top = `${y + 10}px`;
@@ -273,6 +275,13 @@ function drawAll() {
 }
 
 for (const end of [...new Set(data.ended)].sort()) element("end").append(new Option(end, end));
+/* What the jobs gain whose baselines keep the limits; nothing where there are none. */
+function medians() {
+  const whole = numbers(gain).length ? `the peak of the median job is ${middle(gain)} its baseline's` : "";
+  if (!numbers(workGain).length) return whole && `; ${whole}`;
+  return whole ? `; ${whole}, at work alone ${middle(workGain)}` : `; at work alone the peak of the median job is ${middle(workGain)} its baseline's`;
+}
+
 /* In words, how far the middle one of jobs is below its baseline. */
 function middle(values) {
   const sorted = numbers(values).sort((a, b) => a - b);
@@ -280,13 +289,16 @@ function middle(values) {
   return value >= 0 ? `${value.toFixed(1)} % below` : `${(-value).toFixed(1)} % above`;
 }
 
-if (numbers(gain).length) {
+const broken = data.faults.filter((fault, k) => fault && planned(k)).length;
+if (broken) element("none").textContent = ` For ${broken.toLocaleString("en")} of ${count.toLocaleString("en")} jobs none is stated over the whole job, as the baseline breaks a limit.`;
+if (numbers(data.planned).length) {
   const worst = data.planned.reduce((best, value, k) => (value !== null && (best < 0 || value > data.planned[best]) ? k : best), -1);
   element("summary").textContent =
-    `The base must bear at most ${data.planned[worst].toFixed(1)} Nm (${data.name[worst]}); the peak of the median job is ${middle(gain)} its baseline's, at work alone ${middle(workGain)}.`;
+    `The base must bear at most ${data.planned[worst].toFixed(1)} Nm (${data.name[worst]})${medians()}.`;
   // The posture in which the arms begin may decide over whole jobs: then the work tells them apart.
   const spread = (values) => { const [low, high] = ends(numbers(values)); return high - low; };
-  if (spread(gain) < 0.1 && spread(workGain) >= 0.1) element("colour").value = "work";
+  if (!numbers(gain).length) element("colour").value = numbers(workGain).length ? "work" : "clearance";
+  else if (spread(gain) < 0.1 && spread(workGain) >= 0.1) element("colour").value = "work";
 }
 for (const id of ["find", "end"]) element(id).addEventListener("input", () => { limit = PAGE; drawTable(); });
 element("colour").addEventListener("input", drawAll);

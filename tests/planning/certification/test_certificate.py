@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from oracles import newton_euler
+from oracles import chang2021_arm
 from small_scenes import short_scene
 
 import cmbot
@@ -261,13 +261,13 @@ def test_figures_by_hand(triangle_plan: Plan) -> None:
     x = triangle_plan.trajectory
     grid = np.append(np.linspace(x.t[:-1], x.t[1:], 400, endpoint=False, axis=1).ravel(), x.t[-1])
     q, v, a = x.states(grid)
-    tau, n_0, _ = newton_euler.efforts(q, v, a)
+    tau, n_0, _ = chang2021_arm.efforts(q, v, a)
     norm = np.linalg.norm(n_0, axis=1)
     certificate, figures = triangle_plan.certificate, triangle_plan.figures
     assert figures.peak_guardrail_torque == pytest.approx(norm.max(), rel=1e-6)
     assert norm.max() <= certificate.guardrail_torque_bound <= norm.max() * (1 + 2e-6)
     assert figures.mean_guardrail_torque == pytest.approx(np.trapezoid(norm, grid) / 20, rel=1e-7)
-    static = np.linalg.norm(newton_euler.efforts(q, 0 * v, 0 * a)[1], axis=1)
+    static = np.linalg.norm(chang2021_arm.efforts(q, 0 * v, 0 * a)[1], axis=1)
     assert figures.peak_static_guardrail_torque == pytest.approx(static.max(), rel=1e-6)
     share = np.abs(tau) / triangle_plan.robot.limits.torque
     assert figures.limit_use.torque == pytest.approx(share.max(), rel=2e-6)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles import newton_euler
+from oracles import chang2021_arm
 from small_motions import wild
 
 from cmbot.common.arrays import FloatArray
@@ -26,7 +26,7 @@ def _slopes(q: FloatArray, along: list[FloatArray]) -> list[FloatArray]:
     """Derivatives (N, 3) of the tool point at complex angles `q` (N, 7), by what moves them."""
     step = 1e-5
     ends = np.concatenate([q + sign * step * each for each in along for sign in (1, -1)])
-    points = newton_euler.tool_pose(ends)[0].reshape(len(along), 2, -1, 3)
+    points = chang2021_arm.tool_pose(ends)[0].reshape(len(along), 2, -1, 3)
     return list((points[:, 0] - points[:, 1]) / (2 * step))
 
 
@@ -53,8 +53,8 @@ def test_nothing_is_larger_on_the_ellipses(cmbot_robot: Robot, seed: int) -> Non
             np.polynomial.polynomial.polyval(u, np.polynomial.polynomial.polyder(c, order)).T / h**order
             for order in range(3)
         )
-        tau, n_0, _ = newton_euler.efforts(q, v, a)
-        p, R = newton_euler.tool_pose(q)
+        tau, n_0, _ = chang2021_arm.efforts(q, v, a)
+        p, R = chang2021_arm.tool_pose(q)
         slack = 1 + 1e-9
         assert (np.abs(tau) <= of.joint_torque[k, r] * slack).all()
         assert (np.linalg.norm(n_0, axis=1) <= of.guardrail_torque[k, r] * slack).all()

@@ -45,9 +45,8 @@ def identified(scene: Scene, deviation: float = DEVIATION) -> dict[str, Any]:
 
 
 def scene_of(deviation: float = DEVIATION, **planner: Any) -> Scene:
-    second = {"format": "cmbot-scene/2"}
-    known = identified(short_scene(**second), deviation)
-    return short_scene(**second, identified=known, planner={"compensate": True, **planner})
+    known = identified(short_scene(), deviation)
+    return short_scene(identified=known, planner={"compensate": True, **planner})
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +88,7 @@ def test_the_spread_is_across_the_path_and_that_of_draws(planned: Plan, rng: np.
 
 def test_the_arm_is_the_identified_one_also_after_reading_it_back(planned: Plan, tmp_path: Path) -> None:
     springs = planned.robot.joint_elasticity
-    modelled = robot_of(short_scene(format="cmbot-scene/2")).joint_elasticity
+    modelled = robot_of(short_scene()).joint_elasticity
     assert springs["joint_2"].stiffness == pytest.approx(FACTOR * modelled["joint_2"].stiffness)
     cmbot.save(planned, tmp_path / "plan")
     again = cmbot.load_plan(tmp_path / "plan", verify=True)

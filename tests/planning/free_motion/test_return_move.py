@@ -19,7 +19,7 @@ from cmbot.planning.free_motion.straight_move import quickest_straight
 from cmbot.robot import Robot
 from cmbot.trajectory import SplineSpace
 
-NEWER = {"format": "cmbot-scene/2", "planner": {"knots": "sliding"}}
+NEWER = {"planner": {"knots": "sliding"}}
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +106,7 @@ def test_an_arm_without_a_stow_posture_goes_back_to_where_it_started(urdf_folder
     srdf = urdf_folder / "cmbot.srdf"
     srdf.write_text(srdf.read_text().replace('name="stow"', 'name="folded"'), encoding="utf-8")
     robot = {"model": str(urdf_folder / "cmbot.urdf"), "base_frame": "arm_base", "tool_frame": "tool0"}
-    made = plan(short_scene(format="cmbot-scene/2", robot=robot, **{"return": "stow"}))
+    made = plan(short_scene(robot=robot, **{"return": "stow"}))
     np.testing.assert_allclose(made.job.trajectory.q[-1], made.scene.posture, rtol=0, atol=1e-9)
     (said,) = (remark for remark in remarks(made) if remark.startswith("Return: "))
     assert "to where it started (its SRDF has no group state stow)" in said

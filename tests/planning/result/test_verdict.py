@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from plan_folders import changed, without_approach
 
-from cmbot.planning import Check, Plan, bound_use, remarks, tightest_check, verdict
+from cmbot.planning import Check, Plan, baseline_faults, bound_use, remarks, tightest_check, verdict
 from cmbot.planning.result.verdict import further, travels
 
 
@@ -97,12 +97,19 @@ def test_a_small_gain_is_told_with_the_joints_that_travel_further(
         ({"velocity": 1.1}, "breaks joint limits"),
         ({"torque": 1.1, "min_clearance": -0.001}, "collides and breaks joint limits"),
         ({"turn": 7.0}, "breaks joint limits"),
+        ({"min_clearance": 0.019}, "breaks the safety margin"),
+        ({"max_tool_deviation": 0.0021}, "leaves its path by 2.1 mm"),
+        (
+            {"min_clearance": -0.1, "torque": 1.1, "max_tool_deviation": 0.0021},
+            "collides, breaks joint limits and leaves its path by 2.1 mm",
+        ),
     ],
 )
 def test_a_baseline_that_cannot_be_executed_is_called_so(
     triangle_plan: Plan, change: dict[str, float], fault: str
 ) -> None:
-    assert "(it " not in verdict(triangle_plan)
+    assert baseline_faults(triangle_plan) == ""
+    assert "no gain" not in verdict(triangle_plan)
     plan, change = replace(triangle_plan), dict(change)
     figures, (*others, work) = plan.baseline_job_figures, plan.baseline_segments
     q = work.samples.q + change.pop("turn", 0.0)
@@ -110,7 +117,13 @@ def test_a_baseline_that_cannot_be_executed_is_called_so(
     use = replace(figures.limit_use, **rates)
     plan.__dict__["baseline_segments"] = (*others, replace(work, samples=replace(work.samples, q=q)))
     plan.__dict__["baseline_job_figures"] = replace(figures, limit_use=use, **change)
-    assert f" (it {fault})" in verdict(plan)
+    said = verdict(plan)
+    assert f"; no gain is stated, as the baseline (486.4 Nm) {fault}; the work alone" in said
+    assert "than the baseline's 486.4 Nm over" not in said
+    # At work the baseline keeps all limits.
+    work, before = (each.peak_guardrail_torque for each in (plan.figures, plan.baseline_figures))
+    less = f"{work:.1f} Nm, {100 * (1 - work / before):.1f} % less than the baseline's {before:.1f} Nm"
+    assert (f"the work alone {less}" in said) == (baseline_faults(plan, work=True) == "")
 
 
 def test_a_heavy_approach_is_a_loss_and_has_its_time(returning_plan: Plan) -> None:

@@ -78,7 +78,7 @@ def test_a_tool_on_the_last_axis_may_turn(rng: np.random.Generator) -> None:
 
 def pushed_scene(force: list[float], keep: str = "pose") -> Scene:
     tool = {"process_force_n": force}
-    return short_scene(format="cmbot-scene/2", tool=tool, tool_path={"keep": keep})
+    return short_scene(tool=tool, tool_path={"keep": keep})
 
 
 @pytest.mark.parametrize(

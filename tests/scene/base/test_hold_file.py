@@ -15,7 +15,7 @@ BAR = {"name": "only", "section": {"bar": 0.05}, "height_m": 0.0, "box_m": [0.05
 def scene(hold: Any = None, **guardrail: Any) -> Scene:
     if hold is not None:
         guardrail["hold"] = hold
-    return short_scene(format="cmbot-scene/2", guardrail=guardrail)
+    return short_scene(guardrail=guardrail)
 
 
 def test_a_foot_is_welded_unless_said() -> None:
@@ -80,8 +80,3 @@ def test_without_a_member_nothing_is_held() -> None:
     with pytest.raises(SceneError, match=r"guardrail.hold.kind: got magnet, expected welded, as there is no"):
         scene({"kind": "magnet"}, bays=0)
     assert scene(bays=0).feet == ()
-
-
-def test_the_first_format_has_no_hold() -> None:
-    with pytest.raises(SceneError, match=r"guardrail.hold: got hold, expected no such key in cmbot-scene/1"):
-        short_scene(guardrail={"hold": {"kind": "welded"}})

@@ -20,11 +20,11 @@ BELOW = {"member": "post_3", "along_m": 0.35}
 
 def standing(foot_1: dict[str, Any], **stance: Any) -> Scene:
     guardrail = {"stance": {"foot_1": foot_1, **stance}}
-    return short_scene(format="cmbot-scene/2", guardrail=guardrail, tool={"process_force_n": [0, 10, -40]})
+    return short_scene(guardrail=guardrail, tool={"process_force_n": [0, 10, -40]})
 
 
 def test_the_post_in_the_middle_is_where_it_always_was() -> None:
-    usual = short_scene(format="cmbot-scene/2")
+    usual = short_scene()
     scene = standing(HERE)
     assert scene.robot.stance.foot == pytest.approx((0, 0, 0), abs=1e-12)
     one, other = (robot_of(each).model.jointPlacements[1] for each in (usual, scene))
@@ -47,7 +47,7 @@ def test_the_wrench_is_about_the_place_where_foot_1_holds(random_states, rng) ->
 
 
 def test_the_base_bends_where_it_is_held() -> None:
-    usual = short_scene(format="cmbot-scene/2", guardrail={"foot": {"post": 4}})
+    usual = short_scene(guardrail={"foot": {"post": 4}})
     usual = replace(usual, tool=standing(HERE).tool)
     q = np.array(usual.posture)[None]
     sags = [Sag(bending_arm(scene, robot_of(scene))).at(q).tool[0] for scene in (usual, standing(THERE))]
@@ -110,9 +110,4 @@ def test_two_feet_share_what_one_would_bear() -> None:
 )
 def test_what_is_refused(stance: dict[str, Any], message: str) -> None:
     with pytest.raises(SceneError, match=message):
-        short_scene(format="cmbot-scene/2", guardrail={"stance": stance})
-
-
-def test_the_first_format_has_no_stance() -> None:
-    with pytest.raises(SceneError, match=r"guardrail.stance: got stance, expected no such key in cmbot-sc"):
-        short_scene(guardrail={"stance": {"foot_1": HERE}})
+        short_scene(guardrail={"stance": stance})

@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from oracles.scene_path import ScenePath
 from small_scenes import SHORT
+from timed_paths import check_described
 
 from cmbot import load_scene
 from cmbot.common.errors import SceneError
-from cmbot.planning.verification.scene_path import ScenePath
 from cmbot.scene import Scene, SpeedProfile, ToolPath
 from cmbot.scene.path.time_law import law_with_leads
 
@@ -49,7 +50,7 @@ def scene_of(**tool_path: Any) -> Scene:
     for stroke in tool_path.get("strokes", ()):
         stroke |= many
     own = tool_path if "strokes" in tool_path else many | tool_path
-    return load_scene({**copy.deepcopy(SHORT), "format": "cmbot-scene/2", "tool_path": own})
+    return load_scene({**copy.deepcopy(SHORT), "tool_path": own})
 
 
 def path_of(**tool_path: Any) -> ToolPath:
@@ -87,6 +88,7 @@ def test_a_second_computation_agrees(name: str) -> None:
     np.testing.assert_allclose(poses.point, p, rtol=0, atol=1e-9)
     np.testing.assert_allclose(np.broadcast_to(poses.rotation, R.shape), R, rtol=0, atol=1e-9)
     np.testing.assert_allclose(stroke.via_times, second.via_times(), rtol=1e-9)
+    check_described(scene, stroke, POSE)
     inside = np.abs(t[:, None] - stroke.path.process_parts[:, :2].ravel()).min(axis=1) > 1e-6
     np.testing.assert_allclose(
         second.process_speeds(t)[inside], stroke.path.process_speed(t)[inside], rtol=1e-9

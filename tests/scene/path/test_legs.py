@@ -11,7 +11,6 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from small_scenes import SHORT
 from timed_paths import SECOND, WHERE, check_path, scene_of, vectors
 
 from cmbot import load_scene
@@ -444,22 +443,6 @@ def test_what_a_leg_cannot_do(leg: dict[str, Any], key: str, expected: str) -> N
         scene_of(legs=[leg]).timed_strokes(np.eye(4))
     assert caught.value.key == f"tool_path.{key}"
     assert expected in caught.value.expected
-
-
-@pytest.mark.parametrize(
-    ("change", "key"),
-    [
-        ({"frames": {}}, "frames"),
-        ({"tool_path": {"legs": [{"pause": 1}]}}, "tool_path.legs[0]"),
-        ({"tool_path": {"legs": [{"by": [0, 0.1, 0], "speed_m_s": 1}]}}, "tool_path.legs[0]"),
-        ({"tool_path": {"legs": [BY], "from": {"xyz": [0, 0, 1]}}}, "tool_path.from"),
-        ({"tool_path": {"legs": [BY], "blend_radius_m": 0.1}}, "tool_path.blend_radius_m"),
-    ],
-)
-def test_the_first_format_knows_none_of_this(change: dict[str, Any], key: str) -> None:
-    with pytest.raises(SceneError, match="goes with cmbot-scene/2") as caught:
-        load_scene(copy.deepcopy(SHORT) | change)
-    assert caught.value.key == key
 
 
 def test_frames_have_names_of_their_own() -> None:

@@ -22,7 +22,7 @@ STEADY = {"legs": [LONG], "lead_in_m": 0.05, "lead_out_m": 0.05, "speed_toleranc
 
 
 def count(planner: dict[str, Any] | None = None, **tool_path: Any) -> int:
-    data = {**copy.deepcopy(SHORT), "format": "cmbot-scene/2", "planner": planner or {}}
+    data = {**copy.deepcopy(SHORT), "planner": planner or {}}
     scene = load_scene(data | {"tool_path": {"via_points": "auto", **tool_path}})
     return len(scene.timed_strokes(POSE)[0].via_times)
 
@@ -47,14 +47,15 @@ def test_what_a_path_asks_for() -> None:
 def test_of_all_strokes_without_a_number() -> None:
     strokes = [{"legs": [LONG], "via_points": 7}, {"from": {"xyz": [1.8, 0.7, -2.0]}, "legs": [LONG]}]
     tool_path = {"strokes": strokes, "via_points": "auto"}
-    scene = load_scene({**copy.deepcopy(SHORT), "format": "cmbot-scene/2", "tool_path": tool_path})
+    scene = load_scene({**copy.deepcopy(SHORT), "tool_path": tool_path})
     assert [stroke.via_points for stroke in scene.each_stroke] == [7, "auto"]
     assert load_scene(scene.file.as_data()).content_hash == scene.content_hash
     assert [len(stroke.via_times) for stroke in scene.timed_strokes(POSE)] == [7, 21]
 
 
 def test_a_plan_has_the_number(tmp_path: Any) -> None:
-    scene = short_scene(format="cmbot-scene/2", tool_path={"via_points": "auto"})
+    profile = {"kind": "jerk_limited", "ramp": 0.25}
+    scene = short_scene(tool_path={"via_points": "auto", "speed_profile": profile})
     assert ("via-points", "13") in precheck_scene(scene).found
     planned = plan(scene)
     assert planned.scene.via_points == len(planned.trajectory.t) == 13
@@ -65,9 +66,8 @@ def test_a_plan_has_the_number(tmp_path: Any) -> None:
     ("change", "words"),
     [
         ({"tool_path": {"via_points": "many"}}, "via_points: got 'many', expected a whole number"),
-        ({"format": "cmbot-scene/1", "tool_path": {"via_points": "auto"}}, "it goes with cmbot-scene/2"),
     ],
 )
 def test_refusals(change: dict[str, Any], words: str) -> None:
     with pytest.raises(SceneError, match=words):
-        short_scene(**{"format": "cmbot-scene/2", **change})
+        short_scene(**change)

@@ -300,7 +300,7 @@ def test_an_unknown_kind_is_refused_and_the_known_ones_named(kind: Any) -> None:
 def test_fewer_via_points_than_a_rasters_rows_name_the_key() -> None:
     raster = {"origin": [1.8, 0.6, -1.9], "u": [0, 0.2, 0], "v": [0, 0, -0.2], "spacing_m": 0.005}
     path = {"raster": {**raster, "stand_off_m": 0.0}, "speed_m_s": 0.1}
-    scene = load_scene({**SHORT, "format": "cmbot-scene/2", "tool_path": path})
+    scene = load_scene({**SHORT, "tool_path": path})
     with pytest.raises(SceneError, match=r"via_points: got 50, expected at least \d+, .* or auto") as caught:
         strokes_of(scene, robot_of(scene))
     assert caught.value.key == "tool_path.via_points"

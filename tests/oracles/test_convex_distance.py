@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from oracles.distances import between_hulls
 from scipy.spatial.transform import Rotation
 
-from cmbot.planning.verification import convex_distance
-from cmbot.planning.verification.convex_distance import ConvexShape, Proven, hull, smallest_distances
+from oracles import convex_distance
+from oracles.convex_distance import ConvexShape, Proven, hull, smallest_distances
+from oracles.distances import between_hulls
 
 FloatArray = NDArray[np.float64]
 WIDTH = 1e-6
@@ -152,3 +152,13 @@ def test_nothing_is_infinitely_far() -> None:
     got = smallest_distances([], np.empty((0, 3, 3, 3)), np.empty((0, 3, 3)), [])
     assert np.isposinf([got.lower, got.upper]).all()
     assert (got.pair == -1).all()
+
+
+@pytest.mark.parametrize("place", ["position", "orientation"])
+def test_a_place_that_is_no_number_is_not_far_away(place: str) -> None:
+    R, p = np.tile(np.eye(3), (3, 4, 1, 1)), np.zeros((3, 4, 3))
+    p[1, :, 0], p[2, :, 0] = 5.0, 4.7
+    (p if place == "position" else R)[2, 1] = np.nan
+    proven = smallest_distances([box(1, 1, 1), box(1, 1, 1), cylinder(0.1, 1)], R, p, [(0, 1), (0, 2)])
+    assert not proven.lower[1] >= 0.0
+    np.testing.assert_allclose(proven.lower[[0, 2, 3]], 4.0, atol=WIDTH)

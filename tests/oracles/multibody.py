@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cmbot.common.arrays import BoolArray, FloatArray
-from cmbot.planning.verification.convex_distance import ConvexShape
+from oracles.convex_distance import ConvexShape
 
 __all__ = ["Body", "JointBounds", "Multibody", "PlacedShape", "turn"]
 
@@ -77,6 +77,8 @@ class JointBounds:
 class Multibody:
     """An arm of n joints that turn or slide, base to tool, and everything that is fixed to W.
 
+    Its equations also hold for complex states.
+
     Attributes
     ----------
     joints : tuple of str
@@ -108,7 +110,7 @@ class Multibody:
     def frames(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Orientations (n + 1, N, 3, 3) and origins (n + 1, N, 3), m, of W and the joints' frames in W."""
         N, n = q.shape
-        R, p = np.empty((n + 1, N, 3, 3)), np.empty((n + 1, N, 3))
+        R, p = (np.empty((n + 1, N, *shape), dtype=q.dtype) for shape in ((3, 3), (3,)))
         R[0], p[0] = np.eye(3), 0.0
         for i, (X, axis) in enumerate(zip(self.step, self.axis, strict=True)):
             R[i + 1] = R[i] @ X[:3, :3]
@@ -134,7 +136,12 @@ class Multibody:
         return velocity
 
     def efforts(
-        self, q: FloatArray, v: FloatArray, a: FloatArray, tool_force: Sequence[float] = (0.0, 0.0, 0.0)
+        self,
+        q: FloatArray,
+        v: FloatArray,
+        a: FloatArray,
+        tool_force: Sequence[float] = (0.0, 0.0, 0.0),
+        base_acceleration: ArrayLike = (0.0, 0.0, 0.0),
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Joint torques (N, n), Nm (of joints that slide forces, N), and the arm's wrench on the guardrail.
 
@@ -147,14 +154,16 @@ class Multibody:
         q, v, a : (N, n), rad, rad/s, rad/s2, or m, m/s, m/s2
         tool_force : (3,), N
             That acts on the tool, along its axes.
+        base_acceleration : (N, 3) or (3,), m/s2
+            Of what the arm stands on, which does not turn.
         """
         R, p = self.frames(q)
         z = np.stack([R_i @ u for R_i, u in zip(R[1:], self.axis, strict=True)])
         N, n = q.shape
         # Angular velocity and acceleration of the frames, and acceleration of their origins.
-        w, w_dot, acc = (np.zeros((n + 1, N, 3)) for _ in range(3))
+        w, w_dot, acc = (np.zeros((n + 1, N, 3), dtype=q.dtype) for _ in range(3))
         # Gravity as an acceleration of the base.
-        acc[0] = -_GRAVITY
+        acc[0] = np.asarray(base_acceleration) - _GRAVITY
         for i in range(n):
             acc[i + 1] = acc[i] + _relative_acceleration(w[i], w_dot[i], p[i + 1] - p[i])
             if self.slides[i]:
@@ -165,7 +174,7 @@ class Multibody:
             spin = v[:, i, None] * z[i]
             w_dot[i + 1] = w_dot[i] + a[:, i, None] * z[i] + np.cross(w[i], spin)
             w[i + 1] = w[i] + spin
-        force, moment = np.zeros((n + 1, N, 3)), np.zeros((n + 1, N, 3))
+        force, moment = (np.zeros((n + 1, N, 3), dtype=q.dtype) for _ in range(2))
         for body in self.bodies:
             i = body.joint
             lever = R[i] @ body.centre
@@ -195,6 +204,6 @@ def _times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
 
 def turn(axis: FloatArray, angle: ArrayLike) -> FloatArray:
     """Return rotations (..., 3, 3) about the unit vector `axis` (3,) by angles (...), rad: Rodrigues."""
-    angle = np.asarray(angle, dtype=np.float64)[..., None, None]
+    angle = np.asarray(angle)[..., None, None]
     along, K = np.outer(axis, axis), np.cross(axis, np.eye(3)).T
     return np.asarray(along + np.cos(angle) * (np.eye(3) - along) + np.sin(angle) * K)

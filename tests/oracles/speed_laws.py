@@ -7,13 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
-from cmbot.scene import LegLaw, SpeedProfile, StrokeFile
 
 __all__ = ["TimedLeg", "covered", "cruise_share", "found", "led", "led_row", "reversed_leg", "with_seconds"]
 
@@ -33,10 +32,10 @@ class TimedLeg(NamedTuple):
     edges: tuple[float, float] | None = None  # shares of its overscan, where these are not its lengths'
     phases: tuple[float, float, float] | None = None  # shares of ramps and process in its time, with leads
     speed: float = 0.0  # of the process, m/s
-    law: LegLaw | None = None
+    law: Any | None = None
 
 
-def led(leg: TimedLeg, profile: SpeedProfile, before: float, after: float) -> TimedLeg:
+def led(leg: TimedLeg, profile: Any, before: float, after: float) -> TimedLeg:
     """Return a leg with straight leads of so many metres on which the tool speeds up and slows down."""
     ends = [_tangent(leg.points, end) for end in (0.0, 1.0)]
     lead_shares = [lead / float(np.linalg.norm(way)) for lead, way in zip((before, after), ends, strict=True)]
@@ -74,7 +73,7 @@ def led(leg: TimedLeg, profile: SpeedProfile, before: float, after: float) -> Ti
     )
 
 
-def led_row(leg: TimedLeg, profile: SpeedProfile, overscan: float) -> TimedLeg:
+def led_row(leg: TimedLeg, profile: Any, overscan: float) -> TimedLeg:
     """Return a row of a raster whose overscan is its leads."""
     before, after = leg.edges or (overscan / leg.length, overscan / leg.length)
     times = (2 * before, 1 - before - after, 2 * after)
@@ -97,19 +96,19 @@ def reversed_leg(leg: TimedLeg) -> TimedLeg:
     return leg._replace(points=back(leg.points), orientations=back(leg.orientations), phases=phases, law=law)
 
 
-def found(leg: TimedLeg, law: LegLaw) -> TimedLeg:
+def found(leg: TimedLeg, law: Any) -> TimedLeg:
     """Return a leg in the time that was found for it."""
     return leg._replace(seconds=float(np.sum(law.seconds)), law=law)
 
 
-def with_seconds(file: StrokeFile) -> StrokeFile:
+def with_seconds(file: Any) -> Any:
     """Return a stroke with some seconds where these were to be found: its laws have the right ones."""
     legs = tuple(replace(leg, seconds=1.0) if leg.seconds == "auto" else leg for leg in file.legs)
     seconds = 1.0 if file.seconds == "auto" else file.seconds
     return file.model_copy(update={"legs": legs, "seconds": seconds})
 
 
-def covered(leg: TimedLeg, profile: SpeedProfile, u: FloatArray) -> FloatArray:
+def covered(leg: TimedLeg, profile: Any, u: FloatArray) -> FloatArray:
     """Return the shares of a leg's length that are covered at shares `u` (N,) of its time."""
     if leg.law is not None:
         # Imported where needed: it takes a while to load, and few paths need it.
@@ -123,13 +122,13 @@ def covered(leg: TimedLeg, profile: SpeedProfile, u: FloatArray) -> FloatArray:
     return np.asarray(_travelled(profile, phases, u) / _travelled(profile, phases, np.ones(1)))
 
 
-def cruise_share(profile: SpeedProfile) -> float:
+def cruise_share(profile: Any) -> float:
     """Return the share of a time of 1 in which a leg would be covered at its largest speed."""
     phases = (profile.ramp, 1 - 2 * profile.ramp, profile.ramp)
     return float(_travelled(profile, phases, np.ones(1))[0])
 
 
-def _own_ramps(profile: SpeedProfile, leads: tuple[float, float]) -> list[float]:
+def _own_ramps(profile: Any, leads: tuple[float, float]) -> list[float]:
     """Shares of the ramps where there is no lead."""
     return [0.0 if lead else profile.ramp for lead in leads]
 
@@ -152,7 +151,7 @@ def _turn_rate(orientations: _Points, at: float) -> FloatArray:
     return np.asarray((turn[0] - 8 * turn[1] + 8 * turn[3] - turn[4]) / (12 * _STEP))
 
 
-def _travelled(profile: SpeedProfile, shares: Sequence[float], u: FloatArray) -> FloatArray:
+def _travelled(profile: Any, shares: Sequence[float], u: FloatArray) -> FloatArray:
     """Length at share `u` of a time of 1 with a cruising speed of 1: phases of constant jerk, integrated."""
     a, cruise, b = shares
     # Duration, acceleration at the beginning and jerk of each phase.

@@ -145,6 +145,7 @@ def _smallest_distances(
         length = np.linalg.norm(items.nearest, axis=1)
         along = np.einsum("kd,kd->k", items.nearest, point) / np.maximum(length, _ORIGIN)
         np.maximum(items.lower, along - items.radius, out=items.lower)
+        items.lower[np.isnan(items.lower)] = -np.inf
         improved = _shortest(items, point)
         upper = np.linalg.norm(items.nearest, axis=1) - items.radius
         overlap = upper + items.radius <= _ORIGIN
@@ -170,7 +171,8 @@ def _near_items(shapes: Sequence[ConvexShape], R: FloatArray, p: FloatArray, pai
     centres = np.linalg.norm(between, axis=2)
     upper = centres - (ball[first] + ball[second])[:, None]
     lower = centres - (outer[first] + outer[second])[:, None]
-    pair, state = np.nonzero(lower <= upper.min(axis=0) + _WIDTH)
+    # Where a place is no number all pairs stay: then nothing is known of the distance.
+    pair, state = np.nonzero(~(lower > upper.min(axis=0) + _WIDTH))
     one, other = first[pair], second[pair]
     hull = np.full((len(pair), 3, 3), np.nan)
     hull[:, 0] = shift = between[pair, state]

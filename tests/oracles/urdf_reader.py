@@ -1,93 +1,57 @@
 """A second reading of a robot's files: URDF, SRDF and joint limits, read as plain XML and YAML.
 
-What the files mean is said in `cmbot.robot.load_robot`. It has read and checked them before: what it refuses
-is not looked for again.
+What the files mean is said in `cmbot.robot.load_robot`: what it refuses is not looked for again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.typing import ArrayLike
 from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import ModelError
-from cmbot.planning.verification.convex_distance import ConvexShape, hull, smallest_distances
-from cmbot.planning.verification.multibody import Body, JointBounds, Multibody, PlacedShape, turn
-from cmbot.robot import (
-    MOST_FAR,
-    NEAR,
-    RobotFiles,
-    arm_frames,
-    locate_meshes,
-    robot_files,
-    sampled_postures,
-    urdf_content,
-)
-from cmbot.scene import RobotSource
+from oracles.convex_distance import ConvexShape, hull, smallest_distances
+from oracles.multibody import Body, JointBounds, Multibody, PlacedShape, turn
 
-__all__ = ["mesh_parts", "read_multibody"]
+__all__ = ["Near", "mesh_parts", "read_multibody"]
 
-# Errors of the readers of XML, YAML and meshes, and of what looks for entries that are not there.
-_UNREADABLE = (
-    OSError,
-    SyntaxError,
-    LookupError,
-    AttributeError,
-    TypeError,
-    ValueError,
-    NotImplementedError,
-    YAMLError,
-)
 _MOVABLE = ("revolute", "continuous", "prismatic")
 
 
-def read_multibody(source: RobotSource) -> Multibody:
-    """Read a scene's robot from its files.
+class Near(NamedTuple):
+    """What is nearly always near: postures (K, n) within ranges, a distance, m, and how many are far."""
 
-    Raises
-    ------
-    ModelError
-        When a file cannot be read, as it could be by `cmbot.robot.load_robot`, or the tool cannot be given
-        another length.
+    postures: Callable[[FloatArray, FloatArray], FloatArray]
+    distance: float
+    most_far: int
+
+
+def read_multibody(
+    source: Any, urdf: Element, srdf: Path | None, limits: Path | None, base: str, tool: str, near: Near
+) -> Multibody:
+    """Read a robot from its files.
+
+    Parameters
+    ----------
+    source : RobotSource of cmbot.scene
+        Mount, stance, tool's length and payload.
+    urdf : xml.etree.ElementTree.Element
+        With the paths of meshes.
+    srdf, limits : Path or None
+    base, tool : str
+        Links that bound the arm.
+    near : Near
+        Without an SRDF: which links need not be checked against each other.
     """
-    # Which files and frames are meant, and what xacro expands to, is no opinion: the loader's own search.
-    files = robot_files(
-        source.model,
-        srdf=source.srdf,
-        limits=source.limits,
-        elasticity=source.elasticity,
-        package_dirs=source.package_dirs or (),
-    )
-    try:
-        return _read(source, files)
-    except ModelError:
-        raise
-    except _UNREADABLE as error:
-        got = f"files that cannot be read a second time ({type(error).__name__}: {error})"
-        raise ModelError(str(files.urdf), "", got, "what was there when the robot was loaded") from error
-
-
-def _read(source: RobotSource, files: RobotFiles) -> Multibody:
-    urdf = files.urdf
-    semantics = None if files.srdf is None else ElementTree.parse(files.srdf).getroot()
-    root: Any = ElementTree.fromstring(urdf_content(urdf, files.package_dirs))
-    base, tool = arm_frames(
-        root,
-        semantics,
-        files.base_frame if source.base_frame is None else source.base_frame,
-        files.tool_frame if source.tool_frame is None else source.tool_frame,
-        str(urdf),
-    )
-    # Nor is where a mesh lies.
-    locate_meshes(urdf, root, files.package_dirs)
+    semantics = None if srdf is None else ElementTree.parse(srdf).getroot()
+    root: Any = urdf
     stance = source.stance
     tree = _Tree(root, semantics, base, tool, {} if stance is None else stance.locked)
     if stance is not None:
@@ -98,8 +62,7 @@ def _read(source: RobotSource, files: RobotFiles) -> Multibody:
     if source.tool_length is not None:
         X_FT = tree.own_pose(tool)
         if tree.above[tool].get("name") in tree.chain or X_FT[2, 3] <= 0:
-            expected = f"{tool!r} to lie ahead of its flange and to be fixed to it, or no tool length"
-            raise ModelError(str(urdf), "tool_length", source.tool_length, expected)
+            raise ValueError(tool)
         ratio = source.tool_length / float(X_FT[2, 3])
         X_FT[2, 3] = source.tool_length
         X_JT = tree.placed[flange][1] @ X_FT
@@ -114,13 +77,13 @@ def _read(source: RobotSource, files: RobotFiles) -> Multibody:
         shapes=shapes,
         pairs=tuple(_own_pairs(shapes, semantics)),
         X_JT=X_JT,
-        bounds=_bounds(tree, files.limits),
+        bounds=_bounds(tree, limits),
     )
     if semantics is not None and semantics.find("disable_collisions") is not None:
         return body
     # As the loader, with the tool as the URDF has it.
     as_described = replace(body, shapes=tuple(_placed_shapes(tree, flange, 1.0)))
-    return replace(body, pairs=tuple(_without_near_links(as_described)))
+    return replace(body, pairs=tuple(_without_near_links(as_described, near)))
 
 
 class _Tree:
@@ -288,13 +251,13 @@ def _own_pairs(shapes: Sequence[PlacedShape], semantics: Any) -> Iterator[tuple[
                 yield (i, j) if one.joint > other.joint else (j, i)
 
 
-def _without_near_links(body: Multibody) -> Iterator[tuple[int, int]]:
+def _without_near_links(body: Multibody, near: Near) -> Iterator[tuple[int, int]]:
     """Pairs of shapes but those of links that are nearly always near, in the loader's postures."""
     links: dict[frozenset[str], list[tuple[int, int]]] = {}
     for first, second in body.pairs:
         names = frozenset((body.shapes[first].link, body.shapes[second].link))
         links.setdefault(names, []).append((first, second))
-    q = sampled_postures(body.bounds.lower, body.bounds.upper)
+    q = near.postures(body.bounds.lower, body.bounds.upper)
     R_WJ, p_WJ = body.frames(q)
     shapes = body.shapes
     R, p = np.empty((len(shapes), len(q), 3, 3)), np.empty((len(shapes), len(q), 3))
@@ -303,7 +266,7 @@ def _without_near_links(body: Multibody) -> Iterator[tuple[int, int]]:
         p[k] = p_WJ[one.joint] + R_WJ[one.joint] @ one.X_JS[:3, 3]
     for pairs in links.values():
         distance = smallest_distances([one.shape for one in shapes], R, p, pairs)
-        if (distance.upper >= NEAR).sum() > MOST_FAR:
+        if (distance.upper >= near.distance).sum() > near.most_far:
             yield from pairs
 
 

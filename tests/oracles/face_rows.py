@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from cmbot.common.arrays import FloatArray, IntArray
-from cmbot.scene import Raster
 
 __all__ = ["face_rows"]
 
@@ -17,13 +17,13 @@ _WHOLE, _NO_LENGTH, _NO_AREA = 1e-6, 1e-9, 1e-12
 
 
 def face_rows(
-    raster: Raster, path: Path, X_WM: FloatArray, p_frame: FloatArray, R_frame: FloatArray
+    raster: Any, path: Path, X_WM: FloatArray, p_frame: FloatArray, R_frame: FloatArray
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Return tool points (K, 3), m, and the tool's z axes (K, 3) of each row.
 
     Parameters
     ----------
-    raster : Raster
+    raster : Raster of cmbot.scene
         With faces of a mesh.
     path : Path
         Of the mesh file.
@@ -74,7 +74,7 @@ def face_rows(
 
 
 def _chosen(
-    raster: Raster, path: Path, X_WM: FloatArray, p_frame: FloatArray, R_frame: FloatArray
+    raster: Any, path: Path, X_WM: FloatArray, p_frame: FloatArray, R_frame: FloatArray
 ) -> tuple[FloatArray, IntArray]:
     """Vertices in W and faces of the chosen part, with one vertex for corners at the same place."""
     # It takes a while to come, and few scenes have a mesh.

@@ -9,15 +9,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
-from cmbot.planning.verification.face_rows import face_rows
-from cmbot.planning.verification.rotations import rodrigues, rpy, skew
-from cmbot.planning.verification.speed_laws import (
+from oracles.face_rows import face_rows
+from oracles.rotations import rodrigues, rpy, skew
+from oracles.speed_laws import (
     TimedLeg,
     covered,
     cruise_share,
@@ -27,15 +28,40 @@ from cmbot.planning.verification.speed_laws import (
     reversed_leg,
     with_seconds,
 )
-from cmbot.scene import ArcTo, CylinderPatch, Goal, Leg, Mesh, Raster, Scene
 
 __all__ = ["ScenePath"]
 
 _Points = Callable[[FloatArray], FloatArray]
+# Neighbouring waypoints that are nearer, m, are one.
+_SAME_PLACE = 1e-4
 # Durations whose shares agree to this many digits are the same.
 _DIGITS = 9
 # The largest turn of a rounded corner, rad.
 _SHARPEST = float(np.arccos(-0.866))
+
+
+class _Axis(NamedTuple):
+    """Where the tool's axis points, as a pose of the file has it."""
+
+    axis: tuple[float, float, float]
+    xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    frame: str = "world"
+    rpy_deg: None = None
+
+
+class _Way(NamedTuple):
+    """A straight leg, as the file has it."""
+
+    by: tuple[float, float, float]
+    seconds: float | None
+    speed_m_s: float | None
+    to: None = None
+    arc: None = None
+    pause: None = None
+
+    @property
+    def given_seconds(self) -> float:
+        return self.seconds or 0.0
 
 
 class ScenePath:
@@ -44,9 +70,9 @@ class ScenePath:
     From its pose `p` (3,), m, and `R` (3, 3) in the scene's posture through the strokes before.
     """
 
-    def __init__(self, scene: Scene, p: FloatArray, R: FloatArray, number: int = 0) -> None:
+    def __init__(self, scene: Any, p: FloatArray, R: FloatArray, number: int = 0) -> None:
         shapes = ((each.name, each.shape, each.X_WO) for each in scene.obstacles)
-        self._meshes = {name: (shape.path, X) for name, shape, X in shapes if isinstance(shape, Mesh)}
+        self._meshes = {name: (shape.path, X) for name, shape, X in shapes if type(shape).__name__ == "Mesh"}
         for file in scene.each_stroke[: number + 1]:
             self._file, self._frames = with_seconds(file), {"world": (np.zeros(3), np.eye(3)), "tool": (p, R)}
             for name, frame in (scene.file.frames or {}).items():
@@ -79,7 +105,7 @@ class ScenePath:
             if any(len(points) > 2 for points, _ in rows):
                 return self._add_face_rows(rows, R)
             (p, *_), (axis, *_) = rows[0]
-            R = self._goal(Goal(xyz=(0, 0, 0), axis=_three(axis)), R)[1]
+            R = self._goal(_Axis(_three(axis)), R)[1]
             ends = np.vstack([points for points, _ in rows])
             return self._add_legs(p, R, self._timed_legs(np.diff(ends, axis=0)))
         legs = file.legs
@@ -87,7 +113,7 @@ class ScenePath:
             p, R, legs = self._raster(file.raster, R)
         return self._add_legs(p, R, legs)
 
-    def _add_legs(self, p: FloatArray, R: FloatArray, legs: Sequence[Leg]) -> tuple[FloatArray, FloatArray]:
+    def _add_legs(self, p: FloatArray, R: FloatArray, legs: Sequence[Any]) -> tuple[FloatArray, FloatArray]:
         """Put straight legs, arcs and pauses together, with rounded corners."""
         file = self._file
         straight: list[FloatArray] = []
@@ -190,7 +216,7 @@ class ScenePath:
         return np.concatenate([*steps, ends[-1:]])
 
     def _leg(
-        self, leg: Leg, p: FloatArray, R: FloatArray
+        self, leg: Any, p: FloatArray, R: FloatArray
     ) -> tuple[float, _Points, _Points, tuple[FloatArray, FloatArray], float]:
         """Seconds, points, orientations, the pose at the end and the length of a leg."""
         if leg.arc is not None:
@@ -217,16 +243,16 @@ class ScenePath:
         """Seconds in which a leg is covered when the tool cruises at a speed between two ramps."""
         return length / ((speed or np.nan) * cruise_share(self._file.speed_profile))
 
-    def _goal(self, goal: Goal, R: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _goal(self, goal: Any, R: FloatArray) -> tuple[FloatArray, FloatArray]:
         """A pose in W, from the orientation `R` before."""
         return self._point(goal), rodrigues(self._turn_to(goal, R)) @ R
 
-    def _point(self, goal: Goal) -> FloatArray:
+    def _point(self, goal: Any) -> FloatArray:
         """The point of a pose in W."""
         p_frame, R_frame = self._frames[goal.frame]
         return np.asarray(p_frame + R_frame @ np.array(goal.xyz))
 
-    def _turn_to(self, goal: Goal, R: FloatArray) -> FloatArray:
+    def _turn_to(self, goal: Any, R: FloatArray) -> FloatArray:
         """The rotation vector in W from the orientation `R` to that of a pose."""
         R_frame = self._frames[goal.frame][1]
         if goal.rpy_deg is not None:
@@ -245,7 +271,7 @@ class ScenePath:
         share = 1 / (1 + cosine) if cosine > 0 else (1 - cosine) / sine**2
         return np.asarray(Rotation.from_matrix(np.eye(3) + K + share * K @ K).as_rotvec())
 
-    def _arc(self, arc: ArcTo, p: FloatArray) -> tuple[_Points, FloatArray, float, float]:
+    def _arc(self, arc: Any, p: FloatArray) -> tuple[_Points, FloatArray, float, float]:
         """Points by the share, the axis, the angle and the length of an arc from `p`."""
         p_frame, R_frame = self._frames[arc.frame]
         if arc.via is not None and arc.to is not None:
@@ -271,7 +297,7 @@ class ScenePath:
 
         return points, axis, angle, float(np.linalg.norm(arm) * abs(angle))
 
-    def _raster(self, raster: Raster, R: FloatArray) -> tuple[FloatArray, FloatArray, tuple[Leg, ...]]:
+    def _raster(self, raster: Any, R: FloatArray) -> tuple[FloatArray, FloatArray, tuple[_Way, ...]]:
         """Where a raster begins, and its rows and steps as legs."""
         p_frame, R_frame = self._frames[raster.frame]
         origin, *edges = map(np.array, raster.rectangle or ())
@@ -281,20 +307,20 @@ class ScenePath:
         along, rows = u / width, raster.rows
         begin = p_frame + R_frame @ origin + raster.stand_off_m * out
         corners = [begin + x * along + row * v / (rows - 1) for row, x in _ends(raster, width)]
-        local = Goal(xyz=(0, 0, 0), axis=_three(-out))
+        local = _Axis(_three(-out))
         return corners[0], self._goal(local, R)[1], self._timed_legs(np.diff(corners, axis=0))
 
-    def _timed_legs(self, ways: Sequence[FloatArray] | FloatArray) -> tuple[Leg, ...]:
+    def _timed_legs(self, ways: Sequence[FloatArray] | FloatArray) -> tuple[_Way, ...]:
         """Straight legs of a raster."""
         total = sum(float(np.linalg.norm(way)) for way in ways)
         legs = []
         for way in ways:
             share = float(np.linalg.norm(way)) / total
             seconds = None if self._file.given_time is None else self._file.given_time * share
-            legs.append(Leg(by=_three(way), seconds=seconds, speed_m_s=self._file.speed_m_s))
+            legs.append(_Way(_three(way), seconds, self._file.speed_m_s))
         return tuple(legs)
 
-    def _face_rows(self, raster: Raster) -> list[tuple[FloatArray, FloatArray]]:
+    def _face_rows(self, raster: Any) -> list[tuple[FloatArray, FloatArray]]:
         """Rows over faces of a mesh, each with its points and axes."""
         if raster.mesh in self._meshes:
             path, X_WM = self._meshes[raster.mesh]
@@ -307,13 +333,10 @@ class ScenePath:
         self, rows: list[tuple[FloatArray, FloatArray]], R: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Rows on splines with straight steps between them, on which the tool turns."""
-        from scipy.interpolate import make_interp_spline
-        from scipy.spatial.transform import RotationSpline
-
         legs: list[tuple[float, _Points, _Points, tuple[float, float] | None]] = []
 
         def turned(axis: FloatArray, R: FloatArray) -> FloatArray:
-            return self._goal(Goal(xyz=(0, 0, 0), axis=_three(axis)), R)[1]
+            return self._goal(_Axis(_three(axis)), R)[1]
 
         R = turned(rows[0][1][0], R)
         for k, (points, axes) in enumerate(rows):
@@ -332,14 +355,9 @@ class ScenePath:
             each = [R]
             for axis in axes[1:]:
                 each.append(turned(axis, each[-1]))
-            steps = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=1))
-            at = np.append(0.0, np.cumsum(steps)) / steps.sum()
-            spline, orientations = (
-                make_interp_spline(at, points, k=3),
-                RotationSpline(at, Rotation.from_matrix(each)),
-            )
-            edges = float(at[1]), float(1 - at[-2])
-            legs.append((_length(spline.derivative(), at), spline, partial(_matrices, orientations), edges))
+            at, length, places, turns = _spline(points, Rotation.from_matrix(each))
+            edges = (float(at[1]), float(1 - at[-2])) if len(at) > 2 else None
+            legs.append((length, places, turns, edges))
             R = each[-1]
         file, total = self._file, sum(length for length, *_ in legs)
         for length, places, turns, at_ends in legs:
@@ -348,7 +366,7 @@ class ScenePath:
             self._legs.append(TimedLeg(seconds, places, turns, length, share is None, at_ends))
         return rows[-1][0][-1], R
 
-    def _add_pipe(self, raster: Raster, pipe: CylinderPatch, R: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _add_pipe(self, raster: Any, pipe: Any, R: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Rows over a cylinder: turned and shifted from the pose at the beginning of the first one."""
         p_frame, R_frame = self._frames[raster.frame]
         axis = R_frame @ np.array(pipe.axis) / np.linalg.norm(pipe.axis)
@@ -369,7 +387,7 @@ class ScenePath:
         place = places[0]
         out = rodrigues(place[0] * axis) @ zero
         p = centre + outer * out + place[1] * axis
-        R = self._goal(Goal(xyz=(0, 0, 0), axis=_three(-out)), R)[1]
+        R = self._goal(_Axis(_three(-out)), R)[1]
 
         def add(plane: _Points, seconds: float, length: float) -> None:
             def turned(share: FloatArray) -> FloatArray:
@@ -396,23 +414,30 @@ class ScenePath:
         return self._end()
 
     def _add_spline(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-        from scipy.interpolate import make_interp_spline
-        from scipy.spatial.transform import RotationSpline
-
-        points = rows[:, :3]
-        steps = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=1))
-        at = np.append(0.0, np.cumsum(steps)) / steps.sum()
-        spline = make_interp_spline(at, points, k=3)
-        orientations = RotationSpline(at, Rotation.from_quat(rows[:, 3:], scalar_first=True))
+        kept = rows[:1]
+        for row in rows[1:]:
+            if ((row[:3] - kept[-1, :3]) ** 2).sum() >= _SAME_PLACE**2:
+                kept = np.vstack([kept, row])
+        _, length, points, turns = _spline(kept[:, :3], Rotation.from_quat(kept[:, 3:], scalar_first=True))
         file = self._file
-        length, cruises = _length(spline.derivative(), at), file.given_time is None
         seconds = file.given_time or self._cruise(length, file.speed_m_s)
-        turns = partial(_matrices, orientations)
-        self._legs.append(TimedLeg(seconds, spline, turns, length, cruises))
-        return points[-1], orientations(1.0).as_matrix()
+        self._legs.append(TimedLeg(seconds, points, turns, length, file.given_time is None))
+        return self._end()
 
 
-def _ends(raster: Raster, length: float) -> list[tuple[int, float]]:
+def _spline(points: FloatArray, orientations: Rotation) -> tuple[FloatArray, float, _Points, _Points]:
+    """Shares of the points, the length, points and orientations of a spline; through three a parabola."""
+    from scipy.interpolate import make_interp_spline
+    from scipy.spatial.transform import RotationSpline
+
+    steps = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=1))
+    at = np.append(0.0, np.cumsum(steps)) / steps.sum()
+    spline = make_interp_spline(at, points, k=min(3, len(points) - 1))
+    turns = partial(_matrices, RotationSpline(at, orientations))
+    return at, _length(spline.derivative(), at), spline, turns
+
+
+def _ends(raster: Any, length: float) -> list[tuple[int, float]]:
     """Rows, and where on them, m, the tool begins and ends: to and fro over all of them, or their pieces."""
     pieces = [(one.row, one.begin_m, one.end_m) for one in raster.pieces or ()]
     ends = list[tuple[int, float]]()

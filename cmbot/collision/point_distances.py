@@ -1,0 +1,69 @@
+"""Smallest distances of an arm by coal alone: every pair in every posture, one after the other.
+
+The certificate's clearances come from a broad phase, caches and bounds along motions; nothing of these is
+used here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from cmbot.collision.shapes import coal_shapes
+from cmbot.common.arrays import FloatArray
+from cmbot.robot import Robot
+from cmbot.scene import Obstacle
+
+__all__ = ["PointDistances"]
+
+
+class PointDistances:
+    """Distances of a robot's moving shapes to obstacles and to its own other shapes.
+
+    Parameters
+    ----------
+    robot : Robot
+    obstacles : sequence of Obstacle
+
+    Attributes
+    ----------
+    names : list of (str, str)
+        What is a pair's: a link, and another one or an obstacle.
+    """
+
+    def __init__(self, robot: Robot, obstacles: Sequence[Obstacle]) -> None:
+        self._model, self._data = robot.model, robot.model.createData()
+        own = list(robot.collision_model.geometryObjects)
+        self._shapes = [(int(one.parentJoint), one.placement, one.geometry) for one in own]
+        links = [str(robot.model.frames[one.parentFrame].name) for one in own]
+        moving = [k for k, (joint, _, _) in enumerate(self._shapes) if joint > 0]
+        both = [(pair.first, pair.second) for pair in robot.collision_model.collisionPairs]
+        self._pairs = [pair for pair in both if len({self._shapes[k][0] for k in pair}) > 1]
+        for obstacle in obstacles:
+            for geometry, X_OS in coal_shapes(obstacle.shape, obstacle.name):
+                self._pairs += [(k, len(self._shapes)) for k in moving]
+                self._shapes.append((0, pin.SE3(np.array(obstacle.X_WO)) * X_OS, geometry))
+                links.append(obstacle.name)
+        self.names = [(links[first], links[second]) for first, second in self._pairs]
+
+    def smallest(self, q: FloatArray) -> tuple[FloatArray, list[tuple[str, str]]]:
+        """Return the smallest distance (N,), m, in postures `q` (N, n), and which pair's it is.
+
+        Below zero where shapes overlap. Infinite without pairs, whose names are then empty.
+        """
+        distance, names = np.full(len(q), np.inf), [("", "")] * len(q)
+        for k, posture in enumerate(q):
+            pin.forwardKinematics(self._model, self._data, posture)
+            places = []
+            for joint, X_JS, _ in self._shapes:
+                X_WS = self._data.oMi[joint] * X_JS
+                places.append(coal.Transform3s(X_WS.rotation, X_WS.translation))
+            for pair, name in zip(self._pairs, self.names, strict=True):
+                one, other = ((self._shapes[shape][2], places[shape]) for shape in pair)
+                found = coal.distance(*one, *other, coal.DistanceRequest(), coal.DistanceResult())
+                if found < distance[k]:
+                    distance[k], names[k] = found, name
+        return distance, names

@@ -1,0 +1,215 @@
+"""An arm as its files describe it, read a second time as plain XML and YAML.
+
+What the files mean is said in `cmbot.robot.load_robot`, which has read and checked them before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.common.errors import ModelError
+from cmbot.common.yaml_reader import read_yaml
+from cmbot.robot import Robot, RobotFiles, parse_urdf, robot_files
+from cmbot.scene import RobotSource
+
+__all__ = ["DescribedArm", "DescribedLimits", "pose_of"]
+
+_FILES = ("model", "srdf", "limits", "elasticity", "package_dirs")
+_MOVABLE = ("revolute", "continuous", "prismatic")
+# A range that ends beyond this is none.
+_ENDLESS = 1e9
+
+
+def pose_of(xyz: ArrayLike, rpy: ArrayLike) -> FloatArray:
+    """Return a pose (4, 4) from URDF's position, m, and angles, rad: R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    X = np.eye(4)
+    X[:3, :3], X[:3, 3] = Rotation.from_euler("xyz", np.asarray(rpy)).as_matrix(), xyz
+    return X
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DescribedLimits:
+    """Limits of n joints, as `cmbot.robot.JointLimits` has them: each (n,), rad, s and Nm, or m, s and N."""
+
+    lower: FloatArray
+    upper: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    jerk: FloatArray
+    torque: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DescribedArm:
+    """An arm in the frame of its URDF, and where the scene has it.
+
+    Attributes
+    ----------
+    files : RobotFiles
+    urdf : xml.etree.ElementTree.Element
+    base, tool, carrier : str
+        Links that bound the arm, and the one of the tool point that `tool_length` and `payload` are of.
+    X_WB, X_WR : (4, 4) or None
+        Poses of the base and of the URDF's root link in W; None: as the URDF has them.
+    locked : mapping of str to float
+        Positions, rad or m, of joints that are not the arm's; others are at zero.
+    tool_length : float or None, m
+    payload : float, kg
+    """
+
+    files: RobotFiles
+    urdf: Element
+    base: str
+    tool: str
+    carrier: str
+    X_WB: FloatArray | None
+    X_WR: FloatArray | None
+    locked: Mapping[str, float]
+    tool_length: float | None
+    payload: float
+
+    @classmethod
+    def of(cls, source: RobotSource, robot: Robot) -> DescribedArm:
+        """Return what a scene's robot is; which files and frames are meant is no opinion: the loader's."""
+        stance, xyz, rpy = source.stance, source.mount_xyz, source.mount_rpy
+        return cls.in_files(
+            robot_files(**{name: source.files[name] for name in _FILES}),
+            robot,
+            X_WB=None if xyz is None or rpy is None else pose_of(xyz, rpy),
+            X_WR=None if stance is None else stance.root,
+            locked={} if stance is None else stance.locked,
+            tool_length=source.tool_length,
+            payload=source.payload,
+        )
+
+    @classmethod
+    def in_files(
+        cls,
+        files: RobotFiles,
+        robot: Robot,
+        *,
+        locked: Mapping[str, float],
+        tool_length: float | None,
+        payload: float,
+        carrier: str | None = None,
+        X_WB: FloatArray | None = None,
+        X_WR: FloatArray | None = None,
+    ) -> DescribedArm:
+        """Return what files say of a robot; `locked` has the joints that do not stand as in the SRDF."""
+        urdf = parse_urdf(files.urdf, package_dirs=files.package_dirs)
+        return cls(
+            files=files,
+            urdf=urdf,
+            base=robot.base_frame,
+            tool=robot.tool_frame,
+            carrier=carrier or robot.tool_frame,
+            X_WB=X_WB,
+            X_WR=X_WR,
+            locked=_group_states(files, urdf) | dict(locked),
+            tool_length=tool_length,
+            payload=payload,
+        )
+
+    @cached_property
+    def _above(self) -> dict[str, Element]:
+        """The joint above each link."""
+        return {_link(joint, "child"): joint for joint in self.urdf.findall("joint")}
+
+    @property
+    def root(self) -> str:
+        """Name of the URDF's root link."""
+        (root,) = {link.get("name", "") for link in self.urdf.findall("link")} - self._above.keys()
+        return root
+
+    @cached_property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the arm's joints, base to tool."""
+        return tuple(joint.get("name", "") for joint in self._chain)
+
+    @cached_property
+    def _chain(self) -> list[Element]:
+        link, chain = self.tool, list[Element]()
+        while link != self.base and link in self._above:
+            chain.insert(0, self._above[link])
+            link = _link(chain[0], "parent")
+        return [joint for joint in chain if joint.get("type") in _MOVABLE]
+
+    @property
+    def slides(self) -> BoolArray:
+        """Which joints (n,) move along their axes."""
+        return np.array([joint.get("type") == "prismatic" for joint in self._chain])
+
+    @property
+    def foot_point(self) -> FloatArray:
+        """O0 in W (3,), m."""
+        return np.zeros(3) if self.X_WR is None else self.X_WR[:3, 3]
+
+    @property
+    def tool_place(self) -> tuple[str, Mapping[str, str]]:
+        """The link that carries the tool point, and the point's origin there as URDF writes it."""
+        if self.tool_length is None:
+            return self.carrier, {}
+        joint = self._above[self.carrier]
+        origin = joint.find("origin")
+        rpy = "0 0 0" if origin is None else origin.get("rpy", "0 0 0")
+        return _link(joint, "parent"), {"xyz": f"0 0 {self.tool_length!r}", "rpy": rpy}
+
+    @cached_property
+    def limits(self) -> DescribedLimits:
+        """The joints' limits; what the files do not give is twice the velocity limit and ten times that.
+
+        Raises
+        ------
+        ModelError
+            When the limits file cannot be read.
+        """
+        file = self.files.limits
+        listed = {} if file is None else read_yaml(file, ModelError)
+        every, single = listed.get("all") or {}, listed.get("joints") or {}
+        given = [single.get(name, every) for name in self.joints]
+        limit = [{} if (each := joint.find("limit")) is None else each.attrib for joint in self._chain]
+        lower, upper, velocity, torque = (
+            np.array([float(each.get(key, 0)) for each in limit])
+            for key in ("lower", "upper", "velocity", "effort")
+        )
+        endless = [joint.get("type") == "continuous" for joint in self._chain] | (np.abs(upper) >= _ENDLESS)
+        rates = [
+            np.where(
+                self.slides,
+                [float(each.get(metres) or "nan") for each in given],
+                np.radians([float(each.get(degrees) or "nan") for each in given]),
+            )
+            for metres, degrees in (("acceleration_m_s2", "acceleration_deg"), ("jerk_m_s3", "jerk_deg"))
+        ]
+        acceleration = np.where(np.isnan(rates[0]), 2.0 * velocity, rates[0])
+        return DescribedLimits(
+            lower=np.where(endless, -np.inf, lower),
+            upper=np.where(endless, np.inf, upper),
+            velocity=velocity,
+            acceleration=acceleration,
+            jerk=np.where(np.isnan(rates[1]), 10.0 * acceleration, rates[1]),
+            torque=torque,
+        )
+
+
+def _link(joint: Element, tag: str) -> str:
+    found = joint.find(tag)
+    return "" if found is None else found.get("link", "")
+
+
+def _group_states(files: RobotFiles, urdf: Element) -> dict[str, float]:
+    """Positions of the movable joints of a URDF, rad or m, that its SRDF names."""
+    if files.srdf is None:
+        return {}
+    semantics = parse_urdf(files.srdf, "an SRDF", files.package_dirs)
+    movable = {each.get("name", "") for each in urdf.findall("joint") if each.get("type") in _MOVABLE}
+    entries = {each.get("name", ""): each.get("value", "") for each in semantics.findall("group_state/joint")}
+    return {name: float(entries[name]) for name in movable & entries.keys()}

@@ -1,0 +1,161 @@
+"""`cmbot verify`: folders of plans, walks and tours, forged and not, with and without the second engine."""
+
+import importlib.util
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_line import output, refusal
+from forgeries import FORGERIES, Forgery, forge
+from plan_folders import edit
+from walks import one_step
+
+from cmbot.archive import TOUR_FILE, WALK_FILE, write_results
+from cmbot.collision import Clearances
+from cmbot.planning.verification import engine, second_opinion
+from cmbot.robot import Dynamics, Kinematics
+from cmbot.walking import walk_data
+
+
+@pytest.fixture
+def walked(tmp_path: Path) -> Path:
+    write_results(tmp_path, WALK_FILE, walk_data(one_step()), {})
+    return tmp_path
+
+
+@pytest.fixture
+def toured(walked: Path) -> Path:
+    """A tour of a walk alone."""
+    folder = walked / "walk_1"
+    folder.mkdir()
+    (walked / "walk.json").rename(folder / "walk.json")
+    _write_tour(walked)
+    return walked
+
+
+def _write_tour(folder: Path, **changes: Any) -> None:
+    seconds = one_step().seconds
+    part = {"name": "walk_1", "kind": "walk", "begin": 0.0, "seconds": seconds, "adhesion_needed": None}
+    tour = {
+        "format": "cmbot-tour/1",
+        "cmbot": "0",
+        "seconds": seconds,
+        "words": [],
+        "parts": [part | changes],
+    }
+    write_results(folder, TOUR_FILE, tour, {}, force=True)
+
+
+@pytest.mark.parametrize("kind", ["short_folder", "walked", "toured"])
+def test_what_was_written_holds(kind: str, request: pytest.FixtureRequest) -> None:
+    folder = request.getfixturevalue(kind)
+    data = json.loads(output("verify", folder, "--json"))
+    assert (data["verb"], data["engine"]) == ("verify", "mujoco")
+    assert {each["part"] for each in data["motions"]} == {"walk_1" if kind == "toured" else ""}
+    for motion in data["motions"]:
+        names = [check["quantity"] for check in motion["checks"]]
+        for what in ("guardrail torque", "joint torque", "tool point", "clearance"):
+            assert f"difference of the {what} from a second computation" in names
+    told = output("verify", folder, "--engine", "mujoco")
+    assert "The second engine, mujoco, was asked." in told
+    assert output("verify", folder, "--quiet") == ""
+
+
+@pytest.mark.parametrize("forgery", FORGERIES, ids=str)
+def test_forgeries_end_in_one_line(forgery: Forgery, short_folder: Path) -> None:
+    forge(short_folder, forgery)
+    assert refusal("verify", short_folder).startswith(f"error: {short_folder}")
+
+
+@pytest.mark.parametrize("kind", ["short_folder", "walked"])
+@pytest.mark.parametrize(
+    ("part", "name", "mistake", "quantity"),
+    [
+        (Dynamics, "efforts", lambda x: replace(x, joint_torque=0.9 * x.joint_torque), "joint torque"),
+        (
+            Dynamics,
+            "efforts",
+            lambda x: replace(x, guardrail_force=0.9 * x.guardrail_force),
+            "guardrail force",
+        ),
+        (Kinematics, "tool_poses", lambda x: (x[0] + [0, 0, 1e-6], x[1]), "tool point"),
+        (Clearances, "smallest", lambda x: replace(x, distance=x.distance + 1e-3), "clearance"),
+    ],
+)
+def test_mistakes_of_the_package_are_found(
+    kind: str,
+    part: type,
+    name: str,
+    mistake: Any,
+    quantity: str,
+    request: pytest.FixtureRequest,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    folder = request.getfixturevalue(kind)
+
+    class Wrong(part):  # type: ignore[misc]
+        """As the second opinion meets it; the certificate does not."""
+
+    right = getattr(part, name)
+    setattr(Wrong, name, lambda self, *given: mistake(right(self, *given)))
+    monkeypatch.setattr(second_opinion, part.__name__, Wrong)
+    assert f"difference of the {quantity} from a second computation: got " in refusal("verify", folder)
+
+
+def test_without_the_second_engine(short_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    known = importlib.util.find_spec
+    monkeypatch.setattr(engine, "find_spec", lambda name: None if name == "mujoco" else known(name))
+    told = output("verify", short_folder)
+    assert "The second engine was not asked: mujoco is not installed; run: pip install" in told
+    data = json.loads(output("verify", short_folder, "--json"))
+    names = {check["quantity"] for motion in data["motions"] for check in motion["checks"]}
+    assert data["engine"] is None
+    assert "difference of the clearance from a second computation" in names
+    assert "difference of the timed tool path from a second computation" in names
+    assert "difference of the joint torque from a second computation" not in names
+    error = refusal("verify", short_folder, "--engine", "mujoco", status=1)
+    assert error.startswith("error: mujoco is not installed; run: pip install")
+    assert error.endswith("[verify]'") or error.endswith("[verify]")
+
+
+def test_an_engine_that_is_none(short_folder: Path) -> None:
+    error = "error: cmbot verify: --engine: got bullet, expected a known engine"
+    assert refusal("verify", short_folder, "--engine", "bullet").startswith(error)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"begin": 1.0}, r"parts[0].begin: got 1, expected 0, as its parts say"),
+        ({"seconds": 1.0}, r"parts[0].seconds: got 1, expected"),
+        ({"kind": "work"}, r"parts[0].kind: got work, expected walk"),
+        ({"name": "../walk_1"}, r"parts[0].name"),
+        ({"name": "walk_2"}, r"walk_2"),
+    ],
+)
+def test_a_tour_that_says_something_else(toured: Path, changes: dict[str, Any], words: str) -> None:
+    _write_tour(toured, **changes)
+    assert words in refusal("verify", toured)
+
+
+def test_parts_of_a_tour_follow_on_each_other(toured: Path) -> None:
+    """The same walk twice does not begin where it ends."""
+
+    def twice(tour: dict[str, Any]) -> None:
+        (part,) = tour["parts"]
+        tour["parts"] = [part, {**part, "begin": part["seconds"]}]
+        tour["seconds"] *= 2
+
+    edit(toured, twice, "tour.json")
+    assert "parts[1].name: got walk_1: another stance or posture" in refusal("verify", toured)
+
+
+def test_a_walk_that_breaks_a_promise(walked: Path) -> None:
+    edit(walked, lambda data: data.update(max_foot_speed=data["max_foot_speed"] / 2), "walk.json")
+    assert "tool speed: got " in refusal("verify", walked)
+
+
+def test_no_folder(tmp_path: Path) -> None:
+    assert "expected a plan directory" in refusal("verify", tmp_path)

@@ -1,0 +1,128 @@
+"""What is said of how the feet hold: the worst of all segments, and no adhesion of a clamp."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from clamped import CLAMP, MAGNET, clamped_scene
+from hypothesis import given
+from hypothesis import strategies as st
+from plan_folders import changed
+
+from cmbot.archive import load_plan, save
+from cmbot.planning import Plan, bound_use, plan, remarks, verdict
+from cmbot.robot import Dynamics
+from cmbot.views.report import headlines
+
+LOAD = "load of the clamp, safety 2"
+
+
+@pytest.fixture(scope="module")
+def clamped() -> Plan:
+    return plan(clamped_scene())
+
+
+@pytest.fixture(scope="module")
+def magnet_and_clamp() -> Plan:
+    """Foot 1 is a magnet, foot 2 a clamp; they are so near to each other that the base hangs as on one."""
+    rail = {"member": "top_rail", "turn_deg": 180}
+    feet = {"foot_1": {**rail, "along_m": 3.5}, "foot_2": {**rail, "along_m": 3.665}}
+    path = {"legs": [{"by": [0, -0.05, 0], "seconds": 2}], "via_points": 6}
+    hold = [MAGNET, {**CLAMP, "force_n": [80e3] * 3, "moment_nm": [30e3] * 3}]
+    return plan(clamped_scene(guardrail={"hold": hold, "stance": feet}, tool_path=path))
+
+
+def hold_remarks(of: Plan) -> list[str]:
+    return [remark for remark in remarks(of) if remark.startswith("Hold:")]
+
+
+def used(of: Plan, foot: int = 0) -> dict[str, float]:
+    """Share of a clamp's bounds that each segment uses, safety included, by dense samples of the wrench."""
+    found = {}
+    held = of.robot.feet[foot]
+    bounds = np.array([*held.force, *held.moment])
+    for segment in of.job.segments:
+        robot = of.robot if segment.kind == "stroke" else of.robot.tool_off
+        t = np.linspace(0, segment.duration, 4001)
+        wrench = Dynamics(robot).efforts(*segment.trajectory.states(t)).guardrail_wrench
+        load = np.abs(of.robot.holding.load(foot, wrench))
+        found[segment.name] = held.safety * float((load / bounds).max())
+    return found
+
+
+def test_the_load_of_a_clamp_is_the_worst_of_all_strokes(clamped: Plan) -> None:
+    each = used(clamped)
+    assert max(each, key=each.__getitem__) == "far"  # and not the first one
+    (said,) = hold_remarks(clamped)
+    checks = [check for _, check in clamped.job.checks() if check.quantity == LOAD]
+    assert len(checks) == len(clamped.job.segments)
+    worst = max(checks, key=bound_use)
+    assert worst.value == pytest.approx(each["far"], rel=1e-3)
+    # What is said of it, what is certified, and the share of the bound in the table are one number.
+    assert (worst.bound, worst.unit) == (1.0, "of its bounds")
+    assert said.startswith(
+        f"Hold: the {LOAD} included, uses {100 * worst.value:.1f} % of its bounds at most, along far, "
+        f"at {worst.time:.1f} s. In an emergency stop, "
+    )
+    (row,) = (row for row in clamped.rows() if "clamp" in row[0])
+    assert row[0] == f"{LOAD} included, whole job, share of its bounds"
+    assert row[2] == f"{worst.value:.3f}"
+
+
+def test_what_a_file_has_of_a_clamp_is_verified(clamped: Plan, tmp_path: Path) -> None:
+    folder = save(clamped, tmp_path / "plan")
+    again = load_plan(folder, verify=True)
+    (second,) = {
+        (check.bound, check.unit)
+        for _, check in again.job.checks()
+        if check.quantity == "load of the clamp by a second computation"
+    }
+    assert second == (pytest.approx(1.0), "of its bounds")
+    assert hold_remarks(again) == hold_remarks(clamped)
+    assert json.loads((folder / "plan.json").read_text())["planned"]["job"]["adhesion_needed"] is None
+    # A name that others rely on.
+    assert "clearance,adhesion_needed,segment" in (folder / "job.csv").read_text().splitlines()[0]
+
+
+def test_a_clamp_needs_no_adhesion(clamped: Plan) -> None:
+    cards = [f"{card.title} {card.value} {card.detail}" for card in headlines(clamped, None)]
+    rows = [name for name, *_ in clamped.rows()]
+    said = "\n".join([*remarks(clamped), verdict(clamped), clamped.summary(), *cards, *rows])
+    assert "adhesion" not in said.lower()
+    assert "adhesion" not in clamped.job.certificate.at_all_times()
+    assert clamped.figures.adhesion_needed is None and clamped.baseline_figures.adhesion_needed is None
+
+
+def test_a_clamp_without_figures_says_nothing_about_holding() -> None:
+    (said,) = hold_remarks(plan(clamped_scene({"kind": "clamp"})))
+    assert said == "Hold: what the feet bear is not given, so nothing here says whether they hold."
+
+
+def test_of_a_magnet_and_a_clamp_each_has_its_own(magnet_and_clamp: Plan) -> None:
+    needed = magnet_and_clamp.job.figures.adhesion_needed
+    assert needed.foot == 1
+    magnet, clamp = hold_remarks(magnet_and_clamp)
+    assert f"needs an adhesion of {needed.peak / 1e3:.2f} kN" in magnet and "clamp" not in magnet
+    assert clamp.startswith("Hold: the load of the clamp of foot 2, safety 2 included, uses ")
+    assert "adhesion" not in clamp
+    share = float(re.search(r"uses ([\d.]+) %", clamp)[1])
+    assert share == pytest.approx(100 * max(used(magnet_and_clamp, 1).values()), abs=0.1)
+
+
+@given(st.lists(st.floats(0.01, 0.99), min_size=4, max_size=4))
+def test_whichever_segment_is_worst_is_named(clamped: Plan, values: list[float]) -> None:
+    of = clamped
+    for segment, value in zip(clamped.job.segments, values, strict=True):
+        checks = tuple(
+            replace(check, value=value) if check.quantity == LOAD else check
+            for check in segment.certificate.checks
+        )
+        of = changed(of, segment.name, certificate=replace(segment.certificate, checks=checks))
+    (said,) = hold_remarks(of)
+    worst = clamped.job.segments[int(np.argmax(values))]
+    where = "on the return" if worst.name == "return" else f"along {worst.name}"
+    assert f"uses {100 * max(values):.1f} % of its bounds at most, {where}, at " in said
+    assert f"{max(values):.3f}" in of.summary()
