@@ -82,7 +82,7 @@ def test_what_is_refused(package: Path, short_plan: Plan, saved_short: Path, tmp
     with pytest.raises(ArchiveError, match="already there"):
         export_ros_package(short_plan, package)
     assert "a package's name" in refusal("export", saved_short, "--ros-package", tmp_path / "My-Robot")
-    assert "expected --mcap or --ros-package" in refusal("export", saved_short)
+    assert "expected --mcap, --ros or --ros-package" in refusal("export", saved_short)
     folder = tmp_path / "arm_description"
     assert output("export", saved_short, "--ros-package", folder) == f"Written to {folder}.\n"
     assert [path.name for path in tmp_path.iterdir()] == ["arm_description"]
