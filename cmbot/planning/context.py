@@ -20,6 +20,7 @@ from cmbot.planning.objectives import Objective, WrenchFunction, objective_of
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.stiffness import covariance_of, known_share, with_identified_stiffness
 from cmbot.planning.task import ToolTask
+from cmbot.planning.units import require_metres
 from cmbot.robot import Kinematics, PostureBatch, Postures, Robot, load_robot
 from cmbot.scene import SPEED_TOLERANCE, STOW, PlannerOptions, Scene, Stroke, ToolPoses, pose
 
@@ -250,6 +251,7 @@ def build_context(
     """
     robot = robot_of(scene)
     strokes = strokes_of(scene, robot)
+    require_metres(scene, robot)
     posture = np.array(scene.posture)
     if options.objective == "hold" and not (robot.holding and robot.holding.flat):
         expected = (

@@ -17,6 +17,7 @@ from cmbot.planning.result.holding import holding_remarks
 from cmbot.planning.result.plan import Plan
 from cmbot.planning.result.stroke_plan import ObjectiveMetrics
 from cmbot.planning.result.verdict import further, strays, travels, verdict
+from cmbot.planning.units import mistaken_units
 from cmbot.robot import Kinematics, postures_in_words
 from cmbot.scene import STOW
 
@@ -56,6 +57,8 @@ def remarks(plan: Plan) -> Iterator[str]:
     yield from plan.fallbacks
     yield from plan.robot.remarks
     yield from _bending(plan)
+    for key, looks, units in mistaken_units(plan.scene):
+        yield f"Numbers of {key} look like {looks}; they were taken as {units}."
     objective = plan.objective
     if objective.floor is not None and objective.floor <= _NOTHING * objective.baseline_peak:
         yield (

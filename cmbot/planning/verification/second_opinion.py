@@ -316,8 +316,8 @@ def _obstacle_shapes(shape: Shape) -> Iterator[tuple[FloatArray, ConvexShape]]:
             yield np.eye(4), ConvexShape(half=np.array([0.0, 0.0, 0.5 * length]), radius=radius)
         case Sphere(radius=radius):
             yield np.eye(4), ConvexShape(radius=radius)
-        case Mesh(path=path):
-            for points in mesh_parts(path):
+        case Mesh(path=path, scale=scale):
+            for points in mesh_parts(path, scale):
                 X = np.eye(4)
                 X[:3, 3], convex = hull(points)
                 yield X, convex
