@@ -82,6 +82,7 @@ class PlanningContext:
     sag: Sag | None  # where it is to be compensated
     begin: float = 0.0  # s, on the job's clock: what is planned begins there
     reached: float = 0.0  # value of the objective that the job before reaches
+    spare_clearance: float = 0.0  # m, of what is optimised: more than the safety margin, which is certified
     reporter: ProgressReporter = field(default_factory=ProgressReporter)
 
     __repr__ = short_repr
@@ -211,8 +212,8 @@ class PlanningContext:
         return self.robot.joints[int(room.argmin())]
 
 
-def no_start_left(failures: Sequence[PathNotFound], remedy: str = "") -> PathNotFound:
-    """Return the first failure, with the number of the others, and a remedy where it has none."""
+def no_start_left(failures: Sequence[PathNotFound]) -> PathNotFound:
+    """Return the first failure, with the number of the others."""
     first, others = failures[0], len(failures) - 1
     reason = first.reason
     if others:
@@ -222,8 +223,6 @@ def no_start_left(failures: Sequence[PathNotFound], remedy: str = "") -> PathNot
             f"; {counted(others, 'other starting posture')} {fail} as well "
             f"(the best at {furthest:.0%} of the path)"
         )
-    if remedy:
-        reason += f"; {remedy}"
     return PathNotFound(
         reason,
         time=first.time,
