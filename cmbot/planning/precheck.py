@@ -139,7 +139,7 @@ def _clearance_at_start(scene: Scene, robot: Robot) -> Precheck:
     if smallest.pair[0] < 0:
         return Precheck(found=(), warnings=())
     pair, distance = clearances.pairs[smallest.pair[0]], float(smallest.distance[0])
-    clear = "a start that is clear: another posture, other obstacles or a lower planner.safety_margin_m"
+    clear = "a start that is clear by planner.safety_margin_m"
     warning = _warning(scene.file.posture_key, pair.describe(distance, margin), clear)
     return Precheck(
         found=(("clearance at the start", f"{distance:.4f} m ({pair.link} to {pair.other})"),),
@@ -156,7 +156,7 @@ def _statics_at_start(scene: Scene, robot: Robot, task: ToolTask) -> Precheck:
     joint = robot.joints[use.argmax()]
     effort = "force" if robot.limits.prismatic[use.argmax()] else "torque"
     got = f"{use.max():.2f} of the {effort} that {joint} can bear, at rest"
-    warning = _warning(scene.file.posture_key, got, "at most 1: another posture or less payload")
+    warning = _warning(scene.file.posture_key, got, "at most 1")
     return Precheck(
         found=(
             ("smallest singular value there", f"{task.smallest_singular_value(robot, scene.posture):.4f}"),
@@ -232,7 +232,7 @@ def precheck_options(options: PlannerOptions, tool: Tool | None = None) -> Itera
             "planner.axis_weights",
             f"[{weights}]: gravity has no torque about z, so only what the motion itself asks would be "
             "minimised, and slowly",
-            "a weight above 0 for x or y, as in [1, 1, 1]; or start: pinned and more time for the tool path",
+            "a weight above 0 for x or y, as in [1, 1, 1]",
         )
 
 

@@ -63,8 +63,8 @@ def remarks(plan: Plan) -> Iterator[str]:
     if objective.floor is not None and objective.floor <= _NOTHING * objective.baseline_peak:
         yield (
             "Gravity has no part in what was minimised: at rest that is 0 everywhere, so no posture was "
-            "chosen by it, and only the motion's own share could be lowered. More time for the tool path "
-            "lowers that; axis_weights with x or y above 0 count gravity's torque, too."
+            "chosen by it, and only the motion's own share could be lowered. axis_weights with x or y above "
+            "0 count gravity's torque, too."
         )
     whole = plan.job.certificate
     checks, passes = len(whole.checks), counted(len(plan.passes), "pass", "passes")
@@ -234,10 +234,7 @@ def _start(plan: Plan) -> Iterator[str]:
             plan.baseline_figures.peak_guardrail_torque, plan.certificate.figures.peak_guardrail_torque
         )
         if figures.peak_guardrail_torque > worst * (1 + _GAIN):
-            yield (
-                f"The approach loads the {plan.scene.base_name} more than baseline and work do; "
-                "start: pinned, or a start posture nearer to this one, avoids it."
-            )
+            yield (f"The approach loads the {plan.scene.base_name} more than baseline and work do.")
 
 
 def _coverage(plan: Plan) -> Iterator[str]:
@@ -260,10 +257,7 @@ def _coverage(plan: Plan) -> Iterator[str]:
     end = " and ".join(left) or "no place is left out"
     yield f"Coverage: {covered}, within half the distance of two rows; {end}."
     if unreached:
-        yield (
-            "Where no posture goes on, rows are cut: another stance, stand-off or overscan, or less to keep "
-            "of the pose, may reach more; raster.cover: all refuses such a plan."
-        )
+        yield ("Where no posture goes on, rows are cut; raster.cover: all refuses such a plan.")
 
 
 def _baseline(plan: Plan) -> Iterator[str]:
