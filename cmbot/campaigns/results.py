@@ -65,7 +65,7 @@ def result_row(given: Mapping[str, Any], result: TaskResult, place: str) -> dict
 
 def _reason(result: TaskResult) -> str:
     key = _LIMITS.get(_end(result))
-    return f"{result.error}; a larger {key} may help" if key else result.error
+    return f"{result.error} ({key})" if key else result.error
 
 
 def _end(result: TaskResult) -> str:

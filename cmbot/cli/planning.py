@@ -103,13 +103,14 @@ def plan(
     loaded, options = _loaded(scene, changes or [])
     # Imports the robot's libraries: after the scene file, so that its errors are reported at once.
     from cmbot.archive import claim, require_free
-    from cmbot.planning import precheck_options
+    from cmbot.planning import precheck_options, unit_findings
 
     directory = output if output is not None else Path("out") / loaded.name
     with claim(directory):
         require_free(directory, force=force)
         require_plots(figures)
-        for finding in () if quiet else precheck_options(options, loaded.tool):
+        found = () if quiet else (*unit_findings(loaded), *precheck_options(options, loaded.tool))
+        for finding in found:
             err.print(flat(f"warning: {finding.key}: got {finding.got}, expected {finding.expected}"))
         with scenes_named(scene), ConsoleProgress(quiet=quiet) as console_progress:
             planned = cmbot.plan(loaded, options=options, progress=console_progress.update)

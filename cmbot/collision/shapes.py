@@ -131,8 +131,9 @@ def coal_shapes(shape: Shape, name: str) -> list[tuple[Any, Any]]:
             geometry = coal.Capsule(radius, length)
         case Sphere(radius=radius):
             geometry = coal.Sphere(radius)
-        case Mesh(path=path):
-            return [(hull, pin.SE3.Identity()) for hull in _hulls(load_mesh(path, name), path, name)]
+        case Mesh(path=path, scale=scale):
+            hulls = _hulls(load_mesh(path, name, scale=scale), path, name)
+            return [(hull, pin.SE3.Identity()) for hull in hulls]
     return [(geometry, pin.SE3.Identity())]
 
 

@@ -39,7 +39,6 @@ __all__ = [
     "SimulationDiverged",
     "beyond",
     "one_line",
-    "remedy_for",
     "whole_sentences",
 ]
 
@@ -238,74 +237,9 @@ class ArchiveError(InputError):
     """A plan directory is missing, incomplete, of another version, or in the way."""
 
 
-_TIME = "more seconds for the legs"
-_HOLD = "planner.objective: hold, another stance or a foot that bears more"
-# What most often helps, by a word in the name of a constraint.
-_REMEDIES = (
-    ("change of the shift", "a larger planner.max_tool_deviation_m, or planner.compensate: false"),
-    (
-        "standard deviations of the stiffness",
-        "more or better measurements (cmbot identify SCENE --propose N), a larger "
-        "planner.max_tool_deviation_m, or planner.deviation_sigmas: 0",
-    ),
-    ("jerk", "{time}{smoother}"),
-    ("velocity", "{time}"),
-    ("acceleration", "{time}"),
-    ("adhesion needed", _HOLD),
-    ("load of the clamp", _HOLD),
-    ("hold of the feet", _HOLD),
-    ("torque on the base", "a larger {path}.max_base_torque_nm or another place for the tool path"),
-    ("torque of", "a lighter payload, another start posture or another place for the tool path"),
-    ("joint torque", "a lighter payload, another start posture or another place for the tool path"),
-    ("middle of its range", "another start posture or another place for the tool path"),
-    ("position", "another start posture or another place for the tool path"),
-    ("tool deviation", "more {path}.via_points or a larger planner.max_tool_deviation_m"),
-    ("tool rotation", "more {path}.via_points or a larger planner.max_tool_rotation_deg"),
-    ("tool tilt", "a wider cone ({path}.keep) or more {path}.via_points"),
-    ("tool lag", "more {path}.via_points or a larger planner.max_tool_lag_m"),
-    ("process speed", "more {path}.via_points, longer leads or a larger {path}.speed_tolerance"),
-    ("tool speed", "more {path}.via_points or {time}"),
-    ("clearance", "another place for obstacles or tool path, or a lower planner.safety_margin_m"),
-)
-
-
 def beyond(violation: float) -> str:
     """Return in words by which share of its bound a constraint is violated."""
     return f"{violation:.2%} beyond its bound" if violation <= FAR_BEYOND else "far beyond its bound"
-
-
-def remedy_for(
-    constraint: str,
-    violation: float = 0.0,
-    *,
-    path: str = "tool_path",
-    more_time: str = _TIME,
-    smoother: str = "",
-    at_limits: bool = True,
-) -> str:
-    """Return what most often helps where a constraint cannot be kept; empty where nothing is known to.
-
-    Parameters
-    ----------
-    constraint : str
-        Its name.
-    violation : float
-        As a share of its bound: a tool that is far away is not for want of via-points.
-    path : str
-        Key of the tool path's description.
-    more_time : str
-        What gives the joints more time along it.
-    smoother : str
-        What makes its time law smoother, to be appended to that.
-    at_limits : bool
-        Joints are at limits of their rates: where they are not, a tool that is far away has no lack of time.
-    """
-    # A jump between segments is no limit of the joint whose derivatives it names.
-    some = () if constraint.startswith("jump") else _REMEDIES
-    what = next((what for name, what in some if name in constraint), "")
-    if violation > FAR_BEYOND and constraint.startswith("tool "):
-        what = "{time}" if at_limits else "more {path}.via_points"
-    return what.format(path=path, time=more_time, smoother=smoother)
 
 
 class PlanningError(CmbotError, RuntimeError):
@@ -369,8 +303,6 @@ class OptimisationFailed(PlanningError):
         The solver failed without a proof of infeasibility; another one may succeed.
     trajectory : object, optional
         The `QuinticTrajectory` that violates it.
-    remedy : str, optional
-        What may help; left out: what `remedy_for` says of the constraint.
     """
 
     def __init__(
@@ -381,14 +313,12 @@ class OptimisationFailed(PlanningError):
         violation: float,
         undecided: bool = False,
         trajectory: object = None,
-        remedy: str | None = None,
     ) -> None:
         self.reason = reason
         self.trajectory = trajectory
         self.constraint = constraint
         self.violation = violation
         self.undecided = undecided
-        self.remedy = remedy
         if violation <= 0:
             super().__init__(reason, f"; every constraint is met, {constraint} with the least room")
             return
@@ -398,11 +328,7 @@ class OptimisationFailed(PlanningError):
                 "; worst constraint: the peak, which exceeds the bound that was tried for it by "
                 f"{violation:.2%} of the initial guess's peak"
             )
-        if remedy is None:
-            remedy = remedy_for(constraint, violation)
-        if "time was over" in reason:
-            remedy = "a larger planner.time_limit_s"
-        super().__init__(reason, f"{text}: {remedy} may help" if remedy else text)
+        super().__init__(reason, text)
 
 
 class LimitViolation(PlanningError):
@@ -449,8 +375,7 @@ class SimulationDiverged(CmbotError, RuntimeError):
         lost = sum(not math.isfinite(x) for x in self.state)
         super().__init__(
             f"the simulation diverges at t = {time:.4f} s: the largest elastic coordinate is {largest:.3g} "
-            f"(m or rad), {lost} of {len(self.state)} are not finite; take a smaller step, or check the "
-            "stiffness and the mass"
+            f"(m or rad), {lost} of {len(self.state)} are not finite"
         )
 
 

@@ -59,6 +59,7 @@ from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.stiffness import covariance_of, modelled_stiffness
 from cmbot.planning.task import ToolTask
+from cmbot.planning.units import unit_findings
 from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
 __all__ = [
@@ -140,5 +141,6 @@ __all__ = [
     "task_of",
     "tightest_check",
     "tool_lag",
+    "unit_findings",
     "verdict",
 ]

@@ -20,6 +20,7 @@ from cmbot.planning.objectives import Objective, WrenchFunction, objective_of
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.stiffness import covariance_of, known_share, with_identified_stiffness
 from cmbot.planning.task import ToolTask
+from cmbot.planning.units import require_metres
 from cmbot.robot import Kinematics, PostureBatch, Postures, Robot, load_robot
 from cmbot.scene import SPEED_TOLERANCE, STOW, PlannerOptions, Scene, Stroke, ToolPoses, pose
 
@@ -81,6 +82,7 @@ class PlanningContext:
     sag: Sag | None  # where it is to be compensated
     begin: float = 0.0  # s, on the job's clock: what is planned begins there
     reached: float = 0.0  # value of the objective that the job before reaches
+    spare_clearance: float = 0.0  # m, of what is optimised: more than the safety margin, which is certified
     reporter: ProgressReporter = field(default_factory=ProgressReporter)
 
     __repr__ = short_repr
@@ -210,8 +212,8 @@ class PlanningContext:
         return self.robot.joints[int(room.argmin())]
 
 
-def no_start_left(failures: Sequence[PathNotFound], remedy: str = "") -> PathNotFound:
-    """Return the first failure, with the number of the others, and a remedy where it has none."""
+def no_start_left(failures: Sequence[PathNotFound]) -> PathNotFound:
+    """Return the first failure, with the number of the others."""
     first, others = failures[0], len(failures) - 1
     reason = first.reason
     if others:
@@ -221,8 +223,6 @@ def no_start_left(failures: Sequence[PathNotFound], remedy: str = "") -> PathNot
             f"; {counted(others, 'other starting posture')} {fail} as well "
             f"(the best at {furthest:.0%} of the path)"
         )
-    if remedy:
-        reason += f"; {remedy}"
     return PathNotFound(
         reason,
         time=first.time,
@@ -250,6 +250,7 @@ def build_context(
     """
     robot = robot_of(scene)
     strokes = strokes_of(scene, robot)
+    require_metres(scene, robot)
     posture = np.array(scene.posture)
     if options.objective == "hold" and not (robot.holding and robot.holding.flat):
         expected = (

@@ -1,4 +1,4 @@
-"""Failures: what is in the way by its name, and how many seconds, or which speed, the legs would need."""
+"""Failures: what is in the way by its name, and what is to be tried: slower legs, a bound that is eased."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from cmbot.robot import Dynamics
 from cmbot.scene import Stroke
 from cmbot.trajectory import QuinticTrajectory
 
-__all__ = ["constraints_named", "in_keys", "slower", "slower_legs"]
+__all__ = ["constraints_named", "eased", "in_keys", "slower", "slower_legs"]
 
 # Samples per segment at which the nearest pair and the weakest joint are sought.
 _SAMPLES = 10
@@ -36,29 +37,31 @@ _SLOWEST = 30.0
 _AT_LIMIT, _DOUBLE = 0.99, 2.0
 # More legs than these are not listed one by one.
 _MOST_LISTED, _MOST_DIGITS = 3, 9
+# Options that have the bounds of constraints, by how their names begin; eased by a larger factor than this,
+# a bound is another one.
+_EASED = {
+    "tool deviation": "max_tool_deviation_m",
+    "change of the shift": "max_tool_deviation_m",
+    "tool rotation": "max_tool_rotation_deg",
+    "tool lag": "max_tool_lag_m",
+}
+_MOST_EASED, _NOTHING = 3.0, 1e-9
 # How the optimiser, which knows no limit, says that it had to stop.
 _LATE = "the time was over"
 
 
 @contextmanager
 def constraints_named(context: PlanningContext) -> Iterator[None]:
-    """Name in an `OptimisationFailed` the link and obstacle, or the joint, of its worst constraint.
-
-    And what may help by the keys of the stroke that is planned.
-    """
+    """Name in an `OptimisationFailed` the link and obstacle, or the joint, of its worst constraint."""
     try:
         yield
     except OptimisationFailed as failure:
-        name, late = _named(context, failure), _LATE in failure.reason
-        remedy = "a larger planner.time_limit_s" if late else failure.remedy
-        at_limits = bool(_factors(context, failure.trajectory).max() >= _AT_LIMIT)
         raise OptimisationFailed(
             failure.reason.replace(_LATE, _time_over(context)),
-            constraint=name,
+            constraint=_named(context, failure),
             violation=failure.violation,
             undecided=failure.undecided,
             trajectory=failure.trajectory,
-            remedy=remedy or context.stroke.remedy_for(name, failure.violation, at_limits=at_limits),
         ) from failure
 
 
@@ -102,6 +105,38 @@ def slower_legs(context: PlanningContext, failure: PlanningError) -> FloatArray 
             factors = np.where(hasty, _DOUBLE, 1.0)
     factors = np.where(factors > 1.0, _ROOM * factors, 1.0)
     return factors if 1.0 < factors.max() <= _SLOWEST else None
+
+
+def eased(context: PlanningContext, failure: PlanningError) -> tuple[str, PlanningContext] | None:
+    """Return the context with an option eased that has the bound which could not be kept, and that in words.
+
+    A smaller safety margin, or a tool that may leave its path further. None where it is another bound, or one
+    that would have to be eased by far.
+    """
+    name, margin = None, context.options.safety_margin_m
+    if isinstance(failure, OptimisationFailed):
+        name, ratio, distance = failure.constraint, 1 + failure.violation, 0.0
+        if isinstance(failure.trajectory, QuinticTrajectory):
+            distance = float(
+                context.clearances.smallest(failure.trajectory.sampled(_SAMPLES)[0]).distance.min()
+            )
+    elif isinstance(failure, LimitViolation):
+        name, ratio, distance = failure.quantity, failure.value / failure.bound, failure.value
+    elif isinstance(failure, PathNotFound) and failure.pair is not None and failure.time == 0.0:
+        name, ratio = "clearance", 1.0
+        distance = float(context.clearances.smallest(context.first[None]).distance[0])
+    if name is None:
+        return None
+    option = next((option for begin, option in _EASED.items() if name.startswith(begin)), None)
+    value = None if option is None else _rounded_up(_ROOM * ratio * getattr(context.options, option))
+    if name.startswith("clearance"):
+        option, ratio = "safety_margin_m", margin / max(distance, _NOTHING)
+        value = _rounded_down(distance / _ROOM) if distance > 0 else None
+    if option is None or value is None or not 0 < ratio <= _MOST_EASED:
+        return None
+    change: dict[str, Any] = {option: value}
+    changed = replace(context, options=replace(context.options, **change))
+    return _changed(f"planner.{option}", value, getattr(context.options, option), 4), changed
 
 
 def slower(context: PlanningContext, factors: FloatArray) -> PlanningContext:

@@ -43,6 +43,8 @@ _HOPELESS, _HALVINGS, _NEXT_TO_NOTHING, _MOST_HALVINGS = 4.0, 3, 1e-3, 6
 # rad, and the posture with the tool on its path that is nearest to its middle is further from there than this
 # share of it.
 _LONG, _OFF_THE_MIDDLE = 0.3, 0.3
+# Random postures in which links are sought that are always near each other.
+_SOME_POSTURES = 200
 # Newton steps at most from postures that may be far from the task.
 _MANY_STEPS = 50
 # Directions in which the tool's axis leans where nothing is found in the middle of its cone, and how far, as
@@ -150,7 +152,6 @@ def leap_failure(problem: TorqueProblem) -> OptimisationFailed | None:
         "only by leaps to other branches of postures, off the tool path, were via-points joined in time",
         constraint=worst.name,
         violation=worst.value,
-        remedy="another start posture, or less that is kept of the tool's pose",
     )
 
 
@@ -289,17 +290,24 @@ def _require_clear_start(context: PlanningContext) -> None:
     if distance >= margin:
         return
     shapes = context.clearances.pairs[smallest.pair[0]]
-    other = (
-        "where they are always that near, let robot.srdf disable the pair"
-        if context.robot.model.existFrame(shapes.other)
-        else "move the obstacle"
-    )
+    always = ""
+    if shapes.self_collision and _are_always_near(context, int(smallest.pair[0])):
+        always = f"; in all of {_SOME_POSTURES} random postures they do, and robot.srdf can disable the pair"
     raise context.path_not_found(
-        f"in the scene's posture {shapes.describe(distance, margin)}; take another start posture, lower "
-        f"planner.safety_margin_m, or {other}",
+        f"in the scene's posture {shapes.describe(distance, margin)}{always}",
         q,
         pair=(shapes.link, shapes.other),
     )
+
+
+def _are_always_near(context: PlanningContext, pair: int) -> bool:
+    """Whether two links are within the safety margin in random postures, too."""
+    limits, rng = context.robot.limits, np.random.default_rng(0)
+    half = limits.sampled_half
+    q = rng.uniform(limits.range_middle - half, limits.range_middle + half, (_SOME_POSTURES, len(half)))
+    row = np.arange(_SOME_POSTURES)
+    distance = context.clearances.distances(q, row, np.full(_SOME_POSTURES, pair))
+    return bool((distance < context.options.safety_margin_m).all())
 
 
 def solved(
@@ -321,7 +329,7 @@ def _placed(context: PlanningContext, rough: FloatArray) -> FloatArray:
         joint = context.out_of_range(rough[k : k + 1]) or context.nearest_to_end(rough[k])
         raise context.path_not_found(
             f"via-point {k + 1} cannot be put onto the tool path exactly by Newton steps (nearest "
-            f"to an end of its range is {joint}); take another start posture, or move the tool path",
+            f"to an end of its range is {joint})",
             rough[k],
             context.times[k],
         )

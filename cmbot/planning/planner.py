@@ -11,13 +11,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import InputError, LimitViolation, OptimisationFailed, PlanningError
+from cmbot.common.errors import InputError, LimitViolation, OptimisationFailed, PathNotFound, PlanningError
 from cmbot.common.validation import checked_options, require_type
 from cmbot.common.watching import watched
 from cmbot.optimization import ExchangeReport
 from cmbot.planning.certification.certificate import Certificate, certify
 from cmbot.planning.context import PlanningContext, build_context
-from cmbot.planning.failures import constraints_named, in_keys, slower, slower_legs
+from cmbot.planning.failures import constraints_named, eased, in_keys, slower, slower_legs
 from cmbot.planning.flexibility.sag_compensation import MOST_ROUNDS, Compensation, compensate
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression, suppress_vibration
 from cmbot.planning.free_motion.approach import plan_approach
@@ -35,11 +35,11 @@ from cmbot.planning.precheck import (
     solver_of,
 )
 from cmbot.planning.progress import Progress, ProgressReporter
-from cmbot.planning.reach import require_postures, require_within_reach
+from cmbot.planning.reach import require_posture, require_postures, require_within_reach
 from cmbot.planning.result.composition import StrokeMotion, composed, suppresses_vibration
 from cmbot.planning.result.plan import Plan
 from cmbot.planning.result.stroke_plan import Start
-from cmbot.planning.retries import Attempt, with_retries
+from cmbot.planning.retries import Attempt, is_little_nearer, with_retries
 from cmbot.planning.stroke_order import in_least_travel
 from cmbot.planning.torque import Optimised, optimise, segments
 from cmbot.scene import PlannerOptions, Scene
@@ -202,11 +202,19 @@ def _stroke(context: PlanningContext, *, automatic: bool) -> tuple[Attempt, Stro
             context = starting_at_path(context)
         return _search(context, automatic=automatic)
     except PlanningError as failure:
+        if not _starts_too_near(failure):
+            # Before anything else is advised; and it says by how much a place is missed.
+            require_posture(context, is_clear=True)
         if len(context.strokes) > 1:
             failure.add_hint(f"this is stroke {context.stroke.name}")
         if hints := [*_hints(context, failure, automatic=automatic)]:
             failure.add_hint("; ".join(hints))
         raise
+
+
+def _starts_too_near(failure: PlanningError) -> bool:
+    """Whether it is the start posture that is too near to something: then no other place is the matter."""
+    return isinstance(failure, PathNotFound) and failure.pair is not None and failure.time == 0.0
 
 
 def _search(context: PlanningContext, *, automatic: bool) -> tuple[Attempt, StrokeMotion]:
@@ -272,38 +280,45 @@ def _peak(context: PlanningContext, parts: Sequence[Segment]) -> float:
 
 
 def _hints(context: PlanningContext, failure: PlanningError, *, automatic: bool) -> Iterator[str]:
-    """What would help, and what was not tried."""
-    if isinstance(failure, LimitViolation) and (remedy := context.stroke.remedy_for(failure.quantity)):
-        yield f"{remedy} may help"
-    late = context.reporter.expired()
-    if late and "the time" not in str(failure):
-        limit = f"{context.options.time_limit_s:g} s (planner.time_limit_s)"
-        yield f"then the time, {limit}, was over"
-    if late and "was over" in str(failure):
-        return  # what is not met yet says nothing of the legs
-    if context.task.path.open_legs:
-        return  # ever longer times were tried
+    """What was tried and would do; and that the time was over, where nothing can be tried."""
+    if context.reporter.expired():
+        if "the time" not in str(failure):
+            yield f"then the time, {context.options.time_limit_s:g} s (planner.time_limit_s), was over"
+        return
     # Seeking advice takes no longer than what it is about, or a small share of the time.
     reporter = context.reporter
     tried = replace(context, reporter=reporter.silent(max(reporter.used, _ADVICE * reporter.limit)))
-    for _ in range(_TRIALS):
-        factors = slower_legs(tried, failure)
-        if factors is None:
+    trial, latest = tried, failure
+    for number in range(_TRIALS + 1):
+        slowed = None if number == _TRIALS else _slowed(tried, trial, latest)
+        step = slowed or eased(tried, failure)
+        if step is None:
             return
-        tried = slower(tried, factors)
-        legs = in_keys(context, tried)
-        if not late:
-            context.reporter.step(f"trying {legs}")
-            try:
-                _search(tried, automatic=automatic)
-            except PlanningError as again:
-                failure, late = again, tried.reporter.expired()
-            else:
-                yield f"{legs} would do"
+        words, trial = step
+        reporter.step(f"trying {words}")
+        try:
+            _search(trial, automatic=automatic)
+        except PlanningError as again:
+            latest = again
+            if slowed is None or trial.reporter.expired():
                 return
-        if late:
-            yield f"{legs} may do"
+        else:
+            yield f"{words} would do"
             return
+
+
+def _slowed(
+    first: PlanningContext, failed: PlanningContext, failure: PlanningError
+) -> tuple[str, PlanningContext] | None:
+    """The context of slower legs than of the one that failed, in words what is changed of the first one.
+
+    None where time is not the matter, and of legs whose time is sought: ever longer ones were tried.
+    """
+    factors = None if first.task.path.open_legs else slower_legs(failed, failure)
+    if factors is None:
+        return None
+    after = slower(failed, factors)
+    return in_keys(first, after), after
 
 
 def _return(context: PlanningContext, before: tuple[Segment, ...]) -> Segment | None:
@@ -398,9 +413,12 @@ def _certified(context: PlanningContext, optimised: Optimised, start: FloatArray
         start=start,
         sag=context.sag,
     )
-    if optimised.failure is not None and not certificate.holds:
-        raise optimised.failure
-    certificate.require()
+    try:
+        certificate.require()
+    except LimitViolation as violation:
+        if optimised.failure is not None and not is_little_nearer(violation):
+            raise optimised.failure from violation
+        raise
     return certificate
 
 

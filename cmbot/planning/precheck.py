@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from cmbot.collision import Clearances, extent_of
+from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra, PlanningError, SceneError
 from cmbot.common.installation import install_command
@@ -29,6 +29,7 @@ from cmbot.planning.context import (
 from cmbot.planning.reach import beyond_reach, without_posture
 from cmbot.planning.stiffness import identified_in_words
 from cmbot.planning.task import ToolTask, task_dimension
+from cmbot.planning.units import mistaken_units, require_metres, unit_findings
 from cmbot.robot import Dynamics, Finding, Robot
 from cmbot.scene import PlannerOptions, Scene, Stroke, Tool, ToolPath, coverage_of
 from cmbot.trajectory import SUPPORT
@@ -37,7 +38,6 @@ __all__ = [
     "MOST_UNKNOWNS",
     "Precheck",
     "failures_explained",
-    "mistaken_units",
     "oversized",
     "precheck_options",
     "precheck_scene",
@@ -54,10 +54,6 @@ two minutes, at 4,000 more than three."""
 _ROUNDING = 1e-9
 # Odd, so that the middle of a leg's time is among them.
 _SPEED_SAMPLES = 201
-# An angle is whole to this, deg.
-_WHOLE = 1e-6
-# An obstacle whose every side is at least that long, m, may be in millimetres.
-_HUGE = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,6 +89,7 @@ def precheck_scene(scene: Scene) -> Precheck:
     with failures_explained(scene):
         robot = robot_of(scene)
         strokes = strokes_of(scene, robot)
+        require_metres(scene, robot)
     task = task_of(strokes[0], scene)
     start = (_clearance_at_start(scene, robot), _statics_at_start(scene, robot, task))
     found = [*_asked(scene, robot, strokes, task), *(pair for part in start for pair in part.found)]
@@ -105,12 +102,10 @@ def precheck_scene(scene: Scene) -> Precheck:
             warnings.append(too_large)
     warnings += precheck_options(scene.planner, scene.tool)
     # They may explain the others.
-    mistaken = [
-        _warning(key, f"numbers that look like {looks}", units) for key, looks, units in mistaken_units(scene)
-    ]
     # Rows of a raster share their key, and what is the matter with them.
     return Precheck(
-        found=(*found, *_return(scene, robot)), warnings=tuple(dict.fromkeys([*mistaken, *warnings]))
+        found=(*found, *_return(scene, robot)),
+        warnings=tuple(dict.fromkeys([*unit_findings(scene), *warnings])),
     )
 
 
@@ -147,7 +142,7 @@ def _clearance_at_start(scene: Scene, robot: Robot) -> Precheck:
     if smallest.pair[0] < 0:
         return Precheck(found=(), warnings=())
     pair, distance = clearances.pairs[smallest.pair[0]], float(smallest.distance[0])
-    clear = "a start that is clear: another posture, other obstacles or a lower planner.safety_margin_m"
+    clear = "a start that is clear by planner.safety_margin_m"
     warning = _warning(scene.file.posture_key, pair.describe(distance, margin), clear)
     return Precheck(
         found=(("clearance at the start", f"{distance:.4f} m ({pair.link} to {pair.other})"),),
@@ -164,7 +159,7 @@ def _statics_at_start(scene: Scene, robot: Robot, task: ToolTask) -> Precheck:
     joint = robot.joints[use.argmax()]
     effort = "force" if robot.limits.prismatic[use.argmax()] else "torque"
     got = f"{use.max():.2f} of the {effort} that {joint} can bear, at rest"
-    warning = _warning(scene.file.posture_key, got, "at most 1: another posture or less payload")
+    warning = _warning(scene.file.posture_key, got, "at most 1")
     return Precheck(
         found=(
             ("smallest singular value there", f"{task.smallest_singular_value(robot, scene.posture):.4f}"),
@@ -240,23 +235,8 @@ def precheck_options(options: PlannerOptions, tool: Tool | None = None) -> Itera
             "planner.axis_weights",
             f"[{weights}]: gravity has no torque about z, so only what the motion itself asks would be "
             "minimised, and slowly",
-            "a weight above 0 for x or y, as in [1, 1, 1]; or start: pinned and more time for the tool path",
+            "a weight above 0 for x or y, as in [1, 1, 1]",
         )
-
-
-def mistaken_units(scene: Scene) -> Iterator[tuple[str, str, str]]:
-    """Yield what of a scene looks as if it were in other units: key, the units it looks like, and its own."""
-    key = scene.file.posture_key
-    if key == "start.posture_deg":
-        angles = np.abs(np.degrees(scene.posture))
-        fractions = np.abs(angles - np.round(angles)) > _WHOLE
-        if 0.5 < angles.max() <= 2 * np.pi and fractions.sum() >= 2:
-            yield key, "radians", "degrees"
-    elif key == "start.posture" and np.abs(scene.posture).max() > 2 * np.pi:
-        yield key, "degrees", "rad (start.posture_deg is in degrees)"
-    for obstacle in scene.obstacles:
-        if np.diff(extent_of(obstacle), axis=0).min() >= _HUGE:
-            yield f"obstacle {obstacle.name}", "millimetres", "metres"
 
 
 @contextmanager

@@ -1,15 +1,18 @@
 """Retries: what is tried where no certified motion is found, in the order of `RETRIES`.
 
-1. `finer_samples`: where the certificate misses a bound narrowly, twice the samples per segment.
-2. `shorter_steps`: a guess with shorter steps between via-points, and 1.
-3. `clearer_guess`: where a clearance cannot be kept, a guess that keeps a little more of it, and 1, 2.
-4. `more_via_points`: where the tool strays between via-points, 2 to 4 times as many, and 1 to 3.
-5. `fewer_via_points`: where accelerations or jerks cannot be kept, fewer of them, and 1 to 4.
-6. `another_start`: a guess that leaves the scene's posture where no trajectory leads on from it, and 1 to 5.
-7. `reachable_start`: a guess that starts where self-motion leads to from the scene's posture, and 1 to 6.
-8. `joined_start`: a guess that starts where a free move leads to, and 1 to 7.
-9. `scene_start`: a guess that starts in the scene's posture, from which a trajectory may lead on, and 1 to 8.
-10. `dense_solver`: SLSQP, and 1 to 9.
+1. `spare_clearance`: where the certificate finds less clearance than the safety margin by less than 1 mm,
+   more than that margin for what is optimised.
+2. `finer_samples`: where the certificate misses a bound narrowly, twice the samples per segment, and 1.
+3. `shorter_steps`: a guess with shorter steps between via-points, and 1, 2.
+4. `clearer_guess`: where a clearance cannot be kept, a guess that keeps a little more of it, and 1 to 3.
+5. `more_via_points`: where the tool strays between via-points, or the compensation of the sag does not
+   settle, 2 to 4 times as many, and 1 to 4.
+6. `fewer_via_points`: where accelerations or jerks cannot be kept, fewer of them, and 1 to 5.
+7. `another_start`: a guess that leaves the scene's posture where no trajectory leads on from it, and 1 to 6.
+8. `reachable_start`: a guess that starts where self-motion leads to from the scene's posture, and 1 to 7.
+9. `joined_start`: a guess that starts where a free move leads to, and 1 to 8.
+10. `scene_start`: a guess that starts in the scene's posture, where a trajectory may lead on, and 1 to 9.
+11. `dense_solver`: SLSQP, and 1 to 10.
 
 Each remedy runs while there is time (`PlannerOptions.time_limit_s`).
 
@@ -23,7 +26,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeGuard, TypeVar
 
 import numpy as np
 
@@ -42,6 +45,7 @@ from cmbot.planning.initial_guess import (
     sliding_guess,
     solved,
 )
+from cmbot.planning.torque import TorqueProblem
 from cmbot.scene import MOST_SAMPLES
 
 __all__ = [
@@ -53,11 +57,13 @@ __all__ = [
     "fewer_via_points",
     "finer_samples",
     "guesses_in_shorter_steps",
+    "is_little_nearer",
     "joined_start",
     "more_via_points",
     "reachable_start",
     "scene_start",
     "shorter_steps",
+    "spare_clearance",
     "with_retries",
 ]
 
@@ -65,6 +71,9 @@ __all__ = [
 _HALVINGS, _TRIES = 4, 2
 # What the certificate may miss a bound by for more samples to help, as a share of it.
 _BY_A_HAIR = 0.01
+# The certificate may find so much less clearance than the safety margin, m, for spare clearance to help, of
+# which there is what is missing and so much more, so many times.
+_LITTLE_NEARER, _SPARE, _SPARED = 1e-3, 1.5e-4, 2
 # Via-points at most for which SLSQP is tried: its time grows with the cube of their number.
 _FEW_VIA_POINTS = 100
 # Least and largest factor by which there are more via-points, and how many at most: all takes longer in
@@ -84,6 +93,7 @@ _BETWEEN_VIA_POINTS = (
     "tool lag",
     "tool speed",
     "process speed",
+    "change of the shift",
 )
 _FAILURES = (OptimisationFailed, PathNotFound, LimitViolation)
 
@@ -108,6 +118,43 @@ class Retry(Protocol):
 
     def __call__(self, failed: Attempt, failure: PlanningError, run: Run[Work], /) -> tuple[Attempt, Work]:
         """Return the attempt that succeeded and its result."""
+
+
+def spare_clearance(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tuple[Attempt, Work]:
+    """Where the certificate finds a little less clearance than the safety margin, as between samples."""
+    for _ in range(_SPARED):
+        if not is_little_nearer(failure) or failed.context.reporter.expired():
+            break
+        failed = _spared(failed, failure)
+        try:
+            return run(failed)
+        except LimitViolation as again:
+            failure = again
+    raise failure
+
+
+def is_little_nearer(failure: PlanningError) -> TypeGuard[LimitViolation]:
+    """Whether a certificate misses the safety margin by so little that spare clearance may make up for it."""
+    if not isinstance(failure, LimitViolation) or not failure.quantity.startswith("clearance"):
+        return False
+    return 0 < failure.bound - failure.value < _LITTLE_NEARER
+
+
+def _spared(failed: Attempt, failure: LimitViolation) -> Attempt:
+    """The same attempt with what is missing of the safety margin, and a little more, to spare."""
+    missing = failure.bound - failure.value
+    spare = failed.context.spare_clearance + missing + _SPARE
+    context = replace(failed.context, spare_clearance=spare)
+    context.reporter.stage("path")
+    context.reporter.step(f"{1e3 * missing:.2g} mm of clearance are missing; planning with more of it")
+    fallback = (
+        f"The safety margin was missed by {1e3 * missing:.2g} mm ({failure}): planned with "
+        f"{1e3 * spare:.2g} mm more than it instead."
+    )
+    guess = failed.guess
+    form, least = guess.problem.parametrization, guess.lower_bound.value
+    guess = replace(guess, problem=TorqueProblem(context, form, least))
+    return replace(failed, context=context, guess=guess, fallbacks=(*failed.fallbacks, fallback))
 
 
 def finer_samples(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tuple[Attempt, Work]:
@@ -362,6 +409,7 @@ def _told(failure: PlanningError) -> str:
 
 
 RETRIES: tuple[Retry, ...] = (
+    spare_clearance,
     finer_samples,
     shorter_steps,
     clearer_guess,
@@ -445,6 +493,7 @@ def _are_same(one: Attempt, other: Attempt) -> bool:
         ]
 
     alike = one.context.options == other.context.options and one.guess.pinned == other.guess.pinned
+    alike &= one.context.spare_clearance == other.context.spare_clearance
     return alike and all(map(np.array_equal, numbers(one), numbers(other)))
 
 

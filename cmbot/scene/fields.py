@@ -13,6 +13,8 @@ from cmbot.common.errors import InputError
 from cmbot.common.validation import refusal, shown
 
 __all__ = [
+    "LONGEST",
+    "SHORTEST",
     "SHORTEST_LEG",
     "Angle",
     "Angles",
@@ -33,6 +35,9 @@ __all__ = [
 
 SHORTEST_LEG = 1e-6
 """m."""
+
+SHORTEST, LONGEST = 1e-6, 1e4
+"""Bounds of a length, m: they catch some millimetres given for metres, and keep every power finite."""
 
 # Axes are unit vectors up to what people round.
 _LENGTH_OF_AXIS = 1e-2
@@ -59,9 +64,8 @@ def _unit_vector(axis: Vector) -> Vector:
     return axis
 
 
-# The bounds, a micrometre and 10 km, catch millimetres given for metres, and keep every power finite.
-Length = Annotated[float, Field(ge=1e-6, le=1e4)]
-Coordinate = Annotated[float, Field(ge=-1e4, le=1e4)]
+Length = Annotated[float, Field(ge=SHORTEST, le=LONGEST)]
+Coordinate = Annotated[float, Field(ge=-LONGEST, le=LONGEST)]
 Vector = tuple[Coordinate, Coordinate, Coordinate]
 LongVector = Annotated[Vector, AfterValidator(_long_enough)]
 UnitVector = Annotated[Vector, AfterValidator(_unit_vector)]

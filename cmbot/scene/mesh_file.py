@@ -41,8 +41,8 @@ def is_mesh_file(text: str) -> bool:
     return Path(text).suffix.lower().removeprefix(".") in _FORMATS
 
 
-def load_mesh(path: Path, name: str = "", *, key: str = "") -> trimesh.Trimesh:
-    """Load an obstacle's mesh file (GLB, OBJ, OFF, PLY or STL), in metres, without its colours.
+def load_mesh(path: Path, name: str = "", *, key: str = "", scale: float = 1.0) -> trimesh.Trimesh:
+    """Load an obstacle's mesh file (GLB, OBJ, OFF, PLY or STL) without its colours; in metres by `scale`.
 
     Errors name the obstacle of that `name`, or a `key` in its place. Vertices that only differ in colour or
     normal become one: they would take the mesh apart. Files of the same content give the same mesh, which is
@@ -59,7 +59,7 @@ def load_mesh(path: Path, name: str = "", *, key: str = "") -> trimesh.Trimesh:
         raise SceneError(str(path), key, f"the format {path.suffix!r}", "a mesh file", _FORMATS)
     content = read_input(path, SceneError, kind="a mesh file", key=key, largest=LARGEST_MESH)
     try:
-        mesh = _parsed(content, suffix)
+        mesh = _parsed(content, suffix, scale)
         vertices = np.asarray(mesh.vertices, dtype=float)
     except _DAMAGED as error:
         raise SceneError(str(path), key, f"unreadable ({shown(str(error))})", "a mesh file") from error
@@ -77,7 +77,7 @@ def load_mesh(path: Path, name: str = "", *, key: str = "") -> trimesh.Trimesh:
 
 
 @lru_cache(maxsize=_KEPT)
-def _parsed(content: bytes, suffix: str) -> trimesh.Trimesh:
+def _parsed(content: bytes, suffix: str, scale: float) -> trimesh.Trimesh:
     # It takes a while to come, too.
     import trimesh
 
@@ -85,4 +85,6 @@ def _parsed(content: bytes, suffix: str) -> trimesh.Trimesh:
     with np.errstate(invalid="ignore"):  # vertices that are too far away are refused
         mesh = trimesh.load_mesh(io.BytesIO(content), file_type=suffix)
         mesh.merge_vertices(merge_tex=True, merge_norm=True)
+        if scale != 1.0:
+            mesh.vertices *= scale
     return mesh

@@ -5,18 +5,29 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self, cast
+from typing import Annotated, Any, Self, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import ConfigDict, model_validator
+from pydantic import ConfigDict, Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.errors import InputError
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import CheckedFields, FileModel, plain, require_type, shown
-from cmbot.scene.fields import Angles, Length, Slug, Text, Vector, exactly_one, one_of_schema
+from cmbot.common.validation import CheckedFields, FileModel, refusal, require_type, shown
+from cmbot.scene.fields import (
+    LONGEST,
+    SHORTEST,
+    Angles,
+    Length,
+    Slug,
+    Text,
+    Vector,
+    exactly_one,
+    given_of,
+    one_of_schema,
+)
 
 __all__ = [
     "Box",
@@ -33,6 +44,10 @@ __all__ = [
 ]
 
 _SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh")
+# From micrometres to kilometres, m.
+_LEAST_SCALE, _MOST_SCALE = 1e-6, 1e3
+# As it is written; in metres it has the bounds of `Length`.
+_Written = Annotated[float, Field(ge=0, le=LONGEST / _LEAST_SCALE)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,13 +113,17 @@ class Mesh:
     Attributes
     ----------
     path : Path
-        Of the file, absolute; its coordinates are metres.
+        Of the file, absolute.
+    scale : float, m
+        The unit of its coordinates: 0.001 where they are millimetres.
     """
 
     path: Path
+    scale: float = 1.0
 
     def __post_init__(self) -> None:
         require_type(self.path, Path, "Mesh", "path", "a path, as pathlib.Path")
+        _require_scale(self.scale, "Mesh")
 
 
 Shape = Box | Cylinder | Capsule | Sphere | Mesh
@@ -124,12 +143,16 @@ class Obstacle:
     workpiece : bool
         The tool works on it: it stays in every clearance that is reported or constrained, but does not push
         the tool away.
+    scale : float or None, m
+        The unit of the shape's dimensions in the scene file; `shape` has them in metres. Where one is given
+        they are meant, however large.
     """
 
     name: str
     shape: Shape
     X_WO: FloatArray
     workpiece: bool = False
+    scale: float | None = None
 
     __repr__ = short_repr
 
@@ -138,11 +161,19 @@ class Obstacle:
         kinds = (Box, Cylinder, Capsule, Sphere, Mesh)
         require_type(self.shape, kinds, "Obstacle", "shape", "a Box, Cylinder, Capsule, Sphere or Mesh")
         require_type(self.workpiece, bool, "Obstacle", "workpiece", "true or false")
+        if self.scale is not None:
+            _require_scale(self.scale, "Obstacle")
         X = self.X_WO
         sized = isinstance(X, np.ndarray) and X.dtype.kind in "fi" and X.shape == (4, 4)
         if not (sized and np.isfinite(X).all()):
             got = shown(X.tolist() if isinstance(X, np.ndarray) else X)
             raise InputError("Obstacle", "X_WO", got, "a pose: an array (4, 4) of finite numbers")
+
+
+def _require_scale(scale: object, kind: str) -> None:
+    is_number = isinstance(scale, (int, float)) and not isinstance(scale, bool)
+    if not (is_number and _LEAST_SCALE <= cast("float", scale) <= _MOST_SCALE):
+        raise InputError(kind, "scale", shown(scale), f"a number from {_LEAST_SCALE:g} to {_MOST_SCALE:g}")
 
 
 class ObstacleFile(FileModel):
@@ -151,45 +182,70 @@ class ObstacleFile(FileModel):
     model_config = ConfigDict(json_schema_extra=one_of_schema(_SHAPES))
 
     name: Slug
-    box: tuple[Length, Length, Length] | None = None
+    box: tuple[_Written, _Written, _Written] | None = None
     """Edge lengths along its x, y, z, m."""
-    cylinder: tuple[Length, Length] | None = None
+    cylinder: tuple[_Written, _Written] | None = None
     """[radius, length along z], m."""
-    capsule: tuple[Length, Length] | None = None
+    capsule: tuple[_Written, _Written] | None = None
     """[radius, length along z between the centres of its two half spheres], m."""
-    sphere: Length | None = None
+    sphere: _Written | None = None
     """Radius, m."""
     mesh: Text | None = None
-    """Path of a mesh file in metres, relative to the scene file."""
+    """Path of a mesh file, relative to the scene file; in metres without `scale`."""
     xyz: Vector
     """Centre (of a mesh: its origin) in W, m."""
     rpy_deg: Angles = (0.0, 0.0, 0.0)
     """Roll, pitch, yaw as in URDF: R = Rz(yaw) Ry(pitch) Rx(roll)."""
     workpiece: bool = False
     """The tool works on it, so it may come close."""
+    scale: Annotated[float, Field(ge=_LEAST_SCALE, le=_MOST_SCALE)] | None = None
+    """Factor that makes metres of the numbers of its shape, or of its mesh file: 0.001 where they are
+    millimetres. ``xyz`` is in metres anyway. 1 says that an obstacle is meant to be as large and as far away
+    as it is."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         exactly_one(self, _SHAPES)
+        for index, number in enumerate(self.in_metres):
+            if not SHORTEST <= number <= LONGEST:
+                written = np.atleast_1d(getattr(self, self.kind)).tolist()[index]
+                got = f"{written}" if self.scale is None else f"{written} times scale {self.scale:g}"
+                bound = f"at least {SHORTEST:g}" if number < SHORTEST else f"at most {LONGEST:g}"
+                key = (self.kind,) if self.kind == "sphere" else (self.kind, index)
+                raise refusal(bound, got=got, key=key)
         return self
+
+    @property
+    def kind(self) -> str:
+        """The key that has its shape."""
+        return given_of(self, _SHAPES)[0]
+
+    @property
+    def in_metres(self) -> list[float]:
+        """The numbers of its shape, m; of a mesh there are none."""
+        if self.mesh is not None:
+            return []
+        unit = 1.0 if self.scale is None else self.scale
+        return [unit * number for number in np.atleast_1d(getattr(self, self.kind)).tolist()]
 
 
 def obstacle_from_file(file: ObstacleFile, key: str, find: Callable[[str, str], Path]) -> Obstacle:
     """Return the obstacle that an entry of a scene file describes; `find` gives the path of a file."""
     shape: Shape
-    if file.box is not None:
-        shape = Box(size=file.box)
-    elif file.cylinder is not None:
-        shape = Cylinder(radius=file.cylinder[0], length=file.cylinder[1])
-    elif file.capsule is not None:
-        shape = Capsule(radius=file.capsule[0], length=file.capsule[1])
-    elif file.sphere is not None:
-        shape = Sphere(radius=file.sphere)
-    else:
-        mesh = cast("str", file.mesh)  # `_check` lets exactly one through
-        shape = Mesh(path=find(mesh, f"{key}.mesh"))
+    match file.kind, file.in_metres:
+        case "box", (x, y, z):
+            shape = Box(size=(x, y, z))
+        case "cylinder", (radius, length):
+            shape = Cylinder(radius=radius, length=length)
+        case "capsule", (radius, length):
+            shape = Capsule(radius=radius, length=length)
+        case "sphere", (radius,):
+            shape = Sphere(radius=radius)
+        case _:
+            mesh = cast("str", file.mesh)
+            shape = Mesh(path=find(mesh, f"{key}.mesh"), scale=1.0 if file.scale is None else file.scale)
     X_WO = pose(file.xyz, np.radians(file.rpy_deg))
-    return Obstacle(name=file.name, shape=shape, X_WO=X_WO, workpiece=file.workpiece)
+    return Obstacle(name=file.name, shape=shape, X_WO=X_WO, workpiece=file.workpiece, scale=file.scale)
 
 
 def obstacle_data(obstacle: Obstacle, entry: ObstacleFile | None) -> dict[str, Any]:
@@ -199,18 +255,28 @@ def obstacle_data(obstacle: Obstacle, entry: ObstacleFile | None) -> dict[str, A
     if entry is not None and np.array_equal(pose(entry.xyz, np.radians(entry.rpy_deg)), X):
         xyz, rpy_deg = entry.xyz, entry.rpy_deg
     data = {"name": obstacle.name, "xyz": xyz, "rpy_deg": rpy_deg, "workpiece": obstacle.workpiece}
+    if obstacle.scale is not None:
+        data |= {"scale": obstacle.scale}
+    numbers: tuple[float, ...]
     match obstacle.shape:
         case Box(size=size):
-            return data | {"box": plain(size, "Box")}
+            kind, numbers = "box", tuple(size)
         case Cylinder(radius=radius, length=length):
-            return data | {"cylinder": plain([radius, length], "Cylinder")}
+            kind, numbers = "cylinder", (radius, length)
         case Capsule(radius=radius, length=length):
-            return data | {"capsule": plain([radius, length], "Capsule")}
+            kind, numbers = "capsule", (radius, length)
         case Sphere(radius=radius):
-            return data | {"sphere": plain(radius, "Sphere")}
-        case Mesh(path=path):
+            kind, numbers = "sphere", (radius,)
+        case Mesh(path=path, scale=scale):
             text = entry.mesh if entry is not None else None
-            return data | {"mesh": text if text and Path(text).name == path.name else str(path)}
+            mesh = {"mesh": text if text and Path(text).name == path.name else str(path)}
+            return data | mesh | ({} if scale == (obstacle.scale or 1.0) else {"scale": scale})
+    same = (kind, obstacle.scale, list(numbers))
+    if entry is not None and (entry.kind, entry.scale, entry.in_metres) == same:
+        return data | {kind: getattr(entry, kind)}
+    unit = 1.0 if obstacle.scale is None else obstacle.scale
+    written = [float(number) / unit for number in numbers]
+    return data | {kind: written[0] if kind == "sphere" else written}
 
 
 def pose(xyz: ArrayLike, rpy: ArrayLike = (0.0, 0.0, 0.0)) -> FloatArray:

@@ -40,7 +40,6 @@ _PARTS = (
 
 
 # By what factor a larger weight of the jerk is suggested.
-_SMOOTHER = 100
 # A tool sways more than another's beyond this factor, and is still below the second number, m.
 _MORE, _STILL = 1.05, 1e-5
 # Options that change what is simulated, not how.
@@ -139,8 +138,7 @@ def _swaying(plan: Plan, tracking: Tracking) -> str:
         return ""
     return (
         " The planned motion SWAYS MORE than the baseline: beside its sag the tool moves by up to "
-        f"{1e3 * after:.3f} mm, the baseline's by {1e3 * before:.3f} mm; more seconds for the legs help, and "
-        f"so may a larger planner.smoothing_weight, such as {_SMOOTHER * plan.options.smoothing_weight:g}."
+        f"{1e3 * after:.3f} mm, the baseline's by {1e3 * before:.3f} mm."
     )
 
 

@@ -61,7 +61,7 @@ class Standing:
     scene: Scene
     unit: str
     ranked: tuple[Stood, ...]
-    plans: int
+    plans: int = StandOptions.plans
     ended_by: Literal["", "interrupt", "time"] = ""
 
     __repr__ = short_repr

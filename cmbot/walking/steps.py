@@ -282,7 +282,6 @@ def _named(name: str, start: FloatArray, end: FloatArray, end_name: str) -> Free
         end=end,
         start_name="the posture before",
         end_name=end_name,
-        remedy="take another place or another posture of the arm",
         # What may be asked is bounded by joints and feet.
         allowed=_EVERYTHING,
     )

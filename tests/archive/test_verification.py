@@ -10,10 +10,12 @@ import pytest
 from command_line import output, refusal
 from forgeries import FORGERIES, Forgery, forge
 from plan_folders import edit
+from small_scenes import short_scene
 from walks import one_step
 
-from cmbot.archive import TOUR_FILE, WALK_FILE, write_results
+from cmbot.archive import TOUR_FILE, WALK_FILE, save, write_results
 from cmbot.collision import Clearances
+from cmbot.planning import plan
 from cmbot.planning.verification import engine, second_opinion
 from cmbot.robot import Dynamics, Kinematics
 from cmbot.walking import walk_data
@@ -150,6 +152,19 @@ def test_parts_of_a_tour_follow_on_each_other(toured: Path) -> None:
 
     edit(toured, twice, "tour.json")
     assert "parts[1].name: got walk_1: another stance or posture" in refusal("verify", toured)
+
+
+def test_work_that_ends_where_the_next_begins(tmp_path: Path) -> None:
+    planned = plan(short_scene(**{"format": "cmbot-scene/2", "return": "start"}))
+    for name in ("work_1", "work_2"):
+        save(planned, tmp_path / name)
+    seconds = planned.job.duration
+    part = {"kind": "work", "seconds": seconds, "adhesion_needed": None}
+    parts = [part | {"name": "work_1", "begin": 0.0}, part | {"name": "work_2", "begin": seconds}]
+    tour = {"format": "cmbot-tour/1", "cmbot": "0", "seconds": 2 * seconds, "words": [], "parts": parts}
+    write_results(tmp_path, TOUR_FILE, tour, {})
+    motions = json.loads(output("verify", tmp_path, "--json"))["motions"]
+    assert [each["name"] for each in motions] == 2 * [segment.name for segment in planned.job.segments]
 
 
 def test_a_walk_that_breaks_a_promise(walked: Path) -> None:

@@ -387,7 +387,7 @@ def test_legs_too_fast_for_the_joints_name_bound_joint_and_remedy(folder: Path) 
         line = refusal("plan", "hasty.yaml", "--quiet", status=3)
         assert line.startswith("error: hasty.yaml: ")
         assert re.search(r"(velocity|acceleration|jerk) of joint_\d, (\d+\.\d\d%|far) beyond its bound", line)
-        assert line.count("more seconds") == 1
+        assert "may" not in line
         # So slow a leg was planned.
         assert re.search(r"; tool_path\.legs\[0\]\.seconds \d(\.\d)? instead of 0\.9 would do$", line)
 
@@ -402,32 +402,12 @@ def test_the_doctor_names_the_extra_of_what_is_optional() -> None:
         assert f"of the extra {extra}" in found[package] or install_command(extra) in found[package]
 
 
-@pytest.mark.parametrize(
-    ("constraint", "remedy"),
-    [
-        ("velocity of joint_3", "more seconds for the legs"),
-        ("acceleration of joint_3", "more seconds for the legs"),
-        ("jerk of joint_3", "more seconds for the legs"),
-        ("position of joint_4", "another start posture"),
-        ("joint torque", "a lighter payload"),
-        ("tool deviation", "planner.max_tool_deviation_m"),
-        ("clearance", "planner.safety_margin_m"),
-        ("something else", ""),
-    ],
-)
-def test_a_failed_optimisation_says_what_to_do(constraint: str, remedy: str) -> None:
-    text = str(errors.OptimisationFailed("no way", constraint=constraint, violation=0.25))
+@pytest.mark.parametrize("constraint", ["velocity of joint_3", "joint torque", "clearance", "something else"])
+def test_a_failed_optimisation_says_what_is_broken_and_advises_nothing(constraint: str) -> None:
     far = str(errors.OptimisationFailed("no way", constraint=constraint, violation=99.0))
-    assert f"worst constraint: {constraint}, far beyond its bound" in far
-    hasty = constraint.startswith(("velocity", "acceleration", "jerk", "tool"))
-    assert ("more seconds for the legs" in far) == hasty
-    worst = f"no way; worst constraint: {constraint}, 25.00% beyond its bound"
-    if not remedy:
-        assert text == worst
-        return
-    assert text.startswith(f"{worst}: ")
-    assert remedy in text
-    assert text.endswith(" may help")
+    assert far == f"no way; worst constraint: {constraint}, far beyond its bound"
+    text = str(errors.OptimisationFailed("no way", constraint=constraint, violation=0.25))
+    assert text == f"no way; worst constraint: {constraint}, 25.00% beyond its bound"
 
 
 def test_a_failed_optimisation_that_breaks_no_constraint() -> None:

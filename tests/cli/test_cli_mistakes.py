@@ -113,15 +113,15 @@ def test_degrees_for_radians_are_suspected(tmp_path: Path) -> None:
 
 
 def test_obstacles_in_millimetres_are_suspected(tmp_path: Path) -> None:
-    box = {"name": "table", "box": [1000, 800, 50], "xyz": [1800, 700, -2100]}
-    path = write_scene(tmp_path / "mm.yaml", {**SHORT, "obstacles": [box]})
-    first = run("check", path).out.splitlines()[0]
-    assert (
-        first == f"warning: {path}: obstacle table: got numbers that look like millimetres, expected metres"
+    box = {"name": "table", "box": [1000, 800, 50], "xyz": [0, 0, 0]}
+    near = write_scene(tmp_path / "near.yaml", {**SHORT, "obstacles": [box]})
+    first = run("check", near).out.splitlines()[0]
+    assert first == (
+        f"warning: {near}: obstacle table: got numbers that look like millimetres, expected metres "
+        "(scale: 1 says that they are)"
     )
-    near = write_scene(tmp_path / "near.yaml", {**SHORT, "obstacles": [{**box, "xyz": [0, 0, 0]}]})
     with pytest.raises(
-        cmbot.PlanningError, match=r"; obstacle table looks like millimetres, it is in metres$"
+        cmbot.PlanningError, match=r"; obstacle table looks like millimetres, it is in metres \(scale: 1 "
     ):
         cmbot.plan(cmbot.load_scene(near))
     floor = {"name": "floor", "box": [100, 100, 1], "xyz": [0, 0, -9]}

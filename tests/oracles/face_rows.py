@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ _WHOLE, _NO_LENGTH, _NO_AREA = 1e-6, 1e-9, 1e-12
 
 
 def face_rows(
-    raster: Any, path: Path, X_WM: FloatArray, p_frame: FloatArray, R_frame: FloatArray
+    raster: Any, mesh: Any, X_WM: FloatArray, p_frame: FloatArray, R_frame: FloatArray
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Return tool points (K, 3), m, and the tool's z axes (K, 3) of each row.
 
@@ -25,14 +24,14 @@ def face_rows(
     ----------
     raster : Raster of cmbot.scene
         With faces of a mesh.
-    path : Path
-        Of the mesh file.
+    mesh : Mesh of cmbot.scene
+        Its path and scale.
     X_WM : (4, 4)
         Pose of the mesh in W.
     p_frame, R_frame : (3,), m, and (3, 3)
         Pose of the raster's frame in W.
     """
-    vertices, faces = _chosen(raster, path, X_WM, p_frame, R_frame)
+    vertices, faces = _chosen(raster, mesh, X_WM, p_frame, R_frame)
     across = _across(vertices[faces])
     sizes = np.linalg.norm(across, axis=1)
     z = across.sum(axis=0) / np.linalg.norm(across.sum(axis=0))
@@ -74,13 +73,13 @@ def face_rows(
 
 
 def _chosen(
-    raster: Any, path: Path, X_WM: FloatArray, p_frame: FloatArray, R_frame: FloatArray
+    raster: Any, mesh: Any, X_WM: FloatArray, p_frame: FloatArray, R_frame: FloatArray
 ) -> tuple[FloatArray, IntArray]:
     """Vertices in W and faces of the chosen part, with one vertex for corners at the same place."""
     # It takes a while to come, and few scenes have a mesh.
     import trimesh
 
-    soup = np.asarray(trimesh.load_mesh(path, process=False).triangles)
+    soup = mesh.scale * np.asarray(trimesh.load_mesh(mesh.path, process=False).triangles)
     corners = soup @ X_WM[:3, :3].T + X_WM[:3, 3]
     across = _across(corners)
     sizes = np.linalg.norm(across, axis=1)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -72,7 +73,7 @@ class ScenePath:
 
     def __init__(self, scene: Any, p: FloatArray, R: FloatArray, number: int = 0) -> None:
         shapes = ((each.name, each.shape, each.X_WO) for each in scene.obstacles)
-        self._meshes = {name: (shape.path, X) for name, shape, X in shapes if type(shape).__name__ == "Mesh"}
+        self._meshes = {name: (shape, X) for name, shape, X in shapes if type(shape).__name__ == "Mesh"}
         for file in scene.each_stroke[: number + 1]:
             self._file, self._frames = with_seconds(file), {"world": (np.zeros(3), np.eye(3)), "tool": (p, R)}
             for name, frame in (scene.file.frames or {}).items():
@@ -323,11 +324,11 @@ class ScenePath:
     def _face_rows(self, raster: Any) -> list[tuple[FloatArray, FloatArray]]:
         """Rows over faces of a mesh, each with its points and axes."""
         if raster.mesh in self._meshes:
-            path, X_WM = self._meshes[raster.mesh]
+            mesh, X_WM = self._meshes[raster.mesh]
         else:
-            path, X_WM = Path(str(raster.mesh)), np.eye(4)
+            mesh, X_WM = SimpleNamespace(path=Path(str(raster.mesh)), scale=None), np.eye(4)
             X_WM[:3, 3], X_WM[:3, :3] = self._frames[raster.frame]
-        return face_rows(raster, path, X_WM, *self._frames[raster.frame])
+        return face_rows(raster, mesh, X_WM, *self._frames[raster.frame])
 
     def _add_face_rows(
         self, rows: list[tuple[FloatArray, FloatArray]], R: FloatArray

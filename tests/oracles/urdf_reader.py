@@ -322,10 +322,10 @@ def _mesh_points(path: Path) -> FloatArray:
     return np.asarray(trimesh.load_mesh(path, process=False).vertices)
 
 
-def mesh_parts(path: Path) -> list[FloatArray]:
-    """Vertices (V, 3) of each connected part of an obstacle's mesh file, m."""
+def mesh_parts(path: Path, scale: float = 1.0) -> list[FloatArray]:
+    """Vertices (V, 3), m, of each connected part of an obstacle's mesh file, whose unit is `scale`, m."""
     import trimesh
 
     mesh = trimesh.load_mesh(path)
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
-    return [np.asarray(part.vertices) for part in mesh.split(only_watertight=False)]
+    return [scale * np.asarray(part.vertices) for part in mesh.split(only_watertight=False)]

@@ -5,20 +5,24 @@ By the length of the stretched arm, and by its joint ranges and obstacles.
 
 import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from command_line import run, write_scene
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
-from small_scenes import parts, path_through, short_scene, strokes_scene
+from small_scenes import context_of, parts, path_through, short_scene, strokes_scene
 
 from cmbot import load_robot
-from cmbot.common.errors import PathNotFound
+from cmbot.common.errors import PathNotFound, SceneError
+from cmbot.common.yaml_reader import read_yaml
 from cmbot.planning import plan, precheck_scene
 from cmbot.planning.context import strokes_of
+from cmbot.planning.path.nearest_miss import places_along
 from cmbot.planning.path.place_search import worst_missed
 from cmbot.planning.progress import Progress
 from cmbot.planning.reach import beyond_reach
@@ -217,3 +221,40 @@ def test_places_are_tried_by_length_whatever_the_via_points_are() -> None:
     missed, tried = map(int, counted.groups())
     assert tried >= 30
     assert 0.2 <= missed / tried <= 0.8
+
+
+def ur5_scene(folder: Path, by: list[float], **more: Any) -> Scene:
+    """What `cmbot new` writes, with one long leg whose via-points are far apart."""
+    at = ("--tool-at", "0.55", "0.1", "0.3", "--rpy-deg", "180", "0", "0")
+    assert run("new", "--from", "ur5", *at, "-o", str(folder / "ur5.yaml")).status == 0
+    data = read_yaml(folder / "ur5.yaml", SceneError)
+    data["tool_path"] |= {"legs": [{"by": by, "seconds": 8}], "via_points": 6}
+    write_scene(folder / "ur5.yaml", data | more)
+    return load_scene(folder / "ur5.yaml")
+
+
+def test_no_seconds_are_advised_where_a_place_between_via_points_is_out_of_reach(tmp_path: Path) -> None:
+    """The wrist cannot come so near to the base's axis; each via-point has a posture."""
+    scene = ur5_scene(tmp_path, [-1.1, 0, 0])
+    robot = parts(scene)[0]
+    (stroke,) = strokes_of(scene, robot)
+    task = ToolTask.of(stroke.path, "pose")
+    assert worst_missed(robot, task, task.goals(stroke.via_times), scene.posture) is None
+    with pytest.raises(PathNotFound, match=r"out of reach at \(-?0\.0\d\d, 0\.100, 0\.300\) m: ") as caught:
+        plan(scene, progress=False)
+    assert "seconds" not in str(caught.value)
+    # It is tried what less to keep would do, and told what does.
+    assert caught.value.reason.endswith("; with tool_path.keep position every place has a posture")
+    task = ToolTask.of(stroke.path, "position")
+    assert worst_missed(robot, task, task.goals(places_along(context_of(scene))), scene.posture) is None
+    assert any(
+        "1 of " in warning.got and "out of reach" in warning.got for warning in precheck_scene(scene).warnings
+    )
+
+
+def test_no_seconds_are_advised_where_a_place_between_via_points_is_blocked(tmp_path: Path) -> None:
+    post = {"name": "post", "cylinder": [0.005, 0.05], "xyz": [0.05, 0.35, 0.3]}
+    scene = ur5_scene(tmp_path, [-1.0, 0.5, 0], obstacles=[post])
+    with pytest.raises(PathNotFound, match=r"blocked at .*, at best .*post, the safety margin") as caught:
+        plan(scene, progress=False)
+    assert "seconds" not in str(caught.value)

@@ -139,5 +139,5 @@ def test_the_sag_that_is_compensated_is_that_of_each_segment(strokes_plan: Plan)
     ends = [f"{1e3 * each.largest(each.dynamic):.3f} mm" for each in (motion, calm)]
     said = tracking_verdict(strokes_plan, replace(tracking, baseline=calm))
     assert f"SWAYS MORE than the baseline: beside its sag the tool moves by up to {ends[0]}, " in said
-    assert f"the baseline's by {ends[1]}; " in said
-    assert "a larger planner.smoothing_weight, such as 10." in said
+    # Nothing is advised that was not tried.
+    assert said.endswith(f"the baseline's by {ends[1]}.")

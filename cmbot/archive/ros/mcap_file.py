@@ -160,8 +160,8 @@ def _solids(obstacle: Obstacle, marker: Callable[..., Message]) -> Iterator[Mess
                 ball = X.copy()
                 ball[:3, 3] += end * length * X[:3, 2]
                 yield marker(_SPHERE, obstacle.name, ball, [2 * radius] * 3, colour)
-        case Mesh(path=path):
-            mesh = load_mesh(path, obstacle.name)
+        case Mesh(path=path, scale=scale):
+            mesh = load_mesh(path, obstacle.name, scale=scale)
             corners = np.array(mesh.vertices)[np.array(mesh.faces).ravel()]
             yield marker(_TRIANGLES, obstacle.name, X, (1.0, 1.0, 1.0), colour, corners)
 

@@ -81,6 +81,7 @@ def compensate(
         When a round finds no trajectory, or the shift does not settle.
     """
     allowed = context.options.max_tool_deviation_m
+    settled = _SETTLED * allowed
     room = _LEFT * (allowed - _uncertain(context, optimised, sag))
     options = replace(context.options, max_tool_deviation_m=room)
     times = np.linspace(context.times[:-1], context.times[1:], _PER_SEGMENT, endpoint=False, axis=1)
@@ -89,7 +90,7 @@ def compensate(
     for rounds in range(MOST_ROUNDS + 1):
         wanted = -sag.at(optimised.trajectory.evaluate(times)).tool
         change = float(np.linalg.norm(wanted - shift, axis=1).max())
-        if change < _SETTLED * allowed:
+        if change < settled:
             largest = float(np.linalg.norm(shift, axis=1).max())
             spread = 0.0
             if sag.covariance is not None:
@@ -103,7 +104,7 @@ def compensate(
             raise OptimisationFailed(
                 f"the time was over after {tried} of the compensation of the sag",
                 constraint="change of the shift",
-                violation=change / allowed,
+                violation=change / settled - 1,
             )
         shift = wanted
         task = replace(context.task, path=_shifted(context, times, shift))
@@ -114,7 +115,7 @@ def compensate(
     raise OptimisationFailed(
         f"the compensation of the sag did not settle in {MOST_ROUNDS} rounds",
         constraint="change of the shift",
-        violation=change / allowed,
+        violation=change / settled - 1,
     )
 
 

@@ -66,7 +66,6 @@ def plan_approach(
         end=end,
         start_name=context.before_in_words,
         end_name="the start of the work" if context.number == 0 else f"the start of {context.stroke.name}",
-        remedy="take start: pinned, or a start posture from which one leads there",
         begin=context.begin,
         allowed=max(allowed, context.reached),
         most_growths=_FEW_GROWTHS if dispensable else MOST_GROWTHS,

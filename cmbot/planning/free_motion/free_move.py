@@ -53,8 +53,6 @@ class FreeMove:
     start, end : (n,), rad, of joints that slide m
     start_name, end_name : str
         What messages call the two postures.
-    remedy : str
-        What to do where nothing leads from one to the other.
     begin : float, s
         When it begins on the job's clock.
     allowed : float
@@ -68,7 +66,6 @@ class FreeMove:
     end: FloatArray
     start_name: str
     end_name: str
-    remedy: str
     begin: float = 0.0
     allowed: float = 0.0
     most_growths: int = MOST_GROWTHS
@@ -191,7 +188,7 @@ def _space_around(context: PlanningContext, move: FreeMove) -> FreeSpace:
                 shapes = clearances.pairs[nearest.pair[0]]
                 pair = (shapes.link, shapes.other)
                 why = f"{shapes.link} and {shapes.other} come within the safety margin"
-            reason = f"no collision-free {move.name}: in {place} {why}; {move.remedy}"
+            reason = f"no collision-free {move.name}: in {place} {why}"
             raise context.path_not_found(reason, move.start, pair=pair)
     return whole.around(np.stack([move.start, move.end])) or whole
 
@@ -207,7 +204,7 @@ def _unconnected(context: PlanningContext, space: FreeSpace, move: FreeMove) -> 
     elif len(blocked) and (pair := context.most_often_near(blocked)):
         way = f" (straight there {pair[0]} and {pair[1]} come too near)"
     over = ", the time was over" if context.reporter.expired() else ""
-    reason = f"no collision-free {move.name} to {move.end_name} was found{way}{over}; {move.remedy}"
+    reason = f"no collision-free {move.name} to {move.end_name} was found{way}{over}"
     return context.path_not_found(reason, move.start, pair=pair)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import PathNotFound
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.free_motion.free_move import FreeMove, plan_move
 from cmbot.planning.job import RETURN, Segment
@@ -42,16 +43,18 @@ def plan_return(
     end = context.end_posture
     if end is None or np.abs(end - start).max() <= SAME_POSTURE:
         return None
-    return plan_move(
-        context,
-        FreeMove(
-            name=RETURN,
-            start=start,
-            end=end,
-            start_name="the end of the work",
-            end_name=f"the {'start' if np.array_equal(end, context.posture) else 'stow'} posture",
-            remedy="take another return, or return: none",
-            begin=begin,
-            allowed=allowed,
-        ),
+    move = FreeMove(
+        name=RETURN,
+        start=start,
+        end=end,
+        start_name="the end of the work",
+        end_name=f"the {'start' if np.array_equal(end, context.posture) else 'stow'} posture",
+        begin=begin,
+        allowed=allowed,
     )
+    try:
+        return plan_move(context, move)
+    except PathNotFound as failure:
+        # It is planned last, after all else is certified.
+        failure.add_hint("with return: none the job is planned")
+        raise

@@ -8,6 +8,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.planning.context import PlanningContext
+from cmbot.planning.path.nearest_miss import nearest_miss
 from cmbot.planning.path.projection import project_onto_task
 
 __all__ = ["starting_at_path"]
@@ -32,12 +33,13 @@ def starting_at_path(context: PlanningContext) -> PlanningContext:
         found = _admissible(context, rng.uniform(low, high, (_RESTARTS, len(low))))
     if not len(found):
         begin = ", ".join(f"{x:.3f}" for x in context.task.path.corners[0])
-        raise context.path_not_found(
+        reason = (
             f"no posture that holds the tool where the path begins, at ({begin}) m, within the joint ranges, "
-            f"clear of obstacles and strong enough was found in {_RESTARTS} attempts; move the start of the "
-            f"path, or keep less of the pose ({context.stroke.key}.keep)",
-            context.posture,
+            f"clear of obstacles and strong enough was found in {_RESTARTS} attempts"
         )
+        if miss := nearest_miss(context, is_clear=True, times=np.zeros(1)):
+            reason = "; ".join(filter(None, (f"the path begins {miss.reason()}", miss.remedy())))
+        raise context.path_not_found(reason, context.posture)
     away = context.robot.metric.lengths(found - context.posture)
     return replace(context, first=found[int(away.argmin())])
 

@@ -271,8 +271,7 @@ def find_path(context: PlanningContext) -> tuple[JointPath, tuple[PathNotFound, 
             return follow_path(context, start, report=report), tuple(failures)
         except PathNotFound as error:
             failures.append(error)
-    moved = "the obstacle or the tool path" if failures[0].pair else "the tool path"
-    raise no_start_left(failures, f"take another start posture, or move {moved}") from failures[0]
+    raise no_start_left(failures) from failures[0]
 
 
 def self_motion_postures(context: PlanningContext) -> list[FloatArray]:

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.context import PlanningContext, build_context, in_cells, robot_of
+from cmbot.planning.path.nearest_miss import nearest_miss
 from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.task import ToolTask
@@ -66,16 +67,17 @@ def reached_scene(scene: Scene, options: PlannerOptions, reporter: ProgressRepor
     context = build_context(apart, options, reporter=reporter)
     numbers = {str(file.name): k for k, file in enumerate(scene.each_stroke)}
     whole, parts, cut = dict[int, list[RowPiece]](), dict[int, list[_Cell]](), False
+    at_first = dict[int, PlanningContext]()
     for number, stroke in enumerate(context.strokes):
         raster = stroke.file.raster
         if raster is None or stroke.surface is None:
             continue
         cell = raster.pieces or stroke.surface.pieces
-        found = [cell]
+        found, k = [cell], numbers[stroke.file.part_of or stroke.name]
         if raster.cover == "reachable" and raster.frame != "tool":
             at = context.at_stroke(number, apart, context.posture, 0.0, 0.0)
+            at_first.setdefault(k, at)
             found = _Follower(at, apart).parts(cell)
-        k = numbers[stroke.file.part_of or stroke.name]
         whole.setdefault(k, []).extend(cell)
         parts.setdefault(k, []).extend(found)
         cut |= found != [cell]
@@ -83,12 +85,10 @@ def reached_scene(scene: Scene, options: PlannerOptions, reporter: ProgressRepor
         return apart
     for k, found in parts.items():
         if not found:
-            name = scene.each_stroke[k].name
-            raise context.path_not_found(
-                f"no place of the raster of {name} is reached within the joint ranges, clear of obstacles "
-                "and strong enough; move it, or keep less of the pose",
-                context.posture,
-            )
+            reason = f"no place of the raster of {scene.each_stroke[k].name} is reached"
+            if miss := nearest_miss(at_first[k], is_clear=True):
+                reason = "; ".join(filter(None, (f"{reason}: it is {miss.reason()}", miss.remedy())))
+            raise context.path_not_found(reason, context.posture)
     changed = {k for k, found in parts.items() if len(found) > 1 or found != [tuple(whole[k])]}
     return scene.with_cells({k: parts[k] for k in changed}, whole)
 
@@ -177,7 +177,7 @@ class _Follower:
         if context.reporter.expired():
             raise context.path_not_found(
                 f"{context.time_in_words}, was over when {done} of {total} places along the rows had been "
-                f"tried; take a longer one, or a larger {context.stroke.key}.raster.spacing_m",
+                "tried",
                 context.posture,
             )
 

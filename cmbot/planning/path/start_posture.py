@@ -178,8 +178,7 @@ class _Search:
             return (
                 f"no start posture: none of {_RESTARTS} random ones leads to one that holds {held} within "
                 f"the joints' ranges; the point is {away:.3f} m from the arm's first joint, whose reach is "
-                f"{self._robot.reach:.3f} m (lengths are in metres). Another --tool-at, --rpy-deg or --tool "
-                "may help"
+                f"{self._robot.reach:.3f} m (lengths are in metres)"
             )
         strong = q[self._strong(q)]
         clear = self._clearances.smallest(strong)
@@ -193,7 +192,7 @@ class _Search:
             if clear.pair[k] >= 0:
                 pair = self._clearances.pairs[clear.pair[k]]
                 text += f" ({pair.link} to {pair.other})"
-        return f"{text}; none is clear, not singular, and can follow a short leg. Another --tool-at may help"
+        return f"{text}; none is clear, not singular, and can follow a short leg"
 
     def _followed(self, task: ToolTask, posture: FloatArray, points: FloatArray) -> FloatArray | None:
         """Postures that hold the tool at `points` (N, 3), each from the one before; None where one fails."""

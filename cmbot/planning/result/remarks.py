@@ -18,6 +18,7 @@ from cmbot.planning.result.plan import Plan
 from cmbot.planning.result.stroke_plan import ObjectiveMetrics
 from cmbot.planning.result.verdict import baseline_faults, further, strays, travels, verdict
 from cmbot.planning.stiffness import identified_in_words
+from cmbot.planning.units import mistaken_units
 from cmbot.robot import Kinematics, postures_in_words
 from cmbot.scene import STOW
 
@@ -57,12 +58,14 @@ def remarks(plan: Plan) -> Iterator[str]:
     yield from plan.fallbacks
     yield from plan.robot.remarks
     yield from _bending(plan)
+    for key, looks, units in mistaken_units(plan.scene):
+        yield f"Numbers of {key} look like {looks}; they were taken as {units}."
     objective = plan.objective
     if objective.floor is not None and objective.floor <= _NOTHING * objective.baseline_peak:
         yield (
             "Gravity has no part in what was minimised: at rest that is 0 everywhere, so no posture was "
-            "chosen by it, and only the motion's own share could be lowered. More time for the tool path "
-            "lowers that; axis_weights with x or y above 0 count gravity's torque, too."
+            "chosen by it, and only the motion's own share could be lowered. axis_weights with x or y above "
+            "0 count gravity's torque, too."
         )
     whole = plan.job.certificate
     checks, passes = len(whole.checks), counted(len(plan.passes), "pass", "passes")
@@ -232,10 +235,7 @@ def _start(plan: Plan) -> Iterator[str]:
             plan.baseline_figures.peak_guardrail_torque, plan.certificate.figures.peak_guardrail_torque
         )
         if figures.peak_guardrail_torque > worst * (1 + _GAIN):
-            yield (
-                f"The approach loads the {plan.scene.base_name} more than baseline and work do; "
-                "start: pinned, or a start posture nearer to this one, avoids it."
-            )
+            yield (f"The approach loads the {plan.scene.base_name} more than baseline and work do.")
 
 
 def _coverage(plan: Plan) -> Iterator[str]:
@@ -258,10 +258,7 @@ def _coverage(plan: Plan) -> Iterator[str]:
     end = " and ".join(left) or "no place is left out"
     yield f"Coverage: {covered}, within half the distance of two rows; {end}."
     if unreached:
-        yield (
-            "Where no posture goes on, rows are cut: another stance, stand-off or overscan, or less to keep "
-            "of the pose, may reach more; raster.cover: all refuses such a plan."
-        )
+        yield ("Where no posture goes on, rows are cut; raster.cover: all refuses such a plan.")
 
 
 def _baseline(plan: Plan) -> Iterator[str]:

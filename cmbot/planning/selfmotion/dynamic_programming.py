@@ -293,10 +293,7 @@ def blocked(
         proven = out_of_reach(context, k)
         if proven:
             opening = f"{place} is blocked"
-        why = (
-            f"{proven or found}; take another start posture, move the tool path, or keep "
-            f"less of the pose ({context.stroke.key}.keep)"
-        )
+        why = proven or found
     elif not layer.admissible.any():
         why, pair = _inadmissible(context, layer)
     elif k == 0:
@@ -306,7 +303,7 @@ def blocked(
         joint, pace = _slowest(context, layers, k, origins)
         why = (
             "its admissible postures, as far as they were found, are too far from those before for the "
-            f"velocity of {joint}; {context.stroke.more_time} may help"
+            f"velocity of {joint}"
         )
     q = layer.chart.q if len(layer.chart.q) else layers[k - 1].chart.q
     return context.path_not_found(f"{opening}: {why}", q[0], context.times[k], pair, pace)
@@ -322,13 +319,12 @@ def _inadmissible(context: PlanningContext, layer: GraphLayer) -> tuple[str, tup
     if near >= feeble and (pair := context.most_often_near(layer.chart.q[layer.too_near])) is not None:
         why = (
             f"{tried} {near} come within the safety margin, most often {pair[0]} and {pair[1]}, {feeble} "
-            f"ask {much}; move obstacles or tool path, or lower planner.safety_margin_m"
+            f"ask {much}"
         )
         return why, pair
     why = (
-        f"{tried} {feeble} ask {much}, most often of "
-        f"{context.weakest_joint(layer.chart.q[weak])}, {near} come within the safety margin; "
-        "move the tool path, or take a lighter payload"
+        f"{tried} {feeble} ask {much}, most often of {context.weakest_joint(layer.chart.q[weak])} and "
+        f"{layer.chart.joint_use[weak].min():.0%} at best, {near} come within the safety margin"
     )
     return why, None
 
@@ -342,11 +338,11 @@ def _no_start(
     what = "the posture to start in"
     if weak.any():
         joint = context.weakest_joint(layer.chart.q[weak])
-        return f"{what} asks too much of {joint}; take another one, or a lighter payload", None
+        return f"{what} asks too much of {joint}", None
     if near.any() and (pair := context.most_often_near(layer.chart.q[near])) is not None:
-        why = f"in {what} {pair[0]} and {pair[1]} come within the safety margin; take another start posture"
+        why = f"in {what} {pair[0]} and {pair[1]} come within the safety margin"
         return why, pair
-    return f"{what} is none of those that hold the tool there; take another start posture", None
+    return f"{what} is none of those that hold the tool there", None
 
 
 def _slowest(

@@ -400,10 +400,7 @@ def _charted(sampler: SelfMotionSampler, context: PlanningContext, goals: ToolPo
     def report(done: int, total: int) -> None:
         context.reporter.part(step, done, total)
         if context.reporter.expired():
-            reason = (
-                f"{context.time_in_words}, was over when {done} of {total} via-points had been charted; take "
-                f"a longer one, fewer {context.stroke.key}.via_points or a larger planner.chart_spacing"
-            )
+            reason = f"{context.time_in_words}, was over when {done} of {total} via-points had been charted"
             raise context.path_not_found(reason, context.first)
 
     return sampler.along(goals, context.first[None], report)

@@ -90,7 +90,9 @@ class TorqueProblem:
         self.constraints: tuple[StateFunction, ...] = (
             JointTorque(Dynamics(robot), robot.limits.torque * inside),
             ToolDeviation(postures, task, options.max_tool_deviation_m * inside),
-            ClearanceMargin(context.clearances, options.safety_margin_m + _CLEARANCE_ROOM),
+            ClearanceMargin(
+                context.clearances, options.safety_margin_m + context.spare_clearance + _CLEARANCE_ROOM
+            ),
             ToolLag(postures, task, options.max_tool_lag_m * inside),
             *([] if hold is None else [FootHold(Dynamics(robot), hold, inside)]),
             *([] if task.keep == "position" else [ToolRotation(postures, task, angle)]),

@@ -80,15 +80,16 @@ def surface_of(file: PathFile, place: PathSource, X_WT: FloatArray) -> Surface |
     if raster.faces is None:
         return PlainSurface(raster)
     each = place.obstacles
-    meshes = {one.name: (one.shape.path, one.X_WO) for one in each if isinstance(one.shape, Mesh)}
-    path = raster.mesh_file
-    if path is None and raster.mesh not in meshes:
+    meshes = {one.name: (one.shape, one.X_WO) for one in each if isinstance(one.shape, Mesh)}
+    own = raster.mesh_file
+    if own is None and raster.mesh not in meshes:
         expected = "the name of an obstacle that is a mesh, or the path of a mesh file"
         raise SceneError(place.source, f"{key}.mesh", shown(raster.mesh), expected, tuple(meshes))
-    path, X_WM = (path, X_WF) if path is not None else meshes[str(raster.mesh)]
+    shape, X_WM = (Mesh(path=own), X_WF) if own is not None else meshes[str(raster.mesh)]
 
     def refusal(name: str, got: str, expected: str) -> SceneError:
         return SceneError(place.source, f"{key}.{name}", got, expected)
 
-    mesh = load_mesh(path, str(raster.mesh), key="" if raster.mesh_file is None else f"{key}.mesh")
+    named = "" if own is None else f"{key}.mesh"
+    mesh = load_mesh(shape.path, str(raster.mesh), key=named, scale=shape.scale)
     return FaceSurface.of(raster, raster.faces, mesh, X_WM, X_WF, refusal)

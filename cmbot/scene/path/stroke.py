@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import SceneError, remedy_for
+from cmbot.common.errors import SceneError
 from cmbot.common.representation import short_repr
 from cmbot.scene.path.builder import timed_path
 from cmbot.scene.path.path_file import StrokeFile
@@ -79,34 +79,6 @@ class Stroke:
             return self.file.speed_m_s
         # What is blended has one time law for several legs.
         return None if self.file.blend_radius_m else self.file.legs[self._in_file(leg)].speed_m_s
-
-    @property
-    def more_time(self) -> str:
-        """What gives the joints more time along it, by the keys that it has in the scene."""
-        if not self.file.legs:
-            return (
-                f"more {self.key}.seconds" if self.file.speed_m_s is None else f"a lower {self.key}.speed_m_s"
-            )
-        moving = [leg for leg in self.file.legs if leg.pause is None]
-        fast = sum(leg.speed_m_s is not None for leg in moving)
-        more = {0: "more seconds", len(moving): "lower speeds"}.get(fast, "more seconds or lower speeds")
-        return f"{more} in {self.key}.legs"
-
-    def remedy_for(self, constraint: str, violation: float = 0.0, *, at_limits: bool = True) -> str:
-        """Return what most often helps where a constraint cannot be kept, by the keys of the scene.
-
-        The violation is a share of its bound; `at_limits` are joints whose rates are at their bounds.
-        """
-        is_smooth = self.file.speed_profile.kind == "jerk_limited"
-        smoother = "" if is_smooth else f", or {self.key}.speed_profile.kind jerk_limited,"
-        return remedy_for(
-            constraint,
-            violation,
-            path=self.key,
-            more_time=self.more_time,
-            smoother=smoother,
-            at_limits=at_limits,
-        )
 
     def _in_file(self, leg: int) -> int:
         """The number in the file of a leg of the timed path, which may go back and in passes."""

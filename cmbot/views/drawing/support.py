@@ -77,8 +77,8 @@ def _axis(obstacle: Obstacle, foot: FloatArray) -> tuple[FloatArray, float]:
             edges = np.array(size)
         case Cylinder(radius=radius, length=length) | Capsule(radius=radius, length=length):
             edges = np.array([2 * radius, 2 * radius, length])
-        case Mesh(path=path):
-            mesh = load_mesh(path, obstacle.name)
+        case Mesh(path=path, scale=scale):
+            mesh = load_mesh(path, obstacle.name, scale=scale)
             low, high = mesh.bounds
             there = np.linalg.solve(X, np.append(foot, 1.0))[:3]
             if ((there < low - _NEAR) | (there > high + _NEAR)).any():

@@ -116,8 +116,8 @@ def obstacle_surface(obstacle: Obstacle, piece: float = np.inf) -> Surface:
             surface = capsule(radius, length, piece)
         case Sphere(radius=radius):
             surface = ball(radius)
-        case Mesh(path=path):
-            mesh = load_mesh(path, obstacle.name)
+        case Mesh(path=path, scale=scale):
+            mesh = load_mesh(path, obstacle.name, scale=scale)
             surface = Surface(np.array(mesh.vertices), np.array(mesh.faces, dtype=np.intp))
     return surface.moved(obstacle.X_WO)
 

@@ -129,9 +129,7 @@ def test_what_is_in_the_way_of_an_approach_is_named(triangle_plan: Plan) -> None
     context = replace(context_of(triangle_plan.scene), reporter=over)
     assert over.expired(0.9)
     assert not over.expired(1.5)
-    expected = (
-        r"was found \(straight there \S+ and \S+ come too near\), the time was over; take start: pinned"
-    )
+    expected = r"was found \(straight there \S+ and \S+ come too near\), the time was over$"
     with pytest.raises(PathNotFound, match=expected) as caught:
         plan_approach(context, triangle_plan.start.posture, context.posture[None])
     assert caught.value.pair is not None

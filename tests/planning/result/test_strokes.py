@@ -182,12 +182,11 @@ def test_a_stroke_out_of_reach_is_refused_before_any_is_planned() -> None:
     there, back = scene.strokes
     far = back.model_copy(update={"start_pose": replace(back.start_pose, xyz=(9.0, 0.0, 0.0))})
     told: list[str] = []
-    with pytest.raises(PathNotFound, match=r"tool_path.strokes\[1\].from lies 9\.014 m from") as caught:
+    with pytest.raises(PathNotFound, match=r"tool_path.strokes\[1\].from lies 9\.014 m from"):
         plan(
             replace(scene, strokes=(there, far)),
             progress=lambda progress: told.append(progress.sentence()),
         )
-    assert "move the tool path" in caught.value.reason
     assert not any(sentence.startswith("there: ") for sentence in told)
 
 

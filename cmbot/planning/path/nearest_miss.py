@@ -1,0 +1,159 @@
+"""The nearest miss: where a stroke is furthest from having postures, and by how much."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.planning.context import PlanningContext
+from cmbot.planning.path.place_search import MissedPlace, worst_missed
+from cmbot.planning.task import ToolTask
+from cmbot.scene import AxisCone, Keep
+
+__all__ = ["NearestMiss", "nearest_miss", "places_along"]
+
+# Distance of places along a leg, m, and the least number of steps on one; how many there are at most of a
+# stroke, and of all together, and at least; as many ends of legs come on top.
+_EVERY, _STEPS = 0.05, 4
+_PLACES, _ALL_PLACES, _FEWEST = 64, 480, 6
+# A margin of zero has no shares.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NearestMiss:
+    """The place along a stroke for which a posture is furthest from found.
+
+    Attributes
+    ----------
+    context : PlanningContext
+        Of the stroke.
+    times : (N,), s
+        Of the places that were tried.
+    missed : MissedPlace
+        The worst of them.
+    is_clear : bool
+        Whether postures had to be clear and strong enough, too.
+    """
+
+    context: PlanningContext
+    times: FloatArray
+    missed: MissedPlace
+    is_clear: bool
+
+    @property
+    def time(self) -> float:
+        """When the tool would be there, s."""
+        return float(self.times[self.missed.place])
+
+    @property
+    def first_time(self) -> float:
+        """When the tool would be at the first place without a posture, s."""
+        return float(self.times[~self.missed.found][0])
+
+    @property
+    def key(self) -> str:
+        """The key of the leg that leads there."""
+        stroke, edges = self.context.stroke, self.context.task.path.leg_times
+        return stroke.leg_key(int(np.clip(np.searchsorted(edges, self.time) - 1, 0, len(edges) - 2)))
+
+    def reason(self, *, proven: bool = False) -> str:
+        """Return what is the matter there, by how much, and how many places are like it."""
+        context, missed = self.context, self.missed
+        keep = context.stroke.file.keep
+        kept = keep if isinstance(keep, str) else "axis"
+        also = f"{int((~missed.found).sum())} of {len(missed.found)} places are like it"
+        where = f"({', '.join(f'{x:.3f}' for x in context.task.path.position([self.time])[0])}) m"
+        if missed.is_held:
+            return (
+                f"blocked at {where}: none of {missed.attempts} attempts to hold the tool's {kept} is clear "
+                f"and strong enough, at best {self._at_best()}; {also}"
+            )
+        held = f"no posture within the joint ranges that holds the tool's {kept} was found in"
+        held = f"{held} {missed.attempts} attempts"
+        if proven:
+            held = f"no posture within the joint ranges holds the tool's {kept} (proven)"
+        off = f"{1e3 * missed.distance:.3g} mm"
+        if kept != "position":
+            off += f" and {np.degrees(missed.angle):.2g} deg"
+        end = f" ({missed.joint} at an end)" if missed.joint else ""
+        return f"out of reach at {where}: {held}, the nearest is {off} off{end}; {also}"
+
+    def remedy(self) -> str:
+        """Return what was tried and has a posture for every place; empty where nothing does."""
+        for keep in _less(self.context.stroke.file.keep):
+            task = ToolTask.of(self.context.task.path, keep)
+            other = replace(self.context, task=task)
+            if _worst(other, self.times, is_clear=self.is_clear) is None:
+                return f"with {self.context.stroke.key}.keep {keep} every place has a posture"
+        return ""
+
+    def _at_best(self) -> str:
+        """What the best posture that was found lacks."""
+        context, best = self.context, self.missed.best[None]
+        use = float(context.use_at_rest(context.postures.at(best))[0])
+        if use > 1.0:
+            joint = context.weakest_joint(best)
+            return (
+                f"{joint} uses {use:.0%} of {'its torque' if joint in context.robot.joints else 'its hold'}"
+            )
+        smallest = context.clearances.smallest(best)
+        pair = context.clearances.pairs[int(smallest.pair[0])]
+        return pair.describe(float(smallest.distance[0]), context.options.safety_margin_m)
+
+
+def nearest_miss(
+    context: PlanningContext, *, is_clear: bool, times: FloatArray | None = None
+) -> NearestMiss | None:
+    """Return the nearest miss of a stroke; None where each place has a posture within the joint ranges.
+
+    Parameters
+    ----------
+    context : PlanningContext
+        Of the stroke.
+    is_clear : bool
+        The postures have to be clear of obstacles and strong enough, too.
+    times : (N,), s, optional
+        Of the places in order; left out: those of `places_along`.
+    """
+    times = places_along(context) if times is None else times
+    missed = _worst(context, times, is_clear=is_clear)
+    if missed is None:
+        return None
+    return NearestMiss(context=context, times=times, missed=missed, is_clear=is_clear)
+
+
+def places_along(context: PlanningContext) -> FloatArray:
+    """Return times (N,), s, of places along a stroke: ends of legs, and by length between them."""
+    path = context.task.path
+    most = max(min(_PLACES, _ALL_PLACES // len(context.strokes)), _FEWEST)
+    steps = np.maximum(np.ceil(path.lengths / _EVERY), _STEPS).astype(np.intp)
+    between = [path.times_at(leg, np.linspace(0.0, 1.0, n + 1)) for leg, n in enumerate(steps)]
+    each = [
+        times[np.unique(np.linspace(0, len(times) - 1, most).round().astype(np.intp))]
+        for times in (path.section_times, np.unique(np.concatenate(between)))
+    ]
+    return np.unique(np.concatenate(each))
+
+
+def _worst(context: PlanningContext, times: FloatArray, *, is_clear: bool) -> MissedPlace | None:
+    margin = context.options.safety_margin_m
+
+    def violation(q: FloatArray) -> FloatArray:
+        weak = context.use_at_rest(context.postures.at(q)) - 1.0
+        near = (margin - context.clearances.smallest(q).distance) / max(margin, _ROUNDING)
+        return np.asarray(np.maximum(np.maximum(weak, near), 0.0))
+
+    goals = context.task.goals(times)
+    return worst_missed(context.robot, context.task, goals, context.posture, violation if is_clear else None)
+
+
+def _less(keep: Keep) -> Iterator[Keep]:
+    """What keeps less of the tool's pose, the most first."""
+    if keep == "pose":
+        yield "axis"
+    if keep == "axis" or keep == "pose" or isinstance(keep, AxisCone):
+        yield "position"
