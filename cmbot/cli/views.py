@@ -288,8 +288,8 @@ def export(
     loaded = cmbot.load_plan(directory)
     exports: tuple[tuple[Path | None, Callable[[Plan, Path], object]], ...] = (
         (csv, partial(export_csv, work=work)),
-        (ros, partial(export_ros, effort=effort)),
         (mcap, partial(export_mcap, effort=effort)),
+        (ros, partial(export_ros, effort=effort)),
     )
     for file, _ in exports:
         if file is not None:

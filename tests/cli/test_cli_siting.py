@@ -11,6 +11,7 @@ from command_line import Outcome, one_line, run, run_apart, write_scene
 from small_scenes import short_scene
 
 import cmbot
+from cmbot.archive import STANCES_FILE, write_results
 
 FILES = {"stances.csv", "stances.json", "best.yaml", "index.html"}
 
@@ -48,8 +49,7 @@ def test_it_replaces_nothing_unasked(stood: tuple[Path, Outcome]) -> None:
 @pytest.fixture
 def job(tmp_path: Path) -> Path:
     """A scene in a folder that has the best scene of an earlier search."""
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "best.yaml").write_text("# Written by cmbot stand: the scene in its best stance.\n")
+    write_results(tmp_path / "out", STANCES_FILE, {}, {"best.yaml": b"name: best"})
     return write_scene(tmp_path / "short.yaml", short_scene().file.as_data())
 
 
