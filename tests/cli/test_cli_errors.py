@@ -180,7 +180,7 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
     ("report empty.yaml", ("empty.yaml: got a file, not a folder, expected a plan directory",)),
     ("export nosuch --mcap x.mcap", ("nosuch: no such folder, expected a plan directory",)),
     ("export no_plan --mcap x.mcap", ("no_plan/plan.json: no such file, expected a plan directory",)),
-    ("export no_plan", ("got nothing to write, expected --mcap or --ros-package",)),
+    ("export no_plan", ("got nothing to write, expected --mcap, --ros or --ros-package",)),
     ("simulate nosuch", ("nosuch: no such folder, expected a plan directory",)),
     ("simulate no_plan", ("no_plan/plan.json: no such file, expected a plan directory",)),
     ("simulate no_plan --servo -1", ("--servo: got -1.0, expected at least 0.1",)),
