@@ -1,5 +1,6 @@
 """The robot as a ROS package: other code reads it, and it is the robot that was planned with."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -12,6 +13,7 @@ from ruamel.yaml import YAML
 
 from cmbot.archive import export_ros_package
 from cmbot.common.errors import ArchiveError
+from cmbot.common.installation import model_folder
 from cmbot.planning import Plan
 from cmbot.robot import load_robot
 
@@ -28,6 +30,12 @@ def test_the_urdf_finds_its_meshes_by_the_package(package: Path, short_plan: Pla
     for name in names:
         scheme, _, rest = name.partition("://")
         assert scheme == "package" and (package.parent / rest).is_file()
+    described = ElementTree.parse(short_plan.robot.urdf)
+    wanted = [short_plan.robot.urdf.parent / str(mesh.get("filename")) for mesh in described.iter("mesh")]
+    for name, file in zip(names, wanted, strict=True):
+        assert (package.parent / name.partition("://")[2]).read_bytes() == file.read_bytes()
+    # Each file is there once.
+    assert len(list((package / "meshes").iterdir())) == len(set(wanted))
     # pinocchio resolves them as RViz does, from the folder above the package.
     drawn = pin.buildGeomFromUrdf(
         pin.buildModelFromUrdf(str(urdf)), str(urdf), pin.VISUAL, package_dirs=str(package.parent)
@@ -48,6 +56,34 @@ def test_the_srdf_names_arm_tool_and_stow(package: Path, short_plan: Plan) -> No
     (stow,) = (state for state in srdf.findall("group_state") if state.get("name") == "stow")
     values = [float(joint.get("value")) for joint in stow]
     np.testing.assert_allclose(values, short_plan.robot.group_states["stow"])
+
+
+def test_meshes_of_the_same_name_and_an_arm_without_an_srdf(
+    short_plan: Plan, tmp_path: Path, bare_urdf: str
+) -> None:
+    """Two links share a mesh, a third has another one of the same name; the SRDF is made from the arm."""
+    text, size = bare_urdf, (model_folder() / "meshes").rglob("*")
+    mesh = next(path for path in size if path.suffix in (".stl", ".obj", ".dae"))
+    for place in ("one", "two"):
+        (tmp_path / place).mkdir()
+        (tmp_path / place / f"part{mesh.suffix}").write_bytes(mesh.read_bytes())
+    for place in ("one", "one", "two"):
+        drawn = f'<visual><geometry><mesh filename="{place}/part{mesh.suffix}"/></geometry></visual>'
+        text = re.sub(r"(<link name=\"[a-z_0-9]+\">)(?!<visual>)", rf"\1{drawn}", text, count=1)
+    (tmp_path / "arm.urdf").write_text(text, encoding="utf-8")
+    source = replace(short_plan.scene.robot, model=tmp_path / "arm.urdf", srdf=None)
+    plan = replace(short_plan, scene=replace(short_plan.scene, robot=source))
+    package = export_ros_package(plan, tmp_path / "arm_description")
+    assert {path.name for path in (package / "meshes").iterdir()} == {
+        f"part{mesh.suffix}",
+        f"part_2{mesh.suffix}",
+    }
+    srdf = ElementTree.parse(package / "config" / "robot.srdf").getroot()
+    (group,) = (each for each in srdf.findall("group") if each.find("chain") is not None)
+    chain = group.find("chain")
+    assert chain is not None
+    assert (chain.get("base_link"), chain.get("tip_link")) == ("arm_base", "tool0")
+    assert [pair.get("reason") for pair in srdf.findall("disable_collisions")]
 
 
 def test_it_says_which_limits_are_assumed(package: Path, short_plan: Plan, tmp_path: Path) -> None:

@@ -110,7 +110,7 @@ def pieces(text: str) -> list[str]:
 @given(TEXTS, st.lists(sentences(15), max_size=3))
 def test_messages_are_whole_sentences_hints_included(parts: list[str], hints: list[str]) -> None:
     text = "".join(parts).removesuffix("; ").removesuffix(" It ")
-    worst = "worst constraint: jerk of joint_1, 10.00% beyond its bound: more seconds for the legs may help"
+    worst = "worst constraint: jerk of joint_1, 10.00% beyond its bound"
     near = "near a singular posture (smallest singular value 0.01)"
     kinds = (
         (OptimisationFailed(text, constraint="jerk of joint_1", violation=0.1), "", worst),

@@ -34,7 +34,7 @@ from cmbot.identification.problem import Label, Problem
 from cmbot.planning import covariance_of, precheck_scene, robot_of
 from cmbot.scene import Scene, load_scene
 
-SCENE = short_scene()
+SCENE = short_scene(robot={"joints": "elastic"})
 
 
 @pytest.fixture(scope="module")

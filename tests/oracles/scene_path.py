@@ -326,7 +326,7 @@ class ScenePath:
         if raster.mesh in self._meshes:
             mesh, X_WM = self._meshes[raster.mesh]
         else:
-            mesh, X_WM = SimpleNamespace(path=Path(str(raster.mesh)), scale=None), np.eye(4)
+            mesh, X_WM = SimpleNamespace(path=Path(str(raster.mesh)), scale=1.0), np.eye(4)
             X_WM[:3, 3], X_WM[:3, :3] = self._frames[raster.frame]
         return face_rows(raster, mesh, X_WM, *self._frames[raster.frame])
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_scenes import context_of, problem_of, short_scene
+from small_scenes import SHORT, context_of, problem_of, short_scene
 
 from cmbot.common.errors import LimitViolation, OptimisationFailed, PathNotFound, PlanningError
 from cmbot.planning import plan
@@ -13,7 +13,7 @@ from cmbot.planning.context import PlanningContext
 from cmbot.planning.failures import constraints_named, eased, in_keys, slower, slower_legs
 from cmbot.planning.progress import ProgressReporter
 from cmbot.robot import Kinematics
-from cmbot.scene import Scene
+from cmbot.scene import Scene, load_scene
 from cmbot.trajectory import QuinticTrajectory
 
 LEGS = [{"by": [0, -0.1, 0], "seconds": seconds} for seconds in (4, 2, 4)]
@@ -220,7 +220,7 @@ RASTER = {
 )
 def test_slower_legs_are_named_by_the_keys_of_the_stroke(time: dict[str, float], changed: str) -> None:
     strokes = [{"name": name, "raster": RASTER, "via_points": 20, **time} for name in ("one", "two")]
-    scene = short_scene(tool_path={"strokes": strokes, "legs": (), "via_points": 50})
+    scene = load_scene({**SHORT, "tool_path": {"strokes": strokes}})
     before = context_of(scene)
     before = before.at_stroke(1, scene, before.posture, 0.0, 0.0)
     key = "tool_path.strokes[1]"

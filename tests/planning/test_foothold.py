@@ -16,7 +16,7 @@ from small_scenes import short_scene
 import cmbot
 from cmbot.archive import export_mcap, load_plan, save
 from cmbot.collision import Clearances
-from cmbot.common.errors import ArchiveError, LimitViolation, OptimisationFailed, PlanningError, SceneError
+from cmbot.common.errors import ArchiveError, LimitViolation, PlanningError, SceneError
 from cmbot.hold import Holding
 from cmbot.planning import Plan, certify, plan, remarks
 from cmbot.planning.result.holding import emergency_stop
@@ -138,10 +138,9 @@ def test_a_wrong_adhesion_is_noticed(held: Plan, monkeypatch: pytest.MonkeyPatch
 
 
 def test_too_little_is_refused_with_the_figure() -> None:
-    with pytest.raises(OptimisationFailed, match=r"hold of the feet, .* planner.objective: hold"):
-        plan(magnet_scene(5000.0, knots="fixed"))
-    with pytest.raises(PlanningError, match="ask too much of a joint or foot"):
-        plan(magnet_scene(5000.0, knots="sliding"))
+    for knots in ("fixed", "sliding"):
+        with pytest.raises(PlanningError, match=r"at best a foot uses [0-9]+% of its hold"):
+            plan(magnet_scene(5000.0, knots=knots))
 
 
 def test_the_certificate_refuses_what_does_not_hold(held: Plan) -> None:

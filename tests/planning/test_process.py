@@ -137,7 +137,7 @@ def test_a_motion_made_without_the_force_does_not_certify_with_it(short_plan: Pl
 def test_the_idle_objective_knows_no_force() -> None:
     for planner in ({}, {"objective": "sag"}):
         context = context_of(scene_with({"process_force_n": list(FORCE)}, planner=planner))
-        alone = context_of(short_scene(planner=planner, robot={"joints": "elastic"}))
+        alone = context_of(short_scene(planner=planner))
         idle, q = context.tool_off, context.posture[None]
         off, without, on = (c.objective.at_rest(c.postures.at(q))[0] for c in (idle, alone, context))
         assert off == without != on

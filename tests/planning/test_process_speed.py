@@ -30,6 +30,7 @@ def steady_plan() -> Plan:
         "lead_out_m": 0.04,
         "via_points": 14,
     }
+    path = {"speed_profile": {"kind": "jerk_limited", "ramp": 0.25}, **path}
     return plan(short_scene(planner={"knots": "sliding"}, tool_path=path))
 
 

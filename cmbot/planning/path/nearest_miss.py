@@ -91,6 +91,15 @@ class NearestMiss:
                 return f"with {self.context.stroke.key}.keep {keep} every place has a posture"
         return ""
 
+    @property
+    def pair(self) -> tuple[str, str] | None:
+        """What is too near in the best posture that was found; None where it is something else."""
+        context, best = self.context, self.missed.best[None]
+        if not self.missed.is_held or context.use_at_rest(context.postures.at(best))[0] > 1.0:
+            return None
+        shapes = context.clearances.pairs[int(context.clearances.smallest(best).pair[0])]
+        return shapes.link, shapes.other
+
     def _at_best(self) -> str:
         """What the best posture that was found lacks."""
         context, best = self.context, self.missed.best[None]

@@ -53,9 +53,9 @@ def hold_checks(robot: Robot, times: FloatArray, wrench: FloatArray) -> Iterator
                 quantity = f"adhesion needed{which} by a second computation"
                 yield largest_check(quantity, times, own, bound, "N")
         if foot.force is not None and foot.moment is not None:
-            use = (np.abs(load) / np.array([*foot.force, *foot.moment])).max(axis=1)
+            use = foot.safety * (np.abs(load) / np.array([*foot.force, *foot.moment])).max(axis=1)
             quantity = f"load of the clamp{which} by a second computation"
-            yield largest_check(quantity, times, use, (1 + _LIMIT) / foot.safety, "of its bounds")
+            yield largest_check(quantity, times, use, 1 + _LIMIT, "of its bounds")
 
 
 def _adhesion(foot: Foot, load: FloatArray) -> FloatArray:

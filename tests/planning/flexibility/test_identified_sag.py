@@ -45,8 +45,8 @@ def identified(scene: Scene, deviation: float = DEVIATION) -> dict[str, Any]:
 
 
 def scene_of(deviation: float = DEVIATION, **planner: Any) -> Scene:
-    known = identified(short_scene(), deviation)
-    return short_scene(identified=known, planner={"compensate": True, **planner})
+    known = identified(short_scene(robot={"joints": "elastic"}), deviation)
+    return short_scene(robot={"joints": "elastic"}, identified=known, planner={"compensate": True, **planner})
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +88,7 @@ def test_the_spread_is_across_the_path_and_that_of_draws(planned: Plan, rng: np.
 
 def test_the_arm_is_the_identified_one_also_after_reading_it_back(planned: Plan, tmp_path: Path) -> None:
     springs = planned.robot.joint_elasticity
-    modelled = robot_of(short_scene()).joint_elasticity
+    modelled = robot_of(short_scene(robot={"joints": "elastic"})).joint_elasticity
     assert springs["joint_2"].stiffness == pytest.approx(FACTOR * modelled["joint_2"].stiffness)
     cmbot.save(planned, tmp_path / "plan")
     again = cmbot.load_plan(tmp_path / "plan", verify=True)
