@@ -18,7 +18,7 @@ __all__ = ["columns", "read_motion", "read_table", "samples_csv", "table_csv"]
 _JOINT_COLUMNS = ("q", "v", "a", "j", "tau")
 _VECTORS = ("guardrail_torque", "guardrail_force", "tool")
 _CLEARANCE, _SEGMENT, _ADHESION = "clearance", "segment", "adhesion_needed"
-# Digits in all, and after the point; the baseline's joints are read back, and figures computed from them.
+# Digits in all, and after the point; the baseline's motion is read back, and figures computed from it.
 _DIGITS, _READ_BACK = 9, 12
 
 
@@ -49,9 +49,11 @@ def samples_csv(samples: Samples, source: str, labels: Sequence[str] | None = No
         names += (_ADHESION,) if feet == 1 else tuple(f"{_ADHESION}_{foot}" for foot in range(1, feet + 1))
         more.append(samples.adhesion_needed)
     table = np.column_stack([samples.t, *joints, *vectors, samples.clearance, *more])
-    number = 1 + 4 * samples.q.shape[1]
-    joint = _READ_BACK if labels is None else _DIGITS
-    digits = [None, *[joint] * (number - 1), *[_DIGITS] * (len(names) - number)]
+    joints, rest = samples.q.shape[1], len(names) - 1
+    digits: list[int | None] = [None, *[_DIGITS] * rest]
+    if labels is None:
+        # Free moves of a millionth of a second follow from where strokes end and begin.
+        digits = [*[None] * (1 + joints), *[_READ_BACK] * (3 * joints), *[_DIGITS] * (rest - 4 * joints)]
     return table_csv(names, table, source, digits, labels)
 
 

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from cmbot.archive import export_mcap, export_ros
 from cmbot.common.errors import InputError, MissingExtra
 from cmbot.planning import Plan
 from cmbot.robot import Kinematics
+from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere
 
 Messages = dict[str, list[tuple[float, Any]]]
 
@@ -120,6 +122,46 @@ def test_markers_show_obstacles_and_paths(messages: Messages, strokes_plan: Plan
     path = strokes_plan.strokes[0].task.path.outline()
     points = np.array([[point.x, point.y, point.z] for point in message.markers[-2].points])
     np.testing.assert_allclose(points, path)
+
+
+def test_markers_have_the_sizes_of_the_shapes(short_plan: Plan, tmp_path: Path) -> None:
+    """RViz and Foxglove scale a cube, a sphere and a cylinder of size 1 about their centres."""
+    (tmp_path / "cone.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 2 0\nv 0 0 3\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    )
+    X = np.eye(4)
+    X[:3, :3], X[:3, 3] = Rotation.from_euler("x", 90, degrees=True).as_matrix(), (4.0, 5.0, 6.0)
+    shapes = {
+        "box": Box(size=(0.1, 0.2, 0.3)),
+        "ball": Sphere(radius=0.2),
+        "rod": Cylinder(radius=0.1, length=0.7),
+        "pill": Capsule(radius=0.1, length=0.6),
+        "cone": Mesh(path=tmp_path / "cone.obj"),
+    }
+    obstacles = tuple(Obstacle(name=name, shape=shape, X_WO=X) for name, shape in shapes.items())
+    export_mcap(
+        replace(short_plan, scene=replace(short_plan.scene, obstacles=obstacles)), tmp_path / "a.mcap"
+    )
+    with AnyReader([tmp_path / "a.mcap"]) as reader:
+        (connection,) = (each for each in reader.connections if each.topic == "/markers")
+        ((_, _, raw),) = reader.messages([connection])
+        *markers, _ = reader.deserialize(raw, connection.msgtype).markers
+    sizes = [(marker.ns, marker.type, (marker.scale.x, marker.scale.y, marker.scale.z)) for marker in markers]
+    cube, sphere, cylinder, triangles = 1, 2, 3, 11  # visualization_msgs/Marker
+    assert sizes == [
+        ("box", cube, (0.1, 0.2, 0.3)),
+        ("ball", sphere, (0.4, 0.4, 0.4)),
+        ("rod", cylinder, (0.2, 0.2, 0.7)),
+        ("pill", cylinder, (0.2, 0.2, 0.6)),
+        ("pill", sphere, (0.2, 0.2, 0.2)),
+        ("pill", sphere, (0.2, 0.2, 0.2)),
+        ("cone", triangles, (1.0, 1.0, 1.0)),
+    ]
+    places = [[getattr(marker.pose.position, axis) for axis in "xyz"] for marker in markers]
+    ends = [[4.0, 5.0 + side * 0.3, 6.0] for side in (1, -1)]
+    np.testing.assert_allclose(places, [*[[4.0, 5.0, 6.0]] * 4, *ends, [4.0, 5.0, 6.0]], atol=1e-12)
+    assert all(marker.color.a == 1.0 for marker in markers)
+    assert len(markers[-1].points) == 12
 
 
 def test_what_is_refused(

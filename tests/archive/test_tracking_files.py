@@ -55,16 +55,15 @@ def require_read(folder: Path, tracking: Tracking) -> None:
     assert list(tracking_rows(found)) == list(tracking_rows(tracking))
     for name in ("baseline", "planned"):
         ours, theirs = getattr(found, name), getattr(tracking, name)
-        assert ours.stop == pytest.approx(theirs.stop, rel=1e-10)
+        assert ours.stop == pytest.approx(theirs.stop, rel=1e-14)
         for field in fields(ours):
             if field.name not in ("stop", "metrics", "execution"):
                 left, right = getattr(ours, field.name), getattr(theirs, field.name)
-                # The baseline is read from a table of twelve digits.
-                np.testing.assert_allclose(left, right, atol=1e-10)
+                np.testing.assert_allclose(left, right, atol=1e-12)
         for key, value in asdict(ours.metrics).items():
             if isinstance(value, np.ndarray):
                 expected = getattr(theirs.metrics, key)
-                np.testing.assert_allclose(value, expected, rtol=1e-7, atol=1e-18)
+                np.testing.assert_allclose(value, expected, rtol=1e-9, atol=1e-18)
 
 
 def refused(plan: Plan, folder: Path, file: str, key: str) -> ArchiveError:

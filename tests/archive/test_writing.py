@@ -4,14 +4,15 @@ import csv
 import json
 import math
 from dataclasses import asdict, fields, replace
+from functools import partial
 
 import numpy as np
 import pytest
 from oracles.joint_trajectory_controller import refusals
-from plan_folders import FILES, changed
+from plan_folders import FILES, changed, edit
 
 import cmbot
-from cmbot.archive import export_csv, export_ros, load_plan, save
+from cmbot.archive import add_file, export_csv, export_ros, load_plan, require_free, save
 from cmbot.collision import Clearances
 from cmbot.common.errors import ArchiveError
 from cmbot.planning import Check, Plan, Samples
@@ -219,6 +220,57 @@ def test_ros_joint_trajectory(triangle_plan, job_samples, tmp_path):
     assert middle["positions"] == samples.q[300].tolist()
     assert not refusals(json.loads(text), triangle_plan.robot.joints, "humble")
     assert not refusals(json.loads(text), triangle_plan.robot.joints, "jazzy")
+
+
+@pytest.mark.parametrize("plan_json", [None, "{}", '{"format": "another-plan/1"}', "[1]", '{"format": '])
+def test_force_never_destroys_another_folder(short_plan, tmp_path, plan_json):
+    (tmp_path / "thesis.tex").write_text("years of work")
+    if plan_json is not None:
+        (tmp_path / "plan.json").write_text(plan_json)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    for ask in (partial(save, short_plan), require_free):
+        with pytest.raises(ArchiveError, match="something other than a plan"):
+            ask(tmp_path, force=True)
+        with pytest.raises(ArchiveError, match=r"already there.*--force \(in Python force=True\)"):
+            ask(tmp_path)
+    with pytest.raises(ArchiveError, match="a file of that name"):
+        save(short_plan, tmp_path / "thesis.tex", force=True)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize("version", ["cmbot-plan/1", "cmbot-plan/2"])
+def test_force_replaces_a_plan_of_any_version(short_plan, short_folder, version):
+    """With the pages that it names; what it does not name stays, and so does a folder in the way."""
+    add_file(short_folder, "report.html", "old")
+    (short_folder / "notes.txt").write_text("mine")
+    edit(short_folder, lambda data: data.update(format=version))
+    require_free(short_folder, force=True)
+    (short_folder / "replay.html").mkdir()
+    with pytest.raises(ArchiveError, match=r"replay\.html: got a folder"):
+        save(short_plan, short_folder, force=True)
+    (short_folder / "replay.html").rmdir()
+    save(short_plan, short_folder, force=True)
+    assert {path.name for path in short_folder.iterdir()} == FILES | {"notes.txt"}
+    assert load_plan(short_folder).figures == short_plan.figures
+
+
+def test_a_new_and_an_empty_folder_are_free(short_plan, tmp_path):
+    (tmp_path / "empty").mkdir()
+    for place in (tmp_path / "empty", tmp_path / "above" / "new"):
+        require_free(place)
+        assert save(short_plan, place) == place
+        assert {path.name for path in place.iterdir()} == FILES
+
+
+def test_only_pages_and_plots_are_written_with_a_plan(short_plan, tmp_path):
+    with pytest.raises(ArchiveError, match=r"added: got 'thesis\.tex'"):
+        save(short_plan, tmp_path / "plan", added={"thesis.tex": b""})
+    with pytest.raises(ArchiveError, match=r"content: got a character that is none"):
+        save(short_plan, tmp_path / "plan", added={"report.html": "\ud800"})
+    assert not list(tmp_path.iterdir())
+    save(short_plan, tmp_path / "plan", added={"report.html": "ü", "joints.png": b"png"})
+    assert (tmp_path / "plan" / "report.html").read_bytes() == "ü".encode()
+    assert (tmp_path / "plan" / "joints.png").read_bytes() == b"png"
 
 
 def test_numbers_that_are_none_and_broken_promises_are_not_written(short_plan, thin_plan, tmp_path):

@@ -27,7 +27,8 @@ def drawn(plan: Plan) -> dict[str, list[trimesh.Trimesh]]:
         thing = command["object"]
         data = thing["geometries"][0]["data"]
         vertices = np.frombuffer(data["attributes"]["position"]["array"].data, "<f4").reshape(-1, 3)
-        faces = np.frombuffer(data["index"]["array"].data, "<u4").reshape(-1, 3)
+        number = {"Uint16Array": "<u2", "Uint32Array": "<u4"}[data["index"]["type"]]
+        faces = np.frombuffer(data["index"]["array"].data, number).reshape(-1, 3)
         mesh = trimesh.Trimesh(vertices, faces, process=False, metadata=thing["materials"][0])
         normals = np.frombuffer(data["attributes"]["normal"]["array"].data, "<i2").reshape(-1, 3) / 32767
         np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-3)
