@@ -164,12 +164,14 @@ def test_json_of_a_plan_is_that_of_plan_json(folder: Path) -> None:
     kept = json.loads((folder / "out" / "plan.json").read_text(encoding="utf-8"))
     assert (data["verb"], data["scene"], data["directory"]) == ("plan", "short", "out")
     assert data["files"] == sorted(path.name for path in (folder / "out").iterdir())
-    own = {"format", "verb", "verdict", "scene", "directory", "files", "remarks"}
+    own = {"format", "verb", "verdict", "scene", "directory", "files", "remarks", "baseline_faults"}
     assert {name: value for name, value in data.items() if name not in own} == {
         name: kept[name] for name in data.keys() - own
     }
     assert kept.keys() - data.keys() == {"floor", "passes"}
     assert data["verdict"] == data["remarks"][0]
+    # The baseline keeps the limits: gains are stated.
+    assert data["baseline_faults"] == {"work": "", "job": ""}
     assert any(remark.startswith("Certified: ") for remark in data["remarks"])
     # Progress is told on standard error.
     assert outcome.err == "following the tool path\n"
