@@ -243,7 +243,9 @@ def _require_figures(walk: Walk, file: _WalkFile, source: str) -> None:
     _require_same(source, "effort_used", file.effort_used, walk.effort)
     needed = walk.adhesion_needed
     if (needed is None) != (file.adhesion_needed is None):
-        raise ArchiveError(source, "adhesion_needed", "another entry", "null only without a flat contact")
+        raise ArchiveError(
+            source, "adhesion_needed", "another entry", "null only where no foot holds by adhesion"
+        )
     if needed is not None and file.adhesion_needed is not None:
         _require_same(source, "adhesion_needed.peak", file.adhesion_needed.peak, needed.peak)
 

@@ -51,7 +51,11 @@ CHANGES: list[tuple[Callable[[dict[str, Any]], object], str]] = [
     (lambda d: d["steps"][0]["moves"][0]["checks"].pop(), "steps[0].moves[0].checks"),
     (lambda d: d["steps"][0]["moves"][0]["checks"][0].update(value=0.5), "moves[0].checks[0].value: got 0.5"),
     (lambda d: d.update(effort_used=0.1), "effort_used: got 0.1"),
-    (lambda d: d.update(adhesion_needed={"peak": 1.0, "mode": "slip", "time": 0.0}), "adhesion_needed"),
+    # Its feet are clamps.
+    (
+        lambda d: d.update(adhesion_needed={"peak": 1.0, "mode": "slip", "time": 0.0, "foot": 1}),
+        "adhesion_needed: got another entry",
+    ),
 ]
 
 
