@@ -82,6 +82,7 @@ def require_posture(context: PlanningContext, *, is_clear: bool) -> None:
         time=miss.first_time,
         progress=context.task.path.progress(miss.first_time),
         smallest_singular_value=0.0,
+        pair=miss.pair,
     )
     if len(context.strokes) > 1:
         failure.add_hint(f"this is stroke {context.stroke.name}")
