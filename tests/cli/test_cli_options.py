@@ -170,6 +170,8 @@ def test_json_of_a_plan_is_that_of_plan_json(folder: Path) -> None:
     }
     assert kept.keys() - data.keys() == {"content", "floor", "passes"}
     assert data["verdict"] == data["remarks"][0]
+    # The baseline keeps the limits: gains are stated.
+    assert data["baseline_faults"] == {"work": "", "job": ""}
     assert any(remark.startswith("Certified: ") for remark in data["remarks"])
     # Progress is told on standard error.
     assert outcome.err == "following the tool path\n"

@@ -1,6 +1,7 @@
 """What of rasters is reached: rows cut at obstacles and at the arm's reach, and the plan of the rest."""
 
 import copy
+import re
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import pytest
 
 from cmbot import load_plan, load_scene, plan, save
 from cmbot.common.errors import PathNotFound
-from cmbot.planning import remarks, robot_of, strokes_of, verdict
+from cmbot.planning import precheck_scene, remarks, robot_of, strokes_of, verdict
 from cmbot.planning.path.raster_reach import reached_scene
 from cmbot.planning.progress import ProgressReporter
 from cmbot.scene import Scene, coverage_of
@@ -54,8 +55,24 @@ def test_all_or_nothing_is_asked_for() -> None:
     scene = rows(BOLT, cover="all")
     assert reached(scene) is scene
     wall = {"name": "wall", "box": [0.05, 3, 3], "xyz": [1.5, 0.4, -2.05]}
-    with pytest.raises(PathNotFound, match="no place of the raster of work is reached"):
+    words = (
+        r"no place of the raster of work is reached: it is blocked at .*, at best .* wall, the safety margin"
+    )
+    with pytest.raises(PathNotFound, match=words):
         reached(rows(wall))
+
+
+def test_what_the_feet_would_need_is_said_where_nothing_is_reached() -> None:
+    """As `cmbot check` says it: a magnet of 500 N holds no arm of 80 kg."""
+    scene = load_scene(rows().file.as_data() | {"guardrail": {"hold": {"kind": "magnet", "adhesion_n": 500}}})
+    with pytest.raises(
+        PathNotFound, match=r"is blocked at .*, at best a foot uses \d{3,}% of its hold; "
+    ) as caught:
+        plan(scene, progress=False)
+    used = re.findall(r"a foot uses \d+%", str(caught.value))
+    assert used == re.findall(
+        r"a foot uses \d+%", " ".join(each.got for each in precheck_scene(scene).warnings)
+    )
 
 
 def test_where_the_time_is_over_that_is_said() -> None:

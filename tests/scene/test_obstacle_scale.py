@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 import trimesh
 from minimal_scenes import MINIMAL
+from oracles.urdf_reader import mesh_parts
 from raster_scenes import prism, raster_scene
 
 from cmbot import load_scene
 from cmbot.collision import extent_of
+from cmbot.collision.shapes import coal_shapes
 from cmbot.common.errors import InputError, SceneError
 from cmbot.scene import Mesh, Obstacle, Scene, Sphere, load_mesh, pose, update_file
 from cmbot.views.drawing.surfaces import obstacle_surface
@@ -57,6 +59,11 @@ def test_a_mesh_in_millimetres_is_everywhere_the_one_in_metres(tmp_path: Path) -
     )
     np.testing.assert_allclose(extent_of(mine), extent_of(theirs), atol=1e-6)
     np.testing.assert_allclose(obstacle_surface(mine).vertices, obstacle_surface(theirs).vertices, atol=1e-6)
+    # As an own reading of the files has them.
+    (one,), (two,) = (mesh_parts(each.shape.path, each.shape.scale) for each in (mine, theirs))
+    np.testing.assert_allclose(one, two, atol=1e-6)
+    (hull,) = (geometry.points() for geometry, _ in coal_shapes(mine.shape, mine.name))
+    np.testing.assert_allclose(np.ptp(hull, axis=0), np.ptp(one, axis=0), atol=1e-6)
 
 
 def test_a_mesh_is_kept_apart_from_the_same_file_in_other_units(tmp_path: Path) -> None:

@@ -308,7 +308,7 @@ def test_without_time_nothing_is_planned(scene: Scene) -> None:
         ),
         (
             {"guardrail": {"hold": {"kind": "magnet", "adhesion_n": 300}}},
-            "a foot uses [0-9]{4}% of its",
+            "a foot uses [0-9]{4}% of its hold",
         ),
     ],
 )

@@ -102,7 +102,7 @@ def compensate(
         if context.reporter.expired():
             tried = f"{rounds} of at most {MOST_ROUNDS} rounds"
             raise OptimisationFailed(
-                f"{context.time_in_words}, was over after {tried} of the compensation of the sag",
+                f"the time was over after {tried} of the compensation of the sag",
                 constraint="change of the shift",
                 violation=change / settled - 1,
             )

@@ -93,17 +93,18 @@ class NearestMiss:
 
     @property
     def pair(self) -> tuple[str, str] | None:
-        """What is too near in the best posture that was found; None where it is something else."""
-        context, best = self.context, self.missed.best[None]
-        if not self.missed.is_held or context.use_at_rest(context.postures.at(best))[0] > 1.0:
-            return None
-        shapes = context.clearances.pairs[int(context.clearances.smallest(best).pair[0])]
-        return shapes.link, shapes.other
+        """What comes too near in the best posture; None where it is not held, or not strong enough."""
+        near = self.missed.is_held and self._use <= 1.0
+        return self.context.most_often_near(self.missed.best[None]) if near else None
+
+    @property
+    def _use(self) -> float:
+        """Share of its bound that a joint or foot uses in the best posture, at most."""
+        return float(self.context.use_at_rest(self.context.postures.at(self.missed.best[None]))[0])
 
     def _at_best(self) -> str:
         """What the best posture that was found lacks."""
-        context, best = self.context, self.missed.best[None]
-        use = float(context.use_at_rest(context.postures.at(best))[0])
+        context, best, use = self.context, self.missed.best[None], self._use
         if use > 1.0:
             joint = context.weakest_joint(best)
             return (
