@@ -120,7 +120,7 @@ def test_a_plan_that_claims_another_force(pushed_plan: Plan, tmp_path: Path, for
         folder,
         lambda data: changed_scene(data, lambda scene: scene["tool"].update(process_force_n=force), folder),
     )
-    with pytest.raises(ArchiveError, match=r"guardrail_torque.*as measured again"):
+    with pytest.raises(ArchiveError, match=r"guardrail_torque.*as computed again"):
         load_plan(folder, verify=True)
 
 

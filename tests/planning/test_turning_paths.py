@@ -178,5 +178,5 @@ def test_a_stored_plan_of_another_beginning_is_refused(tmp_path_factory: pytest.
     moved = elsewhere({**BEGIN, "xyz": [1.75, 0.71, -2.0]}, knots="fixed")
     folder = tmp_path_factory.mktemp("forged") / "plan"
     save(replace(made, scene=moved), folder)
-    with pytest.raises(ArchiveError, match="as measured again"):
+    with pytest.raises(ArchiveError, match="as computed again"):
         load_plan(folder, verify=True)
