@@ -27,8 +27,8 @@ from cmbot.cli.views import claimed_plan, plot_files, require_plots
 from cmbot.common.errors import InputError
 
 if TYPE_CHECKING:
+    from chang2021 import Reproduction
     from cmbot.planning import Plan
-    from cmbot.reproduction import Reproduction
     from cmbot.simulation import SimulationOptions, Tracking
 
 __all__ = ["reproduce", "simulate"]
@@ -163,10 +163,10 @@ def reproduce(
 
     Example: [bold]cmbot reproduce -o out/reproduce[/bold]
     """
+    from chang2021 import FACTORS, QUICK_FACTORS, require_room, save_reproduction
+    from chang2021 import as_json as numbers
+    from chang2021 import reproduce as run
     from cmbot.archive import claim
-    from cmbot.reproduction import FACTORS, QUICK_FACTORS, require_room, save_reproduction
-    from cmbot.reproduction import as_json as numbers
-    from cmbot.reproduction import reproduce as run
 
     with claim(output):
         require_room(output, force=force)
@@ -234,7 +234,7 @@ def _rigid(plan: Plan) -> Iterator[str]:
 
 
 def _print_reproduction(found: Reproduction, *, details: bool) -> None:
-    from cmbot.reproduction import cells, comparison, findings, goals, reasons, verdict_rows
+    from chang2021 import cells, comparison, findings, goals, reasons, verdict_rows
 
     headings, *rows = verdict_rows(found)
     print_table("Goals", headings, rows, text_columns=2)
