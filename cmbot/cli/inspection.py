@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from itertools import takewhile
 from pathlib import Path
@@ -24,6 +24,7 @@ from cmbot.cli.console import (
     print_json,
     print_pairs,
 )
+from cmbot.cli.robot_options import XacroOption, xacro_arguments
 from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError, SceneError
 from cmbot.common.input_files import is_file
@@ -92,6 +93,7 @@ def check(
             help="Write an SRDF: which links of a URDF need not be checked against each other.",
         ),
     ] = None,
+    xacro: XacroOption = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -101,12 +103,14 @@ def check(
     [bold]cmbot check panda --write-srdf panda.srdf[/bold]
     """
     is_urdf = _is_robot(file)
-    findings, found, conclusion = _check_urdf(file) if is_urdf else _check_scene(file)
+    if xacro and not is_urdf:
+        raise InputError("--xacro", "", "a scene to check", "robot.xacro in the scene, or a URDF to check")
+    findings, found, conclusion = _check_urdf(file, xacro) if is_urdf else _check_scene(file)
     if write_srdf is not None:
         _require_new(write_srdf, is_urdf)
     usable = not _errors(findings)
     if usable and write_srdf is not None:
-        found["SRDF written"] = _write_srdf(file, write_srdf)
+        found["SRDF written"] = _write_srdf(file, write_srdf, xacro)
     if as_json:
         print_json(
             {
@@ -119,16 +123,29 @@ def check(
             }
         )
     else:
-        for finding in findings:
+        for finding, number in counted_findings(findings):
             if finding.severity == "error" or not quiet:
                 # As long as an error's message at most.
                 message = InputError(file, finding.key, finding.got, finding.expected)
-                out.print(f"{finding.severity}: {message}")
+                out.print(f"{finding.severity}: {message}{f' ({number} times)' if number > 1 else ''}")
     if not (as_json or quiet):
         print_pairs(found)
         out.print(conclusion)
     if not usable:
         raise typer.Exit(ExitStatus.BAD_INPUT)
+
+
+def counted_findings(findings: Sequence[Finding]) -> Iterator[tuple[Finding, int]]:
+    """Yield findings; warnings that differ in their links or joints alone as the first, with their number."""
+    alike: dict[tuple[str, ...], list[Finding]] = {}
+    for finding in findings:
+        key = (finding.severity, re.sub(r"\[[^]]*\]", "", finding.key), finding.got, finding.expected)
+        alike.setdefault(key, []).append(finding)
+    for each in alike.values():
+        if each[0].severity == "error":
+            yield from ((finding, 1) for finding in each)
+        else:
+            yield each[0], len(each)
 
 
 def _is_robot(file: str) -> bool:
@@ -150,30 +167,30 @@ def _require_new(path: Path, is_urdf: bool) -> None:
         raise InputError("--write-srdf", "", f"{path}, which is there", "the path of a new file")
 
 
-def _write_srdf(file: str, path: Path) -> str:
+def _write_srdf(file: str, path: Path, xacro: Sequence[str] | None) -> str:
     from xml.etree import ElementTree
 
     from cmbot.archive import write_file
     from cmbot.robot import robot_files, srdf_text
 
-    text = srdf_text(robot_files(file))
+    text = srdf_text(robot_files(file, xacro=xacro_arguments(xacro)))
     write_file(path, text.encode())
     reasons = [pair.get("reason", "") for pair in ElementTree.fromstring(text)]
     numbers = ", ".join(f"{reasons.count(reason)} {reason}" for reason in ("Adjacent", "Always", "Never"))
     return f"{path}: {len(reasons)} pairs of links ({numbers})"
 
 
-def _check_urdf(file: str) -> tuple[Sequence[Finding], dict[str, str], str]:
+def _check_urdf(file: str, xacro: Sequence[str] | None) -> tuple[Sequence[Finding], dict[str, str], str]:
     """Findings, what is in the file, and the conclusion."""
     from cmbot.common.validation import counted
     from cmbot.robot import inspect_loaded, inspect_robot, overview, robot_files
 
-    files = robot_files(file)
+    files = robot_files(file, xacro=xacro_arguments(xacro))
     root, findings = inspect_robot(files)
     found = {}
     if not _errors(findings):
         found = dict(overview(files, root))
-        findings += inspect_loaded(file)
+        findings = sorted([*findings, *inspect_loaded(files)], key=lambda finding: finding.severity)
     errors = _errors(findings)
     conclusion = f"Not usable: {counted(errors, 'error')}" if errors else "OK: no error"
     return findings, found, f"{conclusion}, {counted(len(findings) - errors, 'warning')}."

@@ -39,6 +39,8 @@ class Robot:
         From the URDF.
     urdf : pathlib.Path
         The file it was read from.
+    description : str
+        The content of that file, with what was added to it: expanded xacro, estimated masses, a tool.
     model : pinocchio.Model
         The arm, fixed base, universe = W. ``model.inertias[0]`` is that of everything that does not move.
     floating_model : pinocchio.Model
@@ -76,6 +78,7 @@ class Robot:
 
     name: str
     urdf: Path
+    description: str
     model: Any
     floating_model: Any
     collision_model: Any

@@ -31,6 +31,7 @@ __all__ = [
     "is_near",
     "locate_meshes",
     "mesh_loader",
+    "read_vertices",
     "replace_unreadable",
     "require_near_meshes",
     "vertices_of",
@@ -142,6 +143,13 @@ def is_mesh(geometry: Any) -> bool:
 def vertices_of(mesh: Any) -> FloatArray:
     """Return the vertices (n, 3) of a mesh, m."""
     return np.array(coal.BVHModelBase.vertices(mesh))
+
+
+def read_vertices(mesh: ElementTree.Element) -> FloatArray:
+    """Return the vertices (n, 3), m, of a URDF's mesh that is located; none of one that coal cannot read."""
+    with suppress(ValueError, RuntimeError, IndexError):
+        return vertices_of(_loaded(mesh, mesh_loader()))
+    return np.empty((0, 3))
 
 
 def faces_of(mesh: Any) -> IntArray:
