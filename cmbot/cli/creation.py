@@ -12,23 +12,24 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-import cmbot
 from cmbot.cli.console import ForceOption, JsonOption, QuietOption, flat, out, print_json
+from cmbot.cli.robot_options import XacroOption, named_as_option, xacro_arguments
 from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError, ModelError
 from cmbot.common.installation import scene_folder
+from cmbot.common.validation import shown
 
 if TYPE_CHECKING:
     from cmbot.planning import StartPosture
     from cmbot.robot import Robot
-    from cmbot.scene import Obstacle
+    from cmbot.scene import NewRobot, Obstacle
 
 __all__ = ["new"]
 
 _SHIPPED = "cmbot"
 _NO_SLUG = re.compile(r"[^A-Za-z0-9_\-]+")
 # Numbers of the command line are bounded as those of a scene file.
-_LARGEST, _LARGEST_ANGLE = 1e4, 360.0
+_LARGEST, _LARGEST_ANGLE, _HEAVIEST = 1e4, 360.0, 1e5
 
 
 Numbers = tuple[float, float, float]
@@ -51,7 +52,20 @@ BaseOption = Annotated[
     str | None, typer.Option("--base", metavar="FRAME", help="Base frame; left out: the only choice.")
 ]
 ToolOption = Annotated[
-    str | None, typer.Option("--tool", metavar="FRAME", help="Tool frame; left out: the only choice.")
+    str | None,
+    typer.Option(
+        "--tool",
+        metavar="FRAME",
+        help="Tool frame, left out: the only choice; or a tool on it, as robot.tool has it: "
+        "'{xyz: [0, 0, 0.2], mass_kg: 1.5}'.",
+    ),
+]
+FlangeOption = Annotated[
+    str | None, typer.Option("--flange", metavar="FRAME", help="With a tool: the frame it is fixed to.")
+]
+MassOption = Annotated[
+    float | None,
+    typer.Option("--total-mass", metavar="KG", help="Of a robot without masses: of all of it, to be spread."),
 ]
 PackagesOption = Annotated[
     list[Path] | None,
@@ -68,7 +82,10 @@ def new(
     rpy_deg: RpyOption = None,
     base: BaseOption = None,
     tool: ToolOption = None,
+    flange: FlangeOption = None,
     package_dir: PackagesOption = None,
+    xacro: XacroOption = None,
+    total_mass: MassOption = None,
     output: OutputOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
@@ -87,9 +104,10 @@ def new(
     _require_numbers("--rpy-deg", rpy_deg or (), _LARGEST_ANGLE)
     packages = tuple(package_dir or ())
     _require_applicable(source, base, tool, packages)
-    robot = _loaded(source, base, tool, packages)
+    asked = _asked(source, base, tool, flange, packages, xacro, total_mass)
+    robot = _loaded(asked)
     require_new(path, force)
-    made = _composed(robot, source, tool_at, rpy_deg, path, packages)
+    made = _composed(robot, asked, tool_at, rpy_deg, path)
     from cmbot.archive import write_file
 
     # The scene last: it names the others.
@@ -136,6 +154,40 @@ def _print_new(made: _Made, remarks: Sequence[str], written: Sequence[Path], *, 
     out.print(flat(f"Written: {', '.join(map(str, written))}. Plan it: cmbot plan {written[0]}"))
 
 
+def _asked(
+    source: str,
+    base: str | None,
+    tool: str | None,
+    flange: str | None,
+    packages: tuple[Path, ...],
+    xacro: list[str] | None,
+    total_mass: float | None,
+) -> NewRobot:
+    """The robot that the options describe; `tool` is a frame, or a tool as the scene file has it."""
+    from cmbot.common.validation import validated
+    from cmbot.common.yaml_reader import yaml_value
+    from cmbot.scene import AttachedToolFile, NewRobot
+
+    attached = None
+    if tool is not None and tool.lstrip().startswith("{"):
+        attached = validated(AttachedToolFile, yaml_value(tool, "--tool", InputError), "--tool", InputError)
+    elif flange is not None:
+        raise InputError("--flange", "", shown(flange), "a tool on it: --tool '{xyz: [0, 0, 0.2]}'")
+    if source == _SHIPPED and (attached, xacro, total_mass) != (None, None, None):
+        raise InputError("--tool, --xacro, --total-mass", "", "one of them", "none with --from cmbot")
+    if total_mass is not None and not 0 < total_mass <= _HEAVIEST:
+        raise InputError("--total-mass", "", total_mass, f"a mass in kg of at most {_HEAVIEST:g}")
+    return NewRobot(
+        source=source,
+        base_frame=base,
+        tool_frame=tool if attached is None else flange,
+        package_dirs=packages,
+        xacro=xacro_arguments(xacro),
+        total_mass=total_mass,
+        tool=attached,
+    )
+
+
 @dataclass(frozen=True)
 class _Made:
     """A robot, its start posture, what is to be said of both, and the texts of the files to write."""
@@ -146,23 +198,18 @@ class _Made:
     files: Mapping[Path, str]
 
 
-def _composed(
-    robot: Robot,
-    source: str,
-    tool_at: Numbers,
-    rpy_deg: Numbers | None,
-    path: Path,
-    packages: tuple[Path, ...],
-) -> _Made:
+def _composed(robot: Robot, asked: NewRobot, tool_at: Numbers, rpy_deg: Numbers | None, path: Path) -> _Made:
     """What is written: the scene, joint limits where the robot has none, an SRDF where its own blocks it."""
     import numpy as np
 
     from cmbot.planning import find_start
-    from cmbot.robot import Kinematics, robot_files
+    from cmbot.robot import Kinematics
     from cmbot.scene import PlannerOptions, limits_text, pose, scene_text
 
+    shipped = asked.source == _SHIPPED
+
     def start_of(robot: Robot) -> StartPosture:
-        return find_start(robot, _obstacles(source), np.array(tool_at), orientation)
+        return find_start(robot, _obstacles(asked.source), np.array(tool_at), orientation)
 
     def usual(start: StartPosture) -> bool:
         return start.safety_margin == PlannerOptions().safety_margin_m
@@ -170,21 +217,20 @@ def _composed(
     orientation = None if rpy_deg is None else np.array(pose((0, 0, 0), np.radians(rpy_deg)))[:3, :3]
     start, srdf, files = start_of(robot), path.with_suffix(".srdf"), dict[Path, str]()
     remarks: tuple[str, ...] = ()
-    shipped, own_limits = source == _SHIPPED, robot_files(source).limits is not None
     if not shipped and not usual(start):
-        text, said = _always_near(source, packages, srdf)
+        text, said = _always_near(asked, srdf)
         with tempfile.TemporaryDirectory() as folder:
             draft = Path(folder, srdf.name)
             draft.write_text(text, encoding="utf-8")
-            freed = _loaded(source, robot.base_frame, robot.tool_frame, packages, draft)
+            freed = _loaded(asked, draft)
         if usual(better := start_of(freed)):
             robot, start, files, remarks = freed, better, {srdf: text}, (said,)
     limits = path.with_name(f"{path.stem}.limits.yaml")
-    assumed = None if shipped or own_limits else limits
+    assumed = None if shipped or asked.files().limits is not None else limits
     files[path] = scene_text(
         name=_slug(path.stem),
         schema=_schema(path),
-        robot=_robot_entry(robot, source, path, assumed, srdf if srdf in files else None, packages),
+        robot=asked.entry(robot, path, assumed, srdf if srdf in files else None),
         on_guardrail=shipped,
         posture=start.posture,
         prismatic=robot.limits.prismatic,
@@ -195,18 +241,17 @@ def _composed(
         safety_margin_m=None if usual(start) else start.safety_margin,
     )
     if assumed is not None:
-        known = robot.limits
-        files[assumed] = limits_text(robot.joints, known.acceleration, known.jerk, known.prismatic)
+        files[assumed] = limits_text(robot.joints, robot.limits)
     return _Made(robot=robot, start=start, remarks=remarks, files=files)
 
 
-def _always_near(source: str, packages: tuple[Path, ...], path: Path) -> tuple[str, str]:
+def _always_near(asked: NewRobot, path: Path) -> tuple[str, str]:
     """The text of an SRDF that leaves out links which no motion can part, and a remark with their names."""
     from xml.etree import ElementTree
 
-    from cmbot.robot import robot_files, srdf_text
+    from cmbot.robot import srdf_text
 
-    text = srdf_text(robot_files(source, package_dirs=packages))
+    text = srdf_text(asked.files())
     pairs = [pair for pair in ElementTree.fromstring(text) if pair.get("reason") == "Always"]
     names = ", ".join(f"{pair.get('link1')} and {pair.get('link2')}" for pair in pairs)
     return (
@@ -215,40 +260,12 @@ def _always_near(source: str, packages: tuple[Path, ...], path: Path) -> tuple[s
     )
 
 
-def _loaded(
-    source: str, base: str | None, tool: str | None, packages: tuple[Path, ...], srdf: Path | None = None
-) -> Robot:
-    """The robot; where a frame has to be chosen, the error names the option."""
+def _loaded(asked: NewRobot, srdf: Path | None = None) -> Robot:
+    """The robot; where an option mends an error, it is named."""
     try:
-        return cmbot.load_robot(source, base_frame=base, tool_frame=tool, package_dirs=packages, srdf=srdf)
+        return asked.load(srdf)
     except ModelError as error:
-        option = {"base_frame": "--base", "tool_frame": "--tool"}.get(error.key)
-        if option is None:
-            raise
-        raise InputError(option, "", error.got, error.expected, error.choices) from error
-
-
-def _robot_entry(
-    robot: Robot,
-    source: str,
-    path: Path,
-    assumed: Path | None,
-    srdf: Path | None,
-    packages: tuple[Path, ...],
-) -> dict[str, tuple[object, str]]:
-    """The scene's ``robot:`` block, each value with its comment; `assumed` is the file of assumed limits."""
-    entry: dict[str, tuple[object, str]] = {"model": (_model(source, path), "")}
-    if source != _SHIPPED:
-        entry["base_frame"] = (robot.base_frame, "")
-        entry["tool_frame"] = (robot.tool_frame, "the frame that follows the tool path")
-    if assumed is not None:
-        entry["limits"] = (assumed.name, "accelerations and jerks, assumed: put your robot's there")
-    if srdf is not None:
-        entry["srdf"] = (srdf.name, "by sampling: which of its links need not be checked against each other")
-    if packages:
-        folder = path.resolve().parent
-        entry["package_dirs"] = ([os.path.relpath(place.resolve(), folder) for place in packages], "")
-    return entry | {"payload_kg": (0.0, "point mass at the tool")}
+        raise named_as_option(error) from error
 
 
 def _obstacles(source: str) -> tuple[Obstacle, ...]:
@@ -256,13 +273,6 @@ def _obstacles(source: str) -> tuple[Obstacle, ...]:
     from cmbot.scene import GuardrailFile, guardrail_from_file, guardrail_obstacles
 
     return guardrail_obstacles(guardrail_from_file(GuardrailFile())) if source == _SHIPPED else ()
-
-
-def _model(source: str, path: Path) -> str:
-    """How the scene file names the robot: a URDF relative to it, or the name as it is."""
-    if source == _SHIPPED or not Path(source).exists():
-        return source
-    return os.path.relpath(Path(source).resolve(), path.resolve().parent)
 
 
 def _schema(path: Path) -> str:

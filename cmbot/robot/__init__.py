@@ -5,7 +5,7 @@ from cmbot.robot.description.files import RobotFiles, robot_files
 from cmbot.robot.description.frames import arm_frames
 from cmbot.robot.description.hulls import convex_hull, encloses_volume
 from cmbot.robot.description.mesh_file import faces_of, is_mesh, locate_meshes, vertices_of
-from cmbot.robot.description.tool import Tool, ToolShape
+from cmbot.robot.description.tool import AttachedTool, ToolShape
 from cmbot.robot.description.xml_file import parse_urdf, urdf_content
 from cmbot.robot.dynamics import Dynamics, Efforts, external_forces
 from cmbot.robot.elasticity import JointElasticity, LinkTube
@@ -30,6 +30,7 @@ __all__ = [
     "CLIMBING_JOINTS",
     "MOST_FAR",
     "NEAR",
+    "AttachedTool",
     "Chain",
     "Climber",
     "ClimberBodies",
@@ -47,7 +48,6 @@ __all__ = [
     "Robot",
     "RobotFiles",
     "Side",
-    "Tool",
     "ToolBatch",
     "ToolShape",
     "arm_frames",

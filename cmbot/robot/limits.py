@@ -197,12 +197,24 @@ def joint_limits(model: Any, urdf: Path, path: Path | None) -> tuple[JointLimits
         jerk=np.where(unknown["jerk"], ASSUMED_JERK * acceleration, jerk),
         torque=np.where(unknown["torque"], _stretched_efforts(model, lower, upper), torque),
         prismatic=prismatic,
-        **{f"assumed_{name}": assumed | listed.assumed for name, assumed in unknown.items()},
+        **_are_assumed(unknown, given, by_file=listed.assumed),
     )
     told = (*_said_by_moveit(listed, path, given), *_assumed(unknown))
     if listed.assumed:
         told += (f"Limits in {path} are assumed: it says assumed: true.",)
     return limits, told
+
+
+def _are_assumed(
+    unknown: Mapping[str, BoolArray], given: Sequence[GivenLimits], *, by_file: bool
+) -> dict[str, BoolArray]:
+    """Which limits no file gives, or a file that says that it assumes them."""
+    fields = {name: "effort" if name == "torque" else name for name in unknown}
+    return {
+        f"assumed_{name}": unknown[name]
+        | np.array([by_file and getattr(each, field) is not None for each in given], dtype=np.bool_)
+        for name, field in fields.items()
+    }
 
 
 def _require_units(

@@ -22,7 +22,7 @@ from cmbot.robot.arm_model import arm_model, attach_payload, build_model, set_to
 from cmbot.robot.description.completion import add_masses, add_tool
 from cmbot.robot.description.files import RobotFiles, robot_files
 from cmbot.robot.description.frames import arm_frames, moving_links
-from cmbot.robot.description.tool import POINT, Tool
+from cmbot.robot.description.tool import POINT, AttachedTool
 from cmbot.robot.description.xml_file import parse_urdf
 from cmbot.robot.elasticity import read_elasticity
 from cmbot.robot.inspection import Finding, default_arm, inspect_inertias, inspect_urdf
@@ -64,7 +64,7 @@ def load_robot(
     package_dirs: Sequence[str | Path] = (),
     xacro: Mapping[str, str] | None = None,
     total_mass: float | None = None,
-    tool: Tool | None = None,
+    tool: AttachedTool | None = None,
 ) -> Robot:
     """Load a robot from its URDF.
 
@@ -114,7 +114,7 @@ def load_robot(
     total_mass : float, optional
         Mass of the whole robot, kg: what is not given of it is spread over the links without a mass, by the
         volumes of their shapes.
-    tool : Tool, optional
+    tool : AttachedTool, optional
         That is fixed to `tool_frame`; its point is then the tool frame. Not with `tool_length`.
 
     Raises
@@ -190,6 +190,7 @@ def load_robot(
         joint_elasticity=springs,
         base_frame=base_frame,
         tool_frame=tool_frame,
+        flange=flange,
         payload=payload,
         content_hash=_hash(files, content, completed),
         foot_point=tuple(placement.foot_point.tolist()),

@@ -61,6 +61,8 @@ class Robot:
     base_frame, tool_frame : str
         Names of the arm's first and last frame; the tool point is the origin of `tool_frame`, the tool's
         axis its z axis.
+    flange : str
+        The link to which a tool was fixed; without one `tool_frame`.
     payload : float
         Point mass at the tool, kg.
     tool_force : three floats
@@ -89,6 +91,7 @@ class Robot:
     joint_elasticity: Mapping[str, JointElasticity]
     base_frame: str
     tool_frame: str
+    flange: str
     payload: float
     content_hash: str
     tool_force: tuple[float, float, float] = _NO_FORCE

@@ -1,6 +1,7 @@
 """Where the robot works: the scene file, the tool path, obstacles, the guardrail, the planner's options."""
 
 from cmbot.common.installation import shipped_scenes
+from cmbot.scene.attached_tool import AttachedToolFile
 from cmbot.scene.base.guardrail import GuardrailFile, feet_at, guardrail_from_file, guardrail_obstacles
 from cmbot.scene.base.hold import HoldFile, held_member
 from cmbot.scene.base.identified import IdentifiedBase, IdentifiedSpring, IdentifiedStiffness
@@ -20,6 +21,7 @@ from cmbot.scene.path.waypoints import SAME_PLACE
 from cmbot.scene.raster.pieces import RowPiece, cells_of
 from cmbot.scene.raster.raster import CylinderPatch, FaceSelection, Raster
 from cmbot.scene.raster.surface import Coverage
+from cmbot.scene.robot_entry import NamedState
 from cmbot.scene.scene import WORK, RobotSource, Scene, SceneFile
 from cmbot.scene.scene_file import (
     load_scene,
@@ -29,7 +31,7 @@ from cmbot.scene.scene_file import (
     update_file,
 )
 from cmbot.scene.stow import STOW
-from cmbot.scene.template import limits_text, scene_text
+from cmbot.scene.template import NewRobot, limits_text, scene_text
 from cmbot.scene.tool import SPEED_TOLERANCE, Tool
 
 __all__ = [
@@ -39,6 +41,7 @@ __all__ = [
     "STOW",
     "WORK",
     "ArcTo",
+    "AttachedToolFile",
     "AxisCone",
     "Box",
     "Capsule",
@@ -57,6 +60,8 @@ __all__ = [
     "Leg",
     "LegLaw",
     "Mesh",
+    "NamedState",
+    "NewRobot",
     "Obstacle",
     "PiecewiseLaw",
     "PlannerOptions",

@@ -10,6 +10,7 @@ from pydantic import ConfigDict, Field, GetPydanticSchema, model_validator
 
 from cmbot.common.representation import short_repr
 from cmbot.common.validation import CheckedFields, FileModel, refusal, shown
+from cmbot.scene.attached_tool import AttachedToolFile
 from cmbot.scene.base.stance import Stance
 from cmbot.scene.fields import (
     Angles,
@@ -23,7 +24,7 @@ from cmbot.scene.fields import (
     one_of_schema,
 )
 
-__all__ = ["BaseFile", "Joints", "MountFile", "PostureFile", "RobotFile", "RobotSource"]
+__all__ = ["BaseFile", "Joints", "MountFile", "NamedState", "PostureFile", "RobotFile", "RobotSource"]
 
 Joints = Literal["elastic", "rigid"]
 """Whether joints bend as the robot's elasticity file says."""
@@ -48,10 +49,23 @@ class BaseFile(FileModel):
     """What messages and pages call it; left out with its block: guardrail for ``cmbot``, base for others."""
 
 
-class PostureFile(FileModel):
-    """Where the arm is at the start: stowed, or one posture, from the base to the tool, in either unit."""
+class NamedState(FileModel):
+    """A group state of the arm's SRDF that sets all its joints."""
 
-    model_config = ConfigDict(json_schema_extra=one_of_schema(("posture_deg", "posture", "stow")))
+    state: Text
+    """Its name."""
+
+    def __str__(self) -> str:
+        return self.state
+
+
+_POSTURES = ("posture_deg", "posture", "stow", "state")
+
+
+class PostureFile(FileModel):
+    """Where the arm is at the start: a state of its SRDF, or one posture, from the base to the tool."""
+
+    model_config = ConfigDict(json_schema_extra=one_of_schema(_POSTURES))
 
     posture_deg: Posture | None = None
     """Joint angles, for arms whose joints all turn."""
@@ -59,10 +73,12 @@ class PostureFile(FileModel):
     """Joint positions in rad and, of joints that slide, m."""
     stow: Literal[True] | None = None
     """In the group state ``stow`` of the arm's SRDF."""
+    state: Text | None = None
+    """In the group state of that name of the arm's SRDF."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        exactly_one(self, ("posture_deg", "posture", "stow"))
+        exactly_one(self, _POSTURES)
         return self
 
 
@@ -89,17 +105,32 @@ class RobotFile(FileModel):
     """Of another URDF: where its base frame is held; left out: its root link is at the origin of W."""
     tool_length_m: Length | None = None
     """Length of the tool, m; left out: as in the model."""
+    tool: AttachedToolFile | None = None
+    """Of another URDF, in place of `tool_length_m`: the tool that is fixed to the tool frame."""
     payload_kg: Mass = 0.0
     """Point mass at the tool, kg."""
+    xacro: Annotated[dict[Text, Text], Field(max_length=100)] | None = None
+    """Of another URDF that is written in xacro: values of its arguments, by their names."""
+    total_mass_kg: Annotated[float, Field(gt=0, le=1e5)] | None = None
+    """Of another URDF without masses: that of the whole robot, kg, which is spread over the links without one
+    by the volumes of their shapes. Every torque is then an estimate."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        for name in ("base_frame", "tool_frame", "limits", "package_dirs", "mount", "srdf", "elasticity"):
+        if self.tool is not None and self.tool_length_m is not None:
+            raise refusal("tool or tool_length_m, not both", got="both", key=("tool_length_m",))
+        for name in _OF_A_URDF:
             if self.model == "cmbot" and getattr(self, name) is not None:
                 got = shown(self.model_dump(mode="json")[name])
                 expected = "no such key beside model: cmbot: it goes with a URDF of one's own as robot.model"
                 raise refusal(expected, got=got, key=(name,))
         return self
+
+
+_OF_A_URDF = (
+    *("base_frame", "tool_frame", "limits", "package_dirs", "mount", "srdf", "elasticity"),
+    *("tool", "xacro", "total_mass_kg"),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,6 +159,10 @@ class RobotSource(CheckedFields):
         Point mass at the tool, kg.
     stance : Stance or None
         Where the shipped robot stands; None: on the post at the origin of W.
+    tool : AttachedToolFile or None
+        That is fixed to the tool frame; paths of its meshes are absolute.
+    xacro : dict of str to str, or None
+    total_mass : float or None, kg
     """
 
     model: Annotated[str | Path, _AS_TEXT]
@@ -143,6 +178,9 @@ class RobotSource(CheckedFields):
     payload: Mass
     joints: Joints = "elastic"
     stance: Stance | None = None
+    tool: AttachedToolFile | None = None
+    xacro: dict[str, str] | None = None
+    total_mass: float | None = None
 
     __repr__ = short_repr
 
@@ -151,4 +189,9 @@ class RobotSource(CheckedFields):
         """The model with its frames and files, as arguments of `cmbot.load_robot`."""
         names = ("base_frame", "tool_frame", "limits", "srdf", "elasticity")
         given = {name: getattr(self, name) for name in names}
-        return {"model": self.model, **given, "package_dirs": self.package_dirs or ()}
+        added = {
+            "xacro": self.xacro,
+            "total_mass": self.total_mass,
+            "tool": None if self.tool is None else self.tool.tool,
+        }
+        return {"model": self.model, **given, "package_dirs": self.package_dirs or (), **added}

@@ -38,7 +38,15 @@ from cmbot.scene.path.stroke import Stroke, timed_stroke
 from cmbot.scene.path.time_law import LegLaw, SpeedProfile
 from cmbot.scene.raster.pieces import RowPiece
 from cmbot.scene.raster.raster import Raster
-from cmbot.scene.robot_entry import BaseFile, Joints, MountFile, PostureFile, RobotFile, RobotSource
+from cmbot.scene.robot_entry import (
+    BaseFile,
+    Joints,
+    MountFile,
+    NamedState,
+    PostureFile,
+    RobotFile,
+    RobotSource,
+)
 from cmbot.scene.tool import Tool
 
 __all__ = [
@@ -82,9 +90,9 @@ class SceneFile(FileModel):
     """What the robot stands on."""
     start: PostureFile | None = None
     """Where the arm is at the start; left out: stowed."""
-    return_: Annotated[Literal["stow", "start", "none"] | None, Field(alias="return")] = None
-    """Where the arm goes after the work; left out: nowhere. An arm whose SRDF has no group state ``stow`` is
-    put away where it started."""
+    return_: Annotated[Literal["stow", "start", "none"] | NamedState | None, Field(alias="return")] = None
+    """Where the arm goes after the work, as ``stow`` or ``{state: home}``; left out: nowhere. An arm whose
+    SRDF has no group state ``stow`` is put away where it started."""
     tool: Tool | None = None
     """The process force and the largest speed while the tool is on."""
     frames: Annotated[dict[Slug, MountFile] | None, Field(max_length=100)] = None
@@ -145,7 +153,7 @@ class SceneFile(FileModel):
 
     @property
     def posture(self) -> FloatArray | None:
-        """The posture (n,) in SI, as if every joint turned where it is in degrees; None: stowed."""
+        """The posture (n,) in SI, as if every joint turned where it is in degrees; None: a state's."""
         if self.start is None:
             return None
         if self.start.posture_deg is not None:
@@ -167,7 +175,7 @@ class _SceneFields(ToolPathFile):
     model_config = ConfigDict(validate_by_name=True)
 
     posture: Posture
-    return_to: Literal["stow", "start", "none"]
+    return_to: Literal["stow", "start", "none"] | NamedState
     planner: PlannerOptions
 
 
@@ -200,8 +208,8 @@ class Scene:
     robot : RobotSource
     posture : array
         (n,), joint positions at the start, rad, of joints that slide m; read-only.
-    return_to : str
-        Where the arm goes after the work: ``stow``, ``start`` or ``none``, nowhere.
+    return_to : str or NamedState
+        Where the arm goes after the work: ``stow``, ``start`` or ``none``, nowhere, or a named state.
     tool : Tool
         The process force and the largest speed while the tool is on.
     keep : str or AxisCone
@@ -258,7 +266,7 @@ class Scene:
     source: str
     robot: RobotSource
     posture: FloatArray
-    return_to: Literal["stow", "start", "none"]
+    return_to: Literal["stow", "start", "none"] | NamedState
     tool: Tool
     keep: Keep = "pose"
     start_pose: Goal | None = None

@@ -21,6 +21,7 @@ from cmbot.common.robot_library import LIBRARY, LIBRARY_EXTRA, is_robot_name, li
 from cmbot.common.validation import counted, given_path, hint, plain, shown, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml
 from cmbot.elastic import Guardrail
+from cmbot.scene.attached_tool import AttachedToolFile
 from cmbot.scene.base.guardrail import guardrail_from_file, guardrail_obstacles
 from cmbot.scene.base.stance import resolved_stance
 from cmbot.scene.fields import si_fields
@@ -222,7 +223,7 @@ def update_file(scene: Scene) -> Scene:
         "planner": plain(scene.planner, "Scene"),
     }
     if scene.return_to != (scene.file.return_ or "none"):
-        data["return"] = scene.return_to
+        data["return"] = plain(scene.return_to, "Scene")
     if scene.tool != (scene.file.tool or Tool()):
         data["tool"] = plain(scene.tool, "Scene")
     if scene.robot.joints != scene.file.joints:
@@ -296,9 +297,22 @@ def _robot(scene: SceneFile, find: _Find) -> RobotSource:
         values["package_dirs"] = tuple(find(place, _PACKAGES) for place in file.package_dirs)
     if file.model != "cmbot":
         values["model"] = _model(find, file.model)
+    if file.tool is not None:
+        values["tool"] = _located_tool(file.tool, find)
     mount = values.pop("mount")
     placed = {} if mount is None else si_fields(mount)
     return RobotSource(**values, mount_xyz=placed.get("xyz"), mount_rpy=placed.get("rpy"))
+
+
+def _located_tool(tool: AttachedToolFile, find: _Find) -> AttachedToolFile:
+    """A tool with the absolute paths of its meshes."""
+    data = tool.model_dump(exclude_none=True)
+    if tool.mesh is not None:
+        data["mesh"] = str(find(tool.mesh, "robot.tool.mesh"))
+    for k, shape in enumerate(tool.shapes):
+        if shape.mesh is not None:
+            data["shapes"][k]["mesh"] = str(find(shape.mesh, f"robot.tool.shapes[{k}].mesh"))
+    return AttachedToolFile(**data)
 
 
 def _guardrail(file: SceneFile, source: str) -> Guardrail:
@@ -368,6 +382,9 @@ def _robot_data(robot: RobotSource, file: RobotFile) -> dict[str, Any]:
     for key in ("limits", "srdf", "elasticity"):
         path = getattr(robot, key)
         data[key] = None if path is None else getattr(file, key) or str(path)
+    data |= {"xacro": robot.xacro, "total_mass_kg": robot.total_mass}
+    if robot.tool is not None:
+        data["tool"] = (file.tool or robot.tool).model_dump(mode="json", exclude_none=True)
     if robot.package_dirs is not None:
         data["package_dirs"] = file.package_dirs or [str(place) for place in robot.package_dirs]
     if robot.mount_xyz is not None and robot.mount_rpy is not None:

@@ -1,4 +1,4 @@
-"""The stow posture: where a scene's arm is put away, by its SRDF."""
+"""Named states of an arm, such as the stow posture: where it starts and is put away, by its SRDF."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def start_posture(file: SceneFile, robot: RobotSource, source: str) -> FloatArra
     Raises
     ------
     SceneError
-        When it is to be stowed, and its SRDF has no such group state.
+        When it is to be stowed or in another state, and its SRDF has no such group state.
     ModelError
         When the robot's files cannot be used.
     """
@@ -36,14 +36,15 @@ def start_posture(file: SceneFile, robot: RobotSource, source: str) -> FloatArra
     from cmbot.robot import load_robot
 
     loaded = load_robot(**robot.files)
-    stow = loaded.group_states.get(STOW)
-    if stow is not None:
-        return stow
     given = file.start is not None
-    lacks = f"the arm {loaded.name}, whose SRDF has no group state {STOW} of all its joints"
+    name = (file.start.state if file.start is not None else None) or STOW
+    if (state := loaded.group_states.get(name)) is not None:
+        return state
+    lacks = f"the arm {loaded.name}, whose SRDF has no group state {name} of all its joints"
     raise SceneError(
         source,
         file.posture_key,
         lacks if given else f"nothing, and {lacks}",
         "start: {posture_deg: [...]}, or an SRDF with that group state (robot.srdf)",
+        tuple(loaded.group_states),
     )

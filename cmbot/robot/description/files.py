@@ -18,7 +18,7 @@ from cmbot.common.robot_library import LIBRARY, LIBRARY_EXTRA, is_robot_name, li
 from cmbot.common.validation import given_path, hint
 from cmbot.common.yaml_reader import LARGEST_FILE
 from cmbot.robot.description.limits_file import read_joint_limits
-from cmbot.robot.description.tool import Tool
+from cmbot.robot.description.tool import AttachedTool
 from cmbot.robot.description.xml_file import read_urdf
 
 __all__ = ["RobotFiles", "robot_files"]
@@ -54,7 +54,7 @@ class RobotFiles:
         Arguments of xacro.
     total_mass : float or None
         Mass of the whole robot, kg, that is spread over the links without one.
-    tool : Tool or None
+    tool : AttachedTool or None
         That is fixed to the tool frame.
     """
 
@@ -68,7 +68,7 @@ class RobotFiles:
     left_alone: tuple[Path, str] | None = None
     xacro: Mapping[str, str] = field(default_factory=dict)
     total_mass: float | None = None
-    tool: Tool | None = None
+    tool: AttachedTool | None = None
 
     __repr__ = short_repr
 
@@ -92,7 +92,7 @@ def robot_files(
     package_dirs: Sequence[str | Path] = (),
     xacro: Mapping[str, str] | None = None,
     total_mass: float | None = None,
-    tool: Tool | None = None,
+    tool: AttachedTool | None = None,
 ) -> RobotFiles:
     """Return the files of a robot; those that are not given are sought where ROS packages have them.
 

@@ -13,7 +13,7 @@ import numpy as np
 from cmbot.common.errors import ModelError
 from cmbot.common.representation import short_repr
 
-__all__ = ["POINT", "Tool", "ToolShape"]
+__all__ = ["POINT", "AttachedTool", "ToolShape"]
 
 POINT = "_point"
 """Ending of the name of the tool point's frame, after that of the tool's link."""
@@ -33,7 +33,7 @@ class ToolShape:
     numbers : tuple of float, m
         Edges of a box; radius and length of a cylinder; of a capsule radius and length between the centres of
         its two half spheres; radius of a sphere; of a mesh the scale of its file, without a unit.
-    path : pathlib.Path or None
+    path : str, pathlib.Path or None
         Of a mesh.
     xyz, rpy : three floats, m and rad
         Its pose: ``R = Rz(yaw) Ry(pitch) Rx(roll)``.
@@ -41,7 +41,7 @@ class ToolShape:
 
     kind: Literal["box", "cylinder", "capsule", "sphere", "mesh"]
     numbers: tuple[float, ...]
-    path: Path | None = None
+    path: str | Path | None = None
     xyz: Triple = (0.0, 0.0, 0.0)
     rpy: Triple = (0.0, 0.0, 0.0)
 
@@ -64,7 +64,7 @@ class ToolShape:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tool:
+class AttachedTool:
     """A tool that is fixed to the arm's flange.
 
     Attributes
@@ -91,11 +91,11 @@ class Tool:
         numbers = np.array([*self.xyz, *self.rpy, *(self.com or ())], dtype=float)
         if not (np.abs(numbers) <= _MOST).all():
             raise ModelError(
-                "Tool", "xyz, rpy, com", numbers.tolist(), f"finite numbers of at most {_MOST:g}"
+                "AttachedTool", "xyz, rpy, com", numbers.tolist(), f"finite numbers of at most {_MOST:g}"
             )
         if not 0 <= self.mass <= _HEAVIEST:
             expected = f"a mass in kg that is not negative, at most {_HEAVIEST:g}"
-            raise ModelError("Tool", "mass", self.mass, expected)
+            raise ModelError("AttachedTool", "mass", self.mass, expected)
 
     def attached(self, root: ElementTree.Element, flange: str) -> tuple[ElementTree.Element, str]:
         """Fix it to a link of a URDF, in place; return its link, as yet without mass, and its frame's name.
