@@ -63,9 +63,9 @@ def expand_xacro(
     given = _Arguments(arguments or {})
     expanded = _expanded(path, content, package_dirs, given)
     for argument in arguments or {}:
-        if argument not in given.declared:
-            choices = sorted(given.declared)
-            expected = f"an argument that the file declares{hint(argument, choices)}"
+        if argument not in given.sought:
+            choices = sorted(given.sought)
+            expected = f"an argument that the file has{hint(argument, choices)}"
             raise ModelError(str(path), f"xacro.{argument}", "no argument of it", expected, choices)
     if _LINK.search(expanded) is None and _MACRO.search(content) is not None:
         users = ", ".join(_users(path)) or "such a file, with its ending .urdf.xacro or .xacro"
@@ -125,15 +125,19 @@ def _expanded(path: Path, content: bytes, package_dirs: Sequence[Path], given: _
 
 
 class _Arguments(dict[str, str]):
-    """Values of arguments; keeps the names that xacro looks up when it declares one."""
+    """Values of arguments; keeps the names that xacro looks up, to declare an argument or for its value."""
 
     def __init__(self, values: Mapping[str, str]) -> None:
         super().__init__(values)
-        self.declared = set[str]()
+        self.sought = set[str]()
 
     def __contains__(self, name: object) -> bool:
-        self.declared.add(str(name))
+        self.sought.add(str(name))
         return super().__contains__(name)
+
+    def __getitem__(self, name: str) -> str:
+        self.sought.add(name)
+        return super().__getitem__(name)
 
 
 def _package(name: str, path: Path, files: Iterable[Path], package_dirs: Sequence[Path]) -> Path:
