@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 from xml.etree import ElementTree
 
+import coal
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
@@ -215,15 +216,16 @@ def _require_size(robot: Robot) -> None:
     for shape in robot.collision_model.geometryObjects:
         # What stands still, such as a floor, may be large.
         most = farthest if shape.parentJoint else max(farthest, _LARGEST_FIXED)
-        if shape.parentJoint == 0 and not shape.meshPath.strip():
+        hull = isinstance(shape.geometry, coal.ConvexBase)
+        if shape.parentJoint == 0 and not hull:
             continue
         shape.geometry.computeLocalAABB()
         corners = np.array([shape.geometry.aabb_local.min_, shape.geometry.aabb_local.max_])
         if (size := float(np.abs(corners).max())) > most:
             link = robot.model.frames[shape.parentFrame].name
-            file = Path(shape.meshPath).name if shape.meshPath.strip() else "a shape"
+            file = Path(shape.meshPath).name if hull else "a shape"
             got = f"{file} that extends to {size:.4g} m, of an arm that reaches {robot.reach:.4g} m"
-            expected = 'metres (millimetres? scale="0.001 0.001 0.001" of the mesh)'
+            expected = 'metres (millimetres? scale="0.001 0.001 0.001" of a mesh)'
             raise ModelError(str(robot.urdf), f"link[{link}].collision", got, expected)
 
 
