@@ -347,8 +347,8 @@ def _sections(plan: Plan, tracking: Tracking | None) -> Iterator[str]:
     # The verdict, which comes first of them, stands above.
     yield section("Remarks", _list(list(remarks(plan))[1:]), kind="wide")
     yield section("Metrics", table(plan.rows(), ("", "baseline", "planned")))
-    if told := _accuracy_section(plan):
-        yield told
+    if accuracy := _accuracy_section(plan):
+        yield accuracy
     elastic = list(_elastic(plan))
     if elastic:
         swings = list(_swings(plan))
