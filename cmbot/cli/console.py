@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from enum import IntEnum
 from pathlib import Path
@@ -22,7 +21,7 @@ from cmbot.cli.signals import check_signals
 from cmbot.common.errors import CmbotError, PlanningError
 from cmbot.common.errors import one_line as flat
 from cmbot.common.installation import shipped_scenes
-from cmbot.common.progress_line import ProgressLine, Report
+from cmbot.common.progress_display import ProgressDisplay
 
 __all__ = [
     "ConsoleProgress",
@@ -193,11 +192,11 @@ def print_table(
         out.print("  ".join(map(format, cells, formats)).rstrip())
 
 
-class ConsoleProgress(ProgressLine):
-    """Progress on standard error, or none where it is to be quiet; with each report, signals are checked."""
+class ConsoleProgress(ProgressDisplay):
+    """Progress on standard error, where that is a terminal; with each report, signals are checked."""
 
-    def __init__(self, *, quiet: bool = False, clock: Callable[[], float] = time.monotonic) -> None:
-        super().__init__(err, quiet=quiet, clock=clock)
+    def __init__(self, *, quiet: bool = False) -> None:
+        super().__init__(err, quiet=quiet)
 
     def __enter__(self) -> Self:
         err.erase_sign()
@@ -208,12 +207,6 @@ class ConsoleProgress(ProgressLine):
         if error[0] is None:
             check_signals()
 
-    def update(self, progress: Report, prefix: str = "") -> None:
-        """Show a report, after a prefix such as the scene's name."""
+    def _show(self, description: str, share: float | None) -> None:
         check_signals()
-        super().update(progress, prefix)
-
-    def stage(self, description: str, share: float | None = None) -> None:
-        """Show what is being done, and the share of all the work that is done, where it is known."""
-        check_signals()
-        super().stage(description, share)
+        super()._show(description, share)
