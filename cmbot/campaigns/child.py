@@ -29,8 +29,6 @@ from typing import IO, Any
 from cmbot.campaigns.task import Task, TaskResult, TaskStatus
 from cmbot.common.errors import CmbotError
 
-__all__ = ["run_in_child"]
-
 _CONTEXT = multiprocessing.get_context("forkserver")
 # Characters of standard error that are kept.
 _DETAILS = 4000

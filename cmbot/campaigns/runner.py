@@ -20,8 +20,6 @@ from cmbot.campaigns.task import Task, TaskResult, TaskStatus
 from cmbot.common.errors import CmbotError, InputError, MissingExtra
 from cmbot.common.validation import shown
 
-__all__ = ["require_dask", "run_tasks", "task_results"]
-
 _FORMAT = "cmbot-task/1"
 # Tasks that dask has at a time; each takes tens of kilobytes there. For each process of this machine; and for
 # a scheduler, whose workers may be many, or become more as its queue grows.

@@ -16,8 +16,6 @@ from rich.progress import (
 )
 from rich.table import Column
 
-__all__ = ["ProgressDisplay", "Report"]
-
 
 class Report(Protocol):
     """What is being done, such as a `cmbot.planning.Progress`."""

@@ -8,8 +8,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Literal, TypeVar
 
-__all__ = ["watched", "watched_share"]
-
 T = TypeVar("T")
 
 

@@ -19,7 +19,7 @@ from small_scenes import SHORT
 import cmbot
 from cmbot import archive, views
 
-HEAVY = {"pinocchio", "coal", "numpy", "scipy", "meshcat", "trimesh", "yourdfpy", "pydantic", "rich", "typer"}
+HEAVY = {"pinocchio", "coal", "numpy", "scipy", "meshcat", "trimesh", "yourdfpy", "pydantic", "rich"}
 # What planning a scene without meshes and writing its pages can do without.
 NOT_TO_PLAN = {"IPython", "matplotlib", "meshcat", "networkx", "requests", "selenium", "ssl", "tornado"}
 NOT_TO_PLAN |= {"trimesh", "yourdfpy", "zmq"}
@@ -104,7 +104,6 @@ print(missing)
 )
 def test_the_command_line_loads_the_robot_only_when_it_is_needed(words: list[str]) -> None:
     loaded = loaded_by(run_by(words))
-    assert "typer" in loaded
     assert not loaded & {"pinocchio", "coal", "meshcat", "trimesh"}
     assert not loaded & {"numpy", "scipy"} or "nosuch" in words  # a scene's poses are made with them
 
