@@ -17,7 +17,7 @@ from command_line import ROOT, environment
 from small_scenes import SHORT
 
 import cmbot
-from cmbot import archive, views
+from cmbot import archive, campaigns, views
 
 HEAVY = {"pinocchio", "coal", "numpy", "scipy", "meshcat", "trimesh", "yourdfpy", "pydantic", "rich"}
 # What planning a scene without meshes and writing its pages can do without.
@@ -180,7 +180,13 @@ def test_dir_and_all_are_complete() -> None:
 
 
 @pytest.mark.parametrize(
-    ("package", "later"), [(cmbot, cmbot._ROOMS), (archive, archive._LATER), (views, views._LATER)]
+    ("package", "later"),
+    [
+        (cmbot, cmbot._ROOMS),
+        (archive, archive._LATER),
+        (campaigns, campaigns._LATER),
+        (views, views._LATER),
+    ],
 )
 def test_type_checkers_see_the_names_that_are_imported_when_first_used(
     package: ModuleType, later: dict[str, tuple[str, ...]]
