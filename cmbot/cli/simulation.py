@@ -14,8 +14,8 @@ from cmbot.cli.views import claimed_plan, plot_files, require_plots
 from cmbot.common.errors import InputError, one_line
 
 if TYPE_CHECKING:
+    from chang2021 import Reproduction
     from cmbot.planning import Plan
-    from cmbot.reproduction import Reproduction
     from cmbot.simulation import SimulationOptions, Tracking
 
 # Entries of the files that --json does not print.
@@ -125,8 +125,8 @@ class ReproduceCommand(Reporting):
     details: bool = option(False, "Print all figures, not only the answer.")
 
     def __call__(self) -> None:
-        from cmbot.reproduction import FACTORS, QUICK_FACTORS, as_json, require_room, save_reproduction
-        from cmbot.reproduction import reproduce as run
+        from chang2021 import FACTORS, QUICK_FACTORS, as_json, require_room, save_reproduction
+        from chang2021 import reproduce as run
 
         written: list[Path] = []
 
@@ -189,7 +189,7 @@ def _rigid(plan: Plan) -> Iterator[str]:
 
 
 def _print_reproduction(found: Reproduction, *, details: bool) -> None:
-    from cmbot.reproduction import cells, comparison, findings, goals, reasons, verdict_rows
+    from chang2021 import cells, comparison, findings, goals, reasons, verdict_rows
 
     headings, *rows = verdict_rows(found)
     print_table("Goals", headings, rows, text_columns=2)
