@@ -14,6 +14,7 @@ import resource
 import signal
 import sys
 import traceback
+from contextlib import ExitStack
 from importlib import import_module
 from pathlib import Path
 from queue import SimpleQueue
@@ -51,19 +52,22 @@ def _run(task: dict[str, Any], answers: TextIO) -> None:
 
     def answer(**content: Any) -> None:
         told = {**content, "cpu_seconds": _cpu_seconds() - began, "resident": _resident()}
-        print(json.dumps(told, allow_nan=False), file=answers)
+        answers.write(json.dumps(told, allow_nan=False) + "\n")
+
+    def end(kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
+        if kind is not None:
+            traceback.print_exception(error)
+            sys.stderr.flush()
+            answer(error=f"{kind.__name__}: {error}")
+            os._exit(1)
 
     module, _, name = task["function"].partition(":")
-    try:
+    with ExitStack() as stack:
+        stack.push(end)
         value = getattr(import_module(module), name)(**task["arguments"])
         # The next task's log begins empty.
         sys.stderr.flush()
         answer(value=value)
-    except BaseException as error:  # noqa: BLE001  whatever it is, it is the answer
-        traceback.print_exc()
-        sys.stderr.flush()
-        answer(error=f"{type(error).__name__}: {error}")
-        os._exit(1)
     signal.alarm(0)
 
 
