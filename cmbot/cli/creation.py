@@ -8,14 +8,13 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from cmbot.cli.console import ForceOption, JsonOption, QuietOption, flat, out, print_json
-from cmbot.cli.robot_options import XacroOption, named_as_option, xacro_arguments
+from cmbot.cli.command import Reporting, option
+from cmbot.cli.console import out
+from cmbot.cli.robot_options import named_as_option, xacro_arguments
 from cmbot.cli.views import require_new
-from cmbot.common.errors import InputError, ModelError
+from cmbot.common.errors import InputError, ModelError, one_line
 from cmbot.common.installation import scene_folder
 from cmbot.common.validation import shown
 
@@ -24,8 +23,6 @@ if TYPE_CHECKING:
     from cmbot.robot import Robot
     from cmbot.scene import NewRobot, Obstacle
 
-__all__ = ["new"]
-
 _SHIPPED = "cmbot"
 _NO_SLUG = re.compile(r"[^A-Za-z0-9_\-]+")
 # Numbers of the command line are bounded as those of a scene file.
@@ -33,95 +30,97 @@ _LARGEST, _LARGEST_ANGLE, _HEAVIEST = 1e4, 360.0, 1e5
 
 
 Numbers = tuple[float, float, float]
-SourceOption = Annotated[
-    str | None, typer.Option("--from", metavar="URDF", help="A URDF, or the name of a robot such as panda.")
-]
-ToolAtOption = Annotated[
-    Numbers | None,
-    typer.Option(
-        "--tool-at",
-        metavar="X Y Z",
-        help="With --from: tool point at the start, m, in the frame of the URDF's root link.",
-    ),
-]
-RpyOption = Annotated[
-    Numbers | None,
-    typer.Option("--rpy-deg", metavar="R P Y", help="Roll, pitch, yaw of the tool there; left out: any."),
-]
-BaseOption = Annotated[
-    str | None, typer.Option("--base", metavar="FRAME", help="Base frame; left out: the only choice.")
-]
-ToolOption = Annotated[
-    str | None,
-    typer.Option(
-        "--tool",
-        metavar="FRAME",
-        help="Tool frame, left out: the only choice; or a tool on it, as robot.tool has it: "
-        "'{xyz: [0, 0, 0.2], mass_kg: 1.5}'.",
-    ),
-]
-FlangeOption = Annotated[
-    str | None, typer.Option("--flange", metavar="FRAME", help="With a tool: the frame it is fixed to.")
-]
-MassOption = Annotated[
-    float | None,
-    typer.Option("--total-mass", metavar="KG", help="Of a robot without masses: of all of it, to be spread."),
-]
-PackagesOption = Annotated[
-    list[Path] | None,
-    typer.Option("--package-dir", metavar="DIR", help="Where package:// is sought first; repeatable."),
-]
-OutputOption = Annotated[
-    Path | None, typer.Option("--output", "-o", help="Scene file to write; NAME.yaml if left out.")
-]
 
 
-def new(
-    source: SourceOption = None,
-    tool_at: ToolAtOption = None,
-    rpy_deg: RpyOption = None,
-    base: BaseOption = None,
-    tool: ToolOption = None,
-    flange: FlangeOption = None,
-    package_dir: PackagesOption = None,
-    xacro: XacroOption = None,
-    total_mass: MassOption = None,
-    output: OutputOption = None,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
-    quiet: QuietOption = False,
-) -> None:
+@dataclass(frozen=True, kw_only=True)
+class NewCommand(Reporting):
     """Write a scene for a robot: a start posture that holds the tool, a first leg, joint limits to fill in.
 
-    Example: [bold]cmbot new --from panda --tool-at 0.5 0 0.4 -o panda.yaml[/bold],
-    then [bold]cmbot plan panda.yaml[/bold]
+    Example: cmbot new --from panda --tool-at 0.5 0 0.4 -o panda.yaml, then cmbot plan panda.yaml
     """
-    if source is None or tool_at is None:
-        missing = "--from" if source is None else "--tool-at"
-        raise InputError(missing, "", "nothing", "--from URDF and --tool-at X Y Z")
-    path = output if output is not None else Path(f"{_slug(Path(source).name.partition('.')[0])}.yaml")
-    _require_numbers("--tool-at", tool_at, _LARGEST)
-    _require_numbers("--rpy-deg", rpy_deg or (), _LARGEST_ANGLE)
-    packages = tuple(package_dir or ())
-    _require_applicable(source, base, tool, packages)
-    asked = _asked(source, base, tool, flange, packages, xacro, total_mass)
-    robot = _loaded(asked)
-    require_new(path, force)
-    made = _composed(robot, asked, tool_at, rpy_deg, path)
-    from cmbot.archive import write_file
 
-    # The scene last: it names the others.
-    *others, scene_file = sorted(made.files, key=lambda file: file == path)
-    for file in others:
-        require_new(file, force)
-    for file in (*others, scene_file):
-        write_file(file, made.files[file].encode())
-    written = [scene_file, *others]
-    remarks = [*made.robot.remarks, *made.remarks]
-    if as_json:
-        print_json({"verb": "new", "files": [str(file) for file in written], "remarks": remarks})
-    elif not quiet:
-        _print_new(made, remarks, written, shipped=source == _SHIPPED)
+    reads = False
+
+    source: str | None = option(
+        None, "A URDF, or the name of a robot such as panda.", "--from", metavar="URDF"
+    )
+    tool_at: Numbers | None = option(
+        None,
+        "With --from: tool point at the start, m, in the frame of the URDF's root link.",
+        metavar="X Y Z",
+    )
+    rpy_deg: Numbers | None = option(
+        None, "Roll, pitch, yaw of the tool there; left out: any.", metavar="R P Y"
+    )
+    base: str | None = option(None, "Base frame; left out: the only choice.", metavar="FRAME")
+    tool: str | None = option(
+        None,
+        "Tool frame, left out: the only choice; or a tool on it, as robot.tool in a scene, such as "
+        "'{xyz: [0, 0, 0.2], mass_kg: 1.5}'.",
+        metavar="FRAME",
+    )
+    flange: str | None = option(None, "With a tool: the frame that it is fixed to.", metavar="FRAME")
+    package_dir: tuple[Path, ...] = option((), "Where package:// is sought first; repeatable.", metavar="DIR")
+    xacro: tuple[str, ...] = option((), "An argument of the xacro file; repeatable.", metavar="NAME=VALUE")
+    total_mass: float | None = option(
+        None, "Of a robot without masses: of all of it, which is spread over its shapes.", metavar="KG"
+    )
+    output: Path | None = option(None, "Scene file to write; NAME.yaml if left out.", "--output", "-o")
+    force: bool = option(False, "Replace what is there.")
+
+    def __call__(self) -> None:
+        source, tool_at = self.source, self.tool_at
+        if source is None or tool_at is None:
+            missing = "--from" if source is None else "--tool-at"
+            raise InputError(missing, "", "nothing", "--from URDF and --tool-at X Y Z")
+        path = self.output or Path(f"{_slug(Path(source).name.partition('.')[0])}.yaml")
+        _require_numbers("--tool-at", tool_at, _LARGEST)
+        _require_numbers("--rpy-deg", self.rpy_deg or (), _LARGEST_ANGLE)
+        _require_applicable(source, self.base, self.tool, self.package_dir)
+        asked = self._asked(source)
+        robot = _loaded(asked)
+        require_new(path, self.force)
+        made = _composed(robot, asked, tool_at, self.rpy_deg, path)
+        from cmbot.archive import write_file
+
+        # The scene last: it names the others.
+        *others, scene_file = sorted(made.files, key=lambda file: file == path)
+        for file in others:
+            require_new(file, self.force)
+        for file in (*others, scene_file):
+            write_file(file, made.files[file].encode())
+        written = [scene_file, *others]
+        remarks = [*made.robot.remarks, *made.remarks]
+        self.answer(
+            lambda: {"files": [str(file) for file in written], "remarks": remarks},
+            lambda: _print_new(made, remarks, written, shipped=source == _SHIPPED),
+        )
+
+    def _asked(self, source: str) -> NewRobot:
+        """The robot that the options describe; ``--tool`` is a frame, or a tool as the scene file has it."""
+        from cmbot.common.validation import validated
+        from cmbot.common.yaml_reader import yaml_value
+        from cmbot.scene import AttachedToolFile, NewRobot
+
+        tool, tool_frame = None, self.tool
+        if self.tool is not None and self.tool.lstrip().startswith("{"):
+            value = yaml_value(self.tool, "--tool", InputError)
+            tool, tool_frame = validated(AttachedToolFile, value, "--tool", InputError), self.flange
+        elif self.flange is not None:
+            raise InputError("--flange", "", shown(self.flange), "a tool on it: --tool '{xyz: [0, 0, 0.2]}'")
+        if source == _SHIPPED and (tool, self.xacro, self.total_mass) != (None, (), None):
+            raise InputError("--tool, --xacro, --total-mass", "", "one of them", "none with --from cmbot")
+        if self.total_mass is not None and not 0 < self.total_mass <= _HEAVIEST:
+            raise InputError("--total-mass", "", self.total_mass, f"a mass in kg of at most {_HEAVIEST:g}")
+        return NewRobot(
+            source=source,
+            base_frame=self.base,
+            tool_frame=tool_frame,
+            package_dirs=self.package_dir,
+            xacro=xacro_arguments(self.xacro),
+            total_mass=self.total_mass,
+            tool=tool,
+        )
 
 
 def _require_applicable(source: str, base: str | None, tool: str | None, packages: tuple[Path, ...]) -> None:
@@ -139,53 +138,19 @@ def _print_new(made: _Made, remarks: Sequence[str], written: Sequence[Path], *, 
     """Print what was written of a scene: the file and those beside it."""
     robot, start = made.robot, made.start
     joints = f"{robot.dof} joints from {robot.base_frame} to {robot.tool_frame}"
-    out.print(flat(f"{robot.name}: {joints}"))
+    out.print(one_line(f"{robot.name}: {joints}"))
     by = ", ".join(f"{x:g}" for x in start.by)
     out.print(f"A first leg takes the tool by ({by}) m in {start.seconds:g} s: put your own into tool_path.")
     if not shipped:
         out.print("The base is rigid: guardrail.stiffness says how it bends, base.name what it is.")
     for remark in remarks:
-        out.print(flat(remark))
+        out.print(one_line(remark))
     for limits in written[1:]:
         if limits.suffix == ".yaml":
             out.print(
-                flat(f"The assumed limits are in {limits}: put those of your robot's data sheet there.")
+                one_line(f"The assumed limits are in {limits}: put those of your robot's data sheet there.")
             )
-    out.print(flat(f"Written: {', '.join(map(str, written))}. Plan it: cmbot plan {written[0]}"))
-
-
-def _asked(
-    source: str,
-    base: str | None,
-    tool: str | None,
-    flange: str | None,
-    packages: tuple[Path, ...],
-    xacro: list[str] | None,
-    total_mass: float | None,
-) -> NewRobot:
-    """The robot that the options describe; `tool` is a frame, or a tool as the scene file has it."""
-    from cmbot.common.validation import validated
-    from cmbot.common.yaml_reader import yaml_value
-    from cmbot.scene import AttachedToolFile, NewRobot
-
-    attached = None
-    if tool is not None and tool.lstrip().startswith("{"):
-        attached = validated(AttachedToolFile, yaml_value(tool, "--tool", InputError), "--tool", InputError)
-    elif flange is not None:
-        raise InputError("--flange", "", shown(flange), "a tool on it: --tool '{xyz: [0, 0, 0.2]}'")
-    if source == _SHIPPED and (attached, xacro, total_mass) != (None, None, None):
-        raise InputError("--tool, --xacro, --total-mass", "", "one of them", "none with --from cmbot")
-    if total_mass is not None and not 0 < total_mass <= _HEAVIEST:
-        raise InputError("--total-mass", "", total_mass, f"a mass in kg of at most {_HEAVIEST:g}")
-    return NewRobot(
-        source=source,
-        base_frame=base,
-        tool_frame=tool if attached is None else flange,
-        package_dirs=packages,
-        xacro=xacro_arguments(xacro),
-        total_mass=total_mass,
-        tool=attached,
-    )
+    out.print(one_line(f"Written: {', '.join(map(str, written))}. Plan it: cmbot plan {written[0]}"))
 
 
 @dataclass(frozen=True)

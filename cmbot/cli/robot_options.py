@@ -3,26 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated
-
-import typer
 
 from cmbot.common.errors import InputError, ModelError
 from cmbot.common.validation import shown
 
-__all__ = ["XacroOption", "named_as_option", "xacro_arguments"]
-
-XacroOption = Annotated[
-    list[str] | None,
-    typer.Option("--xacro", metavar="NAME=VALUE", help="An argument of the xacro file; repeatable."),
-]
 _OPTIONS = {"base_frame": "--base", "tool_frame": "--tool", "total_mass_kg": "--total-mass"}
 
 
-def xacro_arguments(given: Sequence[str] | None) -> dict[str, str]:
+def xacro_arguments(given: Sequence[str]) -> dict[str, str]:
     """Return the arguments of xacro by their names; each is ``NAME=VALUE``."""
     arguments: dict[str, str] = {}
-    for text in given or ():
+    for text in given:
         name, equals, value = text.partition("=")
         if not (name.strip() and equals):
             raise InputError("--xacro", "", shown(text), "NAME=VALUE, such as name=ur5e")

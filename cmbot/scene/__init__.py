@@ -33,6 +33,7 @@ from cmbot.scene.scene_file import (
 from cmbot.scene.stow import STOW
 from cmbot.scene.template import NewRobot, limits_text, scene_text
 from cmbot.scene.tool import SPEED_TOLERANCE, Tool
+from cmbot.scene.uncertainty import JointUncertainty, Placement, Tolerance, Uncertainty
 
 __all__ = [
     "MOST_SAMPLES",
@@ -56,6 +57,7 @@ __all__ = [
     "IdentifiedBase",
     "IdentifiedSpring",
     "IdentifiedStiffness",
+    "JointUncertainty",
     "Keep",
     "Leg",
     "LegLaw",
@@ -64,6 +66,7 @@ __all__ = [
     "NewRobot",
     "Obstacle",
     "PiecewiseLaw",
+    "Placement",
     "PlannerOptions",
     "Raster",
     "RobotSource",
@@ -77,9 +80,11 @@ __all__ = [
     "StanceFile",
     "Stroke",
     "StrokeFile",
+    "Tolerance",
     "Tool",
     "ToolPath",
     "ToolPoses",
+    "Uncertainty",
     "axis_point",
     "cells_of",
     "changed_content",
