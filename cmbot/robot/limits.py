@@ -201,19 +201,30 @@ def joint_limits(model: Any, urdf: Path, path: Path | None) -> tuple[JointLimits
     )
     told = (*_said_by_moveit(listed, path, given), *_assumed(unknown))
     if listed.assumed:
-        told += (f"Limits in {path} are assumed: it says assumed: true.",)
+        told += (f"{_named(unknown, given)} limits in {path} are assumed: it says assumed: true.",)
     return limits, told
+
+
+def _named(unknown: Mapping[str, BoolArray], given: Sequence[GivenLimits]) -> str:
+    """The kinds of limits that a file gives, as words."""
+    names = [name for name in unknown if any(_given(each, name) is not None for each in given)]
+    words = [_ASSUMPTIONS[name][0].lower() for name in names] or ["all"]
+    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1]))).capitalize()
+
+
+def _given(limits: GivenLimits, name: str) -> float | None:
+    value: float | None = getattr(limits, "effort" if name == "torque" else name)
+    return value
 
 
 def _are_assumed(
     unknown: Mapping[str, BoolArray], given: Sequence[GivenLimits], *, by_file: bool
 ) -> dict[str, BoolArray]:
     """Which limits no file gives, or a file that says that it assumes them."""
-    fields = {name: "effort" if name == "torque" else name for name in unknown}
     return {
-        f"assumed_{name}": unknown[name]
-        | np.array([by_file and getattr(each, field) is not None for each in given], dtype=np.bool_)
-        for name, field in fields.items()
+        f"assumed_{name}": none
+        | np.array([by_file and _given(each, name) is not None for each in given], dtype=np.bool_)
+        for name, none in unknown.items()
     }
 
 

@@ -371,10 +371,24 @@ def inspect_loaded(files: RobotFiles) -> list[Finding]:
             base_frame=files.base_frame,
             tool_frame=files.tool_frame,
         )
-        return [*found, *_questionable_masses(robot)]
+        return [*found, *_assumed_limits(robot), *_questionable_masses(robot)]
     except ModelError as error:
         key = error.key if error.source == str(files.urdf) else f"{error.source}: {error.key}"
         return [Finding(severity="error", key=key, got=str(error.got), expected=error.expected)]
+
+
+def _assumed_limits(robot: Robot) -> Iterator[Finding]:
+    """Warn of joints whose velocity or effort no file gives."""
+    limits = robot.limits
+    for name, assumed, by in (
+        ("velocity", limits.assumed_velocity, "1 rad/s or 0.1 m/s"),
+        ("effort", limits.assumed_torque, "twice what the arm beyond asks of it at rest, stretched out"),
+    ):
+        for joint in np.array(robot.joints)[assumed]:
+            expected = f"a positive bound, here or in a joint-limits file; assumed is {by}"
+            yield Finding(
+                severity="warning", key=f"joint[{joint}].limit.{name}", got="nothing", expected=expected
+            )
 
 
 def _questionable_masses(robot: Robot) -> Iterator[Finding]:

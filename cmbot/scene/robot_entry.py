@@ -22,6 +22,7 @@ from cmbot.scene.fields import (
     Vector,
     exactly_one,
     one_of_schema,
+    word_or,
 )
 
 __all__ = ["BaseFile", "Joints", "MountFile", "NamedState", "PostureFile", "RobotFile", "RobotSource"]
@@ -59,6 +60,11 @@ class NamedState(FileModel):
         return self.state
 
 
+ReturnTo = Annotated[
+    Literal["stow", "start", "none"] | NamedState,
+    word_or(("stow", "start", "none"), NamedState, "{state: NAME}"),
+]
+"""Where an arm goes after the work."""
 _POSTURES = ("posture_deg", "posture", "stow", "state")
 
 

@@ -42,8 +42,8 @@ from cmbot.scene.robot_entry import (
     BaseFile,
     Joints,
     MountFile,
-    NamedState,
     PostureFile,
+    ReturnTo,
     RobotFile,
     RobotSource,
 )
@@ -91,7 +91,7 @@ class SceneFile(FileModel):
     """What the robot stands on."""
     start: PostureFile | None = None
     """Where the arm is at the start; left out: stowed."""
-    return_: Annotated[Literal["stow", "start", "none"] | NamedState | None, Field(alias="return")] = None
+    return_: Annotated[ReturnTo | None, Field(alias="return")] = None
     """Where the arm goes after the work, as ``stow`` or ``{state: home}``; left out: nowhere. An arm whose
     SRDF has no group state ``stow`` is put away where it started."""
     tool: Tool | None = None
@@ -179,7 +179,7 @@ class _SceneFields(ToolPathFile):
     model_config = ConfigDict(validate_by_name=True)
 
     posture: Posture
-    return_to: Literal["stow", "start", "none"] | NamedState
+    return_to: ReturnTo
     planner: PlannerOptions
 
 
@@ -270,7 +270,7 @@ class Scene:
     source: str
     robot: RobotSource
     posture: FloatArray
-    return_to: Literal["stow", "start", "none"] | NamedState
+    return_to: ReturnTo
     tool: Tool
     keep: Keep = "pose"
     start_pose: Goal | None = None
