@@ -53,7 +53,7 @@ def _case(file: str, *at: float, mass: float | None = None, options: Sequence[st
 PUBLISHED = (
     _case(f"{_RTB}/abb_irb140_description/urdf/irb140.xacro", 0.5, 0, 0.6, mass=98),
     _case(f"{_RTB}/abb_irb140_description/urdf/irb140.urdf", 1.2, 1.4, 1.6, mass=98),
-    _case(f"{_RTB}/abb_irb140_description/urdf/irb140QT.urdf", 0.5, 0, 0.6, mass=98),
+    _case(f"{_RTB}/abb_irb140_description/urdf/irb140QT.urdf", 1.2, 1.4, 1.6, mass=98),
     _case(f"{_KUKA}/kuka_kr3/urdf/kr3r540.xacro", 0.3, 0, 0.4, mass=26),
     _case(f"{_KUKA}/kuka_kr5/urdf/kr5_arc.xacro", 0.8, 0, 0.6),
     _case(f"{_KUKA}/kuka_kr6/urdf/kr6r700sixx.xacro", 0.4, 0, 0.5, mass=50),
