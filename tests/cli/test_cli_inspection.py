@@ -154,13 +154,16 @@ def test_a_urdf_that_lacks_limits_is_described_and_one_that_is_doubtful_is_usabl
     path.write_text(BARE, encoding="utf-8")
     outcome = run("check", path)
     assert outcome.status == 0
-    velocity, effort, mass, described = outcome.out.split("\n", 3)
+    velocity, effort, mass, dense, described = outcome.out.split("\n", 4)
     bound = "got nothing, expected a positive bound, here or in a joint-limits file; assumed is"
     assert velocity == f"warning: {path}: joint[a].limit.velocity: {bound} 1 rad/s or 0.1 m/s (2 times)"
     assert effort.startswith(f"warning: {path}: joint[b].limit.effort: {bound} twice")
     assert mass.startswith(f"warning: {path}: link[wheel].inertial.mass: got 0 kg")
+    assert dense.startswith(
+        f"warning: {path}: link.inertial.mass: got 2.5 kg that move, with a reach of 0.000 m"
+    )
     *described, last = described.splitlines()
-    assert last == "OK: no error, 4 warnings."
+    assert last == "OK: no error, 5 warnings."
     assert values("\n".join(described)) == {
         "robot": "bare",
         "links": "4, 2.50 kg in all",
