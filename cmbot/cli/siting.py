@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -27,6 +26,7 @@ from cmbot.cli.console import (
 )
 from cmbot.cli.signals import interrupt_taken
 from cmbot.common.errors import InputError, PlanningError
+from cmbot.common.validation import plain
 
 if TYPE_CHECKING:
     from cmbot.siting import Standing
@@ -126,7 +126,7 @@ def stand(
     loaded = [cmbot.load_scene(scene) for scene in scenes]
     if objective is not None:
         wanted = _known(objective)
-        loaded = [replace(each, planner=replace(each.planner, objective=wanted)) for each in loaded]
+        loaded = [each.with_options(objective=wanted) for each in loaded]
     name = "_".join(each.name for each in loaded)
     directory = output if output is not None else Path("out") / f"{name}_stances"
     from cmbot.archive import STANCES_FILE, claim, require_absent, write_results
@@ -327,7 +327,9 @@ def _contents(standings: Sequence[Standing], name: str) -> dict[str, bytes]:
         if each.plans and each.best is None:
             continue
         file = "best.yaml" if len(standings) == 1 else f"best_{number}.yaml"
-        contents[file] = f"{_MARK}# Metres, seconds, degrees.\n{yaml_text(best_scene(each))}"
+        contents[file] = (
+            f"{_MARK}# Metres, seconds, degrees.\n{yaml_text(plain(best_scene(each), each.scene.name))}"
+        )
     return {file: text.encode() for file, text in contents.items()}
 
 
