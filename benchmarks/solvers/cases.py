@@ -174,7 +174,7 @@ def random_scene(via_points: int = 50) -> Scene:
         legs = tuple(Leg(by=tuple(by), seconds=s) for by, s in zip(steps.tolist(), _SECONDS, strict=True))
         drawn = replace(scene, name="random", posture=posture, legs=legs, obstacles=(), via_points=via_points)
         try:
-            _, guess = guess_of(replace(drawn, planner=replace(drawn.planner, other_starts=0)), "fixed")
+            _, guess = guess_of(drawn.with_options(other_starts=0), "fixed")
             check_feasible(guess.problem)
         except (PathNotFound, OptimisationFailed):
             continue

@@ -84,7 +84,7 @@ def read_scene(folder: str | Path) -> tuple[Scene, World, TimedPath, FloatArray]
     scene = load_scene(Path(folder, "scene.yaml"))
     world = world_of(scene)
     p, R = world.pose(np.array(scene.posture))
-    legs = [(np.array(leg.by), leg.seconds) for leg in scene.legs]
-    profile = scene.speed_profile
+    legs = [(np.array(leg.by), leg.seconds) for leg in scene.strokes[0].legs]
+    profile = scene.strokes[0].speed_profile
     path = TimedPath(p, legs, profile.ramp, jerk_limited=profile.kind == "jerk_limited")
     return scene, world, path, R

@@ -110,7 +110,8 @@ class FileModel(BaseModel):
         fields = type(self).model_fields
         data = self.model_dump(mode="json", exclude_none=True, by_alias=True)
         for name, value in values.items():
-            data[fields[name].alias or name] = plain(value, source, (name,))
+            key = (fields[name].alias if name in fields else None) or name
+            data[key] = plain(value, source, (key,))
         return {key: value for key, value in data.items() if value is not None}
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,14 +16,16 @@ from cmbot.common.validation import hint, refusal, shown
 from cmbot.scene.fields import Text
 from cmbot.scene.mesh_file import is_mesh_file
 
-__all__ = ["FOLDER", "FilePath", "FolderPath", "MeshName", "RobotModel", "with_hashes"]
+__all__ = ["FOLDER", "FilePath", "FolderPath", "MeshName", "RobotModel", "file_hashes", "without_paths"]
 
 FOLDER = "folder"
 """In the context of a validation the folder at which relative paths start; without one they stay."""
 
 
 def _place(text: str, info: ValidationInfo) -> Path | None:
-    """Where a file is that is named in a scene; None where that is known already."""
+    """Where a file is that is named in a scene; None where it is not sought."""
+    if info.data.get("model") == "cmbot":
+        return None  # beside the shipped robot there is none: `RobotFile` says so
     folder = (info.context or {}).get(FOLDER)
     return None if folder is None else folder / text
 
@@ -80,28 +82,39 @@ RobotModel = Annotated[Text, AfterValidator(_model)]
 """``cmbot``, the path of a URDF, likewise, or the name of a robot of example-robot-data."""
 
 
-def with_hashes(data: dict[str, Any], source: str) -> dict[str, Any]:
-    """Put the SHA-256 of every file in place of its path in a scene's content, and leave folders out.
+def file_hashes(data: dict[str, Any], source: str, known: Mapping[str, str]) -> dict[str, str]:
+    """Return the SHA-256 (hexadecimal) of the files that a scene's content names, by their paths.
 
     Parameters
     ----------
     data : dict
-        As `Scene.as_data` returns it; it is changed.
+        As `Scene.as_data` returns it.
     source : str
         The scene's, for messages.
+    known : mapping of str to str
+        Those of files that were read before.
 
     Raises
     ------
     SceneError
-        When one of the files cannot be read.
+        When one of the others cannot be read.
     """
-    data["robot"].pop("package_dirs", None)
+    hashes = dict[str, str]()
     for key, block, name in _paths(data):
+        path = block[name]
         try:
-            content = read_input(Path(block[name]), SceneError, largest=LARGEST_MESH)
+            content = b"" if path in known else read_input(Path(path), SceneError, largest=LARGEST_MESH)
         except SceneError as error:
             raise SceneError(source, key, error.got, error.expected) from error
-        block[name] = hashlib.sha256(content).hexdigest()
+        hashes[path] = known.get(path) or hashlib.sha256(content).hexdigest()
+    return hashes
+
+
+def without_paths(data: dict[str, Any], hashes: Mapping[str, str]) -> dict[str, Any]:
+    """Put the hashes of files in place of their paths in a scene's content, itself, and leave folders out."""
+    data["robot"].pop("package_dirs", None)
+    for _, block, name in _paths(data):
+        block[name] = hashes[block[name]]
     return data
 
 

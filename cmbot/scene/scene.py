@@ -33,7 +33,7 @@ from cmbot.scene.base.guardrail import GuardrailFile, elastic_guardrail, feet_of
 from cmbot.scene.base.identified import IdentifiedStiffness
 from cmbot.scene.base.stance import Stance, StanceFile, resolved_stance
 from cmbot.scene.fields import Slug
-from cmbot.scene.files import FOLDER, with_hashes
+from cmbot.scene.files import FOLDER, file_hashes, without_paths
 from cmbot.scene.obstacles import Obstacle, ObstacleFile, obstacle_from_file
 from cmbot.scene.options import PlannerOptions
 from cmbot.scene.path.path_file import MOST_ORDERED, WORK, JobStrokes, Order, StrokeFile, ToolPathEntry
@@ -108,7 +108,7 @@ class Scene(FileModel):
     put away where it started."""
     tool: Tool = Tool()
     """The process force and the largest speed while the tool is on."""
-    frames: _Frames = ()
+    frames: Annotated[_Frames, Field(json_schema_extra={"default": {}})] = ()
     """Frames of workpieces by their names, in W."""
     tool_path: ToolPathEntry
     obstacles: Annotated[tuple[ObstacleFile, ...], Field(max_length=1000)] = ()
@@ -118,9 +118,11 @@ class Scene(FileModel):
     and mass of its base take the place of the guardrail's."""
     planner: PlannerOptions = PlannerOptions()
 
-    # Beside what the file says: where it came from, which strokes it lists, and how its SRDF stows the arm.
+    # Beside what the file says: where it came from, which strokes it lists, what the files that it names have
+    # in them, and how its SRDF stows the arm.
     _source: str = PrivateAttr("Scene")
     _listed: tuple[str, ...] = PrivateAttr(())
+    _files: dict[str, str] = PrivateAttr({})
     _stowed: tuple[float, ...] | None = PrivateAttr(None)
 
     @model_validator(mode="after")
@@ -187,7 +189,7 @@ class Scene(FileModel):
     # The file
 
     @classmethod
-    def of(cls, data: Mapping[str, Any], source: str, folder: Path | None = None) -> Self:
+    def of(cls, data: Mapping[str, Any], source: str, folder: Path) -> Self:
         """Return the scene of a scene file's content.
 
         Parameters
@@ -196,18 +198,23 @@ class Scene(FileModel):
             The content; rows of waypoints and an identified stiffness are in it.
         source : str
             Where it came from, for messages.
-        folder : Path, optional
-            Where relative paths start; left out: there are none.
+        folder : Path
+            Where relative paths start.
 
         Raises
         ------
         SceneError, ModelError, MissingExtra
             As `cmbot.load_scene`.
         """
-        context = None if folder is None else {FOLDER: folder}
-        scene = validated(cls, dict(data), source, SceneError, context).with_source(source)
-        scene.posture  # noqa: B018  it is refused here where there is none
-        return scene
+        scene = validated(cls, dict(data), source, SceneError, {FOLDER: folder})
+        scene._source = source
+        return scene._with_files({})
+
+    def _with_files(self, known: Mapping[str, str]) -> Self:
+        """It, with what is in the files that it names; `known` are those that were read before."""
+        self._files = file_hashes(self.as_data(), self.source, known)
+        self.posture  # noqa: B018  it is refused here where there is none
+        return self
 
     @property
     def source(self) -> str:
@@ -226,14 +233,15 @@ class Scene(FileModel):
 
     @property
     def content_hash(self) -> str:
-        """SHA-256 (hexadecimal) of that content, with the files' own in place of their paths.
+        """SHA-256 (hexadecimal) of that content, with those of files as they were read for their paths.
 
         Raises
         ------
         SceneError
             When a file that it names cannot be read.
         """
-        data = with_hashes(self.as_data(), self.source)
+        data = self.as_data()
+        data = without_paths(data, file_hashes(data, self.source, self._files))
         # The one JSON text that equal scenes share.
         text = dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return sha256(text.encode()).hexdigest()
@@ -248,19 +256,19 @@ class Scene(FileModel):
         Parameters
         ----------
         **values
-            By the names of the fields: what the file would have there, or objects of the fields' types. None
-            takes the default.
+            By the names of the fields: what the file would have there, with paths relative to the current
+            folder, or objects of the fields' types. None takes the default.
 
         Raises
         ------
         SceneError
         """
         same = {"robot", "start"}.isdisjoint(values)
-        scene = validated(type(self), self._changed_data(values, self.source), self.source, SceneError)
+        data, context = self._changed_data(values, self.source), {FOLDER: Path.cwd()}
+        scene = validated(type(self), data, self.source, SceneError, context)
         scene._source, scene._listed = self._source, self._listed
         scene._stowed = self._stowed if same else None
-        scene.posture  # noqa: B018  it is refused here where there is none
-        return scene
+        return scene._with_files(self._files)
 
     def with_options(self, options: PlannerOptions | None = None, **changes: Any) -> Self:
         """Return the scene with other options of the planner: all of them, or some by their names."""
@@ -370,6 +378,11 @@ class Scene(FileModel):
         return feet_of(self.guardrail) if holds else ()
 
     @property
+    def frame_poses(self) -> dict[str, FloatArray]:
+        """Poses (4, 4) in W of the frames of workpieces."""
+        return {name: frame.matrix for name, frame in self.frames}
+
+    @property
     def all_obstacles(self) -> tuple[Obstacle, ...]:
         """The scene's own obstacles, then the members of the guardrail; in SI units."""
         own = (obstacle_from_file(entry) for entry in self.obstacles)
@@ -467,7 +480,7 @@ class Scene(FileModel):
         return PathSource(
             source=self.source,
             key=self._stroke_key(number),
-            frames={name: frame.matrix for name, frame in self.frames},
+            frames=self.frame_poses,
             obstacles=self.all_obstacles,
             max_speed=self.tool.max_speed_m_s,
         )

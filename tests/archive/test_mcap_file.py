@@ -116,7 +116,7 @@ def test_links_and_wrench_are_those_of_the_plan(messages: Messages, strokes_plan
 def test_markers_show_obstacles_and_paths(messages: Messages, strokes_plan: Plan) -> None:
     ((_, message),) = messages["/markers"]
     names = [marker.ns for marker in message.markers]
-    expected = [obstacle.name for obstacle in strokes_plan.scene.obstacles]
+    expected = [obstacle.name for obstacle in strokes_plan.scene.all_obstacles]
     assert names == [*expected, "path there", "path back"]
     assert len({marker.id for marker in message.markers}) == len(names)
     path = strokes_plan.strokes[0].task.path.outline()

@@ -40,7 +40,7 @@ FIGURES = {
 def job_samples(triangle_plan: Plan) -> Samples:
     """The approach and the work measured every 0.01 s, one after the other."""
     plan, robot = triangle_plan, triangle_plan.robot
-    clearances, parts = Clearances(robot, plan.scene.obstacles), []
+    clearances, parts = Clearances(robot, plan.scene.all_obstacles), []
     for segment in plan.job.segments:
         trajectory = segment.trajectory
         # The last step is shorter where need be.

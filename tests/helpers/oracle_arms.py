@@ -33,7 +33,7 @@ def shapes_and_pairs(scene: Scene, body: Multibody) -> tuple[list[PlacedShape], 
     """Shapes of the robot and of the obstacles, and the pairs of them whose distances count."""
     shapes, pairs = list(body.shapes), list(body.pairs)
     moving = [k for k, one in enumerate(shapes) if one.joint > 0]
-    for obstacle in scene.obstacles:
+    for obstacle in scene.all_obstacles:
         for X_OS, shape in _obstacle_shapes(obstacle.shape):
             pairs += [(k, len(shapes)) for k in moving]
             X_WS = np.asarray(obstacle.X_WO) @ X_OS

@@ -34,6 +34,6 @@ def without_shapes(plan: Plan) -> Plan:
 def hostile(plan: Plan, name: str) -> Plan:
     """The plan with this name for its scene, its robot and, numbered, its obstacles."""
     valid = name.encode("utf-8", "ignore").decode()  # pinocchio requires UTF-8
-    obstacles = tuple(replace(o, name=f"{valid}{k}") for k, o in enumerate(plan.scene.obstacles))
+    obstacles = tuple(replace(o, name=f"{valid}{k}") for k, o in enumerate(plan.scene.all_obstacles))
     scene = replace(plan.scene, name=name, obstacles=obstacles)
     return replace(plan, scene=scene, robot=replace(plan.robot, name=name))

@@ -160,8 +160,8 @@ def blocked(begin: dict[str, Any], **more: Any) -> Scene:
             "start": {"posture_deg": [-10, -90, 90, 0, 10, 50, 0]},
             "tool_path": {"from": begin, "legs": [{"by": [0, 0.1, 0], "seconds": 3}]},
         }
-    ).each_stroke
-    return replace(scene, strokes=(there, back.model_copy(update={"start_pose": other.start_pose})), **more)
+    ).strokes
+    return scene.with_strokes((there, back.changed(start_pose=other.start_pose)), **more)
 
 
 def test_a_stroke_out_of_the_joint_ranges_is_refused_before_any_is_planned() -> None:
@@ -192,7 +192,7 @@ def test_a_stroke_in_an_obstacle_is_refused_before_any_is_planned() -> None:
             "obstacles": [{"name": "crate", "box": [0.05, 0.05, 0.05], "xyz": [1.8154, 0.78, -1.9628]}],
         }
     ).obstacles
-    scene = replace(scene, obstacles=(*scene.obstacles, crate))
+    scene = replace(scene, obstacles=(*scene.all_obstacles, crate))
     told: list[Progress] = []
     with pytest.raises(
         PathNotFound, match=r"strokes\[1\].* is blocked at .* into crate, the safety margin"

@@ -376,21 +376,9 @@ class ToolPathFile(PathFile):
             if getattr(self, name) != field.default:
                 expected = "no such key beside strokes, which have their own"
                 raise refusal(expected, got="a value", key=(field.alias or name,))
-        # Names are given here, so that messages, pages and files call a stroke the same.
-        named = tuple(
-            stroke if stroke.name else stroke.changed(name=f"stroke_{k}")
-            for k, stroke in enumerate(self.strokes, start=1)
-        )
-        if self.seconds == AUTO:
-            named = tuple(self._in_auto_time(stroke) for stroke in named)
-            object.__setattr__(self, "seconds", None)
-            object.__setattr__(self, "max_base_torque_nm", None)
-        if self.via_points == AUTO:
-            named = tuple(
-                stroke if "via_points" in stroke.model_fields_set else stroke.changed(via_points=AUTO)
-                for stroke in named
-            )
-            object.__setattr__(self, "via_points", type(self).model_fields["via_points"].default)
+        named = tuple(self._completed(stroke, k) for k, stroke in enumerate(self.strokes, start=1))
+        for name in ("seconds", "max_base_torque_nm", "via_points"):
+            object.__setattr__(self, name, type(self).model_fields[name].default)
         for k, stroke in enumerate(named):
             stroke._check_times(("strokes", k))
         taken = dict[str, int]()
@@ -413,14 +401,17 @@ class ToolPathFile(PathFile):
             self._check_order(named)
         return self
 
-    def _in_auto_time(self, stroke: StrokeFile) -> StrokeFile:
-        """A stroke with the time of all strokes where it has none of its own."""
-        most = stroke.max_base_torque_nm or self.max_base_torque_nm
-        if stroke.speed_m_s is not None or isinstance(stroke.seconds, float):
-            return stroke
-        if stroke.legs and all(leg.is_timed and leg.seconds != AUTO for leg in stroke.legs):
-            return stroke
-        return stroke.changed(seconds=AUTO, max_base_torque_nm=most)
+    def _completed(self, stroke: StrokeFile, number: int) -> StrokeFile:
+        """A stroke with a name, so that messages, pages and files call it the same, and what is for all."""
+        changes: dict[str, Any] = {} if stroke.name else {"name": f"stroke_{number}"}
+        if self.via_points == AUTO and "via_points" not in stroke.model_fields_set:
+            changes["via_points"] = AUTO
+        timed = stroke.speed_m_s is not None or isinstance(stroke.seconds, float)
+        timed |= bool(stroke.legs) and all(leg.is_timed and leg.seconds != AUTO for leg in stroke.legs)
+        if self.seconds == AUTO and not timed:
+            most = stroke.max_base_torque_nm or self.max_base_torque_nm
+            changes |= {"seconds": AUTO, "max_base_torque_nm": most}
+        return stroke.changed(**changes) if changes else stroke
 
     def _check_order(self, strokes: Sequence[StrokeFile]) -> None:
         if len(strokes) > MOST_ORDERED:

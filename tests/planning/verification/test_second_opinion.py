@@ -73,7 +73,7 @@ SCENES: dict[str, Callable[[Path], Scene]] = {
 def test_the_package_agrees(name: str, tmp_path: Path) -> None:
     scene = SCENES[name](tmp_path)
     robot = robot_of(scene)
-    trajectory = swing(robot, sum(leg.seconds for leg in scene.legs))
+    trajectory = swing(robot, sum(leg.seconds for leg in scene.strokes[0].legs))
     checks = second_opinion(scene, scene.planner, trajectory, robot=robot, stroke=0)
     compared = [check for check in checks if check.quantity.startswith(("difference", "joints that"))]
     assert len(compared) == 10 + len(scene.feet)
@@ -84,7 +84,7 @@ def test_the_package_agrees(name: str, tmp_path: Path) -> None:
 def test_every_pair_is_as_far_apart_as_the_package_says(name: str, tmp_path: Path) -> None:
     scene = SCENES[name](tmp_path)
     robot, body = robot_of(scene), body_of(scene)
-    clearances = Clearances(robot, scene.obstacles)
+    clearances = Clearances(robot, scene.all_obstacles)
     theirs: dict[tuple[str, str], list[float]] = {}
     ours: dict[tuple[str, str], list[tuple[float, float]]] = {}
     q = swing(robot, 1.0).q[:2]
@@ -255,7 +255,7 @@ def test_a_tool_that_is_rolled(keep: Any, noticed: bool, short_plan: Plan) -> No
     q = x.q.copy()
     q[:, -1] += 0.01
     rolled = QuinticTrajectory(t=x.t, q=q, v=x.v, a=x.a)
-    scene = replace(short_plan.scene, keep=keep)
+    scene = short_plan.scene.with_path(keep=keep)
     turn = "turn of the tool at its via-point"
     assert broken(short_plan, trajectory=rolled, scene=scene) == ({turn} if noticed else set())
     # Half a turn of a wrist's joint lays the tool's axis down.
@@ -300,7 +300,7 @@ def test_ranges_are_judged(short_plan: Plan) -> None:
 def test_a_wall_in_the_way(short_plan: Plan) -> None:
     scene = short_plan.scene
     wall = Obstacle(name="wall", shape=Box(size=(1.0, 0.01, 1.0)), X_WO=pose([1.8, 0.6, -2.0]))
-    (failed,) = broken(short_plan, scene=replace(scene, obstacles=(*scene.obstacles, wall)))
+    (failed,) = broken(short_plan, scene=replace(scene, obstacles=(*scene.all_obstacles, wall)))
     assert failed.startswith("clearance of ")
     assert failed.endswith(" from wall by a second computation")
 
