@@ -71,9 +71,8 @@ def arm_of(scene: Scene) -> Arm:
 def world_of(scene: Scene) -> World:
     """The oracle's world of a scene."""
     arm, robot = arm_of(scene), scene.robot
-    mount, srdf = None, robot.srdf or arm.urdf.with_suffix(".srdf")
-    if robot.mount_xyz is not None and robot.mount_rpy is not None:
-        mount = pin.SE3(pin.rpy.rpyToMatrix(np.array(robot.mount_rpy)), np.array(robot.mount_xyz))
+    srdf = Path(robot.srdf) if robot.srdf else arm.urdf.with_suffix(".srdf")
+    mount = None if robot.mount is None else pin.SE3(np.array(robot.mount.matrix))
     world = World(arm, mount, srdf, scene.planner.safety_margin_m)
     world.place_scene(scene)
     return world

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
 import numpy as np
@@ -305,4 +306,6 @@ def hashes_of(plan: Plan) -> HashesFile:
     SceneError
         When a file that its scene names is missing.
     """
-    return HashesFile(robot=plan.robot.content_hash, scene=plan.scene.content_hash)
+    scene = plan.scene
+    Scene.of(scene.as_data(), scene.source, Path.cwd())  # what could not be read back is not written
+    return HashesFile(robot=plan.robot.content_hash, scene=scene.content_hash)

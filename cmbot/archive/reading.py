@@ -96,8 +96,10 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
     data, contents = _read(folder, wanted)
     file = validated(PlanFile, without_hashes(data), str(source), ArchiveError)
     with _as_archive_error(str(source)):
-        scene = _scene(file, source)
+        scene = file.scene.with_source(str(source))
         robot = _robot(scene, file, source)
+        what = "the scene in this file or the meshes that it names have changed since"
+        _require_hash(scene.content_hash, file.hashes.scene, source, "hashes.scene", what)
         strokes = strokes_of(scene, robot)
         end = end_posture_of(scene, robot)
         clearances = Clearances(robot, scene.all_obstacles)
@@ -158,13 +160,6 @@ def _read(folder: Path, wanted: Any) -> tuple[dict[str, Any], dict[str, bytes]]:
         # A path leaves out what "." adds.
         source = f"{folder}{os.sep}{PLAN_FILE}"
         raise ArchiveError(source, "", "no such file", f"{expected}{plans_nearby(folder)}") from error
-
-
-def _scene(file: PlanFile, source: Path) -> Scene:
-    scene = file.scene.with_source(str(source))
-    what = "the scene in this file or the meshes that it names have changed since"
-    _require_hash(scene.content_hash, file.hashes.scene, source, "hashes.scene", what)
-    return scene
 
 
 def _robot(scene: Scene, file: PlanFile, source: Path) -> Robot:

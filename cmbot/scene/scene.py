@@ -222,10 +222,16 @@ class Scene(FileModel):
         return self._source
 
     def with_source(self, source: str) -> Self:
-        """Return it as having come from somewhere else."""
+        """Return it as having come from somewhere else.
+
+        Raises
+        ------
+        SceneError
+            When a file that it names cannot be read.
+        """
         scene = copy(self)
         scene._source = source
-        return scene
+        return scene._with_files(self._files)
 
     def as_data(self) -> dict[str, Any]:
         """Return the content of its file, every default filled in, as `cmbot.load_scene` takes it back."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import output, refusal
+from obstacle_entries import with_obstacles
 from oracles.joint_trajectory_controller import refusals
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
@@ -138,10 +139,9 @@ def test_markers_have_the_sizes_of_the_shapes(short_plan: Plan, tmp_path: Path) 
         "pill": Capsule(radius=0.1, length=0.6),
         "cone": Mesh(path=tmp_path / "cone.obj"),
     }
+    bare = short_plan.scene.changed(guardrail={"bays": 0})
     obstacles = tuple(Obstacle(name=name, shape=shape, X_WO=X) for name, shape in shapes.items())
-    export_mcap(
-        replace(short_plan, scene=replace(short_plan.scene, obstacles=obstacles)), tmp_path / "a.mcap"
-    )
+    export_mcap(replace(short_plan, scene=with_obstacles(bare, *obstacles)), tmp_path / "a.mcap")
     with AnyReader([tmp_path / "a.mcap"]) as reader:
         (connection,) = (each for each in reader.connections if each.topic == "/markers")
         ((_, _, raw),) = reader.messages([connection])

@@ -103,8 +103,8 @@ def test_changed_robot_files_are_noticed(foreign_plan, foreign_saved, foreign_fi
 @pytest.mark.parametrize(
     ("name", "content", "key"),
     [
-        ("rock.obj", TETRAHEDRON.replace("v 10 9 9", "v 11 9 9"), "hashes.resolved_scene"),
-        ("rock.obj", None, "scene.all_obstacles[4].mesh"),
+        ("rock.obj", TETRAHEDRON.replace("v 10 9 9", "v 11 9 9"), "hashes.scene"),
+        ("rock.obj", None, "scene.obstacles[4].mesh"),
         ("cmbot.urdf", None, "scene.robot.model"),
         ("joint_limits.yaml", None, "scene.robot.limits"),
         ("tubes.yaml", None, "scene.robot.elasticity"),

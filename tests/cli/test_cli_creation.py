@@ -41,7 +41,7 @@ def test_a_scene_of_the_panda(here: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert json.loads(schema.read_text(encoding="utf-8"))["title"] == "cmbot-scene/2"
     scene = cmbot.load_scene("panda.yaml")
     assert (scene.name, scene.robot.model, scene.strokes[0].keep) == ("panda", here / "panda.urdf", "pose")
-    assert scene.file.tool_path.via_points == "auto"
+    assert scene.strokes[0].via_points == "auto"
     assert scene.base_name == "base"
     assert "\n  model: panda.urdf\n" in text
     assert (scene.all_obstacles, scene.elastic_guardrail.post_positions) == ((), ())

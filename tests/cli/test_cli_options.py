@@ -89,7 +89,7 @@ def test_set_takes_keys_of_the_scene_file(folder: Path, monkeypatch: pytest.Monk
     assert run("plan", "short.yaml", *(part for word in words for part in ("--set", word))).status == 2
     (scene,) = planned
     assert (scene.name, scene.source) == (before.name, before.source)
-    assert (scene.robot.payload, scene.strokes[0].legs[0].seconds) == (2, 4)
+    assert (scene.robot.payload_kg, scene.strokes[0].legs[0].seconds) == (2, 4)
     assert scene.robot.payload_kg == 2
     assert scene.strokes[0].legs[0].by == before.legs[0].by
     # What is wrong in the file itself is named by the file.

@@ -24,9 +24,7 @@ def body_of(scene: Scene) -> Multibody:
     urdf = parse_urdf(files.urdf, package_dirs=files.package_dirs)
     locate_meshes(files.urdf, urdf, files.package_dirs)
     near = Near(sampled_postures, NEAR, MOST_FAR)
-    return read_multibody(
-        scene.robot, urdf, files.srdf, files.limits, robot.base_frame, robot.tool_frame, near
-    )
+    return read_multibody(scene, urdf, files.srdf, files.limits, robot.base_frame, robot.tool_frame, near)
 
 
 def shapes_and_pairs(scene: Scene, body: Multibody) -> tuple[list[PlacedShape], list[tuple[int, int]]]:

@@ -24,7 +24,7 @@ from cmbot.cli import app
 from cmbot.elastic.beam import beam_mass, beam_stiffness
 from cmbot.planning import Plan, remarks
 from cmbot.robot import Kinematics
-from cmbot.scene import shipped_scenes
+from cmbot.scene import Scene, shipped_scenes
 from cmbot.simulation import Tracking
 
 ROOT = Path(__file__).resolve().parent.parent.parent

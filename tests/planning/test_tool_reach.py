@@ -4,7 +4,6 @@ By the length of the stretched arm, and by its joint ranges and obstacles.
 """
 
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -192,7 +191,7 @@ def test_a_stroke_in_an_obstacle_is_refused_before_any_is_planned() -> None:
             "obstacles": [{"name": "crate", "box": [0.05, 0.05, 0.05], "xyz": [1.8154, 0.78, -1.9628]}],
         }
     ).obstacles
-    scene = replace(scene, obstacles=(*scene.all_obstacles, crate))
+    scene = scene.changed(obstacles=(*scene.obstacles, crate))
     told: list[Progress] = []
     with pytest.raises(
         PathNotFound, match=r"strokes\[1\].* is blocked at .* into crate, the safety margin"

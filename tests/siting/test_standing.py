@@ -177,7 +177,7 @@ def test_the_best_stance_needs_less_than_the_scenes(scene: Scene, standing: Stan
     best, usual = standing.best.plan, plan(scene)
     assert best.figures.adhesion_needed.peak < usual.figures.adhesion_needed.peak
     np.testing.assert_allclose(best.samples.tool_point[0], usual.samples.tool_point[0], atol=1e-6)
-    loaded = cmbot.load_scene(best_scene(standing))
+    loaded = best_scene(standing)
     assert loaded.robot.stance == best.scene.stance
     said = list(in_words(standing))
     assert said[0].startswith(f"Best of those planned: {standing.best.place}, ")
@@ -198,12 +198,12 @@ WIDE = StandOptions(spacing=1.5, pair_spacing=np.inf, plans=1)
 def test_no_best_stance_is_worse_than_the_scenes(scene: Scene) -> None:
     """Of one that is better than any on another grid."""
     (better,) = stand(scene, WIDE)
-    good = cmbot.load_scene(best_scene(better))
+    good = best_scene(better)
     (found,) = stand(good, replace(WIDE, spacing=2.2))
     peak = plan(good).objective.planned_peak
     assert found.best.plan.objective.planned_peak <= peak * (1 + 1e-9)
     assert found.best.own
-    assert cmbot.load_scene(best_scene(found)).robot.stance == good.robot.stance
+    assert best_scene(found).stance == good.stance
     assert "The scene's own stance is the best of those planned." in in_words(found)
 
 

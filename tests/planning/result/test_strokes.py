@@ -200,7 +200,7 @@ def test_a_speed_that_is_too_fast_is_named_as_it_was_given() -> None:
     }
     fast = {"raster": raster, "speed_m_s": 0.5}
     scene = several(LEG, fast)
-    scene = replace(scene, tool=replace(scene.tool, max_speed_m_s=0.15))
+    scene = scene.changed(tool=replace(scene.tool, max_speed_m_s=0.15))
     with pytest.raises(SceneError) as caught:
         plan(scene)
     assert (caught.value.key, caught.value.got) == ("tool_path.strokes[1].speed_m_s", "0.5 m/s")

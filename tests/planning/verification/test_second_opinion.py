@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from obstacle_entries import with_obstacles
 from oracle_arms import body_of, shapes_and_pairs
 from oracles import chang2021_arm
 from oracles.convex_distance import smallest_distances
@@ -300,7 +301,7 @@ def test_ranges_are_judged(short_plan: Plan) -> None:
 def test_a_wall_in_the_way(short_plan: Plan) -> None:
     scene = short_plan.scene
     wall = Obstacle(name="wall", shape=Box(size=(1.0, 0.01, 1.0)), X_WO=pose([1.8, 0.6, -2.0]))
-    (failed,) = broken(short_plan, scene=replace(scene, obstacles=(*scene.all_obstacles, wall)))
+    (failed,) = broken(short_plan, scene=with_obstacles(scene, wall))
     assert failed.startswith("clearance of ")
     assert failed.endswith(" from wall by a second computation")
 

@@ -1,6 +1,5 @@
 """Where the feet hold: the block guardrail.stance, the climber, and a world that is not O0."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
