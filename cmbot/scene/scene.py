@@ -91,7 +91,26 @@ _Frames = Annotated[
 
 
 class Scene(FileModel):
-    """The robot, its start posture, the tool path and the surroundings; in m, s, kg and degrees."""
+    """The robot, its start posture, the tool path and the surroundings; in m, s, kg and degrees.
+
+    Attributes
+    ----------
+    source : str
+        Where it came from, for messages; what it says is the same wherever that is.
+    strokes : tuple of StrokeFile
+        One or more.
+    posture : array
+        (n,), joint positions at the start, rad, of joints that slide m; read-only.
+    all_obstacles : tuple of Obstacle
+        In SI units, the guardrail's members among them.
+    content_hash : str
+        Equal for scenes that say the same with the same files.
+
+    Notes
+    -----
+    It holds what its file says; its fields have the keys of the file. `changed`, and what begins with
+    ``with_``, returns the scene of the edited file, which is checked as a whole.
+    """
 
     model_config = ConfigDict(serialize_by_alias=True, protected_namespaces=())
 
