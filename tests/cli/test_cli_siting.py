@@ -36,7 +36,7 @@ def test_it_writes_the_table_the_page_and_the_scene(stood: tuple[Path, Outcome])
     assert first == "# Written by cmbot stand: the scene in its best stance."
     assert {"name: short_stance", "planner:", "  objective: hold"} <= {*blocks}
     assert best.planner.objective == "hold"
-    assert best.robot.stance.foot == pytest.approx([float(rows[0][axis]) for axis in "xyz"], abs=1e-4)
+    assert best.stance.foot == pytest.approx([float(rows[0][axis]) for axis in "xyz"], abs=1e-4)
 
 
 def test_it_replaces_nothing_unasked(stood: tuple[Path, Outcome]) -> None:
@@ -131,7 +131,7 @@ def test_jobs_that_no_stance_reaches_are_done_from_two(both: tuple[Path, Outcome
     assert names == {"stances.csv", "index.html", "best_1.yaml", "best_2.yaml", "stances.json", "notes.txt"}
     scenes = [cmbot.load_scene(folder / "out" / f"best_{k}.yaml") for k in (1, 2)]
     assert [scene.strokes[0].name for scene in scenes] == ["left", "right"]
-    assert scenes[0].robot.stance.foot[0] < scenes[1].robot.stance.foot[0]
+    assert scenes[0].stance.foot[0] < scenes[1].stance.foot[0]
     for scene, x in zip(scenes, (-3.2, 3.2), strict=True):
         assert scene.strokes[0].start_pose.xyz[0] == pytest.approx(x)
     rows = [*csv.DictReader((folder / "out" / "stances.csv").read_text().splitlines())]

@@ -33,7 +33,7 @@ EI = YOUNG * second_moment()
 
 @pytest.fixture(scope="module")
 def shipped_arm(cmbot_robot: Robot) -> ElasticArm:
-    return make_arm(cmbot_robot, elastic_base(load_scene("triangle").guardrail))
+    return make_arm(cmbot_robot, elastic_base(load_scene("triangle").elastic_guardrail))
 
 
 @pytest.fixture(params=[3, 5, 7])

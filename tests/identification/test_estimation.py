@@ -190,7 +190,7 @@ def test_two_sheets_are_as_one(
     wider = given.setup.model_copy(update={"prior": given.setup.prior.changed(links=0.5)})
     with pytest.raises(InputError, match="prior: got another prior"):
         estimate([given, replace(given, setup=wider)], modelled)
-    elsewhere = replace(SCENE, robot=replace(SCENE.robot, payload=1.0))
+    elsewhere = SCENE.with_payload(1.0)
     with pytest.raises(InputError, match="scene: got short, expected the robot, payload and base of"):
         estimate([given, replace(given, scene=elsewhere)], modelled)
 
@@ -324,7 +324,7 @@ def test_what_was_identified_wins_over_the_scene(
     data = found[2].stiffness.model_dump(mode="json", exclude_none=True)
     plain, scene = scene_with(data, tmp_path), scene_with(data, tmp_path, guardrail=given)
     for one in (plain, scene):
-        np.testing.assert_array_equal(elastic_base(one.guardrail).stiffness, data["base"]["stiffness"])
+        np.testing.assert_array_equal(elastic_base(one.elastic_guardrail).stiffness, data["base"]["stiffness"])
     np.testing.assert_array_equal(
         elastic_base(scene.elastic_guardrail).mass, np.array(data["base"].get("mass", np.zeros((6, 6))))
     )
@@ -337,7 +337,7 @@ def test_what_was_identified_wins_over_the_scene(
 
 
 def test_nothing_that_bends_is_refused() -> None:
-    rigid = replace(SCENE, guardrail=replace(SCENE.guardrail, post_positions=()))
+    rigid = SCENE.changed(guardrail={"bays": 0})
     assert measured_arm(rigid).base is None
 
 

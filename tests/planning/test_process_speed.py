@@ -79,7 +79,8 @@ def test_another_speed_breaks_the_certificate(steady_plan: Plan) -> None:
 
 def test_it_is_read_back(steady_plan: Plan, tmp_path: Path) -> None:
     again = load_plan(save(steady_plan, tmp_path / "plan"), verify=True)
-    assert (again.scene.speed_tolerance, again.scene.lead_in_m, again.scene.lead_out_m) == (
+    (work,) = again.scene.strokes
+    assert (work.speed_tolerance, work.lead_in_m, work.lead_out_m) == (
         TOLERANCE,
         0.03,
         0.04,

@@ -48,7 +48,7 @@ def test_the_tool_path_stays_where_it_is_wherever_the_robot_stands() -> None:
     place = FootholdFile(member="post_4", along_m=0.9)
     X = foothold_pose(scene.elastic_guardrail, place)
     moved = scene_at(in_world(scene), candidate_at(place, None, X, climber.hanging(X[:3, :3]), climber), None)
-    assert moved.robot.stance.foot[0] > 1
+    assert moved.stance.foot[0] > 1
     for here, there in zip(places(scene), places(moved), strict=True):
         np.testing.assert_allclose(there, here, atol=1e-9)
 

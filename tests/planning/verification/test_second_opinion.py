@@ -129,7 +129,7 @@ def test_bodies_move_as_in_the_paper(cmbot_robot: Robot, random_states: StateSam
 @pytest.mark.parametrize("kind", ["trapezoidal", "jerk_limited"])
 @pytest.mark.parametrize("ramp", [0.03, 0.2, 0.5])
 def test_the_timed_path_agrees(kind: Any, ramp: float) -> None:
-    scene = replace(load_scene("triangle"), speed_profile=SpeedProfile(kind=kind, ramp=ramp), via_points=37)
+    scene = load_scene("triangle").with_path(speed_profile=SpeedProfile(kind=kind, ramp=ramp), via_points=37)
     robot = robot_of(scene)
     checks = second_opinion(scene, scene.planner, swing(robot, 20), robot=robot, stroke=0)
     path = {check.quantity: check.holds for check in checks if "time" in check.quantity}
