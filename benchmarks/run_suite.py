@@ -35,7 +35,7 @@ _SUITE = ROOT / "benchmarks" / "suite"
 _MAKERS = ("arms.py", "scenes.py", "task.py", "world.py")
 _PACKAGES = ("pin", "coal", "numpy", "scipy", "piqp")
 # What planning does not run.
-_NOT_PLANNING = ("archive", "campaigns", "cli", "reproduction", "simulation", "views")
+_NOT_PLANNING = ("archive", "campaigns", "cli", "simulation", "views")
 
 
 def suite_run(

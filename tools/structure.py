@@ -127,9 +127,8 @@ def past_the_checks(module: Module) -> Iterator[int]:
     for node in ast.walk(module.tree):
         if isinstance(node, ast.Attribute) and node.attr in ("model_copy", "model_construct"):
             yield node.lineno
-        elif isinstance(node, ast.Call) and ast.unparse(node.func) in ("replace", "dataclasses.replace"):
-            if node.args and ast.unparse(node.args[0]).rpartition(".")[2].endswith("scene"):
-                yield node.lineno
+        elif isinstance(node, ast.Call) and node.args and ast.unparse(node.func).endswith("replace"):
+            yield from [node.lineno] * ast.unparse(node.args[0]).rpartition(".")[2].endswith("scene")
 
 
 def commands_below_planning(module: Module) -> Iterator[int]:

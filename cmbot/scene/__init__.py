@@ -26,6 +26,7 @@ from cmbot.scene.scene_file import load_scene, scene_from_data, scene_path
 from cmbot.scene.stow import STOW
 from cmbot.scene.template import limits_text, scene_text
 from cmbot.scene.tool import SPEED_TOLERANCE, Tool
+from cmbot.scene.uncertainty import JointUncertainty, Placement, Tolerance, Uncertainty
 
 __all__ = [
     "MOST_SAMPLES",
@@ -49,6 +50,7 @@ __all__ = [
     "IdentifiedSpring",
     "IdentifiedStiffness",
     "JobStrokes",
+    "JointUncertainty",
     "Keep",
     "Leg",
     "LegLaw",
@@ -57,6 +59,7 @@ __all__ = [
     "Obstacle",
     "ObstacleFile",
     "PiecewiseLaw",
+    "Placement",
     "PlannerOptions",
     "PostureFile",
     "Raster",
@@ -71,9 +74,11 @@ __all__ = [
     "StanceFile",
     "Stroke",
     "StrokeFile",
+    "Tolerance",
     "Tool",
     "ToolPath",
     "ToolPoses",
+    "Uncertainty",
     "axis_point",
     "cells_of",
     "changed_content",

@@ -44,6 +44,7 @@ from cmbot.scene.raster.pieces import RowPiece
 from cmbot.scene.robot_entry import BaseFile, Joints, MountFile, PostureFile, RobotFile
 from cmbot.scene.stow import stow_posture
 from cmbot.scene.tool import Tool
+from cmbot.scene.uncertainty import Uncertainty, UncertaintyOrNone
 
 __all__ = ["FORMAT", "Scene"]
 
@@ -127,6 +128,9 @@ class Scene(FileModel):
     put away where it started."""
     tool: Tool = Tool()
     """The process force and the largest speed while the tool is on."""
+    uncertainty: UncertaintyOrNone = Uncertainty()
+    """What is not known of arm, base and work, for the accuracy budget; ``none``: all is as modelled; left
+    out: the defaults, which are assumptions."""
     frames: Annotated[_Frames, Field(json_schema_extra={"default": {}})] = ()
     """Frames of workpieces by their names, in W."""
     tool_path: ToolPathEntry

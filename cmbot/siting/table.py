@@ -145,7 +145,10 @@ def planned_table(standing: Standing) -> _Table:
             needed = figures.adhesion_needed
             adhesion = "-" if needed is None else f"{needed.peak / 1e3:.2f}"
             rows.append((str(rank), each.place, f"{figures.peak_guardrail_torque:.1f}", adhesion))
-    return ("", "stance", "torque, Nm", "adhesion needed, kN"), rows
+    headings = ("", "stance", "torque, Nm", "adhesion needed, kN")
+    if all(adhesion == "-" for *_, adhesion in rows):  # clamps need none
+        return headings[:-1], [row[:-1] for row in rows]
+    return headings, rows
 
 
 def bounds_table(standing: Standing, most: int) -> _Table:

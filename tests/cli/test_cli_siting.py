@@ -189,7 +189,7 @@ def test_jobs_of_other_bridges_are_refused(both: tuple[Path, Outcome]) -> None:
         ("stand", (), "cmbot.siting.stand"),
         ("walk", ("--to", "line"), "cmbot.walking.walk"),
         ("tour", (), "cmbot.walking.tour"),
-        ("reproduce", (), "cmbot.reproduction.reproduce"),
+        ("reproduce", (), "chang2021.reproduce"),
     ],
 )
 def test_a_place_that_cannot_be_written_to_is_refused_before_the_search(

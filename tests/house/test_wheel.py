@@ -17,6 +17,7 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 # Where each folder of the checkout lies in the wheel.
 PLACES = {
     "cmbot": "cmbot",
+    "studies/chang2021": "chang2021",
     "models": "cmbot/_data/models",
     "scenes": "cmbot/_data/scenes",
     "docs/gallery": "cmbot/_data/docs/gallery",

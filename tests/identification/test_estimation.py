@@ -187,7 +187,7 @@ def test_two_sheets_are_as_one(
     assert len(both.weights) == 1
     lighter = given.setup.changed(weight_kg=4.0)
     assert len(Problem([given, given, replace(given, setup=lighter)], modelled).weights) == 2
-    wider = given.setup.model_copy(update={"prior": given.setup.prior.changed(links=0.5)})
+    wider = given.setup.changed(prior=given.setup.prior.changed(links=0.5))
     with pytest.raises(InputError, match="prior: got another prior"):
         estimate([given, replace(given, setup=wider)], modelled)
     elsewhere = SCENE.with_payload(1.0)
@@ -324,7 +324,9 @@ def test_what_was_identified_wins_over_the_scene(
     data = found[2].stiffness.model_dump(mode="json", exclude_none=True)
     plain, scene = scene_with(data, tmp_path), scene_with(data, tmp_path, guardrail=given)
     for one in (plain, scene):
-        np.testing.assert_array_equal(elastic_base(one.elastic_guardrail).stiffness, data["base"]["stiffness"])
+        np.testing.assert_array_equal(
+            elastic_base(one.elastic_guardrail).stiffness, data["base"]["stiffness"]
+        )
     np.testing.assert_array_equal(
         elastic_base(scene.elastic_guardrail).mass, np.array(data["base"].get("mass", np.zeros((6, 6))))
     )

@@ -2,6 +2,7 @@
 
 import csv
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -378,6 +379,13 @@ def test_what_is_planned_is_apart_from_what_is_bounded(standing: Standing) -> No
     assert rows[0] == ("1", best, f"{figures.peak_guardrail_torque:.1f}", needed)
     planned = standing.count("planned")
     assert len(rows) == planned < 12
+    # Clamps need no adhesion, and have no column of it.
+    clamped: Any = SimpleNamespace(
+        place=best,
+        plan=SimpleNamespace(figures=SimpleNamespace(peak_guardrail_torque=1.0, adhesion_needed=None)),
+    )
+    alone: Any = SimpleNamespace(ranked=[clamped])
+    assert planned_table(alone) == (("", "stance", "torque, Nm"), [("1", best, "1.0")])
     headings, rows = bounds_table(standing, 12)
     assert "bound, " in headings[-1]
     assert [row[0] for row in rows] == [str(k) for k in range(planned + 1, 13)]

@@ -1,7 +1,9 @@
 """Sag compensation: the via-points are shifted by the predicted sag, so that the bent arm follows the path.
 
-The sag of a posture is known beforehand, but shifting a via-point changes its posture a little and with it
-the sag. So the shift is computed again along each optimised trajectory until it converges.
+The sag of a posture is known beforehand, but shifting a via-point changes its posture and with it the sag.
+So Newton's method finds postures near a trajectory whose bent tool is on the path, and the shift is minus the
+sag there. The trajectory that is optimised along the shifted path may use the self-motion otherwise, which
+changes the sag a little: the shift is computed again along it until it converges.
 """
 
 from __future__ import annotations
@@ -19,8 +21,9 @@ from cmbot.elastic.sag import Sag
 from cmbot.planning.certification.sag_spread import largest_spread
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.initial_guess import InitialGuess, shifted_problem
+from cmbot.planning.path.projection import gram, solve_batch
 from cmbot.planning.torque import Optimised, TorqueProblem, optimise
-from cmbot.scene import ShiftedToolPath
+from cmbot.scene import ShiftedToolPath, ToolPoses
 
 __all__ = ["MOST_ROUNDS", "Compensation", "compensate"]
 
@@ -36,6 +39,10 @@ _LEFT = 0.95
 _GROWS, _LEAST = 1.05, 0.2
 # Times per spline segment at which the sag is computed.
 _PER_SEGMENT = 4
+# Newton steps at most to a posture whose bent tool is on the path, and the error, m or rad, that ends them.
+_STEPS, _ON_PATH = 8, 1e-8
+# Added to the diagonal of Gram matrices, for singular Jacobians.
+_REGULAR = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,9 +93,10 @@ def compensate(
     options = replace(context.options, max_tool_deviation_m=room)
     times = np.linspace(context.times[:-1], context.times[1:], _PER_SEGMENT, endpoint=False, axis=1)
     times = np.append(times.ravel(), context.times[-1])
+    goals = context.task.goals(times)
     shift, problem = np.zeros((len(times), 3)), guess.problem
     for rounds in range(MOST_ROUNDS + 1):
-        wanted = -sag.at(optimised.trajectory.evaluate(times)).tool
+        q, wanted = _bent_on_path(context, sag, optimised.trajectory.evaluate(times), goals)
         change = float(np.linalg.norm(wanted - shift, axis=1).max())
         if change < settled:
             largest = float(np.linalg.norm(shift, axis=1).max())
@@ -109,7 +117,7 @@ def compensate(
         shift = wanted
         task = replace(context.task, path=_shifted(context, times, shift))
         around = replace(context, task=task, options=options)
-        problem = shifted_problem(around, guess, optimised.via_points)
+        problem = shifted_problem(around, guess, q[::_PER_SEGMENT])
         report = None if progress is None else partial(progress, rounds=rounds + 1)
         optimised = optimise(problem, report)
     raise OptimisationFailed(
@@ -117,6 +125,28 @@ def compensate(
         constraint="change of the shift",
         violation=change / settled - 1,
     )
+
+
+def _bent_on_path(
+    context: PlanningContext, sag: Sag, q: FloatArray, goals: ToolPoses
+) -> tuple[FloatArray, FloatArray]:
+    """Postures (N, n) near `q` (N, n) whose bent tool is at `goals`, and minus the sag there (N, 3), m.
+
+    Newton steps of least norm on the bent tool's point and the rigid arm's orientation, which is what the
+    path prescribes of it.
+    """
+    task, metric = context.task, context.postures.metric
+    for _ in range(_STEPS):
+        bent, at = sag.at(q), context.postures.tool_at(q)
+        error = task.errors(at.tool_point + bent.tool, at.tool_rotation, goals)
+        if np.abs(error).max() < _ON_PATH:
+            break
+        J = task.jacobian(at.tool_rotation, at.leading_jacobian.transpose(2, 0, 1)).copy()
+        J[:, :3] += bent.d_tool
+        J = metric.positions(J).transpose(1, 2, 0)
+        step = np.einsum("ikn,in->nk", J, solve_batch(gram(J, _REGULAR), error.T[:, None])[:, 0])
+        q = q + metric.positions(step)
+    return q, -bent.tool
 
 
 def _uncertain(context: PlanningContext, optimised: Optimised, sag: Sag) -> float:

@@ -424,6 +424,9 @@ def _lower_bound(plan: Plan) -> Iterator[str]:
     at, all_ = bound.via_point + 1, len(bound.each)
     pinned = plan.options.start == "pinned"
     name = "Lower bound for any start" if pinned else "Lower bound"
+    if plan.compensation is not None:
+        # The postures that were sought hold the rigid tool on the path; those of the plan, the bent one.
+        name += ", of the path before the sag is compensated"
     where = f"at via-point {at} of the {all_} that the motion passes through, no posture"
     basis = f"({bound.basis}; error {error})"
     if bound.kind == "proven":

@@ -61,6 +61,21 @@ def test_the_bent_arm_follows_the_path(compensated: Plan) -> None:
     assert np.linalg.norm(at_via - legs.position(via), axis=1).max() < ALLOWED
 
 
+@pytest.mark.parametrize("knots", ["sliding", "fixed"])
+def test_a_soft_base_takes_one_round(knots: str) -> None:
+    """The rail has a twelfth of its stiffness, and the tool sags by 7 to 9 cm: a posture's own sag counts."""
+    soft = {"guardrail": {"stiffness_factor": 0.08}, "planner": {"knots": knots, "compensate": True}}
+    compensated = plan(short_scene(**soft), progress=False)
+    assert compensated.compensation.rounds == 1
+    assert compensated.compensation.largest_shift > 0.07
+    assert compensated.figures.max_tool_deviation <= ALLOWED
+    if knots == "fixed":  # no self-motion changes the sag that was foreseen
+        assert compensated.compensation.last_change < 1e-6
+    bounds = [line for line in remarks(compensated) if line.startswith("Lower bound")]
+    assert all(line.startswith("Lower bound, of the path before the sag is compensated: ") for line in bounds)
+    assert len(bounds) == (knots == "sliding")
+
+
 def test_commanded_and_expected_path_are_in_the_plan(compensated: Plan) -> None:
     samples = compensated.samples
     exact = compensated.sag.at(samples.q[::37]).tool

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from cmbot.reproduction.agreement import findings, reasons
-from cmbot.reproduction.experiment import FACTORS, QUICK_FACTORS, Reproduction, reproduce
-from cmbot.reproduction.goals import goals
-from cmbot.reproduction.report import as_json, comparison, require_room, save_reproduction, verdict_rows
-from cmbot.reproduction.tables import cells
+from chang2021.agreement import findings, reasons
+from chang2021.experiment import FACTORS, QUICK_FACTORS, Reproduction, reproduce
+from chang2021.goals import goals
+from chang2021.report import as_json, comparison, require_room, save_reproduction, verdict_rows
+from chang2021.tables import cells
 
 __all__ = [
     "FACTORS",

@@ -7,13 +7,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from chang2021.agreement import findings, reasons
+from chang2021.experiment import Experiment, Reproduction, Run, axes, reduction
+from chang2021.goals import goals
+from chang2021.paper import PAPER, SOURCE, AxisErrors, assumption_tables
+from chang2021.tables import Row, cells, decimals, markdown_table
 from cmbot.archive import json_bytes, require_free, save, save_tracking, write_file
 from cmbot.common.errors import ArchiveError
-from cmbot.reproduction.agreement import findings, reasons
-from cmbot.reproduction.experiment import Experiment, Reproduction, Run, axes, reduction
-from cmbot.reproduction.goals import goals
-from cmbot.reproduction.paper import PAPER, SOURCE, AxisErrors, assumption_tables
-from cmbot.reproduction.tables import Row, cells, decimals, markdown_table
 from cmbot.simulation import MotionTracking, Tracking, tracking_remarks
 from cmbot.version import __version__
 from cmbot.views import pages

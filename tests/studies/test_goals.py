@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from chang2021 import FACTORS, cells, goals
+from chang2021.experiment import Experiment, Run, Variant
+from chang2021.goals import compensation_goal, least_sag, posture_goal, rest_goal
+from chang2021.paper import PAPER
+from chang2021.tables import GoalTable
 from cmbot.planning import Plan
-from cmbot.reproduction import FACTORS, cells, goals
-from cmbot.reproduction.experiment import Experiment, Run, Variant
-from cmbot.reproduction.goals import compensation_goal, least_sag, posture_goal, rest_goal
-from cmbot.reproduction.paper import PAPER
-from cmbot.reproduction.tables import GoalTable
 from cmbot.simulation import (
     ErrorMetrics,
     MotionTracking,

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from chang2021.paper import PAPER, AxisErrors, PaperExperiment
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PlanningError
 from cmbot.planning import Plan, Progress, plan
-from cmbot.reproduction.paper import PAPER, AxisErrors, PaperExperiment
 from cmbot.scene import PlannerOptions, Scene, load_scene
 from cmbot.simulation import MotionTracking, SimulationOptions, Tracking, simulate
 
@@ -121,7 +121,7 @@ def reproduce(
     bench = _Bench(on_step=on_step or (lambda *_: None), progress=progress, total=total)
     experiments = []
     for paper in PAPER:
-        scene = load_scene(paper.scene)
+        scene = load_scene(paper.scene_file)
         sliding = bench.run(scene, "sliding via-points", (*starts, *others), scene.planner)
         variant = partial(bench.variant, scene)
         fixed = variant("fixed via-points", starts, knots="fixed")

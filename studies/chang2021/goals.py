@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from chang2021.experiment import Experiment, Run, Variant, axes, reduction
+from chang2021.tables import GoalRow, GoalTable, Verdict, numbers
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.planning import Plan
-from cmbot.reproduction.experiment import Experiment, Run, Variant, axes, reduction
-from cmbot.reproduction.tables import GoalRow, GoalTable, Verdict, numbers
 from cmbot.simulation import Statistics, Tracking, statistics
 
 __all__ = ["compensation_goal", "goals", "least_sag", "posture_goal", "rest_goal"]

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from chang2021.tables import Row
 from cmbot.common.arrays import FloatArray
 from cmbot.common.installation import assumptions_file
-from cmbot.reproduction.tables import Row
 
 __all__ = ["PAPER", "AssumptionTable", "AxisErrors", "PaperExperiment", "assumption_tables"]
 
@@ -36,13 +37,18 @@ class AxisErrors:
 class PaperExperiment:
     """One experiment of the paper."""
 
-    scene: str  # name of the shipped scene
+    scene: str  # name of the shipped scene that began as this one
     title: str
     table: str
     without: AxisErrors  # the optimisation
     planned: AxisErrors
     reductions: FloatArray  # (3,), of the absolute mean, per cent, as the text gives them
     torque_difference: float  # largest one on the guardrail, without less with, Nm
+
+    @property
+    def scene_file(self) -> Path:
+        """The experiment's scene; it stays as it is where the shipped scene of that name goes on."""
+        return Path(__file__).parent / "scenes" / f"chang2021_{self.scene}.yaml"
 
 
 def _error(mean: tuple[float, float, float], deviation: tuple[float, float, float]) -> AxisErrors:

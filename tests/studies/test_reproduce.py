@@ -13,11 +13,7 @@ from command_line import run
 from plan_folders import names
 
 import cmbot
-from cmbot.archive import write_file
-from cmbot.common.errors import ArchiveError, OptimisationFailed
-from cmbot.common.installation import assumptions_file
-from cmbot.planning import Plan
-from cmbot.reproduction import (
+from chang2021 import (
     Reproduction,
     as_json,
     cells,
@@ -30,9 +26,13 @@ from cmbot.reproduction import (
     save_reproduction,
     verdict_rows,
 )
-from cmbot.reproduction.experiment import Experiment, Run, Variant, reduction
-from cmbot.reproduction.paper import PAPER, PaperExperiment, assumption_tables
-from cmbot.reproduction.report import markdown
+from chang2021.experiment import Experiment, Run, Variant, reduction
+from chang2021.paper import PAPER, PaperExperiment, assumption_tables
+from chang2021.report import markdown
+from cmbot.archive import write_file
+from cmbot.common.errors import ArchiveError, OptimisationFailed
+from cmbot.common.installation import assumptions_file
+from cmbot.planning import Plan
 from cmbot.simulation import SimulationOptions, Tracking, simulate
 
 TRIANGLE, LINE = PAPER
@@ -214,19 +214,20 @@ def test_both_experiments_are_planned_and_simulated(planner: list[str]) -> None:
     steps: list[tuple[str, str, float]] = []
     found = reproduce(on_step=lambda *words: steps.append(words), factors=(1.0, 0.7))
     assert planner == ["", "knots: fixed", "compensate: True", "quiet_modes: 0", "objective: sag"] * 2
-    assert [scene for scene, *_ in steps] == ["triangle"] * 25 + ["line"] * 25
+    triangle, line = (f"chang2021_{paper.scene}" for paper in PAPER)
+    assert [scene for scene, *_ in steps] == [triangle] * 25 + [line] * 25
     nominal, released = "simulating, stiffness times 1", "simulating, stiffness times 1, released undeformed"
     # Plans and simulations of an experiment: 4 + 3 + 3 + 3 + 2.
     for number, scene, what, share in (
-        (0, "triangle", "sliding via-points", 0),
-        (1, "triangle", f"sliding via-points: {nominal}", 1),
-        (2, "triangle", f"sliding via-points: {nominal}", 1.5),
-        (3, "triangle", f"sliding via-points: {released}", 2),
-        (4, "triangle", f"sliding via-points: {released}", 2.5),
-        (5, "triangle", "sliding via-points: simulating, stiffness times 0.7", 3),
-        (7, "triangle", "fixed via-points", 4),
-        (15, "triangle", "sag compensation: simulating, stiffness times 0.7", 9),
-        (-1, "line", f"least sag: {nominal}", 29.5),
+        (0, triangle, "sliding via-points", 0),
+        (1, triangle, f"sliding via-points: {nominal}", 1),
+        (2, triangle, f"sliding via-points: {nominal}", 1.5),
+        (3, triangle, f"sliding via-points: {released}", 2),
+        (4, triangle, f"sliding via-points: {released}", 2.5),
+        (5, triangle, "sliding via-points: simulating, stiffness times 0.7", 3),
+        (7, triangle, "fixed via-points", 4),
+        (15, triangle, "sag compensation: simulating, stiffness times 0.7", 9),
+        (-1, line, f"least sag: {nominal}", 29.5),
     ):
         assert steps[number] == (scene, what, pytest.approx(share / 30))
     shares = [share for *_, share in steps]
@@ -364,7 +365,6 @@ def test_the_command_answers_in_short_or_in_detail_and_replaces_a_reproduction(t
             for remark in goal["remarks"]:
                 assert f"goal: {remark}" in lines
     assert lines[-1].startswith(f"Written to {folder / 'reproduce.md'} and {folder / 'reproduce.json'}")
-    assert "line: fixed via-points" in outcome.err.splitlines()
     (folder / "reproduce.md").write_text("old", encoding="utf-8")
     outcome = run("reproduce", "-o", folder, "--quick", "--force")
     assert outcome.status == 0, outcome.err

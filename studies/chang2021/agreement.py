@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from chang2021.experiment import Experiment, Run, axes, reduction
+from chang2021.tables import decimals
 from cmbot.common.arrays import BoolArray, FloatArray
-from cmbot.reproduction.experiment import Experiment, Run, axes, reduction
-from cmbot.reproduction.tables import decimals
 from cmbot.simulation import MotionTracking
 
 __all__ = ["Finding", "findings", "reasons"]
