@@ -100,12 +100,14 @@ class NewCommand(Reporting):
         """The robot that the options describe; ``--tool`` is a frame, or a tool as the scene file has it."""
         from cmbot.common.validation import validated
         from cmbot.common.yaml_reader import yaml_value
-        from cmbot.scene import AttachedToolFile, NewRobot
+        from cmbot.scene import FOLDER, AttachedToolFile, NewRobot
 
         tool, tool_frame = None, self.tool
         if self.tool is not None and self.tool.lstrip().startswith("{"):
             value = yaml_value(self.tool, "--tool", InputError)
-            tool, tool_frame = validated(AttachedToolFile, value, "--tool", InputError), self.flange
+            # Its files are named as from here.
+            tool = validated(AttachedToolFile, value, "--tool", InputError, {FOLDER: Path.cwd()})
+            tool_frame = self.flange
         elif self.flange is not None:
             raise InputError("--flange", "", shown(self.flange), "a tool on it: --tool '{xyz: [0, 0, 0.2]}'")
         if source == _SHIPPED and (tool, self.xacro, self.total_mass) != (None, (), None):
@@ -235,9 +237,9 @@ def _loaded(asked: NewRobot, srdf: Path | None = None) -> Robot:
 
 def _obstacles(source: str) -> tuple[Obstacle, ...]:
     """What a scene without obstacles of its own has: the default guardrail, for the robot that holds it."""
-    from cmbot.scene import GuardrailFile, guardrail_from_file, guardrail_obstacles
+    from cmbot.scene import GuardrailFile, elastic_guardrail, guardrail_obstacles
 
-    return guardrail_obstacles(guardrail_from_file(GuardrailFile())) if source == _SHIPPED else ()
+    return guardrail_obstacles(elastic_guardrail(GuardrailFile())) if source == _SHIPPED else ()
 
 
 def _schema(path: Path) -> str:

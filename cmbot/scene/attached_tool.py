@@ -8,7 +8,8 @@ import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
 from cmbot.common.validation import FileModel, refusal
-from cmbot.scene.fields import Angles, Length, Mass, Text, Vector, exactly_one, given_of, one_of_schema
+from cmbot.scene.fields import Angles, Length, Mass, Vector, exactly_one, given_of, one_of_schema
+from cmbot.scene.files import FilePath
 
 if TYPE_CHECKING:
     from cmbot.robot import AttachedTool, ToolShape
@@ -33,7 +34,7 @@ class ToolShapeFile(FileModel):
     """[radius, length along z between the centres of its two half spheres], m."""
     sphere: Length | None = None
     """Radius, m."""
-    mesh: Text | None = None
+    mesh: FilePath | None = None
     """Path of a mesh file, relative to the scene file; it counts as its convex hull."""
     scale: Scale = 1.0
     """Of a mesh: what makes metres of its numbers, 0.001 where they are millimetres."""
@@ -77,7 +78,7 @@ class AttachedToolFile(FileModel):
     """Centre of mass, m; left out: that of its shapes, without shapes half way to the tool point."""
     shapes: Annotated[tuple[ToolShapeFile, ...], Field(max_length=100)] = ()
     """Its shapes: they keep the clearance, and are drawn."""
-    mesh: Text | None = None
+    mesh: FilePath | None = None
     """In place of shapes the path of a mesh file in the flange's frame, m, relative to the scene file."""
 
     @model_validator(mode="after")

@@ -37,7 +37,7 @@ class NewRobot:
         Arguments of xacro.
     total_mass : float or None, kg
     tool : AttachedToolFile or None
-        That is fixed to the tool frame; paths of its meshes are as from where the command runs.
+        That is fixed to the tool frame; paths of its meshes are absolute.
     """
 
     source: str

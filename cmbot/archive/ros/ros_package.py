@@ -79,9 +79,8 @@ def export_ros_package(plan: Plan, folder: str | Path) -> Path:
     if target.exists():
         raise ArchiveError(str(target), "", "something that is already there", "the path of a new folder")
     source, robot = plan.scene.robot, plan.robot
-    described = robot_files(
-        source.model, srdf=source.srdf, package_dirs=source.package_dirs or (), xacro=source.xacro
-    )
+    given = source.files
+    described = robot_files(**{key: given[key] for key in ("model", "srdf", "package_dirs", "xacro")})
     name, urdf = target.name, ElementTree.fromstring(robot.description)
     locate_meshes(described.urdf, urdf, described.package_dirs)
     meshes = _moved_meshes(urdf, name)
