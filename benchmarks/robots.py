@@ -122,7 +122,7 @@ WRONG = {
     _case("no_masses/acme_support/urdf/acme.urdf"): "--total-mass",
     _case("macros/acme-master/urdf/acme_macro.xacro"): "acme.xacro",
     _case(ACME): "--xacro name=VALUE",
-    _case(ACME, options=("--xacro", "nmae=small")): "did you mean name?",
+    _case(ACME, options=("--xacro", "nmae=small")): "given is nmae",
     _case("two_ends/arm.urdf"): "flange",
     _case("millimetres/arm.urdf"): "millimetres?",
     _case("degrees/arm.urdf"): "degrees?",

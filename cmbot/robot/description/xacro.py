@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from xml.parsers.expat import ExpatError
 
@@ -112,6 +113,8 @@ def _expanded(path: Path, content: bytes, package_dirs: Sequence[Path], given: _
             text, open_files = one_line(error), [path, *map(Path, filter(None, xacro.filestack))]
             if lacking := _LACKING.search(text):
                 expected = "a value of this argument of xacro, which has no default"
+                if near := get_close_matches(lacking[1], list(given), n=1):
+                    expected = f"{expected}; given is {near[0]}"
                 raise ModelError(str(path), f"xacro.{lacking[1]}", "nothing", expected) from error
             wanted = _MISSING.search(text)
             place = _package(wanted[1], path, open_files, package_dirs) if wanted else None
