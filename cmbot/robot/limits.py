@@ -31,12 +31,7 @@ from cmbot.robot.description.limits_file import (
 )
 from cmbot.robot.joint_kinds import JointUnits, joint_units, prismatic_joints
 
-__all__ = [
-    "ASSUMED_ACCELERATION",
-    "ASSUMED_JERK",
-    "JointLimits",
-    "joint_limits",
-]
+__all__ = ["ASSUMED_ACCELERATION", "ASSUMED_JERK", "JointLimits", "joint_limits"]
 
 ASSUMED_ACCELERATION = 2.0
 """Acceleration limit that is assumed where none is given, as a share of the velocity limit, 1/s."""
@@ -52,6 +47,9 @@ _TURN = 2 * np.pi
 # The range of a joint that slides ends somewhere, m.
 _FURTHEST = 1e3
 # Fields of `JointLimits` that say yes or no of each joint.
+# Keys of a limits file for joints that turn and for those that slide.
+_ABOUT = ("velocity_deg", "acceleration_deg", "jerk_deg")
+_ALONG = ("velocity_m_s", "acceleration_m_s2", "jerk_m_s3")
 _RATES = ("velocity", "acceleration", "jerk", "torque")
 _KINDS = ("prismatic", *(f"assumed_{name}" for name in _RATES))
 
@@ -232,12 +230,8 @@ def _require_units(
     listed: JointLimitsFile, names: Sequence[str], prismatic: BoolArray, path: Path | None
 ) -> None:
     """Refuse limits of one of the arm's joints in the units of the other kind; `all` may have both."""
-    turning, sliding = (
-        ("velocity_deg", "acceleration_deg", "jerk_deg"),
-        ("velocity_m_s", "acceleration_m_s2", "jerk_m_s3"),
-    )
     for name, slides in zip(names, prismatic.tolist(), strict=True):
-        for key, other in zip(*((turning, sliding) if slides else (sliding, turning)), strict=True):
+        for key, other in zip(*((_ABOUT, _ALONG) if slides else (_ALONG, _ABOUT)), strict=True):
             if name in listed.joints and getattr(listed.joints[name], key) is not None:
                 kind = "slides" if slides else "turns"
                 raise ModelError(

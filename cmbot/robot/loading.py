@@ -38,6 +38,8 @@ ARM_JOINTS = tuple(f"joint_{number}" for number in range(1, 8))
 Side = Literal[1, 2]
 """Number of a foot."""
 
+# Fields of `RobotFiles` that are arguments of `load_robot`.
+_LOADED = ("srdf", "limits", "elasticity", "package_dirs", "xacro", "base_frame", "tool_frame")
 # An arm that weighs less is one without masses, kg.
 _LIGHTEST = 1e-3
 # Shapes that extend further, as a multiple of the reach, are in millimetres; of what does not move, meshes
@@ -361,16 +363,8 @@ def inspect_loaded(files: RobotFiles) -> list[Finding]:
         ]
         if arm is None:
             return found
-        robot = load_robot(
-            files.urdf,
-            srdf=files.srdf,
-            limits=files.limits,
-            elasticity=files.elasticity,
-            package_dirs=files.package_dirs,
-            xacro=files.xacro,
-            base_frame=files.base_frame,
-            tool_frame=files.tool_frame,
-        )
+        given = {name: getattr(files, name) for name in _LOADED}
+        robot = load_robot(files.urdf, **given)
         return [*found, *_assumed_limits(robot), *_questionable_masses(robot)]
     except ModelError as error:
         key = error.key if error.source == str(files.urdf) else f"{error.source}: {error.key}"

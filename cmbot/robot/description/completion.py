@@ -16,8 +16,6 @@ from cmbot.robot.description.hulls import Body, body_of
 from cmbot.robot.description.limits_file import read_joint_limits
 from cmbot.robot.description.mesh_file import locate_meshes
 
-__all__ = ["add_masses", "add_tool"]
-
 # A link that weighs less has no mass, kg.
 _LIGHTEST = 1e-9
 

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 from xml.etree import ElementTree
 
 import numpy as np
+import pinocchio as pin
 
 from cmbot.common.errors import ModelError
 from cmbot.common.representation import short_repr
-
-__all__ = ["POINT", "AttachedTool", "ToolShape"]
 
 POINT = "_point"
 """Ending of the name of the tool point's frame, after that of the tool's link."""
@@ -119,7 +118,7 @@ class AttachedTool:
             ElementTree.SubElement(joint, "child", link=child)
         for shape in self.shapes:
             for element, along in shape.elements():
-                at = np.array(shape.xyz) + _rotation(shape.rpy) @ along
+                at = np.array(shape.xyz) + pin.rpy.rpyToMatrix(np.array(shape.rpy)) @ along
                 for tag in ("visual", "collision"):
                     part = ElementTree.SubElement(link, tag)
                     ElementTree.SubElement(part, "origin", xyz=_text(at.tolist()), rpy=_text(shape.rpy))
@@ -127,12 +126,5 @@ class AttachedTool:
         return link, point
 
 
-def _rotation(rpy: Triple) -> np.ndarray:
-    # Pinocchio takes a while to come, and scenes name tools without it.
-    import pinocchio as pin
-
-    return np.asarray(pin.rpy.rpyToMatrix(np.array(rpy)))
-
-
-def _text(numbers: object) -> str:
-    return " ".join(repr(float(number)) for number in numbers)  # type: ignore[attr-defined]
+def _text(numbers: Iterable[float]) -> str:
+    return " ".join(repr(float(number)) for number in numbers)
