@@ -26,7 +26,22 @@ class TryCommand(Command):
 
 def test_options_have_the_types_and_the_defaults_of_their_fields() -> None:
     assert parsed(TryCommand, ["x"]) == TryCommand(files=(Path("x"),))
-    words = "x --at -1e-3 -.5 y -n 2 --on p --kind b --on=q --really z".split()
+    words = [
+        "x",
+        "--at",
+        "-1e-3",
+        "-.5",
+        "y",
+        "-n",
+        "2",
+        "--on",
+        "p",
+        "--kind",
+        "b",
+        "--on=q",
+        "--really",
+        "z",
+    ]
     assert parsed(TryCommand, words) == TryCommand(
         files=(Path("x"), Path("y"), Path("z")),
         at=(-1e-3, -0.5),
