@@ -1,5 +1,6 @@
 """Commands as dataclasses: what is read from words, and what is refused."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -27,22 +28,10 @@ class TryCommand(Command):
 def test_options_have_the_types_and_the_defaults_of_their_fields() -> None:
     assert parsed(TryCommand, ["x"]) == TryCommand(files=(Path("x"),))
     words = [
-        "x",
-        "--at",
-        "-1e-3",
-        "-.5",
-        "y",
-        "-n",
-        "2",
-        "--on",
-        "p",
-        "--kind",
-        "b",
-        "--on=q",
-        "--really",
-        "z",
+        *("x", "--at", "-1e-3", "-.5", "y", "-n", "2"),
+        *("--on", "p", "--kind", "b", "--on=q", "--really"),
     ]
-    assert parsed(TryCommand, words) == TryCommand(
+    assert parsed(TryCommand, [*words, "z"]) == TryCommand(
         files=(Path("x"), Path("y"), Path("z")),
         at=(-1e-3, -0.5),
         count=2,
@@ -73,7 +62,7 @@ def test_what_is_wrong_is_named_by_its_option(words: str, message: str) -> None:
 
 
 @pytest.mark.parametrize("kind", COMMANDS.values(), ids=COMMANDS)
-def test_every_command_has_help_in_which_all_its_options_are(
+def test_every_command_has_help_with_an_example_and_all_its_options(
     kind: type[Command], capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:
@@ -81,3 +70,4 @@ def test_every_command_has_help_in_which_all_its_options_are(
     assert ended.value.code == 0
     text = capsys.readouterr().out
     assert [flag for flag in flags_of(kind) if flag not in text] == []
+    assert re.search(rf"\n\nExamples?: cmbot {kind.verb()}", text)
