@@ -40,7 +40,8 @@ def test_a_scene_of_the_panda(here: Path, monkeypatch: pytest.MonkeyPatch) -> No
     schema = Path(text.splitlines()[0].partition("=")[2])
     assert json.loads(schema.read_text(encoding="utf-8"))["title"] == "cmbot-scene/2"
     scene = cmbot.load_scene("panda.yaml")
-    assert (scene.name, scene.robot.model, scene.strokes[0].keep) == ("panda", str(here / "panda.urdf"), "pose")
+    assert (scene.name, scene.robot.model) == ("panda", str(here / "panda.urdf"))
+    assert scene.strokes[0].keep == "pose"
     assert scene.strokes[0].via_points == "auto"
     assert scene.base_name == "base"
     assert "\n  model: panda.urdf\n" in text
