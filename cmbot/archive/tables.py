@@ -13,13 +13,15 @@ from cmbot.common.validation import counted, shown
 from cmbot.planning import Samples
 from cmbot.trajectory import LARGEST
 
-__all__ = ["columns", "read_motion", "read_table", "samples_csv", "table_csv"]
+__all__ = ["columns", "read_motion", "read_table", "require_table", "samples_csv", "table_csv"]
 
 _JOINT_COLUMNS = ("q", "v", "a", "j", "tau")
 _VECTORS = ("guardrail_torque", "guardrail_force", "tool")
 _CLEARANCE, _SEGMENT, _ADHESION = "clearance", "segment", "adhesion_needed"
 # Digits in all, and after the point; the baseline's motion is read back, and figures computed from it.
 _DIGITS, _READ_BACK = 9, 12
+# What cells that are computed again may differ by, as a share of the largest in their column, or of 1.
+_ROUNDED = 1e-6
 
 
 def columns(dof: int, *, compensated: bool = False) -> tuple[str, ...]:
@@ -112,6 +114,46 @@ def read_table(content: bytes, source: str, names: tuple[str, ...]) -> FloatArra
         raise ArchiveError(source, "t", got, expected)
     _require_numbers(table, names, source)
     return table
+
+
+def require_table(content: bytes, expected: bytes, source: str) -> None:
+    """Refuse a table in the file `source` that is not an expected one, up to rounding.
+
+    Raises
+    ------
+    ArchiveError
+        For the first row that differs.
+    """
+    if content == expected:
+        return
+    got, wanted = (text.decode("ascii", "replace").splitlines() or [""] for text in (content, expected))
+    names = tuple(wanted[0].split(","))
+    if got[0] != wanted[0]:
+        raise ArchiveError(source, "line 1", shown(got[0]), f"the columns {wanted[0]}")
+    if len(got) != len(wanted):
+        rows = [counted(len(each) - 1, "row") for each in (got, wanted)]
+        raise ArchiveError(source, "", rows[0], f"{rows[1]}, as the knots have them")
+    if names[-1] == _SEGMENT:
+        names = names[:-1]
+        labels = [[row.rpartition(",")[2] for row in each] for each in (got, wanted)]
+        got, wanted = ([row.rpartition(",")[0] for row in each] for each in (got, wanted))
+        for number, (label, other) in enumerate(zip(*labels, strict=True), start=1):
+            if label != other:
+                raise ArchiveError(source, f"line {number}, {_SEGMENT}", shown(label), other)
+    table, other_table = (
+        np.array([_read_row(row, number, source, names) for number, row in enumerate(each[1:], start=2)])
+        for each in (got, wanted)
+    )
+    same = table == other_table
+    room = _ROUNDED * np.maximum(
+        np.abs(other_table).max(axis=0, where=np.isfinite(other_table), initial=1.0), 1.0
+    )
+    with np.errstate(invalid="ignore"):
+        wrong = ~(same | (np.abs(table - other_table) <= room))
+    if wrong.any():
+        row, column = np.argwhere(wrong)[0]
+        expected_value = f"{other_table[row, column]:g}, as the knots have it"
+        raise ArchiveError(source, f"line {row + 2}, {names[column]}", table[row, column], expected_value)
 
 
 def _read_row(line: str, number: int, source: str, names: tuple[str, ...]) -> list[float]:

@@ -10,18 +10,20 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from cmbot.archive.asked import looser_promises, require_asked
 from cmbot.archive.folder import read_folder, without_hashes
 from cmbot.archive.names import PLAN_FILE, TOUR_FILE, WALK_FILE
-from cmbot.archive.reading import load_plan
+from cmbot.archive.reading import read_plan
 from cmbot.archive.walks import load_walk
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import ArchiveError, LimitViolation
+from cmbot.common.errors import ArchiveError, InputError, LimitViolation
 from cmbot.common.validation import FileModel, given_path, validated
 from cmbot.planning import Check, Plan
+from cmbot.scene import Scene, StanceFile
 from cmbot.siting import Candidate, in_world
-from cmbot.walking import Walk, second_opinion_of, stance_of
+from cmbot.walking import Walk, goal_stance, second_opinion_of, stance_of
 
-__all__ = ["VerifiedMotion", "verified_motions"]
+__all__ = ["Verdict", "VerifiedMotion", "verified_motions"]
 
 # Figures, and stances and postures of parts that follow on each other, are the same but for so much.
 _SAME = 1e-6
@@ -48,6 +50,24 @@ class VerifiedMotion:
     checks: tuple[Check, ...]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """What was verified of a folder, and what was not.
+
+    Attributes
+    ----------
+    looser : tuple of str
+        What its plans promise less, or otherwise, than the scenes in them ask for.
+    motions : tuple of VerifiedMotion
+    not_verified : tuple of str
+        What it says that was not computed again: keys of records, and names of files.
+    """
+
+    looser: tuple[str, ...]
+    motions: tuple[VerifiedMotion, ...]
+    not_verified: tuple[str, ...]
+
+
 class _PartFile(FileModel):
     name: Annotated[str, Field(pattern=r"^(work|walk)_[1-9]\d{0,3}$")]
     kind: Literal["work", "walk"]
@@ -68,32 +88,100 @@ class _TourFile(FileModel):
     words: tuple[str, ...]
 
 
-def verified_motions(directory: str | Path) -> tuple[VerifiedMotion, ...]:
-    """Verify the folder of a plan, a walk or a tour; return its motions.
+def verified_motions(
+    directory: str | Path, scene: Scene | None = None, goal: Scene | StanceFile | None = None
+) -> Verdict:
+    """Verify the folder of a plan, a walk or a tour.
+
+    Parameters
+    ----------
+    directory : str or Path
+    scene : Scene, optional
+        That was asked for: the folder has to be a plan, or a walk, of it.
+    goal : Scene or StanceFile, optional
+        Where the walk was to end.
 
     Raises
     ------
     InputError
-        When `directory` is no path.
+        When `directory` is no path, a tour is to be of one scene, or a goal is given for no walk.
     ArchiveError
-        When a file is missing, damaged or contradicts the others, or a motion breaks a promise.
+        When a file is missing, damaged or contradicts the others, a motion breaks a promise, or it is not
+        what was asked for.
     SceneError, ModelError
         When its scene or its robot cannot be used.
     """
     folder = given_path(directory, "cmbot verify", "DIR", "the path of a folder")
-    if (folder / TOUR_FILE).exists():
-        return tuple(_tour(folder))
-    return tuple(_verified(folder)[1])
+    if goal is not None and not (folder / WALK_FILE).exists():
+        raise InputError("cmbot verify", "--to", str(folder), "the folder of a walk, which has a goal")
+    if not (folder / TOUR_FILE).exists():
+        return _verified(folder, "", scene, goal)[1]
+    if scene is not None:
+        raise InputError("cmbot verify", "--scene", "a tour", "a plan or a walk, such as a part of it")
+    parts = tuple(_tour(folder))
+    return Verdict(
+        looser=tuple(text for part in parts for text in part.looser),
+        motions=tuple(motion for part in parts for motion in part.motions),
+        not_verified=tuple(text for part in parts for text in part.not_verified),
+    )
 
 
-def _verified(folder: Path, name: str = "") -> tuple[Plan | Walk, list[VerifiedMotion]]:
-    """A plan or a walk, and its motions; `name` is that of a part of a tour."""
+def _verified(
+    folder: Path, name: str = "", scene: Scene | None = None, goal: Scene | StanceFile | None = None
+) -> tuple[Plan | Walk, Verdict]:
+    """A plan or a walk, and what was verified of it; `name` is that of a part of a tour."""
     is_walk = (folder / WALK_FILE).exists()
+    part: Plan | Walk
+    looser, skipped = tuple[str, ...](), tuple[str, ...]()
     try:
-        part = load_walk(folder) if is_walk else load_plan(folder, verify=True)
-        return part, list(_motions(name, part))
+        if is_walk:
+            part = load_walk(folder)
+            if scene is not None:
+                require_asked(part.scene, scene, str(folder / WALK_FILE))
+            if goal is not None:
+                _require_goal(part, goal, str(folder / WALK_FILE))
+        else:
+            part, skipped = read_plan(folder, verify=True, asked=scene)
+            looser = looser_promises(part.options, part.scene.planner)
+            skipped = (*_claims(part), *skipped)
+        motions = tuple(_motions(name, part))
     except LimitViolation as error:
         raise _broken(folder / (WALK_FILE if is_walk else PLAN_FILE), error) from error
+    of = f"{name}: " if name else ""
+    return part, Verdict(
+        looser=tuple(of + text for text in looser),
+        motions=motions,
+        not_verified=tuple(of + text for text in skipped),
+    )
+
+
+def _claims(plan: Plan) -> Iterator[str]:
+    """The keys of plan.json whose values only planning anew could confirm."""
+    yield "baseline (that it is the motion it is compared with)"
+    if plan.torque_floor is not None:
+        yield f"torque_floor ({plan.torque_floor:.6g} Nm, {plan.torque_floor_kind}), gap_to_floor"
+    for key, name in (
+        ("floor", "lower_bound"),
+        ("choice", "choice"),
+        ("suppression", "suppression"),
+        ("compensation", "compensation"),
+    ):
+        if any(getattr(stroke, name) is not None for stroke in plan.strokes):
+            yield key
+    for name, coverage in plan.coverage.items():
+        if coverage.left_out or coverage.unreached:
+            yield f"raster {name} (that nothing reaches the rows that it leaves out)"
+    yield "passes, fallbacks, seconds, versions"
+
+
+def _require_goal(walk: Walk, goal: Scene | StanceFile, source: str) -> None:
+    """Refuse a walk that ends in another stance than it was to."""
+    posture = _arm_at_end(walk)
+    wanted = _place(
+        goal_stance(goal, walk.scene), np.array(goal.posture) if isinstance(goal, Scene) else posture
+    )
+    if not np.allclose(_place(walk.goal, posture), wanted, rtol=0, atol=_SAME):
+        raise ArchiveError(source, "goal", "another stance or posture", "that which was asked for")
 
 
 def _broken(file: Path, error: LimitViolation) -> ArchiveError:
@@ -116,7 +204,7 @@ def _motions(name: str, part: Plan | Walk) -> Iterator[VerifiedMotion]:
         yield VerifiedMotion(part=name, name=title, seconds=seconds, checks=certificate.checks)
 
 
-def _tour(folder: Path) -> Iterator[VerifiedMotion]:
+def _tour(folder: Path) -> Iterator[Verdict]:
     """Verify the parts, and that each begins where the one before ends."""
     source = folder / TOUR_FILE
     data, _ = read_folder(
@@ -125,9 +213,9 @@ def _tour(folder: Path) -> Iterator[VerifiedMotion]:
     file = validated(_TourFile, without_hashes(data), str(source), ArchiveError)
     clock, here = 0.0, None
     for k, entry in enumerate(file.parts):
-        part, motions = _verified(folder / entry.name, entry.name)
-        yield from motions
-        is_plan, seconds = isinstance(part, Plan), sum(motion.seconds for motion in motions)
+        part, verdict = _verified(folder / entry.name, entry.name)
+        yield verdict
+        is_plan, seconds = isinstance(part, Plan), sum(motion.seconds for motion in verdict.motions)
         key, stance, posture = f"parts[{k}]", stance_of(part.scene), np.array(part.scene.posture)
         if is_plan != (entry.kind == "work"):
             raise ArchiveError(str(source), f"{key}.kind", entry.kind, "work" if is_plan else "walk")
@@ -140,14 +228,18 @@ def _tour(folder: Path) -> Iterator[VerifiedMotion]:
         if isinstance(part, Plan):
             here = _place(stance, part.job.trajectory.q[-1])
         else:
-            arms = [move.segment.trajectory.q[-1] for move in part.moves if move.kind == "arm"]
-            here = _place(part.goal, [posture, *arms][-1])
+            here = _place(part.goal, _arm_at_end(part))
     _require_same(source, "seconds", file.seconds, clock)
 
 
 def _require_same(source: Path, key: str, read: float, found: float) -> None:
     if not np.isclose(read, found, rtol=_SAME, atol=_SAME):
         raise ArchiveError(str(source), key, f"{read:g}", f"{found:g}, as its parts say")
+
+
+def _arm_at_end(walk: Walk) -> FloatArray:
+    arms = [move.segment.trajectory.q[-1] for move in walk.moves if move.kind == "arm"]
+    return np.asarray(arms[-1] if arms else walk.scene.posture)
 
 
 def _place(stance: Candidate, posture: FloatArray) -> FloatArray:

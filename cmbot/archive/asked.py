@@ -1,0 +1,132 @@
+"""What was asked of a plan: its scene and its options beside those of a scene file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from operator import gt, lt, ne
+from typing import Any
+
+import numpy as np
+
+from cmbot.archive.consistency import require_same
+from cmbot.archive.plan_file import resolved_file
+from cmbot.common.errors import ArchiveError
+from cmbot.common.validation import plain, shown
+from cmbot.planning import robot_of
+from cmbot.robot import Kinematics, Robot
+from cmbot.scene import PlannerOptions, RowPiece, Scene, StrokeFile, update_file
+
+__all__ = ["looser_promises", "require_asked", "require_promises"]
+
+# When an option promises less than another value of it would; those that say what is sought promise another
+# thing. The other options are effort: whatever they are, the same is promised.
+_LOOSER: Mapping[str, Callable[[Any, Any], bool]] = {
+    "safety_margin_m": lt,
+    "max_tool_deviation_m": gt,
+    "max_tool_rotation_deg": gt,
+    "max_tool_lag_m": gt,
+    "deviation_sigmas": lt,
+    "quiet_modes": lt,
+    **dict.fromkeys(("compensate", "knots", "start", "objective", "moment_about", "axis_weights"), ne),
+}
+_AUTO = "auto"
+
+
+def looser_promises(options: PlannerOptions, asked: PlannerOptions) -> tuple[str, ...]:
+    """Return which options promise less than others, or another thing, each with both values.
+
+    Parameters
+    ----------
+    options : PlannerOptions
+        Those of a plan.
+    asked : PlannerOptions
+    """
+    pairs = {name: (getattr(options, name), getattr(asked, name)) for name in _LOOSER}
+    return tuple(
+        f"{name} {shown(got)} (asked {shown(wanted)})"
+        for name, (got, wanted) in pairs.items()
+        if _LOOSER[name](got, wanted)
+    )
+
+
+def require_promises(options: PlannerOptions, asked: PlannerOptions, source: str) -> None:
+    """Refuse options that promise less than was asked, of the plan in the file `source`."""
+    if looser := looser_promises(options, asked):
+        raise ArchiveError(source, "options", "; ".join(looser), "promises as strict as what was asked")
+
+
+def require_asked(scene: Scene, asked: Scene, source: str) -> None:
+    """Refuse the scene of a plan that is not what was asked, but for what planning decides.
+
+    That are numbers of via-points and durations that are ``auto``, more via-points than there were, the order
+    of strokes where it is ``best``, and which rows of a raster are in which part, or left out as nothing
+    reaches them. The files that both name have to be the same ones; their contents are hashed on reading.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of the plan.
+    asked : Scene
+    source : str
+        The file of the plan, for messages.
+
+    Raises
+    ------
+    ArchiveError
+        For the first key of the scene that differs.
+    """
+    own, wanted = (resolved_file(update_file(one)).as_data() for one in (scene, asked))
+    wanted["tool_path"] = own["tool_path"]
+    require_same(own, wanted, source, "scene", why="asked")
+    strokes = _in_parts(asked, scene.each_stroke, robot_of(asked))
+    if asked.order == "best":
+        place = {stroke.name: k for k, stroke in enumerate(scene.each_stroke)}
+        strokes = sorted(strokes, key=lambda stroke: place.get(stroke.name, len(place)))
+    names = [[str(stroke.name) for stroke in each] for each in (scene.each_stroke, strokes)]
+    if names[0] != names[1]:
+        got, expected = (shown(", ".join(each)) for each in names)
+        raise ArchiveError(source, "scene.tool_path.strokes", got, f"{expected}, as asked")
+    for k, (got_stroke, stroke) in enumerate(zip(scene.each_stroke, strokes, strict=True)):
+        key = "scene.tool_path" + (f".strokes[{k}]" if len(strokes) > 1 else "")
+        decided = _decided(got_stroke, stroke, in_any_direction=asked.order == "best")
+        own, wanted = (plain(one.model_copy(update=decided), key) for one in (got_stroke, stroke))
+        require_same(own, wanted, source, key, why="asked")
+
+
+def _decided(stroke: StrokeFile, asked: StrokeFile, *, in_any_direction: bool) -> dict[str, Any]:
+    """The entries of a stroke that planning decides, where it may."""
+    decided: dict[str, Any] = {"backwards": stroke.backwards} if in_any_direction else {}
+    if asked.seconds == _AUTO:
+        decided["time_laws"] = stroke.time_laws
+    fewest = asked.via_points if isinstance(asked.via_points, int) else 0
+    if isinstance(stroke.via_points, int) and stroke.via_points >= fewest:
+        decided["via_points"] = stroke.via_points
+    return decided
+
+
+def _in_parts(asked: Scene, strokes: Sequence[StrokeFile], robot: Robot) -> Sequence[StrokeFile]:
+    """The strokes of a scene, its rasters in the parts that the strokes of a plan cover."""
+    files = {str(stroke.name): (k, stroke.raster) for k, stroke in enumerate(asked.each_stroke)}
+    if not any(raster for _, raster in files.values()):
+        return asked.each_stroke
+    X_WT = Kinematics(robot).tool_pose(np.array(asked.posture)).homogeneous
+    cells, whole = dict[str, list[tuple[RowPiece, ...]]](), dict[int, list[RowPiece]]()
+    for timed in asked.in_cells(X_WT).timed_strokes(X_WT):
+        if timed.surface is not None and timed.file.raster is not None:
+            name, pieces = timed.file.part_of or timed.name, timed.file.raster.pieces or timed.surface.pieces
+            whole.setdefault(files[name][0], []).extend(pieces)
+            cells.setdefault(name, []).append(tuple(pieces))
+    for name, (_, raster) in files.items():
+        # By the numbers that end their names.
+        parts = sorted(
+            (s for s in strokes if name in (s.part_of, s.name)), key=lambda s: (len(str(s.name)), s.name)
+        )
+        covered = [s.raster.pieces for s in parts if s.raster is not None and s.raster.pieces is not None]
+        if raster is not None and raster.cover == "reachable" and covered:
+            cells[name] = covered
+    changed = {
+        files[name][0]: each
+        for name, each in cells.items()
+        if len(each) > 1 or each != [tuple(whole[files[name][0]])]
+    }
+    return asked.with_cells(changed, whole).each_stroke
