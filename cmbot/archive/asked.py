@@ -96,7 +96,7 @@ def require_asked(scene: Scene, asked: Scene, source: str) -> None:
 def _decided(stroke: StrokeFile, asked: StrokeFile, *, in_any_direction: bool) -> dict[str, Any]:
     """The entries of a stroke that planning decides, where it may."""
     decided: dict[str, Any] = {"backwards": stroke.backwards} if in_any_direction else {}
-    if asked.seconds == _AUTO:
+    if _AUTO in (asked.seconds, *(leg.seconds for leg in asked.legs)):
         decided["time_laws"] = stroke.time_laws
     fewest = asked.via_points if isinstance(asked.via_points, int) else 0
     if isinstance(stroke.via_points, int) and stroke.via_points >= fewest:

@@ -154,11 +154,10 @@ def require_same(
     if isinstance(got, Mapping) and isinstance(expected, Mapping):
         for name in (*expected, *(got.keys() - expected.keys())):
             where = f"{key}.{name}" if key else str(name)
-            if name not in got or name not in expected:
-                wrong, wanted = (
-                    ("nothing", "a value") if name not in got else ("an unknown key", "a known key")
-                )
-                raise ArchiveError(source, where, wrong, wanted)
+            if name not in got:
+                raise ArchiveError(source, where, "nothing", f"{shown(expected[name])}, as {why}")
+            if name not in expected:
+                raise ArchiveError(source, where, shown(got[name]), f"no such key, as {why}")
             if name != "time":
                 require_same(got[name], expected[name], source, where, tolerance, zero, why)
     elif isinstance(got, list | tuple) and isinstance(expected, list | tuple) and len(got) == len(expected):

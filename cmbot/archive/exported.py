@@ -91,13 +91,15 @@ def _bag(plan: Plan, path: Path) -> bool:
     if find_spec("mcap_ros2") is None:
         return False
     from mcap.exceptions import McapError
-    from mcap_ros2.reader import read_ros2_messages
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
 
     content, source = read_file(path, _LARGEST_FILE), str(path)
     try:
+        reader = make_reader(io.BytesIO(content), decoder_factories=[DecoderFactory()])
         found = [
-            (read.channel.topic, read.log_time_ns, read.ros_msg)
-            for read in read_ros2_messages(io.BytesIO(content))
+            (channel.topic, record.log_time, message)
+            for _, channel, record, message in reader.iter_decoded_messages()
         ]
     except (McapError, KeyError, ValueError, struct.error) as error:
         raise ArchiveError(source, "", "a damaged file", "an MCAP file of ROS 2 messages") from error
