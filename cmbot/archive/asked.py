@@ -11,7 +11,7 @@ import numpy as np
 from cmbot.archive.consistency import require_same
 from cmbot.archive.plan_file import resolved_file
 from cmbot.common.errors import ArchiveError
-from cmbot.common.validation import plain, shown
+from cmbot.common.validation import counted, plain, shown
 from cmbot.planning import robot_of
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import PlannerOptions, RowPiece, Scene, StrokeFile, update_file
@@ -75,22 +75,20 @@ def require_asked(scene: Scene, asked: Scene, source: str) -> None:
     ArchiveError
         For the first key of the scene that differs.
     """
-    own, wanted = (resolved_file(update_file(one)).as_data() for one in (scene, asked))
-    wanted["tool_path"] = own["tool_path"]
-    require_same(own, wanted, source, "scene", why="asked")
-    strokes = _in_parts(asked, scene.each_stroke, robot_of(asked))
-    if asked.order == "best":
-        place = {stroke.name: k for k, stroke in enumerate(scene.each_stroke)}
-        strokes = sorted(strokes, key=lambda stroke: place.get(stroke.name, len(place)))
-    names = [[str(stroke.name) for stroke in each] for each in (scene.each_stroke, strokes)]
-    if names[0] != names[1]:
-        got, expected = (shown(", ".join(each)) for each in names)
-        raise ArchiveError(source, "scene.tool_path.strokes", got, f"{expected}, as asked")
-    for k, (got_stroke, stroke) in enumerate(zip(scene.each_stroke, strokes, strict=True)):
-        key = "scene.tool_path" + (f".strokes[{k}]" if len(strokes) > 1 else "")
-        decided = _decided(got_stroke, stroke, in_any_direction=asked.order == "best")
-        own, wanted = (plain(one.model_copy(update=decided), key) for one in (got_stroke, stroke))
-        require_same(own, wanted, source, key, why="asked")
+    content, wanted = (resolved_file(update_file(one)).as_data() for one in (scene, asked))
+    require_same(content, wanted | {"tool_path": content["tool_path"]}, source, "scene", why="asked")
+    key, best, strokes = "scene.tool_path.strokes", asked.order == "best", scene.each_stroke
+    expected = _in_parts(asked, strokes, robot_of(asked))
+    if best:
+        place = {stroke.name: k for k, stroke in enumerate(strokes)}
+        expected = sorted(expected, key=lambda stroke: place.get(stroke.name, len(place)))
+    if len(strokes) != len(expected):
+        raise ArchiveError(source, key, counted(len(strokes), "stroke"), f"{len(expected)}, as asked")
+    each = [
+        plain(other.model_copy(update=_decided(stroke, other, in_any_direction=best)), key)
+        for stroke, other in zip(strokes, expected, strict=True)
+    ]
+    require_same([plain(stroke, key) for stroke in strokes], each, source, key, why="asked")
 
 
 def _decided(stroke: StrokeFile, asked: StrokeFile, *, in_any_direction: bool) -> dict[str, Any]:

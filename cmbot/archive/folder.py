@@ -307,7 +307,7 @@ def read_record(folder: Path, name: str) -> dict[str, Any]:
         older = str(data.get("format")).partition("/")[0] == kind
         raise ArchiveError(str(path), "format", written, f"{expected!r}: {why}" if older else repr(expected))
     if missing := [name for name in (_FILES, _CONTENT) if name not in data]:
-        raise ArchiveError(str(path), missing[0], "no such key", f"the hashes that every plan has: {why}")
+        raise ArchiveError(str(path), missing[0], "no such key", f"hashes, as every {name} has: {why}")
     if not _is_sealed(data):
         raise ArchiveError(str(path), _CONTENT, "another hash", "the content that cmbot wrote, unchanged")
     return data

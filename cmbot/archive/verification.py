@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields, replace
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -11,9 +12,10 @@ import numpy as np
 from pydantic import Field
 
 from cmbot.archive.asked import looser_promises, require_asked
-from cmbot.archive.folder import read_folder, without_hashes
+from cmbot.archive.folder import read_file, read_folder, without_hashes
 from cmbot.archive.names import PLAN_FILE, TOUR_FILE, WALK_FILE
 from cmbot.archive.reading import read_plan
+from cmbot.archive.tables import require_table
 from cmbot.archive.walks import load_walk
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError, InputError, LimitViolation
@@ -21,12 +23,13 @@ from cmbot.common.validation import FileModel, given_path, validated
 from cmbot.planning import Check, Plan
 from cmbot.scene import Scene, StanceFile
 from cmbot.siting import Candidate, in_world
-from cmbot.walking import Walk, goal_stance, second_opinion_of, stance_of
+from cmbot.walking import Walk, WalkOptions, goal_stance, second_opinion_of, stance_of, walk_csv
 
 __all__ = ["Verdict", "VerifiedMotion", "verified_motions"]
 
 # Figures, and stances and postures of parts that follow on each other, are the same but for so much.
 _SAME = 1e-6
+_WALK_TABLE = "walk.csv"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,18 +115,21 @@ def verified_motions(
         When its scene or its robot cannot be used.
     """
     folder = given_path(directory, "cmbot verify", "DIR", "the path of a folder")
+    if len(records := [name for name in (PLAN_FILE, WALK_FILE, TOUR_FILE) if (folder / name).exists()]) > 1:
+        raise ArchiveError(str(folder), "", " and ".join(records), "one of them: the folder of one thing")
     if goal is not None and not (folder / WALK_FILE).exists():
         raise InputError("cmbot verify", "--to", str(folder), "the folder of a walk, which has a goal")
     if not (folder / TOUR_FILE).exists():
         return _verified(folder, "", scene, goal)[1]
     if scene is not None:
         raise InputError("cmbot verify", "--scene", "a tour", "a plan or a walk, such as a part of it")
-    parts = tuple(_tour(folder))
-    return Verdict(
-        looser=tuple(text for part in parts for text in part.looser),
-        motions=tuple(motion for part in parts for motion in part.motions),
-        not_verified=tuple(text for part in parts for text in part.not_verified),
-    )
+    return _together(_tour(folder))
+
+
+def _together(verdicts: Iterable[Verdict]) -> Verdict:
+    each = tuple(verdicts)
+    names = [field.name for field in fields(Verdict)]
+    return Verdict(**{name: tuple(chain.from_iterable(getattr(one, name) for one in each)) for name in names})
 
 
 def _verified(
@@ -136,6 +142,9 @@ def _verified(
     try:
         if is_walk:
             part = load_walk(folder)
+            if part.speed > (usual := WalkOptions().speed):
+                looser = (f"max_foot_speed {part.speed:g} m/s (where none is asked {usual:g})",)
+            skipped = _walk_files(folder, part)
             if scene is not None:
                 require_asked(part.scene, scene, str(folder / WALK_FILE))
             if goal is not None:
@@ -147,12 +156,17 @@ def _verified(
         motions = tuple(_motions(name, part))
     except LimitViolation as error:
         raise _broken(folder / (WALK_FILE if is_walk else PLAN_FILE), error) from error
-    of = f"{name}: " if name else ""
-    return part, Verdict(
-        looser=tuple(of + text for text in looser),
-        motions=motions,
-        not_verified=tuple(of + text for text in skipped),
-    )
+    said = (tuple(f"{name}: {text}" if name else text for text in texts) for texts in (looser, skipped))
+    return part, Verdict(motions=motions, **dict(zip(("looser", "not_verified"), said, strict=True)))
+
+
+def _walk_files(folder: Path, walk: Walk) -> tuple[str, ...]:
+    """Compare the table of a walk with its knots; return the names of the other files."""
+    names = [path.name for path in sorted(folder.iterdir()) if path.name != WALK_FILE and path.name[0] != "."]
+    if _WALK_TABLE in names:
+        table = folder / _WALK_TABLE
+        require_table(read_file(table), walk_csv(walk).encode(), str(table))
+    return tuple(name for name in names if name != _WALK_TABLE)
 
 
 def _claims(plan: Plan) -> Iterator[str]:
@@ -160,14 +174,9 @@ def _claims(plan: Plan) -> Iterator[str]:
     yield "baseline (that it is the motion it is compared with)"
     if plan.torque_floor is not None:
         yield f"torque_floor ({plan.torque_floor:.6g} Nm, {plan.torque_floor_kind}), gap_to_floor"
-    for key, name in (
-        ("floor", "lower_bound"),
-        ("choice", "choice"),
-        ("suppression", "suppression"),
-        ("compensation", "compensation"),
-    ):
+    for name in ("lower_bound", "choice", "suppression", "compensation"):
         if any(getattr(stroke, name) is not None for stroke in plan.strokes):
-            yield key
+            yield name.replace("lower_bound", "floor")
     for name, coverage in plan.coverage.items():
         if coverage.left_out or coverage.unreached:
             yield f"raster {name} (that nothing reaches the rows that it leaves out)"

@@ -9,17 +9,19 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import output, refusal, write_scene
-from plan_folders import changed, edit, rewrite, without_approach
+from plan_folders import changed, edit, rewrite, seal, without_approach
 from raster_scenes import HOLE, raster_scene
 from small_scenes import SHORT, short_scene, strokes_scene
+from walks import one_step
 
 from cmbot import load_plan
-from cmbot.archive import export_csv, export_mcap, export_ros, save
+from cmbot.archive import WALK_FILE, export_csv, export_mcap, export_ros, save, write_results
 from cmbot.archive.asked import looser_promises, require_asked
 from cmbot.common.errors import ArchiveError, InputError
 from cmbot.planning import Plan, plan, robot_of
 from cmbot.robot import Kinematics
 from cmbot.scene import PlannerOptions, Scene, load_scene
+from cmbot.walking import walk_csv, walk_data
 
 
 @pytest.fixture
@@ -102,10 +104,10 @@ def test_the_tool_is_lower_than_asked(short_plan: Plan, asked: Path, tmp_path: P
         ({"robot": {"payload_kg": -0.0 + 0.5}}, "scene.robot.payload_kg", "got 0.5, expected 0, as asked"),
         (
             {"tool_path": {"legs": [{"by": [0, -0.3, 0], "seconds": 5}]}},
-            "scene.tool_path.legs[0].seconds",
+            "scene.tool_path.strokes[0].legs[0].seconds",
             "got 5",
         ),
-        ({"tool_path": {"via_points": 7}}, "scene.tool_path.via_points", "got 7, expected 8"),
+        ({"tool_path": {"via_points": 7}}, "scene.tool_path.strokes[0].via_points", "got 7, expected 8"),
         ({"planner": {"max_tool_deviation_m": 0.1}}, "scene.planner.max_tool_deviation_m", "got 0.1"),
     ],
 )
@@ -145,7 +147,7 @@ def test_strokes_and_what_planning_decides_of_them(changes: dict[str, Any], tmp_
 def test_strokes_in_another_order(tmp_path: Path) -> None:
     scene = several()
     turned = replace(scene, strokes=(scene.each_stroke[1], scene.each_stroke[0]))
-    with pytest.raises(ArchiveError, match="got 'back, there', expected 'there, back', as asked"):
+    with pytest.raises(ArchiveError, match="got 'back', expected 'there', as asked"):
         require_asked(turned, scene, "plan.json")
     require_asked(turned, replace(scene, order="best"), "plan.json")
 
@@ -260,9 +262,9 @@ def test_a_table_that_says_hello(short_folder: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("column", "value", "told"),
     [
-        ("q2", "0.5", "line 9, q2: got 0.5, expected "),
-        ("t", "0.008", "line 9, t: got 0.008, expected 0.07, as the knots have it"),
-        ("guardrail_torque_x", "x", "line 9, guardrail_torque_x: got 'x', expected a number"),
+        ("q2", "0.5", "line 9, q2: got '0.5', expected "),
+        ("t", "0.008", "line 9, t: got '0.008', expected 0.07, as the knots have it"),
+        ("guardrail_torque_x", "x", "line 9, guardrail_torque_x: got 'x', expected "),
         ("segment", "free_1", "line 9, segment: got 'free_1', expected work"),
     ],
 )
@@ -296,6 +298,50 @@ def test_a_bag_of_another_motion(exported: Path, short_plan: Plan) -> None:
     assert "job.mcap: /joint_trajectory at 0 s.points[0].positions[0]: got " in error
     (exported / "job.mcap").write_bytes(b"hello")
     assert "job.mcap: got a damaged file" in refusal("verify", exported)
+
+
+# Walks
+
+
+@pytest.fixture
+def walked(tmp_path: Path) -> Path:
+    folder = tmp_path / "walk"
+    write_results(folder, WALK_FILE, walk_data(one_step()), {"walk.csv": walk_csv(one_step()).encode()})
+    return folder
+
+
+def test_a_walk_that_was_asked_for(walked: Path, tmp_path: Path) -> None:
+    walk = one_step()
+    scene = write_scene(tmp_path / "here.yaml", walk.scene.file.as_data())
+    there = walk.scene.file.as_data()
+    there["guardrail"]["stance"] = walk.goal.as_data
+    to = write_scene(tmp_path / "there.yaml", there)
+    data = json.loads(output("verify", walked, "--scene", scene, "--to", to, "--json"))
+    assert (data["looser"], data["not_verified"]) == ([], [])
+    assert "goal: got another stance or posture" in refusal("verify", walked, "--to", scene)
+    there["robot"]["payload_kg"] = 3.0
+    other = write_scene(tmp_path / "other.yaml", there)
+    assert "walk.json: scene." in refusal("verify", walked, "--scene", other)
+
+
+def test_a_table_of_a_walk(walked: Path) -> None:
+    lines = (walked / "walk.csv").read_text(encoding="utf-8").splitlines()
+    rewrite(walked, "walk.csv", "\n".join([lines[0], *lines[:0:-1], ""]).encode(), "walk.json")
+    assert "walk.csv: line 2, t: got " in refusal("verify", walked)
+
+
+def test_a_walk_beside_a_plan(walked: Path, short_folder: Path) -> None:
+    (short_folder / WALK_FILE).write_bytes((walked / WALK_FILE).read_bytes())
+    assert "got plan.json and walk.json, expected one of them" in refusal("verify", short_folder)
+
+
+def test_a_foot_that_is_quicker_than_usual(walked: Path) -> None:
+    path = walked / WALK_FILE
+    text = path.read_text(encoding="utf-8").replace('"bound": 0.03,', '"bound": 0.05,')
+    data = json.loads(text.replace("at most 0.03 m/s", "at most 0.05 m/s"))
+    path.write_bytes(seal({**data, "max_foot_speed": 0.05}))
+    told = output("verify", walked)
+    assert told.startswith("Promised otherwise than the scene in the folder asks: max_foot_speed 0.05 m/s")
 
 
 # Claims
