@@ -9,6 +9,7 @@ The reading order::
     save, load_plan   a plan directory                    cmbot.archive
     simulate       what bends on the way                  cmbot.simulation
     identify       how stiff it is, from measurements     cmbot.identification
+    locate         where the work is, from touched points   cmbot.identification
     walk, tour     the steps from one stance to another, and the work in each   cmbot.walking
     replay, report, show   the motion in a browser or a notebook, and what it gains   cmbot.views
     campaign       many scenes on many processes          cmbot.campaigns
@@ -39,7 +40,7 @@ from cmbot.version import __version__
 if TYPE_CHECKING:
     from cmbot.archive import load_plan, load_tracking, load_walk, save, save_tracking
     from cmbot.campaigns import Campaign, campaign
-    from cmbot.identification import Identification, identify
+    from cmbot.identification import Identification, Location, identify, locate
     from cmbot.planning import Plan, QuinticTrajectory, plan
     from cmbot.robot import Robot, load_robot
     from cmbot.scene import PlannerOptions, Scene, load_scene
@@ -54,6 +55,7 @@ __all__ = [
     "Identification",
     "InputError",
     "LimitViolation",
+    "Location",
     "MissingExtra",
     "ModelError",
     "OptimisationFailed",
@@ -78,6 +80,7 @@ __all__ = [
     "load_scene",
     "load_tracking",
     "load_walk",
+    "locate",
     "plan",
     "plot",
     "replay",
@@ -93,7 +96,7 @@ __all__ = [
 _ROOMS = {
     "cmbot.archive": ("load_plan", "load_tracking", "load_walk", "save", "save_tracking"),
     "cmbot.campaigns": ("Campaign", "campaign"),
-    "cmbot.identification": ("Identification", "identify"),
+    "cmbot.identification": ("Identification", "Location", "identify", "locate"),
     "cmbot.planning": ("Plan", "QuinticTrajectory", "plan"),
     "cmbot.robot": ("Robot", "load_robot"),
     "cmbot.scene": ("PlannerOptions", "Scene", "load_scene"),

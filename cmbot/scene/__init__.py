@@ -31,6 +31,7 @@ from cmbot.scene.scene_file import (
 from cmbot.scene.stow import STOW
 from cmbot.scene.template import limits_text, scene_text
 from cmbot.scene.tool import SPEED_TOLERANCE, Tool
+from cmbot.scene.uncertainty import JointUncertainty, Placement, Tolerance, Uncertainty
 
 __all__ = [
     "MOST_SAMPLES",
@@ -53,12 +54,14 @@ __all__ = [
     "IdentifiedBase",
     "IdentifiedSpring",
     "IdentifiedStiffness",
+    "JointUncertainty",
     "Keep",
     "Leg",
     "LegLaw",
     "Mesh",
     "Obstacle",
     "PiecewiseLaw",
+    "Placement",
     "PlannerOptions",
     "Raster",
     "RobotSource",
@@ -72,9 +75,11 @@ __all__ = [
     "StanceFile",
     "Stroke",
     "StrokeFile",
+    "Tolerance",
     "Tool",
     "ToolPath",
     "ToolPoses",
+    "Uncertainty",
     "axis_point",
     "cells_of",
     "changed_content",

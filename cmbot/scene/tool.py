@@ -8,6 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from cmbot.common.validation import CheckedFields
+from cmbot.scene.uncertainty import Tolerance
 
 __all__ = ["SPEED_TOLERANCE", "Tool"]
 
@@ -30,6 +31,9 @@ class Tool(CheckedFields):
     max_speed_m_s : float or None
         Largest speed of the tool point, m/s. The tool path keeps it exactly; the arm's tool may exceed it by
         5 % between via-points. Left out: any speed.
+    tolerance : Tolerance or None
+        How far the tool may be from its path, which the accuracy budget is compared with; the planner's own
+        bounds on the motion are its options.
 
     Raises
     ------
@@ -39,3 +43,4 @@ class Tool(CheckedFields):
 
     process_force_n: tuple[Force, Force, Force] = (0.0, 0.0, 0.0)
     max_speed_m_s: Annotated[float, Field(ge=1e-4, le=100)] | None = None
+    tolerance: Tolerance | None = None
