@@ -302,7 +302,8 @@ def read_record(folder: Path, name: str) -> dict[str, Any]:
     path = folder / name
     data, expected = read_json(read_file(path), str(path)), FORMATS[name]
     written, kind = shown(data.get("format")), expected.partition("/")[0]
-    why = f"written by a development version; cmbot {kind.removeprefix('cmbot-')} SCENE makes it anew"
+    verb = kind.removeprefix("cmbot-").replace("stances", "stand")
+    why = f"written by a development version; cmbot {verb} SCENE makes it anew"
     if data.get("format") != expected:
         older = str(data.get("format")).partition("/")[0] == kind
         raise ArchiveError(str(path), "format", written, f"{expected!r}: {why}" if older else repr(expected))

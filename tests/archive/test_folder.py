@@ -202,11 +202,11 @@ def test_a_changed_record_and_those_of_other_versions_are_refused(folder: Path) 
     for change, told in (
         (
             lambda data: data.pop("content"),
-            "content: got no such key, expected hashes, as every stances.json has",
+            "content: no such key, expected hashes, as every stances.json has",
         ),
         (
             lambda data: data.pop("files"),
-            "files: got no such key, expected hashes, as every stances.json has",
+            "files: no such key, expected hashes, as every stances.json has",
         ),
         (lambda data: data.update(format="cmbot-stances/0"), older),
         (lambda data: data.update(format="cmbot-stances/7"), older),
@@ -214,7 +214,9 @@ def test_a_changed_record_and_those_of_other_versions_are_refused(folder: Path) 
         data = json.loads(record.read_bytes())
         change(data)
         record.write_text(json.dumps(data))
-        with pytest.raises(ArchiveError, match=f"{told}: written by a development version"):
+        with pytest.raises(
+            ArchiveError, match=f"{told}: written by a development version; cmbot stand SCENE makes"
+        ):
             read_record(folder, STANCES_FILE)
     edit(folder, lambda data: data.update(format="another/1"), STANCES_FILE)
     with pytest.raises(ArchiveError, match=r"format: got 'another/1', expected 'cmbot-stances/1'$"):

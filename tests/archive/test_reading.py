@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plan_folders import FILES, changed, same_arrays
+from plan_folders import FILES, same_arrays
 
 from cmbot.archive import load_plan, save
 from cmbot.common.errors import PathNotFound
-from cmbot.planning import Job, Plan, Start
+from cmbot.planning import Job, Plan
 from cmbot.planning.certification.metrics import figures
 
 
