@@ -16,7 +16,7 @@ from cmbot.planning import robot_of
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import PlannerOptions, RowPiece, Scene, StrokeFile, update_file
 
-__all__ = ["looser_promises", "require_asked", "require_promises"]
+__all__ = ["looser_promises", "require_asked"]
 
 # When an option promises less than another value of it would; those that say what is sought promise another
 # thing. The other options are effort: whatever they are, the same is promised.
@@ -47,12 +47,6 @@ def looser_promises(options: PlannerOptions, asked: PlannerOptions) -> tuple[str
         for name, (got, wanted) in pairs.items()
         if _LOOSER[name](got, wanted)
     )
-
-
-def require_promises(options: PlannerOptions, asked: PlannerOptions, source: str) -> None:
-    """Refuse options that promise less than was asked, of the plan in the file `source`."""
-    if looser := looser_promises(options, asked):
-        raise ArchiveError(source, "options", "; ".join(looser), "promises as strict as what was asked")
 
 
 def require_asked(scene: Scene, asked: Scene, source: str) -> None:

@@ -6,6 +6,7 @@ import io
 import struct
 from collections.abc import Callable, Mapping
 from importlib.util import find_spec
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -63,25 +64,24 @@ def _table(plan: Plan, path: Path) -> bool:
         return True
     if path.name in TRACKING_FILES or (path.name != JOB_FILES[0] and not content.startswith(b"t,q1,")):
         return False
-    job, work = (job_table(plan, source, work=work) for work in (False, True))
-    rows = content.count(b"\n")
-    is_work = path.name != JOB_FILES[0] and rows == work.count(b"\n") != job.count(b"\n")
-    require_table(content, work if is_work else job, source)
+    job, rows = job_table(plan, source), content.count(b"\n")
+    is_job = path.name == JOB_FILES[0] or rows == job.count(b"\n")
+    require_table(content, job if is_job else job_table(plan, source, work=True), source)
     return True
 
 
 def _message(plan: Plan, path: Path) -> bool:
     """Compare a file with the job as a ``JointTrajectory``; False for a file of something else."""
-    content = read_file(path, _LARGEST_FILE)
     try:
-        data = from_json(content)
-    except ValueError as error:
-        raise ArchiveError(str(path), "", "text that is no JSON", "a file of cmbot or none") from error
+        data = from_json(read_file(path, _LARGEST_FILE))
+    except ValueError:
+        return False
     if not isinstance(data, Mapping) or not data.keys() & {"joint_names", "points"}:
         return False
-    first = next(iter(data.get("points") or ()), None)
-    has_effort = isinstance(first, Mapping) and "effort" in first
-    expected = trajectory_message(plan.robot, plan.job_samples[0], effort=has_effort)
+    points = data.get("points")
+    first = points[0] if isinstance(points, list) and points else None
+    effort = isinstance(first, Mapping) and "effort" in first
+    expected = trajectory_message(plan.robot, plan.job_samples[0], effort=effort)
     require_same(data, expected, str(path), "", _SAME, _SAME_ZERO, _WHY)
     return True
 
@@ -122,12 +122,8 @@ def _plain(message: Any, like: Any) -> Any:
     if isinstance(like, Mapping):
         return {name: _plain(getattr(message, name), value) for name, value in like.items()}
     if isinstance(like, list):
-        rows = list(message)
-        return (
-            [_plain(row, value) for row, value in zip(rows, like, strict=True)]
-            if len(rows) == len(like)
-            else rows
-        )
+        # What one of them has more of is left as it is, which differs.
+        return [_plain(*pair) if None not in pair else pair[0] for pair in zip_longest(message, like)]
     return message
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from cmbot.archive.asked import require_asked, require_promises
+from cmbot.archive.asked import looser_promises, require_asked
 from cmbot.archive.consistency import require_fit, require_same, require_segments
 from cmbot.archive.exported import unverified_files
 from cmbot.archive.folder import read_folder, without_hashes
@@ -131,8 +131,9 @@ def read_plan(
         clearances = Clearances(robot, scene.obstacles)
     if asked is not None:
         require_asked(scene, asked, str(source))
-    if wanted_options := options or (asked and asked.planner):
-        require_promises(file.options, wanted_options, str(source))
+    promised = options or (asked.planner if asked is not None else file.options)
+    if looser := looser_promises(file.options, promised):
+        raise ArchiveError(str(source), "options", "; ".join(looser), "promises as strict as what was asked")
     require_segments(file, str(source), scene, returns=end is not None)
     knots, table = str(folder / JOB_FILES[1]), str(folder / BASELINE_FILE)
     trajectories = segment_trajectories(file, contents[JOB_FILES[1]], knots, robot.dof, strokes)

@@ -88,9 +88,10 @@ def verify(
                 "not_verified": verdict.not_verified,
             }
         )
-    elif not quiet:
-        for text in verdict.looser:
-            out.print(flat(f"Promised otherwise than the scene in the folder asks: {text}."))
+        return
+    for text in verdict.looser:
+        out.print(flat(f"Promised otherwise than the scene in the folder asks: {text}."))
+    if not quiet:
         rows = [(each.part, each.name, f"{each.seconds:.1f}", str(len(each.checks))) for each in motions]
         print_table("Verified", ("part", "motion", "seconds", "checks that hold"), rows, text_columns=2)
         out.print(flat("Certified anew, and computed a second time at 300 states of each motion."))
