@@ -93,6 +93,7 @@ def _bag(plan: Plan, path: Path) -> bool:
     from mcap.exceptions import McapError
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
+    from zstandard import ZstdError
 
     content, source = read_file(path, _LARGEST_FILE), str(path)
     try:
@@ -101,7 +102,7 @@ def _bag(plan: Plan, path: Path) -> bool:
             (channel.topic, record.log_time, message)
             for _, channel, record, message in reader.iter_decoded_messages()
         ]
-    except (McapError, KeyError, ValueError, struct.error) as error:
+    except (McapError, ZstdError, KeyError, RuntimeError, ValueError, struct.error) as error:
         raise ArchiveError(source, "", "a damaged file", "an MCAP file of ROS 2 messages") from error
     job = next((message for topic, _, message in found if topic == "/joint_trajectory"), None)
     effort = job is not None and len(job.points) > 0 and len(job.points[0].effort) > 0
