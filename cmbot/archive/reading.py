@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from cmbot.archive.asked import looser_promises, require_asked
 from cmbot.archive.consistency import require_fit, require_same, require_segments
-from cmbot.archive.exported import unverified_files
 from cmbot.archive.folder import read_folder, without_hashes
 from cmbot.archive.knots import require_times, segment_trajectories
 from cmbot.archive.names import BASELINE_FILE, JOB_FILES, PLAN_FILE, PLAN_FILES
 from cmbot.archive.places import plans_nearby
 from cmbot.archive.plan_file import MotionFile, PlanFile, SegmentFile, StrokeEntries, made
 from cmbot.archive.tables import read_motion
+from cmbot.archive.verification.asked import looser_promises, require_asked
+from cmbot.archive.verification.exported import unverified_files
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError, InputError

@@ -203,7 +203,8 @@ class VerifyCommand(Reporting):
 
     directory: Path = argument("The folder of a plan, a walk or a tour.", "DIR")
     scene: str | None = option(
-        None, "What was asked for, a scene file or the name of a shipped scene. Left out: what the folder says."
+        None,
+        "What was asked for, a scene file or the name of a shipped scene. Left out: what the folder says.",
     )
     to: Path | None = option(None, "Where a walk was to end: a scene, or a file with foot_1 and foot_2.")
     engine: str | None = option(

@@ -16,7 +16,7 @@ from walks import one_step
 
 from cmbot import load_plan
 from cmbot.archive import WALK_FILE, export_csv, export_mcap, export_ros, save, write_results
-from cmbot.archive.asked import looser_promises, require_asked
+from cmbot.archive.verification.asked import looser_promises, require_asked
 from cmbot.common.errors import ArchiveError, InputError
 from cmbot.planning import Plan, plan, robot_of
 from cmbot.robot import Kinematics

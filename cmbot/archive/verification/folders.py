@@ -11,11 +11,11 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from cmbot.archive.asked import looser_promises, require_asked
 from cmbot.archive.folder import read_file, read_folder, without_hashes
 from cmbot.archive.names import PLAN_FILE, TOUR_FILE, WALK_FILE
 from cmbot.archive.reading import read_plan
 from cmbot.archive.tables import require_table
+from cmbot.archive.verification.asked import looser_promises, require_asked
 from cmbot.archive.walks import load_walk
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError, InputError, LimitViolation
