@@ -49,7 +49,7 @@ from cmbot.planning import (
 )
 from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Kinematics, Robot
-from cmbot.scene import PlannerOptions, Scene, scene_from_file
+from cmbot.scene import PlannerOptions, Scene
 
 __all__ = ["load_plan", "plan_data", "read_plan"]
 
@@ -124,11 +124,13 @@ def read_plan(
     data, contents = _read(folder, listed)
     file = validated(PlanFile, without_hashes(data), str(source), ArchiveError)
     with _as_archive_error(str(source)):
-        scene = _scene(file, source)
+        scene = file.scene.with_source(str(source))
         robot = _robot(scene, file, source)
+        what = "the scene in this file or the meshes that it names have changed since"
+        _require_hash(scene.content_hash, file.hashes.scene, source, "hashes.scene", what)
         strokes = strokes_of(scene, robot)
         end = end_posture_of(scene, robot)
-        clearances = Clearances(robot, scene.obstacles)
+        clearances = Clearances(robot, scene.all_obstacles)
     if asked is not None:
         require_asked(scene, asked, str(source))
     promised = options or (asked.planner if asked is not None else file.options)
@@ -155,7 +157,7 @@ def read_plan(
     if plan.several and not (_agree(plan.baseline.t, t) and _agree(plan.baseline.q, motion[0])):
         raise ArchiveError(table, "", "other motions between the strokes", "the quickest straight ones")
     baseline = made(MotionFile, plan.baseline_figures, free=file.baseline.free, job=file.baseline.job)
-    again = PlanFile.of_plan(plan, file.scene, baseline, file.hashes).as_data()
+    again = PlanFile.of_plan(plan, baseline, file.hashes).as_data()
     # What it was made of, and by what, is not computed.
     given = {name: data[name] for name in ("scene", "versions")}
     require_same(without_hashes(data), again | given, str(source), "")
@@ -194,14 +196,6 @@ def _read(folder: Path, wanted: Any) -> tuple[dict[str, Any], dict[str, bytes]]:
         # A path leaves out what "." adds.
         source = f"{folder}{os.sep}{PLAN_FILE}"
         raise ArchiveError(source, "", "no such file", f"{expected}{plans_nearby(folder)}") from error
-
-
-def _scene(file: PlanFile, source: Path) -> Scene:
-    scene = scene_from_file(file.scene, source.parent, str(source))
-    what = "the scene in this file or the meshes that it names have changed since"
-    _require_hash(scene.content_hash, file.hashes.resolved_scene, source, "hashes.resolved_scene", what)
-    # The hash is that of the file that the scene was read from.
-    return replace(scene, content_hash=file.hashes.scene)
 
 
 def _robot(scene: Scene, file: PlanFile, source: Path) -> Robot:
@@ -335,7 +329,7 @@ def _certified(plan: Plan, number: int, clearances: Clearances) -> Certificate:
     stroke, sag = None, None
     if at_work:
         stroke, sag = [each.name for each in plan.job.strokes].index(segment.name), plan.sag
-        number_of_via_points = plan.scene.each_stroke[stroke].via_points
+        number_of_via_points = plan.scene.strokes[stroke].via_points
         if not isinstance(number_of_via_points, int):
             expected = "a number, as plans have it"
             raise ArchiveError(

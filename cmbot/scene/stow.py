@@ -4,46 +4,43 @@ from __future__ import annotations
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
-from cmbot.scene.scene import RobotSource, SceneFile
+from cmbot.scene.robot_entry import RobotFile
 
-__all__ = ["STOW", "start_posture"]
+__all__ = ["STOW", "stow_posture"]
 
 STOW = "stow"
 """The group state of an SRDF that has the stow posture."""
 
 
-def start_posture(file: SceneFile, robot: RobotSource, source: str) -> FloatArray:
-    """Return the posture (n,), rad and m, in which the arm is at the start.
+def stow_posture(file: RobotFile, source: str, key: str, *, given: bool) -> FloatArray:
+    """Return the stow posture (n,), rad and m, of a robot.
 
     Parameters
     ----------
-    file : SceneFile
-    robot : RobotSource
-        Its robot is loaded where the arm is stowed at the start.
-    source : str
-        The scene's, for messages.
+    file : RobotFile
+    source, key : str
+        Of the scene, and where it asks for that posture, for messages.
+    given : bool
+        Whether it says so.
 
     Raises
     ------
     SceneError
-        When it is to be stowed, and its SRDF has no such group state.
+        When the robot's SRDF has no such group state.
     ModelError
         When the robot's files cannot be used.
     """
-    if file.posture is not None:
-        return file.posture
     # Imported here: scenes whose start is a posture need no robot.
     from cmbot.robot import load_robot
 
-    loaded = load_robot(**robot.files)
-    stow = loaded.group_states.get(STOW)
+    robot = load_robot(**file.files)
+    stow = robot.group_states.get(STOW)
     if stow is not None:
         return stow
-    given = file.start is not None
-    lacks = f"the arm {loaded.name}, whose SRDF has no group state {STOW} of all its joints"
+    lacks = f"the arm {robot.name}, whose SRDF has no group state {STOW} of all its joints"
     raise SceneError(
         source,
-        file.posture_key,
+        key,
         lacks if given else f"nothing, and {lacks}",
         "start: {posture_deg: [...]}, or an SRDF with that group state (robot.srdf)",
     )

@@ -71,7 +71,7 @@ def measured(
     scene: Scene, each: list[Feature], xi: FloatArray, rng: np.random.Generator, noise: float = 3e-4
 ) -> Touches:
     """Touches of a workpiece that is displaced by `xi`."""
-    X = scene.frames["bracket"]
+    X = scene.frame_poses["bracket"]
     R = pin.exp3(xi[3:]) @ X[:3, :3]
     places = np.array([X[:3, 3] + xi[:3] + R @ on_feature(feature, rng) for feature in each])
     return Touches(
@@ -97,7 +97,7 @@ def test_exact_touches_give_the_pose(scene: Scene, kind: str, count: int) -> Non
     found = located(measured(scene, features(kind, rng, count), xi, rng, noise=0.0))
     np.testing.assert_allclose(found.moved[:3], xi[:3], atol=2e-5)
     np.testing.assert_allclose(found.moved[3:], xi[3:], atol=2e-4)
-    X = scene.frames["bracket"]
+    X = scene.frame_poses["bracket"]
     np.testing.assert_allclose(found.X_WF[:3, 3], X[:3, 3] + found.moved[:3], rtol=1e-12)
     np.testing.assert_allclose(found.X_WF[:3, :3], pin.exp3(found.moved[3:]) @ X[:3, :3], atol=1e-12)
     assert found.left_out == ()

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 
 from cmbot.archive.consistency import require_same
-from cmbot.archive.plan_file import resolved_file
 from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import counted, plain, shown
 from cmbot.planning import robot_of
 from cmbot.robot import Kinematics, Robot
-from cmbot.scene import PlannerOptions, RowPiece, Scene, StrokeFile, update_file
+from cmbot.scene import PlannerOptions, RowPiece, Scene, StrokeFile
 
 __all__ = ["looser_promises", "require_asked"]
 
@@ -69,38 +68,38 @@ def require_asked(scene: Scene, asked: Scene, source: str) -> None:
     ArchiveError
         For the first key of the scene that differs.
     """
-    content, wanted = (resolved_file(update_file(one)).as_data() for one in (scene, asked))
+    content, wanted = (one.as_data() for one in (scene, asked))
     require_same(content, wanted | {"tool_path": content["tool_path"]}, source, "scene", why="asked")
-    key, best, strokes = "scene.tool_path.strokes", asked.order == "best", scene.each_stroke
+    key, best, strokes = "scene.tool_path.strokes", asked.order == "best", scene.strokes
     expected = _in_parts(asked, strokes, robot_of(asked))
     if best:
         place = {stroke.name: k for k, stroke in enumerate(strokes)}
         expected = sorted(expected, key=lambda stroke: place.get(stroke.name, len(place)))
     if len(strokes) != len(expected):
         raise ArchiveError(source, key, counted(len(strokes), "stroke"), f"{len(expected)}, as asked")
-    each = [
-        plain(other.model_copy(update=_decided(stroke, other, in_any_direction=best)), key)
-        for stroke, other in zip(strokes, expected, strict=True)
-    ]
-    require_same([plain(stroke, key) for stroke in strokes], each, source, key, why="asked")
+    for k, (stroke, other) in enumerate(zip(strokes, expected, strict=True)):
+        own, decided = plain(stroke, key), _decided(stroke, other, in_any_direction=best)
+        rest = {name: value for name, value in plain(other, key).items() if name not in decided}
+        same = {name: value for name, value in own.items() if name in decided}
+        require_same(own, rest | same, source, f"{key}[{k}]", why="asked")
 
 
-def _decided(stroke: StrokeFile, asked: StrokeFile, *, in_any_direction: bool) -> dict[str, Any]:
+def _decided(stroke: StrokeFile, asked: StrokeFile, *, in_any_direction: bool) -> set[str]:
     """The entries of a stroke that planning decides, where it may."""
-    decided: dict[str, Any] = {"backwards": stroke.backwards} if in_any_direction else {}
+    decided = {"backwards"} if in_any_direction else set[str]()
     if _AUTO in (asked.seconds, *(leg.seconds for leg in asked.legs)):
-        decided["time_laws"] = stroke.time_laws
+        decided.add("time_laws")
     fewest = asked.via_points if isinstance(asked.via_points, int) else 0
     if isinstance(stroke.via_points, int) and stroke.via_points >= fewest:
-        decided["via_points"] = stroke.via_points
+        decided.add("via_points")
     return decided
 
 
 def _in_parts(asked: Scene, strokes: Sequence[StrokeFile], robot: Robot) -> Sequence[StrokeFile]:
     """The strokes of a scene, its rasters in the parts that the strokes of a plan cover."""
-    files = {str(stroke.name): (k, stroke.raster) for k, stroke in enumerate(asked.each_stroke)}
+    files = {str(stroke.name): (k, stroke.raster) for k, stroke in enumerate(asked.strokes)}
     if not any(raster for _, raster in files.values()):
-        return asked.each_stroke
+        return asked.strokes
     X_WT = Kinematics(robot).tool_pose(np.array(asked.posture)).homogeneous
     cells, whole = dict[str, list[tuple[RowPiece, ...]]](), dict[int, list[RowPiece]]()
     for timed in asked.in_cells(X_WT).timed_strokes(X_WT):
@@ -121,4 +120,4 @@ def _in_parts(asked: Scene, strokes: Sequence[StrokeFile], robot: Robot) -> Sequ
         for name, each in cells.items()
         if len(each) > 1 or each != [tuple(whole[files[name][0]])]
     }
-    return asked.with_cells(changed, whole).each_stroke
+    return asked.with_cells(changed, whole).strokes
