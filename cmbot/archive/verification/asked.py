@@ -78,21 +78,21 @@ def require_asked(scene: Scene, asked: Scene, source: str) -> None:
         expected = sorted(expected, key=lambda stroke: place.get(stroke.name, len(place)))
     if len(strokes) != len(expected):
         raise ArchiveError(source, key, counted(len(strokes), "stroke"), f"{len(expected)}, as asked")
-    each = [
-        plain(other.model_copy(update=_decided(stroke, other, in_any_direction=best)), key)
-        for stroke, other in zip(strokes, expected, strict=True)
-    ]
-    require_same([plain(stroke, key) for stroke in strokes], each, source, key, why="asked")
+    for k, (stroke, other) in enumerate(zip(strokes, expected, strict=True)):
+        own, decided = plain(stroke, key), _decided(stroke, other, in_any_direction=best)
+        rest = {name: value for name, value in plain(other, key).items() if name not in decided}
+        same = {name: value for name, value in own.items() if name in decided}
+        require_same(own, rest | same, source, f"{key}[{k}]", why="asked")
 
 
-def _decided(stroke: StrokeFile, asked: StrokeFile, *, in_any_direction: bool) -> dict[str, Any]:
+def _decided(stroke: StrokeFile, asked: StrokeFile, *, in_any_direction: bool) -> set[str]:
     """The entries of a stroke that planning decides, where it may."""
-    decided: dict[str, Any] = {"backwards": stroke.backwards} if in_any_direction else {}
+    decided = {"backwards"} if in_any_direction else set[str]()
     if _AUTO in (asked.seconds, *(leg.seconds for leg in asked.legs)):
-        decided["time_laws"] = stroke.time_laws
+        decided.add("time_laws")
     fewest = asked.via_points if isinstance(asked.via_points, int) else 0
     if isinstance(stroke.via_points, int) and stroke.via_points >= fewest:
-        decided["via_points"] = stroke.via_points
+        decided.add("via_points")
     return decided
 
 
