@@ -20,6 +20,7 @@ from cmbot.cli.console import ExitStatus, LostOutputError, discard, err, out
 from cmbot.cli.creation import NewCommand
 from cmbot.cli.identify import IdentifyCommand
 from cmbot.cli.inspection import CheckCommand, DoctorCommand, ScenesCommand, SchemaCommand, VerifyCommand
+from cmbot.cli.locate import LocateCommand
 from cmbot.cli.planning import PlanCommand
 from cmbot.cli.signals import raised_again
 from cmbot.cli.simulation import ReproduceCommand, SimulateCommand
@@ -39,7 +40,15 @@ COMMANDS: dict[str, type[Command]] = {
     for kind in (
         *(PlanCommand, StandCommand, WalkCommand, TourCommand, CampaignCommand, NewCommand),
         *(ReplayCommand, ReportCommand, CompareCommand, ExportCommand, SimulateCommand, VerifyCommand),
-        *(IdentifyCommand, ReproduceCommand, CheckCommand, ScenesCommand, SchemaCommand, DoctorCommand),
+        *(
+            IdentifyCommand,
+            LocateCommand,
+            ReproduceCommand,
+            CheckCommand,
+            ScenesCommand,
+            SchemaCommand,
+            DoctorCommand,
+        ),
     )
 }
 """The commands by what they are called."""
