@@ -107,11 +107,10 @@ class FileModel(BaseModel):
 
     def _changed_data(self, values: Mapping[str, object], source: str) -> dict[str, Any]:
         """The content of its file with other values of some fields."""
-        fields = type(self).model_fields
         data = self.model_dump(mode="json", exclude_none=True, by_alias=True)
-        for name, value in values.items():
-            key = (fields[name].alias if name in fields else None) or name
-            data[key] = plain(value, source, (key,))
+        keys = {name: field.alias for name, field in type(self).model_fields.items()}
+        changes = {keys.get(name) or name: value for name, value in values.items()}
+        data |= {key: plain(value, source, (key,)) for key, value in changes.items()}
         return {key: value for key, value in data.items() if value is not None}
 
 
@@ -168,14 +167,8 @@ def _schema(model: Any) -> dict[str, Any]:
     return _adapter(model).json_schema()
 
 
-def check_fields(instance: object, model: type[BaseModel] | None = None) -> None:
+def check_fields(instance: object) -> None:
     """Check the fields of a dataclass's instance by the bounds in their annotations.
-
-    Parameters
-    ----------
-    instance : object
-    model : type, optional
-        A pydantic model whose fields are checked instead, those of the same names.
 
     Raises
     ------
@@ -183,7 +176,7 @@ def check_fields(instance: object, model: type[BaseModel] | None = None) -> None
         With the name of the class as its source.
     """
     kind: Any = type(instance)
-    source, model = kind.__name__, model or _fields_model(kind)
+    source, model = kind.__name__, _fields_model(kind)
     data = {name: plain(getattr(instance, name), source, (name,)) for name in model.model_fields}
     validated(model, data, source, InputError)
 

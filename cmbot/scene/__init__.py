@@ -20,10 +20,9 @@ from cmbot.scene.path.waypoints import SAME_PLACE
 from cmbot.scene.raster.pieces import RowPiece, cells_of
 from cmbot.scene.raster.raster import CylinderPatch, FaceSelection, Raster
 from cmbot.scene.raster.surface import Coverage
-from cmbot.scene.robot_entry import MountFile, PostureFile, RobotFile
+from cmbot.scene.robot_entry import STOW, MountFile, PostureFile, RobotFile
 from cmbot.scene.scene import Scene
 from cmbot.scene.scene_file import load_scene, scene_from_data, scene_path
-from cmbot.scene.stow import STOW
 from cmbot.scene.template import limits_text, scene_text
 from cmbot.scene.tool import SPEED_TOLERANCE, Tool
 from cmbot.scene.uncertainty import JointUncertainty, Placement, Tolerance, Uncertainty

@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
 from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import SceneError
 from cmbot.common.validation import FileModel, refusal, shown
 from cmbot.scene.fields import (
     Angles,
@@ -23,8 +24,10 @@ from cmbot.scene.fields import (
 from cmbot.scene.files import FilePath, FolderPath, RobotModel
 from cmbot.scene.obstacles import pose
 
-__all__ = ["BaseFile", "Joints", "MountFile", "PostureFile", "RobotFile"]
+__all__ = ["STOW", "BaseFile", "Joints", "MountFile", "PostureFile", "RobotFile", "stow_posture"]
 
+STOW = "stow"
+"""The group state of an SRDF that has the stow posture."""
 Joints = Literal["elastic", "rigid"]
 """Whether joints bend as the robot's elasticity file says."""
 
@@ -108,3 +111,37 @@ class RobotFile(FileModel):
         """The model with its frames and files, as arguments of `cmbot.load_robot`."""
         names = ("model", "base_frame", "tool_frame", "limits", "srdf", "elasticity")
         return {name: getattr(self, name) for name in names} | {"package_dirs": self.package_dirs or ()}
+
+
+def stow_posture(file: RobotFile, source: str, key: str, *, given: bool) -> FloatArray:
+    """Return the stow posture (n,), rad and m, of a robot.
+
+    Parameters
+    ----------
+    file : RobotFile
+    source, key : str
+        Of the scene, and where it asks for that posture, for messages.
+    given : bool
+        Whether it says so.
+
+    Raises
+    ------
+    SceneError
+        When the robot's SRDF has no such group state.
+    ModelError
+        When the robot's files cannot be used.
+    """
+    # Imported here: scenes whose start is a posture need no robot.
+    from cmbot.robot import load_robot
+
+    robot = load_robot(**file.files)
+    stow = robot.group_states.get(STOW)
+    if stow is not None:
+        return stow
+    lacks = f"the arm {robot.name}, whose SRDF has no group state {STOW} of all its joints"
+    raise SceneError(
+        source,
+        key,
+        lacks if given else f"nothing, and {lacks}",
+        "start: {posture_deg: [...]}, or an SRDF with that group state (robot.srdf)",
+    )

@@ -41,8 +41,7 @@ from cmbot.scene.path.path_source import PathSource, surface_of
 from cmbot.scene.path.raster_parts import raster_parts, require_apart
 from cmbot.scene.path.stroke import Stroke, timed_stroke
 from cmbot.scene.raster.pieces import RowPiece
-from cmbot.scene.robot_entry import BaseFile, Joints, MountFile, PostureFile, RobotFile
-from cmbot.scene.stow import stow_posture
+from cmbot.scene.robot_entry import BaseFile, Joints, MountFile, PostureFile, RobotFile, stow_posture
 from cmbot.scene.tool import Tool
 from cmbot.scene.uncertainty import Uncertainty, UncertaintyOrNone
 

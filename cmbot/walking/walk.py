@@ -324,19 +324,15 @@ def stance_of(scene: Scene) -> Candidate:
         When it does not stand on a member of a guardrail.
     """
     require_on_guardrail(scene)
-    stance = scene.stance
-    if scene.guardrail.stance is not None and stance is not None:
-        file = scene.guardrail.stance
+    stance, file = scene.stance, scene.guardrail.stance
+    if file is not None and stance is not None:
         return candidate_at(file.foot_1, file.foot_2, stance.root, np.array(stance.climber), Climber())
     places = enumerate(scene.elastic_guardrail.post_positions, start=1)
     number = next((number for number, x in places if abs(x) < _SAME_PLACE), None)
     if number is None:
         expected = "a stance, as the foot holds no post"
         raise SceneError(scene.source, "guardrail.stance", "nothing", expected)
-    place, climber = (
-        FootholdFile(member=f"post_{number}", along_m=-scene.elastic_guardrail.post.bottom),
-        Climber(),
-    )
+    place, climber = FootholdFile(member=f"post_{number}", along_m=-scene.guardrail.post.bottom_m), Climber()
     return candidate_at(place, None, np.eye(4), climber.working, climber)
 
 

@@ -315,7 +315,7 @@ def test_a_walk_that_was_asked_for(walked: Path, tmp_path: Path) -> None:
     walk = one_step()
     scene = write_scene(tmp_path / "here.yaml", walk.scene.as_data())
     there = walk.scene.as_data()
-    there["guardrail"]["stance"] = walk.goal.as_data
+    there["guardrail"]["stance"] = walk.goal.stance.model_dump(mode="json")
     to = write_scene(tmp_path / "there.yaml", there)
     data = json.loads(output("verify", walked, "--scene", scene, "--to", to, "--json"))
     assert (data["looser"], data["not_verified"]) == ([], [])
