@@ -122,7 +122,12 @@ def read_plan(
         return (*PLAN_FILES, *(name for name in shown_files if (folder / name).exists()))
 
     data, contents = _read(folder, listed)
-    file = validated(PlanFile, without_hashes(data), str(source), ArchiveError)
+    try:
+        file = validated(PlanFile, without_hashes(data), str(source), ArchiveError)
+    except ArchiveError as error:
+        # Its content is as it was written: most likely by a version with other keys.
+        expected = f"{error.expected}; of a plan of another version: cmbot plan SCENE makes it anew"
+        raise ArchiveError(error.source, error.key, error.got, expected, error.choices) from error
     with _as_archive_error(str(source)):
         scene = file.scene.with_source(str(source))
         robot = _robot(scene, file, source)
