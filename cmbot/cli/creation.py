@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cmbot.cli.command import Reporting, option
+from cmbot.cli.command import Writing, option
 from cmbot.cli.console import out
 from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError, ModelError, one_line
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _SHIPPED = "cmbot"
 _NO_SLUG = re.compile(r"[^A-Za-z0-9_\-]+")
 # Numbers of the command line are bounded as those of a scene file.
-_LARGEST, _LARGEST_ANGLE, _HEAVIEST = 1e4, 360.0, 1e5
+_LARGEST, _LARGEST_ANGLE, _LIGHTEST, _HEAVIEST = 1e4, 360.0, 1e-3, 1e5
 # Options that mend an error of a robot's files, by its key.
 _OPTIONS = {"base_frame": "--base", "tool_frame": "--tool", "total_mass_kg": "--total-mass"}
 
@@ -34,7 +34,7 @@ Numbers = tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
-class NewCommand(Reporting):
+class NewCommand(Writing):
     """Write a scene for a robot: a start posture that holds the tool, a first leg, joint limits to fill in.
 
     Example: cmbot new --from panda --tool-at 0.5 0 0.4 -o panda.yaml, then cmbot plan panda.yaml
@@ -49,9 +49,15 @@ class NewCommand(Reporting):
         None,
         "With --from: tool point at the start, m, in the frame of the URDF's root link.",
         metavar="X Y Z",
+        least=-_LARGEST,
+        most=_LARGEST,
     )
     rpy_deg: Numbers | None = option(
-        None, "Roll, pitch, yaw of the tool there; left out: any.", metavar="R P Y"
+        None,
+        "Roll, pitch, yaw of the tool there; left out: any.",
+        metavar="R P Y",
+        least=-_LARGEST_ANGLE,
+        most=_LARGEST_ANGLE,
     )
     base: str | None = option(None, "Base frame; left out: the only choice.", metavar="FRAME")
     tool: str | None = option(
@@ -64,10 +70,13 @@ class NewCommand(Reporting):
     package_dir: tuple[Path, ...] = option((), "Where package:// is sought first; repeatable.", metavar="DIR")
     xacro: tuple[str, ...] = option((), "An argument of the xacro file; repeatable.", metavar="NAME=VALUE")
     total_mass: float | None = option(
-        None, "Of a robot without masses: of all of it, which is spread over its shapes.", metavar="KG"
+        None,
+        "Of a robot without masses: of all of it, which is spread over its shapes.",
+        metavar="KG",
+        least=_LIGHTEST,
+        most=_HEAVIEST,
     )
     output: Path | None = option(None, "Scene file to write; NAME.yaml if left out.", "--output", "-o")
-    force: bool = option(False, "Replace what is there.")
 
     def __call__(self) -> None:
         source, tool_at = self.source, self.tool_at
@@ -75,8 +84,6 @@ class NewCommand(Reporting):
             missing = "--from" if source is None else "--tool-at"
             raise InputError(missing, "", "nothing", "--from URDF and --tool-at X Y Z")
         path = self.output or Path(f"{_slug(Path(source).name.partition('.')[0])}.yaml")
-        _require_numbers("--tool-at", tool_at, _LARGEST)
-        _require_numbers("--rpy-deg", self.rpy_deg or (), _LARGEST_ANGLE)
         _require_applicable(source, self.base, self.tool, self.package_dir)
         asked = self._asked(source)
         robot = _loaded(asked)
@@ -113,8 +120,6 @@ class NewCommand(Reporting):
             raise InputError("--flange", "", shown(self.flange), "a tool on it: --tool '{xyz: [0, 0, 0.2]}'")
         if source == _SHIPPED and (tool, self.xacro, self.total_mass) != (None, (), None):
             raise InputError("--tool, --xacro, --total-mass", "", "one of them", "none with --from cmbot")
-        if self.total_mass is not None and not 0 < self.total_mass <= _HEAVIEST:
-            raise InputError("--total-mass", "", self.total_mass, f"a mass in kg of at most {_HEAVIEST:g}")
         return NewRobot(
             source=source,
             base_frame=self.base,
@@ -271,9 +276,3 @@ def _schema(path: Path) -> str:
 
 def _slug(text: str) -> str:
     return _NO_SLUG.sub("_", text).strip("_-")[:100] or "scene"
-
-
-def _require_numbers(option: str, numbers: tuple[float, ...], most: float) -> None:
-    for number in numbers:
-        if not abs(number) <= most:
-            raise InputError(option, "", number, f"finite numbers of at most {most:g}")
