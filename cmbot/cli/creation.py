@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _SHIPPED = "cmbot"
 _NO_SLUG = re.compile(r"[^A-Za-z0-9_\-]+")
 # Numbers of the command line are bounded as those of a scene file.
-_LARGEST, _LARGEST_ANGLE, _LIGHTEST, _HEAVIEST = 1e4, 360.0, 1e-3, 1e5
+_LARGEST, _LARGEST_ANGLE, _LEAST_MASS_KG, _MOST_MASS_KG = 1e4, 360.0, 1e-3, 1e5
 # Options that mend an error of a robot's files, by its key.
 _OPTIONS = {"base_frame": "--base", "tool_frame": "--tool", "total_mass_kg": "--total-mass"}
 
@@ -73,8 +73,8 @@ class NewCommand(Writing):
         None,
         "Of a robot without masses: of all of it, which is spread over its shapes.",
         metavar="KG",
-        least=_LIGHTEST,
-        most=_HEAVIEST,
+        least=_LEAST_MASS_KG,
+        most=_MOST_MASS_KG,
     )
     output: Path | None = option(None, "Scene file to write; NAME.yaml if left out.", "--output", "-o")
 

@@ -40,7 +40,7 @@ ASSUMED_JERK = 10.0
 
 # Velocity limits that are assumed, rad/s and m/s; the share of the torque of the arm stretched out that its
 # drives are assumed to have, and the least as a share of the strongest one's.
-_ASSUMED_TURNING, _ASSUMED_SLIDING, _ASSUMED_EFFORT, _LEAST_EFFORT = 1.0, 0.1, 2.0, 0.01
+_ASSUMED_TURNING, _ASSUMED_SLIDING, _ASSUMED_EFFORT, _EFFORT_FLOOR = 1.0, 0.1, 2.0, 0.01
 # A range, rad, that ends between these is likely to be in degrees: after four turns, or with no end meant.
 _MANY_TURNS, _NO_END = 8 * np.pi, 1e3
 _TURN = 2 * np.pi
@@ -289,7 +289,7 @@ def _stretched_efforts(model: Any, lower: FloatArray, upper: FloatArray) -> Floa
     distances = along - along[:, None] + [np.linalg.norm(body.lever) for body in bodies]
     beyond = np.triu(np.ones_like(distances))
     torques = np.where(prismatic, beyond @ weights, (beyond * distances) @ weights)
-    return np.asarray(_ASSUMED_EFFORT * np.maximum(torques, _LEAST_EFFORT * torques.max(initial=1.0)))
+    return np.asarray(_ASSUMED_EFFORT * np.maximum(torques, _EFFORT_FLOOR * torques.max(initial=1.0)))
 
 
 def _said_by_moveit(

@@ -18,7 +18,7 @@ POINT = "_point"
 """Ending of the name of the tool point's frame, after that of the tool's link."""
 
 Triple = tuple[float, float, float]
-_MOST, _HEAVIEST = 1e4, 1e4  # m, kg
+_TOP_M, _TOP_KG = 1e4, 1e4  # m, kg
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,12 +88,11 @@ class AttachedTool:
 
     def __post_init__(self) -> None:
         numbers = np.array([*self.xyz, *self.rpy, *(self.com or ())], dtype=float)
-        if not (np.abs(numbers) <= _MOST).all():
-            raise ModelError(
-                "AttachedTool", "xyz, rpy, com", numbers.tolist(), f"finite numbers of at most {_MOST:g}"
-            )
-        if not 0 <= self.mass <= _HEAVIEST:
-            expected = f"a mass in kg that is not negative, at most {_HEAVIEST:g}"
+        if not (np.abs(numbers) <= _TOP_M).all():
+            expected = f"finite numbers of at most {_TOP_M:g}"
+            raise ModelError("AttachedTool", "xyz, rpy, com", numbers.tolist(), expected)
+        if not 0 <= self.mass <= _TOP_KG:
+            expected = f"a mass in kg that is not negative, at most {_TOP_KG:g}"
             raise ModelError("AttachedTool", "mass", self.mass, expected)
 
     def attached(self, root: ElementTree.Element, flange: str) -> tuple[ElementTree.Element, str]:
