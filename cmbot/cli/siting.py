@@ -58,7 +58,7 @@ class StandCommand(Writing):
         started = time.perf_counter()
         loaded = [cmbot.load_scene(scene) for scene in self.scenes]
         if self.objective is not None:
-            loaded = [each.with_options(objective=self.objective) for each in loaded]
+            loaded = [scene.with_options(objective=self.objective) for scene in loaded]
         name = "_".join(each.name for each in loaded)
         directory = self.output or Path("out") / f"{name}_stances"
         from cmbot.archive import STANCES_FILE, require_absent, write_results
