@@ -291,6 +291,8 @@ class Scene(FileModel):
         ------
         SceneError
         """
+        if isinstance(path := values.get("tool_path"), JobStrokes):
+            values["tool_path"] = path.as_data()
         same = {"robot", "start"}.isdisjoint(values)
         data, context = self._changed_data(values, self.source), {FOLDER: Path.cwd()}
         scene = validated(type(self), data, self.source, SceneError, context)
@@ -306,8 +308,7 @@ class Scene(FileModel):
 
     def with_strokes(self, strokes: Sequence[StrokeFile], order: Order | None = None) -> Self:
         """Return the scene with other strokes in place of its own; `order` left out: as given."""
-        path = JobStrokes(strokes=tuple(strokes), order=order)
-        return self.changed(tool_path=path.as_data())
+        return self.changed(tool_path=JobStrokes(strokes=tuple(strokes), order=order))
 
     def with_path(self, **changes: object) -> Self:
         """Return the scene with other values of some keys of every stroke."""
