@@ -195,12 +195,18 @@ def _errors(findings: Sequence[Finding]) -> int:
 class VerifyCommand(Reporting):
     """Certify what is in a folder anew, and compute it a second time by other means.
 
-    Exit status 2, and one line that says what is wrong, where a promise is broken or two computations differ.
+    Exit status 2, and one line that says what is wrong, where a promise is broken, two computations differ, a
+    file beside the plan has another motion, or the folder is not what was asked for.
 
-    Examples: cmbot verify out/triangle, cmbot verify out/triangle --engine mujoco
+    Examples: cmbot verify out/triangle --scene triangle, cmbot verify out/triangle --engine mujoco
     """
 
     directory: Path = argument("The folder of a plan, a walk or a tour.", "DIR")
+    scene: str | None = option(
+        None,
+        "What was asked for, a scene file or the name of a shipped scene. Left out: what the folder says.",
+    )
+    to: Path | None = option(None, "Where a walk was to end: a scene, or a file with foot_1 and foot_2.")
     engine: Literal["mujoco"] | None = option(
         None,
         "The second engine that has to be asked: mujoco, of the extra verify. Left out: if installed.",
@@ -209,27 +215,44 @@ class VerifyCommand(Reporting):
     def __call__(self) -> None:
         from cmbot.archive import verified_motions
         from cmbot.planning.verification.engine import ENGINE, is_installed, require_installed
+        from cmbot.walking import load_goal
 
         if self.engine is not None:
             require_installed()
-        motions, asked = verified_motions(self.directory), is_installed()
+        scene = None if self.scene is None else cmbot.load_scene(self.scene)
+        goal = None if self.to is None else load_goal(self.to)
+        verdict, asked = verified_motions(self.directory, scene, goal), is_installed()
 
         def data() -> dict[str, Any]:
             entries = [
                 {"part": each.part, "name": each.name, "checks": [_entry(check) for check in each.checks]}
-                for each in motions
+                for each in verdict.motions
             ]
-            engine = ENGINE if asked else None
-            return {"directory": str(self.directory), "engine": engine, "motions": entries}
+            return {
+                "directory": str(self.directory),
+                "scene": self.scene,
+                "engine": ENGINE if asked else None,
+                "looser": verdict.looser,
+                "motions": entries,
+                "not_verified": verdict.not_verified,
+            }
 
         def say() -> None:
-            rows = [(each.part, each.name, f"{each.seconds:.1f}", str(len(each.checks))) for each in motions]
+            rows = [
+                (each.part, each.name, f"{each.seconds:.1f}", str(len(each.checks)))
+                for each in verdict.motions
+            ]
             print_table("Verified", ("part", "motion", "seconds", "checks that hold"), rows, text_columns=2)
             out.print(one_line("Certified anew, and computed a second time at 300 states of each motion."))
+            if scene is None:
+                out.print("Judged by what the folder says that was asked: --scene SCENE names the scene.")
+            out.print(one_line(f"Not verified: {'; '.join(verdict.not_verified) or 'nothing'}."))
             second = f"The second engine, {ENGINE}, was asked."
             missing = f"The second engine was not asked: {MissingExtra(ENGINE, 'verify')}."
             out.print(one_line(second if asked else missing))
 
+        for text in () if self.json else verdict.looser:
+            out.print(one_line(f"Promised otherwise than the scene in the folder asks: {text}."))
         self.answer(data, say)
 
 
