@@ -163,12 +163,13 @@ def read_plan(
         raise ArchiveError(table, "", "other motions between the strokes", "the quickest straight ones")
     baseline = made(MotionFile, plan.baseline_figures, free=file.baseline.free, job=file.baseline.job)
     again = PlanFile.of_plan(plan, baseline, file.hashes).as_data()
-    # What it was made of, and by what, is not computed.
-    given = {name: data[name] for name in ("scene", "versions")}
+    # What it was made of, and by what, is not computed; the accuracy follows from motions not yet certified.
+    given = {name: data[name] for name in ("scene", "versions", "accuracy")}
     require_same(without_hashes(data), again | given, str(source), "")
     if not verify:
         return plan, ()
     plan = _verified(plan, file.baseline, clearances, source)
+    require_same(data["accuracy"], again["accuracy"], str(source), "accuracy", _SAME, _SAME_ZERO)
     return plan, unverified_files(plan, folder)
 
 
