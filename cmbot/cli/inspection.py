@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from itertools import takewhile
 from math import isfinite
@@ -15,6 +15,7 @@ import cmbot
 from cmbot.cli.command import Command, Reporting, argument, option
 from cmbot.cli.completion import complete_scene
 from cmbot.cli.console import ExitStatus, out, print_json, print_pairs, print_table
+from cmbot.cli.robot_options import xacro_arguments
 from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError, MissingExtra, SceneError, one_line
 from cmbot.common.input_files import is_file
@@ -66,20 +67,24 @@ class CheckCommand(Reporting):
     write_srdf: Path | None = option(
         None, "Write an SRDF: which links of a URDF need not be checked against each other.", metavar="FILE"
     )
+    xacro: tuple[str, ...] = option((), "An argument of the xacro file; repeatable.", metavar="NAME=VALUE")
 
     def __call__(self) -> int:
         file, is_urdf = self.file, _is_robot(self.file)
-        findings, found, conclusion = _check_urdf(file) if is_urdf else _check_scene(file)
+        if self.xacro and not is_urdf:
+            expected = "robot.xacro in the scene, or a URDF to check"
+            raise InputError("--xacro", "", "a scene to check", expected)
+        findings, found, conclusion = _check_urdf(file, self.xacro) if is_urdf else _check_scene(file)
         if self.write_srdf is not None:
             _require_new(self.write_srdf, is_urdf)
         usable = not _errors(findings)
         if usable and self.write_srdf is not None:
-            found["SRDF written"] = _write_srdf(file, self.write_srdf)
-        for finding in () if self.json else findings:
+            found["SRDF written"] = _write_srdf(file, self.write_srdf, self.xacro)
+        for finding, number in () if self.json else _counted(findings):
             if finding.severity == "error" or not self.quiet:
                 # As long as an error's message at most.
                 message = InputError(file, finding.key, finding.got, finding.expected)
-                out.print(f"{finding.severity}: {message}")
+                out.print(f"{finding.severity}: {message}{f' ({number} times)' if number > 1 else ''}")
 
         def data() -> dict[str, object]:
             kind, told = "urdf" if is_urdf else "scene", [asdict(finding) for finding in findings]
@@ -91,6 +96,17 @@ class CheckCommand(Reporting):
 
         self.answer(data, say)
         return ExitStatus.DONE if usable else ExitStatus.BAD_INPUT
+
+
+def _counted(findings: Sequence[Finding]) -> Iterator[tuple[Finding, int]]:
+    """Yield findings; warnings that differ in their links or joints alone as the first, with their number."""
+    alike: dict[tuple[str, ...], list[Finding]] = {}
+    for k, finding in enumerate(findings):
+        single = str(k) if finding.severity == "error" else ""
+        key = (finding.severity, re.sub(r"\[[^]]*\]", "", finding.key), finding.got, finding.expected, single)
+        alike.setdefault(key, []).append(finding)
+    for each in alike.values():
+        yield each[0], len(each)
 
 
 def _is_robot(file: str) -> bool:
@@ -112,30 +128,30 @@ def _require_new(path: Path, is_urdf: bool) -> None:
         raise InputError("--write-srdf", "", f"{path}, which is there", "the path of a new file")
 
 
-def _write_srdf(file: str, path: Path) -> str:
+def _write_srdf(file: str, path: Path, xacro: Sequence[str]) -> str:
     from xml.etree import ElementTree
 
     from cmbot.archive import write_file
     from cmbot.robot import robot_files, srdf_text
 
-    text = srdf_text(robot_files(file))
+    text = srdf_text(robot_files(file, xacro=xacro_arguments(xacro)))
     write_file(path, text.encode())
     reasons = [pair.get("reason", "") for pair in ElementTree.fromstring(text)]
     numbers = ", ".join(f"{reasons.count(reason)} {reason}" for reason in ("Adjacent", "Always", "Never"))
     return f"{path}: {len(reasons)} pairs of links ({numbers})"
 
 
-def _check_urdf(file: str) -> tuple[Sequence[Finding], dict[str, str], str]:
+def _check_urdf(file: str, xacro: Sequence[str]) -> tuple[Sequence[Finding], dict[str, str], str]:
     """Findings, what is in the file, and the conclusion."""
     from cmbot.common.validation import counted
     from cmbot.robot import inspect_loaded, inspect_robot, overview, robot_files
 
-    files = robot_files(file)
+    files = robot_files(file, xacro=xacro_arguments(xacro))
     root, findings = inspect_robot(files)
     found = {}
     if not _errors(findings):
         found = dict(overview(files, root))
-        findings += inspect_loaded(file)
+        findings = sorted([*findings, *inspect_loaded(files)], key=lambda finding: finding.severity)
     errors = _errors(findings)
     conclusion = f"Not usable: {counted(errors, 'error')}" if errors else "OK: no error"
     return findings, found, f"{conclusion}, {counted(len(findings) - errors, 'warning')}."
