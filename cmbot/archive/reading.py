@@ -119,6 +119,7 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
         job=job,
         sag=_sag(scene, robot, file.options) if file.options.compensate else None,
         fallbacks=file.fallbacks,
+        stopped=file.stopped,
         seconds=file.seconds,
     )
     if plan.several and not (_agree(plan.baseline.t, t) and _agree(plan.baseline.q, motion[0])):

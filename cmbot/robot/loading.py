@@ -354,7 +354,7 @@ def _read(urdf: Path, package_dirs: Sequence[Path]) -> tuple[bytes, ElementTree.
     try:
         return read_urdf(urdf, package_dirs=package_dirs)
     except ModelError as error:
-        if error.got == "no such file" and (meant := hint(urdf.name, ("cmbot",))):
+        if not urdf.exists() and (meant := hint(urdf.name, ("cmbot",))):
             raise ModelError(error.source, "", error.got, f"{error.expected}{meant}") from error
         raise
 
