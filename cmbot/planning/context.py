@@ -23,7 +23,7 @@ from cmbot.planning.stiffness import covariance_of, known_share, with_identified
 from cmbot.planning.task import ToolTask
 from cmbot.planning.units import require_metres
 from cmbot.robot import Kinematics, PostureBatch, Postures, Robot, load_robot
-from cmbot.scene import SPEED_TOLERANCE, STOW, PlannerOptions, Scene, Stroke, ToolPoses
+from cmbot.scene import SPEED_TOLERANCE, STOW, NamedState, PlannerOptions, Scene, Stroke, ToolPoses
 
 __all__ = [
     "SAMPLE_STEP",
@@ -82,7 +82,6 @@ class PlanningContext:
     arm: ElasticArm | None  # on its guardrail; None where both are rigid
     sag: Sag | None  # where it is to be compensated
     begin: float = 0.0  # s, on the job's clock: what is planned begins there
-    starts_at_path: bool = False  # the work starts in a posture of its own, not in that before it
     reached: float = 0.0  # value of the objective that the job before reaches
     spare_clearance: float = 0.0  # m, of what is optimised: more than the safety margin, which is certified
     deadline: Deadline = field(default_factory=Deadline)
@@ -124,7 +123,6 @@ class PlanningContext:
             number=number,
             posture=posture,
             first=posture,
-            starts_at_path=False,
             task=task_of(stroke, scene),
             times=stroke.via_times,
             begin=begin,
@@ -301,19 +299,23 @@ def build_context(
 def end_posture_of(scene: Scene, robot: Robot) -> FloatArray | None:
     """Return the posture (n,), rad and m, in which a scene's job ends; None: where its work ends.
 
-    An arm without a stow posture is put away where it started.
+    It ends in a named state; an arm without a stow posture is put away where it started.
 
     Raises
     ------
     SceneError
-        When its stow posture is out of the joint ranges.
+        When its SRDF has no such state, or that is out of the joint ranges.
     """
     if scene.return_to == "none":
         return None
-    stow = robot.group_states.get(STOW)
-    if scene.return_to == "start" or stow is None:
+    name = scene.return_to.state if isinstance(scene.return_to, NamedState) else STOW
+    state = robot.group_states.get(name)
+    if state is None and isinstance(scene.return_to, NamedState):
+        expected = "a group state of the arm's SRDF that sets all its joints"
+        raise SceneError(scene.source, "return.state", repr(name), expected, tuple(robot.group_states))
+    if scene.return_to == "start" or state is None:
         return np.array(scene.posture)
-    return np.array(robot.posture(stow, source=scene.source, key="return", error_type=SceneError))
+    return np.array(robot.posture(state, source=scene.source, key="return", error_type=SceneError))
 
 
 def rigid_arm_remark(scene: Scene, robot: Robot) -> str:
@@ -378,7 +380,7 @@ def robot_of(scene: Scene) -> Robot:
             locked=None if stance is None else stance.locked,
         )
     except ModelError as error:
-        if error.key not in ("base_frame", "tool_frame"):
+        if error.key not in ("base_frame", "tool_frame", "total_mass_kg") and "xacro." not in error.key:
             raise
         # The scene holds the key that has to be changed.
         key = f"robot.{error.key}"

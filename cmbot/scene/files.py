@@ -124,6 +124,10 @@ def _paths(data: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any], str]]:
     yield from ((f"robot.{name}", robot, name) for name in ("limits", "srdf", "elasticity") if name in robot)
     if Path(robot["model"]).is_absolute():
         yield "robot.model", robot, "model"
+    tool = robot.get("tool", {})
+    blocks = [("robot.tool", tool)]
+    blocks += [(f"robot.tool.shapes[{k}]", shape) for k, shape in enumerate(tool.get("shapes", ()))]
+    yield from ((f"{key}.mesh", block, "mesh") for key, block in blocks if "mesh" in block)
     for k, obstacle in enumerate(data["obstacles"]):
         if "mesh" in obstacle:
             yield f"obstacles[{k}].mesh", obstacle, "mesh"

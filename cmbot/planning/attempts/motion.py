@@ -119,7 +119,7 @@ def _motion(context: PlanningContext, guess: InitialGuess) -> Solved[StrokeMotio
     approach: Segment | None = None
     if moved <= SAME_POSTURE:
         posture, moved = context.posture, 0.0
-    elif guess.search is not None or context.starts_at_path:
+    else:
         approach = _approach(context, guess, optimised.trajectory)
     work = Segment(
         name=context.stroke.name,

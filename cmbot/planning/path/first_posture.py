@@ -41,7 +41,7 @@ def starting_at_path(context: PlanningContext) -> PlanningContext:
             reason = "; ".join(filter(None, (f"the path begins {miss.reason()}", miss.remedy())))
         raise context.path_not_found(reason, context.posture)
     away = context.robot.metric.lengths(found - context.posture)
-    return replace(context, first=found[int(away.argmin())], starts_at_path=True)
+    return replace(context, first=found[int(away.argmin())])
 
 
 def _admissible(context: PlanningContext, q: FloatArray) -> FloatArray:
