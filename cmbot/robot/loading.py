@@ -153,7 +153,7 @@ def load_robot(
     base_frame, flange = _checked_frames(files, described, semantics, base_frame, tool_frame)
     estimated = add_masses(described, files)
     tool_frame = flange if tool is None else add_tool(described, files, flange)
-    completed = ElementTree.tostring(described, encoding="unicode")
+    completed = ElementTree.tostring(described, encoding="unicode") if estimated or tool else ""
     made = arm_model(
         urdf,
         described,
@@ -207,7 +207,7 @@ def _hash(files: RobotFiles, content: bytes, completed: str) -> str:
     """SHA-256 of all that the robot was read from, and of what was added to the URDF."""
     beside = (file for file in (files.srdf, files.limits, files.elasticity) if file)
     contents = [content, *(read_input(file, ModelError) for file in beside)]
-    if files.total_mass is not None or files.tool is not None:
+    if completed:
         contents.append(completed.encode())
     return hashlib.sha256(b"\0".join(contents)).hexdigest()
 
@@ -442,7 +442,7 @@ def _read(files: RobotFiles) -> tuple[bytes, ElementTree.Element]:
     try:
         return files.read()
     except ModelError as error:
-        if error.got == "no such file" and (meant := hint(files.urdf.name, ("cmbot",))):
+        if not files.urdf.exists() and (meant := hint(files.urdf.name, ("cmbot",))):
             raise ModelError(error.source, "", error.got, f"{error.expected}{meant}") from error
         raise
 

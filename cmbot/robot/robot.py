@@ -40,7 +40,7 @@ class Robot:
     urdf : pathlib.Path
         The file it was read from.
     description : str
-        The content of that file, with what was added to it: expanded xacro, estimated masses, a tool.
+        The content of that file with what was added to it, masses or a tool; empty where nothing was.
     model : pinocchio.Model
         The arm, fixed base, universe = W. ``model.inertias[0]`` is that of everything that does not move.
     floating_model : pinocchio.Model

@@ -81,7 +81,9 @@ def export_ros_package(plan: Plan, folder: str | Path) -> Path:
     source, robot = plan.scene.robot, plan.robot
     given = source.files
     described = robot_files(**{key: given[key] for key in ("model", "srdf", "package_dirs", "xacro")})
-    name, urdf = target.name, ElementTree.fromstring(robot.description)
+    name, urdf = target.name, described.read()[1]
+    if robot.description:
+        urdf = ElementTree.fromstring(robot.description)
     locate_meshes(described.urdf, urdf, described.package_dirs)
     meshes = _moved_meshes(urdf, name)
     texts = {

@@ -108,7 +108,7 @@ class DescribedArm:
         X_WR: FloatArray | None = None,
     ) -> DescribedArm:
         """Return what files say of a robot; `locked` has the joints that do not stand as in the SRDF."""
-        urdf = fromstring(robot.description)
+        urdf = fromstring(robot.description) if robot.description else files.read()[1]
         return cls(
             files=files,
             urdf=urdf,
