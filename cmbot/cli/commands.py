@@ -24,6 +24,7 @@ import cmbot
 from cmbot.cli.campaign import campaign
 from cmbot.cli.console import ExitStatus, LostOutputError, discard, err, flat, out
 from cmbot.cli.creation import new
+from cmbot.cli.excitation import excite
 from cmbot.cli.identify import identify
 from cmbot.cli.inspection import check, doctor, scenes, schema
 from cmbot.cli.planning import plan
@@ -235,6 +236,7 @@ _COMMANDS: tuple[Callable[..., int | None], ...] = (
         compare,
         export,
         simulate,
+        excite,
         verify,
         identify,
         reproduce,

@@ -6,6 +6,7 @@ from cmbot.scene.base.hold import HoldFile, held_member
 from cmbot.scene.base.identified import IdentifiedBase, IdentifiedSpring, IdentifiedStiffness
 from cmbot.scene.base.stance import FootholdFile, StanceFile, axis_point, foothold_face, foothold_pose
 from cmbot.scene.changes import changed_content, is_within, whole_key
+from cmbot.scene.excitation import DamperFile, ExcitationFile, TrainsFile
 from cmbot.scene.mesh_file import load_mesh
 from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, pose
 from cmbot.scene.options import MOST_SAMPLES, PlannerOptions
@@ -30,7 +31,7 @@ from cmbot.scene.scene_file import (
 )
 from cmbot.scene.stow import STOW
 from cmbot.scene.template import limits_text, scene_text
-from cmbot.scene.tool import SPEED_TOLERANCE, Tool
+from cmbot.scene.tool import SPEED_TOLERANCE, Tolerance, Tool
 
 __all__ = [
     "MOST_SAMPLES",
@@ -45,6 +46,8 @@ __all__ = [
     "Coverage",
     "Cylinder",
     "CylinderPatch",
+    "DamperFile",
+    "ExcitationFile",
     "FaceSelection",
     "FootholdFile",
     "Goal",
@@ -72,9 +75,11 @@ __all__ = [
     "StanceFile",
     "Stroke",
     "StrokeFile",
+    "Tolerance",
     "Tool",
     "ToolPath",
     "ToolPoses",
+    "TrainsFile",
     "axis_point",
     "cells_of",
     "changed_content",

@@ -11,6 +11,7 @@ from pydantic import ConfigDict, Field, GetPydanticSchema, model_validator
 from cmbot.common.representation import short_repr
 from cmbot.common.validation import CheckedFields, FileModel, refusal, shown
 from cmbot.scene.base.stance import Stance
+from cmbot.scene.excitation import ModesFile
 from cmbot.scene.fields import (
     Angles,
     Length,
@@ -46,6 +47,8 @@ class BaseFile(FileModel):
 
     name: Slug
     """What messages and pages call it; left out with its block: guardrail for ``cmbot``, base for others."""
+    modes: ModesFile | None = None
+    """How it bends, by its natural modes; left out: as the guardrail says."""
 
 
 class PostureFile(FileModel):

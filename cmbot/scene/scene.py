@@ -24,6 +24,7 @@ from cmbot.elastic import Guardrail
 from cmbot.hold import Foot
 from cmbot.scene.base.guardrail import GuardrailFile, feet_of
 from cmbot.scene.base.identified import IdentifiedStiffness
+from cmbot.scene.excitation import DamperFile, ExcitationFile
 from cmbot.scene.fields import (
     Posture,
     Slug,
@@ -95,6 +96,10 @@ class SceneFile(FileModel):
     identified: IdentifiedStiffness | None = None
     """The stiffness that ``cmbot identify`` found, or the path of its file; left out: as modelled. Stiffness
     and mass of its base take the place of the guardrail's."""
+    excitation: ExcitationFile | None = None
+    """What shakes the arm; ``cmbot excite`` says by how much."""
+    damper: DamperFile | Literal["auto"] | None = None
+    """A tuned damper against it; ``auto``: the best of 1 kg at the tool."""
     planner: PlannerOptions = PlannerOptions()
 
     @model_validator(mode="after")
@@ -107,6 +112,8 @@ class SceneFile(FileModel):
             raise refusal(expected, got="stance", key=("guardrail", "stance"))
         if self.identified is not None:
             self._check_identified(self.identified)
+        if self.base is not None and self.base.modes is not None:
+            self._check_modes()
         measured = self.identified is not None and self.identified.base is not None
         if self.guardrail.mass is not None and self.guardrail.stiffness is None and not measured:
             expected = "no mass where no stiffness is given"
@@ -125,6 +132,12 @@ class SceneFile(FileModel):
             raise refusal(expected, got="stiffness", key=("guardrail", "stiffness"))
         if identified.joints and self.robot.joints == "rigid":
             raise refusal("elastic, as joints were identified", got="rigid", key=("robot", "joints"))
+
+    def _check_modes(self) -> None:
+        measured = self.identified is not None and self.identified.base is not None
+        if self.guardrail.stiffness is not None or self.guardrail.mass is not None or measured:
+            expected = "no such key beside a stiffness: one of them says how the base bends"
+            raise refusal(expected, got="modes", key=("base", "modes"))
 
     def as_data(self) -> dict[str, Any]:
         """Return the file's content, every default filled in, as `cmbot.load_scene` takes it back."""
@@ -430,6 +443,16 @@ class Scene:
         """Poses (4, 4) in W of the frames that its file names."""
         each = self.file.frames or {}
         return {name: pose(frame.xyz, np.radians(frame.rpy_deg)) for name, frame in each.items()}
+
+    @property
+    def excitation(self) -> ExcitationFile | None:
+        """What shakes the arm."""
+        return self.file.excitation
+
+    @property
+    def damper(self) -> DamperFile | None:
+        """The tuned damper against it."""
+        return DamperFile() if self.file.damper == "auto" else self.file.damper
 
     @property
     def base_name(self) -> str:

@@ -23,6 +23,7 @@ from cmbot.common.yaml_reader import lines_named, read_yaml
 from cmbot.elastic import Guardrail
 from cmbot.scene.base.guardrail import guardrail_from_file, guardrail_obstacles
 from cmbot.scene.base.stance import resolved_stance
+from cmbot.scene.excitation import excitation_files, with_excitation_files
 from cmbot.scene.fields import si_fields
 from cmbot.scene.mesh_file import is_mesh_file
 from cmbot.scene.obstacles import Mesh, Obstacle, obstacle_data, obstacle_from_file
@@ -129,6 +130,8 @@ def _with_files(data: Mapping[str, Any], folder: Path, source: str) -> dict[str,
     data = dict(data)
     if isinstance(data.get("identified"), str):
         data["identified"] = read_yaml(_found(folder, source, data["identified"], "identified"), SceneError)
+    if isinstance(data.get("excitation"), dict):
+        data["excitation"] = with_excitation_files(data["excitation"], partial(_found, folder, source))
     tool_path = with_files(data.get("tool_path"), "tool_path")
     if isinstance(tool_path, dict) and isinstance(tool_path.get("strokes"), list):
         each = enumerate(tool_path["strokes"])
@@ -304,6 +307,9 @@ def _robot(scene: SceneFile, find: _Find) -> RobotSource:
 def _guardrail(file: SceneFile, source: str) -> Guardrail:
     """The guardrail of a scene, with the stiffness that was identified."""
     guardrail, base = guardrail_from_file(file.guardrail), file.identified and file.identified.base
+    if file.base is not None and file.base.modes is not None:
+        stiffness, mass, damping = file.base.modes.matrices()
+        return replace(guardrail, stiffness=stiffness, mass=mass, damping=damping)
     if not base:
         return guardrail
     if not np.allclose(base.footholds, guardrail.footholds, rtol=0, atol=_SAME_PLACE):
@@ -321,7 +327,8 @@ def _content_hash(file: SceneFile, obstacles: Sequence[Obstacle], source: str) -
     # The one JSON text that equal scenes share.
     text = json.dumps(file.as_data(), sort_keys=True, separators=(",", ":"), allow_nan=False)
     total = hashlib.sha256(text.encode())
-    meshes = {
+    named = excitation_files(file.excitation)
+    meshes = named | {
         f"obstacles[{k}].mesh": one.shape.path
         for k, one in enumerate(obstacles)
         if isinstance(one.shape, Mesh)

@@ -9,13 +9,38 @@ from pydantic import Field
 
 from cmbot.common.validation import CheckedFields
 
-__all__ = ["SPEED_TOLERANCE", "Tool"]
+__all__ = ["SPEED_TOLERANCE", "Tolerance", "Tool"]
 
 SPEED_TOLERANCE = 0.05
 """By what share the arm's tool may exceed the largest speed of the tool path between via-points."""
 
 # The bound, 10 kN, catches millinewtons given for newtons.
 Force = Annotated[float, Field(ge=-1e4, le=1e4)]
+Millimetres = Annotated[float, Field(gt=0, le=1e4)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tolerance(CheckedFields):
+    """How far the tool may be off its path, in all: also while the arm is shaken.
+
+    Attributes
+    ----------
+    across_mm : float
+        Across the tool's axis, mm.
+    along_axis_mm : float or None
+        Along it, mm; left out: any.
+    probability : float
+        With which it is to be kept over the work.
+
+    Raises
+    ------
+    InputError
+        When a field is out of its bounds.
+    """
+
+    across_mm: Millimetres
+    along_axis_mm: Millimetres | None = None
+    probability: Annotated[float, Field(gt=0, lt=1)] = 0.95
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +55,8 @@ class Tool(CheckedFields):
     max_speed_m_s : float or None
         Largest speed of the tool point, m/s. The tool path keeps it exactly; the arm's tool may exceed it by
         5 % between via-points. Left out: any speed.
+    tolerance : Tolerance or None
+        How far the tool may be off its path; left out: nothing is said of it.
 
     Raises
     ------
@@ -39,3 +66,4 @@ class Tool(CheckedFields):
 
     process_force_n: tuple[Force, Force, Force] = (0.0, 0.0, 0.0)
     max_speed_m_s: Annotated[float, Field(ge=1e-4, le=100)] | None = None
+    tolerance: Tolerance | None = None
