@@ -1,5 +1,6 @@
 """What shakes an arm: the deck under it, trains over it, wind; how its tool sways, and what helps against
-it."""
+it.
+"""
 
 from cmbot.excitation.excite import Excitation, Shaken, excite
 from cmbot.excitation.summary import PASSAGE_HEADINGS, excitation_rows, excitation_sentences, passage_rows

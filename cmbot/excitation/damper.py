@@ -38,7 +38,8 @@ class DamperGain:
 
 def den_hartog(response: ModalResponse, mass: float) -> TunedDamper:
     """Return Den Hartog's damper of a mass, kg, for the mode that moves the tool most under a flat
-    spectrum."""
+    spectrum.
+    """
     per_mode = (response.tool**2).sum(axis=0) * (response.gain[:, :3] ** 2).sum(axis=1)
     k = int(np.argmax(per_mode / response.frequencies**3 / response.damping))
     ratio = mass * float((response.place[:, k] ** 2).sum())
@@ -74,7 +75,6 @@ def best_damper(
     damping : float, optional
         Where they are given they are taken as they are.
     """
-
     prepared = []
     for response in responses:
         f, weight = response.quadrature(band)

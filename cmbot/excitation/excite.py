@@ -33,7 +33,7 @@ from cmbot.excitation.response import (
     modal_response,
 )
 from cmbot.excitation.sway import DAMPING, Sway, require_bending, shaken_adhesion, sway_of
-from cmbot.excitation.trains import Span, Train, passing_pressure
+from cmbot.excitation.trains import Span, passing_pressure
 from cmbot.excitation.wind import AIR_KG_M3, DRAG, gust_spectrum, link_loads
 from cmbot.planning import Plan, require_plan
 from cmbot.scene import DamperFile, ExcitationFile, TrainsFile
@@ -154,7 +154,8 @@ def excite(plan: Plan) -> Excitation:
 
 class _Excited:
     """A plan's arm with its inputs: the deck's acceleration, then a pressure along y, and one along the
-    wind."""
+    wind.
+    """
 
     def __init__(self, plan: Plan, given: ExcitationFile | None) -> None:
         self.plan, self.given = plan, given

@@ -1,5 +1,6 @@
 """Trains that pass while the arm works: how far the tool moves at each speed, when to pause and for how
-long."""
+long.
+"""
 
 from __future__ import annotations
 
@@ -189,7 +190,8 @@ class Timetable:
 
 def timetable(per_hour: float, passages: Sequence[Passage], strokes: FloatArray) -> Timetable:
     """Return what trains leave of an hour; `strokes` (S, 2) are their begins and ends on the work's clock,
-    s."""
+    s.
+    """
     pause = max(each.pause_s for each in passages)
     durations = strokes[:, 1] - strokes[:, 0]
     # A train comes at any time alike: within a stroke in proportion to its length, half of which is then

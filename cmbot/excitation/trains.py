@@ -81,7 +81,8 @@ def train_of(name: str) -> Train:
 @dataclass(frozen=True, kw_only=True)
 class Span:
     """A simply supported beam: length, m; first frequency, Hz; mass, kg/m; damping ratio; the arm's place,
-    m."""
+    m.
+    """
 
     length: float
     first: float
