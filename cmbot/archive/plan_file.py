@@ -24,6 +24,7 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, core_schema
 
+from cmbot.accuracy import Accuracy
 from cmbot.common.errors import PathNotFound
 from cmbot.common.file_types import NonNegative, OrInfinite, Share
 from cmbot.common.validation import FileModel, refusal
@@ -246,6 +247,8 @@ class PlanFile(StrokeEntries):
     """How far the true value may lie below the bound, Nm; null without one."""
     gap_to_floor: float | None
     """Planned peak less its lower bound, as a share of the bound."""
+    accuracy: Accuracy | None
+    """Where the tool is beside its path; null where nothing bends."""
     fallbacks: tuple[str, ...]
     seconds: Seconds
     certificate: CertificateFile

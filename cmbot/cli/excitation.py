@@ -25,8 +25,7 @@ def excite(
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Shake a plan's arm by trains, records or wind, as its scene says; add how far the tool sways, and a
-    page.
+    """Shake a plan's arm by trains, records or wind, as its scene says; add how its tool sways, and a page.
 
     Example: [bold]cmbot excite out/triangle[/bold]
     """

@@ -1,16 +1,14 @@
-"""What shakes an arm: the deck under it, trains over it, wind; how its tool sways, and what helps against
-it.
-"""
+"""What shakes an arm: the deck under it, trains over it, wind; how its tool sways, and what helps."""
 
 from cmbot.excitation.excite import Excitation, Shaken, excite
 from cmbot.excitation.summary import PASSAGE_HEADINGS, excitation_rows, excitation_sentences, passage_rows
-from cmbot.excitation.sway import Sway, sway_mm_per_m_s2
+from cmbot.excitation.sway import RandomSway, sway_mm_per_m_s2
 
 __all__ = [
     "PASSAGE_HEADINGS",
     "Excitation",
+    "RandomSway",
     "Shaken",
-    "Sway",
     "excitation_rows",
     "excitation_sentences",
     "excite",

@@ -1,7 +1,6 @@
-"""The best tuned damper for a work: frequency and damping of a mass on springs that are alike in all
-directions.
+"""The best tuned damper for a work: frequency and damping of a mass on springs.
 
-It minimises the largest RMS of the tool over the work's postures and the stiffness interval. The search
+The springs are alike in all directions. It minimises the largest RMS of the tool over the work's postures and the stiffness interval. The search
 begins at Den Hartog's tuning (*Mechanical vibrations*, 1956) for the mode that moves most, whose effective
 mass at the damper's place is ``1 / |P phi|^2``.
 """
@@ -37,9 +36,7 @@ class DamperGain:
 
 
 def den_hartog(response: ModalResponse, mass: float) -> TunedDamper:
-    """Return Den Hartog's damper of a mass, kg, for the mode that moves the tool most under a flat
-    spectrum.
-    """
+    """Return Den Hartog's damper of a mass, kg, for the mode that moves the tool most."""
     per_mode = (response.tool**2).sum(axis=0) * (response.gain[:, :3] ** 2).sum(axis=1)
     k = int(np.argmax(per_mode / response.frequencies**3 / response.damping))
     ratio = mass * float((response.place[:, k] ** 2).sum())

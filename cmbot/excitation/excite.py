@@ -32,7 +32,7 @@ from cmbot.excitation.response import (
     linear_spectrum,
     modal_response,
 )
-from cmbot.excitation.sway import DAMPING, Sway, require_bending, shaken_adhesion, sway_of
+from cmbot.excitation.sway import DAMPING, RandomSway, require_bending, shaken_adhesion, sway_of
 from cmbot.excitation.trains import Span, passing_pressure
 from cmbot.excitation.wind import AIR_KG_M3, DRAG, gust_spectrum, link_loads
 from cmbot.planning import Plan, require_plan
@@ -71,9 +71,9 @@ class Excitation:
         scene has no excitation: 1 m/s2 RMS along each axis, flat from 0.5 to 30 Hz.
     damping : float
         Ratio of every mode.
-    reference : Sway
+    reference : RandomSway
         Under that flat spectrum, without wind and damper.
-    sway : Sway or None
+    sway : RandomSway or None
         Under the scene's spectrum and gusts; None where nothing is random.
     simulated : Shaken or None
         Under the record from the begin of the work, or the train at the worst of its speeds.
@@ -97,8 +97,8 @@ class Excitation:
 
     kind: str
     damping: float
-    reference: Sway
-    sway: Sway | None
+    reference: RandomSway
+    sway: RandomSway | None
     simulated: Shaken | None
     passages: tuple[Passage, ...]
     timetable: Timetable | None
@@ -153,9 +153,7 @@ def excite(plan: Plan) -> Excitation:
 
 
 class _Excited:
-    """A plan's arm with its inputs: the deck's acceleration, then a pressure along y, and one along the
-    wind.
-    """
+    """A plan's arm; its inputs are the deck's acceleration, a pressure along y, and one along the wind."""
 
     def __init__(self, plan: Plan, given: ExcitationFile | None) -> None:
         self.plan, self.given = plan, given

@@ -23,9 +23,7 @@ _LARGEST = 50_000_000
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Record:
-    """Accelerations of the deck (N, 3), m/s2, in W, at times `t` (N,), s, ascending from 0; linear
-    between.
-    """
+    """Accelerations of the deck (N, 3), m/s2, in W, at times `t` (N,), s, from 0; linear between."""
 
     t: FloatArray
     a: FloatArray

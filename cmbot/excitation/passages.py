@@ -1,6 +1,4 @@
-"""Trains that pass while the arm works: how far the tool moves at each speed, when to pause and for how
-long.
-"""
+"""Trains that pass while the arm works: how far the tool moves at each speed, when to pause, how long."""
 
 from __future__ import annotations
 
@@ -35,8 +33,7 @@ class PassageLoad:
     pressure: float = 0.0
 
     def inputs(self, t: FloatArray, count: int) -> FloatArray:
-        """Return the first `count` inputs (N, count) at times (N,): the deck's acceleration, then pressure,
-        Pa.
+        """Return the first inputs (N, count) at times (N,): the deck's acceleration, then pressure, Pa.
 
         The first axle comes onto the span at time 0, and the head passes the arm as it is abreast.
         """
@@ -137,7 +134,9 @@ def _off(y: FloatArray, axis: FloatArray, tolerance: Tolerance | None, size: Flo
     if tolerance is None:
         return np.asarray(size > STILL_M)
     along = y @ axis
-    off = np.sqrt(np.maximum(size**2 - along**2, 0.0)) > tolerance.across_mm / 1e3
+    off = np.zeros(len(y), dtype=bool)
+    if tolerance.across_mm is not None:
+        off |= np.sqrt(np.maximum(size**2 - along**2, 0.0)) > tolerance.across_mm / 1e3
     if tolerance.along_axis_mm is not None:
         off |= np.abs(along) > tolerance.along_axis_mm / 1e3
     return np.asarray(off)
@@ -189,9 +188,7 @@ class Timetable:
 
 
 def timetable(per_hour: float, passages: Sequence[Passage], strokes: FloatArray) -> Timetable:
-    """Return what trains leave of an hour; `strokes` (S, 2) are their begins and ends on the work's clock,
-    s.
-    """
+    """Return what trains leave of an hour; `strokes` (S, 2) are begins and ends on the work's clock, s."""
     pause = max(each.pause_s for each in passages)
     durations = strokes[:, 1] - strokes[:, 0]
     # A train comes at any time alike: within a stroke in proportion to its length, half of which is then

@@ -67,9 +67,7 @@ def flat_band(rms: float = 1.0, band: tuple[float, float] = BAND_HZ) -> Spectrum
 
 
 def linear_spectrum(rows: FloatArray) -> Spectrum:
-    """Return the spectrum with given densities `rows` (K, 1 + m): frequency, Hz, and densities; linear
-    between.
-    """
+    """Return the spectrum through `rows` (K, 1 + m) of a frequency, Hz, and densities; linear between."""
     f, levels = rows[:, 0], rows[:, 1:]
     return lambda at: np.stack([np.interp(at, f, level, left=0.0, right=0.0) for level in levels.T], axis=1)
 
@@ -243,9 +241,7 @@ class ModalResponse:
         )
 
     def tool_variance(self, spectrum: Spectrum, band: tuple[float, float]) -> float:
-        """Return the variance of the tool's displacement in space, m2: the trace of that part of
-        `moments`.
-        """
+        """Return the variance of the tool's displacement in space, m2, as `moments` has it."""
         f, weight = self.quadrature(band)
         Y = self.undamped(f, AXES).damped(self.damper)
         return float(((np.abs(Y) ** 2).sum(axis=1) * spectrum(f) * weight[:, None]).sum())
@@ -340,9 +336,7 @@ def modal_response(
 
 
 def ground_loads(arm: ElasticArm, configuration: FloatArray) -> FloatArray:
-    """Return B (f, 3): forces on the elastic coordinates that hold an arm still on a deck of unit
-    acceleration.
-    """
+    """Return B (f, 3): forces on the elastic coordinates that hold an arm still on an accelerated deck."""
     model, data = arm.model.copy(), arm.model.createData()
     B = np.empty((len(arm.elastic), AXES))
     for axis in range(AXES):

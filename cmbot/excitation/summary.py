@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from cmbot.excitation.damper import DamperGain
 from cmbot.excitation.excite import Excitation
 from cmbot.excitation.response import BAND_HZ
-from cmbot.excitation.sway import Sway
+from cmbot.excitation.sway import RandomSway
 
 __all__ = ["PASSAGE_HEADINGS", "excitation_rows", "excitation_sentences", "passage_rows"]
 
@@ -39,7 +39,7 @@ def excitation_rows(excitation: Excitation) -> Iterator[tuple[str, str]]:
         yield "work in an hour, s", f"{excitation.timetable.work_s:.0f}"
 
 
-def _sway(sway: Sway) -> Iterator[tuple[str, str]]:
+def _sway(sway: RandomSway) -> Iterator[tuple[str, str]]:
     yield "tool, RMS, mm", f"{sway.rms_mm:.2f}"
     value = f"{1e3 * sway.across.max():.2f}, {1e3 * sway.along.max():.2f}"
     yield "largest across its axis, along it, RMS, mm", value

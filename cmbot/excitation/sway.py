@@ -33,7 +33,7 @@ from cmbot.planning import Plan
 from cmbot.robot import Robot
 from cmbot.scene import Tolerance
 
-__all__ = ["DAMPING", "Sway", "sampled_tool", "shaken_adhesion", "sway_mm_per_m_s2", "sway_of"]
+__all__ = ["DAMPING", "RandomSway", "sampled_tool", "shaken_adhesion", "sway_mm_per_m_s2", "sway_of"]
 
 DAMPING = 0.01
 """Ratio of every mode where nothing else is said: measured arms of aluminium tubes have 0.5 to 2 %."""
@@ -47,7 +47,7 @@ _FEWEST_RECORDS, _SEED = 100, 2021
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Sway:
+class RandomSway:
     """The tool's motion about where it would be, stationary in each of K postures of the work.
 
     Attributes
@@ -152,7 +152,7 @@ def sway_of(
     spectrum: Spectrum,
     band: tuple[float, float],
     tolerance: Tolerance | None,
-) -> Sway:
+) -> RandomSway:
     """Return the sway over a work in K postures.
 
     Parameters
@@ -179,7 +179,7 @@ def sway_of(
     leaves, by = None, None
     if tolerance is not None:
         leaves, by = _leaving(t, responses, turned, spectrum, band, tolerance)
-    return Sway(
+    return RandomSway(
         t=t,
         covariance=covariance,
         across=np.sqrt(squares[:, 0] + squares[:, 1]),
@@ -201,7 +201,9 @@ def _leaving(
     tolerance: Tolerance,
 ) -> tuple[float, str]:
     """Probability that the tool leaves its tolerance in the work, and how it was found."""
-    bounds = [(tolerance.across_mm / 1e3, np.eye(2, 3))]
+    bounds = []
+    if tolerance.across_mm is not None:
+        bounds.append((tolerance.across_mm / 1e3, np.eye(2, 3)))
     if tolerance.along_axis_mm is not None:
         bounds.append((tolerance.along_axis_mm / 1e3, np.eye(3)[2:]))
     stays = 1.0
@@ -213,7 +215,9 @@ def _leaving(
     axes = np.einsum("kn,ki->ni", _shares(t, len(tool)), [response.axis for response in responses])
     along = np.einsum("nri,ni->nr", tool, axes)
     across = np.sqrt(np.maximum(np.einsum("nri,nri->nr", tool, tool) - along**2, 0.0))
-    outside = (across > tolerance.across_mm / 1e3).any(axis=0)
+    outside = np.zeros(tool.shape[1], dtype=bool)
+    if tolerance.across_mm is not None:
+        outside |= (across > tolerance.across_mm / 1e3).any(axis=0)
     if tolerance.along_axis_mm is not None:
         outside |= (np.abs(along) > tolerance.along_axis_mm / 1e3).any(axis=0)
     if outside.sum() < _FEWEST_OUTSIDE:
@@ -228,10 +232,9 @@ def sampled_tool(
     band: tuple[float, float],
     records: int = _RECORDS,
 ) -> FloatArray:
-    """Return displacements of the tool (N, R, 3), m, in W, at N equal steps of the work, under simulated
-    records.
+    """Return displacements of the tool (N, R, 3), m, in W, at N equal steps of the work.
 
-    The records are Gaussian, with random phases and amplitudes, the same in every run. Between postures the
+    They are those under simulated records. The records are Gaussian, with random phases and amplitudes, the same in every run. Between postures the
     responses to the same record are mixed.
 
     Parameters

@@ -80,9 +80,7 @@ def train_of(name: str) -> Train:
 
 @dataclass(frozen=True, kw_only=True)
 class Span:
-    """A simply supported beam: length, m; first frequency, Hz; mass, kg/m; damping ratio; the arm's place,
-    m.
-    """
+    """A simply supported beam: length, m; first frequency, Hz; mass, kg/m; damping; the arm's place, m."""
 
     length: float
     first: float

@@ -31,7 +31,8 @@ from cmbot.scene.scene_file import (
 )
 from cmbot.scene.stow import STOW
 from cmbot.scene.template import limits_text, scene_text
-from cmbot.scene.tool import SPEED_TOLERANCE, Tolerance, Tool
+from cmbot.scene.tool import SPEED_TOLERANCE, Tool
+from cmbot.scene.uncertainty import JointUncertainty, Placement, Tolerance, Uncertainty
 
 __all__ = [
     "MOST_SAMPLES",
@@ -56,12 +57,14 @@ __all__ = [
     "IdentifiedBase",
     "IdentifiedSpring",
     "IdentifiedStiffness",
+    "JointUncertainty",
     "Keep",
     "Leg",
     "LegLaw",
     "Mesh",
     "Obstacle",
     "PiecewiseLaw",
+    "Placement",
     "PlannerOptions",
     "Raster",
     "RobotSource",
@@ -80,6 +83,7 @@ __all__ = [
     "ToolPath",
     "ToolPoses",
     "TrainsFile",
+    "Uncertainty",
     "axis_point",
     "cells_of",
     "changed_content",

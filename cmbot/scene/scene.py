@@ -41,6 +41,7 @@ from cmbot.scene.raster.pieces import RowPiece
 from cmbot.scene.raster.raster import Raster
 from cmbot.scene.robot_entry import BaseFile, Joints, MountFile, PostureFile, RobotFile, RobotSource
 from cmbot.scene.tool import Tool
+from cmbot.scene.uncertainty import Uncertainty
 
 __all__ = [
     "FORMAT",
@@ -88,6 +89,9 @@ class SceneFile(FileModel):
     put away where it started."""
     tool: Tool | None = None
     """The process force and the largest speed while the tool is on."""
+    uncertainty: Uncertainty | Literal["none"] | None = None
+    """What is not known of arm, base and work, for the accuracy budget; ``none``: all is as modelled; left
+    out: the defaults, which are assumptions."""
     frames: Annotated[dict[Slug, MountFile] | None, Field(max_length=100)] = None
     """Frames of workpieces by their names, in W."""
     tool_path: ToolPathFile
@@ -453,6 +457,12 @@ class Scene:
     def damper(self) -> DamperFile | None:
         """The tuned damper against it."""
         return DamperFile() if self.file.damper == "auto" else self.file.damper
+
+    @property
+    def uncertainty(self) -> Uncertainty:
+        """What is not known of arm, base and work."""
+        given = self.file.uncertainty
+        return Uncertainty.none() if given == "none" else given or Uncertainty()
 
     @property
     def base_name(self) -> str:

@@ -8,39 +8,15 @@ from typing import Annotated
 from pydantic import Field
 
 from cmbot.common.validation import CheckedFields
+from cmbot.scene.uncertainty import Tolerance
 
-__all__ = ["SPEED_TOLERANCE", "Tolerance", "Tool"]
+__all__ = ["SPEED_TOLERANCE", "Tool"]
 
 SPEED_TOLERANCE = 0.05
 """By what share the arm's tool may exceed the largest speed of the tool path between via-points."""
 
 # The bound, 10 kN, catches millinewtons given for newtons.
 Force = Annotated[float, Field(ge=-1e4, le=1e4)]
-Millimetres = Annotated[float, Field(gt=0, le=1e4)]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Tolerance(CheckedFields):
-    """How far the tool may be off its path, in all: also while the arm is shaken.
-
-    Attributes
-    ----------
-    across_mm : float
-        Across the tool's axis, mm.
-    along_axis_mm : float or None
-        Along it, mm; left out: any.
-    probability : float
-        With which it is to be kept over the work.
-
-    Raises
-    ------
-    InputError
-        When a field is out of its bounds.
-    """
-
-    across_mm: Millimetres
-    along_axis_mm: Millimetres | None = None
-    probability: Annotated[float, Field(gt=0, lt=1)] = 0.95
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +32,8 @@ class Tool(CheckedFields):
         Largest speed of the tool point, m/s. The tool path keeps it exactly; the arm's tool may exceed it by
         5 % between via-points. Left out: any speed.
     tolerance : Tolerance or None
-        How far the tool may be off its path; left out: nothing is said of it.
+        How far the tool may be from its path, which the accuracy budget is compared with; the planner's own
+        bounds on the motion are its options.
 
     Raises
     ------

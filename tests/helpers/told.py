@@ -105,6 +105,12 @@ def of_plan(plan: Plan) -> Known:
         yield from ((100 * (objective.planned_peak / value - 1), "%") for value in each if value)
         # Of an estimate, with how much confidence.
         yield from ((value, "%") for value in (95.0, 100 * (bound.missed or 0.0)))
+    if (accuracy := plan.accuracy) is not None:
+        yield 100 * accuracy.probability, "%"
+        yield from ((part.size_mm, "mm") for part in accuracy.parts)
+        yield from (
+            (value, "mm") for value in (accuracy.within_mm, *(r.within_mm for r in accuracy.remedies))
+        )
     # At all times, rounded away from what was found.
     yield np.floor(1e4 * min(each.certificate.clearance_bound for each in plan.job.segments)) / 10, "mm"
     yield (

@@ -9,8 +9,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from cmbot.accuracy import Accuracy, Work, accuracy_of
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError
 from cmbot.common.file_types import NonNegative
 from cmbot.common.representation import card
 from cmbot.common.validation import require_type
@@ -28,7 +30,8 @@ from cmbot.planning.result.baseline import (
     joined_samples,
 )
 from cmbot.planning.result.stroke_plan import StrokePlan, combined
-from cmbot.robot import Robot
+from cmbot.planning.stiffness import covariance_of
+from cmbot.robot import Kinematics, Robot
 from cmbot.scene import WORK, Coverage, PlannerOptions, Scene, coverage_of, pieces_left_out, rows_alone
 from cmbot.trajectory import QuinticTrajectory
 
@@ -190,6 +193,30 @@ class Plan(StrokePlan):
         if not others:
             return self.segment_samples[first.name]
         return joined_samples(self._on_the_clock(segment) for segment in self.work.segments)[0]
+
+    @cached_property
+    def accuracy(self) -> Accuracy | None:
+        """Within how much of its path the tool stays at work.
+
+        None where nothing bends, or where the arm is too soft to carry itself.
+        """
+        arm = bending_arm(self.scene, self.robot)
+        if arm is None:
+            return None
+        works = [_work(self.robot, segment) for segment in self.job.strokes]
+        covariance = covariance_of(self.scene, arm)
+        try:
+            return accuracy_of(
+                arm,
+                works,
+                self.scene.uncertainty,
+                self.scene.tool.tolerance,
+                compensated=self.compensation is not None,
+                covariance=covariance,
+            )
+        except InputError:
+            # Remarks say that the arm is too soft to carry itself.
+            return None
 
     @property
     def approach_samples(self) -> Samples | None:
@@ -406,6 +433,22 @@ def _adhesions(name: str, motions: Sequence[MotionMetrics]) -> Iterator[tuple[st
     if any(needed):
         left, right = ("-" if each is None else f"{each.peak / 1e3:.2f} {each.mode}" for each in needed)
         yield name, left, right
+
+
+def _work(robot: Robot, segment: Segment) -> Work:
+    """A stroke of a job, as the accuracy budget takes it."""
+    kinematics = Kinematics(robot)
+    motion = segment.trajectory.evaluate
+
+    def tool(t: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return kinematics.tool_poses(motion(t))
+
+    return Work(
+        path=segment.task.path,
+        motion=motion,
+        commanded=lambda t: tool(t)[0],
+        rotation=lambda t: tool(t)[1],
+    )
 
 
 def _sample_times(duration: float, step: float) -> FloatArray:

@@ -18,6 +18,7 @@ from cmbot.planning.result.plan import Plan
 from cmbot.robot import Dynamics
 
 __all__ = [
+    "accuracy_in_words",
     "baseline_faults",
     "bound_use",
     "during",
@@ -46,7 +47,7 @@ _RANGE = re.compile("distance of (.*) from the middle of its range")
 
 
 def verdict(plan: Plan, *, area: bool = True) -> str:
-    """Return in a sentence or two what the base must bear, where, and how near the tightest promise is.
+    """Return in a few sentences where the tool is, what the base must bear, and how near the promises are.
 
     Parameters
     ----------
@@ -63,7 +64,42 @@ def verdict(plan: Plan, *, area: bool = True) -> str:
         text += f"; {missing}"
     segment, check = tightest_check(job)
     promise = promised(check, f"{during(segment, job)}, at {check.time:.1f} s")
-    return f"{text}. Tightest promise: {promise}{_room(check)}."
+    return f"{accuracy_in_words(plan)}{text}. Tightest promise: {promise}{_room(check)}."
+
+
+def accuracy_in_words(plan: Plan) -> str:
+    """Return in a sentence within how much of its path the tool is, why, and what would help.
+
+    Empty where nothing bends.
+
+    Parameters
+    ----------
+    plan : Plan
+    """
+    accuracy, tolerance = plan.accuracy, plan.scene.tool.tolerance
+    if accuracy is None:
+        return ""
+    text = f"The tool is within {accuracy.within_mm:.3g} mm of its path with {100 * accuracy.probability:g} %"
+    if accuracy.tolerance_share is not None and tolerance is not None:
+        asked = [
+            f"{value:g} mm {where}"
+            for value, where in (
+                (tolerance.across_mm, "across"),
+                (tolerance.along_axis_mm, "along the tool's axis"),
+            )
+            if value is not None
+        ]
+        kept = "kept" if accuracy.tolerance_kept else "not kept"
+        text += (
+            f", tolerance {' and '.join(asked)}: {kept}, in {100 * accuracy.tolerance_share:.3g} % of cases"
+        )
+    if accuracy.parts:
+        most = accuracy.parts[0]
+        text += f"; most of it: {most.name} ({most.size_mm:.3g} mm)"
+    if accuracy.remedies:
+        with_all = accuracy.remedies[0]
+        text += f"; with {with_all.name} it would be {with_all.within_mm:.3g} mm"
+    return f"{text}. "
 
 
 def promised(check: Check, when: str) -> str:

@@ -7,7 +7,7 @@ import pytest
 from plan_folders import changed, without_approach
 
 from cmbot.planning import Check, Plan, baseline_faults, bound_use, remarks, tightest_check, verdict
-from cmbot.planning.result.verdict import further, travels
+from cmbot.planning.result.verdict import accuracy_in_words, further, travels
 
 
 def test_the_posture_in_which_the_arm_begins_decides_on_the_triangle(triangle_plan: Plan) -> None:
@@ -21,7 +21,7 @@ def test_the_posture_in_which_the_arm_begins_decides_on_the_triangle(triangle_pl
         "work": ("at work", 1e3, "mm"),
     }[segment.name]
     peak, use = triangle_plan.job.figures.peak_guardrail_torque, 100 * bound_use(check)
-    assert verdict(triangle_plan) == (
+    assert verdict(triangle_plan) == accuracy_in_words(triangle_plan) + (
         f"The guardrail must bear {peak:.1f} Nm over the whole job "
         "(at rest in the posture in which the arm begins), as much as the baseline; "
         f"the work alone {work:.1f} Nm (baseline {baseline:.1f} Nm). Tightest promise: {check.quantity} "
@@ -132,7 +132,7 @@ def test_a_heavy_approach_is_a_loss_and_has_its_time(returning_plan: Plan) -> No
     figures = replace(approach.figures, peak_guardrail_torque=800.0)
     heavy = changed(returning_plan, "approach", certificate=replace(approach.certificate, figures=figures))
     said = verdict(heavy)
-    assert said.startswith("The guardrail must bear 800.0 Nm over the whole job (on the approach, at ")
+    assert "The guardrail must bear 800.0 Nm over the whole job (on the approach, at " in said
     assert "% more than the baseline's " in said
 
 

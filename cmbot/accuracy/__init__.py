@@ -1,0 +1,19 @@
+"""Where the tool is: the budget of what moves it from its path, over a whole job."""
+
+from __future__ import annotations
+
+from cmbot.accuracy.budget import Accuracy, AccuracyPart, Remedy, Work, accuracy_of
+from cmbot.accuracy.parts import Part, parts_of
+from cmbot.accuracy.sway import Sway, sway_along
+
+__all__ = [
+    "Accuracy",
+    "AccuracyPart",
+    "Part",
+    "Remedy",
+    "Sway",
+    "Work",
+    "accuracy_of",
+    "parts_of",
+    "sway_along",
+]

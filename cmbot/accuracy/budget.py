@@ -1,0 +1,366 @@
+"""The accuracy budget: within how much of its path the tool stays, and with which probability.
+
+Biases add. What is not known is drawn: a Latin hypercube for what is one number over the job, normal numbers
+at each posture for what changes. The largest distance over the job of each draw gives the quantile that
+is told, and the share of draws within a tolerance (`Part`, `Sway`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from cmbot.accuracy.parts import Part, parts_of
+from cmbot.accuracy.sway import sway_along
+from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.common.file_types import NonNegative, Share
+from cmbot.elastic.arm import ElasticArm
+from cmbot.scene import Placement, Tolerance, ToolPath, Uncertainty
+
+__all__ = ["Accuracy", "AccuracyPart", "Remedy", "Work", "accuracy_of"]
+
+# Draws; postures of a stroke at most, and the time between them, s.
+_DRAWS, _MOST_POSTURES, _BETWEEN_POSTURES = 2048, 80, 0.25
+_SEED = 0
+# Slower than this, m/s, the tool is taken to rest: then no direction is along its path.
+_AT_REST = 1e-4
+# Ratio of damping of every mode, as `SimulationOptions` has it.
+_DAMPING = 0.01
+# What remedies promise: stiffness identified within this share, places located by touched points.
+_IDENTIFIED, _LOCATED = 0.03, Placement(mm=0.3, deg=0.03)
+# A remedy that leaves more than this share is none.
+_HELPS = 0.99
+# Half the speed takes a quarter of the acceleration.
+_SLOWED = 0.25
+
+
+@dataclass(frozen=True, kw_only=True)
+class AccuracyPart:
+    """One part of the budget, its largest values over the work.
+
+    Attributes
+    ----------
+    name : str
+    bias_mm : float
+        Across the path.
+    sigma_mm : float
+        Standard deviation of the distance from the path: the root of the trace of its covariance across it.
+    """
+
+    name: str
+    bias_mm: NonNegative
+    sigma_mm: NonNegative
+
+    @property
+    def size_mm(self) -> float:
+        """What it is at most in about 19 of 20 cases: its bias and two standard deviations."""
+        return self.bias_mm + 2 * self.sigma_mm
+
+
+@dataclass(frozen=True, kw_only=True)
+class Remedy:
+    """What would help, and within how much of its path the tool would be."""
+
+    name: str
+    within_mm: NonNegative
+
+
+@dataclass(frozen=True, kw_only=True)
+class Accuracy:
+    """Where the tool is beside its path, all along the work.
+
+    Attributes
+    ----------
+    within_mm : float
+        The distance that it keeps with the probability.
+    probability : float
+    tolerance_kept : bool or None
+        Whether the tolerance is kept with that probability; None where none is asked for.
+    tolerance_share : float or None
+        Probability that it is kept.
+    parts : tuple of AccuracyPart
+        The largest first.
+    remedies : tuple of Remedy
+        The most helpful first.
+    """
+
+    within_mm: NonNegative
+    probability: Share
+    tolerance_kept: bool | None
+    tolerance_share: Share | None
+    parts: tuple[AccuracyPart, ...]
+    remedies: tuple[Remedy, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Work:
+    """A stroke, and how it is moved along.
+
+    Attributes
+    ----------
+    path : ToolPath
+    motion : callable
+        From times (N,), s, and an order of derivative to joint positions and their derivatives (N, n).
+    commanded : callable
+        From times to the places (N, 3), m, where the rigid arm's tool is.
+    rotation : callable
+        From times to the orientations (N, 3, 3) of the rigid arm's tool.
+    """
+
+    path: ToolPath
+    motion: Callable[[FloatArray, int], FloatArray]
+    commanded: Callable[[FloatArray], FloatArray]
+    rotation: Callable[[FloatArray], FloatArray]
+
+
+def accuracy_of(
+    arm: ElasticArm,
+    strokes: Sequence[Work],
+    uncertainty: Uncertainty,
+    tolerance: Tolerance | None = None,
+    *,
+    compensated: bool,
+    covariance: FloatArray | None = None,
+) -> Accuracy:
+    """Return the accuracy budget of a work.
+
+    Parameters
+    ----------
+    arm : ElasticArm
+    strokes : sequence of Work
+    uncertainty : Uncertainty
+    tolerance : Tolerance, optional
+        Left out: none is asked for, and the distance is told that is kept with 95 %.
+    compensated : bool
+        Whether the joints aim beside the path by the predicted sag.
+    covariance : (p, p), optional
+        Of an identified stiffness.
+
+    Raises
+    ------
+    InputError
+        When the arm is too soft to carry itself in a posture.
+    """
+    share = 0.0 if covariance is not None else uncertainty.stiffness_share
+    budget = _Budget.of(arm, strokes, uncertainty, compensated=compensated, covariance=covariance)
+    asked = tolerance or Tolerance()
+    distances = budget.distances()
+    within = _within(distances, asked.probability)
+    kept = None
+    if tolerance is not None and (tolerance.across_mm or tolerance.along_axis_mm):
+        kept = float(budget.keeps(tolerance).mean())
+    return Accuracy(
+        within_mm=within,
+        probability=asked.probability,
+        tolerance_kept=None if kept is None else kept >= asked.probability,
+        tolerance_share=kept,
+        parts=budget.told,
+        remedies=_remedies(
+            budget, uncertainty, within, asked.probability, compensated=compensated, share=share
+        ),
+    )
+
+
+def _within(distances: FloatArray, probability: float) -> float:
+    """The distance, mm, that is kept with a probability, of draws (D,), m."""
+    return 1e3 * float(np.quantile(distances, probability))
+
+
+def _remedies(
+    budget: _Budget,
+    uncertainty: Uncertainty,
+    within: float,
+    probability: float,
+    *,
+    compensated: bool,
+    share: float,
+) -> tuple[Remedy, ...]:
+    """What would help, each computed as the budget without what it takes away, and all of it together."""
+    tried = list[tuple[str, Callable[[_Budget], _Budget]]]()
+    if not compensated:
+        tried.append(("compensate: true", lambda other: other.scaled({"sag": 0.0})))
+    if share > _IDENTIFIED:
+        tried.append(("cmbot identify", lambda other: other.scaled({"stiffness": _IDENTIFIED / share})))
+    if uncertainty.foot.mm > _LOCATED.mm or uncertainty.foot.deg > _LOCATED.deg:
+        tried.append(("cmbot locate", lambda other: other.located(uncertainty.foot)))
+    tried.append(("half the speed", lambda other: other.scaled({"sway": _SLOWED})))
+    found, all_together = list[Remedy](), budget
+    for name, remedy in tried:
+        left = _within(remedy(budget).distances(), probability)
+        if left < _HELPS * within:
+            found.append(Remedy(name=name, within_mm=left))
+            all_together = remedy(all_together)
+    if len(found) > 1:
+        name = " and ".join(remedy.name for remedy in found)
+        found.append(Remedy(name=name, within_mm=_within(all_together.distances(), probability)))
+    return tuple(sorted(found, key=lambda remedy: remedy.within_mm))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Budget:
+    """Errors of the tool at the N postures of a work, by what is drawn."""
+
+    parts: tuple[Part, ...]
+    planned: FloatArray  # (N, 3), m: of the rigid arm's tool, beside the sag that is compensated
+    sway: FloatArray  # (3, N, 3), m: with the least stiffness, the stated one and the largest
+    along: FloatArray  # (N, 3), unit vectors along the path, or zero at rest
+    axis: FloatArray  # (N, 3), of the tool
+    share: float  # of the stiffness
+
+    @classmethod
+    def of(
+        cls,
+        arm: ElasticArm,
+        strokes: Sequence[Work],
+        uncertainty: Uncertainty,
+        *,
+        compensated: bool,
+        covariance: FloatArray | None,
+    ) -> _Budget:
+        share = uncertainty.stiffness_share
+        each = [_sampled(arm, work, share, compensated=compensated) for work in strokes]
+        q, planned, along, axis = (np.concatenate([one[k] for one in each]) for k in range(4))
+        sway = np.concatenate([one[4] for one in each], axis=1)
+        parts = parts_of(arm, q, uncertainty, compensated=compensated, covariance=covariance)
+        return cls(parts=tuple(parts), planned=planned, sway=sway, along=along, axis=axis, share=share)
+
+    def scaled(self, factors: dict[str, float]) -> _Budget:
+        """Return the budget with the parts of these names multiplied."""
+        parts = tuple(
+            replace(part, bias=factors[part.name] * part.bias, maps=factors[part.name] * part.maps)
+            if part.name in factors
+            else part
+            for part in self.parts
+        )
+        return replace(self, parts=parts, sway=factors.get("sway", 1.0) * self.sway)
+
+    def located(self, before: Placement) -> _Budget:
+        """Return the budget with the foot as exact as touched points make it, where that is better."""
+
+        def ratio(now: float, was: float) -> float:
+            return min(now / was, 1.0) if was > 0 else 1.0
+
+        by = np.repeat([ratio(_LOCATED.mm, before.mm), ratio(_LOCATED.deg, before.deg)], 3)
+        parts = (
+            replace(part, maps=part.maps * by) if part.name == "placement of the base" else part
+            for part in self.parts
+        )
+        return replace(self, parts=tuple(parts))
+
+    @property
+    def told(self) -> tuple[AccuracyPart, ...]:
+        """What each part is at most, the largest first."""
+        found = [self._told(part.name, part.bias, part.maps) for part in self.parts]
+        found.append(self._told("planned deviation", self.planned, np.zeros((len(self.along), 3, 0))))
+        size = max(float(np.linalg.norm(self._across(sway), axis=1).max()) for sway in self.sway)
+        found.append(AccuracyPart(name="sway", bias_mm=1e3 * size, sigma_mm=0.0))
+        return tuple(sorted((part for part in found if part.size_mm), key=lambda part: -part.size_mm))
+
+    def _told(self, name: str, bias: FloatArray, maps: FloatArray) -> AccuracyPart:
+        sizes = np.linalg.norm(self._across(bias), axis=1)
+        across = maps - self.along[:, :, None] * np.einsum("ni,nik->nk", self.along, maps)[:, None]
+        return AccuracyPart(
+            name=name,
+            bias_mm=1e3 * float(sizes.max()),
+            sigma_mm=1e3 * float(np.sqrt((across**2).sum(axis=(1, 2))).max()),
+        )
+
+    def _across(self, vectors: FloatArray) -> FloatArray:
+        """What of vectors (..., N, 3) is across the path."""
+        along = self.along.astype(vectors.dtype)
+        return np.asarray(vectors - np.einsum("...ni,ni->...n", vectors, along)[..., None] * along)
+
+    def errors(self) -> FloatArray:
+        """Errors (D, N, 3), m, of D draws, single precision."""
+        once = [part for part in self.parts if not part.changes]
+        uniform = _stratified(sum(part.maps.shape[2] for part in once))
+        columns, sway, at = list[FloatArray](), self.sway[1], 0
+        for part in once:
+            unit = uniform[:, at : at + part.maps.shape[2]]
+            at += part.maps.shape[2]
+            columns.append(np.sqrt(12) * (unit - 0.5) if part.is_uniform else ndtri(unit))
+            if part.name == "stiffness" and part.is_uniform:
+                sway = self._swaying(2 * unit[:, 0] - 1)
+        draws = np.concatenate(columns, axis=1).astype(np.float32)
+        maps = np.concatenate([part.maps for part in once], axis=2).astype(np.float32)
+        known = self.planned + sum((part.bias for part in self.parts), np.zeros_like(self.planned))
+        drawn = (draws @ maps.reshape(-1, maps.shape[2]).T).reshape(len(draws), *known.shape)
+        return np.asarray(drawn + (known + sway).astype(np.float32) + self._changing())
+
+    def _changing(self) -> FloatArray:
+        """What changes from posture to posture (D, N, 3): the sum of many small parts, taken to be normal."""
+        maps = [part.maps for part in self.parts if part.changes]
+        if not maps:
+            return np.zeros(1, dtype=np.float32)
+        joined = np.concatenate(maps, axis=2)
+        values, vectors = np.linalg.eigh(joined @ joined.transpose(0, 2, 1))
+        roots = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None]).astype(np.float32)
+        return np.asarray(np.einsum("nik,dnk->dni", roots, _normal(len(roots)), optimize=True))
+
+    def _swaying(self, share: FloatArray) -> FloatArray:
+        """Sway (D, N, 3) of stiffness between the least (-1) and the largest (1), interpolated."""
+        low, stated, high = self.sway.astype(np.float32)
+        soft, stiff = np.maximum(-share, 0.0), np.maximum(share, 0.0)
+        weights = np.stack([soft, 1 - soft - stiff, stiff], axis=1).astype(np.float32)
+        return np.asarray(np.einsum("ds,sni->dni", weights, np.stack([low, stated, high])))
+
+    def distances(self) -> FloatArray:
+        """Largest distance (D,), m, from the path over the work, of each draw."""
+        across = self._across(self.errors())
+        return np.asarray(np.sqrt(np.einsum("dni,dni->dn", across, across).max(axis=1)))
+
+    def keeps(self, tolerance: Tolerance) -> BoolArray:
+        """Whether each draw (D,) keeps a tolerance all along the work."""
+        across = self._across(self.errors())
+        on_axis = (across * self.axis).sum(axis=2)
+        aside = np.sqrt(((across - on_axis[:, :, None] * self.axis) ** 2).sum(axis=2))
+        kept = np.ones(len(across), dtype=np.bool_)
+        if tolerance.across_mm is not None:
+            kept &= (aside <= 1e-3 * tolerance.across_mm).all(axis=1)
+        if tolerance.along_axis_mm is not None:
+            kept &= (np.abs(on_axis) <= 1e-3 * tolerance.along_axis_mm).all(axis=1)
+        return kept
+
+
+def _sampled(
+    arm: ElasticArm, work: Work, share: float, *, compensated: bool
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Postures, planned errors, directions along the path, axes of the tool, and sway, of a stroke."""
+    duration = work.path.duration
+    count = int(np.clip(np.ceil(duration / _BETWEEN_POSTURES), 8, _MOST_POSTURES))
+    t = np.linspace(0.0, duration, count + 1)
+    q, place = work.motion(t, 0), work.path.position(t)
+    # Of a compensated plan the rigid tool is beside the path by minus the sag, which is no error.
+    offset = np.zeros_like(place) if compensated else work.path.leg_offset(t, work.commanded(t))
+    velocity = np.gradient(place, t, axis=0)
+    speed = np.linalg.norm(velocity, axis=1, keepdims=True)
+    along = np.where(speed > _AT_REST, velocity / np.maximum(speed, _AT_REST), 0.0)
+    axis = np.broadcast_to(work.rotation(t)[:, :, 2], place.shape)
+    factors = (1 - share, 1.0, 1 + share)
+    sway = sway_along(arm, work.motion, duration, _DAMPING, factors)
+    # At each time the largest sway until the next one.
+    cell = np.clip(np.searchsorted(t, sway.t, side="right") - 1, 0, count)
+    largest = np.zeros((len(factors), count + 1, 3))
+    for number, tool in enumerate(sway.tool):
+        order = np.argsort((tool**2).sum(axis=1), kind="stable")
+        largest[number, cell[order]] = tool[order]
+    return q, offset, along, axis, largest
+
+
+@lru_cache(maxsize=4)
+def _stratified(dimension: int) -> FloatArray:
+    """Numbers (D, dimension) within 0 and 1: a Latin hypercube (McKay et al., 1979)."""
+    rng = np.random.default_rng(_SEED)
+    strata = np.repeat(np.arange(_DRAWS)[:, None], dimension, axis=1)
+    return np.asarray((rng.permuted(strata, axis=0) + 0.5) / _DRAWS)
+
+
+@lru_cache(maxsize=4)
+def _normal(postures: int) -> NDArray[np.float32]:
+    """Normal numbers (D, postures, 3)."""
+    return np.random.default_rng(_SEED).standard_normal((_DRAWS, postures, 3), dtype=np.float32)

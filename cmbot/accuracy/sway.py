@@ -1,0 +1,131 @@
+"""Sway of the tool while the joints move: small vibrations about the moving equilibrium.
+
+With the elastic coordinates at equilibrium u_s(q(t)) and w what is added, to first order in w
+
+    M w'' + D w' + K w = -f,    f = inertial loads of the motion (q, u_s)(t) + D u_s',
+
+where M and K change with the posture. It is integrated by Newmark's method of constant mean acceleration, for
+several factors on the stiffness at once: f is that of the stated stiffness.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+
+from cmbot.common.arrays import FloatArray
+from cmbot.elastic.arm import ElasticArm
+from cmbot.elastic.modes import arm_modes, linearised
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
+
+__all__ = ["Sway", "sway_along"]
+
+# Longest time between postures at which matrices are computed, s, and postures at most.
+_BETWEEN_POSTURES, _MOST_POSTURES = 0.15, 120
+# Steps in a period of the slowest mode, and steps at most.
+_STEPS_PER_PERIOD, _MOST_STEPS = 24, 6000
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sway:
+    """Displacements of the tool beside its sag.
+
+    Attributes
+    ----------
+    t : (N,), s
+    tool : (F, N, 3), m
+        In W, for each factor on the stiffness.
+    """
+
+    t: FloatArray
+    tool: FloatArray
+
+
+def sway_along(
+    arm: ElasticArm,
+    motion: Callable[[FloatArray, int], FloatArray],
+    duration: float,
+    damping: float,
+    factors: Sequence[float] = (1.0,),
+) -> Sway:
+    """Return the sway of an arm's tool along a motion that begins and ends at rest.
+
+    Parameters
+    ----------
+    arm : ElasticArm
+    motion : callable
+        From times (N,), s, and an order of derivative to joint positions and their derivatives (N, n).
+    duration : float, s
+    damping : float
+        Ratio of every mode.
+    factors : sequence of float
+        F factors on all stiffness.
+    """
+    # Imported here, as it is slow to load.
+    from scipy.interpolate import CubicSpline
+
+    count = int(np.clip(np.ceil(duration / _BETWEEN_POSTURES), 4, _MOST_POSTURES))
+    knots = np.linspace(0.0, duration, count + 1)
+    q = motion(knots, 0)
+    at = linearised(arm, q)
+    modes = arm_modes(arm, q[count // 2])
+    D = modes.damping(damping) + arm.damping
+    period = 1.0 / float(modes.frequencies[0])
+    steps = int(np.clip(np.ceil(duration / period * _STEPS_PER_PERIOD), 2 * count, _MOST_STEPS))
+    t = np.linspace(0.0, duration, steps + 1)
+    # The elastic coordinates at rest begin and end with the joints.
+    still = CubicSpline(knots, at.u, bc_type="clamped")
+    loads = _inertial_loads(arm, t, motion, still) + still(t, 1) @ D.T
+    levers = _tool_levers(arm, q, at.u)
+    more = np.array(factors) - 1.0
+    h, shape = t[1], (len(factors), loads.shape[1])
+    w, v, a = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    tool = np.zeros((len(t), len(factors), 3))
+    place = np.clip(np.searchsorted(knots, t, side="right") - 1, 0, count - 1)
+    share = (t - knots[place]) / (knots[place + 1] - knots[place])
+    before = -1
+    for k in range(1, len(t)):
+        i, s = int(place[k]), share[k]
+        if i != before:
+            # Matrices of the middle of an interval hold for all of it.
+            M, K = (0.5 * (both[i] + both[i + 1]) for both in (at.mass, at.stiffness))
+            stiff = K + more[:, None, None] * arm.stiffness
+            inverse = np.linalg.inv(M + 0.5 * h * D + 0.25 * h * h * stiff)
+            before = i
+        w_next, v_next = w + h * v + 0.25 * h * h * a, v + 0.5 * h * a
+        load = -loads[k] - v_next @ D - (stiff @ w_next[:, :, None])[:, :, 0]
+        a = (inverse @ load[:, :, None])[:, :, 0]
+        w, v = w_next + 0.25 * h * h * a, v_next + 0.5 * h * a
+        tool[k] = w @ ((1 - s) * levers[i] + s * levers[i + 1]).T
+    return Sway(t=t, tool=tool.transpose(1, 0, 2))
+
+
+def _inertial_loads(
+    arm: ElasticArm, t: FloatArray, motion: Callable[[FloatArray, int], FloatArray], still: CubicSpline
+) -> FloatArray:
+    """Loads (N, f) on the elastic coordinates by the motion, less those at rest."""
+    data = arm.model.createData()
+    q, v, a = (motion(t, order) for order in range(3))
+    u, du, ddu = (still(t, order) for order in range(3))
+    x, dx, ddx = arm.configuration(q, u), arm.configuration(v, du), arm.configuration(a, ddu)
+    loads = np.empty_like(u)
+    for k in range(len(t)):
+        moving = pin.rnea(arm.model, data, x[k], dx[k], ddx[k])[arm.elastic]
+        loads[k] = moving - pin.computeGeneralizedGravity(arm.model, data, x[k])[arm.elastic]
+    return np.asarray(loads + ddu @ arm.added_mass.T)
+
+
+def _tool_levers(arm: ElasticArm, q: FloatArray, u: FloatArray) -> FloatArray:
+    """Jacobians (N, 3, f) of the bent arm's tool point by the elastic coordinates."""
+    data, world = arm.model.createData(), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    levers = np.empty((len(q), 3, u.shape[1]))
+    for k, configuration in enumerate(arm.configuration(q, u)):
+        J = pin.computeFrameJacobian(arm.model, data, configuration, arm.tool_frame_id, world)
+        levers[k] = J.reshape(6, -1)[:3, arm.elastic]
+    return levers

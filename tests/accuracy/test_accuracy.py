@@ -1,0 +1,247 @@
+"""The accuracy budget: its maps against finite displacements, its radius against independent Monte Carlo."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from finite_differences import finite_difference
+from small_scenes import short_scene
+
+import cmbot
+from cmbot.accuracy import Part, parts_of, sway_along
+from cmbot.common.arrays import FloatArray
+from cmbot.elastic.arm import ElasticArm
+from cmbot.elastic.sag import Sag
+from cmbot.elastic.stiffness_parameters import StiffnessParameters
+from cmbot.planning import Plan, bending_arm, plan
+from cmbot.planning.result.verdict import accuracy_in_words
+from cmbot.robot import Kinematics
+from cmbot.scene import JointUncertainty, Placement, Tolerance, Uncertainty
+from cmbot.simulation import SimulationOptions, simulate
+
+UNKNOWN = Uncertainty(workpiece=Placement(mm=1.0, deg=0.1))
+
+
+@pytest.fixture(scope="module")
+def bent() -> Plan:
+    return plan(short_scene(robot={"joints": "elastic"}), progress=False)
+
+
+@pytest.fixture(scope="module")
+def arm(bent: Plan) -> ElasticArm:
+    arm = bending_arm(bent.scene, bent.robot)
+    assert arm is not None
+    return arm
+
+
+@pytest.fixture(scope="module")
+def q(bent: Plan) -> FloatArray:
+    return bent.trajectory.evaluate(np.linspace(0, bent.trajectory.duration, 5))
+
+
+def bent_tool(arm: ElasticArm, q: FloatArray) -> FloatArray:
+    """Places (N, 3) of the bent arm's tool."""
+    return Kinematics(arm.robot).tool_poses(q)[0] + Sag(arm).at(q).tool
+
+
+def part_named(name: str, arm: ElasticArm, q: FloatArray, uncertainty: Uncertainty = UNKNOWN) -> Part:
+    (part,) = (part for part in parts_of(arm, q, uncertainty, compensated=False) if part.name == name)
+    return part
+
+
+def test_the_sag_is_a_bias_unless_it_is_compensated(arm: ElasticArm, q: FloatArray) -> None:
+    np.testing.assert_allclose(part_named("sag", arm, q).bias, Sag(arm).at(q).tool, rtol=1e-12)
+    first = next(iter(parts_of(arm, q, UNKNOWN, compensated=True)))
+    assert first.name == "sag"
+    assert not first.bias.any()
+
+
+def test_calibration_moves_the_bent_tool(arm: ElasticArm, q: FloatArray) -> None:
+    maps = part_named("joint calibration", arm, q).maps
+
+    def at(x: FloatArray) -> FloatArray:
+        return bent_tool(arm, q[2:3] + np.radians(UNKNOWN.joints.calibration_deg) * x)[0]
+
+    np.testing.assert_allclose(maps[2], finite_difference(at, np.zeros(q.shape[1])), rtol=1e-6, atol=1e-10)
+
+
+@pytest.mark.parametrize("name", ["placement of the base", "placement of the workpiece"])
+def test_placements_move_the_tool_as_a_rigid_body(name: str, arm: ElasticArm, q: FloatArray) -> None:
+    """About the foot, and about the middle of the work."""
+    tool = bent_tool(arm, q)
+    base = name == "placement of the base"
+    about = np.array(arm.robot.foot_point) if base else 0.5 * (tool.min(axis=0) + tool.max(axis=0))
+    given = UNKNOWN.foot if base else UNKNOWN.workpiece
+
+    def at(x: FloatArray) -> FloatArray:
+        shift, turn = 1e-3 * given.mm * x[:3], np.radians(given.deg) * x[3:]
+        return np.ravel(about + (tool - about) @ pin.exp3(turn).T + shift)
+
+    slopes = finite_difference(at, np.zeros(6), step=1e-2).reshape(len(q), 3, 6)
+    np.testing.assert_allclose(part_named(name, arm, q).maps, slopes, rtol=1e-6, atol=1e-10)
+
+
+def test_a_share_of_stiffness_changes_the_sag(arm: ElasticArm, q: FloatArray) -> None:
+    """To first order: springs that are 2 % stiffer sag by about 2 % less."""
+    part, share = part_named("stiffness", arm, q), 0.02
+    found = Sag(arm.softened(1 + share)).at(q).tool - Sag(arm).at(q).tool
+    expected = part.maps[:, :, 0] * (share / UNKNOWN.stiffness_share * np.sqrt(3))
+    np.testing.assert_allclose(expected, found, rtol=0.05, atol=1e-6)
+
+
+def test_more_payload_is_half_expected(arm: ElasticArm, q: FloatArray) -> None:
+    part = part_named("payload", arm, q)
+    more = Sag(arm.softened(1.0, UNKNOWN.payload_kg)).at(q).tool - Sag(arm).at(q).tool
+    np.testing.assert_allclose(part.bias, 0.5 * more, rtol=1e-9)
+    # A uniform number of standard deviation 1 is within -sqrt(3) ... sqrt(3): from nothing to all of it.
+    np.testing.assert_allclose(np.sqrt(3) * part.maps[:, :, 0], part.bias, rtol=1e-9)
+
+
+def test_friction_winds_up_what_gives_way(arm: ElasticArm, q: FloatArray) -> None:
+    """By a share of the torque at rest in each drive."""
+    robot, part = arm.robot, part_named("friction", arm, q)
+    data, J = robot.model.createData(), part_named("joint calibration", arm, q).maps
+    torque = np.array([pin.rnea(robot.model, data, x, 0 * x, 0 * x) for x in q])
+    give = np.array([1 / robot.joint_elasticity[name].stiffness for name in robot.joints])
+    windup = UNKNOWN.joints.friction_share * np.abs(torque) * give
+    slopes = J / np.radians(UNKNOWN.joints.calibration_deg)
+    np.testing.assert_allclose(np.sqrt(3) * part.maps, slopes * windup[:, None], rtol=1e-9)
+
+
+def test_a_tube_that_is_warmer_above_bows_like_a_bimetal(arm: ElasticArm, q: FloatArray) -> None:
+    """Link 1 alone, in closed form: its end turns by alpha dT L / d, which the tool follows."""
+    robot = arm.robot
+    alone = replace(arm, robot=replace(robot, elasticity={"link_1": robot.elasticity["link_1"]}))
+    (part,) = (p for p in parts_of(alone, q, UNKNOWN, compensated=False) if p.name == "temperature")
+    tube, (at, *_) = robot.elasticity["link_1"], q
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, at)
+    X = data.oMf[robot.model.getFrameId("link_1")]
+    start, end = X.act(np.array(tube.start)), X.act(np.array(tube.end))
+    lever = bent_tool(arm, q)[0] - 0.5 * (start + end)
+    along = (end - start) / np.linalg.norm(end - start)
+    turn = 23e-6 * UNKNOWN.temperature_k * tube.length / tube.outer_diameter
+    # The sum over both axes across the tube of |axis x lever|^2.
+    expected = turn**2 * (lever @ lever + (along @ lever) ** 2) / 3
+    assert (part.maps[0] ** 2).sum() == pytest.approx(expected, rel=1e-9)
+
+
+def test_the_sway_is_that_of_the_simulation(bent: Plan, arm: ElasticArm) -> None:
+    options = SimulationOptions(settle_s=0.0)
+    motion, duration = bent.trajectory.evaluate, bent.trajectory.duration
+    sway = sway_along(arm, motion, duration, options.damping, (1.0, 0.7))
+    soft = replace(options, guardrail_factor=0.7, link_factor=0.7, joint_factor=0.7)
+    for tool, each in zip(sway.tool, (options, soft), strict=True):
+        tracking = simulate(bent, each).planned
+        expected = np.linalg.norm(tracking.dynamic[:, :3], axis=1).max()
+        assert np.linalg.norm(tool, axis=1).max() == pytest.approx(expected, rel=0.1)
+
+
+def test_in_an_ideal_world_only_what_is_known_is_left() -> None:
+    scene = short_scene(planner={"compensate": True}, uncertainty="none")
+    accuracy = plan(scene, progress=False).accuracy
+    assert {part.name for part in accuracy.parts} == {"sway"}
+    assert accuracy.within_mm <= accuracy.parts[0].bias_mm * (1 + 1e-6)
+    assert not any("locate" in remedy.name or "identify" in remedy.name for remedy in accuracy.remedies)
+
+
+def independent_distances(plan: Plan, arm: ElasticArm, unknown: Uncertainty, draws: int) -> FloatArray:
+    """Largest distances (D,) from a straight path, by the exact bent arm of each draw, without sway.
+
+    Each draw has a stiffness, a payload, a place of the base and of the work, and zeros of the joints.
+    """
+    rng = np.random.default_rng(7)
+    path = plan.job.strokes[0].task.path
+    t = np.linspace(0, path.duration, 25)
+    q, start, end = plan.trajectory.evaluate(t), path.corners[0], path.corners[1]
+    along = (end - start) / np.linalg.norm(end - start)
+    foot, middle = np.array(arm.robot.foot_point), 0.5 * (start + end)
+    found = np.empty(draws)
+    for k in range(draws):
+        factor = rng.uniform(1 - unknown.stiffness_share, 1 + unknown.stiffness_share)
+        drawn = arm.softened(factor, rng.uniform(0, unknown.payload_kg))
+        p = bent_tool(drawn, q + np.radians(unknown.joints.calibration_deg) * rng.normal(size=q.shape[1]))
+        for about, placed in ((foot, unknown.foot), (middle, unknown.workpiece)):
+            turn = pin.exp3(np.radians(placed.deg) * rng.normal(size=3))
+            p = about + (p - about) @ turn.T + 1e-3 * placed.mm * rng.normal(size=3)
+        away = p - start
+        found[k] = np.linalg.norm(away - np.outer(away @ along, along), axis=1).max()
+    return found
+
+
+@pytest.mark.slow
+def test_the_radius_is_that_of_an_independent_monte_carlo(bent: Plan, arm: ElasticArm) -> None:
+    """Within 10 %: exact bent arms against linear maps; what changes from posture to posture is left out."""
+    still = JointUncertainty(backlash_arcmin=0.0, friction_share=0.0)
+    unknown = UNKNOWN.model_copy(update={"joints": still, "temperature_k": 0.0})
+    found = np.quantile(independent_distances(bent, arm, unknown, 600), 0.95)
+    scene = short_scene(robot={"joints": "elastic"}, uncertainty=unknown.model_dump(mode="json"))
+    told = plan(scene, progress=False).accuracy.within_mm
+    assert told == pytest.approx(1e3 * found, rel=0.1)
+
+
+def test_a_tolerance_is_judged_with_its_probability(bent: Plan) -> None:
+    """The radius that is kept with 95 % is a tolerance that is kept in 95 % of the cases."""
+    radius = bent.accuracy.within_mm
+    assert bent.accuracy.tolerance_kept is None
+    for factor, kept in ((1.3, True), (0.5, False)):
+        tolerance = Tolerance(across_mm=factor * radius, along_axis_mm=factor * radius)
+        judged = replace(bent, scene=replace(bent.scene, tool=replace(bent.scene.tool, tolerance=tolerance)))
+        assert judged.accuracy.tolerance_kept is kept
+        assert judged.accuracy.within_mm == radius
+        said = accuracy_in_words(judged)
+        assert (": kept, in " in said) is kept
+        assert (": not kept, in " in said) is not kept
+
+
+def test_remedies_are_computed_and_the_largest_part_is_said(bent: Plan) -> None:
+    accuracy = bent.accuracy
+    sizes = [part.size_mm for part in accuracy.parts]
+    assert sizes == sorted(sizes, reverse=True)
+    lefts = [remedy.within_mm for remedy in accuracy.remedies]
+    assert lefts == sorted(lefts)
+    assert lefts[-1] < accuracy.within_mm
+    assert {"compensate: true", "cmbot locate"} <= {remedy.name for remedy in accuracy.remedies}
+    said = accuracy_in_words(bent)
+    assert said.startswith(
+        f"The tool is within {accuracy.within_mm:.3g} mm of its path with 95 %; most of it: "
+    )
+    assert accuracy.parts[0].name in said
+    assert f"it would be {lefts[0]:.3g} mm. " in said
+    # What is promised of compensation is what a compensated plan has.
+    compensated = plan(short_scene(robot={"joints": "elastic"}, planner={"compensate": True}), progress=False)
+    promised = next(each.within_mm for each in accuracy.remedies if each.name == "compensate: true")
+    assert compensated.accuracy.within_mm == pytest.approx(promised, rel=0.05)
+
+
+def test_plan_json_has_the_budget(bent: Plan, tmp_path: Path) -> None:
+    cmbot.save(bent, tmp_path / "plan")
+    given = json.loads((tmp_path / "plan" / "plan.json").read_text(encoding="utf-8"))["accuracy"]
+    assert given["within_mm"] == pytest.approx(bent.accuracy.within_mm)
+    assert {"within_mm", "probability", "tolerance_kept", "parts", "remedies"} <= set(given)
+    assert set(given["parts"][0]) == {"name", "bias_mm", "sigma_mm"}
+    assert set(given["remedies"][0]) == {"name", "within_mm"}
+    assert cmbot.load_plan(tmp_path / "plan").accuracy == bent.accuracy
+
+
+def test_an_identified_stiffness_takes_the_place_of_the_share(bent: Plan, arm: ElasticArm) -> None:
+    """A covariance of logarithms: one standard deviation of all springs together is that share of the sag."""
+    q = bent.trajectory.evaluate(np.linspace(0, bent.trajectory.duration, 3))
+    size = StiffnessParameters(arm).relaxation(Sag(arm).equilibria(q)[0]).shape[-1]
+    covariance = 0.01 * np.eye(size)
+    (part,) = (
+        p for p in parts_of(arm, q, UNKNOWN, compensated=True, covariance=covariance) if p.name == "stiffness"
+    )
+    expected = Sag(arm, covariance).spread(q)
+    np.testing.assert_allclose(part.maps @ part.maps.transpose(0, 2, 1), expected, rtol=1e-9, atol=1e-18)
+
+
+def test_a_soft_base_counts_more() -> None:
+    radii = []
+    for factor in (1.0, 0.5):
+        scene = short_scene(guardrail={"stiffness_factor": factor}, uncertainty="none")
+        radii.append(plan(scene, progress=False).accuracy.within_mm)
+    assert radii[1] > 1.2 * radii[0]
