@@ -30,6 +30,7 @@ _SECTIONS = {
     "RobotFile": "`robot`",
     "MountFile": "`robot.mount`, `frames`",
     "BaseFile": "`base`",
+    "ModesFile": "`base.modes`",
     "Tool": "`tool`",
     "Tolerance": "`tool.tolerance`",
     "Uncertainty": "`uncertainty`",
@@ -60,6 +61,13 @@ _SECTIONS = {
     "IdentifiedStiffness": "`identified`",
     "IdentifiedSpring": "`identified.links`, `identified.joints`",
     "IdentifiedBase": "`identified.base`",
+    "ExcitationFile": "`excitation`",
+    "DeckFile": "`excitation.deck`",
+    "TrainsFile": "`excitation.deck.trains`",
+    "SpanFile": "`excitation.deck.trains.span`",
+    "WindFile": "`excitation.wind`",
+    "PassingFile": "`excitation.passing`",
+    "DamperFile": "`damper`",
     "PlannerOptions": "`planner`",
 }
 

@@ -1,8 +1,8 @@
 """The best tuned damper for a work: frequency and damping of a mass on springs.
 
-The springs are alike in all directions. It minimises the largest RMS of the tool over the work's postures and the stiffness interval. The search
-begins at Den Hartog's tuning (*Mechanical vibrations*, 1956) for the mode that moves most, whose effective
-mass at the damper's place is ``1 / |P phi|^2``.
+The springs are alike in all directions. It minimises the largest RMS of the tool over the work's postures
+and the stiffness interval. The search begins at Den Hartog's tuning (*Mechanical vibrations*, 1956) for the
+mode that moves most, whose effective mass at the damper's place is ``1 / |P phi|^2``.
 """
 
 from __future__ import annotations

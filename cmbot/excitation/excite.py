@@ -42,7 +42,7 @@ from cmbot.simulation import PrescribedWork, SimulationOptions, elastic_arm_of, 
 __all__ = ["Excitation", "Shaken", "excite"]
 
 # Postures in which the response is computed along the work; those in which trains pass and dampers are tuned.
-_POSTURES, _FEW = 13, 4
+_POSTURES, _SOME = 13, slice(None, None, 4)
 _STIFFNESSES = (0.7, 1.0, 1.3)
 # Of records and trains, s.
 _STEP = 0.002
@@ -178,34 +178,28 @@ class _Excited:
         return [modal_response(arm, q, self.damping, loads, place) for q in postures]
 
     def answer(self) -> Excitation:
-        plan, given, wanted = self.plan, self.given, self.plan.scene.damper
-        responses = self.responses(self.arm, self.postures, wanted)
+        plan, tolerance = self.plan, self.plan.scene.tool.tolerance
+        responses = self.responses(self.arm, self.postures, plan.scene.damper)
         flat = _with_loads(flat_band())
         moments = [response.moments(flat, BAND_HZ) for response in responses]
-        tolerance = plan.scene.tool.tolerance
-        reference = sway_of(self.t, responses, moments, flat, BAND_HZ, tolerance if given is None else None)
+        asked = tolerance if self.given is None else None
+        reference = sway_of(self.t, responses, moments, flat, BAND_HZ, asked)
         spectrum, band = self.random()
-        damper = None
-        if wanted is not None:
-            tuned, over = (flat, BAND_HZ) if spectrum is None else (spectrum, band)
-            damper = self.tuned(wanted, tuned, over)
+        damper = self.tuned(spectrum or flat, band)
+        if damper is not None:
             responses = [replace(response, damper=damper.damper) for response in responses]
         sway = None
         if spectrum is not None:
             moments = [response.moments(spectrum, band) for response in responses]
             sway = sway_of(self.t, responses, moments, spectrum, band, tolerance)
-        elif given is not None:
-            moments = []
-        steady = self.mean_wind()
-        each = np.array([response.static(steady) for response in responses])
-        trains, passages, times, resonances = None, (), None, ()
-        if given is not None and given.deck is not None and given.deck.trains is not None:
-            trains = given.deck.trains
-            passages, times, resonances = self.trains(trains, responses)
-        factor = (sway or reference).peak_factor
-        shaken = None
-        if moments:
-            shaken = shaken_adhesion(plan.robot, self.wrench + each[:, AXES:], moments, factor)
+        factor, steady = (sway or reference).peak_factor, self.mean_wind()
+        still = np.array([response.static(steady) for response in responses])
+        needed = list[float | None]()
+        if sway is not None or self.given is None:
+            needed.append(shaken_adhesion(plan.robot, self.wrench + still[:, AXES:], moments, factor))
+        passages, times, resonances = self.trains(responses)
+        needed += [each.adhesion for each in passages]
+        tool = [response.transfer(_CURVE_HZ)[:, :AXES, :AXES] for response in responses]
         return Excitation(
             kind=self.kind,
             damping=self.damping,
@@ -215,20 +209,12 @@ class _Excited:
             passages=passages,
             timetable=times,
             resonances_km_h=resonances,
-            wind=float(np.linalg.norm(each[:, :AXES], axis=1).max()),
-            adhesion=max(
-                (one for one in (shaken, *(p.adhesion for p in passages)) if one is not None), default=None
-            ),
+            wind=float(np.linalg.norm(still[:, :AXES], axis=1).max()),
+            adhesion=max((each for each in needed if each is not None), default=None),
             adhesion_factor=factor,
             damper=damper,
             curve_hz=_CURVE_HZ,
-            curve=np.max(
-                [
-                    np.linalg.norm(each.transfer(_CURVE_HZ)[:, :AXES, :AXES], axis=(1, 2))
-                    for each in responses
-                ],
-                axis=0,
-            ),
+            curve=np.max([np.linalg.norm(each, axis=(1, 2)) for each in tool], axis=0),
             seconds=0.0,
         )
 
@@ -272,29 +258,33 @@ class _Excited:
             steady[-1] = AIR_KG_M3 * self.given.wind.mean_m_s**2 / 2
         return steady
 
-    def tuned(self, wanted: DamperFile, spectrum: Spectrum, band: tuple[float, float]) -> DamperGain:
-        """The damper that is best over the work's postures and the stiffness interval."""
-        some = self.postures[:: _POSTURES // (_FEW - 1)]
+    def tuned(self, spectrum: Spectrum, band: tuple[float, float]) -> DamperGain | None:
+        """The damper that is best over postures and the stiffness interval; None where none is asked."""
+        wanted = self.plan.scene.damper
+        if wanted is None:
+            return None
         arms = [self.arm if factor == 1 else self.arm.softened(factor) for factor in _STIFFNESSES]
-        responses = [each for arm in arms for each in self.responses(arm, some, wanted)]
+        responses = [each for arm in arms for each in self.responses(arm, self.postures[_SOME], wanted)]
         given = {"frequency": wanted.frequency_hz, "damping": wanted.damping}
         return best_damper(responses, spectrum, band, wanted.mass_kg, wanted.at, **given)
 
     def trains(
-        self, trains: TrainsFile, responses: Sequence[ModalResponse]
-    ) -> tuple[tuple[Passage, ...], Timetable, tuple[float, ...]]:
-        every = slice(None, None, _POSTURES // (_FEW - 1))
-        tolerance, robot = self.plan.scene.tool.tolerance, self.plan.robot
+        self, responses: Sequence[ModalResponse]
+    ) -> tuple[tuple[Passage, ...], Timetable | None, tuple[float, ...]]:
+        """The passages at each speed, what they leave of an hour, and the speeds of resonance, km/h."""
+        deck = None if self.given is None else self.given.deck
+        if deck is None or deck.trains is None:
+            return (), None, ()
+        trains, tolerance = deck.trains, self.plan.scene.tool.tolerance
         loads = [self.load(trains, speed) for speed in trains.speeds_km_h]
-        passages = [passage(load, responses[every], tolerance, robot, self.wrench[every]) for load in loads]
-        strokes = [(part.begin, part.begin + part.motion.duration) for part in self.work.parts if part.path]
-        speeds = [speed / 3.6 for speed in trains.speeds_km_h]
+        some, wrench = responses[_SOME], self.wrench[_SOME]
+        passages = tuple(passage(load, some, tolerance, self.plan.robot, wrench) for load in loads)
+        parts = [part for part in self.work.parts if part.path is not None]
+        strokes = np.array([(part.begin, part.begin + part.motion.duration) for part in parts])
+        speeds = [load.speed for load in loads]
         met = resonance_speeds(loads[0].train, loads[0].span.first, min(speeds), max(speeds))
-        return (
-            tuple(passages),
-            timetable(trains.per_hour, passages, np.array(strokes)),
-            tuple(3.6 * speed for speed in met),
-        )
+        times = timetable(trains.per_hour, passages, strokes)
+        return passages, times, tuple(3.6 * speed for speed in met)
 
     def load(self, trains: TrainsFile, speed_km_h: float) -> PassageLoad:
         span, train, speed = _span(trains), axles_of(trains.axles), speed_km_h / 3.6

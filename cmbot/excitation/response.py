@@ -264,7 +264,7 @@ class ModalResponse:
         """
         if self.damper is not None:
             count = 2 * len(inputs)
-            Y = self.transfer(np.fft.rfftfreq(count, step))
+            Y = self.transfer(np.arange(count // 2 + 1) / (count * step))
             spectra = np.einsum("fdm,fm->fd", Y, np.fft.rfft(inputs, count, axis=0))
             return np.asarray(np.fft.irfft(spectra, count, axis=0)[: len(inputs)])
         forces = inputs @ self.gain.T

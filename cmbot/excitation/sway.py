@@ -16,7 +16,7 @@ from scipy.fft import irfft
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.representation import short_repr
-from cmbot.elastic import elastic_base
+from cmbot.elastic import Guardrail, elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm
 from cmbot.excitation.peaks import davenport_factor, departure_rate, probability_of_leaving
 from cmbot.excitation.response import (
@@ -85,7 +85,7 @@ class RandomSway:
     @property
     def rms(self) -> FloatArray:
         """Root mean squares of the displacement in space (K,), m."""
-        return np.sqrt(np.trace(self.covariance, axis1=1, axis2=2))
+        return np.asarray(np.sqrt(np.trace(self.covariance, axis1=1, axis2=2)))
 
     @property
     def rms_mm(self) -> float:
@@ -100,7 +100,9 @@ def mean_over(t: FloatArray, values: FloatArray) -> float:
     return float(np.sum((values[1:] + values[:-1]) / 2 * np.diff(t)) / (t[-1] - t[0]))
 
 
-def sway_mm_per_m_s2(work: Plan | FloatArray, robot: Robot | None = None, guardrail: object = None) -> float:
+def sway_mm_per_m_s2(
+    work: Plan | FloatArray, robot: Robot | None = None, guardrail: Guardrail | None = None
+) -> float:
     """Return the tool's RMS in space, mm, by 1 m/s2 RMS of the deck along each axis, flat from 0.5 to 30 Hz.
 
     With a damping of 1 %.
@@ -126,7 +128,7 @@ def sway_mm_per_m_s2(work: Plan | FloatArray, robot: Robot | None = None, guardr
     else:
         if robot is None:
             raise InputError("sway_mm_per_m_s2", "robot", "nothing", "the robot whose posture that is")
-        arm = elastic_arm(robot, None if guardrail is None else elastic_base(guardrail))  # type: ignore[arg-type]
+        arm = elastic_arm(robot, None if guardrail is None else elastic_base(guardrail))
         t, postures = np.zeros(1), np.asarray(work)[None]
     require_bending(arm, "sway_mm_per_m_s2")
     each = [modal_response(arm, q, DAMPING).moments(flat_band(), BAND_HZ) for q in postures]
@@ -234,8 +236,8 @@ def sampled_tool(
 ) -> FloatArray:
     """Return displacements of the tool (N, R, 3), m, in W, at N equal steps of the work.
 
-    They are those under simulated records. The records are Gaussian, with random phases and amplitudes, the same in every run. Between postures the
-    responses to the same record are mixed.
+    They are those under simulated records, which are Gaussian, with random phases and amplitudes, the same
+    in every run. Between postures the responses to the same record are mixed.
 
     Parameters
     ----------
@@ -252,18 +254,18 @@ def sampled_tool(
     count = 3 * N // 2
     step = duration / (N - 1) if duration else 1 / (_FINENESS * band[1])
     records = max(min(records, _MOST_NUMBERS // (AXES * count)), _FEWEST_RECORDS)
-    f = np.fft.rfftfreq(count, step)
+    f = np.arange(count // 2 + 1) / (count * step)
     S, random = spectrum(f), np.random.default_rng(_SEED)
     # E |X|^2 = S N^2 df / 2 for the coefficients of a real series.
     scale = np.sqrt(S / (count * step)) * count / 2
     X = random.standard_normal((len(f), records, S.shape[1], 2), dtype=np.float32)
     spectra = (X[..., 0] + 1j * X[..., 1]) * scale[:, None].astype(np.float32)
-    share, y = _shares(t, N), np.zeros((N, records, AXES), dtype=np.float32)
+    share, y = _shares(t, N), np.zeros((N, records, AXES))
     for k, response in enumerate(responses):
         Y = response.transfer(f)[:, :AXES].astype(np.complex64)
         series = irfft(spectra @ Y.transpose(0, 2, 1), count, axis=0)
         here = np.flatnonzero(share[k])
-        y[here] += share[k][here, None, None].astype(np.float32) * series[here]
+        y[here] += share[k][here, None, None] * series[here]
     return y
 
 

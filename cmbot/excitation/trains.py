@@ -109,7 +109,7 @@ class Span:
 
     def acceleration(self, train: Train, speed: float, t: FloatArray) -> FloatArray:
         """Return the acceleration of the deck (N, 3), m/s2, in W: along z alone."""
-        return -self.deflection(train, speed, t, order=2)[:, None] * np.array([0.0, 0.0, 1.0])
+        return np.asarray(np.outer(self.deflection(train, speed, t, order=2), [0.0, 0.0, -1.0]))
 
     def passage(self, train: Train, speed: float) -> float:
         """Return when the last axle leaves, s."""

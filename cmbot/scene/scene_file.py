@@ -318,8 +318,8 @@ def _guardrail(file: SceneFile, source: str) -> Guardrail:
         )
         expected = f"a stiffness measured where the feet hold now, {at}"
         raise SceneError(source, "identified.base.footholds", held, expected)
-    mass = None if base.mass is None else read_only(np.array(base.mass))
-    return replace(guardrail, stiffness=read_only(np.array(base.stiffness)), mass=mass, stiffness_factor=1.0)
+    own = None if base.mass is None else read_only(np.array(base.mass))
+    return replace(guardrail, stiffness=read_only(np.array(base.stiffness)), mass=own, stiffness_factor=1.0)
 
 
 def _content_hash(file: SceneFile, obstacles: Sequence[Obstacle], source: str) -> str:
