@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import irfft
+from scipy.fft import irfft, next_fast_len
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
@@ -44,6 +44,8 @@ _RECORDS, _FINENESS, _MOST_NUMBERS, _FEWEST_OUTSIDE = 2000, 2.5, 16_000_000, 20
 # Every which posture they are computed in.
 _EVERY = 2
 _FEWEST_RECORDS, _SEED = 100, 2021
+# Decay times after which a vibration is forgotten.
+_FORGETS = 5.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -249,10 +251,11 @@ def sampled_tool(
         Fewer where they are long.
     """
     duration = float(t[-1] - t[0])
-    # A record is cut from a periodic one, half as long again, whose end has forgotten its beginning.
+    # A record is cut from a periodic one, longer by the time in which the slowest decay forgets.
     N = max(int(_FINENESS * band[1] * duration), 2)
-    count = 3 * N // 2
     step = duration / (N - 1) if duration else 1 / (_FINENESS * band[1])
+    slowest = min(float((response.frequencies * response.damping).min()) for response in responses)
+    count = next_fast_len(N + int(_FORGETS / (2 * np.pi * slowest * step)), real=True)
     records = max(min(records, _MOST_NUMBERS // (AXES * count)), _FEWEST_RECORDS)
     f = np.arange(count // 2 + 1) / (count * step)
     S, random = spectrum(f), np.random.default_rng(_SEED)
