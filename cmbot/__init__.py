@@ -10,6 +10,7 @@ The reading order::
     simulate       what bends on the way                  cmbot.simulation
     excite         what shakes it: trains, wind           cmbot.excitation
     identify       how stiff it is, from measurements     cmbot.identification
+    locate         where the work is, from touched points   cmbot.identification
     walk, tour     the steps from one stance to another, and the work in each   cmbot.walking
     replay, report, show   the motion in a browser or a notebook, and what it gains   cmbot.views
     campaign       many scenes on many processes          cmbot.campaigns
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     from cmbot.archive import load_plan, load_tracking, load_walk, save, save_excitation, save_tracking
     from cmbot.campaigns import Campaign, campaign
     from cmbot.excitation import Excitation, excite
-    from cmbot.identification import Identification, identify
+    from cmbot.identification import Identification, Location, identify, locate
     from cmbot.planning import Plan, QuinticTrajectory, plan
     from cmbot.robot import Robot, load_robot
     from cmbot.scene import PlannerOptions, Scene, load_scene
@@ -57,6 +58,7 @@ __all__ = [
     "Identification",
     "InputError",
     "LimitViolation",
+    "Location",
     "MissingExtra",
     "ModelError",
     "OptimisationFailed",
@@ -82,6 +84,7 @@ __all__ = [
     "load_scene",
     "load_tracking",
     "load_walk",
+    "locate",
     "plan",
     "plot",
     "replay",
@@ -99,7 +102,7 @@ _ROOMS = {
     "cmbot.archive": ("load_plan", "load_tracking", "load_walk", "save", "save_excitation", "save_tracking"),
     "cmbot.campaigns": ("Campaign", "campaign"),
     "cmbot.excitation": ("Excitation", "excite"),
-    "cmbot.identification": ("Identification", "identify"),
+    "cmbot.identification": ("Identification", "Location", "identify", "locate"),
     "cmbot.planning": ("Plan", "QuinticTrajectory", "plan"),
     "cmbot.robot": ("Robot", "load_robot"),
     "cmbot.scene": ("PlannerOptions", "Scene", "load_scene"),

@@ -1,9 +1,19 @@
-"""Many scenes planned on several processes: resumable; one that crashes or hangs affects no other."""
+"""Many scenes planned on several processes: resumable; one that crashes or hangs affects no other.
 
-from cmbot.campaigns.campaign_file import CampaignFile, Entry, read_campaign
-from cmbot.campaigns.run import OVERVIEW, RESULTS, Campaign, CampaignProgress, campaign
+What reads and plans scenes is imported when it is first used: the processes of tasks may not need it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 from cmbot.campaigns.runner import run_tasks
 from cmbot.campaigns.task import Task, TaskResult, TaskStatus
+from cmbot.common.lazy_imports import on_first_use
+
+if TYPE_CHECKING:
+    from cmbot.campaigns.campaign_file import CampaignFile, Entry, read_campaign
+    from cmbot.campaigns.run import OVERVIEW, RESULTS, Campaign, CampaignProgress, campaign
 
 __all__ = [
     "OVERVIEW",
@@ -19,3 +29,9 @@ __all__ = [
     "read_campaign",
     "run_tasks",
 ]
+
+_LATER = {
+    "cmbot.campaigns.campaign_file": ("CampaignFile", "Entry", "read_campaign"),
+    "cmbot.campaigns.run": ("OVERVIEW", "RESULTS", "Campaign", "CampaignProgress", "campaign"),
+}
+__getattr__ = on_first_use(__name__, _LATER)

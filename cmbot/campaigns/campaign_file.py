@@ -16,8 +16,6 @@ from cmbot.common.validation import FileModel, counted, given_path, hint, refusa
 from cmbot.common.yaml_reader import lines_named, read_yaml, yaml_value
 from cmbot.scene import Scene, changed_content, is_within, scene_from_data, scene_path, shipped_scenes
 
-__all__ = ["CampaignFile", "Entry", "EntryFile", "read_campaign"]
-
 _LARGEST_TABLE = 100_000_000
 _MOST_ENTRIES = 1_000_000
 # Columns of a table that are no keys of a scene.

@@ -12,8 +12,6 @@ from cmbot.common.errors import whole_sentences
 from cmbot.version import __version__
 from cmbot.views import REPORT, assemble_plain
 
-__all__ = ["overview_page"]
-
 # Of a reason of more characters the first sentences are shown; the table of results has it whole.
 _LONGEST_REASON = 600
 # Significant digits of a figure.

@@ -11,8 +11,6 @@ from cmbot.common.errors import CmbotError, PlanningError
 from cmbot.planning import baseline_faults, plan, remarks, verdict
 from cmbot.scene import load_scene
 
-__all__ = ["PLAN_SCENE", "plan_scene"]
-
 PLAN_SCENE = f"{__name__}:plan_scene"
 """Name of the function for a `Task`."""
 

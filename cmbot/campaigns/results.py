@@ -13,8 +13,6 @@ from cmbot.campaigns.campaign_file import Entry
 from cmbot.campaigns.task import TaskResult, TaskStatus
 from cmbot.common.errors import MissingExtra
 
-__all__ = ["PLANS", "given_cells", "parquet", "plan_place", "require_pyarrow", "result_row"]
-
 PLANS = "plans"
 """Folder of the plan directories: in 256 folders, so that none has too many."""
 

@@ -27,8 +27,6 @@ from cmbot.scene import RobotSource, Scene
 from cmbot.version import versions
 from cmbot.views import REPORT
 
-__all__ = ["OVERVIEW", "RESULTS", "Campaign", "CampaignProgress", "campaign"]
-
 OVERVIEW, RESULTS, _MARK, _TASKS = "index.html", "results.parquet", "campaign.json", "jobs"
 _RESULT_FORMAT = "cmbot-campaign-result/1"
 _ATTEMPTS = 2

@@ -2,105 +2,58 @@
 
 from __future__ import annotations
 
+import atexit
 import importlib
 import json
 import logging
+import os
+import select
 import signal
+import subprocess
 import sys
+import tempfile
+import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, replace
-from multiprocessing import resource_tracker
 from pathlib import Path
+from threading import get_ident
 from typing import Any
 
-from cmbot.campaigns.child import run_in_child
 from cmbot.campaigns.task import Task, TaskResult, TaskStatus
-from cmbot.common.errors import CmbotError, InputError, MissingExtra
-from cmbot.common.validation import shown
-
-__all__ = ["require_dask", "run_tasks", "task_results"]
+from cmbot.common.errors import InputError, MissingExtra
 
 _FORMAT = "cmbot-task/1"
-# Tasks that dask has at a time; each takes tens of kilobytes there. For each process of this machine; and for
+# Tasks that dask has at a time; each takes tens of kilobytes there. For each worker of this process; and for
 # a scheduler, whose workers may be many, or become more as its queue grows.
 _AHEAD_HERE, _AHEAD_THERE = 4, 5000
 _SETTINGS = {
-    # Workers start processes of their own.
-    "distributed.worker.daemon": False,
-    # A task whose worker dies is tried again by `run_tasks`, which counts.
-    "distributed.scheduler.allowed-failures": 0,
     "distributed.scheduler.worker-saturation": 1.0,
     # It looks at every worker a hundred times a second, which only waits for its child.
     "distributed.worker.profile.enabled": False,
-    "distributed.nanny.pre-spawn-environ": {
-        "DASK_LOGGING__DISTRIBUTED": "critical",
-        # Matrices are small, and every worker has a task: more threads only wait for each other.
-        **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
-    },
 }
+# Tasks that a child runs at most, and what its memory may grow by after the first of them, byte.
+MOST_TASKS, MOST_GROWTH = 50, 200_000_000
+# Characters of standard error that are kept.
+_DETAILS = 4000
+# Matrices are small, and there is a child for every processor: more threads only wait for each other.
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 def run_tasks(
     tasks: Sequence[Task],
     directory: str | Path,
     *,
-    workers: int = 1,
-    scheduler: str | None = None,
-    attempts: int = 1,
-    fresh: bool = False,
-    accept: Callable[[TaskResult], bool] | None = None,
     report: Callable[[TaskResult], None] | None = None,
+    **options: Any,
 ) -> tuple[TaskResult, ...]:
-    """Run tasks on several processes; each writes its result as ``NAME.json`` when it ends.
+    """Run tasks on several processes, and return their results in the order of the tasks.
 
-    A task whose file is there and has its key is not run again, however it ended; where it did not return, as
-    long as its limits are the same. One that crashes or hangs costs itself alone.
-
-    Parameters
-    ----------
-    tasks : sequence of Task
-    directory : str or Path
-        Of the result files; made as needed.
-    workers : int
-        Processes on this machine, each with one task at a time. They and their scheduler listen on 127.0.0.1.
-    scheduler : str, optional
-        Address of a running dask scheduler, whose workers are used instead; they see the same files.
-    attempts : int
-        How often a task is tried that crashes, hangs or finds no memory.
-    fresh : bool
-        Run every task, whatever files are there.
-    accept : callable, optional
-        Whether a result that is there holds; left out: all do.
-    report : callable, optional
-        Called with each result, as the tasks end; those that are not run come first.
-
-    Returns
-    -------
-    tuple of TaskResult
-        In the order of `tasks`.
-
-    Raises
-    ------
-    InputError
-        When two tasks have the same name, `workers` is not positive, or no scheduler answers at its address.
-    ArchiveError
-        When a result cannot be written.
-    MissingExtra
-        When tasks are to be run and dask is not installed.
+    `report` is called with each result, as the tasks end; the rest is that of `task_results`.
     """
-    results = task_results(
-        tasks,
-        directory,
-        workers=workers,
-        scheduler=scheduler,
-        attempts=attempts,
-        fresh=fresh,
-        accept=accept,
-    )
     found: dict[str, TaskResult] = {}
-    with closing(results):
+    with closing(task_results(tasks, directory, **options)) as results:
         for result in results:
             found[result.name] = result
             if report is not None:
@@ -118,9 +71,41 @@ def task_results(
     fresh: bool = False,
     accept: Callable[[TaskResult], bool] | None = None,
 ) -> Generator[TaskResult]:
-    """Yield results as the tasks end, first those that are there; neither tasks nor results are held.
+    """Run tasks on several processes; each result is written as ``NAME.json`` when its task ends.
 
-    `run_tasks` says what the parameters mean, and returns all results.
+    A task whose file is there and has its key is not run again, however it ended; where it did not return, as
+    long as its limits are the same. One that crashes or hangs costs itself alone. Neither tasks nor results
+    are held.
+
+    Parameters
+    ----------
+    tasks : iterable of Task
+    directory : str or Path
+        Of the result files; made as needed.
+    workers : int
+        Processes on this machine, each with one task at a time.
+    scheduler : str, optional
+        Address of a running dask scheduler, whose workers are used instead; they see the same files.
+    attempts : int
+        How often a task is tried that crashes, hangs or finds no memory.
+    fresh : bool
+        Run every task, whatever files are there.
+    accept : callable, optional
+        Whether a result that is there holds; left out: all do.
+
+    Yields
+    ------
+    TaskResult
+        As the tasks end; those that are not run come first.
+
+    Raises
+    ------
+    InputError
+        When two tasks have the same name, `workers` is not positive, or no scheduler answers at its address.
+    ArchiveError
+        When a result cannot be written.
+    MissingExtra
+        When tasks are to be run and dask is not installed.
     """
     directory = Path(directory)
     if not workers >= 1:
@@ -165,10 +150,8 @@ def _run(left: deque[Task], workers: int, scheduler: str | None, attempts: int) 
             task, attempt = futures.pop(future)
             if future.status == "finished":
                 result = replace(future.result(), attempts=attempt)
-            elif isinstance(error := future.exception(), CmbotError):
-                raise error
             else:
-                text = f"no worker finished it ({error})"
+                text = f"no worker finished it ({future.exception()})"
                 result = TaskResult(
                     name=task.name, key=task.key, status=TaskStatus.CRASHED, error=text, attempts=attempt
                 )
@@ -187,56 +170,118 @@ def _client(distributed: Any, workers: int, scheduler: str | None) -> Iterator[A
             client = distributed.Client(scheduler)
         except (OSError, ValueError, TypeError) as error:
             expected = f"the address of a dask scheduler that is running, tcp://HOST:PORT ({error})"
-            raise InputError("scheduler", "", shown(scheduler), expected) from error
+            raise InputError("scheduler", "", repr(scheduler), expected) from error
         with client:
             yield client
         return
-    # Without an address the dashboard's server takes a fixed port, which a second campaign finds taken.
-    local = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"}
-    # A task's memory is its child's, which the worker does not see.
-    options = {"n_workers": workers, "threads_per_worker": 1, "processes": True, "memory_limit": 0}
-    with ExitStack() as ends:
-        with _ctrl_c_later():
-            ends.enter_context(importlib.import_module("dask").config.set(_SETTINGS))
-            # What goes wrong is in the results; tornado tells of callbacks that a cluster's end cuts short.
-            for name in ("distributed", "distributed.client", "tornado"):
-                logging.getLogger(name).setLevel(logging.CRITICAL)
-            ends.enter_context(_script_unread())
-            cluster = ends.enter_context(distributed.LocalCluster(**local, **options))
-            client = ends.enter_context(distributed.Client(cluster))
-        yield client
+    # What goes wrong is in the results; tornado tells of callbacks that a cluster's end cuts short.
+    for name in ("distributed", "distributed.client", "tornado"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    # Workers only wait for their children: they are threads of this process. Their pages listen all the same.
+    options = {"n_workers": workers, "threads_per_worker": 1, "processes": False, "memory_limit": 0}
+    local = dict.fromkeys(("dashboard_address", "worker_dashboard_address"), "127.0.0.1:0")
+    with (
+        importlib.import_module("dask").config.set(_SETTINGS),
+        distributed.LocalCluster(**local, **options) as cluster,
+    ):
+        try:
+            with distributed.Client(cluster) as client:
+                yield client
+        finally:
+            # Threads that wait for them would hold up the cluster's end.
+            end_children()
 
 
-@contextmanager
-def _script_unread() -> Iterator[None]:
-    """Keep processes that ``multiprocessing`` starts from running the user's script first, as it has them do.
+class _Child:
+    """A process that runs one task after the other; none of them can end or block this one."""
 
-    No task needs it, and where it calls `run_tasks` outside of ``if __name__ == "__main__"`` they would, too.
-    """
-    main = sys.modules["__main__"]
-    file, spec = vars(main).pop("__file__", None), main.__spec__
-    main.__spec__ = None
+    def __init__(self) -> None:
+        # Every write goes to its end, wherever it is read.
+        self._log = tempfile.TemporaryFile("a+b")  # noqa: SIM115  it goes with this object
+        self._process: Any = subprocess.Popen(
+            [sys.executable, "-m", "cmbot.campaigns.child"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._log,
+            env=os.environ | _ONE_THREAD | {"PYTHONPATH": os.pathsep.join(sys.path)},
+            # Ctrl-C of a terminal is for those who wait for it.
+            start_new_session=True,
+        )
+        self._run, self._first, self.goes_on = 0, 0, True
+
+    def run(self, task: Task) -> dict[str, Any]:
+        """Run a task; return how it ended, as fields of a `TaskResult`."""
+        self.goes_on = False
+        self._log.truncate(0)
+        asked = {name: getattr(task, name) for name in ("function", "time_limit", "memory_limit")}
+        line = json.dumps(asked | {"arguments": {**task.arguments, **task.unkeyed}})
+        answers = self._process.stdout
+        # One that has ended breaks the pipe, and has no answer.
+        with suppress(OSError):
+            self._process.stdin.write(f"{line}\n".encode())
+            self._process.stdin.flush()
+        if not select.select([answers], [], [], task.time_limit)[0]:
+            error = f"killed after {task.time_limit:g} s"
+            return {"status": TaskStatus.TIMED_OUT, "error": error, "details": self._said()}
+        answer = json.loads(answers.readline() or "{}")
+        resident = answer.pop("resident", 0)
+        if "value" in answer:
+            self._run, self._first = self._run + 1, self._first or resident
+            self.goes_on = self._run < MOST_TASKS and resident - self._first < MOST_GROWTH
+            return {"status": TaskStatus.DONE, **answer}
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(task.time_limit)
+        if answer:
+            return {"status": TaskStatus.RAISED, "details": self._said(), **answer}
+        error = _end_of(self._process.returncode)
+        return {"status": TaskStatus.CRASHED, "error": error, "details": self._said()}
+
+    def end(self) -> None:
+        """End the process with all that it has started."""
+        self.goes_on = False
+        if self._process.poll() is None:
+            os.killpg(self._process.pid, signal.SIGKILL)
+            self._process.wait()
+        for file in (self._process.stdin, self._process.stdout, self._log):
+            with suppress(OSError):
+                file.close()
+
+    def _said(self) -> str:
+        """The end of what the process wrote to standard error."""
+        self._log.seek(0)
+        return self._log.read().decode("utf-8", errors="replace")[-_DETAILS:]
+
+
+# By the thread that has it: of a worker, which has one task at a time.
+_CHILDREN = dict[int, _Child]()
+
+
+def run_in_child(task: Task) -> TaskResult:
+    """Run one task in this thread's process for tasks, and wait for its end."""
+    begin = time.perf_counter()
+    child = _CHILDREN.pop(get_ident(), None) or _Child()
+    _CHILDREN[get_ident()] = child
     try:
-        yield
+        ended = child.run(task)
     finally:
-        main.__spec__ = spec
-        if file is not None:
-            main.__file__ = file
+        if not child.goes_on:
+            child.end()
+            _CHILDREN.pop(get_ident(), None)
+    return TaskResult(name=task.name, key=task.key, seconds=time.perf_counter() - begin, **ended)
 
 
-@contextmanager
-def _ctrl_c_later() -> Iterator[None]:
-    """Hold Ctrl-C back; threads and processes that are started in the meantime never see it.
+@atexit.register
+def end_children() -> None:
+    """End all processes for tasks of this process."""
+    while _CHILDREN:
+        _CHILDREN.popitem()[1].end()
 
-    A terminal sends it to the workers, too, each of which would print a traceback.
-    """
-    # When it starts, it lets the signal through again.
-    resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+def _end_of(status: int | None) -> str:
+    if status is None or status >= 0:
+        return f"exit status {status} without an answer"
+    known = {number.value: number.name for number in signal.Signals}
+    return f"signal {known.get(-status, -status)}"
 
 
 def require_dask() -> Any:

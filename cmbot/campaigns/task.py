@@ -12,8 +12,6 @@ from typing import Any
 
 from cmbot.common.errors import InputError, one_line
 
-__all__ = ["Task", "TaskResult", "TaskStatus", "require_task_name"]
-
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._\-]{0,99}")
 _FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 

@@ -1,50 +1,23 @@
-"""Standard output and standard error of the command line, exit statuses, options that commands share."""
+"""Standard output and standard error of the command line, and exit statuses."""
 
 from __future__ import annotations
 
 import json
 import os
 import sys
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from enum import IntEnum
-from pathlib import Path
-from typing import Annotated, Any, Self, TextIO
+from typing import Any, Self, TextIO
 
-import typer
 from rich.console import Console
 from rich.control import Control
 from rich.segment import ControlType
 from rich.table import Table
 
 from cmbot.cli.signals import check_signals
-from cmbot.common.errors import CmbotError, PlanningError
-from cmbot.common.errors import one_line as flat
-from cmbot.common.installation import shipped_scenes
-from cmbot.common.progress_line import ProgressLine, Report
-
-__all__ = [
-    "ConsoleProgress",
-    "ExitStatus",
-    "FiguresOption",
-    "ForceOption",
-    "JsonOption",
-    "LostOutputError",
-    "PlanArgument",
-    "QuietOption",
-    "SceneArgument",
-    "complete_scene",
-    "discard",
-    "err",
-    "flat",
-    "out",
-    "print_json",
-    "print_pairs",
-    "print_result",
-    "print_table",
-    "scenes_named",
-]
+from cmbot.common.errors import CmbotError, PlanningError, one_line
+from cmbot.common.progress_display import ProgressDisplay
 
 
 class LostOutputError(CmbotError):
@@ -100,40 +73,6 @@ def discard(stream: TextIO | None) -> None:
 out = _Output(soft_wrap=True, highlight=False, markup=False, emoji=False)
 err = _Output(stderr=True, soft_wrap=True, highlight=False, markup=False, emoji=False)
 
-JsonOption = Annotated[
-    bool, typer.Option("--json", help="Print one JSON object on standard output instead of tables.")
-]
-QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors (and JSON).")]
-ForceOption = Annotated[bool, typer.Option("--force", help="Replace what is there.")]
-FiguresOption = Annotated[
-    bool, typer.Option("--figures", help="Draw plots as PNG and SVG into the plan directory, too.")
-]
-
-
-def complete_scene(begun: str) -> list[str]:
-    """Return what a shell may complete a scene's name to: the shipped scenes, and files."""
-    names = [*shipped_scenes()]
-    folder, _, start = begun.rpartition("/")
-    with suppress(OSError):
-        found = (entry for entry in os.scandir(folder or ".") if entry.name.startswith(start))
-        names += [
-            f"{folder}/{entry.name}" if folder else entry.name
-            for entry in found
-            if entry.is_dir() or entry.name.endswith((".yaml", ".yml", ".json"))
-        ]
-    return sorted(name for name in names if name.startswith(begun))
-
-
-SceneArgument = Annotated[
-    str,
-    typer.Argument(
-        metavar="SCENE",
-        help="A scene file, or the name of a shipped scene.",
-        autocompletion=complete_scene,
-    ),
-]
-PlanArgument = Annotated[Path, typer.Argument(metavar="DIR", help="A plan directory.")]
-
 
 @contextmanager
 def scenes_named(*scenes: str) -> Iterator[None]:
@@ -156,22 +95,16 @@ def print_json(data: Mapping[str, Any]) -> None:
     out.print(json.dumps({"format": "cmbot-summary/1", **data}, indent=2, allow_nan=False))
 
 
-def print_result(verb: str, directory: Path, entries: Mapping[str, Any]) -> None:
-    """Print as JSON what a command wrote into a directory."""
-    files = sorted(path.name for path in directory.iterdir())
-    print_json({"verb": verb, "directory": str(directory), "files": files, **entries})
-
-
 def print_pairs(pairs: Mapping[str, str]) -> None:
     """Print names and values: a table on a terminal, aligned columns elsewhere."""
     if out.is_terminal and pairs:
         table = Table(show_header=False)
         for name, value in pairs.items():
-            table.add_row(name, flat(value))
+            table.add_row(name, one_line(value))
         out.print(table)
         return
     for name, value in pairs.items():
-        out.print(f"{name:<34}{flat(value)}")
+        out.print(f"{name:<34}{one_line(value)}")
 
 
 def print_table(
@@ -193,11 +126,11 @@ def print_table(
         out.print("  ".join(map(format, cells, formats)).rstrip())
 
 
-class ConsoleProgress(ProgressLine):
-    """Progress on standard error, or none where it is to be quiet; with each report, signals are checked."""
+class ConsoleProgress(ProgressDisplay):
+    """Progress on standard error, where that is a terminal; with each report, signals are checked."""
 
-    def __init__(self, *, quiet: bool = False, clock: Callable[[], float] = time.monotonic) -> None:
-        super().__init__(err, quiet=quiet, clock=clock)
+    def __init__(self, *, quiet: bool = False) -> None:
+        super().__init__(err, quiet=quiet)
 
     def __enter__(self) -> Self:
         err.erase_sign()
@@ -208,12 +141,6 @@ class ConsoleProgress(ProgressLine):
         if error[0] is None:
             check_signals()
 
-    def update(self, progress: Report, prefix: str = "") -> None:
-        """Show a report, after a prefix such as the scene's name."""
+    def _show(self, description: str, share: float | None) -> None:
         check_signals()
-        super().update(progress, prefix)
-
-    def stage(self, description: str, share: float | None = None) -> None:
-        """Show what is being done, and the share of all the work that is done, where it is known."""
-        check_signals()
-        super().stage(description, share)
+        super()._show(description, share)

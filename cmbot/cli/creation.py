@@ -8,22 +8,19 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 import cmbot
-from cmbot.cli.console import ForceOption, JsonOption, QuietOption, flat, out, print_json
+from cmbot.cli.command import Reporting, option
+from cmbot.cli.console import out
 from cmbot.cli.views import require_new
-from cmbot.common.errors import InputError, ModelError
+from cmbot.common.errors import InputError, ModelError, one_line
 from cmbot.common.installation import scene_folder
 
 if TYPE_CHECKING:
     from cmbot.planning import StartPosture
     from cmbot.robot import Robot
     from cmbot.scene import Obstacle
-
-__all__ = ["new"]
 
 _SHIPPED = "cmbot"
 _NO_SLUG = re.compile(r"[^A-Za-z0-9_\-]+")
@@ -32,78 +29,60 @@ _LARGEST, _LARGEST_ANGLE = 1e4, 360.0
 
 
 Numbers = tuple[float, float, float]
-SourceOption = Annotated[
-    str | None, typer.Option("--from", metavar="URDF", help="A URDF, or the name of a robot such as panda.")
-]
-ToolAtOption = Annotated[
-    Numbers | None,
-    typer.Option(
-        "--tool-at",
-        metavar="X Y Z",
-        help="With --from: tool point at the start, m, in the frame of the URDF's root link.",
-    ),
-]
-RpyOption = Annotated[
-    Numbers | None,
-    typer.Option("--rpy-deg", metavar="R P Y", help="Roll, pitch, yaw of the tool there; left out: any."),
-]
-BaseOption = Annotated[
-    str | None, typer.Option("--base", metavar="FRAME", help="Base frame; left out: the only choice.")
-]
-ToolOption = Annotated[
-    str | None, typer.Option("--tool", metavar="FRAME", help="Tool frame; left out: the only choice.")
-]
-PackagesOption = Annotated[
-    list[Path] | None,
-    typer.Option("--package-dir", metavar="DIR", help="Where package:// is sought first; repeatable."),
-]
-OutputOption = Annotated[
-    Path | None, typer.Option("--output", "-o", help="Scene file to write; NAME.yaml if left out.")
-]
 
 
-def new(
-    source: SourceOption = None,
-    tool_at: ToolAtOption = None,
-    rpy_deg: RpyOption = None,
-    base: BaseOption = None,
-    tool: ToolOption = None,
-    package_dir: PackagesOption = None,
-    output: OutputOption = None,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
-    quiet: QuietOption = False,
-) -> None:
+@dataclass(frozen=True, kw_only=True)
+class NewCommand(Reporting):
     """Write a scene for a robot: a start posture that holds the tool, a first leg, joint limits to fill in.
 
-    Example: [bold]cmbot new --from panda --tool-at 0.5 0 0.4 -o panda.yaml[/bold],
-    then [bold]cmbot plan panda.yaml[/bold]
+    Example: cmbot new --from panda --tool-at 0.5 0 0.4 -o panda.yaml, then cmbot plan panda.yaml
     """
-    if source is None or tool_at is None:
-        missing = "--from" if source is None else "--tool-at"
-        raise InputError(missing, "", "nothing", "--from URDF and --tool-at X Y Z")
-    path = output if output is not None else Path(f"{_slug(Path(source).name.partition('.')[0])}.yaml")
-    _require_numbers("--tool-at", tool_at, _LARGEST)
-    _require_numbers("--rpy-deg", rpy_deg or (), _LARGEST_ANGLE)
-    packages = tuple(package_dir or ())
-    _require_applicable(source, base, tool, packages)
-    robot = _loaded(source, base, tool, packages)
-    require_new(path, force)
-    made = _composed(robot, source, tool_at, rpy_deg, path, packages)
-    from cmbot.archive import write_file
 
-    # The scene last: it names the others.
-    *others, scene_file = sorted(made.files, key=lambda file: file == path)
-    for file in others:
-        require_new(file, force)
-    for file in (*others, scene_file):
-        write_file(file, made.files[file].encode())
-    written = [scene_file, *others]
-    remarks = [*made.robot.remarks, *made.remarks]
-    if as_json:
-        print_json({"verb": "new", "files": [str(file) for file in written], "remarks": remarks})
-    elif not quiet:
-        _print_new(made, remarks, written, shipped=source == _SHIPPED)
+    reads = False
+
+    source: str | None = option(
+        None, "A URDF, or the name of a robot such as panda.", "--from", metavar="URDF"
+    )
+    tool_at: Numbers | None = option(
+        None,
+        "With --from: tool point at the start, m, in the frame of the URDF's root link.",
+        metavar="X Y Z",
+    )
+    rpy_deg: Numbers | None = option(
+        None, "Roll, pitch, yaw of the tool there; left out: any.", metavar="R P Y"
+    )
+    base: str | None = option(None, "Base frame; left out: the only choice.", metavar="FRAME")
+    tool: str | None = option(None, "Tool frame; left out: the only choice.", metavar="FRAME")
+    package_dir: tuple[Path, ...] = option((), "Where package:// is sought first; repeatable.", metavar="DIR")
+    output: Path | None = option(None, "Scene file to write; NAME.yaml if left out.", "--output", "-o")
+    force: bool = option(False, "Replace what is there.")
+
+    def __call__(self) -> None:
+        source, tool_at = self.source, self.tool_at
+        if source is None or tool_at is None:
+            missing = "--from" if source is None else "--tool-at"
+            raise InputError(missing, "", "nothing", "--from URDF and --tool-at X Y Z")
+        path = self.output or Path(f"{_slug(Path(source).name.partition('.')[0])}.yaml")
+        _require_numbers("--tool-at", tool_at, _LARGEST)
+        _require_numbers("--rpy-deg", self.rpy_deg or (), _LARGEST_ANGLE)
+        _require_applicable(source, self.base, self.tool, self.package_dir)
+        robot = _loaded(source, self.base, self.tool, self.package_dir)
+        require_new(path, self.force)
+        made = _composed(robot, source, tool_at, self.rpy_deg, path, self.package_dir)
+        from cmbot.archive import write_file
+
+        # The scene last: it names the others.
+        *others, scene_file = sorted(made.files, key=lambda file: file == path)
+        for file in others:
+            require_new(file, self.force)
+        for file in (*others, scene_file):
+            write_file(file, made.files[file].encode())
+        written = [scene_file, *others]
+        remarks = [*made.robot.remarks, *made.remarks]
+        self.answer(
+            lambda: {"files": [str(file) for file in written], "remarks": remarks},
+            lambda: _print_new(made, remarks, written, shipped=source == _SHIPPED),
+        )
 
 
 def _require_applicable(source: str, base: str | None, tool: str | None, packages: tuple[Path, ...]) -> None:
@@ -121,19 +100,19 @@ def _print_new(made: _Made, remarks: Sequence[str], written: Sequence[Path], *, 
     """Print what was written of a scene: the file and those beside it."""
     robot, start = made.robot, made.start
     joints = f"{robot.dof} joints from {robot.base_frame} to {robot.tool_frame}"
-    out.print(flat(f"{robot.name}: {joints}"))
+    out.print(one_line(f"{robot.name}: {joints}"))
     by = ", ".join(f"{x:g}" for x in start.by)
     out.print(f"A first leg takes the tool by ({by}) m in {start.seconds:g} s: put your own into tool_path.")
     if not shipped:
         out.print("The base is rigid: guardrail.stiffness says how it bends, base.name what it is.")
     for remark in remarks:
-        out.print(flat(remark))
+        out.print(one_line(remark))
     for limits in written[1:]:
         if limits.suffix == ".yaml":
             out.print(
-                flat(f"The assumed limits are in {limits}: put those of your robot's data sheet there.")
+                one_line(f"The assumed limits are in {limits}: put those of your robot's data sheet there.")
             )
-    out.print(flat(f"Written: {', '.join(map(str, written))}. Plan it: cmbot plan {written[0]}"))
+    out.print(one_line(f"Written: {', '.join(map(str, written))}. Plan it: cmbot plan {written[0]}"))
 
 
 @dataclass(frozen=True)
@@ -222,10 +201,10 @@ def _loaded(
     try:
         return cmbot.load_robot(source, base_frame=base, tool_frame=tool, package_dirs=packages, srdf=srdf)
     except ModelError as error:
-        option = {"base_frame": "--base", "tool_frame": "--tool"}.get(error.key)
-        if option is None:
+        flag = {"base_frame": "--base", "tool_frame": "--tool"}.get(error.key)
+        if flag is None:
             raise
-        raise InputError(option, "", error.got, error.expected, error.choices) from error
+        raise InputError(flag, "", error.got, error.expected, error.choices) from error
 
 
 def _robot_entry(

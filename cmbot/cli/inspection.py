@@ -1,60 +1,38 @@
-"""The commands that inspect a URDF, a scene or the installation: `check`, `scenes`, `schema`, `doctor`."""
+"""The commands that inspect files and what is installed: `check`, `verify`, `scenes`, `schema`, `doctor`."""
 
 from __future__ import annotations
 
 import re
 import shutil
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from itertools import takewhile
+from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
-
-import typer
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cmbot
-from cmbot.cli.console import (
-    ExitStatus,
-    ForceOption,
-    JsonOption,
-    QuietOption,
-    complete_scene,
-    flat,
-    out,
-    print_json,
-    print_pairs,
-)
+from cmbot.cli.command import Command, Reporting, argument, option
+from cmbot.cli.completion import complete_scene
+from cmbot.cli.console import ExitStatus, out, print_json, print_pairs, print_table
 from cmbot.cli.views import require_new
-from cmbot.common.errors import InputError, SceneError
+from cmbot.common.errors import InputError, MissingExtra, SceneError, one_line
 from cmbot.common.input_files import is_file
 from cmbot.common.installation import install_command, model_folder, scene_folder, shipped_scenes
 from cmbot.version import __version__
 
 if TYPE_CHECKING:
+    from cmbot.planning import Check
     from cmbot.robot import Finding
-
-__all__ = ["Symptom", "check", "doctor", "examine", "scenes", "schema"]
 
 _ROBOT_SUFFIXES = (".urdf", ".xml", ".xacro")
 _SCENE_SUFFIXES = (".yaml", ".yml", ".json")
-# The module of each required package.
-_REQUIRED = {
-    "pin": "pinocchio",
-    "coal": "coal",
-    "numpy": "numpy",
-    "scipy": "scipy",
-    "annotated-types": "annotated_types",
-    "pydantic": "pydantic",
-    "ruamel.yaml": "ruamel.yaml",
-    "meshcat": "meshcat",
-    "u-msgpack-python": "umsgpack",
-    "yourdfpy": "yourdfpy",
-    "trimesh": "trimesh",
-    "fast-simplification": "fast_simplification",
-    "threadpoolctl": "threadpoolctl",
-    "typer": "typer",
-    "rich": "rich",
-}
+# Required packages, and the modules of those that are called otherwise.
+_REQUIRED = (
+    *("pin", "coal", "numpy", "scipy", "annotated-types", "pydantic", "ruamel.yaml", "meshcat", "yourdfpy"),
+    *("u-msgpack-python", "trimesh", "fast-simplification", "threadpoolctl", "rich"),
+)
+_MODULES = {"pin": "pinocchio", "u-msgpack-python": "umsgpack"}
 # Programs that `cmbot replay --video` needs: the names that they have, and what installs them.
 _PROGRAMS = (
     ("chromium", ("chromium", "chromium-browser", "google-chrome"), "apt-get install chromium"),
@@ -75,60 +53,44 @@ _OPTIONAL = (
 )
 
 
-def check(
-    file: Annotated[
-        str,
-        typer.Argument(
-            metavar="FILE",
-            help="A URDF, a scene file, or a shipped scene's or a robot's name.",
-            autocompletion=complete_scene,
-        ),
-    ],
-    write_srdf: Annotated[
-        Path | None,
-        typer.Option(
-            "--write-srdf",
-            metavar="FILE",
-            help="Write an SRDF: which links of a URDF need not be checked against each other.",
-        ),
-    ] = None,
-    as_json: JsonOption = False,
-    quiet: QuietOption = False,
-) -> None:
+@dataclass(frozen=True, kw_only=True)
+class CheckCommand(Reporting):
     """Inspect a URDF or a scene before anything is planned with it.
 
-    Examples: [bold]cmbot check arm.urdf[/bold], [bold]cmbot check triangle[/bold],
-    [bold]cmbot check panda --write-srdf panda.srdf[/bold]
+    Examples: cmbot check arm.urdf, cmbot check triangle, cmbot check panda --write-srdf panda.srdf
     """
-    is_urdf = _is_robot(file)
-    findings, found, conclusion = _check_urdf(file) if is_urdf else _check_scene(file)
-    if write_srdf is not None:
-        _require_new(write_srdf, is_urdf)
-    usable = not _errors(findings)
-    if usable and write_srdf is not None:
-        found["SRDF written"] = _write_srdf(file, write_srdf)
-    if as_json:
-        print_json(
-            {
-                "verb": "check",
-                "file": file,
-                "kind": "urdf" if is_urdf else "scene",
-                "usable": usable,
-                "findings": [asdict(finding) for finding in findings],
-                "found": found,
-            }
-        )
-    else:
-        for finding in findings:
-            if finding.severity == "error" or not quiet:
+
+    file: str = argument(
+        "A URDF, a scene file, or a shipped scene's or a robot's name.", "FILE", complete=complete_scene
+    )
+    write_srdf: Path | None = option(
+        None, "Write an SRDF: which links of a URDF need not be checked against each other.", metavar="FILE"
+    )
+
+    def __call__(self) -> int:
+        file, is_urdf = self.file, _is_robot(self.file)
+        findings, found, conclusion = _check_urdf(file) if is_urdf else _check_scene(file)
+        if self.write_srdf is not None:
+            _require_new(self.write_srdf, is_urdf)
+        usable = not _errors(findings)
+        if usable and self.write_srdf is not None:
+            found["SRDF written"] = _write_srdf(file, self.write_srdf)
+        for finding in () if self.json else findings:
+            if finding.severity == "error" or not self.quiet:
                 # As long as an error's message at most.
                 message = InputError(file, finding.key, finding.got, finding.expected)
                 out.print(f"{finding.severity}: {message}")
-    if not (as_json or quiet):
-        print_pairs(found)
-        out.print(conclusion)
-    if not usable:
-        raise typer.Exit(ExitStatus.BAD_INPUT)
+
+        def data() -> dict[str, object]:
+            kind, told = "urdf" if is_urdf else "scene", [asdict(finding) for finding in findings]
+            return {"file": file, "kind": kind, "usable": usable, "findings": told, "found": found}
+
+        def say() -> None:
+            print_pairs(found)
+            out.print(conclusion)
+
+        self.answer(data, say)
+        return ExitStatus.DONE if usable else ExitStatus.BAD_INPUT
 
 
 def _is_robot(file: str) -> bool:
@@ -194,7 +156,7 @@ def _check_scene(file: str) -> tuple[Sequence[Finding], dict[str, str], str]:
         expected = "a URDF (.urdf, .xml, .xacro) or a scene file (.yaml, .yml, .json)"
         raise InputError(file, "", f"a file that is neither ({error.got})", expected) from error
     precheck = precheck_scene(scene)
-    warnings, plan = len(precheck.warnings), f"cmbot plan {flat(file)}"
+    warnings, plan = len(precheck.warnings), f"cmbot plan {one_line(file)}"
     conclusion = (
         "No warning. Checked: the start, and places along the path, each for a posture that is within the "
         f"joint ranges, clear and strong enough. Not checked: the way from one to the next; {plan} finds out."
@@ -229,33 +191,90 @@ def _errors(findings: Sequence[Finding]) -> int:
     return sum(finding.severity == "error" for finding in findings)
 
 
-def scenes(
-    html: Annotated[
-        Path | None, typer.Option("--html", help="Page to write instead, with a picture of each scene.")
-    ] = None,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
-) -> None:
+@dataclass(frozen=True, kw_only=True)
+class VerifyCommand(Reporting):
+    """Certify what is in a folder anew, and compute it a second time by other means.
+
+    Exit status 2, and one line that says what is wrong, where a promise is broken or two computations differ.
+
+    Examples: cmbot verify out/triangle, cmbot verify out/triangle --engine mujoco
+    """
+
+    directory: Path = argument("The folder of a plan, a walk or a tour.", "DIR")
+    engine: str | None = option(
+        None,
+        "The second engine that has to be asked: mujoco, of the extra verify. Left out: if installed.",
+    )
+
+    def __call__(self) -> None:
+        from cmbot.archive import verified_motions
+        from cmbot.planning.verification.engine import ENGINE, is_installed, require_installed
+
+        if self.engine not in (None, ENGINE):
+            raise InputError("cmbot verify", "--engine", self.engine, "a known engine", (ENGINE,))
+        if self.engine is not None:
+            require_installed()
+        motions, asked = verified_motions(self.directory), is_installed()
+
+        def data() -> dict[str, Any]:
+            entries = [
+                {"part": each.part, "name": each.name, "checks": [_entry(check) for check in each.checks]}
+                for each in motions
+            ]
+            engine = ENGINE if asked else None
+            return {"directory": str(self.directory), "engine": engine, "motions": entries}
+
+        def say() -> None:
+            rows = [(each.part, each.name, f"{each.seconds:.1f}", str(len(each.checks))) for each in motions]
+            print_table("Verified", ("part", "motion", "seconds", "checks that hold"), rows, text_columns=2)
+            out.print(one_line("Certified anew, and computed a second time at 300 states of each motion."))
+            second = f"The second engine, {ENGINE}, was asked."
+            missing = f"The second engine was not asked: {MissingExtra(ENGINE, 'verify')}."
+            out.print(one_line(second if asked else missing))
+
+        self.answer(data, say)
+
+
+def _entry(check: Check) -> dict[str, Any]:
+    """A check for JSON, which has no infinite numbers: without shapes a clearance is one."""
+    return {
+        name: None if isinstance(value, float) and not isfinite(value) else value
+        for name, value in asdict(check).items()
+    }
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScenesCommand(Command):
     """List the shipped scenes, each with what it is about.
 
-    Examples: [bold]cmbot scenes[/bold], [bold]cmbot scenes --html scenes.html[/bold]
+    Examples: cmbot scenes, cmbot scenes --html scenes.html
     """
-    shown = {name: _about(name) for name in shipped_scenes()}
-    if html is not None:
-        require_new(html, force)
-        from cmbot.views import gallery_page, write_page
 
-        write_page(html, gallery_page(shown))
-        if not as_json:
-            out.print(f"Written to {flat(html)}.")
+    reads = False
+
+    html: Path | None = option(None, "Page to write instead, with a picture of each scene.")
+    force: bool = option(False, "Replace what is there.")
+    json: bool = option(False, "Print one JSON object on standard output instead of tables.")
+
+    def __call__(self) -> None:
+        shown = {name: _about(name) for name in shipped_scenes()}
+        if self.html is not None:
+            require_new(self.html, self.force)
+            from cmbot.views import gallery_page, write_page
+
+            write_page(self.html, gallery_page(shown))
+            if not self.json:
+                out.print(f"Written to {one_line(self.html)}.")
+                return
+        about = {name: sentence for name, (sentence, _) in shown.items()}
+        if self.json:
+            print_json({"verb": "scenes", "folder": str(scene_folder()), "scenes": about})
             return
-    about = {name: sentence for name, (sentence, _) in shown.items()}
-    if as_json:
-        print_json({"verb": "scenes", "folder": str(scene_folder()), "scenes": about})
-        return
-    print_pairs(about)
-    others = [command for name, (_, command) in shown.items() if command != f"cmbot plan {name}"]
-    out.print(f"Their files are in {flat(scene_folder())}; {', '.join(['cmbot plan NAME', *others])}.")
+        print_pairs(about)
+        others = [command for name, (_, command) in shown.items() if command != f"cmbot plan {name}"]
+        out.print(
+            f"Their files are in {one_line(scene_folder())}; {', '.join(['cmbot plan NAME', *others])}."
+        )
 
 
 def _about(name: str) -> tuple[str, str]:
@@ -267,26 +286,35 @@ def _about(name: str) -> tuple[str, str]:
     return words.partition(". ")[0].rstrip(".") + ".", command[1] if command else f"cmbot plan {name}"
 
 
-def schema() -> None:
+@dataclass(frozen=True, kw_only=True)
+class SchemaCommand(Command):
     """Print the JSON Schema of scene files, for editors and programs.
 
-    Example: [bold]cmbot schema > scene.schema.json[/bold]
+    Example: cmbot schema > scene.schema.json
     """
-    out.print((scene_folder() / "scene.schema.json").read_text(encoding="utf-8"), end="")
+
+    reads = False
+
+    def __call__(self) -> None:
+        out.print((scene_folder() / "scene.schema.json").read_text(encoding="utf-8"), end="")
 
 
-def doctor() -> None:
+@dataclass(frozen=True, kw_only=True)
+class DoctorCommand(Command):
     """Show versions, where things were loaded from, and what is missing.
 
-    Example: [bold]cmbot doctor[/bold]
+    Example: cmbot doctor
     """
-    symptoms = examine()
-    width = max(len(symptom.name) for symptom in symptoms)
-    for symptom in symptoms:
-        mark = "ok     " if symptom.healthy else "MISSING"
-        out.print(f"{mark} {symptom.name:<{width}}  {flat(symptom.found)}")
-    if not all(symptom.healthy for symptom in symptoms):
-        raise typer.Exit(ExitStatus.FAILED)
+
+    reads = False
+
+    def __call__(self) -> int:
+        symptoms = examine()
+        width = max(len(symptom.name) for symptom in symptoms)
+        for symptom in symptoms:
+            mark = "ok     " if symptom.healthy else "MISSING"
+            out.print(f"{mark} {symptom.name:<{width}}  {one_line(symptom.found)}")
+        return ExitStatus.DONE if all(symptom.healthy for symptom in symptoms) else ExitStatus.FAILED
 
 
 class Symptom(NamedTuple):
@@ -304,7 +332,7 @@ def examine() -> list[Symptom]:
     symptoms = [
         Symptom("cmbot", f"{__version__} from {Path(__file__).parent.parent}"),
         Symptom("python", f"{platform.python_version()} on {platform.platform()}"),
-        *(_package(name, module) for name, module in _REQUIRED.items()),
+        *(_package(name, _MODULES.get(name, name.replace("-", "_"))) for name in _REQUIRED),
     ]
     for name, extra in _OPTIONAL:
         version = _version(name)

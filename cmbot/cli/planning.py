@@ -5,55 +5,37 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 import cmbot
-from cmbot.cli.console import (
-    ConsoleProgress,
-    FiguresOption,
-    ForceOption,
-    JsonOption,
-    QuietOption,
-    SceneArgument,
-    err,
-    flat,
-    out,
-    print_result,
-    print_table,
-    scenes_named,
-)
+from cmbot.cli.command import Reporting, argument, option
+from cmbot.cli.completion import complete_scene
+from cmbot.cli.console import ConsoleProgress, err, out, print_table
 from cmbot.cli.views import plot_files, require_plots
-from cmbot.common.errors import InputError, SceneError
+from cmbot.common.errors import InputError, SceneError, one_line
 from cmbot.common.installation import scene_folder
 
 if TYPE_CHECKING:
     from cmbot.planning import Plan
 
-__all__ = ["plan"]
-
 # Entries of plan.json that are too long for a summary, or have another form there.
 _LEFT_OUT = ("format", "scene", "files", "content", "floor", "passes")
 
 
-def _print_options(wanted: bool) -> None:
+def _print_options() -> None:
     """Print every option of ``--set``: default, what it may be, meaning."""
-    if not wanted:
-        return
     # The models that check the options also wrote the schema.
     schema = json.loads((scene_folder() / "scene.schema.json").read_text(encoding="utf-8"))
     out.print("Options of --set NAME=VALUE, and of a scene file's planner block; --set also takes")
     out.print("keys of the scene file, such as tool_path.legs[0].seconds:")
-    for name, option in schema["$defs"]["PlannerOptions"]["properties"].items():
-        default = json.dumps(option["default"])
-        out.print(f"\n{name}={default.strip(chr(34))}  ({_allowed(option)})")
+    for name, entry in schema["$defs"]["PlannerOptions"]["properties"].items():
+        default = json.dumps(entry["default"])
+        out.print(f"\n{name}={default.strip(chr(34))}  ({_allowed(entry)})")
         out.print(
-            f"    {' '.join(option['description'].replace('``', '').split())}", soft_wrap=not out.is_terminal
+            f"    {' '.join(entry['description'].replace('``', '').split())}", soft_wrap=not out.is_terminal
         )
-    raise typer.Exit
 
 
 def _allowed(option: Mapping[str, Any]) -> str:
@@ -68,67 +50,62 @@ def _allowed(option: Mapping[str, Any]) -> str:
     return f"{kind}{option['minimum']:g} to {option['maximum']:g}"
 
 
-def plan(
-    scene: SceneArgument,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Plan directory to write; out/NAME if left out.")
-    ] = None,
-    force: ForceOption = False,
-    changes: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="NAME=VALUE",
-            help="A planner option, or a value by its key in the scene file, in place of the scene's; "
-            "may be repeated.",
-        ),
-    ] = None,
-    list_options: Annotated[
-        bool,
-        typer.Option(
-            "--options", callback=_print_options, is_eager=True, help="List the planner's options, and stop."
-        ),
-    ] = False,
-    figures: FiguresOption = False,
-    as_json: JsonOption = False,
-    quiet: QuietOption = False,
-) -> None:
+@dataclass(frozen=True, kw_only=True)
+class PlanCommand(Reporting):
     """Plan a scene, print what was gained, write a plan directory with a replay and a report.
 
-    Examples: [bold]cmbot plan triangle -o out/triangle[/bold],
-    [bold]cmbot plan triangle --set compensate=true --set robot.payload_kg=2[/bold]
+    Examples: cmbot plan triangle -o out/triangle, cmbot plan triangle --set compensate=true --set
+    robot.payload_kg=2
     """
-    del list_options
-    started = time.perf_counter()
-    loaded, options = _loaded(scene, changes or [])
-    # Imports the robot's libraries: after the scene file, so that its errors are reported at once.
-    from cmbot.archive import claim, require_free
-    from cmbot.planning import precheck_options, unit_findings
 
-    directory = output if output is not None else Path("out") / loaded.name
-    with claim(directory):
-        require_free(directory, force=force)
-        require_plots(figures)
-        found = () if quiet else (*unit_findings(loaded), *precheck_options(options, loaded.tool))
-        for finding in found:
-            err.print(flat(f"warning: {finding.key}: got {finding.got}, expected {finding.expected}"))
-        with scenes_named(scene), ConsoleProgress(quiet=quiet) as console_progress:
-            planned = cmbot.plan(loaded, options=options, progress=console_progress.update)
-        if not quiet:
-            err.show_sign("writing …")
+    scene: str = argument("A scene file, or the name of a shipped scene.", "SCENE", complete=complete_scene)
+    output: Path | None = option(None, "Plan directory to write; out/NAME if left out.", "--output", "-o")
+    force: bool = option(False, "Replace what is there.")
+    changes: tuple[str, ...] = option(
+        (),
+        "A planner option, or a value by its key in the scene file, in place of the scene's; repeatable.",
+        "--set",
+        metavar="NAME=VALUE",
+    )
+    options: bool = option(False, "List the planner's options, and stop.", instead=_print_options)
+    figures: bool = option(False, "Draw plots as PNG and SVG into the plan directory, too.")
+
+    def __call__(self) -> None:
+        started = time.perf_counter()
+        loaded, options = _loaded(self.scene, self.changes)
+        # Imports the robot's libraries: after the scene file, so that its errors are reported at once.
+        from cmbot.archive import require_free
+        from cmbot.planning import precheck_options, unit_findings
         from cmbot.views import REPORT, pages
 
-        drawn = plot_files(planned, figures)
-        cmbot.save(planned, directory, force=force, added=pages(planned) | drawn)
-    if as_json:
-        print_result("plan", directory, _summary(planned, directory))
-    elif not quiet:
-        _print_plan(planned)
-        seconds = time.perf_counter() - started
-        out.print(f"Written to {flat(directory)}, in all {seconds:.1f} s with reading, checks and pages.")
-        if drawn:
-            out.print(f"Figures: {', '.join(drawn)}.")
-        out.print(f"Look at it: open {flat(directory / REPORT)} in a browser.")
+        directory, drawn = self.output or Path("out") / loaded.name, dict[str, bytes]()
+
+        def require() -> None:
+            require_free(directory, force=self.force)
+            require_plots(self.figures)
+            found = () if self.quiet else (*unit_findings(loaded), *precheck_options(options, loaded.tool))
+            for finding in found:
+                err.print(one_line(f"warning: {finding.key}: got {finding.got}, expected {finding.expected}"))
+
+        def planned_scene(progress: ConsoleProgress) -> Plan:
+            return cmbot.plan(loaded, options=options, progress=progress.update)
+
+        def write(planned: Plan) -> None:
+            drawn.update(plot_files(planned, self.figures))
+            cmbot.save(planned, directory, force=self.force, added=pages(planned) | drawn)
+
+        def say() -> None:
+            _print_plan(planned)
+            seconds = time.perf_counter() - started
+            out.print(
+                f"Written to {one_line(directory)}, in all {seconds:.1f} s with reading, checks and pages."
+            )
+            if drawn:
+                out.print(f"Figures: {', '.join(drawn)}.")
+            out.print(f"Look at it: open {one_line(directory / REPORT)} in a browser.")
+
+        planned = self.work_in(directory, require, planned_scene, write, [self.scene])
+        self.answer(lambda: _summary(planned, directory), say, directory)
 
 
 def _loaded(scene: str, changes: Sequence[str]) -> tuple[cmbot.Scene, cmbot.PlannerOptions]:
@@ -155,14 +132,14 @@ def _given(scene: str, changes: Sequence[str]) -> dict[str, object]:
             raise InputError("--set", "", shown(change), "NAME=VALUE, such as start=pinned")
         name = key.removeprefix("planner.")
         if name in given:
-            raise InputError("--set", flat(name), "the same option again", "each option once")
+            raise InputError("--set", one_line(name), "the same option again", "each option once")
         options = _option_names()
         if name.isidentifier() and name not in (*options, *SceneFile.model_fields, "return"):
             whole = whole_key(name, read_yaml(scene_path(scene), SceneError))
             meant = f"; did you mean {whole}?" if whole else hint(name, options)
             expected = f"a planner option or a key of the scene file{meant}"
-            raise InputError("--set", flat(name), "an unknown key", expected, () if whole else options)
-        given[name] = yaml_value(text, f"--set: {flat(name)}", InputError)
+            raise InputError("--set", one_line(name), "an unknown key", expected, () if whole else options)
+        given[name] = yaml_value(text, f"--set: {one_line(name)}", InputError)
     return given
 
 

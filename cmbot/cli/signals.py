@@ -8,8 +8,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-__all__ = ["check_signals", "interrupt_taken", "raised_again", "take_signals"]
-
 _raised: list[BaseException] = []
 
 

@@ -2,195 +2,161 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 import cmbot
-from cmbot.cli.console import (
-    ConsoleProgress,
-    FiguresOption,
-    ForceOption,
-    JsonOption,
-    PlanArgument,
-    QuietOption,
-    err,
-    flat,
-    out,
-    print_result,
-    print_table,
-)
+from cmbot.cli.command import Reporting, argument, option, options_named
+from cmbot.cli.console import ConsoleProgress, err, out, print_table
 from cmbot.cli.views import claimed_plan, plot_files, require_plots
-from cmbot.common.errors import InputError
+from cmbot.common.errors import InputError, one_line
 
 if TYPE_CHECKING:
     from chang2021 import Reproduction
     from cmbot.planning import Plan
     from cmbot.simulation import SimulationOptions, Tracking
 
-__all__ = ["reproduce", "simulate"]
-
 # Entries of the files that --json does not print.
 _LEFT_OUT = ("format", "assumptions")
 
-DetailsOption = Annotated[bool, typer.Option("--details", help="Print all figures, not only the answer.")]
 
-
-DampingOption = Annotated[float, typer.Option("--damping", help="Share of critical damping of every mode.")]
-InitialOption = Annotated[
-    str, typer.Option("--initial", help="How the arm hangs at first: equilibrium, or undeformed.")
-]
-StiffnessOption = Annotated[
-    float, typer.Option("--stiffness", help="Factor on the stiffness of guardrail, links and joints.")
-]
-ShareOption = Annotated[
-    float | None,
-    typer.Option(
-        "--stiffness-share",
-        help="Simulate with all stiffness less and more by this share, too: 0.3 is 30 % softer and 30 % "
-        "stiffer, 0 neither. Left out: what the plan allows for (quiet_stiffness_share).",
-    ),
-]
-SegmentsOption = Annotated[int, typer.Option("--segments", help="Elastic segments of each link.")]
-RateOption = Annotated[
-    float | None,
-    typer.Option(
-        "--rate",
-        help="Positions a second that the controller is sent, such as 125; needs --servo. Left out: the "
-        "whole motion is known to it.",
-    ),
-]
-SetPointsOption = Annotated[
-    str,
-    typer.Option(
-        "--set-points",
-        help="With --rate: from one to the next the command goes along a line (interpolated) or jumps "
-        "(held).",
-    ),
-]
-ServoOption = Annotated[
-    float | None,
-    typer.Option(
-        "--servo",
-        help="How quickly joints follow: the bandwidth of their position control, Hz, such as 10. Left "
-        "out: they follow exactly.",
-    ),
-]
-DelayOption = Annotated[float, typer.Option("--delay", help="Seconds by which the joints follow late.")]
-
-
-def simulate(
-    directory: PlanArgument,
-    damping: DampingOption = 0.01,
-    initial: InitialOption = "equilibrium",
-    stiffness: StiffnessOption = 1.0,
-    stiffness_share: ShareOption = None,
-    segments: SegmentsOption = 1,
-    rate: RateOption = None,
-    set_points: SetPointsOption = "interpolated",
-    servo: ServoOption = None,
-    delay: DelayOption = 0.0,
-    force: ForceOption = False,
-    figures: FiguresOption = False,
-    details: DetailsOption = False,
-    as_json: JsonOption = False,
-    quiet: QuietOption = False,
-) -> None:
+@dataclass(frozen=True, kw_only=True)
+class SimulateCommand(Reporting):
     """Let guardrail and links bend under a plan's motion, and under the baseline's; add tracking errors.
 
     The plan's pages are written anew, with the tracking errors in them.
 
-    Example: [bold]cmbot simulate out/triangle[/bold]
+    Example: cmbot simulate out/triangle
     """
-    given = {
-        "damping": damping,
-        "initial": initial,
-        "segments": segments,
-        **dict.fromkeys(_FACTORS, stiffness),
-        "set_point_rate_hz": rate,
-        "set_points": set_points,
-        "servo_bandwidth_hz": None if servo is None else [servo],
-        "delay_s": delay,
-    }
-    if stiffness_share is not None:
-        given["stiffness_share"] = stiffness_share
-    options = _options(given)
-    with claimed_plan(directory) as loaded:
-        if stiffness_share is None:
-            options = replace(options, stiffness_share=loaded.options.quiet_stiffness_share)
-        from cmbot.archive import require_no_tracking
 
-        require_no_tracking(directory, force=force)
-        require_plots(figures)
-        with ConsoleProgress(quiet=quiet) as progress:
-            progress.stage("simulating", 0.0)
-            tracking = cmbot.simulate(
-                loaded, options, progress=lambda share: progress.stage("simulating", share)
-            )
-        if not quiet:
-            err.show_sign("writing …")
-        from cmbot.views import REPORT, pages
+    directory: Path = argument("A plan directory.", "DIR")
+    damping: float = option(0.01, "Share of critical damping of every mode.")
+    initial: str = option("equilibrium", "How the arm hangs at first: equilibrium, or undeformed.")
+    stiffness: float = option(1.0, "Factor on the stiffness of guardrail, links and joints.")
+    stiffness_share: float | None = option(
+        None,
+        "Simulate with all stiffness less and more by this share, too: 0.3 is 30 % softer and 30 % stiffer, "
+        "0 neither. Left out: what the plan allows for (quiet_stiffness_share).",
+    )
+    segments: int = option(1, "Elastic segments of each link.")
+    rate: float | None = option(
+        None,
+        "Positions a second that the controller is sent, such as 125; needs --servo. Left out: the whole "
+        "motion is known to it.",
+    )
+    set_points: str = option(
+        "interpolated",
+        "With --rate: from one to the next the command goes along a line (interpolated) or jumps (held).",
+    )
+    servo: float | None = option(
+        None,
+        "How quickly joints follow: the bandwidth of their position control, Hz, such as 10. Left out: they "
+        "follow exactly.",
+    )
+    delay: float = option(0.0, "Seconds by which the joints follow late.")
+    force: bool = option(False, "Replace what is there.")
+    figures: bool = option(False, "Draw plots as PNG and SVG into the plan directory, too.")
+    details: bool = option(False, "Print all figures, not only the answer.")
 
-        added = pages(loaded, tracking) | plot_files(tracking, figures)
-        written = cmbot.save_tracking(tracking, directory, force=force, added=added)
-    if as_json:
-        print_result("simulate", directory, _summary(loaded, tracking))
-    elif not quiet:
-        _print_summary(loaded, tracking)
-        if details:
-            _print_tracking(loaded, tracking)
-        out.print(f"Written to {', '.join(map(flat, written))}.")
-        if not details:
-            page = directory / REPORT
-            out.print(f"All figures: {flat(page)}, under Simulation; --details --force prints them.")
+    def __call__(self) -> None:
+        directory, options = self.directory, self._options()
+        with claimed_plan(directory) as loaded:
+            if self.stiffness_share is None:
+                options = replace(options, stiffness_share=loaded.options.quiet_stiffness_share)
+            from cmbot.archive import require_no_tracking
+
+            require_no_tracking(directory, force=self.force)
+            require_plots(self.figures)
+            with ConsoleProgress(quiet=self.quiet) as progress:
+                progress.stage("simulating", 0.0)
+                tracking = cmbot.simulate(
+                    loaded, options, progress=lambda share: progress.stage("simulating", share)
+                )
+            if not self.quiet:
+                err.show_sign("writing …")
+            from cmbot.views import REPORT, pages
+
+            added = pages(loaded, tracking) | plot_files(tracking, self.figures)
+            written = cmbot.save_tracking(tracking, directory, force=self.force, added=added)
+
+        def say() -> None:
+            _print_summary(loaded, tracking)
+            if self.details:
+                _print_tracking(loaded, tracking)
+            out.print(f"Written to {', '.join(map(one_line, written))}.")
+            if not self.details:
+                page = directory / REPORT
+                out.print(f"All figures: {one_line(page)}, under Simulation; --details --force prints them.")
+
+        self.answer(lambda: _summary(loaded, tracking), say, directory)
+
+    def _options(self) -> SimulationOptions:
+        """The options of the simulation; errors name them as the command line does."""
+        from cmbot.common.validation import validated
+
+        given = {
+            "damping": self.damping,
+            "initial": self.initial,
+            "segments": self.segments,
+            **dict.fromkeys(_FACTORS, self.stiffness),
+            "set_point_rate_hz": self.rate,
+            "set_points": self.set_points,
+            "servo_bandwidth_hz": None if self.servo is None else [self.servo],
+            "delay_s": self.delay,
+        }
+        if self.stiffness_share is not None:
+            given["stiffness_share"] = self.stiffness_share
+        with options_named(_CALLED):
+            return validated(cmbot.SimulationOptions, given, "cmbot simulate", InputError)
 
 
-def reproduce(
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write.")] = Path("out/reproduce"),
-    quick: Annotated[
-        bool,
-        typer.Option("--quick", help="Only the stiffnesses times 1, 0.7 and 1.3, and no plan of least sag."),
-    ] = False,
-    force: ForceOption = False,
-    details: DetailsOption = False,
-    as_json: JsonOption = False,
-    quiet: QuietOption = False,
-) -> None:
+@dataclass(frozen=True, kw_only=True)
+class ReproduceCommand(Reporting):
     """Plan and simulate both of the paper's experiments, and compare them with what it measured.
 
-    Example: [bold]cmbot reproduce -o out/reproduce[/bold]
+    Example: cmbot reproduce -o out/reproduce
     """
-    from chang2021 import FACTORS, QUICK_FACTORS, require_room, save_reproduction
-    from chang2021 import as_json as numbers
-    from chang2021 import reproduce as run
-    from cmbot.archive import claim
 
-    with claim(output):
-        require_room(output, force=force)
-        with ConsoleProgress(quiet=quiet) as progress:
-            found = run(
-                factors=QUICK_FACTORS if quick else FACTORS,
-                least_sag=not quick,
+    output: Path = option(Path("out/reproduce"), "Folder to write.", "--output", "-o")
+    quick: bool = option(False, "Only the stiffnesses times 1, 0.7 and 1.3, and no plan of least sag.")
+    force: bool = option(False, "Replace what is there.")
+    details: bool = option(False, "Print all figures, not only the answer.")
+
+    def __call__(self) -> None:
+        from chang2021 import FACTORS, QUICK_FACTORS, as_json, require_room, save_reproduction
+        from chang2021 import reproduce as run
+
+        written: list[Path] = []
+
+        def work(progress: ConsoleProgress) -> Reproduction:
+            return run(
+                factors=QUICK_FACTORS if self.quick else FACTORS,
+                least_sag=not self.quick,
                 on_step=lambda scene, what, share: progress.stage(f"{scene}: {what}", share),
                 progress=lambda scene, step: progress.update(step, f"{scene}: "),
             )
-        written = save_reproduction(found, output, force=force)
-    if as_json:
-        entries = numbers(found)
-        print_result("reproduce", output, {name: entries[name] for name in entries if name not in _LEFT_OUT})
-    elif not quiet:
-        _print_reproduction(found, details=details)
-        out.print(f"Written to {' and '.join(map(flat, written))}, with every assumption.")
-        if not details:
-            out.print(f"All figures, and why: {flat(written[0])}; --details prints them.")
+
+        def say() -> None:
+            _print_reproduction(found, details=self.details)
+            out.print(f"Written to {' and '.join(map(one_line, written))}, with every assumption.")
+            if not self.details:
+                out.print(f"All figures, and why: {one_line(written[0])}; --details prints them.")
+
+        found = self.work_in(
+            self.output,
+            lambda: require_room(self.output, force=self.force),
+            work,
+            lambda found: written.extend(save_reproduction(found, self.output, force=self.force)),
+        )
+        self.answer(lambda: _without(as_json(found), _LEFT_OUT), say, self.output)
 
 
 # What options of the command line are called in `SimulationOptions`.
 _FACTORS = ("guardrail_factor", "link_factor", "joint_factor")
 _CALLED = {
+    **{name: f"--{name}" for name in ("damping", "initial", "segments")},
     **dict.fromkeys(_FACTORS, "--stiffness"),
     "stiffness_share": "--stiffness-share",
     "set_point_rate_hz": "--rate",
@@ -200,28 +166,17 @@ _CALLED = {
 }
 
 
-def _options(given: dict[str, Any]) -> SimulationOptions:
-    """Check the options; errors name them as the command line does."""
-    from cmbot.common.validation import validated
-
-    try:
-        return validated(cmbot.SimulationOptions, given, "cmbot simulate", InputError)
-    except InputError as error:
-        key = error.key.partition("[")[0]
-        option, expected = _CALLED.get(key, f"--{key}"), error.expected
-        for name, called in _CALLED.items():
-            expected = expected.replace(name, called)
-        raise InputError(error.source, option, error.got, expected, error.choices) from error
+def _without(entries: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
+    return {name: entry for name, entry in entries.items() if name not in names}
 
 
 def _summary(plan: Plan, tracking: Tracking) -> dict[str, Any]:
     from cmbot.archive import tracking_json
     from cmbot.simulation import tracking_remarks
 
-    entries = {name: entry for name, entry in tracking_json(tracking).items() if name not in _LEFT_OUT}
     return {
         "scene": plan.scene.name,
-        **entries,
+        **_without(tracking_json(tracking), _LEFT_OUT),
         "remarks": [*tracking_remarks(tracking, compensated=plan.options.compensate), *_rigid(plan)],
     }
 

@@ -3,36 +3,21 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
+from dataclasses import MISSING, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
-
-import typer
+from typing import TYPE_CHECKING, Any, Literal
 
 import cmbot
-from cmbot.cli.console import (
-    ConsoleProgress,
-    ExitStatus,
-    ForceOption,
-    JsonOption,
-    QuietOption,
-    SceneArgument,
-    complete_scene,
-    flat,
-    out,
-    print_result,
-    print_table,
-    scenes_named,
-)
+from cmbot.cli.command import Reporting, argument, option
+from cmbot.cli.completion import complete_scene
+from cmbot.cli.console import ConsoleProgress, ExitStatus, out, print_table, scenes_named
 from cmbot.cli.signals import interrupt_taken
-from cmbot.common.errors import InputError, PlanningError
+from cmbot.common.errors import InputError, PlanningError, one_line
 
 if TYPE_CHECKING:
     from cmbot.siting import Standing
-    from cmbot.walking import Walk
-
-__all__ = ["stand", "tour", "walk"]
+    from cmbot.walking import Tour, Walk
 
 _SHOWN = 10
 _FILES = ("stances.csv", "index.html")
@@ -40,76 +25,12 @@ _MARK = "# Written by cmbot stand: the scene in its best stance.\n"
 _WALK_FILES = ("walk.csv", "index.html", "replay.html")
 
 
-ScenesArgument = Annotated[
-    list[str],
-    typer.Argument(
-        metavar="SCENE",
-        help="Scene files, or names of shipped scenes, of jobs on one bridge.",
-        autocompletion=complete_scene,
-    ),
-]
-
-StancesFolderOption = Annotated[
-    Path | None, typer.Option("--output", "-o", help="Folder to write; out/NAME_stances if left out.")
-]
-WalkFolderOption = Annotated[
-    Path | None, typer.Option("--output", "-o", help="Folder to write; out/NAME_walk if left out.")
-]
-TourFolderOption = Annotated[
-    Path | None, typer.Option("--output", "-o", help="New folder to write; out/NAME_tour if left out.")
-]
-ObjectiveOption = Annotated[
-    str | None, typer.Option("--objective", help="torque or hold, in place of the scene's.")
-]
-PlansOption = Annotated[int, typer.Option("--plans", help="How many of the best stances to plan.", min=0)]
-TourPlansOption = Annotated[
-    int, typer.Option("--plans", help="How many of the best stances to plan for each group.", min=1)
-]
-SpacingOption = Annotated[float, typer.Option("--spacing", help="Metres between places of foot 1.", min=0.01)]
-PairSpacingOption = Annotated[
-    float, typer.Option("--pair-spacing", help="Metres between places of two feet.", min=0.05)
-]
-GoalOption = Annotated[
-    Path, typer.Option("--to", help="Where to: a scene, or a file with foot_1 and foot_2.")
-]
-WalkSpacingOption = Annotated[
-    float, typer.Option("--spacing", help="Metres between places of the feet.", min=0.05)
-]
-OneFootOption = Annotated[bool, typer.Option("--one-foot", help="Leave foot 2 free.")]
-MaxTorqueOption = Annotated[
-    float | None,
-    typer.Option("--max-torque", help="Newton metres on the guardrail at work at most.", min=0.0),
-]
-SpeedOption = Annotated[
-    float, typer.Option("--speed", help="Metres a second of a foot at most.", min=1e-3, max=1.0)
-]
-TimeLimitOption = Annotated[
-    float | None,
-    typer.Option("--time-limit", help="Seconds after which the best so far is kept.", min=0.0),
-]
-MembersOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--on", metavar="MEMBER", help="A post or rail that feet hold at work; may be repeated; else all."
-    ),
-]
+_SCENES = "Scene files, or names of shipped scenes, of jobs on one bridge."
+_MEMBERS = "A post or rail that feet hold at work; may be repeated; else all."
 
 
-def stand(
-    scenes: ScenesArgument,
-    output: StancesFolderOption = None,
-    objective: ObjectiveOption = None,
-    plans: PlansOption = 3,
-    spacing: SpacingOption = 0.05,
-    pair_spacing: PairSpacingOption = 0.15,
-    one_foot: OneFootOption = False,
-    max_torque: MaxTorqueOption = None,
-    members: MembersOption = None,
-    time_limit: TimeLimitOption = None,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
-    quiet: QuietOption = False,
-) -> int:
+@dataclass(frozen=True, kw_only=True)
+class StandCommand(Reporting):
     """Find where the robot should stand for jobs: stances screened by bounds, the best planned.
 
     For scenes of the shipped robot alone, an arm on a climber that holds a guardrail. Strokes that no
@@ -118,47 +39,166 @@ def stand(
     planned first: no worse one is written. Ctrl-C keeps the best so far. Exit status 3 where none was
     planned.
 
-    Examples: [bold]cmbot stand line --objective hold[/bold], then
-    [bold]cmbot plan out/line_stances/best.yaml[/bold];
-    [bold]cmbot stand left.yaml right.yaml -o out/both[/bold]
+    Examples: cmbot stand line --objective hold, then cmbot plan out/line_stances/best.yaml;
+    cmbot stand left.yaml right.yaml -o out/both
     """
-    started = time.perf_counter()
-    loaded = [cmbot.load_scene(scene) for scene in scenes]
-    if objective is not None:
-        wanted = _known(objective)
-        loaded = [replace(each, planner=replace(each.planner, objective=wanted)) for each in loaded]
-    name = "_".join(each.name for each in loaded)
-    directory = output if output is not None else Path("out") / f"{name}_stances"
-    from cmbot.archive import STANCES_FILE, claim, require_absent, write_results
-    from cmbot.siting import StandOptions
-    from cmbot.siting import stand as find
 
-    options = StandOptions(
-        spacing=spacing,
-        pair_spacing=float("inf") if one_foot else pair_spacing,
-        plans=plans,
-        members=tuple(members or ()),
-        max_torque=float("inf") if max_torque is None else max_torque,
-        time_limit=float("inf") if time_limit is None else time_limit,
-    )
-    with claim(directory):
-        require_absent(directory, (*_FILES, STANCES_FILE, "best.yaml", "best_1.yaml"), force=force)
-        with scenes_named(*scenes), ConsoleProgress(quiet=quiet) as progress:
+    scenes: tuple[str, ...] = argument(_SCENES, "SCENE", complete=complete_scene)
+    output: Path | None = option(None, "Folder to write; out/NAME_stances if left out.", "--output", "-o")
+    objective: str | None = option(None, "torque or hold, in place of the scene's.")
+    plans: int = option(3, "How many of the best stances to plan.", least=0)
+    spacing: float = option(0.05, "Metres between places of foot 1.", least=0.01)
+    pair_spacing: float = option(0.15, "Metres between places of two feet.", least=0.05)
+    one_foot: bool = option(False, "Leave foot 2 free.")
+    max_torque: float | None = option(None, "Newton metres on the guardrail at work at most.", least=0.0)
+    members: tuple[str, ...] = option((), _MEMBERS, "--on", metavar="MEMBER")
+    time_limit: float | None = option(None, "Seconds after which the best so far is kept.", least=0.0)
+    force: bool = option(False, "Replace what is there.")
+
+    def __call__(self) -> int:
+        started = time.perf_counter()
+        loaded = [cmbot.load_scene(scene) for scene in self.scenes]
+        if self.objective is not None:
+            wanted = _known(self.objective)
+            loaded = [replace(each, planner=replace(each.planner, objective=wanted)) for each in loaded]
+        name = "_".join(each.name for each in loaded)
+        directory = self.output or Path("out") / f"{name}_stances"
+        from cmbot.archive import STANCES_FILE, require_absent, write_results
+        from cmbot.siting import StandOptions
+        from cmbot.siting import stand as find
+
+        options = StandOptions(
+            spacing=self.spacing,
+            pair_spacing=float("inf") if self.one_foot else self.pair_spacing,
+            plans=self.plans,
+            members=self.members,
+            max_torque=float("inf") if self.max_torque is None else self.max_torque,
+            time_limit=float("inf") if self.time_limit is None else self.time_limit,
+        )
+
+        def work(progress: ConsoleProgress) -> Sequence[Standing]:
             standings = find(loaded, options, progress.stage)
-            stopped = any(standing.ended_by == "interrupt" for standing in standings)
-            if stopped:
+            if _stopped(standings):
                 interrupt_taken()
-        summary = _summary(standings)
-        write_results(directory, STANCES_FILE, summary, _contents(standings, name), force=force)
-    if plans and not stopped:
-        with scenes_named(*scenes):
-            _require_planned(standings, directory)
-    if as_json:
-        print_result("stand", directory, summary)
-    elif not quiet:
-        _print_standings(standings)
-        _print_written(directory, started)
-    return ExitStatus.STOPPED if stopped else ExitStatus.DONE
+            return standings
+
+        def write(standings: Sequence[Standing]) -> None:
+            contents = _contents(standings, name)
+            write_results(directory, STANCES_FILE, _summary(standings), contents, force=self.force)
+
+        def say() -> None:
+            _print_standings(standings)
+            _print_written(directory, started)
+
+        files = (*_FILES, STANCES_FILE, "best.yaml", "best_1.yaml")
+        standings = self.work_in(
+            directory, lambda: require_absent(directory, files, force=self.force), work, write, self.scenes
+        )
+        if self.plans and not _stopped(standings):
+            with scenes_named(*self.scenes):
+                _require_planned(standings, directory)
+        self.answer(lambda: _summary(standings), say, directory)
+        return ExitStatus.STOPPED if _stopped(standings) else ExitStatus.DONE
+
+
+@dataclass(frozen=True, kw_only=True)
+class WalkCommand(Reporting):
+    """Plan the steps from a scene's stance to another one: a foot lets go, swings, and holds again.
+
+    For scenes of the shipped robot alone, an arm on a climber that holds a guardrail. Writes all joints
+    over time, the steps with what was certified of them, and a page.
+
+    Example: cmbot walk here.yaml --to out/line_stances/best.yaml
+    """
+
+    scene: str = argument("A scene file, or the name of a shipped scene.", "SCENE", complete=complete_scene)
+    to: Path = option(MISSING, "Where to: a scene, or a file with foot_1 and foot_2.")
+    output: Path | None = option(None, "Folder to write; out/NAME_walk if left out.", "--output", "-o")
+    spacing: float = option(0.15, "Metres between places of the feet.", least=0.05)
+    speed: float = option(0.03, "Metres a second of a foot at most.", least=1e-3, most=1.0)
+    force: bool = option(False, "Replace what is there.")
+
+    def __call__(self) -> None:
+        started = time.perf_counter()
+        loaded = cmbot.load_scene(self.scene)
+        directory = self.output or Path("out") / f"{loaded.name}_walk"
+        from cmbot.archive import WALK_FILE, require_absent
+        from cmbot.walking import WalkOptions, load_goal
+        from cmbot.walking import walk as find
+
+        goal, options = load_goal(self.to), WalkOptions(spacing=self.spacing, speed=self.speed)
+
+        def say() -> None:
+            rows = [
+                (str(number), f"foot {step.foot}", *step.places, f"{step.seconds:.1f}")
+                for number, step in enumerate(walked.steps, start=1)
+            ]
+            print_table("Steps", ("", "moves", "from", "to", "seconds"), rows, text_columns=4)
+            _print_lines(walked.in_words())
+            _print_written(directory, started)
+
+        walked = self.work_in(
+            directory,
+            lambda: require_absent(directory, (*_WALK_FILES, WALK_FILE), force=self.force),
+            lambda progress: find(loaded, goal, options, progress.stage),
+            lambda walked: _write_walk(directory, walked, force=self.force),
+            [self.scene],
+        )
+        self.answer(lambda: {"steps": len(walked.steps), "words": list(walked.in_words())}, say, directory)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TourCommand(Reporting):
+    """Plan work and walks: the fewest stances for all strokes, the job in each, the steps between them.
+
+    For scenes of the shipped robot alone, an arm on a climber that holds a guardrail. Writes a folder
+    with a plan directory for the work in each stance, a folder for each walk, and one page about all of
+    it.
+
+    Example: cmbot tour two_brackets --on top_rail, then open out/two_brackets_tour/index.html in a browser.
+    """
+
+    scenes: tuple[str, ...] = argument(_SCENES, "SCENE", complete=complete_scene)
+    output: Path | None = option(None, "New folder to write; out/NAME_tour if left out.", "--output", "-o")
+    plans: int = option(3, "How many of the best stances to plan for each group.", least=1)
+    spacing: float = option(0.15, "Metres between places of the feet.", least=0.05)
+    speed: float = option(0.03, "Metres a second of a foot at most.", least=1e-3, most=1.0)
+    members: tuple[str, ...] = option((), _MEMBERS, "--on", metavar="MEMBER")
+
+    def __call__(self) -> None:
+        started = time.perf_counter()
+        loaded = [cmbot.load_scene(scene) for scene in self.scenes]
+        name = "_".join(each.name for each in loaded)
+        directory = self.output or Path("out") / f"{name}_tour"
+        from cmbot.archive import require_new_folder
+        from cmbot.siting import StandOptions
+        from cmbot.walking import WalkOptions, tour_data
+        from cmbot.walking import tour as find
+
+        standing = StandOptions(plans=self.plans, pair_spacing=self.spacing, members=self.members)
+        walking = WalkOptions(spacing=self.spacing, speed=self.speed)
+
+        def say() -> None:
+            rows = [
+                (part["name"], part["kind"], f"{part['begin']:.1f}", f"{part['seconds']:.1f}")
+                for part in tour_data(found)["parts"]
+            ]
+            print_table("Tour", ("", "what", "begins, s", "seconds"), rows, text_columns=2)
+            _print_lines(found.in_words())
+            _print_written(directory, started)
+
+        found = self.work_in(
+            directory,
+            lambda: require_new_folder(directory),
+            lambda progress: find(loaded, standing, walking, progress.stage),
+            lambda found: _write_tour(directory, found),
+            self.scenes,
+        )
+        self.answer(lambda: tour_data(found), say, directory)
+
+
+def _stopped(standings: Sequence[Standing]) -> bool:
+    return any(standing.ended_by == "interrupt" for standing in standings)
 
 
 def _require_planned(standings: Sequence[Standing], directory: Path) -> None:
@@ -168,7 +208,7 @@ def _require_planned(standings: Sequence[Standing], directory: Path) -> None:
     try:
         require_planned(standings)
     except PlanningError as error:
-        error.add_hint(f"{flat(directory / _FILES[0])} has the reason of each")
+        error.add_hint(f"{one_line(directory / _FILES[0])} has the reason of each")
         raise
 
 
@@ -177,14 +217,18 @@ def _print_standings(standings: Sequence[Standing]) -> None:
 
     for number, standing in enumerate(standings, start=1):
         _print_standing(standing, f"Stances {number}" if len(standings) > 1 else "Stances")
-    for line in shared_out(standings):
-        out.print(flat(line))
+    _print_lines(shared_out(standings))
+
+
+def _print_lines(lines: Iterable[str]) -> None:
+    for line in lines:
+        out.print(one_line(line))
 
 
 def _print_written(directory: Path, started: float) -> None:
     """Print where the results and their page are, and the seconds since the command began."""
-    out.print(f"Written to {flat(directory)} in {time.perf_counter() - started:.1f} s.")
-    out.print(f"Look at it: open {flat(directory / 'index.html')} in a browser.")
+    out.print(f"Written to {one_line(directory)} in {time.perf_counter() - started:.1f} s.")
+    out.print(f"Look at it: open {one_line(directory / 'index.html')} in a browser.")
 
 
 def _print_standing(standing: Standing, title: str) -> None:
@@ -196,107 +240,22 @@ def _print_standing(standing: Standing, title: str) -> None:
     headings, rows = bounds_table(standing, _SHOWN)
     if rows:
         print_table(f"{title}, not planned: bounds (estimates)", headings, rows, text_columns=4)
-    for line in in_words(standing):
-        out.print(flat(line))
+    _print_lines(in_words(standing))
 
 
-def walk(
-    scene: SceneArgument,
-    to: GoalOption,
-    output: WalkFolderOption = None,
-    spacing: WalkSpacingOption = 0.15,
-    speed: SpeedOption = 0.03,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
-    quiet: QuietOption = False,
-) -> None:
-    """Plan the steps from a scene's stance to another one: a foot lets go, swings, and holds again.
-
-    For scenes of the shipped robot alone, an arm on a climber that holds a guardrail. Writes all joints
-    over time, the steps with what was certified of them, and a page.
-
-    Example: [bold]cmbot walk here.yaml --to out/line_stances/best.yaml[/bold]
-    """
-    started = time.perf_counter()
-    loaded = cmbot.load_scene(scene)
-    directory = output if output is not None else Path("out") / f"{loaded.name}_walk"
-    from cmbot.archive import WALK_FILE, claim, require_absent
-    from cmbot.walking import WalkOptions, load_goal
-    from cmbot.walking import walk as find
-
-    goal = load_goal(to)
-    with claim(directory):
-        require_absent(directory, (*_WALK_FILES, WALK_FILE), force=force)
-        with scenes_named(scene), ConsoleProgress(quiet=quiet) as progress:
-            walked = find(loaded, goal, WalkOptions(spacing=spacing, speed=speed), progress.stage)
-        _write_walk(directory, walked, force=force)
-    if as_json:
-        print_result("walk", directory, {"steps": len(walked.steps), "words": list(walked.in_words())})
-    elif not quiet:
-        rows = [
-            (str(number), f"foot {step.foot}", *step.places, f"{step.seconds:.1f}")
-            for number, step in enumerate(walked.steps, start=1)
-        ]
-        print_table("Steps", ("", "moves", "from", "to", "seconds"), rows, text_columns=4)
-        for line in walked.in_words():
-            out.print(flat(line))
-        _print_written(directory, started)
-
-
-def tour(
-    scenes: ScenesArgument,
-    output: TourFolderOption = None,
-    plans: TourPlansOption = 3,
-    spacing: WalkSpacingOption = 0.15,
-    speed: SpeedOption = 0.03,
-    members: MembersOption = None,
-    as_json: JsonOption = False,
-    quiet: QuietOption = False,
-) -> None:
-    """Plan work and walks: the fewest stances for all strokes, the job in each, the steps between them.
-
-    For scenes of the shipped robot alone, an arm on a climber that holds a guardrail. Writes a folder
-    with a plan directory for the work in each stance, a folder for each walk, and one page about all of
-    it.
-
-    Example: [bold]cmbot tour two_brackets --on top_rail[/bold], then open
-    out/two_brackets_tour/index.html in a browser.
-    """
-    started = time.perf_counter()
-    loaded = [cmbot.load_scene(scene) for scene in scenes]
-    name = "_".join(each.name for each in loaded)
-    directory = output if output is not None else Path("out") / f"{name}_tour"
-    from cmbot.archive import TOUR_FILE, claim, new_folder, require_new_folder, write_results
+def _write_tour(directory: Path, found: Tour) -> None:
+    from cmbot.archive import TOUR_FILE, new_folder, write_results
     from cmbot.planning import Plan
-    from cmbot.siting import StandOptions
     from cmbot.views import pages, tour_page
-    from cmbot.walking import WalkOptions, tour_data
-    from cmbot.walking import tour as find
+    from cmbot.walking import tour_data
 
-    standing = StandOptions(plans=plans, pair_spacing=spacing, members=tuple(members or ()))
-    with claim(directory):
-        require_new_folder(directory)
-        with scenes_named(*scenes), ConsoleProgress(quiet=quiet) as progress:
-            found = find(loaded, standing, WalkOptions(spacing=spacing, speed=speed), progress.stage)
-        data = tour_data(found)
-        with new_folder(directory) as draft:
-            for part_name, _, part in found.parts:
-                if isinstance(part, Plan):
-                    cmbot.save(part, draft / part_name, added=pages(part))
-                else:
-                    _write_walk(draft / part_name, part)
-            write_results(draft, TOUR_FILE, data, {"index.html": tour_page(found).encode()})
-    if as_json:
-        print_result("tour", directory, data)
-    elif not quiet:
-        rows = [
-            (part["name"], part["kind"], f"{part['begin']:.1f}", f"{part['seconds']:.1f}")
-            for part in data["parts"]
-        ]
-        print_table("Tour", ("", "what", "begins, s", "seconds"), rows, text_columns=2)
-        for line in found.in_words():
-            out.print(flat(line))
-        _print_written(directory, started)
+    with new_folder(directory) as draft:
+        for part_name, _, part in found.parts:
+            if isinstance(part, Plan):
+                cmbot.save(part, draft / part_name, added=pages(part))
+            else:
+                _write_walk(draft / part_name, part)
+        write_results(draft, TOUR_FILE, tour_data(found), {"index.html": tour_page(found).encode()})
 
 
 def _write_walk(directory: Path, walked: Walk, *, force: bool = False) -> None:

@@ -5,149 +5,108 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 import cmbot
-from cmbot.cli.console import ConsoleProgress, ForceOption, PlanArgument, flat, out
-from cmbot.common.errors import InputError
+from cmbot.cli.command import Command, argument, option
+from cmbot.cli.console import ConsoleProgress, out
+from cmbot.common.errors import InputError, one_line
 from cmbot.common.input_files import is_folder
 
 if TYPE_CHECKING:
     from cmbot.planning import Plan
     from cmbot.simulation import Tracking
 
-__all__ = [
-    "claimed_plan",
-    "compare",
-    "export",
-    "plot_files",
-    "replay",
-    "report",
-    "require_new",
-    "require_plots",
-]
-
 # Seconds of motion in a second of a GIF.
 _GIF_SPEED = 4.0
 _LONGEST_SIZE = 12
 
 
-ReplayedArgument = Annotated[
-    Path, typer.Argument(metavar="DIR", help="A plan directory, or a walk's folder.")
-]
-HtmlOption = Annotated[
-    Path | None, typer.Option("--html", help="Page to write; DIR/replay.html if left out.")
-]
-ServeOption = Annotated[bool, typer.Option("--serve", help="Serve the page on 127.0.0.1 instead.")]
-VideoOption = Annotated[
-    Path | None, typer.Option("--video", help="Film it instead, such as FILE.mp4; takes minutes.")
-]
-GifOption = Annotated[
-    Path | None, typer.Option("--gif", help="Film it as a small GIF instead, four times as fast.")
-]
-FpsOption = Annotated[
-    int | None, typer.Option("--fps", help="Frames a second of a film; left out: 30, of a GIF 10.")
-]
-SizeOption = Annotated[
-    str | None,
-    typer.Option("--size", metavar="WxH", help="Size of a film, px; left out: 1280x720, of a GIF 640x360."),
-]
-BendingOption = Annotated[
-    float | None,
-    typer.Option("--bending", help="Times by which a film magnifies deflections; left out: as the page."),
-]
-ColoursOption = Annotated[
-    str | None, typer.Option("--colours", help="Of the arm in a film: own, load or strain; left out: own.")
-]
-
-
-def replay(
-    directory: ReplayedArgument,
-    html: HtmlOption = None,
-    serve: ServeOption = False,
-    video: VideoOption = None,
-    gif: GifOption = None,
-    fps: FpsOption = None,
-    size: SizeOption = None,
-    bending: BendingOption = None,
-    colours: ColoursOption = None,
-) -> None:
+@dataclass(frozen=True, kw_only=True)
+class ReplayCommand(Command):
     """Write a page that replays a plan, or a walk, in any browser, without a network.
 
     A walk is certified again first.
 
-    Example: [bold]cmbot replay out/triangle --html triangle.html[/bold]
+    Example: cmbot replay out/triangle --html triangle.html
     """
-    kinds = (("--html", html), ("--serve", serve), ("--video", video), ("--gif", gif))
-    given = [name for name, value in kinds if value]
-    if len(given) > 1:
-        got = "both" if len(given) == 2 else "all"
-        raise InputError("cmbot replay", ", ".join(given), got, "one of them")
-    filmed = video or gif
-    shape = _size(size or ("640x360" if gif else "1280x720"))
-    for name, value in (("--fps", fps), ("--size", size), ("--bending", bending), ("--colours", colours)):
-        if value is not None and filmed is None:
-            raise InputError("cmbot replay", name, str(value), "it with --video or --gif")
-    from cmbot.archive import WALK_FILE, record_of
-    from cmbot.views import REPLAY, replay_page
 
-    is_walk = record_of(directory) == WALK_FILE
-    if is_walk and filmed is None:
-        _replay_walk(directory, html, serve=serve)
-        return
-    if not given:
-        with claimed_plan(directory) as loaded:
-            tracking = cmbot.load_tracking(loaded, directory)
-            written = _add(directory, REPLAY, replay_page(loaded, tracking))
-        out.print(f"Written to {flat(written)}.")
-        return
-    loaded = cmbot.load_plan(directory)
-    tracking = cmbot.load_tracking(loaded, directory)
-    if html is not None:
-        cmbot.replay(loaded, html=html, tracking=tracking)
-        out.print(f"Written to {flat(html)}.")
-    elif serve:
-        _serve(replay_page(loaded, tracking), loaded.scene.name)
-    elif filmed is not None:
-        page = replay_page(loaded, tracking)
-        _film(page, filmed, shape, fps=fps, as_gif=gif is not None, bending=bending, colours=colours)
+    directory: Path = argument("A plan directory, or a walk's folder.", "DIR")
+    html: Path | None = option(None, "Page to write; DIR/replay.html if left out.")
+    serve: bool = option(False, "Serve the page on 127.0.0.1 instead.")
+    video: Path | None = option(None, "Film it instead, such as FILE.mp4; takes minutes.")
+    gif: Path | None = option(None, "Film it as a small GIF instead, four times as fast.")
+    fps: int | None = option(None, "Frames a second of a film; left out: 30, of a GIF 10.")
+    size: str | None = option(
+        None, "Size of a film, px; left out: 1280x720, of a GIF 640x360.", metavar="WxH"
+    )
+    bending: float | None = option(
+        None, "Times by which a film magnifies deflections; left out: as the page."
+    )
+    colours: str | None = option(None, "Of the arm in a film: own, load or strain; left out: own.")
 
+    def __call__(self) -> None:
+        self._require_fitting_options()
+        shape = _size(self.size or ("640x360" if self.gif else "1280x720"))
+        from cmbot.archive import WALK_FILE, claim, plan_data, record_of
+        from cmbot.views import REPLAY, write_page
 
-def _film(
-    page: str,
-    file: Path,
-    size: tuple[int, int],
-    *,
-    fps: int | None,
-    as_gif: bool,
-    bending: float | None,
-    colours: str | None,
-) -> None:
-    """Film a replay page, and print how long that took."""
-    from cmbot.views import film
+        directory, html, filmed = self.directory, self.html, self.video or self.gif
+        is_walk = record_of(directory) == WALK_FILE and filmed is None
+        if not is_walk:
+            plan_data(directory)  # what is no plan directory is refused before anything is written beside it
+        adds = not (html or self.serve or filmed)
+        with claim(directory) if adds else nullcontext():
+            page, name = _walk_page(directory) if is_walk else _plan_page(directory)
+            if adds:
+                html = _add(directory, REPLAY, page)
+            elif html is not None:
+                write_page(html, page)
+        if filmed is not None:
+            self._film(page, filmed, shape)
+        elif html is not None:
+            out.print(f"Written to {one_line(html)}.")
+        else:
+            _serve(page, name)
 
-    if as_gif and file.suffix.lower() != ".gif":
-        raise InputError("cmbot replay", "--gif", str(file), "a file whose name ends with .gif")
-    started = time.perf_counter()
-    with ConsoleProgress() as progress:
-        progress.stage("filming", 0.0)
-        frames = film(
-            page,
-            file,
-            speed=_GIF_SPEED if as_gif else 1.0,
-            fps=fps or (10 if as_gif else 30),
-            size=size,
-            bending=bending,
-            colours=colours or "own",
-            progress=lambda share: progress.stage("filming", share),
-        )
-    seconds = time.perf_counter() - started
-    out.print(f"Written to {flat(file)}: {frames} frames in {seconds:.1f} s.")
+    def _require_fitting_options(self) -> None:
+        """Refuse options that do not go together."""
+        kinds = {"--html": self.html, "--serve": self.serve, "--video": self.video, "--gif": self.gif}
+        given = [name for name, value in kinds.items() if value]
+        if len(given) > 1:
+            got = "both" if len(given) == 2 else "all"
+            raise InputError("cmbot replay", ", ".join(given), got, "one of them")
+        of_films = {"fps": self.fps, "size": self.size, "bending": self.bending, "colours": self.colours}
+        for name, value in of_films.items():
+            if value is not None and not (self.video or self.gif):
+                raise InputError("cmbot replay", f"--{name}", str(value), "it with --video or --gif")
+
+    def _film(self, page: str, file: Path, size: tuple[int, int]) -> None:
+        """Film a replay page, and print how long that took."""
+        from cmbot.views import film
+
+        as_gif = self.gif is not None
+        if as_gif and file.suffix.lower() != ".gif":
+            raise InputError("cmbot replay", "--gif", str(file), "a file whose name ends with .gif")
+        started = time.perf_counter()
+        with ConsoleProgress() as progress:
+            progress.stage("filming", 0.0)
+            frames = film(
+                page,
+                file,
+                speed=_GIF_SPEED if as_gif else 1.0,
+                fps=self.fps or (10 if as_gif else 30),
+                size=size,
+                bending=self.bending,
+                colours=self.colours or "own",
+                progress=lambda share: progress.stage("filming", share),
+            )
+        seconds = time.perf_counter() - started
+        out.print(f"Written to {one_line(file)}: {frames} frames in {seconds:.1f} s.")
 
 
 def _serve(page: str, name: str) -> None:
@@ -161,143 +120,136 @@ def _serve(page: str, name: str) -> None:
             return
 
 
-def _replay_walk(directory: Path, html: Path | None, *, serve: bool) -> None:
+def _plan_page(directory: Path) -> tuple[str, str]:
+    """The replay of a plan, and its scene's name."""
+    from cmbot.views import replay_page
+
+    loaded = cmbot.load_plan(directory)
+    return replay_page(loaded, cmbot.load_tracking(loaded, directory)), loaded.scene.name
+
+
+def _walk_page(directory: Path) -> tuple[str, str]:
+    """The replay of a walk, and its scene's name."""
     from cmbot.archive import load_walk
-    from cmbot.views import REPLAY, walk_replay_page, write_page
+    from cmbot.views import walk_replay_page
 
     walked = load_walk(directory)
-    page = walk_replay_page(walked)
-    if serve:
-        _serve(page, walked.scene.name)
-        return
-    if html is not None:
-        write_page(html, page)
-    written = html or _add(directory, REPLAY, page)
-    out.print(f"Written to {flat(written)}.")
+    return walk_replay_page(walked), walked.scene.name
 
 
 def _size(text: str) -> tuple[int, int]:
     """Width and height from text such as 1280x720."""
     width, times, height = text.partition("x")
     if not (times and width.isdecimal() and height.isdecimal() and len(text) < _LONGEST_SIZE):
-        raise InputError("cmbot replay", "--size", flat(text), "width and height, such as 1280x720")
+        raise InputError("cmbot replay", "--size", one_line(text), "width and height, such as 1280x720")
     return int(width), int(height)
 
 
-def report(
-    directory: PlanArgument,
-    html: Annotated[
-        Path | None, typer.Option("--html", help="Page to write; DIR/report.html if left out.")
-    ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Replace the file named with --html if it is there.")
-    ] = False,
-) -> None:
+@dataclass(frozen=True, kw_only=True)
+class ReportCommand(Command):
     """Write a page that says what a plan gains and what it keeps: replay, plots and tables.
 
     Tracking errors are in it when the plan has been simulated.
 
-    Example: [bold]cmbot report out/triangle[/bold]
+    Example: cmbot report out/triangle
     """
-    if html is not None:
-        loaded = cmbot.load_plan(directory)
-        require_new(html, force)
-        cmbot.report(loaded, html=html, tracking=cmbot.load_tracking(loaded, directory))
-        out.print(f"Written to {flat(html)}.")
-        return
-    from cmbot.views import REPORT, report_page
 
-    with claimed_plan(directory) as loaded:
-        page = report_page(loaded, cmbot.load_tracking(loaded, directory))
-        written = _add(directory, REPORT, page)
-    out.print(f"Written to {flat(written)}.")
+    directory: Path = argument("A plan directory.", "DIR")
+    html: Path | None = option(None, "Page to write; DIR/report.html if left out.")
+    force: bool = option(False, "Replace the file named with --html if it is there.")
+
+    def __call__(self) -> None:
+        directory, html = self.directory, self.html
+        if html is not None:
+            loaded = cmbot.load_plan(directory)
+            require_new(html, self.force)
+            cmbot.report(loaded, html=html, tracking=cmbot.load_tracking(loaded, directory))
+            out.print(f"Written to {one_line(html)}.")
+            return
+        from cmbot.views import REPORT, report_page
+
+        with claimed_plan(directory) as loaded:
+            page = report_page(loaded, cmbot.load_tracking(loaded, directory))
+            written = _add(directory, REPORT, page)
+        out.print(f"Written to {one_line(written)}.")
 
 
-def compare(
-    directories: Annotated[
-        list[Path], typer.Argument(metavar="DIR", help="Plan directories of one arm, 2 to 6.")
-    ],
-    html: Annotated[Path, typer.Option("--html", help="Page to write.")] = Path("compare.html"),
-    force: ForceOption = False,
-) -> None:
+@dataclass(frozen=True, kw_only=True)
+class CompareCommand(Command):
     """Write a page that shows several plans together: overlaid in 3-D and in plots, figures side by side.
 
-    Example: [bold]cmbot compare out/triangle out/pinned --html compare.html[/bold]
+    Example: cmbot compare out/triangle out/pinned --html compare.html
     """
-    from cmbot.views import compare_page, write_page
 
-    places = [directory.resolve() for directory in directories]
-    if len(set(places)) < len(places):
-        raise InputError("cmbot compare", "", "one directory more than once", "different plan directories")
-    names = [flat(place.name) for place in places]
-    # Folders of the same name are told apart by their paths.
-    shown = [
-        name if names.count(name) == 1 else flat(path) for name, path in zip(names, directories, strict=True)
-    ]
-    plans = dict(zip(shown, map(cmbot.load_plan, directories), strict=True))
-    require_new(html, force)
-    tracked = zip(plans.items(), directories, strict=True)
-    page = compare_page(plans, {name: cmbot.load_tracking(plan, place) for (name, plan), place in tracked})
-    write_page(html, page)
-    out.print(f"Written to {flat(html)}.")
+    directories: tuple[Path, ...] = argument("Plan directories of one arm, 2 to 6.", "DIR")
+    html: Path = option(Path("compare.html"), "Page to write.")
+    force: bool = option(False, "Replace what is there.")
+
+    def __call__(self) -> None:
+        from cmbot.views import compare_page, write_page
+
+        places = [directory.resolve() for directory in self.directories]
+        if len(set(places)) < len(places):
+            expected = "different plan directories"
+            raise InputError("cmbot compare", "", "one directory more than once", expected)
+        names = [one_line(place.name) for place in places]
+        # Folders of the same name are told apart by their paths.
+        shown = [
+            name if names.count(name) == 1 else one_line(path)
+            for name, path in zip(names, self.directories, strict=True)
+        ]
+        plans = dict(zip(shown, map(cmbot.load_plan, self.directories), strict=True))
+        require_new(self.html, self.force)
+        tracked = {
+            name: cmbot.load_tracking(plan, place)
+            for (name, plan), place in zip(plans.items(), self.directories, strict=True)
+        }
+        write_page(self.html, compare_page(plans, tracked))
+        out.print(f"Written to {one_line(self.html)}.")
 
 
-def export(
-    directory: PlanArgument,
-    mcap: Annotated[
-        Path | None, typer.Option("--mcap", metavar="FILE", help="MCAP file of ROS 2 messages to write.")
-    ] = None,
-    csv: Annotated[
-        Path | None, typer.Option("--csv", metavar="FILE", help="Table to write, as job.csv; see --work.")
-    ] = None,
-    work: Annotated[
-        bool, typer.Option("--work", help="In the table the work alone, on its own clock.")
-    ] = False,
-    ros: Annotated[
-        Path | None,
-        typer.Option(
-            "--ros", metavar="FILE", help="JSON of a ROS JointTrajectory of the whole job to write."
-        ),
-    ] = None,
-    ros_package: Annotated[
-        Path | None,
-        typer.Option("--ros-package", metavar="FOLDER", help="Description package to write; a new folder."),
-    ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Replace files with these names that are there.")
-    ] = False,
-    effort: Annotated[
-        bool,
-        typer.Option("--effort", help="With --mcap and --ros: torques, too, for controllers that take them."),
-    ] = False,
-) -> None:
+@dataclass(frozen=True, kw_only=True)
+class ExportCommand(Command):
     """Write a plan for other programs: the job as a table or for ROS 2, the robot as a package.
 
-    Examples: [bold]cmbot export out/triangle --csv work.csv --work[/bold],
-    [bold]cmbot export out/triangle --mcap triangle.mcap[/bold],
-    [bold]cmbot export out/triangle --ros-package cmbot_description[/bold]
+    Examples: cmbot export out/triangle --csv work.csv --work, cmbot export out/triangle --mcap triangle.mcap,
+    cmbot export out/triangle --ros-package cmbot_description
     """
-    if mcap is None and csv is None and ros is None and ros_package is None:
-        raise InputError("cmbot export", "", "nothing to write", "--csv, --ros, --mcap or --ros-package")
-    if work and csv is None:
-        raise InputError("cmbot export", "--work", "no table", "it with --csv FILE")
-    if effort and mcap is None and ros is None:
-        raise InputError("cmbot export", "--effort", "no trajectory to write", "it with --mcap or --ros")
-    from cmbot.archive import export_csv, export_mcap, export_ros, export_ros_package
 
-    loaded = cmbot.load_plan(directory)
-    exports: tuple[tuple[Path | None, Callable[[Plan, Path], object]], ...] = (
-        (csv, partial(export_csv, work=work)),
-        (mcap, partial(export_mcap, effort=effort)),
-        (ros, partial(export_ros, effort=effort)),
+    directory: Path = argument("A plan directory.", "DIR")
+    mcap: Path | None = option(None, "MCAP file of ROS 2 messages to write.", metavar="FILE")
+    csv: Path | None = option(None, "Table to write, as job.csv; see --work.", metavar="FILE")
+    work: bool = option(False, "In the table the work alone, on its own clock.")
+    ros: Path | None = option(
+        None, "JSON of a ROS JointTrajectory of the whole job to write.", metavar="FILE"
     )
-    for file, _ in exports:
-        if file is not None:
-            require_new(file, force)
-    for file, write in ((ros_package, export_ros_package), *exports):
-        if file is not None:
-            write(loaded, file)
-            out.print(f"Written to {flat(file)}.")
+    ros_package: Path | None = option(None, "Description package to write; a new folder.", metavar="FOLDER")
+    force: bool = option(False, "Replace files with these names that are there.")
+    effort: bool = option(False, "With --mcap and --ros: torques, too, for controllers that take them.")
+
+    def __call__(self) -> None:
+        if not (self.mcap or self.csv or self.ros or self.ros_package):
+            expected = "--csv, --ros, --mcap or --ros-package"
+            raise InputError("cmbot export", "", "nothing to write", expected)
+        if self.work and self.csv is None:
+            raise InputError("cmbot export", "--work", "no table", "it with --csv FILE")
+        if self.effort and self.mcap is None and self.ros is None:
+            raise InputError("cmbot export", "--effort", "no trajectory to write", "it with --mcap or --ros")
+        from cmbot.archive import export_csv, export_mcap, export_ros, export_ros_package
+
+        loaded = cmbot.load_plan(self.directory)
+        exports: tuple[tuple[Path | None, Callable[[Plan, Path], object]], ...] = (
+            (self.csv, partial(export_csv, work=self.work)),
+            (self.mcap, partial(export_mcap, effort=self.effort)),
+            (self.ros, partial(export_ros, effort=self.effort)),
+        )
+        for file, _ in exports:
+            if file is not None:
+                require_new(file, self.force)
+        for file, write in ((self.ros_package, export_ros_package), *exports):
+            if file is not None:
+                write(loaded, file)
+                out.print(f"Written to {one_line(file)}.")
 
 
 def require_new(path: Path, force: bool) -> None:

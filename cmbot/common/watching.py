@@ -6,13 +6,7 @@ import multiprocessing
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from html import escape
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
-
-if TYPE_CHECKING:
-    from cmbot.common.progress_line import Report
-
-__all__ = ["watched", "watched_share"]
+from typing import Any, Literal, TypeVar
 
 T = TypeVar("T")
 
@@ -21,14 +15,14 @@ T = TypeVar("T")
 def watched(progress: Callable[[T], None] | Literal[False] | None) -> Iterator[Callable[[T], None] | None]:
     """Give what is to be called with reports: `progress`, or where it is None what shows them.
 
-    Reports are shown while the context lasts: by a line on standard error where that is a terminal, by a bar
-    in the present cell of a notebook, elsewhere, in worker processes and with False not at all.
+    Reports are shown while the context lasts: by a bar on standard error where that is a terminal, or in the
+    present cell of a notebook; elsewhere, in worker processes and with False not at all.
     """
     if progress is not None:
         yield progress or None
         return
-    with _line() as line:
-        yield None if line is None else line.update
+    with _shown() as shown:
+        yield None if shown is None else shown.update
 
 
 @contextmanager
@@ -39,30 +33,25 @@ def watched_share(
     if progress is not None:
         yield progress or None
         return
-    with _line() as line:
-        yield None if line is None else lambda share: line.stage(description, share)
+    with _shown() as shown:
+        yield None if shown is None else lambda share: shown.stage(description, share)
 
 
 @contextmanager
-def _line() -> Iterator[Any]:
-    """Give a line of progress; None where nobody watches."""
-    display = None if multiprocessing.parent_process() is not None else _notebook_display()
-    if display is not None:
-        bar = _NotebookBar(display)
-        try:
-            yield bar
-        finally:
-            bar.close()
-    elif multiprocessing.parent_process() is None and sys.stderr is not None and sys.stderr.isatty():
-        # Only where it is shown: rich takes a while to import.
-        from rich.console import Console
-
-        from cmbot.common.progress_line import ProgressLine
-
-        with ProgressLine(Console(stderr=True, force_jupyter=False)) as line:
-            yield line
-    else:
+def _shown() -> Iterator[Any]:
+    """Give what shows progress; None where nobody watches."""
+    display = _notebook_display()
+    terminal = sys.stderr is not None and sys.stderr.isatty()
+    if multiprocessing.parent_process() is not None or not (display or terminal):
         yield None
+        return
+    # Only where it is shown: rich takes a while to import.
+    from rich.console import Console
+
+    from cmbot.common.progress_display import ProgressDisplay
+
+    with ProgressDisplay(Console(stderr=True, force_jupyter=False), display=display) as shown:
+        yield shown
 
 
 def _notebook_display() -> Callable[..., Any] | None:
@@ -74,27 +63,3 @@ def _notebook_display() -> Callable[..., Any] | None:
     from IPython.display import display
 
     return display
-
-
-class _NotebookBar:
-    """A bar in a cell's output, which is empty afterwards."""
-
-    def __init__(self, display: Callable[..., Any]) -> None:
-        self._shown = display({"text/plain": "", "text/html": ""}, raw=True, display_id=True)
-        self._text = ""
-
-    def update(self, report: Report) -> None:
-        """Show a report."""
-        self.stage(report.step or report.sentence(), report.share)
-
-    def stage(self, description: str, share: float | None = None) -> None:
-        """Show what is being done, and how much of it is."""
-        value = "" if share is None else f' value="{share:.2f}"'
-        text = f"<progress{value}></progress> {escape(description)}"
-        if text != self._text:
-            self._text = text
-            self._shown.update({"text/plain": description, "text/html": text}, raw=True)
-
-    def close(self) -> None:
-        """Leave nothing behind."""
-        self._shown.update({"text/plain": "", "text/html": ""}, raw=True)

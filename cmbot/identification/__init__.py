@@ -10,6 +10,7 @@ from typing import Any
 from cmbot.common.yaml_reader import lines_named
 from cmbot.identification.design import Proposal, job_postures, propose, require_axes
 from cmbot.identification.estimation import Identification, Weight, estimate
+from cmbot.identification.location import Location, features_to_touch, locate, located, location_remarks
 from cmbot.identification.measurements import (
     Measurements,
     MeasurementsFile,
@@ -29,11 +30,14 @@ from cmbot.identification.report import (
     stiffness_text,
     unseen,
 )
+from cmbot.identification.touches import Feature, Touches, TouchSetup, read_touches
 
 __all__ = [
     "HEADINGS",
     "DeflectionModel",
+    "Feature",
     "Identification",
+    "Location",
     "Measurements",
     "MeasurementsFile",
     "MeasuringSetup",
@@ -42,17 +46,24 @@ __all__ = [
     "Proposal",
     "SagAlong",
     "Slip",
+    "TouchSetup",
+    "Touches",
     "Weight",
     "estimate",
+    "features_to_touch",
     "identified_rows",
     "identify",
     "is_sheet",
     "job_postures",
+    "locate",
+    "located",
+    "location_remarks",
     "measured_arm",
     "prior_deviations",
     "proposal_remarks",
     "propose",
     "read_measurements",
+    "read_touches",
     "remarks",
     "require_axes",
     "require_fit",

@@ -18,7 +18,7 @@ from cmbot.optimization import ExchangeReport
 from cmbot.planning.certification.certificate import Certificate, certify
 from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.failures import constraints_named, eased, in_keys, slower, slower_legs
-from cmbot.planning.flexibility.sag_compensation import MOST_ROUNDS, Compensation, compensate
+from cmbot.planning.flexibility.sag_compensation import Compensation, compensate
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression, suppress_vibration
 from cmbot.planning.free_motion.approach import plan_approach
 from cmbot.planning.free_motion.free_move import largest_objective
@@ -41,7 +41,7 @@ from cmbot.planning.result.plan import Plan
 from cmbot.planning.result.stroke_plan import Start
 from cmbot.planning.retries import Attempt, is_little_nearer, with_retries
 from cmbot.planning.stroke_order import in_least_travel
-from cmbot.planning.torque import Optimised, optimise, segments
+from cmbot.planning.torque import Optimised, optimise
 from cmbot.scene import PlannerOptions, Scene
 from cmbot.trajectory import QuinticTrajectory
 
@@ -376,11 +376,9 @@ def _optimised(
     """The optimised motion, with sag compensated and vibration suppressed where something bends."""
     reporter, options = context.reporter, context.options
     reporter.stage("optimise")
-    # Every segment of a long path may have as many.
-    most = options.max_passes * len(segments(guess.problem))
 
     def each_pass(report: ExchangeReport, rounds: int = 0) -> None:
-        reporter.passed(report, context.objective.unit, most, rounds=rounds, most_rounds=MOST_ROUNDS)
+        reporter.passed(report, context.objective.unit, rounds)
         if report.stage == "peak" and report.ended and report.peak_torque > useless:
             raise _UselessMotion
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeVar
 
 from cmbot.common.errors import beyond
-from cmbot.common.eta import Eta, Remaining
 from cmbot.common.representation import short_repr
 
 if TYPE_CHECKING:
@@ -46,8 +45,6 @@ class Progress:
         Of the stage, in words; may be empty.
     share : float or None
         Of the step that is done, 0 to 1. It never falls until another step begins; None where unknown.
-    left : Eta or None
-        Time that the step will still take, from the time so far; None where that says nothing.
     """
 
     stage: str
@@ -58,16 +55,15 @@ class Progress:
     rounds: int = 0
     step: str = ""
     share: float | None = None
-    left: Eta | None = None
 
     __repr__ = short_repr
 
-    def sentence(self, *, passes: bool = True) -> str:
-        """Return the stage in words, and after an exchange iteration, if wished, its peak and violation."""
+    def sentence(self) -> str:
+        """Return the stage in words, and after an exchange iteration its peak and violation."""
         of = f"{self.stroke}: " if self.stroke else ""
-        return of + self._sentence(passes=passes)
+        return of + self._sentence()
 
-    def _sentence(self, *, passes: bool) -> str:
+    def _sentence(self) -> str:
         text = _STAGES[self.stage]
         if self.failed_starts:
             text += f" from another start ({self.failed_starts} failed)"
@@ -76,8 +72,6 @@ class Progress:
             return text
         if self.rounds:
             text = f"compensating the sag, round {self.rounds}"
-        if not passes:
-            return text
         # What would print as 0.00 % is within the optimiser's tolerance.
         met = report.worst.value < 5e-5
         worst = f"{report.worst.name} {beyond(report.worst.value)}"
@@ -92,7 +86,7 @@ class Progress:
 
 
 class ProgressReporter:
-    """Reports what the planner is doing, and how long it will still take; keeps the times of its stages.
+    """Reports what the planner is doing; keeps the times of its stages.
 
     `progress` is called with a `Progress`; `clock` gives seconds that do not go back; `limit` is how many of
     them planning may take.
@@ -110,12 +104,8 @@ class ProgressReporter:
         self._clock = clock
         self._stroke = ""
         self._now = Progress(stage="path")
-        self._remaining = Remaining(clock())
-        self._reported = 0.0
         self._seconds = dict.fromkeys(_STAGES, 0.0)
         self._stage_began = clock()
-        # When the optimisation began, and when the passes before compensation and each round of it ended.
-        self._ends = [clock()]
 
     def silent(self, most: float = math.inf) -> ProgressReporter:
         """Return a reporter that reports nothing and knows the time left, s, or `most` of it."""
@@ -150,7 +140,7 @@ class ProgressReporter:
         """Begin a stage."""
         now = self._clock()
         self._seconds[self._now.stage] += now - self._stage_began
-        self._stage_began, self._ends = now, [now]
+        self._stage_began = now
         self._begin(Progress(stage=stage, stroke=self._stroke, failed_starts=failed_starts))
 
     def seconds(self) -> dict[str, float]:
@@ -164,20 +154,11 @@ class ProgressReporter:
         if step != self._now.step:
             self._begin(self._fresh(step=step))
 
-    def part(self, step: str, done: float, total: float, *, at_most: bool = False) -> None:
-        """Report how much of a step is done, in parts of about the same cost; its first part begins it.
-
-        With `at_most` the step may end before all of them are done.
-        """
-        if step != self._now.step:
-            self._begin(self._fresh(step=step, share=min(done / total, 1.0)), at_most=at_most)
-        self._remaining.note(done / total, self._clock())
-        share = self._remaining.share
-        if share >= self._reported + _SHARE_STEP or self._reported < share == 1.0:
-            self._reported = share
-            left = self._remaining.left(self._clock())
-            self._now = self._fresh(step=step, share=share, left=left)
-            self._progress(self._now)
+    def part(self, step: str, done: float, total: float) -> None:
+        """Report how much of a step is done, in parts of about the same cost; its first part begins it."""
+        share, told = min(max(done / total, 0.0), 1.0), self._now.share or 0.0
+        if step != self._now.step or share >= told + _SHARE_STEP or told < share == 1.0:
+            self._begin(self._fresh(step=step, share=share))
 
     def each(self, step: str, things: Sequence[T]) -> Iterator[T]:
         """Yield the things that a step handles, one after the other, and report its share."""
@@ -186,41 +167,14 @@ class ProgressReporter:
             yield thing
         self.part(step, 1, 1)
 
-    def passed(
-        self, report: ExchangeReport, unit: str, most: int, rounds: int = 0, most_rounds: int = 0
-    ) -> None:
-        """Report an exchange iteration, of `most` at most; `unit` is that of its peak.
+    def passed(self, report: ExchangeReport, unit: str, rounds: int = 0) -> None:
+        """Report an exchange iteration; `unit` is that of its peak, `rounds` the round of compensation."""
+        self._begin(Progress(stage="optimise", stroke=self._stroke, report=report, unit=unit, rounds=rounds))
 
-        `rounds` is the number of the compensation's round, from 1, of `most_rounds` at most.
-        """
-        now = self._clock()
-        del self._ends[rounds + 1 :]
-        began = self._ends[-1]
-        if rounds:
-            # The round before, or the passes before compensation, began where those before them ended.
-            left = Eta(
-                seconds=began - self._ends[-2], most=most_rounds - rounds + 1, part="round", parts="rounds"
-            )
-        else:
-            seconds = (now - began) / report.number
-            left = Eta(seconds=seconds, most=most - report.number, part="pass", parts="passes")
-        self._ends.append(now)
-        self._now = Progress(
-            stage="optimise",
-            stroke=self._stroke,
-            report=report,
-            unit=unit,
-            rounds=rounds,
-            left=left if left.most else None,
-        )
-        self._progress(self._now)
-
-    def _begin(self, progress: Progress, *, at_most: bool = False) -> None:
-        self._now, self._reported = progress, progress.share or 0.0
-        self._remaining = Remaining(self._clock(), share=self._reported, at_most=at_most)
+    def _begin(self, progress: Progress) -> None:
+        self._now = progress
         self._progress(progress)
 
-    def _fresh(self, step: str, share: float | None = None, left: Eta | None = None) -> Progress:
+    def _fresh(self, step: str, share: float | None = None) -> Progress:
         """Progress of a step of the present stage."""
-        now = self._now
-        return replace(now, report=None, rounds=0, step=step, share=share, left=left)
+        return replace(self._now, report=None, rounds=0, step=step, share=share)

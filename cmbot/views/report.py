@@ -151,6 +151,8 @@ class Headline:
 
 def headlines(plan: Plan, tracking: Tracking | None) -> Iterator[Headline]:
     """Yield the cards, the most important first."""
+    if accuracy := _accuracy_card(plan):
+        yield accuracy
     yield _peak_card(plan)
     yield _lower_bound_card(plan)
     yield _certificate_card(plan)
@@ -265,6 +267,36 @@ def _clearance_card(plan: Plan) -> Headline:
     )
 
 
+def _accuracy_card(plan: Plan) -> Headline | None:
+    """Within how much of its path the tool is, all counted; None where nothing bends."""
+    accuracy = plan.accuracy
+    if accuracy is None:
+        return None
+    detail = f"with {100 * accuracy.probability:g} %, all along the work"
+    if accuracy.parts:
+        most = accuracy.parts[0]
+        detail += f"; most of it: {most.name} ({most.size_mm:.3g} mm)"
+    kept = accuracy.tolerance_kept
+    return Headline(
+        title="Tool from its path, at most",
+        value=f"{accuracy.within_mm:.3g} mm",
+        detail=detail if kept is None else f"{detail}; tolerance {'kept' if kept else 'not kept'}",
+        state="plain" if kept is None else "good" if kept else "bad",
+    )
+
+
+def _accuracy_section(plan: Plan) -> str:
+    """The parts of the accuracy budget, and what would help."""
+    accuracy = plan.accuracy
+    if accuracy is None:
+        return ""
+    parts = [(part.name, f"{part.bias_mm:.2f}", f"{part.sigma_mm:.2f}") for part in accuracy.parts]
+    remedies = [(f"with {remedy.name}", f"{remedy.within_mm:.3g}") for remedy in accuracy.remedies]
+    told = table(parts, ("mm", "known", "standard deviation"))
+    helped = table(remedies, ("", "within, mm")) if remedies else ""
+    return section("Where the tool will be", told + helped)
+
+
 def _deviation_card(plan: Plan) -> Headline:
     value, bound = plan.figures.max_tool_deviation, plan.options.max_tool_deviation_m
     arm = "with the predicted sag" if plan.options.compensate else "rigid arm"
@@ -315,6 +347,8 @@ def _sections(plan: Plan, tracking: Tracking | None) -> Iterator[str]:
     # The verdict, which comes first of them, stands above.
     yield section("Remarks", _list(list(remarks(plan))[1:]), kind="wide")
     yield section("Metrics", table(plan.rows(), ("", "baseline", "planned")))
+    if accuracy := _accuracy_section(plan):
+        yield accuracy
     elastic = list(_elastic(plan))
     if elastic:
         swings = list(_swings(plan))

@@ -1,6 +1,5 @@
 """Campaigns from the file to the table: what is planned, kept, planned again, and shown."""
 
-import gc
 import importlib
 import io
 import json
@@ -22,13 +21,11 @@ from ruamel.yaml import YAML
 from small_scenes import SHORT
 
 import cmbot
-from cmbot.campaigns import OVERVIEW, RESULTS, CampaignProgress, Task, TaskResult, TaskStatus, read_campaign
-from cmbot.campaigns import run as run_module
+from cmbot.campaigns import OVERVIEW, RESULTS, CampaignProgress, Task, TaskResult, TaskStatus
 from cmbot.campaigns.overview import overview_page
 from cmbot.campaigns.planned import plan_scene
 from cmbot.campaigns.results import given_cells, parquet, result_row
 from cmbot.common.errors import ArchiveError, InputError, ModelError
-from cmbot.scene import Scene
 
 TEXT = """format: cmbot-campaign/1
 name: span
@@ -164,7 +161,6 @@ def test_the_command_line_says_what_failed(file: Path, ran: list[str]) -> None:
     assert "span: 3 jobs in " in outcome.out
     assert ": 2 planned, 1 no plan." in outcome.out
     assert "far: no plan: no path" in outcome.out
-    assert "planning: 3 of 3, 1 no plan" in outcome.err
     assert (folder / OVERVIEW).is_file()
     outcome = run("campaign", file, "-o", folder, "--json")
     told = json.loads(outcome.out)
@@ -174,7 +170,6 @@ def test_the_command_line_says_what_failed(file: Path, ran: list[str]) -> None:
     assert len(ran) == 3
     outcome = run("campaign", file, "-o", folder)
     assert " s, 3 of them before: 2 planned, 1 no plan." in outcome.out
-    assert "planning: 3 of 3, 3 before, 1 no plan" in outcome.err
     assert "1 of these ended so before; --again plans them again." in outcome.out
     (file.parent / "taken").mkdir()
     (file.parent / "taken" / "thesis.txt").touch()
@@ -192,26 +187,6 @@ def test_a_robot_that_is_none_stops_it_before_anything_is_planned(file: Path, ra
         cmbot.campaign(file, file.parent / "out")
     assert not ran
     assert not (file.parent / "out").exists()
-
-
-def test_a_robot_is_loaded_once_whatever_it_carries(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    loaded, load = list[Scene](), run_module.robot_of
-    monkeypatch.setattr(run_module, "robot_of", lambda scene: (loaded.append(scene), load(scene))[1])
-    tasks = list(run_module._tasks(*read_campaign(file), file.parent / "out", pages=False))
-    assert len(loaded) == 1
-    assert {task.inputs["robot"] for task in tasks} == {load(loaded[0]).content_hash}
-    assert len({task.key for task in tasks}) == len(tasks) == 3
-
-
-def test_jobs_that_wait_hold_no_scenes(file: Path) -> None:
-    def scenes() -> int:
-        gc.collect()
-        return sum(isinstance(each, Scene) for each in gc.get_objects())
-
-    before = scenes()
-    tasks = list(run_module._tasks(*read_campaign(file), file.parent / "out", pages=False))
-    assert len(tasks) == 3
-    assert scenes() == before
 
 
 def test_results_of_every_kind_fit_into_a_row() -> None:

@@ -13,13 +13,12 @@ from typing import Any
 from unittest.mock import Mock
 
 import pytest
-import typer
 from command_line import ROOT, Outcome, one_line, output, refusal, run, run_apart, write_scene
 from small_scenes import SHORT
 
 import cmbot
 import cmbot.cli.inspection
-from cmbot.cli import commands
+from cmbot.cli import COMMANDS, commands
 from cmbot.common import errors
 from cmbot.common.installation import install_command, model_folder
 
@@ -74,8 +73,8 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
         "check robot.yaml",
         ("robot.yaml:1: robot.model: got 'zzz/zzz'", ", cmbot, or the name of a robot"),
     ),
-    ("new --from panda --tool-at .5 0 -o x.yaml", ("--tool-at takes 3 numbers: X Y Z. See: cmbot new",)),
-    ("new --from panda --tool-at .5 0", ("'--tool-at' requires 3 arguments. See: cmbot new --help",)),
+    ("new --from panda --tool-at .5 0 -o x.yaml", ("--tool-at: expected 3 arguments. See: cmbot new",)),
+    ("new --from panda --tool-at .5 0", ("--tool-at: expected 3 arguments. See: cmbot new --help",)),
     ("plan model.yaml", ("model.yaml:1: robot.model: got 'cmbto'", "; did you mean cmbot?")),
     (
         "check frame.yaml",
@@ -115,19 +114,19 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
     ("replay folder", ("folder",)),
     ("replay other_version", ("other_version", "cmbot-plan/999")),
     ("replay folder --serve --html page.html", ("--html, --serve: got both",)),
-    ("--nonsense", ("No such option: --nonsense. See: cmbot --help",)),
-    ("plan short.yaml --forse", ("No such option: --forse", "--force", "See: cmbot plan --help")),
-    ("plan short.yaml -o", ("'-o' requires an argument",)),
-    ("plan", ("Missing argument 'SCENE'. See: cmbot plan --help",)),
-    ("plan short.yaml line", ("unexpected extra argument",)),
-    ("paln short.yaml", ("No such command 'paln'",)),
-    ("doctor now", ("unexpected extra argument",)),
-    ("doctor --json", ("No such option: --json. See: cmbot doctor --help",)),
-    ("doctor -o x", ("No such option: -o. See: cmbot doctor --help",)),
-    ("schema now", ("unexpected extra argument",)),
-    ("schema --json", ("No such option: --json. See: cmbot schema --help",)),
-    ("schema -o x", ("No such option: -o. See: cmbot schema --help",)),
-    ("scenes now", ("unexpected extra argument",)),
+    ("--nonsense", ("no such option: --nonsense. See: cmbot --help",)),
+    ("plan short.yaml --forse", ("no such option: --forse; did you mean --force? See: cmbot plan --help",)),
+    ("plan short.yaml -o", ("--output/-o: expected one argument",)),
+    ("plan", ("arguments are required: SCENE. See: cmbot plan --help",)),
+    ("plan short.yaml line", ("unexpected argument: ",)),
+    ("paln short.yaml", ("no such command: paln; did you mean plan? See: cmbot --help",)),
+    ("doctor now", ("unexpected argument: ",)),
+    ("doctor --json", ("no such option: --json. See: cmbot doctor --help",)),
+    ("doctor -o x", ("no such option: -o. See: cmbot doctor --help",)),
+    ("schema now", ("unexpected argument: ",)),
+    ("schema --json", ("no such option: --json. See: cmbot schema --help",)),
+    ("schema -o x", ("no such option: -o. See: cmbot schema --help",)),
+    ("scenes now", ("unexpected argument: ",)),
     ("scenes --html empty.yaml", ("empty.yaml: got a file that is already there", "a new file, or --force")),
     ("scenes --html empty.yaml/x.html", ("empty.yaml/x.html: got ", "expected ")),
     ("check panda --write-srdf empty.yaml", ("--write-srdf: got empty.yaml", "path of a new file")),
@@ -139,17 +138,20 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
     ("stand nosuch", ("nosuch: no such file, expected a scene file",)),
     ("stand other.yaml", ("other.yaml: robot: got another robot, expected the shipped robot",)),
     ("stand short.yaml --on moon", ("members (--on): got 'moon', expected a member", "(one of: top_rail,")),
-    ("stand short.yaml --max-torque -5", ("'--max-torque'", "0. See: cmbot stand --help")),
+    (
+        "stand short.yaml --max-torque -5",
+        ("--max-torque: got -5, expected a number of at least 0. See: ",),
+    ),
     (
         "stand short.yaml -o empty.yaml",
         ("empty.yaml: got a file of that name, expected ",),
     ),
     ("stand short.yaml --objective sag", ("--objective: got sag", "(one of: torque, hold)")),
-    ("walk short.yaml", ("Missing option '--to'. See: cmbot walk --help",)),
+    ("walk short.yaml", ("arguments are required: --to. See: cmbot walk --help",)),
     ("walk short.yaml --to nosuch.yaml", ("nosuch.yaml: no such file, expected a scene file",)),
     ("walk other.yaml --to short.yaml", ("other.yaml: robot: got another robot",)),
     ("walk short.yaml --to short.yaml", ("stance: got the stance where", "robot stands there already")),
-    ("tour", ("Missing argument 'SCENE'. See: cmbot tour --help",)),
+    ("tour", ("arguments are required: SCENE. See: cmbot tour --help",)),
     ("tour other.yaml", ("other.yaml: robot: got another robot, expected the shipped robot",)),
     ("tour short.yaml --on moon", ("members (--on): got 'moon', expected a member",)),
     ("tour short.yaml -o no_plan", ("no_plan: got ", "expected ")),
@@ -189,9 +191,12 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
         ("nosuch: no such file, expected a file of measurements, or a scene",),
     ),
     ("identify triangle", ("triangle: got a scene, expected a file of measurements: cmbot identify",)),
-    ("identify short.yaml --propose 0", ("'--propose'", "1. See: cmbot identify --help")),
-    ("reproduce now", ("unexpected extra argument",)),
-    ("reproduce --runs 3", ("No such option: --runs",)),
+    (
+        "identify short.yaml --propose 0",
+        ("--propose: got 0, expected a whole number of at least 1 and",),
+    ),
+    ("reproduce now", ("unexpected argument: ",)),
+    ("reproduce --runs 3", ("no such option: --runs",)),
 ]
 
 
@@ -219,8 +224,7 @@ def test_bad_input(words: str, parts: tuple[str, ...], folder: Path) -> None:
 def test_three_wrong_inputs_of_every_command() -> None:
     """Each is refused in one line with what was expected, or the help that says it."""
     tried = Counter(words.split()[0] for words, _ in BAD_INPUT)
-    names = typer.main.get_group(commands.app).commands
-    assert {name: tried[name] for name in names if tried[name] < 3} == {}
+    assert {name: tried[name] for name in COMMANDS if tried[name] < 3} == {}
 
 
 def test_check_of_a_urdf_without_links() -> None:
@@ -265,8 +269,7 @@ def test_a_hopeless_scene_says_how_far_it_came(folder: Path) -> None:
     }
     outcome = run("plan", write_scene(folder / "far.yaml", far))
     assert (outcome.status, outcome.out) == (3, "")
-    *progress, error = outcome.err.splitlines()
-    assert progress == ["following the tool path"]
+    (error,) = outcome.err.splitlines()
     assert re.fullmatch(
         r"error: \S*far\.yaml: no path beyond t = \d\.\d\d s \(\d+% of the tool path\): \w.*",
         error,

@@ -257,6 +257,32 @@ def test_a_shell_completes_scenes_verbs_and_options(tmp_path: Path) -> None:
 
     assert completed("cmbot", "plan", "t") == ["tower.yaml", "triangle", "two_brackets"]
     assert completed("cmbot", "sc") == ["scenes", "schema"]
+    assert completed("cmbot", "plan", "triangle", "--f") == ["--force", "--figures"]
+    assert completed("cmbot", "doctor", "t") == completed("cmbot", "nosuch", "t") == []
+
+
+@pytest.mark.parametrize(("shell", "start"), [("bash", ".bashrc"), ("zsh", ".zshrc"), ("fish", "")])
+def test_completion_is_installed_once(
+    shell: str, start: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("SHELL", f"/bin/{shell}")
+    if start:
+        (tmp_path / start).write_text("mine\n", encoding="utf-8")
+    for _ in range(2):
+        assert f"Completion of {shell} is in {tmp_path}" in output("--install-completion")
+    (script,) = (path for path in tmp_path.rglob("*cmbot*") if path.is_file())
+    assert script.read_text(encoding="utf-8") == output("--show-completion")
+    if start:
+        before, line = (tmp_path / start).read_text(encoding="utf-8").split("\n\n")
+        assert (before, line.count("\n")) == ("mine", 1)
+    if shell == "bash":
+        ask = f". {script}; COMP_WORDS=(cmbot sc); COMP_CWORD=1; _cmbot cmbot; echo ${{COMPREPLY[@]}}"
+        begin = f"cmbot() {{ {sys.executable} -m cmbot; }}; {ask}"
+        done = subprocess.run(["bash", "-c", begin], env=environment(), capture_output=True, text=True)
+        assert done.stdout == "scenes schema\n"
+    monkeypatch.setenv("SHELL", "/bin/ksh")
+    assert "the shell ($SHELL) is ksh" in refusal("--install-completion")
 
 
 def test_a_urdf_is_loaded_as_planning_does(tmp_path: Path) -> None:

@@ -20,7 +20,9 @@ import cmbot
 import cmbot.views
 from cmbot.archive import load_plan, load_tracking, plan_data, writing
 from cmbot.archive.folder import read_folder
-from cmbot.cli import planning, simulation, views
+from cmbot.cli.planning import PlanCommand
+from cmbot.cli.simulation import SimulateCommand
+from cmbot.cli.views import ReportCommand
 from cmbot.common.errors import ArchiveError
 from cmbot.planning import Plan, Samples
 from cmbot.simulation import Tracking
@@ -29,13 +31,15 @@ NOTES = "notes.txt"
 TARGET = Path("work/plan")
 # `make kills` tries all steps.
 APART = int(os.environ.get("CMBOT_KILLS_APART", "2"))
+PLANNED: dict[str, Any] = {"scene": "short.yaml", "output": TARGET, "quiet": True}
+SIMULATED: dict[str, Any] = {"directory": TARGET, "quiet": True}
 # What is called, and whether there is a plan directory before, and whether it has been simulated.
 CALLS: dict[str, tuple[Callable[[bool], None], bool, bool]] = {
-    "plan": (lambda force: planning.plan("short.yaml", TARGET, force=force, quiet=True), False, False),
-    "plan --force": (lambda _: planning.plan("short.yaml", TARGET, force=True, quiet=True), True, True),
-    "simulate": (lambda force: simulation.simulate(TARGET, force=force, quiet=True), True, False),
-    "simulate --force": (lambda _: simulation.simulate(TARGET, force=True, quiet=True), True, True),
-    "report": (lambda _: views.report(TARGET), True, True),
+    "plan": (lambda force: PlanCommand(**PLANNED, force=force)(), False, False),
+    "plan --force": (lambda _: PlanCommand(**PLANNED, force=True)(), True, True),
+    "simulate": (lambda force: SimulateCommand(**SIMULATED, force=force)(), True, False),
+    "simulate --force": (lambda _: SimulateCommand(**SIMULATED, force=True)(), True, True),
+    "report": (lambda _: ReportCommand(directory=TARGET)(), True, True),
 }
 
 

@@ -108,8 +108,11 @@ def test_white_noise_by_lyapunovs_equation(
 ) -> None:
     """Of all elastic coordinates, from their matrices: no mode and no frequency is in it."""
     modes = arm_modes(arm, posture)
-    M, K, D, B = modes.mass, modes.stiffness, modes.damping(ZETA) + arm.damping, ground_loads(
-        arm, arm.configuration(posture, modes.u)
+    M, K, D, B = (
+        modes.mass,
+        modes.stiffness,
+        modes.damping(ZETA) + arm.damping,
+        ground_loads(arm, arm.configuration(posture, modes.u)),
     )
     n = len(M)
     A = np.block([[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(M, K), -np.linalg.solve(M, D)]])

@@ -1,6 +1,5 @@
 """What the tasks of the campaign's tests call: in processes of their own."""
 
-import multiprocessing
 import os
 import resource
 import signal
@@ -20,6 +19,15 @@ def own_process() -> list[int]:
     return [os.getpid(), resource.getrlimit(resource.RLIMIT_AS)[0]]
 
 
+def grow(megabytes: int) -> int:
+    """Take so much memory more, which stays; return this process's number."""
+    _taken.append(bytearray(os.urandom(1)) * (megabytes * 1_000_000))
+    return os.getpid()
+
+
+_taken = list[bytearray]()
+
+
 def abort() -> None:
     os.abort()
 
@@ -37,9 +45,7 @@ def exhaust() -> None:
 
 
 def end_worker() -> None:
-    worker = multiprocessing.parent_process()
-    assert worker is not None
-    os.kill(worker.pid or 0, signal.SIGKILL)
+    os.kill(os.getppid(), signal.SIGKILL)
     time.sleep(100)
 
 

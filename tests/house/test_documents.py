@@ -11,7 +11,6 @@ import document_figures
 import gallery
 import numpy as np
 import pytest
-import typer.main
 from command_line import run
 from ruamel.yaml import YAML
 from small_scenes import SHORT
@@ -20,7 +19,8 @@ import cmbot
 from cmbot import __version__
 from cmbot.archive import columns
 from cmbot.campaigns import CampaignFile
-from cmbot.cli import app
+from cmbot.cli import COMMANDS
+from cmbot.cli.command import flags_of
 from cmbot.elastic.beam import beam_mass, beam_stiffness
 from cmbot.planning import Plan, remarks
 from cmbot.robot import Kinematics
@@ -108,15 +108,25 @@ def commands(text: str) -> Iterator[tuple[str, list[str]]]:
 
 
 def test_named_commands_exist() -> None:
-    verbs = typer.main.get_command(app).commands  # type: ignore[attr-defined]
     named = set()
     for document in DOCUMENTS:
         for verb, options in commands(document.read_text(encoding="utf-8")):
-            assert verb in {*verbs, *WHOLE}, f"cmbot {verb} in {name_of(document)}"
-            known = {name for it in (verbs[verb].params if verb in verbs else ()) for name in it.opts}
+            assert verb in {*COMMANDS, *WHOLE}, f"cmbot {verb} in {name_of(document)}"
+            known = set(flags_of(COMMANDS[verb]) if verb in COMMANDS else ())
             assert set(options) <= known | WHOLE, f"cmbot {verb} in {name_of(document)}"
             named.add(verb)
-    assert named - WHOLE == set(verbs), "a command that no document names"
+    assert named - WHOLE == set(COMMANDS), "a command that no document names"
+
+
+def test_options_that_the_table_of_commands_names_are_those_of_its_command() -> None:
+    page = (DOCS / "command_line.md").read_text("utf-8")
+    rows = re.findall(r"^\| `cmbot (\w+)[^`]*` \| (.*) \|$", page, flags=re.MULTILINE)
+    assert {verb for verb, _ in rows} == set(COMMANDS)
+    named = [(verb, flag) for verb, text in rows for flag in re.findall(r"(?<![\w-])--[a-z][a-z-]*", text)]
+    assert len(named) > 15
+    assert [f"{verb} {flag}" for verb, flag in named if flag not in flags_of(COMMANDS[verb])] == []
+    every = {flag for kind in COMMANDS.values() for flag in flags_of(kind)} | WHOLE | {"--debug", "--version"}
+    assert set(re.findall(r"`(--[a-z][a-z-]*)", page)) <= every
 
 
 def test_pages_list_all_shipped_scenes_keys_of_campaigns_and_verbs_with_json() -> None:
@@ -130,8 +140,7 @@ def test_pages_list_all_shipped_scenes_keys_of_campaigns_and_verbs_with_json() -
         (row,) = re.findall(rf"^\| `{key}` .*", table, flags=re.MULTILINE)
         assert row.endswith(f"| {CampaignFile.model_fields[key].default:g} |")
     (sentence,) = re.findall(r"With `--json`, (.*?) print one JSON object", page)
-    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
-    with_json = {verb for verb, it in commands.items() if any("--json" in p.opts for p in it.params)}
+    with_json = {verb for verb, kind in COMMANDS.items() if "--json" in flags_of(kind)}
     assert set(re.findall(r"`(?:cmbot )?(\w+)`", sentence)) == with_json
 
 

@@ -11,7 +11,6 @@ from small_scenes import short_scene
 import cmbot
 from cmbot.optimization.constraint_set import Violation
 from cmbot.planning import ExchangeReport, Plan, Progress, remarks
-from cmbot.planning.flexibility.sag_compensation import MOST_ROUNDS
 from cmbot.planning.progress import ProgressReporter
 
 
@@ -22,15 +21,13 @@ class Listener:
         self.now, self.told = 100.0, list[Progress]()
         self.reporter = ProgressReporter(self.told.append, lambda: self.now)
 
-    def part(self, step: str, done: int, of: int, *, after: float = 0.0, **options: bool) -> Progress:
-        """Tell of a part that is done after some seconds, s."""
-        self.now += after
-        self.reporter.part(step, done, of, **options)
+    def part(self, step: str, done: int, of: int) -> Progress:
+        """Tell of a part that is done."""
+        self.reporter.part(step, done, of)
         return self.told[-1]
 
-    def passed(self, number: int, *, after: float = 0.0, **rounds: int) -> Progress:
-        """Tell of a pass of the exchange that took some seconds, s."""
-        self.now += after
+    def passed(self, number: int, rounds: int = 0) -> Progress:
+        """Tell of a pass of the exchange."""
         worst = Violation("jerk of joint_1", 0.5)
         report = ExchangeReport(
             stage="peak",
@@ -41,7 +38,7 @@ class Listener:
             peak_torque=380.0,
             worst=worst,
         )
-        self.reporter.passed(report, "Nm", 40, **rounds)
+        self.reporter.passed(report, "Nm", rounds)
         return self.told[-1]
 
 
@@ -64,15 +61,13 @@ def test_while_a_scene_is_planned(options: dict[str, object]) -> None:
             assert before.share <= after.share
     for progress in told:
         assert progress.share is None or 0.0 <= progress.share <= 1.0
-        assert progress.left is None or progress.left.seconds >= 0.0
-        assert progress.left is None or progress.share != 0.0
     stages = [progress.stage for progress in told]
     assert (stages[0], stages[-1]) == ("path", "certify")
     assert stages == sorted(stages, key=["path", "optimise", "certify"].index)
     # Of the rounds of compensation the plan keeps the last one's passes.
     reports = tuple(progress.report for progress in told if progress.report)
     assert made.passes == (reports[-len(made.passes) :] if "compensate" in options else reports)
-    timed = {progress.step for progress in told if progress.share and progress.left}
+    timed = {progress.step for progress in told if progress.share}
     assert "following the tool path as the baseline does" in timed
     if "knots" in options:
         charted = [progress.share for progress in told if "charting" in progress.step]
@@ -95,8 +90,6 @@ def check_rounds(made: Plan, told: list[Progress]) -> None:
     assert set(rounds) == set(range(made.compensation.rounds + 1))
     assert last.sentence().startswith(f"compensating the sag, round {last.rounds}, pass ")
     assert sum(progress.rounds == last.rounds for progress in told) == len(made.passes)
-    for progress in told:
-        assert not progress.rounds or progress.left.most == MOST_ROUNDS - progress.rounds + 1
     (time,) = (remark for remark in remarks(made) if remark.startswith("Time: "))
     words = rf"\({len(made.passes)} pass(es)? in the last of {made.compensation.rounds} rounds?\)"
     assert re.search(words, time)
@@ -111,29 +104,19 @@ def test_a_wide_self_motion_is_charted_twice() -> None:
     assert any("tool's pose" in step for step in steps)
 
 
-@given(costs=st.lists(st.floats(0.01, 10.0), min_size=2, max_size=50))
-def test_a_step_tells_of_its_parts(costs: list[float]) -> None:
+@given(parts=st.integers(2, 50))
+def test_a_step_tells_of_its_parts(parts: int) -> None:
     listener = Listener()
     listener.reporter.stage("path")
-    for done, cost in enumerate([0.0, *costs]):
-        last = listener.part("doing it", done, len(costs), after=cost)
+    for done in range(parts + 1):
+        listener.part("doing it", done, parts)
     shares = [progress.share for progress in listener.told if progress.step]
-    assert shares == pytest.approx([k / len(costs) for k in range(len(costs) + 1)])
-    assert last.left is None
-
-
-def test_parts_of_equal_cost_are_foretold(listener: Listener) -> None:
-    first = listener.part("doing it", 0, 10)
-    assert (first.share, first.left) == (0.0, None)
-    for done in range(1, 10):
-        left = listener.part("doing it", done, 10, after=3.0).left
-        assert left.seconds == pytest.approx(3.0 * (10 - done))
-        assert not left.at_most
+    assert shares == pytest.approx([k / parts for k in range(parts + 1)])
 
 
 def test_a_share_that_falls_is_not_told(listener: Listener) -> None:
     for done in (0, 5, 1, 2, 6):
-        listener.part("doing it", done, 10, after=1.0)
+        listener.part("doing it", done, 10)
     assert [progress.share for progress in listener.told] == [0.0, 0.5, 0.6]
 
 
@@ -147,13 +130,11 @@ def test_many_small_parts_are_not_all_told(listener: Listener) -> None:
 def test_another_step_begins_anew(listener: Listener) -> None:
     listener.reporter.stage("path", failed_starts=2)
     listener.part("one", 1, 2)
-    listener.part("other", 1, 4, after=5.0, at_most=True)
-    left = listener.part("other", 2, 4, after=1.0, at_most=True).left
-    assert (left.seconds, left.at_most) == (pytest.approx(2.0), True)
+    assert listener.part("other", 1, 4).share == 0.25
     assert {progress.failed_starts for progress in listener.told} == {2}
     listener.reporter.step("the last")
     last = listener.told[-1]
-    assert (last.step, last.share, last.left) == ("the last", None, None)
+    assert (last.step, last.share) == ("the last", None)
 
 
 def test_things_are_told_as_their_turn_comes(listener: Listener) -> None:
@@ -161,27 +142,11 @@ def test_things_are_told_as_their_turn_comes(listener: Listener) -> None:
     assert [progress.share for progress in listener.told] == [0.0, 0.25, 0.5, 0.75, 1.0]
 
 
-def test_of_passes_it_is_known_how_many_there_are_at_most(listener: Listener) -> None:
+def test_a_pass_is_told_in_words(listener: Listener) -> None:
     listener.reporter.stage("optimise")
-    listener.passed(1, after=2.0)
-    second = listener.passed(2, after=4.0)
-    assert second.left.sentence() == "at most 38 more passes, 3.0 s each"
-    assert "pass 2 (peak): peak 380.00 Nm, jerk of joint_1 50.00% beyond its bound" in second.sentence()
-    assert listener.passed(40).left is None
-
-
-def test_a_round_of_compensation_costs_about_what_the_last_took(listener: Listener) -> None:
-    listener.reporter.stage("optimise")
-    for rounds, costs in ((0, (1.0, 2.0)), (1, (2.0, 3.0)), (2, (1.0,))):
-        for number, cost in enumerate(costs, start=1):
-            last = listener.passed(number, after=cost, rounds=rounds, most_rounds=8)
-    found = [progress.left for progress in listener.told if progress.rounds]
-    assert [left.sentence() for left in found] == [
-        "at most 8 more rounds, 3.0 s each",
-        "at most 8 more rounds, 3.0 s each",
-        "at most 7 more rounds, 5.0 s each",
-    ]
-    assert last.sentence(passes=False) == "compensating the sag, round 2"
+    said = listener.passed(2).sentence()
+    assert said == "optimising, pass 2 (peak): peak 380.00 Nm, jerk of joint_1 50.00% beyond its bound"
+    assert listener.passed(1, rounds=2).sentence().startswith("compensating the sag, round 2, pass 1 (peak)")
 
 
 def test_nobody_has_to_listen() -> None:

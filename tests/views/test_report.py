@@ -146,7 +146,10 @@ def test_sag_compensation_and_vibration_suppression_are_in_tables(
 
 
 def test_headlines_say_what_was_gained(triangle_plan: Plan, triangle_tracking: Tracking) -> None:
-    peak, floor, certified, clearance, deviation, error = headlines(triangle_plan, triangle_tracking)
+    tool, peak, floor, certified, clearance, deviation, error = headlines(triangle_plan, triangle_tracking)
+    accuracy = triangle_plan.accuracy
+    assert tool.value == f"{accuracy.within_mm:.3g} mm"
+    assert accuracy.parts[0].name in tool.detail
     before, after = triangle_plan.baseline_figures, triangle_plan.figures
     job = triangle_plan.job.figures
     assert peak.before == f"{before.peak_guardrail_torque:.1f}"
@@ -165,12 +168,12 @@ def test_headlines_say_what_was_gained(triangle_plan: Plan, triangle_tracking: T
     assert said.endswith("no posture within the limits has a smaller static torque (proven).")
     # Of the static torque: inertia may take a peak below it, which is no contradiction.
     static = replace(triangle_plan.objective, floor=triangle_plan.torque_floor + 1.0)
-    _, floor, *_ = headlines(replace(triangle_plan, objective=static), None)
+    _, _, floor, *_ = headlines(replace(triangle_plan, objective=static), None)
     assert "lower bound at rest" in floor.detail
     assert explained(replace(triangle_plan, objective=static)).endswith("(proven); moving, the arm has less.")
     bound = replace(triangle_plan.lower_bound, kind="estimated", missed=0.5)
     estimated = replace(triangle_plan, lower_bound=bound)
-    _, floor, *_ = headlines(estimated, None)
+    _, _, floor, *_ = headlines(estimated, None)
     assert floor.detail.startswith("lower bound (estimate) ")
     assert (
         "was found to have a smaller static torque (estimate; at most 50.00 % of the postures"
@@ -189,7 +192,7 @@ def test_headlines_say_what_was_gained(triangle_plan: Plan, triangle_tracking: T
     assert [card.state for card in (certified, clearance, deviation)] == ["good", "good", "worse"]
     # The posture in which the arm begins asks that: no gain over the whole job.
     assert peak.state == "plain"
-    gained, *_ = headlines(without_approach(triangle_plan), None)
+    _, gained, *_ = headlines(without_approach(triangle_plan), None)
     assert gained.state == "good"
 
 
@@ -202,7 +205,7 @@ def broken(certificate: Certificate) -> Certificate:
 
 def test_a_broken_bound_of_the_work_or_the_approach_is_shown(triangle_plan: Plan) -> None:
     plan = changed(triangle_plan, "work", certificate=broken(triangle_plan.certificate))
-    _, _, certified, clearance, *_ = headlines(plan, None)
+    _, _, _, certified, clearance, *_ = headlines(plan, None)
     checks = plan.certificate.checks
     assert (certified.value, certified.state) == ("21 of 22 hold", "bad")
     assert f"work {len(checks) - 1} of {len(checks)}" in certified.detail
@@ -213,13 +216,13 @@ def test_a_broken_bound_of_the_work_or_the_approach_is_shown(triangle_plan: Plan
     assert '<p class="verdict bad"><b>NOT SAFE: 1 of 22 promises is broken.</b>' in text
     approach = triangle_plan.approach
     plan = changed(triangle_plan, "approach", certificate=broken(approach.certificate))
-    certified, number = list(headlines(plan, None))[2], len(approach.certificate.checks)
+    certified, number = list(headlines(plan, None))[3], len(approach.certificate.checks)
     assert certified.state == "bad"
     assert certified.detail.endswith(f"approach {number - 1} of {number}")
 
 
 def test_fixed_knots_have_neither_floor_nor_approach(short_plan: Plan) -> None:
-    _, floor, certified, *_ = headlines(short_plan, None)
+    _, _, floor, certified, *_ = headlines(short_plan, None)
     assert (floor.value, floor.detail) == ("–", "not computed for fixed knots")
     assert "approach" not in certified.detail
 

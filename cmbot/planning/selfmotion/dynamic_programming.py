@@ -232,7 +232,7 @@ def refine(
     for done in range(_ROUNDS):
         if context.reporter.expired():
             break
-        context.reporter.part("refining the choice", done, _ROUNDS, at_most=True)
+        context.reporter.part("refining the choice", done, _ROUNDS)
         each = _candidates(context, q, reach, rng)
         if start_stays:
             each[0] = q[:1]

@@ -138,7 +138,7 @@ def _searched_together(
             break
         # The search of these may close some of the others.
         open_ = int((each[order[first:]] > incumbent).sum())
-        context.reporter.part(_STEP, first, first + open_, at_most=True)
+        context.reporter.part(_STEP, first, first + open_)
         each[some], bound[some] = search.minimise(some, each[some], incumbent, postures)
         incumbent = max(incumbent, float(each[some].max()))
     return bound
@@ -160,7 +160,7 @@ def _searched_one_by_one(
         late = searched.any() and context.reporter.expired()
         if searched[k] or late or each[k] <= least:
             return bound
-        context.reporter.part(_STEP, int(descended.sum()), len(each), at_most=True)
+        context.reporter.part(_STEP, int(descended.sum()), len(each))
         if not descended[k]:
             enough = float(each[descended].max(initial=least))
             each[k] = search.descend(k, each[k], enough, postures)

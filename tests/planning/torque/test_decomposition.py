@@ -11,7 +11,7 @@ from small_scenes import problem_of, short_scene, torque_along
 from cmbot.archive import load_plan, save
 from cmbot.common.errors import OptimisationFailed
 from cmbot.optimization.exchange import ExchangeReport
-from cmbot.planning import Progress, plan, remarks
+from cmbot.planning import plan, remarks
 from cmbot.planning.certification.certificate import certify
 from cmbot.planning.torque import decomposition
 from cmbot.planning.torque.decomposition import optimise, segments
@@ -106,16 +106,6 @@ def test_the_peak_is_that_of_the_path_as_a_whole(monkeypatch: pytest.MonkeyPatch
     whole = optimise(problem)
     peaks = [torque_along(problem, each.trajectory, problem.grid).max() for each in (parted, whole)]
     assert peaks[0] <= peaks[1] * (1 + 1e-3)
-
-
-def test_passes_left_are_those_of_all_segments() -> None:
-    told: list[Progress] = []
-    planned = plan(to_and_fro("sliding", max_passes=3), progress=told.append)
-    passed = [progress for progress in told if progress.report is not None]
-    assert len(passed) == len(planned.passes) > 3
-    left = [progress.left.most for progress in passed if progress.left is not None]
-    # When none is left, nothing is said of it.
-    assert left == [most for most in range(11, 11 - len(passed), -1) if most > 0]
 
 
 def test_where_a_segment_fails_the_path_is_solved_as_a_whole(

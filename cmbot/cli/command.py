@@ -1,0 +1,291 @@
+"""Commands as frozen dataclasses: their fields are the options, their docstring is the help."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from abc import ABC, abstractmethod
+from argparse import SUPPRESS, ArgumentTypeError
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import MISSING, Field, dataclass, field, fields
+from inspect import cleandoc
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, ClassVar, NoReturn, TypeVar, get_args, get_origin, get_type_hints
+
+from cmbot.cli.console import ConsoleProgress, ExitStatus, err, out, print_json, scenes_named
+from cmbot.common.errors import InputError, one_line
+
+T = TypeVar("T")
+C = TypeVar("C", bound="Command")
+
+_KINDS: dict[type, str] = {int: "a whole number", float: "a number", Path: "a path", str: "text"}
+
+
+class UsageError(Exception):
+    """A command line that is wrong; `command` is what has been called."""
+
+    def __init__(self, message: str, command: str = "cmbot") -> None:
+        super().__init__(message)
+        self.command = command
+
+
+def argument(help: str, metavar: str, *, complete: Callable[[str], list[str]] | None = None) -> Any:
+    """Declare an argument; a tuple is one or more of them. `complete` tells a shell what it may be."""
+    return field(metadata={"help": help, "metavar": metavar, "complete": complete})
+
+
+def option(
+    default: object,
+    help: str,
+    *flags: str,
+    metavar: str | None = None,
+    least: float | None = None,
+    most: float | None = None,
+    instead: Callable[[], None] | None = None,
+) -> Any:
+    """Declare an option, called as its field is; without a default, `MISSING`, it is needed.
+
+    A number has to be from `least` to `most`. Where it is given, `instead` is called in place of the command.
+    """
+    told = {"help": help, "metavar": metavar, "least": least, "most": most, "instead": instead}
+    return field(default=default, metadata={"flags": flags, **told})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command(ABC):
+    """What is called, with its options."""
+
+    reads: ClassVar[bool] = True
+    """Whether it begins with imports and reading, which take up to a second."""
+
+    @classmethod
+    def verb(cls) -> str:
+        """Return what the command is called."""
+        return cls.__name__.removesuffix("Command").lower()
+
+    @abstractmethod
+    def __call__(self) -> int | None:
+        """Do what is asked; return the exit status, or None for 0."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reporting(Command):
+    """A command whose answer is tables and sentences, or one JSON object."""
+
+    json: bool = option(False, "Print one JSON object on standard output instead of tables.")
+    quiet: bool = option(False, "Print nothing but errors (and JSON).", "--quiet", "-q")
+
+    def answer(
+        self,
+        data: Callable[[], Mapping[str, Any]],
+        say: Callable[[], object],
+        directory: Path | None = None,
+    ) -> None:
+        """Print what was found, or what was written into a folder, in the way that is asked for."""
+        if self.json:
+            where: dict[str, Any] = {}
+            if directory is not None:
+                files = sorted(path.name for path in directory.iterdir())
+                where = {"directory": str(directory), "files": files}
+            print_json({"verb": self.verb(), **where, **data()})
+        elif not self.quiet:
+            say()
+
+    def work_in(
+        self,
+        directory: Path,
+        require: Callable[[], object],
+        work: Callable[[ConsoleProgress], T],
+        write: Callable[[T], object],
+        scenes: Sequence[str] = (),
+    ) -> T:
+        """Claim a folder, require that it may be written, do the work, show how far it is, and write.
+
+        An error about work without a plan names the `scenes` as they were called.
+        """
+        from cmbot.archive import claim
+
+        with claim(directory):
+            require()
+            with scenes_named(*scenes), ConsoleProgress(quiet=self.quiet) as progress:
+                found = work(progress)
+            if not self.quiet:
+                err.show_sign("writing …")
+            write(found)
+        return found
+
+
+@contextmanager
+def options_named(names: Mapping[str, str]) -> Iterator[None]:
+    """Name in an error an option of the command line in place of the key that it sets."""
+    try:
+        yield
+    except InputError as error:
+        key, expected = error.key.partition("[")[0], error.expected
+        if key not in names:
+            raise
+        for name, flag in names.items():
+            expected = expected.replace(name, flag)
+        raise InputError(error.source, names[key], error.got, expected, error.choices) from error
+
+
+class _Parser(argparse.ArgumentParser):
+    """Reads the words of a command; what is wrong is raised."""
+
+    def __init__(self, kind: type[Command]) -> None:
+        # A paragraph is a line, which the terminal breaks.
+        description = re.sub(r"(?<!\n)\n(?!\n)", " ", cleandoc(kind.__doc__ or ""))
+        super().__init__(
+            prog=f"cmbot {kind.verb()}",
+            description=description,
+            formatter_class=_HelpFormatter,
+            allow_abbrev=False,
+            add_help=False,
+            argument_default=SUPPRESS,
+        )
+        # By itself it would take -1e-3 for an option.
+        self._negative_number_matcher = re.compile(r"-\.?\d")
+
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(message.removeprefix("argument "), self.prog)
+
+
+class _HelpFormatter(argparse.HelpFormatter):
+    """Help as wide as the terminal, with its paragraphs."""
+
+    def __init__(self, prog: str) -> None:
+        super().__init__(prog, max_help_position=30, width=min(out.width, 110))
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        return "\n\n".join(
+            super(_HelpFormatter, self)._fill_text(part, width, indent) for part in text.split("\n\n")
+        )
+
+
+class _Instead(argparse.Action):
+    """An option in whose place something else is done, whatever other words there are."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, **options: Any) -> None:
+        super().__init__(option_strings, dest, nargs=0, **options)
+
+    def __call__(self, *_: object) -> NoReturn:
+        self.const()
+        raise SystemExit(ExitStatus.DONE)
+
+
+def parsed(kind: type[C], words: Sequence[str]) -> C:
+    """Return a command with the options that the words have.
+
+    Raises
+    ------
+    UsageError
+        When the words do not fit.
+    SystemExit
+        After an option in whose place something else was done, such as the help.
+    """
+    parser = parser_of(kind)
+    given, others = parser.parse_known_intermixed_args(list(words))
+    if others:
+        parser.error(_unknown(others[0], flags_of(kind)))
+    values = {name: tuple(value) if isinstance(value, list) else value for name, value in vars(given).items()}
+    return kind(**values)
+
+
+def _unknown(word: str, flags: Sequence[str]) -> str:
+    from cmbot.common.validation import hint
+
+    if word.startswith("-"):
+        return f"no such option: {one_line(word)}{hint(word, flags)}"
+    return f"unexpected argument: {one_line(word)}"
+
+
+def parser_of(kind: type[Command]) -> argparse.ArgumentParser:
+    """Return what reads a command's words."""
+    parser, hints = _Parser(kind), get_type_hints(kind)
+    for declared in _ordered(kind):
+        _add(parser, declared, hints[declared.name])
+    parser.add_argument(
+        "--help",
+        action=_Instead,
+        const=lambda: out.print(parser.format_help(), end=""),
+        help="Show this help, and stop.",
+    )
+    return parser
+
+
+def _ordered(kind: type[Command]) -> Iterator[Field[Any]]:
+    """The fields of a command: its own, then those that it shares with others."""
+    shared = {
+        each.name for base in kind.__mro__[1:] for each in getattr(base, "__dataclass_fields__", {}).values()
+    }
+    yield from sorted(fields(kind), key=lambda each: each.name in shared)
+
+
+def flags_of(kind: type[Command]) -> tuple[str, ...]:
+    """Return what the options of a command are called."""
+    return (*(flag for each in fields(kind) for flag in _flags(each)), "--help")
+
+
+def _flags(declared: Field[Any]) -> tuple[str, ...]:
+    """What an option is called; an argument has no such name."""
+    if "flags" not in declared.metadata:
+        return ()
+    return declared.metadata["flags"] or (f"--{declared.name.replace('_', '-')}",)
+
+
+def _add(parser: argparse.ArgumentParser, declared: Field[Any], hint: Any) -> None:
+    told, flags = declared.metadata, _flags(declared)
+    name: dict[str, Any] = {"dest": declared.name, "help": _help(declared)}
+    if told.get("instead"):
+        parser.add_argument(*flags, **name, action=_Instead, const=told["instead"])
+        return
+    kind = next(
+        each for each in (get_args(hint) if isinstance(hint, UnionType) else (hint,)) if each != NoneType
+    )
+    if kind is bool:
+        parser.add_argument(*flags, **name, action="store_true")
+        return
+    settings: dict[str, Any] = {"metavar": told["metavar"] or declared.name.upper()}
+    if get_origin(kind) is tuple:
+        kind, *others = get_args(kind)
+        if others != [Ellipsis]:
+            settings |= {"nargs": 1 + len(others), "metavar": tuple(settings["metavar"].split())}
+        elif flags:
+            settings["action"] = "append"
+        else:
+            settings["nargs"] = "+"
+    settings["type"] = _converter(kind, told.get("least"), told.get("most"))
+    if flags:
+        settings["required"] = declared.default is MISSING
+    parser.add_argument(*flags, **name, **settings)
+
+
+def _help(declared: Field[Any]) -> str:
+    text, default = declared.metadata["help"], declared.default
+    shown = (
+        f" [default: {default}]"
+        if isinstance(default, int | float | str | Path) and default is not False
+        else ""
+    )
+    return f"{text}{shown}".replace("%", "%%")
+
+
+def _converter(kind: type, least: float | None, most: float | None) -> Callable[[str], Any]:
+    """What makes a value of a word."""
+    bounds = [f"at least {least:g}"] if least is not None else []
+    bounds += [f"at most {most:g}"] if most is not None else []
+    expected = " of ".join(filter(None, (_KINDS[kind], " and ".join(bounds))))
+
+    def converted(word: str) -> Any:
+        try:
+            value = kind(word)
+        except ValueError:
+            value = None
+        inside = value is not None and (least is None or value >= least) and (most is None or value <= most)
+        if not inside:
+            raise ArgumentTypeError(f"got {one_line(word)}, expected {expected}")
+        return value
+
+    return converted

@@ -1,0 +1,319 @@
+"""What the tool touched: places on known features of the workpiece, in a file that names them.
+
+A file of touches::
+
+    format: cmbot-touches/1
+    scene: bracket_faces               # robot and base, by name or relative to this file
+    locates: bracket                   # a frame of the scene; left out: its only one, or W
+    touches:                           # features in the coordinates of that frame, m
+      - {posture_deg: [...], point: [0.1, 0.2, 0.0]}
+      - {posture_deg: [...], plane: {point: [0, 0, 0], normal: [0, 0, 1]}}
+      - {place: [1.82, 0.31, -2.05], edge: {point: [0, 0, 0], direction: [1, 0, 0]}}    # a tracker's, in W
+
+The same as CSV, a row a touch: columns ``x,y,z`` or ``q1_deg,q2_deg,...``, then ``px,py,pz`` of a point on
+the feature, and of planes ``nx,ny,nz``, of edges ``ex,ey,ez``, of cylinders these and ``radius``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import ConfigDict, Field, model_validator
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError
+from cmbot.common.input_files import read_csv
+from cmbot.common.representation import short_repr
+from cmbot.common.validation import FileModel, given_path, refusal, shown, validated
+from cmbot.common.yaml_reader import lines_named, read_yaml
+from cmbot.elastic.sag import Sag
+from cmbot.planning import bending_arm, robot_of
+from cmbot.robot import Kinematics
+from cmbot.scene import Placement, Scene, load_scene, shipped_scenes
+
+__all__ = ["Feature", "TouchSetup", "Touches", "TouchesFile", "read_touches"]
+
+_MOST, _LARGEST_CSV = 1000, 1_000_000
+_SHAPES = ("point", "plane", "edge", "cylinder")
+_PLACES = ("posture_deg", "posture", "place")
+
+Coordinate = Annotated[float, Field(ge=-1e4, le=1e4)]
+Vector = tuple[Coordinate, Coordinate, Coordinate]
+Posture = Annotated[tuple[Coordinate, ...], Field(min_length=1, max_length=100)]
+Text = Annotated[str, Field(min_length=1, max_length=4096)]
+
+
+class PlaneFile(FileModel):
+    """A plane; the tool touches it from where its normal points."""
+
+    point: Vector
+    normal: Vector
+
+
+class EdgeFile(FileModel):
+    """A straight edge."""
+
+    point: Vector
+    direction: Vector
+
+
+class CylinderFile(EdgeFile):
+    """A cylinder, touched from outside."""
+
+    radius_m: Annotated[float, Field(gt=0, le=100)]
+
+
+class TouchSetup(FileModel):
+    """How exact touches are, and the place before."""
+
+    touch_sd_mm: Annotated[float, Field(gt=0, le=100)] = 0.3
+    """Standard deviation of a touched place along each axis: reading, calibration of the arm, operator."""
+    tip_radius_mm: Annotated[float, Field(ge=0, le=1000)] = 0.0
+    """Of the ball that touches planes and cylinders; the tool point is its centre."""
+    prior: Placement = Placement(mm=20.0, deg=2.0)
+    """How exactly the place was known before."""
+
+
+class TouchFile(FileModel):
+    """One touch: where the tool was, and what it touched."""
+
+    posture_deg: Posture | None = None
+    posture: Posture | None = None
+    """In rad and, of joints that slide, m."""
+    place: Vector | None = None
+    """Of the tool point in W, m, as a tracker gives it."""
+    point: Vector | None = None
+    plane: PlaneFile | None = None
+    edge: EdgeFile | None = None
+    cylinder: CylinderFile | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        for names in (_PLACES, _SHAPES):
+            given = [name for name in names if getattr(self, name) is not None]
+            if len(given) != 1:
+                raise refusal(f"exactly one of {', '.join(names)}", got=" and ".join(given) or "none")
+        return self
+
+
+class TouchesFile(TouchSetup):
+    """All touches of one workpiece."""
+
+    model_config = ConfigDict(title="cmbot-touches/1")
+
+    format: Literal["cmbot-touches/1"]
+    scene: Text
+    """A scene file, or the name of a shipped scene: robot, base, and where the frame was thought to be."""
+    locates: Text | None = None
+    """The frame of the scene that is to be located; left out: its only one, or W."""
+    touches: Annotated[tuple[TouchFile, ...], Field(min_length=1, max_length=_MOST)]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Feature:
+    """A point, or a line through it along `axis`, or the plane across that.
+
+    Attributes
+    ----------
+    kind : str
+        ``point``, ``plane``, ``edge`` or ``cylinder``.
+    point, axis : (3,)
+        In the located frame, m; of a point the axis counts for nothing.
+    radius : float, m
+        Of a cylinder.
+    """
+
+    kind: Literal["point", "plane", "edge", "cylinder"]
+    point: FloatArray
+    axis: FloatArray
+    radius: float = 0.0
+
+    def residual(self, place: FloatArray, tip: float) -> FloatArray:
+        """How far a touched place (3,) is from it, m: (3,) of a point, (2,) of an edge, else (1,)."""
+        away = place - self.point
+        if self.kind == "point":
+            return away
+        along = float(self.axis @ away)
+        if self.kind == "plane":
+            return np.array([along - tip])
+        across = away - along * self.axis
+        if self.kind == "cylinder":
+            return np.array([float(np.linalg.norm(across)) - self.radius - tip])
+        return np.asarray(np.linalg.svd(self.axis[None])[2][1:] @ away)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Touches:
+    """What was touched, in SI.
+
+    Attributes
+    ----------
+    source : str
+        Where it came from, for messages.
+    scene : Scene
+    setup : TouchSetup
+    frame : str
+        Name of the located frame; ``world`` where the scene has none.
+    X_WF : (4, 4)
+        Where it was thought to be.
+    places : (N, 3), m
+        Of the tool point in W: of postures that of the bent arm.
+    features : tuple of Feature
+    """
+
+    source: str
+    scene: Scene
+    setup: TouchSetup
+    frame: str
+    X_WF: FloatArray
+    places: FloatArray
+    features: tuple[Feature, ...]
+
+    __repr__ = short_repr
+
+
+def read_touches(source: str | Path | Mapping[str, Any], scene: Scene | str | Path | None = None) -> Touches:
+    """Read and check touches.
+
+    Parameters
+    ----------
+    source : str, Path or mapping
+        Path of the file, YAML or CSV, or its content, in which relative paths start at the current folder.
+    scene : Scene, str or Path, optional
+        In place of the file's; of a CSV file, which names none, it is needed.
+
+    Raises
+    ------
+    InputError
+        When a key or value is wrong; or as `cmbot.load_scene`.
+    """
+    if isinstance(source, Mapping):
+        name = "touches"
+        file = validated(TouchesFile, dict(source), name, InputError)
+        return _touches(file, Path.cwd(), name, scene)
+    path = given_path(source, "cmbot.locate", "source", "the path of a file of touches, or its content")
+    if path.suffix.lower() == ".csv":
+        if scene is None:
+            expected = "--scene SCENE (in Python scene=…), as a CSV file of touches names none"
+            raise InputError(str(path), "", "no scene", expected)
+        return _touches(_from_csv(path), path.parent, str(path), scene)
+    with lines_named(path):
+        data = read_yaml(path, InputError, "a file of touches")
+        file = validated(TouchesFile, data, str(path), InputError)
+        return _touches(file, path.parent, str(path), scene)
+
+
+def _from_csv(path: Path) -> TouchesFile:
+    """The content of a CSV file, whose columns are known by their names."""
+    rows = read_csv(path, InputError, kind="a CSV file of touches", largest=_LARGEST_CSV)
+    rows = [row for row in rows if row and not row[0].lstrip().startswith("#")]
+    heading = [name.strip().lower() for name in rows[0]] if rows else []
+    joints = [name for name in heading if name.startswith("q")]
+    places = [["x", "y", "z"]] if {"x", "y", "z"} <= set(heading) else [joints]
+    if not places[0] or not {"px", "py", "pz"} <= set(heading):
+        expected = "the columns x,y,z or q1_deg,q2_deg,..., then px,py,pz, and nx,ny,nz or ex,ey,ez"
+        raise InputError(str(path), "line 1", shown(",".join(heading)), expected)
+    touches = list[dict[str, Any]]()
+    for line, row in enumerate(rows[1:], start=2):
+        cells = dict(zip(heading, (cell.strip() for cell in row), strict=False))
+        try:
+            given = {name: float(text) for name, text in cells.items() if text}
+        except ValueError as error:
+            raise InputError(str(path), f"line {line}", shown(",".join(row)), "numbers") from error
+
+        def vector(letter: str, given: dict[str, float] = given) -> list[float] | None:
+            each = [given.get(f"{letter}{axis}") for axis in "xyz"]
+            return None if None in each else [x for x in each if x is not None]
+
+        key = "place" if places[0] == ["x", "y", "z"] else "posture"
+        if key == "posture" and joints[0].endswith("_deg"):
+            key = "posture_deg"
+        point, normal, edge = vector("p"), vector("n"), vector("e")
+        shape: dict[str, Any] = {"point": point}
+        if normal is not None:
+            shape = {"plane": {"point": point, "normal": normal}}
+        elif edge is not None and "radius" in given:
+            shape = {"cylinder": {"point": point, "direction": edge, "radius_m": given["radius"]}}
+        elif edge is not None:
+            shape = {"edge": {"point": point, "direction": edge}}
+        touches.append({key: [given.get(name) for name in places[0]], **shape})
+    data = {"format": "cmbot-touches/1", "scene": "given", "touches": touches}
+    return validated(TouchesFile, data, str(path), InputError)
+
+
+def _touches(file: TouchesFile, folder: Path, source: str, given: Scene | str | Path | None) -> Touches:
+    if isinstance(given, Scene):
+        scene = given
+    elif given is not None:
+        scene = load_scene(given)
+    else:
+        scene = load_scene(file.scene if file.scene in shipped_scenes() else folder / file.scene)
+    frames = scene.frames
+    name = file.locates or (next(iter(frames)) if len(frames) == 1 else "world")
+    if name != "world" and name not in frames:
+        raise InputError(source, "locates", name, "a frame of the scene", tuple(frames))
+    return Touches(
+        source=source,
+        scene=scene,
+        setup=file,
+        frame=name,
+        X_WF=np.eye(4) if name == "world" else frames[name],
+        places=_places(file, scene, source),
+        features=tuple(_feature(touch, source, k) for k, touch in enumerate(file.touches)),
+    )
+
+
+def _places(file: TouchesFile, scene: Scene, source: str) -> FloatArray:
+    """Places (N, 3) of the tool point in W; in postures that of the bent arm."""
+    robot = robot_of(scene).tool_off
+    places, at, postures = np.empty((len(file.touches), 3)), list[int](), list[FloatArray]()
+    for k, touch in enumerate(file.touches):
+        if touch.place is not None:
+            places[k] = touch.place
+            continue
+        degrees = touch.posture_deg is not None
+        posture = np.array(touch.posture_deg or touch.posture, dtype=float)
+        posture = np.radians(posture) if degrees else posture
+        key = f"touches[{k}].posture{'_deg' if degrees else ''}"
+        if degrees and robot.limits.prismatic.any():
+            raise InputError(source, key, "degrees, but a joint slides", "posture, in rad and m")
+        if len(posture) != robot.dof:
+            got, expected = f"{len(posture)} numbers", f"{robot.dof}, one for each joint of the robot"
+            raise InputError(source, key, got, expected)
+        at.append(k)
+        postures.append(posture)
+    if at:
+        q, arm = np.array(postures), bending_arm(scene, robot)
+        sag = np.zeros((len(q), 3)) if arm is None else Sag(arm).at(q).tool
+        places[at] = Kinematics(robot).tool_poses(q)[0] + sag
+    return places
+
+
+def _feature(touch: TouchFile, source: str, number: int) -> Feature:
+    match touch:
+        case TouchFile(point=(_, _, _) as corner):
+            return Feature(kind="point", point=np.array(corner), axis=np.zeros(3))
+        case TouchFile(plane=PlaneFile() as plane):
+            axis = _unit(plane.normal, source, f"touches[{number}].plane.normal")
+            return Feature(kind="plane", point=np.array(plane.point), axis=axis)
+        case TouchFile(cylinder=CylinderFile() as cylinder):
+            axis = _unit(cylinder.direction, source, f"touches[{number}].cylinder.direction")
+            return Feature(
+                kind="cylinder", point=np.array(cylinder.point), axis=axis, radius=cylinder.radius_m
+            )
+        case TouchFile(edge=EdgeFile() as edge):
+            axis = _unit(edge.direction, source, f"touches[{number}].edge.direction")
+            return Feature(kind="edge", point=np.array(edge.point), axis=axis)
+        case _:
+            raise InputError(source, f"touches[{number}]", "no feature", "one", _SHAPES)
+
+
+def _unit(direction: Vector, source: str, key: str) -> FloatArray:
+    length = float(np.linalg.norm(direction))
+    if length == 0:
+        raise InputError(source, key, "a vector of length 0", "another direction")
+    return np.array(direction) / length

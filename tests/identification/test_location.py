@@ -1,0 +1,224 @@
+"""`cmbot.locate`: poses from touched places, against displacements that are known."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from small_scenes import short_scene
+
+import cmbot
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError
+from cmbot.elastic.sag import Sag
+from cmbot.identification import (
+    Feature,
+    Touches,
+    TouchSetup,
+    features_to_touch,
+    located,
+    location_remarks,
+    read_touches,
+)
+from cmbot.identification.location import expected_covariance
+from cmbot.planning import bending_arm, robot_of
+from cmbot.robot import Kinematics
+from cmbot.scene import Scene
+
+FRAME = {"bracket": {"xyz": [1.8, 0.3, -2.0], "rpy_deg": [10, -20, 30]}}
+# On six faces of a box, each with its normal; and its corners.
+CORNERS = 0.4 * np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3), axis=-1).reshape(-1, 3)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return short_scene(frames=FRAME)
+
+
+def features(kind: str, rng: np.random.Generator, count: int) -> list[Feature]:
+    found = list[Feature]()
+    for k in range(count):
+        axis = np.eye(3)[k % 3] * (1 if k % 2 else -1)
+        point = CORNERS[k % len(CORNERS)]
+        if kind == "point":
+            axis = np.zeros(3)
+        elif kind == "plane":
+            point = 0.2 * axis + (np.eye(3) - np.outer(axis, axis)) @ rng.uniform(-0.2, 0.2, 3)
+        radius = 0.1 if kind == "cylinder" else 0.0
+        found.append(Feature(kind=kind, point=point, axis=axis, radius=radius))  # type: ignore[arg-type]
+    return found
+
+
+def on_feature(feature: Feature, rng: np.random.Generator) -> FloatArray:
+    """A place on a feature, in its frame."""
+    away = rng.uniform(-0.1, 0.1, 3)
+    along = feature.axis * (feature.axis @ away)
+    match feature.kind:
+        case "plane":
+            return feature.point + away - along
+        case "edge":
+            return feature.point + along
+        case "cylinder":
+            across = away - along
+            return feature.point + along + feature.radius * across / np.linalg.norm(across)
+        case _:
+            return feature.point
+
+
+def measured(
+    scene: Scene, each: list[Feature], xi: FloatArray, rng: np.random.Generator, noise: float = 3e-4
+) -> Touches:
+    """Touches of a workpiece that is displaced by `xi`."""
+    X = scene.frames["bracket"]
+    R = pin.exp3(xi[3:]) @ X[:3, :3]
+    places = np.array([X[:3, 3] + xi[:3] + R @ on_feature(feature, rng) for feature in each])
+    return Touches(
+        source="touches",
+        scene=scene,
+        setup=TouchSetup(touch_sd_mm=0.3),
+        frame="bracket",
+        X_WF=X,
+        places=places + noise * rng.normal(size=places.shape),
+        features=tuple(each),
+    )
+
+
+def drawn(rng: np.random.Generator) -> FloatArray:
+    """A displacement as the prior has it."""
+    return np.concatenate([0.02 * rng.normal(size=3), np.radians(2.0) * rng.normal(size=3)])
+
+
+@pytest.mark.parametrize(("kind", "count"), [("point", 3), ("plane", 18), ("edge", 6), ("cylinder", 9)])
+def test_exact_touches_give_the_pose(scene: Scene, kind: str, count: int) -> None:
+    rng = np.random.default_rng(count)
+    xi = drawn(rng)
+    found = located(measured(scene, features(kind, rng, count), xi, rng, noise=0.0))
+    np.testing.assert_allclose(found.moved[:3], xi[:3], atol=2e-5)
+    np.testing.assert_allclose(found.moved[3:], xi[3:], atol=2e-4)
+    X = scene.frames["bracket"]
+    np.testing.assert_allclose(found.X_WF[:3, 3], X[:3, 3] + found.moved[:3], rtol=1e-12)
+    np.testing.assert_allclose(found.X_WF[:3, :3], pin.exp3(found.moved[3:]) @ X[:3, :3], atol=1e-12)
+    assert found.left_out == ()
+
+
+def squares(scene: Scene, kind: str, count: int, runs: int) -> Iterator[float]:
+    """The squared error of each of many estimates in units of its covariance."""
+    rng = np.random.default_rng(3)
+    for _ in range(runs):
+        xi = drawn(rng)
+        found = located(measured(scene, features(kind, rng, count), xi, rng))
+        off = found.moved - xi
+        yield float(off @ np.linalg.solve(found.covariance, off))
+
+
+@pytest.mark.parametrize(("kind", "count"), [("point", 4), ("plane", 7)])
+def test_the_truth_is_in_its_region_as_often_as_is_said(scene: Scene, kind: str, count: int) -> None:
+    """12.59 is the 95 % quantile of chi square with 6 degrees of freedom; 200 draws have 1.5 % of scatter."""
+    inside = np.mean([square < 12.592 for square in squares(scene, kind, count, 200)])
+    assert 0.90 <= inside <= 0.99
+
+
+def test_a_touch_of_another_corner_is_left_out(scene: Scene) -> None:
+    rng = np.random.default_rng(5)
+    xi, each = drawn(rng), features("point", rng, 8)
+    touches = measured(scene, each, xi, rng)
+    touches.places[3] += [0.0, 0.03, 0.0]
+    found = located(touches)
+    assert found.left_out == (3,)
+    np.testing.assert_allclose(found.moved[:3], xi[:3], atol=2e-3)
+    assert any(line.startswith("touches[3] is ") for line in location_remarks(found, touches))
+
+
+def test_where_half_of_them_do_not_fit_nothing_is_said(scene: Scene) -> None:
+    rng = np.random.default_rng(6)
+    touches = measured(scene, features("point", rng, 6), drawn(rng), rng)
+    touches.places[:] += 0.2 * rng.normal(size=(6, 3))
+    with pytest.raises(InputError, match="more than a third does not"):
+        located(touches)
+
+
+def test_directions_that_touches_do_not_fix_are_named_and_keep_their_prior(scene: Scene) -> None:
+    """Three places on one plane: neither a shift along it nor a turn about its normal is seen."""
+    level = short_scene(frames={"bracket": {"xyz": [1.8, 0.3, -2.0], "rpy_deg": [0, 0, 0]}})
+    rng = np.random.default_rng(8)
+    plane = Feature(kind="plane", point=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]))
+    touches = measured(level, 5 * [plane], np.zeros(6), rng)
+    found = located(touches)
+    assert set(found.not_fixed) <= {"along x", "along y", "along x and along y", "about z"}
+    assert any("about z" in name for name in found.not_fixed)
+    assert np.sqrt(found.covariance[0, 0]) == pytest.approx(0.02, rel=0.05)
+    assert np.sqrt(found.covariance[2, 2]) < 1e-3
+    assert any(line.startswith("Not fixed by these touches: ") for line in location_remarks(found, touches))
+
+
+def test_postures_are_those_of_the_bent_arm(scene: Scene) -> None:
+    posture = [-10, -90, 90, 0, 10, 50, 0]
+    file = {
+        "format": "cmbot-touches/1",
+        "scene": "triangle",
+        "touches": [{"posture_deg": posture, "point": [0, 0, 0]}],
+    }
+    touches = read_touches(file, scene)
+    assert touches.frame == "bracket"
+    robot = robot_of(scene)
+    arm, q = bending_arm(scene, robot), np.radians([posture])
+    assert arm is not None
+    bent = Kinematics(robot).tool_poses(q)[0] + Sag(arm).at(q).tool
+    np.testing.assert_allclose(touches.places, bent, atol=1e-9)
+
+
+def test_csv_is_known_by_its_columns(scene: Scene, tmp_path: Path) -> None:
+    rng = np.random.default_rng(9)
+    xi, each = drawn(rng), [*features("point", rng, 3), *features("plane", rng, 6)]
+    touches = measured(scene, each, xi, rng)
+    lines = ["x,y,z,px,py,pz,nx,ny,nz"]
+    for place, feature in zip(touches.places, each, strict=True):
+        normal = feature.axis if feature.kind == "plane" else ["", "", ""]
+        lines.append(",".join(map(str, [*place, *feature.point, *normal])))
+    file = tmp_path / "points.csv"
+    file.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    found = cmbot.locate(file, scene)
+    np.testing.assert_allclose(found.moved, located(touches).moved, atol=1e-6)
+    with pytest.raises(InputError, match="names none"):
+        cmbot.locate(file)
+
+
+@pytest.mark.parametrize(
+    ("touch", "said"),
+    [
+        ({"place": [0, 0, 0]}, "exactly one of point, plane, edge, cylinder"),
+        ({"point": [0, 0, 0]}, "exactly one of posture_deg, posture, place"),
+        ({"posture_deg": [1, 2], "point": [0, 0, 0]}, "7, one for each joint"),
+        ({"place": [0, 0, 0], "plane": {"point": [0, 0, 0], "normal": [0, 0, 0]}}, "length 0"),
+        ({"place": [0, 0, 0], "corner": [0, 0, 0]}, "corner"),
+    ],
+)
+def test_wrong_touches_are_named(scene: Scene, touch: dict[str, Any], said: str) -> None:
+    file = {"format": "cmbot-touches/1", "scene": "triangle", "touches": [touch]}
+    with pytest.raises(InputError, match=said):
+        cmbot.locate(file, scene)
+
+
+def test_a_frame_that_the_scene_lacks_is_named(scene: Scene) -> None:
+    touch = {"place": [0, 0, 0], "point": [0, 0, 0]}
+    file = {"format": "cmbot-touches/1", "scene": "triangle", "locates": "braket", "touches": [touch]}
+    with pytest.raises(InputError, match=r"locates: got braket, expected a frame of the scene \(one of: bra"):
+        cmbot.locate(file, scene)
+
+
+def test_corners_that_are_proposed_tell_more_than_those_that_are_not() -> None:
+    scene = cmbot.load_scene("triangle")
+    proposed, expected = features_to_touch(scene, 3)
+    assert len(proposed) == 3
+    corners, _ = features_to_touch(scene, 100)
+    worst = [feature.point for feature in corners[-3:]]
+    middle = np.mean([feature.point for feature in corners], axis=0)
+
+    def turn(covariance: FloatArray) -> float:
+        return float(np.trace(covariance[3:, 3:]))
+
+    assert turn(expected) <= turn(expected_covariance(worst, middle))
+    with pytest.raises(InputError, match="workpiece: true"):
+        features_to_touch(short_scene(), 3)
