@@ -39,16 +39,9 @@ COMMANDS: dict[str, type[Command]] = {
     kind.verb(): kind
     for kind in (
         *(PlanCommand, StandCommand, WalkCommand, TourCommand, CampaignCommand, NewCommand),
-        *(
-            ReplayCommand,
-            ReportCommand,
-            CompareCommand,
-            ExportCommand,
-            SimulateCommand,
-            ExciteCommand,
-            VerifyCommand,
-        ),
-        *(IdentifyCommand, ReproduceCommand, CheckCommand, ScenesCommand, SchemaCommand, DoctorCommand),
+        *(ReplayCommand, ReportCommand, CompareCommand, ExportCommand, SimulateCommand, ExciteCommand),
+        *(VerifyCommand, IdentifyCommand, ReproduceCommand, CheckCommand, ScenesCommand, SchemaCommand),
+        DoctorCommand,
     )
 }
 """The commands by what they are called."""

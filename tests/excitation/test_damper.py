@@ -31,7 +31,7 @@ def mass_on_a_spring() -> ModalResponse:
 
 @pytest.mark.parametrize("ratio", [0.02, 0.1])
 def test_the_best_damper_under_white_noise_is_warburtons(ratio: float) -> None:
-    """Of a base that is shaken (1982): f = sqrt(1 - m/2) / (1 + m), z^2 = m (1 - m/4) / (4 (1 + m) (1 - m/2))."""
+    """For a base that is shaken, with the mass ratio m (1982)."""
     band = (0.05, 100.0)
     gain = best_damper([mass_on_a_spring()], flat_band(1.0, band), band, ratio, "tool")
     frequency = 3.0 * np.sqrt(1 - ratio / 2) / (1 + ratio)

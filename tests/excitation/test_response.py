@@ -1,4 +1,4 @@
-"""The modal response: against gravity, closed forms, Lyapunov's equation, other integrators, and simulation."""
+"""The modal response: against gravity, closed forms, Lyapunov's equation, integrators, simulation."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ def two_modes() -> ModalResponse:
 def distances() -> tuple[np.ndarray, np.ndarray]:
     """Largest distances across and along the tool's axis in each of 10,000 records, m.
 
-    Band-limited noise in steps, and each mode by the difference equation of a held force: no spectrum, no window.
+    Noise in a band, and each mode by a difference equation in time.
     """
     response, rng = two_modes(), np.random.default_rng(11)
     settle, count = round(25.0 / STEP), round(SECONDS / STEP) + 1

@@ -61,7 +61,7 @@ def test_a_slow_load_bends_the_beam_as_at_rest() -> None:
     assert deflection == pytest.approx(96 / np.pi**4 * 1e5 * 24.0**3 / (48 * bending), rel=1e-3)
 
 
-# Number of axles, and load of each, kN: EN 1991-2, Table 6.3, with 8 axles of power cars and 6 of end coaches.
+# Number of axles, and load of each, kN: EN 1991-2, Table 6.3; power cars have 8 axles, end coaches 6.
 AXLES = [(50, 170), (48, 200), (46, 180), (44, 190), (42, 170), (40, 180), (40, 190), (38, 190), (36, 210)]
 
 
