@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -20,9 +19,7 @@ import pinocchio as pin
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.modes import arm_modes, linearised
-
-if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
+from cmbot.trajectory import QuinticTrajectory
 
 __all__ = ["Sway", "sway_along"]
 
@@ -67,9 +64,6 @@ def sway_along(
     factors : sequence of float
         F factors on all stiffness.
     """
-    # Imported here, as it is slow to load.
-    from scipy.interpolate import CubicSpline
-
     count = int(np.clip(np.ceil(duration / _BETWEEN_POSTURES), 4, _MOST_POSTURES))
     knots = np.linspace(0.0, duration, count + 1)
     q = motion(knots, 0)
@@ -79,9 +73,10 @@ def sway_along(
     period = 1.0 / float(modes.frequencies[0])
     steps = int(np.clip(np.ceil(duration / period * _STEPS_PER_PERIOD), 2 * count, _MOST_STEPS))
     t = np.linspace(0.0, duration, steps + 1)
-    # The elastic coordinates at rest begin and end with the joints.
-    still = CubicSpline(knots, at.u, bc_type="clamped")
-    loads = _inertial_loads(arm, t, motion, still) + still(t, 1) @ D.T
+    # By the implicit function theorem on the balance of springs and loads.
+    du = -np.einsum("kij,kj->ki", np.linalg.solve(at.stiffness, at.weight), motion(knots, 1))
+    still = QuinticTrajectory(t=knots, q=at.u, v=du, a=np.gradient(du, knots, axis=0))
+    loads = _inertial_loads(arm, t, motion, still) + still.evaluate(t, 1) @ D.T
     levers = _tool_levers(arm, q, at.u)
     more = np.array(factors) - 1.0
     h, shape = t[1], (len(factors), loads.shape[1])
@@ -107,12 +102,12 @@ def sway_along(
 
 
 def _inertial_loads(
-    arm: ElasticArm, t: FloatArray, motion: Callable[[FloatArray, int], FloatArray], still: CubicSpline
+    arm: ElasticArm, t: FloatArray, motion: Callable[[FloatArray, int], FloatArray], still: QuinticTrajectory
 ) -> FloatArray:
     """Loads (N, f) on the elastic coordinates by the motion, less those at rest."""
     data = arm.model.createData()
     q, v, a = (motion(t, order) for order in range(3))
-    u, du, ddu = (still(t, order) for order in range(3))
+    u, du, ddu = (still.evaluate(t, order) for order in range(3))
     x, dx, ddx = arm.configuration(q, u), arm.configuration(v, du), arm.configuration(a, ddu)
     loads = np.empty_like(u)
     for k in range(len(t)):

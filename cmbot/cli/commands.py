@@ -21,6 +21,7 @@ from cmbot.cli.creation import NewCommand
 from cmbot.cli.excitation import ExciteCommand
 from cmbot.cli.identify import IdentifyCommand
 from cmbot.cli.inspection import CheckCommand, DoctorCommand, ScenesCommand, SchemaCommand, VerifyCommand
+from cmbot.cli.locate import LocateCommand
 from cmbot.cli.planning import PlanCommand
 from cmbot.cli.signals import raised_again
 from cmbot.cli.simulation import ReproduceCommand, SimulateCommand
@@ -40,8 +41,8 @@ COMMANDS: dict[str, type[Command]] = {
     for kind in (
         *(PlanCommand, StandCommand, WalkCommand, TourCommand, CampaignCommand, NewCommand),
         *(ReplayCommand, ReportCommand, CompareCommand, ExportCommand, SimulateCommand, ExciteCommand),
-        *(VerifyCommand, IdentifyCommand, ReproduceCommand, CheckCommand, ScenesCommand, SchemaCommand),
-        DoctorCommand,
+        *(VerifyCommand, IdentifyCommand, LocateCommand, ReproduceCommand, CheckCommand, ScenesCommand),
+        *(SchemaCommand, DoctorCommand),
     )
 }
 """The commands by what they are called."""

@@ -1,9 +1,9 @@
 """Where a workpiece is, from places that the tool touched on it: a pose with its covariance.
 
-Unknown is the displacement D = exp(xi) of the workpiece from where it was thought to be, about the frame's
-origin: a shift, m, and a turn, rad. The estimate is the maximum a posteriori of
+Unknown is the displacement xi of the workpiece from where it was thought to be: a shift, m, and a turn, rad,
+about the middle of the touched features. The estimate is the maximum a posteriori of
 
-    sum |r_i(D)|^2 / s^2 + xi' P^-1 xi,
+    sum |r_i(xi)|^2 / s^2 + xi' P^-1 xi,
 
 with the residuals r_i of the touched features and the prior's covariance P; its covariance is
 ``(J' J / s^2 + P^-1)^-1``. Touches that do not fit the others are left out one by one, by their studentised
@@ -50,7 +50,7 @@ class Location:
     X_WF : (4, 4)
         Its pose in W.
     moved : (6,), m, rad
-        From where it was thought to be: shift and rotation vector in W, about its origin.
+        From where it was thought to be: shift and rotation vector in W, about the middle of what was touched.
     covariance : (6, 6), m2, m rad, rad2
         Of these.
     residuals : tuple of (k,) arrays, m
@@ -134,9 +134,9 @@ def located(touches: Touches) -> Location:
                 "touches that fit each other: more than a third does not; look at features and units",
             )
     covariance = problem.covariance(xi, counted_in)
-    moved = pin.SE3(pin.exp3(xi[3:]), xi[:3])
-    X = touches.X_WF.copy()
-    X[:3, :3], X[:3, 3] = moved.rotation @ X[:3, :3], X[:3, 3] + xi[:3]
+    X, turn = touches.X_WF.copy(), pin.exp3(xi[3:])
+    X[:3, 3] = problem.middle + xi[:3] + turn @ (X[:3, 3] - problem.middle)
+    X[:3, :3] = turn @ X[:3, :3]
     return Location(
         frame=touches.frame,
         X_WF=X,
@@ -156,12 +156,16 @@ class _Problem:
         self._places, self._features, self._X = touches.places, touches.features, touches.X_WF
         self._deviation, self._tip = 1e-3 * setup.touch_sd_mm, 1e-3 * setup.tip_radius_mm
         self.prior = _prior(setup)
+        self.middle = np.mean([self._in_world(feature.point) for feature in touches.features], axis=0)
+
+    def _in_world(self, point: FloatArray) -> FloatArray:
+        """Where a point of the frame was thought to be."""
+        return np.asarray(self._X[:3, :3] @ point + self._X[:3, 3])
 
     def residual(self, xi: FloatArray, number: int) -> FloatArray:
         """How far a touched place is from its feature, m, where the workpiece is displaced by `xi` (6,)."""
-        origin, R = self._X[:3, 3], self._X[:3, :3]
-        place = self._places[number] - origin - xi[:3]
-        return self._features[number].residual(R.T @ (pin.exp3(xi[3:]).T @ place), self._tip)
+        back = self.middle + pin.exp3(xi[3:]).T @ (self._places[number] - self.middle - xi[:3])
+        return self._features[number].residual(self._X[:3, :3].T @ (back - self._X[:3, 3]), self._tip)
 
     def stacked(self, xi: FloatArray, numbers: Sequence[int]) -> FloatArray:
         """Whitened residuals of touches, and of the prior."""

@@ -72,8 +72,9 @@ def measured(
 ) -> Touches:
     """Touches of a workpiece that is displaced by `xi`."""
     X = scene.frames["bracket"]
-    R = pin.exp3(xi[3:]) @ X[:3, :3]
-    places = np.array([X[:3, 3] + xi[:3] + R @ on_feature(feature, rng) for feature in each])
+    before = np.array([X[:3, 3] + X[:3, :3] @ on_feature(feature, rng) for feature in each])
+    middle = np.mean([X[:3, 3] + X[:3, :3] @ feature.point for feature in each], axis=0)
+    places = middle + xi[:3] + (before - middle) @ pin.exp3(xi[3:]).T
     return Touches(
         source="touches",
         scene=scene,
@@ -97,9 +98,13 @@ def test_exact_touches_give_the_pose(scene: Scene, kind: str, count: int) -> Non
     found = located(measured(scene, features(kind, rng, count), xi, rng, noise=0.0))
     np.testing.assert_allclose(found.moved[:3], xi[:3], atol=2e-5)
     np.testing.assert_allclose(found.moved[3:], xi[3:], atol=2e-4)
-    X = scene.frames["bracket"]
-    np.testing.assert_allclose(found.X_WF[:3, 3], X[:3, 3] + found.moved[:3], rtol=1e-12)
+    X, touched = scene.frames["bracket"], features(kind, np.random.default_rng(0), count)
     np.testing.assert_allclose(found.X_WF[:3, :3], pin.exp3(found.moved[3:]) @ X[:3, :3], atol=1e-12)
+    # The frame carries what was touched to where it is.
+    if kind == "point":
+        middle = np.mean([feature.point for feature in touched], axis=0)
+        now, was = (pose[:3, 3] + pose[:3, :3] @ middle for pose in (found.X_WF, X))
+        np.testing.assert_allclose(now - was, xi[:3], atol=2e-5)
     assert found.left_out == ()
 
 

@@ -1,0 +1,64 @@
+"""`cmbot locate`: a sheet of corners, and a workpiece from touched points."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import run
+
+from cmbot.common.errors import SceneError
+from cmbot.common.yaml_reader import read_yaml
+from cmbot.scene import load_scene
+
+
+def test_a_sheet_of_corners_and_what_it_will_tell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    outcome = run("locate", "triangle", "--propose", "4", "--json")
+    assert outcome.status == 0, outcome.err
+    told = json.loads(outcome.out)
+    sheet = read_yaml(tmp_path / "triangle.touches.yaml", SceneError)
+    assert told["touches"] == [touch["point"] for touch in sheet["touches"]]
+    assert 0 < told["shift_mm"] < 1
+    outcome = run("locate", "triangle", "--propose", "4")
+    assert outcome.status == 2
+    assert "--force" in outcome.err
+
+
+def test_touched_corners_move_the_workpiece(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tracker saw every corner 12 mm further along y."""
+    monkeypatch.chdir(tmp_path)
+    assert run("locate", "triangle", "--propose", "5", "-q").status == 0
+    sheet = read_yaml(tmp_path / "triangle.touches.yaml", SceneError)
+    places = np.add([touch["point"] for touch in sheet["touches"]], [0, 0.012, 0])
+    lines = ["x,y,z,px,py,pz"]
+    for place, touch in zip(places.tolist(), sheet["touches"], strict=True):
+        lines.append(",".join(map(str, [*place, *touch["point"]])))
+    Path("points.csv").write_text("\n".join(lines), encoding="utf-8")
+    outcome = run("locate", "points.csv", "--scene", "triangle")
+    assert outcome.status == 0, outcome.err
+    assert outcome.out.startswith("world is 12.00 mm and 0.000 deg from where the scene has it, known ")
+    blocks = read_yaml(tmp_path / "points.location.yaml", SceneError)
+    np.testing.assert_allclose(blocks["frames"]["workpiece"]["xyz"], [0, 0.012, 0], atol=1e-5)
+    # They are blocks of a scene.
+    scene = read_yaml(Path(load_scene("triangle").source), SceneError)
+    assert load_scene(scene | blocks).uncertainty.workpiece.mm == blocks["uncertainty"]["workpiece"]["mm"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("nofile.yaml",), "no such file"),
+        (("points.csv",), "--scene SCENE"),
+        (("points.csv", "--propose", "3"), "a scene, whose corners can be touched"),
+    ],
+)
+def test_what_is_missing_is_said(
+    words: tuple[str, ...], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("points.csv").write_text("x,y,z,px,py,pz\n0,0,0,0,0,0\n", encoding="utf-8")
+    outcome = run("locate", *words)
+    assert outcome.status == 2
+    assert said in outcome.err
+    assert outcome.err.count("\n") == 1
