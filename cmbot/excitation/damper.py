@@ -20,7 +20,7 @@ from cmbot.excitation.response import AXES, ModalResponse, Spectrum, TunedDamper
 __all__ = ["DamperGain", "best_damper", "den_hartog"]
 
 # Evaluations at most; the optimum is flat, so that more gain nothing that could be built.
-_EVALUATIONS, _SAME = 60, 1e-3
+_MOST_EVALUATIONS, _FLAT_OPTIMUM = 60, 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,8 +95,13 @@ def best_damper(
     damper = start
     if free:
         simplex = np.vstack([np.zeros(len(free)), np.eye(len(free)) * [0.15, 0.4][: len(free)]])
-        options = {"maxfev": _EVALUATIONS, "xatol": _SAME, "fatol": 0.0, "initial_simplex": simplex}
-        options["fatol"] = _SAME * worst(start)
+        options = {
+            "maxfev": _MOST_EVALUATIONS,
+            "xatol": _FLAT_OPTIMUM,
+            "fatol": 0.0,
+            "initial_simplex": simplex,
+        }
+        options["fatol"] = _FLAT_OPTIMUM * worst(start)
         found = minimize(
             lambda x: worst(tuned(x)), np.zeros(len(free)), method="Nelder-Mead", options=options
         )

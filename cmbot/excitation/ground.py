@@ -18,7 +18,7 @@ from cmbot.scene.excitation import TRAINS
 
 __all__ = ["Record", "axles_of", "read_record"]
 
-_LARGEST = 50_000_000
+_LARGEST_RECORD_BYTES = 50_000_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -67,7 +67,7 @@ def axles_of(name: str) -> Train:
 
 def _read(path: Path, key: str, columns: Sequence[str]) -> FloatArray:
     """The numbers of a CSV file with a heading, (N, k), two rows or more."""
-    rows = read_csv(path, SceneError, kind="a CSV file", largest=_LARGEST)
+    rows = read_csv(path, SceneError, kind="a CSV file", largest=_LARGEST_RECORD_BYTES)
     heading = [name.strip() for name in rows[0]] if rows else []
     if heading != list(columns):
         raise SceneError(str(path), "line 1", shown(",".join(heading)), f"the columns {','.join(columns)}")

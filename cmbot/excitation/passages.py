@@ -58,8 +58,6 @@ class Passage:
         Largest acceleration of the deck.
     tool : float, m
         Largest displacement of the tool from where it would be.
-    rms : float, m
-        Its RMS in space until the last axle is off, the largest over the postures.
     torque : float, Nm
         Largest torque about O0 that is added.
     adhesion : float or None, N
@@ -77,7 +75,6 @@ class Passage:
     passes_s: float
     deck: float
     tool: float
-    rms: float
     torque: float
     adhesion: float | None
     still_s: float
@@ -101,14 +98,14 @@ def passage(
     passes = load.span.passage(load.train, load.speed)
     t = np.arange(0.0, passes + tail, _STEP)
     inputs = load.inputs(t, responses[0].gain.shape[1])
-    tool = rms = torque = still = pause = 0.0
+    tool = torque = still = pause = 0.0
     adhesion: float | None = None
     kept = True
     for response, wrench in zip(responses, planned, strict=True):
         y = response.history(inputs, _STEP)
         size = np.linalg.norm(y[:, :AXES], axis=1)
         off = _off(y[:, :AXES], response.axis, tolerance, size)
-        tool, rms = max(tool, float(size.max())), max(rms, _rms(size[t <= passes]))
+        tool = max(tool, float(size.max()))
         torque = max(torque, float(np.linalg.norm(y[:, 6:], axis=1).max()))
         still, pause = max(still, _last(t, size > STILL_M) - passes), max(pause, _last(t, off))
         kept = kept and not off.any()
@@ -120,7 +117,6 @@ def passage(
         passes_s=passes,
         deck=float(np.abs(inputs[:, :AXES]).max()),
         tool=tool,
-        rms=rms,
         torque=torque,
         adhesion=adhesion,
         still_s=max(still, 0.0),
@@ -140,10 +136,6 @@ def _off(y: FloatArray, axis: FloatArray, tolerance: Tolerance | None, size: Flo
     if tolerance.along_axis_mm is not None:
         off |= np.abs(along) > tolerance.along_axis_mm / 1e3
     return np.asarray(off)
-
-
-def _rms(size: FloatArray) -> float:
-    return float(np.sqrt(np.mean(size**2)))
 
 
 def _last(t: FloatArray, off: FloatArray) -> float:

@@ -15,9 +15,9 @@ from cmbot.excitation.response import Moments
 __all__ = ["bandwidth", "davenport_factor", "departure_rate", "probability_of_leaving"]
 
 _EULER = 0.5772156649
-_ANGLES = 128
+_BOUNDARY_ANGLES = 128
 # Below this share of the largest variance a direction does not move.
-_STILL = 1e-12
+_STILL_SHARE = 1e-12
 
 
 def davenport_factor(rate: float, seconds: float) -> float:
@@ -61,10 +61,10 @@ def departure_rate(moments: Moments, bound: float) -> tuple[float, float]:
     along = moments.along(main)
     sigma = float(np.sqrt(values[-1]))
     q = bandwidth(float(along.value[0, 0]), float(along.first[0, 0]), float(along.rate[0, 0]))
-    if len(C) == 1 or values[0] < _STILL * values[-1]:
+    if len(C) == 1 or values[0] < _STILL_SHARE * values[-1]:
         rate = np.sqrt(float(along.rate[0, 0])) / (np.pi * sigma) * np.exp(-0.5 * (bound / sigma) ** 2)
     else:
-        angle = 2 * np.pi * np.arange(_ANGLES) / _ANGLES
+        angle = 2 * np.pi * np.arange(_BOUNDARY_ANGLES) / _BOUNDARY_ANGLES
         # Denser where the motion reaches farthest: by the angle of the ellipse of equal density.
         n = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         inverse = np.linalg.inv(C)
@@ -75,7 +75,7 @@ def departure_rate(moments: Moments, bound: float) -> tuple[float, float]:
         )
         density = np.exp(-0.5 * bound**2 * np.einsum("ai,ij,aj->a", n, inverse, n))
         density /= 2 * np.pi * np.sqrt(np.linalg.det(C))
-        rate = float(np.sum(outward * density) * bound * 2 * np.pi / _ANGLES)
+        rate = float(np.sum(outward * density) * bound * 2 * np.pi / _BOUNDARY_ANGLES)
     outside = float(np.exp(-0.5 * (bound / sigma) ** 2))
     clumps = -np.expm1(-np.sqrt(np.pi / 2) * q**1.2 * bound / sigma)
     return float(rate) * clumps / max(1 - outside, 1e-12), outside

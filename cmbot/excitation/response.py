@@ -51,7 +51,7 @@ shine."""
 
 # Points of the quadrature over frequency on either side of a mode, and how far the densest lie from it at
 # most, as a share of its half-power bandwidth; points over the whole band. Variances are then within 2e-3.
-_BESIDE_A_MODE, _DENSEST, _OVER_THE_BAND = 100, 0.05, 200
+_BESIDE_A_MODE, _DENSEST_BANDWIDTHS, _OVER_THE_BAND = 100, 0.05, 200
 
 Loads = Callable[[ElasticArm, FloatArray], FloatArray]
 Spectrum = Callable[[FloatArray], FloatArray]
@@ -378,8 +378,8 @@ def _nodes(frequencies: FloatArray, damping: FloatArray, low: float, high: float
     each = [np.geomspace(max(low, 1e-3), high, _OVER_THE_BAND)]
     for f, zeta in zip(frequencies[inside], damping[inside], strict=True):
         width = zeta * f
-        reach = np.arcsinh(f / (_DENSEST * width))
-        away = _DENSEST * width * np.sinh(span * reach)
+        reach = np.arcsinh(f / (_DENSEST_BANDWIDTHS * width))
+        away = _DENSEST_BANDWIDTHS * width * np.sinh(span * reach)
         each += [f - away, f + away, np.array([f])]
     joined = np.unique(np.concatenate([*each, [low, high]]))
     return joined[(joined >= low) & (joined <= high)]

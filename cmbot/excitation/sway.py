@@ -42,8 +42,8 @@ DAMPING = 0.01
 # from so many of them that leave the tolerance their share is taken, else the bound by crossings.
 _RECORDS, _FINENESS, _MOST_NUMBERS, _FEWEST_OUTSIDE = 2000, 2.5, 16_000_000, 20
 # Every which posture they are computed in.
-_EVERY = 2
-_FEWEST_RECORDS, _SEED = 100, 2021
+_EVERY_POSTURE = 2
+_FEWEST_RECORDS, _RECORD_SEED = 100, 2021
 # Decay times after which a vibration is forgotten.
 _FORGETS = 5.0
 
@@ -214,7 +214,7 @@ def _leaving(
     for bound, rows in bounds:
         each = np.array([departure_rate(some.along(rows), bound) for some in turned])
         stays *= 1 - probability_of_leaving(t, each[:, 0], each[:, 1])
-    some = slice(None, None, _EVERY) if len(t) % _EVERY == 1 else slice(None)
+    some = slice(None, None, _EVERY_POSTURE) if len(t) % _EVERY_POSTURE == 1 else slice(None)
     tool = sampled_tool(t[some], responses[some], spectrum, band)
     axes = np.einsum("kn,ki->ni", _shares(t, len(tool)), [response.axis for response in responses])
     along = np.einsum("nri,ni->nr", tool, axes)
@@ -258,7 +258,7 @@ def sampled_tool(
     count = next_fast_len(N + int(_FORGETS / (2 * np.pi * slowest * step)), real=True)
     records = max(min(records, _MOST_NUMBERS // (AXES * count)), _FEWEST_RECORDS)
     f = np.arange(count // 2 + 1) / (count * step)
-    S, random = spectrum(f), np.random.default_rng(_SEED)
+    S, random = spectrum(f), np.random.default_rng(_RECORD_SEED)
     # E |X|^2 = S N^2 df / 2 for the coefficients of a real series.
     scale = np.sqrt(S / (count * step)) * count / 2
     X = random.standard_normal((len(f), records, S.shape[1], 2), dtype=np.float32)

@@ -20,7 +20,7 @@ from cmbot.common.representation import short_repr
 
 __all__ = ["Span", "Train", "passing_pressure", "pressure_pulse", "train_of"]
 
-_MODES = 2
+_SPAN_MODES = 2
 # EN 1991-2, Table 6.3: intermediate coaches, their length D, axle spacing d of a bogie, m, axle load P, kN.
 _HSLM_A = (
     *((18, 18.0, 2.0, 170.0), (17, 19.0, 3.5, 200.0), (16, 20.0, 2.0, 180.0), (15, 21.0, 3.0, 190.0)),
@@ -101,7 +101,7 @@ class Span:
             0, 1 or 2: of the derivative by time.
         """
         down = np.zeros_like(t)
-        for n in range(1, _MODES + 1):
+        for n in range(1, _SPAN_MODES + 1):
             shape = np.sin(n * np.pi * self.at / self.length)
             for place, load in zip(train.axles, train.loads, strict=True):
                 down += shape * load * self._mode(n, speed, t - place / speed, order)

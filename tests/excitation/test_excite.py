@@ -75,7 +75,6 @@ def test_a_train_comes_in_a_stroke_as_often_as_it_is_long() -> None:
         passes_s=5.0,
         deck=1.0,
         tool=0.01,
-        rms=0.001,
         torque=10.0,
         adhesion=None,
         still_s=2.0,

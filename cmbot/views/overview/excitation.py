@@ -22,7 +22,7 @@ __all__ = ["EXCITATION", "excitation_page"]
 
 EXCITATION = "excitation.html"
 
-_WIDTH, _HEIGHT, _EDGE = 900, 300, 60
+_WIDTH_PX, _HEIGHT_PX, _EDGE_PX = 900, 300, 60
 _COLOUR = "#2f6fb7"
 _TICKS = 5
 
@@ -62,9 +62,9 @@ def _plot(title: str, axis: str, x: FloatArray, y: FloatArray, *, logarithmic: b
     """A curve with dots where there are few points."""
     along = np.log(x) if logarithmic else x
     low, high = float(along.min()), float(along.max())
-    across = _EDGE + (along - low) / max(high - low, 1e-9) * (_WIDTH - 2 * _EDGE)
+    across = _EDGE_PX + (along - low) / max(high - low, 1e-9) * (_WIDTH_PX - 2 * _EDGE_PX)
     top = 1.1 * max(float(y.max()), 1e-9)
-    up = _HEIGHT - _EDGE - y / top * (_HEIGHT - 1.5 * _EDGE)
+    up = _HEIGHT_PX - _EDGE_PX - y / top * (_HEIGHT_PX - 1.5 * _EDGE_PX)
     points = list(zip(across.tolist(), up.tolist(), strict=True))
     drawn = "".join(_scale(x, across, top))
     way = " ".join(f"{px:.1f},{py:.1f}" for px, py in points)
@@ -73,16 +73,16 @@ def _plot(title: str, axis: str, x: FloatArray, y: FloatArray, *, logarithmic: b
         drawn += "".join(
             f'<circle cx="{px:.1f}" cy="{py:.1f}" r="3.5" fill="{_COLOUR}"/>' for px, py in points
         )
-    drawn += f'<text x="{_WIDTH // 2}" y="{_HEIGHT - 12}" text-anchor="middle">{escape(axis)}</text>'
-    svg = f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{escape(title)}">{drawn}</svg>'
+    drawn += f'<text x="{_WIDTH_PX // 2}" y="{_HEIGHT_PX - 12}" text-anchor="middle">{escape(axis)}</text>'
+    svg = f'<svg viewBox="0 0 {_WIDTH_PX} {_HEIGHT_PX}" role="img" aria-label="{escape(title)}">{drawn}</svg>'
     return f'<h2>{escape(title)}</h2><section><div class="wide">{svg}</div></section>'
 
 
 def _scale(x: FloatArray, across: Sequence[float] | FloatArray, top: float) -> Iterator[str]:
     """Lines and numbers."""
     for value in np.linspace(0.0, top, _TICKS):
-        y = _HEIGHT - _EDGE - value / top * (_HEIGHT - 1.5 * _EDGE)
-        yield f'<path d="M{_EDGE} {y:.0f}H{_WIDTH - _EDGE}" stroke="#8a8f98" stroke-opacity="0.25"/>'
-        yield f'<text x="{_EDGE - 8}" y="{y + 4:.0f}" text-anchor="end">{value:.3g}</text>'
+        y = _HEIGHT_PX - _EDGE_PX - value / top * (_HEIGHT_PX - 1.5 * _EDGE_PX)
+        yield f'<path d="M{_EDGE_PX} {y:.0f}H{_WIDTH_PX - _EDGE_PX}" stroke="#8a8f98" stroke-opacity="0.25"/>'
+        yield f'<text x="{_EDGE_PX - 8}" y="{y + 4:.0f}" text-anchor="end">{value:.3g}</text>'
     for k in np.unique(np.linspace(0, len(x) - 1, 7).astype(int)):
-        yield f'<text x="{across[k]:.0f}" y="{_HEIGHT - 36}" text-anchor="middle">{x[k]:.3g}</text>'
+        yield f'<text x="{across[k]:.0f}" y="{_HEIGHT_PX - 36}" text-anchor="middle">{x[k]:.3g}</text>'
