@@ -142,7 +142,7 @@ def main() -> None:
             if found.least < (bound.value - bound.error) * (1 - _ROUNDING):
                 false.append(scene.name)
             row = [f"{bound.value:.4f}", f"{bound.error:.2g}", bound.kind, f"{found.least:.4f}"]
-            table.add_row(scene.name, scene.keep, *row, str(found.postures))
+            table.add_row(scene.name, scene.strokes[0].keep, *row, str(found.postures))
             console.print(f"{scene.name}: {took:.1f} s, {bound.basis}", style="dim")
     console.print(table)
     console.print(

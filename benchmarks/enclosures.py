@@ -118,7 +118,7 @@ def costs(size: int) -> float:
     t = np.linspace(0, made.trajectory.t[-1], size)
     q, v, a = made.trajectory.states(t)
     fine = QuinticTrajectory(t=t, q=q, v=v, a=a)
-    clearances = Clearances(robot, scene.obstacles)
+    clearances = Clearances(robot, scene.all_obstacles)
     best = np.inf
     for _ in range(5):
         began = time.process_time()
@@ -134,7 +134,7 @@ def main() -> int:
     number = parser.parse_args().number
     scene = load_scene("triangle")
     robot = robot_of(scene)
-    clearances, posture = Clearances(robot, scene.obstacles), np.array(scene.posture)
+    clearances, posture = Clearances(robot, scene.all_obstacles), np.array(scene.posture)
     with threadpool_limits(limits=1, user_api="blas"):
         each = [outside(robot, clearances, case(seed, robot, posture)) for seed in range(number)]
         seconds = {size: costs(size) for size in _SIZES}

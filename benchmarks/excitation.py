@@ -34,7 +34,7 @@ STIFFNESS = (0.7, 1.0, 1.3)
 
 def planned(**keys: Any) -> Plan:
     """The triangle with other keys, planned."""
-    return cmbot.plan(cmbot.load_scene(cmbot.load_scene("triangle").file.as_data() | keys), progress=False)
+    return cmbot.plan(cmbot.load_scene(cmbot.load_scene("triangle").as_data() | keys), progress=False)
 
 
 def stances() -> Iterator[tuple[str, ...]]:
@@ -90,7 +90,7 @@ def trains(plan: Plan) -> Iterator[tuple[str, ...]]:
     tolerance = {"tolerance": {"across_mm": 5.0, "along_axis_mm": 10.0}}
     for name, speeds in TRAINS.items():
         deck = {"deck": {"trains": {"axles": name, "speeds_km_h": speeds, "span": SPAN}}}
-        data = plan.scene.file.as_data() | {"excitation": deck, "tool": tolerance}
+        data = plan.scene.as_data() | {"excitation": deck, "tool": tolerance}
         excitation = cmbot.excite(replace(plan, scene=cmbot.load_scene(data)))
         yield from ((name, *row) for row in passage_rows(excitation))
 

@@ -277,7 +277,7 @@ def _inside(
 def off_path(scene: Scene, truth: ElasticArm, sigmas: float = 0.0) -> tuple[Plan, float]:
     """Compensate the sag that a scene foresees; the true arm's RMS distance from the path along it, m."""
     options = replace(scene.planner, compensate=True, quiet_modes=0, deviation_sigmas=sigmas)
-    planned = plan(replace(scene, planner=options), progress=False)
+    planned = plan(scene.with_options(options), progress=False)
     simulated_options = SimulationOptions(settle_s=0.0)
     work = PrescribedWork.planned(planned)
     found = track_work(truth, work, simulated_options, sag=planned.sag)
@@ -288,7 +288,7 @@ def tracking(proposal: Proposal, runs: int, console: Console) -> None:
     """Print how far the true arm is off its path, by what was known of it."""
     rng, modelled = np.random.default_rng(0), measured_arm(proposal.scene)
     rigid = proposal.scene
-    second = rigid.file.as_data()
+    second = rigid.as_data()
     elastic = load_scene(second | {"robot": {**second["robot"], "joints": "elastic"}})
     truth = soft(modelled, proposal.setup, rng)
     arm = truth.arm(modelled)
@@ -318,7 +318,7 @@ def main() -> int:
     options = parser.parse_args()
     console = Console()
     scene = load_scene("triangle")
-    job = job_postures(plan(replace(scene, planner=replace(scene.planner, quiet_modes=0)), progress=False))
+    job = job_postures(plan(scene.with_options(quiet_modes=0), progress=False))
     with threadpool_limits(limits=1, user_api="blas"):
         proposal = propose(scene, options.postures, job)
         after = proposal.after

@@ -153,9 +153,9 @@ def _path(scene: Scene, number: int) -> FloatArray:
 
 
 def _smallest(robot: Robot, scene: Scene, number: int) -> list[Way]:
-    clearances, q = Clearances(robot, scene.obstacles), _path(scene, number)
+    clearances, q = Clearances(robot, scene.all_obstacles), _path(scene, number)
     model, data = robot.model, robot.model.createData()
-    geometry = PairedShapes(robot, scene.obstacles).geometry
+    geometry = PairedShapes(robot, scene.all_obstacles).geometry
     found = pin.GeometryData(geometry)
 
     def all_pairs() -> FloatArray:
@@ -176,7 +176,7 @@ def _smallest(robot: Robot, scene: Scene, number: int) -> list[Way]:
 
 
 def _collision_check(robot: Robot, scene: Scene, number: int) -> list[Way]:
-    clearances, (q, _, _) = Clearances(robot, scene.obstacles), states(robot, number)
+    clearances, (q, _, _) = Clearances(robot, scene.all_obstacles), states(robot, number)
     return [
         (
             "coal until a pair is",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from measure import command, process_time, wall_time
 from solvers.cases import guess_of
@@ -90,7 +90,7 @@ def planned(name: str, repeats: int = 3) -> Planned:
 
 def _optimised(scene: Scene, knots: str, solver: str, repeats: int) -> tuple[float, float]:
     """Time and peak, Nm, of a scene's torque problem, from its initial guess."""
-    solved = replace(scene, planner=replace(scene.planner, solver=solver))
+    solved = scene.with_options(solver=solver)
     _, guess = guess_of(solved, knots)
     seconds, found = process_time(lambda: optimise(guess.problem), repeats)
     return seconds, found.passes[-1].peak_torque

@@ -60,7 +60,7 @@ _VIA_POINTS, _SAMPLES = 8, 10
 def _arm() -> tuple[Robot, Clearances, FloatArray]:
     scene = load_scene("triangle")
     robot = robot_of(scene)
-    return robot, Clearances(robot, scene.obstacles), np.array(scene.posture)
+    return robot, Clearances(robot, scene.all_obstacles), np.array(scene.posture)
 
 
 def knot_set(seed: int) -> tuple[str, Case]:

@@ -14,7 +14,7 @@ import argparse
 import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -98,7 +98,7 @@ def _adhesion(made: Plan) -> float:
 def found(scene: Scene, own: Plan, by: Literal["torque", "hold"], options: StandOptions) -> Found:
     """Search for the best stance of a scene, by the torque or by the adhesion needed."""
     begin, begin_processor = time.perf_counter(), time.process_time()
-    (standing,) = stand(replace(scene, planner=replace(scene.planner, objective=by)), options)
+    (standing,) = stand(scene.with_options(objective=by), options)
     seconds, processor = time.perf_counter() - begin, time.process_time() - begin_processor
     if standing.best is None or standing.best.plan is None:
         raise ValueError(f"{scene.name}: no stance was planned")
@@ -148,7 +148,7 @@ def screened(scene: Scene) -> dict[str, Any]:
 
 def compared(scene: Scene, by: Literal["torque", "hold"]) -> dict[str, Any]:
     """Compare the bounds of sampled postures with those of charts, which have obstacles in addition."""
-    here = in_world(replace(scene, planner=replace(scene.planner, objective=by)))
+    here = in_world(scene.with_options(objective=by))
     robot = robot_of(here)
     tasks = [task_of(stroke, here) for stroke in strokes_of(here, robot)]
     candidates = list(candidates_of(here, StandOptions().spacing, StandOptions().pair_spacing))
@@ -180,7 +180,7 @@ def measured(names: Sequence[str], console: Console) -> dict[str, Any]:
     results: dict[str, Any] = {"format": FORMAT, "machine": machine(), **themes}
     for name in names:
         shipped = load_scene(name)
-        scene = replace(shipped, planner=replace(shipped.planner, time_limit_s=_TIME_LIMIT))
+        scene = shipped.with_options(time_limit_s=_TIME_LIMIT)
         own = plan(scene)
         limited = StandOptions(max_torque=own.figures.peak_guardrail_torque)
         searches: tuple[tuple[Literal["torque", "hold"], StandOptions], ...] = (

@@ -68,7 +68,7 @@ def compared(scene: Scene, steps: int) -> Swings:
     factors = np.linspace(_LEAST, _MOST, steps)
     unlimited = replace(scene.planner, time_limit_s=_TIME_LIMIT)
     plans = [
-        plan(replace(scene, planner=replace(unlimited, quiet_modes=modes)), progress=False)
+        plan(scene.with_options(unlimited, quiet_modes=modes), progress=False)
         for modes in (0, unlimited.quiet_modes)
     ]
     with threadpool_limits(limits=1, user_api="blas"):

@@ -101,7 +101,7 @@ def compared(planned: Plan) -> Compared:
     """Compare the times of a plan's legs, along the joint paths that it follows."""
     (stroke,) = planned.job.strokes
     context = build_context(planned.scene, planned.options)
-    laws = planned.scene.time_laws or ()
+    laws = planned.scene.strokes[0].time_laws or ()
     paths = leg_paths(context, [law.leg for law in laws], stroke.trajectory)
     limits = planned.robot.limits
     return Compared(

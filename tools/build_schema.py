@@ -27,7 +27,7 @@ from cmbot.scene import (
     PlannerOptions,
     Raster,
     RowPiece,
-    SceneFile,
+    Scene,
     SpeedProfile,
     Tool,
 )
@@ -39,11 +39,11 @@ TARGET, PAGE = _ROOT / "scenes" / "scene.schema.json", _ROOT / "docs" / "scene_f
 
 def schema_text() -> str:
     """Return the schema as the text of its file."""
-    schema = SceneFile.model_json_schema()
+    schema = Scene.model_json_schema()
     paths = (ArcTo, CylinderPatch, FaceSelection, Goal, Leg, LegLaw, Raster, RowPiece, SpeedProfile)
     classes = (*paths, Tool, PlannerOptions)
     kinds = [*subclasses(FileModel), *classes]
-    for name, definition in [*schema["$defs"].items(), ("SceneFile", schema)]:
+    for name, definition in [*schema["$defs"].items(), ("Scene", schema)]:
         (kind,) = (kind for kind in kinds if kind.__name__ == name)
         definition["description"] = inspect.getdoc(kind).partition("\n\nAttributes")[0]
         # pydantic would read the docstrings whenever cmbot is imported, and that takes a while.

@@ -25,7 +25,7 @@ A whole job, from the stowed arm and back to it (`cmbot plan gusset_plate`):
 """
 # Order of the sections, with the words above each; the scene itself comes first.
 _SECTIONS = {
-    "SceneFile": "The scene",
+    "Scene": "The scene",
     "PostureFile": "`start`",
     "RobotFile": "`robot`",
     "MountFile": "`robot.mount`, `frames`",
@@ -74,7 +74,7 @@ _SECTIONS = {
 
 def reference_text(schema: dict[str, Any], example: str) -> str:
     """Return the page as Markdown."""
-    definitions = {**schema["$defs"], "SceneFile": schema}
+    definitions = {**schema["$defs"], "Scene": schema}
     if missing := definitions.keys() ^ _SECTIONS.keys():
         raise ValueError(f"sections and definitions differ: {', '.join(sorted(missing))}")
     parts = [_HEAD.replace("{example}", example.strip())]

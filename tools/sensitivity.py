@@ -62,7 +62,7 @@ def row(name: str, content: dict[str, Any]) -> str:
 def main() -> None:
     """Plan the scene as it is, then with every change."""
     scene = cmbot.load_scene(sys.argv[1] if len(sys.argv) > 1 else "triangle")
-    data = scene.file.as_data()
+    data = scene.as_data()
     print(HEADER)
     print("|---|---|---|---|---|")
     print(row("nothing", data), flush=True)

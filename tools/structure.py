@@ -122,6 +122,15 @@ def scenes_as_data(module: Module) -> Iterator[int]:
             yield node.lineno
 
 
+def past_the_checks(module: Module) -> Iterator[int]:
+    """Yield lines that make or change a model of a file, a scene above all, without checking it."""
+    for node in ast.walk(module.tree):
+        if isinstance(node, ast.Attribute) and node.attr in ("model_copy", "model_construct"):
+            yield node.lineno
+        elif isinstance(node, ast.Call) and node.args and ast.unparse(node.func).endswith("replace"):
+            yield from [node.lineno] * ast.unparse(node.args[0]).rpartition(".")[2].endswith("scene")
+
+
 def commands_below_planning(module: Module) -> Iterator[int]:
     """Yield lines whose text names commands or options that packages below planning do not know."""
     if module.package not in _BELOW:
@@ -173,6 +182,7 @@ RULES: dict[str, Callable[[Module], Iterator[int]]] = {
         text_that_steers,
         mutable_globals,
         scenes_as_data,
+        past_the_checks,
         commands_below_planning,
     )
 }

@@ -172,9 +172,10 @@ def random_scene(via_points: int = 50) -> Scene:
         corners = rng.uniform(-_REACH, _REACH, (len(_SECONDS) - 1, 3))
         steps = np.diff(np.vstack([np.zeros(3), corners, np.zeros(3)]), axis=0)
         legs = tuple(Leg(by=tuple(by), seconds=s) for by, s in zip(steps.tolist(), _SECONDS, strict=True))
-        drawn = replace(scene, name="random", posture=posture, legs=legs, obstacles=(), via_points=via_points)
+        drawn = scene.changed(name="random", obstacles=(), guardrail=scene.guardrail.changed(bays=0))
+        drawn = drawn.with_posture(posture).with_path(legs=legs, via_points=via_points)
         try:
-            _, guess = guess_of(replace(drawn, planner=replace(drawn.planner, other_starts=0)), "fixed")
+            _, guess = guess_of(drawn.with_options(other_starts=0), "fixed")
             check_feasible(guess.problem)
         except (PathNotFound, OptimisationFailed):
             continue

@@ -81,7 +81,7 @@ def _strokes(folder: str) -> tuple[Any, World, list[TimedPath], FloatArray]:
     scene = load_scene(Path(folder, "job.yaml"))
     _, _, _, R = read_scene(folder)
     paths = []
-    for stroke in scene.each_stroke:
+    for stroke in scene.strokes:
         (leg,), profile = stroke.legs, stroke.speed_profile
         begin, is_smooth = np.array(stroke.start_pose.xyz), profile.kind == "jerk_limited"
         paths.append(
@@ -97,7 +97,7 @@ def find_way(folder: str) -> dict[str, Any]:
     if not world.admissible(home):
         return {"way": False, "why": "the start is not admissible"}
     rng = np.random.default_rng(0)
-    for stroke, path in zip(scene.each_stroke, paths, strict=True):
+    for stroke, path in zip(scene.strokes, paths, strict=True):
         oracle = Oracle(world, path, R, stroke.keep)
         starts, postures = oracle.anywhere(path.corners[0], _AT_START), None
         for width in _WIDTHS:
@@ -164,7 +164,7 @@ def plan_job(folder: str) -> dict[str, Any]:
     found, last, along = (
         list[str](),
         np.array(scene.posture),
-        iter(zip(scene.each_stroke, paths, strict=True)),
+        iter(zip(scene.strokes, paths, strict=True)),
     )
     for segment in made.job.segments:
         keep, path = "", None

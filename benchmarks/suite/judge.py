@@ -40,7 +40,7 @@ _NO_START = re.compile(r"is blocked: (in )?the posture to start in ")
 def plan_scene(folder: str) -> dict[str, Any]:
     """Plan a scene and judge the plan, or the reason why there is none."""
     scene, world, path, R = read_scene(folder)
-    oracle = Oracle(world, path, R, scene.keep)
+    oracle = Oracle(world, path, R, scene.strokes[0].keep)
     begin = time.process_time()
     # Of processor time, so that a busy machine makes no plan slow; the signal SIGXCPU ends the process.
     resource.setrlimit(resource.RLIMIT_CPU, (int(begin) + CPU_LIMIT, resource.RLIM_INFINITY))
@@ -127,7 +127,7 @@ def _tool_violations(
     made: Any, world: World, path: TimedPath, R: FloatArray, times: FloatArray, q: FloatArray
 ) -> list[str]:
     """Deviation from the legs and turn of the tool beyond what the options allow."""
-    options, found, keep = made.options, list[str](), made.scene.keep
+    options, found, keep = made.options, list[str](), made.scene.strokes[0].keep
     away, lag, turned = np.empty(len(q)), np.empty(len(q)), np.zeros(len(q))
     for k in range(len(q)):
         p, R_k = world.pose(q[k])
@@ -160,7 +160,7 @@ def _false_bound(made: Plan, oracle: Oracle) -> str:
     if bound is None or made.torque_floor is None:
         return ""
     # The via-points' times are the knots' where every via-point is one.
-    t = float(made.task.path.via_times(made.scene.via_points)[bound.via_point])
+    t = float(made.task.path.via_times(made.scene.strokes[0].via_points)[bound.via_point])
     seed = made.trajectory.evaluate([t])[0]
     least, q = oracle.least_gravity_torque(oracle.path.point(t), [seed])
     if bound.value - bound.error <= least * (1 + _BOUND):

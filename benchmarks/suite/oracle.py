@@ -167,9 +167,9 @@ class Oracle:
 def find_paths(folder: str) -> dict[str, Any]:
     """Whether a path leads on from the scene's posture, from one that self-motion leads to, from any."""
     scene, world, path, R = read_scene(folder)
-    oracle, q = Oracle(world, path, R, scene.keep), np.array(scene.posture)
+    oracle, q = Oracle(world, path, R, scene.strokes[0].keep), np.array(scene.posture)
     found: dict[str, Any] = {"points": len(oracle.times), "start_admissible": world.admissible(q)}
-    slides = world.n > {"pose": 6, "axis": 5, "position": 3}[scene.keep]
+    slides = world.n > {"pose": 6, "axis": 5, "position": 3}[scene.strokes[0].keep]
     postures = None
     for kind in ("scene", "connected", "any"):
         if postures is None:

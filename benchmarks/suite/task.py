@@ -71,9 +71,8 @@ def arm_of(scene: Scene) -> Arm:
 def world_of(scene: Scene) -> World:
     """The oracle's world of a scene."""
     arm, robot = arm_of(scene), scene.robot
-    mount, srdf = None, robot.srdf or arm.urdf.with_suffix(".srdf")
-    if robot.mount_xyz is not None and robot.mount_rpy is not None:
-        mount = pin.SE3(pin.rpy.rpyToMatrix(np.array(robot.mount_rpy)), np.array(robot.mount_xyz))
+    srdf = Path(robot.srdf) if robot.srdf else arm.urdf.with_suffix(".srdf")
+    mount = None if robot.mount is None else pin.SE3(np.array(robot.mount.matrix))
     world = World(arm, mount, srdf, scene.planner.safety_margin_m)
     world.place_scene(scene)
     return world
@@ -84,7 +83,7 @@ def read_scene(folder: str | Path) -> tuple[Scene, World, TimedPath, FloatArray]
     scene = load_scene(Path(folder, "scene.yaml"))
     world = world_of(scene)
     p, R = world.pose(np.array(scene.posture))
-    legs = [(np.array(leg.by), leg.seconds) for leg in scene.legs]
-    profile = scene.speed_profile
+    legs = [(np.array(leg.by), leg.seconds) for leg in scene.strokes[0].legs]
+    profile = scene.strokes[0].speed_profile
     path = TimedPath(p, legs, profile.ramp, jerk_limited=profile.kind == "jerk_limited")
     return scene, world, path, R

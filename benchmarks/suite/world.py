@@ -108,7 +108,7 @@ class World:
 
     def place_scene(self, scene: Scene) -> None:
         """Put a scene's obstacles around the arm."""
-        self.place([(_coal(one.shape), pin.SE3(np.array(one.X_WO))) for one in scene.obstacles])
+        self.place([(_coal(one.shape), pin.SE3(np.array(one.X_WO))) for one in scene.all_obstacles])
 
     def _move(self, mount: Any) -> None:
         X = mount * self.model.frames[self.base].placement.inverse()

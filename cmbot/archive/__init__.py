@@ -19,7 +19,6 @@ from cmbot.archive.places import (
     require_new_folder,
     write_results,
 )
-from cmbot.archive.plan_file import resolved_file
 from cmbot.archive.strict_json import json_bytes
 from cmbot.archive.tables import columns
 from cmbot.archive.writing import export_csv, save
@@ -59,7 +58,6 @@ __all__ = [
     "require_new_folder",
     "require_no_excitation",
     "require_no_tracking",
-    "resolved_file",
     "save",
     "save_excitation",
     "save_tracking",

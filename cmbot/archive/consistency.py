@@ -24,7 +24,7 @@ def require_segments(file: PlanFile, source: str, scene: Scene, *, returns: bool
 
     `returns`: the scene asks for a return, which there is unless the work ends there.
     """
-    names = [str(stroke.name) for stroke in scene.each_stroke]
+    names = [str(stroke.name) for stroke in scene.strokes]
     several = names if len(names) > 1 else []
     if (got_strokes := [stroke.name for stroke in file.strokes]) != several:
         wanted = f"{', '.join(several) or 'none'}, by the scene"

@@ -45,10 +45,10 @@ from cmbot.planning import (
     VibrationSuppression,
 )
 from cmbot.robot import Robot
-from cmbot.scene import Mesh, PlannerOptions, Scene, SceneFile, scene_from_file, update_file
+from cmbot.scene import PlannerOptions, Scene
 from cmbot.version import versions
 
-__all__ = ["HashesFile", "MotionFile", "PlanFile", "StrokeEntries", "made", "resolved_file", "scene_entry"]
+__all__ = ["HashesFile", "MotionFile", "PlanFile", "StrokeEntries", "hashes_of", "made"]
 
 T = TypeVar("T")
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -220,9 +220,7 @@ class HashesFile:
     robot: Sha256
     """`Robot.content_hash`."""
     scene: Sha256
-    """`Scene.content_hash` of the scene as it was read."""
-    resolved_scene: Sha256
-    """The same of the scene in this file, whose paths are absolute."""
+    """`Scene.content_hash`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -253,14 +251,12 @@ class PlanFile(StrokeEntries):
     seconds: Seconds
     certificate: CertificateFile
     options: PlannerOptions
-    scene: Annotated[SceneFile, PlainSerializer(SceneFile.as_data)]
+    scene: Annotated[Scene, PlainSerializer(Scene.as_data)]
     versions: dict[str, str]
     hashes: HashesFile
 
     @classmethod
-    def of_plan(
-        cls, plan: Plan, scene: SceneFile, baseline: MotionFile | None, hashes: HashesFile
-    ) -> PlanFile:
+    def of_plan(cls, plan: Plan, baseline: MotionFile | None, hashes: HashesFile) -> PlanFile:
         """Return it of a plan; what `baseline` says of the baseline is measured, where it is not given."""
         measured = baseline or made(
             MotionFile, plan.baseline_figures, free=plan.baseline_free_figures, job=plan.baseline_job_figures
@@ -279,7 +275,7 @@ class PlanFile(StrokeEntries):
                 for stroke, begin in zip(plan.several, _begins(plan), strict=True)
             ),
             certificate=CertificateFile.of(plan.certificate),
-            scene=scene,
+            scene=plan.scene,
             versions=versions(),
             hashes=hashes,
         )
@@ -305,37 +301,14 @@ def made(kind: type[T], source: object, /, **changes: object) -> T:
     return kind(**{name: changes[name] if name in changes else getattr(source, name) for name in names})
 
 
-# The scene of a plan
-
-
-def scene_entry(plan: Plan) -> tuple[SceneFile, HashesFile]:
-    """Return a plan's scene as its file has it, and the hashes of what it was planned from.
+def hashes_of(plan: Plan) -> HashesFile:
+    """Return the hashes of what a plan was made from.
 
     Raises
     ------
     SceneError
-        When a file that the scene names is missing, or no scene file describes it.
+        When a file that its scene names is missing.
     """
-    given = update_file(plan.scene)
-    scene = resolved_file(given)
-    return scene, HashesFile(
-        robot=plan.robot.content_hash,
-        scene=given.content_hash,
-        resolved_scene=scene_from_file(scene, Path.cwd(), plan.scene.source).content_hash,
-    )
-
-
-def resolved_file(scene: Scene) -> SceneFile:
-    """Return the scene's content with absolute paths, so that it can be read back from anywhere."""
-    # The scene's own obstacles come before the guardrail's members.
-    shapes = [obstacle.shape for obstacle in scene.obstacles[: len(scene.file.obstacles)]]
-    obstacles = tuple(
-        file.model_copy(update={"mesh": str(shape.path)}) if isinstance(shape, Mesh) else file
-        for file, shape in zip(scene.file.obstacles, shapes, strict=True)
-    )
-    paths = {name: getattr(scene.robot, name) for name in ("model", "limits", "srdf", "elasticity")}
-    resolved: dict[str, object] = {name: str(path) for name, path in paths.items() if path is not None}
-    if scene.robot.package_dirs is not None:
-        resolved["package_dirs"] = tuple(map(str, scene.robot.package_dirs))
-    robot = scene.file.robot.model_copy(update=resolved)
-    return scene.file.model_copy(update={"obstacles": obstacles, "robot": robot})
+    scene = plan.scene
+    Scene.of(scene.as_data(), scene.source, Path.cwd())  # what could not be read back is not written
+    return HashesFile(robot=plan.robot.content_hash, scene=scene.content_hash)

@@ -47,7 +47,7 @@ from cmbot.planning import (
 )
 from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Robot
-from cmbot.scene import PlannerOptions, Scene, scene_from_file
+from cmbot.scene import PlannerOptions, Scene
 
 __all__ = ["load_plan", "plan_data"]
 
@@ -96,11 +96,13 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
     data, contents = _read(folder, wanted)
     file = validated(PlanFile, without_hashes(data), str(source), ArchiveError)
     with _as_archive_error(str(source)):
-        scene = _scene(file, source)
+        scene = file.scene.with_source(str(source))
         robot = _robot(scene, file, source)
+        what = "the scene in this file or the meshes that it names have changed since"
+        _require_hash(scene.content_hash, file.hashes.scene, source, "hashes.scene", what)
         strokes = strokes_of(scene, robot)
         end = end_posture_of(scene, robot)
-        clearances = Clearances(robot, scene.obstacles)
+        clearances = Clearances(robot, scene.all_obstacles)
     require_segments(file, str(source), scene, returns=end is not None)
     knots, table = str(folder / JOB_FILES[1]), str(folder / BASELINE_FILE)
     trajectories = segment_trajectories(file, contents[JOB_FILES[1]], knots, robot.dof, strokes)
@@ -122,7 +124,7 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
     if plan.several and not (_agree(plan.baseline.t, t) and _agree(plan.baseline.q, motion[0])):
         raise ArchiveError(table, "", "other motions between the strokes", "the quickest straight ones")
     baseline = made(MotionFile, plan.baseline_figures, free=file.baseline.free, job=file.baseline.job)
-    again = PlanFile.of_plan(plan, file.scene, baseline, file.hashes).as_data()
+    again = PlanFile.of_plan(plan, baseline, file.hashes).as_data()
     # What it was made of, and by what, is not computed.
     given = {name: data[name] for name in ("scene", "versions")}
     require_same(without_hashes(data), again | given, str(source), "")
@@ -158,14 +160,6 @@ def _read(folder: Path, wanted: Any) -> tuple[dict[str, Any], dict[str, bytes]]:
         # A path leaves out what "." adds.
         source = f"{folder}{os.sep}{PLAN_FILE}"
         raise ArchiveError(source, "", "no such file", f"{expected}{plans_nearby(folder)}") from error
-
-
-def _scene(file: PlanFile, source: Path) -> Scene:
-    scene = scene_from_file(file.scene, source.parent, str(source))
-    what = "the scene in this file or the meshes that it names have changed since"
-    _require_hash(scene.content_hash, file.hashes.resolved_scene, source, "hashes.resolved_scene", what)
-    # The hash is that of the file that the scene was read from.
-    return replace(scene, content_hash=file.hashes.scene)
 
 
 def _robot(scene: Scene, file: PlanFile, source: Path) -> Robot:
@@ -298,7 +292,7 @@ def _certified(plan: Plan, number: int, clearances: Clearances) -> Certificate:
         stroke, sag = [each.name for each in plan.job.strokes].index(segment.name), plan.sag
         # Where it follows on a segment, that they join has been checked.
         rests_there = number == 0 and (options.knots == "sliding" or plan.scene.begins_elsewhere)
-        number_of_via_points = plan.scene.each_stroke[stroke].via_points
+        number_of_via_points = plan.scene.strokes[stroke].via_points
         if not isinstance(number_of_via_points, int):
             expected = "a number, as plans have it"
             raise ArchiveError(

@@ -18,7 +18,7 @@ from cmbot.common.validation import FileModel, given_path, shown, validated
 from cmbot.hold import AdhesionPeak
 from cmbot.planning import Check
 from cmbot.robot import ARM_JOINTS, Climber, Side
-from cmbot.scene import Scene, SceneFile, StanceFile, foothold_pose, scene_from_file
+from cmbot.scene import Scene, StanceFile, foothold_pose
 from cmbot.siting import Candidate, candidate_at, in_world
 from cmbot.trajectory import QuinticTrajectory
 from cmbot.walking import Kind, Move, Step, Walk, certified_move, stance_of, walk_data
@@ -55,7 +55,7 @@ class _StepFile(FileModel):
 class _WalkFile(FileModel):
     format: Literal["cmbot-walk/1"]
     cmbot: str
-    scene: SceneFile
+    scene: Scene
     goal: StanceFile
     seconds: _Seconds
     max_foot_speed: Annotated[float, Field(gt=0)]
@@ -95,7 +95,7 @@ def load_walk(directory: str | Path) -> Walk:
     folder = given_path(directory, "cmbot.load_walk", "directory", "the path of a folder")
     path, (data, _) = folder / WALK_FILE, read_folder(folder, WALK_FILE, lambda hashes: ())
     file = validated(_WalkFile, without_hashes(data), str(path), ArchiveError)
-    scene = scene_from_file(file.scene, path.parent.resolve(), str(path))
+    scene = file.scene.with_source(str(path))
     reader = _Reader(str(path), scene, file.max_foot_speed)
     steps = tuple(reader.step(step, f"steps[{k}]") for k, step in enumerate(file.steps))
     goal = reader.node(file.goal, "goal")
@@ -123,7 +123,7 @@ class _Reader:
 
     def node(self, file: StanceFile, key: str) -> Candidate:
         """The stance of an entry; the climber has to reach both feet."""
-        guardrail = self.scene.guardrail
+        guardrail = self.scene.elastic_guardrail
         if file.climber_deg is None:
             raise self._error(f"{key}.climber_deg", "nothing", "five angles")
         places = [place for place in (file.foot_1, file.foot_2) if place is not None]

@@ -122,7 +122,7 @@ def read_campaign(path: str | Path) -> tuple[CampaignFile, Iterator[Entry]]:
     else:
         with lines_named(path):
             file = validated(CampaignFile, read_yaml(path, InputError, kind), str(path), InputError)
-        file = file.model_copy(update={"name": file.name or path.stem})
+        file = file.changed(name=file.name or path.stem)
     with lines_named(path):
         require_task_name(str(file.name), str(path), "name")
     return file, _entries(file, path)

@@ -7,12 +7,12 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cmbot.archive import PLAN_FILE, claim, json_bytes, resolved_file, write_file
+from cmbot.archive import PLAN_FILE, claim, json_bytes, write_file
 from cmbot.campaigns.campaign_file import CampaignFile, Entry, read_campaign
 from cmbot.campaigns.overview import overview_page
 from cmbot.campaigns.planned import PLAN_SCENE
@@ -21,9 +21,9 @@ from cmbot.campaigns.runner import require_dask, task_results
 from cmbot.campaigns.task import Task, TaskResult
 from cmbot.common.errors import ArchiveError, InputError
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import given_path, shown
+from cmbot.common.validation import given_path, plain, shown
 from cmbot.planning import robot_of
-from cmbot.scene import RobotSource, Scene
+from cmbot.scene import RobotFile, Scene, Stance
 from cmbot.version import versions
 from cmbot.views import REPORT
 
@@ -204,7 +204,7 @@ def _tasks(given: CampaignFile, entries: Iterable[Entry], directory: Path, *, pa
             name=entry.name,
             function=PLAN_SCENE,
             # As text a scene takes a tenth of the memory: all jobs of the campaign wait at once.
-            arguments={"scene": json.dumps(resolved_file(entry.scene).as_data())},
+            arguments={"scene": json.dumps(plain(entry.scene, entry.scene.source))},
             unkeyed={"directory": str(directory.resolve() / plan_place(entry.name)), "pages": pages},
             inputs={**known, "scene": entry.scene.content_hash, "robot": robots.hash_of(entry.scene)},
             time_limit=given.time_limit_s,
@@ -216,11 +216,11 @@ class _Robots:
     """Hashes of robots, each loaded once."""
 
     def __init__(self) -> None:
-        self._hashes = dict[RobotSource, str]()
+        self._hashes = dict[tuple[RobotFile, Stance | None], str]()
 
     def hash_of(self, scene: Scene) -> str:
         # What it carries is in no file of the robot's; jobs often differ in it.
-        empty = replace(scene.robot, payload=0.0)
+        empty = scene.robot.changed(payload_kg=0.0), scene.stance
         if empty not in self._hashes:
             self._hashes[empty] = robot_of(scene).content_hash
         return self._hashes[empty]

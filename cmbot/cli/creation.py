@@ -232,9 +232,9 @@ def _robot_entry(
 
 def _obstacles(source: str) -> tuple[Obstacle, ...]:
     """What a scene without obstacles of its own has: the default guardrail, for the robot that holds it."""
-    from cmbot.scene import GuardrailFile, guardrail_from_file, guardrail_obstacles
+    from cmbot.scene import GuardrailFile, elastic_guardrail, guardrail_obstacles
 
-    return guardrail_obstacles(guardrail_from_file(GuardrailFile())) if source == _SHIPPED else ()
+    return guardrail_obstacles(elastic_guardrail(GuardrailFile())) if source == _SHIPPED else ()
 
 
 def _model(source: str, path: Path) -> str:

@@ -123,7 +123,7 @@ def _given(scene: str, changes: Sequence[str]) -> dict[str, object]:
     """What ``--set`` changes: planner's options by their names, other values by keys of the scene file."""
     from cmbot.common.validation import hint, shown
     from cmbot.common.yaml_reader import read_yaml, yaml_value
-    from cmbot.scene import SceneFile, scene_path, whole_key
+    from cmbot.scene import Scene, scene_path, whole_key
 
     given: dict[str, object] = {}
     for change in changes:
@@ -134,7 +134,7 @@ def _given(scene: str, changes: Sequence[str]) -> dict[str, object]:
         if name in given:
             raise InputError("--set", one_line(name), "the same option again", "each option once")
         options = _option_names()
-        if name.isidentifier() and name not in (*options, *SceneFile.model_fields, "return"):
+        if name.isidentifier() and name not in (*options, *Scene.model_fields, "return"):
             whole = whole_key(name, read_yaml(scene_path(scene), SceneError))
             meant = f"; did you mean {whole}?" if whole else hint(name, options)
             expected = f"a planner option or a key of the scene file{meant}"

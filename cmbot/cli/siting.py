@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import MISSING, dataclass, replace
+from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -60,7 +60,7 @@ class StandCommand(Reporting):
         loaded = [cmbot.load_scene(scene) for scene in self.scenes]
         if self.objective is not None:
             wanted = _known(self.objective)
-            loaded = [replace(each, planner=replace(each.planner, objective=wanted)) for each in loaded]
+            loaded = [each.with_options(objective=wanted) for each in loaded]
         name = "_".join(each.name for each in loaded)
         directory = self.output or Path("out") / f"{name}_stances"
         from cmbot.archive import STANCES_FILE, require_absent, write_results
@@ -276,6 +276,7 @@ def _known(objective: str) -> Literal["torque", "hold"]:
 
 
 def _contents(standings: Sequence[Standing], name: str) -> dict[str, bytes]:
+    from cmbot.common.validation import plain
     from cmbot.common.yaml_reader import yaml_text
     from cmbot.siting import best_scene, stances_csv
     from cmbot.views import stances_page
@@ -286,7 +287,8 @@ def _contents(standings: Sequence[Standing], name: str) -> dict[str, bytes]:
         if each.plans and each.best is None:
             continue
         file = "best.yaml" if len(standings) == 1 else f"best_{number}.yaml"
-        contents[file] = f"{_MARK}# Metres, seconds, degrees.\n{yaml_text(best_scene(each))}"
+        best = yaml_text(plain(best_scene(each), each.scene.name))
+        contents[file] = f"{_MARK}# Metres, seconds, degrees.\n{best}"
     return {file: text.encode() for file, text in contents.items()}
 
 

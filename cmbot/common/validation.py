@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar, get_type_hints
+from typing import Any, ClassVar, Self, TypeVar, get_type_hints
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError, create_model
@@ -90,8 +90,37 @@ class FileModel(BaseModel):
         """Its name and what was set, shortly."""
         return fields_repr(type(self).__name__, {name: getattr(self, name) for name in self.model_fields_set})
 
+    def changed(self, **values: object) -> Self:
+        """Return it with other values of some fields, the whole checked anew as if it were read from a file.
 
-def validated(model: type[T], data: object, source: str, error_type: type[InputError]) -> T:
+        Parameters
+        ----------
+        **values
+            By the names of the fields; None takes the default. Arrays and other dataclasses are taken, too.
+
+        Raises
+        ------
+        InputError
+        """
+        name = type(self).__name__
+        return validated(type(self), self._changed_data(values, name), name, InputError)
+
+    def _changed_data(self, values: Mapping[str, object], source: str) -> dict[str, Any]:
+        """The content of its file with other values of some fields."""
+        data = self.model_dump(mode="json", exclude_none=True, by_alias=True)
+        keys = {name: field.alias for name, field in type(self).model_fields.items()}
+        changes = {keys.get(name) or name: value for name, value in values.items()}
+        data |= {key: plain(value, source, (key,)) for key, value in changes.items()}
+        return {key: value for key, value in data.items() if value is not None}
+
+
+def validated(
+    model: type[T],
+    data: object,
+    source: str,
+    error_type: type[InputError],
+    context: Mapping[str, object] | None = None,
+) -> T:
     """Return `data` as a checked `model`.
 
     Parameters
@@ -104,6 +133,8 @@ def validated(model: type[T], data: object, source: str, error_type: type[InputE
         The file or argument it came from, for messages.
     error_type : type
         What to raise: `SceneError`, `ModelError`, …
+    context : mapping, optional
+        What validators of the model are told.
 
     Raises
     ------
@@ -117,7 +148,7 @@ def validated(model: type[T], data: object, source: str, error_type: type[InputE
         expected = "plain text, numbers, lists and mappings, not nested too deeply"
         raise error_type(source, "", f"something else ({error})", expected) from error
     try:
-        checked: T = _adapter(model).validate_json(text)  # type: ignore[arg-type]
+        checked: T = _adapter(model).validate_json(text, context=context)  # type: ignore[arg-type]
     except ValidationError as error:
         raise input_error(source, error, error_type, model) from error
     return checked
@@ -136,14 +167,8 @@ def _schema(model: Any) -> dict[str, Any]:
     return _adapter(model).json_schema()
 
 
-def check_fields(instance: object, model: type[BaseModel] | None = None) -> None:
+def check_fields(instance: object) -> None:
     """Check the fields of a dataclass's instance by the bounds in their annotations.
-
-    Parameters
-    ----------
-    instance : object
-    model : type, optional
-        A pydantic model whose fields are checked instead, those of the same names.
 
     Raises
     ------
@@ -151,7 +176,7 @@ def check_fields(instance: object, model: type[BaseModel] | None = None) -> None
         With the name of the class as its source.
     """
     kind: Any = type(instance)
-    source, model = kind.__name__, model or _fields_model(kind)
+    source, model = kind.__name__, _fields_model(kind)
     data = {name: plain(getattr(instance, name), source, (name,)) for name in model.model_fields}
     validated(model, data, source, InputError)
 

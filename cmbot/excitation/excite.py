@@ -158,6 +158,7 @@ class _Excited:
     def __init__(self, plan: Plan, given: ExcitationFile | None) -> None:
         self.plan, self.given = plan, given
         self.damping = DAMPING if given is None else given.damping
+        self.damper = DamperFile() if plan.scene.damper == "auto" else plan.scene.damper
         self.options = SimulationOptions(damping=self.damping, step_s=_STEP, output_step_s=_STEP)
         self.arm = elastic_arm_of(plan, self.options)
         require_bending(self.arm, plan.scene.source)
@@ -179,7 +180,7 @@ class _Excited:
 
     def answer(self) -> Excitation:
         plan, tolerance = self.plan, self.plan.scene.tool.tolerance
-        responses = self.responses(self.arm, self.postures, plan.scene.damper)
+        responses = self.responses(self.arm, self.postures, self.damper)
         flat = _with_loads(flat_band())
         moments = [response.moments(flat, BAND_HZ) for response in responses]
         asked = tolerance if self.given is None else None
@@ -262,7 +263,7 @@ class _Excited:
 
     def tuned(self, spectrum: Spectrum, band: tuple[float, float]) -> DamperGain | None:
         """The damper that is best over postures and the stiffness interval; None where none is asked."""
-        wanted = self.plan.scene.damper
+        wanted = self.damper
         if wanted is None:
             return None
         arms = [self.arm if factor == 1 else self.arm.softened(factor) for factor in _STIFFNESSES]

@@ -14,7 +14,7 @@ from cmbot.common.input_files import read_csv
 from cmbot.common.representation import short_repr
 from cmbot.common.validation import shown
 from cmbot.excitation.trains import Train, train_of
-from cmbot.scene.excitation import TRAINS
+from cmbot.scene import TRAINS
 
 __all__ = ["Record", "axles_of", "read_record"]
 

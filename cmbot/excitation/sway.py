@@ -124,7 +124,7 @@ def sway_mm_per_m_s2(
         When nothing bends, or it is too soft to carry itself.
     """
     if isinstance(work, Plan):
-        arm = elastic_arm(work.robot, elastic_base(work.scene.guardrail))
+        arm = elastic_arm(work.robot, elastic_base(work.scene.elastic_guardrail))
         t = np.linspace(0.0, work.work.duration, 13)
         postures = work.trajectory.evaluate(work.trajectory.t[0] + t)
     else:

@@ -56,7 +56,7 @@ class Train:
 
 
 def train_of(name: str) -> Train:
-    """Return a train by its name, one of `cmbot.scene.excitation.TRAINS`."""
+    """Return a train by its name, one of `cmbot.scene.TRAINS`."""
     if name == "freight":
         wagon = np.array([0.0, _WHEELBASE, _PIVOTS, _PIVOTS + _WHEELBASE])
         first = _LOCOMOTIVE[-1] + _COUPLING

@@ -239,7 +239,7 @@ class _PostureDesign:
         self._scene, self._setup, self._seen = scene, setup, seen
         self.arm = measured_arm(scene) if known is None else known.arm
         self._robot = measured_arm(scene, setup.weight_kg).robot
-        self._dynamics, self._clearances = Dynamics(self._robot), Clearances(self._robot, scene.obstacles)
+        self._dynamics, self._clearances = Dynamics(self._robot), Clearances(self._robot, scene.all_obstacles)
         self.speeds = self._robot.limits.velocity
         covariance = self._so_far(known)
         values, V = np.linalg.eigh(covariance)

@@ -209,6 +209,6 @@ def _stiffness(
     }
     if modelled.base is not None:
         K, mass = arm.stiffness[:6, :6], modelled.base.mass
-        base = {"footholds": measurements.scene.guardrail.footholds, "stiffness": K.tolist()}
+        base = {"footholds": measurements.scene.elastic_guardrail.footholds, "stiffness": K.tolist()}
         data["base"] = base | ({"mass": mass.tolist()} if mass.any() else {})
     return validated(IdentifiedStiffness, data, measurements.source, InputError)

@@ -268,7 +268,7 @@ def features_to_touch(scene: Scene, number: int) -> tuple[list[Feature], FloatAr
         When no box is marked.
     """
     corners = list[FloatArray]()
-    for obstacle in scene.obstacles:
+    for obstacle in scene.all_obstacles:
         if obstacle.workpiece and isinstance(obstacle.shape, Box):
             half = 0.5 * np.array(obstacle.shape.size)
             signs = np.stack(np.meshgrid(*[(-1, 1)] * 3), axis=-1).reshape(-1, 3)

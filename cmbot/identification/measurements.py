@@ -16,7 +16,7 @@ Deflections are along the axes of W. Differences need no calibrated arm; absolut
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -274,7 +274,7 @@ def _require_length(posture: Any, n: int, source: str, key: str) -> None:
 
 def _measured(scene: Scene) -> tuple[object, object]:
     """What measurements are of: the base, and the robot, whatever the scene says of its joints."""
-    return replace(scene.robot, joints="elastic"), plain(scene.guardrail, scene.source)
+    return scene.with_joints("elastic").robot, plain(scene.elastic_guardrail, scene.source)
 
 
 def require_alike(sheets: Sequence[Measurements]) -> None:

@@ -38,13 +38,13 @@ def measured_arm(scene: Scene, load: float = 0.0) -> ElasticArm:
     SceneError
         When nothing bends, or the scene's stiffness was identified already.
     """
-    if scene.file.identified is not None:
+    if scene.identified is not None:
         more = "more postures: cmbot identify SHEET... --propose N"
         expected = f"a scene without, as measurements are of the model's stiffness ({more})"
         raise SceneError(scene.source, "identified", "an identified stiffness", expected)
-    source = replace(scene.robot, joints="elastic", payload=scene.robot.payload + load)
-    robot: Robot = robot_of(replace(scene, robot=source)).tool_off
-    arm = elastic_arm(robot, elastic_base(scene.guardrail))
+    loaded = scene.with_joints("elastic").with_payload(scene.robot.payload_kg + load)
+    robot: Robot = robot_of(loaded).tool_off
+    arm = elastic_arm(robot, elastic_base(scene.elastic_guardrail))
     if not len(arm.elastic):
         expected = "something that bends: guardrail.bays, guardrail.stiffness or robot.elasticity"
         raise SceneError(scene.source, "guardrail", "nothing that bends", expected)

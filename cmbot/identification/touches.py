@@ -252,7 +252,7 @@ def _touches(file: TouchesFile, folder: Path, source: str, given: Scene | str | 
         scene = load_scene(given)
     else:
         scene = load_scene(file.scene if file.scene in shipped_scenes() else folder / file.scene)
-    frames = scene.frames
+    frames = scene.frame_poses
     name = file.locates or (next(iter(frames)) if len(frames) == 1 else "world")
     if name != "world" and name not in frames:
         raise InputError(source, "locates", name, "a frame of the scene", tuple(frames))

@@ -22,7 +22,7 @@ from cmbot.planning.stiffness import covariance_of, known_share, with_identified
 from cmbot.planning.task import ToolTask
 from cmbot.planning.units import require_metres
 from cmbot.robot import Kinematics, PostureBatch, Postures, Robot, load_robot
-from cmbot.scene import SPEED_TOLERANCE, STOW, PlannerOptions, Scene, Stroke, ToolPoses, pose
+from cmbot.scene import SPEED_TOLERANCE, STOW, PlannerOptions, Scene, Stroke, ToolPoses
 
 __all__ = [
     "SAMPLE_STEP",
@@ -273,7 +273,7 @@ def build_context(
         strokes=strokes,
         number=0,
         task=task_of(strokes[0], scene),
-        clearances=Clearances(robot, scene.obstacles),
+        clearances=Clearances(robot, scene.all_obstacles),
         times=strokes[0].via_times,
         options=options,
         objective=objective,
@@ -312,7 +312,7 @@ def rigid_arm_remark(scene: Scene, robot: Robot) -> str:
 
 def bending_arm(scene: Scene, robot: Robot) -> ElasticArm | None:
     """Return a scene's elastic arm on its guardrail; None where both are rigid."""
-    arm = elastic_arm(robot, elastic_base(scene.guardrail))
+    arm = elastic_arm(robot, elastic_base(scene.elastic_guardrail))
     return arm if len(arm.elastic) else None
 
 
@@ -353,18 +353,15 @@ def robot_of(scene: Scene) -> Robot:
     SceneError
         When the scene names a frame that is none of its robot's.
     """
-    source = scene.robot
-    mount = None
-    if source.mount_xyz is not None and source.mount_rpy is not None:
-        mount = pose(source.mount_xyz, source.mount_rpy)
+    file, stance = scene.robot, scene.stance
     try:
         robot = load_robot(
-            **source.files,
-            mount=mount,
-            tool_length=source.tool_length,
-            payload=source.payload,
-            root=None if source.stance is None else source.stance.root,
-            locked=None if source.stance is None else source.stance.locked,
+            **file.files,
+            mount=None if file.mount is None else file.mount.matrix,
+            tool_length=file.tool_length_m,
+            payload=file.payload_kg,
+            root=None if stance is None else stance.root,
+            locked=None if stance is None else stance.locked,
         )
     except ModelError as error:
         if error.key not in ("base_frame", "tool_frame"):
@@ -372,7 +369,7 @@ def robot_of(scene: Scene) -> Robot:
         # The scene holds the key that has to be changed.
         key = f"robot.{error.key}"
         raise SceneError(scene.source, key, error.got, error.expected, error.choices) from error
-    robot = robot if source.joints == "elastic" else robot.with_rigid_joints
+    robot = robot if file.joints == "elastic" else robot.with_rigid_joints
     robot = with_identified_stiffness(robot, scene)
     return replace(robot, tool_force=scene.tool.process_force_n, feet=scene.feet)
 
@@ -401,7 +398,7 @@ def in_cells(scene: Scene, robot: Robot) -> Scene:
 
 def _start_pose(scene: Scene, robot: Robot) -> FloatArray:
     """Pose (4, 4) of the tool in a scene's posture."""
-    key, slides = scene.file.posture_key, np.flatnonzero(robot.limits.prismatic)
+    key, slides = scene.posture_key, np.flatnonzero(robot.limits.prismatic)
     if len(slides) and key == "start.posture_deg":
         got = f"degrees, but {robot.joints[slides[0]]} slides"
         expected = "start: {posture: [...]} in place of it, in rad and, of joints that slide, m"

@@ -130,7 +130,7 @@ def plan(
         watched(progress) as report,
         failures_explained(scene),
     ):
-        followed = any(file.raster is not None for file in scene.each_stroke)
+        followed = any(file.raster is not None for file in scene.strokes)
         reporter = ProgressReporter(report, limit=timer.time_left if followed else options.time_limit_s)
         reporter.stage("path")
         context = build_context(scene, options, objective, reporter)
@@ -155,7 +155,7 @@ def _in_best_order(
 
     Of two peaks that are about the same, the quicker job counts.
     """
-    given, travels_least = replace(scene, order=None), in_least_travel(scene)
+    given, travels_least = scene.with_strokes(scene.strokes), in_least_travel(scene)
     orders = [travels_least]
     if travels_least.strokes != given.strokes:
         orders.append(given)
@@ -172,7 +172,7 @@ def _in_best_order(
     alike = [each for each in plans if each.job.figures.peak_guardrail_torque <= _SAME_PEAK * lowest]
     best = min(alike, key=lambda each: each.job.duration)
     names = ", ".join(
-        f"{stroke.name}{' backwards' if stroke.backwards else ''}" for stroke in best.scene.each_stroke
+        f"{stroke.name}{' backwards' if stroke.backwards else ''}" for stroke in best.scene.strokes
     )
     chosen = f"Order of the strokes: {names}."
     return replace(best, fallbacks=(chosen, *best.fallbacks))

@@ -114,12 +114,12 @@ def _asked(
 ) -> Iterator[tuple[str, str]]:
     """What a scene asks for: robot, paths, surroundings, the tool, and what was assumed."""
     joints = counted(robot.dof, "joint")
-    workpieces = counted(sum(obstacle.workpiece for obstacle in scene.obstacles), "workpiece")
+    workpieces = counted(sum(obstacle.workpiece for obstacle in scene.all_obstacles), "workpiece")
     point = ", ".join(f"{x:.4f}" for x in task.path.corners[0])
     yield "scene", f"{scene.name} ({scene.source})"
     yield "robot", f"{robot.name}: {joints}, {robot.mass:.2f} kg ({robot.arm_mass:.2f} kg moving)"
     yield from _paths(strokes)
-    yield "obstacles", f"{len(scene.obstacles)}, of them {workpieces}"
+    yield "obstacles", f"{len(scene.all_obstacles)}, of them {workpieces}"
     yield "tool point at the start", f"({point}) m"
     if robot.pushed:
         force = ", ".join(f"{x:g}" for x in robot.tool_force)
@@ -137,13 +137,13 @@ def _asked(
 
 def _clearance_at_start(scene: Scene, robot: Robot) -> Precheck:
     """The smallest distance in the start posture."""
-    clearances, margin = Clearances(robot, scene.obstacles), scene.planner.safety_margin_m
+    clearances, margin = Clearances(robot, scene.all_obstacles), scene.planner.safety_margin_m
     smallest = clearances.smallest(scene.posture[None])
     if smallest.pair[0] < 0:
         return Precheck(found=(), warnings=())
     pair, distance = clearances.pairs[smallest.pair[0]], float(smallest.distance[0])
     clear = "a start that is clear by planner.safety_margin_m"
-    warning = _warning(scene.file.posture_key, pair.describe(distance, margin), clear)
+    warning = _warning(scene.posture_key, pair.describe(distance, margin), clear)
     return Precheck(
         found=(("clearance at the start", f"{distance:.4f} m ({pair.link} to {pair.other})"),),
         warnings=(warning,) if distance < margin else (),
@@ -159,7 +159,7 @@ def _statics_at_start(scene: Scene, robot: Robot, task: ToolTask) -> Precheck:
     joint = robot.joints[use.argmax()]
     effort = "force" if robot.limits.prismatic[use.argmax()] else "torque"
     got = f"{use.max():.2f} of the {effort} that {joint} can bear, at rest"
-    warning = _warning(scene.file.posture_key, got, "at most 1")
+    warning = _warning(scene.posture_key, got, "at most 1")
     return Precheck(
         found=(
             ("smallest singular value there", f"{task.smallest_singular_value(robot, scene.posture):.4f}"),
@@ -246,7 +246,7 @@ def failures_explained(scene: Scene) -> Iterator[None]:
         with lines_named(scene.source):
             yield
     except (PlanningError, SceneError) as error:
-        if isinstance(error, PlanningError) or error.key.startswith(scene.file.posture_key):
+        if isinstance(error, PlanningError) or error.key.startswith(scene.posture_key):
             for key, looks, units in mistaken_units(scene):
                 error.add_hint(f"{key} looks like {looks}, it is in {units}")
         raise

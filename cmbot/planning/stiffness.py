@@ -43,7 +43,7 @@ def with_identified_stiffness(robot: Robot, scene: Scene) -> Robot:
     SceneError
         When they were identified for another robot.
     """
-    if (identified := scene.file.identified) is None:
+    if (identified := scene.identified) is None:
         return robot
     modelled = modelled_stiffness(robot)
     given = (*identified.links, *identified.joints)
@@ -72,13 +72,13 @@ def with_identified_stiffness(robot: Robot, scene: Scene) -> Robot:
 
 def identified_in_words(scene: Scene) -> str | None:
     """Return what is as stiff as identified, and which keys of the scene that replaces; None: nothing is."""
-    if (identified := scene.file.identified) is None:
+    if (identified := scene.identified) is None:
         return None
     of = [counted(len(identified.links), "link"), counted(len(identified.joints), "joint")]
     replaced = []
     if identified.base is not None:
         of.append(scene.base_name)
-        given = scene.file.guardrail
+        given = scene.guardrail
         replaced = [
             f"guardrail.{key}"
             for key in ("stiffness", "mass", "stiffness_factor")
@@ -114,7 +114,7 @@ def covariance_of(scene: Scene, arm: ElasticArm) -> FloatArray | None:
     SceneError
         When it is of other parameters.
     """
-    if (identified := scene.file.identified) is None:
+    if (identified := scene.identified) is None:
         return None
     parameters = StiffnessParameters(arm)
     if parameters.springs != identified.springs or parameters.has_base != (identified.base is not None):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -45,7 +44,7 @@ def in_least_travel(scene: Scene) -> Scene:
     before = np.zeros(len(enter)) if at is None else _travel(robot, at[None], enter)[0]
     after = np.zeros(len(leave)) if end is None else _travel(robot, leave, end[None])[:, 0]
     nodes = least_travel(before, _travel(robot, leave, enter), after)
-    return replace(scene, strokes=_ordered(strokes, nodes), order=None)
+    return scene.with_strokes(_ordered(strokes, nodes))
 
 
 def least_travel(before: FloatArray, between: FloatArray, after: FloatArray) -> list[int]:
@@ -99,5 +98,5 @@ def _ordered(strokes: Sequence[Stroke], nodes: Sequence[int]) -> tuple[StrokeFil
     files = []
     for node in nodes:
         file = strokes[node // 2].file
-        files.append(file.model_copy(update={"backwards": file.backwards != bool(node % 2)}))
+        files.append(file.changed(backwards=file.backwards != bool(node % 2)))
     return tuple(files)

@@ -26,7 +26,7 @@ _MILLIMETRE = 1e-3
 
 def mistaken_units(scene: Scene) -> Iterator[tuple[str, str, str]]:
     """Yield what of a scene looks as if it were in other units: key, the units it looks like, and its own."""
-    key = scene.file.posture_key
+    key = scene.posture_key
     if key.endswith("posture_deg"):
         angles = np.abs(np.degrees(scene.posture))
         fractions = np.abs(angles - np.round(angles)) > _WHOLE
@@ -73,8 +73,7 @@ def require_metres(scene: Scene, robot: Robot) -> None:
 
 def _own(scene: Scene) -> list[Obstacle]:
     """Obstacles that are none of the guardrail's members."""
-    members = set(scene.file.guardrail.member_names)
-    return [one for one in scene.obstacles if one.name not in members]
+    return list(scene.all_obstacles[: len(scene.obstacles)])
 
 
 def _as_millimetres(obstacle: Obstacle, robot: Robot) -> tuple[str, str] | None:

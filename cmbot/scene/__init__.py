@@ -1,17 +1,18 @@
 """Where the robot works: the scene file, the tool path, obstacles, the guardrail, the planner's options."""
 
 from cmbot.common.installation import shipped_scenes
-from cmbot.scene.base.guardrail import GuardrailFile, feet_at, guardrail_from_file, guardrail_obstacles
+from cmbot.scene.base.guardrail import GuardrailFile, elastic_guardrail, feet_at, guardrail_obstacles
 from cmbot.scene.base.hold import HoldFile, held_member
 from cmbot.scene.base.identified import IdentifiedBase, IdentifiedSpring, IdentifiedStiffness
-from cmbot.scene.base.stance import FootholdFile, StanceFile, axis_point, foothold_face, foothold_pose
+from cmbot.scene.base.stance import FootholdFile, Stance, StanceFile, axis_point, foothold_face, foothold_pose
 from cmbot.scene.changes import changed_content, is_within, whole_key
 from cmbot.scene.excitation import DamperFile, ExcitationFile, TrainsFile
+from cmbot.scene.files import TRAINS
 from cmbot.scene.mesh_file import load_mesh
-from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, pose
+from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, ObstacleFile, Shape, Sphere, pose
 from cmbot.scene.options import MOST_SAMPLES, PlannerOptions
 from cmbot.scene.path.legs import ArcTo, Goal, Leg
-from cmbot.scene.path.path_file import AxisCone, Keep, StrokeFile
+from cmbot.scene.path.path_file import WORK, AxisCone, JobStrokes, Keep, StrokeFile
 from cmbot.scene.path.raster_parts import rows_alone
 from cmbot.scene.path.stroke import Stroke, coverage_of, pieces_left_out
 from cmbot.scene.path.time_law import LegLaw, PiecewiseLaw, SpeedProfile
@@ -21,15 +22,9 @@ from cmbot.scene.path.waypoints import SAME_PLACE
 from cmbot.scene.raster.pieces import RowPiece, cells_of
 from cmbot.scene.raster.raster import CylinderPatch, FaceSelection, Raster
 from cmbot.scene.raster.surface import Coverage
-from cmbot.scene.scene import WORK, RobotSource, Scene, SceneFile
-from cmbot.scene.scene_file import (
-    load_scene,
-    scene_from_data,
-    scene_from_file,
-    scene_path,
-    update_file,
-)
-from cmbot.scene.stow import STOW
+from cmbot.scene.robot_entry import STOW, MountFile, PostureFile, RobotFile
+from cmbot.scene.scene import Scene
+from cmbot.scene.scene_file import load_scene, scene_from_data, scene_path
 from cmbot.scene.template import limits_text, scene_text
 from cmbot.scene.tool import SPEED_TOLERANCE, Tool
 from cmbot.scene.uncertainty import JointUncertainty, Placement, Tolerance, Uncertainty
@@ -39,6 +34,7 @@ __all__ = [
     "SAME_PLACE",
     "SPEED_TOLERANCE",
     "STOW",
+    "TRAINS",
     "WORK",
     "ArcTo",
     "AxisCone",
@@ -57,24 +53,28 @@ __all__ = [
     "IdentifiedBase",
     "IdentifiedSpring",
     "IdentifiedStiffness",
+    "JobStrokes",
     "JointUncertainty",
     "Keep",
     "Leg",
     "LegLaw",
     "Mesh",
+    "MountFile",
     "Obstacle",
+    "ObstacleFile",
     "PiecewiseLaw",
     "Placement",
     "PlannerOptions",
+    "PostureFile",
     "Raster",
-    "RobotSource",
+    "RobotFile",
     "RowPiece",
     "Scene",
-    "SceneFile",
     "Shape",
     "ShiftedToolPath",
     "SpeedProfile",
     "Sphere",
+    "Stance",
     "StanceFile",
     "Stroke",
     "StrokeFile",
@@ -88,10 +88,10 @@ __all__ = [
     "cells_of",
     "changed_content",
     "coverage_of",
+    "elastic_guardrail",
     "feet_at",
     "foothold_face",
     "foothold_pose",
-    "guardrail_from_file",
     "guardrail_obstacles",
     "held_member",
     "is_within",
@@ -102,12 +102,10 @@ __all__ = [
     "pose",
     "rows_alone",
     "scene_from_data",
-    "scene_from_file",
     "scene_path",
     "scene_text",
     "share_out_segments",
     "shipped_scenes",
     "shortest_turns",
-    "update_file",
     "whole_key",
 ]

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from itertools import pairwise
-from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator
@@ -13,9 +11,9 @@ from pydantic import ConfigDict, Field, model_validator
 from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.validation import FileModel, refusal
 from cmbot.scene.fields import Angle, Coordinate, Length, Text, exactly_one, one_of_schema
+from cmbot.scene.files import AxlesName, FilePath
 
 __all__ = [
-    "TRAINS",
     "DamperFile",
     "DeckFile",
     "ExcitationFile",
@@ -24,12 +22,7 @@ __all__ = [
     "SpanFile",
     "TrainsFile",
     "WindFile",
-    "excitation_files",
-    "with_excitation_files",
 ]
-
-TRAINS = ("freight", "emu", *(f"hslm_a{k}" for k in range(1, 11)))
-"""Trains that need no file."""
 
 _DECK = ("record", "spectrum", "trains")
 
@@ -67,7 +60,7 @@ class SpanFile(FileModel):
 class TrainsFile(FileModel):
     """Trains over a span, one after the other, at each of some speeds."""
 
-    axles: Text
+    axles: AxlesName
     """``freight``, ``emu``, ``hslm_a1`` to ``hslm_a10``, or the path of a CSV file with the columns
     ``at_m,load_kn``: each axle's distance behind the first one, and its load."""
     speeds_km_h: Annotated[tuple[Speed, ...], Field(min_length=1, max_length=100)]
@@ -82,7 +75,7 @@ class DeckFile(FileModel):
 
     model_config = ConfigDict(json_schema_extra=one_of_schema(_DECK))
 
-    record: Text | None = None
+    record: FilePath | None = None
     """Path of a CSV file with the columns ``t,ax,ay,az``: times, s, and accelerations in W, m/s2."""
     spectrum: Annotated[tuple[tuple[Hertz, Density, Density, Density], ...], Field(min_length=2)] | None = (
         None
@@ -179,34 +172,3 @@ class ModesFile(FileModel):
         made = (w**2, np.ones(6), 2 * np.array(self.damping) * w)
         stiffness, mass, damping = (read_only(rows.T @ (values[:, None] * rows)) for values in made)
         return stiffness, mass, damping
-
-
-def with_excitation_files(block: Mapping[str, Any], find: Callable[[str, str], Path]) -> dict[str, Any]:
-    """Return an excitation block with absolute paths: a plan of the scene is read from another folder.
-
-    Parameters
-    ----------
-    block : mapping
-        As the file has it, not yet checked.
-    find : callable
-        The path of a file by what the scene says, and its key.
-    """
-    deck = block.get("deck")
-    if not isinstance(deck, dict):
-        return dict(block)
-    deck, trains = dict(deck), deck.get("trains")
-    if isinstance(deck.get("record"), str):
-        deck["record"] = str(find(deck["record"], "excitation.deck.record"))
-    if isinstance(trains, dict) and isinstance(trains.get("axles"), str) and trains["axles"] not in TRAINS:
-        deck["trains"] = trains | {"axles": str(find(trains["axles"], "excitation.deck.trains.axles"))}
-    return {**block, "deck": deck}
-
-
-def excitation_files(excitation: ExcitationFile | None) -> dict[str, Path]:
-    """Return the files that an excitation names by their keys."""
-    deck = None if excitation is None else excitation.deck
-    if deck is not None and deck.record is not None:
-        return {"excitation.deck.record": Path(deck.record)}
-    if deck is not None and deck.trains is not None and deck.trains.axles not in TRAINS:
-        return {"excitation.deck.trains.axles": Path(deck.trains.axles)}
-    return {}

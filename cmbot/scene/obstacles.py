@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Self, cast
+from typing import Annotated, Self, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,12 +22,12 @@ from cmbot.scene.fields import (
     Angles,
     Length,
     Slug,
-    Text,
     Vector,
     exactly_one,
     given_of,
     one_of_schema,
 )
+from cmbot.scene.files import FilePath
 
 __all__ = [
     "Box",
@@ -38,7 +38,6 @@ __all__ = [
     "ObstacleFile",
     "Shape",
     "Sphere",
-    "obstacle_data",
     "obstacle_from_file",
     "pose",
 ]
@@ -190,7 +189,7 @@ class ObstacleFile(FileModel):
     """[radius, length along z between the centres of its two half spheres], m."""
     sphere: _Written | None = None
     """Radius, m."""
-    mesh: Text | None = None
+    mesh: FilePath | None = None
     """Path of a mesh file, relative to the scene file; in metres without `scale`."""
     xyz: Vector
     """Centre (of a mesh: its origin) in W, m."""
@@ -229,8 +228,9 @@ class ObstacleFile(FileModel):
         return [unit * number for number in np.atleast_1d(getattr(self, self.kind)).tolist()]
 
 
-def obstacle_from_file(file: ObstacleFile, key: str, find: Callable[[str, str], Path]) -> Obstacle:
-    """Return the obstacle that an entry of a scene file describes; `find` gives the path of a file."""
+@lru_cache(maxsize=1024)
+def obstacle_from_file(file: ObstacleFile) -> Obstacle:
+    """Return the obstacle that an entry of a scene file describes; its mesh has an absolute path."""
     shape: Shape
     match file.kind, file.in_metres:
         case "box", (x, y, z):
@@ -242,41 +242,9 @@ def obstacle_from_file(file: ObstacleFile, key: str, find: Callable[[str, str], 
         case "sphere", (radius,):
             shape = Sphere(radius=radius)
         case _:
-            mesh = cast("str", file.mesh)
-            shape = Mesh(path=find(mesh, f"{key}.mesh"), scale=1.0 if file.scale is None else file.scale)
+            shape = Mesh(path=Path(cast("str", file.mesh)), scale=1.0 if file.scale is None else file.scale)
     X_WO = pose(file.xyz, np.radians(file.rpy_deg))
     return Obstacle(name=file.name, shape=shape, X_WO=X_WO, workpiece=file.workpiece, scale=file.scale)
-
-
-def obstacle_data(obstacle: Obstacle, entry: ObstacleFile | None) -> dict[str, Any]:
-    """Return the file's entry of an obstacle; its numbers as they stand there, where they are the same."""
-    X = obstacle.X_WO
-    xyz, rpy_deg = X[:3, 3].tolist(), Rotation.from_matrix(X[:3, :3]).as_euler("xyz", degrees=True).tolist()
-    if entry is not None and np.array_equal(pose(entry.xyz, np.radians(entry.rpy_deg)), X):
-        xyz, rpy_deg = entry.xyz, entry.rpy_deg
-    data = {"name": obstacle.name, "xyz": xyz, "rpy_deg": rpy_deg, "workpiece": obstacle.workpiece}
-    if obstacle.scale is not None:
-        data |= {"scale": obstacle.scale}
-    numbers: tuple[float, ...]
-    match obstacle.shape:
-        case Box(size=size):
-            kind, numbers = "box", tuple(size)
-        case Cylinder(radius=radius, length=length):
-            kind, numbers = "cylinder", (radius, length)
-        case Capsule(radius=radius, length=length):
-            kind, numbers = "capsule", (radius, length)
-        case Sphere(radius=radius):
-            kind, numbers = "sphere", (radius,)
-        case Mesh(path=path, scale=scale):
-            text = entry.mesh if entry is not None else None
-            mesh = {"mesh": text if text and Path(text).name == path.name else str(path)}
-            return data | mesh | ({} if scale == (obstacle.scale or 1.0) else {"scale": scale})
-    same = (kind, obstacle.scale, list(numbers))
-    if entry is not None and (entry.kind, entry.scale, entry.in_metres) == same:
-        return data | {kind: getattr(entry, kind)}
-    unit = 1.0 if obstacle.scale is None else obstacle.scale
-    written = [float(number) / unit for number in numbers]
-    return data | {kind: written[0] if kind == "sphere" else written}
 
 
 def pose(xyz: ArrayLike, rpy: ArrayLike = (0.0, 0.0, 0.0)) -> FloatArray:

@@ -1,16 +1,15 @@
-"""The robot of a scene: what it is, what it stands on and how it starts, in the file and as data."""
+"""The robot of a scene: what it is, what it stands on and how it starts."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import ConfigDict, Field, GetPydanticSchema, model_validator
+import numpy as np
+from pydantic import ConfigDict, Field, model_validator
 
-from cmbot.common.representation import short_repr
-from cmbot.common.validation import CheckedFields, FileModel, refusal, shown
-from cmbot.scene.base.stance import Stance
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import SceneError
+from cmbot.common.validation import FileModel, refusal, shown
 from cmbot.scene.excitation import ModesFile
 from cmbot.scene.fields import (
     Angles,
@@ -23,14 +22,15 @@ from cmbot.scene.fields import (
     exactly_one,
     one_of_schema,
 )
+from cmbot.scene.files import FilePath, FolderPath, RobotModel
+from cmbot.scene.obstacles import pose
 
-__all__ = ["BaseFile", "Joints", "MountFile", "PostureFile", "RobotFile", "RobotSource"]
+__all__ = ["STOW", "BaseFile", "Joints", "MountFile", "PostureFile", "RobotFile", "stow_posture"]
 
+STOW = "stow"
+"""The group state of an SRDF that has the stow posture."""
 Joints = Literal["elastic", "rigid"]
 """Whether joints bend as the robot's elasticity file says."""
-
-# A path is checked as the text that a file would hold.
-_AS_TEXT = GetPydanticSchema(lambda _, handler: handler(Text))
 
 
 class MountFile(FileModel):
@@ -40,6 +40,11 @@ class MountFile(FileModel):
     """Position, m."""
     rpy_deg: Angles
     """Roll, pitch, yaw as in URDF: R = Rz(yaw) Ry(pitch) Rx(roll)."""
+
+    @property
+    def matrix(self) -> FloatArray:
+        """The pose (4, 4), m; read-only."""
+        return pose(self.xyz, np.radians(self.rpy_deg))
 
 
 class BaseFile(FileModel):
@@ -72,21 +77,21 @@ class PostureFile(FileModel):
 class RobotFile(FileModel):
     """Which robot: the shipped ``cmbot``, or any URDF with its frames, limits and mount."""
 
-    model: Text = "cmbot"
+    model: RobotModel = "cmbot"
     """``cmbot``, a URDF's path relative to the scene file, or the name of a robot of example-robot-data."""
     base_frame: Text | None = None
     """Of another URDF: the frame that is mounted; left out: the only choice, as `cmbot.load_robot` says."""
     tool_frame: Text | None = None
     """Of another URDF: the frame that follows the tool path; left out: the only choice."""
-    limits: Text | None = None
+    limits: FilePath | None = None
     """Of another URDF: path of its joint-limits file; left out: as beside the URDF, else assumed."""
-    srdf: Text | None = None
+    srdf: FilePath | None = None
     """Of another URDF: path of its SRDF, if there is one."""
-    elasticity: Text | None = None
+    elasticity: FilePath | None = None
     """Of another URDF: path of its elasticity file; left out: as beside the URDF."""
-    joints: Joints | None = None
-    """Whether joints bend as the elasticity file says; left out: ``elastic``."""
-    package_dirs: Annotated[tuple[Text, ...], Field(max_length=100)] | None = None
+    joints: Joints = "elastic"
+    """Whether joints bend as the elasticity file says."""
+    package_dirs: Annotated[tuple[FolderPath, ...], Field(max_length=100)] | None = None
     """Of another URDF: folders in which ``package://`` is sought first, relative to the scene file."""
     mount: MountFile | None = None
     """Of another URDF: where its base frame is held; left out: its root link is at the origin of W."""
@@ -104,54 +109,42 @@ class RobotFile(FileModel):
                 raise refusal(expected, got=got, key=(name,))
         return self
 
-
-@dataclass(frozen=True, kw_only=True)
-class RobotSource(CheckedFields):
-    """The files, frames and mount of the robot.
-
-    For the shipped model the fields that may be None are None, but for `tool_length`.
-
-    Attributes
-    ----------
-    model : str or Path
-        ``cmbot``, the name of a robot of example-robot-data, or the path of a URDF.
-    base_frame, tool_frame : str or None
-        Frames of the URDF: the mounted one, and the one that follows the tool path. None: the only choice.
-    limits, srdf, elasticity : Path or None
-        Joint limits, SRDF, elasticity file. None also where they lie beside the URDF.
-    joints : str
-        ``elastic``: they bend as the elasticity file says; or ``rigid``.
-    package_dirs : tuple of Path or None
-        Where ROS packages are sought first.
-    mount_xyz, mount_rpy : tuple of float or None
-        (3,) each, pose of the base frame in W, m and rad: ``R = Rz(yaw) Ry(pitch) Rx(roll)``.
-    tool_length : float or None
-        m; None: as in the model.
-    payload : float
-        Point mass at the tool, kg.
-    stance : Stance or None
-        Where the shipped robot stands; None: on the post at the origin of W.
-    """
-
-    model: Annotated[str | Path, _AS_TEXT]
-    base_frame: Text | None
-    tool_frame: Text | None
-    limits: Annotated[Path, _AS_TEXT] | None
-    srdf: Annotated[Path, _AS_TEXT] | None
-    elasticity: Annotated[Path, _AS_TEXT] | None
-    package_dirs: tuple[Annotated[Path, _AS_TEXT], ...] | None
-    mount_xyz: Vector | None
-    mount_rpy: Vector | None
-    tool_length: Length | None
-    payload: Mass
-    joints: Joints = "elastic"
-    stance: Stance | None = None
-
-    __repr__ = short_repr
-
     @property
     def files(self) -> dict[str, Any]:
         """The model with its frames and files, as arguments of `cmbot.load_robot`."""
-        names = ("base_frame", "tool_frame", "limits", "srdf", "elasticity")
-        given = {name: getattr(self, name) for name in names}
-        return {"model": self.model, **given, "package_dirs": self.package_dirs or ()}
+        names = ("model", "base_frame", "tool_frame", "limits", "srdf", "elasticity")
+        return {name: getattr(self, name) for name in names} | {"package_dirs": self.package_dirs or ()}
+
+
+def stow_posture(file: RobotFile, source: str, key: str, *, given: bool) -> FloatArray:
+    """Return the stow posture (n,), rad and m, of a robot.
+
+    Parameters
+    ----------
+    file : RobotFile
+    source, key : str
+        Of the scene, and where it asks for that posture, for messages.
+    given : bool
+        Whether it says so.
+
+    Raises
+    ------
+    SceneError
+        When the robot's SRDF has no such group state.
+    ModelError
+        When the robot's files cannot be used.
+    """
+    # Imported here: scenes whose start is a posture need no robot.
+    from cmbot.robot import load_robot
+
+    robot = load_robot(**file.files)
+    stow = robot.group_states.get(STOW)
+    if stow is not None:
+        return stow
+    lacks = f"the arm {robot.name}, whose SRDF has no group state {STOW} of all its joints"
+    raise SceneError(
+        source,
+        key,
+        lacks if given else f"nothing, and {lacks}",
+        "start: {posture_deg: [...]}, or an SRDF with that group state (robot.srdf)",
+    )

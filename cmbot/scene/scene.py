@@ -1,65 +1,59 @@
-"""The scene: the planning problem and its surroundings, as data and as a file."""
+"""The scene: the planning problem and its surroundings, as its file says it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from copy import copy
+from dataclasses import replace
+from hashlib import sha256
+from json import dumps
+from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BeforeValidator, ConfigDict, Field, model_validator
-
-from cmbot.common.arrays import FloatArray
-from cmbot.common.representation import card
-from cmbot.common.validation import (
-    FileModel,
-    check_fields,
-    counted,
-    refusal,
-    require_type,
-    shown,
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetPydanticSchema,
+    PrivateAttr,
+    SerializerFunctionWrapHandler,
+    WrapSerializer,
+    model_validator,
 )
+
+from cmbot.common.arrays import FloatArray, read_only
+from cmbot.common.errors import SceneError
+from cmbot.common.representation import card
+from cmbot.common.validation import FileModel, counted, refusal, require_type, shown, validated
 from cmbot.elastic import Guardrail
 from cmbot.hold import Foot
-from cmbot.scene.base.guardrail import GuardrailFile, feet_of
+from cmbot.scene.base.guardrail import GuardrailFile, elastic_guardrail, feet_of, guardrail_obstacles
 from cmbot.scene.base.identified import IdentifiedStiffness
+from cmbot.scene.base.stance import Stance, StanceFile, resolved_stance
 from cmbot.scene.excitation import DamperFile, ExcitationFile
-from cmbot.scene.fields import (
-    Posture,
-    Slug,
-)
-from cmbot.scene.obstacles import Obstacle, ObstacleFile, pose
+from cmbot.scene.fields import Slug
+from cmbot.scene.files import FOLDER, file_hashes, without_paths
+from cmbot.scene.obstacles import Obstacle, ObstacleFile, obstacle_from_file
 from cmbot.scene.options import PlannerOptions
-from cmbot.scene.path.legs import Goal, Leg
-from cmbot.scene.path.path_file import MOST_ORDERED, AxisCone, Keep, PathFile, StrokeFile, ToolPathFile
+from cmbot.scene.path.path_file import MOST_ORDERED, WORK, JobStrokes, Order, StrokeFile, ToolPathEntry
 from cmbot.scene.path.path_source import PathSource, surface_of
 from cmbot.scene.path.raster_parts import raster_parts, require_apart
 from cmbot.scene.path.stroke import Stroke, timed_stroke
-from cmbot.scene.path.time_law import LegLaw, SpeedProfile
 from cmbot.scene.raster.pieces import RowPiece
-from cmbot.scene.raster.raster import Raster
-from cmbot.scene.robot_entry import BaseFile, Joints, MountFile, PostureFile, RobotFile, RobotSource
+from cmbot.scene.robot_entry import BaseFile, Joints, MountFile, PostureFile, RobotFile, stow_posture
 from cmbot.scene.tool import Tool
-from cmbot.scene.uncertainty import Uncertainty
+from cmbot.scene.uncertainty import Uncertainty, UncertaintyOrNone
 
-__all__ = [
-    "FORMAT",
-    "WORK",
-    "BaseFile",
-    "MountFile",
-    "PostureFile",
-    "RobotFile",
-    "RobotSource",
-    "Scene",
-    "SceneFile",
-]
+__all__ = ["FORMAT", "Scene"]
 
 Cells = Sequence[Sequence[RowPiece]]
 """Pieces of rows that follow on each other, of several strokes."""
 FORMAT = "cmbot-scene/2"
-WORK = "work"
-"""Name of the stroke of a tool path without names."""
+# Feet hold where they did when the stiffness was measured, m.
+_SAME_PLACE = 0.01
+_NO_FRAMES = ("world", "tool")
 
 
 def _released(value: object) -> object:
@@ -71,10 +65,55 @@ def _released(value: object) -> object:
     return value
 
 
-class SceneFile(FileModel):
-    """The robot, its start posture, the tool path and the surroundings; in m, s, kg and degrees."""
+def _in_order(frames: dict[str, MountFile]) -> Any:
+    for name in frames:
+        if name in _NO_FRAMES:
+            raise refusal("a name that no frame has", got=name)
+    return tuple(sorted(frames.items()))
 
-    model_config = ConfigDict(serialize_by_alias=True)
+
+def _by_name(frames: tuple[tuple[str, MountFile], ...], handler: SerializerFunctionWrapHandler) -> Any:
+    return handler(dict(frames))
+
+
+_Frames = Annotated[
+    tuple[tuple[str, MountFile], ...],
+    GetPydanticSchema(
+        lambda _, handler: handler(
+            Annotated[
+                dict[Slug, MountFile],
+                Field(max_length=100),
+                AfterValidator(_in_order),
+                WrapSerializer(_by_name),
+            ]
+        )
+    ),
+]
+
+
+class Scene(FileModel):
+    """The robot, its start posture, the tool path and the surroundings; in m, s, kg and degrees.
+
+    Attributes
+    ----------
+    source : str
+        Where it came from, for messages; what it says is the same wherever that is.
+    strokes : tuple of StrokeFile
+        One or more.
+    posture : array
+        (n,), joint positions at the start, rad, of joints that slide m; read-only.
+    all_obstacles : tuple of Obstacle
+        In SI units, the guardrail's members among them.
+    content_hash : str
+        Equal for scenes that say the same with the same files.
+
+    Notes
+    -----
+    It holds what its file says; its fields have the keys of the file. `changed`, and what begins with
+    ``with_``, returns the scene of the edited file, which is checked as a whole.
+    """
+
+    model_config = ConfigDict(serialize_by_alias=True, protected_namespaces=())
 
     format: Annotated[Literal["cmbot-scene/2"], BeforeValidator(_released)]
     name: Slug
@@ -84,17 +123,17 @@ class SceneFile(FileModel):
     """What the robot stands on."""
     start: PostureFile | None = None
     """Where the arm is at the start; left out: stowed."""
-    return_: Annotated[Literal["stow", "start", "none"] | None, Field(alias="return")] = None
+    return_to: Annotated[Literal["stow", "start", "none"], Field(alias="return")] = "none"
     """Where the arm goes after the work; left out: nowhere. An arm whose SRDF has no group state ``stow`` is
     put away where it started."""
-    tool: Tool | None = None
+    tool: Tool = Tool()
     """The process force and the largest speed while the tool is on."""
-    uncertainty: Uncertainty | Literal["none"] | None = None
+    uncertainty: UncertaintyOrNone = Uncertainty()
     """What is not known of arm, base and work, for the accuracy budget; ``none``: all is as modelled; left
     out: the defaults, which are assumptions."""
-    frames: Annotated[dict[Slug, MountFile] | None, Field(max_length=100)] = None
+    frames: Annotated[_Frames, Field(json_schema_extra={"default": {}})] = ()
     """Frames of workpieces by their names, in W."""
-    tool_path: ToolPathFile
+    tool_path: ToolPathEntry
     obstacles: Annotated[tuple[ObstacleFile, ...], Field(max_length=1000)] = ()
     guardrail: GuardrailFile = GuardrailFile()
     identified: IdentifiedStiffness | None = None
@@ -106,19 +145,26 @@ class SceneFile(FileModel):
     """A tuned damper against it; ``auto``: the best of 1 kg at the tool."""
     planner: PlannerOptions = PlannerOptions()
 
+    # Beside what the file says: where it came from, which strokes it lists, what the files that it names have
+    # in them, and how its SRDF stows the arm.
+    _source: str = PrivateAttr("Scene")
+    _listed: tuple[str, ...] = PrivateAttr(())
+    _files: dict[str, str] = PrivateAttr({})
+    _stowed: tuple[float, ...] | None = PrivateAttr(None)
+
     @model_validator(mode="after")
     def _check(self) -> Self:
-        for name in self.frames or ():
-            if name in ("world", "tool"):
-                raise refusal("a name that no frame has", got=name, key=("frames",))
-        if self.guardrail.stance is not None and self.robot.model != "cmbot":
-            expected = "no such key with a URDF of one's own, whose mount says where it stands"
-            raise refusal(expected, got="stance", key=("guardrail", "stance"))
-        if self.identified is not None:
-            self._check_identified(self.identified)
-        if self.base is not None and self.base.modes is not None:
-            self._check_modes()
+        if self.guardrail.stance is not None:
+            if not self.on_guardrail:
+                expected = "no such key with a URDF of one's own, whose mount says where it stands"
+                raise refusal(expected, got="stance", key=("guardrail", "stance"))
+            self.stance  # noqa: B018  it is refused here where the climber reaches none
+        self._check_identified()
         measured = self.identified is not None and self.identified.base is not None
+        modes = None if self.base is None else self.base.modes
+        if modes is not None and (measured or self.guardrail.stiffness or self.guardrail.mass):
+            expected = "no such key beside a stiffness: one of them says how the base bends"
+            raise refusal(expected, got="modes", key=("base", "modes"))
         if self.guardrail.mass is not None and self.guardrail.stiffness is None and not measured:
             expected = "no mass where no stiffness is given"
             raise refusal(expected, got="a mass alone", key=("guardrail", "mass"))
@@ -128,29 +174,175 @@ class SceneFile(FileModel):
                 expected = "a name that no other obstacle or guardrail member has"
                 raise refusal(expected, got=shown(obstacle.name), key=("obstacles", index, "name"))
             taken.add(obstacle.name)
+        self._listed = tuple(str(stroke.name) for stroke in self.strokes)
         return self
 
-    def _check_identified(self, identified: IdentifiedStiffness) -> None:
+    def _check_identified(self) -> None:
+        identified = self.identified
+        if identified is None:
+            return
         if self.guardrail.stiffness is not None and identified.base is None:
             expected = "no such key beside identified, which has no base: it was measured on a rigid one"
             raise refusal(expected, got="stiffness", key=("guardrail", "stiffness"))
         if identified.joints and self.robot.joints == "rigid":
             raise refusal("elastic, as joints were identified", got="rigid", key=("robot", "joints"))
+        if identified.base is None:
+            return
+        now, then = self.elastic_guardrail.footholds, identified.base.footholds
+        if not np.allclose(then, now, rtol=0, atol=_SAME_PLACE):
+            at, held = (", ".join(f"({x:g}, {y:g}, {z:g})" for x, y, z in points) for points in (now, then))
+            expected = f"a stiffness measured where the feet hold now, {at}"
+            raise refusal(expected, got=held, key=("identified", "base", "footholds"))
 
-    def _check_modes(self) -> None:
-        measured = self.identified is not None and self.identified.base is not None
-        if self.guardrail.stiffness is not None or self.guardrail.mass is not None or measured:
-            expected = "no such key beside a stiffness: one of them says how the base bends"
-            raise refusal(expected, got="modes", key=("base", "modes"))
+    def __eq__(self, other: object) -> bool:
+        """Whether both say the same, wherever they came from."""
+        return isinstance(other, Scene) and self.__dict__ == other.__dict__
+
+    def __repr__(self) -> str:
+        return f"<Scene {self.name}: {self._in_words}>"
+
+    __str__ = __repr__
+
+    def _repr_html_(self) -> str:
+        """Card in a notebook."""
+        rows = [(f"stroke {stroke.name}", f"keeps the tool's {stroke.keep}") for stroke in self.strokes]
+        rows.append(("stands on", self.base_name))
+        rows.append(("obstacles", ", ".join(obstacle.name for obstacle in self.all_obstacles) or "none"))
+        back = "stays" if self.return_to == "none" else f"returns to {self.return_to}"
+        rows.append(("after the work", back))
+        return card(f"Scene {self.name}", self._in_words, rows)
+
+    @property
+    def _in_words(self) -> str:
+        strokes, obstacles = len(self.strokes), len(self.all_obstacles)
+        return f"{self.robot.model}, {counted(strokes, 'stroke')}, {counted(obstacles, 'obstacle')}"
+
+    # The file
+
+    @classmethod
+    def of(cls, data: Mapping[str, Any], source: str, folder: Path) -> Self:
+        """Return the scene of a scene file's content.
+
+        Parameters
+        ----------
+        data : mapping
+            The content; rows of waypoints and an identified stiffness are in it.
+        source : str
+            Where it came from, for messages.
+        folder : Path
+            Where relative paths start.
+
+        Raises
+        ------
+        SceneError, ModelError, MissingExtra
+            As `cmbot.load_scene`.
+        """
+        scene = validated(cls, dict(data), source, SceneError, {FOLDER: folder})
+        scene._source = source
+        return scene._with_files({})
+
+    def _with_files(self, known: Mapping[str, str]) -> Self:
+        """It, with what is in the files that it names; `known` are those that were read before."""
+        self._files = file_hashes(self.as_data(), self.source, known)
+        self.posture  # noqa: B018  it is refused here where there is none
+        return self
+
+    @property
+    def source(self) -> str:
+        """Where it came from, for messages."""
+        return self._source
+
+    def with_source(self, source: str) -> Self:
+        """Return it as having come from somewhere else.
+
+        Raises
+        ------
+        SceneError
+            When a file that it names cannot be read.
+        """
+        scene = copy(self)
+        scene._source = source
+        return scene._with_files(self._files)
 
     def as_data(self) -> dict[str, Any]:
-        """Return the file's content, every default filled in, as `cmbot.load_scene` takes it back."""
+        """Return the content of its file, every default filled in, as `cmbot.load_scene` takes it back."""
         return self.model_dump(mode="json", exclude_none=True, by_alias=True)
 
     @property
-    def joints(self) -> Joints:
-        """Whether the robot's joints give way."""
-        return self.robot.joints or "elastic"
+    def content_hash(self) -> str:
+        """SHA-256 (hexadecimal) of that content, with those of files as they were read for their paths.
+
+        Raises
+        ------
+        SceneError
+            When a file that it names cannot be read.
+        """
+        data = self.as_data()
+        data = without_paths(data, file_hashes(data, self.source, self._files))
+        # The one JSON text that equal scenes share.
+        text = dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return sha256(text.encode()).hexdigest()
+
+    # Edits
+
+    def changed(self, **values: object) -> Self:
+        """Return the scene with other values of some fields, the whole checked anew.
+
+        It is the scene that would be read from the edited file, whose errors name the same keys.
+
+        Parameters
+        ----------
+        **values
+            By the names of the fields: what the file would have there, with paths relative to the current
+            folder, or objects of the fields' types. None takes the default.
+
+        Raises
+        ------
+        SceneError
+        """
+        same = {"robot", "start"}.isdisjoint(values)
+        data, context = self._changed_data(values, self.source), {FOLDER: Path.cwd()}
+        scene = validated(type(self), data, self.source, SceneError, context)
+        scene._source, scene._listed = self._source, self._listed
+        scene._stowed = self._stowed if same else None
+        return scene._with_files(self._files)
+
+    def with_options(self, options: PlannerOptions | None = None, **changes: Any) -> Self:
+        """Return the scene with other options of the planner: all of them, or some by their names."""
+        options = self.planner if options is None else options
+        require_type(options, PlannerOptions, "Scene", "planner", "PlannerOptions")
+        return self.changed(planner=replace(options, **changes))
+
+    def with_strokes(self, strokes: Sequence[StrokeFile], order: Order | None = None) -> Self:
+        """Return the scene with other strokes in place of its own; `order` left out: as given."""
+        path = JobStrokes(strokes=tuple(strokes), order=order)
+        return self.changed(tool_path=path.as_data())
+
+    def with_path(self, **changes: object) -> Self:
+        """Return the scene with other values of some keys of every stroke."""
+        return self.with_strokes([stroke.changed(**changes) for stroke in self.strokes], self.order)
+
+    def with_posture(self, q: Sequence[float] | FloatArray) -> Self:
+        """Return the scene with the arm in a posture (n,), rad and m, at the start."""
+        return self.changed(start={"posture": np.asarray(q, dtype=float)})
+
+    def with_mount(self, mount: MountFile | None) -> Self:
+        """Return the scene with the base frame of its robot, another than the shipped one, held elsewhere."""
+        return self.changed(robot=self.robot.changed(mount=mount))
+
+    def with_stance(self, stance: StanceFile | None) -> Self:
+        """Return the scene with the feet holding elsewhere; None: at the origin of W."""
+        return self.changed(guardrail=self.guardrail.changed(stance=stance))
+
+    def with_payload(self, payload_kg: float) -> Self:
+        """Return the scene with another point mass at the tool."""
+        return self.changed(robot=self.robot.changed(payload_kg=payload_kg))
+
+    def with_joints(self, joints: Joints) -> Self:
+        """Return the scene with joints that bend, or rigid ones."""
+        return self.changed(robot=self.robot.changed(joints=joints))
+
+    # The start
 
     @property
     def posture_key(self) -> str:
@@ -161,180 +353,93 @@ class SceneFile(FileModel):
         return f"start.{given}"
 
     @property
-    def posture(self) -> FloatArray | None:
-        """The posture (n,) in SI, as if every joint turned where it is in degrees; None: stowed."""
-        if self.start is None:
-            return None
-        if self.start.posture_deg is not None:
-            return np.radians(self.start.posture_deg)
-        return None if self.start.posture is None else np.array(self.start.posture, dtype=float)
+    def posture(self) -> FloatArray:
+        """The posture (n,) at the start, SI, as if every joint turned where it is in degrees; read-only.
 
-    def with_posture(self, q: FloatArray, known: FloatArray) -> dict[str, Any]:
-        """Return the entries with a posture `q` (n,), SI, in the units of the file's; its own if `known`."""
-        if np.array_equal(known, q):
-            return self.model_dump(mode="json", include={"start"}, exclude_none=True)
-        if self.posture_key == "start.posture_deg":
-            return {"start": {"posture_deg": np.degrees(q).tolist()}}
-        return {"start": {"posture": q.tolist()}}
-
-
-class _SceneFields(ToolPathFile):
-    """The bounds of a `Scene`'s fields that hold text and numbers: those of the scene file."""
-
-    model_config = ConfigDict(validate_by_name=True)
-
-    posture: Posture
-    return_to: Literal["stow", "start", "none"]
-    planner: PlannerOptions
-
-
-_TYPES: dict[str, tuple[type | tuple[type, ...], str]] = {
-    "name": (str, "text"),
-    "source": (str, "text"),
-    "robot": (RobotSource, "a RobotSource"),
-    "posture": (np.ndarray, "an array (n,), rad and m"),
-    "tool": (Tool, "a Tool"),
-    "keep": ((str, AxisCone), "pose, axis, position or an AxisCone"),
-    "speed_profile": (SpeedProfile, "a SpeedProfile"),
-    "guardrail": (Guardrail, "a Guardrail"),
-    "planner": (PlannerOptions, "PlannerOptions"),
-    "file": (SceneFile, "a SceneFile"),
-    "content_hash": (str, "text"),
-}
-_ITEM_TYPES: dict[str, tuple[type, str]] = {"legs": (Leg, "a Leg"), "obstacles": (Obstacle, "an Obstacle")}
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Scene:
-    """A planning problem and its surroundings. Equal `content_hash` means the same scene.
-
-    Attributes
-    ----------
-    name : str
-        Usable as a folder's name.
-    source : str
-        Where it came from, for messages.
-    robot : RobotSource
-    posture : array
-        (n,), joint positions at the start, rad, of joints that slide m; read-only.
-    return_to : str
-        Where the arm goes after the work: ``stow``, ``start`` or ``none``, nowhere.
-    tool : Tool
-        The process force and the largest speed while the tool is on.
-    keep : str or AxisCone
-        What the tool path prescribes of the tool: its ``pose``, ``axis`` or ``position``, or a cone.
-    start_pose : Goal or None
-        Where the tool path begins; None: at the pose of the tool in `posture`.
-    legs : tuple of Leg
-        From there.
-    waypoints : tuple or None
-        In place of legs points, m, and unit quaternions (w, x, y, z) of the tool in W, (K, 7).
-    raster : Raster or None
-        In place of legs rows over a surface.
-    seconds : float, "auto" or None
-        Duration of the path through waypoints or of the raster, s.
-    speed_m_s : float or None
-        Or the speed, m/s.
-    max_base_torque_nm : float or None
-        With ``auto``: the largest torque on the base, Nm.
-    time_laws : tuple of LegLaw or None
-        What planning found with ``auto``.
-    speed_tolerance : float or None
-        By what share the tool's speed may miss the process speed between the leads.
-    lead_in_m, lead_out_m : float or None
-        Lengths of the straight ways before and behind the path on which the tool speeds up and slows down.
-    blend_radius_m : float or None
-        By which the corners between straight legs are rounded.
-    speed_profile : SpeedProfile
-    passes : int or None
-        How often the path is followed, to and fro.
-    via_points : int or "auto"
-        In all, with the ends of the legs.
-    strokes : tuple of StrokeFile or None
-        In place of all from `keep` to here: several paths with the tool on.
-    order : str or None
-        Of the strokes: ``given`` or None, or ``best``.
-    obstacles : tuple of Obstacle
-        The scene's own, then the members of the guardrail.
-    guardrail : Guardrail
-    planner : PlannerOptions
-    file : SceneFile
-        The file's content as it was read, with every default filled in; paths as written there. What Python
-        changes in the other fields is in the file that `cmbot.save` writes.
-    content_hash : str
-        SHA-256 (hexadecimal) of that content and of the mesh files' bytes.
-
-    Raises
-    ------
-    InputError
-        When a field is of another type or out of the bounds of the scene file, as in
-        ``dataclasses.replace(scene, via_points=30.5)``.
-    """
-
-    name: str
-    source: str
-    robot: RobotSource
-    posture: FloatArray
-    return_to: Literal["stow", "start", "none"]
-    tool: Tool
-    keep: Keep = "pose"
-    start_pose: Goal | None = None
-    legs: tuple[Leg, ...] = ()
-    waypoints: tuple[tuple[float, ...], ...] | None = None
-    raster: Raster | None = None
-    seconds: float | Literal["auto"] | None = None
-    speed_m_s: float | None = None
-    max_base_torque_nm: float | None = None
-    time_laws: tuple[LegLaw, ...] | None = None
-    speed_tolerance: float | None = None
-    lead_in_m: float | None = None
-    lead_out_m: float | None = None
-    blend_radius_m: float | None = None
-    speed_profile: SpeedProfile = field(default_factory=SpeedProfile)
-    passes: int | None = None
-    via_points: int | Literal["auto"] = 50
-    strokes: tuple[StrokeFile, ...] | None = None
-    order: Literal["given", "best"] | None = None
-    obstacles: tuple[Obstacle, ...]
-    guardrail: Guardrail
-    planner: PlannerOptions
-    file: SceneFile
-    content_hash: str
-
-    def __repr__(self) -> str:
-        return f"<Scene {self.name}: {self._in_words}>"
-
-    def _repr_html_(self) -> str:
-        """Card in a notebook."""
-        rows = [(f"stroke {stroke.name}", f"keeps the tool's {stroke.keep}") for stroke in self.each_stroke]
-        rows.append(("stands on", self.base_name))
-        rows.append(("obstacles", ", ".join(obstacle.name for obstacle in self.obstacles) or "none"))
-        back = "stays" if self.return_to == "none" else f"returns to {self.return_to}"
-        rows.append(("after the work", back))
-        return card(f"Scene {self.name}", self._in_words, rows)
-
-    @property
-    def _in_words(self) -> str:
-        strokes, obstacles = len(self.each_stroke), len(self.obstacles)
-        return f"{self.robot.model}, {counted(strokes, 'stroke')}, {counted(obstacles, 'obstacle')}"
-
-    @property
-    def each_stroke(self) -> tuple[StrokeFile, ...]:
-        """What describes each stroke: one without a name of its own is the ``work``."""
-        if self.strokes is not None:
-            return self.strokes
-        own = {name: getattr(self, name) for name in PathFile.model_fields}
-        return (StrokeFile.model_construct(name=WORK, **own),)
+        Raises
+        ------
+        SceneError
+            When the arm is to be stowed, and its SRDF has no such group state.
+        """
+        start = self.start or PostureFile(stow=True)
+        if start.posture_deg is not None:
+            return read_only(np.radians(start.posture_deg))
+        if start.posture is not None:
+            return read_only(np.array(start.posture, dtype=float))
+        if self._stowed is None:
+            given = self.start is not None
+            self._stowed = tuple(
+                stow_posture(self.robot, self.source, self.posture_key, given=given).tolist()
+            )
+        return read_only(np.array(self._stowed))
 
     @property
     def begins_elsewhere(self) -> bool:
         """Whether the first stroke begins at a pose of its own, not at that of the tool in `posture`."""
-        return self.each_stroke[0].has_start
+        return self.strokes[0].has_start
 
     @property
     def pinned_posture(self) -> str:
         """What ``start: pinned`` starts in, in words."""
         return "posture nearest to the scene's" if self.begins_elsewhere else "scene's posture"
+
+    # What the robot stands on, and what is around it
+
+    @property
+    def on_guardrail(self) -> bool:
+        """Whether its robot is the shipped one, which holds a guardrail."""
+        return self.robot.model == "cmbot"
+
+    @property
+    def base_name(self) -> str:
+        """What messages and pages call that on which the robot stands."""
+        if self.base is not None:
+            return self.base.name
+        return "guardrail" if self.on_guardrail else "base"
+
+    @property
+    def elastic_guardrail(self) -> Guardrail:
+        """The guardrail in SI units, with the stiffness that was identified, or that of its modes."""
+        guardrail = elastic_guardrail(self.guardrail, self.identified and self.identified.base)
+        if self.base is None or self.base.modes is None:
+            return guardrail
+        stiffness, mass, damping = self.base.modes.matrices()
+        return replace(guardrail, stiffness=stiffness, mass=mass, damping=damping)
+
+    @property
+    def stance(self) -> Stance | None:
+        """Where the shipped robot stands; None: on the post at the origin of W."""
+        stance = self.guardrail.stance
+        return None if stance is None else resolved_stance(stance, elastic_guardrail(self.guardrail))
+
+    @property
+    def feet(self) -> tuple[Foot, ...]:
+        """The feet that hold the guardrail; none of a robot that stands on something else."""
+        holds = self.on_guardrail or self.guardrail.hold is not None
+        return feet_of(self.guardrail) if holds else ()
+
+    @property
+    def frame_poses(self) -> dict[str, FloatArray]:
+        """Poses (4, 4) in W of the frames of workpieces."""
+        return {name: frame.matrix for name, frame in self.frames}
+
+    @property
+    def all_obstacles(self) -> tuple[Obstacle, ...]:
+        """The scene's own obstacles, then the members of the guardrail; in SI units."""
+        own = (obstacle_from_file(entry) for entry in self.obstacles)
+        return (*own, *guardrail_obstacles(self.elastic_guardrail))
+
+    # The strokes
+
+    @property
+    def strokes(self) -> tuple[StrokeFile, ...]:
+        """What describes each stroke, one or more; the one of a path without strokes is the ``work``."""
+        return self.tool_path.strokes
+
+    @property
+    def order(self) -> Order | None:
+        """In which order they are taken; None: as given."""
+        return self.tool_path.order
 
     def timed_strokes(self, X_WT: FloatArray) -> tuple[Stroke, ...]:
         """Return the strokes, from the pose (4, 4) of the tool in `posture`.
@@ -345,7 +450,7 @@ class Scene:
             When one of their paths is none.
         """
         strokes = list[Stroke]()
-        for k, file in enumerate(self.each_stroke):
+        for k, file in enumerate(self.strokes):
             strokes.append(self._timed(k, file, X_WT))
             X_WT = strokes[-1].path.end_pose
         return tuple(strokes)
@@ -364,7 +469,7 @@ class Scene:
             When one of their paths is none.
         """
         cells, whole = dict[int, Cells](), dict[int, Sequence[RowPiece]]()
-        for k, file in enumerate(self.each_stroke):
+        for k, file in enumerate(self.strokes):
             surface = surface_of(file, self._path_source(k), X_WT)
             last = file
             if surface is not None and file.raster is not None and file.raster.pieces is None:
@@ -372,7 +477,7 @@ class Scene:
                 if len(own) > 1:
                     cells[k], whole[k] = own, surface.pieces
                     last = raster_parts(file, own, surface.pieces)[-1]
-            if k + 1 < len(self.each_stroke):
+            if k + 1 < len(self.strokes):
                 X_WT = self._timed(k, last, X_WT).path.end_pose
         return self.with_cells(cells, whole)
 
@@ -393,7 +498,7 @@ class Scene:
         """
         if not cells:
             return self
-        files, strokes = self.each_stroke, list[StrokeFile]()
+        files, strokes = self.strokes, list[StrokeFile]()
         for k, file in enumerate(files):
             if k in cells:
                 require_apart(files, k, self.source, self._stroke_key)
@@ -401,34 +506,23 @@ class Scene:
                 strokes += raster_parts(file, cells[k], whole[k], taken)
             else:
                 strokes.append(file)
-        if self.strokes is None and len(strokes) == 1:
-            own = {name: getattr(strokes[0], name) for name in PathFile.model_fields}
-            return replace(self, **own)
-        return self.with_strokes(tuple(strokes))
-
-    def with_strokes(self, strokes: tuple[StrokeFile, ...]) -> Self:
-        """Return the scene with other strokes in place of its own, too many to be ordered as they are."""
-        plain = {name: field.get_default() for name, field in PathFile.model_fields.items()}
-        order = self.order if len(strokes) <= MOST_ORDERED else None
-        return replace(self, **plain, strokes=strokes, order=order)
+        # Too many strokes to be ordered are taken as they are.
+        return self.with_strokes(strokes, self.order if len(strokes) <= MOST_ORDERED else None)
 
     def _stroke_key(self, number: int) -> str:
         """The key in the file of a stroke: strokes that are parts of one raster have its key."""
-        if self.strokes is None:
-            return "tool_path"
-        stroke, path = self.strokes[number], self.file.tool_path
-        in_file = {each.name: k for k, each in enumerate(path.strokes or ())}
-        if not in_file and stroke.part_of == WORK:
-            return "tool_path"
-        own = stroke.name if stroke.name in in_file else stroke.part_of
-        return f"tool_path.strokes[{in_file.get(own, number)}]"
+        stroke, listed = self.strokes[number], self._listed
+        for name in (stroke.name, stroke.part_of):
+            if name in listed:
+                return "tool_path" if name == WORK else f"tool_path.strokes[{listed.index(name)}]"
+        return f"tool_path.strokes[{number}]"
 
     def _path_source(self, number: int) -> PathSource:
         return PathSource(
             source=self.source,
             key=self._stroke_key(number),
-            frames=self.frames,
-            obstacles=self.obstacles,
+            frames=self.frame_poses,
+            obstacles=self.all_obstacles,
             max_speed=self.tool.max_speed_m_s,
         )
 
@@ -441,52 +535,3 @@ class Scene:
             begins_elsewhere=file.has_start or number > 0,
             deviation=self.planner.max_tool_deviation_m,
         )
-
-    @cached_property
-    def frames(self) -> dict[str, FloatArray]:
-        """Poses (4, 4) in W of the frames that its file names."""
-        each = self.file.frames or {}
-        return {name: pose(frame.xyz, np.radians(frame.rpy_deg)) for name, frame in each.items()}
-
-    @property
-    def excitation(self) -> ExcitationFile | None:
-        """What shakes the arm."""
-        return self.file.excitation
-
-    @property
-    def damper(self) -> DamperFile | None:
-        """The tuned damper against it."""
-        return DamperFile() if self.file.damper == "auto" else self.file.damper
-
-    @property
-    def uncertainty(self) -> Uncertainty:
-        """What is not known of arm, base and work."""
-        given = self.file.uncertainty
-        return Uncertainty.none() if given == "none" else given or Uncertainty()
-
-    @property
-    def base_name(self) -> str:
-        """What messages and pages call that on which the robot stands."""
-        if self.file.base is not None:
-            return self.file.base.name
-        return "guardrail" if self.on_guardrail else "base"
-
-    @cached_property
-    def feet(self) -> tuple[Foot, ...]:
-        """The feet that hold the guardrail; none of a robot that stands on something else."""
-        holds = self.on_guardrail or self.file.guardrail.hold is not None
-        return feet_of(self.file.guardrail) if holds else ()
-
-    @property
-    def on_guardrail(self) -> bool:
-        """Whether its robot is the shipped one, which holds a guardrail."""
-        return self.robot.model == "cmbot"
-
-    def __post_init__(self) -> None:
-        for name, (kind, expected) in _TYPES.items():
-            require_type(getattr(self, name), kind, "Scene", name, expected)
-        for name, (kind, expected) in _ITEM_TYPES.items():
-            require_type(getattr(self, name), (tuple, list), "Scene", name, f"a tuple, {expected} each")
-            for k, item in enumerate(getattr(self, name)):
-                require_type(item, kind, "Scene", f"{name}[{k}]", expected)
-        check_fields(self, _SceneFields)

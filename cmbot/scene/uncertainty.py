@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import Field, GetPydanticSchema, WrapValidator
 
 from cmbot.common.validation import FileModel
 
-__all__ = ["JointUncertainty", "Placement", "Tolerance", "Uncertainty"]
+__all__ = ["JointUncertainty", "Placement", "Tolerance", "Uncertainty", "UncertaintyOrNone"]
 
 Millimetres = Annotated[float, Field(ge=0, le=1000)]
 Degrees = Annotated[float, Field(ge=0, le=90)]
@@ -52,6 +52,23 @@ class Uncertainty(FileModel):
         """Return that of a world in which everything is as modelled."""
         joints = JointUncertainty(calibration_deg=0.0, backlash_arcmin=0.0, friction_share=0.0)
         return cls(stiffness_share=0.0, payload_kg=0.0, foot=Placement(), joints=joints, temperature_k=0.0)
+
+
+def _none_or(value: Any, block: Any) -> Uncertainty:
+    """What the word stands for, or what `block` makes of a mapping: one error, not those of a union."""
+    checked: Uncertainty = Uncertainty.none() if value == "none" else block(value)
+    return checked
+
+
+UncertaintyOrNone = Annotated[
+    Uncertainty,
+    GetPydanticSchema(
+        lambda kind, handler: handler(Annotated[kind, WrapValidator(_none_or)]),
+        # The mapping first: messages name its keys.
+        lambda schema, handler: {"anyOf": [handler(schema), {"const": "none", "type": "string"}]},
+    ),
+]
+"""What is not known; ``none``: nothing."""
 
 
 class Tolerance(FileModel):

@@ -277,11 +277,10 @@ def elastic_arm_of(plan: Plan, options: SimulationOptions) -> ElasticArm:
     """Return the elastic arm of a plan's scene; an `InputError` when nothing of it bends."""
     robot = plan.robot
     if options.payload_kg is not None:
-        source = replace(plan.scene.robot, payload=options.payload_kg)
-        robot = robot_of(replace(plan.scene, robot=source))
+        robot = robot_of(plan.scene.with_payload(options.payload_kg))
     shared = ("segments", "guardrail_factor", "link_factor", "joint_factor")
     elastic = ElasticOptions(**{name: getattr(options, name) for name in shared})
-    arm = elastic_arm(robot, elastic_base(plan.scene.guardrail), elastic)
+    arm = elastic_arm(robot, elastic_base(plan.scene.elastic_guardrail), elastic)
     if not len(arm.elastic):
         expected = (
             "guardrail.bays, guardrail.stiffness (6 x 6) or robot.elasticity in the scene that is planned"

@@ -84,7 +84,7 @@ class BaseArm:
 
     def __init__(self, scene: Scene, robot: Robot) -> None:
         source = scene.robot
-        self.robot = load_robot(mount=np.eye(4), tool_length=source.tool_length, payload=source.payload)
+        self.robot = load_robot(mount=np.eye(4), tool_length=source.tool_length_m, payload=source.payload_kg)
         self.postures, self.limits = Postures(self.robot), self.robot.limits
         self._force, self._mass = np.array(robot.tool_force), self.robot.arm_mass
         rng = np.random.default_rng(0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -70,27 +69,23 @@ class Candidate:
         return " and ".join(f"{foot.member} at {foot.along_m:.2f} m ({foot.face})" for foot in feet)
 
     @property
-    def as_data(self) -> dict[str, Any] | None:
+    def in_file(self) -> StanceFile | None:
         """What `guardrail.stance` of a scene file has; None: nothing."""
-        if self.at_origin:
-            return None
-        places = {"foot_1": self.stance.foot_1, "foot_2": self.stance.foot_2}
-        each = {name: "free" if place is None else place.model_dump() for name, place in places.items()}
-        return {**each, "climber_deg": list(self.stance.climber_deg or ())}
+        return None if self.at_origin else self.stance
 
 
 def own_candidate(scene: Scene) -> Candidate | None:
     """Return the stance in which a scene has its robot; None where its foot holds no member."""
-    climber, file = Climber(), scene.file.guardrail.stance
-    if file is None or scene.robot.stance is None:
-        member = held_member(scene.guardrail)
+    climber, file = Climber(), scene.guardrail.stance
+    if file is None or scene.stance is None:
+        member = held_member(scene.elastic_guardrail)
         if member is None:
             return None
         place = FootholdFile(member=member, along_m=0.0)
-        along = max(float(-foothold_face(scene.guardrail, place).ends[0]), 0.0)
-        place = place.model_copy(update={"along_m": along})
+        along = max(float(-foothold_face(scene.elastic_guardrail, place).ends[0]), 0.0)
+        place = place.changed(along_m=along)
         return replace(candidate_at(place, None, np.eye(4), climber.working, climber), at_origin=True)
-    stance = scene.robot.stance
+    stance = scene.stance
     return candidate_at(file.foot_1, file.foot_2, stance.root, np.array(stance.climber), climber)
 
 
@@ -123,12 +118,12 @@ def candidates_of(
     known = set[tuple[float, ...]]()
     for candidate in first:
         feet = [place for place in (candidate.stance.foot_1, candidate.stance.foot_2) if place is not None]
-        X_2 = foothold_pose(scene.guardrail, feet[1]) if len(feet) > 1 else None
+        X_2 = foothold_pose(scene.elastic_guardrail, feet[1]) if len(feet) > 1 else None
         on_them = not members or all(place.member in members for place in feet)
         if on_them and _is_new(candidate, X_2, known):
             yield candidate
     for place in (place for place in places_of(scene, spacing) if not members or place.member in members):
-        X = foothold_pose(scene.guardrail, place)
+        X = foothold_pose(scene.elastic_guardrail, place)
         angles = climber.hanging(X[:3, :3])
         if angles is None:
             continue
@@ -138,7 +133,7 @@ def candidates_of(
     if not np.isfinite(pair_spacing):
         return
     places = [place for place in places_of(scene, pair_spacing) if not members or place.member in members]
-    poses = [foothold_pose(scene.guardrail, place) for place in places]
+    poses = [foothold_pose(scene.elastic_guardrail, place) for place in places]
     for place, X in zip(places, poses, strict=True):
         for other, X_2 in zip(places, poses, strict=True):
             away = float(np.linalg.norm(X_2[:3, 3] - X[:3, 3]))
@@ -176,8 +171,7 @@ def candidate_at(
     climber : Climber
     """
     degrees = tuple(np.degrees(angles).tolist())
-    # A model of its own parts, which are checked: nothing else is in it.
-    stance = StanceFile.model_construct(foot_1=place, foot_2=other, climber_deg=degrees)
+    stance = StanceFile(foot_1=place, foot_2=other, climber_deg=degrees)
     return Candidate(stance=stance, root=X, base=X @ climber.poses(angles)[1], climber=angles)
 
 
@@ -191,10 +185,10 @@ def places_of(scene: Scene, spacing: float) -> Iterator[FootholdFile]:
     scene : Scene
     spacing : float, m
     """
-    guardrail = scene.guardrail
+    guardrail = scene.elastic_guardrail
     posts = [(f"post_{k + 1}", ("outer", "left", "right")) for k in range(len(guardrail.post_positions))]
     rails = [(rail.name, ("outer",)) for rail in guardrail.rails]
-    clamps = {hold.kind for hold in scene.file.guardrail.hold or ()} == {"clamp"}
+    clamps = {hold.kind for hold in scene.guardrail.hold or ()} == {"clamp"}
     for member, faces in (*posts, *rails):
         for face in faces:
             probe = FootholdFile.model_validate({"member": member, "along_m": 0.0, "face": face})
@@ -206,11 +200,11 @@ def places_of(scene: Scene, spacing: float) -> Iterator[FootholdFile]:
                 low = guardrail.post.clamp - guardrail.post.bottom + _MARGIN
                 high += _MARGIN - 0.05
             for along in np.arange(low, high + 1e-9, spacing):
-                place = probe.model_copy(update={"along_m": round(float(along), 4)})
+                place = probe.changed(along_m=round(float(along), 4))
                 if in_the_way(scene, place) is not None:
                     continue
                 for turn in (0.0, 180.0):
-                    yield place.model_copy(update={"turn_deg": turn})
+                    yield place.changed(turn_deg=turn)
 
 
 def climber_in_the_way(scene: Scene, candidate: Candidate) -> str | None:
@@ -224,7 +218,7 @@ def climber_in_the_way(scene: Scene, candidate: Candidate) -> str | None:
         As `in_world` returns it.
     candidate : Candidate
     """
-    climber = bare_climber(candidate.root, scene.obstacles, foot_2=candidate.stance.foot_2 is None)
+    climber = bare_climber(candidate.root, scene.all_obstacles, foot_2=candidate.stance.foot_2 is None)
     numbers = np.arange(len(climber.pairs))
     distance = climber.distances(candidate.climber[None], np.zeros_like(numbers), numbers)
     own = np.array([pair.self_collision for pair in climber.pairs], dtype=np.bool_)

@@ -35,10 +35,10 @@ def in_the_way(scene: Scene, place: FootholdFile) -> str | None:
     scene : Scene
     place : FootholdFile
     """
-    X = foothold_pose(scene.guardrail, place)
+    X = foothold_pose(scene.elastic_guardrail, place)
     X[:3, 3] += (_CENTRE + _LIFT / 2) * X[:3, 1]
     box = Box(size=(_FOOT[0], _FOOT[1] + _LIFT, _FOOT[2]))
-    others = [obstacle for obstacle in scene.obstacles if obstacle.name != place.member]
+    others = [obstacle for obstacle in scene.all_obstacles if obstacle.name != place.member]
     return touched_by(box, np.asarray(X), others)
 
 

@@ -21,16 +21,16 @@ class _Shares:
     """What the feet of each candidate bear of a wrench."""
 
     def __init__(self, scene: Scene, candidates: Sequence[Candidate]) -> None:
-        self._guardrail, self._number = scene.guardrail, dict[tuple[float, ...], int]()
+        self._guardrail, self._number = scene.elastic_guardrail, dict[tuple[float, ...], int]()
         points = list[FloatArray]()
         for candidate in candidates:
             if candidate.stance.foot_2 is not None:
                 for place in (candidate.stance.foot_1, candidate.stance.foot_2):
-                    point = axis_point(scene.guardrail, place)
+                    point = axis_point(scene.elastic_guardrail, place)
                     if self._key(point) not in self._number:
                         self._number[self._key(point)] = len(points)
                         points.append(point)
-        self._frame = SharedFrame(scene.guardrail, np.array(points)) if points else None
+        self._frame = SharedFrame(scene.elastic_guardrail, np.array(points)) if points else None
 
     @staticmethod
     def _key(point: FloatArray) -> tuple[float, ...]:
@@ -77,7 +77,7 @@ class StanceLoads:
         lever = np.einsum("cij,cj->ci", root[:, :3, :3], centre)
         self._still = np.hstack([still, np.cross(lever, still)])
         feet = [
-            feet_at(scene.file.guardrail, each.stance, scene.guardrail, shared.of(each))
+            feet_at(scene.guardrail, each.stance, scene.elastic_guardrail, shared.of(each))
             for each in candidates
         ]
         # Where there is no second foot, the first one stands for it.

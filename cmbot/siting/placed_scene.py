@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Collection, Sequence
-from dataclasses import replace
-from pathlib import Path
-from typing import Any
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,15 +11,24 @@ from scipy.spatial.transform import Rotation
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.planning import robot_of, strokes_of
-from cmbot.scene import Scene, scene_from_file
+from cmbot.scene import WORK, Goal, JobStrokes, Scene, StrokeFile
 from cmbot.siting.candidates import Candidate
 
 __all__ = ["in_world", "joined", "scene_at", "with_strokes"]
 
+T = TypeVar("T")
+
 _LONGEST_NAME, _STANCE = 90, "_stance"
 _PLAIN: dict[str, Any] = dict.fromkeys(("lead_in_m", "lead_out_m", "speed_tolerance", "passes"))
-# What scenes of one bridge have in common.
-_COMMON = ("robot", "base", "tool", "return", "identified", "planner")
+# What scenes of one bridge have in common, by their keys.
+_COMMON = {
+    "robot": "robot",
+    "base": "base",
+    "tool": "tool",
+    "return": "return_to",
+    "identified": "identified",
+    "planner": "planner",
+}
 
 
 def scene_at(scene: Scene, candidate: Candidate, posture: FloatArray | None) -> Scene:
@@ -36,40 +42,28 @@ def scene_at(scene: Scene, candidate: Candidate, posture: FloatArray | None) -> 
     posture : (n,), rad, or None
         In which the arm starts: elsewhere the scene's own, None, may be in the way of something.
     """
-    data = scene.file.as_data()
+    changes: dict[str, Any] = {"guardrail": scene.guardrail.changed(stance=candidate.in_file)}
     if posture is not None:
-        data["start"] = {"posture_deg": np.degrees(posture).tolist()}
-    guardrail = {**data["guardrail"], "stance": candidate.as_data}
+        changes["start"] = {"posture_deg": np.degrees(posture)}
     name = scene.name if scene.name.endswith(_STANCE) else f"{scene.name}{_STANCE}"
-    return _read(scene, data | {"guardrail": guardrail, "name": name})
+    return scene.changed(name=name, **changes)
 
 
 def in_world(scene: Scene) -> Scene:
     """Return the scene with a tool path whose strokes begin at poses in the world, where they begin now."""
-    robot, strokes = robot_of(scene), scene.each_stroke
-    begins = dict[int, dict[str, Any]]()
-    for k, stroke in enumerate(strokes):
+    robot, strokes = robot_of(scene), list(scene.strokes)
+    moved = False
+    for k, stroke in enumerate(scene.strokes):
         goal = stroke.start_pose
         fixed = goal is not None and goal.frame != "tool" and goal.rpy_deg is not None
         if not stroke.legs or fixed:
             continue
         # Without leads and turns it begins where its first leg does.
-        alone = replace(scene, **_PLAIN)
-        if scene.strokes is not None:
-            last = stroke.model_copy(update={**_PLAIN, "backwards": False})
-            alone = scene.with_strokes((*strokes[:k], last))
+        alone = scene.with_strokes((*scene.strokes[:k], stroke.changed(**_PLAIN, backwards=False)))
         pose = strokes_of(alone, robot)[-1].path.poses([0.0])
-        begins[k] = {"frame": "world", "xyz": pose.point[0].tolist(), "rpy_deg": _rpy_deg(pose.rotation[0])}
-    data = scene.file.as_data()
-    if not begins:
-        return scene
-    path = data["tool_path"]
-    if "strokes" in path:
-        each = [{**one, "from": begins[k]} if k in begins else one for k, one in enumerate(path["strokes"])]
-        path = {**path, "strokes": each}
-    else:
-        path = {**path, "from": begins[0]}
-    return _read(scene, data | {"tool_path": path})
+        begin = Goal(xyz=tuple(pose.point[0].tolist()), rpy_deg=_rpy_deg(pose.rotation[0]))
+        strokes[k], moved = stroke.changed(start_pose=begin), True
+    return scene.with_strokes(strokes, scene.order) if moved else scene
 
 
 def joined(scenes: Sequence[Scene]) -> Scene:
@@ -88,47 +82,39 @@ def joined(scenes: Sequence[Scene]) -> Scene:
     first, *others = (in_world(scene) for scene in scenes)
     if not others:
         return first
-    data = _absolute(first)
-    strokes = {f"{first.name}_{one['name']}": one for one in _strokes(first)}
+    obstacles, frames = {one.name: one for one in first.obstacles}, dict(first.frames)
+    strokes = {f"{first.name}_{stroke.name}": stroke for stroke in _strokes(first)}
     for other in others:
-        more = _absolute(other)
-        for key in _COMMON:
-            _require_same(key, data.get(key), more.get(key), first, other)
-        own, its = ({**each["guardrail"], "stance": None} for each in (data, more))
+        for key, name in _COMMON.items():
+            _require_same(key, getattr(first, name), getattr(other, name), first, other)
+        own, its = (scene.guardrail.changed(stance=None) for scene in (first, other))
         _require_same("guardrail", own, its, first, other)
-        for key in ("obstacles", "frames"):
-            data[key] = _united(key, data, more, first, other)
-        strokes |= {f"{other.name}_{one['name']}": one for one in _strokes(other)}
-    names = [one["name"] for one in strokes.values()]
-    each = [one if names.count(one["name"]) == 1 else {**one, "name": long} for long, one in strokes.items()]
-    name = "_".join(scene.name for scene in scenes)[:_LONGEST_NAME]
-    return _read(first, data | {"name": name, "tool_path": {"strokes": each}})
+        obstacles = _united("obstacles", obstacles, {one.name: one for one in other.obstacles}, first, other)
+        frames = _united("frames", frames, dict(other.frames), first, other)
+        strokes |= {f"{other.name}_{stroke.name}": stroke for stroke in _strokes(other)}
+    names = [stroke.name for stroke in strokes.values()]
+    renamed = [
+        stroke if names.count(stroke.name) == 1 else stroke.changed(name=long)
+        for long, stroke in strokes.items()
+    ]
+    return first.changed(
+        name="_".join(scene.name for scene in scenes)[:_LONGEST_NAME],
+        tool_path=JobStrokes(strokes=tuple(renamed)).as_data(),
+        obstacles=tuple(obstacles.values()),
+        frames=frames,
+    )
 
 
 def with_strokes(scene: Scene, numbers: Collection[int], name: str) -> Scene:
     """Return a scene, as `in_world` returns it, with some of its strokes in their order, and a name."""
-    data = scene.file.as_data()
-    order = {key: value for key, value in data["tool_path"].items() if key == "order"}
-    strokes = [one for k, one in enumerate(_strokes(scene)) if k in numbers]
-    return _read(scene, data | {"name": name, "tool_path": {"strokes": strokes, **order}})
+    strokes = tuple(stroke for k, stroke in enumerate(_strokes(scene)) if k in numbers)
+    path = JobStrokes(strokes=strokes, order=scene.order)
+    return scene.changed(name=name, tool_path=path.as_data())
 
 
-def _strokes(scene: Scene) -> list[dict[str, Any]]:
-    """The strokes of a scene's file; that of a path without strokes has the scene's name."""
-    path = scene.file.as_data()["tool_path"]
-    if "strokes" in path:
-        return list(path["strokes"])
-    return [{**{key: value for key, value in path.items() if key != "order"}, "name": scene.name}]
-
-
-def _absolute(scene: Scene) -> dict[str, Any]:
-    """The content of a scene's file with the paths of meshes from anywhere."""
-    data, folder = scene.file.as_data(), Path(scene.source).parent
-    data["obstacles"] = [
-        {**one, "mesh": str((folder / one["mesh"]).resolve())} if "mesh" in one else one
-        for one in data["obstacles"]
-    ]
-    return data
+def _strokes(scene: Scene) -> list[StrokeFile]:
+    """The strokes of a scene; that of a path without strokes has the scene's name."""
+    return [stroke.changed(name=scene.name) if stroke.name == WORK else stroke for stroke in scene.strokes]
 
 
 def _require_same(key: str, own: object, its: object, first: Scene, other: Scene) -> None:
@@ -137,23 +123,13 @@ def _require_same(key: str, own: object, its: object, first: Scene, other: Scene
         raise SceneError(other.source, key, "another one", expected)
 
 
-def _united(key: str, data: dict[str, Any], more: dict[str, Any], first: Scene, other: Scene) -> Any:
+def _united(key: str, own: Mapping[str, T], its: Mapping[str, T], first: Scene, other: Scene) -> dict[str, T]:
     """Obstacles or frames of both, each name once."""
-    if key == "frames":
-        ours, theirs = data.get(key, {}), more.get(key, {})
-    else:
-        ours, theirs = ({one["name"]: one for one in each.get(key, ())} for each in (data, more))
-    for name in ours.keys() & theirs.keys():
-        _require_same(f"{key}.{name}", ours[name], theirs[name], first, other)
-    both = ours | theirs
-    return both if key == "frames" else list(both.values())
+    for name in own.keys() & its.keys():
+        _require_same(f"{key}.{name}", own[name], its[name], first, other)
+    return {**own, **its}
 
 
-def _read(scene: Scene, data: dict[str, Any]) -> Scene:
-    """The scene of a file's content, read where another one was; options as Python has them."""
-    file = type(scene.file).model_validate_json(json.dumps(data))
-    return replace(scene_from_file(file, Path(scene.source).parent, scene.source), planner=scene.planner)
-
-
-def _rpy_deg(R: FloatArray) -> list[float]:
-    return [float(angle) for angle in Rotation.from_matrix(R).as_euler("xyz", degrees=True)]
+def _rpy_deg(R: FloatArray) -> tuple[float, float, float]:
+    roll, pitch, yaw = Rotation.from_matrix(R).as_euler("xyz", degrees=True).tolist()
+    return roll, pitch, yaw

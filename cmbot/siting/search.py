@@ -335,7 +335,7 @@ class _Search:
         self._charts += 1
         try:
             scene = scene_at(self._scene, self.each[k].candidate, None)
-            charted = chart(replace(scene, planner=self._ending.within(scene)))
+            charted = chart(scene.with_options(self._ending.within(scene)))
         except CmbotError as error:
             self._reject(k, "blocked", "charts", str(error), _cause(error))
             return

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from cmbot.common.errors import InputError, PlanningError, SceneError
 from cmbot.common.representation import short_repr
 from cmbot.common.validation import counted, shown
 from cmbot.planning import ToolTask, precheck_scene, robot_of, strokes_of, task_of
-from cmbot.scene import Scene, update_file
+from cmbot.scene import Scene
 from cmbot.siting.candidates import Candidate, candidates_of, own_candidate
 from cmbot.siting.cover import fewest_groups
 from cmbot.siting.placed_scene import joined, scene_at, with_strokes
@@ -69,7 +69,7 @@ class Standing:
     @property
     def strokes(self) -> tuple[str, ...]:
         """Names of the strokes."""
-        return tuple(str(stroke.name) for stroke in self.scene.each_stroke)
+        return tuple(str(stroke.name) for stroke in self.scene.strokes)
 
     @property
     def best(self) -> Stood | None:
@@ -154,7 +154,7 @@ def stand(
     robot = robot_of(scene)
     strokes = strokes_of(scene, robot)
     # Each cell of a raster is a stroke of its own: together they are one of the scene's.
-    names = [str(stroke.name) for stroke in scene.each_stroke]
+    names = [str(stroke.name) for stroke in scene.strokes]
     own = [stroke.name if stroke.name in names else str(stroke.file.part_of) for stroke in strokes]
     tasks = [task_of(stroke, scene) for stroke in strokes]
     found = screen(
@@ -212,7 +212,7 @@ def _unreached(
     bases = np.array([candidate.base[:3, 3] for candidate in candidates])
     away = np.linalg.norm(points[:, None] - bases, axis=2).max(axis=0)
     nearest = candidates[min(range(len(candidates)), key=lambda k: (not within[k], away[k]))]
-    name = str(scene.each_stroke[number].name)
+    name = str(scene.strokes[number].name)
     kinds = {"out of reach": (~within).sum(), "in which no posture was found": within.sum()}
     counts = ", ".join(f"{number} {kind}" for kind, number in kinds.items() if number)
     error = PlanningError(f"no stance of {len(candidates)} is left for stroke {name}: {counts}")
@@ -250,8 +250,8 @@ def _told(progress: _Progress, where: str, step: str, share: float) -> None:
     progress(where + step, share)
 
 
-def best_scene(standing: Standing) -> dict[str, Any]:
-    """Return the content of a scene file with the best stance, or if none was planned the most promising one.
+def best_scene(standing: Standing) -> Scene:
+    """Return the scene with the best stance, or if none was planned the most promising one.
 
     Raises
     ------
@@ -262,8 +262,7 @@ def best_scene(standing: Standing) -> dict[str, Any]:
     if not np.isfinite(first.bound):
         reasons = ", ".join(f"{cause} ({number})" for cause, number in standing.reasons)
         raise PlanningError(f"no stance of {len(standing.ranked)} is left: {reasons}")
-    best = scene_at(standing.scene, first.candidate, None) if first.plan is None else first.plan.scene
-    return update_file(best).file.as_data()
+    return scene_at(standing.scene, first.candidate, None) if first.plan is None else first.plan.scene
 
 
 def require_on_guardrail(scene: Scene) -> None:
@@ -273,7 +272,7 @@ def require_on_guardrail(scene: Scene) -> None:
     ------
     SceneError
     """
-    if not scene.on_guardrail or not scene.guardrail.post_positions:
+    if not scene.on_guardrail or not scene.elastic_guardrail.post_positions:
         key, got = ("guardrail", "none") if scene.on_guardrail else ("robot", "another robot")
         raise SceneError(scene.source, key, got, _SHIPPED_ROBOT)
 
@@ -289,7 +288,7 @@ def require_standing(scene: Scene, members: Sequence[str] = ()) -> None:
     if scene.planner.objective == "sag":
         expected = "torque or hold, by which stances are screened"
         raise SceneError(scene.source, "planner.objective", "sag", expected)
-    known = scene.file.guardrail.member_names
+    known = scene.guardrail.member_names
     for member in members:
         if member not in known:
             expected = f"a member of the guardrail of {scene.name}"

@@ -148,7 +148,7 @@ class Frames:
         self._robot = plan.robot
         self._near = plan.options.avoidance_distance_m
         self.bending = Bending.of(plan, tracking)
-        self.clearances = Clearances(plan.robot, plan.scene.obstacles)
+        self.clearances = Clearances(plan.robot, plan.scene.all_obstacles)
         self.pairs = {} if pairs is None else pairs
         # Some postures and elastic coordinates of the motions so far.
         self._bent: list[tuple[Bending, FloatArray, FloatArray]] = []

@@ -490,8 +490,8 @@ def _scene(plan: Plan) -> Iterator[Row]:
         yield f"{of}tool constraint", stroke.task.kept
         for name, leg in _legs(stroke.task.path):
             yield f"{of}{name}", leg
-    workpieces = [obstacle.name for obstacle in scene.obstacles if obstacle.workpiece]
-    yield "obstacles", ", ".join(obstacle.name for obstacle in scene.obstacles) or "none"
+    workpieces = [obstacle.name for obstacle in scene.all_obstacles if obstacle.workpiece]
+    yield "obstacles", ", ".join(obstacle.name for obstacle in scene.all_obstacles) or "none"
     yield "workpieces among them", ", ".join(workpieces) or "none"
 
 

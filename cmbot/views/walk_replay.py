@@ -71,7 +71,7 @@ def _data(walk: Walk) -> dict[str, Any]:
     places = poses[..., :3].reshape(-1, 3)
     motions = [(move.robot, move.segment.trajectory.q) for move in walk.moves]
     swept = [link_corners(each, link_poses(each, q[:: max(1, len(q) // _KNOTS)])) for each, q in motions]
-    beside = workpieces(walk.scene.obstacles, places, _BESIDE)
+    beside = workpieces(walk.scene.all_obstacles, places, _BESIDE)
     margin = walk.scene.planner.safety_margin_m
     bridge = bridge_of(walk.scene, motions, margin)
     drawn = moving_robot_commands(

@@ -74,7 +74,7 @@ class Balance:
         robot = robot_of(scene).tool_off
         X = robot.model.frames[robot.model.getFrameId("arm_base")].placement.homogeneous
         postures = Postures(robot)
-        clearances, rng = Clearances(robot, scene.obstacles), np.random.default_rng(0)
+        clearances, rng = Clearances(robot, scene.all_obstacles), np.random.default_rng(0)
         margin, half = 2 * scene.planner.safety_margin_m, robot.limits.sampled_half
         middle = robot.limits.range_middle
         drawn = rng.uniform(middle - half, middle + half, (_SEEDS, robot.dof))
@@ -148,11 +148,11 @@ class Balance:
         node : Candidate
         """
         robot, margin = robot_of(scene_at(scene, node, None)), scene.planner.safety_margin_m
-        climber = bare_climber(node.root, scene.obstacles, foot_2=node.stance.foot_2 is None)
+        climber = bare_climber(node.root, scene.all_obstacles, foot_2=node.stance.foot_2 is None)
         if climber.check_collision(node.climber[None], margin)[0]:
             return np.ones(len(self.arms), dtype=np.bool_)
         # A step needs some room beside the margin.
-        near = Clearances(robot, scene.obstacles).check_collision(self.arms, 1.5 * margin)
+        near = Clearances(robot, scene.all_obstacles).check_collision(self.arms, 1.5 * margin)
         torque = np.abs(Postures(robot).at(self.arms).joint_torque)
         return near | (torque > SPARE * robot.limits.torque).any(axis=1)
 
@@ -200,11 +200,11 @@ def foot_at(scene: Scene, place: FootholdFile, foot: Side) -> Foot:
     foot : int
         Its number.
     """
-    file, holds = scene.file.guardrail, scene.file.guardrail.hold
+    file, holds = scene.guardrail, scene.guardrail.hold
     if holds:
-        file = file.model_copy(update={"hold": (holds[min(foot, len(holds)) - 1],)})
-    stance = StanceFile.model_construct(foot_1=place, foot_2=None, climber_deg=None)
-    (held,) = feet_at(file, stance, scene.guardrail, (np.eye(6),))
+        file = file.changed(hold=holds[min(foot, len(holds)) - 1])
+    stance = StanceFile(foot_1=place)
+    (held,) = feet_at(file, stance, scene.elastic_guardrail, (np.eye(6),))
     return held
 
 

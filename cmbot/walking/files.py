@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
+from cmbot.common.validation import plain
 from cmbot.hold import Holding
 from cmbot.robot import ARM_JOINTS, CLIMBING_JOINTS, Climber, Dynamics
 from cmbot.version import __version__
@@ -131,8 +132,8 @@ def walk_data(walk: Walk) -> dict[str, Any]:
             "foot": step.foot,
             "from": step.places[0],
             "to": step.places[1],
-            "before": step.before.as_data,
-            "after": step.after.as_data,
+            "before": step.before.stance.model_dump(mode="json"),
+            "after": step.after.stance.model_dump(mode="json"),
             "moves": [_move(move, next(begins)) for move in step.moves],
         }
         for step in walk.steps
@@ -144,8 +145,8 @@ def walk_data(walk: Walk) -> dict[str, Any]:
     return {
         "format": "cmbot-walk/1",
         "cmbot": __version__,
-        "scene": walk.scene.file.as_data(),
-        "goal": walk.goal.as_data,
+        "scene": plain(walk.scene, walk.scene.source),
+        "goal": walk.goal.stance.model_dump(mode="json"),
         "seconds": walk.seconds,
         "max_foot_speed": walk.speed,
         "adhesion_needed": peak,

@@ -55,12 +55,12 @@ def nodes_between(scene: Scene, first: Candidate, last: Candidate, spacing: floa
     xs = [float(node.root[0, 3]) for node in (first, last)]
     places, climber = list[FootholdFile](), Climber()
     for place in (*ends, *places_of(scene, spacing)):
-        x = float(foothold_pose(scene.guardrail, place)[0, 3])
+        x = float(foothold_pose(scene.elastic_guardrail, place)[0, 3])
         # On round bars a foot holds only where a scene wants it to.
-        flat = place in ends or foothold_face(scene.guardrail, place).width is not None
+        flat = place in ends or foothold_face(scene.elastic_guardrail, place).width is not None
         if flat and min(xs) - _BEYOND <= x <= max(xs) + _BEYOND and place not in places:
             places.append(place)
-    poses = [foothold_pose(scene.guardrail, place) for place in places]
+    poses = [foothold_pose(scene.elastic_guardrail, place) for place in places]
     points, normals = np.array([X[:3, 3] for X in poses]), np.array([X[:3, 1] for X in poses])
     nodes = [first, last]
     for place, X in zip(places, poses, strict=True):

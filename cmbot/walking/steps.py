@@ -243,7 +243,7 @@ def _swing_context(scene: Scene, robot: Robot, foot: Side, *, near: bool) -> Pla
     options = replace(scene.planner, objective="torque", moment_about="foot", axis_weights=(1.0, 1.0, 1.0))
     # Near the member that it holds the foot's shapes count no more; the foothold is known to be free.
     shapes = without_links(robot, lambda link: link == f"foot_{foot}") if near else robot
-    return _context(shapes, scene.obstacles, options)
+    return _context(shapes, scene.all_obstacles, options)
 
 
 _ENDS = {"lift": "the lifted foot", "swing": "above the next place", "set": "the next place"}
@@ -257,7 +257,7 @@ def swinging_robot(scene: Scene, node: Candidate, foot: Side, arm: FloatArray) -
         raise ValueError("a foot that is free cannot hold")
     X = node.root if holds == 1 else node.root @ Climber().poses(node.climber)[0]
     robot = load_climbing_robot(
-        holds, _rigid(X), arm, tool_length=scene.robot.tool_length, payload=scene.robot.payload
+        holds, _rigid(X), arm, tool_length=scene.robot.tool_length_m, payload=scene.robot.payload_kg
     )
     return replace(robot, feet=(foot_at(scene, place, holds),))
 

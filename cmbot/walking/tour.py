@@ -100,7 +100,7 @@ class Tour:
         needed = [each for each in (_needed(part) for _, _, part in self.parts) if each is not None]
         if needed:
             yield f"A magnet would need {max(needed) / 1e3:.2f} kN of adhesion at most."
-        if self.standings[0].scene.file.guardrail.hold is None:
+        if self.standings[0].scene.guardrail.hold is None:
             yield "The feet are taken as welded: this says nothing about holding; see guardrail.hold."
         if self.failures:
             yield f"Between {counted(len(self.failures), 'other pair')} of stances no walk was found."
@@ -242,7 +242,7 @@ def tour_data(tour: Tour) -> dict[str, Any]:
 
 def _work(plan: Plan) -> dict[str, Any]:
     return {
-        "strokes": [stroke.name for stroke in plan.scene.each_stroke],
+        "strokes": [stroke.name for stroke in plan.scene.strokes],
         "peak_torque": plan.job.figures.peak_guardrail_torque,
         "peak_torque_at_work": plan.figures.peak_guardrail_torque,
     }

@@ -22,9 +22,9 @@ def second_opinion_of(move: Move, scene: Scene) -> tuple[Check, ...]:
     scene : Scene
         In which it is made, as `cmbot.siting.in_world` returns it.
     """
-    robot, obstacles, margin = move.robot, scene.obstacles, scene.planner.safety_margin_m
+    robot, obstacles, margin = move.robot, scene.all_obstacles, scene.planner.safety_margin_m
     if move.kind == "arm":
-        arm = DescribedArm.of(scene_at(scene, move.node, move.arm).robot, robot)
+        arm = DescribedArm.of(scene_at(scene, move.node, move.arm), robot)
     else:
         srdf, limits = (robot.urdf.with_name(name) for name in ("climbing.srdf", "joint_limits.yaml"))
         on_foot_2 = move.holds == (2,)
@@ -34,7 +34,7 @@ def second_opinion_of(move: Move, scene: Scene) -> tuple[Check, ...]:
             carrier="tool0",
             X_WR=move.node.root @ Climber().poses(move.node.climber)[0] if on_foot_2 else move.node.root,
             locked=dict(zip(ARM_JOINTS, move.arm.tolist(), strict=True)),
-            tool_length=scene.robot.tool_length,
-            payload=scene.robot.payload,
+            tool_length=scene.robot.tool_length_m,
+            payload=scene.robot.payload_kg,
         )
     return judged_motion(arm, robot, obstacles, move.segment.trajectory, margin)

@@ -125,7 +125,7 @@ class Walk:
                 f"{needed.time:.1f} s)."
             )
         yield f"The joints use at most {100 * self.effort:.0f} % of their efforts."
-        if self.scene.file.guardrail.hold is None:
+        if self.scene.guardrail.hold is None:
             yield "The feet are taken as welded: this says nothing about holding; see guardrail.hold."
         if self.failures:
             yield f"{counted(len(self.failures), 'other step')} turned out impossible on the way."
@@ -324,23 +324,20 @@ def stance_of(scene: Scene) -> Candidate:
         When it does not stand on a member of a guardrail.
     """
     require_on_guardrail(scene)
-    stance = scene.robot.stance
-    if scene.file.guardrail.stance is not None and stance is not None:
-        file = scene.file.guardrail.stance
+    stance, file = scene.stance, scene.guardrail.stance
+    if file is not None and stance is not None:
         return candidate_at(file.foot_1, file.foot_2, stance.root, np.array(stance.climber), Climber())
-    places = enumerate(scene.guardrail.post_positions, start=1)
+    places = enumerate(scene.elastic_guardrail.post_positions, start=1)
     number = next((number for number, x in places if abs(x) < _SAME_PLACE), None)
     if number is None:
         expected = "a stance, as the foot holds no post"
         raise SceneError(scene.source, "guardrail.stance", "nothing", expected)
-    place, climber = FootholdFile(member=f"post_{number}", along_m=-scene.guardrail.post.bottom), Climber()
+    place, climber = FootholdFile(member=f"post_{number}", along_m=-scene.guardrail.post.bottom_m), Climber()
     return candidate_at(place, None, np.eye(4), climber.working, climber)
 
 
 def _stance_from(stance: StanceFile, scene: Scene) -> Candidate:
-    data = scene.file.as_data()
-    guardrail = {**data["guardrail"], "stance": stance.model_dump(mode="json", exclude_none=True)}
-    return stance_of(load_scene({**data, "guardrail": guardrail}))
+    return stance_of(scene.with_stance(stance))
 
 
 def load_goal(path: str | Path) -> Scene | StanceFile:

@@ -176,7 +176,7 @@ def independent_distances(plan: Plan, arm: ElasticArm, unknown: Uncertainty, dra
 def test_the_radius_is_that_of_an_independent_monte_carlo(bent: Plan, arm: ElasticArm) -> None:
     """Within 10 %: exact bent arms against linear maps; what changes from posture to posture is left out."""
     still = JointUncertainty(backlash_arcmin=0.0, friction_share=0.0)
-    unknown = UNKNOWN.model_copy(update={"joints": still, "temperature_k": 0.0})
+    unknown = UNKNOWN.changed(joints=still, temperature_k=0.0)
     found = np.quantile(independent_distances(bent, arm, unknown, 600), 0.95)
     scene = short_scene(robot={"joints": "elastic"}, uncertainty=unknown.model_dump(mode="json"))
     told = plan(scene, progress=False).accuracy.within_mm
@@ -189,7 +189,8 @@ def test_a_tolerance_is_judged_with_its_probability(bent: Plan) -> None:
     assert bent.accuracy.tolerance_kept is None
     for factor, kept in ((1.3, True), (0.5, False)):
         tolerance = Tolerance(across_mm=factor * radius, along_axis_mm=factor * radius)
-        judged = replace(bent, scene=replace(bent.scene, tool=replace(bent.scene.tool, tolerance=tolerance)))
+        tool = replace(bent.scene.tool, tolerance=tolerance)
+        judged = replace(bent, scene=bent.scene.changed(tool=tool))
         assert judged.accuracy.tolerance_kept is kept
         assert judged.accuracy.within_mm == radius
         said = accuracy_in_words(judged)

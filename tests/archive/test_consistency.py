@@ -49,7 +49,7 @@ def folder(sliding: Path, tmp_path: Path) -> Path:
         (lambda data: data["options"].update(damping_max=-1), "options.damping_max"),
         (lambda data: data["hashes"].update(robot="0"), "hashes.robot"),
         (lambda data: data["hashes"].update(robot="0" * 64), "hashes.robot"),
-        (lambda data: data["scene"].update(name="other"), "hashes.resolved_scene"),
+        (lambda data: data["scene"].update(name="other"), "hashes.scene"),
         (lambda data: data["certificate"].update(checks=[]), "certificate.checks"),
         (lambda data: data["certificate"]["checks"][3].update(holds=False), "certificate.checks[3].holds"),
         (lambda data: data["certificate"]["checks"][6].update(value=0.0), "certificate.checks[6].value"),

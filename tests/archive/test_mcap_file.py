@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import output, refusal
+from obstacle_entries import with_obstacles
 from oracles.joint_trajectory_controller import refusals
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
@@ -116,7 +117,7 @@ def test_links_and_wrench_are_those_of_the_plan(messages: Messages, strokes_plan
 def test_markers_show_obstacles_and_paths(messages: Messages, strokes_plan: Plan) -> None:
     ((_, message),) = messages["/markers"]
     names = [marker.ns for marker in message.markers]
-    expected = [obstacle.name for obstacle in strokes_plan.scene.obstacles]
+    expected = [obstacle.name for obstacle in strokes_plan.scene.all_obstacles]
     assert names == [*expected, "path there", "path back"]
     assert len({marker.id for marker in message.markers}) == len(names)
     path = strokes_plan.strokes[0].task.path.outline()
@@ -138,10 +139,9 @@ def test_markers_have_the_sizes_of_the_shapes(short_plan: Plan, tmp_path: Path) 
         "pill": Capsule(radius=0.1, length=0.6),
         "cone": Mesh(path=tmp_path / "cone.obj"),
     }
+    bare = short_plan.scene.changed(guardrail={"bays": 0})
     obstacles = tuple(Obstacle(name=name, shape=shape, X_WO=X) for name, shape in shapes.items())
-    export_mcap(
-        replace(short_plan, scene=replace(short_plan.scene, obstacles=obstacles)), tmp_path / "a.mcap"
-    )
+    export_mcap(replace(short_plan, scene=with_obstacles(bare, *obstacles)), tmp_path / "a.mcap")
     with AnyReader([tmp_path / "a.mcap"]) as reader:
         (connection,) = (each for each in reader.connections if each.topic == "/markers")
         ((_, _, raw),) = reader.messages([connection])

@@ -37,7 +37,7 @@ def test_round_trip(loaded, triangle_plan):
     for name in (*same, "choice", "gap_to_floor", "objective", "seconds"):
         assert getattr(plan, name) == getattr(triangle_plan, name), name
     assert plan.scene.content_hash == triangle_plan.scene.content_hash
-    assert plan.scene.file == triangle_plan.scene.file
+    assert plan.scene == triangle_plan.scene
     assert plan.robot.content_hash == triangle_plan.robot.content_hash
     assert plan.task.keep == triangle_plan.task.keep
     np.testing.assert_array_equal(plan.task.path.corners, triangle_plan.task.path.corners)

@@ -71,8 +71,8 @@ def test_meshes_of_the_same_name_and_an_arm_without_an_srdf(
         drawn = f'<visual><geometry><mesh filename="{place}/part{mesh.suffix}"/></geometry></visual>'
         text = re.sub(r"(<link name=\"[a-z_0-9]+\">)(?!<visual>)", rf"\1{drawn}", text, count=1)
     (tmp_path / "arm.urdf").write_text(text, encoding="utf-8")
-    source = replace(short_plan.scene.robot, model=tmp_path / "arm.urdf", srdf=None)
-    plan = replace(short_plan, scene=replace(short_plan.scene, robot=source))
+    source = short_plan.scene.robot.changed(model=tmp_path / "arm.urdf")
+    plan = replace(short_plan, scene=short_plan.scene.changed(robot=source))
     package = export_ros_package(plan, tmp_path / "arm_description")
     assert {path.name for path in (package / "meshes").iterdir()} == {
         f"part{mesh.suffix}",

@@ -40,7 +40,7 @@ def foreign_plan(thin_plan: Plan, foreign_files: Path) -> Plan:
     """The same motion in a scene whose robot and mesh are files with relative paths."""
     robot = thin_plan.robot
     X_WB = robot.model.frames[robot.model.getFrameId(robot.base_frame)].placement
-    data = load_scene("triangle").file.as_data()
+    data = load_scene("triangle").as_data()
     data["robot"] = {
         "model": "cmbot.urdf",
         "base_frame": robot.base_frame,
@@ -80,7 +80,7 @@ def test_paths_become_absolute(foreign_plan, foreign_saved, foreign_files, tmp_p
     assert plan.robot.urdf == foreign_plan.robot.urdf
     assert plan.scene.robot == foreign_plan.scene.robot
     assert plan.scene.content_hash == foreign_plan.scene.content_hash
-    meshes = [o.shape for o in plan.scene.obstacles if isinstance(o.shape, Mesh)]
+    meshes = [o.shape for o in plan.scene.all_obstacles if isinstance(o.shape, Mesh)]
     assert meshes == [Mesh(path=(foreign_files / "rock.obj").resolve())]
     same_arrays(plan.samples, foreign_plan.samples)
     # Saved once more it keeps the identity of the scene it came from.
@@ -103,7 +103,7 @@ def test_changed_robot_files_are_noticed(foreign_plan, foreign_saved, foreign_fi
 @pytest.mark.parametrize(
     ("name", "content", "key"),
     [
-        ("rock.obj", TETRAHEDRON.replace("v 10 9 9", "v 11 9 9"), "hashes.resolved_scene"),
+        ("rock.obj", TETRAHEDRON.replace("v 10 9 9", "v 11 9 9"), "hashes.scene"),
         ("rock.obj", None, "scene.obstacles[4].mesh"),
         ("cmbot.urdf", None, "scene.robot.model"),
         ("joint_limits.yaml", None, "scene.robot.limits"),

@@ -40,7 +40,7 @@ FIGURES = {
 def job_samples(triangle_plan: Plan) -> Samples:
     """The approach and the work measured every 0.01 s, one after the other."""
     plan, robot = triangle_plan, triangle_plan.robot
-    clearances, parts = Clearances(robot, plan.scene.obstacles), []
+    clearances, parts = Clearances(robot, plan.scene.all_obstacles), []
     for segment in plan.job.segments:
         trajectory = segment.trajectory
         # The last step is shorter where need be.
@@ -83,7 +83,7 @@ def test_plan_json_has_the_promised_keys(saved_triangle, triangle_plan):
     }
     assert data["choice"] == {"free": triangle_plan.choice.free, "pinned": triangle_plan.choice.pinned}
     assert set(data["start"]) == {"posture_deg", "moved_deg", "failures"}
-    assert set(data["hashes"]) == {"robot", "scene", "resolved_scene"}
+    assert set(data["hashes"]) == {"robot", "scene"}
     keys = {"stage", "number", "iterations", "ended", "constraints", "peak_torque", "worst"}
     assert {frozenset(entry) for entry in data["passes"]} == {frozenset(keys)}
     assert set(data["passes"][0]["worst"]) == {"name", "value"}

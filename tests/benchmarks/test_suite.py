@@ -26,9 +26,9 @@ from cmbot.scene import Scene, load_scene
 
 def timed(scene: Scene, world: World) -> tuple[TimedPath, np.ndarray]:
     p, R = world.pose(np.array(scene.posture))
-    legs = [(np.array(leg.by), leg.seconds) for leg in scene.legs]
-    kind = scene.speed_profile.kind
-    return TimedPath(p, legs, scene.speed_profile.ramp, jerk_limited=kind == "jerk_limited"), R
+    legs = [(np.array(leg.by), leg.seconds) for leg in scene.strokes[0].legs]
+    kind = scene.strokes[0].speed_profile.kind
+    return TimedPath(p, legs, scene.strokes[0].speed_profile.ramp, jerk_limited=kind == "jerk_limited"), R
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def test_the_oracle_sees_what_the_package_sees(folders: list[Path], number: int)
     times = np.linspace(0.0, path.duration, 50)
     np.testing.assert_allclose([path.point(t) for t in times], task.path.position(times), atol=1e-8)
     rng = np.random.default_rng(0)
-    clearances = Clearances(robot, scene.obstacles)
+    clearances = Clearances(robot, scene.all_obstacles)
     q = np.array([world.random(rng) for _ in range(20)])
     expected = clearances.smallest(q).distance
     for k in range(len(q)):
@@ -124,7 +124,7 @@ def test_a_plan_is_judged_right_and_a_forged_one_wrong(triangle_plan: Plan) -> N
     world = world_of(scene)
     path, R = timed(scene, world)
     assert judge.violations(triangle_plan, world, path, R) == []
-    search = oracle.Oracle(world, path, R, scene.keep)
+    search = oracle.Oracle(world, path, R, scene.strokes[0].keep)
     assert judge._false_bound(triangle_plan, search) == ""
     bound = triangle_plan.lower_bound
     assert bound is not None

@@ -39,13 +39,13 @@ table: more.csv
     table = "name,at_m,robot.payload_kg,tool_path.legs[0].seconds\nd,4,3.5,\n\ne,,, 5\n"
     a, b, c, d, e = entries(folder, text, more=table)
     assert [each.name for each in (a, b, c, d, e)] == [each.scene.name for each in (a, b, c, d, e)]
-    assert [each.scene.robot.payload for each in (a, b, c, d, e)] == [1, 2, 1, 3.5, 1]
+    assert [each.scene.robot.payload_kg for each in (a, b, c, d, e)] == [1, 2, 1, 3.5, 1]
     assert [each.at_m for each in (a, b, c, d, e)] == [2.5, None, None, 4, None]
-    assert a.scene.legs[0].by == (0, -0.3, 0)
-    assert b.scene.legs[0].by == (0, -0.2, 0)
-    assert len(c.scene.legs) == 3
+    assert a.scene.strokes[0].legs[0].by == (0, -0.3, 0)
+    assert b.scene.strokes[0].legs[0].by == (0, -0.2, 0)
+    assert len(c.scene.strokes[0].legs) == 3
     # An empty cell leaves what the scene has.
-    assert [d.scene.legs[0].seconds, e.scene.legs[0].seconds] == [4, 5]
+    assert [d.scene.strokes[0].legs[0].seconds, e.scene.strokes[0].legs[0].seconds] == [4, 5]
     assert all(each.scene.planner.samples_per_segment == 20 for each in (a, b, c, d, e))
     assert len({each.scene.content_hash for each in (a, b, c, d, e)}) == 5
 

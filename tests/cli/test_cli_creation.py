@@ -40,11 +40,11 @@ def test_a_scene_of_the_panda(here: Path, monkeypatch: pytest.MonkeyPatch) -> No
     schema = Path(text.splitlines()[0].partition("=")[2])
     assert json.loads(schema.read_text(encoding="utf-8"))["title"] == "cmbot-scene/2"
     scene = cmbot.load_scene("panda.yaml")
-    assert (scene.name, scene.robot.model, scene.keep) == ("panda", here / "panda.urdf", "pose")
-    assert scene.file.tool_path.via_points == "auto"
+    assert (scene.name, scene.robot.model, scene.strokes[0].keep) == ("panda", here / "panda.urdf", "pose")
+    assert scene.strokes[0].via_points == "auto"
     assert scene.base_name == "base"
     assert "\n  model: panda.urdf\n" in text
-    assert (scene.obstacles, scene.guardrail.post_positions) == ((), ())
+    assert (scene.all_obstacles, scene.elastic_guardrail.post_positions) == ((), ())
     robot = robot_of(scene)
     point = Kinematics(robot).tool_pose(scene.posture).translation
     np.testing.assert_allclose(point, [0.5, 0, 0.4], rtol=0, atol=1e-4)
@@ -116,7 +116,7 @@ def test_a_scene_of_an_arm_on_a_rail(here: Path) -> None:
     assert '\n  package_dirs: ["../packages"]\n' in text
     scene = cmbot.load_scene("a/rail.yaml")
     assert scene.robot.package_dirs == (here / "packages",)
-    assert scene.file.posture_key == "start.posture"
+    assert scene.posture_key == "start.posture"
     robot = robot_of(scene)
     robot.posture(scene.posture)
     point = Kinematics(robot).tool_pose(scene.posture).translation
@@ -153,7 +153,7 @@ def test_a_scene_of_the_shipped_robot(here: Path) -> None:
     output(*words)
     scene = cmbot.load_scene("own.yaml")
     assert (scene.robot.model, scene.base_name) == ("cmbot", "guardrail")
-    assert {"top_rail", "post_1"} <= {obstacle.name for obstacle in scene.obstacles}
+    assert {"top_rail", "post_1"} <= {obstacle.name for obstacle in scene.all_obstacles}
     assert [path.name for path in here.iterdir()] == ["own.yaml"]
     # It is made anew as it was, but only when that is asked for.
     text = (here / "own.yaml").read_text(encoding="utf-8")

@@ -16,7 +16,7 @@ from cmbot.identification import design
 def sheet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A sheet that ``cmbot identify --propose`` wrote."""
     folder = tmp_path_factory.mktemp("identify")
-    (folder / "short.yaml").write_text(json.dumps(short_scene().file.as_data()), encoding="utf-8")
+    (folder / "short.yaml").write_text(json.dumps(short_scene().as_data()), encoding="utf-8")
     with pytest.MonkeyPatch.context() as few:
         few.setattr(design, "_CANDIDATES", 40)
         few.setattr(design, "_REFINED", ())
@@ -48,7 +48,7 @@ def test_from_a_sheet_to_a_scene_that_knows_its_stiffness(sheet: Path) -> None:
     assert "joint_2" in outcome.out
     target = measured.with_name("measured.stiffness.yaml")
     assert f"Written to {target}" in outcome.out
-    data = short_scene(robot={"joints": "elastic"}).file.as_data() | {"identified": target.name}
+    data = short_scene(robot={"joints": "elastic"}).as_data() | {"identified": target.name}
     scene = measured.with_name("known.yaml")
     scene.write_text(json.dumps(data), encoding="utf-8")
     assert cmbot.load_scene(scene).file.identified is not None

@@ -103,7 +103,7 @@ def folder(
         (cmbot, "load_tracking", lambda plan, directory: trackings[0]),
         (cmbot.views, "pages", lambda plan, tracking=None: pages),
         (cmbot.views, "report_page", lambda plan, tracking: "<p>new</p>"),
-        (writing, "scene_entry", remembered(writing.scene_entry)),
+        (writing, "hashes_of", remembered(writing.hashes_of)),
         (writing, "samples_csv", remembered(writing.samples_csv)),
     ):
         monkeypatch.setattr(module, name, value)

@@ -20,7 +20,7 @@ FILES = {"stances.csv", "stances.json", "best.yaml", "index.html"}
 def stood(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome]:
     """A folder after ``cmbot stand`` of few places and no plan, and what that said."""
     folder = tmp_path_factory.mktemp("stood")
-    (folder / "short.yaml").write_text(json.dumps(short_scene().file.as_data()))
+    (folder / "short.yaml").write_text(json.dumps(short_scene().as_data()))
     words = ("--one-foot", "--spacing", "1.5", "--plans", "0", "--objective", "hold")
     return folder, run("stand", folder / "short.yaml", *words, "-o", folder / "out")
 
@@ -36,7 +36,7 @@ def test_it_writes_the_table_the_page_and_the_scene(stood: tuple[Path, Outcome])
     assert first == "# Written by cmbot stand: the scene in its best stance."
     assert {"name: short_stance", "planner:", "  objective: hold"} <= {*blocks}
     assert best.planner.objective == "hold"
-    assert best.robot.stance.foot == pytest.approx([float(rows[0][axis]) for axis in "xyz"], abs=1e-4)
+    assert best.stance.foot == pytest.approx([float(rows[0][axis]) for axis in "xyz"], abs=1e-4)
 
 
 def test_it_replaces_nothing_unasked(stood: tuple[Path, Outcome]) -> None:
@@ -50,7 +50,7 @@ def test_it_replaces_nothing_unasked(stood: tuple[Path, Outcome]) -> None:
 def job(tmp_path: Path) -> Path:
     """A scene in a folder that has the best scene of an earlier search."""
     write_results(tmp_path / "out", STANCES_FILE, {}, {"best.yaml": b"name: best"})
-    return write_scene(tmp_path / "short.yaml", short_scene().file.as_data())
+    return write_scene(tmp_path / "short.yaml", short_scene().as_data())
 
 
 COARSE = ("--one-foot", "--spacing", "1.5", "--plans", "1", "--force")
@@ -116,7 +116,7 @@ def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome]:
     for name, x in (("left", -3.2), ("right", 3.2)):
         begin = {"frame": "world", "xyz": [x, 0.78, -1.96], "rpy_deg": [0, 180, 0]}
         job = short_scene(name=name, tool_path={"from": begin})
-        (folder / f"{name}.yaml").write_text(json.dumps(job.file.as_data()))
+        (folder / f"{name}.yaml").write_text(json.dumps(job.as_data()))
     words = ("--one-foot", "--spacing", "0.8", "--plans", "0", "-o", folder / "out")
     (folder / "out").mkdir()
     (folder / "out" / "notes.txt").write_text("mine")
@@ -130,10 +130,10 @@ def test_jobs_that_no_stance_reaches_are_done_from_two(both: tuple[Path, Outcome
     names = {path.name for path in (folder / "out").iterdir()}
     assert names == {"stances.csv", "index.html", "best_1.yaml", "best_2.yaml", "stances.json", "notes.txt"}
     scenes = [cmbot.load_scene(folder / "out" / f"best_{k}.yaml") for k in (1, 2)]
-    assert [scene.each_stroke[0].name for scene in scenes] == ["left", "right"]
-    assert scenes[0].robot.stance.foot[0] < scenes[1].robot.stance.foot[0]
+    assert [scene.strokes[0].name for scene in scenes] == ["left", "right"]
+    assert scenes[0].stance.foot[0] < scenes[1].stance.foot[0]
     for scene, x in zip(scenes, (-3.2, 3.2), strict=True):
-        assert scene.each_stroke[0].start_pose.xyz[0] == pytest.approx(x)
+        assert scene.strokes[0].start_pose.xyz[0] == pytest.approx(x)
     rows = [*csv.DictReader((folder / "out" / "stances.csv").read_text().splitlines())]
     assert {(row["group"], row["strokes"]) for row in rows} == {("1", "left"), ("2", "right")}
     page = (folder / "out" / "index.html").read_text()
@@ -175,7 +175,7 @@ def test_only_on_some_members(both: tuple[Path, Outcome]) -> None:
 def test_jobs_of_other_bridges_are_refused(both: tuple[Path, Outcome]) -> None:
     folder, _ = both
     other = short_scene(name="other", guardrail={"bays": 6})
-    (folder / "other.yaml").write_text(json.dumps(other.file.as_data()))
+    (folder / "other.yaml").write_text(json.dumps(other.as_data()))
     refused = run("stand", folder / "left.yaml", folder / "other.yaml", "-o", folder / "new")
     assert refused.status == 2
     assert "guardrail: got another one, expected the same guardrail in all scenes of a bridge" in refused.err

@@ -71,7 +71,7 @@ def test_bounds_are_not_far_too_low(cmbot_robot: Robot, random_states: StateSamp
 
 
 def test_bounds_of_several_blocks_are_in_order(cmbot_robot: Robot, random_states: StateSamples) -> None:
-    obstacles, number = load_scene("line").obstacles, 1200
+    obstacles, number = load_scene("line").all_obstacles, 1200
     q = random_states(cmbot_robot, number)[0]
     blocks = [bounds for bounds, _ in bounds_of(cmbot_robot, obstacles, q)]
     assert len(blocks) > 1

@@ -187,7 +187,7 @@ def test_distances_do_not_depend_on_what_was_asked_before(
 @pytest.fixture(scope="module")
 def triangle() -> tuple[Clearances, Clearances]:
     """Of the triangle: one to be tested, with its cache, one for the distances of every pair."""
-    robot, obstacles = load_robot(), load_scene("triangle").obstacles
+    robot, obstacles = load_robot(), load_scene("triangle").all_obstacles
     return Clearances(robot, obstacles), Clearances(robot, obstacles)
 
 
@@ -337,7 +337,7 @@ def test_reach_is_not_far_too_long(cmbot_robot: Robot) -> None:
 
 
 def test_pairs_of_the_triangle(cmbot_robot: Robot) -> None:
-    model, obstacles = cmbot_robot.collision_model, load_scene("triangle").obstacles
+    model, obstacles = cmbot_robot.collision_model, load_scene("triangle").all_obstacles
     before = len(model.geometryObjects), len(model.collisionPairs)
     pairs = Clearances(cmbot_robot, obstacles).pairs
     with_obstacles = [(pair.link, pair.other) for pair in pairs if not pair.self_collision]

@@ -48,7 +48,7 @@ def test_reprs_are_short(fixture: str, request: pytest.FixtureRequest) -> None:
 def test_reprs_of_what_is_asked_are_short() -> None:
     for name in ("gusset_plate", "pipe"):
         scene = cmbot.load_scene(name)
-        for way, each in reached((scene, precheck_scene(scene), scene.file), name, 6, set()):
+        for way, each in reached((scene, precheck_scene(scene)), name, 6, set()):
             assert len(repr(each)) <= MOST, way
     for options in (cmbot.PlannerOptions(), cmbot.SimulationOptions()):
         assert repr(options) == f"{type(options).__name__}()"

@@ -314,7 +314,7 @@ def test_a_given_stiffness_is_taken_as_it_is(bays: int, mass: FloatArray | None)
 
 
 def test_the_shipped_scenes_hold_the_default_guardrail() -> None:
-    expected, base = condensed(guardrail()), elastic_base(load_scene("triangle").guardrail)
+    expected, base = condensed(guardrail()), elastic_base(load_scene("triangle").elastic_guardrail)
     np.testing.assert_array_equal(base.stiffness, expected.stiffness)
     np.testing.assert_array_equal(base.mass, expected.mass)
     assert base.frequencies.shape == (6,)

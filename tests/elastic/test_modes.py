@@ -180,7 +180,7 @@ def test_derivative_of_the_equilibrium(arm: ElasticArm, rng: np.random.Generator
 
 def test_segments_converge_on_the_shipped_robot(cmbot_robot: Robot) -> None:
     scene = load_scene("triangle")
-    base = elastic_base(scene.guardrail)
+    base = elastic_base(scene.elastic_guardrail)
     one, four, eight = (
         arm_modes(make_arm(cmbot_robot, base, segments=segments), scene.posture) for segments in (1, 4, 8)
     )

@@ -33,7 +33,7 @@ EI = YOUNG * second_moment()
 
 @pytest.fixture(scope="module")
 def shipped_arm(cmbot_robot: Robot) -> ElasticArm:
-    return make_arm(cmbot_robot, elastic_base(load_scene("triangle").guardrail))
+    return make_arm(cmbot_robot, elastic_base(load_scene("triangle").elastic_guardrail))
 
 
 @pytest.fixture(params=[3, 5, 7])
@@ -236,7 +236,7 @@ def test_a_column_stands_up_to_eulers_load(tmp_path: Path) -> None:
 
 def test_too_soft_an_arm_is_refused(cmbot_robot: Robot) -> None:
     scene = load_scene("triangle")
-    base = elastic_base(scene.guardrail)
+    base = elastic_base(scene.elastic_guardrail)
     for factor in (1e-9, 1e-6, 1e-4):
         sag = Sag(make_arm(cmbot_robot, base, guardrail_factor=factor, link_factor=factor))
         with pytest.raises(InputError, match=r"Sag.at: q\[0\]: .*stiff enough"):
@@ -245,7 +245,7 @@ def test_too_soft_an_arm_is_refused(cmbot_robot: Robot) -> None:
 
 def test_segments_converge_on_the_shipped_robot(cmbot_robot: Robot) -> None:
     scene = load_scene("triangle")
-    base, q = elastic_base(scene.guardrail), scene.posture[None]
+    base, q = elastic_base(scene.elastic_guardrail), scene.posture[None]
     one, two, four, eight = (
         Sag(make_arm(cmbot_robot, base, segments=segments)).at(q).tool[0] for segments in (1, 2, 4, 8)
     )

@@ -32,7 +32,7 @@ RECORD = "t,ax,ay,az\n0,0,0,0\n0.5,0,0,1\n1.0,0,0,-1\n1.5,0,0,0\n"
 
 def shaken(short_plan: Plan, **keys: Any) -> Plan:
     """The plan of the same motion in a scene with other keys."""
-    scene = load_scene(short_plan.scene.file.as_data() | keys)
+    scene = load_scene(short_plan.scene.as_data() | keys)
     return replace(short_plan, scene=scene)
 
 
@@ -185,8 +185,8 @@ def modes() -> dict[str, Any]:
 def test_a_base_given_by_its_modes_has_them() -> None:
     """Frequencies, shapes and ratios from the eigenvalues of its matrices."""
     given = modes()
-    scene = load_scene(short_scene().file.as_data() | {"base": {"name": "bridge", "modes": given}})
-    base = elastic_base(scene.guardrail)
+    scene = load_scene(short_scene().as_data() | {"base": {"name": "bridge", "modes": given}})
+    base = elastic_base(scene.elastic_guardrail)
     assert base is not None
     squares, shapes = eigh(base.stiffness, base.mass)
     assert np.sqrt(squares) / (2 * np.pi) == pytest.approx(given["frequencies_hz"])
@@ -204,16 +204,16 @@ def test_what_is_read_is_what_was_written(tmp_path: Path) -> None:
     scene = load_scene(path)
     assert scene.excitation is not None
     assert scene.excitation.deck.record == str(tmp_path / "deck.csv")
-    assert load_scene(scene.file.as_data()).content_hash == scene.content_hash
+    assert load_scene(scene.as_data()).content_hash == scene.content_hash
     (tmp_path / "deck.csv").write_text(RECORD.replace("0.5", "0.6"))
     assert load_scene(path).content_hash != scene.content_hash
-    assert short_scene().content_hash == load_scene(short_scene().file.as_data()).content_hash
+    assert short_scene().content_hash == load_scene(short_scene().as_data()).content_hash
 
 
 def _yaml(more: str) -> str:
     import json
 
-    return f"{json.dumps(short_scene().file.as_data())[:-1]}, {json.dumps(_parsed(more))[1:-1]}}}"
+    return f"{json.dumps(short_scene().as_data())[:-1]}, {json.dumps(_parsed(more))[1:-1]}}}"
 
 
 def _parsed(text: str) -> Any:
@@ -239,11 +239,11 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
 @pytest.mark.parametrize(("keys", "told"), REFUSED)
 def test_wrong_keys_are_named(keys: dict[str, Any], told: str) -> None:
     with pytest.raises(SceneError, match=told.replace(".", r"\.")):
-        load_scene(short_scene().file.as_data() | keys)
+        load_scene(short_scene().as_data() | keys)
 
 
 def test_modes_and_a_stiffness_are_one_too_many() -> None:
-    data = short_scene().file.as_data()
+    data = short_scene().as_data()
     data |= {"base": {"name": "b", "modes": modes()}, "guardrail": {"bays": 0, "stiffness": [1e6] * 6}}
     with pytest.raises(SceneError, match=r"base\.modes"):
         load_scene(data)
@@ -269,7 +269,7 @@ def test_records_that_are_none_are_refused(tmp_path: Path, content: str, told: s
 def test_what_is_no_plan_is_refused(short_plan: Plan) -> None:
     with pytest.raises(InputError, match="a Plan"):
         cmbot.excite(short_plan.scene)  # type: ignore[arg-type]
-    rigid: Scene = load_scene(short_scene().file.as_data() | {"guardrail": {"bays": 0}})
+    rigid: Scene = load_scene(short_scene().as_data() | {"guardrail": {"bays": 0}})
     stiff = replace(short_plan, scene=rigid, robot=replace(short_plan.robot, elasticity={}))
     try:
         found = cmbot.excite(stiff)

@@ -132,7 +132,7 @@ def test_the_triangle_sways_by_ten_millimetres(triangle_plan: Plan) -> None:
     assert 10.0 < excitation.rms_mm < 11.0
     assert sway_mm_per_m_s2(triangle_plan) == pytest.approx(excitation.rms_mm, rel=0.02)
     posture = triangle_plan.trajectory.q[0]
-    guardrail = load_scene("triangle").guardrail
+    guardrail = load_scene("triangle").elastic_guardrail
     alone = sway_mm_per_m_s2(posture, triangle_plan.robot, guardrail)
     assert alone == pytest.approx(1e3 * excitation.reference.rms[0], rel=1e-6)
     with pytest.raises(InputError, match="the robot"):

@@ -11,10 +11,8 @@ from plan_folders import edit, knots, rewrite
 from cmbot.archive import load_plan
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import SceneError
-from cmbot.common.validation import validated
 from cmbot.planning import Certificate, Job, Plan, QuinticTrajectory, certify, robot_of, strokes_of, task_of
-from cmbot.scene import Scene, SceneFile, scene_from_file
+from cmbot.scene import Scene
 
 Forge = Callable[[QuinticTrajectory], QuinticTrajectory]
 
@@ -190,9 +188,9 @@ def certified(scene: Scene, planned: Plan, trajectory: QuinticTrajectory) -> Cer
         robot,
         task_of(strokes_of(scene, robot)[0], scene),
         trajectory,
-        Clearances(robot, scene.obstacles),
+        Clearances(robot, scene.all_obstacles),
         planned.options,
-        via_points=scene.via_points,
+        via_points=scene.strokes[0].via_points,
         sag=planned.sag,
     )
 
@@ -217,5 +215,4 @@ def put_job(folder: Path, job: Job) -> None:
 def changed_scene(data: dict[str, Any], change: Callable[[dict[str, Any]], object], folder: Path) -> None:
     """Change the scene in the content of a plan.json, and the hash of it there."""
     change(data["scene"])
-    scene = scene_from_file(validated(SceneFile, data["scene"], "scene", SceneError), folder, "scene")
-    data["hashes"]["resolved_scene"] = scene.content_hash
+    data["hashes"]["scene"] = Scene.of(data["scene"], "scene", folder).content_hash

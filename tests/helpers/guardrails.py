@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmbot.elastic import Guardrail
-from cmbot.scene import GuardrailFile, guardrail_from_file
+from cmbot.scene import GuardrailFile, elastic_guardrail
 
 FloatArray = NDArray[np.float64]
 
 
 def guardrail(**keys: Any) -> Guardrail:
     """The default guardrail with some keys of its block changed."""
-    return guardrail_from_file(GuardrailFile(**keys))
+    return elastic_guardrail(GuardrailFile(**keys))
 
 
 def relative_difference(got: FloatArray, expected: FloatArray) -> float:

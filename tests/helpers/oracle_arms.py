@@ -24,16 +24,14 @@ def body_of(scene: Scene) -> Multibody:
     urdf = parse_urdf(files.urdf, package_dirs=files.package_dirs)
     locate_meshes(files.urdf, urdf, files.package_dirs)
     near = Near(sampled_postures, NEAR, MOST_FAR)
-    return read_multibody(
-        scene.robot, urdf, files.srdf, files.limits, robot.base_frame, robot.tool_frame, near
-    )
+    return read_multibody(scene, urdf, files.srdf, files.limits, robot.base_frame, robot.tool_frame, near)
 
 
 def shapes_and_pairs(scene: Scene, body: Multibody) -> tuple[list[PlacedShape], list[tuple[int, int]]]:
     """Shapes of the robot and of the obstacles, and the pairs of them whose distances count."""
     shapes, pairs = list(body.shapes), list(body.pairs)
     moving = [k for k, one in enumerate(shapes) if one.joint > 0]
-    for obstacle in scene.obstacles:
+    for obstacle in scene.all_obstacles:
         for X_OS, shape in _obstacle_shapes(obstacle.shape):
             pairs += [(k, len(shapes)) for k in moving]
             X_WS = np.asarray(obstacle.X_WO) @ X_OS

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from obstacle_entries import renamed
 
 from cmbot.planning import Plan
 
@@ -34,6 +35,5 @@ def without_shapes(plan: Plan) -> Plan:
 def hostile(plan: Plan, name: str) -> Plan:
     """The plan with this name for its scene, its robot and, numbered, its obstacles."""
     valid = name.encode("utf-8", "ignore").decode()  # pinocchio requires UTF-8
-    obstacles = tuple(replace(o, name=f"{valid}{k}") for k, o in enumerate(plan.scene.obstacles))
-    scene = replace(plan.scene, name=name, obstacles=obstacles)
+    scene = renamed(plan.scene, name, (f"{valid}{k}" for k in range(len(plan.scene.obstacles))))
     return replace(plan, scene=scene, robot=replace(plan.robot, name=name))

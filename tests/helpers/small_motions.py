@@ -13,7 +13,7 @@ from cmbot.trajectory import QuinticTrajectory
 
 def arm_on_its_guardrail(robot: Robot, segments: int = 1) -> ElasticArm:
     return elastic_arm(
-        robot, elastic_base(load_scene("triangle").guardrail), ElasticOptions(segments=segments)
+        robot, elastic_base(load_scene("triangle").elastic_guardrail), ElasticOptions(segments=segments)
     )
 
 

@@ -72,7 +72,7 @@ def parts(scene: Scene) -> tuple[Robot, ToolTask, FloatArray, Clearances]:
         robot,
         task_of(strokes_of(scene, robot)[0], scene),
         scene.posture,
-        Clearances(robot, scene.obstacles),
+        Clearances(robot, scene.all_obstacles),
     )
 
 

@@ -24,7 +24,7 @@ from cmbot.cli.command import flags_of
 from cmbot.elastic.beam import beam_mass, beam_stiffness
 from cmbot.planning import Plan, remarks
 from cmbot.robot import Kinematics
-from cmbot.scene import SceneFile, shipped_scenes
+from cmbot.scene import Scene, shipped_scenes
 from cmbot.simulation import Tracking
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -310,7 +310,7 @@ def yaml_blocks(path: Path) -> list[str]:
 
 def test_parts_of_scenes_that_documents_show_are_read() -> None:
     """In a scene that has the rest; files that are named need not be there."""
-    keys = set(SceneFile.model_fields) | {"start", "return"}
+    keys = set(Scene.model_fields) | {"start", "return"}
     read = 0
     for document in sorted(DOCS.glob("*.md")):
         for block in yaml_blocks(document):

@@ -37,6 +37,20 @@ def test_what_only_tells_does_not_steer(text: str) -> None:
     assert not list(structure.text_that_steers(module(text)))
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        'other = stroke.model_copy(update={"name": "a"})',
+        "stance = StanceFile.model_construct(foot_1=place)",
+        "other = replace(plan.scene, name=name)",
+        "other = dataclasses.replace(scene, name=name)",
+    ],
+)
+def test_changes_past_the_checks_are_seen(text: str) -> None:
+    assert list(structure.past_the_checks(module(text))) == [1]
+    assert not list(structure.past_the_checks(module("plan = replace(plan, scene=scene.changed(name=name))")))
+
+
 def test_constants_and_globals() -> None:
     text = "_STEP, _SAME = 1e-3, 2\nfound = {}\nKNOWN = {'a': 1}\nlog: list[str] = list()\n"
     assert dict(structure.private_constants(module(text))) == {"_STEP": "0.001", "_SAME": "2"}

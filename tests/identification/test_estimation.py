@@ -92,7 +92,7 @@ def test_a_weight_that_is_wrong_is_in_the_errors(
 ) -> None:
     """All deflections in proportion to the weight: what is not known of it, is not known of the sag."""
     given = found[2].measurements[0]
-    loose = replace(given, setup=given.setup.model_copy(update={"weight_sd_kg": 0.25}))
+    loose = replace(given, setup=given.setup.changed(weight_sd_kg=0.25))
     after = estimate(loose, modelled).after
     assert after is not None
     assert found[2].after is not None
@@ -103,7 +103,7 @@ def test_play_in_the_joints_makes_measurements_worth_less(
     found: tuple[benchmark.Truth, ElasticArm, Identification], modelled: ElasticArm
 ) -> None:
     given = found[2].measurements[0]
-    loose = replace(given, setup=given.setup.model_copy(update={"windup_sd_arcmin": 1.0}))
+    loose = replace(given, setup=given.setup.changed(windup_sd_arcmin=1.0))
     after = estimate(loose, modelled).after
     assert after is not None
     assert found[2].after is not None
@@ -150,9 +150,7 @@ def test_errors_are_as_large_as_the_measurements_scatter(
     part = unstated.parts[0]
     assert part.probability < 0.01
     assert part.square > 2 * part.redundancy
-    stated = estimate(
-        replace(noisy, setup=given.setup.model_copy(update={"gauge_sd_mm": 0.1 * part.scale})), modelled
-    )
+    stated = estimate(replace(noisy, setup=given.setup.changed(gauge_sd_mm=0.1 * part.scale)), modelled)
     np.testing.assert_allclose(unstated.covariance, stated.covariance, rtol=1e-3, atol=1e-6)
     assert stated.parts[0].square == pytest.approx(stated.parts[0].redundancy, rel=0.03)
     assert any("times worse than stated" in line for line in remarks(unstated))
@@ -187,12 +185,12 @@ def test_two_sheets_are_as_one(
     np.testing.assert_allclose(both.mean, found[2].mean, atol=1e-5)
     np.testing.assert_allclose(both.covariance, found[2].covariance, rtol=1e-3, atol=1e-7)
     assert len(both.weights) == 1
-    lighter = given.setup.model_copy(update={"weight_kg": 4.0})
+    lighter = given.setup.changed(weight_kg=4.0)
     assert len(Problem([given, given, replace(given, setup=lighter)], modelled).weights) == 2
-    wider = given.setup.model_copy(update={"prior": given.setup.prior.model_copy(update={"links": 0.5})})
+    wider = given.setup.changed(prior=given.setup.prior.changed(links=0.5))
     with pytest.raises(InputError, match="prior: got another prior"):
         estimate([given, replace(given, setup=wider)], modelled)
-    elsewhere = replace(SCENE, robot=replace(SCENE.robot, payload=1.0))
+    elsewhere = SCENE.with_payload(1.0)
     with pytest.raises(InputError, match="scene: got short, expected the robot, payload and base of"):
         estimate([given, replace(given, scene=elsewhere)], modelled)
 
@@ -201,7 +199,7 @@ def test_deflections_that_no_arm_has_are_refused(
     found: tuple[benchmark.Truth, ElasticArm, Identification], modelled: ElasticArm
 ) -> None:
     given = found[2].measurements[0]
-    heavy = replace(given, setup=given.setup.model_copy(update={"weight_kg": 9000.0}))
+    heavy = replace(given, setup=given.setup.changed(weight_kg=9000.0))
     with pytest.raises(InputError, match="expected those of an arm that carries itself and 9000 kg"):
         estimate(heavy, modelled)
 
@@ -251,7 +249,7 @@ def test_the_file_makes_the_same_arm_with_the_same_spread(
     assert identified.after is not None
     (tmp_path / "rail.yaml").write_text(stiffness_text(identified.stiffness, "here"), encoding="utf-8")
     scene = scene_with("rail.yaml", tmp_path)
-    arm = elastic_arm(robot_of(scene), elastic_base(scene.guardrail))
+    arm = elastic_arm(robot_of(scene), elastic_base(scene.elastic_guardrail))
     np.testing.assert_allclose(Sag(arm).at(job).tool, identified.after.tool, atol=1e-9)
     covariance = covariance_of(scene, arm)
     assert covariance is not None
@@ -270,7 +268,7 @@ def test_the_file_makes_the_same_arm_with_the_same_spread(
 
 def scene_with(identified: object, folder: Path, **changes: object) -> Scene:
 
-    data = SCENE.file.as_data() | {"identified": identified} | changes
+    data = SCENE.as_data() | {"identified": identified} | changes
     path = folder / "scene.yaml"
     path.write_text(json.dumps(data), encoding="utf-8")
     return load_scene(path)
@@ -300,7 +298,7 @@ def test_an_identified_stiffness_belongs_to_its_robot_and_place(
     with pytest.raises(SceneError, match=r"guardrail.mass: got a mass alone"):
         scene_with(without, tmp_path, guardrail={"mass": np.eye(6).tolist()})
     scene = scene_with(without, tmp_path)
-    arm = elastic_arm(robot_of(scene), elastic_base(scene.guardrail))
+    arm = elastic_arm(robot_of(scene), elastic_base(scene.elastic_guardrail))
     with pytest.raises(SceneError, match="expected what bends in this scene, in this order: link_1"):
         covariance_of(scene, arm)
     with pytest.raises(SceneError, match="identified: got an identified stiffness, expected a scene without"):
@@ -326,9 +324,11 @@ def test_what_was_identified_wins_over_the_scene(
     data = found[2].stiffness.model_dump(mode="json", exclude_none=True)
     plain, scene = scene_with(data, tmp_path), scene_with(data, tmp_path, guardrail=given)
     for one in (plain, scene):
-        np.testing.assert_array_equal(elastic_base(one.guardrail).stiffness, data["base"]["stiffness"])
+        np.testing.assert_array_equal(
+            elastic_base(one.elastic_guardrail).stiffness, data["base"]["stiffness"]
+        )
     np.testing.assert_array_equal(
-        elastic_base(scene.guardrail).mass, np.array(data["base"].get("mass", np.zeros((6, 6))))
+        elastic_base(scene.elastic_guardrail).mass, np.array(data["base"].get("mass", np.zeros((6, 6))))
     )
     (told,) = (value for name, value in precheck_scene(scene).found if name == "stiffness")
     keys = [f"guardrail.{key}" for key in given]
@@ -339,7 +339,7 @@ def test_what_was_identified_wins_over_the_scene(
 
 
 def test_nothing_that_bends_is_refused() -> None:
-    rigid = replace(SCENE, guardrail=replace(SCENE.guardrail, post_positions=()))
+    rigid = SCENE.changed(guardrail={"bays": 0})
     assert measured_arm(rigid).base is None
 
 

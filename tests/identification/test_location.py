@@ -71,7 +71,7 @@ def measured(
     scene: Scene, each: list[Feature], xi: FloatArray, rng: np.random.Generator, noise: float = 3e-4
 ) -> Touches:
     """Touches of a workpiece that is displaced by `xi`."""
-    X = scene.frames["bracket"]
+    X = scene.frame_poses["bracket"]
     before = np.array([X[:3, 3] + X[:3, :3] @ on_feature(feature, rng) for feature in each])
     middle = np.mean([X[:3, 3] + X[:3, :3] @ feature.point for feature in each], axis=0)
     places = middle + xi[:3] + (before - middle) @ pin.exp3(xi[3:]).T
@@ -98,7 +98,7 @@ def test_exact_touches_give_the_pose(scene: Scene, kind: str, count: int) -> Non
     found = located(measured(scene, features(kind, rng, count), xi, rng, noise=0.0))
     np.testing.assert_allclose(found.moved[:3], xi[:3], atol=2e-5)
     np.testing.assert_allclose(found.moved[3:], xi[3:], atol=2e-4)
-    X, touched = scene.frames["bracket"], features(kind, np.random.default_rng(0), count)
+    X, touched = scene.frame_poses["bracket"], features(kind, np.random.default_rng(0), count)
     np.testing.assert_allclose(found.X_WF[:3, :3], pin.exp3(found.moved[3:]) @ X[:3, :3], atol=1e-12)
     # The frame carries what was touched to where it is.
     if kind == "point":

@@ -150,7 +150,7 @@ class SameStart:
 
 
 def changed(scene: Scene, **planner: Any) -> Scene:
-    return replace(scene, planner=replace(scene.planner, **planner))
+    return scene.with_options(**planner)
 
 
 def of_example(name: str, folder: Path) -> tuple[Scene, Any]:

@@ -72,11 +72,11 @@ class ScenePath:
     """
 
     def __init__(self, scene: Any, p: FloatArray, R: FloatArray, number: int = 0) -> None:
-        shapes = ((each.name, each.shape, each.X_WO) for each in scene.obstacles)
+        shapes = ((each.name, each.shape, each.X_WO) for each in scene.all_obstacles)
         self._meshes = {name: (shape, X) for name, shape, X in shapes if type(shape).__name__ == "Mesh"}
-        for file in scene.each_stroke[: number + 1]:
+        for file in scene.strokes[: number + 1]:
             self._file, self._frames = with_seconds(file), {"world": (np.zeros(3), np.eye(3)), "tool": (p, R)}
-            for name, frame in (scene.file.frames or {}).items():
+            for name, frame in scene.frames:
                 self._frames[name] = np.array(frame.xyz), rpy(frame.rpy_deg)
             self._legs: list[TimedLeg] = []
             self._follow(p, R)

@@ -105,7 +105,7 @@ def with_seconds(file: Any) -> Any:
     """Return a stroke with some seconds where these were to be found: its laws have the right ones."""
     legs = tuple(replace(leg, seconds=1.0) if leg.seconds == "auto" else leg for leg in file.legs)
     seconds = 1.0 if file.seconds == "auto" else file.seconds
-    return file.model_copy(update={"legs": legs, "seconds": seconds})
+    return file.changed(legs=legs, seconds=seconds)
 
 
 def covered(leg: TimedLeg, profile: Any, u: FloatArray) -> FloatArray:

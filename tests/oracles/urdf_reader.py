@@ -34,14 +34,14 @@ class Near(NamedTuple):
 
 
 def read_multibody(
-    source: Any, urdf: Element, srdf: Path | None, limits: Path | None, base: str, tool: str, near: Near
+    scene: Any, urdf: Element, srdf: Path | None, limits: Path | None, base: str, tool: str, near: Near
 ) -> Multibody:
     """Read a robot from its files.
 
     Parameters
     ----------
-    source : RobotSource of cmbot.scene
-        Mount, stance, tool's length and payload.
+    scene : Scene of cmbot.scene
+        With the robot's mount, stance, tool's length and payload.
     urdf : xml.etree.ElementTree.Element
         With the paths of meshes.
     srdf, limits : Path or None
@@ -52,22 +52,24 @@ def read_multibody(
     """
     semantics = None if srdf is None else ElementTree.parse(srdf).getroot()
     root: Any = urdf
-    stance = source.stance
+    source, stance = scene.robot, scene.stance
     tree = _Tree(root, semantics, base, tool, {} if stance is None else stance.locked)
     if stance is not None:
         tree.move(stance.root)
-    if source.mount_xyz is not None and source.mount_rpy is not None:
-        tree.move(_pose(source.mount_xyz, source.mount_rpy) @ np.linalg.inv(tree.placed[base][1]))
+    if source.mount is not None:
+        tree.move(
+            _pose(source.mount.xyz, np.radians(source.mount.rpy_deg)) @ np.linalg.inv(tree.placed[base][1])
+        )
     X_JT, flange, ratio = tree.placed[tool][1], tree.parents[tool], 1.0
-    if source.tool_length is not None:
+    if source.tool_length_m is not None:
         X_FT = tree.own_pose(tool)
         if tree.above[tool].get("name") in tree.chain or X_FT[2, 3] <= 0:
             raise ValueError(tool)
-        ratio = source.tool_length / float(X_FT[2, 3])
-        X_FT[2, 3] = source.tool_length
+        ratio = source.tool_length_m / float(X_FT[2, 3])
+        X_FT[2, 3] = source.tool_length_m
         X_JT = tree.placed[flange][1] @ X_FT
     shapes = tuple(_placed_shapes(tree, flange, ratio))
-    load = Body(joint=len(tree.chain), mass=source.payload, centre=X_JT[:3, 3], inertia=np.zeros((3, 3)))
+    load = Body(joint=len(tree.chain), mass=source.payload_kg, centre=X_JT[:3, 3], inertia=np.zeros((3, 3)))
     body = Multibody(
         joints=tuple(tree.chain),
         step=np.array(tree.step),

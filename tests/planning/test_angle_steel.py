@@ -17,7 +17,7 @@ def job() -> Plan:
 
 def test_the_tool_goes_up_one_flange_and_down_the_other(job: Plan) -> None:
     assert [each.name for each in job.job.segments] == ["approach", "up", "free_1", "down", "return"]
-    X = job.scene.frames["steel"]
+    X = job.scene.frame_poses["steel"]
     # The outer face of one flange is across x of the steel's frame, that of the other across y.
     for name, across, heights in (("up", 0, [0.1, 0.5]), ("down", 1, [0.5, 0.1])):
         (segment,) = (each for each in job.job.segments if each.name == name)

@@ -161,7 +161,7 @@ def test_where_the_middle_of_the_cone_is_blocked_the_axis_leans(monkeypatch: pyt
 def test_it_is_verified_from_its_directory(leaning: Plan, tmp_path: Path) -> None:
     save(leaning, tmp_path / "plan")
     read = load_plan(tmp_path / "plan", verify=True)
-    assert read.scene.keep == AxisCone(axis_within_deg=10)
+    assert read.scene.strokes[0].keep == AxisCone(axis_within_deg=10)
     assert read.task.cone == pytest.approx(CONE)
     assert any(each.quantity.startswith("tool tilt by a second") for each in read.certificate.checks)
 
@@ -206,7 +206,7 @@ def test_the_second_opinion_judges_the_cone_by_itself(leaning: Plan) -> None:
         "stroke": 0,
     }
     for degrees, expected in ((10, set()), (9, {"tool tilt by a second computation"})):
-        scene = replace(leaning.scene, keep=AxisCone(axis_within_deg=degrees))
+        scene = leaning.scene.with_path(keep=AxisCone(axis_within_deg=degrees))
         checks = second_opinion(scene, **given)
         assert {check.quantity for check in checks if not check.holds} == expected
 
@@ -214,7 +214,7 @@ def test_the_second_opinion_judges_the_cone_by_itself(leaning: Plan) -> None:
 def test_fixed_via_points_hold_the_axis() -> None:
     fixed = plan(scene_of({"axis_within_deg": 2}, knots="fixed"))
     assert fixed.lower_bound is None
-    at = fixed.trajectory.evaluate(fixed.task.path.via_times(fixed.scene.via_points))
+    at = fixed.trajectory.evaluate(fixed.task.path.via_times(fixed.scene.strokes[0].via_points))
     R = Kinematics(fixed.robot).tool_poses(at)[1]
     assert np.abs(R[:, :, 2] - fixed.task.path.orientation[:, 2]).max() < 1e-9
     assert tilts(fixed, fixed.trajectory).max() <= np.radians(2)

@@ -19,11 +19,11 @@ def job() -> Plan:
 
 def test_the_nozzle_is_within_its_cone_over_each_face(job: Plan) -> None:
     tilts = []
-    for stroke, segment in zip(job.scene.each_stroke, job.job.strokes, strict=True):
+    for stroke, segment in zip(job.scene.strokes, job.job.strokes, strict=True):
         t = np.linspace(0, segment.duration, 2001)
         p, R = Kinematics(job.robot).tool_poses(segment.trajectory.evaluate(t))
         normal, raster = np.array(NORMALS[stroke.name]), stroke.raster
-        corner = job.scene.frames["bracket"][:3, 3] + raster.origin
+        corner = job.scene.frame_poses["bracket"][:3, 3] + raster.origin
         np.testing.assert_allclose((p - corner) @ normal, raster.stand_off_m, atol=1e-3)
         tilts.append(np.degrees(np.arccos(np.clip(-R[:, :, 2] @ normal, -1, 1))).max())
         # Every place of the face is passed at half the rows' distance at most, but where the tool turns.

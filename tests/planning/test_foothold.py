@@ -116,7 +116,7 @@ def test_the_directory(held: Plan, tmp_path: Path) -> None:
 def test_contacts_are_those_of_the_file(guardrail: dict[str, Any]) -> None:
     hold = {"hold": {"kind": "magnet", "adhesion_n": ADHESION, "plate_m": [0.12, 0.1]}}
     scene = short_scene(guardrail=guardrail | hold)
-    file, stance = scene.file.guardrail, scene.robot.stance
+    file, stance = scene.guardrail, scene.stance
     origin = np.zeros(3) if stance is None else np.array(stance.foot)
     found = [*contacts(file, file.hold)]
     assert len(found) == len(scene.feet) > 0
@@ -146,7 +146,7 @@ def test_too_little_is_refused_with_the_figure() -> None:
 def test_the_certificate_refuses_what_does_not_hold(held: Plan) -> None:
     weak = replace(held.robot, feet=(replace(held.robot.feet[0], adhesion=5000.0),))
     work = held.job.work.segments[0]
-    clearances = Clearances(held.robot, held.scene.obstacles)
+    clearances = Clearances(held.robot, held.scene.all_obstacles)
     certificate = certify(weak, work.task, work.trajectory, clearances, held.options, via_points=None)
     with pytest.raises(LimitViolation, match="adhesion needed, safety 2"):
         certificate.require()
@@ -222,5 +222,5 @@ def test_a_plan_on_two_feet(tmp_path: Path) -> None:
 
 
 def replace_path(scene: cmbot.Scene, legs: list[dict[str, Any]]) -> cmbot.Scene:
-    data = scene.file.as_data()
+    data = scene.as_data()
     return cmbot.load_scene(data | {"tool_path": {"legs": legs, "via_points": 6}})

@@ -168,7 +168,7 @@ def test_longer_paths_do_not_take_many_more_steps() -> None:
 
 def large(via_points: int, **options: object) -> Scene:
     scene = growth.sweep(via_points)
-    return replace(scene, planner=replace(scene.planner, **options))
+    return scene.with_options(**options)
 
 
 def too_large(via_points: int, **options: object) -> Finding | None:

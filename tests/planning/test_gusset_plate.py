@@ -18,11 +18,11 @@ def job() -> Plan:
 
 
 def test_the_tool_covers_the_plate_square_to_it(job: Plan) -> None:
-    raster, path = job.scene.raster, job.task.path
+    raster, path = job.scene.strokes[0].raster, job.task.path
     t = np.linspace(0, path.duration, 4001)
     p, R = Kinematics(job.robot).tool_poses(job.trajectory.evaluate(t))
     # The face is in a plane across x, which the nozzle looks along.
-    face = job.scene.frames["plate"][0, 3]
+    face = job.scene.frame_poses["plate"][0, 3]
     np.testing.assert_allclose(p[:, 0], face - raster.stand_off_m, atol=1e-3)
     assert np.arccos(np.clip(R[:, 0, 2], -1, 1)).max() < np.radians(1.0)
     # No place of it is further from a row than half their distance, but where the tool turns.

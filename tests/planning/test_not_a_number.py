@@ -56,9 +56,9 @@ def certified(planned: Plan, trajectory: QuinticTrajectory | None = None) -> Cer
         planned.robot,
         replace(planned.task, max_speed=10.0, max_base_torque=1e5),
         planned.trajectory if trajectory is None else trajectory,
-        Clearances(planned.robot, planned.scene.obstacles),
+        Clearances(planned.robot, planned.scene.all_obstacles),
         planned.options,
-        via_points=planned.scene.via_points,
+        via_points=planned.scene.strokes[0].via_points,
     )
 
 

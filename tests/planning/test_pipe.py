@@ -17,18 +17,18 @@ def job() -> Plan:
 
 
 def test_the_tool_covers_the_pipe_square_to_it(job: Plan) -> None:
-    raster, path = job.scene.raster, job.task.path
+    raster, path = job.scene.strokes[0].raster, job.task.path
     pipe = raster.cylinder
     t = np.linspace(0, path.duration, 2001)
     p, R = Kinematics(job.robot).tool_poses(job.trajectory.evaluate(t))
-    from_axis = (p - job.scene.frames["pipe"][:3, 3]) * [1, 0, 1]
+    from_axis = (p - job.scene.frame_poses["pipe"][:3, 3]) * [1, 0, 1]
     away = np.linalg.norm(from_axis, axis=1)
     np.testing.assert_allclose(away, pipe.radius + raster.stand_off_m, atol=1e-3)
     towards = -np.einsum("nd,nd->n", R[:, :, 2], from_axis / away[:, None])
     assert np.degrees(np.arccos(np.clip(towards, -1, 1))).max() < 1.0
     # No place of it, unrolled, is further from a row than half their distance.
     angle = np.degrees(np.arctan2(from_axis[:, 0], from_axis[:, 2]))
-    y = p[:, 1] - job.scene.frames["pipe"][1, 3]
+    y = p[:, 1] - job.scene.frame_poses["pipe"][1, 3]
     grid = np.stack(np.meshgrid(np.linspace(-125, -55, 16), np.linspace(-0.2, 0.2, 16)), axis=-1).reshape(
         -1, 2
     )

@@ -24,8 +24,8 @@ def check_promises(planned: Plan) -> None:
     assert planned.figures.min_clearance >= planned.options.safety_margin_m
     assert planned.figures.max_tool_deviation <= planned.options.max_tool_deviation_m
     trajectory, task, kinematics = planned.trajectory, planned.task, Kinematics(planned.robot)
-    assert len(trajectory.t) == planned.scene.via_points
-    assert trajectory.duration == pytest.approx(sum(leg.seconds for leg in planned.scene.legs))
+    assert len(trajectory.t) == planned.scene.strokes[0].via_points
+    assert trajectory.duration == pytest.approx(sum(leg.seconds for leg in planned.scene.strokes[0].legs))
     for q, goal in zip(trajectory.q, task.path.poses(trajectory.t), strict=True):
         assert np.abs(task.error(kinematics.tool_pose(q), goal)).max() < 1e-9
     # Sampled again at other times, apart from the certificate.
@@ -210,7 +210,7 @@ def test_six_joints_that_hold_a_pose_have_one_way_to_go(tmp_path: Path) -> None:
     sliding, fixed = (
         plan(arm_scene(tmp_path, "kinova", knots=knots, start="pinned")) for knots in ("sliding", "fixed")
     )
-    times = sliding.task.path.via_times(sliding.scene.via_points)
+    times = sliding.task.path.via_times(sliding.scene.strokes[0].via_points)
     through = [made.trajectory.evaluate(times) for made in (sliding, fixed)]
     np.testing.assert_allclose(through[0], through[1], rtol=0, atol=1e-6)
     peaks = [made.certificate.figures.peak_guardrail_torque for made in (sliding, fixed)]
@@ -226,7 +226,7 @@ def test_links_that_are_always_near_each_other_are_named_with_what_to_do(tmp_pat
 
 def test_what_lies_out_of_reach_is_refused_with_by_how_much(tmp_path: Path) -> None:
     scene = arm_scene(tmp_path, "kinova", knots="fixed")
-    far = replace(scene, legs=(replace(scene.legs[0], by=(0.0, 3.0, 0.0)),))
+    far = scene.with_path(legs=(replace(scene.strokes[0].legs[0], by=(0.0, 3.0, 0.0)),))
     with pytest.raises(PathNotFound, match=r"m out of reach \(the arm with its tool .* m long, in metres\)$"):
         plan(far)
 

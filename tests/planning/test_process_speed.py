@@ -60,21 +60,27 @@ def test_another_speed_breaks_the_certificate(steady_plan: Plan) -> None:
     (stroke,) = steady_plan.job.strokes
     scene, robot = steady_plan.scene, steady_plan.robot
     task = replace(stroke.task, speed_tolerance=1e-4)
-    clearances = Clearances(robot, scene.obstacles)
+    clearances = Clearances(robot, scene.all_obstacles)
     found = certify(
-        robot, task, stroke.trajectory, clearances, steady_plan.options, via_points=scene.via_points
+        robot,
+        task,
+        stroke.trajectory,
+        clearances,
+        steady_plan.options,
+        via_points=scene.strokes[0].via_points,
     )
     with pytest.raises(LimitViolation, match=QUANTITY):
         found.require()
     broken = second_opinion(
-        replace(scene, speed_tolerance=1e-4), steady_plan.options, stroke.trajectory, robot=robot, stroke=0
+        scene.with_path(speed_tolerance=1e-4), steady_plan.options, stroke.trajectory, robot=robot, stroke=0
     )
     assert [check.quantity for check in broken if not check.holds] == [f"{QUANTITY} by a second computation"]
 
 
 def test_it_is_read_back(steady_plan: Plan, tmp_path: Path) -> None:
     again = load_plan(save(steady_plan, tmp_path / "plan"), verify=True)
-    assert (again.scene.speed_tolerance, again.scene.lead_in_m, again.scene.lead_out_m) == (
+    (work,) = again.scene.strokes
+    assert (work.speed_tolerance, work.lead_in_m, work.lead_out_m) == (
         TOLERANCE,
         0.03,
         0.04,

@@ -50,7 +50,7 @@ def test_a_plan_is_certified_and_read_back(rail_plan: Plan, tmp_path: Path) -> N
     assert any("second computation" in check.quantity for check in read.certificate.checks)
     np.testing.assert_array_equal(read.trajectory.q, rail_plan.trajectory.q)
     np.testing.assert_allclose(read.start.posture, rail_plan.start.posture, rtol=0, atol=1e-12)
-    assert "posture" in read.scene.file.as_data()["start"]
+    assert "posture" in read.scene.as_data()["start"]
 
 
 def test_forces_that_are_halved_are_noticed(rail_plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,7 +20,7 @@ BOLT = {"name": "bolt", "box": [0.3, 0.08, 0.08], "xyz": [1.75, 0.4, -2.05]}
 
 
 def rows(*obstacles: dict[str, Any], **raster: Any) -> Scene:
-    data = copy.deepcopy(load_scene("gusset_plate").file.as_data())
+    data = copy.deepcopy(load_scene("gusset_plate").as_data())
     data["tool_path"]["raster"] |= {"origin": [0, 0, 0.2], "v": [0, 0, -0.1], **raster}
     data["tool_path"]["via_points"] = "auto"
     data["obstacles"] += obstacles
@@ -64,7 +64,7 @@ def test_all_or_nothing_is_asked_for() -> None:
 
 def test_what_the_feet_would_need_is_said_where_nothing_is_reached() -> None:
     """As `cmbot check` says it: a magnet of 500 N holds no arm of 80 kg."""
-    scene = load_scene(rows().file.as_data() | {"guardrail": {"hold": {"kind": "magnet", "adhesion_n": 500}}})
+    scene = load_scene(rows().as_data() | {"guardrail": {"hold": {"kind": "magnet", "adhesion_n": 500}}})
     with pytest.raises(
         PathNotFound, match=r"is blocked at .*, at best a foot uses \d{3,}% of its hold; "
     ) as caught:

@@ -98,9 +98,9 @@ def test_a_time_limit_that_is_over_at_once(knots: str) -> None:
         assert made.certificate.holds
         assert len(made.passes) == 1
         # About z there is a lower peak to find: the best motion so far is planned, if there is one.
-        scene = replace(scene, planner=replace(scene.planner, axis_weights=(0.05, 0.05, 1.0)))
+        scene = scene.with_options(axis_weights=(0.05, 0.05, 1.0))
         assert any("the best motion so far" in sentence for sentence in plan(scene).fallbacks)
-        scene = replace(scene, planner=replace(scene.planner, max_tool_deviation_m=1e-6))
+        scene = scene.with_options(max_tool_deviation_m=1e-6)
         over = r"the time, 0\.001 s \(planner\.time_limit_s\), was over after \S+ s, before every constraint"
         with pytest.raises(OptimisationFailed, match=over):
             plan(scene)
@@ -459,7 +459,7 @@ def test_a_speed_profile_whose_jerk_splines_cannot_follow_closely(knots: str, se
     hurried = {"legs": [{"by": [0, -0.2, 0], "seconds": seconds}], "via_points": 16}
     made = plan(short_scene(tool_path=hurried, planner={"knots": knots}))
     assert made.certificate.holds
-    assert made.scene.via_points == 11
+    assert made.scene.strokes[0].via_points == 11
     assert "With 16 via-points no trajectory was found" in made.fallbacks[0]
 
 
@@ -502,7 +502,7 @@ def test_a_plan_has_the_via_points_that_it_was_made_with(monkeypatch: pytest.Mon
     monkeypatch.setattr(planner, "optimise", optimise_once_more)
     made = plan(short_scene())
     assert asked == [8, 15]
-    assert made.scene.via_points == 15 == len(made.trajectory.t)
+    assert made.scene.strokes[0].via_points == 15 == len(made.trajectory.t)
     assert made.certificate.holds
     assert "planned with tool_path.via_points 15 instead" in made.fallbacks[0]
 

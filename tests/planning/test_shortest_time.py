@@ -97,7 +97,7 @@ def quick_plan() -> Plan:
 
 
 def test_a_plan_in_the_shortest_time(quick_plan: Plan) -> None:
-    (law,) = quick_plan.scene.time_laws or ()
+    (law,) = quick_plan.scene.strokes[0].time_laws or ()
     assert law.leg == 0
     assert quick_plan.trajectory.duration == pytest.approx(law.duration + 0.5)
     assert quick_plan.certificate.holds
@@ -118,10 +118,10 @@ def test_planned_times_are_near_copp(quick_plan: Plan) -> None:
 
 def test_it_is_read_back_and_planned_again_in_that_time(quick_plan: Plan, tmp_path: Path) -> None:
     again = load_plan(save(quick_plan, tmp_path / "plan"), verify=True)
-    assert again.scene.time_laws == quick_plan.scene.time_laws
+    assert again.scene.strokes[0].time_laws == quick_plan.scene.strokes[0].time_laws
     (stroke,) = again.scene.timed_strokes(np.eye(4))
     assert not stroke.path.open_legs
-    less = replace(quick_plan.scene, max_base_torque_nm=100.0)
+    less = quick_plan.scene.with_path(max_base_torque_nm=100.0)
     checks = second_opinion(less, quick_plan.options, quick_plan.trajectory, robot=quick_plan.robot, stroke=0)
     assert [check.quantity for check in checks if not check.holds] == [
         "torque on the base by a second computation"
@@ -165,14 +165,12 @@ def scene_of(**tool_path: Any) -> Any:
 
 def test_auto_is_spread_over_legs_and_strokes() -> None:
     scene = scene_of(legs=[LEG, {"pause": 1.0}, {**LEG, "speed_m_s": 0.1}], seconds="auto")
-    assert [leg.seconds for leg in scene.legs] == ["auto", None, None]
-    assert load_scene(scene.file.as_data()).content_hash == scene.content_hash
+    assert [leg.seconds for leg in scene.strokes[0].legs] == ["auto", None, None]
+    assert load_scene(scene.as_data()).content_hash == scene.content_hash
     begin = {"xyz": [1.8, 0.7, -2.0]}
     strokes = [{"legs": [LEG]}, {"from": begin, "legs": [{**LEG, "seconds": 3}]}]
-    data = scene.file.as_data() | {
-        "tool_path": {"strokes": strokes, "seconds": "auto", "max_base_torque_nm": 400}
-    }
-    first, second = load_scene(data).each_stroke
+    data = scene.as_data() | {"tool_path": {"strokes": strokes, "seconds": "auto", "max_base_torque_nm": 400}}
+    first, second = load_scene(data).strokes
     assert (first.legs[0].seconds, first.max_base_torque_nm) == ("auto", 400)
     assert (second.legs[0].seconds, second.max_base_torque_nm) == (3.0, None)
 

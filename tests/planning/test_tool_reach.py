@@ -4,7 +4,6 @@ By the length of the stretched arm, and by its joint ranges and obstacles.
 """
 
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -160,8 +159,8 @@ def blocked(begin: dict[str, Any], **more: Any) -> Scene:
             "start": {"posture_deg": [-10, -90, 90, 0, 10, 50, 0]},
             "tool_path": {"from": begin, "legs": [{"by": [0, 0.1, 0], "seconds": 3}]},
         }
-    ).each_stroke
-    return replace(scene, strokes=(there, back.model_copy(update={"start_pose": other.start_pose})), **more)
+    ).strokes
+    return scene.with_strokes((there, back.changed(start_pose=other.start_pose)), **more)
 
 
 def test_a_stroke_out_of_the_joint_ranges_is_refused_before_any_is_planned() -> None:
@@ -191,8 +190,8 @@ def test_a_stroke_in_an_obstacle_is_refused_before_any_is_planned() -> None:
             "tool_path": {"legs": [{"by": [0, 0.1, 0], "seconds": 3}]},
             "obstacles": [{"name": "crate", "box": [0.05, 0.05, 0.05], "xyz": [1.8154, 0.78, -1.9628]}],
         }
-    ).obstacles
-    scene = replace(scene, obstacles=(*scene.obstacles, crate))
+    ).all_obstacles
+    scene = scene.changed(obstacles=(*scene.obstacles, crate))
     told: list[Progress] = []
     with pytest.raises(
         PathNotFound, match=r"strokes\[1\].* is blocked at .* into crate, the safety margin"

@@ -137,7 +137,7 @@ def test_predictions_follow_a_turning_tool(keep: str) -> None:
 
 def elsewhere(begin: dict[str, Any], **planner: Any) -> Scene:
     scene = scene_of("blended", FOLDED, **planner)
-    data = scene.file.as_data()
+    data = scene.as_data()
     data["tool_path"]["from"] = begin
     return load_scene(data)
 

@@ -53,7 +53,7 @@ def test_following_the_advice_leads_to_a_scene_without_a_warning() -> None:
     lying = [1.8, 0.7, -4.7]
     read = cmbot.load_scene(with_obstacle(**{**TABLE, "scale": 0.001, "xyz": lying}))
     same = cmbot.load_scene(with_obstacle(name="table", box=[1, 0.8, 0.06], xyz=lying))
-    assert read.obstacles[0].shape == same.obstacles[0].shape
+    assert read.all_obstacles[0].shape == same.all_obstacles[0].shape
     assert not precheck_scene(read).warnings
     assert not precheck_scene(cmbot.load_scene(with_obstacle(**WALL, scale=1))).warnings
 
@@ -91,4 +91,4 @@ def test_a_vast_mesh_is_refused_and_its_scale_is_what_helps(tmp_path: Path) -> N
         cmbot.plan(scene)
     scaled = precheck_scene(cmbot.load_scene(with_obstacle(**block, scale=0.001)))
     assert not scaled.warnings
-    assert dict(scaled.found)["obstacles"].startswith(str(len(short_scene().obstacles) + 1))
+    assert dict(scaled.found)["obstacles"].startswith(str(len(short_scene().all_obstacles) + 1))

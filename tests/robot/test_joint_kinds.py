@@ -176,7 +176,7 @@ def test_a_long_slide_keeps_the_tool_away(tmp_path: Path, rng: np.random.Generat
 def test_no_distance_changes_faster_than_reach(tmp_path: Path, rng: np.random.Generator) -> None:
     scene = rail_scene(tmp_path)
     rail = robot_of(scene)
-    clearances = Clearances(rail, scene.obstacles)
+    clearances = Clearances(rail, scene.all_obstacles)
     lower, upper = np.maximum(rail.limits.lower, -3), np.minimum(rail.limits.upper, 3)
     numbers = np.arange(len(clearances.pairs))
     for size in (1e-2, 0.1, 1.0):
@@ -236,6 +236,6 @@ def test_an_arm_that_only_slides(tmp_path: Path) -> None:
 
 def test_a_scene_gives_postures_in_radians_and_metres(tmp_path: Path) -> None:
     scene = rail_scene(tmp_path)
-    assert scene.file.posture_key == "start.posture"
+    assert scene.posture_key == "start.posture"
     np.testing.assert_array_equal(scene.posture, rail_data(tmp_path)["start"]["posture"])
-    assert load_scene(scene.file.as_data()).content_hash == scene.content_hash
+    assert load_scene(scene.as_data()).content_hash == scene.content_hash

@@ -54,7 +54,7 @@ def test_the_stow_posture_is_clear_and_asks_little(cmbot_robot: Robot) -> None:
     ends = cmbot_robot.limits.upper - np.abs(stow)
     assert np.rad2deg(ends).min() >= 10 - 1e-9
     for scene in ("triangle", "line"):
-        clearances = Clearances(cmbot_robot, load_scene(scene).obstacles)
+        clearances = Clearances(cmbot_robot, load_scene(scene).all_obstacles)
         assert clearances.smallest(stow[None]).distance[0] > 0.045
     efforts = Dynamics(cmbot_robot).static_efforts(stow[None])
     assert np.linalg.norm(efforts.guardrail_torque) < 170

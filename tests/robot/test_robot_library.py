@@ -134,7 +134,7 @@ def test_names_stand_for_urdfs_with_their_srdf() -> None:
     files = robot_files("panda")
     assert (files.urdf, files.srdf) == (robots["panda"], robots["panda"].parents[1] / "srdf" / "panda.srdf")
     robot = load_scene({**SHORT, "robot": {"model": "panda"}}).robot
-    assert (robot.model, robot.base_frame, robot.limits, robot.mount_xyz) == ("panda", None, None, None)
+    assert (robot.model, robot.base_frame, robot.limits, robot.mount) == ("panda", None, None, None)
 
 
 def test_a_folder_does_not_hide_a_robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

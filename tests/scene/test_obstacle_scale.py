@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from cmbot import load_scene
 from cmbot.collision import extent_of
 from cmbot.collision.shapes import coal_shapes
 from cmbot.common.errors import InputError, SceneError
-from cmbot.scene import Mesh, Obstacle, Scene, Sphere, load_mesh, pose, update_file
+from cmbot.scene import Mesh, Obstacle, Scene, Sphere, load_mesh, pose
 from cmbot.views.drawing.surfaces import obstacle_surface
 
 SHAPES: list[dict[str, Any]] = [
@@ -40,11 +39,11 @@ def test_numbers_of_a_shape_are_multiplied_and_its_place_is_not(shape: dict[str,
     written = (np.array(numbers) / scale).tolist()
     scene = scene_of(**{kind: written}, scale=scale, xyz=[1, 2, 3], rpy_deg=[10, 20, 30])
     plain = scene_of(**shape, xyz=[1, 2, 3], rpy_deg=[10, 20, 30])
-    np.testing.assert_allclose(extent_of(scene.obstacles[0]), extent_of(plain.obstacles[0]), rtol=1e-12)
-    # Back to a file: as it was written, and after a change in the same units.
-    assert update_file(scene).file == scene.file
-    moved = replace(scene.obstacles[0], X_WO=pose((4.0, 5.0, 6.0)))
-    (entry,) = update_file(replace(scene, obstacles=(moved,))).file.as_data()["obstacles"]
+    np.testing.assert_allclose(
+        extent_of(scene.all_obstacles[0]), extent_of(plain.all_obstacles[0]), rtol=1e-12
+    )
+    # Back to a file as it was written.
+    (entry,) = scene.as_data()["obstacles"]
     assert (entry["scale"], entry[kind]) == (scale, written)
 
 
@@ -54,7 +53,7 @@ def test_a_mesh_in_millimetres_is_everywhere_the_one_in_metres(tmp_path: Path) -
     block.apply_scale(1000).export(tmp_path / "millimetres.stl")
     place = {"xyz": [1, 2, 3], "rpy_deg": [10, 20, 30]}
     (mine,), (theirs,) = (
-        scene_of(mesh=str(tmp_path / f"{name}.stl"), **place, **more).obstacles
+        scene_of(mesh=str(tmp_path / f"{name}.stl"), **place, **more).all_obstacles
         for name, more in (("millimetres", {"scale": 0.001}), ("metres", {}))
     )
     np.testing.assert_allclose(extent_of(mine), extent_of(theirs), atol=1e-6)
@@ -77,8 +76,8 @@ def test_rows_over_a_mesh_in_millimetres_are_those_in_metres(tmp_path: Path) -> 
     (tmp_path / "mm").mkdir()
     scene = raster_scene(tmp_path, plate)
     small = raster_scene(tmp_path / "mm", plate.copy().apply_scale(1000))
-    data = small.file.as_data()
-    data["obstacles"][0] |= {"scale": 0.001, "mesh": str(small.obstacles[0].shape.path)}
+    data = small.as_data()
+    data["obstacles"][0] |= {"scale": 0.001, "mesh": str(small.all_obstacles[0].shape.path)}
     small = load_scene(json.loads(json.dumps(data)))
     one, two = (each.timed_strokes(np.eye(4))[0].path for each in (scene, small))
     np.testing.assert_allclose(one.corners, two.corners, atol=1e-6)

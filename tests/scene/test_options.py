@@ -10,7 +10,7 @@ from pydantic import TypeAdapter
 import cmbot
 from cmbot.common.errors import InputError
 from cmbot.common.validation import validated
-from cmbot.scene import PlannerOptions, SceneFile
+from cmbot.scene import PlannerOptions, Scene
 from cmbot.simulation import SimulationOptions
 
 LARGEST = 1e15
@@ -38,7 +38,7 @@ def unbounded(node: Any, place: str = "") -> Iterator[str]:
             yield from unbounded(child, f"{place}.{key}")
 
 
-@pytest.mark.parametrize("kind", [SceneFile, PlannerOptions, SimulationOptions])
+@pytest.mark.parametrize("kind", [Scene, PlannerOptions, SimulationOptions])
 def test_everything_is_bounded(kind: type) -> None:
     assert list(unbounded(TypeAdapter(kind).json_schema())) == []
 

@@ -22,7 +22,7 @@ def tool_point(posture):
 
 
 def box_of(scene, name):
-    obstacle = next(obstacle for obstacle in scene.obstacles if obstacle.name == name)
+    obstacle = next(obstacle for obstacle in scene.all_obstacles if obstacle.name == name)
     assert isinstance(obstacle.shape, Box)
     return obstacle
 
@@ -50,26 +50,26 @@ def test_name_path_and_string_give_the_same_scene(name):
     scenes = [load_scene(name), load_scene(path), load_scene(str(path))]
     assert {scene.name for scene in scenes} == {name}
     assert len({scene.content_hash for scene in scenes}) == 1
-    assert all(scene.file == scenes[0].file for scene in scenes)
+    assert all(scene == scenes[0] for scene in scenes)
 
 
 def test_triangle():
     scene = load_scene("triangle")
     np.testing.assert_allclose(np.degrees(scene.posture), [-10, -90, 90, 0, 10, 50, 0])
-    assert (scene.robot.model, scene.robot.tool_length, scene.robot.payload) == ("cmbot", 0.30, 0)
-    assert [leg.seconds for leg in scene.legs] == [10, 2, 8]
-    lengths = [np.linalg.norm(leg.by) for leg in scene.legs]
+    assert (scene.robot.model, scene.robot.tool_length_m, scene.robot.payload_kg) == ("cmbot", 0.30, 0)
+    assert [leg.seconds for leg in scene.strokes[0].legs] == [10, 2, 8]
+    lengths = [np.linalg.norm(leg.by) for leg in scene.strokes[0].legs]
     np.testing.assert_allclose(lengths, [1.0, 0.2, 0.83], atol=1e-4)
-    np.testing.assert_allclose(np.sum([leg.by for leg in scene.legs], axis=0), 0, atol=1e-12)
-    assert (scene.keep, scene.via_points) == ("pose", 50)
-    assert (scene.speed_profile.kind, scene.speed_profile.ramp) == ("trapezoidal", 0.2)
+    np.testing.assert_allclose(np.sum([leg.by for leg in scene.strokes[0].legs], axis=0), 0, atol=1e-12)
+    assert (scene.strokes[0].keep, scene.strokes[0].via_points) == ("pose", 50)
+    assert (scene.strokes[0].speed_profile.kind, scene.strokes[0].speed_profile.ramp) == ("trapezoidal", 0.2)
 
 
 def test_bracket_bars_lie_along_the_sides():
     scene = load_scene("triangle")
     corner = tool_point(scene.posture)
     np.testing.assert_allclose(corner, [1.815, 0.780, -2.063], atol=1e-3)
-    corners = corner + np.cumsum([(0, 0, 0), *(leg.by for leg in scene.legs)], axis=0)
+    corners = corner + np.cumsum([(0, 0, 0), *(leg.by for leg in scene.strokes[0].legs)], axis=0)
     for name, (start, end) in zip(("ab", "bc", "ca"), pairwise(corners), strict=True):
         bar = box_of(scene, f"bracket_{name}")
         side = end - start
@@ -82,7 +82,7 @@ def test_bracket_bars_lie_along_the_sides():
 def test_line():
     scene = load_scene("line")
     np.testing.assert_allclose(np.degrees(scene.posture), [-45, -90, 90, -10, 10, -55, 0])
-    assert [(leg.by, leg.seconds) for leg in scene.legs] == [((0, 0, 0.94), 20)]
+    assert [(leg.by, leg.seconds) for leg in scene.strokes[0].legs] == [((0, 0, 0.94), 20)]
     steel = box_of(scene, "angle_steel")
     assert steel.workpiece
     np.testing.assert_allclose(steel.shape.size, [0.075, 0.075, 1.5])
@@ -95,7 +95,7 @@ def test_line():
 @pytest.mark.parametrize("name", ["triangle", "line"])
 def test_slab_and_guardrail(name):
     scene = load_scene(name)
-    boxes = {o.name: (o.shape.size, o.X_WO[:3, 3].tolist()) for o in scene.obstacles if not o.workpiece}
+    boxes = {o.name: (o.shape.size, o.X_WO[:3, 3].tolist()) for o in scene.all_obstacles if not o.workpiece}
     slab_size, slab_centre = boxes.pop("slab")
     assert (slab_size, slab_centre) == ((6, 1.2, 0.12), [1, -0.8, -1.06])
     assert slab_centre[1] + slab_size[1] / 2 == pytest.approx(-0.2)
@@ -108,7 +108,7 @@ def test_slab_and_guardrail(name):
 
 
 def test_guardrail_data_for_the_frame():
-    guardrail = load_scene("triangle").guardrail
+    guardrail = load_scene("triangle").elastic_guardrail
     assert guardrail.post_positions == (-3.5, -1.75, 0, 1.75, 3.5)
     assert guardrail.post.clamp == -1.05
     assert guardrail.post.section == AngleSection(leg=0.075, thickness=0.008)
@@ -136,13 +136,13 @@ def json_schema():
 @pytest.mark.parametrize("name", ["triangle", "line"])
 def test_shipped_scenes_meet_the_json_schema(json_schema, name):
     json_schema.validate(read_yaml(scene_folder() / f"{name}.yaml", SceneError))
-    resolved = load_scene(name).file.as_data()
+    resolved = load_scene(name).as_data()
     json_schema.validate(resolved)
 
 
 @pytest.mark.parametrize("change", [{"sphere": 1.0}, {"box": None}, {"colour": "red"}, {"box": [1, 1]}])
 def test_json_schema_refuses_wrong_obstacles(json_schema, change):
-    data = load_scene("line").file.as_data()
+    data = load_scene("line").as_data()
     data["obstacles"][0].update(change)
     assert not json_schema.is_valid(data)
     with pytest.raises(SceneError):

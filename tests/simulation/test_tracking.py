@@ -104,7 +104,7 @@ def test_the_sag_of_a_slow_motion_is_computed_less_often(
 def test_the_base_gives_way_to_the_wrench_on_it_as_its_stiffness_says(
     tracking: Tracking, short_plan: Plan
 ) -> None:
-    moved, guardrail = tracking.planned.base, elastic_base(short_plan.scene.guardrail)
+    moved, guardrail = tracking.planned.base, elastic_base(short_plan.scene.elastic_guardrail)
     assert moved is not None
     assert guardrail is not None
     model, data = short_plan.robot.model, short_plan.robot.model.createData()

@@ -1,6 +1,5 @@
 """What charts say of a stance in which postures of least torque at several via-points are far apart."""
 
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -33,13 +32,13 @@ def test_what_charts_say_is_what_denser_charts_find(scene: Scene) -> None:
     quickly, charted = bounded_quickly(scene), chart(scene)
     assert 180 < charted.bound <= charted.expected
     assert quickly == pytest.approx(charted.bound, rel=0.02)
-    dense = replace(scene, planner=replace(scene.planner, chart_spacing=0.1, step_share=1.0))
+    dense = scene.with_options(chart_spacing=0.1, step_share=1.0)
     assert max(quickly, charted.bound) <= chart(dense).expected <= 1.05 * charted.expected
 
 
 def test_a_stance_in_the_way_of_something_has_none(scene: Scene) -> None:
     wall = {"name": "wall", "box": [3.0, 0.05, 1.0], "xyz": [2.0, 0.2, -1.9]}
-    data = scene.file.as_data()
+    data = scene.as_data()
     walled = cmbot.load_scene({**data, "obstacles": [*data["obstacles"], wall]})
     for charted in (bounded_quickly, lambda walled: chart(walled)):
         with pytest.raises(PathNotFound, match="wall"):
@@ -47,10 +46,10 @@ def test_a_stance_in_the_way_of_something_has_none(scene: Scene) -> None:
 
 
 def test_a_stance_in_which_the_arm_cannot_be_put_away(scene: Scene) -> None:
-    stowed = cmbot.load_scene({**scene.file.as_data(), "return": "stow"})
+    stowed = cmbot.load_scene({**scene.as_data(), "return": "stow"})
     with pytest.raises(PathNotFound, match="joint_2 cannot hold the arm in its stow posture"):
         bounded_quickly(stowed)
-    data = {**scene.file.as_data(), "return": "stow", "guardrail": {"bays": 4}}
+    data = {**scene.as_data(), "return": "stow", "guardrail": {"bays": 4}}
     context = build_context(cmbot.load_scene(data), scene.planner)
     at = context.postures.tool_at(context.end_posture[None]).tool_point[0]
     box = {"name": "box", "box": [0.1, 0.1, 0.1], "xyz": at.tolist()}

@@ -29,7 +29,7 @@ STROKES: dict[str, Any] = {
 
 def scene_of(path: dict[str, Any], **changes: Any) -> Scene:
     scene = short_scene(**changes)
-    data = {**scene.file.as_data(), "tool_path": path}
+    data = {**scene.as_data(), "tool_path": path}
     return cmbot.load_scene(data)
 
 
@@ -46,9 +46,9 @@ def places(scene: Scene) -> list[np.ndarray]:
 def test_the_tool_path_stays_where_it_is_wherever_the_robot_stands() -> None:
     scene, climber = scene_of(STROKES), Climber()
     place = FootholdFile(member="post_4", along_m=0.9)
-    X = foothold_pose(scene.guardrail, place)
+    X = foothold_pose(scene.elastic_guardrail, place)
     moved = scene_at(in_world(scene), candidate_at(place, None, X, climber.hanging(X[:3, :3]), climber), None)
-    assert moved.robot.stance.foot[0] > 1
+    assert moved.stance.foot[0] > 1
     for here, there in zip(places(scene), places(moved), strict=True):
         np.testing.assert_allclose(there, here, atol=1e-9)
 
@@ -59,7 +59,7 @@ def test_several_scenes_in_one() -> None:
     second = scene_of(STROKES, name="second", obstacles=[lamp])
     third = scene_of({"strokes": [{**STROKES["strokes"][3], "name": "led"}]}, name="third", obstacles=[lamp])
     whole = joined([first, second, third])
-    names = [stroke.name for stroke in whole.each_stroke]
+    names = [stroke.name for stroke in whole.strokes]
     assert names == ["first", "second_led", "next", "back", "unturned", "beside", "through", "third_led"]
     assert [one.name for one in whole.obstacles if one.name == "lamp"] == ["lamp"]
     apart = [place for scene in (first, second, third) for place in places(scene)]

@@ -74,7 +74,7 @@ def test_a_candidate_is_where_the_robot_of_its_scene_is(scene: Scene, candidates
 def test_no_candidate_is_another_one_with_a_foot_turned(scene: Scene, candidates: list[Candidate]) -> None:
     def place(candidate: Candidate) -> tuple[float, ...]:
         foot_2 = candidate.stance.foot_2
-        far = np.zeros(3) if foot_2 is None else foothold_pose(scene.guardrail, foot_2)[:3, 3]
+        far = np.zeros(3) if foot_2 is None else foothold_pose(scene.elastic_guardrail, foot_2)[:3, 3]
         parts = (candidate.root[:3, [1, 3]].ravel(), far, candidate.base.ravel())
         return tuple(np.concatenate(parts).round(4) + 0.0)
 
@@ -113,7 +113,7 @@ def test_where_postures_are_rare_they_are_sought_more_closely() -> None:
     """Of the line from here: a few neighbours ask 418 Nm, charts at all via-points 365.6 Nm."""
     scene = in_world(cmbot.load_scene("line"))
     place = FootholdFile(member="top_rail", along_m=4.49, turn_deg=180)
-    X = foothold_pose(scene.guardrail, place)
+    X = foothold_pose(scene.elastic_guardrail, place)
     there = candidate_at(place, None, X, Climber().hanging(X[:3, :3]), Climber())
     robot = robot_of(scene)
     tasks = [task_of(stroke, scene) for stroke in strokes_of(scene, robot)]
@@ -178,8 +178,8 @@ def test_the_best_stance_needs_less_than_the_scenes(scene: Scene, standing: Stan
     best, usual = standing.best.plan, plan(scene)
     assert best.figures.adhesion_needed.peak < usual.figures.adhesion_needed.peak
     np.testing.assert_allclose(best.samples.tool_point[0], usual.samples.tool_point[0], atol=1e-6)
-    loaded = cmbot.load_scene(best_scene(standing))
-    assert loaded.robot.stance == best.scene.robot.stance
+    loaded = best_scene(standing)
+    assert loaded.robot.stance == best.scene.stance
     said = list(in_words(standing))
     assert said[0].startswith(f"Best of those planned: {standing.best.place}, ")
     assert sum("may be better" in line for line in said) == 1
@@ -199,12 +199,12 @@ WIDE = StandOptions(spacing=1.5, pair_spacing=np.inf, plans=1)
 def test_no_best_stance_is_worse_than_the_scenes(scene: Scene) -> None:
     """Of one that is better than any on another grid."""
     (better,) = stand(scene, WIDE)
-    good = cmbot.load_scene(best_scene(better))
+    good = best_scene(better)
     (found,) = stand(good, replace(WIDE, spacing=2.2))
     peak = plan(good).objective.planned_peak
     assert found.best.plan.objective.planned_peak <= peak * (1 + 1e-9)
     assert found.best.own
-    assert cmbot.load_scene(best_scene(found)).robot.stance == good.robot.stance
+    assert best_scene(found).stance == good.stance
     assert "The scene's own stance is the best of those planned." in in_words(found)
 
 
@@ -403,7 +403,7 @@ def test_the_climber_keeps_clear_of_members() -> None:
     found = {}
     for face in ("outer", "right"):
         place = FootholdFile(member="post_3", along_m=0.79, face=face)
-        X = foothold_pose(scene.guardrail, place)
+        X = foothold_pose(scene.elastic_guardrail, place)
         found[face] = climber_in_the_way(
             scene, candidate_at(place, None, X, climber.hanging(X[:3, :3]), climber)
         )
@@ -413,6 +413,6 @@ def test_the_climber_keeps_clear_of_members() -> None:
 
 def test_what_cannot_be_screened(scene: Scene) -> None:
     with pytest.raises(SceneError, match="torque or hold, by which stances are screened"):
-        stand(replace(scene, planner=replace(scene.planner, objective="sag")))
+        stand(scene.with_options(objective="sag"))
     with pytest.raises(SceneError, match="the shipped robot, an arm on a climber that holds a guardrail"):
         stand(scene_of("torque", guardrail={"bays": 0}))

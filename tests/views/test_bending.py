@@ -103,7 +103,7 @@ def test_loads_are_shares_of_the_joints_bounds(data: dict[str, Any], triangle_pl
 
 
 def test_the_rails_move_with_the_foot_and_not_where_they_are_held(triangle_plan: Plan) -> None:
-    frame, (foot,) = guardrail_frame(triangle_plan.scene.guardrail)
+    frame, (foot,) = guardrail_frame(triangle_plan.scene.elastic_guardrail)
     shapes = frame.shapes(foot)
     np.testing.assert_allclose(shapes[foot], np.eye(6), atol=1e-9)
     assert not shapes[list(frame.fixed)].any()
@@ -111,7 +111,9 @@ def test_the_rails_move_with_the_foot_and_not_where_they_are_held(triangle_plan:
     u = np.array([1e-3, 2e-3, -1e-3, 1e-3, -2e-3, 3e-3])
     moved = np.concatenate([shapes[k] @ u for k in range(len(frame.nodes)) if k not in frame.fixed])
     stored = moved @ (frame.stiffness @ moved)
-    assert stored == pytest.approx(u @ elastic_base(triangle_plan.scene.guardrail).stiffness @ u, rel=1e-9)
+    assert stored == pytest.approx(
+        u @ elastic_base(triangle_plan.scene.elastic_guardrail).stiffness @ u, rel=1e-9
+    )
 
 
 @given(deflection=st.floats(0.0, 10.0), reach=st.floats(0.05, 5.0))

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from obstacle_entries import with_obstacles
 from walks import one_step
 
 from cmbot import Plan
@@ -73,7 +74,7 @@ def test_nothing_is_drawn_where_an_obstacle_is(plan: Plan) -> None:
 
 
 def test_a_bar_holds_what_is_worked_on(plan: Plan) -> None:
-    pieces = [each for each in plan.scene.obstacles if each.workpiece]
+    pieces = [each for each in plan.scene.all_obstacles if each.workpiece]
     assert pieces
     bars = [part for part in drawn(plan) if part.name.startswith("holder")]
     # The triangle's three bars touch: they are one bracket.
@@ -94,7 +95,7 @@ def test_where_no_straight_bar_is_free_one_ends_beside(triangle_plan: Plan) -> N
         Obstacle(name=f"wall_{k}", shape=Box(size=(0.12, 0.2, height)), X_WO=pose((x, at, z)))
         for k, (at, height) in enumerate([(y, 0.2), (-1.6, 4.0)])
     ]
-    scene = dataclasses.replace(triangle_plan.scene, obstacles=(*triangle_plan.scene.obstacles, *walls))
+    scene = with_obstacles(triangle_plan.scene, *walls)
     other = dataclasses.replace(triangle_plan, scene=scene)
     (bar,) = (part for part in drawn(other) if part.name.startswith("holder"))
     ends = bar.X_WO[0, 3] + np.array([-0.5, 0.5]) * bar.shape.size[2] * bar.X_WO[0, 2]
@@ -112,6 +113,5 @@ def test_what_the_arm_would_hit_is_left_out(triangle_plan: Plan, monkeypatch: py
 
 
 def test_without_a_guardrail_there_is_no_bridge(triangle_plan: Plan) -> None:
-    guardrail = dataclasses.replace(triangle_plan.scene.guardrail, post_positions=())
-    scene = dataclasses.replace(triangle_plan.scene, guardrail=guardrail)
+    scene = triangle_plan.scene.changed(guardrail={"bays": 0})
     assert drawn(dataclasses.replace(triangle_plan, scene=scene)) == []

@@ -85,7 +85,7 @@ def test_the_approach_is_before_the_work(shown: Chrome, triangle_plan: Plan, sha
     v, a = (approach.trajectory.evaluate(now, order) for order in (1, 2))
     torque = np.linalg.norm(Dynamics(triangle_plan.robot).efforts(q, v, a).guardrail_torque[0])
     assert number(shown, "planned-torque") == pytest.approx(torque, abs=0.2)
-    clearances = Clearances(triangle_plan.robot, triangle_plan.scene.obstacles)
+    clearances = Clearances(triangle_plan.robot, triangle_plan.scene.all_obstacles)
     distance = clearances.smallest(q).distance[0]
     assert number(shown, "planned-clearance") == pytest.approx(1e3 * distance, abs=0.2)
     for name, figures in (

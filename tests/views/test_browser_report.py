@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import ask, next_frame, open_page, require_quiet, screen, shows, slide
+from obstacle_entries import renamed, with_obstacles
 from page_data import hostile, without_shapes
 from PIL import Image, ImageColor
 from selenium.webdriver import Chrome
@@ -352,9 +353,13 @@ def test_hostile_names_are_text_and_nothing_else(
     # In the arm's way: nearer to it than it is to itself.
     stroke = evil.job.strokes[0]
     point = Kinematics(evil.robot).tool_poses(stroke.trajectory.evaluate([13.0 - stroke.begin]))[0][0]
-    thing = Obstacle(name=EVIL, shape=Sphere(radius=0.02), X_WO=pose(point.tolist(), [0, 0, 0]))
+    thing = Obstacle(name="thing", shape=Sphere(radius=0.02), X_WO=pose(point.tolist(), [0, 0, 0]))
     report(
-        replace(evil, robot=robot, scene=replace(evil.scene, obstacles=(thing,))),
+        replace(
+            evil,
+            robot=robot,
+            scene=renamed(with_obstacles(triangle_plan.scene.changed(obstacles=()), thing), EVIL, [EVIL]),
+        ),
         path,
         tracking=triangle_tracking,
     )

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from obstacle_entries import with_obstacles
 from small_scenes import short_scene
 
 from cmbot.planning import Plan
@@ -79,7 +80,7 @@ def test_no_wall_hides_the_path_in_the_first_view(triangle_plan: Plan) -> None:
     X[:3, :3] *= np.sign(np.linalg.det(X[:3, :3]))
     X[:3, 3] = middle + 0.8 * away
     wall = Obstacle(name="wall", shape=Box(size=(0.05, 1.5, 1.5)), X_WO=X)
-    scene = replace(triangle_plan.scene, obstacles=(*triangle_plan.scene.obstacles, wall))
+    scene = with_obstacles(triangle_plan.scene, wall)
     walled = replace(triangle_plan, scene=scene)
     assert hidden(free, wall) > 0.9
     assert hidden(focus_of(walled, [walled], []), wall) < 0.1

@@ -12,6 +12,7 @@ import pytest
 import umsgpack
 from browser import ask, open_page, require_quiet, shows, slide
 from command_line import output, refusal
+from obstacle_entries import with_obstacles
 from page_data import data_of, floats, without_shapes
 from selenium.webdriver import Chrome
 
@@ -181,7 +182,7 @@ def test_the_page_says_whose_surroundings_it_shows(text: str, short_plan: Plan) 
     alike = compare_page({"one": without_shapes(short_plan), "two": without_shapes(short_plan)})
     wall = Obstacle(name="wall", shape=Box(size=(0.1, 1.0, 1.0)), X_WO=pose((-3.0, 0.0, 0.0)))
     plan = without_shapes(short_plan)
-    scene = replace(plan.scene, obstacles=(*plan.scene.obstacles, wall))
+    scene = with_obstacles(plan.scene, wall)
     other = compare_page({"<one>": plan, "two": replace(plan, scene=scene)})
     assert "(the surroundings are those of &lt;one&gt;)" in other
     assert "surroundings" not in alike

@@ -121,7 +121,9 @@ def test_the_view_shows_workpieces_beside_the_path(
     data: dict[str, Any], triangle_plan: Plan, rng: np.random.Generator
 ) -> None:
     points = np.array(data["focus"]["points"])
-    vertices = [obstacle_surface(each).vertices for each in triangle_plan.scene.obstacles if each.workpiece]
+    vertices = [
+        obstacle_surface(each).vertices for each in triangle_plan.scene.all_obstacles if each.workpiece
+    ]
     directions = rng.normal(size=(50, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     # The points are those that are outermost along 200 directions: nearly all of what they enclose.
@@ -135,7 +137,7 @@ def test_nearest_points_are_those_of_what_can_come_nearer(
 ) -> None:
     """The foremost link is always as near to a leg: obstacles are shown instead, where they are near."""
     data = replay_data(triangle_plan, triangle_tracking)
-    clearances = Clearances(triangle_plan.robot, triangle_plan.scene.obstacles)
+    clearances = Clearances(triangle_plan.robot, triangle_plan.scene.all_obstacles)
     always = next(
         k for k, pair in enumerate(clearances.pairs) if {pair.link, pair.other} == {"link_1", "leg_2"}
     )

@@ -107,7 +107,7 @@ def test_nothing_to_hit_and_no_range(short_plan: Plan) -> None:
     free = replace(certificate, checks=checks, figures=figures, clearance_bound=np.inf)
     plan = replace(
         changed(short_plan, "work", certificate=free),
-        scene=replace(short_plan.scene, obstacles=()),
+        scene=short_plan.scene.changed(obstacles=(), guardrail={"bays": 0}),
         robot=replace(short_plan.robot, limits=limits, collision_model=alone),
         baseline=replace(short_plan.baseline, clearance=np.full_like(short_plan.baseline.clearance, np.inf)),
     )

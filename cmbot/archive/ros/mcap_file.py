@@ -138,7 +138,7 @@ def _markers(plan: Plan, stamp: Message) -> Iterator[Message]:
             "points": [_vector(point) for point in points],
         }
 
-    for obstacle in plan.scene.obstacles:
+    for obstacle in plan.scene.all_obstacles:
         yield from _solids(obstacle, marker)
     for stroke in plan.strokes:
         width = (_LINE_WIDTH, 0.0, 0.0)

@@ -61,11 +61,11 @@ def reached_scene(scene: Scene, options: PlannerOptions, reporter: ProgressRepor
     PathNotFound
         When nothing of a raster is reached, or the time is over.
     """
-    if not any(file.raster is not None for file in scene.each_stroke):
+    if not any(file.raster is not None for file in scene.strokes):
         return scene
     apart = in_cells(scene, robot_of(scene))
     context = build_context(apart, options, reporter=reporter)
-    numbers = {str(file.name): k for k, file in enumerate(scene.each_stroke)}
+    numbers = {str(file.name): k for k, file in enumerate(scene.strokes)}
     whole, parts, cut = dict[int, list[RowPiece]](), dict[int, list[_Cell]](), False
     at_first = dict[int, PlanningContext]()
     for number, stroke in enumerate(context.strokes):
@@ -85,7 +85,7 @@ def reached_scene(scene: Scene, options: PlannerOptions, reporter: ProgressRepor
         return apart
     for k, found in parts.items():
         if not found:
-            reason = f"no place of the raster of {scene.each_stroke[k].name} is reached"
+            reason = f"no place of the raster of {scene.strokes[k].name} is reached"
             if miss := nearest_miss(at_first[k], is_clear=True):
                 reason = "; ".join(filter(None, (f"{reason}: it is {miss.reason()}", miss.remedy())))
             raise context.path_not_found(reason, context.posture)

@@ -71,17 +71,15 @@ def composed(scene: Scene, made: Sequence[tuple[Attempt, StrokeMotion]], *, cust
 def _as_planned(scene: Scene, contexts: Sequence[PlanningContext]) -> Scene:
     """The scene with the number of via-points and the time laws that each stroke was planned with."""
     changes: list[dict[str, Any]] = [{} for _ in contexts]
-    for stroke, context, changed in zip(scene.each_stroke, contexts, changes, strict=True):
+    for stroke, context, changed in zip(scene.strokes, contexts, changes, strict=True):
         if len(context.times) != stroke.via_points:
             changed["via_points"] = len(context.times)
         if context.stroke.file.time_laws != stroke.time_laws:
             changed["time_laws"] = context.stroke.file.time_laws
     if not any(changes):
         return scene
-    if scene.strokes is None:
-        return replace(scene, **changes[0])
-    strokes = (each.model_copy(update=new) for each, new in zip(scene.strokes, changes, strict=True))
-    return replace(scene, strokes=tuple(strokes))
+    pairs = zip(scene.strokes, changes, strict=True)
+    return scene.with_strokes([stroke.changed(**new) for stroke, new in pairs], scene.order)
 
 
 def _stroke_plan(

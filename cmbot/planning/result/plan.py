@@ -127,7 +127,7 @@ class Plan(StrokePlan):
         """The baseline of the whole job, from where the arm is to where it ends."""
         return baseline_job(
             self.robot,
-            Clearances(self.robot, self.scene.obstacles),
+            Clearances(self.robot, self.scene.all_obstacles),
             self.strokes,
             np.array(self.scene.posture),
             end_posture_of(self.scene, self.robot),
@@ -246,7 +246,7 @@ class Plan(StrokePlan):
     @cached_property
     def segment_samples(self) -> dict[str, Samples]:
         """Each segment of the job by its name, every 0.01 s, from time 0."""
-        clearances = Clearances(self.robot, self.scene.obstacles)
+        clearances = Clearances(self.robot, self.scene.all_obstacles)
         return {segment.name: self._sampled(segment, clearances) for segment in self.job.segments}
 
     def _sampled(self, segment: Segment, clearances: Clearances) -> Samples:

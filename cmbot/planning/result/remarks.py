@@ -308,7 +308,7 @@ def _return(plan: Plan) -> Iterator[str]:
 
 def _shortest_time(plan: Plan) -> Iterator[str]:
     """How long legs take whose seconds were to be found."""
-    for file, segment in zip(plan.scene.each_stroke, plan.job.strokes, strict=True):
+    for file, segment in zip(plan.scene.strokes, plan.job.strokes, strict=True):
         if not file.time_laws:
             continue
         of = f" of {segment.name}" if plan.several else ""

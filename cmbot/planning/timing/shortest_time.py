@@ -94,7 +94,7 @@ def in_shortest_time(
 def in_time(context: PlanningContext, laws: Sequence[LegLaw]) -> PlanningContext:
     """Return the context of a stroke whose open legs have these laws."""
     path = context.task.path.timed(laws)
-    file = context.stroke.file.model_copy(update={"time_laws": tuple(laws)})
+    file = context.stroke.file.changed(time_laws=tuple(laws))
     stroke = replace(context.stroke, path=path, file=file)
     strokes = (*context.strokes[: context.number], stroke, *context.strokes[context.number + 1 :])
     times = path.via_times(len(context.times))

@@ -18,7 +18,7 @@ from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import ModelError
 from cmbot.common.yaml_reader import read_yaml
 from cmbot.robot import Robot, RobotFiles, parse_urdf, robot_files
-from cmbot.scene import RobotSource
+from cmbot.scene import Scene
 
 __all__ = ["DescribedArm", "DescribedLimits", "pose_of"]
 
@@ -77,17 +77,17 @@ class DescribedArm:
     payload: float
 
     @classmethod
-    def of(cls, source: RobotSource, robot: Robot) -> DescribedArm:
+    def of(cls, scene: Scene, robot: Robot) -> DescribedArm:
         """Return what a scene's robot is; which files and frames are meant is no opinion: the loader's."""
-        stance, xyz, rpy = source.stance, source.mount_xyz, source.mount_rpy
+        source, stance, mount = scene.robot, scene.stance, scene.robot.mount
         return cls.in_files(
             robot_files(**{name: source.files[name] for name in _FILES}),
             robot,
-            X_WB=None if xyz is None or rpy is None else pose_of(xyz, rpy),
+            X_WB=None if mount is None else pose_of(mount.xyz, np.radians(mount.rpy_deg)),
             X_WR=None if stance is None else stance.root,
             locked={} if stance is None else stance.locked,
-            tool_length=source.tool_length,
-            payload=source.payload,
+            tool_length=source.tool_length_m,
+            payload=source.payload_kg,
         )
 
     @classmethod

@@ -79,8 +79,8 @@ def second_opinion(
         When the robot's files cannot be read as they were for `robot`.
     """
     robot = robot.tool_off if stroke is None else robot
-    margin, arm = options.safety_margin_m, DescribedArm.of(scene.robot, robot)
-    checks = judged_motion(arm, robot, scene.obstacles, trajectory, margin)
+    margin, arm = options.safety_margin_m, DescribedArm.of(scene, robot)
+    checks = judged_motion(arm, robot, scene.all_obstacles, trajectory, margin)
     if stroke is None or not all(check.holds for check in checks[:1]):
         return checks
     return (*checks, *_stroke_checks(scene, stroke, robot, trajectory, judged=sag is None))

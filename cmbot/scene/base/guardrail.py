@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Annotated, Self, cast
 
 import numpy as np
@@ -27,12 +28,13 @@ from cmbot.elastic import (
 )
 from cmbot.hold import Foot
 from cmbot.scene.base.hold import Face, HoldFile, Holds, face_of, foot_on, held_member
+from cmbot.scene.base.identified import IdentifiedBase
 from cmbot.scene.base.matrices import Matrix6, check_positive_definite
 from cmbot.scene.base.stance import StanceFile, axis_point, foothold_face, foothold_pose
 from cmbot.scene.fields import Angle, Coordinate, Length, Slug, exactly_one, one_of_schema, si_fields
 from cmbot.scene.obstacles import Box, Obstacle, pose
 
-__all__ = ["GuardrailFile", "feet_at", "feet_of", "guardrail_from_file", "guardrail_obstacles"]
+__all__ = ["GuardrailFile", "elastic_guardrail", "feet_at", "feet_of", "guardrail_obstacles"]
 
 _SECTIONS = ("angle", "bar")
 
@@ -283,7 +285,7 @@ def feet_of(file: GuardrailFile) -> tuple[Foot, ...]:
 
     Two feet that are described once are alike.
     """
-    guardrail, faces = guardrail_from_file(file), _held_faces(file)
+    guardrail, faces = elastic_guardrail(file), _held_faces(file)
     return _feet(file, faces, np.array(guardrail.foot_point), shares(guardrail)) if faces else ()
 
 
@@ -309,9 +311,24 @@ def _feet(
     )
 
 
-def guardrail_from_file(file: GuardrailFile) -> Guardrail:
-    """Return the guardrail that a scene file describes, in SI units and radians."""
+@lru_cache(maxsize=256)
+def elastic_guardrail(file: GuardrailFile, identified: IdentifiedBase | None = None) -> Guardrail:
+    """Return the guardrail that a scene file describes, in SI units and radians.
+
+    Parameters
+    ----------
+    file : GuardrailFile
+    identified : IdentifiedBase, optional
+        Its stiffness and mass take the place of the file's.
+    """
     guardrail = _without_feet(file)
+    if identified is not None:
+        guardrail = replace(
+            guardrail,
+            stiffness=_matrix(identified.stiffness),
+            mass=_matrix(identified.mass),
+            stiffness_factor=1.0,
+        )
     if file.stance is None:
         return guardrail
     foot_1 = foothold_pose(guardrail, file.stance.foot_1)[:3, 3]
@@ -337,6 +354,7 @@ def _without_feet(file: GuardrailFile) -> Guardrail:
     )
 
 
+@lru_cache(maxsize=256)
 def guardrail_obstacles(guardrail: Guardrail) -> tuple[Obstacle, ...]:
     """Return the boxes of the rails, by their names, and of the posts ``post_1``, ``post_2``, … along x."""
     positions, post = guardrail.post_positions, guardrail.post

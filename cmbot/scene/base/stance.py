@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, GetPydanticSchema, PlainSerializer, WrapValidator, model_validator
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import SceneError
 from cmbot.common.validation import CheckedFields, FileModel, refusal, shown
 from cmbot.elastic import Guardrail
 from cmbot.scene.base.hold import FACES, Face, face_of
@@ -163,12 +163,13 @@ def foothold_pose(guardrail: Guardrail, place: FootholdFile) -> FloatArray:
     return X
 
 
-def resolved_stance(file: StanceFile, guardrail: Guardrail, source: str) -> Stance:
+@lru_cache(maxsize=256)
+def resolved_stance(file: StanceFile, guardrail: Guardrail) -> Stance:
     """Return where the robot stands: both feet, and the climber's posture.
 
     Raises
     ------
-    SceneError
+    PydanticCustomError
         When the climber reaches no such stance.
     """
     # Not above: scenes without a stance are read without pinocchio.
@@ -176,27 +177,27 @@ def resolved_stance(file: StanceFile, guardrail: Guardrail, source: str) -> Stan
 
     climber, X = Climber(), foothold_pose(guardrail, file.foot_1)
     goal = None if file.foot_2 is None else np.linalg.inv(X) @ foothold_pose(guardrail, file.foot_2)
-    key = "guardrail.stance"
+    key = ("guardrail", "stance")
     if file.climber_deg is not None:
         angles = np.radians(file.climber_deg)
-        for k in np.flatnonzero((angles < climber.lower) | (angles > climber.upper))[:1]:
+        for k in np.flatnonzero((angles < climber.lower) | (angles > climber.upper))[:1].tolist():
             low, high = (np.degrees(bound[k]) for bound in (climber.lower, climber.upper))
             expected = f"an angle from {low:.1f} to {high:.1f} deg"
-            raise SceneError(source, f"{key}.climber_deg[{k}]", file.climber_deg[k], expected)
+            raise refusal(expected, got=f"{file.climber_deg[k]}", key=(*key, "climber_deg", k))
         if goal is not None and (off := float(np.abs(climber.poses(angles)[0] - goal).max())) > _MISSED:
             got, expected = f"a posture that misses foot_2 by {off:.3g} m or rad", "one that reaches it"
-            raise SceneError(source, f"{key}.climber_deg", got, expected)
+            raise refusal(expected, got=got, key=(*key, "climber_deg"))
     elif goal is None:
         hanging = climber.hanging(X[:3, :3])
         if hanging is None:
             expected = "a foot on which the arm's base can hang (another turn_deg), or climber_deg"
-            raise SceneError(source, f"{key}.foot_1", shown(file.foot_1.model_dump()), expected)
+            raise refusal(expected, got=shown(file.foot_1.model_dump()), key=(*key, "foot_1"))
         angles = hanging
     else:
         found = climber.reaching(goal)
         if not found:
             expected = "a place that the climber reaches from foot_1, on a face with the same normal"
-            raise SceneError(source, f"{key}.foot_2", shown(file.foot_2 and file.foot_2.member), expected)
+            raise refusal(expected, got=shown(file.foot_2 and file.foot_2.member), key=(*key, "foot_2"))
         angles = min(found, key=lambda each: _uprightness(X @ climber.poses(each)[1], X[:3, 1]))
     return Stance.of(X, angles)
 

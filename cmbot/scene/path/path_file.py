@@ -5,11 +5,19 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import ConfigDict, Field, GetPydanticSchema, PlainSerializer, WrapValidator, model_validator
+from pydantic import (
+    AfterValidator,
+    ConfigDict,
+    Field,
+    GetPydanticSchema,
+    PlainSerializer,
+    WrapValidator,
+    model_validator,
+)
 
 from cmbot.common.validation import FileModel, counted, hint, refusal, shown
 from cmbot.scene.fields import Slug
@@ -25,11 +33,14 @@ __all__ = [
     "MOST_ORDERED",
     "RESERVED",
     "SMOOTH",
+    "WORK",
     "AxisCone",
+    "JobStrokes",
     "Keep",
+    "Order",
     "PathFile",
     "StrokeFile",
-    "ToolPathFile",
+    "ToolPathEntry",
 ]
 
 LONGEST = 36_000
@@ -40,7 +51,9 @@ SMOOTH = SpeedProfile(kind="jerk_limited", ramp=0.25)
 """Speed profile of new scenes that have none of their own."""
 MOST_ORDERED = 12
 """Strokes whose best order is sought, at most."""
-RESERVED = ("approach", "work", "return")
+WORK = "work"
+"""Name of the stroke of a tool path without strokes."""
+RESERVED = ("approach", WORK, "return")
 """Names of parts of a job that no stroke can have."""
 FREE_MOVE = re.compile(r"free_\d+")
 """Names of the free moves between strokes."""
@@ -83,6 +96,8 @@ def _json_schema(schema: Any, handler: Any) -> dict[str, Any]:
     return {"anyOf": [handler(schema), {"enum": list(_KEPT), "type": "string"}]}
 
 
+Order = Literal["given", "best"]
+"""In which order strokes are taken."""
 Keep = Annotated[
     Literal["pose", "axis", "position"] | AxisCone,
     GetPydanticSchema(
@@ -310,13 +325,37 @@ class StrokeFile(PathFile):
         return self.backwards or super().has_start
 
 
+@dataclass(frozen=True, kw_only=True)
+class JobStrokes:
+    """The strokes of a job.
+
+    Attributes
+    ----------
+    strokes : tuple of StrokeFile
+        One or more; the one of a path without strokes is called `WORK`.
+    order : str or None
+        In which they are taken, ``given`` or ``best``; None: as given.
+    """
+
+    strokes: tuple[StrokeFile, ...]
+    order: Order | None = None
+
+    def as_data(self) -> dict[str, Any]:
+        """Return what the file has in ``tool_path``: a path without strokes where there is but the work."""
+        strokes = [stroke.model_dump(mode="json", exclude_none=True) for stroke in self.strokes]
+        if [stroke.name for stroke in self.strokes] == [WORK]:
+            of_strokes = StrokeFile.model_fields.keys() - PathFile.model_fields.keys()
+            return {key: value for key, value in strokes[0].items() if key not in of_strokes}
+        return {"strokes": strokes} | ({} if self.order is None else {"order": self.order})
+
+
 class ToolPathFile(PathFile):
     """The path of the tool from its pose in the start posture: one stroke, or several in their order."""
 
     strokes: Annotated[tuple[StrokeFile, ...] | None, Field(min_length=1, max_length=200)] = None
     """In place of all other keys: the tool is on along each, and off on the free moves from one to the next.
     A stroke without a start of its own begins where the path of the one before it ends."""
-    order: Literal["given", "best"] | None = None
+    order: Order | None = None
     """Of the strokes; left out: as given. ``best`` takes that order and those directions in which the tool
     travels least between them, if the peak of the torque does not rise by that; each needs a start of its
     own. Where rasters are in so many parts that there are more than 12 strokes: as given."""
@@ -337,23 +376,9 @@ class ToolPathFile(PathFile):
             if getattr(self, name) != field.default:
                 expected = "no such key beside strokes, which have their own"
                 raise refusal(expected, got="a value", key=(field.alias or name,))
-        # Names are given here, so that messages, pages and files call a stroke the same.
-        named = tuple(
-            stroke if stroke.name else stroke.model_copy(update={"name": f"stroke_{k}"})
-            for k, stroke in enumerate(self.strokes, start=1)
-        )
-        if self.seconds == AUTO:
-            named = tuple(self._in_auto_time(stroke) for stroke in named)
-            object.__setattr__(self, "seconds", None)
-            object.__setattr__(self, "max_base_torque_nm", None)
-        if self.via_points == AUTO:
-            named = tuple(
-                stroke
-                if "via_points" in stroke.model_fields_set
-                else stroke.model_copy(update={"via_points": AUTO})
-                for stroke in named
-            )
-            object.__setattr__(self, "via_points", type(self).model_fields["via_points"].default)
+        named = tuple(self._completed(stroke, k) for k, stroke in enumerate(self.strokes, start=1))
+        for name in ("seconds", "max_base_torque_nm", "via_points"):
+            object.__setattr__(self, name, type(self).model_fields[name].default)
         for k, stroke in enumerate(named):
             stroke._check_times(("strokes", k))
         taken = dict[str, int]()
@@ -376,14 +401,17 @@ class ToolPathFile(PathFile):
             self._check_order(named)
         return self
 
-    def _in_auto_time(self, stroke: StrokeFile) -> StrokeFile:
-        """A stroke with the time of all strokes where it has none of its own."""
-        most = stroke.max_base_torque_nm or self.max_base_torque_nm
-        if stroke.speed_m_s is not None or isinstance(stroke.seconds, float):
-            return stroke
-        if stroke.legs and all(leg.is_timed and leg.seconds != AUTO for leg in stroke.legs):
-            return stroke
-        return stroke.model_copy(update={"seconds": AUTO, "max_base_torque_nm": most})
+    def _completed(self, stroke: StrokeFile, number: int) -> StrokeFile:
+        """A stroke with a name, so that messages, pages and files call it the same, and what is for all."""
+        changes: dict[str, Any] = {} if stroke.name else {"name": f"stroke_{number}"}
+        if self.via_points == AUTO and "via_points" not in stroke.model_fields_set:
+            changes["via_points"] = AUTO
+        timed = stroke.speed_m_s is not None or isinstance(stroke.seconds, float)
+        timed |= bool(stroke.legs) and all(leg.is_timed and leg.seconds != AUTO for leg in stroke.legs)
+        if self.seconds == AUTO and not timed:
+            most = stroke.max_base_torque_nm or self.max_base_torque_nm
+            changes |= {"seconds": AUTO, "max_base_torque_nm": most}
+        return stroke.changed(**changes) if changes else stroke
 
     def _check_order(self, strokes: Sequence[StrokeFile]) -> None:
         if len(strokes) > MOST_ORDERED:
@@ -393,3 +421,26 @@ class ToolPathFile(PathFile):
             if not stroke.has_own_start:
                 expected = "a pose: with order: best a stroke may follow on any other one"
                 raise refusal(expected, got="nothing", key=("strokes", k, "from"))
+
+    @property
+    def job(self) -> JobStrokes:
+        """Its strokes: without any it is one itself."""
+        if self.strokes is not None:
+            return JobStrokes(strokes=self.strokes, order=self.order)
+        path = {field.alias or name: getattr(self, name) for name, field in PathFile.model_fields.items()}
+        return JobStrokes(strokes=(StrokeFile.model_validate({"name": WORK, **path}),))
+
+
+ToolPathEntry = Annotated[
+    JobStrokes,
+    GetPydanticSchema(
+        lambda _, handler: handler(
+            Annotated[
+                ToolPathFile,
+                AfterValidator(lambda path: path.job),
+                PlainSerializer(lambda job: job.as_data()),
+            ]
+        )
+    ),
+]
+"""The strokes of a job, as ``tool_path`` of a scene file."""

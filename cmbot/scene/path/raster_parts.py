@@ -55,7 +55,7 @@ def raster_parts(
         changes["speed_profile"] = replace(file.speed_profile, ramp=ramp)
         if len(cells) > 1:
             changes |= {"name": _name(str(file.name), k, taken), "part_of": file.name}
-        parts.append(file.model_copy(update=changes))
+        parts.append(file.changed(**changes))
     # The way back begins with the last part.
     return parts[::-1] if file.backwards else parts
 
@@ -81,7 +81,7 @@ def rows_alone(file: StrokeFile, raster: Raster) -> StrokeFile:
         "backwards": False,
         "time_laws": None,
     }
-    return StrokeFile.model_construct(**dict(file) | changes)
+    return file.changed(**changes)
 
 
 def require_apart(

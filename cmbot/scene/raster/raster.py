@@ -12,7 +12,8 @@ from pydantic import Field
 from cmbot.common.errors import InputError
 from cmbot.common.representation import short_repr
 from cmbot.common.validation import CheckedFields, shown
-from cmbot.scene.fields import Angle, Length, LongVector, Slug, Text, UnitVector, Vector, given_of
+from cmbot.scene.fields import Angle, Length, LongVector, Slug, UnitVector, Vector, given_of
+from cmbot.scene.files import MeshName
 from cmbot.scene.mesh_file import is_mesh_file
 from cmbot.scene.raster.pieces import MOST_ROWS, RowPiece
 
@@ -161,7 +162,7 @@ class Raster(CheckedFields):
     u: LongVector | None = None
     v: LongVector | None = None
     cylinder: CylinderPatch | None = None
-    mesh: Text | None = None
+    mesh: MeshName | None = None
     faces: FaceSelection | None = None
     along: LongVector | None = None
     spacing_m: Length

@@ -195,7 +195,7 @@ class Bending:
 
     @cached_property
     def _rails(self) -> Rails | None:
-        elastic = self._arm.base is not None and bool(self._plan.scene.guardrail.post_positions)
+        elastic = self._arm.base is not None and bool(self._plan.scene.elastic_guardrail.post_positions)
         return Rails(self._plan.scene) if elastic else None
 
 

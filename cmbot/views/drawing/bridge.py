@@ -50,15 +50,15 @@ def bridge_of(scene: Scene, motions: Iterable[tuple[Robot, FloatArray]], margin:
     margin : float, m
         Parts to which these come nearer are left out.
     """
-    if not scene.guardrail.post_positions:
+    if not scene.elastic_guardrail.post_positions:
         return []
     some = [(robot, q[:: max(1, len(q) // _KNOTS)]) for robot, q in motions]
-    solids = [_bounds(obstacle_surface(each)) for each in scene.obstacles if not each.workpiece]
+    solids = [_bounds(obstacle_surface(each)) for each in scene.all_obstacles if not each.workpiece]
     taken = np.array(solids).reshape(-1, 1, 2, 3)
     parts = list(_parts(scene))
     free = ~_overlap(_box_bounds(parts), taken).any(axis=0)
     shown = _clear(some, margin, [parts[k] for k in np.flatnonzero(free)])
-    pieces = [obstacle_surface(each) for each in scene.obstacles if each.workpiece]
+    pieces = [obstacle_surface(each) for each in scene.all_obstacles if each.workpiece]
     for group in _touching(pieces):
         for beside in _BESIDE:
             holders = _holders(scene, group, beside)
@@ -77,7 +77,7 @@ def jobs_of(plans: Iterable[Plan]) -> Iterator[tuple[Robot, FloatArray]]:
 
 
 def _parts(scene: Scene) -> Iterator[Obstacle]:
-    posts, bottom = scene.guardrail.post_positions, scene.guardrail.post.bottom - 0.02
+    posts, bottom = scene.elastic_guardrail.post_positions, scene.elastic_guardrail.post.bottom - 0.02
     low, high = min(posts) - _BEYOND, max(posts) + _BEYOND
     along, middle = high - low, (low + high) / 2
 
@@ -112,7 +112,7 @@ def _parts(scene: Scene) -> Iterator[Obstacle]:
 
 def _holders(scene: Scene, group: Sequence[Surface], beside: Sequence[float]) -> list[Obstacle]:
     """Return bars that may hold workpieces that touch, the shortest first; ending so far `beside` them, m."""
-    bottom = scene.guardrail.post.bottom - 0.02
+    bottom = scene.elastic_guardrail.post.bottom - 0.02
     low, high = _bounds(merged(group))
     x, y = (low[0] + high[0]) / 2, low[1]
     starts = [(x, y, z) for z in (high[2] - _BAR / 2, (low[2] + high[2]) / 2, low[2] + _BAR / 2)]

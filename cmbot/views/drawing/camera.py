@@ -73,7 +73,7 @@ def focus_of(
         points.append(feet[0] + away * np.minimum(1.0, _POLE * reach(plan.robot) / np.maximum(length, 1e-9)))
     outlines = [stroke.task.path.outline() for each in plans for stroke in each.strokes]
     beside = _BESIDE * reach(plan.robot)
-    points += [*outlines, *workpieces(plan.scene.obstacles, np.concatenate(outlines), beside)]
+    points += [*outlines, *workpieces(plan.scene.all_obstacles, np.concatenate(outlines), beside)]
     poses = [link_poses(robot, q[:: max(1, len(q) // 50)]) for robot, q in motions]
     points += [link_corners(plan.robot, each) for each in (*poses, *bent)]
     cloud = np.concatenate(points)

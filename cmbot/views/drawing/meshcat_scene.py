@@ -187,7 +187,7 @@ def _colour(rgba: Sequence[float]) -> int:
 def surroundings(scene: Scene) -> tuple[tuple[Obstacle, Surface], ...]:
     """Return the obstacles that do not bend with the foot, as they are drawn: simplified, in W."""
     bending = supports(scene)
-    others = [obstacle for obstacle in scene.obstacles if not any(obstacle is each for each in bending)]
+    others = [obstacle for obstacle in scene.all_obstacles if not any(obstacle is each for each in bending)]
     surfaces = simplified([obstacle_surface(obstacle) for obstacle in others], MOST_OBSTACLE_FACES)
     return tuple(zip(others, surfaces, strict=True))
 

@@ -40,11 +40,11 @@ def pole_of(scene: Scene) -> Pole | None:
     It is a slender obstacle at which the foot is. With the foot at one end it is held at the other; else
     upright at its lower end, and level at both.
     """
-    if scene.guardrail.post_positions:
+    if scene.elastic_guardrail.post_positions:
         return None
     found = []
-    foot = np.array(scene.guardrail.foot_point)
-    for obstacle in scene.obstacles:
+    foot = np.array(scene.elastic_guardrail.foot_point)
+    for obstacle in scene.all_obstacles:
         ends, radius = _axis(obstacle, foot)
         along = ends[1] - ends[0]
         length = float(np.linalg.norm(along))
@@ -60,10 +60,10 @@ def pole_of(scene: Scene) -> Pole | None:
 
 def supports(scene: Scene) -> list[Obstacle]:
     """Return the obstacles that bend with the foot: rails and posts, or a pole."""
-    names = {obstacle.name for obstacle in guardrail_obstacles(scene.guardrail)}
+    names = {obstacle.name for obstacle in guardrail_obstacles(scene.elastic_guardrail)}
     if (pole := pole_of(scene)) is not None:
         names.add(pole.name)
-    return [obstacle for obstacle in scene.obstacles if obstacle.name in names]
+    return [obstacle for obstacle in scene.all_obstacles if obstacle.name in names]
 
 
 def _axis(obstacle: Obstacle, foot: FloatArray) -> tuple[FloatArray, float]:
@@ -112,8 +112,8 @@ class Rails:
     """The guardrail's beams: how their nodes move with the feet, and their strains."""
 
     def __init__(self, scene: Scene) -> None:
-        self._guardrail = scene.guardrail
-        self._frame, self._feet = guardrail_frame(scene.guardrail)
+        self._guardrail = scene.elastic_guardrail
+        self._frame, self._feet = guardrail_frame(scene.elastic_guardrail)
         self._shapes = self._frame.shapes(*self._feet)
 
     @property

@@ -87,7 +87,7 @@ def guardrail_map(scene: Scene, samples: Sequence[WalkSamples], stands: Sequence
     paths = [path for each in stands for path in each.paths]
     shown = np.vstack([*(part.feet.reshape(-1, 3) for part in samples), *places, *paths])
     low, high = shown.min(axis=0), shown.max(axis=0)
-    left, right = _widened(low[0] - _ROOM, high[0] + _ROOM, scene.guardrail.post_positions)
+    left, right = _widened(low[0] - _ROOM, high[0] + _ROOM, scene.elastic_guardrail.post_positions)
     window = _Window(left, right, low[2] - _ROOM / 2, high[2] + _ROOM)
     parts = [*_members(scene, window), *_obstacles(scene, window, bool(paths))]
     parts += [_line(window, path, f'stroke="{_PATH}" stroke-width="2"') for path in paths]
@@ -172,7 +172,7 @@ def _text(x: float, y: float, words: str, size: int) -> str:
 
 
 def _members(scene: Scene, window: _Window) -> Iterator[str]:
-    for member in guardrail_obstacles(scene.guardrail):
+    for member in guardrail_obstacles(scene.elastic_guardrail):
         if isinstance(member.shape, Box):
             middle, half = np.array(member.X_WO)[:3, 3], np.array(member.shape.size) / 2
             yield from _rectangle(window.box(middle - half, middle + half), "#c9ced6")
@@ -180,8 +180,8 @@ def _members(scene: Scene, window: _Window) -> Iterator[str]:
 
 def _obstacles(scene: Scene, window: _Window, with_workpieces: bool) -> Iterator[str]:
     """What is on posts and rails, such as lamps: no foot holds there; and what is worked on."""
-    members = {member.name for member in guardrail_obstacles(scene.guardrail)}
-    for obstacle in scene.obstacles:
+    members = {member.name for member in guardrail_obstacles(scene.elastic_guardrail)}
+    for obstacle in scene.all_obstacles:
         if obstacle.name in members:
             continue
         least, most = extent_of(obstacle)

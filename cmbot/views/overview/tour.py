@@ -53,7 +53,7 @@ def tour_page(tour: Tour) -> str:
 
 def _what(part: Plan | Walk) -> str:
     if isinstance(part, Plan):
-        return ", ".join(str(stroke.name) for stroke in part.scene.each_stroke)
+        return ", ".join(str(stroke.name) for stroke in part.scene.strokes)
     return f"{len(part.steps)} steps"
 
 

@@ -53,11 +53,11 @@ def short_plan() -> Plan:
 def again(planned: Plan, **changes: Any) -> Certificate:
     """Certify a plan again, after tampering."""
     robot = changes.pop("robot", planned.robot)
-    obstacles = changes.pop("obstacles", planned.scene.obstacles)
+    obstacles = changes.pop("obstacles", planned.scene.all_obstacles)
     arguments: dict[str, Any] = {
         "task": planned.task,
         "trajectory": planned.trajectory,
-        "via_points": planned.scene.via_points,
+        "via_points": planned.scene.strokes[0].via_points,
         "options": planned.options,
         "start": planned.scene.posture if planned.start.moved == 0 else None,
     } | changes
@@ -195,7 +195,7 @@ def test_an_obstacle_in_the_way(short_plan: Plan) -> None:
     # Where the tool passes: nothing of the certificate but the clearance knows of it.
     middle = short_plan.task.path.position([2.0])[0]
     post = Obstacle(name="post", shape=Box(size=(0.01, 0.01, 0.01)), X_WO=pose(middle))
-    failed = broken(again(short_plan, obstacles=(*short_plan.scene.obstacles, post)))
+    failed = broken(again(short_plan, obstacles=(*short_plan.scene.all_obstacles, post)))
     assert list(failed) == ["clearance"]
     assert failed["clearance"].quantity.endswith(" from post")
     assert failed["clearance"].at_least

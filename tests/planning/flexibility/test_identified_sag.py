@@ -24,7 +24,7 @@ FACTOR, DEVIATION = 0.8, 0.02
 def identified(scene: Scene, deviation: float = DEVIATION) -> dict[str, Any]:
     """All a fifth softer than modelled, each parameter with the same standard deviation."""
     robot = robot_of(scene)
-    arm = elastic_arm(robot, elastic_base(scene.guardrail))
+    arm = elastic_arm(robot, elastic_base(scene.elastic_guardrail))
     assert arm.base is not None
     of = modelled_stiffness(robot)
     springs = {
@@ -35,7 +35,10 @@ def identified(scene: Scene, deviation: float = DEVIATION) -> dict[str, Any]:
         ]
         for kind in ("link", "joint")
     }
-    base = {"footholds": scene.guardrail.footholds, "stiffness": (FACTOR * arm.base.stiffness).tolist()}
+    base = {
+        "footholds": scene.elastic_guardrail.footholds,
+        "stiffness": (FACTOR * arm.base.stiffness).tolist(),
+    }
     return {
         "links": springs["link"],
         "joints": springs["joint"],

@@ -46,7 +46,7 @@ def compensated(request: pytest.FixtureRequest) -> Plan:
 def test_the_bent_arm_follows_the_path(compensated: Plan) -> None:
     """Sag by the elastic model itself, at times of no sample."""
     scene, robot = compensated.scene, compensated.robot
-    sag = Sag(elastic_arm(robot, elastic_base(scene.guardrail)))
+    sag = Sag(elastic_arm(robot, elastic_base(scene.elastic_guardrail)))
     t = np.linspace(0, compensated.trajectory.duration, 217)
     q = compensated.trajectory.evaluate(t)
     commanded = tool_points(robot, q)

@@ -14,7 +14,7 @@ from scipy import sparse
 from scipy.spatial.distance import pdist
 from small_scenes import short_scene
 
-from cmbot.archive import load_plan, resolved_file, save
+from cmbot.archive import load_plan, save
 from cmbot.common.arrays import FloatArray
 from cmbot.planning import Plan, plan, planner, remarks
 from cmbot.planning.flexibility.leg_vibration import LegVibration
@@ -134,7 +134,7 @@ def test_a_window_without_suppression_leaves_the_others_theirs(
 
 def test_steps_that_bounds_bend_do_not_go_to_and_fro() -> None:
     """The tool is at its bound on the legs: linearized in one direction alone, it left them in another."""
-    content = resolved_file(load_scene("triangle")).as_data()
+    content = load_scene("triangle").as_data()
     content["robot"]["payload_kg"] = 0.935
     content["tool_path"]["legs"][0]["seconds"] = 11.27
     made = plan(load_scene(content), progress=False)

@@ -205,7 +205,7 @@ def test_its_peak_stands_beside_that_of_the_work(triangle_plan: Plan, short_plan
 def test_a_certificate_made_again_is_the_same(triangle_plan: Plan) -> None:
     """The planner and the archive look at the same grid, with the tool held where the work starts."""
     task, approach = triangle_plan.task.held_at_start(), triangle_plan.approach
-    clearances = Clearances(triangle_plan.robot, triangle_plan.scene.obstacles)
+    clearances = Clearances(triangle_plan.robot, triangle_plan.scene.all_obstacles)
     robot, options = triangle_plan.robot, triangle_plan.options
     start, end = triangle_plan.scene.posture, triangle_plan.start.posture
     again = certify_move(robot, task, approach.trajectory, clearances, options, start, end)

@@ -43,7 +43,7 @@ def test_a_job_of_strokes_is_one_certified_motion(strokes_plan: Plan) -> None:
     np.testing.assert_allclose(ends, strokes_plan.scene.posture[None, None].repeat(2, 0), atol=1e-9)
 
 
-def test_the_tool_follows_each_stroke(strokes_plan: Plan) -> None:
+def test_the_tool_follows_strokes(strokes_plan: Plan) -> None:
     kinematics = Kinematics(strokes_plan.robot)
     for stroke, segment in zip(strokes_plan.strokes, strokes_plan.job.strokes, strict=True):
         assert segment.name == stroke.name
@@ -112,7 +112,7 @@ def test_a_saved_job_of_strokes_is_read_and_certified_anew(folder: Path, strokes
 
 def test_a_stroke_alone_keeps_its_name(tmp_path: Path) -> None:
     scene = strokes_scene()
-    made = plan(replace(scene, strokes=scene.strokes[:1]))
+    made = plan(scene.with_strokes(scene.strokes[:1]))
     read = load_plan(save(made, tmp_path / "plan"), verify=True)
     assert [stroke.name for stroke in made.strokes] == [stroke.name for stroke in read.strokes] == ["there"]
     assert read.summary() == made.summary()
@@ -167,11 +167,11 @@ def test_a_stroke_that_cannot_be_planned_is_named() -> None:
     there, back = scene.strokes
     # Faster than any joint.
     leg = replace(back.legs[0], seconds=0.002)
-    hard = back.model_copy(update={"legs": (leg,)})
+    hard = back.changed(legs=(leg,))
     told: list[str] = []
     with pytest.raises(PlanningError, match="stroke back"):
         plan(
-            replace(scene, strokes=(there, hard)),
+            scene.with_strokes((there, hard)),
             progress=lambda progress: told.append(progress.sentence()),
         )
     assert any(sentence.startswith("there: ") for sentence in told)
@@ -180,11 +180,11 @@ def test_a_stroke_that_cannot_be_planned_is_named() -> None:
 def test_a_stroke_out_of_reach_is_refused_before_any_is_planned() -> None:
     scene = strokes_scene()
     there, back = scene.strokes
-    far = back.model_copy(update={"start_pose": replace(back.start_pose, xyz=(9.0, 0.0, 0.0))})
+    far = back.changed(start_pose=replace(back.start_pose, xyz=(9.0, 0.0, 0.0)))
     told: list[str] = []
     with pytest.raises(PathNotFound, match=r"tool_path.strokes\[1\].from lies 9\.014 m from"):
         plan(
-            replace(scene, strokes=(there, far)),
+            scene.with_strokes((there, far)),
             progress=lambda progress: told.append(progress.sentence()),
         )
     assert not any(sentence.startswith("there: ") for sentence in told)
@@ -200,7 +200,7 @@ def test_a_speed_that_is_too_fast_is_named_as_it_was_given() -> None:
     }
     fast = {"raster": raster, "speed_m_s": 0.5}
     scene = several(LEG, fast)
-    scene = replace(scene, tool=replace(scene.tool, max_speed_m_s=0.15))
+    scene = scene.changed(tool=replace(scene.tool, max_speed_m_s=0.15))
     with pytest.raises(SceneError) as caught:
         plan(scene)
     assert (caught.value.key, caught.value.got) == ("tool_path.strokes[1].speed_m_s", "0.5 m/s")
@@ -268,9 +268,9 @@ def test_strokes_in_least_travel_go_to_and_fro() -> None:
         for k in (2, 0, 1)
     ]
     ordered = in_least_travel(several(*rows, order="best"))
-    names = [stroke.name for stroke in ordered.each_stroke]
+    names = [stroke.name for stroke in ordered.strokes]
     assert names in (["row_0", "row_1", "row_2"], ["row_2", "row_1", "row_0"])
-    backwards = [stroke.backwards for stroke in ordered.each_stroke]
+    backwards = [stroke.backwards for stroke in ordered.strokes]
     assert backwards in ([False, True, False], [True, False, True])
     assert ordered.order is None
 
@@ -278,16 +278,15 @@ def test_strokes_in_least_travel_go_to_and_fro() -> None:
 def test_the_order_with_the_lower_peak_is_taken(strokes_plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = strokes_scene()
     there, back = scene.strokes
-    there = there.model_copy(update={"start_pose": replace(back.start_pose, xyz=(1.8154, 0.7796, -2.0628))})
-    scene = replace(scene, strokes=(back, there), order="best")
+    there = there.changed(start_pose=replace(back.start_pose, xyz=(1.8154, 0.7796, -2.0628)))
+    scene = scene.with_strokes((back, there), order="best")
     own_plan, figures = planner.plan, strokes_plan.job.figures
     peaks = {True: 1.0, False: 0.9}
     planned = []
 
     def fake(of: Scene, **_: Any) -> Plan:
         given = (
-            tuple(stroke.name for stroke in of.each_stroke) == ("back", "there")
-            and not of.strokes[0].backwards
+            tuple(stroke.name for stroke in of.strokes) == ("back", "there") and not of.strokes[0].backwards
         )
         planned.append(given)
         scaled = replace(figures, peak_guardrail_torque=peaks[given] * figures.peak_guardrail_torque)
@@ -303,4 +302,4 @@ def test_the_order_with_the_lower_peak_is_taken(strokes_plan: Plan, monkeypatch:
     assert chosen.fallbacks[0].startswith("Order of the strokes: ")
     assert chosen.job.figures.peak_guardrail_torque == pytest.approx(0.9 * figures.peak_guardrail_torque)
     peaks[False] = 1.1
-    assert [stroke.name for stroke in own_plan(scene).scene.each_stroke] == ["back", "there"]
+    assert [stroke.name for stroke in own_plan(scene).scene.strokes] == ["back", "there"]

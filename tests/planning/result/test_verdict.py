@@ -45,7 +45,7 @@ def test_a_joint_at_the_end_of_its_range_is_said_to_be_there(triangle_plan: Plan
 
 
 def test_a_job_of_work_alone_gains(triangle_plan: Plan) -> None:
-    scene = replace(triangle_plan.scene, posture=triangle_plan.start.posture)
+    scene = triangle_plan.scene.with_posture(triangle_plan.start.posture)
     said = verdict(replace(without_approach(triangle_plan), scene=scene))
     assert "the work alone" not in said
     assert "% less than the baseline's 486.4 Nm. Tightest" in said
@@ -58,7 +58,7 @@ def test_hardly_a_gain_is_called_so(triangle_plan: Plan) -> None:
         figures = replace(triangle_plan.job.segments[-1].figures, peak_guardrail_torque=share * before)
         certificate = replace(triangle_plan.job.segments[-1].certificate, figures=figures)
         work = changed(without_approach(triangle_plan), "work", certificate=certificate)
-        scene = replace(work.scene, posture=work.start.posture)
+        scene = work.scene.with_posture(work.start.posture)
         assert (
             "less than the baseline's 486.4 Nm: hardly anything is gained"
             in verdict(replace(work, scene=scene))
@@ -73,7 +73,7 @@ def test_a_small_gain_is_told_with_the_joints_that_travel_further(
     figures = replace(triangle_plan.job.segments[-1].figures, peak_guardrail_torque=share * before)
     certificate = replace(triangle_plan.job.segments[-1].certificate, figures=figures)
     work = changed(without_approach(triangle_plan), "work", certificate=certificate)
-    work = replace(work, scene=replace(work.scene, posture=work.start.posture))
+    work = replace(work, scene=work.scene.with_posture(work.start.posture))
     *others, stroke = work.baseline_segments
     q, once = stroke.samples.q, further(work)
     assert once == pytest.approx(

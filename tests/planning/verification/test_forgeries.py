@@ -101,7 +101,7 @@ def test_sag_that_was_not_compensated(short_plan: Plan) -> None:
 @pytest.mark.parametrize(("order", "legs"), [("permuted", (1, 0, 2)), ("left out", (0, 1))])
 def test_legs_in_another_order(triangle_plan: Plan, order: str, legs: tuple[int, ...]) -> None:
     scene = triangle_plan.scene
-    other = replace(scene, legs=tuple(scene.legs[k] for k in legs))
+    other = scene.with_path(legs=tuple(scene.strokes[0].legs[k] for k in legs))
     got = [
         check.quantity
         for check in certified(other, triangle_plan, triangle_plan.trajectory).checks
@@ -134,11 +134,11 @@ def test_an_approach_that_is_not_free(triangle_plan: Plan, triangle_folder: Path
     ends = (scene.posture, triangle_plan.trajectory.q[0])
     post = Obstacle(name="post", shape=Box(size=(0.01, 0.01, 0.01)), X_WO=pose(elbow(robot, x)))
     for obstacles, way, caught_by in (
-        (scene.obstacles, x, None),
-        ((*scene.obstacles, post), x, "clearance"),
-        (scene.obstacles, straight(*ends, 100.0), None),
-        (scene.obstacles, straight(ends[0], ends[1] + 0.01, 100.0), "distance of the end"),
-        (scene.obstacles, straight(ends[0] + 0.01, ends[1], 100.0), "distance of the start"),
+        (scene.all_obstacles, x, None),
+        ((*scene.all_obstacles, post), x, "clearance"),
+        (scene.all_obstacles, straight(*ends, 100.0), None),
+        (scene.all_obstacles, straight(ends[0], ends[1] + 0.01, 100.0), "distance of the end"),
+        (scene.all_obstacles, straight(ends[0] + 0.01, ends[1], 100.0), "distance of the start"),
     ):
         clearances = Clearances(robot, obstacles)
         got = certify_move(robot, held, way, clearances, options, *ends)

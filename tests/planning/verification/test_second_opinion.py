@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from obstacle_entries import with_obstacles
 from oracle_arms import body_of, shapes_and_pairs
 from oracles import chang2021_arm
 from oracles.convex_distance import smallest_distances
@@ -73,7 +74,7 @@ SCENES: dict[str, Callable[[Path], Scene]] = {
 def test_the_package_agrees(name: str, tmp_path: Path) -> None:
     scene = SCENES[name](tmp_path)
     robot = robot_of(scene)
-    trajectory = swing(robot, sum(leg.seconds for leg in scene.legs))
+    trajectory = swing(robot, sum(leg.seconds for leg in scene.strokes[0].legs))
     checks = second_opinion(scene, scene.planner, trajectory, robot=robot, stroke=0)
     compared = [check for check in checks if check.quantity.startswith(("difference", "joints that"))]
     assert len(compared) == 10 + len(scene.feet)
@@ -84,7 +85,7 @@ def test_the_package_agrees(name: str, tmp_path: Path) -> None:
 def test_every_pair_is_as_far_apart_as_the_package_says(name: str, tmp_path: Path) -> None:
     scene = SCENES[name](tmp_path)
     robot, body = robot_of(scene), body_of(scene)
-    clearances = Clearances(robot, scene.obstacles)
+    clearances = Clearances(robot, scene.all_obstacles)
     theirs: dict[tuple[str, str], list[float]] = {}
     ours: dict[tuple[str, str], list[tuple[float, float]]] = {}
     q = swing(robot, 1.0).q[:2]
@@ -128,7 +129,7 @@ def test_bodies_move_as_in_the_paper(cmbot_robot: Robot, random_states: StateSam
 @pytest.mark.parametrize("kind", ["trapezoidal", "jerk_limited"])
 @pytest.mark.parametrize("ramp", [0.03, 0.2, 0.5])
 def test_the_timed_path_agrees(kind: Any, ramp: float) -> None:
-    scene = replace(load_scene("triangle"), speed_profile=SpeedProfile(kind=kind, ramp=ramp), via_points=37)
+    scene = load_scene("triangle").with_path(speed_profile=SpeedProfile(kind=kind, ramp=ramp), via_points=37)
     robot = robot_of(scene)
     checks = second_opinion(scene, scene.planner, swing(robot, 20), robot=robot, stroke=0)
     path = {check.quantity: check.holds for check in checks if "time" in check.quantity}
@@ -255,7 +256,7 @@ def test_a_tool_that_is_rolled(keep: Any, noticed: bool, short_plan: Plan) -> No
     q = x.q.copy()
     q[:, -1] += 0.01
     rolled = QuinticTrajectory(t=x.t, q=q, v=x.v, a=x.a)
-    scene = replace(short_plan.scene, keep=keep)
+    scene = short_plan.scene.with_path(keep=keep)
     turn = "turn of the tool at its via-point"
     assert broken(short_plan, trajectory=rolled, scene=scene) == ({turn} if noticed else set())
     # Half a turn of a wrist's joint lays the tool's axis down.
@@ -300,7 +301,7 @@ def test_ranges_are_judged(short_plan: Plan) -> None:
 def test_a_wall_in_the_way(short_plan: Plan) -> None:
     scene = short_plan.scene
     wall = Obstacle(name="wall", shape=Box(size=(1.0, 0.01, 1.0)), X_WO=pose([1.8, 0.6, -2.0]))
-    (failed,) = broken(short_plan, scene=replace(scene, obstacles=(*scene.obstacles, wall)))
+    (failed,) = broken(short_plan, scene=with_obstacles(scene, wall))
     assert failed.startswith("clearance of ")
     assert failed.endswith(" from wall by a second computation")
 

@@ -42,7 +42,7 @@ def test_a_foot_on_the_rail() -> None:
 
 def test_a_list_and_what_is_written_back() -> None:
     one = scene([{"kind": "welded"}])
-    assert one.file.as_data()["guardrail"]["hold"]["kind"] == "welded"
+    assert one.as_data()["guardrail"]["hold"]["kind"] == "welded"
     clamp = {"kind": "clamp", "force_n": [1e4, 1e4, 1e4], "moment_nm": [500, 500, 500]}
     (foot,) = scene(clamp, rails=[BAR], foot={"offset_m": 0.5}).feet
     assert (foot.half, foot.moment) == (None, (500, 500, 500))

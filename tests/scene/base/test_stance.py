@@ -1,6 +1,5 @@
 """Where the feet hold: the block guardrail.stance, the climber, and a world that is not O0."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,7 +25,7 @@ def standing(foot_1: dict[str, Any], **stance: Any) -> Scene:
 def test_the_post_in_the_middle_is_where_it_always_was() -> None:
     usual = short_scene()
     scene = standing(HERE)
-    assert scene.robot.stance.foot == pytest.approx((0, 0, 0), abs=1e-12)
+    assert scene.stance.foot == pytest.approx((0, 0, 0), abs=1e-12)
     one, other = (robot_of(each).model.jointPlacements[1] for each in (usual, scene))
     assert one.isApprox(other, 1e-12)
 
@@ -48,7 +47,7 @@ def test_the_wrench_is_about_the_place_where_foot_1_holds(random_states, rng) ->
 
 def test_the_base_bends_where_it_is_held() -> None:
     usual = short_scene(guardrail={"foot": {"post": 4}})
-    usual = replace(usual, tool=standing(HERE).tool)
+    usual = usual.changed(tool=standing(HERE).tool)
     q = np.array(usual.posture)[None]
     sags = [Sag(bending_arm(scene, robot_of(scene))).at(q).tool[0] for scene in (usual, standing(THERE))]
     np.testing.assert_allclose(sags[0], sags[1], rtol=1e-6)
@@ -77,9 +76,9 @@ def test_two_feet_share_what_one_would_bear() -> None:
     scene = standing(HERE, foot_2=BELOW)
     first, second = scene.feet
     np.testing.assert_allclose(first.share + second.share, np.eye(6), atol=1e-9)
-    foot_2 = Climber().poses(np.array(scene.robot.stance.climber))[0]
-    np.testing.assert_allclose((scene.robot.stance.root @ foot_2)[:3, 3], [0, 0, -0.75], atol=1e-9)
-    assert scene.file.as_data()["guardrail"]["stance"]["foot_2"]["along_m"] == 0.35
+    foot_2 = Climber().poses(np.array(scene.stance.climber))[0]
+    np.testing.assert_allclose((scene.stance.root @ foot_2)[:3, 3], [0, 0, -0.75], atol=1e-9)
+    assert scene.as_data()["guardrail"]["stance"]["foot_2"]["along_m"] == 0.35
     holding = robot_of(scene).holding
     assert holding.each(np.zeros((1, 6))).shape == (1, 2)
 

@@ -48,8 +48,8 @@ def test_of_all_strokes_without_a_number() -> None:
     strokes = [{"legs": [LONG], "via_points": 7}, {"from": {"xyz": [1.8, 0.7, -2.0]}, "legs": [LONG]}]
     tool_path = {"strokes": strokes, "via_points": "auto"}
     scene = load_scene({**copy.deepcopy(SHORT), "tool_path": tool_path})
-    assert [stroke.via_points for stroke in scene.each_stroke] == [7, "auto"]
-    assert load_scene(scene.file.as_data()).content_hash == scene.content_hash
+    assert [stroke.via_points for stroke in scene.strokes] == [7, "auto"]
+    assert load_scene(scene.as_data()).content_hash == scene.content_hash
     assert [len(stroke.via_times) for stroke in scene.timed_strokes(POSE)] == [7, 21]
 
 
@@ -58,8 +58,8 @@ def test_a_plan_has_the_number(tmp_path: Any) -> None:
     scene = short_scene(tool_path={"via_points": "auto", "speed_profile": profile})
     assert ("via-points", "13") in precheck_scene(scene).found
     planned = plan(scene)
-    assert planned.scene.via_points == len(planned.trajectory.t) == 13
-    assert load_plan(save(planned, tmp_path / "plan"), verify=True).scene.via_points == 13
+    assert planned.scene.strokes[0].via_points == len(planned.trajectory.t) == 13
+    assert load_plan(save(planned, tmp_path / "plan"), verify=True).scene.strokes[0].via_points == 13
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """Waypoints that repeat a place, nearly do, or turn the tool where it is."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -56,10 +55,10 @@ def test_what_repeats_a_place_changes_nothing(seed: int, exactly: bool, closed: 
     t = np.linspace(0, 4, 101)
     np.testing.assert_allclose(other.position(t), one.position(t), rtol=0, atol=1e-12)
     # What was given stays part of the scene.
-    assert len(merged.waypoints or ()) == len(again)
-    (stroke,) = merged.each_stroke
+    assert len(merged.strokes[0].waypoints or ()) == len(again)
+    (stroke,) = merged.strokes
     assert stroke.merged == len(again) - len(rows)
-    assert stroke.passed == alone.waypoints
+    assert stroke.passed == alone.strokes[0].waypoints
     assert stroke.in_words.startswith("a spline through 5 waypoints")
 
 
@@ -69,7 +68,7 @@ def test_a_path_may_come_back_to_where_it_was() -> None:
     for rows in (CLOSED, [CLOSED[0], CLOSED[1], CLOSED[0]], crossing):
         scene = way_of(rows)
         check_path(scene)
-        assert scene.each_stroke[0].merged == 0
+        assert scene.strokes[0].merged == 0
         assert np.isfinite(path_of(scene).position(np.linspace(0, 4, 101))).all()
 
 
@@ -77,7 +76,7 @@ def test_places_as_near_as_a_crawl_are_not_all_one() -> None:
     """Each is near to the one before; that they are merged does not shorten the way."""
     rows = [[4e-5 * k, 0, 0.1, *DOWN] for k in range(101)]
     scene = way_of(rows)
-    assert 0 < scene.each_stroke[0].merged < 70
+    assert 0 < scene.strokes[0].merged < 70
     assert float(path_of(scene).lengths.sum()) == pytest.approx(4e-3, abs=1e-4)
 
 
@@ -96,7 +95,7 @@ def test_a_turn_in_place_is_refused(rows: list[list[float]], keep: Any) -> None:
 
 @pytest.mark.parametrize(("rows", "keep"), [(TURN, "position"), (ROLL, "axis"), (ROLL, CONE)])
 def test_a_turn_that_is_not_prescribed_is_none(rows: list[list[float]], keep: Any) -> None:
-    assert way_of(rows, keep=keep).each_stroke[0].merged == 1
+    assert way_of(rows, keep=keep).strokes[0].merged == 1
 
 
 def test_legs_turn_the_tool_where_it_is() -> None:
@@ -129,7 +128,7 @@ def test_places_that_are_too_few(rows: list[list[float]], got: str) -> None:
         way_of(rows)
     scene = way_of(CLOSED)
     with pytest.raises(InputError, match=got):
-        replace(scene, waypoints=tuple(map(tuple, rows)))
+        scene.with_path(waypoints=tuple(map(tuple, rows)))
 
 
 def test_nothing_that_is_no_number() -> None:

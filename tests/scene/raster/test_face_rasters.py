@@ -19,7 +19,7 @@ from cmbot import load_scene
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra, SceneError
 from cmbot.planning import precheck_scene
-from cmbot.scene import Coverage, Scene, Stroke, coverage_of, update_file
+from cmbot.scene import Coverage, Scene, Stroke, coverage_of
 
 
 def bent_sheet(radius: float, span_deg: float, length: float, facets: int, thickness: float = 0.01) -> Any:
@@ -49,14 +49,14 @@ def covered(*strokes: Stroke) -> Coverage:
 
 
 def in_frame(scene: Scene, vectors: FloatArray) -> FloatArray:
-    return (vectors - scene.frames["bracket"][:3, 3]) @ scene.frames["bracket"][:3, :3]
+    return (vectors - scene.frame_poses["bracket"][:3, 3]) @ scene.frame_poses["bracket"][:3, :3]
 
 
 def test_rows_of_a_plate_are_those_of_its_rectangle(tmp_path: Path) -> None:
     plate = prism([(0, 0), (0.3, 0), (0.3, 0.2), (0, 0.2)])
     scene = raster_scene(tmp_path, plate)
     stroke = stroke_of(scene)
-    rectangle = copy.deepcopy(scene.file.as_data())
+    rectangle = copy.deepcopy(scene.as_data())
     rectangle["tool_path"]["raster"] = {
         "origin": [0, 0.025, 0],
         "u": [0.3, 0, 0],
@@ -107,11 +107,11 @@ def test_on_a_bent_sheet_the_tool_is_square_to_it(
     # Facets are below the sheet that they stand for; splines are near their points.
     sagitta = radius * (1 - np.cos(np.radians(0.5 * span / facets)))
     np.testing.assert_allclose(away, radius + STAND_OFF, atol=2 * sagitta + 2e-4)
-    z = poses.rotation[:, :, 2] @ scene.frames["bracket"][:3, :3]
+    z = poses.rotation[:, :, 2] @ scene.frame_poses["bracket"][:3, :3]
     towards = -np.einsum("nd,nd->n", z, p * [1, 0, 1] / away[:, None])
     assert np.degrees(np.arccos(np.clip(towards, -1, 1))).max() < 0.75 * span / facets
     # By the mesh itself, with the nearest point on it.
-    mesh = trimesh.load_mesh(scene.obstacles[0].shape.path)
+    mesh = trimesh.load_mesh(scene.all_obstacles[0].shape.path)
     at = in_frame(scene, poses.point)
     corners = mesh.triangles
     nearest = [
@@ -214,9 +214,7 @@ def test_a_box_chooses_one_layer(tmp_path: Path) -> None:
 
 def test_the_scene_of_a_file_is_the_same_again(tmp_path: Path) -> None:
     scene = raster_scene(tmp_path, HOLE)
-    again = load_scene(scene.file.as_data())
-    assert again.content_hash == scene.content_hash == update_file(scene).content_hash
-    assert again.raster == scene.raster
+    assert load_scene(scene.as_data()) == scene
     # The mesh is part of it.
     assert raster_scene(tmp_path, layers()).content_hash != scene.content_hash
 
@@ -231,11 +229,11 @@ def test_without_shapely_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.
 def test_a_mesh_file_in_the_frame_is_as_the_obstacle_there(tmp_path: Path) -> None:
     sheet = bent_sheet(0.4, 40.0, 0.3, 12)
     named = raster_scene(tmp_path, sheet)
-    data = named.file.as_data()
+    data = named.as_data()
     data["obstacles"], data["tool_path"]["raster"]["mesh"] = [], "part.stl"
     (tmp_path / "scene.yaml").write_text(json.dumps(data), encoding="utf-8")
     scene = load_scene(tmp_path / "scene.yaml")
-    assert scene.raster.mesh_file == tmp_path / "part.stl"
+    assert scene.strokes[0].raster.mesh_file == tmp_path / "part.stl"
     np.testing.assert_allclose(stroke_of(scene).path.corners, stroke_of(named).path.corners, atol=1e-12)
     check_path(scene)
     found = dict(precheck_scene(scene).found)

@@ -1,7 +1,6 @@
 """Rasters in pieces: cells of rows, the strokes that they become, and what these cover."""
 
 import copy
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from timed_paths import SECOND, check_path, scene_of
 
 from cmbot import load_scene
 from cmbot.common.errors import InputError, SceneError
-from cmbot.scene import RowPiece, Scene, coverage_of, pieces_left_out, update_file
+from cmbot.scene import RowPiece, Scene, coverage_of, pieces_left_out
 from cmbot.scene.raster.pieces import cells_of, united, without
 
 RECTANGLE = {"origin": [0, 0, 0], "u": [0.4, 0, 0], "v": [0, 0.2, 0], "spacing_m": 0.1, "stand_off_m": 0.1}
@@ -113,7 +112,7 @@ def test_a_face_with_a_hole_becomes_strokes_that_cover_it(tmp_path: Path) -> Non
     """Two plates with a gap wider than the rows' distance are as a face with a notch all through."""
     scene = raster_scene(tmp_path, HOLE, {"seconds": 20.0, "blend_radius_m": 0.01}, spacing_m=0.02)
     apart = scene.in_cells(np.eye(4))
-    assert [(file.name, file.part_of) for file in apart.each_stroke] == [
+    assert [(file.name, file.part_of) for file in apart.strokes] == [
         ("work_1", "work"),
         ("work_2", "work"),
     ]
@@ -126,8 +125,8 @@ def test_a_face_with_a_hole_becomes_strokes_that_cover_it(tmp_path: Path) -> Non
     assert name == "work"
     assert (found.area, found.left_out) == (pytest.approx(0.04, rel=1e-4), 0.0)
     # The strokes are in the file that a plan holds.
-    again = load_scene(update_file(apart).file.as_data())
-    assert again.each_stroke == apart.each_stroke
+    again = load_scene(apart.as_data())
+    assert again.strokes == apart.strokes
     assert again.in_cells(np.eye(4)) is again
 
 
@@ -158,7 +157,7 @@ def test_keys_are_those_of_the_file_whatever_the_parts_and_the_order() -> None:
     assert len(rows) == len(strokes) - 1 > 1 and set(rows) == {"tool_path.strokes[0]"}
     assert strokes[-1].key == "tool_path.strokes[1]"
     # The best order may be another one than that of the file.
-    turned = replace(parts, strokes=parts.strokes[::-1]).timed_strokes(np.eye(4))
+    turned = parts.with_strokes(parts.strokes[::-1]).timed_strokes(np.eye(4))
     assert [stroke.key for stroke in turned] == [stroke.key for stroke in strokes[::-1]]
 
 
@@ -181,7 +180,7 @@ def test_more_parts_than_can_be_ordered_are_as_given() -> None:
 def test_a_name_that_is_taken_is_none_of_a_part() -> None:
     raster = {"raster": RECTANGLE, "speed_m_s": 0.1}
     found = in_parts({**raster, "name": "face"}, {**raster, "name": "face_2"})
-    assert [file.name for file in found.each_stroke] == ["face_1", "face_part_2", "face_2"]
+    assert [file.name for file in found.strokes] == ["face_1", "face_part_2", "face_2"]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,157 @@
+"""Files that a scene names: where they are, when it is read, and what is in them, for its hash."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, ValidationInfo
+
+from cmbot.common.errors import MissingExtra, SceneError
+from cmbot.common.input_files import LARGEST_MESH, is_file, is_folder, read_input
+from cmbot.common.robot_library import LIBRARY, LIBRARY_EXTRA, is_robot_name, library_robots
+from cmbot.common.validation import hint, refusal, shown
+from cmbot.scene.fields import Text
+from cmbot.scene.mesh_file import is_mesh_file
+
+__all__ = [
+    "FOLDER",
+    "TRAINS",
+    "AxlesName",
+    "FilePath",
+    "FolderPath",
+    "MeshName",
+    "RobotModel",
+    "file_hashes",
+    "without_paths",
+]
+
+FOLDER = "folder"
+"""In the context of a validation the folder at which relative paths start; without one they stay."""
+TRAINS = ("freight", "emu", *(f"hslm_a{k}" for k in range(1, 11)))
+"""Trains that need no file."""
+
+
+def _place(text: str, info: ValidationInfo) -> Path | None:
+    """Where a file is that is named in a scene; None where it is not sought."""
+    if info.data.get("model") == "cmbot":
+        return None  # beside the shipped robot there is none: `RobotFile` says so
+    folder = (info.context or {}).get(FOLDER)
+    return None if folder is None else folder / text
+
+
+def _file(text: str, info: ValidationInfo) -> str:
+    path = _place(text, info)
+    if path is None:
+        return text
+    if not is_file(path):
+        raise refusal("a file that exists (relative to the scene file)", got=shown(text))
+    return str(path.resolve())
+
+
+def _folder(text: str, info: ValidationInfo) -> str:
+    path = _place(text, info)
+    if path is None:
+        return text
+    if not is_folder(path):
+        raise refusal("a folder that exists (relative to the scene file)", got=shown(text))
+    return str(path.resolve())
+
+
+def _axles_name(text: str, info: ValidationInfo) -> str:
+    return text if text in TRAINS else _file(text, info)
+
+
+def _mesh_name(text: str, info: ValidationInfo) -> str:
+    return _file(text, info) if is_mesh_file(text) else text
+
+
+def _model(text: str, info: ValidationInfo) -> str:
+    """The path of a URDF, or the name of a robot; a file of that name comes first."""
+    path = _place(text, info)
+    if text == "cmbot" or path is None:
+        return text
+    if is_file(path):
+        return str(path.resolve())
+    robots = library_robots()
+    if robots is not None and text in robots:
+        return text
+    near = hint(text, ("cmbot", *(robots or ())))
+    if robots is None and is_robot_name(text) and not near:
+        missing = MissingExtra(LIBRARY, LIBRARY_EXTRA)
+        missing.add_hint(f"robot.model: {text} is no file, and may be a robot of that package")
+        raise missing
+    named = "the name of a robot" + ("" if robots else f" (of the extra {LIBRARY_EXTRA})")
+    expected = f"a file that exists (relative to the scene file), cmbot, or {named}{near}"
+    raise refusal(expected, got=shown(text))
+
+
+FilePath = Annotated[Text, AfterValidator(_file)]
+"""Of a file, relative to the scene file; in a scene that is read absolute."""
+FolderPath = Annotated[Text, AfterValidator(_folder)]
+"""Of a folder, likewise."""
+AxlesName = Annotated[Text, AfterValidator(_axles_name)]
+"""The name of a train, or the path of a file of axle loads, likewise."""
+MeshName = Annotated[Text, AfterValidator(_mesh_name)]
+"""The path of a mesh file, likewise, or the name of an obstacle."""
+RobotModel = Annotated[Text, AfterValidator(_model)]
+"""``cmbot``, the path of a URDF, likewise, or the name of a robot of example-robot-data."""
+
+
+def file_hashes(data: dict[str, Any], source: str, known: Mapping[str, str]) -> dict[str, str]:
+    """Return the SHA-256 (hexadecimal) of the files that a scene's content names, by their paths.
+
+    Parameters
+    ----------
+    data : dict
+        As `Scene.as_data` returns it.
+    source : str
+        The scene's, for messages.
+    known : mapping of str to str
+        Those of files that were read before.
+
+    Raises
+    ------
+    SceneError
+        When one of the others cannot be read.
+    """
+    hashes = dict[str, str]()
+    for key, block, name in _paths(data):
+        path = block[name]
+        try:
+            content = b"" if path in known else read_input(Path(path), SceneError, largest=LARGEST_MESH)
+        except SceneError as error:
+            raise SceneError(source, key, error.got, error.expected) from error
+        hashes[path] = known.get(path) or hashlib.sha256(content).hexdigest()
+    return hashes
+
+
+def without_paths(data: dict[str, Any], hashes: Mapping[str, str]) -> dict[str, Any]:
+    """Put the hashes of files in place of their paths in a scene's content, itself, and leave folders out."""
+    data["robot"].pop("package_dirs", None)
+    for _, block, name in _paths(data):
+        block[name] = hashes[block[name]]
+    return data
+
+
+def _paths(data: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any], str]]:
+    """The paths of files in a scene's content: the key of each, and the block in which it is, by its name."""
+    robot, path = data["robot"], data["tool_path"]
+    yield from ((f"robot.{name}", robot, name) for name in ("limits", "srdf", "elasticity") if name in robot)
+    if Path(robot["model"]).is_absolute():
+        yield "robot.model", robot, "model"
+    deck = data.get("excitation", {}).get("deck", {})
+    if "record" in deck:
+        yield "excitation.deck.record", deck, "record"
+    if "trains" in deck and deck["trains"]["axles"] not in TRAINS:
+        yield "excitation.deck.trains.axles", deck["trains"], "axles"
+    for k, obstacle in enumerate(data["obstacles"]):
+        if "mesh" in obstacle:
+            yield f"obstacles[{k}].mesh", obstacle, "mesh"
+    strokes = [(f"tool_path.strokes[{k}]", stroke) for k, stroke in enumerate(path.get("strokes", ()))]
+    for key, stroke in strokes or [("tool_path", path)]:
+        raster = stroke.get("raster", {})
+        if is_mesh_file(raster.get("mesh", "")):
+            yield f"{key}.raster.mesh", raster, "mesh"
