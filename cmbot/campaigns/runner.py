@@ -220,10 +220,14 @@ class _Child:
         with suppress(OSError):
             self._process.stdin.write(f"{line}\n".encode())
             self._process.stdin.flush()
-        if not select.select([answers], [], [], task.time_limit)[0]:
+        ready = select.poll()
+        ready.register(answers)
+        if not ready.poll(1e3 * task.time_limit):
             error = f"killed after {task.time_limit:g} s"
             return {"status": TaskStatus.TIMED_OUT, "error": error, "details": self._said()}
-        answer = json.loads(answers.readline() or "{}")
+        line = answers.readline()
+        # Of a process that ends while it answers there is no whole line.
+        answer = json.loads(line) if line.endswith(b"\n") else {}
         resident = answer.pop("resident", 0)
         if "value" in answer:
             self._run, self._first = self._run + 1, self._first or resident

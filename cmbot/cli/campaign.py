@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import cmbot
 from cmbot.cli.command import Reporting, argument, option
 from cmbot.cli.console import ConsoleProgress, ExitStatus, err, out
-from cmbot.common.errors import InputError, one_line
+from cmbot.common.errors import one_line
 
 if TYPE_CHECKING:
     from cmbot.campaigns import Campaign, CampaignProgress
@@ -30,14 +30,12 @@ class CampaignCommand(Reporting):
 
     file: Path = argument("A campaign file, a CSV table of jobs, or a folder of scenes.", "FILE")
     output: Path | None = option(None, "Folder to write; out/NAME if left out.", "--output", "-o")
-    workers: int = option(1, "Processes on this machine.")
+    workers: int = option(1, "Processes on this machine.", least=1)
     scheduler: str | None = option(None, "Use the workers of this dask scheduler.", metavar="ADDRESS")
     pages: bool = option(False, "Write replay and report of every plan.")
     again: bool = option(False, "Plan those again that were not planned before.")
 
     def __call__(self) -> int:
-        if not self.workers >= 1:
-            raise InputError("--workers", "", self.workers, "a whole number from 1 on")
         from cmbot.campaigns import OVERVIEW, RESULTS
 
         with ConsoleProgress(quiet=self.quiet) as console:

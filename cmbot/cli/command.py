@@ -9,10 +9,11 @@ from argparse import SUPPRESS, ArgumentTypeError
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, Field, dataclass, field, fields
+from functools import partial
 from inspect import cleandoc
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Any, ClassVar, NoReturn, TypeVar, get_args, get_origin, get_type_hints
+from types import NoneType
+from typing import Any, ClassVar, Literal, NoReturn, TypeVar, get_args, get_origin, get_type_hints
 
 from cmbot.cli.console import ConsoleProgress, ExitStatus, err, out, print_json, scenes_named
 from cmbot.common.errors import InputError, one_line
@@ -131,6 +132,13 @@ def options_named(names: Mapping[str, str]) -> Iterator[None]:
         raise InputError(error.source, names[key], error.got, expected, error.choices) from error
 
 
+@dataclass(frozen=True, kw_only=True)
+class Writing(Reporting):
+    """A command that writes what may be there already."""
+
+    force: bool = option(False, "Replace what is there.")
+
+
 class _Parser(argparse.ArgumentParser):
     """Reads the words of a command; what is wrong is raised."""
 
@@ -241,9 +249,9 @@ def _add(parser: argparse.ArgumentParser, declared: Field[Any], hint: Any) -> No
     if told.get("instead"):
         parser.add_argument(*flags, **name, action=_Instead, const=told["instead"])
         return
-    kind = next(
-        each for each in (get_args(hint) if isinstance(hint, UnionType) else (hint,)) if each != NoneType
-    )
+    # Where an option may be left out, its type is one or None.
+    kinds = get_args(hint)
+    kind = next(each for each in kinds if each is not NoneType) if NoneType in kinds else hint
     if kind is bool:
         parser.add_argument(*flags, **name, action="store_true")
         return
@@ -256,7 +264,10 @@ def _add(parser: argparse.ArgumentParser, declared: Field[Any], hint: Any) -> No
             settings["action"] = "append"
         else:
             settings["nargs"] = "+"
-    settings["type"] = _converter(kind, told.get("least"), told.get("most"))
+    if get_origin(kind) is Literal:
+        settings["type"] = partial(_known, choices=get_args(kind))
+    else:
+        settings["type"] = _converter(kind, told.get("least"), told.get("most"))
     if flags:
         settings["required"] = declared.default is MISSING
     parser.add_argument(*flags, **name, **settings)
@@ -270,6 +281,13 @@ def _help(declared: Field[Any]) -> str:
         else ""
     )
     return f"{text}{shown}".replace("%", "%%")
+
+
+def _known(word: str, choices: Sequence[str]) -> str:
+    if word not in choices:
+        known = ", ".join(choices)
+        raise ArgumentTypeError(f"got {one_line(word)}, expected a known value (one of: {known})")
+    return word
 
 
 def _converter(kind: type, least: float | None, most: float | None) -> Callable[[str], Any]:

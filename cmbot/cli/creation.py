@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cmbot
-from cmbot.cli.command import Reporting, option
+from cmbot.cli.command import Writing, option
 from cmbot.cli.console import out
 from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError, ModelError, one_line
@@ -32,7 +32,7 @@ Numbers = tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
-class NewCommand(Reporting):
+class NewCommand(Writing):
     """Write a scene for a robot: a start posture that holds the tool, a first leg, joint limits to fill in.
 
     Example: cmbot new --from panda --tool-at 0.5 0 0.4 -o panda.yaml, then cmbot plan panda.yaml
@@ -47,15 +47,20 @@ class NewCommand(Reporting):
         None,
         "With --from: tool point at the start, m, in the frame of the URDF's root link.",
         metavar="X Y Z",
+        least=-_LARGEST,
+        most=_LARGEST,
     )
     rpy_deg: Numbers | None = option(
-        None, "Roll, pitch, yaw of the tool there; left out: any.", metavar="R P Y"
+        None,
+        "Roll, pitch, yaw of the tool there; left out: any.",
+        metavar="R P Y",
+        least=-_LARGEST_ANGLE,
+        most=_LARGEST_ANGLE,
     )
     base: str | None = option(None, "Base frame; left out: the only choice.", metavar="FRAME")
     tool: str | None = option(None, "Tool frame; left out: the only choice.", metavar="FRAME")
     package_dir: tuple[Path, ...] = option((), "Where package:// is sought first; repeatable.", metavar="DIR")
     output: Path | None = option(None, "Scene file to write; NAME.yaml if left out.", "--output", "-o")
-    force: bool = option(False, "Replace what is there.")
 
     def __call__(self) -> None:
         source, tool_at = self.source, self.tool_at
@@ -63,8 +68,6 @@ class NewCommand(Reporting):
             missing = "--from" if source is None else "--tool-at"
             raise InputError(missing, "", "nothing", "--from URDF and --tool-at X Y Z")
         path = self.output or Path(f"{_slug(Path(source).name.partition('.')[0])}.yaml")
-        _require_numbers("--tool-at", tool_at, _LARGEST)
-        _require_numbers("--rpy-deg", self.rpy_deg or (), _LARGEST_ANGLE)
         _require_applicable(source, self.base, self.tool, self.package_dir)
         robot = _loaded(source, self.base, self.tool, self.package_dir)
         require_new(path, self.force)
@@ -254,9 +257,3 @@ def _schema(path: Path) -> str:
 
 def _slug(text: str) -> str:
     return _NO_SLUG.sub("_", text).strip("_-")[:100] or "scene"
-
-
-def _require_numbers(option: str, numbers: tuple[float, ...], most: float) -> None:
-    for number in numbers:
-        if not abs(number) <= most:
-            raise InputError(option, "", number, f"finite numbers of at most {most:g}")

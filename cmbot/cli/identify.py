@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cmbot
-from cmbot.cli.command import Reporting, argument, option, options_named
+from cmbot.cli.command import Writing, argument, option, options_named
 from cmbot.cli.completion import complete_scene
 from cmbot.cli.console import out, print_table
 from cmbot.cli.views import require_new
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class IdentifyCommand(Reporting):
+class IdentifyCommand(Writing):
     """Find out how stiff base, links and joints are, from how far a weight moves the tool.
 
     With --propose the postures in which that tells most, as a sheet to fill in, and how exact the tool will
@@ -42,7 +42,6 @@ class IdentifyCommand(Reporting):
     gauge: float | None = option(None, "With --propose: error of the gauge, mm; 0.1 if left out.")
     axes: str = option("xyz", "With --propose: components that are measured, such as z.")
     accept_misfit: bool = option(False, "Use measurements that plainly do not fit, with larger errors.")
-    force: bool = option(False, "Replace what is there.")
 
     def __call__(self) -> None:
         if self.propose is not None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cmbot
-from cmbot.cli.command import Reporting, argument, option
+from cmbot.cli.command import Writing, argument, option
 from cmbot.cli.completion import complete_scene
 from cmbot.cli.console import out
 from cmbot.cli.views import require_new
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LocateCommand(Reporting):
+class LocateCommand(Writing):
     """Find out where a workpiece is, from places that the tool touched on it.
 
     With --propose the corners to touch, as a sheet to fill in, and how exact the place will be. Without it
@@ -35,7 +35,6 @@ class LocateCommand(Reporting):
     output: Path | None = option(None, "File to write; named by FILE if left out.", "--output", "-o")
     scene: str | None = option(None, "Scene in place of the file's; a CSV file needs one.", metavar="SCENE")
     propose: int | None = option(None, "Propose so many corners to touch.", least=1, most=100)
-    force: bool = option(False, "Replace what is there.")
 
     def __call__(self) -> None:
         from cmbot.archive import write_file

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cmbot
-from cmbot.cli.command import Reporting, argument, option
+from cmbot.cli.command import Writing, argument, option
 from cmbot.cli.completion import complete_scene
 from cmbot.cli.console import ConsoleProgress, err, out, print_table
 from cmbot.cli.views import plot_files, require_plots
@@ -51,7 +51,7 @@ def _allowed(option: Mapping[str, Any]) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlanCommand(Reporting):
+class PlanCommand(Writing):
     """Plan a scene, print what was gained, write a plan directory with a replay and a report.
 
     Examples: cmbot plan triangle -o out/triangle, cmbot plan triangle --set compensate=true --set
@@ -60,7 +60,6 @@ class PlanCommand(Reporting):
 
     scene: str = argument("A scene file, or the name of a shipped scene.", "SCENE", complete=complete_scene)
     output: Path | None = option(None, "Plan directory to write; out/NAME if left out.", "--output", "-o")
-    force: bool = option(False, "Replace what is there.")
     changes: tuple[str, ...] = option(
         (),
         "A planner option, or a value by its key in the scene file, in place of the scene's; repeatable.",

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cmbot
-from cmbot.cli.command import Reporting, argument, option, options_named
+from cmbot.cli.command import Writing, argument, option, options_named
 from cmbot.cli.console import ConsoleProgress, err, out, print_table
 from cmbot.cli.views import claimed_plan, plot_files, require_plots
 from cmbot.common.errors import InputError, one_line
@@ -23,7 +23,7 @@ _LEFT_OUT = ("format", "assumptions")
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimulateCommand(Reporting):
+class SimulateCommand(Writing):
     """Let guardrail and links bend under a plan's motion, and under the baseline's; add tracking errors.
 
     The plan's pages are written anew, with the tracking errors in them.
@@ -56,7 +56,6 @@ class SimulateCommand(Reporting):
         "follow exactly.",
     )
     delay: float = option(0.0, "Seconds by which the joints follow late.")
-    force: bool = option(False, "Replace what is there.")
     figures: bool = option(False, "Draw plots as PNG and SVG into the plan directory, too.")
     details: bool = option(False, "Print all figures, not only the answer.")
 
@@ -113,7 +112,7 @@ class SimulateCommand(Reporting):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReproduceCommand(Reporting):
+class ReproduceCommand(Writing):
     """Plan and simulate both of the paper's experiments, and compare them with what it measured.
 
     Example: cmbot reproduce -o out/reproduce
@@ -121,7 +120,6 @@ class ReproduceCommand(Reporting):
 
     output: Path = option(Path("out/reproduce"), "Folder to write.", "--output", "-o")
     quick: bool = option(False, "Only the stiffnesses times 1, 0.7 and 1.3, and no plan of least sag.")
-    force: bool = option(False, "Replace what is there.")
     details: bool = option(False, "Print all figures, not only the answer.")
 
     def __call__(self) -> None:

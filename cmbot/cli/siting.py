@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import cmbot
-from cmbot.cli.command import Reporting, argument, option
+from cmbot.cli.command import Reporting, Writing, argument, option
 from cmbot.cli.completion import complete_scene
 from cmbot.cli.console import ConsoleProgress, ExitStatus, out, print_table, scenes_named
 from cmbot.cli.signals import interrupt_taken
-from cmbot.common.errors import InputError, PlanningError, one_line
+from cmbot.common.errors import PlanningError, one_line
 
 if TYPE_CHECKING:
     from cmbot.siting import Standing
@@ -30,7 +30,7 @@ _MEMBERS = "A post or rail that feet hold at work; may be repeated; else all."
 
 
 @dataclass(frozen=True, kw_only=True)
-class StandCommand(Reporting):
+class StandCommand(Writing):
     """Find where the robot should stand for jobs: stances screened by bounds, the best planned.
 
     For scenes of the shipped robot alone, an arm on a climber that holds a guardrail. Strokes that no
@@ -45,7 +45,7 @@ class StandCommand(Reporting):
 
     scenes: tuple[str, ...] = argument(_SCENES, "SCENE", complete=complete_scene)
     output: Path | None = option(None, "Folder to write; out/NAME_stances if left out.", "--output", "-o")
-    objective: str | None = option(None, "torque or hold, in place of the scene's.")
+    objective: Literal["torque", "hold"] | None = option(None, "torque or hold, in place of the scene's.")
     plans: int = option(3, "How many of the best stances to plan.", least=0)
     spacing: float = option(0.05, "Metres between places of foot 1.", least=0.01)
     pair_spacing: float = option(0.15, "Metres between places of two feet.", least=0.05)
@@ -53,14 +53,12 @@ class StandCommand(Reporting):
     max_torque: float | None = option(None, "Newton metres on the guardrail at work at most.", least=0.0)
     members: tuple[str, ...] = option((), _MEMBERS, "--on", metavar="MEMBER")
     time_limit: float | None = option(None, "Seconds after which the best so far is kept.", least=0.0)
-    force: bool = option(False, "Replace what is there.")
 
     def __call__(self) -> int:
         started = time.perf_counter()
         loaded = [cmbot.load_scene(scene) for scene in self.scenes]
         if self.objective is not None:
-            wanted = _known(self.objective)
-            loaded = [each.with_options(objective=wanted) for each in loaded]
+            loaded = [scene.with_options(objective=self.objective) for scene in loaded]
         name = "_".join(each.name for each in loaded)
         directory = self.output or Path("out") / f"{name}_stances"
         from cmbot.archive import STANCES_FILE, require_absent, write_results
@@ -102,7 +100,7 @@ class StandCommand(Reporting):
 
 
 @dataclass(frozen=True, kw_only=True)
-class WalkCommand(Reporting):
+class WalkCommand(Writing):
     """Plan the steps from a scene's stance to another one: a foot lets go, swings, and holds again.
 
     For scenes of the shipped robot alone, an arm on a climber that holds a guardrail. Writes all joints
@@ -116,7 +114,6 @@ class WalkCommand(Reporting):
     output: Path | None = option(None, "Folder to write; out/NAME_walk if left out.", "--output", "-o")
     spacing: float = option(0.15, "Metres between places of the feet.", least=0.05)
     speed: float = option(0.03, "Metres a second of a foot at most.", least=1e-3, most=1.0)
-    force: bool = option(False, "Replace what is there.")
 
     def __call__(self) -> None:
         started = time.perf_counter()
@@ -266,13 +263,6 @@ def _write_walk(directory: Path, walked: Walk, *, force: bool = False) -> None:
     files = (walk_csv(walked).encode(), walk_page(walked).encode(), walk_replay_page(walked).encode())
     contents = dict(zip(_WALK_FILES, files, strict=True))
     write_results(directory, WALK_FILE, walk_data(walked), contents, force=force)
-
-
-def _known(objective: str) -> Literal["torque", "hold"]:
-    match objective:
-        case "torque" | "hold":
-            return objective
-    raise InputError("cmbot stand", "--objective", objective, "a known value", ("torque", "hold"))
 
 
 def _contents(standings: Sequence[Standing], name: str) -> dict[str, bytes]:

@@ -40,7 +40,7 @@ def excitation_rows(excitation: Excitation) -> Iterator[tuple[str, str]]:
 
 
 def _sway(sway: RandomSway) -> Iterator[tuple[str, str]]:
-    yield "tool, RMS, mm", f"{sway.rms_mm:.2f}"
+    yield "tool under spectrum and gusts, RMS, mm", f"{sway.rms_mm:.2f}"
     value = f"{1e3 * sway.across.max():.2f}, {1e3 * sway.along.max():.2f}"
     yield "largest across its axis, along it, RMS, mm", value
     yield "mean of the largest displacement, mm", f"{1e3 * sway.peak:.2f}"

@@ -81,24 +81,6 @@ def test_help_shows_an_example_and_every_verb() -> None:
     assert all(f" {verb} " in text for verb in ("plan", "simulate", "reproduce", "replay", "check", "doctor"))
 
 
-@pytest.mark.parametrize(
-    ("verb", "example"),
-    [
-        ("plan", "Examples: cmbot plan triangle -o out/triangle, cmbot plan triangle --set compensate=true"),
-        ("replay", "Example: cmbot replay out/triangle --html triangle.html"),
-        ("report", "Example: cmbot report out/triangle"),
-        ("stand", "Examples: cmbot stand line --objective hold, then cmbot plan out/line_stances/best.yaml"),
-        ("walk", "Example: cmbot walk here.yaml --to out/line_stances/best.yaml"),
-        ("simulate", "Example: cmbot simulate out/triangle"),
-        ("reproduce", "Example: cmbot reproduce -o out/reproduce"),
-        ("check", "Examples: cmbot check arm.urdf, cmbot check triangle"),
-        ("doctor", "Example: cmbot doctor"),
-    ],
-)
-def test_help_of_a_verb_shows_an_example(verb: str, example: str) -> None:
-    assert example in plain(output(verb, "--help"))
-
-
 def test_help_breaks_lines_where_the_terminal_does_and_gives_flags_no_value(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -162,7 +162,10 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
     ("campaign short.yaml", ("short.yaml:1: format: got a scene (", "; cmbot plan short.yaml plans it")),
     ("campaign list.yaml", ("list.yaml: got [1, 2]", "a mapping")),
     ("campaign no_plan", ("no_plan: got a campaign without jobs, expected at least one job",)),
-    ("campaign short.yaml --workers 0", ("--workers: got 0, expected a whole number from 1 on",)),
+    (
+        "campaign short.yaml --workers 0",
+        ("--workers: got 0, expected a whole number of at least 1. See: cmbot campaign",),
+    ),
     ("compare nosuch other", ("nosuch: no such folder, expected a plan directory",)),
     ("compare nosuch", ("nosuch", "expected ")),
     # Inputs are looked at before places that are taken.
