@@ -2,8 +2,9 @@
 
 ``cmbot export DIR --ros FILE`` writes the whole job as a ROS ``trajectory_msgs/JointTrajectory``. This makes
 the goal of a ``control_msgs/FollowJointTrajectory`` action of it, and sends it where ROS is installed:
-``python 07_send_to_a_robot.py out/triangle /arm_controller``. Without ROS, or without a controller, it shows
-the goal. The arm has to stand in the posture that it prints first.
+``python 07_send_to_a_robot.py out/triangle triangle /arm_controller``. The plan is verified before: it has to
+keep what the scene asks. Without ROS, or without a controller, it shows the goal. The arm has to stand in the
+posture that it prints first.
 """
 
 import json
@@ -21,11 +22,12 @@ JointTolerance[] goal_tolerance
 builtin_interfaces/Duration goal_time_tolerance"""
 
 
-def goal_of(folder: Path, *, tolerance: float = 0.01) -> dict:
-    """The goal of the whole job; at its end every joint may be off by `tolerance`, rad."""
+def goal_of(folder: Path, scene: cmbot.Scene, *, tolerance: float = 0.01) -> dict:
+    """The goal of the whole job of a scene; at its end every joint may be off by `tolerance`, rad."""
+    plan = cmbot.load_plan(folder, verify=True, scene=scene)
     with tempfile.TemporaryDirectory() as place:
         file = Path(place) / "job.ros.json"
-        export_ros(cmbot.load_plan(folder), file)
+        export_ros(plan, file)
         trajectory = json.loads(file.read_text(encoding="utf-8"))
     bounds = [{"name": joint, "position": tolerance} for joint in trajectory["joint_names"]]
     goal = {
@@ -67,8 +69,8 @@ def send(goal: dict, controller: str) -> None:
     print("done")
 
 
-def short_plan(folder: Path) -> Path:
-    """Plan a small job, for this example to have one."""
+def short_scene() -> cmbot.Scene:
+    """A small job, for this example to have one."""
     scene = {
         "format": "cmbot-scene/2",
         "name": "short",
@@ -76,12 +78,12 @@ def short_plan(folder: Path) -> Path:
         "tool_path": {"legs": [{"by": [0, -0.3, 0], "seconds": 4}], "via_points": 8},
         "planner": {"knots": "fixed", "path_step_s": 0.02},
     }
-    return cmbot.save(cmbot.plan(cmbot.load_scene(scene)), folder / "short")
+    return cmbot.load_scene(scene)
 
 
-def main(folder: Path, controller: str = "") -> None:
-    """Show the goal, and send it where a controller is named."""
-    goal = goal_of(folder)
+def main(folder: Path, scene: cmbot.Scene, controller: str = "") -> None:
+    """Show the goal of a plan of a scene, and send it where a controller is named."""
+    goal = goal_of(folder, scene)
     points = goal["trajectory"]["points"]
     print("joints:", ", ".join(goal["trajectory"]["joint_names"]))
     print("starts in:", ", ".join(f"{angle:.4f}" for angle in points[0]["positions"]), "rad")
@@ -94,8 +96,9 @@ def main(folder: Path, controller: str = "") -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        main(Path(sys.argv[1]), *sys.argv[2:3])
+    if len(sys.argv) > 2:
+        main(Path(sys.argv[1]), cmbot.load_scene(sys.argv[2]), *sys.argv[3:4])
     else:
         with tempfile.TemporaryDirectory() as temporary:
-            main(short_plan(Path(temporary)))
+            short = short_scene()
+            main(cmbot.save(cmbot.plan(short), Path(temporary) / "short"), short)

@@ -27,7 +27,10 @@ A whole job, from the stowed arm and back to it (`cmbot plan gusset_plate`):
 _SECTIONS = {
     "Scene": "The scene",
     "PostureFile": "`start`",
+    "NamedState": "Named states: `return`",
     "RobotFile": "`robot`",
+    "AttachedToolFile": "`robot.tool`",
+    "ToolShapeFile": "`robot.tool.shapes`",
     "MountFile": "`robot.mount`, `frames`",
     "BaseFile": "`base`",
     "ModesFile": "`base.modes`",

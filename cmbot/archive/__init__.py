@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from cmbot.archive.reading import load_plan, plan_data
     from cmbot.archive.ros import export_mcap, export_ros, export_ros_package
     from cmbot.archive.tracking import load_tracking, require_no_tracking, save_tracking, tracking_json
-    from cmbot.archive.verification import VerifiedMotion, verified_motions
+    from cmbot.archive.verification.folders import Verdict, VerifiedMotion, verified_motions
     from cmbot.archive.walks import load_walk
 
 __all__ = [
@@ -37,6 +37,7 @@ __all__ = [
     "STANCES_FILE",
     "TOUR_FILE",
     "WALK_FILE",
+    "Verdict",
     "VerifiedMotion",
     "add_file",
     "claim",
@@ -72,7 +73,7 @@ _LATER = {
     "cmbot.archive.reading": ("load_plan", "plan_data"),
     "cmbot.archive.ros": ("export_mcap", "export_ros", "export_ros_package"),
     "cmbot.archive.tracking": ("load_tracking", "require_no_tracking", "save_tracking", "tracking_json"),
-    "cmbot.archive.verification": ("VerifiedMotion", "verified_motions"),
+    "cmbot.archive.verification.folders": ("Verdict", "VerifiedMotion", "verified_motions"),
     "cmbot.archive.walks": ("load_walk",),
 }
 __getattr__ = on_first_use(__name__, _LATER)

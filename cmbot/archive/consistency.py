@@ -32,9 +32,8 @@ def require_segments(file: PlanFile, source: str, scene: Scene, *, returns: bool
     got = [(segment.name, segment.kind) for segment in file.segments]
     expected: list[tuple[str, str]] = []
     for number, name in enumerate(names):
-        approaches = file.options.knots == "sliding" or scene.begins_elsewhere or number > 0
         start = file.strokes[number].start if file.strokes else file.start
-        if approaches and start.moved_deg > 0:
+        if start.moved_deg > 0:
             expected.append((free_move_name(number), "free"))
         expected.append((name, "stroke"))
     if returns and got[-1:] == [(RETURN, "free")]:
@@ -139,7 +138,13 @@ def _require_joins(job: Job, posture: FloatArray, end: FloatArray | None, knots:
 
 
 def require_same(
-    got: object, expected: object, source: str, key: str, tolerance: float = _SAME, zero: float = _SAME
+    got: object,
+    expected: object,
+    source: str,
+    key: str,
+    tolerance: float = _SAME,
+    zero: float = _SAME,
+    why: str = "computed again",
 ) -> None:
     """Refuse an entry that differs from what the other entries, or what is computed again, make of it.
 
@@ -149,22 +154,21 @@ def require_same(
     if isinstance(got, Mapping) and isinstance(expected, Mapping):
         for name in (*expected, *(got.keys() - expected.keys())):
             where = f"{key}.{name}" if key else str(name)
-            if name not in got or name not in expected:
-                wrong, wanted = (
-                    ("nothing", "a value") if name not in got else ("an unknown key", "a known key")
-                )
-                raise ArchiveError(source, where, wrong, wanted)
+            if name not in got:
+                raise ArchiveError(source, where, "nothing", f"{shown(expected[name])}, as {why}")
+            if name not in expected:
+                raise ArchiveError(source, where, shown(got[name]), f"no such key, as {why}")
             if name != "time":
-                require_same(got[name], expected[name], source, where, tolerance, zero)
+                require_same(got[name], expected[name], source, where, tolerance, zero, why)
     elif isinstance(got, list | tuple) and isinstance(expected, list | tuple) and len(got) == len(expected):
         for k, (one, other) in enumerate(zip(got, expected, strict=True)):
-            require_same(one, other, source, f"{key}[{k}]", tolerance, zero)
+            require_same(one, other, source, f"{key}[{k}]", tolerance, zero, why)
     elif isinstance(got, int | float) and isinstance(expected, int | float):
         if got != expected and not abs(got - expected) <= zero + tolerance * abs(expected):
-            raise ArchiveError(source, key, got, f"{expected:g}, as computed again")
+            raise ArchiveError(source, key, got, f"{expected:g}, as {why}")
     elif got != expected:
         given, wanted = ("null" if value is None else shown(value) for value in (got, expected))
-        raise ArchiveError(source, key, given, f"{wanted}, as computed again")
+        raise ArchiveError(source, key, given, f"{wanted}, as {why}")
 
 
 def _require_posture(got: FloatArray, expected: FloatArray, source: str, key: str, what: str) -> None:

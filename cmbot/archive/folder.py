@@ -302,12 +302,13 @@ def read_record(folder: Path, name: str) -> dict[str, Any]:
     path = folder / name
     data, expected = read_json(read_file(path), str(path)), FORMATS[name]
     written, kind = shown(data.get("format")), expected.partition("/")[0]
-    if data.get("format") != expected or _CONTENT not in data:
-        if str(data.get("format")).partition("/")[0] == kind:
-            verb = kind.removeprefix("cmbot-")
-            why = f"written by a development version; cmbot {verb} SCENE makes it anew"
-            raise ArchiveError(str(path), "format", written, f"{expected!r}: {why}")
-        raise ArchiveError(str(path), "format", written, repr(expected))
+    verb = kind.removeprefix("cmbot-").replace("stances", "stand")
+    why = f"written by a development version; cmbot {verb} SCENE makes it anew"
+    if data.get("format") != expected:
+        older = str(data.get("format")).partition("/")[0] == kind
+        raise ArchiveError(str(path), "format", written, f"{expected!r}: {why}" if older else repr(expected))
+    if missing := [name for name in (_FILES, _CONTENT) if name not in data]:
+        raise ArchiveError(str(path), missing[0], "no such key", f"hashes, as every {name} has: {why}")
     if not _is_sealed(data):
         raise ArchiveError(str(path), _CONTENT, "another hash", "the content that cmbot wrote, unchanged")
     return data

@@ -18,10 +18,12 @@ from cmbot.archive.names import BASELINE_FILE, JOB_FILES, PLAN_FILE, PLAN_FILES
 from cmbot.archive.places import plans_nearby
 from cmbot.archive.plan_file import MotionFile, PlanFile, SegmentFile, StrokeEntries, made
 from cmbot.archive.tables import read_motion
+from cmbot.archive.verification.asked import looser_promises, require_asked
+from cmbot.archive.verification.exported import unverified_files
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError, InputError
-from cmbot.common.validation import given_path, shown, validated
+from cmbot.common.validation import given_path, require_type, shown, validated
 from cmbot.elastic.sag import Sag
 from cmbot.planning import (
     Certificate,
@@ -46,16 +48,22 @@ from cmbot.planning import (
     task_of,
 )
 from cmbot.planning.verification.second_opinion import second_opinion
-from cmbot.robot import Robot
+from cmbot.robot import Kinematics, Robot
 from cmbot.scene import PlannerOptions, Scene
 
-__all__ = ["load_plan", "plan_data"]
+__all__ = ["load_plan", "plan_data", "read_plan"]
 
 # Relative and absolute tolerance of metrics computed again: processors round differently.
 _SAME, _SAME_ZERO = 1e-6, 1e-9
 
 
-def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
+def load_plan(
+    directory: str | Path,
+    *,
+    verify: bool = False,
+    scene: Scene | None = None,
+    options: PlannerOptions | None = None,
+) -> Plan:
     """Read a plan directory.
 
     The scene is checked as one from a file. Robot and meshes are loaded from their paths and must not have
@@ -67,16 +75,24 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
     directory : str or Path
     verify : bool
         Certify trajectory and approach again, and compute them a second time, with the extra ``verify``
-        also by MuJoCo (some seconds); require pages, plots and tracking errors that are there to be those
-        that were written. Peaks of a custom objective are not checked: the file has only its name.
+        also by MuJoCo (some seconds); require tables and exported files beside it to have the same motion,
+        and pages, plots and tracking errors that are there to be those that were written. Peaks of a custom
+        objective are not checked: the file has only its name.
+    scene : Scene, optional
+        That was asked for; with `verify`. The plan has to be one of it. Left out: what the plan promises is
+        judged by what the directory says that was asked; hashes in it find damage, not malice.
+    options : PlannerOptions, optional
+        That were asked for, in place of those of `scene`, or of the scene in the directory; with `verify`.
+        The plan has to promise no less.
 
     Raises
     ------
     InputError
-        When `directory` is no path.
+        When `directory` is no path, or `scene` or `options` are none, or given without `verify`.
     ArchiveError
         When a file is missing, damaged, of another version, or contradicts the others; when robot, scene or
-        meshes have changed since; with `verify`, when the metrics in the file are not those of the motion.
+        meshes have changed since; with `verify`, when the metrics in the file, or the motion in a file beside
+        it, are not those of the motion, or the plan is another one than was asked for.
     LimitViolation
         With `verify`, when trajectory or approach breaks a promise, or the second computation differs.
 
@@ -87,14 +103,31 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
     True
     """
     folder = given_path(directory, "cmbot.load_plan", "directory", "the path of a plan directory")
+    for key, value, kind in (("scene", scene, Scene), ("options", options, PlannerOptions)):
+        if value is not None:
+            require_type(value, kind, "cmbot.load_plan", key, f"{kind.__name__} or None")
+            if not verify:
+                raise InputError("cmbot.load_plan", "verify", "False", f"True, beside {key}")
+    return read_plan(folder, verify=verify, asked=scene, options=options)[0]
+
+
+def read_plan(
+    folder: Path, *, verify: bool, asked: Scene | None = None, options: PlannerOptions | None = None
+) -> tuple[Plan, tuple[str, ...]]:
+    """Read a plan directory as `load_plan` does; return also the names of files that were not compared."""
     source = folder / PLAN_FILE
 
-    def wanted(hashes: Mapping[str, str]) -> tuple[str, ...]:
+    def listed(hashes: Mapping[str, str]) -> tuple[str, ...]:
         shown_files = sorted(hashes.keys() - {*PLAN_FILES}) if verify else ()
         return (*PLAN_FILES, *(name for name in shown_files if (folder / name).exists()))
 
-    data, contents = _read(folder, wanted)
-    file = validated(PlanFile, without_hashes(data), str(source), ArchiveError)
+    data, contents = _read(folder, listed)
+    try:
+        file = validated(PlanFile, without_hashes(data), str(source), ArchiveError)
+    except ArchiveError as error:
+        # Its content is as it was written: most likely by a version with other keys.
+        expected = f"{error.expected}; of a plan of another version: cmbot plan SCENE makes it anew"
+        raise ArchiveError(error.source, error.key, error.got, expected, error.choices) from error
     with _as_archive_error(str(source)):
         scene = file.scene.with_source(str(source))
         robot = _robot(scene, file, source)
@@ -103,6 +136,11 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
         strokes = strokes_of(scene, robot)
         end = end_posture_of(scene, robot)
         clearances = Clearances(robot, scene.all_obstacles)
+    if asked is not None:
+        require_asked(scene, asked, str(source))
+    promised = options or (asked.planner if asked is not None else file.options)
+    if looser := looser_promises(file.options, promised):
+        raise ArchiveError(str(source), "options", "; ".join(looser), "promises as strict as what was asked")
     require_segments(file, str(source), scene, returns=end is not None)
     knots, table = str(folder / JOB_FILES[1]), str(folder / BASELINE_FILE)
     trajectories = segment_trajectories(file, contents[JOB_FILES[1]], knots, robot.dof, strokes)
@@ -128,7 +166,10 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
     # What it was made of, and by what, is not computed.
     given = {name: data[name] for name in ("scene", "versions")}
     require_same(without_hashes(data), again | given, str(source), "")
-    return _verified(plan, file.baseline, clearances, source) if verify else plan
+    if not verify:
+        return plan, ()
+    plan = _verified(plan, file.baseline, clearances, source)
+    return plan, unverified_files(plan, folder)
 
 
 def plan_data(directory: Path) -> dict[str, Any]:
@@ -270,6 +311,9 @@ def _verified(plan: Plan, baseline: MotionFile, clearances: Clearances, source: 
     for prefix, stroke in zip(prefixes, plan.strokes, strict=True):
         fresh = figures(plan.robot, stroke.baseline)
         _require_again(stroke.baseline_figures, fresh, source, f"{prefix}baseline")
+        for name, value in _along_baseline(plan.robot, stroke).items():
+            key = f"{prefix}{name}"
+            require_same(getattr(stroke, name), value, str(source), key, _SAME, _SAME_ZERO)
         if not plan.objective.own:
             _verify_objective(plan, stroke, source, f"{prefix}objective")
     for name, stored, measured in (
@@ -290,8 +334,6 @@ def _certified(plan: Plan, number: int, clearances: Clearances) -> Certificate:
     stroke, sag = None, None
     if at_work:
         stroke, sag = [each.name for each in plan.job.strokes].index(segment.name), plan.sag
-        # Where it follows on a segment, that they join has been checked.
-        rests_there = number == 0 and (options.knots == "sliding" or plan.scene.begins_elsewhere)
         number_of_via_points = plan.scene.strokes[stroke].via_points
         if not isinstance(number_of_via_points, int):
             expected = "a number, as plans have it"
@@ -305,7 +347,8 @@ def _certified(plan: Plan, number: int, clearances: Clearances) -> Certificate:
             clearances,
             options,
             via_points=number_of_via_points,
-            start=before if rests_there else None,
+            # Where it follows on a segment, that they join has been checked.
+            start=before if number == 0 else None,
             sag=sag,
         )
     else:
@@ -315,6 +358,19 @@ def _certified(plan: Plan, number: int, clearances: Clearances) -> Certificate:
         certificate = certify_move(robot, segment.task, trajectory, clearances, options, before, after)
     checks = second_opinion(plan.scene, options, trajectory, robot=robot, stroke=stroke, sag=sag)
     return replace(certificate, checks=(*certificate.checks, *checks))
+
+
+def _along_baseline(robot: Robot, stroke: StrokePlan) -> dict[str, float]:
+    """What a stroke has of its baseline beside the figures: `drift` and `smallest_singular_value`."""
+    kinematics, task, baseline = Kinematics(robot), stroke.task.on_axis, stroke.baseline
+    smallest = np.inf
+    for q in baseline.q:
+        X_WT, J = kinematics.tool_jacobian(q)
+        J = task.jacobian(X_WT.rotation, robot.metric.positions(J))
+        smallest = min(smallest, float(np.linalg.svd(J, compute_uv=False)[-1]))
+    away = baseline.tool_point - task.path.poses(baseline.t).point
+    drift = float(np.linalg.norm(away, axis=1).max())
+    return {"drift": drift, "smallest_singular_value": smallest}
 
 
 def _verify_objective(plan: Plan, stroke: StrokePlan, source: Path, key: str) -> None:

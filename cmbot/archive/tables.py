@@ -13,13 +13,15 @@ from cmbot.common.validation import counted, shown
 from cmbot.planning import Samples
 from cmbot.trajectory import LARGEST
 
-__all__ = ["columns", "read_motion", "read_table", "samples_csv", "table_csv"]
+__all__ = ["columns", "read_motion", "read_table", "require_table", "samples_csv", "table_csv"]
 
 _JOINT_COLUMNS = ("q", "v", "a", "j", "tau")
 _VECTORS = ("guardrail_torque", "guardrail_force", "tool")
 _CLEARANCE, _SEGMENT, _ADHESION = "clearance", "segment", "adhesion_needed"
 # Digits in all, and after the point; the baseline's motion is read back, and figures computed from it.
 _DIGITS, _READ_BACK = 9, 12
+# What cells that are computed again may differ by, as a share and in the unit of the column.
+_ROUNDED = 1e-6
 
 
 def columns(dof: int, *, compensated: bool = False) -> tuple[str, ...]:
@@ -112,6 +114,41 @@ def read_table(content: bytes, source: str, names: tuple[str, ...]) -> FloatArra
         raise ArchiveError(source, "t", got, expected)
     _require_numbers(table, names, source)
     return table
+
+
+def require_table(content: bytes, expected: bytes, source: str) -> None:
+    """Refuse a table in the file `source` that is not an expected one, up to rounding.
+
+    Raises
+    ------
+    ArchiveError
+        For the first row that differs.
+    """
+    got, wanted = (text.decode("ascii", "replace").splitlines() or [""] for text in (content, expected))
+    names = wanted[0].split(",")
+    if got[0] != wanted[0]:
+        raise ArchiveError(source, "line 1", shown(got[0]), f"the columns {shown(wanted[0])}")
+    if len(got) != len(wanted):
+        rows = [counted(len(each) - 1, "row") for each in (got, wanted)]
+        raise ArchiveError(source, "", rows[0], f"{rows[1]}, as the knots have them")
+    for number, (line, other_line) in enumerate(zip(got, wanted, strict=True), start=1):
+        if line == other_line:
+            continue
+        cells, others = line.split(","), other_line.split(",")
+        if len(cells) != len(others):
+            key, counts = f"line {number}", [counted(len(each), "cell") for each in (cells, others)]
+            raise ArchiveError(source, key, counts[0], counts[1])
+        for name, cell, other in zip(names, cells, others, strict=True):
+            if cell != other and not _is_near(cell, other):
+                key, why = f"line {number}, {name}", f"{other}, as the knots have it"
+                raise ArchiveError(source, key, shown(cell), why)
+
+
+def _is_near(cell: str, other: str) -> bool:
+    try:
+        return math.isclose(float(cell), float(other), rel_tol=_ROUNDED, abs_tol=_ROUNDED)
+    except ValueError:
+        return False
 
 
 def _read_row(line: str, number: int, source: str, names: tuple[str, ...]) -> list[float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -27,6 +28,11 @@ __all__ = ["load_walk"]
 
 # Moves join where they are nearer, rad; feet are where they should be, m; figures that are computed again.
 _SAME_POSTURE, _SAME_PLACE, _SAME, _SAME_ZERO = 1e-9, 1e-6, 1e-6, 1e-9
+# The moves of a step: while a foot is off, the arm is still.
+_ORDER = re.compile("(arm, )*(lift, )?swing(, set)?")
+# Near its place a foot's shapes do not count: there it goes along the normal, aside by so much at most, m and
+# as a share of its height; samples at which that is looked at.
+_ASIDE, _ASLANT, _SAMPLES = 1e-4, 0.05, 300
 
 _Row = tuple[float, ...]
 _Seconds = Annotated[float, Field(ge=0)]
@@ -148,21 +154,42 @@ class _Reader:
         self.require_stance(before, f"{key}.before")
         self._here = before
         holds: Side = 1 if file.foot == 2 else 2
+        if not _ORDER.fullmatch(kinds := ", ".join(entry.kind for entry in file.moves)):
+            raise self._error(f"{key}.moves", kinds, "the arm, then a lift, a swing and a set of the foot")
         moves = list[Move]()
         for k, entry in enumerate(file.moves):
             kind: Kind | None = "arm" if entry.kind == "arm" else None
             if kind is None and entry.holds != (holds,):
                 raise self._error(f"{key}.moves[{k}].holds", shown(list(entry.holds)), f"[{holds}]")
             moves.append(self.move(entry, f"{key}.moves[{k}]", kind))
-        stays = [node.root if holds == 1 else node.root @ self._foot_2(node) for node in (before, after)]
+            if entry.kind in ("lift", "set"):
+                self._require_straight(moves[-1], f"{key}.moves[{k}].knots")
+        stays = [
+            node.root if holds == 1 else node.root @ self._foot_2(node.climber) for node in (before, after)
+        ]
         if np.abs(stays[0] - stays[1]).max() > _SAME_PLACE:
             raise self._error(f"{key}.after", "another place", f"foot {holds} where it holds")
         self._here = after
         self.require_stance(after, f"{key}.after")
         return Step(foot=file.foot, before=before, after=after, moves=tuple(moves))
 
-    def _foot_2(self, node: Candidate) -> FloatArray:
-        return self._climber.poses(node.climber)[0]
+    def _require_straight(self, move: Move, key: str) -> None:
+        """A foot has to leave its place along the face's normal, ever further, or to come there so."""
+        trajectory, turn = move.segment.trajectory, -1 if move.holds == (2,) else 1
+        times = np.linspace(trajectory.t[0], trajectory.t[-1], _SAMPLES)
+        poses = [self._foot_2(angles) for angles in trajectory.evaluate(times)[:, ::turn]]
+        X = np.array(poses if turn == 1 else [np.linalg.inv(pose) for pose in poses])
+        X = X if move.kind == "lift" else X[::-1]
+        away = X[:, :3, 3] - X[0, :3, 3]
+        # The normal of foot 1.
+        out = np.array([0.0, 1.0, 0.0]) if turn == 1 else X[0, :3, 1]
+        height = away @ out
+        aside = np.linalg.norm(away - height[:, None] * out, axis=1) - _ASLANT * np.abs(height)
+        if aside.max() > _ASIDE or (np.diff(height) < -_SAME_PLACE).any() or height[-1] <= _ASIDE:
+            raise self._error(key, f"a {move.kind} of the foot along the face", "one along its normal")
+
+    def _foot_2(self, angles: FloatArray) -> FloatArray:
+        return self._climber.poses(angles)[0]
 
     def move(self, file: _MoveFile, key: str, kind: Kind | None) -> Move:
         """A move from where the walk is, which goes on where it ends."""

@@ -17,7 +17,7 @@ from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import given_path, validated
 from cmbot.planning import Plan, require_plan
 
-__all__ = ["export_csv", "save"]
+__all__ = ["export_csv", "job_table", "save"]
 
 
 def save(
@@ -65,9 +65,8 @@ def save(
     directory = given_path(directory, "cmbot.save", "directory", "the path of a new folder")
     shown = shown_files(added)
     table, knots = JOB_FILES
-    samples, labels = plan.job_samples
     contents = {
-        table: samples_csv(samples, table, labels),
+        table: job_table(plan, table),
         knots: knots_npz(plan.job.trajectory),
         BASELINE_FILE: samples_csv(plan.baseline, BASELINE_FILE),
     }
@@ -98,10 +97,15 @@ def export_csv(plan: Plan, path: str | Path, *, work: bool = False) -> None:
     """
     require_plan(plan, "cmbot.archive.export_csv")
     target = given_path(path, "cmbot.archive.export_csv", "path", "the path of a file to write")
+    write_file(target, job_table(plan, target.name, work=work))
+
+
+def job_table(plan: Plan, source: str, *, work: bool = False) -> bytes:
+    """Return the job of a plan as CSV, or the work alone; `source` is for messages."""
     samples, labels = plan.job_samples
     if work:
         samples, segments = plan.samples, plan.work.segments
         # A join belongs to the segment that ends there.
         numbers = np.searchsorted([segment.end for segment in segments[:-1]], samples.t)
         labels = tuple(segments[number].name for number in numbers)
-    write_file(target, samples_csv(samples, target.name, labels))
+    return samples_csv(samples, source, labels)

@@ -10,22 +10,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import cmbot
 from cmbot.cli.command import Writing, option
 from cmbot.cli.console import out
+from cmbot.cli.robot_options import named_as_option, xacro_arguments
 from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError, ModelError, one_line
 from cmbot.common.installation import scene_folder
+from cmbot.common.validation import shown
 
 if TYPE_CHECKING:
     from cmbot.planning import StartPosture
     from cmbot.robot import Robot
-    from cmbot.scene import Obstacle
+    from cmbot.scene import NewRobot, Obstacle
 
 _SHIPPED = "cmbot"
 _NO_SLUG = re.compile(r"[^A-Za-z0-9_\-]+")
 # Numbers of the command line are bounded as those of a scene file.
-_LARGEST, _LARGEST_ANGLE = 1e4, 360.0
+_LARGEST, _LARGEST_ANGLE, _HEAVIEST = 1e4, 360.0, 1e5
 
 
 Numbers = tuple[float, float, float]
@@ -58,8 +59,18 @@ class NewCommand(Writing):
         most=_LARGEST_ANGLE,
     )
     base: str | None = option(None, "Base frame; left out: the only choice.", metavar="FRAME")
-    tool: str | None = option(None, "Tool frame; left out: the only choice.", metavar="FRAME")
+    tool: str | None = option(
+        None,
+        "Tool frame, left out: the only choice; or a tool on it, as robot.tool in a scene, such as "
+        "'{xyz: [0, 0, 0.2], mass_kg: 1.5}'.",
+        metavar="FRAME",
+    )
+    flange: str | None = option(None, "With a tool: the frame that it is fixed to.", metavar="FRAME")
     package_dir: tuple[Path, ...] = option((), "Where package:// is sought first; repeatable.", metavar="DIR")
+    xacro: tuple[str, ...] = option((), "An argument of the xacro file; repeatable.", metavar="NAME=VALUE")
+    total_mass: float | None = option(
+        None, "Of a robot without masses: of all of it, which is spread over its shapes.", metavar="KG"
+    )
     output: Path | None = option(None, "Scene file to write; NAME.yaml if left out.", "--output", "-o")
 
     def __call__(self) -> None:
@@ -69,9 +80,10 @@ class NewCommand(Writing):
             raise InputError(missing, "", "nothing", "--from URDF and --tool-at X Y Z")
         path = self.output or Path(f"{_slug(Path(source).name.partition('.')[0])}.yaml")
         _require_applicable(source, self.base, self.tool, self.package_dir)
-        robot = _loaded(source, self.base, self.tool, self.package_dir)
+        asked = self._asked(source)
+        robot = _loaded(asked)
         require_new(path, self.force)
-        made = _composed(robot, source, tool_at, self.rpy_deg, path, self.package_dir)
+        made = _composed(robot, asked, tool_at, self.rpy_deg, path)
         from cmbot.archive import write_file
 
         # The scene last: it names the others.
@@ -85,6 +97,34 @@ class NewCommand(Writing):
         self.answer(
             lambda: {"files": [str(file) for file in written], "remarks": remarks},
             lambda: _print_new(made, remarks, written, shipped=source == _SHIPPED),
+        )
+
+    def _asked(self, source: str) -> NewRobot:
+        """The robot that the options describe; ``--tool`` is a frame, or a tool as the scene file has it."""
+        from cmbot.common.validation import validated
+        from cmbot.common.yaml_reader import yaml_value
+        from cmbot.scene import FOLDER, AttachedToolFile, NewRobot
+
+        tool, tool_frame = None, self.tool
+        if self.tool is not None and self.tool.lstrip().startswith("{"):
+            value = yaml_value(self.tool, "--tool", InputError)
+            # Its files are named as from here.
+            tool = validated(AttachedToolFile, value, "--tool", InputError, {FOLDER: Path.cwd()})
+            tool_frame = self.flange
+        elif self.flange is not None:
+            raise InputError("--flange", "", shown(self.flange), "a tool on it: --tool '{xyz: [0, 0, 0.2]}'")
+        if source == _SHIPPED and (tool, self.xacro, self.total_mass) != (None, (), None):
+            raise InputError("--tool, --xacro, --total-mass", "", "one of them", "none with --from cmbot")
+        if self.total_mass is not None and not 0 < self.total_mass <= _HEAVIEST:
+            raise InputError("--total-mass", "", self.total_mass, f"a mass in kg of at most {_HEAVIEST:g}")
+        return NewRobot(
+            source=source,
+            base_frame=self.base,
+            tool_frame=tool_frame,
+            package_dirs=self.package_dir,
+            xacro=xacro_arguments(self.xacro),
+            total_mass=self.total_mass,
+            tool=tool,
         )
 
 
@@ -128,23 +168,18 @@ class _Made:
     files: Mapping[Path, str]
 
 
-def _composed(
-    robot: Robot,
-    source: str,
-    tool_at: Numbers,
-    rpy_deg: Numbers | None,
-    path: Path,
-    packages: tuple[Path, ...],
-) -> _Made:
+def _composed(robot: Robot, asked: NewRobot, tool_at: Numbers, rpy_deg: Numbers | None, path: Path) -> _Made:
     """What is written: the scene, joint limits where the robot has none, an SRDF where its own blocks it."""
     import numpy as np
 
     from cmbot.planning import find_start
-    from cmbot.robot import Kinematics, robot_files
+    from cmbot.robot import Kinematics
     from cmbot.scene import PlannerOptions, limits_text, pose, scene_text
 
+    shipped = asked.source == _SHIPPED
+
     def start_of(robot: Robot) -> StartPosture:
-        return find_start(robot, _obstacles(source), np.array(tool_at), orientation)
+        return find_start(robot, _obstacles(asked.source), np.array(tool_at), orientation)
 
     def usual(start: StartPosture) -> bool:
         return start.safety_margin == PlannerOptions().safety_margin_m
@@ -152,21 +187,20 @@ def _composed(
     orientation = None if rpy_deg is None else np.array(pose((0, 0, 0), np.radians(rpy_deg)))[:3, :3]
     start, srdf, files = start_of(robot), path.with_suffix(".srdf"), dict[Path, str]()
     remarks: tuple[str, ...] = ()
-    shipped, own_limits = source == _SHIPPED, robot_files(source).limits is not None
     if not shipped and not usual(start):
-        text, said = _always_near(source, packages, srdf)
+        text, said = _always_near(asked, srdf)
         with tempfile.TemporaryDirectory() as folder:
             draft = Path(folder, srdf.name)
             draft.write_text(text, encoding="utf-8")
-            freed = _loaded(source, robot.base_frame, robot.tool_frame, packages, draft)
+            freed = _loaded(asked, draft)
         if usual(better := start_of(freed)):
             robot, start, files, remarks = freed, better, {srdf: text}, (said,)
     limits = path.with_name(f"{path.stem}.limits.yaml")
-    assumed = None if shipped or own_limits else limits
+    assumed = None if shipped or asked.files().limits is not None else limits
     files[path] = scene_text(
         name=_slug(path.stem),
         schema=_schema(path),
-        robot=_robot_entry(robot, source, path, assumed, srdf if srdf in files else None, packages),
+        robot=asked.entry(robot, path, assumed, srdf if srdf in files else None),
         on_guardrail=shipped,
         posture=start.posture,
         prismatic=robot.limits.prismatic,
@@ -177,18 +211,17 @@ def _composed(
         safety_margin_m=None if usual(start) else start.safety_margin,
     )
     if assumed is not None:
-        known = robot.limits
-        files[assumed] = limits_text(robot.joints, known.acceleration, known.jerk, known.prismatic)
+        files[assumed] = limits_text(robot.joints, robot.limits)
     return _Made(robot=robot, start=start, remarks=remarks, files=files)
 
 
-def _always_near(source: str, packages: tuple[Path, ...], path: Path) -> tuple[str, str]:
+def _always_near(asked: NewRobot, path: Path) -> tuple[str, str]:
     """The text of an SRDF that leaves out links which no motion can part, and a remark with their names."""
     from xml.etree import ElementTree
 
-    from cmbot.robot import robot_files, srdf_text
+    from cmbot.robot import srdf_text
 
-    text = srdf_text(robot_files(source, package_dirs=packages))
+    text = srdf_text(asked.files())
     pairs = [pair for pair in ElementTree.fromstring(text) if pair.get("reason") == "Always"]
     names = ", ".join(f"{pair.get('link1')} and {pair.get('link2')}" for pair in pairs)
     return (
@@ -197,40 +230,12 @@ def _always_near(source: str, packages: tuple[Path, ...], path: Path) -> tuple[s
     )
 
 
-def _loaded(
-    source: str, base: str | None, tool: str | None, packages: tuple[Path, ...], srdf: Path | None = None
-) -> Robot:
-    """The robot; where a frame has to be chosen, the error names the option."""
+def _loaded(asked: NewRobot, srdf: Path | None = None) -> Robot:
+    """The robot; where an option mends an error, it is named."""
     try:
-        return cmbot.load_robot(source, base_frame=base, tool_frame=tool, package_dirs=packages, srdf=srdf)
+        return asked.load(srdf)
     except ModelError as error:
-        flag = {"base_frame": "--base", "tool_frame": "--tool"}.get(error.key)
-        if flag is None:
-            raise
-        raise InputError(flag, "", error.got, error.expected, error.choices) from error
-
-
-def _robot_entry(
-    robot: Robot,
-    source: str,
-    path: Path,
-    assumed: Path | None,
-    srdf: Path | None,
-    packages: tuple[Path, ...],
-) -> dict[str, tuple[object, str]]:
-    """The scene's ``robot:`` block, each value with its comment; `assumed` is the file of assumed limits."""
-    entry: dict[str, tuple[object, str]] = {"model": (_model(source, path), "")}
-    if source != _SHIPPED:
-        entry["base_frame"] = (robot.base_frame, "")
-        entry["tool_frame"] = (robot.tool_frame, "the frame that follows the tool path")
-    if assumed is not None:
-        entry["limits"] = (assumed.name, "accelerations and jerks, assumed: put your robot's there")
-    if srdf is not None:
-        entry["srdf"] = (srdf.name, "by sampling: which of its links need not be checked against each other")
-    if packages:
-        folder = path.resolve().parent
-        entry["package_dirs"] = ([os.path.relpath(place.resolve(), folder) for place in packages], "")
-    return entry | {"payload_kg": (0.0, "point mass at the tool")}
+        raise named_as_option(error) from error
 
 
 def _obstacles(source: str) -> tuple[Obstacle, ...]:
@@ -238,13 +243,6 @@ def _obstacles(source: str) -> tuple[Obstacle, ...]:
     from cmbot.scene import GuardrailFile, elastic_guardrail, guardrail_obstacles
 
     return guardrail_obstacles(elastic_guardrail(GuardrailFile())) if source == _SHIPPED else ()
-
-
-def _model(source: str, path: Path) -> str:
-    """How the scene file names the robot: a URDF relative to it, or the name as it is."""
-    if source == _SHIPPED or not Path(source).exists():
-        return source
-    return os.path.relpath(Path(source).resolve(), path.resolve().parent)
 
 
 def _schema(path: Path) -> str:

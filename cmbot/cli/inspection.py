@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from itertools import takewhile
 from math import isfinite
@@ -15,6 +15,7 @@ import cmbot
 from cmbot.cli.command import Command, Reporting, argument, option
 from cmbot.cli.completion import complete_scene
 from cmbot.cli.console import ExitStatus, out, print_json, print_pairs, print_table
+from cmbot.cli.robot_options import xacro_arguments
 from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError, MissingExtra, SceneError, one_line
 from cmbot.common.input_files import is_file
@@ -66,20 +67,24 @@ class CheckCommand(Reporting):
     write_srdf: Path | None = option(
         None, "Write an SRDF: which links of a URDF need not be checked against each other.", metavar="FILE"
     )
+    xacro: tuple[str, ...] = option((), "An argument of the xacro file; repeatable.", metavar="NAME=VALUE")
 
     def __call__(self) -> int:
         file, is_urdf = self.file, _is_robot(self.file)
-        findings, found, conclusion = _check_urdf(file) if is_urdf else _check_scene(file)
+        if self.xacro and not is_urdf:
+            expected = "robot.xacro in the scene, or a URDF to check"
+            raise InputError("--xacro", "", "a scene to check", expected)
+        findings, found, conclusion = _check_urdf(file, self.xacro) if is_urdf else _check_scene(file)
         if self.write_srdf is not None:
             _require_new(self.write_srdf, is_urdf)
         usable = not _errors(findings)
         if usable and self.write_srdf is not None:
-            found["SRDF written"] = _write_srdf(file, self.write_srdf)
-        for finding in () if self.json else findings:
+            found["SRDF written"] = _write_srdf(file, self.write_srdf, self.xacro)
+        for finding, number in () if self.json else _counted(findings):
             if finding.severity == "error" or not self.quiet:
                 # As long as an error's message at most.
                 message = InputError(file, finding.key, finding.got, finding.expected)
-                out.print(f"{finding.severity}: {message}")
+                out.print(f"{finding.severity}: {message}{f' ({number} times)' if number > 1 else ''}")
 
         def data() -> dict[str, object]:
             kind, told = "urdf" if is_urdf else "scene", [asdict(finding) for finding in findings]
@@ -91,6 +96,17 @@ class CheckCommand(Reporting):
 
         self.answer(data, say)
         return ExitStatus.DONE if usable else ExitStatus.BAD_INPUT
+
+
+def _counted(findings: Sequence[Finding]) -> Iterator[tuple[Finding, int]]:
+    """Yield findings; warnings that differ in their links or joints alone as the first, with their number."""
+    alike: dict[tuple[str, ...], list[Finding]] = {}
+    for k, finding in enumerate(findings):
+        single = str(k) if finding.severity == "error" else ""
+        key = (finding.severity, re.sub(r"\[[^]]*\]", "", finding.key), finding.got, finding.expected, single)
+        alike.setdefault(key, []).append(finding)
+    for each in alike.values():
+        yield each[0], len(each)
 
 
 def _is_robot(file: str) -> bool:
@@ -112,30 +128,30 @@ def _require_new(path: Path, is_urdf: bool) -> None:
         raise InputError("--write-srdf", "", f"{path}, which is there", "the path of a new file")
 
 
-def _write_srdf(file: str, path: Path) -> str:
+def _write_srdf(file: str, path: Path, xacro: Sequence[str]) -> str:
     from xml.etree import ElementTree
 
     from cmbot.archive import write_file
     from cmbot.robot import robot_files, srdf_text
 
-    text = srdf_text(robot_files(file))
+    text = srdf_text(robot_files(file, xacro=xacro_arguments(xacro)))
     write_file(path, text.encode())
     reasons = [pair.get("reason", "") for pair in ElementTree.fromstring(text)]
     numbers = ", ".join(f"{reasons.count(reason)} {reason}" for reason in ("Adjacent", "Always", "Never"))
     return f"{path}: {len(reasons)} pairs of links ({numbers})"
 
 
-def _check_urdf(file: str) -> tuple[Sequence[Finding], dict[str, str], str]:
+def _check_urdf(file: str, xacro: Sequence[str]) -> tuple[Sequence[Finding], dict[str, str], str]:
     """Findings, what is in the file, and the conclusion."""
     from cmbot.common.validation import counted
     from cmbot.robot import inspect_loaded, inspect_robot, overview, robot_files
 
-    files = robot_files(file)
+    files = robot_files(file, xacro=xacro_arguments(xacro))
     root, findings = inspect_robot(files)
     found = {}
     if not _errors(findings):
         found = dict(overview(files, root))
-        findings += inspect_loaded(file)
+        findings = sorted([*findings, *inspect_loaded(files)], key=lambda finding: finding.severity)
     errors = _errors(findings)
     conclusion = f"Not usable: {counted(errors, 'error')}" if errors else "OK: no error"
     return findings, found, f"{conclusion}, {counted(len(findings) - errors, 'warning')}."
@@ -195,12 +211,18 @@ def _errors(findings: Sequence[Finding]) -> int:
 class VerifyCommand(Reporting):
     """Certify what is in a folder anew, and compute it a second time by other means.
 
-    Exit status 2, and one line that says what is wrong, where a promise is broken or two computations differ.
+    Exit status 2, and one line that says what is wrong, where a promise is broken, two computations differ, a
+    file beside the plan has another motion, or the folder is not what was asked for.
 
-    Examples: cmbot verify out/triangle, cmbot verify out/triangle --engine mujoco
+    Examples: cmbot verify out/triangle --scene triangle, cmbot verify out/triangle --engine mujoco
     """
 
     directory: Path = argument("The folder of a plan, a walk or a tour.", "DIR")
+    scene: str | None = option(
+        None,
+        "What was asked for, a scene file or the name of a shipped scene. Left out: what the folder says.",
+    )
+    to: Path | None = option(None, "Where a walk was to end: a scene, or a file with foot_1 and foot_2.")
     engine: Literal["mujoco"] | None = option(
         None,
         "The second engine that has to be asked: mujoco, of the extra verify. Left out: if installed.",
@@ -209,27 +231,44 @@ class VerifyCommand(Reporting):
     def __call__(self) -> None:
         from cmbot.archive import verified_motions
         from cmbot.planning.verification.engine import ENGINE, is_installed, require_installed
+        from cmbot.walking import load_goal
 
         if self.engine is not None:
             require_installed()
-        motions, asked = verified_motions(self.directory), is_installed()
+        scene = None if self.scene is None else cmbot.load_scene(self.scene)
+        goal = None if self.to is None else load_goal(self.to)
+        verdict, asked = verified_motions(self.directory, scene, goal), is_installed()
 
         def data() -> dict[str, Any]:
             entries = [
                 {"part": each.part, "name": each.name, "checks": [_entry(check) for check in each.checks]}
-                for each in motions
+                for each in verdict.motions
             ]
-            engine = ENGINE if asked else None
-            return {"directory": str(self.directory), "engine": engine, "motions": entries}
+            return {
+                "directory": str(self.directory),
+                "scene": self.scene,
+                "engine": ENGINE if asked else None,
+                "looser": verdict.looser,
+                "motions": entries,
+                "not_verified": verdict.not_verified,
+            }
 
         def say() -> None:
-            rows = [(each.part, each.name, f"{each.seconds:.1f}", str(len(each.checks))) for each in motions]
+            rows = [
+                (each.part, each.name, f"{each.seconds:.1f}", str(len(each.checks)))
+                for each in verdict.motions
+            ]
             print_table("Verified", ("part", "motion", "seconds", "checks that hold"), rows, text_columns=2)
             out.print(one_line("Certified anew, and computed a second time at 300 states of each motion."))
+            if scene is None:
+                out.print("Judged by what the folder says that was asked: --scene SCENE names the scene.")
+            out.print(one_line(f"Not verified: {'; '.join(verdict.not_verified) or 'nothing'}."))
             second = f"The second engine, {ENGINE}, was asked."
             missing = f"The second engine was not asked: {MissingExtra(ENGINE, 'verify')}."
             out.print(one_line(second if asked else missing))
 
+        for text in () if self.json else verdict.looser:
+            out.print(one_line(f"Promised otherwise than the scene in the folder asks: {text}."))
         self.answer(data, say)
 
 

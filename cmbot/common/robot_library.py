@@ -9,7 +9,7 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 
-__all__ = ["LIBRARY", "LIBRARY_EXTRA", "is_robot_name", "library_robots", "library_srdf"]
+__all__ = ["LIBRARY", "LIBRARY_EXTRA", "is_robot_name", "library_robots"]
 
 LIBRARY, LIBRARY_EXTRA = "example-robot-data", "robots"
 _PLACE = Path("share", "example-robot-data", "robots")
@@ -42,13 +42,6 @@ def library_robots() -> dict[str, Path] | None:
     if folder is None:
         return None
     return dict(_robots_in(folder))
-
-
-def library_srdf(urdf: Path) -> Path | None:
-    """Return the SRDF of a URDF of the library: of its name, or of what its name begins with."""
-    stems = {path.stem: path for path in (urdf.parent.parent / "srdf").glob("*.srdf")}
-    matching = [stem for stem in stems if urdf.stem == stem or urdf.stem.startswith((f"{stem}_", f"{stem}-"))]
-    return stems[max(matching, key=len)] if matching else None
 
 
 @cache

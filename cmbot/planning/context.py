@@ -22,7 +22,7 @@ from cmbot.planning.stiffness import covariance_of, known_share, with_identified
 from cmbot.planning.task import ToolTask
 from cmbot.planning.units import require_metres
 from cmbot.robot import Kinematics, PostureBatch, Postures, Robot, load_robot
-from cmbot.scene import SPEED_TOLERANCE, STOW, PlannerOptions, Scene, Stroke, ToolPoses
+from cmbot.scene import SPEED_TOLERANCE, STOW, NamedState, PlannerOptions, Scene, Stroke, ToolPoses
 
 __all__ = [
     "SAMPLE_STEP",
@@ -287,19 +287,23 @@ def build_context(
 def end_posture_of(scene: Scene, robot: Robot) -> FloatArray | None:
     """Return the posture (n,), rad and m, in which a scene's job ends; None: where its work ends.
 
-    An arm without a stow posture is put away where it started.
+    It ends in a named state; an arm without a stow posture is put away where it started.
 
     Raises
     ------
     SceneError
-        When its stow posture is out of the joint ranges.
+        When its SRDF has no such state, or that is out of the joint ranges.
     """
     if scene.return_to == "none":
         return None
-    stow = robot.group_states.get(STOW)
-    if scene.return_to == "start" or stow is None:
+    name = scene.return_to.state if isinstance(scene.return_to, NamedState) else STOW
+    state = robot.group_states.get(name)
+    if state is None and isinstance(scene.return_to, NamedState):
+        expected = "a group state of the arm's SRDF that sets all its joints"
+        raise SceneError(scene.source, "return.state", repr(name), expected, tuple(robot.group_states))
+    if scene.return_to == "start" or state is None:
         return np.array(scene.posture)
-    return np.array(robot.posture(stow, source=scene.source, key="return", error_type=SceneError))
+    return np.array(robot.posture(state, source=scene.source, key="return", error_type=SceneError))
 
 
 def rigid_arm_remark(scene: Scene, robot: Robot) -> str:
@@ -364,7 +368,7 @@ def robot_of(scene: Scene) -> Robot:
             locked=None if stance is None else stance.locked,
         )
     except ModelError as error:
-        if error.key not in ("base_frame", "tool_frame"):
+        if error.key not in ("base_frame", "tool_frame", "total_mass_kg") and "xacro." not in error.key:
             raise
         # The scene holds the key that has to be changed.
         key = f"robot.{error.key}"

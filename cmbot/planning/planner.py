@@ -348,7 +348,7 @@ def _certified_motion(attempt: Attempt, useless: float = np.inf) -> StrokeMotion
     approach: Segment | None = None
     if moved <= SAME_POSTURE:
         posture, moved = context.posture, 0.0
-    elif guess.search is not None or context.first is not context.posture:
+    else:
         approach = _approach(context, guess, optimised.trajectory)
     work = Segment(
         name=context.stroke.name,

@@ -1,10 +1,11 @@
 """The robot: its model from a URDF, its kinematics and its dynamics."""
 
-from cmbot.robot.arm_model import convex_hull, encloses_volume
 from cmbot.robot.climber import CLIMBING_JOINTS, Climber, ClimberBodies
 from cmbot.robot.description.files import RobotFiles, robot_files
 from cmbot.robot.description.frames import arm_frames
+from cmbot.robot.description.hulls import convex_hull, encloses_volume
 from cmbot.robot.description.mesh_file import faces_of, is_mesh, locate_meshes, vertices_of
+from cmbot.robot.description.tool import AttachedTool, ToolShape
 from cmbot.robot.description.xml_file import parse_urdf, urdf_content
 from cmbot.robot.dynamics import Dynamics, Efforts, external_forces
 from cmbot.robot.elasticity import JointElasticity, LinkTube
@@ -29,6 +30,7 @@ __all__ = [
     "CLIMBING_JOINTS",
     "MOST_FAR",
     "NEAR",
+    "AttachedTool",
     "Chain",
     "Climber",
     "ClimberBodies",
@@ -47,6 +49,7 @@ __all__ = [
     "RobotFiles",
     "Side",
     "ToolBatch",
+    "ToolShape",
     "arm_frames",
     "convex_hull",
     "encloses_volume",

@@ -7,17 +7,18 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 from xml.etree import ElementTree
 
 import coal
 import numpy as np
 import pinocchio as pin
 
-from cmbot.common.arrays import FloatArray, read_only
+from cmbot.common.arrays import BoolArray, FloatArray, read_only
 from cmbot.common.errors import ModelError
 from cmbot.common.validation import counted, hint, shown
 from cmbot.robot.description.frames import require_independent
+from cmbot.robot.description.hulls import convex_hull, encloses_volume, thickened
 from cmbot.robot.description.mesh_file import (
     FARTHEST,
     is_mesh,
@@ -32,16 +33,13 @@ from cmbot.robot.self_collision import NEAR, near_pairs
 
 __all__ = [
     "ArmModel",
+    "Built",
     "arm_model",
     "attach_payload",
     "build_model",
-    "convex_hull",
-    "encloses_volume",
     "set_tool_length",
 ]
 
-# Smallest thickness of points relative to their extent. At about 3e-8 coal's hull crashes the process.
-_FLAT = 1e-5
 # As many as a posture in a scene file may have.
 _MOST_JOINTS = 100
 # Joint angles and distances at which other joints are locked, rad or m.
@@ -49,6 +47,8 @@ _LARGEST_STANCE = 1e4
 _LARGEST_PAYLOAD = 1e4  # kg
 # Names that a remark lists.
 _MOST_NAMED = 6
+# Pairs of a link that are always near, from which on it may be too large: a wrist's short links have one.
+_FEW_PAIRS = 2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,6 +76,7 @@ def arm_model(
     srdf: str,
     package_dirs: Sequence[Path] = (),
     locked: Mapping[str, float],
+    tool: str = "",
 ) -> ArmModel:
     """Build the model and the shapes of an arm: only its joints move.
 
@@ -83,10 +84,11 @@ def arm_model(
     messages. Its group states are where the other joints are locked, default zero, but for those that
     `locked` has, rad or m; the pairs that it disables
     do not collide. Where it disables none, those of neighbouring joints do not, nor those that `near_pairs`
-    finds always near.
+    finds always near; so also those of the link `tool`, which no SRDF names.
     """
     require_independent(root, base_frame, tool_frame, str(urdf))
-    full, collision, unusable = build_model(urdf, root, package_dirs)
+    built = build_model(urdf, root, package_dirs)
+    full = built.model
     moving = _chain(full, str(urdf), base_frame, tool_frame)
     others = [i for i in range(1, full.njoints) if i not in moving]
     stance, absent = _stance(full, srdf, semantics)
@@ -98,47 +100,52 @@ def arm_model(
         _require_extent(model, shapes, str(urdf))
         return model, shapes
 
-    model, collision = reduced(collision)
-    assumed = _enable_pairs(model, collision, srdf, semantics)
+    model, collision = reduced(built.collision)
+    assumed = _enable_pairs(model, collision, srdf, semantics, tool)
     return ArmModel(
         model=model,
         collision=collision,
         read_visual=lambda: reduced(_visual_shapes(urdf, root, full)),
         group_states=_group_states(tuple(model.names)[1:], semantics),
-        remarks=(*absent, *assumed, *_drawn_as_boxes(unusable)),
+        remarks=(*absent, *assumed, *_drawn_as_boxes(built.unusable), *_thick(built.flat)),
     )
 
 
-def encloses_volume(points: FloatArray) -> bool:
-    """Return whether the hull of `points` (N, 3) has a volume, in any orientation."""
-    if len(points) < 4 or not np.isfinite(points).all():
-        return False
-    extents = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(extents[2] > _FLAT * extents[0])
+class Built(NamedTuple):
+    """The full model of a URDF, and its collision shapes.
+
+    Attributes
+    ----------
+    model, collision
+        Pinocchio's.
+    unusable : tuple of (str, str)
+        As from `locate_meshes`.
+    flat : tuple of str
+        Links with a collision mesh that was flat.
+    """
+
+    model: Any
+    collision: Any
+    unusable: tuple[tuple[str, str], ...]
+    flat: tuple[str, ...]
 
 
-def convex_hull(points: FloatArray) -> Any:
-    """Return the convex hull of `points` (N, 3), a `coal.ConvexBase`; they have to enclose a volume."""
-    vertices = coal.StdVec_Vec3s()
-    vertices.extend(np.asarray(points, dtype=float))
-    return coal.Convex.convexHull(vertices, False, "Qt")
-
-
-def build_model(
-    urdf: Path, root: ElementTree.Element, package_dirs: Sequence[Path] = ()
-) -> tuple[Any, Any, tuple[tuple[str, str], ...]]:
+def build_model(urdf: Path, root: ElementTree.Element, package_dirs: Sequence[Path] = ()) -> Built:
     """Build the full model and its collision shapes; collision meshes become convex hulls.
 
-    `root` is the content of `urdf`, without errors in `inspect_urdf`, and is modified. Also returns what
-    `locate_meshes` does.
+    `root` is the content of `urdf`, without errors in `inspect_urdf`, and is modified. Meshes that are flat
+    get a thickness.
     """
     unusable = _adapt(urdf, root, package_dirs)
     with _refusals_named(urdf):
         model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
-    collision = _shapes(urdf, root, model, "collision")
+    collision, flat = _shapes(urdf, root, model, "collision"), list[str]()
     for shape in collision.geometryObjects:
         if is_mesh(shape.geometry):
             vertices = vertices_of(shape.geometry)
+            if not encloses_volume(vertices) and len(vertices):
+                flat.append(model.frames[shape.parentFrame].name)
+                vertices = thickened(vertices)
             if not encloses_volume(vertices):
                 expected = "a mesh that encloses a volume"
                 raise ModelError(str(urdf), shape.name, f"the mesh {shape.meshPath}", expected)
@@ -147,7 +154,7 @@ def build_model(
             except RuntimeError as error:
                 got, expected = f"the mesh {shape.meshPath}", "one whose convex hull coal can hold"
                 raise ModelError(str(urdf), shape.name, got, expected) from error
-    return model, collision, unusable
+    return Built(model=model, collision=collision, unusable=unusable, flat=tuple(flat))
 
 
 def _visual_shapes(urdf: Path, root: ElementTree.Element, model: Any) -> Any:
@@ -168,6 +175,11 @@ def _drawn_as_boxes(unusable: Sequence[tuple[str, str]]) -> Iterator[str]:
     for key, got in unusable[:1]:
         more = f" and {counted(len(unusable) - 1, 'other')}" if unusable[1:] else ""
         yield f"Visual meshes that cannot be used are drawn as boxes: {key}, {got}{more}."
+
+
+def _thick(flat: Sequence[str]) -> Iterator[str]:
+    if flat:
+        yield f"Flat collision meshes count as 1 mm thick: of {_listed(flat)}."
 
 
 def _shapes(urdf: Path, root: ElementTree.Element, model: Any, tag: Literal["collision", "visual"]) -> Any:
@@ -291,8 +303,14 @@ def _stance(
         q[model.joints[joints[name]].idx_q] = value
     if not absent:
         return q, ()
-    names = f"{', '.join(map(shown, list(absent)[:_MOST_NAMED]))}{', …' if len(absent) > _MOST_NAMED else ''}"
+    names = _listed(list(map(shown, absent)))
     return q, (f"The SRDF's group states name {names}: no movable joint of the URDF, not used.",)
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Some of the names, and whether there are more."""
+    names = list(dict.fromkeys(names))
+    return f"{', '.join(names[:_MOST_NAMED])}{', …' if len(names) > _MOST_NAMED else ''}"
 
 
 def _group_states(joints: Sequence[str], semantics: ElementTree.Element | None) -> dict[str, FloatArray]:
@@ -308,7 +326,7 @@ def _group_states(joints: Sequence[str], semantics: ElementTree.Element | None) 
 
 
 def _enable_pairs(
-    model: Any, collision: Any, source: str, semantics: ElementTree.Element | None
+    model: Any, collision: Any, source: str, semantics: ElementTree.Element | None, tool: str
 ) -> tuple[str, ...]:
     """Let all pairs of shapes collide but those that the SRDF disables; return remarks.
 
@@ -317,19 +335,22 @@ def _enable_pairs(
     joints = np.array([shape.parentJoint for shape in collision.geometryObjects], dtype=int)
     enabled = joints[:, None] != joints
     listed = [] if semantics is None else semantics.findall("disable_collisions")
+    names = [model.frames[shape.parentFrame].name for shape in collision.geometryObjects]
+    # What no SRDF can name, where there is one, is the tool.
+    unnamed = np.array([not listed or name == tool for name in names], dtype=np.bool_)
+    sampled = unnamed[:, None] | unnamed
+    parents = np.array(model.parents, dtype=int)[joints]
+    # Neighbours: the joint of one is the parent of the other's. That of the universe is itself.
+    enabled &= ~sampled | ((parents[:, None] != joints) & (parents != joints[:, None]))
     assumed: tuple[str, ...] = ()
-    if not listed:
-        parents = np.array(model.parents, dtype=int)[joints]
-        # Neighbours: the joint of one is the parent of the other's. That of the universe is itself.
-        enabled &= (parents[:, None] != joints) & (parents != joints[:, None])
-        near = near_pairs(model, collision, enabled)
-        for shapes in near.values():
-            for first, second in shapes:
-                enabled[first, second] = enabled[second, first] = False
-        assumed = (_near_remark(list(near)),)
+    if unnamed.any():
+        near = near_pairs(model, collision, enabled & sampled)
+        assumed = tuple(_near_remarks(near, enabled & sampled, names, tool if listed else ""))
+        for first, second in (pair for shapes in near.values() for pair in shapes):
+            enabled[first, second] = enabled[second, first] = False
     links: dict[str, list[int]] = {}
-    for index, shape in enumerate(collision.geometryObjects):
-        links.setdefault(model.frames[shape.parentFrame].name, []).append(index)
+    for index, name in enumerate(names):
+        links.setdefault(name, []).append(index)
     for pair in listed:
         one, other = pair.get("link1"), pair.get("link2")
         if not (one and other):
@@ -341,15 +362,32 @@ def _enable_pairs(
     return assumed
 
 
-def _near_remark(pairs: Sequence[tuple[str, str]]) -> str:
-    near = ", ".join(f"{one} and {other}" for one, other in pairs[:_MOST_NAMED])
-    if more := len(pairs) - _MOST_NAMED:
-        near += f" and {more} more" if more > 0 else ""
-    also = f", and links that are nearly always nearer than {1e3 * NEAR:g} mm: {near}" if pairs else ""
-    return (
+def _near_remarks(
+    near: Mapping[tuple[str, str], object], looked_at: BoolArray, names: Sequence[str], tool: str
+) -> Iterator[str]:
+    """Say which pairs of links are not checked, for want of an SRDF, or which of the `tool` beside one."""
+    pairs = ", ".join(f"{one} and {other}" for one, other in list(near)[:_MOST_NAMED])
+    if (more := len(near) - _MOST_NAMED) > 0:
+        pairs += f" and {more} more"
+    if tool:
+        if near:
+            yield f"The tool is not checked against what it is nearly always near: {pairs}."
+        return
+    also = f", and links that are nearly always nearer than {1e3 * NEAR:g} mm: {pairs}" if near else ""
+    yield (
         f"No SRDF says which links may touch; not checked are those of neighbouring joints{also}. "
         "cmbot check URDF --write-srdf FILE writes an SRDF; robot.srdf in the scene names it."
     )
+    others: dict[str, set[str]] = {}
+    for first, second in zip(*np.nonzero(looked_at), strict=True):
+        others.setdefault(names[first], set()).add(names[second])
+    for link, each in others.items():
+        count = sum(link in pair for pair in near)
+        if count >= _FEW_PAIRS and count * 3 >= len(each):
+            yield (
+                f"Warning: {link} is nearly always near {count} of the {len(each)} links that it is checked "
+                "against, and these pairs are not checked: its shapes may be too large (millimetres?)."
+            )
 
 
 def _require_extent(model: Any, shapes: Any, source: str) -> None:

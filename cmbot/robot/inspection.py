@@ -21,8 +21,8 @@ from cmbot.common.errors import ModelError
 from cmbot.common.validation import counted, shown
 from cmbot.robot.description.files import RobotFiles
 from cmbot.robot.description.frames import arm_frames, moving_links
+from cmbot.robot.description.limits_file import MoveItLimitsFile, read_joint_limits
 from cmbot.robot.description.xml_file import parse_urdf
-from cmbot.robot.limits import read_joint_limits
 
 __all__ = ["Finding", "default_arm", "inspect_inertias", "inspect_robot", "inspect_urdf", "overview"]
 
@@ -135,7 +135,7 @@ def inspect_robot(files: RobotFiles) -> tuple[ElementTree.Element, list[Finding]
     ModelError
         When the URDF or the SRDF cannot be read.
     """
-    root = parse_urdf(files.urdf, package_dirs=files.package_dirs)
+    _, root = files.read()
     findings = inspect_urdf(root, moving=())
     if any(finding.severity == "error" for finding in findings):
         return root, inspect_urdf(root)
@@ -454,11 +454,10 @@ def default_arm(files: RobotFiles, root: ElementTree.Element) -> tuple[str, str]
 
 def _joint_limits(files: RobotFiles, joints: Sequence[ElementTree.Element]) -> str:
     if files.limits is None:
-        what = (
-            "none" if files.left_alone is None else "left alone, as it is of another kind, such as MoveIt's"
-        )
+        what = "none" if files.left_alone is None else f"left alone ({files.left_alone[1]})"
         return f"{what}: acceleration and jerk limits are assumed where the scene names none"
     known = read_joint_limits(files.limits)
-    entries = [(known.entry(joint.get("name", "")), joint.get("type") == "prismatic") for joint in joints]
-    number = sum(None not in (entry.acceleration(slides), entry.jerk(slides)) for entry, slides in entries)
-    return f"acceleration and jerk of {number} of {counted(len(joints), 'movable joint')}"
+    given = [known.of(joint.get("name", ""), joint.get("type") == "prismatic") for joint in joints]
+    number = sum(None not in (each.acceleration, each.jerk) for each in given)
+    whose = f"MoveIt's, {files.limits}: " if isinstance(known, MoveItLimitsFile) else ""
+    return f"{whose}acceleration and jerk of {number} of {counted(len(joints), 'movable joint')}"

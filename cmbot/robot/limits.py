@@ -1,42 +1,41 @@
 """Joint limits: ranges, velocity and torque from the URDF, acceleration and jerk from a file.
 
-URDF has no acceleration and jerk limits; they are in a joint-limits file beside it::
-
-    format: cmbot-joint-limits/1
-    all: {acceleration_deg: 60, jerk_deg: 160}  # of joints that are not listed
-    joints:
-      joint_1: {acceleration_deg: 30, jerk_deg: 80}
-      lift: {acceleration_m_s2: 0.2, jerk_m_s3: 2}  # of a joint that slides
+URDF has no acceleration and jerk limits; they are in a joint-limits file beside it, `read_joint_limits`.
 
 What no file gives is assumed: an acceleration limit of 2 /s times the velocity limit, a jerk limit of 10 /s
 times the acceleration limit. These are the ratios of the values that MoveIt's Ruckig smoothing falls back on:
-5 rad/s, 10 rad/s2 and 100 rad/s3. Joints that slide have the same ratios.
+5 rad/s, 10 rad/s2 and 100 rad/s3. Joints that slide have the same ratios. A velocity limit of zero, as many
+URDFs have it for one that is not known, is assumed to be 1 rad/s, what MoveIt falls back on, or 0.1 m/s; an
+effort of zero is assumed to be twice what may hold the arm beyond the joint at rest, stretched out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
-from pydantic import Field
 
 from cmbot.common.arrays import BoolArray, FloatArray, read_only
 from cmbot.common.errors import InputError, ModelError
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import FileModel, counted, validated
-from cmbot.common.yaml_reader import lines_named, read_yaml
+from cmbot.common.validation import counted
+from cmbot.robot.description.limits_file import (
+    LEAST_LIMIT,
+    GivenLimits,
+    JointLimitsFile,
+    MoveItLimitsFile,
+    read_joint_limits,
+)
 from cmbot.robot.joint_kinds import JointUnits, joint_units, prismatic_joints
 
 __all__ = [
     "ASSUMED_ACCELERATION",
     "ASSUMED_JERK",
     "JointLimits",
-    "JointLimitsFile",
     "joint_limits",
-    "read_joint_limits",
 ]
 
 ASSUMED_ACCELERATION = 2.0
@@ -44,14 +43,17 @@ ASSUMED_ACCELERATION = 2.0
 ASSUMED_JERK = 10.0
 """Jerk limit that is assumed where none is given, as a share of the acceleration limit, 1/s."""
 
-# Beyond any robot, but nothing made of them overflows. The least is also that of velocity and effort.
-_LEAST = 1e-6
-Positive = Annotated[float, Field(ge=_LEAST, le=1e9)]
+# Velocity limits that are assumed, rad/s and m/s; the share of the torque of the arm stretched out that its
+# drives are assumed to have, and the least as a share of the strongest one's.
+_ASSUMED_TURNING, _ASSUMED_SLIDING, _ASSUMED_EFFORT, _LEAST_EFFORT = 1.0, 0.1, 2.0, 0.01
+# A range, rad, that ends between these is likely to be in degrees: after four turns, or with no end meant.
+_MANY_TURNS, _NO_END = 8 * np.pi, 1e3
 _TURN = 2 * np.pi
 # The range of a joint that slides ends somewhere, m.
 _FURTHEST = 1e3
 # Fields of `JointLimits` that say yes or no of each joint.
-_KINDS = ("prismatic", "assumed_acceleration", "assumed_jerk")
+_RATES = ("velocity", "acceleration", "jerk", "torque")
+_KINDS = ("prismatic", *(f"assumed_{name}" for name in _RATES))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,7 +70,7 @@ class JointLimits:
         Bound of the magnitude.
     prismatic : (n,)
         Which joints slide; left out: none.
-    assumed_acceleration, assumed_jerk : (n,)
+    assumed_velocity, assumed_acceleration, assumed_jerk, assumed_torque : (n,)
         Which of these limits no file gives, or a file that says that it assumes them; left out: none.
 
     Raises
@@ -84,8 +86,10 @@ class JointLimits:
     jerk: FloatArray
     torque: FloatArray
     prismatic: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    assumed_velocity: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     assumed_acceleration: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     assumed_jerk: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    assumed_torque: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
 
     __repr__ = short_repr
 
@@ -161,102 +165,79 @@ class JointLimits:
         return turned
 
 
-class JointEntry(FileModel):
-    """Limits of a joint; what is left out is assumed."""
-
-    acceleration_deg: Positive | None = None
-    """deg/s2, of a joint that turns."""
-    jerk_deg: Positive | None = None
-    """deg/s3, of a joint that turns."""
-    acceleration_m_s2: Positive | None = None
-    """m/s2, of a joint that slides."""
-    jerk_m_s3: Positive | None = None
-    """m/s3, of a joint that slides."""
-
-    def acceleration(self, prismatic: bool) -> float | None:
-        """Return the limit in SI, if it is given."""
-        return self.acceleration_m_s2 if prismatic else _radians(self.acceleration_deg)
-
-    def jerk(self, prismatic: bool) -> float | None:
-        """Return the limit in SI, if it is given."""
-        return self.jerk_m_s3 if prismatic else _radians(self.jerk_deg)
-
-
-def _radians(degrees: float | None) -> float | None:
-    return None if degrees is None else float(np.deg2rad(degrees))
-
-
-class JointLimitsFile(FileModel):
-    """A joint-limits file."""
-
-    format: Literal["cmbot-joint-limits/1"]
-    assumed: bool = False
-    """Whether the numbers are assumed, as `cmbot new` writes them; a plan says so."""
-    all: JointEntry = JointEntry()
-    """Of the joints that `joints` does not have."""
-    joints: dict[str, JointEntry] = Field(default_factory=dict)
-
-    def entry(self, name: str) -> JointEntry:
-        """Return the limits of a joint."""
-        return self.joints.get(name, self.all)
-
-
-def read_joint_limits(path: Path) -> JointLimitsFile:
-    """Read a joint-limits file."""
-    with lines_named(path):
-        return validated(JointLimitsFile, read_yaml(path, ModelError), str(path), ModelError)
-
-
 def joint_limits(model: Any, urdf: Path, path: Path | None) -> tuple[JointLimits, tuple[str, ...]]:
     """Join the limits in the model of an arm, from `urdf`, and those in the joint-limits file `path`.
 
-    Returns them, and remarks on what had to be assumed.
+    A file of cmbot's replaces what the URDF says; one of MoveIt's narrows it. Returns the limits, and remarks
+    on what had to be assumed.
     """
-    none = JointLimitsFile(format="cmbot-joint-limits/1")
-    listed, names = none if path is None else read_joint_limits(path), list(model.names)[1:]
-    velocity, torque = model.upperVelocityLimit, model.upperEffortLimit
-    prismatic = prismatic_joints(model)
-    for i, name in enumerate(names):
-        for key, value in (("velocity", velocity[i]), ("effort", torque[i])):
-            if not (np.isfinite(value) and value >= _LEAST):
-                expected = f"a positive bound, at least {_LEAST:g}"
-                raise ModelError(str(urdf), f"joint[{name}].limit.{key}", value, expected)
-        ends = (("lower", model.lowerPositionLimit[i]), ("upper", model.upperPositionLimit[i]))
-        for key, value in ends if prismatic[i] else ():
-            if not abs(value) <= _FURTHEST:
-                expected = f"of a joint that slides, at most {_FURTHEST:g} m"
-                raise ModelError(str(urdf), f"joint[{name}].limit.{key}", f"{value:g}", expected)
-    if path is not None:
+    listed = JointLimitsFile(format="cmbot-joint-limits/1") if path is None else read_joint_limits(path)
+    names, prismatic = list(model.names)[1:], prismatic_joints(model)
+    if isinstance(listed, JointLimitsFile):
         _require_units(listed, names, prismatic, path)
-    kinds = list(zip(names, prismatic.tolist(), strict=True))
-    given = [listed.entry(name).acceleration(slides) for name, slides in kinds]
-    acceleration = _filled(given, ASSUMED_ACCELERATION * velocity)
-    given_jerk = [listed.entry(name).jerk(slides) for name, slides in kinds]
-    jerk = _filled(given_jerk, ASSUMED_JERK * acceleration)
-    unlimited = np.abs(model.upperPositionLimit) >= 1e9
+    given = [listed.of(name, slides) for name, slides in zip(names, prismatic.tolist(), strict=True)]
+    narrows = isinstance(listed, MoveItLimitsFile)
+    velocity = _joined(model.upperVelocityLimit, [each.velocity for each in given], narrows=narrows)
+    torque = _joined(model.upperEffortLimit, [each.effort for each in given], narrows=narrows)
+    acceleration, jerk = (
+        _filled([getattr(each, name) for each in given]) for name in ("acceleration", "jerk")
+    )
+    rates = {"velocity": velocity, "acceleration": acceleration, "jerk": jerk, "torque": torque}
+    unknown = {name: ~(rate >= LEAST_LIMIT) for name, rate in rates.items()}
+    velocity = np.where(
+        unknown["velocity"], np.where(prismatic, _ASSUMED_SLIDING, _ASSUMED_TURNING), velocity
+    )
+    acceleration = np.where(unknown["acceleration"], ASSUMED_ACCELERATION * velocity, acceleration)
+    lower, upper = _range(model, urdf, given, prismatic)
     limits = JointLimits(
-        lower=np.where(unlimited, -np.inf, model.lowerPositionLimit),
-        upper=np.where(unlimited, np.inf, model.upperPositionLimit),
+        lower=lower,
+        upper=upper,
         velocity=velocity,
         acceleration=acceleration,
-        jerk=jerk,
-        torque=torque,
+        jerk=np.where(unknown["jerk"], ASSUMED_JERK * acceleration, jerk),
+        torque=np.where(unknown["torque"], _stretched_efforts(model, lower, upper), torque),
         prismatic=prismatic,
-        assumed_acceleration=np.array([listed.assumed or value is None for value in given]),
-        assumed_jerk=np.array([listed.assumed or value is None for value in given_jerk]),
+        **_are_assumed(unknown, given, by_file=listed.assumed),
     )
-    told = tuple(_assumed(given, given_jerk))
+    told = (*_said_by_moveit(listed, path, given), *_assumed(unknown))
     if listed.assumed:
-        told += (f"Acceleration and jerk limits in {path} are assumed: it says assumed: true.",)
+        told += (f"{_named(unknown, given)} limits in {path} are assumed: it says assumed: true.",)
     return limits, told
 
 
-def _require_units(listed: JointLimitsFile, names: Sequence[str], prismatic: BoolArray, path: Path) -> None:
+def _named(unknown: Mapping[str, BoolArray], given: Sequence[GivenLimits]) -> str:
+    """The kinds of limits that a file gives, as words."""
+    names = [name for name in unknown if any(_given(each, name) is not None for each in given)]
+    words = [_ASSUMPTIONS[name][0].lower() for name in names] or ["all"]
+    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1]))).capitalize()
+
+
+def _given(limits: GivenLimits, name: str) -> float | None:
+    value: float | None = getattr(limits, "effort" if name == "torque" else name)
+    return value
+
+
+def _are_assumed(
+    unknown: Mapping[str, BoolArray], given: Sequence[GivenLimits], *, by_file: bool
+) -> dict[str, BoolArray]:
+    """Which limits no file gives, or a file that says that it assumes them."""
+    return {
+        f"assumed_{name}": none
+        | np.array([by_file and _given(each, name) is not None for each in given], dtype=np.bool_)
+        for name, none in unknown.items()
+    }
+
+
+def _require_units(
+    listed: JointLimitsFile, names: Sequence[str], prismatic: BoolArray, path: Path | None
+) -> None:
     """Refuse limits of one of the arm's joints in the units of the other kind; `all` may have both."""
-    wrong = (("acceleration_m_s2", "jerk_m_s3"), ("acceleration_deg", "jerk_deg"))
-    right = (("acceleration_deg", "jerk_deg"), ("acceleration_m_s2", "jerk_m_s3"))
+    turning, sliding = (
+        ("velocity_deg", "acceleration_deg", "jerk_deg"),
+        ("velocity_m_s", "acceleration_m_s2", "jerk_m_s3"),
+    )
     for name, slides in zip(names, prismatic.tolist(), strict=True):
-        for key, other in zip(wrong[slides], right[slides], strict=True):
+        for key, other in zip(*((turning, sliding) if slides else (sliding, turning)), strict=True):
             if name in listed.joints and getattr(listed.joints[name], key) is not None:
                 kind = "slides" if slides else "turns"
                 raise ModelError(
@@ -264,19 +245,83 @@ def _require_units(listed: JointLimitsFile, names: Sequence[str], prismatic: Boo
                 )
 
 
-def _filled(given: Sequence[float | None], assumed: FloatArray) -> FloatArray:
-    """The limits that are given, the assumed ones elsewhere."""
-    return np.array([other if value is None else value for value, other in zip(given, assumed, strict=True)])
+def _filled(given: Sequence[float | None]) -> FloatArray:
+    """The limits that are given, zero elsewhere."""
+    return np.array([0.0 if value is None else value for value in given])
 
 
-def _assumed(acceleration: Sequence[float | None], jerk: Sequence[float | None]) -> Iterator[str]:
-    for name, given, factor, of in (
-        ("Acceleration", acceleration, ASSUMED_ACCELERATION, "velocity"),
-        ("Jerk", jerk, ASSUMED_JERK, "acceleration"),
-    ):
-        if number := given.count(None):
-            joints = "the joints" if number == len(given) else f"{counted(number, 'joint')} of {len(given)}"
-            yield (
-                f"{name} limits of {joints} are assumed, {factor:g} /s times the {of} limit: "
-                "no joint-limits file gives them."
-            )
+def _joined(described: FloatArray, given: Sequence[float | None], *, narrows: bool) -> FloatArray:
+    """The limits of the URDF and of a file, which replaces or `narrows` them; zero where neither has one."""
+    known = np.where(np.isfinite(described) & (described >= LEAST_LIMIT), described, 0.0)
+    replaced = _filled(given)
+    both = np.minimum(known, replaced) if narrows else replaced
+    return np.where(replaced == 0, known, np.where(known == 0, replaced, both))
+
+
+def _range(
+    model: Any, urdf: Path, given: Sequence[GivenLimits], prismatic: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """The positions (n,) at which the ranges end, narrowed by a file; refused where they cannot be meant."""
+    lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
+    unlimited = (np.abs(upper) >= 1e9) & ~prismatic
+    lower, upper = np.where(unlimited, -np.inf, lower), np.where(unlimited, np.inf, upper)
+    for i, each in enumerate(given):
+        if each.lower is not None and each.upper is not None:
+            ends = max(lower[i], each.lower), min(upper[i], each.upper)
+            lower[i], upper[i] = ends if ends[0] < ends[1] else (lower[i], upper[i])
+    for i, name in enumerate(list(model.names)[1:]):
+        for key, value in (("lower", lower[i]), ("upper", upper[i])):
+            where, far = f"joint[{name}].limit.{key}", abs(value)
+            if prismatic[i] and not far <= _FURTHEST:
+                got = f"{getattr(model, f'{key}PositionLimit')[i]:g}"
+                raise ModelError(str(urdf), where, got, f"of a joint that slides, at most {_FURTHEST:g} m")
+            if not prismatic[i] and _MANY_TURNS < far <= _NO_END:
+                expected = "radians (degrees?), at most four turns, or continuous as the type of the joint"
+                raise ModelError(str(urdf), where, f"{value:g} rad", expected)
+    return lower, upper
+
+
+def _stretched_efforts(model: Any, lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """Efforts (n,), Nm and N, that are assumed: a multiple of what the weight beyond each joint may ask."""
+    prismatic = prismatic_joints(model)
+    bodies = list(model.inertias)[1:]
+    stroke = np.where(prismatic, np.maximum(np.abs(lower), np.abs(upper)), 0.0)
+    steps = [
+        np.linalg.norm(X.translation) + out
+        for X, out in zip(list(model.jointPlacements)[1:], stroke, strict=True)
+    ]
+    along = np.cumsum(steps)
+    weights = np.array([body.mass for body in bodies]) * np.linalg.norm(model.gravity.linear)
+    distances = along - along[:, None] + [np.linalg.norm(body.lever) for body in bodies]
+    beyond = np.triu(np.ones_like(distances))
+    torques = np.where(prismatic, beyond @ weights, (beyond * distances) @ weights)
+    return np.asarray(_ASSUMED_EFFORT * np.maximum(torques, _LEAST_EFFORT * torques.max(initial=1.0)))
+
+
+def _said_by_moveit(
+    listed: JointLimitsFile | MoveItLimitsFile, path: Path | None, given: Sequence[GivenLimits]
+) -> Iterator[str]:
+    if isinstance(listed, MoveItLimitsFile):
+        names = ("velocity", "acceleration", "jerk")
+        numbers = (sum(getattr(each, name) is not None for each in given) for name in names)
+        counts = ", ".join(f"{name} of {number}" for name, number in zip(names, numbers, strict=True))
+        yield (
+            f"{path} is MoveIt's; of the arm's {counted(len(given), 'joint')} it limits {counts}: "
+            f"the lower limit holds, its or the URDF's.{listed.scaling_remark}"
+        )
+
+
+_ASSUMPTIONS = {
+    "velocity": ("Velocity", "1 rad/s or 0.1 m/s"),
+    "acceleration": ("Acceleration", f"{ASSUMED_ACCELERATION:g} /s times the velocity limit"),
+    "jerk": ("Jerk", f"{ASSUMED_JERK:g} /s times the acceleration limit"),
+    "torque": ("Effort", "twice what the arm beyond the joint, stretched out, asks of it at rest"),
+}
+
+
+def _assumed(unknown: Mapping[str, BoolArray]) -> Iterator[str]:
+    for name, (limit, by) in _ASSUMPTIONS.items():
+        if number := int(unknown[name].sum()):
+            total = len(unknown[name])
+            joints = "the joints" if number == total else f"{counted(number, 'joint')} of {total}"
+            yield f"{limit} limits of {joints} are assumed, {by}: no joint-limits file gives them."

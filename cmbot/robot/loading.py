@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 from xml.etree import ElementTree
 
+import coal
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
@@ -19,9 +20,11 @@ from cmbot.common.input_files import read_input
 from cmbot.common.installation import model_folder
 from cmbot.common.validation import hint
 from cmbot.robot.arm_model import arm_model, attach_payload, build_model, set_tool_length
+from cmbot.robot.description.completion import add_masses, add_tool
 from cmbot.robot.description.files import RobotFiles, robot_files
 from cmbot.robot.description.frames import arm_frames, moving_links
-from cmbot.robot.description.xml_file import parse_urdf, read_urdf
+from cmbot.robot.description.tool import POINT, AttachedTool
+from cmbot.robot.description.xml_file import parse_urdf
 from cmbot.robot.elasticity import read_elasticity
 from cmbot.robot.inspection import Finding, default_arm, inspect_inertias, inspect_urdf
 from cmbot.robot.limits import joint_limits
@@ -37,6 +40,9 @@ Side = Literal[1, 2]
 
 # An arm that weighs less is one without masses, kg.
 _LIGHTEST = 1e-3
+# Shapes that extend further, as a multiple of the reach, are in millimetres; of what does not move, meshes
+# that also extend further than so many metres. What is smaller than the last, m, is none of these.
+_LARGEST_SHAPE, _LARGEST_FIXED, _SMALL = 4.0, 20.0, 2.0
 # One that weighs more than water in a cube as long as its reach has wrong masses, kg/m3: the heaviest
 # industrial arms have a sixth of that.
 _DENSEST = 1000.0
@@ -57,6 +63,9 @@ def load_robot(
     payload: float = 0.0,
     carrier: str | None = None,
     package_dirs: Sequence[str | Path] = (),
+    xacro: Mapping[str, str] | None = None,
+    total_mass: float | None = None,
+    tool: AttachedTool | None = None,
 ) -> Robot:
     """Load a robot from its URDF.
 
@@ -73,12 +82,14 @@ def load_robot(
         Links that bound the arm; default: where there is one choice, the root link, and the link of the
         SRDF's end effector, the tip of its chain, or the last link of the longest row of joints.
     limits : path, optional
-        Joint-limits file (acceleration and jerk); default: ``joint_limits.yaml`` beside the URDF, unless it
-        is of another kind, such as MoveIt's. Without one, acceleration limits of 2 /s times the velocity
-        limits and jerk limits of 10 /s times these are assumed.
+        Joint-limits file, of cmbot's or MoveIt's; default: ``joint_limits.yaml`` beside the URDF, in
+        ``../config`` or ``config``, unless it is of another kind. Without one, acceleration limits of 2 /s
+        times the velocity limits and jerk limits of 10 /s times these are assumed. Of joints without them in
+        the URDF, a velocity limit of 1 rad/s or 0.1 m/s is assumed, and twice the torque that the arm beyond
+        asks of the joint at rest, stretched out.
     srdf : path, optional
-        Disabled collision pairs and group states, such as ``stow``; default: the file beside the URDF with
-        its name, if there.
+        Disabled collision pairs and group states, such as ``stow``; default: the file beside the URDF, in
+        ``../srdf``, ``../config`` or ``config`` with its name or its robot's.
         Without disabled pairs, neighbouring links and those that are nearly always near are not checked
         against each other.
     elasticity : path, optional
@@ -98,7 +109,14 @@ def load_robot(
         Link whose origin is the tool point of `tool_length` and `payload`; default: `tool_frame`.
     package_dirs : sequence of path
         Folders of ROS packages, or the packages, in which ``package://`` paths are sought first; then come
-        the folders beside the URDF and above it, and ``ROS_PACKAGE_PATH`` and ``AMENT_PREFIX_PATH``.
+        the folders beside the URDF and above it, and those that ROS's environment variables name.
+    xacro : mapping of str to str, optional
+        Values of arguments of xacro, such as ``{"name": "ur5e"}``.
+    total_mass : float, optional
+        Mass of the whole robot, kg: what is not given of it is spread over the links without a mass, by the
+        volumes of their shapes.
+    tool : AttachedTool, optional
+        That is fixed to `tool_frame`; its point is then the tool frame. Not with `tool_length`.
 
     Raises
     ------
@@ -117,11 +135,23 @@ def load_robot(
     >>> robot.joints[:2]
     ('joint_1', 'joint_2')
     """
-    files = robot_files(model, srdf=srdf, limits=limits, elasticity=elasticity, package_dirs=package_dirs)
+    files = robot_files(
+        model,
+        srdf=srdf,
+        limits=limits,
+        elasticity=elasticity,
+        package_dirs=package_dirs,
+        xacro=xacro,
+        total_mass=total_mass,
+        tool=tool,
+    )
     urdf = files.urdf
-    content, described = _read(urdf, files.package_dirs)
+    content, described = _read(files)
     semantics = None if files.srdf is None else parse_urdf(files.srdf, "an SRDF", files.package_dirs)
-    base_frame, tool_frame = _checked_frames(files, described, semantics, base_frame, tool_frame)
+    base_frame, flange = _checked_frames(files, described, semantics, base_frame, tool_frame)
+    estimated = add_masses(described, files)
+    tool_frame = flange if tool is None else add_tool(described, files, flange)
+    completed = ElementTree.tostring(described, encoding="unicode")
     made = arm_model(
         urdf,
         described,
@@ -131,6 +161,7 @@ def load_robot(
         srdf=str(files.srdf),
         package_dirs=files.package_dirs,
         locked=locked or {},
+        tool=tool_frame.removesuffix(POINT) if tool else "",
     )
     carrier = carrier or tool_frame
     placement = _Placement(
@@ -145,12 +176,11 @@ def load_robot(
     attach_payload(arm, carrier, payload)
     _require_mass(arm, urdf, base_frame, tool_frame)
     limited, assumed = joint_limits(arm, urdf, files.limits)
-    beside = (file for file in (files.srdf, files.limits, files.elasticity) if file)
     tubes, springs = ({}, {}) if files.elasticity is None else read_elasticity(files.elasticity, arm)
-    contents = [content, *(read_input(file, ModelError) for file in beside)]
-    return Robot(
+    robot = Robot(
         name=described.get("name", urdf.stem),
         urdf=urdf.resolve(),
+        description=completed,
         model=arm,
         floating_model=_on_free_flyer(arm, placement.foot_point),
         collision_model=collision,
@@ -161,19 +191,48 @@ def load_robot(
         joint_elasticity=springs,
         base_frame=base_frame,
         tool_frame=tool_frame,
+        flange=flange,
         payload=payload,
-        content_hash=hashlib.sha256(b"\0".join(contents)).hexdigest(),
+        content_hash=_hash(files, content, completed),
         foot_point=tuple(placement.foot_point.tolist()),
-        remarks=(*_left_alone(files), *assumed, *made.remarks),
+        remarks=(*_left_alone(files), *estimated, *assumed, *made.remarks),
     )
+    _require_size(robot)
+    return robot
+
+
+def _hash(files: RobotFiles, content: bytes, completed: str) -> str:
+    """SHA-256 of all that the robot was read from, and of what was added to the URDF."""
+    beside = (file for file in (files.srdf, files.limits, files.elasticity) if file)
+    contents = [content, *(read_input(file, ModelError) for file in beside)]
+    if files.total_mass is not None or files.tool is not None:
+        contents.append(completed.encode())
+    return hashlib.sha256(b"\0".join(contents)).hexdigest()
+
+
+def _require_size(robot: Robot) -> None:
+    """Refuse meshes that are far larger than the arm, as those are whose numbers are millimetres."""
+    farthest = max(_LARGEST_SHAPE * robot.reach, _SMALL)
+    for shape in robot.collision_model.geometryObjects:
+        # What stands still, such as a floor, may be large.
+        most = farthest if shape.parentJoint else max(farthest, _LARGEST_FIXED)
+        hull = isinstance(shape.geometry, coal.ConvexBase)
+        if shape.parentJoint == 0 and not hull:
+            continue
+        shape.geometry.computeLocalAABB()
+        corners = np.array([shape.geometry.aabb_local.min_, shape.geometry.aabb_local.max_])
+        if (size := float(np.abs(corners).max())) > most:
+            link = robot.model.frames[shape.parentFrame].name
+            file = Path(shape.meshPath).name if hull else "a shape"
+            got = f"{file} that extends to {size:.4g} m, of an arm that reaches {robot.reach:.4g} m"
+            expected = 'metres (millimetres? scale="0.001 0.001 0.001" of a mesh)'
+            raise ModelError(str(robot.urdf), f"link[{link}].collision", got, expected)
 
 
 def _left_alone(files: RobotFiles) -> Iterator[str]:
     if files.left_alone is not None:
-        yield (
-            f"{files.left_alone} is left alone: it is no joint-limits file of cmbot's, which have a format, "
-            "but of another kind, such as MoveIt's."
-        )
+        file, why = files.left_alone
+        yield f"{file} is left alone: it is no joint-limits file of cmbot's or MoveIt's ({why})."
 
 
 def _checked_frames(
@@ -240,7 +299,8 @@ class _Placement:
 def _require_mass(arm: Any, urdf: Path, base_frame: str, tool_frame: str) -> None:
     if not (mass := sum(inertia.mass for inertia in list(arm.inertias)[1:])) >= _LIGHTEST:
         got = f"{mass:g} kg from {base_frame!r} to {tool_frame!r}"
-        raise ModelError(str(urdf), "link.inertial.mass", got, f"an arm of at least {_LIGHTEST:g} kg")
+        expected = "the mass of all of the robot, which is spread over its shapes; or masses of its links"
+        raise ModelError(str(urdf), "total_mass_kg", got, expected)
 
 
 def load_climbing_robot(
@@ -276,25 +336,59 @@ def load_climbing_robot(
     )
 
 
-def inspect_loaded(model: str | Path) -> list[Finding]:
+def inspect_loaded(files: RobotFiles) -> list[Finding]:
     """Load a robot's default arm, or where frames have to be chosen its meshes alone; list what that finds.
 
     Parameters
     ----------
-    model : str or pathlib.Path
-        As for `load_robot`; without errors in `inspect_robot`.
+    files : RobotFiles
+        Without errors in `inspect_robot`.
     """
-    files = robot_files(model)
     try:
-        root = parse_urdf(files.urdf, package_dirs=files.package_dirs)
+        _, root = files.read()
         arm = default_arm(files, root)
-        *_, unusable = build_model(files.urdf, root, files.package_dirs)
-        expected = "a mesh file: a box is drawn in its place"
-        found = [Finding(severity="warning", key=key, got=got, expected=expected) for key, got in unusable]
-        return found if arm is None else [*found, *_questionable_masses(load_robot(model))]
+        built = build_model(files.urdf, root, files.package_dirs)
+        drawn, thick = (
+            "a mesh file: a box is drawn in its place",
+            "a mesh with a volume: it counts as 1 mm thick",
+        )
+        found = [
+            *(Finding(severity="warning", key=key, got=got, expected=drawn) for key, got in built.unusable),
+            *(
+                Finding(severity="warning", key=f"link[{name}].collision", got="a flat mesh", expected=thick)
+                for name in built.flat
+            ),
+        ]
+        if arm is None:
+            return found
+        robot = load_robot(
+            files.urdf,
+            srdf=files.srdf,
+            limits=files.limits,
+            elasticity=files.elasticity,
+            package_dirs=files.package_dirs,
+            xacro=files.xacro,
+            base_frame=files.base_frame,
+            tool_frame=files.tool_frame,
+        )
+        return [*found, *_assumed_limits(robot), *_questionable_masses(robot)]
     except ModelError as error:
         key = error.key if error.source == str(files.urdf) else f"{error.source}: {error.key}"
         return [Finding(severity="error", key=key, got=str(error.got), expected=error.expected)]
+
+
+def _assumed_limits(robot: Robot) -> Iterator[Finding]:
+    """Warn of joints whose velocity or effort no file gives."""
+    limits = robot.limits
+    for name, assumed, by in (
+        ("velocity", limits.assumed_velocity, "1 rad/s or 0.1 m/s"),
+        ("effort", limits.assumed_torque, "twice what the arm beyond asks of it at rest, stretched out"),
+    ):
+        for joint in np.array(robot.joints)[assumed]:
+            expected = f"a positive bound, here or in a joint-limits file; assumed is {by}"
+            yield Finding(
+                severity="warning", key=f"joint[{joint}].limit.{name}", got="nothing", expected=expected
+            )
 
 
 def _questionable_masses(robot: Robot) -> Iterator[Finding]:
@@ -336,10 +430,10 @@ def srdf_text(files: RobotFiles) -> str:
     ModelError
         When the URDF is missing or unusable.
     """
-    _, root = _read(files.urdf, files.package_dirs)
+    _, root = _read(files)
     _refuse_errors(files.urdf, inspect_urdf(root, moving=()))
     name = root.get("name", files.urdf.stem)
-    model, collision, _ = build_model(files.urdf, root, files.package_dirs)
+    model, collision, *_ = build_model(files.urdf, root, files.package_dirs)
     semantics = () if files.srdf is None else parse_urdf(files.srdf, "an SRDF", files.package_dirs)
     return srdf_of(model, collision, name, [each for each in semantics if each.tag != PAIR])
 
@@ -350,11 +444,11 @@ def _refuse_errors(urdf: Path, findings: Sequence[Finding]) -> None:
             raise ModelError(str(urdf), finding.key, finding.got, finding.expected)
 
 
-def _read(urdf: Path, package_dirs: Sequence[Path]) -> tuple[bytes, ElementTree.Element]:
+def _read(files: RobotFiles) -> tuple[bytes, ElementTree.Element]:
     try:
-        return read_urdf(urdf, package_dirs=package_dirs)
+        return files.read()
     except ModelError as error:
-        if error.got == "no such file" and (meant := hint(urdf.name, ("cmbot",))):
+        if error.got == "no such file" and (meant := hint(files.urdf.name, ("cmbot",))):
             raise ModelError(error.source, "", error.got, f"{error.expected}{meant}") from error
         raise
 

@@ -39,6 +39,8 @@ class Robot:
         From the URDF.
     urdf : pathlib.Path
         The file it was read from.
+    description : str
+        The content of that file, with what was added to it: expanded xacro, estimated masses, a tool.
     model : pinocchio.Model
         The arm, fixed base, universe = W. ``model.inertias[0]`` is that of everything that does not move.
     floating_model : pinocchio.Model
@@ -59,6 +61,8 @@ class Robot:
     base_frame, tool_frame : str
         Names of the arm's first and last frame; the tool point is the origin of `tool_frame`, the tool's
         axis its z axis.
+    flange : str
+        The link to which a tool was fixed; without one `tool_frame`.
     payload : float
         Point mass at the tool, kg.
     tool_force : three floats
@@ -76,6 +80,7 @@ class Robot:
 
     name: str
     urdf: Path
+    description: str
     model: Any
     floating_model: Any
     collision_model: Any
@@ -86,6 +91,7 @@ class Robot:
     joint_elasticity: Mapping[str, JointElasticity]
     base_frame: str
     tool_frame: str
+    flange: str
     payload: float
     content_hash: str
     tool_force: tuple[float, float, float] = _NO_FORCE

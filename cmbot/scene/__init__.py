@@ -1,13 +1,14 @@
 """Where the robot works: the scene file, the tool path, obstacles, the guardrail, the planner's options."""
 
 from cmbot.common.installation import shipped_scenes
+from cmbot.scene.attached_tool import AttachedToolFile
 from cmbot.scene.base.guardrail import GuardrailFile, elastic_guardrail, feet_at, guardrail_obstacles
 from cmbot.scene.base.hold import HoldFile, held_member
 from cmbot.scene.base.identified import IdentifiedBase, IdentifiedSpring, IdentifiedStiffness
 from cmbot.scene.base.stance import FootholdFile, Stance, StanceFile, axis_point, foothold_face, foothold_pose
 from cmbot.scene.changes import changed_content, is_within, whole_key
 from cmbot.scene.excitation import DamperFile, ExcitationFile, TrainsFile
-from cmbot.scene.files import TRAINS
+from cmbot.scene.files import FOLDER, TRAINS
 from cmbot.scene.mesh_file import load_mesh
 from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, ObstacleFile, Shape, Sphere, pose
 from cmbot.scene.options import MOST_SAMPLES, PlannerOptions
@@ -22,14 +23,15 @@ from cmbot.scene.path.waypoints import SAME_PLACE
 from cmbot.scene.raster.pieces import RowPiece, cells_of
 from cmbot.scene.raster.raster import CylinderPatch, FaceSelection, Raster
 from cmbot.scene.raster.surface import Coverage
-from cmbot.scene.robot_entry import STOW, MountFile, PostureFile, RobotFile
+from cmbot.scene.robot_entry import STOW, MountFile, NamedState, PostureFile, RobotFile
 from cmbot.scene.scene import Scene
 from cmbot.scene.scene_file import load_scene, scene_from_data, scene_path
-from cmbot.scene.template import limits_text, scene_text
+from cmbot.scene.template import NewRobot, limits_text, scene_text
 from cmbot.scene.tool import SPEED_TOLERANCE, Tool
 from cmbot.scene.uncertainty import JointUncertainty, Placement, Tolerance, Uncertainty
 
 __all__ = [
+    "FOLDER",
     "MOST_SAMPLES",
     "SAME_PLACE",
     "SPEED_TOLERANCE",
@@ -37,6 +39,7 @@ __all__ = [
     "TRAINS",
     "WORK",
     "ArcTo",
+    "AttachedToolFile",
     "AxisCone",
     "Box",
     "Capsule",
@@ -60,6 +63,8 @@ __all__ = [
     "LegLaw",
     "Mesh",
     "MountFile",
+    "NamedState",
+    "NewRobot",
     "Obstacle",
     "ObstacleFile",
     "PiecewiseLaw",

@@ -7,10 +7,18 @@ import re
 from collections.abc import Sequence
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, Field, WithJsonSchema
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    Field,
+    GetPydanticSchema,
+    PlainSerializer,
+    WithJsonSchema,
+    WrapValidator,
+)
 
 from cmbot.common.errors import InputError
-from cmbot.common.validation import refusal, shown
+from cmbot.common.validation import hint, refusal, shown
 
 __all__ = [
     "LONGEST",
@@ -97,6 +105,29 @@ def one_of_schema(names: Sequence[str]) -> dict[str, Any]:
     return {
         "oneOf": [{"required": [name], "properties": {name: {"not": {"type": "null"}}}} for name in names]
     }
+
+
+def word_or(words: Sequence[str], model: type[BaseModel], example: str) -> GetPydanticSchema:
+    """Return what makes of a type one of `words` or a `model`, such as the `example` in a message.
+
+    There is one error for what is neither, where a union would have several.
+    """
+
+    def checked(value: Any, of_model: Any) -> Any:
+        if isinstance(value, str) and value in words:
+            return value
+        if isinstance(value, dict | model):
+            return of_model(value)
+        raise refusal(f"a known value{hint(value, words)}", got=shown(value), choices=(*words, example))
+
+    def as_data(kept: Any) -> Any:
+        return kept if isinstance(kept, str) else kept.model_dump()
+
+    # The mapping first: messages name its keys.
+    return GetPydanticSchema(
+        lambda _, handler: handler(Annotated[model, WrapValidator(checked), PlainSerializer(as_data)]),
+        lambda schema, handler: {"anyOf": [handler(schema), {"enum": list(words), "type": "string"}]},
+    )
 
 
 def si_fields(model: BaseModel) -> dict[str, Any]:

@@ -147,6 +147,10 @@ def _paths(data: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any], str]]:
         yield "excitation.deck.record", deck, "record"
     if "trains" in deck and deck["trains"]["axles"] not in TRAINS:
         yield "excitation.deck.trains.axles", deck["trains"], "axles"
+    tool = robot.get("tool", {})
+    blocks = [("robot.tool", tool)]
+    blocks += [(f"robot.tool.shapes[{k}]", shape) for k, shape in enumerate(tool.get("shapes", ()))]
+    yield from ((f"{key}.mesh", block, "mesh") for key, block in blocks if "mesh" in block)
     for k, obstacle in enumerate(data["obstacles"]):
         if "mesh" in obstacle:
             yield f"obstacles[{k}].mesh", obstacle, "mesh"

@@ -5,11 +5,20 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    ConfigDict,
+    Field,
+    GetPydanticSchema,
+    SerializerFunctionWrapHandler,
+    WrapSerializer,
+    model_validator,
+)
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.common.validation import FileModel, refusal, shown
+from cmbot.scene.attached_tool import AttachedToolFile
 from cmbot.scene.excitation import ModesFile
 from cmbot.scene.fields import (
     Angles,
@@ -21,11 +30,22 @@ from cmbot.scene.fields import (
     Vector,
     exactly_one,
     one_of_schema,
+    word_or,
 )
 from cmbot.scene.files import FilePath, FolderPath, RobotModel
 from cmbot.scene.obstacles import pose
 
-__all__ = ["STOW", "BaseFile", "Joints", "MountFile", "PostureFile", "RobotFile", "stow_posture"]
+__all__ = [
+    "STOW",
+    "BaseFile",
+    "Joints",
+    "MountFile",
+    "NamedState",
+    "PostureFile",
+    "ReturnTo",
+    "RobotFile",
+    "named_posture",
+]
 
 STOW = "stow"
 """The group state of an SRDF that has the stow posture."""
@@ -56,10 +76,28 @@ class BaseFile(FileModel):
     """How it bends, by its natural modes; left out: as the guardrail says."""
 
 
-class PostureFile(FileModel):
-    """Where the arm is at the start: stowed, or one posture, from the base to the tool, in either unit."""
+class NamedState(FileModel):
+    """A group state of the arm's SRDF that sets all its joints."""
 
-    model_config = ConfigDict(json_schema_extra=one_of_schema(("posture_deg", "posture", "stow")))
+    state: Text
+    """Its name."""
+
+    def __str__(self) -> str:
+        return self.state
+
+
+ReturnTo = Annotated[
+    Literal["stow", "start", "none"] | NamedState,
+    word_or(("stow", "start", "none"), NamedState, "{state: NAME}"),
+]
+"""Where an arm goes after the work."""
+_POSTURES = ("posture_deg", "posture", "stow", "state")
+
+
+class PostureFile(FileModel):
+    """Where the arm is at the start: a state of its SRDF, or one posture, from the base to the tool."""
+
+    model_config = ConfigDict(json_schema_extra=one_of_schema(_POSTURES))
 
     posture_deg: Posture | None = None
     """Joint angles, for arms whose joints all turn."""
@@ -67,11 +105,37 @@ class PostureFile(FileModel):
     """Joint positions in rad and, of joints that slide, m."""
     stow: Literal[True] | None = None
     """In the group state ``stow`` of the arm's SRDF."""
+    state: Text | None = None
+    """In the group state of that name of the arm's SRDF."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        exactly_one(self, ("posture_deg", "posture", "stow"))
+        exactly_one(self, _POSTURES)
         return self
+
+
+def _pairs(arguments: dict[str, str]) -> Any:
+    return tuple(sorted(arguments.items()))
+
+
+def _by_name(pairs: tuple[tuple[str, str], ...], handler: SerializerFunctionWrapHandler) -> Any:
+    return handler(dict(pairs))
+
+
+_Arguments = Annotated[
+    tuple[tuple[str, str], ...],
+    GetPydanticSchema(
+        lambda _, handler: handler(
+            Annotated[
+                dict[Text, Text], Field(max_length=100), AfterValidator(_pairs), WrapSerializer(_by_name)
+            ]
+        )
+    ),
+]
+_OF_A_URDF = (
+    *("base_frame", "tool_frame", "limits", "package_dirs", "mount", "srdf", "elasticity"),
+    *("tool", "xacro", "total_mass_kg"),
+)
 
 
 class RobotFile(FileModel):
@@ -97,12 +161,21 @@ class RobotFile(FileModel):
     """Of another URDF: where its base frame is held; left out: its root link is at the origin of W."""
     tool_length_m: Length | None = None
     """Length of the tool, m; left out: as in the model."""
+    tool: AttachedToolFile | None = None
+    """Of another URDF, in place of `tool_length_m`: the tool that is fixed to the tool frame."""
     payload_kg: Mass = 0.0
     """Point mass at the tool, kg."""
+    xacro: _Arguments | None = None
+    """Of another URDF that is written in xacro: values of its arguments, by their names."""
+    total_mass_kg: Annotated[float, Field(gt=0, le=1e5)] | None = None
+    """Of another URDF without masses: that of the whole robot, kg, which is spread over the links without one
+    by the volumes of their shapes. Every torque is then an estimate."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        for name in ("base_frame", "tool_frame", "limits", "package_dirs", "mount", "srdf", "elasticity"):
+        if self.tool is not None and self.tool_length_m is not None:
+            raise refusal("tool or tool_length_m, not both", got="both", key=("tool_length_m",))
+        for name in _OF_A_URDF:
             if self.model == "cmbot" and getattr(self, name) is not None:
                 got = shown(self.model_dump(mode="json")[name])
                 expected = "no such key beside model: cmbot: it goes with a URDF of one's own as robot.model"
@@ -113,15 +186,21 @@ class RobotFile(FileModel):
     def files(self) -> dict[str, Any]:
         """The model with its frames and files, as arguments of `cmbot.load_robot`."""
         names = ("model", "base_frame", "tool_frame", "limits", "srdf", "elasticity")
-        return {name: getattr(self, name) for name in names} | {"package_dirs": self.package_dirs or ()}
+        return {name: getattr(self, name) for name in names} | {
+            "package_dirs": self.package_dirs or (),
+            "xacro": dict(self.xacro or ()),
+            "total_mass": self.total_mass_kg,
+            "tool": None if self.tool is None else self.tool.tool,
+        }
 
 
-def stow_posture(file: RobotFile, source: str, key: str, *, given: bool) -> FloatArray:
-    """Return the stow posture (n,), rad and m, of a robot.
+def named_posture(file: RobotFile, name: str, source: str, key: str, *, given: bool) -> FloatArray:
+    """Return a posture (n,), rad and m, of a robot by the name of a group state, such as that of the stow.
 
     Parameters
     ----------
     file : RobotFile
+    name : str
     source, key : str
         Of the scene, and where it asks for that posture, for messages.
     given : bool
@@ -138,13 +217,14 @@ def stow_posture(file: RobotFile, source: str, key: str, *, given: bool) -> Floa
     from cmbot.robot import load_robot
 
     robot = load_robot(**file.files)
-    stow = robot.group_states.get(STOW)
-    if stow is not None:
-        return stow
-    lacks = f"the arm {robot.name}, whose SRDF has no group state {STOW} of all its joints"
+    state = robot.group_states.get(name)
+    if state is not None:
+        return state
+    lacks = f"the arm {robot.name}, whose SRDF has no group state {name} of all its joints"
     raise SceneError(
         source,
         key,
         lacks if given else f"nothing, and {lacks}",
         "start: {posture_deg: [...]}, or an SRDF with that group state (robot.srdf)",
+        tuple(robot.group_states),
     )

@@ -42,7 +42,16 @@ from cmbot.scene.path.path_source import PathSource, surface_of
 from cmbot.scene.path.raster_parts import raster_parts, require_apart
 from cmbot.scene.path.stroke import Stroke, timed_stroke
 from cmbot.scene.raster.pieces import RowPiece
-from cmbot.scene.robot_entry import BaseFile, Joints, MountFile, PostureFile, RobotFile, stow_posture
+from cmbot.scene.robot_entry import (
+    STOW,
+    BaseFile,
+    Joints,
+    MountFile,
+    PostureFile,
+    ReturnTo,
+    RobotFile,
+    named_posture,
+)
 from cmbot.scene.tool import Tool
 from cmbot.scene.uncertainty import Uncertainty, UncertaintyOrNone
 
@@ -123,9 +132,9 @@ class Scene(FileModel):
     """What the robot stands on."""
     start: PostureFile | None = None
     """Where the arm is at the start; left out: stowed."""
-    return_to: Annotated[Literal["stow", "start", "none"], Field(alias="return")] = "none"
-    """Where the arm goes after the work; left out: nowhere. An arm whose SRDF has no group state ``stow`` is
-    put away where it started."""
+    return_to: Annotated[ReturnTo, Field(alias="return")] = "none"
+    """Where the arm goes after the work, as ``stow`` or ``{state: home}``; left out: nowhere. An arm whose
+    SRDF has no group state ``stow`` is put away where it started."""
     tool: Tool = Tool()
     """The process force and the largest speed while the tool is on."""
     uncertainty: UncertaintyOrNone = Uncertainty()
@@ -300,6 +309,8 @@ class Scene(FileModel):
         ------
         SceneError
         """
+        if isinstance(path := values.get("tool_path"), JobStrokes):
+            values["tool_path"] = path.as_data()
         same = {"robot", "start"}.isdisjoint(values)
         data, context = self._changed_data(values, self.source), {FOLDER: Path.cwd()}
         scene = validated(type(self), data, self.source, SceneError, context)
@@ -315,8 +326,7 @@ class Scene(FileModel):
 
     def with_strokes(self, strokes: Sequence[StrokeFile], order: Order | None = None) -> Self:
         """Return the scene with other strokes in place of its own; `order` left out: as given."""
-        path = JobStrokes(strokes=tuple(strokes), order=order)
-        return self.changed(tool_path=path.as_data())
+        return self.changed(tool_path=JobStrokes(strokes=tuple(strokes), order=order))
 
     def with_path(self, **changes: object) -> Self:
         """Return the scene with other values of some keys of every stroke."""
@@ -359,7 +369,7 @@ class Scene(FileModel):
         Raises
         ------
         SceneError
-            When the arm is to be stowed, and its SRDF has no such group state.
+            When the arm is to be in a named state, such as the stow, and its SRDF has none of that name.
         """
         start = self.start or PostureFile(stow=True)
         if start.posture_deg is not None:
@@ -369,7 +379,9 @@ class Scene(FileModel):
         if self._stowed is None:
             given = self.start is not None
             self._stowed = tuple(
-                stow_posture(self.robot, self.source, self.posture_key, given=given).tolist()
+                named_posture(
+                    self.robot, start.state or STOW, self.source, self.posture_key, given=given
+                ).tolist()
             )
         return read_only(np.array(self._stowed))
 

@@ -3,14 +3,128 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.scene.attached_tool import AttachedToolFile
 
-__all__ = ["limits_text", "scene_text"]
+if TYPE_CHECKING:
+    from cmbot.robot import JointLimits, Robot, RobotFiles
+
+__all__ = ["NewRobot", "limits_text", "scene_text"]
+
+_SHIPPED = "cmbot"
+
+
+@dataclass(frozen=True, kw_only=True)
+class NewRobot:
+    """The robot that a new scene is to have.
+
+    Attributes
+    ----------
+    source : str
+        ``cmbot``, a URDF, or the name of a robot.
+    base_frame, tool_frame : str or None
+    package_dirs : tuple of pathlib.Path
+    xacro : mapping of str to str
+        Arguments of xacro.
+    total_mass : float or None, kg
+    tool : AttachedToolFile or None
+        That is fixed to the tool frame; paths of its meshes are absolute.
+    """
+
+    source: str
+    base_frame: str | None = None
+    tool_frame: str | None = None
+    package_dirs: tuple[Path, ...] = ()
+    xacro: Mapping[str, str]
+    total_mass: float | None = None
+    tool: AttachedToolFile | None = None
+
+    def files(self, srdf: Path | None = None) -> RobotFiles:
+        """Return its files.
+
+        Raises
+        ------
+        ModelError
+            As `cmbot.robot.robot_files`.
+        """
+        from cmbot.robot import robot_files
+
+        return robot_files(self.source, srdf=srdf, package_dirs=self.package_dirs, xacro=self.xacro)
+
+    def load(self, srdf: Path | None = None) -> Robot:
+        """Load it, with another SRDF where one is given.
+
+        Raises
+        ------
+        ModelError
+            As `cmbot.robot.load_robot`.
+        """
+        from cmbot.robot import load_robot
+
+        return load_robot(
+            self.source,
+            base_frame=self.base_frame,
+            tool_frame=self.tool_frame,
+            package_dirs=self.package_dirs,
+            srdf=srdf,
+            xacro=self.xacro,
+            total_mass=self.total_mass,
+            tool=None if self.tool is None else self.tool.tool,
+        )
+
+    def entry(
+        self, robot: Robot, path: Path, assumed: Path | None, srdf: Path | None
+    ) -> dict[str, tuple[object, str]]:
+        """Return the ``robot`` block of a scene at `path`, each value with its comment.
+
+        `robot` is what was loaded, `assumed` the file of assumed limits, `srdf` the one that was written.
+        """
+        folder = path.resolve().parent
+
+        def from_scene(place: str | Path) -> str:
+            return os.path.relpath(Path(place).resolve(), folder)
+
+        if self.source == _SHIPPED:
+            return {"model": (self.source, ""), "payload_kg": (0.0, "point mass at the tool")}
+        model = from_scene(self.source) if Path(self.source).exists() else self.source
+        entry: dict[str, tuple[object, str]] = {"model": (model, "")}
+        if self.xacro:
+            entry["xacro"] = (dict(self.xacro), "")
+        entry["base_frame"] = (robot.base_frame, "")
+        flange = robot.tool_frame if self.tool is None else robot.flange
+        entry["tool_frame"] = (
+            flange,
+            "the frame that follows the tool path" if self.tool is None else "the flange",
+        )
+        if self.tool is not None:
+            data: dict[str, Any] = self.tool.model_dump(mode="json", exclude_defaults=True)
+            for part in (data, *data.get("shapes", ())):
+                if "mesh" in part:
+                    part["mesh"] = from_scene(part["mesh"])
+            entry["tool"] = (data, "the tool point and what is on the way to it, in the flange's frame")
+        if self.total_mass is not None:
+            entry["total_mass_kg"] = (
+                self.total_mass,
+                "spread over the links' volumes: torques are estimates",
+            )
+        if assumed is not None:
+            entry["limits"] = (assumed.name, "accelerations and jerks, assumed: put your robot's there")
+        if srdf is not None:
+            comment = "by sampling: which of its links need not be checked against each other"
+            entry["srdf"] = (srdf.name, comment)
+        if self.package_dirs:
+            entry["package_dirs"] = ([from_scene(place) for place in self.package_dirs], "")
+        return entry | {"payload_kg": (0.0, "point mass at the tool")}
+
 
 _SCENE = """\
 # yaml-language-server: $schema={schema}
@@ -41,7 +155,8 @@ planner: {planner}
 _LIMITS = """\
 # Joint limits that a URDF does not have, {units}.
 # An acceleration of 2 /s times the velocity limit,
-# a jerk of 10 /s times the acceleration. Put those of your robot's data sheet here.
+# a jerk of 10 /s times the acceleration.{what}
+# Put those of your robot's data sheet here.
 format: cmbot-joint-limits/1
 assumed: true  # plans say so; take this line away when the numbers are your robot's
 joints:
@@ -119,19 +234,41 @@ def _posture(q: FloatArray, prismatic: BoolArray) -> str:
     return f"start:\n  posture: {numbers}  # rad and, of joints that slide, m"
 
 
-def limits_text(
-    joints: Sequence[str], acceleration: FloatArray, jerk: FloatArray, prismatic: BoolArray
-) -> str:
-    """Return the text of a joint-limits file from limits (n,), SI; joints turn or are `prismatic` (n,)."""
-    entries = []
-    for name, slides, rates in zip(joints, prismatic, zip(acceleration, jerk, strict=True), strict=True):
-        keys = ("acceleration_m_s2", "jerk_m_s3") if slides else ("acceleration_deg", "jerk_deg")
-        values = rates if slides else np.rad2deg(rates)
-        limits = ", ".join(f"{key}: {value:.6g}" for key, value in zip(keys, values, strict=True))
-        entries.append(f"  {_flow(name)}: {{{limits}}}\n")
-    units = ["deg/s2 and deg/s3"] if not prismatic.all() else []
-    units += ["m/s2 and m/s3"] if prismatic.any() else []
-    return _LIMITS.format(units=", or ".join(units), joints="".join(entries))
+def limits_text(joints: Sequence[str], limits: JointLimits) -> str:
+    """Return the text of a joint-limits file of an arm with those `limits`.
+
+    It has accelerations and jerks, and the velocities and efforts that are assumed.
+    """
+    entries, prismatic = [], limits.prismatic
+    for i, name in enumerate(joints):
+        slides = bool(prismatic[i])
+        values = {"acceleration": limits.acceleration[i], "jerk": limits.jerk[i]}
+        if limits.assumed_velocity[i]:
+            values = {"velocity": limits.velocity[i]} | values
+        units = {"velocity": "m_s", "acceleration": "m_s2", "jerk": "m_s3"}
+        listed = [
+            f"{rate}_{units[rate]}: {value:.6g}" if slides else f"{rate}_deg: {np.rad2deg(value):.6g}"
+            for rate, value in values.items()
+        ]
+        if limits.assumed_torque[i]:
+            listed.append(f"effort: {limits.torque[i]:.6g}")
+        entries.append(f"  {_flow(name)}: {{{', '.join(listed)}}}\n")
+    powers = [f"{unit}/s2 and {unit}/s3" for unit in _units(prismatic)]
+    what = ""
+    if limits.assumed_velocity.any():
+        what += (
+            f"\n# Velocities, {' or '.join(f'{unit}/s' for unit in _units(prismatic))}: 1 rad/s or 0.1 m/s."
+        )
+    if limits.assumed_torque.any():
+        what += (
+            "\n# Efforts, Nm or N: twice what the arm beyond the joint, stretched out, asks of it at rest."
+        )
+    return _LIMITS.format(units=", or ".join(powers), joints="".join(entries), what=what)
+
+
+def _units(prismatic: BoolArray) -> list[str]:
+    """Of positions of the joints that there are."""
+    return [unit for unit, there in (("deg", not prismatic.all()), ("m", bool(prismatic.any()))) if there]
 
 
 def _flow(value: object) -> str:

@@ -87,7 +87,7 @@ def chart(scene: Scene) -> Charted:
 def _strokes(scene: Scene) -> Iterator[PlanningContext]:
     """The strokes' contexts, each from a posture that holds the tool where it begins."""
     context = build_context(scene, scene.planner)
-    if scene.return_to == "stow":
+    if scene.return_to not in ("start", "none"):
         _require_stow(context.tool_off)
     for number in range(len(context.strokes)):
         yield starting_at_path(context.at_stroke(number, scene, context.posture, 0.0, 0.0))

@@ -99,7 +99,7 @@ def joined(scenes: Sequence[Scene]) -> Scene:
     ]
     return first.changed(
         name="_".join(scene.name for scene in scenes)[:_LONGEST_NAME],
-        tool_path=JobStrokes(strokes=tuple(renamed)).as_data(),
+        tool_path=JobStrokes(strokes=tuple(renamed)),
         obstacles=tuple(obstacles.values()),
         frames=frames,
     )
@@ -108,8 +108,7 @@ def joined(scenes: Sequence[Scene]) -> Scene:
 def with_strokes(scene: Scene, numbers: Collection[int], name: str) -> Scene:
     """Return a scene, as `in_world` returns it, with some of its strokes in their order, and a name."""
     strokes = tuple(stroke for k, stroke in enumerate(_strokes(scene)) if k in numbers)
-    path = JobStrokes(strokes=strokes, order=scene.order)
-    return scene.changed(name=name, tool_path=path.as_data())
+    return scene.changed(name=name, tool_path=JobStrokes(strokes=strokes, order=scene.order))
 
 
 def _strokes(scene: Scene) -> list[StrokeFile]:

@@ -480,7 +480,7 @@ def _scene(plan: Plan) -> Iterator[Row]:
     else:
         yield "posture, deg", _numbers(np.rad2deg(scene.posture), 1)
     if scene.return_to != "none":
-        yield "return to", scene.return_to
+        yield "return to", str(scene.return_to)
     if robot.pushed:
         yield "process force on the tool, along its axes", f"({_numbers(robot.tool_force, 1)}) N"
     if scene.tool.max_speed_m_s is not None:

@@ -4,7 +4,7 @@ from cmbot.walking.files import WalkSamples, walk_csv, walk_data, walk_samples
 from cmbot.walking.steps import Kind, Move, Step, certified_move
 from cmbot.walking.tour import Tour, tour, tour_data
 from cmbot.walking.verification import second_opinion_of
-from cmbot.walking.walk import Walk, WalkOptions, load_goal, stance_of, walk
+from cmbot.walking.walk import Walk, WalkOptions, goal_stance, load_goal, stance_of, walk
 
 __all__ = [
     "Kind",
@@ -15,6 +15,7 @@ __all__ = [
     "WalkOptions",
     "WalkSamples",
     "certified_move",
+    "goal_stance",
     "load_goal",
     "second_opinion_of",
     "stance_of",

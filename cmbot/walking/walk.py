@@ -22,7 +22,7 @@ from cmbot.walking.balance import Balance
 from cmbot.walking.route import Edge, Route, nodes_between
 from cmbot.walking.steps import Move, Step, arm_move, plan_step
 
-__all__ = ["Walk", "WalkOptions", "load_goal", "stance_of", "walk"]
+__all__ = ["Walk", "WalkOptions", "goal_stance", "load_goal", "stance_of", "walk"]
 
 # Postures of the arm with which a step is planned.
 _TRIED = 15
@@ -168,7 +168,7 @@ def walk(
     """
     options = options or WalkOptions()
     first = stance_of(scene)
-    last = stance_of(to) if isinstance(to, Scene) else _stance_from(to, scene)
+    last = goal_stance(to, scene)
     if last.stance == first.stance:
         got, expected = "the stance where the walk is to end", "another one: the robot stands there already"
         raise SceneError(scene.source, "guardrail.stance", got, expected)
@@ -334,6 +334,11 @@ def stance_of(scene: Scene) -> Candidate:
         raise SceneError(scene.source, "guardrail.stance", "nothing", expected)
     place, climber = FootholdFile(member=f"post_{number}", along_m=-scene.guardrail.post.bottom_m), Climber()
     return candidate_at(place, None, np.eye(4), climber.working, climber)
+
+
+def goal_stance(to: Scene | StanceFile, scene: Scene) -> Candidate:
+    """Return the stance in which a walk of a scene is to end."""
+    return stance_of(to) if isinstance(to, Scene) else _stance_from(to, scene)
 
 
 def _stance_from(stance: StanceFile, scene: Scene) -> Candidate:

@@ -108,7 +108,7 @@ def folder(sliding: Path, tmp_path: Path) -> Path:
             "segments[0].certificate.checks[2]",
         ),
         (lambda data: data["start"].update(moved_deg=0.0), "segments"),
-        (lambda data: data["options"].update(knots="fixed"), "segments"),
+        (lambda data: data["options"].update(knots="fixed"), "floor"),
     ],
 )
 def test_what_is_wrong_or_does_not_fit_is_named_by_its_key(folder, change, key):

@@ -198,16 +198,24 @@ def test_a_changed_record_and_those_of_other_versions_are_refused(folder: Path) 
     record.write_bytes(record.read_bytes().replace(b"best_2.yaml", b"best_3.yaml"))
     with pytest.raises(ArchiveError, match=r"stances\.json: content: got another hash"):
         read_record(folder, STANCES_FILE)
-    for change in (
-        lambda data: data.pop("content"),
-        lambda data: data.update(format="cmbot-stances/0"),
-        lambda data: data.update(format="cmbot-stances/7"),
+    older = "format: .*'cmbot-stances/1'"
+    for change, told in (
+        (
+            lambda data: data.pop("content"),
+            "content: no such key, expected hashes, as every stances.json has",
+        ),
+        (
+            lambda data: data.pop("files"),
+            "files: no such key, expected hashes, as every stances.json has",
+        ),
+        (lambda data: data.update(format="cmbot-stances/0"), older),
+        (lambda data: data.update(format="cmbot-stances/7"), older),
     ):
         data = json.loads(record.read_bytes())
         change(data)
         record.write_text(json.dumps(data))
         with pytest.raises(
-            ArchiveError, match=r"format: .*'cmbot-stances/1': written by a development version"
+            ArchiveError, match=f"{told}: written by a development version; cmbot stand SCENE makes"
         ):
             read_record(folder, STANCES_FILE)
     edit(folder, lambda data: data.update(format="another/1"), STANCES_FILE)

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plan_folders import FILES, changed, same_arrays
+from plan_folders import FILES, same_arrays
 
 from cmbot.archive import load_plan, save
 from cmbot.common.errors import PathNotFound
-from cmbot.planning import Job, Plan, Start
+from cmbot.planning import Job, Plan
 from cmbot.planning.certification.metrics import figures
 
 
@@ -84,19 +84,18 @@ def test_round_trip_with_fixed_knots(short_plan, tmp_path):
     assert read.start.moved == 0
 
 
-def test_a_start_elsewhere_is_kept(short_plan, tmp_path):
+def test_a_start_elsewhere_is_kept(returning_plan, tmp_path):
     failures = (
         PathNotFound(
             "in the way", time=1.5, progress=0.25, smallest_singular_value=0.3, pair=("link", "slab")
         ),
         PathNotFound("out of reach", time=0.5, progress=0.125, smallest_singular_value=0.1),
     )
-    start = Start(posture=short_plan.start.posture + 0.1, moved=0.1, failures=failures)
-    moved = replace(short_plan.trajectory, q=short_plan.trajectory.q + 0.1)
-    elsewhere = changed(replace(short_plan, start=start), "work", trajectory=moved)
-    read = load_plan(save(elsewhere, tmp_path / "plan")).start
+    start = replace(returning_plan.start, failures=failures)
+    assert start.moved > 0
+    read = load_plan(save(replace(returning_plan, start=start), tmp_path / "plan")).start
     np.testing.assert_allclose(read.posture, start.posture, rtol=1e-15)
-    assert read.moved == pytest.approx(0.1, rel=1e-15)
+    assert read.moved == pytest.approx(start.moved, rel=1e-15)
     for got, expected in zip(read.failures, failures, strict=True):
         assert vars(got) == vars(expected)
         assert str(got) == str(expected)

@@ -93,6 +93,14 @@ def test_other_versions(triangle_folder, version):
     assert error.expected == "'cmbot-plan/2'" + why * str(version).startswith("cmbot-plan")
 
 
+def test_a_plan_of_a_version_with_other_keys(triangle_folder):
+    """Of the same format: what is missing is named, and what to do."""
+    edit(triangle_folder, lambda data: data.pop("drift"))
+    error = refused(triangle_folder, "plan.json", "drift")
+    assert "cmbot plan SCENE makes it anew" in str(error)
+    assert len(str(error)) <= 400
+
+
 def test_pages_may_be_missing_and_a_changed_one_is_named_by_verify(triangle_folder):
     for name in ("report.html", "replay.html", "notes.txt"):
         add_file(triangle_folder, name, "page")

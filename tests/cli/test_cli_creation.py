@@ -40,7 +40,8 @@ def test_a_scene_of_the_panda(here: Path, monkeypatch: pytest.MonkeyPatch) -> No
     schema = Path(text.splitlines()[0].partition("=")[2])
     assert json.loads(schema.read_text(encoding="utf-8"))["title"] == "cmbot-scene/2"
     scene = cmbot.load_scene("panda.yaml")
-    assert (scene.name, scene.robot.model, scene.strokes[0].keep) == ("panda", here / "panda.urdf", "pose")
+    assert (scene.name, scene.robot.model) == ("panda", str(here / "panda.urdf"))
+    assert scene.strokes[0].keep == "pose"
     assert scene.strokes[0].via_points == "auto"
     assert scene.base_name == "base"
     assert "\n  model: panda.urdf\n" in text
@@ -79,7 +80,7 @@ def test_a_scene_of_a_urdf_with_limits_and_an_orientation(here: Path, urdf_folde
     assert files == [str(here / "a" / "my arm.yaml")]
     scene = cmbot.load_scene(files[0])
     assert scene.name == "my_arm"
-    assert scene.robot.model == urdf_folder / "cmbot.urdf"
+    assert scene.robot.model == str(urdf_folder / "cmbot.urdf")
     assert scene.robot.limits is None
     X = Kinematics(robot_of(scene)).tool_pose(scene.posture)
     np.testing.assert_allclose(X.translation, [1.5, 0.8, -1.5], rtol=0, atol=1e-4)
@@ -93,7 +94,7 @@ def test_links_that_no_motion_parts_are_left_out_not_the_margin(here: Path) -> N
     assert "forearm_link and wrist_2_link" in told
     assert told.endswith("; arm.srdf leaves them out.")
     scene = cmbot.load_scene("arm.yaml")
-    assert (scene.planner.safety_margin_m, scene.robot.srdf) == (0.02, here / "arm.srdf")
+    assert (scene.planner.safety_margin_m, scene.robot.srdf) == (0.02, str(here / "arm.srdf"))
     parted, whole = (
         Clearances(robot, []).smallest(scene.posture[None]).distance[0]
         for robot in (robot_of(scene), cmbot.load_robot("ur5"))
@@ -115,7 +116,7 @@ def test_a_scene_of_an_arm_on_a_rail(here: Path) -> None:
     text = (here / "a" / "rail.yaml").read_text(encoding="utf-8")
     assert '\n  package_dirs: ["../packages"]\n' in text
     scene = cmbot.load_scene("a/rail.yaml")
-    assert scene.robot.package_dirs == (here / "packages",)
+    assert scene.robot.package_dirs == (str(here / "packages"),)
     assert scene.posture_key == "start.posture"
     robot = robot_of(scene)
     robot.posture(scene.posture)

@@ -51,7 +51,7 @@ def test_from_a_sheet_to_a_scene_that_knows_its_stiffness(sheet: Path) -> None:
     data = short_scene(robot={"joints": "elastic"}).as_data() | {"identified": target.name}
     scene = measured.with_name("known.yaml")
     scene.write_text(json.dumps(data), encoding="utf-8")
-    assert cmbot.load_scene(scene).file.identified is not None
+    assert cmbot.load_scene(scene).identified is not None
     again = run("identify", measured)
     assert again.status == 2
     assert "expected a new file, or --force" in again.err

@@ -153,10 +153,18 @@ def test_a_urdf_that_lacks_limits_is_described_and_one_that_is_doubtful_is_usabl
     path = tmp_path / "bare.urdf"
     path.write_text(BARE, encoding="utf-8")
     outcome = run("check", path)
-    assert outcome.status == 2
-    first, described = outcome.out.split("\n", 1)
-    assert first.startswith(f"error: {path}: joint[a].limit.velocity: got 0.0, expected a positive bound")
-    assert values(described) == {
+    assert outcome.status == 0
+    velocity, effort, mass, dense, described = outcome.out.split("\n", 4)
+    bound = "got nothing, expected a positive bound, here or in a joint-limits file; assumed is"
+    assert velocity == f"warning: {path}: joint[a].limit.velocity: {bound} 1 rad/s or 0.1 m/s (2 times)"
+    assert effort.startswith(f"warning: {path}: joint[b].limit.effort: {bound} twice")
+    assert mass.startswith(f"warning: {path}: link[wheel].inertial.mass: got 0 kg")
+    assert dense.startswith(
+        f"warning: {path}: link.inertial.mass: got 2.5 kg that move, with a reach of 0.000 m"
+    )
+    *described, last = described.splitlines()
+    assert last == "OK: no error, 5 warnings."
+    assert values("\n".join(described)) == {
         "robot": "bare",
         "links": "4, 2.50 kg in all",
         "movable joints": "2 (1 prismatic, 1 continuous)",
@@ -315,7 +323,10 @@ def test_a_urdf_is_loaded_as_planning_does(tmp_path: Path) -> None:
     assert heavy[-1]["got"] == "3000 kg that move, with a reach of 1.000 m"
     assert "1000 kg" in heavy[-1]["expected"]
     (light,) = checked(0, box)
-    assert (light["severity"], light["expected"]) == ("error", "an arm of at least 0.001 kg")
+    assert (light["severity"], light["expected"]) == (
+        "error",
+        "the mass of all of the robot, which is spread over its shapes; or masses of its links",
+    )
     for name, sought in (
         ("m/arm.stl", f"({tmp_path / 'm/arm.stl'})"),
         ("package://m/arm.stl", "package_dirs)"),

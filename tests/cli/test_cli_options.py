@@ -91,7 +91,7 @@ def test_set_takes_keys_of_the_scene_file(folder: Path, monkeypatch: pytest.Monk
     assert (scene.name, scene.source) == (before.name, before.source)
     assert (scene.robot.payload_kg, scene.strokes[0].legs[0].seconds) == (2, 4)
     assert scene.robot.payload_kg == 2
-    assert scene.strokes[0].legs[0].by == before.legs[0].by
+    assert scene.strokes[0].legs[0].by == before.strokes[0].legs[0].by
     # What is wrong in the file itself is named by the file.
     text = (folder / "short.yaml").read_text(encoding="utf-8")
     (folder / "wrong.yaml").write_text(f"{text}\nmore: 1\n", encoding="utf-8")

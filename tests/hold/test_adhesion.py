@@ -94,6 +94,16 @@ def test_a_remainder_bounds_the_change(rng) -> None:
     assert (moved <= holding.use_remainder(1, force, torque)).all()
 
 
+@pytest.mark.parametrize("axis", [0, 1, 3, 4, 5])
+def test_a_remainder_bounds_a_change_along_one_axis(axis: int) -> None:
+    """Where a plate slips the adhesion changes by more than the force: by its share of the friction."""
+    holding, change = Holding([PLAIN], np.zeros(6)), np.zeros((1, 6))
+    change[0, axis] = 1.0
+    moved = holding.needed(0, 100 * change) - holding.needed(0, 99 * change)
+    force, torque = (np.linalg.norm(part, axis=1) for part in (change[:, :3], change[:, 3:]))
+    assert 0 < moved <= holding.remainder(0, force, torque)
+
+
 @pytest.mark.parametrize("moment", [None, (1e3, 1e3, 1e3)])
 def test_what_is_beyond_all_bounds_loads_without_bound(moment: tuple[float, float, float] | None) -> None:
     """Never a number that compares with nothing: a promise would seem kept."""

@@ -98,5 +98,5 @@ def test_a_raster_round_an_obstacle_is_planned_in_two_parts(tmp_path: Path) -> N
     np.testing.assert_allclose(lines[..., 0], 1.9 - 0.12, atol=1e-9)
     np.testing.assert_allclose(lines[..., 1].mean(), 0.4, atol=0.05)
     save(made, tmp_path / "plan")
-    again = load_plan(tmp_path / "plan", verify=True)
+    again = load_plan(tmp_path / "plan", verify=True, scene=rows(BOLT))
     assert again.coverage == made.coverage

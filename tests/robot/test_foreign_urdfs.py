@@ -13,8 +13,8 @@ from robot_files import replace
 from urdf_arms import limits_file
 
 from cmbot.common.errors import MissingExtra, ModelError, SceneError
-from cmbot.robot import Robot, inspect_urdf, load_robot, parse_urdf, robot_files
-from cmbot.robot.limits import JointEntry
+from cmbot.robot import Dynamics, Robot, inspect_urdf, load_robot, parse_urdf, robot_files
+from cmbot.robot.description.limits_file import JointEntry
 from cmbot.scene import load_scene
 
 INERTIA = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
@@ -311,27 +311,40 @@ def test_limits_that_no_file_gives_are_assumed(tmp_path: Path) -> None:
         limited(tmp_path, "all: {acceleration_deg: 180, jerk_deg: 0}")
 
 
-MOVEIT = "joint_limits:\n  joint_1:\n    has_acceleration_limits: true\n    max_acceleration: 3.75\n"
 FOREIGN_LIMITS = {
-    "MoveIt": MOVEIT,
-    "MoveIt with scaling": f"# limits\n\ndefault_velocity_scaling_factor: 0.1\n{MOVEIT}",
-    "Franka": "joint1:\n  limit: {lower: -2.7, upper: 2.7, velocity: 2.1, effort: 87.0}\n",
-    "parameters of ROS 2": "/**:\n  ros__parameters:\n    robot_description_planning:\n      format: x\n",
-    "with anchors": "joint_limits:\n  joint_1: &all {max_velocity: 1}\n  joint_2: *all\n",
-    "of another program": "format: 2\nlimits: []\n",
+    "Franka": (
+        "joint1:\n  limit: {lower: -2.7, upper: 2.7, velocity: 2.1, effort: 87.0}\n",
+        "joint1: got an unknown key",
+    ),
+    "parameters of ROS 2": (
+        "/**:\n  ros__parameters:\n    robot_description_planning:\n      format: x\n",
+        "'/**': got an unknown key",
+    ),
+    "with anchors": (
+        "joint_limits:\n  joint_1: &all {max_velocity: 1}\n  joint_2: *all\n",
+        "the anchor &all",
+    ),
+    "with tags": ("joint_limits:\n  joint_1: {max_velocity: !degrees 90}\n", "the tag '!degrees'"),
+    "of another program": ("format: 2\nlimits: []\n", "format: got 2"),
+    "damaged": (
+        "joint_limits:\n  joint_1: {max_velocity: fast}\n",
+        "joint_limits.joint_1.max_velocity: got 'fast'",
+    ),
 }
 
 
-@pytest.mark.parametrize("text", FOREIGN_LIMITS.values(), ids=FOREIGN_LIMITS)
-def test_limits_of_another_kind_are_left_alone(tmp_path: Path, text: str) -> None:
+@pytest.mark.parametrize(("text", "why"), FOREIGN_LIMITS.values(), ids=FOREIGN_LIMITS)
+def test_limits_of_another_kind_are_left_alone(tmp_path: Path, text: str, why: str) -> None:
     urdf, beside = write(tmp_path, *ARM), tmp_path / "joint_limits.yaml"
     alone = load_robot(urdf)
     beside.write_text(text, encoding="utf-8")
     robot = load_robot(urdf)
     (remark,) = (each for each in robot.remarks if each not in alone.remarks)
-    assert str(beside) in remark
-    assert "left alone" in remark
-    assert (robot_files(urdf).limits, robot_files(urdf).left_alone) == (None, beside)
+    assert remark.startswith(f"{beside} is left alone: it is no joint-limits file of cmbot's or MoveIt's (")
+    assert why in remark
+    left_alone = robot_files(urdf).left_alone
+    assert left_alone is not None
+    assert (robot_files(urdf).limits, left_alone[0]) == (None, beside)
     np.testing.assert_array_equal(robot.limits.acceleration, alone.limits.acceleration)
     assert robot.content_hash == alone.content_hash
     # Who names such a file is told that it is none, and who names another has no remark.
@@ -339,6 +352,100 @@ def test_limits_of_another_kind_are_left_alone(tmp_path: Path, text: str) -> Non
         load_robot(urdf, limits=beside)
     named = limits_file(tmp_path, ["joint_1"])
     assert not any("left alone" in each for each in load_robot(urdf, limits=named).remarks)
+
+
+MOVEIT = """default_velocity_scaling_factor: 0.1
+default_acceleration_scaling_factor: 1
+joint_limits:
+  joint_1:
+    has_velocity_limits: true
+    max_velocity: 1.25
+    has_acceleration_limits: true
+    max_acceleration: 3.75
+    has_jerk_limits: true
+    max_jerk: 25
+  joint_2:
+    has_velocity_limits: true
+    max_velocity: 2
+    has_acceleration_limits: false
+    max_acceleration: 7
+    has_position_limits: true
+    min_position: 0.0
+    max_position: 9
+    has_effort_limits: true
+    max_effort: 5
+  of_another_arm: {has_velocity_limits: true, max_velocity: 1, angle_wraparound: false}
+"""
+
+
+@pytest.mark.parametrize(
+    "place", ["urdf/joint_limits.yaml", "config/joint_limits.yaml", "urdf/config/joint_limits.yaml"]
+)
+@pytest.mark.parametrize("nested", [False, True])
+def test_limits_of_moveit_are_read(tmp_path: Path, place: str, nested: bool) -> None:
+    """The lower of its limit and the URDF's holds; what it switches off does not."""
+    urdf, file = write(tmp_path / "urdf", *ARM), tmp_path / place
+    text = MOVEIT
+    if nested:
+        text = "/**:\n  ros__parameters:\n    robot_description_planning:\n" + "".join(
+            f"      {line}\n" for line in MOVEIT.splitlines()
+        )
+    put(file, text)
+    robot = load_robot(urdf)
+    assert robot_files(urdf).limits == file
+    limits = robot.limits
+    np.testing.assert_allclose(limits.velocity, [1.25, 1.5, 1.5])
+    np.testing.assert_allclose(limits.acceleration, [3.75, 3.0, 3.0])
+    np.testing.assert_allclose(limits.jerk, [25, 30, 30])
+    np.testing.assert_allclose((limits.lower, limits.upper), [[-1, 0, -1], [2, 2, 2]])
+    np.testing.assert_allclose(limits.torque, [9, 5, 9])
+    assert limits.assumed_acceleration.tolist() == [False, True, True]
+    assert robot.remarks[0] == (
+        f"{file} is MoveIt's; of the arm's 3 joints it limits velocity of 2, acceleration of 1, jerk of 1: "
+        "the lower limit holds, its or the URDF's. Its default_velocity_scaling_factor 0.1: what MoveIt asks "
+        "for by default, no limits, and not used."
+    )
+    assert robot.content_hash != load_robot(urdf, limits=limits_file(tmp_path, ["joint_1"])).content_hash
+
+
+def test_limits_of_ours_take_the_place_of_the_urdfs(tmp_path: Path) -> None:
+    robot = limited(tmp_path, "joints: {joint_1: {velocity_deg: 180, effort: 20}}")
+    np.testing.assert_allclose(robot.limits.velocity, [np.pi, 1.5, 1.5])
+    np.testing.assert_allclose(robot.limits.torque, [20, 9, 9])
+    with pytest.raises(
+        ModelError, match=r"joints.joint_1.velocity_m_s: got that key, expected velocity_deg: this"
+    ):
+        limited(tmp_path, "joints: {joint_1: {velocity_m_s: 1}}")
+
+
+def test_what_an_arm_without_limits_is_assumed_to_do(tmp_path: Path) -> None:
+    """An assumed effort holds the arm in any posture twice, also after a joint that slides."""
+    blind = LIMIT.replace('"1.5"', '"0"').replace('"9"', '"0"')
+    parts = [part.replace(LIMIT, blind) for part in ARM]
+    parts[5] = parts[5].replace("revolute", "prismatic")
+    robot = load_robot(write(tmp_path, *parts))
+    np.testing.assert_allclose(robot.limits.velocity, [1, 0.1, 1])
+    assert [remark.partition(" are assumed")[0] for remark in robot.remarks[:4]] == [
+        f"{limit} limits of the joints" for limit in ("Velocity", "Acceleration", "Jerk", "Effort")
+    ]
+    q = np.random.default_rng(3).uniform(robot.limits.lower, robot.limits.upper, (2000, 3))
+    held = np.abs(Dynamics(robot).static_efforts(q).joint_torque)
+    assert (2 * held <= robot.limits.torque + 1e-9).all()
+    assert robot.limits.torque[1] == pytest.approx(2 * 9.81 * 2)
+    # All turn: links of 1 kg, sqrt(2) / 10 m apart.
+    robot = load_robot(write(tmp_path, *(part.replace(LIMIT, blind) for part in ARM)))
+    step = 2 * 9.81 * 0.1 * np.sqrt(2)
+    np.testing.assert_allclose(robot.limits.torque, [3 * step, step, 0.01 * 3 * step])
+
+
+def test_ranges_in_degrees_are_told(tmp_path: Path) -> None:
+    degrees = [part.replace('lower="-1" upper="2"', 'lower="-170" upper="170"') for part in ARM]
+    with pytest.raises(
+        ModelError, match=r"joint\[joint_1\].limit.lower: got -170 rad, expected radians \(degrees"
+    ):
+        load_robot(write(tmp_path, *degrees))
+    turns = [part.replace('lower="-1" upper="2"', 'lower="-18.85" upper="18.85"') for part in ARM]
+    assert load_robot(write(tmp_path, *turns)).dof == 3
 
 
 @pytest.mark.parametrize(
@@ -360,10 +467,31 @@ def test_limits_of_ours_with_a_mistake_are_refused(tmp_path: Path, text: str, ke
     assert caught.value.key == key
 
 
-@pytest.mark.parametrize("name", JointEntry.model_fields)
+# Of Franka's there is an effort, too.
+@pytest.mark.parametrize("name", JointEntry.model_fields.keys() - {"effort"})
 def test_every_limit_of_ours_tells_a_file_that_lacks_its_format(tmp_path: Path, name: str) -> None:
     (tmp_path / "joint_limits.yaml").write_text(f"joint_1: {{{name}: 1}}", encoding="utf-8")
     assert robot_files(write(tmp_path, *ARM)).limits is not None
+
+
+@pytest.mark.parametrize(
+    ("place", "robot", "is_it"),
+    [
+        ("urdf/arm.srdf", "other", True),
+        ("srdf/arm.srdf", "other", True),
+        ("config/arm.srdf", "other", True),
+        ("config/panda_arm.srdf", "arm", True),
+        ("config/panda_arm.srdf", "other", False),
+        ("elsewhere/arm.srdf", "arm", False),
+    ],
+)
+def test_an_srdf_is_found_where_ros_packages_have_it(
+    tmp_path: Path, place: str, robot: str, is_it: bool
+) -> None:
+    urdf = write(tmp_path / "urdf", *ARM)
+    put(tmp_path / place, f'<robot name="{robot}"><disable_collisions link1="base" link2="link_3"/></robot>')
+    assert robot_files(urdf).srdf == (tmp_path / place if is_it else None)
+    assert load_robot(urdf).dof == 3
 
 
 MISSING = '<visual><origin xyz="9 9 9"/><geometry><mesh filename="package://nowhere/sticker.dae"/></geometry>'

@@ -44,13 +44,6 @@ DAMAGE = {
     "no velocity": ('velocity="0.2"', "", "joint[climb_1].limit.velocity", "a value"),
     "negative velocity": ('velocity="0.2"', 'velocity="-1"', "joint[climb_1].limit.velocity", "not negative"),
     "negative effort": ('effort="240.0"', 'effort="-1"', "joint[joint_1].limit.effort", "not negative"),
-    "zero velocity": (VELOCITY_1, 'velocity="0"', "[joint_1].limit.velocity", "got 0.0, expected a positive"),
-    "zero effort": (
-        'effort="240.0"',
-        'effort="0"',
-        "joint[joint_1].limit.effort",
-        "got 0.0, expected a positive",
-    ),
     "mimic": (JOINT_4, f'{JOINT_4}<mimic joint="joint_3"/>', "joint[joint_4].mimic", "follows"),
     "unknown type": ('type="revolute"', 'type="screw"', "joint[climb_1].type", "revolute, continuous"),
     "floating": (JOINT_4, JOINT_4.replace("revolute", "floating"), "[joint_4].type", "of revolute, contin"),

@@ -187,13 +187,18 @@ def test_sliding_joint_beside_the_arm_is_locked(urdf_folder: Path) -> None:
     assert load_copy(urdf_folder).dof == 7
 
 
-def test_continuous_joint_without_limits_has_no_torque(urdf_folder: Path) -> None:
+def test_limits_of_a_continuous_joint_without_them_are_assumed(urdf_folder: Path) -> None:
     file = urdf_folder / "cmbot.urdf"
     text = file.read_text(encoding="utf-8").replace(JOINT_4, JOINT_4.replace("revolute", "continuous"))
     start = text.index("<limit", text.index('"joint_4"'))
     file.write_text(text[:start] + text[text.index("/>", start) + 2 :], encoding="utf-8")
-    with pytest.raises(ModelError, match=r"joint\[joint_4\].limit.velocity"):
-        load_copy(urdf_folder)
+    robot = load_copy(urdf_folder)
+    assert robot.limits.velocity[3] == 1.0
+    assert robot.limits.assumed_velocity.tolist() == robot.limits.assumed_torque.tolist()
+    assert np.flatnonzero(robot.limits.assumed_torque).tolist() == [3]
+    assert next(each for each in robot.remarks if "1 joint of 7" in each).startswith(
+        "Velocity limits of 1 joint"
+    )
 
 
 SRDF, LIMITS = "cmbot.srdf", "joint_limits.yaml"

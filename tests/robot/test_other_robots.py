@@ -12,7 +12,6 @@ from scipy.spatial import ConvexHull
 from state_samples import StateSamples
 from urdf_arms import KINOVA, KINOVA_JOINTS, PANDA, PANDA_JOINTS, limits_file
 
-from cmbot.common.errors import ModelError
 from cmbot.robot import Dynamics, Kinematics, Robot, load_robot
 
 
@@ -116,8 +115,21 @@ def test_tool_with_a_mesh_is_stretched(
 
 
 @pytest.mark.parametrize("vertices", FLAT.values(), ids=FLAT.keys())
-def test_mesh_without_volume(urdf_folder: Path, vertices: list[list[float]]) -> None:
+def test_a_mesh_without_volume_is_a_millimetre_thick(urdf_folder: Path, vertices: list[list[float]]) -> None:
+    """Its hull has all of it, and nothing that is further than half a millimetre from it in any direction."""
     write_flat_obj(urdf_folder / "flat.obj", vertices)
     replace(urdf_folder / "cmbot.urdf", '<box size="0.13 0.05 0.15" />', '<mesh filename="flat.obj" />')
-    with pytest.raises(ModelError, match=r"foot_1_0: got the mesh .*flat.obj, expected a mesh that encloses"):
-        load_copy(urdf_folder)
+    robot = load_copy(urdf_folder)
+    assert "Flat collision meshes count as 1 mm thick: of foot_1, foot_2." in robot.remarks
+    (shape,) = (each for each in robot.collision_model.geometryObjects if each.name == "foot_1_0")
+    points = np.array([shape.geometry.point(k) for k in range(shape.geometry.num_points)])
+    planes = ConvexHull(points).equations
+    inside = -(np.array(vertices) @ planes[:, :3].T + planes[:, 3])
+    assert inside.min() >= -1e-7  # planes of qhull merge those that are nearly one
+    thickness = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[2] / np.sqrt(len(points))
+    assert thickness == pytest.approx(0.5e-3, rel=0.2)
+    directions = np.random.default_rng(2).normal(size=(100, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    further = (points @ directions.T).max(axis=0) - (np.array(vertices) @ directions.T).max(axis=0)
+    # Across a line there are two directions in which it is moved.
+    assert further.max() <= 0.5e-3 * np.sqrt(2) + 1e-12

@@ -12,7 +12,7 @@ from urdf_arms import ROBOTS, only_collision
 import cmbot.common.robot_library
 from cmbot.collision import Clearances
 from cmbot.common.errors import MissingExtra, ModelError, SceneError
-from cmbot.common.robot_library import library_robots, library_srdf
+from cmbot.common.robot_library import library_robots
 from cmbot.robot import NEAR, Robot, load_robot, robot_files, sampled_postures, srdf_text
 from cmbot.scene import load_scene
 
@@ -122,9 +122,7 @@ def test_names_stand_for_urdfs_with_their_srdf() -> None:
     robots = library_robots()
     assert robots is not None
     assert {"panda", "ur5", "ur10", "z1", "kinova", "talos", "g1", "tiago", "xarm7"} <= set(robots)
-    srdfs = {
-        name: srdf and srdf.name for name, srdf in ((name, library_srdf(robots[name])) for name in robots)
-    }
+    srdfs = {name: srdf and srdf.name for name, srdf in ((name, robot_files(name).srdf) for name in robots)}
     assert (srdfs["panda_collision"], srdfs["ur5"], srdfs["talos"]) == (
         "panda.srdf",
         "ur5.srdf",

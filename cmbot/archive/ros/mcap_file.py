@@ -20,7 +20,7 @@ from cmbot.planning import Plan, require_plan
 from cmbot.robot import link_poses
 from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere, load_mesh
 
-__all__ = ["export_mcap"]
+__all__ = ["export_mcap", "messages"]
 
 WORLD, FOOT = "world", "O0"
 # Between two messages of the motion, s.
@@ -67,13 +67,13 @@ def export_mcap(plan: Plan, path: str | Path, *, effort: bool = False) -> None:
     content = io.BytesIO()
     with Writer(content) as writer:
         schemas = {name: writer.register_msgdef(name, text) for name, text in _schemas().items()}
-        for topic, kind, time, message in _messages(plan, effort=effort):
+        for topic, kind, time, message in messages(plan, effort=effort):
             nanoseconds = round(1e9 * time)
             writer.write_message(topic, schemas[kind], message, nanoseconds, nanoseconds)
     write_file(target, content.getvalue())
 
 
-def _messages(plan: Plan, *, effort: bool) -> Iterator[tuple[str, str, float, Message]]:
+def messages(plan: Plan, *, effort: bool) -> Iterator[tuple[str, str, float, Message]]:
     """Yield topic, type, time and content of every message, in the order of time."""
     samples, _ = plan.job_samples
     stamp = _stamp(0.0)

@@ -79,8 +79,9 @@ def export_ros_package(plan: Plan, folder: str | Path) -> Path:
     if target.exists():
         raise ArchiveError(str(target), "", "something that is already there", "the path of a new folder")
     source, robot = plan.scene.robot, plan.robot
-    described = robot_files(source.model, srdf=source.srdf, package_dirs=source.package_dirs or ())
-    name, urdf = target.name, parse_urdf(described.urdf, package_dirs=described.package_dirs)
+    given = source.files
+    described = robot_files(**{key: given[key] for key in ("model", "srdf", "package_dirs", "xacro")})
+    name, urdf = target.name, ElementTree.fromstring(robot.description)
     locate_meshes(described.urdf, urdf, described.package_dirs)
     meshes = _moved_meshes(urdf, name)
     texts = {
@@ -168,18 +169,20 @@ def _assumption(robot: Robot) -> str:
 
 
 def _assumes(robot: Robot) -> bool:
-    return bool(robot.limits.assumed_acceleration.any() or robot.limits.assumed_jerk.any())
+    limits = robot.limits
+    assumed = (limits.assumed_velocity, limits.assumed_acceleration, limits.assumed_jerk)
+    return bool(np.any(assumed))
 
 
 def _limits(robot: Robot) -> str:
     """Return the joints' limits, SI, as MoveIt reads them; comments say which are assumed."""
-    limits, certain = robot.limits, np.zeros(robot.dof, dtype=np.bool_)
+    limits = robot.limits
     lines = ["# What the motion was planned with, rad and s, of joints that slide m and s."]
     if _assumes(robot):
         lines.append("# assumed: no data of the robot's maker; its joint-limits file lacks it, or says so.")
     lines.append("joint_limits:")
     bounds: Mapping[str, tuple[FloatArray, BoolArray]] = {
-        "velocity": (limits.velocity, certain),
+        "velocity": (limits.velocity, limits.assumed_velocity),
         "acceleration": (limits.acceleration, limits.assumed_acceleration),
         "jerk": (limits.jerk, limits.assumed_jerk),
     }

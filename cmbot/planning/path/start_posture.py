@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -26,7 +27,8 @@ _RESTARTS, _STEPS, _TRIED = 2000, 60, 30
 _LEG, _LEG_SHARE, _SHORTER, _LEG_STEPS = 0.10, 0.15, (1.0, 0.5, 0.25), 10
 _SPEED, _VELOCITY_SHARE, _LEAST_SECONDS = 0.05, 0.15, 4.0
 # Safety margins that are tried, as shares of the default: as convex hulls, some arms are near themselves.
-_MARGINS = (1.0, 0.5, 0.25)
+_MARGINS = (1.0, 0.5, 0.25, 0.1)
+_KEEPS: tuple[Literal["pose", "axis", "position"], ...] = ("pose", "axis", "position")
 # What a start leaves: of the joints' ranges, of the clearance (m), and of the torque limits at rest.
 _RANGE_LEFT, _CLEARANCE_LEFT, _TORQUE_USE = 0.02, 0.002, 0.9
 # Smallest singular value of the task Jacobian below which a posture counts as singular.
@@ -93,8 +95,9 @@ def find_start(
     held: Literal["pose", "axis", "position"] = "position" if orientation is None else search.keep
     task = _task(point, np.eye(3) if orientation is None else orientation, held)
     q = search.postures(task, point)
-    margins = _MARGINS if len(q) else ()
-    for margin in (share * PlannerOptions().safety_margin_m for share in margins):
+    margins = [share * PlannerOptions().safety_margin_m for share in _MARGINS] if len(q) else []
+    for keep, margin in product(search.keeps, margins):
+        search.keep = keep
         for posture in search.best(q, margin):
             if (start := search.first_leg(posture, margin)) is not None:
                 return start
@@ -114,9 +117,9 @@ class _Search:
         self._robot, self._limits = robot, robot.limits
         self._batch, self._dynamics = Postures(robot), Dynamics(robot)
         self._clearances = Clearances(robot, obstacles)
-        self.keep: Literal["pose", "axis", "position"] = "position"
-        if robot.dof >= 5:
-            self.keep = "axis" if robot.dof == 5 else "pose"
+        # What is kept of the tool: less of it where an arm cannot, such as one whose last two axes are one.
+        self.keeps = _KEEPS[max(0, 6 - robot.dof) :] if robot.dof >= 5 else _KEEPS[-1:]
+        self.keep = self.keeps[0]
 
     def postures(self, task: ToolTask, point: FloatArray) -> FloatArray:
         """Postures (N, n) on the task within the ranges of the joints."""
@@ -181,18 +184,35 @@ class _Search:
                 f"{self._robot.reach:.3f} m (lengths are in metres)"
             )
         strong = q[self._strong(q)]
-        clear = self._clearances.smallest(strong)
         text = (
             f"no start posture: {counted(len(q), 'posture')} found that hold {held}, {len(strong)} of them "
             "strong enough"
         )
-        if len(strong):
-            k = int(clear.distance.argmax())
-            text += f"; the clearest one keeps {1e3 * clear.distance[k]:.1f} mm"
-            if clear.pair[k] >= 0:
-                pair = self._clearances.pairs[clear.pair[k]]
-                text += f" ({pair.link} to {pair.other})"
+        if not len(strong):
+            return f"{text}: {self._too_weak(q)}"
+        clear = self._clearances.smallest(strong)
+        k = int(clear.distance.argmax())
+        text += f"; the clearest one keeps {1e3 * clear.distance[k]:.1f} mm"
+        if clear.pair[k] >= 0:
+            pair = self._clearances.pairs[clear.pair[k]]
+            text += f" ({pair.link} to {pair.other})"
+            own = self._robot.model.existFrame(pair.other)
+            if own and clear.distance[k] < _MARGINS[-1] * PlannerOptions().safety_margin_m:
+                return f"{text}: choose another place; or robot.srdf says that these may touch"
         return f"{text}; none is clear, not singular, and can follow a short leg"
+
+    def _too_weak(self, q: FloatArray) -> str:
+        """The joint that is too weak in the posture of `q` (N, n) that comes nearest, its need and limit."""
+        needs = np.abs(self._dynamics.static_efforts(q).joint_torque)
+        use = needs / self._limits.torque
+        k = int(use.max(axis=1).argmin())
+        joint = int(use[k].argmax())
+        unit = self._limits.units(joint).torque
+        need, limit = (f"{value:.3g} {unit}" for value in (needs[k, joint], self._limits.torque[joint]))
+        return (
+            f"at best {self._robot.joints[joint]} needs {need} to hold the arm at rest, and has {limit}, of "
+            f"which {_TORQUE_USE:.0%} may be used; effort in a joint-limits file is its effort"
+        )
 
     def _followed(self, task: ToolTask, posture: FloatArray, points: FloatArray) -> FloatArray | None:
         """Postures that hold the tool at `points` (N, 3), each from the one before; None where one fails."""

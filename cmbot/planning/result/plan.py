@@ -180,10 +180,7 @@ class Plan(StrokePlan):
 
     @property
     def approach(self) -> Segment | None:
-        """The free move from the scene's posture to the start of the work.
-
-        None where the work starts there, or where the knots are fixed.
-        """
+        """The free move from the scene's posture to the start of the work; None where it starts there."""
         return self.job.segment(APPROACH)
 
     @cached_property

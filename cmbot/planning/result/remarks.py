@@ -293,7 +293,8 @@ def _return(plan: Plan) -> Iterator[str]:
     if plan.scene.return_to == "none":
         return
     lacks = plan.scene.return_to == "stow" and STOW not in plan.robot.group_states
-    where = "its stow posture" if plan.scene.return_to == "stow" and not lacks else "where it started"
+    named = {"stow": "where it started" if lacks else "its stow posture", "start": "where it started"}
+    where = named.get(str(plan.scene.return_to), f"its state {plan.scene.return_to}")
     why = f" (its SRDF has no group state {STOW})" if lacks else ""
     back = plan.job.segment(RETURN)
     if back is None:

@@ -5,10 +5,10 @@ What the files mean is said in `cmbot.robot.load_robot`, which has read and chec
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, fromstring
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,15 +17,15 @@ from scipy.spatial.transform import Rotation
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import ModelError
 from cmbot.common.yaml_reader import read_yaml
-from cmbot.robot import Robot, RobotFiles, parse_urdf, robot_files
+from cmbot.robot import JointLimits, Robot, RobotFiles, parse_urdf, robot_files
 from cmbot.scene import Scene
 
 __all__ = ["DescribedArm", "DescribedLimits", "pose_of"]
 
-_FILES = ("model", "srdf", "limits", "elasticity", "package_dirs")
+_FILES = ("model", "srdf", "limits", "elasticity", "package_dirs", "xacro", "total_mass", "tool")
 _MOVABLE = ("revolute", "continuous", "prismatic")
-# A range that ends beyond this is none.
-_ENDLESS = 1e9
+# A range that ends beyond this is none, and so is a smaller limit than the last.
+_ENDLESS, _LEAST = 1e9, 1e-6
 
 
 def pose_of(xyz: ArrayLike, rpy: ArrayLike) -> FloatArray:
@@ -55,6 +55,9 @@ class DescribedArm:
     ----------
     files : RobotFiles
     urdf : xml.etree.ElementTree.Element
+        With what was added to it, such as a tool.
+    loaded : JointLimits
+        The loader's, of which those that are assumed are taken.
     base, tool, carrier : str
         Links that bound the arm, and the one of the tool point that `tool_length` and `payload` are of.
     X_WB, X_WR : (4, 4) or None
@@ -67,6 +70,7 @@ class DescribedArm:
 
     files: RobotFiles
     urdf: Element
+    loaded: JointLimits
     base: str
     tool: str
     carrier: str
@@ -104,10 +108,11 @@ class DescribedArm:
         X_WR: FloatArray | None = None,
     ) -> DescribedArm:
         """Return what files say of a robot; `locked` has the joints that do not stand as in the SRDF."""
-        urdf = parse_urdf(files.urdf, package_dirs=files.package_dirs)
+        urdf = fromstring(robot.description)
         return cls(
             files=files,
             urdf=urdf,
+            loaded=robot.limits,
             base=robot.base_frame,
             tool=robot.tool_frame,
             carrier=carrier or robot.tool_frame,
@@ -166,6 +171,8 @@ class DescribedArm:
     def limits(self) -> DescribedLimits:
         """The joints' limits; what the files do not give is twice the velocity limit and ten times that.
 
+        Velocity and torque that no file gives are the loader's, and so is all of a limits file of MoveIt's.
+
         Raises
         ------
         ModelError
@@ -173,6 +180,9 @@ class DescribedArm:
         """
         file = self.files.limits
         listed = {} if file is None else read_yaml(file, ModelError)
+        if file is not None and "format" not in listed:
+            fields = DescribedLimits.__dataclass_fields__
+            return DescribedLimits(**{name: getattr(self.loaded, name) for name in fields})
         every, single = listed.get("all") or {}, listed.get("joints") or {}
         given = [single.get(name, every) for name in self.joints]
         limit = [{} if (each := joint.find("limit")) is None else each.attrib for joint in self._chain]
@@ -180,24 +190,30 @@ class DescribedArm:
             np.array([float(each.get(key, 0)) for each in limit])
             for key in ("lower", "upper", "velocity", "effort")
         )
-        endless = [joint.get("type") == "continuous" for joint in self._chain] | (np.abs(upper) >= _ENDLESS)
-        rates = [
-            np.where(
-                self.slides,
-                [float(each.get(metres) or "nan") for each in given],
-                np.radians([float(each.get(degrees) or "nan") for each in given]),
+        velocity, torque = (
+            np.where(own > _LEAST, own, np.where(described > _LEAST, described, loaded))
+            for own, described, loaded in (
+                (self._rates(given, "velocity_m_s", "velocity_deg"), velocity, self.loaded.velocity),
+                (np.array([float(each.get("effort") or 0) for each in given]), torque, self.loaded.torque),
             )
-            for metres, degrees in (("acceleration_m_s2", "acceleration_deg"), ("jerk_m_s3", "jerk_deg"))
-        ]
-        acceleration = np.where(np.isnan(rates[0]), 2.0 * velocity, rates[0])
+        )
+        endless = [joint.get("type") == "continuous" for joint in self._chain] | (np.abs(upper) >= _ENDLESS)
+        acceleration = self._rates(given, "acceleration_m_s2", "acceleration_deg")
+        acceleration = np.where(acceleration > 0, acceleration, 2.0 * velocity)
+        jerk = self._rates(given, "jerk_m_s3", "jerk_deg")
         return DescribedLimits(
             lower=np.where(endless, -np.inf, lower),
             upper=np.where(endless, np.inf, upper),
             velocity=velocity,
             acceleration=acceleration,
-            jerk=np.where(np.isnan(rates[1]), 10.0 * acceleration, rates[1]),
+            jerk=np.where(jerk > 0, jerk, 10.0 * acceleration),
             torque=torque,
         )
+
+    def _rates(self, given: Sequence[Mapping[str, float]], metres: str, degrees: str) -> FloatArray:
+        """Limits (n,) that a file has, SI; zero where it has none."""
+        along, about = ([float(each.get(key) or 0) for each in given] for key in (metres, degrees))
+        return np.where(self.slides, along, np.radians(about))
 
 
 def _link(joint: Element, tag: str) -> str:

@@ -94,6 +94,7 @@ class _Tree:
     """Links and the joints above them."""
 
     def __init__(self, root: ElementTree.Element) -> None:
+        self.urdf = root
         self.links = [link.get("name", "") for link in root.findall("link")]
         self.above: dict[str, ElementTree.Element] = {}
         self.parents: dict[str, str] = {}
@@ -160,6 +161,12 @@ def _moves(joint: ElementTree.Element) -> bool:
     return joint.get("type") in _MOVING and joint.find("mimic") is None
 
 
+def _follows(joints: Sequence[ElementTree.Element]) -> bool:
+    """Whether joints that turn come after one that follows another."""
+    first = next((k for k, joint in enumerate(joints) if joint.find("mimic") is not None), len(joints))
+    return any(map(_turns, joints[first:]))
+
+
 def _chains(tree: _Tree, semantics: ElementTree.Element | None) -> list[tuple[str, str]]:
     """Base and tip of the SRDF's chains between links that are there; those that only turn, if any do."""
     found: list[tuple[str, str]] = []
@@ -200,6 +207,9 @@ def _last_link(tree: _Tree, base: str, source: str) -> str:
     if not tips:
         # Of a gripper whose fingers slide or follow each other, the arm's end is the link that carries them.
         tips = tree.with_turns(base, [tree.before_gripper(base, link) for link in ends], longest)
+    if not tips and (following := [link for link in ends if _follows(tree.joints(base, link))]):
+        # The joint that stands in the way is named.
+        require_independent(tree.urdf, base, following[0], source)
     last = {tree.joints(base, link)[-1].get("name") for link in tips}
     if len(last) == 1:
         if _TOOL in tips:

@@ -20,9 +20,9 @@ import pinocchio as pin
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import ModelError
-from cmbot.common.input_files import LARGEST_MESH, read_input, require_input
+from cmbot.common.input_files import LARGEST_MESH, is_file, read_input, require_input
 from cmbot.common.validation import shown
-from cmbot.robot.description.packages import find_resource
+from cmbot.robot.description.packages import find_copy, find_resource
 
 __all__ = [
     "FARTHEST",
@@ -31,6 +31,7 @@ __all__ = [
     "is_near",
     "locate_meshes",
     "mesh_loader",
+    "read_vertices",
     "replace_unreadable",
     "require_near_meshes",
     "vertices_of",
@@ -41,6 +42,7 @@ FARTHEST = 1e4
 
 # Files that a mesh of this format names are opened with it, so they are checked, too.
 _LIBRARIES = re.compile(rb"^[ \t]*mtllib[ \t]+([^\r\n]+)", re.MULTILINE)
+_POINTER = b"version https://git-lfs"
 # It names further files of any kind.
 _REFUSED_FORMATS = (".gltf",)
 # Edges, m, of a box in place of a visual mesh: at least, and where the link has no collision shape either.
@@ -77,7 +79,10 @@ def locate_meshes(
             except ModelError as error:
                 sought = path if path.is_absolute() else "any package beside or above it or in package_dirs"
                 got = f"{shown(name)}, {error.got} ({sought})"
-                raise ModelError(str(urdf), _key(link), got, error.expected) from error
+                expected = error.expected
+                if not path.is_absolute():
+                    expected = f"{expected}: package_dirs has the folder of its package, or the one with that"
+                raise ModelError(str(urdf), _key(link), got, expected) from error
             located[name] = str(path)
         mesh.set("filename", located[name])
 
@@ -142,6 +147,13 @@ def is_mesh(geometry: Any) -> bool:
 def vertices_of(mesh: Any) -> FloatArray:
     """Return the vertices (n, 3) of a mesh, m."""
     return np.array(coal.BVHModelBase.vertices(mesh))
+
+
+def read_vertices(mesh: ElementTree.Element) -> FloatArray:
+    """Return the vertices (n, 3), m, of a URDF's mesh that is located; none of one that coal cannot read."""
+    with suppress(ValueError, RuntimeError, IndexError):
+        return vertices_of(_loaded(mesh, mesh_loader()))
+    return np.empty((0, 3))
 
 
 def faces_of(mesh: Any) -> IntArray:
@@ -247,13 +259,21 @@ def _corners(collision: ElementTree.Element) -> FloatArray:
 
 def _located(name: str, folder: Path, package_dirs: Sequence[Path]) -> Path:
     scheme, found, rest = name.partition("://")
-    if not found:
-        return (folder / name).resolve()
-    if scheme == "file":
-        return Path(rest)
+    if not found or scheme == "file":
+        path = (folder / (rest if found else name)).resolve()
+        # Of another machine it has the end of its path in common: at least the file with its folder.
+        ends = ["/".join(path.parts[k:]) for k in range(2, len(path.parts) - 1)]
+        place = None if not Path(rest or name).is_absolute() or is_file(path) else _with_end(ends, folder)
+        return path if place is None else place
     if scheme in ("package", "model"):
         return find_resource(rest, folder, package_dirs) or Path(name)
     return Path(name)
+
+
+def _with_end(ends: Sequence[str], folder: Path) -> Path | None:
+    """The file with the longest end of a path below a folder or one above it; None without one."""
+    places = ((find_copy([end], folder), end) for end in ends)
+    return next((place / end for place, end in places if place is not None), None)
 
 
 def _require_mesh(path: Path) -> None:
@@ -261,6 +281,9 @@ def _require_mesh(path: Path) -> None:
     if suffix in _REFUSED_FORMATS:
         raise ModelError(str(path), "", f"a {suffix} file", "a mesh in a file of its own, such as STL")
     require_input(path, ModelError, kind="a mesh file", largest=LARGEST_MESH)
+    with path.open("rb") as file:
+        if file.read(len(_POINTER)) == _POINTER:
+            raise ModelError(str(path), "", "a pointer of Git LFS in its place", "a mesh file: git lfs pull")
     if suffix == ".obj":
         for match in _LIBRARIES.finditer(read_input(path, ModelError, largest=LARGEST_MESH)):
             library = path.parent / os.fsdecode(match[1].strip())

@@ -11,7 +11,10 @@ from xml.etree import ElementTree
 from cmbot.common.errors import ModelError
 from cmbot.common.input_files import read_input
 
-__all__ = ["find_package", "find_resource"]
+__all__ = ["find_copy", "find_package", "find_resource"]
+
+# Lists of folders below which packages are installed, in ``share``.
+_INSTALLED = ("AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH", "CMAKE_PREFIX_PATH")
 
 
 def find_package(name: str, folder: Path, package_dirs: Sequence[Path] = ()) -> Path | None:
@@ -24,10 +27,19 @@ def find_package(name: str, folder: Path, package_dirs: Sequence[Path] = ()) -> 
         Of the file that names it.
     package_dirs : sequence of Path
         Folders of packages, or the packages themselves; they come first. Then come `folder`, those above it,
-        and ``ROS_PACKAGE_PATH`` and ``AMENT_PREFIX_PATH``. A package's folder has its name, or a
+        and the folders that ROS's environment variables name. A package's folder has its name, or a
         ``package.xml`` with its name.
     """
     return next((place for place in _candidates(name, folder, package_dirs) if place.is_dir()), None)
+
+
+def find_copy(inside: Sequence[str], folder: Path, package_dirs: Sequence[Path] = ()) -> Path | None:
+    """Return the folder of a copy of a package that has another name, or None.
+
+    It is one of `package_dirs`, `folder` or above it, and has one of the files `inside`.
+    """
+    places = (*package_dirs, folder, *folder.parents)
+    return next((place for place in places if any((place / rest).is_file() for rest in inside)), None)
 
 
 def find_resource(rest: str, folder: Path, package_dirs: Sequence[Path] = ()) -> Path | None:
@@ -47,7 +59,7 @@ def _candidates(name: str, folder: Path, package_dirs: Sequence[Path]) -> Iterat
         yield place / name
         if name and _declared_name(place) == name:
             yield place
-    for place in _ros_paths("AMENT_PREFIX_PATH"):
+    for place in (place for variable in _INSTALLED for place in _ros_paths(variable)):
         yield place / "share" / name
 
 

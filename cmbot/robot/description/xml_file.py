@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NoReturn
 from xml.etree import ElementTree
@@ -22,7 +22,12 @@ _SCENE = re.compile(rb"^[\"' {]*format[\"']?: *[\"']?cmbot-scene/", re.MULTILINE
 _PIECE = 1 << 16
 
 
-def urdf_content(path: Path, package_dirs: Sequence[Path] = (), kind: str = "a URDF") -> bytes:
+def urdf_content(
+    path: Path,
+    package_dirs: Sequence[Path] = (),
+    kind: str = "a URDF",
+    arguments: Mapping[str, str] | None = None,
+) -> bytes:
     """Return the bytes of a URDF or an SRDF; of one that is written in xacro, what it expands to.
 
     Parameters
@@ -32,6 +37,8 @@ def urdf_content(path: Path, package_dirs: Sequence[Path] = (), kind: str = "a U
         Where the packages that xacro names are sought first, see `find_package`.
     kind : str
         What errors call it.
+    arguments : mapping of str to str, optional
+        Of xacro.
 
     Raises
     ------
@@ -41,7 +48,11 @@ def urdf_content(path: Path, package_dirs: Sequence[Path] = (), kind: str = "a U
         When it is xacro, and the extra that expands it is not installed.
     """
     content = read_input(path, ModelError, kind=f"{kind} file")
-    return expand_xacro(path, content, package_dirs) if is_xacro(content) else content
+    if is_xacro(content):
+        return expand_xacro(path, content, package_dirs, arguments)
+    for name in arguments or ():
+        raise ModelError(str(path), f"xacro.{name}", "a file without xacro", "no arguments of xacro with it")
+    return content
 
 
 def parse_urdf(path: Path, kind: str = "a URDF", package_dirs: Sequence[Path] = ()) -> ElementTree.Element:
@@ -60,7 +71,10 @@ def parse_urdf(path: Path, kind: str = "a URDF", package_dirs: Sequence[Path] = 
 
 
 def read_urdf(
-    path: Path, kind: str = "a URDF", package_dirs: Sequence[Path] = ()
+    path: Path,
+    kind: str = "a URDF",
+    package_dirs: Sequence[Path] = (),
+    arguments: Mapping[str, str] | None = None,
 ) -> tuple[bytes, ElementTree.Element]:
     """Return what `urdf_content` and what `parse_urdf` returns, of one reading.
 
@@ -69,7 +83,7 @@ def read_urdf(
     ModelError, MissingExtra
         As `parse_urdf`.
     """
-    content, source = urdf_content(path, package_dirs, kind), str(path)
+    content, source = urdf_content(path, package_dirs, kind, arguments), str(path)
     if not content:
         raise ModelError(source, "", "an empty file", f"{kind} file")
     parser = ElementTree.XMLParser(target=_Builder(source, kind))

@@ -15,12 +15,11 @@ from pydantic import (
     Field,
     GetPydanticSchema,
     PlainSerializer,
-    WrapValidator,
     model_validator,
 )
 
-from cmbot.common.validation import FileModel, counted, hint, refusal, shown
-from cmbot.scene.fields import Slug
+from cmbot.common.validation import FileModel, counted, refusal
+from cmbot.scene.fields import Slug, word_or
 from cmbot.scene.path.legs import AUTO, Goal, Leg, SecondsOrAuto, Speed, ViaPoints
 from cmbot.scene.path.time_law import LegLaw, SpeedProfile
 from cmbot.scene.path.waypoints import SAME_PLACE, Waypoint, distinct, turned_in_place
@@ -77,35 +76,10 @@ class AxisCone(FileModel):
         return f"axis within {self.axis_within_deg:g} deg"
 
 
-def _name_or_cone(value: Any, cone: Any) -> Any:
-    """One of the names, or what `cone` makes of a mapping: one error, where a union would have several."""
-    if value in _KEPT:
-        return value
-    if isinstance(value, dict | AxisCone):
-        return cone(value)
-    expected = f"a known value{hint(value, _KEPT)}"
-    raise refusal(expected, got=shown(value), choices=(*_KEPT, "{axis_within_deg: 10}"))
-
-
-def _as_data(kept: Any) -> Any:
-    return kept if isinstance(kept, str) else kept.model_dump()
-
-
-def _json_schema(schema: Any, handler: Any) -> dict[str, Any]:
-    # The mapping first: messages name its keys.
-    return {"anyOf": [handler(schema), {"enum": list(_KEPT), "type": "string"}]}
-
-
 Order = Literal["given", "best"]
 """In which order strokes are taken."""
 Keep = Annotated[
-    Literal["pose", "axis", "position"] | AxisCone,
-    GetPydanticSchema(
-        lambda _, handler: handler(
-            Annotated[AxisCone, WrapValidator(_name_or_cone), PlainSerializer(_as_data)]
-        ),
-        _json_schema,
-    ),
+    Literal["pose", "axis", "position"] | AxisCone, word_or(_KEPT, AxisCone, "{axis_within_deg: 10}")
 ]
 """What a tool path prescribes of the tool: its pose, its axis, its position, or a cone for its axis."""
 

@@ -41,7 +41,8 @@ def test_forgeries_are_caught(forgery: Forgery, short_plan: Plan, short_folder: 
     with pytest.raises((LimitViolation, ArchiveError)) as caught:
         load_plan(short_folder, verify=True)
     if isinstance(caught.value, LimitViolation):
-        assert caught.value.quantity == got[0]
+        # A plan has to start where the arm stands, too.
+        assert caught.value.quantity in (got[0], "distance of the start from the posture required there")
     else:
         # Other times are noticed without a certificate.
         assert caught.value.key == "t"

@@ -1,0 +1,123 @@
+"""What was asked of a plan: its scene and its options beside those of a scene file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from operator import gt, lt, ne
+from typing import Any
+
+import numpy as np
+
+from cmbot.archive.consistency import require_same
+from cmbot.common.errors import ArchiveError
+from cmbot.common.validation import counted, plain, shown
+from cmbot.planning import robot_of
+from cmbot.robot import Kinematics, Robot
+from cmbot.scene import PlannerOptions, RowPiece, Scene, StrokeFile
+
+__all__ = ["looser_promises", "require_asked"]
+
+# When an option promises less than another value of it would; those that say what is sought promise another
+# thing. The other options are effort: whatever they are, the same is promised.
+_LOOSER: Mapping[str, Callable[[Any, Any], bool]] = {
+    "safety_margin_m": lt,
+    "max_tool_deviation_m": gt,
+    "max_tool_rotation_deg": gt,
+    "max_tool_lag_m": gt,
+    "deviation_sigmas": lt,
+    "quiet_modes": lt,
+    **dict.fromkeys(("compensate", "knots", "start", "objective", "moment_about", "axis_weights"), ne),
+}
+_AUTO = "auto"
+
+
+def looser_promises(options: PlannerOptions, asked: PlannerOptions) -> tuple[str, ...]:
+    """Return which options promise less than others, or another thing, each with both values.
+
+    Parameters
+    ----------
+    options : PlannerOptions
+        Those of a plan.
+    asked : PlannerOptions
+    """
+    pairs = {name: (getattr(options, name), getattr(asked, name)) for name in _LOOSER}
+    return tuple(
+        f"{name} {shown(got)} (asked {shown(wanted)})"
+        for name, (got, wanted) in pairs.items()
+        if _LOOSER[name](got, wanted)
+    )
+
+
+def require_asked(scene: Scene, asked: Scene, source: str) -> None:
+    """Refuse the scene of a plan that is not what was asked, but for what planning decides.
+
+    That are numbers of via-points and durations that are ``auto``, more via-points than there were, the order
+    of strokes where it is ``best``, and which rows of a raster are in which part, or left out as nothing
+    reaches them. The files that both name have to be the same ones; their contents are hashed on reading.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of the plan.
+    asked : Scene
+    source : str
+        The file of the plan, for messages.
+
+    Raises
+    ------
+    ArchiveError
+        For the first key of the scene that differs.
+    """
+    content, wanted = (one.as_data() for one in (scene, asked))
+    require_same(content, wanted | {"tool_path": content["tool_path"]}, source, "scene", why="asked")
+    key, best, strokes = "scene.tool_path.strokes", asked.order == "best", scene.strokes
+    expected = _in_parts(asked, strokes, robot_of(asked))
+    if best:
+        place = {stroke.name: k for k, stroke in enumerate(strokes)}
+        expected = sorted(expected, key=lambda stroke: place.get(stroke.name, len(place)))
+    if len(strokes) != len(expected):
+        raise ArchiveError(source, key, counted(len(strokes), "stroke"), f"{len(expected)}, as asked")
+    for k, (stroke, other) in enumerate(zip(strokes, expected, strict=True)):
+        own, decided = plain(stroke, key), _decided(stroke, other, in_any_direction=best)
+        rest = {name: value for name, value in plain(other, key).items() if name not in decided}
+        same = {name: value for name, value in own.items() if name in decided}
+        require_same(own, rest | same, source, f"{key}[{k}]", why="asked")
+
+
+def _decided(stroke: StrokeFile, asked: StrokeFile, *, in_any_direction: bool) -> set[str]:
+    """The entries of a stroke that planning decides, where it may."""
+    decided = {"backwards"} if in_any_direction else set[str]()
+    if _AUTO in (asked.seconds, *(leg.seconds for leg in asked.legs)):
+        decided.add("time_laws")
+    fewest = asked.via_points if isinstance(asked.via_points, int) else 0
+    if isinstance(stroke.via_points, int) and stroke.via_points >= fewest:
+        decided.add("via_points")
+    return decided
+
+
+def _in_parts(asked: Scene, strokes: Sequence[StrokeFile], robot: Robot) -> Sequence[StrokeFile]:
+    """The strokes of a scene, its rasters in the parts that the strokes of a plan cover."""
+    files = {str(stroke.name): (k, stroke.raster) for k, stroke in enumerate(asked.strokes)}
+    if not any(raster for _, raster in files.values()):
+        return asked.strokes
+    X_WT = Kinematics(robot).tool_pose(np.array(asked.posture)).homogeneous
+    cells, whole = dict[str, list[tuple[RowPiece, ...]]](), dict[int, list[RowPiece]]()
+    for timed in asked.in_cells(X_WT).timed_strokes(X_WT):
+        if timed.surface is not None and timed.file.raster is not None:
+            name, pieces = timed.file.part_of or timed.name, timed.file.raster.pieces or timed.surface.pieces
+            whole.setdefault(files[name][0], []).extend(pieces)
+            cells.setdefault(name, []).append(tuple(pieces))
+    for name, (_, raster) in files.items():
+        # By the numbers that end their names.
+        parts = sorted(
+            (s for s in strokes if name in (s.part_of, s.name)), key=lambda s: (len(str(s.name)), s.name)
+        )
+        covered = [s.raster.pieces for s in parts if s.raster is not None and s.raster.pieces is not None]
+        if raster is not None and raster.cover == "reachable" and covered:
+            cells[name] = covered
+    changed = {
+        files[name][0]: each
+        for name, each in cells.items()
+        if len(each) > 1 or each != [tuple(whole[files[name][0]])]
+    }
+    return asked.with_cells(changed, whole).strokes

@@ -1,0 +1,131 @@
+"""What goes to the robot: tables and messages of a plan, compared with what its knots make of them."""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Callable, Mapping
+from importlib.util import find_spec
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any
+
+from pydantic_core import from_json
+
+from cmbot.archive.consistency import require_same
+from cmbot.archive.folder import read_file
+from cmbot.archive.names import BASELINE_FILE, JOB_FILES, PLAN_FILE, TRACKING_FILES
+from cmbot.archive.ros.mcap_file import messages
+from cmbot.archive.ros.trajectory_file import trajectory_message
+from cmbot.archive.tables import require_table, samples_csv
+from cmbot.archive.writing import job_table
+from cmbot.common.errors import ArchiveError
+from cmbot.planning import Plan
+
+__all__ = ["unverified_files"]
+
+# What numbers of messages may differ by, as a share and at least: processors round differently.
+_SAME, _SAME_ZERO, _WHY = 1e-6, 1e-9, "the knots have it"
+_LARGEST_FILE = 500_000_000
+
+
+def unverified_files(plan: Plan, folder: Path) -> tuple[str, ...]:
+    """Compare the files beside a plan's record with the plan; return the names of those that are not.
+
+    Compared are ``job.csv`` and ``baseline.csv``, and what `cmbot.archive.export_csv`, `export_ros` and,
+    where mcap-ros2-support is installed, `export_mcap` have written there.
+
+    Parameters
+    ----------
+    plan : Plan
+        Its certificate holds.
+    folder : Path
+
+    Raises
+    ------
+    ArchiveError
+        When one of them has another motion than the plan.
+    """
+    skipped = []
+    for path in sorted(folder.iterdir()):
+        if path.name.startswith(".") or path.name in (PLAN_FILE, JOB_FILES[1]):
+            continue
+        compare = _COMPARED.get(path.suffix)
+        if not path.is_file() or compare is None or not compare(plan, path):
+            skipped.append(path.name)
+    return tuple(skipped)
+
+
+def _table(plan: Plan, path: Path) -> bool:
+    """Compare a table with the job, or with the work alone; False for a table of something else."""
+    content, source = read_file(path, _LARGEST_FILE), str(path)
+    if path.name == BASELINE_FILE:
+        require_table(content, samples_csv(plan.baseline, source), source)
+        return True
+    if path.name in TRACKING_FILES or (path.name != JOB_FILES[0] and not content.startswith(b"t,q1,")):
+        return False
+    job, rows = job_table(plan, source), content.count(b"\n")
+    is_job = path.name == JOB_FILES[0] or rows == job.count(b"\n")
+    require_table(content, job if is_job else job_table(plan, source, work=True), source)
+    return True
+
+
+def _message(plan: Plan, path: Path) -> bool:
+    """Compare a file with the job as a ``JointTrajectory``; False for a file of something else."""
+    try:
+        data = from_json(read_file(path, _LARGEST_FILE))
+    except ValueError:
+        return False
+    if not isinstance(data, Mapping) or not data.keys() & {"joint_names", "points"}:
+        return False
+    points = data.get("points")
+    first = points[0] if isinstance(points, list) and points else None
+    effort = isinstance(first, Mapping) and "effort" in first
+    expected = trajectory_message(plan.robot, plan.job_samples[0], effort=effort)
+    require_same(data, expected, str(path), "", _SAME, _SAME_ZERO, _WHY)
+    return True
+
+
+def _bag(plan: Plan, path: Path) -> bool:
+    """Compare an MCAP file with the messages of the job; False where it cannot be read."""
+    if find_spec("mcap_ros2") is None:
+        return False
+    from mcap.exceptions import McapError
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
+    from zstandard import ZstdError
+
+    content, source = read_file(path, _LARGEST_FILE), str(path)
+    try:
+        reader = make_reader(io.BytesIO(content), decoder_factories=[DecoderFactory()])
+        found = [
+            (channel.topic, record.log_time, message)
+            for _, channel, record, message in reader.iter_decoded_messages()
+        ]
+    except (McapError, ZstdError, KeyError, RuntimeError, ValueError, struct.error) as error:
+        raise ArchiveError(source, "", "a damaged file", "an MCAP file of ROS 2 messages") from error
+    job = next((message for topic, _, message in found if topic == "/joint_trajectory"), None)
+    effort = job is not None and len(job.points) > 0 and len(job.points[0].effort) > 0
+    expected = [
+        (topic, round(1e9 * time), message) for topic, _, time, message in messages(plan, effort=effort)
+    ]
+    if len(found) != len(expected):
+        raise ArchiveError(source, "", f"{len(found)} messages", f"{len(expected)}, as {_WHY}")
+    for (topic, time, message), (wanted_topic, wanted_time, wanted) in zip(found, expected, strict=True):
+        key = f"{wanted_topic} at {1e-9 * wanted_time:g} s"
+        require_same((topic, time), (wanted_topic, wanted_time), source, key, 0.0, 0.0, _WHY)
+        require_same(_plain(message, wanted), wanted, source, key, _SAME, _SAME_ZERO, _WHY)
+    return True
+
+
+def _plain(message: Any, like: Any) -> Any:
+    """A message as mappings and lists, with the fields that another one has."""
+    if isinstance(like, Mapping):
+        return {name: _plain(getattr(message, name), value) for name, value in like.items()}
+    if isinstance(like, list):
+        # What one of them has more of is left as it is, which differs.
+        return [_plain(*pair) if None not in pair else pair[0] for pair in zip_longest(message, like)]
+    return message
+
+
+_COMPARED: Mapping[str, Callable[[Plan, Path], bool]] = {".csv": _table, ".json": _message, ".mcap": _bag}

@@ -1,0 +1,362 @@
+"""What was asked for: folders of other scenes, or of weaker promises, are refused in one line."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import output, refusal, write_scene
+from plan_folders import changed, edit, rewrite, seal, without_approach
+from raster_scenes import HOLE, raster_scene
+from small_scenes import SHORT, short_scene, strokes_scene
+from walks import one_step
+
+from cmbot import load_plan
+from cmbot.archive import WALK_FILE, export_csv, export_mcap, export_ros, save, write_results
+from cmbot.archive.verification.asked import looser_promises, require_asked
+from cmbot.common.errors import ArchiveError, InputError
+from cmbot.planning import Plan, plan, robot_of
+from cmbot.robot import Kinematics
+from cmbot.scene import PlannerOptions, Scene, load_scene
+from cmbot.walking import walk_csv, walk_data
+
+
+@pytest.fixture
+def asked(tmp_path: Path) -> Path:
+    """The file of the short scene."""
+    return write_scene(tmp_path / "short.yaml", SHORT)
+
+
+def options(**changes: Any) -> Callable[[dict[str, Any]], object]:
+    return lambda data: data["options"].update(changes)
+
+
+# What was asked
+
+
+def test_a_plan_of_the_scene_holds(short_folder: Path, asked: Path, short_plan: Plan) -> None:
+    data = json.loads(output("verify", short_folder, "--scene", asked, "--json"))
+    assert (data["scene"], data["looser"]) == (str(asked), [])
+    told = output("verify", short_folder)
+    assert "Judged by what the folder says that was asked" in told
+    again = load_plan(short_folder, verify=True, scene=load_scene(asked), options=short_plan.options)
+    assert again.job.certificate.holds
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"max_tool_deviation_m": 0.1}, "max_tool_deviation_m 0.1 (asked 0.001)"),
+        ({"max_tool_rotation_deg": 9.0}, "max_tool_rotation_deg 9.0 (asked 1.0)"),
+        ({"max_tool_lag_m": 0.5}, "max_tool_lag_m 0.5 (asked 0.02)"),
+        ({"safety_margin_m": 0.0}, "safety_margin_m 0.0 (asked 0.02)"),
+    ],
+)
+def test_a_promise_is_loosened(short_folder: Path, asked: Path, change: dict[str, Any], told: str) -> None:
+    """One number in plan.json: told first without the scene, refused with it and where options are given."""
+    edit(short_folder, options(**change))
+    assert output("verify", short_folder).startswith(
+        f"Promised otherwise than the scene in the folder asks: {told}"
+    )
+    assert json.loads(output("verify", short_folder, "--json"))["looser"] == [told]
+    error = refusal("verify", short_folder, "--scene", asked)
+    expected = "promises as strict as what was asked"
+    assert error == f"error: {short_folder}/plan.json: options: got {told}, expected {expected}"
+    with pytest.raises(ArchiveError, match="promises as strict"):
+        load_plan(short_folder, verify=True, options=PlannerOptions())
+
+
+def test_a_stricter_promise_was_asked(short_folder: Path) -> None:
+    stricter = replace(load_scene(SHORT).planner, safety_margin_m=0.03)
+    with pytest.raises(ArchiveError, match=r"safety_margin_m 0.02 \(asked 0.03\)"):
+        load_plan(short_folder, verify=True, options=stricter)
+    assert looser_promises(stricter, load_scene(SHORT).planner) == ()
+
+
+def test_what_is_sought_is_a_promise_and_effort_is_none() -> None:
+    asked = PlannerOptions()
+    effort = replace(
+        asked, max_passes=1, samples_per_segment=4, step_share=0.1, solver="slsqp", time_limit_s=1.0
+    )
+    assert looser_promises(effort, asked) == ()
+    assert looser_promises(replace(asked, objective="sag"), asked) == ("objective 'sag' (asked 'torque')",)
+    assert looser_promises(replace(asked, knots="fixed"), asked) == ("knots 'fixed' (asked 'sliding')",)
+
+
+def test_the_tool_is_lower_than_asked(short_plan: Plan, asked: Path, tmp_path: Path) -> None:
+    """Rows 50 mm too low under a deviation of 0.1 m: the folder is one of a scene that starts lower."""
+    q, p = np.array(short_plan.scene.posture), short_plan.task.path.position([0.0])[0]
+    low = plan(short_scene(tool_path={"from": {"frame": "world", "xyz": (p - [0, 0, 0.05]).tolist()}}))
+    assert np.abs(low.scene.posture - q).max() == 0
+    folder = save(replace(low, options=replace(low.options, max_tool_deviation_m=0.1)), tmp_path / "low")
+    edit(folder, lambda data: data["scene"]["tool_path"].pop("from"))
+    for words in ((), ("--scene", asked)):
+        refusal("verify", folder, *words)
+
+
+@pytest.mark.parametrize(
+    ("changes", "key", "values"),
+    [
+        ({"robot": {"tool_length_m": 0.37}}, "scene.robot.tool_length_m", "got 0.37, expected no such key"),
+        ({"robot": {"payload_kg": -0.0 + 0.5}}, "scene.robot.payload_kg", "got 0.5, expected 0, as asked"),
+        (
+            {"tool_path": {"legs": [{"by": [0, -0.3, 0], "seconds": 5}]}},
+            "scene.tool_path.strokes[0].legs[0].seconds",
+            "got 5",
+        ),
+        ({"tool_path": {"via_points": 7}}, "scene.tool_path.strokes[0].via_points", "got 7, expected 8"),
+        ({"planner": {"max_tool_deviation_m": 0.1}}, "scene.planner.max_tool_deviation_m", "got 0.1"),
+    ],
+)
+def test_a_plan_of_another_scene(
+    changes: dict[str, Any], key: str, values: str, asked: Path, tmp_path: Path, saved_short: Path
+) -> None:
+    folder = save(plan(short_scene(**changes)), tmp_path / "other")
+    error = refusal("verify", folder, "--scene", asked)
+    assert error.startswith(f"error: {folder}/plan.json: {key}: {values}"), error
+    assert error.endswith("as asked")
+    # With the hash of the scene that was asked for copied into it.
+    known = json.loads((saved_short / "plan.json").read_text(encoding="utf-8"))["hashes"]["scene"]
+    edit(folder, lambda data: data["hashes"].update(scene=known))
+    assert "plan.json: hashes.scene: got " in refusal("verify", folder)
+
+
+def test_more_via_points_than_asked(short_plan: Plan) -> None:
+    require_asked(short_plan.scene, short_scene(tool_path={"via_points": 7}), "plan.json")
+    require_asked(short_plan.scene, short_scene(tool_path={"via_points": "auto"}), "plan.json")
+
+
+def several(**changes: Any) -> Scene:
+    scene = strokes_scene()
+    entries = {**scene.as_data(), "planner": {"knots": "fixed", "path_step_s": 0.02}}
+    first, second = entries["tool_path"]["strokes"]
+    begin = {"frame": "world", "xyz": [1.8154, 0.7796, -1.9628]}
+    strokes = [{**first, "from": begin}, second]
+    return load_scene({**entries, "tool_path": {"strokes": strokes, **changes}})
+
+
+@pytest.mark.parametrize("changes", [{}, {"order": "best"}, {"via_points": "auto"}])
+def test_strokes_and_what_planning_decides_of_them(changes: dict[str, Any], tmp_path: Path) -> None:
+    scene = several(**changes)
+    folder = save(plan(scene), tmp_path / "strokes")
+    load_plan(folder, verify=True, scene=scene)
+
+
+def test_strokes_in_another_order(tmp_path: Path) -> None:
+    scene = several()
+    turned = scene.with_strokes(scene.strokes[::-1])
+    with pytest.raises(
+        ArchiveError, match=r"strokes\[0\]\.from\.xyz\[1\]: got 0.6796, expected 0.7796, as asked"
+    ):
+        require_asked(turned, scene, "plan.json")
+    require_asked(turned, scene.with_strokes(scene.strokes, "best"), "plan.json")
+
+
+def test_the_quickest_time_is_planned(tmp_path: Path) -> None:
+    path = {"legs": [{"by": [0, -0.3, 0]}], "seconds": "auto", "via_points": 12}
+    scene = load_scene({**SHORT, "tool_path": path})
+    folder = save(plan(scene), tmp_path / "quick")
+    load_plan(folder, verify=True, scene=scene)
+    slower = load_scene({**SHORT, "tool_path": {**path, "max_base_torque_nm": 480.0}})
+    with pytest.raises(ArchiveError, match="max_base_torque_nm: got nothing, expected 480"):
+        load_plan(folder, verify=True, scene=slower)
+
+
+def test_rows_that_nothing_reaches(tmp_path: Path) -> None:
+    """They may be left out, unless all of them were asked for."""
+    scene = raster_scene(tmp_path, HOLE)
+    folder = save(plan(scene), tmp_path / "rows")
+    (stroke,) = load_plan(folder, verify=True, scene=scene).scene.strokes
+    assert stroke.raster is not None
+    assert stroke.raster.pieces is not None
+    told = json.loads(output("verify", folder, "--json"))["not_verified"]
+    assert "raster work (that nothing reaches the rows that it leaves out)" in told
+    with pytest.raises(ArchiveError, match="as asked"):
+        load_plan(folder, verify=True, scene=raster_scene(tmp_path, HOLE, cover="all"))
+
+
+def test_a_raster_in_parts(tmp_path: Path) -> None:
+    scene = raster_scene(tmp_path, HOLE, spacing_m=0.02)
+    X_WT = Kinematics(robot_of(scene)).tool_pose(np.array(scene.posture)).homogeneous
+    parts = scene.in_cells(X_WT)
+    assert len(parts.strokes) > 1
+    require_asked(parts, scene, "plan.json")
+    quicker = parts.with_path(speed_m_s=0.2)
+    with pytest.raises(ArchiveError, match=r"strokes\[0\].speed_m_s: got 0.2, expected 0.1, as asked"):
+        require_asked(quicker, scene, "plan.json")
+
+
+def test_work_that_begins_elsewhere_needs_an_approach(returning_plan: Plan, tmp_path: Path) -> None:
+    """As fixed knots would not: they promise less."""
+    alone = without_approach(returning_plan)
+    whole = replace(alone, options=replace(alone.options, knots="fixed"))
+    folder = save(whole, tmp_path / "plan")
+    edit(folder, lambda data: data.update(floor=None, choice=None))
+    assert "approach, work" in refusal("verify", folder)
+    edit(folder, lambda data: data["start"].update(moved_deg=0.0))
+    refusal("verify", folder)
+
+
+def test_arguments(short_folder: Path) -> None:
+    scene: Any = load_scene(SHORT)
+    with pytest.raises(InputError, match="verify: got False, expected True, beside scene"):
+        load_plan(short_folder, scene=scene)
+    with pytest.raises(InputError, match="scene"):
+        load_plan(short_folder, verify=True, scene=SHORT)  # type: ignore[arg-type]
+    assert "--to: " in refusal("verify", short_folder, "--to", "triangle")
+
+
+# What goes to the robot
+
+
+@pytest.fixture
+def exported(short_plan: Plan, short_folder: Path) -> Path:
+    """A folder with every file that is sent to a robot."""
+    export_ros(short_plan, short_folder / "job.ros.json")
+    export_ros(short_plan, short_folder / "effort.ros.json", effort=True)
+    export_csv(short_plan, short_folder / "work.csv", work=True)
+    export_mcap(short_plan, short_folder / "job.mcap", effort=True)
+    return short_folder
+
+
+def test_exported_files_hold(exported: Path) -> None:
+    (exported / "notes.csv").write_text("what,when\nnozzle,monday\n", encoding="utf-8")
+    told = json.loads(output("verify", exported, "--json"))["not_verified"]
+    assert told[-1] == "notes.csv"
+    assert not {"job.ros.json", "effort.ros.json", "work.csv", "job.mcap", "job.csv"} & set(told)
+
+
+def test_a_message_is_played_ten_times_as_quick(exported: Path) -> None:
+    path = exported / "job.ros.json"
+    data = json.loads(path.read_text(encoding="utf-8"))
+    for point in data["points"]:
+        since = point["time_from_start"]
+        nanoseconds = (since["sec"] * 10**9 + since["nanosec"]) // 10
+        since["sec"], since["nanosec"] = divmod(nanoseconds, 10**9)
+    path.write_text(json.dumps(data), encoding="utf-8")
+    error = refusal("verify", exported)
+    assert error.startswith(f"error: {path}: points[1].time_from_start.nanosec: got 1000000, expected 1e+07")
+
+
+@pytest.mark.parametrize("listed", [False, True])
+def test_a_message_of_half_the_job(exported: Path, listed: bool) -> None:
+    data = json.loads((exported / "job.ros.json").read_text(encoding="utf-8"))
+    data["points"] = data["points"][: len(data["points"]) // 2]
+    content = json.dumps(data).encode()
+    if listed:
+        rewrite(exported, "job.ros.json", content)
+    else:
+        (exported / "job.ros.json").write_bytes(content)
+    assert "job.ros.json: points: got " in refusal("verify", exported)
+
+
+@pytest.mark.parametrize("name", ["job.csv", "baseline.csv"])
+def test_a_table_that_says_hello(short_folder: Path, name: str) -> None:
+    rewrite(short_folder, name, b"hello")
+    assert refusal("verify", short_folder).startswith(f"error: {short_folder}/{name}: line 1: got 'hello'")
+
+
+@pytest.mark.parametrize("name", ["job.csv", "work.csv"])
+@pytest.mark.parametrize(
+    ("column", "value", "told"),
+    [
+        ("q2", "0.5", "line 9, q2: got '0.5', expected "),
+        ("t", "0.008", "line 9, t: got '0.008', expected 0.07, as the knots have it"),
+        ("guardrail_torque_x", "x", "line 9, guardrail_torque_x: got 'x', expected "),
+        ("segment", "free_1", "line 9, segment: got 'free_1', expected work"),
+    ],
+)
+def test_a_cell_of_a_table(exported: Path, name: str, column: str, value: str, told: str) -> None:
+    lines = (exported / name).read_text(encoding="utf-8").splitlines()
+    row = lines[8].split(",")
+    row[lines[0].split(",").index(column)] = value
+    content = "\n".join([*lines[:8], ",".join(row), *lines[9:], ""]).encode()
+    if name == "job.csv":
+        rewrite(exported, name, content)
+    else:
+        (exported / name).write_bytes(content)
+    assert f"{name}: {told}" in refusal("verify", exported)
+
+
+def test_a_table_whose_last_digits_differ(short_folder: Path) -> None:
+    """As another processor rounds them."""
+    lines = (short_folder / "job.csv").read_text(encoding="utf-8").splitlines()
+    names, row = lines[0].split(","), lines[8].split(",")
+    k = names.index("tau2")
+    row[k] = repr(float(row[k]) + 1e-9)
+    rewrite(short_folder, "job.csv", "\n".join([*lines[:8], ",".join(row), *lines[9:], ""]).encode())
+    load_plan(short_folder, verify=True)
+
+
+def test_a_bag_of_another_motion(exported: Path, short_plan: Plan) -> None:
+    trajectory = short_plan.job.strokes[0].trajectory
+    lower = replace(trajectory, q=trajectory.q + 1e-3)
+    export_mcap(changed(short_plan, "work", trajectory=lower), exported / "job.mcap")
+    error = refusal("verify", exported)
+    assert "job.mcap: /joint_trajectory at 0 s.points[0].positions[0]: got " in error
+    (exported / "job.mcap").write_bytes(b"hello")
+    assert "job.mcap: got a damaged file" in refusal("verify", exported)
+
+
+# Walks
+
+
+@pytest.fixture
+def walked(tmp_path: Path) -> Path:
+    folder = tmp_path / "walk"
+    write_results(folder, WALK_FILE, walk_data(one_step()), {"walk.csv": walk_csv(one_step()).encode()})
+    return folder
+
+
+def test_a_walk_that_was_asked_for(walked: Path, tmp_path: Path) -> None:
+    walk = one_step()
+    scene = write_scene(tmp_path / "here.yaml", walk.scene.as_data())
+    there = walk.scene.as_data()
+    there["guardrail"]["stance"] = walk.goal.stance.model_dump(mode="json")
+    to = write_scene(tmp_path / "there.yaml", there)
+    data = json.loads(output("verify", walked, "--scene", scene, "--to", to, "--json"))
+    assert (data["looser"], data["not_verified"]) == ([], [])
+    assert "goal: got another stance or posture" in refusal("verify", walked, "--to", scene)
+    there["robot"]["payload_kg"] = 3.0
+    other = write_scene(tmp_path / "other.yaml", there)
+    assert "walk.json: scene." in refusal("verify", walked, "--scene", other)
+
+
+def test_a_table_of_a_walk(walked: Path) -> None:
+    lines = (walked / "walk.csv").read_text(encoding="utf-8").splitlines()
+    rewrite(walked, "walk.csv", "\n".join([lines[0], *lines[:0:-1], ""]).encode(), "walk.json")
+    assert "walk.csv: line 2, t: got " in refusal("verify", walked)
+
+
+def test_a_walk_beside_a_plan(walked: Path, short_folder: Path) -> None:
+    (short_folder / WALK_FILE).write_bytes((walked / WALK_FILE).read_bytes())
+    assert "got plan.json and walk.json, expected one of them" in refusal("verify", short_folder)
+
+
+def test_a_foot_that_is_quicker_than_usual(walked: Path) -> None:
+    path = walked / WALK_FILE
+    text = path.read_text(encoding="utf-8").replace('"bound": 0.03,', '"bound": 0.05,')
+    data = json.loads(text.replace("at most 0.03 m/s", "at most 0.05 m/s"))
+    path.write_bytes(seal({**data, "max_foot_speed": 0.05}))
+    told = output("verify", walked)
+    assert told.startswith("Promised otherwise than the scene in the folder asks: max_foot_speed 0.05 m/s")
+
+
+# Claims
+
+
+def test_claims_are_computed_again_or_named(triangle_folder: Path) -> None:
+    data = json.loads(output("verify", triangle_folder, "--scene", "triangle", "--json"))
+    claims = " ".join(data["not_verified"])
+    for claim in ("torque_floor (", "gap_to_floor", "choice", "suppression", "baseline"):
+        assert claim in claims
+    assert "Not verified: baseline" in output("verify", triangle_folder)
+
+
+@pytest.mark.parametrize("key", ["drift", "smallest_singular_value"])
+def test_what_is_said_of_the_baseline(short_folder: Path, key: str) -> None:
+    edit(short_folder, lambda data: data.update({key: 2 * data[key]}))
+    assert f"{key}: got " in refusal("verify", short_folder)

@@ -1,0 +1,64 @@
+"""What is enclosed of a tool that stands still while its path turns and bends, against dense samples."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from small_scenes import parts, short_scene
+
+from cmbot.planning.certification.enclosed_motion import EnclosedMotion
+from cmbot.planning.certification.joint_checks import range_check
+from cmbot.robot import Robot
+from cmbot.trajectory import QuinticTrajectory
+
+SECONDS = 4.0
+TURN = {"to": {"frame": "tool", "xyz": [0.0, 0.0, 0.0], "rpy_deg": [0, 0, 140]}, "seconds": SECONDS}
+ARC = {
+    "arc": {"frame": "tool", "centre": [0.3, 0, 0], "axis": [0, 0, 1], "angle_deg": 120},
+    "seconds": SECONDS,
+}
+
+
+def still(q: Any, knots: int = 2) -> QuinticTrajectory:
+    rest = np.zeros((knots, len(q)))
+    return QuinticTrajectory(t=np.linspace(0.0, SECONDS, knots), q=np.tile(q, (knots, 1)), v=rest, a=rest)
+
+
+def enclosed(leg: dict[str, Any], knots: int, *, coarse: bool) -> tuple[EnclosedMotion, Any, Any]:
+    """The motion, and the timed poses at dense samples with the one where the tool stays."""
+    robot, task, q, _ = parts(short_scene(tool_path={"legs": [leg], "via_points": 40}))
+    motion = EnclosedMotion(robot, task, still(q, knots), None, coarse=coarse)
+    return motion, task, task.path.poses(np.linspace(0, SECONDS, 4001))
+
+
+def test_the_turning_goal_is_part_of_what_interpolation_misses() -> None:
+    motion, _, goals = enclosed(TURN, 2, coarse=True)
+    turned = np.arccos(np.clip((np.einsum("ij,nij->n", goals.rotation[0], goals.rotation) - 1) / 2, -1, 1))
+    peak = motion.tool_rotation()
+    assert turned.max() == pytest.approx(np.radians(140), abs=1e-6)
+    # What interpolation may miss is never nothing.
+    assert turned.max() - 1e-6 <= peak.value < peak.bound
+
+
+def test_the_lag_behind_a_bend_is_enclosed_closely() -> None:
+    motion, task, goals = enclosed(ARC, 400, coarse=False)
+    times = np.linspace(0, SECONDS, 4001)
+    along = task.path.leg_directions(times)
+    lag = np.abs(np.einsum("nd,nd->n", goals.point[0] - goals.point, along)).max()
+    peak = motion.tool_lag()
+    assert lag - 1e-6 <= peak.bound <= 1.1 * lag
+
+
+def test_the_middle_of_a_range_need_not_be_zero(cmbot_robot: Robot) -> None:
+    """Of a joint that turns between 0.5 and 2.5 rad."""
+    limits = cmbot_robot.limits
+    lower, upper = limits.lower.copy(), limits.upper.copy()
+    lower[1], upper[1] = 0.5, 2.5
+    robot = replace(cmbot_robot, limits=replace(limits, lower=lower, upper=upper))
+    for angle, used in ((2.4, 0.9), (1.5, 0.0), (0.4, 1.1)):
+        q = robot.limits.range_middle.copy()
+        q[1] = angle
+        check = range_check(robot, still(q))
+        assert check.value == pytest.approx(used, abs=1e-9)
+        assert check.holds == (used <= 1.0)
