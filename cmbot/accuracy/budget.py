@@ -96,6 +96,9 @@ class Accuracy:
     parts: tuple[AccuracyPart, ...]
     remedies: tuple[Remedy, ...]
 
+    def __repr__(self) -> str:
+        return f"<Accuracy: within {self.within_mm:.3g} mm with {100 * self.probability:g} %>"
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Work:

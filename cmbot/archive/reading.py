@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from cmbot.accuracy import Accuracy
 from cmbot.archive.consistency import require_fit, require_same, require_segments
 from cmbot.archive.folder import read_folder, without_hashes
 from cmbot.archive.knots import require_times, segment_trajectories
@@ -55,6 +56,8 @@ __all__ = ["load_plan", "plan_data", "read_plan"]
 
 # Relative and absolute tolerance of metrics computed again: processors round differently.
 _SAME, _SAME_ZERO = 1e-6, 1e-9
+# The same of what is drawn in single precision.
+_SAME_DRAWN = 1e-4
 
 
 def load_plan(
@@ -159,6 +162,8 @@ def read_plan(
         fallbacks=file.fallbacks,
         seconds=file.seconds,
     )
+    # It costs a third of a second, and is computed anew where the plan is verified.
+    vars(plan)["accuracy"] = file.accuracy
     if plan.several and not (_agree(plan.baseline.t, t) and _agree(plan.baseline.q, motion[0])):
         raise ArchiveError(table, "", "other motions between the strokes", "the quickest straight ones")
     baseline = made(MotionFile, plan.baseline_figures, free=file.baseline.free, job=file.baseline.job)
@@ -169,6 +174,7 @@ def read_plan(
     if not verify:
         return plan, ()
     plan = _verified(plan, file.baseline, clearances, source)
+    _require_accuracy(file.accuracy, plan.accuracy, source)
     return plan, unverified_files(plan, folder)
 
 
@@ -296,6 +302,21 @@ def _sag(scene: Scene, robot: Robot, options: PlannerOptions) -> Sag | None:
 
 
 # Certified again
+
+
+def _require_accuracy(stored: Accuracy | None, computed: Accuracy | None, source: Path) -> None:
+    """Refuse another accuracy budget than that of the motion; its draws are in single precision."""
+
+    def by_name(accuracy: Accuracy | None) -> object:
+        """Its entries, in an order that does not depend on their sizes."""
+        if accuracy is None:
+            return None
+        listed = ("parts", "remedies")
+        named = {name: {each.name: asdict(each) for each in getattr(accuracy, name)} for name in listed}
+        return asdict(accuracy) | named
+
+    given, again = by_name(stored), by_name(computed)
+    require_same(given, again, str(source), "accuracy", _SAME_DRAWN, _SAME_ZERO)
 
 
 def _verified(plan: Plan, baseline: MotionFile, clearances: Clearances, source: Path) -> Plan:

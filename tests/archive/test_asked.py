@@ -256,7 +256,13 @@ def test_a_message_of_half_the_job(exported: Path, listed: bool) -> None:
 @pytest.mark.parametrize("name", ["job.csv", "baseline.csv"])
 def test_a_table_that_says_hello(short_folder: Path, name: str) -> None:
     rewrite(short_folder, name, b"hello")
-    assert refusal("verify", short_folder).startswith(f"error: {short_folder}/{name}: line 1: got 'hello'")
+    assert f"/{name}: line 1: got 'hello'" in refusal("verify", short_folder)
+
+
+def test_another_accuracy_than_the_motion_has(short_folder: Path) -> None:
+    edit(short_folder, lambda data: data["accuracy"].update(within_mm=0.1))
+    load_plan(short_folder)
+    assert "plan.json: accuracy.within_mm: got 0.1, expected " in refusal("verify", short_folder)
 
 
 @pytest.mark.parametrize("name", ["job.csv", "work.csv"])

@@ -123,7 +123,7 @@ def test_without_the_second_engine(short_folder: Path, monkeypatch: pytest.Monke
 
 
 def test_an_engine_that_is_none(short_folder: Path) -> None:
-    error = "error: cmbot verify: --engine: got bullet, expected a known engine"
+    error = "error: --engine: got bullet, expected a known value (one of: mujoco)"
     assert refusal("verify", short_folder, "--engine", "bullet").startswith(error)
 
 
