@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 from cmbot.cli.command import Writing, option
 from cmbot.cli.console import out
-from cmbot.cli.robot_options import named_as_option, xacro_arguments
 from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError, ModelError, one_line
 from cmbot.common.installation import scene_folder
@@ -26,7 +25,9 @@ if TYPE_CHECKING:
 _SHIPPED = "cmbot"
 _NO_SLUG = re.compile(r"[^A-Za-z0-9_\-]+")
 # Numbers of the command line are bounded as those of a scene file.
-_LARGEST, _LARGEST_ANGLE, _HEAVIEST = 1e4, 360.0, 1e5
+_LARGEST, _LARGEST_ANGLE, _LEAST_MASS_KG, _MOST_MASS_KG = 1e4, 360.0, 1e-3, 1e5
+# Options that mend an error of a robot's files, by its key.
+_OPTIONS = {"base_frame": "--base", "tool_frame": "--tool", "total_mass_kg": "--total-mass"}
 
 
 Numbers = tuple[float, float, float]
@@ -69,7 +70,11 @@ class NewCommand(Writing):
     package_dir: tuple[Path, ...] = option((), "Where package:// is sought first; repeatable.", metavar="DIR")
     xacro: tuple[str, ...] = option((), "An argument of the xacro file; repeatable.", metavar="NAME=VALUE")
     total_mass: float | None = option(
-        None, "Of a robot without masses: of all of it, which is spread over its shapes.", metavar="KG"
+        None,
+        "Of a robot without masses: of all of it, which is spread over its shapes.",
+        metavar="KG",
+        least=_LEAST_MASS_KG,
+        most=_MOST_MASS_KG,
     )
     output: Path | None = option(None, "Scene file to write; NAME.yaml if left out.", "--output", "-o")
 
@@ -115,8 +120,6 @@ class NewCommand(Writing):
             raise InputError("--flange", "", shown(self.flange), "a tool on it: --tool '{xyz: [0, 0, 0.2]}'")
         if source == _SHIPPED and (tool, self.xacro, self.total_mass) != (None, (), None):
             raise InputError("--tool, --xacro, --total-mass", "", "one of them", "none with --from cmbot")
-        if self.total_mass is not None and not 0 < self.total_mass <= _HEAVIEST:
-            raise InputError("--total-mass", "", self.total_mass, f"a mass in kg of at most {_HEAVIEST:g}")
         return NewRobot(
             source=source,
             base_frame=self.base,
@@ -235,7 +238,25 @@ def _loaded(asked: NewRobot, srdf: Path | None = None) -> Robot:
     try:
         return asked.load(srdf)
     except ModelError as error:
-        raise named_as_option(error) from error
+        raise _named_as_option(error) from error
+
+
+def xacro_arguments(given: Sequence[str]) -> dict[str, str]:
+    """Return the arguments of xacro by their names; each is ``NAME=VALUE``."""
+    arguments: dict[str, str] = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        if not (name.strip() and equals):
+            raise InputError("--xacro", "", shown(text), "NAME=VALUE, such as name=ur5e")
+        arguments[name.strip()] = value
+    return arguments
+
+
+def _named_as_option(error: ModelError) -> InputError:
+    """Return an error of a robot's files that an option mends with that option as its source."""
+    argument = error.key.partition("xacro.")[2]
+    option = f"--xacro {argument}=VALUE" if argument else _OPTIONS.get(error.key)
+    return error if option is None else InputError(option, "", error.got, error.expected, error.choices)
 
 
 def _obstacles(source: str) -> tuple[Obstacle, ...]:

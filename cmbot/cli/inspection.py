@@ -15,7 +15,7 @@ import cmbot
 from cmbot.cli.command import Command, Reporting, argument, option
 from cmbot.cli.completion import complete_scene
 from cmbot.cli.console import ExitStatus, out, print_json, print_pairs, print_table
-from cmbot.cli.robot_options import xacro_arguments
+from cmbot.cli.creation import xacro_arguments
 from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError, MissingExtra, SceneError, one_line
 from cmbot.common.input_files import is_file

@@ -31,12 +31,7 @@ from cmbot.robot.description.limits_file import (
 )
 from cmbot.robot.joint_kinds import JointUnits, joint_units, prismatic_joints
 
-__all__ = [
-    "ASSUMED_ACCELERATION",
-    "ASSUMED_JERK",
-    "JointLimits",
-    "joint_limits",
-]
+__all__ = ["ASSUMED_ACCELERATION", "ASSUMED_JERK", "JointLimits", "joint_limits"]
 
 ASSUMED_ACCELERATION = 2.0
 """Acceleration limit that is assumed where none is given, as a share of the velocity limit, 1/s."""
@@ -45,13 +40,16 @@ ASSUMED_JERK = 10.0
 
 # Velocity limits that are assumed, rad/s and m/s; the share of the torque of the arm stretched out that its
 # drives are assumed to have, and the least as a share of the strongest one's.
-_ASSUMED_TURNING, _ASSUMED_SLIDING, _ASSUMED_EFFORT, _LEAST_EFFORT = 1.0, 0.1, 2.0, 0.01
+_ASSUMED_TURNING, _ASSUMED_SLIDING, _ASSUMED_EFFORT, _EFFORT_FLOOR = 1.0, 0.1, 2.0, 0.01
 # A range, rad, that ends between these is likely to be in degrees: after four turns, or with no end meant.
 _MANY_TURNS, _NO_END = 8 * np.pi, 1e3
 _TURN = 2 * np.pi
 # The range of a joint that slides ends somewhere, m.
 _FURTHEST = 1e3
 # Fields of `JointLimits` that say yes or no of each joint.
+# Keys of a limits file for joints that turn and for those that slide.
+_ABOUT = ("velocity_deg", "acceleration_deg", "jerk_deg")
+_ALONG = ("velocity_m_s", "acceleration_m_s2", "jerk_m_s3")
 _RATES = ("velocity", "acceleration", "jerk", "torque")
 _KINDS = ("prismatic", *(f"assumed_{name}" for name in _RATES))
 
@@ -232,12 +230,8 @@ def _require_units(
     listed: JointLimitsFile, names: Sequence[str], prismatic: BoolArray, path: Path | None
 ) -> None:
     """Refuse limits of one of the arm's joints in the units of the other kind; `all` may have both."""
-    turning, sliding = (
-        ("velocity_deg", "acceleration_deg", "jerk_deg"),
-        ("velocity_m_s", "acceleration_m_s2", "jerk_m_s3"),
-    )
     for name, slides in zip(names, prismatic.tolist(), strict=True):
-        for key, other in zip(*((turning, sliding) if slides else (sliding, turning)), strict=True):
+        for key, other in zip(*((_ABOUT, _ALONG) if slides else (_ALONG, _ABOUT)), strict=True):
             if name in listed.joints and getattr(listed.joints[name], key) is not None:
                 kind = "slides" if slides else "turns"
                 raise ModelError(
@@ -295,7 +289,7 @@ def _stretched_efforts(model: Any, lower: FloatArray, upper: FloatArray) -> Floa
     distances = along - along[:, None] + [np.linalg.norm(body.lever) for body in bodies]
     beyond = np.triu(np.ones_like(distances))
     torques = np.where(prismatic, beyond @ weights, (beyond * distances) @ weights)
-    return np.asarray(_ASSUMED_EFFORT * np.maximum(torques, _LEAST_EFFORT * torques.max(initial=1.0)))
+    return np.asarray(_ASSUMED_EFFORT * np.maximum(torques, _EFFORT_FLOOR * torques.max(initial=1.0)))
 
 
 def _said_by_moveit(

@@ -38,11 +38,13 @@ ARM_JOINTS = tuple(f"joint_{number}" for number in range(1, 8))
 Side = Literal[1, 2]
 """Number of a foot."""
 
+# Fields of `RobotFiles` that are arguments of `load_robot`.
+_LOADED = ("srdf", "limits", "elasticity", "package_dirs", "xacro", "base_frame", "tool_frame")
 # An arm that weighs less is one without masses, kg.
 _LIGHTEST = 1e-3
 # Shapes that extend further, as a multiple of the reach, are in millimetres; of what does not move, meshes
 # that also extend further than so many metres. What is smaller than the last, m, is none of these.
-_LARGEST_SHAPE, _LARGEST_FIXED, _SMALL = 4.0, 20.0, 2.0
+_LARGEST_SHAPE, _LARGEST_FIXED, _SMALL_M = 4.0, 20.0, 2.0
 # One that weighs more than water in a cube as long as its reach has wrong masses, kg/m3: the heaviest
 # industrial arms have a sixth of that.
 _DENSEST = 1000.0
@@ -212,7 +214,7 @@ def _hash(files: RobotFiles, content: bytes, completed: str) -> str:
 
 def _require_size(robot: Robot) -> None:
     """Refuse meshes that are far larger than the arm, as those are whose numbers are millimetres."""
-    farthest = max(_LARGEST_SHAPE * robot.reach, _SMALL)
+    farthest = max(_LARGEST_SHAPE * robot.reach, _SMALL_M)
     for shape in robot.collision_model.geometryObjects:
         # What stands still, such as a floor, may be large.
         most = farthest if shape.parentJoint else max(farthest, _LARGEST_FIXED)
@@ -361,16 +363,8 @@ def inspect_loaded(files: RobotFiles) -> list[Finding]:
         ]
         if arm is None:
             return found
-        robot = load_robot(
-            files.urdf,
-            srdf=files.srdf,
-            limits=files.limits,
-            elasticity=files.elasticity,
-            package_dirs=files.package_dirs,
-            xacro=files.xacro,
-            base_frame=files.base_frame,
-            tool_frame=files.tool_frame,
-        )
+        given = {name: getattr(files, name) for name in _LOADED}
+        robot = load_robot(files.urdf, **given)
         return [*found, *_assumed_limits(robot), *_questionable_masses(robot)]
     except ModelError as error:
         key = error.key if error.source == str(files.urdf) else f"{error.source}: {error.key}"

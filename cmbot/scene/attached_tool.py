@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["AttachedToolFile", "ToolShapeFile"]
 
 _SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh")
-_NO_TURN = (0.0, 0.0, 0.0)
+_NOT_TURNED = (0.0, 0.0, 0.0)
 Scale = Annotated[float, Field(ge=1e-6, le=1e3)]
 
 
@@ -40,7 +40,7 @@ class ToolShapeFile(FileModel):
     """Of a mesh: what makes metres of its numbers, 0.001 where they are millimetres."""
     xyz: Vector = (0.0, 0.0, 0.0)
     """Centre (of a mesh: its origin), m."""
-    rpy_deg: Angles = _NO_TURN
+    rpy_deg: Angles = _NOT_TURNED
     """Roll, pitch, yaw as in URDF: R = Rz(yaw) Ry(pitch) Rx(roll)."""
 
     @model_validator(mode="after")
@@ -70,7 +70,7 @@ class AttachedToolFile(FileModel):
 
     xyz: Vector
     """The tool point, m."""
-    rpy_deg: Angles = _NO_TURN
+    rpy_deg: Angles = _NOT_TURNED
     """How the tool's frame is turned, whose z axis is the tool's: R = Rz(yaw) Ry(pitch) Rx(roll)."""
     mass_kg: Mass = 0.0
     """Mass, kg."""

@@ -468,7 +468,7 @@ def test_limits_of_ours_with_a_mistake_are_refused(tmp_path: Path, text: str, ke
 
 
 # Of Franka's there is an effort, too.
-@pytest.mark.parametrize("name", JointEntry.model_fields.keys() - {"effort"})
+@pytest.mark.parametrize("name", sorted(JointEntry.model_fields.keys() - {"effort"}))
 def test_every_limit_of_ours_tells_a_file_that_lacks_its_format(tmp_path: Path, name: str) -> None:
     (tmp_path / "joint_limits.yaml").write_text(f"joint_1: {{{name}: 1}}", encoding="utf-8")
     assert robot_files(write(tmp_path, *ARM)).limits is not None

@@ -25,7 +25,7 @@ __all__ = ["DescribedArm", "DescribedLimits", "pose_of"]
 _FILES = ("model", "srdf", "limits", "elasticity", "package_dirs", "xacro", "total_mass", "tool")
 _MOVABLE = ("revolute", "continuous", "prismatic")
 # A range that ends beyond this is none, and so is a smaller limit than the last.
-_ENDLESS, _LEAST = 1e9, 1e-6
+_ENDLESS, _LEAST_LIMIT = 1e9, 1e-6
 
 
 def pose_of(xyz: ArrayLike, rpy: ArrayLike) -> FloatArray:
@@ -191,7 +191,7 @@ class DescribedArm:
             for key in ("lower", "upper", "velocity", "effort")
         )
         velocity, torque = (
-            np.where(own > _LEAST, own, np.where(described > _LEAST, described, loaded))
+            np.where(own > _LEAST_LIMIT, own, np.where(described > _LEAST_LIMIT, described, loaded))
             for own, described, loaded in (
                 (self._rates(given, "velocity_m_s", "velocity_deg"), velocity, self.loaded.velocity),
                 (np.array([float(each.get("effort") or 0) for each in given]), torque, self.loaded.torque),

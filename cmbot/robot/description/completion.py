@@ -16,10 +16,8 @@ from cmbot.robot.description.hulls import Body, body_of
 from cmbot.robot.description.limits_file import read_joint_limits
 from cmbot.robot.description.mesh_file import locate_meshes
 
-__all__ = ["add_masses", "add_tool"]
-
 # A link that weighs less has no mass, kg.
-_LIGHTEST = 1e-9
+_BARE_KG = 1e-9
 
 
 def add_masses(root: ElementTree.Element, files: RobotFiles) -> tuple[str, ...]:
@@ -41,7 +39,7 @@ def add_masses(root: ElementTree.Element, files: RobotFiles) -> tuple[str, ...]:
     listed = {} if files.limits is None else read_joint_limits(files.limits).masses_kg
     if not listed and files.total_mass is None:
         return ()
-    bare = {link.get("name", ""): link for link in root.findall("link") if not _mass_of(link) > _LIGHTEST}
+    bare = {link.get("name", ""): link for link in root.findall("link") if not _mass_of(link) > _BARE_KG}
     bodies = _bodies(root, files, bare)
     _require_links(root, files, listed, bodies)
     masses = {name: mass for name, mass in listed.items() if name in bodies}

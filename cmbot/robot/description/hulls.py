@@ -14,8 +14,6 @@ import pinocchio as pin
 from cmbot.common.arrays import FloatArray
 from cmbot.robot.description.mesh_file import read_vertices
 
-__all__ = ["Body", "body_of", "convex_hull", "encloses_volume", "thickened"]
-
 # Smallest thickness of points relative to their extent. At about 3e-8 coal's hull crashes the process.
 _FLAT = 1e-5
 # What a flat mesh gets, m.

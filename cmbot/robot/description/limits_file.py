@@ -27,15 +27,6 @@ from cmbot.common.errors import ModelError
 from cmbot.common.validation import FileModel, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml
 
-__all__ = [
-    "LEAST_LIMIT",
-    "GivenLimits",
-    "JointEntry",
-    "JointLimitsFile",
-    "MoveItLimitsFile",
-    "read_joint_limits",
-]
-
 LEAST_LIMIT = 1e-6
 """Smallest limit that is one, SI."""
 
@@ -79,13 +70,14 @@ class JointEntry(FileModel):
 
     def given(self, prismatic: bool) -> GivenLimits:
         """Return the limits that are given, in SI."""
-        if prismatic:
-            rates = (self.velocity_m_s, self.acceleration_m_s2, self.jerk_m_s3)
-        else:
-            degrees = (self.velocity_deg, self.acceleration_deg, self.jerk_deg)
-            rates = tuple(None if rate is None else float(np.deg2rad(rate)) for rate in degrees)  # type: ignore[assignment]
-        velocity, acceleration, jerk = rates
+        along = (self.velocity_m_s, self.acceleration_m_s2, self.jerk_m_s3)
+        about = (self.velocity_deg, self.acceleration_deg, self.jerk_deg)
+        velocity, acceleration, jerk = along if prismatic else map(_radians, about)
         return GivenLimits(velocity=velocity, acceleration=acceleration, jerk=jerk, effort=self.effort)
+
+
+def _radians(degrees: float | None) -> float | None:
+    return None if degrees is None else float(np.deg2rad(degrees))
 
 
 class JointLimitsFile(FileModel):

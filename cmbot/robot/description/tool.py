@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 from xml.etree import ElementTree
 
 import numpy as np
+import pinocchio as pin
 
 from cmbot.common.errors import ModelError
 from cmbot.common.representation import short_repr
-
-__all__ = ["POINT", "AttachedTool", "ToolShape"]
 
 POINT = "_point"
 """Ending of the name of the tool point's frame, after that of the tool's link."""
 
 Triple = tuple[float, float, float]
-_MOST, _HEAVIEST = 1e4, 1e4  # m, kg
+_TOP_M, _TOP_KG = 1e4, 1e4  # m, kg
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,12 +88,11 @@ class AttachedTool:
 
     def __post_init__(self) -> None:
         numbers = np.array([*self.xyz, *self.rpy, *(self.com or ())], dtype=float)
-        if not (np.abs(numbers) <= _MOST).all():
-            raise ModelError(
-                "AttachedTool", "xyz, rpy, com", numbers.tolist(), f"finite numbers of at most {_MOST:g}"
-            )
-        if not 0 <= self.mass <= _HEAVIEST:
-            expected = f"a mass in kg that is not negative, at most {_HEAVIEST:g}"
+        if not (np.abs(numbers) <= _TOP_M).all():
+            expected = f"finite numbers of at most {_TOP_M:g}"
+            raise ModelError("AttachedTool", "xyz, rpy, com", numbers.tolist(), expected)
+        if not 0 <= self.mass <= _TOP_KG:
+            expected = f"a mass in kg that is not negative, at most {_TOP_KG:g}"
             raise ModelError("AttachedTool", "mass", self.mass, expected)
 
     def attached(self, root: ElementTree.Element, flange: str) -> tuple[ElementTree.Element, str]:
@@ -119,7 +117,7 @@ class AttachedTool:
             ElementTree.SubElement(joint, "child", link=child)
         for shape in self.shapes:
             for element, along in shape.elements():
-                at = np.array(shape.xyz) + _rotation(shape.rpy) @ along
+                at = np.array(shape.xyz) + pin.rpy.rpyToMatrix(np.array(shape.rpy)) @ along
                 for tag in ("visual", "collision"):
                     part = ElementTree.SubElement(link, tag)
                     ElementTree.SubElement(part, "origin", xyz=_text(at.tolist()), rpy=_text(shape.rpy))
@@ -127,12 +125,5 @@ class AttachedTool:
         return link, point
 
 
-def _rotation(rpy: Triple) -> np.ndarray:
-    # Pinocchio takes a while to come, and scenes name tools without it.
-    import pinocchio as pin
-
-    return np.asarray(pin.rpy.rpyToMatrix(np.array(rpy)))
-
-
-def _text(numbers: object) -> str:
-    return " ".join(repr(float(number)) for number in numbers)  # type: ignore[attr-defined]
+def _text(numbers: Iterable[float]) -> str:
+    return " ".join(repr(float(number)) for number in numbers)
