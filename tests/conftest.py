@@ -4,7 +4,7 @@ import math
 import os
 import re
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,8 +21,7 @@ from state_samples import FloatArray, StateSamples
 from urdf_arms import arm_scene, endless_scene
 
 from cmbot.common.installation import model_folder
-from cmbot.planning import Plan, plan, planner, robot_of
-from cmbot.planning.progress import Progress, ProgressReporter
+from cmbot.planning import Deadline, Plan, plan, planner, robot_of
 from cmbot.planning.selfmotion import sampler
 from cmbot.robot import Dynamics, Kinematics, Robot, load_robot
 from cmbot.scene import PlannerOptions, load_scene
@@ -49,15 +48,12 @@ providers.is_local_module_file = lambda path: False  # type: ignore[attr-defined
 def _without_the_default_time_limit() -> Iterator[None]:
     """On a slow machine too, plans are what they are: only limits that a test gives count."""
 
-    def reporter(
-        progress: Callable[[Progress], None] | None = None, limit: float = math.inf
-    ) -> ProgressReporter:
-        given = limit != PlannerOptions.time_limit_s
-        return ProgressReporter(progress, limit=limit if given else math.inf)
+    def deadline(limit: float) -> Deadline:
+        return Deadline(math.inf if limit == PlannerOptions.time_limit_s else limit)
 
     with pytest.MonkeyPatch.context() as patch:
         for module in (planner, charting):
-            patch.setattr(module, "ProgressReporter", reporter)
+            patch.setattr(module, "Deadline", deadline)
         yield
 
 

@@ -26,7 +26,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from cmbot.accuracy import Accuracy
 from cmbot.common.errors import PathNotFound
-from cmbot.common.file_types import NonNegative, OrInfinite, Share
+from cmbot.common.file_types import Count, NonNegative, OrInfinite, Share
 from cmbot.common.validation import FileModel, refusal
 from cmbot.planning import (
     Certificate,
@@ -195,6 +195,8 @@ class StrokeEntries:
     smallest_singular_value: NonNegative
     """Along the baseline."""
     passes: tuple[ExchangeReport, ...]
+    runs: Count
+    """Of optimise-and-certify that it took."""
 
     @classmethod
     def of(cls, stroke: StrokePlan, robot: Robot, **own: object) -> Self:
@@ -248,6 +250,8 @@ class PlanFile(StrokeEntries):
     accuracy: Accuracy | None
     """Where the tool is beside its path; null where nothing bends."""
     fallbacks: tuple[str, ...]
+    stopped: Literal["time"] | None
+    """``time``: planning was stopped by its time limit; null: the plan is the same on every machine."""
     seconds: Seconds
     certificate: CertificateFile
     options: PlannerOptions

@@ -160,6 +160,7 @@ def read_plan(
         job=job,
         sag=_sag(scene, robot, file.options) if file.options.compensate else None,
         fallbacks=file.fallbacks,
+        stopped=file.stopped,
         seconds=file.seconds,
     )
     # It costs a third of a second, and is computed anew where the plan is verified.

@@ -22,6 +22,7 @@ import re
 from collections.abc import Sequence
 
 from cmbot.common.installation import install_command
+from cmbot.common.limit import Limit
 
 __all__ = [
     "FAR_BEYOND",
@@ -112,7 +113,9 @@ class CmbotError(Exception):
         What is said at the end in any case, with a semicolon before it.
     """
 
-    _about, _hints = "", ""
+    _about = ""
+    hints: tuple[str, ...] = ()
+    """What was appended to the message."""
 
     def __init__(self, message: str, end: str = "") -> None:
         self._text, self._end = one_line(message), one_line(end)
@@ -125,7 +128,7 @@ class CmbotError(Exception):
 
     def add_hint(self, hint: str) -> None:
         """Append a hint to the message, which is shortened for it where need be."""
-        self._hints += f"; {one_line(hint)}"
+        self.hints += (one_line(hint),)
         self._say()
 
     def _within(self, room: int) -> str:
@@ -138,7 +141,7 @@ class CmbotError(Exception):
         room = LONGEST_MESSAGE - len(self._about)
         text = self._within(room)
         kept = min(len(text), _SHORT_TEXT + len(self._end))
-        hints = whole_sentences(self._hints[2:], room - 2 - kept)
+        hints = whole_sentences("; ".join(self.hints), room - 2 - kept)
         if hints:
             text = f"{self._within(room - 2 - len(hints))}; {hints}"
         self.args = (f"{self._about}{text}",)
@@ -263,6 +266,8 @@ class PathNotFound(PlanningError):
         The link and the obstacle (or second link) that came too close.
     pace : float
         Where the joints' velocities do not suffice to lead on from there: that factor on them would do.
+    stopped : bool
+        The time was over.
     """
 
     def __init__(
@@ -274,9 +279,11 @@ class PathNotFound(PlanningError):
         smallest_singular_value: float,
         pair: tuple[str, str] | None = None,
         pace: float = 1.0,
+        stopped: bool = False,
     ) -> None:
         self.reason = reason
         self.pace = pace
+        self.stopped = stopped
         self.time = time
         self.progress = progress
         self.smallest_singular_value = smallest_singular_value
@@ -303,6 +310,10 @@ class OptimisationFailed(PlanningError):
         The solver failed without a proof of infeasibility; another one may succeed.
     trajectory : object, optional
         The `QuinticTrajectory` that violates it.
+    limit : Limit
+        What the constraint limits.
+    stopped : bool
+        The time was over.
     """
 
     def __init__(
@@ -313,9 +324,13 @@ class OptimisationFailed(PlanningError):
         violation: float,
         undecided: bool = False,
         trajectory: object = None,
+        limit: Limit = Limit.OTHER,
+        stopped: bool = False,
     ) -> None:
         self.reason = reason
         self.trajectory = trajectory
+        self.limit = limit
+        self.stopped = stopped
         self.constraint = constraint
         self.violation = violation
         self.undecided = undecided
@@ -323,7 +338,7 @@ class OptimisationFailed(PlanningError):
             super().__init__(reason, f"; every constraint is met, {constraint} with the least room")
             return
         text = f"; worst constraint: {constraint}, {beyond(violation)}"
-        if constraint == "peak":
+        if limit is Limit.PEAK:
             text = (
                 "; worst constraint: the peak, which exceeds the bound that was tried for it by "
                 f"{violation:.2%} of the initial guess's peak"
@@ -344,10 +359,22 @@ class LimitViolation(PlanningError):
         What it is there and what is allowed, both in `unit`.
     unit : str
         SI unit of both.
+    limit : Limit
+        What the quantity is.
     """
 
-    def __init__(self, quantity: str, *, time: float, value: float, bound: float, unit: str) -> None:
+    def __init__(
+        self,
+        quantity: str,
+        *,
+        time: float,
+        value: float,
+        bound: float,
+        unit: str,
+        limit: Limit = Limit.OTHER,
+    ) -> None:
         self.quantity = quantity
+        self.limit = limit
         self.time = time
         self.value = value
         self.bound = bound

@@ -17,7 +17,7 @@ from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.stiffness_parameters import StiffnessParameters
 from cmbot.robot import Kinematics
 
-__all__ = ["Sag", "SagStates"]
+__all__ = ["Sag", "SagStates", "TooSoftError"]
 
 # Newton's method: most iterations, and the step, m and rad, at which it ends; the remaining error is about
 # the step's square.
@@ -29,6 +29,10 @@ _QUICK = 4
 _INTERVAL = 0.02
 # Below this length, m, the gradient of a length is taken as zero.
 _NO_DIRECTION = 1e-12
+
+
+class TooSoftError(InputError):
+    """An arm on its guardrail is too soft to carry itself in a posture."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -193,7 +197,7 @@ class Sag:
 
         def refused(index: int, why: str) -> InputError:
             expected = "an arm and a guardrail that are stiff enough to carry the weight"
-            return InputError("Sag.at", f"q[{first + index}]", f"a posture {why}", expected)
+            return TooSoftError("Sag.at", f"q[{first + index}]", f"a posture {why}", expected)
 
         left = np.arange(len(q))
         for _ in range(_ITERATIONS):

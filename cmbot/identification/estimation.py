@@ -19,6 +19,7 @@ from cmbot.common.errors import InputError
 from cmbot.common.representation import short_repr
 from cmbot.common.validation import validated
 from cmbot.elastic.arm import ElasticArm
+from cmbot.elastic.sag import TooSoftError
 from cmbot.elastic.stiffness_parameters import (
     StiffnessParameters,
     entries_of,
@@ -126,9 +127,7 @@ def estimate(
     modelled = measured_arm(sheets[0].scene) if modelled is None else modelled
     try:
         return _estimate(sheets, modelled)
-    except InputError as error:
-        if error.source != "Sag.at":
-            raise
+    except TooSoftError as error:
         expected = f"those of an arm that carries itself and {sheets[0].setup.weight_kg:g} kg"
         raise InputError(sheets[0].source, "measurements", error.got, expected) from error
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.common.limit import Limit
 
 __all__ = ["OBJECTIVE", "ConstraintSet", "Violation"]
 
@@ -27,6 +28,7 @@ class Violation:
 
     name: str
     value: float
+    limit: Limit = Limit.OTHER
 
 
 def _none() -> IntArray:

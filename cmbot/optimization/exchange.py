@@ -87,6 +87,8 @@ class ExchangeOptions:
     stop : callable
         Asked between iterations whether the time is over: then the trajectory of least peak that met all
         constraints is the result, if there was one.
+    stop_reason : callable
+        What errors say then.
     """
 
     solver: str | DenseSolver = "sqp"
@@ -112,6 +114,7 @@ class ExchangeOptions:
     held_gain: float = 2e-3
     held_promise: float = 5e-3
     stop: Callable[[], bool] = lambda: False
+    stop_reason: Callable[[], str] = lambda: "the time was over"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -346,7 +349,8 @@ class _Exchange:
             if met and nothing_new and done:
                 return found.peak
             if o.stop():
-                raise self._failure("the time was over before every constraint was met", worst)
+                reason = f"{o.stop_reason()} before every constraint was met"
+                raise self._failure(reason, worst, stopped=True)
             if met and nothing_new:
                 continue
             if attempt and end.values.violation > o.nearly_met:
@@ -424,11 +428,15 @@ class _Exchange:
         if self._progress is not None:
             self._progress(report)
 
-    def _failure(self, reason: str, worst: Violation, *, undecided: bool = True) -> OptimisationFailed:
+    def _failure(
+        self, reason: str, worst: Violation, *, undecided: bool = True, stopped: bool = False
+    ) -> OptimisationFailed:
         return OptimisationFailed(
             reason,
             constraint=worst.name,
             violation=worst.value,
             undecided=undecided,
             trajectory=self.form.trajectory,
+            limit=worst.limit,
+            stopped=stopped,
         )

@@ -14,6 +14,7 @@ from typing import Protocol, TypeVar, cast
 import numpy as np
 
 from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.common.limit import Limit
 from cmbot.trajectory import Parametrization, QuinticTrajectory
 
 __all__ = ["KinematicBound", "Linearization", "Program", "StateFunction", "StateSamples"]
@@ -92,6 +93,10 @@ class StateFunction(Protocol):
         """What it is, for messages."""
 
     @property
+    def limit(self) -> Limit:
+        """What it limits."""
+
+    @property
     def components(self) -> int | None:
         """Number of components; None where they are not counted one by one."""
 
@@ -118,6 +123,11 @@ class KinematicBound:
     high: FloatArray
     scale: FloatArray
     name: str
+
+    @property
+    def limit(self) -> Limit:
+        """What is bounded, by the order of the derivative."""
+        return (Limit.POSITION, Limit.VELOCITY, Limit.ACCELERATION, Limit.JERK)[self.order]
 
     def above(self, value: FloatArray, joint: IntArray | slice = _ALL) -> FloatArray:
         """How far values (..., n), or those of some joints, exceed the upper bound, as shares."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.common.limit import Limit
 from cmbot.optimization.constraint_set import OBJECTIVE, ConstraintSet, Violation
 from cmbot.optimization.program import KinematicBound, Program, StateFunction, StateSamples
 from cmbot.trajectory import QuinticTrajectory
@@ -48,7 +49,8 @@ class Separation:
 
     def worst_beside(self, limit: float) -> Violation:
         """Return the worst violation, with that of the peak beyond `limit` among them."""
-        return max(self.worst, Violation("peak", self.peak - limit), key=lambda each: each.value)
+        peak = Violation("peak", self.peak - limit, Limit.PEAK)
+        return max(self.worst, peak, key=lambda each: each.value)
 
     def added_to(self, constraints: ConstraintSet) -> ConstraintSet:
         """Return a set with what is violated; the same object where all of it is there."""
@@ -92,11 +94,15 @@ def find_violations(
         room = _PEAK * tolerance if number == OBJECTIVE else tolerance
         found.append(violated_function(trajectory, states.t, sampled, function, limit, room))
         if number != OBJECTIVE:
-            worst = max(worst, Violation(function.name, found[-1].largest), key=lambda each: each.value)
+            worst = max(
+                worst,
+                Violation(function.name, found[-1].largest, function.limit),
+                key=lambda each: each.value,
+            )
     for each in program.bounds:
         found.append(violated_bound(trajectory, each, tolerance))
         name = f"{each.name} of {program.joints[found[-1].joint]}"
-        worst = max(worst, Violation(name, found[-1].largest), key=lambda each: each.value)
+        worst = max(worst, Violation(name, found[-1].largest, each.limit), key=lambda each: each.value)
     sizes = [min(len(each.times), most) for each in found]
     return Separation(
         family=np.repeat(np.arange(len(found)), sizes),

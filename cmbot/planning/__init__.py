@@ -4,6 +4,7 @@ Other rooms import from here; the parts of the method import each other's module
 """
 
 from cmbot.optimization import ExchangeReport
+from cmbot.planning.budget import Deadline
 from cmbot.planning.certification.certificate import Certificate, certify
 from cmbot.planning.certification.check import Check
 from cmbot.planning.certification.metrics import LimitUse, MotionMetrics, Samples, figures, measure, tool_lag
@@ -70,6 +71,7 @@ __all__ = [
     "Check",
     "Choice",
     "Compensation",
+    "Deadline",
     "ExchangeReport",
     "FreeMove",
     "FreeSpace",

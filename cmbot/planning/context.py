@@ -16,6 +16,7 @@ from cmbot.common.validation import counted
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm
 from cmbot.elastic.sag import Sag
+from cmbot.planning.budget import Deadline
 from cmbot.planning.objectives import Objective, WrenchFunction, objective_of
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.stiffness import covariance_of, known_share, with_identified_stiffness
@@ -83,6 +84,7 @@ class PlanningContext:
     begin: float = 0.0  # s, on the job's clock: what is planned begins there
     reached: float = 0.0  # value of the objective that the job before reaches
     spare_clearance: float = 0.0  # m, of what is optimised: more than the safety margin, which is certified
+    deadline: Deadline = field(default_factory=Deadline)
     reporter: ProgressReporter = field(default_factory=ProgressReporter)
 
     __repr__ = short_repr
@@ -102,9 +104,14 @@ class PlanningContext:
     @property
     def time_in_words(self) -> str:
         """What messages call the time that planning has, and the part of it that the stroke has."""
-        limit, own = self.options.time_limit_s, self.reporter.limit
+        limit, own = self.options.time_limit_s, self.deadline.limit
         part = f", of which {self.stroke.name} had {own:.3g} s" if own < limit else ""
         return f"the time, {limit:g} s (planner.time_limit_s){part}"
+
+    @property
+    def time_over(self) -> str:
+        """What messages say where the time was over."""
+        return f"{self.time_in_words}, was over after {self.deadline.used:.3g} s,"
 
     def at_stroke(
         self, number: int, scene: Scene, posture: FloatArray, begin: float, reached: float
@@ -162,6 +169,8 @@ class PlanningContext:
         time: float = 0.0,
         pair: tuple[str, str] | None = None,
         pace: float = 1.0,
+        *,
+        stopped: bool = False,
     ) -> PathNotFound:
         """Return the error of a path that ends at posture `q` (n,), `time` s after its start."""
         return PathNotFound(
@@ -171,6 +180,7 @@ class PlanningContext:
             smallest_singular_value=self.task.smallest_singular_value(self.robot, q),
             pair=pair,
             pace=pace,
+            stopped=stopped,
         )
 
     def most_often_near(self, q: FloatArray) -> tuple[str, str] | None:
@@ -238,6 +248,7 @@ def build_context(
     options: PlannerOptions,
     own: WrenchFunction | None = None,
     reporter: ProgressReporter | None = None,
+    deadline: Deadline | None = None,
 ) -> PlanningContext:
     """Bring a scene and its robot together; the objective is the function `own` where given.
 
@@ -281,6 +292,7 @@ def build_context(
         arm=arm,
         sag=sag if options.compensate else None,
         reporter=reporter or ProgressReporter(),
+        deadline=deadline or Deadline(),
     )
 
 

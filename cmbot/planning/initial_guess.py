@@ -98,7 +98,7 @@ def initial_guess(
     for halving in range(_MOST_HALVINGS):
         leaping = leap(context, best.problem.parametrization.via_points)
         enough = halving >= _HALVINGS or roughness(best.problem) <= _HOPELESS
-        if shorter is None or (enough and not leaping) or context.reporter.expired():
+        if shorter is None or (enough and not leaping) or context.deadline.expired():
             break
         # Where there is much time, half of what joints could do is no less than a leap.
         shorter = shorter.halved(leaping or np.inf)
@@ -152,6 +152,7 @@ def leap_failure(problem: TorqueProblem) -> OptimisationFailed | None:
         "only by leaps to other branches of postures, off the tool path, were via-points joined in time",
         constraint=worst.name,
         violation=worst.value,
+        limit=worst.limit,
     )
 
 
@@ -265,7 +266,7 @@ def searched(
         return search, solved(search, pinned=False)
     failures: list[PathNotFound] = []
     for lean in (None, *_leans(context.task.cone)):
-        if failures and context.reporter.expired():
+        if failures and context.deadline.expired():
             break
         try:
             search = GlobalSearch(context, lean, bounded_as)

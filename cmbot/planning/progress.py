@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -88,18 +87,14 @@ class Progress:
 class ProgressReporter:
     """Reports what the planner is doing; keeps the times of its stages.
 
-    `progress` is called with a `Progress`; `clock` gives seconds that do not go back; `limit` is how many of
-    them planning may take.
+    `progress` is called with a `Progress`; `clock` gives seconds that do not go back.
     """
 
     def __init__(
         self,
         progress: Callable[[Progress], None] | None = None,
         clock: Callable[[], float] = time.perf_counter,
-        limit: float = math.inf,
     ) -> None:
-        self._began, self._limit = clock(), limit
-        self._end = self._began + limit
         self._progress = progress or (lambda _: None)
         self._clock = clock
         self._stroke = ""
@@ -107,34 +102,10 @@ class ProgressReporter:
         self._seconds = dict.fromkeys(_STAGES, 0.0)
         self._stage_began = clock()
 
-    def silent(self, most: float = math.inf) -> ProgressReporter:
-        """Return a reporter that reports nothing and knows the time left, s, or `most` of it."""
-        return ProgressReporter(clock=self._clock, limit=min(self.time_left, most))
-
-    def begin_stroke(self, name: str, left: int) -> None:
-        """Begin a stroke of several, of which so many are left: it has an equal part of the time left."""
-        self._stroke, self._began = name, self._clock()
-        self._limit = max(self._end - self._began, 0.0) / left
+    def begin_stroke(self, name: str) -> None:
+        """Begin a stroke of several."""
+        self._stroke = name
         self.stage("path")
-
-    def expired(self, more: float = 0.0) -> bool:
-        """Whether the time is over, and so is a share `more` of it."""
-        return self._clock() >= self._began + (1.0 + more) * self._limit
-
-    @property
-    def limit(self) -> float:
-        """How long planning, or of several strokes the present one, may take, s."""
-        return self._limit
-
-    @property
-    def used(self) -> float:
-        """What is used of that, s."""
-        return self._clock() - self._began
-
-    @property
-    def time_left(self) -> float:
-        """What is left of the time, s."""
-        return max(self._began + self._limit - self._clock(), 0.0)
 
     def stage(self, stage: str, *, failed_starts: int = 0) -> None:
         """Begin a stage."""

@@ -442,7 +442,7 @@ def _read(files: RobotFiles) -> tuple[bytes, ElementTree.Element]:
     try:
         return files.read()
     except ModelError as error:
-        if error.got == "no such file" and (meant := hint(files.urdf.name, ("cmbot",))):
+        if not files.urdf.exists() and (meant := hint(files.urdf.name, ("cmbot",))):
             raise ModelError(error.source, "", error.got, f"{error.expected}{meant}") from error
         raise
 

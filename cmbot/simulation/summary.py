@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
+from cmbot.common.limit import Limit
 from cmbot.common.validation import counted
 from cmbot.planning import Plan
 from cmbot.simulation.execution import is_executed
@@ -166,7 +167,7 @@ def _certified(plan: Plan) -> str:
     """What the plan's own figure includes, where it compensates the sag."""
     if not plan.options.compensate:
         return ""
-    value = max(check.value for _, check in plan.job.checks() if "tool deviation" in check.quantity)
+    value = max(check.value for _, check in plan.job.checks() if check.limit is Limit.TOOL_DEVIATION)
     sigmas = plan.options.deviation_sigmas
     spread = f" and {sigmas:g} of the standard deviations of its stiffness" if sigmas else ""
     return (

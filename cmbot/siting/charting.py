@@ -10,8 +10,8 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning import (
+    Deadline,
     PlanningContext,
-    ProgressReporter,
     build_context,
     quick_bound,
     searched,
@@ -69,8 +69,8 @@ def chart(scene: Scene) -> Charted:
     """
     found = list[Charted]()
     for context in _strokes(scene):
-        reporter = ProgressReporter(limit=scene.planner.time_limit_s)
-        search, solution = searched(replace(context, reporter=reporter))
+        deadline = Deadline(scene.planner.time_limit_s)
+        search, solution = searched(replace(context, deadline=deadline))
         if isinstance(solution, PathNotFound):
             raise solution
         bound = min(search.followed_bound(), solution.peak)

@@ -128,7 +128,7 @@ def test_strokes_that_the_scene_has_not(folder):
             "start",
             "drift",
         )
-        stroke = {key: data[key] for key in (*entries, "smallest_singular_value", "passes")}
+        stroke = {key: data[key] for key in (*entries, "smallest_singular_value", "passes", "runs")}
         stroke["baseline"] = {
             key: stroke["baseline"][key] for key in stroke["baseline"].keys() - {"job", "free"}
         }

@@ -86,8 +86,9 @@ def test_plan_json_has_the_promised_keys(saved_triangle, triangle_plan):
     assert set(data["hashes"]) == {"robot", "scene"}
     keys = {"stage", "number", "iterations", "ended", "constraints", "peak_torque", "worst"}
     assert {frozenset(entry) for entry in data["passes"]} == {frozenset(keys)}
-    assert set(data["passes"][0]["worst"]) == {"name", "value"}
-    keys = {"quantity", "time", "value", "bound", "unit", "at_least", "holds"}
+    assert set(data["passes"][0]["worst"]) == {"name", "value", "limit"}
+    keys = {"quantity", "time", "value", "bound", "unit", "at_least", "limit", "joint", "holds"}
+    assert (data["runs"], data["stopped"]) == (triangle_plan.runs, None)
     assert {frozenset(entry) for entry in data["certificate"]["checks"]} == {frozenset(keys)}
     certificate, (approach, work) = triangle_plan.approach.certificate, data["segments"]
     keys = {"name", "kind", "begin", "seconds", "along_self_motion", "certificate"}

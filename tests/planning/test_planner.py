@@ -11,7 +11,8 @@ from urdf_arms import PANDA_JOINTS, arm_scene, path_of, scene_data, six_joint_sc
 
 from cmbot.common.errors import InputError, LimitViolation, OptimisationFailed, PathNotFound, SceneError
 from cmbot.optimization.exchange import ExchangeReport
-from cmbot.planning import Plan, plan, planner
+from cmbot.planning import Plan, plan
+from cmbot.planning.attempts import motion
 from cmbot.planning.torque.decomposition import optimise
 from cmbot.robot import Kinematics
 from cmbot.scene import load_scene
@@ -141,7 +142,7 @@ def test_payload_adds_its_weight(short_plan: Plan) -> None:
 
 def test_what_does_not_hold_is_no_plan(monkeypatch: pytest.MonkeyPatch) -> None:
     """The certificate has the last word: an optimiser that cheats is caught."""
-    honest = planner.optimise
+    honest = motion.optimise
 
     def cheating(*arguments: Any) -> Any:
         optimised = honest(*arguments)
@@ -149,7 +150,7 @@ def test_what_does_not_hold_is_no_plan(monkeypatch: pytest.MonkeyPatch) -> None:
         a[3] += 1e-3
         return replace(optimised, trajectory=replace(optimised.trajectory, a=a))
 
-    monkeypatch.setattr(planner, "optimise", cheating)
+    monkeypatch.setattr(motion, "optimise", cheating)
     with pytest.raises(LimitViolation, match="jump of a joint's"):
         plan(short_scene())
 

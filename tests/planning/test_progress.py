@@ -10,7 +10,7 @@ from small_scenes import short_scene
 
 import cmbot
 from cmbot.optimization.constraint_set import Violation
-from cmbot.planning import ExchangeReport, Plan, Progress, remarks
+from cmbot.planning import Deadline, ExchangeReport, Plan, Progress, remarks
 from cmbot.planning.progress import ProgressReporter
 
 
@@ -153,22 +153,11 @@ def test_nobody_has_to_listen() -> None:
     ProgressReporter().part("doing it", 1, 2)
 
 
-def test_what_is_sought_beside_has_the_time_left_or_less() -> None:
-    clock = Listener()
-    reporter = ProgressReporter(clock=lambda: clock.now, limit=60.0)
-    clock.now += 50.0
-    assert reporter.silent().time_left == 10.0
-    assert reporter.silent(15.0).time_left == 10.0
-    brief = reporter.silent(5.0)
-    clock.now += 5.0
-    assert brief.expired() and not reporter.expired()
-
-
 @pytest.mark.parametrize(
     ("used", "more", "over"), [(59, 0, False), (60, 0, True), (71, 0.2, False), (72, 0.2, True)]
 )
 def test_what_is_a_must_may_exceed_the_limit(used: float, more: float, over: bool) -> None:
-    clock = Listener()
-    reporter = ProgressReporter(clock=lambda: clock.now, limit=60.0)
-    clock.now += used
-    assert reporter.expired(more) is over
+    now = [100.0]
+    deadline = Deadline(60.0, lambda: now[0])
+    now[0] += used
+    assert deadline.expired(more) is over

@@ -11,8 +11,8 @@ import pytest
 from cmbot import load_plan, load_scene, plan, save
 from cmbot.common.errors import PathNotFound
 from cmbot.planning import precheck_scene, remarks, robot_of, strokes_of, verdict
+from cmbot.planning.budget import Deadline
 from cmbot.planning.path.raster_reach import reached_scene
-from cmbot.planning.progress import ProgressReporter
 from cmbot.scene import Scene, coverage_of
 
 # In the middle of two rows, 0.08 m wide: the nozzle of 0.3 m does not come near.
@@ -77,7 +77,7 @@ def test_what_the_feet_would_need_is_said_where_nothing_is_reached() -> None:
 
 def test_where_the_time_is_over_that_is_said() -> None:
     scene = rows(spacing_m=0.001)
-    out_of_time = ProgressReporter(limit=0.0)
+    out_of_time = Deadline(0.0)
     words = r"was over when 0 of 4\d\d\d places along the rows had been tried$"
     with pytest.raises(PathNotFound, match=words):
         reached_scene(scene, scene.planner, out_of_time)

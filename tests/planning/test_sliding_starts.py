@@ -8,8 +8,8 @@ import pytest
 from small_scenes import context_of, parts, short_scene
 
 from cmbot.common.errors import PathNotFound
-from cmbot.optimization import ExchangeReport, Violation
 from cmbot.planning import GlobalSearch, Plan, Segment, SplineSpace, plan, planner, remarks
+from cmbot.planning.attempts import motion
 from cmbot.planning.free_motion.approach import plan_approach
 from cmbot.robot import Dynamics
 
@@ -40,7 +40,7 @@ def test_a_pinned_start_with_few_others_to_try(
     monkeypatch: pytest.MonkeyPatch, tries: int, words: str
 ) -> None:
     # Slower legs would do, which takes a while to find out.
-    monkeypatch.setattr(planner, "_TRIALS", 0)
+    monkeypatch.setattr(planner, "advice", lambda trial: "")
     scene = short_scene(obstacles=[{**BALL, "sphere": 0.0666}], planner={**PINNED, "other_starts": tries})
     with pytest.raises(PathNotFound) as caught:
         plan(scene)
@@ -105,7 +105,7 @@ def planned_with_approach(degrees: float, monkeypatch: pytest.MonkeyPatch) -> tu
         found.append(outward(plan_approach(*given, **named), degrees))
         return found[-1]
 
-    monkeypatch.setattr(planner, "plan_approach", heavy)
+    monkeypatch.setattr(motion, "plan_approach", heavy)
     planned = plan(short_scene(planner={"knots": "sliding"}))
     (approach,) = found
     times = np.linspace(0, approach.duration, 400)
@@ -121,39 +121,10 @@ def test_a_better_start_whose_approach_asks_more_than_the_whole_other_job_is_lef
     assert planned.choice is not None
     assert planned.choice.free < 1.01 * planned.choice.pinned < asked
     assert (planned.start.moved, planned.approach) == (0.0, None)
+    assert planned.runs == 2
     said = "A start that is better at work is not used: the approach to it would have a peak of "
     assert any(line.startswith(said) for line in planned.fallbacks)
     assert planned.job.figures.peak_guardrail_torque < asked
-
-
-def test_a_job_from_the_scenes_posture_that_asks_more_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As soon as its least peak is known, and not before."""
-    real, told = planner.optimise, list[ExchangeReport]()
-    report = ExchangeReport(
-        stage="mean square",
-        number=1,
-        iterations=3,
-        ended=True,
-        constraints=9,
-        peak_torque=1e4,
-        worst=Violation("clearance", 0.0),
-    )
-
-    def optimise(problem: Any, each_pass: Any) -> Any:
-        if not told:
-            told.append(report)
-            each_pass(replace(report, stage="peak"))
-            return real(problem, each_pass)
-        for each in (report, replace(report, stage="peak", ended=False), replace(report, stage="peak")):
-            told.append(each)
-            each_pass(each)
-        pytest.fail("a useless motion is worked at")
-
-    monkeypatch.setattr(planner, "optimise", optimise)
-    planned, _ = planned_with_approach(25.0, monkeypatch)
-    assert len(told) == 4
-    assert planned.approach is not None
-    assert planned.fallbacks == ()
 
 
 def test_an_approach_that_asks_hardly_more_is_no_reason_for_another_plan(

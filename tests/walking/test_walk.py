@@ -17,7 +17,7 @@ from walks import scene_on_two_feet as scene_at
 import cmbot
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PlanningError, SceneError
-from cmbot.planning import FreeSpace, ProgressReporter
+from cmbot.planning import Deadline, FreeSpace
 from cmbot.robot import Climber, Kinematics, load_climbing_robot
 from cmbot.scene import FootholdFile, Scene, StanceFile
 from cmbot.siting import Candidate, in_the_way, places_of
@@ -75,7 +75,7 @@ def test_a_step_is_the_same_on_a_slow_machine(walked: Walk, monkeypatch: pytest.
     monkeypatch.setattr(FreeSpace, "straight", but_the_whole)
     quick = planned()
     hours = (3600.0 * k for k in count())
-    monkeypatch.setattr(ProgressReporter.__init__, "__defaults__", (None, hours.__next__, np.inf))
+    monkeypatch.setattr(Deadline.__init__, "__defaults__", (np.inf, hours.__next__, None))
     for one, other in zip(quick, planned(), strict=True):
         np.testing.assert_array_equal(one, other)
     assert next(hours) > 3600.0

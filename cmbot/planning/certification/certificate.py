@@ -15,6 +15,7 @@ import numpy as np
 from cmbot.collision import RESOLUTION, Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import LimitViolation
+from cmbot.common.limit import Limit
 from cmbot.common.representation import short_repr
 from cmbot.elastic.sag import Sag
 from cmbot.planning.certification.check import Check, largest_check
@@ -94,7 +95,12 @@ class Certificate:
         for check in self.checks:
             if not check.holds:
                 raise LimitViolation(
-                    check.quantity, time=check.time, value=check.value, bound=check.bound, unit=check.unit
+                    check.quantity,
+                    time=check.time,
+                    value=check.value,
+                    bound=check.bound,
+                    unit=check.unit,
+                    limit=check.limit,
                 )
 
 
@@ -146,7 +152,9 @@ def certify(
     checks += () if hold is None else hold.checks()
     guardrail, mean, rms, static = motion.guardrail_torque()
     if task.max_base_torque is not None:
-        checks.append(_enclosed("torque on the base", guardrail, task.max_base_torque, "Nm"))
+        checks.append(
+            _enclosed(Limit.BASE_TORQUE, "torque on the base", guardrail, task.max_base_torque, "Nm")
+        )
     shares = [check.value / check.bound for check in (*rates, torque)]
     figures = MotionMetrics(
         peak_guardrail_torque=guardrail.value,
@@ -181,6 +189,7 @@ def _clearance_check(nearest: NearestApproach, clearances: Clearances, margin: f
         bound=margin,
         unit="m",
         at_least=True,
+        limit=Limit.CLEARANCE,
     )
 
 
@@ -197,16 +206,18 @@ def _path_checks(
 ) -> list[Check]:
     """Where the tool is while it is on: at the via-points, and how far off its timed pose at any time."""
     expected = _expected(sag)
-    quantity, most = "tool tilt", task.cone
+    quantity, most = Limit.TOOL_TILT, task.cone
     if most is None:
         # Unlike a cone, which is what is prescribed, that is for what lies between via-points.
-        quantity, most = "tool rotation", float(np.deg2rad(options.max_tool_rotation_deg))
+        quantity, most = Limit.TOOL_ROTATION, float(np.deg2rad(options.max_tool_rotation_deg))
     checks = [
         _duration_check(task, trajectory),
         *_via_point_checks(task, motion, options, via_points, expected),
-        _enclosed(f"{expected}tool deviation", deviation, options.max_tool_deviation_m, "m"),
-        _enclosed(quantity, rotation, most, "rad"),
-        _enclosed(f"{expected}tool lag", lag, options.max_tool_lag_m, "m"),
+        _enclosed(
+            Limit.TOOL_DEVIATION, f"{expected}tool deviation", deviation, options.max_tool_deviation_m, "m"
+        ),
+        _enclosed(quantity, quantity.value, rotation, most, "rad"),
+        _enclosed(Limit.TOOL_LAG, f"{expected}tool lag", lag, options.max_tool_lag_m, "m"),
     ]
     if sag is not None and sag.covariance is not None and options.deviation_sigmas:
         promised = (options.deviation_sigmas, options.max_tool_deviation_m)
@@ -218,10 +229,11 @@ def _speed_checks(task: ToolTask, motion: EnclosedMotion, sag: Sag | None) -> li
     """How fast the tool is, and how far off the process speed, where the task bounds these."""
     expected, checks = _expected(sag), list[Check]()
     if task.max_speed is not None:
-        checks.append(_enclosed(f"{expected}tool speed", motion.tool_speed(), task.max_speed, "m/s"))
+        speed, most = motion.tool_speed(), task.max_speed
+        checks.append(_enclosed(Limit.TOOL_SPEED, f"{expected}tool speed", speed, most, "m/s"))
     if task.speed_tolerance is not None:
         quantity, missed = f"{expected}deviation of the process speed", motion.process_speed()
-        checks.append(_enclosed(quantity, missed, task.speed_tolerance, "of it"))
+        checks.append(_enclosed(Limit.PROCESS_SPEED, quantity, missed, task.speed_tolerance, "of it"))
     return checks
 
 
@@ -256,5 +268,6 @@ def _duration_check(task: ToolTask, trajectory: QuinticTrajectory) -> Check:
     )
 
 
-def _enclosed(quantity: str, peak: Peak, bound: float, unit: str) -> Check:
-    return Check(quantity=quantity, time=peak.time, value=peak.bound, bound=float(bound), unit=unit)
+def _enclosed(limit: Limit, quantity: str, peak: Peak, bound: float, unit: str) -> Check:
+    value, bound = peak.bound, float(bound)
+    return Check(quantity=quantity, time=peak.time, value=value, bound=bound, unit=unit, limit=limit)

@@ -7,6 +7,7 @@ from math import inf
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.file_types import OrInfinite
+from cmbot.common.limit import Limit
 
 __all__ = ["Check", "largest_check"]
 
@@ -25,6 +26,10 @@ class Check:
     unit : str
     at_least : bool
         The bound is a lower one.
+    limit : Limit
+        What the quantity is.
+    joint : str
+        Whose it is; empty where it is no joint's.
     """
 
     quantity: str
@@ -33,6 +38,8 @@ class Check:
     bound: OrInfinite
     unit: str
     at_least: bool = False
+    limit: Limit = Limit.OTHER
+    joint: str = ""
 
     @property
     def holds(self) -> bool:

@@ -9,6 +9,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.common.limit import Limit
 from cmbot.hold import ADHESION, CLAMP_LOAD, AdhesionPeak, Holding
 from cmbot.planning.certification.check import Check
 from cmbot.planning.certification.norm_bounds import NormBounds
@@ -78,6 +79,7 @@ class EnclosedHold:
                     value=max(peak.bound, 0.0),
                     bound=foot.adhesion / foot.safety,
                     unit="N",
+                    limit=Limit.HOLD,
                 )
             if foot.force is not None:
                 remainder = self.holding.use_remainder(number, *self._remainders)
@@ -88,6 +90,7 @@ class EnclosedHold:
                     value=peak.bound,
                     bound=1.0,
                     unit="of its bounds",
+                    limit=Limit.HOLD,
                 )
 
     @cached_property

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.common.limit import Limit
 from cmbot.elastic.sag import Sag
 from cmbot.planning.certification.check import Check
 from cmbot.planning.certification.enclosed_hold import EnclosedHold
@@ -114,6 +115,8 @@ class EnclosedMotion:
             value=peak.bound * float(bound[joint]),
             bound=float(bound[joint]),
             unit=robot.limits.units(joint).torque,
+            limit=Limit.JOINT_TORQUE,
+            joint=robot.joints[joint],
         )
 
     def guardrail_torque(self) -> tuple[Peak, float, float, float]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
+from cmbot.common.limit import Limit
 from cmbot.planning.certification.check import Check
 from cmbot.robot import Robot
 from cmbot.trajectory import QuinticTrajectory
@@ -32,7 +33,7 @@ def range_check(robot: Robot, trajectory: QuinticTrajectory) -> Check:
     # Extrema are (segments, n, k).
     value, time = (np.moveaxis(x, 1, 2).reshape(-1, robot.dof) for x in (position.value, position.time))
     quantity = "distance of {} from the middle of its range"
-    return _joint_check(robot, quantity, "position", time, np.abs(value - middle), half)
+    return _joint_check(robot, quantity, Limit.POSITION, time, np.abs(value - middle), half)
 
 
 def rate_checks(robot: Robot, trajectory: QuinticTrajectory) -> list[Check]:
@@ -41,16 +42,17 @@ def rate_checks(robot: Robot, trajectory: QuinticTrajectory) -> list[Check]:
     for order, name in enumerate(_DERIVATIVES, start=1):
         largest, time = trajectory.extrema(order).largest()
         bound = getattr(robot.limits, name)
-        checks.append(_joint_check(robot, f"{name} of {{}}", name, time[None], largest[None], bound))
+        quantity, limit = f"{name} of {{}}", Limit(name)
+        checks.append(_joint_check(robot, quantity, limit, time[None], largest[None], bound))
     return checks
 
 
 def _joint_check(
-    robot: Robot, quantity: str, kind: str, times: FloatArray, value: FloatArray, bound: FloatArray
+    robot: Robot, quantity: str, limit: Limit, times: FloatArray, value: FloatArray, bound: FloatArray
 ) -> Check:
     """The joint, of absolute values (N, n) at `times` (N, n), that uses most of its bound (n,).
 
-    `kind` is what of `JointUnits` has its unit.
+    `limit` is also what of `JointUnits` has its unit.
     """
     k, joint = np.unravel_index((value / bound).argmax(), value.shape)
     return Check(
@@ -58,7 +60,9 @@ def _joint_check(
         time=float(times[k, joint]),
         value=float(value[k, joint]),
         bound=float(bound[joint]),
-        unit=getattr(robot.limits.units(int(joint)), kind),
+        unit=getattr(robot.limits.units(int(joint)), limit.value),
+        limit=limit,
+        joint=robot.joints[joint],
     )
 
 

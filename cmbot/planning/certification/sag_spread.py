@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
+from cmbot.common.limit import Limit
 from cmbot.elastic.sag import Sag
 from cmbot.planning.certification.check import Check
 from cmbot.scene import ToolPath
@@ -58,4 +59,5 @@ def spread_check(
         value=expected + sigmas * largest,
         bound=allowed,
         unit="m",
+        limit=Limit.TOOL_DEVIATION,
     )

@@ -17,6 +17,7 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import OptimisationFailed
 from cmbot.common.file_types import Count, NonNegative
+from cmbot.common.limit import Limit
 from cmbot.elastic.sag import Sag
 from cmbot.planning.certification.sag_spread import largest_spread
 from cmbot.planning.context import PlanningContext
@@ -107,12 +108,14 @@ def compensate(
             return optimised, done, problem
         if rounds == MOST_ROUNDS:
             break
-        if context.reporter.expired():
+        if context.deadline.expired():
             tried = f"{rounds} of at most {MOST_ROUNDS} rounds"
             raise OptimisationFailed(
-                f"the time was over after {tried} of the compensation of the sag",
+                f"{context.time_over} after {tried} of the compensation of the sag",
                 constraint="change of the shift",
                 violation=change / settled - 1,
+                limit=Limit.SHIFT,
+                stopped=True,
             )
         shift = wanted
         task = replace(context.task, path=_shifted(context, times, shift))
@@ -124,6 +127,7 @@ def compensate(
         f"the compensation of the sag did not settle in {MOST_ROUNDS} rounds",
         constraint="change of the shift",
         violation=change / settled - 1,
+        limit=Limit.SHIFT,
     )
 
 
@@ -162,6 +166,7 @@ def _uncertain(context: PlanningContext, optimised: Optimised, sag: Sag) -> floa
             f"its path are {1e3 * sigmas * spread:.2f} mm, of {1e3 * allowed:g} mm that are allowed",
             constraint="tool deviation within standard deviations of the stiffness",
             violation=uncertain / allowed - 1,
+            limit=Limit.TOOL_DEVIATION,
         )
     return uncertain
 

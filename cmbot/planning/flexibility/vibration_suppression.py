@@ -131,7 +131,7 @@ def suppress_vibration(
     path = ElasticPath(arm, trajectory)
     ends = [(window, leg) for window, group in zip(windows, groups, strict=True) for leg in group]
     for window, (first, last) in reporter.each("predicting the vibration of every leg", ends):
-        if reporter.expired():
+        if context.deadline.expired():
             return optimised, None
         # What is left of the legs before is still there, but for that of long ago.
         earlier = [time for time in leg_times if window.start <= time + SAME_TIME < t[first]]
@@ -265,7 +265,7 @@ class _Search:
         """Return the changed trajectory, and the share of each window's change that it took."""
         unfit = ~self._skipped
         for _ in range(_ROUNDS):
-            if not unfit.any() or self._problem.context.reporter.expired():
+            if not unfit.any() or self._problem.context.deadline.expired():
                 break
             self._step(unfit)
             unfit = self._unfit()

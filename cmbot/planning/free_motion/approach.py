@@ -11,8 +11,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.planning.budget import MORE_TIME
 from cmbot.planning.context import PlanningContext
-from cmbot.planning.free_motion.free_move import MORE_TIME, FreeMove, free_space, plan_move
+from cmbot.planning.free_motion.free_move import FreeMove, free_space, plan_move
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.graph import graph_of, path_between_ends
 from cmbot.planning.free_motion.rrt_connect import MOST_GROWTHS, rrt_connect
@@ -113,7 +114,7 @@ def joined_starts(context: PlanningContext, chart: FloatArray) -> Iterator[tuple
     largest = np.argsort(-np.bincount(part, minlength=number), kind="stable")[:_MOST_GOALS]
     cost = space.cost(nodes)
     goals = [min(np.flatnonzero(part == k), key=lambda at: float(cost[at])) for k in largest]
-    stop = partial(context.reporter.expired, MORE_TIME)
+    stop = partial(context.deadline.expired, MORE_TIME)
     while goals and not stop():
         path = rrt_connect(space, context.posture, nodes[goals], stop)
         if path is None:

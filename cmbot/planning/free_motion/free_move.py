@@ -12,6 +12,7 @@ from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import LimitViolation, PathNotFound
 from cmbot.optimization import StateSamples
+from cmbot.planning.budget import MORE_TIME
 from cmbot.planning.certification.certificate import Certificate, certify
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.free_motion.free_space import FreeSpace
@@ -24,12 +25,10 @@ from cmbot.robot import Dynamics, Robot
 from cmbot.scene import PlannerOptions, SpeedProfile
 from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
-__all__ = ["MORE_TIME", "FreeMove", "certify_move", "free_space", "largest_objective", "plan_move"]
+__all__ = ["FreeMove", "certify_move", "free_space", "largest_objective", "plan_move"]
 
 # Distance of the spline's knots along the path, rad; halved while the spline's certificate does not hold.
 _KNOT_SPACING, _HALVINGS = 0.4, 4
-# Share of the time limit by which the search for a free move may exceed it: no plan is complete without them.
-MORE_TIME = 0.2
 # Share of the limits that a free move may use.
 _LIMIT_SHARE = 0.95
 # Postures of the straight line that are looked at where nothing leads to the other end.
@@ -101,7 +100,7 @@ def plan_move(
     ends = np.stack([move.start, move.end])
     allowed = (1 + _SAME) * max(move.allowed, *space.cost(ends))
     given = first(space)
-    stop = partial(context.reporter.expired, MORE_TIME)
+    stop = partial(context.deadline.expired, MORE_TIME)
     path = _path(space, ends, given, known, allowed, stop, move.most_growths)
     if path is None:
         raise _unconnected(context, space, move)
@@ -203,9 +202,10 @@ def _unconnected(context: PlanningContext, space: FreeSpace, move: FreeMove) -> 
         way = f" (straight there {context.weakest_joint(heavy)} cannot hold the arm)"
     elif len(blocked) and (pair := context.most_often_near(blocked)):
         way = f" (straight there {pair[0]} and {pair[1]} come too near)"
-    over = ", the time was over" if context.reporter.expired() else ""
+    stopped = context.deadline.expired()
+    over = ", the time was over" if stopped else ""
     reason = f"no collision-free {move.name} to {move.end_name} was found{way}{over}"
-    return context.path_not_found(reason, move.start, pair=pair)
+    return context.path_not_found(reason, move.start, pair=pair, stopped=stopped)
 
 
 def _path(

@@ -263,7 +263,7 @@ def find_path(context: PlanningContext) -> tuple[JointPath, tuple[PathNotFound, 
     step = max(options.path_step_s, _COARSE_STEP)
     coarse = replace(context, options=replace(options, path_step_s=step))
     for start in self_motion_postures(context)[: options.other_starts]:
-        if context.reporter.expired():
+        if context.deadline.expired():
             break
         context.reporter.stage("path", failed_starts=len(failures))
         try:

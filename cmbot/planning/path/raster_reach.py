@@ -9,10 +9,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.planning.budget import Deadline
 from cmbot.planning.context import PlanningContext, build_context, in_cells, robot_of
 from cmbot.planning.path.nearest_miss import nearest_miss
 from cmbot.planning.path.projection import project_onto_task
-from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.task import ToolTask
 from cmbot.scene import PlannerOptions, RowPiece, Scene, StrokeFile, ToolPath, ToolPoses, cells_of, rows_alone
 
@@ -40,7 +40,7 @@ _SHORTEST = 0.5
 _Cell = tuple[RowPiece, ...]
 
 
-def reached_scene(scene: Scene, options: PlannerOptions, reporter: ProgressReporter | None = None) -> Scene:
+def reached_scene(scene: Scene, options: PlannerOptions, deadline: Deadline | None = None) -> Scene:
     """Return the scene whose rasters are in parts that the arm can follow, each a stroke of its own.
 
     Postures that hold the tool are carried along the rows: within the joint ranges, strong enough and clear
@@ -51,8 +51,7 @@ def reached_scene(scene: Scene, options: PlannerOptions, reporter: ProgressRepor
     ----------
     scene : Scene
     options : PlannerOptions
-    reporter : ProgressReporter, optional
-        Knows the time that is left.
+    deadline : Deadline, optional
 
     Raises
     ------
@@ -64,7 +63,7 @@ def reached_scene(scene: Scene, options: PlannerOptions, reporter: ProgressRepor
     if not any(file.raster is not None for file in scene.strokes):
         return scene
     apart = in_cells(scene, robot_of(scene))
-    context = build_context(apart, options, reporter=reporter)
+    context = build_context(apart, options, deadline=deadline)
     numbers = {str(file.name): k for k, file in enumerate(scene.strokes)}
     whole, parts, cut = dict[int, list[RowPiece]](), dict[int, list[_Cell]](), False
     at_first = dict[int, PlanningContext]()
@@ -174,11 +173,12 @@ class _Follower:
     def _require_time(self, done: int, total: int) -> None:
         """Refuse to go on where the time is over."""
         context = self._context
-        if context.reporter.expired():
+        if context.deadline.expired():
             raise context.path_not_found(
                 f"{context.time_in_words}, was over when {done} of {total} places along the rows had been "
                 "tried",
                 context.posture,
+                stopped=True,
             )
 
     def _carried(self, q: FloatArray, goal: ToolPoses, width: int) -> FloatArray:

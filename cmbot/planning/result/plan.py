@@ -70,6 +70,8 @@ class Plan(StrokePlan):
         The sag that was compensated.
     fallbacks : tuple of str
         What failed, and what was done instead, a sentence each.
+    stopped : str or None
+        ``time``: planning was stopped by its time limit. Otherwise the plan is the same on every machine.
     seconds : Seconds
     """
 
@@ -80,6 +82,7 @@ class Plan(StrokePlan):
     several: tuple[StrokePlan, ...] = ()
     sag: Sag | None
     fallbacks: tuple[str, ...]
+    stopped: Literal["time"] | None = None
     seconds: Seconds
 
     @classmethod

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from cmbot.common.errors import InputError
+from cmbot.common.limit import Limit
 from cmbot.common.validation import counted
 from cmbot.elastic.sag import Sag
 from cmbot.planning.certification.sag_spread import spread_times
@@ -328,7 +329,7 @@ def _process_speed(plan: Plan) -> Iterator[str]:
     """How well the tool keeps the process speed, where the scene bounds that."""
     for stroke, segment in zip(plan.strokes, plan.job.strokes, strict=True):
         parts, tolerance = stroke.task.path.process_parts, stroke.task.speed_tolerance
-        kept = [check for check in segment.certificate.checks if "process speed" in check.quantity]
+        kept = [check for check in segment.certificate.checks if check.limit is Limit.PROCESS_SPEED]
         if tolerance is None or not len(parts) or not kept:
             continue
         of = f" of {stroke.name}" if plan.several else ""

@@ -10,7 +10,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
-from cmbot.common.file_types import NonNegative
+from cmbot.common.file_types import Count, NonNegative
 from cmbot.common.representation import short_repr
 from cmbot.optimization import ExchangeReport, StateSamples
 from cmbot.planning.certification.metrics import MotionMetrics, Samples
@@ -131,6 +131,8 @@ class StrokePlan:
         Of the predicted sag.
     suppression : VibrationSuppression or None
         None with fixed knots, where nothing bends, or unasked.
+    runs : int
+        Of optimise-and-certify that it took.
     """
 
     name: str
@@ -146,6 +148,7 @@ class StrokePlan:
     choice: Choice | None
     compensation: Compensation | None
     suppression: VibrationSuppression | None
+    runs: Count
 
     __repr__ = short_repr
 
@@ -166,6 +169,7 @@ def combined(strokes: Sequence[StrokePlan]) -> dict[str, Any]:
         "drift": max(stroke.drift for stroke in strokes),
         "smallest_singular_value": min(stroke.smallest_singular_value for stroke in strokes),
         "passes": tuple(report for stroke in strokes for report in stroke.passes),
+        "runs": sum(stroke.runs for stroke in strokes),
         "objective": _largest_objective([stroke.objective for stroke in strokes]),
         "lower_bound": _largest_bound(bounds) if bounds else None,
         "choice": Choice(

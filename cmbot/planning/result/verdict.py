@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from math import inf
 
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
+from cmbot.common.limit import Limit
 from cmbot.common.validation import counted
 from cmbot.planning.certification.check import Check
 from cmbot.planning.certification.metrics import MotionMetrics
@@ -42,8 +42,6 @@ _SMALL, _FURTHER = 5e-2, 3.0
 _NO_TRAVEL = 1e-6
 # Times the tool deviation of a plan: a baseline that strays further follows another path.
 _STRAYS = 10.0
-# What the certificate calls how far a joint is from an end of its range: a share of that says nothing.
-_RANGE = re.compile("distance of (.*) from the middle of its range")
 
 
 def verdict(plan: Plan, *, area: bool = True) -> str:
@@ -104,8 +102,9 @@ def accuracy_in_words(plan: Plan) -> str:
 
 def promised(check: Check, when: str) -> str:
     """Return what a check promises, and how near it is to its bound, in words; `when` as `during` says it."""
-    if (joint := _RANGE.fullmatch(check.quantity)) and check.holds:
-        return f"{joint[1]} stays within its range {when}"
+    if check.limit is Limit.POSITION and check.holds:
+        # A share of how far a joint is from an end of its range says nothing.
+        return f"{check.joint} stays within its range {when}"
     return f"{check.quantity} {when}, {100 * bound_use(check):.0f} % of its bound"
 
 

@@ -230,7 +230,7 @@ def refine(
     """
     rng = np.random.default_rng(0)
     for done in range(_ROUNDS):
-        if context.reporter.expired():
+        if context.deadline.expired():
             break
         context.reporter.part("refining the choice", done, _ROUNDS)
         each = _candidates(context, q, reach, rng)

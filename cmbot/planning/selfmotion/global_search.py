@@ -159,7 +159,7 @@ class GlobalSearch:
                 known = None
                 self._bound, self._lowest = find_lower_bound(context, self._layers, sampler.spacing)
                 at = self._bound.via_point
-                if context.reporter.expired():
+                if context.deadline.expired():
                     break
             else:
                 at = empty
@@ -203,7 +203,7 @@ class GlobalSearch:
         """Make charts, (M, d) each, denser about a via-point; return whether they became so."""
         rounds = int(self._rounds[via_point]) + 1
         many = max((len(e.before) for e in self._edges[max(via_point - 1, 0) : via_point + 1]), default=0)
-        if rounds > _REFINEMENTS or many > _MANY_EDGES or self._context.reporter.expired():
+        if rounds > _REFINEMENTS or many > _MANY_EDGES or self._context.deadline.expired():
             return False
         beside = np.arange(max(via_point - _ABOUT, 0), min(via_point + _ABOUT + 1, len(each)))
         beside = beside[self._rounds[beside] < rounds]
@@ -284,7 +284,7 @@ class GlobalSearch:
         nearest = others[np.argsort(away[others], kind="stable")]
         failures = [failed]
         for k in nearest[: self._context.options.other_starts]:
-            if self._context.reporter.expired():
+            if self._context.deadline.expired():
                 break
             try:
                 return self._solve(posture + moves[k]), tuple(failures)
@@ -387,7 +387,7 @@ class GlobalSearch:
         context, more = self._context, list[list[FloatArray]]()
         if self._bound is not None:
             more.append(sequences_beside(context, self._lowest, self._bound.via_point, self._spacing))
-        if context.robot.dof > _POSE and not context.reporter.expired():
+        if context.robot.dof > _POSE and not context.deadline.expired():
             pose = replace(context, task=replace(context.task, keep="pose"))
             more.append(sampled_charts(pose)[1])
         if self._leaning is not context:

@@ -134,7 +134,7 @@ def _searched_together(
     for first in range(0, len(order), _TOGETHER):
         some = order[first : first + _TOGETHER]
         # The bound at each via-point is one of the whole path, so the search may end early.
-        if each[some[0]] <= incumbent or (first > 0 and context.reporter.expired()):
+        if each[some[0]] <= incumbent or (first > 0 and context.deadline.expired()):
             break
         # The search of these may close some of the others.
         open_ = int((each[order[first:]] > incumbent).sum())
@@ -157,7 +157,7 @@ def _searched_one_by_one(
     while True:
         k = int(each.argmax())
         searched = np.isfinite(bound)
-        late = searched.any() and context.reporter.expired()
+        late = searched.any() and context.deadline.expired()
         if searched[k] or late or each[k] <= least:
             return bound
         context.reporter.part(_STEP, int(descended.sum()), len(each))
@@ -256,7 +256,7 @@ class _BranchAndBound:
                 break
             value, fall, possible = self._bounded(cells)
             lowest = value - fall.sum(axis=1)
-            if self._context.reporter.expired():
+            if self._context.deadline.expired():
                 np.minimum.at(left_out, cells.of, lowest)
                 break
             worth = possible & (lowest < best[cells.of] * (1 - _ACCURACY))
@@ -297,7 +297,7 @@ class _BranchAndBound:
         for k in which:
             reach = self._spacing
             for _ in range(_STEPS):
-                if self._context.reporter.expired() or best[k] <= enough:
+                if self._context.deadline.expired() or best[k] <= enough:
                     break
                 q = postures[self._some[k]]
                 null = self._null_space(q[None])[0]

@@ -150,7 +150,7 @@ class TorqueFloorProof:
                 keep = lowest < value * (1 - _ACCURACY)
                 boxes, lowest = boxes[keep], lowest[keep]
             examined += 2 * len(boxes)
-            if examined > _MOST_WORK or len(boxes) > _MOST_BOXES or self._context.reporter.expired():
+            if examined > _MOST_WORK or len(boxes) > _MOST_BOXES or self._context.deadline.expired():
                 left_out = float(lowest.min(initial=np.inf))
                 break
             boxes = self._halved(boxes)

@@ -399,8 +399,8 @@ def _charted(sampler: SelfMotionSampler, context: PlanningContext, goals: ToolPo
 
     def report(done: int, total: int) -> None:
         context.reporter.part(step, done, total)
-        if context.reporter.expired():
+        if context.deadline.expired():
             reason = f"{context.time_in_words}, was over when {done} of {total} via-points had been charted"
-            raise context.path_not_found(reason, context.first)
+            raise context.path_not_found(reason, context.first, stopped=True)
 
     return sampler.along(goals, context.first[None], report)

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.interpolate import BSpline, CubicSpline, make_lsq_spline
 
 from cmbot.common.errors import LimitViolation
+from cmbot.common.limit import Limit
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.timing.law_search import Bounded, shortest_law
@@ -152,7 +153,14 @@ def _too_heavy(context: PlanningContext, path: LegPath) -> LimitViolation:
     most = context.task.max_base_torque
     asked = float(np.linalg.norm(efforts.guardrail_torque, axis=1).max())
     if most is not None and asked >= _BASE_TORQUE * most:
-        return LimitViolation("torque on the base at rest", time=time, value=asked, bound=most, unit="Nm")
+        return LimitViolation(
+            "torque on the base at rest",
+            time=time,
+            value=asked,
+            bound=most,
+            unit="Nm",
+            limit=Limit.BASE_TORQUE,
+        )
     use = np.abs(efforts.joint_torque) / context.robot.limits.torque
     joint = int(use.max(axis=0).argmax())
     bound = float(context.robot.limits.torque[joint])
@@ -162,4 +170,5 @@ def _too_heavy(context: PlanningContext, path: LegPath) -> LimitViolation:
         value=float(use.max()) * bound,
         bound=bound,
         unit=context.robot.limits.units(joint).torque,
+        limit=Limit.JOINT_TORQUE,
     )

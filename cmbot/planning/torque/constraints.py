@@ -8,6 +8,7 @@ import numpy as np
 
 from cmbot.collision import Clearances, raise_bounds, travel
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray, cross
+from cmbot.common.limit import Limit
 from cmbot.hold import Holding
 from cmbot.optimization import Linearization, StateSamples
 from cmbot.planning.objectives import efforts_of
@@ -44,6 +45,7 @@ class JointTorque:
     dynamics: Dynamics
     bound: FloatArray
     name: str = "joint torque"
+    limit: Limit = Limit.JOINT_TORQUE
 
     @property
     def components(self) -> int:
@@ -74,6 +76,7 @@ class FootHold:
     holding: Holding
     inside: float
     name: str = "hold of the feet"
+    limit: Limit = Limit.HOLD
     components: int = 1
 
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
@@ -101,6 +104,7 @@ class ToolDeviation:
     task: ToolTask
     bound: float
     name: str = "tool deviation"
+    limit: Limit = Limit.TOOL_DEVIATION
     components: int = 1
 
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
@@ -137,6 +141,7 @@ class ToolLag:
     task: ToolTask
     bound: float
     name: str = "tool lag"
+    limit: Limit = Limit.TOOL_LAG
     components: int = 2
 
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
@@ -165,6 +170,7 @@ class ToolRotation:
     task: ToolTask
     bound: float
     name: str = "tool rotation"
+    limit: Limit = Limit.TOOL_ROTATION
     components: int = 1
 
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
@@ -202,6 +208,7 @@ class ToolTilt:
     task: ToolTask
     bound: float  # rad
     name: str = "tool tilt"
+    limit: Limit = Limit.TOOL_TILT
     components: int = 1
 
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
@@ -246,6 +253,7 @@ class ToolSpeed:
     postures: Postures
     bound: float
     name: str = "tool speed"
+    limit: Limit = Limit.TOOL_SPEED
     components: int = 1
 
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
@@ -275,6 +283,7 @@ class ProcessSpeed:
     task: ToolTask
     bound: float
     name: str = "process speed"
+    limit: Limit = Limit.PROCESS_SPEED
     components: int = 2
 
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
@@ -353,6 +362,7 @@ class ClearanceMargin:
     margin: float
     scale: float = 0.1
     name: str = "clearance"
+    limit: Limit = Limit.CLEARANCE
     components: None = None
     _memory: list[_Memory] = field(default_factory=list, compare=False, repr=False)
 

@@ -141,7 +141,8 @@ def exchange_options(problem: TorqueProblem) -> ExchangeOptions:
             feasibility_tolerance=_CLOSER * o.constraint_tolerance,
             max_iterations=min(SqpOptions.max_iterations, o.max_iterations),
         ),
-        stop=problem.context.reporter.expired,
+        stop=problem.context.deadline.expired,
+        stop_reason=lambda: problem.context.time_over,
     )
 
 

@@ -9,6 +9,7 @@ from scipy import sparse
 
 from cmbot.common.arrays import BoolArray
 from cmbot.common.errors import OptimisationFailed
+from cmbot.common.limit import Limit
 from cmbot.optimization import KinematicBound, StateSamples
 from cmbot.planning.torque.constraints import ClearanceMargin
 from cmbot.planning.torque.problem import TorqueProblem
@@ -47,6 +48,7 @@ def check_feasible(problem: TorqueProblem) -> None:
                     "the via-points are too far apart for the time between them",
                     constraint=f"velocity, acceleration or jerk of {problem.joints[joint]}",
                     violation=share - 1.0,
+                    limit=Limit.RATES,
                     trajectory=least_jerk,
                 )
 
@@ -114,5 +116,6 @@ def _check_via_points(problem: TorqueProblem) -> None:
                 "a via-point of the path breaks a bound, so every trajectory through it does",
                 constraint=function.name,
                 violation=float(fixed.max()),
+                limit=function.limit,
                 trajectory=problem.parametrization.trajectory,
             )

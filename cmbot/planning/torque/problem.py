@@ -17,6 +17,7 @@ import numpy as np
 
 from cmbot.collision import RESOLUTION
 from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.common.limit import Limit
 from cmbot.optimization import KinematicBound, Linearization, StateFunction, StateSamples
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.objectives import Objective
@@ -162,6 +163,7 @@ class ScaledObjective:
     objective: Objective
     scale: float
     components: int = 1
+    limit: Limit = Limit.PEAK
 
     @property
     def name(self) -> str:

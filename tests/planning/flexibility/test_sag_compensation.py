@@ -19,18 +19,17 @@ from cmbot.planning import (
     Plan,
     bending_arm,
     plan,
-    planner,
     remarks,
     robot_of,
     sag_of,
     strokes_of,
     task_of,
 )
+from cmbot.planning.attempts import motion
+from cmbot.planning.budget import Deadline
 from cmbot.planning.context import PlanningContext
-from cmbot.planning.failures import constraints_named
 from cmbot.planning.flexibility.sag_compensation import compensate
 from cmbot.planning.initial_guess import InitialGuess
-from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.torque import Optimised
 from cmbot.scene import Scene, ShiftedToolPath, load_scene
 
@@ -184,17 +183,17 @@ def test_a_shifted_path_is_the_path_and_the_shift(rng: np.random.Generator) -> N
 
 def test_where_the_time_is_over_the_compensation_says_how_far_it_came() -> None:
     context = context_of(short_scene(), compensate=True)
-    over = ProgressReporter(clock=lambda: 2.0, limit=-1.0)
+    over = Deadline(-1.0, lambda: 2.0)
     problem = problem_of(short_scene())
     optimised = Optimised(
         trajectory=problem.parametrization.trajectory,
         via_points=problem.parametrization.via_points,
         passes=(),
     )
-    late = replace(context, reporter=over)
+    late = replace(context, deadline=over)
     guess = InitialGuess(problem=problem, pinned=True, lower_bound=None)  # type: ignore[arg-type]
     words = r"time_limit_s\), .*was over after .* after 0 of at most 8 rounds of the compensation"
-    with pytest.raises(OptimisationFailed, match=words), constraints_named(late):
+    with pytest.raises(OptimisationFailed, match=words):
         compensate(late, guess, optimised, context.sag)
 
 
@@ -204,7 +203,7 @@ def test_a_better_start_that_no_approach_leads_to_is_given_up(monkeypatch: pytes
     def fails(context: PlanningContext, *_: object, **__: object) -> None:
         raise context.path_not_found("no collision-free approach was found", context.posture)
 
-    monkeypatch.setattr(planner, "plan_approach", fails)
+    monkeypatch.setattr(motion, "plan_approach", fails)
     planned = plan(least_sag())
     assert planned.choice.free < 0.9 * planned.choice.pinned
     assert planned.start.moved == 0

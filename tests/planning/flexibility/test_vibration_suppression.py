@@ -16,10 +16,11 @@ from small_scenes import short_scene
 
 from cmbot.archive import load_plan, save
 from cmbot.common.arrays import FloatArray
-from cmbot.planning import Plan, plan, planner, remarks
+from cmbot.planning import Plan, plan, remarks
+from cmbot.planning.attempts import motion
+from cmbot.planning.budget import Deadline
 from cmbot.planning.flexibility.leg_vibration import LegVibration
 from cmbot.planning.flexibility.leg_window import Change, Window, legs_by_window
-from cmbot.planning.progress import ProgressReporter
 from cmbot.scene import load_scene
 from cmbot.simulation import PrescribedMotion, SimulationOptions, track
 from cmbot.simulation.tracking import elastic_arm_of
@@ -144,14 +145,14 @@ def test_steps_that_bounds_bend_do_not_go_to_and_fro() -> None:
 
 
 def test_where_the_time_is_over_the_plan_is_left_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = planner.optimise
+    real = motion.optimise
 
     def takes_long(problem: Any, *rest: Any) -> Any:
         done = real(problem, *rest)
-        monkeypatch.setattr(ProgressReporter, "expired", lambda *_: True)
+        monkeypatch.setattr(Deadline, "expired", lambda *_: True)
         return done
 
-    monkeypatch.setattr(planner, "optimise", takes_long)
+    monkeypatch.setattr(motion, "optimise", takes_long)
     late = planned(2, 10)
     assert late.certificate.holds
     assert late.suppression is None

@@ -10,12 +10,12 @@ from small_scenes import context_of, parts, short_scene
 from cmbot.collision import Clearances
 from cmbot.common.errors import PathNotFound
 from cmbot.planning import Plan, Segment, certify_move, plan
+from cmbot.planning.budget import Deadline
 from cmbot.planning.free_motion import free_move
 from cmbot.planning.free_motion.approach import joined_starts, plan_approach
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.rrt_connect import MOST_GROWTHS, rrt_connect
 from cmbot.planning.path.gradient_projection import self_motion_postures
-from cmbot.planning.progress import ProgressReporter
 from cmbot.robot import Dynamics, Kinematics
 
 
@@ -125,8 +125,8 @@ def test_the_way_to_a_start_that_is_only_better_is_not_sought_for_long(
 
 def test_what_is_in_the_way_of_an_approach_is_named(triangle_plan: Plan) -> None:
     """The time is over, and so is the share that an approach may take beyond it."""
-    over = ProgressReporter(clock=iter([0.0, *999 * [2.0]]).__next__, limit=1.0)
-    context = replace(context_of(triangle_plan.scene), reporter=over)
+    over = Deadline(1.0, iter([0.0, *999 * [2.0]]).__next__)
+    context = replace(context_of(triangle_plan.scene), deadline=over)
     assert over.expired(0.9)
     assert not over.expired(1.5)
     expected = r"was found \(straight there \S+ and \S+ come too near\), the time was over$"
@@ -139,9 +139,9 @@ def test_before_the_limit_the_time_does_not_matter(triangle_plan: Plan) -> None:
     """Trees have to seek the way."""
     found = list[Segment]()
     for later in (0.0, 59.0):
-        # Nothing is over when the reporter is made and the search begins.
-        clock = chain([0.0] * 6, repeat(later)).__next__
-        context = replace(context_of(triangle_plan.scene), reporter=ProgressReporter(clock=clock, limit=60.0))
+        # Nothing is over when the deadline is set and the search begins.
+        clock = chain([0.0] * 2, repeat(later)).__next__
+        context = replace(context_of(triangle_plan.scene), deadline=Deadline(60.0, clock))
         found.append(plan_approach(context, triangle_plan.start.posture, context.posture[None]))
     one, other = (each.trajectory for each in found)
     np.testing.assert_array_equal(one.q, other.q)

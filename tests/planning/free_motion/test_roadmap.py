@@ -10,12 +10,12 @@ from small_scenes import short_scene
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
+from cmbot.planning.budget import Deadline
 from cmbot.planning.context import robot_of
 from cmbot.planning.free_motion import roadmap
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.roadmap import lower_peak
 from cmbot.planning.free_motion.rrt_connect import MOST_GROWTHS, _Tree, rrt_connect
-from cmbot.planning.progress import ProgressReporter
 
 START, END = np.radians([[-10, -90, 90, -60, 10, 50, 0], [-10, -90, 90, 60, 10, 50, 40]])
 
@@ -84,8 +84,8 @@ def test_the_time_limit_holds_where_costs_take_long(space: FreeSpace) -> None:
         spent[0] += len(q)
         return hill(q)
 
-    reporter = ProgressReporter(clock=lambda: spent[0], limit=30_000.0)
-    lowered = lower_peak(replace(space, cost=slow_hill), np.stack([START, END]), 0.0, reporter.expired)
+    deadline = Deadline(30_000.0, lambda: spent[0])
+    lowered = lower_peak(replace(space, cost=slow_hill), np.stack([START, END]), 0.0, deadline.expired)
     assert space.peak(lowered) < 0.2
     assert 30_000.0 < spent[0] < 40_000.0
 

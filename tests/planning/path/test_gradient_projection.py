@@ -15,6 +15,7 @@ from small_scenes import context_of, parts, short_scene
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning import Plan, Progress, plan
+from cmbot.planning.budget import Deadline
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.gradient_projection import (
     JointPath,
@@ -318,8 +319,8 @@ def test_the_scenes_posture_is_kept_where_it_works() -> None:
 
 def test_no_other_start_is_tried_when_the_time_is_over() -> None:
     ball = {"name": "ball", "sphere": 0.0666, "xyz": [0.95, 0.52, -1.0]}
-    over = ProgressReporter(clock=lambda: 2.0, limit=-1.0)
-    context = replace(context_of(short_scene(obstacles=[ball])), reporter=over)
+    over = Deadline(-1.0, lambda: 2.0)
+    context = replace(context_of(short_scene(obstacles=[ball])), deadline=over)
     with pytest.raises(PathNotFound, match=r"link_3 comes within .* of ball") as caught:
         find_path(context)
     assert "other starting" not in str(caught.value)

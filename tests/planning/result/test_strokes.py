@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise, permutations, product
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ from small_scenes import SHORT, strokes_scene
 from cmbot import load_plan, load_scene, plan, save
 from cmbot.common.errors import ArchiveError, PathNotFound, PlanningError, SceneError
 from cmbot.planning import Plan, planner, remarks
+from cmbot.planning.attempts.agenda import Solved, Trial
+from cmbot.planning.attempts.stroke import PlannedStroke
 from cmbot.planning.stroke_order import in_least_travel, least_travel
 from cmbot.robot import Kinematics
 from cmbot.scene import Scene
@@ -280,26 +283,27 @@ def test_the_order_with_the_lower_peak_is_taken(strokes_plan: Plan, monkeypatch:
     there, back = scene.strokes
     there = there.changed(start_pose=replace(back.start_pose, xyz=(1.8154, 0.7796, -2.0628)))
     scene = scene.with_strokes((back, there), order="best")
-    own_plan, figures = planner.plan, strokes_plan.job.figures
+    figures, motion = strokes_plan.job.figures, SimpleNamespace(job=strokes_plan.job, peak=1.0)
+    stroke = PlannedStroke(trial=Trial(attempt=None, outcome=Solved(result=motion)), runs=1)
     peaks = {True: 1.0, False: 0.9}
     planned = []
 
-    def fake(of: Scene, **_: Any) -> Plan:
+    def fake(of: Scene, made: list[PlannedStroke], **_: Any) -> Plan:
+        assert made == 2 * [stroke]
         given = (
             tuple(stroke.name for stroke in of.strokes) == ("back", "there") and not of.strokes[0].backwards
         )
         planned.append(given)
         scaled = replace(figures, peak_guardrail_torque=peaks[given] * figures.peak_guardrail_torque)
-        made = replace(strokes_plan, scene=of)
-        made.job.__dict__["figures"] = figures
-        object.__setattr__(made, "job", replace(made.job))
-        made.job.__dict__["figures"] = scaled
-        return made
+        job = replace(strokes_plan.job)
+        job.__dict__["figures"] = scaled
+        return replace(strokes_plan, scene=of, job=job)
 
-    monkeypatch.setattr(planner, "plan", fake)
-    chosen = own_plan(scene)
+    monkeypatch.setattr(planner, "plan_stroke", lambda *_, **__: stroke)
+    monkeypatch.setattr(planner, "composed", fake)
+    chosen = plan(scene)
     assert sorted(planned) == [False, True]
     assert chosen.fallbacks[0].startswith("Order of the strokes: ")
     assert chosen.job.figures.peak_guardrail_torque == pytest.approx(0.9 * figures.peak_guardrail_torque)
     peaks[False] = 1.1
-    assert [stroke.name for stroke in own_plan(scene).scene.strokes] == ["back", "there"]
+    assert [stroke.name for stroke in plan(scene).scene.strokes] == ["back", "there"]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from plan_folders import changed, without_approach
 
+from cmbot.common.limit import Limit
 from cmbot.planning import Check, Plan, baseline_faults, bound_use, remarks, tightest_check, verdict
 from cmbot.planning.result.verdict import accuracy_in_words, further, travels
 
@@ -37,6 +38,8 @@ def test_a_joint_at_the_end_of_its_range_is_said_to_be_there(triangle_plan: Plan
         value=np.deg2rad(169.7),
         bound=np.deg2rad(170.0),
         unit="rad",
+        limit=Limit.POSITION,
+        joint="joint_1",
     )
     work = triangle_plan.job.segments[-1]
     certificate = replace(work.certificate, checks=(check,))

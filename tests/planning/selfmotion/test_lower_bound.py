@@ -13,6 +13,7 @@ from urdf_arms import endless_scene, panda_scene
 
 from cmbot.common.arrays import FloatArray
 from cmbot.planning import GlobalSearch, Plan, plan
+from cmbot.planning.budget import Deadline
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.progress import Progress, ProgressReporter
@@ -101,9 +102,10 @@ def test_a_search_that_ends_early_bounds_from_below(context: PlanningContext, bo
     def pass_time(progress: Progress) -> None:
         now[0] = max(now[0], float(progress.step.startswith("finding")))
 
-    reporter = ProgressReporter(pass_time, lambda: now[0], limit=0.5)
-    early = GlobalSearch(replace(context, reporter=reporter)).lower_bound
-    assert reporter.expired()
+    deadline = Deadline(0.5, lambda: now[0])
+    timed = replace(context, reporter=ProgressReporter(pass_time), deadline=deadline)
+    early = GlobalSearch(timed).lower_bound
+    assert deadline.expired()
     assert early.value - early.error <= bound.value
     assert early.value >= bound.each[early.via_point] - bound.error
 

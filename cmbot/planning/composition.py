@@ -3,67 +3,47 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
+from cmbot.planning.attempts.motion import suppresses_vibration
+from cmbot.planning.attempts.stroke import PlannedStroke
 from cmbot.planning.certification.metrics import figures, measure
 from cmbot.planning.context import PlanningContext
-from cmbot.planning.flexibility.sag_compensation import Compensation
-from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
-from cmbot.planning.job import Job, Segment
+from cmbot.planning.job import Job
 from cmbot.planning.path.first_posture import starting_at_path
 from cmbot.planning.path.gradient_projection import follow_path
 from cmbot.planning.result.plan import Plan, Seconds
-from cmbot.planning.result.stroke_plan import Start, StrokePlan, objective_metrics
-from cmbot.planning.retries import Attempt
-from cmbot.planning.torque import Optimised
-from cmbot.scene import SAME_PLACE, PlannerOptions, Scene
+from cmbot.planning.result.stroke_plan import StrokePlan, objective_metrics
+from cmbot.scene import SAME_PLACE, Scene
 
-__all__ = ["StrokeMotion", "composed", "suppresses_vibration"]
+__all__ = ["composed"]
 
 
-@dataclass(frozen=True, kw_only=True)
-class StrokeMotion:
-    """The optimised and certified motion of a stroke, with the free moves that go with it."""
-
-    optimised: Optimised
-    compensation: Compensation | None
-    suppression: VibrationSuppression | None
-    start: Start
-    job: Job
-
-    @property
-    def work(self) -> Segment:
-        """The stroke itself."""
-        return self.job.strokes[0]
-
-    @property
-    def approach(self) -> Segment | None:
-        """The free move to its start, if there is one."""
-        first = self.job.segments[0]
-        return first if first.kind == "free" else None
-
-
-def composed(scene: Scene, made: Sequence[tuple[Attempt, StrokeMotion]], *, custom: bool) -> Plan:
+def composed(scene: Scene, made: Sequence[PlannedStroke], *, custom: bool) -> Plan:
     """Return the plan of a job's motions, beside the baseline."""
-    context = made[0][0].context
+    motions = [stroke.trial.result for stroke in made]
+    context = motions[0].context
+    # What follows stops nothing: it only says what was planned.
+    stopped = next((mark for motion in motions if (mark := motion.context.deadline.mark)), None)
     strokes, at = list[StrokePlan](), None
-    for attempt, motion in made:
-        strokes.append(_stroke_plan(attempt, motion, at, custom=custom))
+    for stroke in made:
+        strokes.append(_stroke_plan(stroke, at, custom=custom))
         at = strokes[-1].baseline.q[-1]
-    shares = [attempt.guess.search.step_share for attempt, _ in made if attempt.guess.search is not None]
+    shares = [motion.guess.search.step_share for motion in motions if motion.guess.search is not None]
     return Plan.of(
         strokes,
         context.clearances,
-        scene=_as_planned(scene, [attempt.context for attempt, _ in made]),
+        scene=_as_planned(scene, [motion.context for motion in motions]),
         options=replace(context.options, step_share=min(shares)) if shares else context.options,
         robot=context.robot,
-        job=Job(segments=tuple(segment for _, motion in made for segment in motion.job.segments)),
+        job=Job(segments=tuple(segment for motion in motions for segment in motion.job.segments)),
         sag=context.sag,
-        fallbacks=tuple(_all_fallbacks(made)),
+        fallbacks=tuple(_all_fallbacks(made, stopped=stopped is not None)),
+        stopped=stopped,
         seconds=Seconds(**context.reporter.seconds()),
     )
 
@@ -82,11 +62,10 @@ def _as_planned(scene: Scene, contexts: Sequence[PlanningContext]) -> Scene:
     return scene.with_strokes([stroke.changed(**new) for stroke, new in pairs], scene.order)
 
 
-def _stroke_plan(
-    attempt: Attempt, motion: StrokeMotion, at: FloatArray | None, *, custom: bool
-) -> StrokePlan:
+def _stroke_plan(stroke: PlannedStroke, at: FloatArray | None, *, custom: bool) -> StrokePlan:
     """What is planned of a stroke, beside the baseline from the posture `at` (n,), by default the scene's."""
-    context, guess, options = attempt.context, attempt.guess, attempt.context.options
+    motion = stroke.trial.result
+    context, guess, options = motion.context, motion.guess, motion.context.options
     # The comparison is with the paper's motion from the scene's own posture, obstacles or not.
     path = follow_path(
         context if at is None else _starting_near(context, at),
@@ -123,6 +102,7 @@ def _stroke_plan(
         choice=guess.choice,
         compensation=motion.compensation,
         suppression=motion.suppression,
+        runs=stroke.runs,
     )
 
 
@@ -135,29 +115,24 @@ def _starting_near(context: PlanningContext, q: FloatArray) -> PlanningContext:
         return context
 
 
-def suppresses_vibration(options: PlannerOptions) -> bool:
-    """Say whether options ask for motions that leave little vibration."""
-    return options.knots == "sliding" and options.quiet_modes > 0
-
-
-def _all_fallbacks(made: Sequence[tuple[Attempt, StrokeMotion]]) -> Iterator[str]:
-    for attempt, motion in made:
-        of = f"Stroke {attempt.context.stroke.name}: " if len(made) > 1 else ""
-        for fallback in _fallbacks(attempt, motion):
+def _all_fallbacks(made: Sequence[PlannedStroke], *, stopped: bool) -> Iterator[str]:
+    for stroke in made:
+        of = f"Stroke {stroke.trial.result.context.stroke.name}: " if len(made) > 1 else ""
+        for fallback in _fallbacks(stroke, stopped=stopped):
             yield of + fallback
 
 
-def _fallbacks(attempt: Attempt, motion: StrokeMotion) -> Iterator[str]:
+def _fallbacks(stroke: PlannedStroke, *, stopped: bool) -> Iterator[str]:
     """What failed, or was left out, on the way to a motion."""
-    yield from attempt.fallbacks
-    context, optimised = attempt.context, motion.optimised
+    yield from stroke.trial.told
+    motion = stroke.trial.result
+    context, optimised = motion.context, motion.optimised
     if merged := context.stroke.file.merged:
         is_ = "waypoint is" if merged == 1 else "waypoints are"
         yield f"{merged} {is_} merged with the one before, less than {1e3 * SAME_PLACE:g} mm away."
     limit = f"{context.options.time_limit_s:g} s (planner.time_limit_s)"
     if not optimised.complete:
-        expired = context.reporter.expired()
-        why = f"Stopped after {limit}" if expired else "The last stage of the optimisation failed"
+        why = f"Stopped after {limit}" if stopped else "The last stage of the optimisation failed"
         yield f"{why}: the best motion so far."
     if context.arm is not None and suppresses_vibration(context.options) and motion.suppression is None:
         yield f"The vibration at the ends of the legs is not suppressed: the time, {limit}, was over."

@@ -1,34 +1,35 @@
-"""Failures: what is in the way by its name, and what is to be tried: slower legs, a bound that is eased."""
+"""Advice: slower legs, or a bound that is eased, tried where a stroke is refused; what would do is told."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, assert_never
 
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import (
-    FAR_BEYOND,
-    LimitViolation,
-    OptimisationFailed,
-    PathNotFound,
-    PlanningError,
+from cmbot.common.errors import FAR_BEYOND
+from cmbot.common.limit import Limit
+from cmbot.planning.attempts.agenda import Remedy, Solved, Trial
+from cmbot.planning.attempts.attempt import Attempt
+from cmbot.planning.attempts.failure import (
+    Failure,
+    JointRate,
+    JointTorque,
+    NearObstacle,
+    NoTrajectory,
+    NoWay,
+    OtherLimit,
+    OutOfTime,
+    ToolOff,
+    Uncertified,
 )
 from cmbot.planning.context import PlanningContext
-from cmbot.robot import Dynamics
 from cmbot.scene import Stroke
 from cmbot.trajectory import QuinticTrajectory
 
-__all__ = ["constraints_named", "eased", "in_keys", "slower", "slower_legs"]
-
-# Samples per segment at which the nearest pair and the weakest joint are sought.
-_SAMPLES = 10
-# Slowing a leg down by r divides the derivative of this order by r^order.
-_ORDERS = {"velocity": 1, "acceleration": 2, "jerk": 3}
 # A little more than the ratio, for what the optimiser needs beside.
 _ROOM = 1.05
 # Where legs would have to take longer by a larger factor, something else is the matter.
@@ -37,106 +38,118 @@ _SLOWEST = 30.0
 _AT_LIMIT, _DOUBLE = 0.99, 2.0
 # More legs than these are not listed one by one.
 _MOST_LISTED, _MOST_DIGITS = 3, 9
-# Options that have the bounds of constraints, by how their names begin; eased by a larger factor than this,
-# a bound is another one.
+# Options that have the bounds of what keeps the tool on its path; eased by a larger factor than this, a bound
+# is another one.
 _EASED = {
-    "tool deviation": "max_tool_deviation_m",
-    "change of the shift": "max_tool_deviation_m",
-    "tool rotation": "max_tool_rotation_deg",
-    "tool lag": "max_tool_lag_m",
+    Limit.TOOL_DEVIATION: "max_tool_deviation_m",
+    Limit.SHIFT: "max_tool_deviation_m",
+    Limit.TOOL_ROTATION: "max_tool_rotation_deg",
+    Limit.TOOL_LAG: "max_tool_lag_m",
 }
-_MOST_EASED, _NOTHING = 3.0, 1e-9
-# How the optimiser, which knows no limit, says that it had to stop.
-_LATE = "the time was over"
+_MARGIN, _MOST_EASED = "safety_margin_m", 3.0
 
 
-@contextmanager
-def constraints_named(context: PlanningContext) -> Iterator[None]:
-    """Name in an `OptimisationFailed` the link and obstacle, or the joint, of its worst constraint."""
-    try:
-        yield
-    except OptimisationFailed as failure:
-        raise OptimisationFailed(
-            failure.reason.replace(_LATE, _time_over(context)),
-            constraint=_named(context, failure),
-            violation=failure.violation,
-            undecided=failure.undecided,
-            trajectory=failure.trajectory,
-        ) from failure
-
-
-def _time_over(context: PlanningContext) -> str:
-    """Say that the time was over: what it was, and what was used of it."""
-    return f"{context.time_in_words}, was over after {context.reporter.used:.3g} s,"
-
-
-def _named(context: PlanningContext, failure: OptimisationFailed) -> str:
-    trajectory, name = failure.trajectory, failure.constraint
-    if not isinstance(trajectory, QuinticTrajectory):
-        return name
-    q, v, a = trajectory.sampled(_SAMPLES)
-    if name == "clearance":
-        smallest = context.clearances.smallest(q)
-        pair = context.clearances.pairs[int(smallest.pair[smallest.distance.argmin()])]
-        return f"clearance of {pair.link} from {pair.other}"
-    if name == "joint torque":
-        use = np.abs(Dynamics(context.robot).efforts(q, v, a).joint_torque) / context.robot.limits.torque
-        return f"torque of {context.robot.joints[int(use.max(axis=0).argmax())]}"
-    return name
-
-
-def slower_legs(context: PlanningContext, failure: PlanningError) -> FloatArray | None:
+def slower_legs(context: PlanningContext, failure: Failure) -> FloatArray | None:
     """Return by which factors (L,) the legs would have to take longer; None where time is not the matter.
 
     A velocity of r times its bound asks for r times the seconds, an acceleration for r^(1/2), a jerk for
     r^(1/3).
     """
     factors = np.ones(len(context.task.path.seconds))
-    if isinstance(failure, PathNotFound):
-        factors[_leg(context, failure.time)] = failure.pace
-    elif isinstance(failure, LimitViolation):
-        if order := _order(failure.quantity):
-            factors[_leg(context, failure.time)] = (failure.value / failure.bound) ** (1 / order)
-    elif isinstance(failure, OptimisationFailed):
-        factors = _factors(context, failure.trajectory)
-        if not _order(failure.constraint):
-            # Joints at their limits leave the tool behind.
-            hasty = (factors >= _AT_LIMIT) & (failure.violation > FAR_BEYOND)
-            factors = np.where(hasty, _DOUBLE, 1.0)
+    match failure:
+        case NoWay():
+            factors[_leg(context, failure.time)] = failure.pace
+        case Uncertified(broken=JointRate(order=order, ratio=ratio)) if order:
+            factors[_leg(context, failure.time)] = ratio ** (1 / order)
+        case NoTrajectory():
+            factors = _factors(context, failure.trajectory)
+            if not isinstance(failure.broken, JointRate):
+                # Joints at their limits leave the tool behind.
+                hasty = (factors >= _AT_LIMIT) & (failure.violation > FAR_BEYOND)
+                factors = np.where(hasty, _DOUBLE, 1.0)
+        case Uncertified() | OutOfTime():
+            return None
+        case _:
+            assert_never(failure)
     factors = np.where(factors > 1.0, _ROOM * factors, 1.0)
     return factors if 1.0 < factors.max() <= _SLOWEST else None
 
 
-def eased(context: PlanningContext, failure: PlanningError) -> tuple[str, PlanningContext] | None:
-    """Return the context with an option eased that has the bound which could not be kept, and that in words.
+def eased(context: PlanningContext, failure: Failure) -> PlanningContext | None:
+    """Return the context with an option eased that has the bound which could not be kept.
 
     A smaller safety margin, or a tool that may leave its path further. None where it is another bound, or one
     that would have to be eased by far.
     """
-    name, margin = None, context.options.safety_margin_m
-    if isinstance(failure, OptimisationFailed):
-        name, ratio, distance = failure.constraint, 1 + failure.violation, 0.0
-        if isinstance(failure.trajectory, QuinticTrajectory):
-            distance = float(
-                context.clearances.smallest(failure.trajectory.sampled(_SAMPLES)[0]).distance.min()
-            )
-    elif isinstance(failure, LimitViolation):
-        name, ratio, distance = failure.quantity, failure.value / failure.bound, failure.value
-    elif isinstance(failure, PathNotFound) and failure.pair is not None and failure.time == 0.0:
-        name, ratio = "clearance", 1.0
-        distance = float(context.clearances.smallest(context.first[None]).distance[0])
-    if name is None:
-        return None
-    option = next((option for begin, option in _EASED.items() if name.startswith(begin)), None)
-    value = None if option is None else _rounded_up(_ROOM * ratio * getattr(context.options, option))
-    if name.startswith("clearance"):
-        option, ratio = "safety_margin_m", margin / max(distance, _NOTHING)
-        value = _rounded_down(distance / _ROOM) if distance > 0 else None
-    if option is None or value is None or not 0 < ratio <= _MOST_EASED:
-        return None
+    match failure:
+        case NoTrajectory() | Uncertified():
+            return _eased(context, failure.broken)
+        case NoWay() if failure.is_start_near:
+            distance = float(context.clearances.smallest(context.first[None]).distance[0])
+            margin = context.options.safety_margin_m
+            return _eased(context, NearObstacle(distance=distance, margin=margin))
+        case NoWay() | OutOfTime():
+            return None
+        case _:
+            assert_never(failure)
+
+
+def _eased(
+    context: PlanningContext, broken: NearObstacle | JointRate | JointTorque | ToolOff | OtherLimit
+) -> PlanningContext | None:
+    """The context with the option eased that has a bound."""
+    match broken:
+        case NearObstacle(distance=distance):
+            if distance <= 0.0 or context.options.safety_margin_m > _MOST_EASED * distance:
+                return None
+            return _with(context, _MARGIN, _rounded_down(distance / _ROOM))
+        case ToolOff(what=what, ratio=ratio):
+            option = _EASED.get(what)
+            if option is None or ratio > _MOST_EASED:
+                return None
+            return _with(context, option, _rounded_up(_ROOM * ratio * getattr(context.options, option)))
+        case JointRate() | JointTorque() | OtherLimit():
+            return None
+        case _:
+            assert_never(broken)
+
+
+def _with(context: PlanningContext, option: str, value: float) -> PlanningContext:
     change: dict[str, Any] = {option: value}
-    changed = replace(context, options=replace(context.options, **change))
-    return _changed(f"planner.{option}", value, getattr(context.options, option), 4), changed
+    return replace(context, options=replace(context.options, **change))
+
+
+def changed_in_words(before: PlanningContext, after: PlanningContext) -> str:
+    """Say by the keys of the scene what was eased, or which legs take longer."""
+    for option in dict.fromkeys((_MARGIN, *_EASED.values())):
+        old, new = (getattr(context.options, option) for context in (before, after))
+        if new != old:
+            return _changed(f"planner.{option}", new, old, 4)
+    return in_keys(before, after)
+
+
+def _slower_legs(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
+    """Slower legs, where velocities, accelerations or jerks are what fails."""
+    attempt = trial.attempt
+    if isinstance(trial.outcome, Solved):
+        return
+    factors = slower_legs(attempt.context, trial.outcome)
+    if factors is not None:
+        yield Attempt.of(slower(attempt.context, factors), automatic=attempt.automatic)
+
+
+def _eased_bound(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
+    """An eased bound, of what was refused itself."""
+    attempt = trial.attempt
+    if isinstance(trial.outcome, Solved) or trial.parent is not None:
+        return
+    context = eased(attempt.context, trial.outcome)
+    if context is not None:
+        yield Attempt.of(context, automatic=attempt.automatic)
+
+
+SLOWER_LEGS = Remedy(cost=10_000, propose=_slower_legs, most=2)
+EASED_BOUND = Remedy(cost=10_000, propose=_eased_bound)
 
 
 def slower(context: PlanningContext, factors: FloatArray) -> PlanningContext:
@@ -193,9 +206,9 @@ def _have_own_keys(stroke: Stroke) -> bool:
     return bool(file.legs) and not file.blend_radius_m and (file.passes or 1) == 1
 
 
-def _factors(context: PlanningContext, trajectory: object) -> FloatArray:
+def _factors(context: PlanningContext, trajectory: QuinticTrajectory | None) -> FloatArray:
     """By which factors (L,) legs would have to take longer, or may take less, for a trajectory's limits."""
-    if not isinstance(trajectory, QuinticTrajectory):
+    if trajectory is None:
         return np.ones(len(context.task.path.seconds))
     limits, edges = context.robot.limits, context.task.path.leg_times
     middles = 0.5 * (trajectory.t[1:] + trajectory.t[:-1])
@@ -204,10 +217,6 @@ def _factors(context: PlanningContext, trajectory: object) -> FloatArray:
         share = np.abs(trajectory.extrema(order).value).max(axis=2) / bound
         needed = np.maximum(needed, share.max(axis=1) ** (1 / order))
     return np.array([needed[(middles >= a) & (middles < b)].max(initial=0.0) for a, b in pairwise(edges)])
-
-
-def _order(constraint: str) -> int:
-    return next((order for name, order in _ORDERS.items() if constraint.startswith(name)), 0)
 
 
 def _leg(context: PlanningContext, time: float) -> int:

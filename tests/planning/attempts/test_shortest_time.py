@@ -13,13 +13,18 @@ from cmbot import load_scene
 from cmbot.archive import load_plan, save
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import LimitViolation, SceneError
+from cmbot.common.limit import Limit
 from cmbot.planning import Plan, plan
+from cmbot.planning.attempts.agenda import Agenda, Solved
+from cmbot.planning.attempts.attempt import Attempt
+from cmbot.planning.attempts.failure import Failure, JointRate, Uncertified
+from cmbot.planning.attempts.shortest_time import FEWER_STRETCHED_LEGS, STRETCHED_LAWS
+from cmbot.planning.budget import SHORTEST_TIME_RUNS, Budget, Deadline
 from cmbot.planning.initial_guess import initial_guess
 from cmbot.planning.result.remarks import remarks
-from cmbot.planning.retries import Attempt
 from cmbot.planning.timing.law_search import Bounded, shortest_law
 from cmbot.planning.timing.leg_paths import bounds_along, leg_paths
-from cmbot.planning.timing.shortest_time import _certified
+from cmbot.planning.timing.timing import Timing, in_time
 from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Dynamics, Robot
 from cmbot.scene import LegLaw
@@ -101,6 +106,7 @@ def test_a_plan_in_the_shortest_time(quick_plan: Plan) -> None:
     assert law.leg == 0
     assert quick_plan.trajectory.duration == pytest.approx(law.duration + 0.5)
     assert quick_plan.certificate.holds
+    assert quick_plan.runs <= SHORTEST_TIME_RUNS
     quantities = {check.quantity for check in quick_plan.certificate.checks}
     assert {"torque on the base", "tool speed"} <= quantities
     assert quick_plan.figures.limit_use.jerk > 0.9
@@ -132,25 +138,48 @@ def test_only_the_legs_on_which_motions_fail_are_stretched() -> None:
     """The second of two legs, which no motion follows in less than 1.03 times its law's seconds."""
     path = {"legs": [LEG, {"by": [0, 0, 0.1]}], "seconds": "auto", "via_points": 26}
     context = context_of(short_scene(tool_path=path))
-    first = Attempt(context=context, guess=initial_guess(context))
-    trajectory = first.guess.problem.parametrization.trajectory
-    paths = leg_paths(context, [0, 1], trajectory)
-    laws = [LegLaw(leg=k, seconds=(2.0, 2.0), jerk=(0.0, 1.0, 0.0)) for k in (0, 1)]
+    trajectory = initial_guess(context).problem.parametrization.trajectory
+    laws = tuple(LegLaw(leg=k, seconds=(2.0, 2.0), jerk=(0.0, 1.0, 0.0)) for k in (0, 1))
+    timing = Timing(
+        context=context,
+        trajectory=trajectory,
+        paths=leg_paths(context, [0, 1], trajectory),
+        laws=laws,
+        factors=np.ones(2),
+        at_fault=np.zeros(2, dtype=np.bool_),
+    )
+    timed = in_time(context, laws)
+    first = Attempt(context=timed, guess=initial_guess(timed), timing=timing)
     tried = list[FloatArray]()
 
-    def work(attempt: Attempt) -> str:
+    def work(attempt: Attempt) -> Solved[float] | Failure:
         seconds = attempt.context.task.path.seconds
         tried.append(seconds / 4.0)
         if seconds[1] < 4.0 * 1.03:
-            time = seconds[0] + 0.5 * seconds[1]
-            raise LimitViolation("velocity of joint_1", time=time, value=1.01, bound=1.0, unit="rad/s")
-        return "certified"
+            return Uncertified(
+                quantity="velocity of joint_1",
+                time=seconds[0] + 0.5 * seconds[1],
+                value=1.01,
+                bound=1.0,
+                unit="rad/s",
+                limit=Limit.VELOCITY,
+                broken=JointRate(order=1, ratio=1.01),
+            )
+        return Solved(result=float(seconds.sum()))
 
-    attempt, made = _certified(first, trajectory, paths, laws, work, (1.0, 1.01, 1.03, 1.06))
-    assert made == "certified"
+    best = Agenda(
+        work=work,
+        key=lambda attempt: attempt.key,
+        remedies=(STRETCHED_LAWS, FEWER_STRETCHED_LEGS),
+        budget=Budget(runs=SHORTEST_TIME_RUNS),
+        deadline=Deadline(),
+        better=lambda seconds, least: seconds < least,
+    ).search(first)
     np.testing.assert_allclose(tried, [[1, 1], [1.01, 1.01], [1.03, 1.03], [1, 1.03]])
-    np.testing.assert_allclose(attempt.context.task.path.seconds, [4.0, 4.12])
-    assert "planned 3 % slower on 1 of 2 legs" in attempt.fallbacks[-1]
+    np.testing.assert_allclose(best.attempt.context.task.path.seconds, [4.0, 4.12])
+    (told,) = best.told
+    assert "In 8 s, the shortest time along the joint path, no motion is certified (velocity of" in told
+    assert told.endswith("planned 3 % slower on 1 of 2 legs.")
 
 
 def test_a_base_that_bears_too_little_at_rest() -> None:

@@ -1,5 +1,6 @@
-"""Failures: what is in the way is named, and how slow legs would have to be."""
+"""Failures as data, and advice: how slow legs would have to be, and which bounds may be eased."""
 
+import re
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -8,10 +9,12 @@ import pytest
 from small_scenes import SHORT, context_of, problem_of, short_scene
 
 from cmbot.common.errors import LimitViolation, OptimisationFailed, PathNotFound, PlanningError
+from cmbot.common.limit import Limit
 from cmbot.planning import plan
+from cmbot.planning.attempts.advice import changed_in_words, eased, in_keys, slower, slower_legs
+from cmbot.planning.attempts.failure import OutOfTime, error_of, failure_of
+from cmbot.planning.budget import Deadline
 from cmbot.planning.context import PlanningContext
-from cmbot.planning.failures import constraints_named, eased, in_keys, slower, slower_legs
-from cmbot.planning.progress import ProgressReporter
 from cmbot.robot import Kinematics
 from cmbot.scene import Scene, load_scene
 from cmbot.trajectory import QuinticTrajectory
@@ -29,33 +32,35 @@ def trajectory() -> QuinticTrajectory:
     return problem_of(short_scene(tool_path={"legs": LEGS, "via_points": 16})).parametrization.trajectory
 
 
-def failed(constraint: str, trajectory: QuinticTrajectory | None) -> OptimisationFailed:
-    return OptimisationFailed("no", constraint=constraint, violation=1.0, trajectory=trajectory)
+def failed(limit: Limit, trajectory: QuinticTrajectory | None, violation: float = 1.0) -> OptimisationFailed:
+    return OptimisationFailed(
+        "no", constraint=limit.value, violation=violation, trajectory=trajectory, limit=limit
+    )
 
 
-def violation(quantity: str, value: float) -> LimitViolation:
-    return LimitViolation(quantity, time=5.0, value=value, bound=1.0, unit="")
+def violation(limit: Limit, value: float) -> LimitViolation:
+    return LimitViolation("it", time=5.0, value=value, bound=1.0, unit="", limit=limit)
 
 
 @pytest.mark.parametrize(
     ("failure", "factor"),
     [
-        (violation("velocity of joint_1", 8.0), 8.0),
-        (violation("acceleration of joint_1", 4.0), 2.0),
-        (violation("jerk of joint_1", 8.0), 2.0),
-        (violation("velocity of joint_1", 80.0), None),
-        (violation("jump of a joint's position, velocity, acceleration or jerk", 8.0), None),
-        (violation("tool deviation", 8.0), None),
+        (violation(Limit.VELOCITY, 8.0), 8.0),
+        (violation(Limit.ACCELERATION, 4.0), 2.0),
+        (violation(Limit.JERK, 8.0), 2.0),
+        (violation(Limit.VELOCITY, 80.0), None),
+        (violation(Limit.OTHER, 8.0), None),
+        (violation(Limit.TOOL_DEVIATION, 8.0), None),
         (PathNotFound("slow", time=5.0, progress=0.5, smallest_singular_value=1.0, pace=1.5), 1.5),
         (PathNotFound("blocked", time=5.0, progress=0.5, smallest_singular_value=1.0), None),
-        (failed("clearance", None), None),
-        (failed("jerk of joint_1", None), None),
+        (failed(Limit.CLEARANCE, None), None),
+        (failed(Limit.JERK, None), None),
     ],
 )
 def test_the_leg_of_a_failure_is_slowed_down_by_the_root_of_the_ratio(
     context: PlanningContext, failure: PlanningError, factor: float | None
 ) -> None:
-    factors = slower_legs(context, failure)
+    factors = slower_legs(context, failure_of(context, failure))
     if factor is None:
         assert factors is None
         return
@@ -69,10 +74,10 @@ def test_a_trajectory_slowed_down_so_keeps_the_limits(
     path = replace(context.task.path, seconds=0.2 * context.task.path.seconds)
     hasty = replace(context, task=replace(context.task, path=path), times=path.via_times(16))
     # A tool that such joints leave far behind needs the time, not more via-points.
-    astray = OptimisationFailed("no", constraint="tool deviation", violation=99.0, trajectory=fast)
-    np.testing.assert_allclose(slower_legs(hasty, astray), 2.1)
-    assert slower_legs(hasty, failed("tool deviation", fast)) is None
-    factors = slower_legs(hasty, failed("jerk of joint_1", fast))
+    astray = failed(Limit.TOOL_DEVIATION, fast, 99.0)
+    np.testing.assert_allclose(slower_legs(hasty, failure_of(hasty, astray)), 2.1)
+    assert slower_legs(hasty, failure_of(hasty, failed(Limit.TOOL_DEVIATION, fast))) is None
+    factors = slower_legs(hasty, failure_of(hasty, failed(Limit.JERK, fast)))
     # All legs by the largest factor: derivative k falls by its power k.
     slow, limits = factors.max() / 1.05, context.robot.limits
     for order, bound in enumerate((limits.velocity, limits.acceleration, limits.jerk), start=1):
@@ -101,73 +106,101 @@ def test_pairs_and_joints_of_constraints_are_named(
 ) -> None:
     smallest = context.clearances.smallest(trajectory.evaluate(np.linspace(0, 10, 2001)))
     pair = context.clearances.pairs[int(smallest.pair[smallest.distance.argmin()])]
-    for constraint, expected in (
-        ("clearance", f"clearance of {pair.link} from {pair.other}"),
-        ("joint torque", r"torque of joint_\d"),
-        ("tool lag", "tool lag"),
+    for limit, expected in (
+        (Limit.CLEARANCE, f"clearance of {pair.link} from {pair.other}"),
+        (Limit.JOINT_TORQUE, r"torque of joint_\d"),
+        (Limit.TOOL_LAG, "tool lag"),
     ):
-        with (
-            pytest.raises(
-                OptimisationFailed, match=f"worst constraint: {expected}, 100.00% beyond"
-            ) as caught,
-            constraints_named(context),
-        ):
-            raise failed(constraint, trajectory)
-        assert caught.value.trajectory is trajectory
+        error = error_of(failure_of(context, failed(limit, trajectory)))
+        assert re.search(f"worst constraint: {expected}, 100.00% beyond", str(error))
+        assert error.trajectory is trajectory
+
+
+ERRORS = (
+    PathNotFound("blocked", time=1.0, progress=0.5, smallest_singular_value=0.01, pair=("a", "b"), pace=2.0),
+    OptimisationFailed("no", constraint="tool lag", violation=0.5, undecided=True, limit=Limit.TOOL_LAG),
+    LimitViolation("jerk of joint_1", time=1.0, value=2.0, bound=1.0, unit="rad/s3", limit=Limit.JERK),
+)
+
+
+@pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
+def test_an_error_is_made_of_its_failure_again(context: PlanningContext, error: PlanningError) -> None:
+    again = error_of(failure_of(context, error))
+    assert type(again) is type(error)
+    assert str(again) == str(error)
+    assert vars(again) == vars(error)
+
+
+def test_hints_of_an_error_are_kept(context: PlanningContext) -> None:
+    error = PathNotFound("blocked", time=1.0, progress=0.5, smallest_singular_value=1.0)
+    error.add_hint("with return: none the job is planned")
+    again = error_of(failure_of(context, error))
+    assert str(again) == str(error)
+    assert str(again).endswith("; with return: none the job is planned")
+
+
+def test_every_limit_is_broken_in_some_way(context: PlanningContext) -> None:
+    """What a joint cannot do asks for time, what the tool does between via-points for more of them."""
+    kinds = {limit: type(failure_of(context, violation(limit, 2.0)).broken).__name__ for limit in Limit}
+    assert {kinds[limit] for limit in (Limit.VELOCITY, Limit.ACCELERATION, Limit.JERK)} == {"JointRate"}
+    assert kinds[Limit.CLEARANCE] == "NearObstacle"
+    assert all(kinds[limit] == "ToolOff" for limit in Limit if limit.name.startswith("TOOL"))
+    assert kinds[Limit.HOLD] == kinds[Limit.OTHER] == "OtherLimit"
 
 
 def test_a_time_that_was_over_is_told_with_the_limit_and_what_was_used(context: PlanningContext) -> None:
     now = [0.0]
-    reporter = ProgressReporter(clock=lambda: now[0], limit=60.0)
-    late = OptimisationFailed("the time was over before that", constraint="peak", violation=0.2803)
     said = []
     for left, used in ((1, 61.25), (3, 21.0)):
         now[0] = 0.0
-        reporter.begin_stroke("edge", left)
+        deadline = Deadline(60.0, lambda: now[0])
+        timed = replace(context, deadline=deadline if left == 1 else deadline.part(left))
         now[0] = used
-        timed = replace(context, reporter=reporter)
-        with pytest.raises(OptimisationFailed) as caught, constraints_named(timed):
-            raise late
-        said.append(str(caught.value))
-    peak = (
-        "before that; worst constraint: the peak, which exceeds the bound that was tried for it by 28.03% of "
-        "the initial guess's peak"
-    )
+        said.append(timed.time_over)
     work = context.stroke.name
     assert said == [
-        f"the time, 60 s (planner.time_limit_s), was over after 61.2 s, {peak}",
-        f"the time, 60 s (planner.time_limit_s), of which {work} had 20 s, was over after 21 s, {peak}",
+        "the time, 60 s (planner.time_limit_s), was over after 61.2 s,",
+        f"the time, 60 s (planner.time_limit_s), of which {work} had 20 s, was over after 21 s,",
     ]
+
+
+def test_what_was_stopped_has_no_remedy(context: PlanningContext) -> None:
+    late = OptimisationFailed(
+        "late", constraint="clearance", violation=0.1, limit=Limit.CLEARANCE, stopped=True
+    )
+    failure = failure_of(context, late)
+    assert isinstance(failure, OutOfTime)
+    assert slower_legs(context, failure) is None
+    assert eased(context, failure) is None
+    assert str(error_of(failure)) == str(late)
 
 
 def test_bounds_are_eased_by_what_failed(context: PlanningContext) -> None:
     options = context.options
 
-    def changed(failure: PlanningError) -> tuple[str, dict[str, Any]] | None:
-        found = eased(context, failure)
+    def changed(error: PlanningError) -> tuple[str, dict[str, Any]] | None:
+        found = eased(context, failure_of(context, error))
         if found is None:
             return None
-        before, after = asdict(options), asdict(found[1].options)
-        return found[0], {name: value for name, value in after.items() if value != before[name]}
+        before, after = asdict(options), asdict(found.options)
+        values = {name: value for name, value in after.items() if value != before[name]}
+        return changed_in_words(context, found), values
 
-    strays = OptimisationFailed("no", constraint="tool deviation", violation=0.5)
-    words, values = changed(strays)
+    words, values = changed(failed(Limit.TOOL_DEVIATION, None, 0.5))
     assert words == "planner.max_tool_deviation_m 0.0016 instead of 0.001"
     assert values == {"max_tool_deviation_m": 0.0016}
-    lagging = LimitViolation(
-        "tool lag", time=1.0, value=1.5 * options.max_tool_lag_m, bound=options.max_tool_lag_m, unit="m"
-    )
+    lagging = violation(Limit.TOOL_LAG, 1.5)
     assert set(changed(lagging)[1]) == {"max_tool_lag_m"}
-    near = LimitViolation("clearance of a from b", time=1.0, value=0.0151, bound=0.02, unit="m")
+    near = LimitViolation("it", time=1.0, value=0.0151, bound=0.02, unit="m", limit=Limit.CLEARANCE)
     assert changed(near) == ("planner.safety_margin_m 0.014 instead of 0.02", {"safety_margin_m": 0.014})
     # Another bound, one that would be another job, and what collides.
     for failure in (
-        OptimisationFailed("no", constraint="jerk of joint_1", violation=0.5),
-        OptimisationFailed("no", constraint="tool deviation", violation=5.0),
-        LimitViolation("clearance of a from b", time=1.0, value=-0.001, bound=0.02, unit="m"),
+        failed(Limit.JERK, None, 0.5),
+        failed(Limit.TOOL_DEVIATION, None, 5.0),
+        LimitViolation("it", time=1.0, value=-0.001, bound=0.02, unit="m", limit=Limit.CLEARANCE),
         PathNotFound("blocked", time=1.0, progress=0.5, smallest_singular_value=1.0, pair=("a", "b")),
     ):
-        assert eased(context, failure) is None
+        assert changed(failure) is None
 
 
 def test_a_margin_that_would_do_for_the_start_is_tried_and_told() -> None:

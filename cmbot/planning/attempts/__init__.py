@@ -1,0 +1,1 @@
+"""Attempts: what fails, what is tried instead, and how often."""

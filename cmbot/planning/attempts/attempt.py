@@ -1,0 +1,103 @@
+"""An attempt at a stroke: what its motion is planned from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from cmbot.common.arrays import FloatArray
+from cmbot.planning.attempts.agenda import Agenda, Remedy, Solved
+from cmbot.planning.attempts.failure import Failure, attempted, failure_of
+from cmbot.planning.budget import Budget
+from cmbot.planning.context import PlanningContext
+from cmbot.planning.initial_guess import InitialGuess, initial_guess, leap_failure
+from cmbot.planning.selfmotion.global_search import GlobalSearch
+from cmbot.planning.timing.timing import Timing
+
+S = TypeVar("S")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Attempt:
+    """What the motion of a stroke is planned from.
+
+    Attributes
+    ----------
+    context : PlanningContext
+    guess : InitialGuess or Failure
+        Or why there is none.
+    automatic : bool
+        The solver was chosen by ``auto``.
+    is_first : bool
+        No remedy proposed it.
+    kept : float
+        Factor on the safety margin that the guess keeps.
+    timing : Timing, optional
+        Of legs whose shortest time is sought.
+    """
+
+    context: PlanningContext
+    guess: InitialGuess | Failure
+    automatic: bool = False
+    is_first: bool = True
+    kept: float = 1.0
+    timing: Timing | None = None
+
+    @classmethod
+    def of(cls, context: PlanningContext, **own: Any) -> Attempt:
+        """Return the attempt from the first guess of a context."""
+        return cls(context=context, guess=attempted(context, lambda: initial_guess(context)), **own)
+
+    @property
+    def search(self) -> GlobalSearch | None:
+        """The global search of its guess; None with fixed knots."""
+        return self.guess.search if isinstance(self.guess, InitialGuess) else None
+
+    @property
+    def is_pinned(self) -> bool:
+        """Whether its guess starts where the arm is before."""
+        return isinstance(self.guess, InitialGuess) and self.guess.pinned
+
+    @property
+    def key(self) -> Hashable:
+        """What tells it from other attempts at the same stroke."""
+        options, guess = self.context.options, self.guess
+        if not isinstance(guess, InitialGuess):
+            return options, self.context.times.tobytes()
+        form = guess.problem.parametrization
+        chart = None if guess.search is None else guess.search.first_chart.q
+        arrays: tuple[FloatArray | None, ...] = (form.space.t, form.via_points, chart, guess.way)
+        numbers = tuple(None if array is None else array.tobytes() for array in arrays)
+        return options, guess.pinned, self.context.spare_clearance, numbers
+
+    @property
+    def refused(self) -> Failure | None:
+        """Why it is not worth a run; None where it is.
+
+        After a failure nothing is optimised from a guess that leaps: hardly any trajectory leads on from
+        there.
+        """
+        if not isinstance(self.guess, InitialGuess):
+            return self.guess
+        leaps = None if self.is_first else leap_failure(self.guess.problem)
+        return None if leaps is None else failure_of(self.context, leaps)
+
+
+def agenda_of(
+    context: PlanningContext,
+    work: Callable[[Attempt], Solved[S] | Failure],
+    remedies: Sequence[Remedy[Attempt, S]],
+    budget: Budget,
+    better: Callable[[S, S], bool] = lambda result, best: False,
+) -> Agenda[Attempt, S]:
+    """Return an agenda of attempts at the stroke of a context."""
+    return Agenda(
+        work=work,
+        key=lambda attempt: attempt.key,
+        refused=lambda attempt: attempt.refused,
+        remedies=remedies,
+        budget=budget,
+        deadline=context.deadline,
+        better=better,
+    )

@@ -1,0 +1,238 @@
+"""Why an attempt failed, as data: by its class remedies are chosen, and from it the error is made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import Any, TypeVar, assert_never
+
+import numpy as np
+
+from cmbot.common.errors import LimitViolation, OptimisationFailed, PathNotFound, PlanningError
+from cmbot.common.limit import Limit
+from cmbot.planning.context import PlanningContext
+from cmbot.robot import Dynamics
+from cmbot.trajectory import QuinticTrajectory
+
+Made = TypeVar("Made")
+
+# Samples per segment at which the nearest pair and the weakest joint are sought.
+_SAMPLES = 10
+_ORDERS = {Limit.RATES: 0, Limit.VELOCITY: 1, Limit.ACCELERATION: 2, Limit.JERK: 3}
+
+
+@dataclass(frozen=True, kw_only=True)
+class NearObstacle:
+    """Two shapes come nearer to each other than the safety margin; both are in m."""
+
+    distance: float
+    margin: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointRate:
+    """A joint exceeds a bound on the derivative of an order of its position; order 0: on one of them."""
+
+    order: int
+    ratio: float  # of the value to its bound
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointTorque:
+    """A joint's torque exceeds its bound."""
+
+    ratio: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ToolOff:
+    """The tool is off its timed path, as splines leave it between via-points."""
+
+    what: Limit
+    ratio: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class OtherLimit:
+    """Another limit is broken."""
+
+    what: Limit
+
+
+Broken = NearObstacle | JointRate | JointTorque | ToolOff | OtherLimit
+"""What is broken."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoWay:
+    """No sequence of postures, or no free move, leads on; attributes are those of `PathNotFound`."""
+
+    reason: str
+    time: float
+    progress: float
+    smallest_singular_value: float
+    pair: tuple[str, str] | None
+    pace: float
+    hints: tuple[str, ...] = ()
+
+    @property
+    def error(self) -> PathNotFound:
+        """The error that tells of it."""
+        error = PathNotFound(**_without("hints", self))
+        for hint in self.hints:
+            error.add_hint(hint)
+        return error
+
+    @property
+    def is_start_near(self) -> bool:
+        """Whether it is the start posture that is too near to something: no other place is the matter."""
+        return self.pair is not None and self.time == 0.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NoTrajectory:
+    """The optimiser found no trajectory; attributes are those of `OptimisationFailed`."""
+
+    reason: str
+    constraint: str
+    violation: float
+    undecided: bool
+    trajectory: QuinticTrajectory | None
+    limit: Limit
+    broken: Broken
+
+
+@dataclass(frozen=True, kw_only=True)
+class Uncertified:
+    """The certificate does not hold; attributes are those of `LimitViolation`."""
+
+    quantity: str
+    time: float
+    value: float
+    bound: float
+    unit: str
+    limit: Limit
+    broken: Broken
+
+    @property
+    def excess(self) -> float:
+        """By how much the bound is missed, as a share of it."""
+        return abs(self.value - self.bound) / max(abs(self.bound), 1e-12)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutOfTime:
+    """The time was over before it was known whether there is one."""
+
+    during: NoWay | NoTrajectory
+
+
+Failure = NoWay | NoTrajectory | Uncertified | OutOfTime
+"""Why an attempt failed."""
+
+
+def attempted(context: PlanningContext, make: Callable[[], Made]) -> Made | Failure:
+    """Return what is made with a context, or why it fails: solvers raise their errors as far as this."""
+    try:
+        return make()
+    except (PathNotFound, OptimisationFailed, LimitViolation) as error:
+        return failure_of(context, error)
+
+
+def failure_of(
+    context: PlanningContext, error: PathNotFound | OptimisationFailed | LimitViolation
+) -> Failure:
+    """Return the failure that an error tells of, with pairs and joints named."""
+    match error:
+        case PathNotFound():
+            no_way = _like(NoWay, error)
+            return OutOfTime(during=no_way) if error.stopped else no_way
+        case OptimisationFailed():
+            constraint, broken = _named(context, error)
+            no_trajectory = _like(NoTrajectory, error, constraint=constraint, broken=broken)
+            return OutOfTime(during=no_trajectory) if error.stopped else no_trajectory
+        case LimitViolation():
+            return _like(Uncertified, error, broken=_broken(error.limit, error.value, error.bound))
+        case _:
+            assert_never(error)
+
+
+def error_of(failure: Failure) -> PlanningError:
+    """Return the error that tells of a failure."""
+    match failure:
+        case NoWay():
+            return failure.error
+        case NoTrajectory():
+            return OptimisationFailed(**_without("broken", failure))
+        case Uncertified():
+            return LimitViolation(**_without("broken", failure))
+        case OutOfTime():
+            return error_of(failure.during)
+        case _:
+            assert_never(failure)
+
+
+def in_words(failure: Failure) -> str:
+    """Say what failed, as part of a sentence."""
+    if isinstance(failure, NoTrajectory):
+        return f"{failure.reason}; {failure.constraint}"
+    return str(error_of(failure))
+
+
+def briefly(failure: Failure) -> str:
+    """Say in a few words what failed."""
+    told = failure.reason if isinstance(failure, NoWay | NoTrajectory) else str(error_of(failure))
+    return told.partition(";")[0]
+
+
+def _like(kind: type[Made], error: PlanningError, **given: object) -> Made:
+    """The failure whose fields are attributes of an error, but for those that are given."""
+    names = {field.name for field in fields(kind)} - given.keys()  # type: ignore[arg-type]
+    return kind(**{name: getattr(error, name) for name in names}, **given)
+
+
+def _without(name: str, failure: Failure) -> dict[str, Any]:
+    """The fields of a failure but one."""
+    return {key: value for key, value in vars(failure).items() if key != name}
+
+
+def _named(context: PlanningContext, error: OptimisationFailed) -> tuple[str, Broken]:
+    """The worst constraint with its pair or joint, and what is broken."""
+    trajectory, broken = error.trajectory, _broken(error.limit, 1.0 + error.violation, 1.0)
+    if isinstance(broken, NearObstacle):
+        broken = NearObstacle(distance=0.0, margin=context.options.safety_margin_m)
+    if not isinstance(trajectory, QuinticTrajectory):
+        return error.constraint, broken
+    q, v, a = trajectory.sampled(_SAMPLES)
+    match broken:
+        case NearObstacle(margin=margin):
+            smallest = context.clearances.smallest(q)
+            worst = int(smallest.distance.argmin())
+            pair = context.clearances.pairs[int(smallest.pair[worst])]
+            near = NearObstacle(distance=float(smallest.distance[worst]), margin=margin)
+            return f"clearance of {pair.link} from {pair.other}", near
+        case JointTorque():
+            torque = Dynamics(context.robot).efforts(q, v, a).joint_torque
+            use = np.abs(torque) / context.robot.limits.torque
+            return f"torque of {context.robot.joints[int(use.max(axis=0).argmax())]}", broken
+    return error.constraint, broken
+
+
+def _broken(limit: Limit, value: float, bound: float) -> Broken:
+    """What is broken where a value is beyond its bound."""
+    ratio = value / bound if bound else np.inf
+    match limit:
+        case Limit.CLEARANCE:
+            return NearObstacle(distance=value, margin=bound)
+        case Limit.VELOCITY | Limit.ACCELERATION | Limit.JERK | Limit.RATES:
+            return JointRate(order=_ORDERS[limit], ratio=ratio)
+        case Limit.JOINT_TORQUE:
+            return JointTorque(ratio=ratio)
+        case Limit.TOOL_DEVIATION | Limit.TOOL_ROTATION | Limit.TOOL_TILT | Limit.TOOL_LAG:
+            return ToolOff(what=limit, ratio=ratio)
+        case Limit.TOOL_SPEED | Limit.PROCESS_SPEED | Limit.SHIFT:
+            return ToolOff(what=limit, ratio=ratio)
+        case Limit.POSITION | Limit.HOLD | Limit.BASE_TORQUE | Limit.PEAK | Limit.OTHER:
+            return OtherLimit(what=limit)
+        case _:
+            assert_never(limit)

@@ -1,0 +1,214 @@
+"""The motion of an attempt: optimised, certified, with the free moves that go with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import LimitViolation, OptimisationFailed
+from cmbot.optimization import ExchangeReport
+from cmbot.planning.attempts.agenda import Solved
+from cmbot.planning.attempts.attempt import Attempt
+from cmbot.planning.attempts.failure import Failure, attempted, failure_of
+from cmbot.planning.attempts.remedies import is_little_nearer
+from cmbot.planning.certification.certificate import Certificate, certify
+from cmbot.planning.context import PlanningContext
+from cmbot.planning.flexibility.sag_compensation import Compensation, compensate
+from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression, suppress_vibration
+from cmbot.planning.free_motion.approach import plan_approach
+from cmbot.planning.free_motion.free_move import largest_objective
+from cmbot.planning.free_motion.return_move import SAME_POSTURE, plan_return
+from cmbot.planning.initial_guess import InitialGuess, leap_failure
+from cmbot.planning.job import Job, Segment
+from cmbot.planning.result.stroke_plan import Start
+from cmbot.planning.torque import Optimised, optimise
+from cmbot.scene import PlannerOptions
+from cmbot.trajectory import QuinticTrajectory
+
+# Durations that differ by less are the same, as a share.
+_SAME_DURATION = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class StrokeMotion:
+    """The optimised and certified motion of a stroke, with the free moves that go with it.
+
+    Attributes
+    ----------
+    context : PlanningContext
+    guess : InitialGuess
+        What it was planned from.
+    optimised : Optimised
+    compensation : Compensation or None
+    suppression : VibrationSuppression or None
+    start : Start
+    job : Job
+    peak : float
+        Largest value of the objective over the job.
+    """
+
+    context: PlanningContext
+    guess: InitialGuess
+    optimised: Optimised
+    compensation: Compensation | None
+    suppression: VibrationSuppression | None
+    start: Start
+    job: Job
+    peak: float
+
+    @property
+    def work(self) -> Segment:
+        """The stroke itself."""
+        return self.job.strokes[0]
+
+    @property
+    def approach(self) -> Segment | None:
+        """The free move to its start, if there is one."""
+        first = self.job.segments[0]
+        return first if first.kind == "free" else None
+
+
+def certified_motion(attempt: Attempt) -> Solved[StrokeMotion] | Failure:
+    """Optimise and certify the motion of an attempt, with the free moves that go with it."""
+    context, guess = attempt.context, attempt.guess
+    if not isinstance(guess, InitialGuess):
+        return guess
+    return attempted(context, partial(_motion, context, guess))
+
+
+def is_better(context: PlanningContext) -> Callable[[StrokeMotion, StrokeMotion], bool]:
+    """Return how motions of a stroke compare: the shorter one is better, then that of the smaller peak."""
+    margin = 1 + context.options.gap_target
+
+    def better(motion: StrokeMotion, best: StrokeMotion) -> bool:
+        seconds, most = motion.work.duration, best.work.duration
+        if abs(seconds - most) > _SAME_DURATION * most:
+            return seconds < most
+        return margin * motion.peak <= best.peak
+
+    return better
+
+
+def peak_of(context: PlanningContext, parts: Sequence[Segment]) -> float:
+    """Return the largest value of the objective over segments."""
+    return max(
+        largest_objective(context if segment.kind == "stroke" else context.tool_off, segment.trajectory)
+        for segment in parts
+    )
+
+
+def suppresses_vibration(options: PlannerOptions) -> bool:
+    """Say whether options ask for motions that leave little vibration."""
+    return options.knots == "sliding" and options.quiet_modes > 0
+
+
+def _motion(context: PlanningContext, guess: InitialGuess) -> Solved[StrokeMotion] | Failure:
+    """The motion from a guess."""
+    optimised, compensation, suppression = _optimised(context, guess)
+    context.reporter.stage("certify")
+    posture = optimised.trajectory.q[0]
+    moved = float(np.abs(context.robot.metric.coordinates(posture - context.posture)).max())
+    start = context.posture if moved <= SAME_POSTURE else None
+    certificate = _certified(context, optimised, start)
+    if not isinstance(certificate, Certificate):
+        return certificate
+    approach: Segment | None = None
+    if moved <= SAME_POSTURE:
+        posture, moved = context.posture, 0.0
+    else:
+        approach = _approach(context, guess, optimised.trajectory)
+    work = Segment(
+        name=context.stroke.name,
+        kind="stroke",
+        begin=context.begin if approach is None else approach.end,
+        trajectory=optimised.trajectory,
+        certificate=certificate,
+        task=context.task,
+    )
+    before = () if approach is None else (approach,)
+    back = _return(context, (*before, work))
+    job = Job(segments=(*before, work, *(() if back is None else (back,))))
+    motion = StrokeMotion(
+        context=context,
+        guess=guess,
+        optimised=optimised,
+        compensation=compensation,
+        suppression=suppression,
+        start=Start(posture=posture, moved=moved, failures=guess.failures),
+        job=job,
+        peak=peak_of(context, job.segments),
+    )
+    return Solved(result=motion)
+
+
+def _optimised(
+    context: PlanningContext, guess: InitialGuess
+) -> tuple[Optimised, Compensation | None, VibrationSuppression | None]:
+    """The optimised motion, with sag compensated and vibration suppressed where something bends."""
+    context.reporter.stage("optimise")
+
+    def each_pass(report: ExchangeReport, rounds: int = 0) -> None:
+        context.reporter.passed(report, context.objective.unit, rounds)
+
+    compensation = suppression = None
+    problem = guess.problem
+    try:
+        optimised = optimise(problem, each_pass)
+    except OptimisationFailed as failure:
+        leaps = leap_failure(problem)
+        if leaps is None:
+            raise
+        raise leaps from failure
+    if context.sag is not None:
+        optimised, compensation, problem = compensate(context, guess, optimised, context.sag, each_pass)
+    if context.arm is not None and suppresses_vibration(context.options):
+        optimised, suppression = suppress_vibration(context.arm, problem, optimised)
+    return optimised, compensation, suppression
+
+
+def _certified(
+    context: PlanningContext, optimised: Optimised, start: FloatArray | None
+) -> Certificate | Failure:
+    """The certificate of an optimised motion; where none holds, the failure is the solver's if it has one."""
+    certificate = certify(
+        context.robot,
+        context.task,
+        optimised.trajectory,
+        context.clearances,
+        context.options,
+        via_points=len(context.times),
+        start=start,
+        sag=context.sag,
+    )
+    try:
+        certificate.require()
+    except LimitViolation as violation:
+        failure = failure_of(context, violation)
+        if optimised.failure is not None and not is_little_nearer(failure):
+            return failure_of(context, optimised.failure)
+        return failure
+    return certificate
+
+
+def _approach(context: PlanningContext, guess: InitialGuess, trajectory: QuinticTrajectory) -> Segment:
+    """The free move to where a trajectory starts."""
+    context.reporter.step("planning the approach to the start")
+    at_rest = context.objective.at_rest(context.postures.at(trajectory.q))
+    chart = context.first[None] if guess.search is None else guess.search.first_chart.q
+    stays = guess.choice is not None and guess.choice.pinned is not None
+    return plan_approach(
+        context, trajectory.q[0], chart, way=guess.way, allowed=float(at_rest.max()), dispensable=stays
+    )
+
+
+def _return(context: PlanningContext, before: tuple[Segment, ...]) -> Segment | None:
+    """The return of a job after what is planned of it."""
+    if context.end_posture is None:
+        return None
+    context.reporter.step("planning the return")
+    work, allowed = before[-1], max(context.reached, peak_of(context, before))
+    return plan_return(context, work.trajectory.q[-1], begin=work.end, allowed=allowed)

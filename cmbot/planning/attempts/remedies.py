@@ -1,0 +1,365 @@
+"""Remedies: what is tried where no certified motion is found.
+
+Where the certificate misses a bound by little that is mended at once: more clearance to spare, finer samples.
+All other remedies cost about the same, so that each of them is tried alone before two are tried together.
+
+Blends at corners are no remedy: the tool rests at every corner (`ToolPath.leg_times`), so a corner is no
+harder for the joints than any other end of a leg. Jumps of acceleration need much jerk, as at the ends of
+trapezoidal ramps; ``tool_path.speed_profile.kind: jerk_limited`` has none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from itertools import islice
+from typing import Any
+
+import numpy as np
+
+from cmbot.planning.attempts.agenda import Remedy, Trial
+from cmbot.planning.attempts.attempt import Attempt
+from cmbot.planning.attempts.failure import (
+    JointRate,
+    NearObstacle,
+    NoTrajectory,
+    NoWay,
+    ToolOff,
+    Uncertified,
+    attempted,
+    briefly,
+    in_words,
+)
+from cmbot.planning.free_motion.approach import joined_starts, reachable
+from cmbot.planning.initial_guess import (
+    SMOOTHER,
+    InitialGuess,
+    initial_guess,
+    leap,
+    roughness,
+    searched,
+    sliding_guess,
+    solved,
+)
+from cmbot.planning.torque import TorqueProblem
+from cmbot.scene import MOST_SAMPLES
+
+AnyTrial = Trial[Attempt, Any]
+
+# Halvings of the steps, and guesses of a remedy that are optimised, at most.
+_HALVINGS, _TRIES = 4, 2
+# Starts to which a free move leads that are tried at most.
+_JOINED_STARTS = 3
+# What the certificate may miss a bound by for more samples to help, as a share of it.
+_NARROWLY = 0.01
+# The certificate may find so much less clearance than the safety margin, m, for spare clearance to help, of
+# which there is what is missing and so much more.
+_LITTLE_NEARER, _SPARE = 1e-3, 1.5e-4
+# Via-points at most for which SLSQP is tried: its time grows with the cube of their number.
+_FEW_VIA_POINTS = 100
+# Least and largest factor by which there are more via-points, and how many at most: all takes longer in
+# proportion.
+_FINER, _MOST_VIA_POINTS = (2, 4), 300
+# Shares of the via-points that are left where fewer are tried, and how few there may be in a leg.
+_COARSER, _FEWEST_IN_A_LEG = (0.7, 0.5), 4
+# Factors on the safety margin that guesses keep where trajectories cannot keep it.
+_CLEARER = (1.02, 1.1)
+
+
+def is_little_nearer(failure: object) -> bool:
+    """Whether a certificate misses the safety margin by so little that spare clearance may make up for it."""
+    match failure:
+        case Uncertified(broken=NearObstacle(distance=distance, margin=margin)):
+            return 0 < margin - distance < _LITTLE_NEARER
+    return False
+
+
+def _spare_clearance(trial: AnyTrial) -> Iterator[Attempt]:
+    """What is missing of the safety margin, and a little more, to spare in what is optimised."""
+    attempt = trial.attempt
+    match trial.outcome, attempt.guess:
+        case Uncertified(bound=bound, value=value) as failure, InitialGuess() as guess:
+            if not is_little_nearer(failure):
+                return
+            spare = attempt.context.spare_clearance + bound - value + _SPARE
+            context = replace(attempt.context, spare_clearance=spare)
+            missing = f"{1e3 * (bound - value):.2g} mm of clearance are missing"
+            context.reporter.stage("path")
+            context.reporter.step(f"{missing}; planning with more of it")
+            problem = TorqueProblem(context, guess.problem.parametrization, guess.lower_bound.value)
+            yield from _changed(attempt, replace(guess, problem=problem), context=context)
+
+
+def _tell_spare(before: AnyTrial, after: AnyTrial) -> str:
+    failure, spare = before.failure, after.attempt.context.spare_clearance
+    missing = failure.bound - failure.value if isinstance(failure, Uncertified) else 0.0
+    return (
+        f"The safety margin was missed by {1e3 * missing:.2g} mm ({in_words(failure)}): planned with "
+        f"{1e3 * spare:.2g} mm more than it instead."
+    )
+
+
+def _finer_samples(trial: AnyTrial) -> Iterator[Attempt]:
+    """Twice the samples where the certificate misses a bound that sampled constraints overlooked."""
+    attempt, options = trial.attempt, trial.attempt.context.options
+    match trial.outcome:
+        case Uncertified(excess=excess) if excess <= _NARROWLY:
+            samples = 2 * options.samples_per_segment
+            if samples <= MOST_SAMPLES:
+                finer = replace(options, samples_per_segment=samples)
+                yield from _anew(attempt, context=replace(attempt.context, options=finer))
+
+
+def _changed(attempt: Attempt, guess: object, **changes: Any) -> Iterator[Attempt]:
+    """The attempt from another guess, if there is one."""
+    if isinstance(guess, InitialGuess):
+        yield replace(attempt, guess=guess, is_first=False, **changes)
+
+
+def _anew(attempt: Attempt, *, searches: bool = False, **changes: Any) -> Iterator[Attempt]:
+    """The attempt from the first guess of a changed context, if there is one; charts are kept, or not."""
+    context, search = changes["context"], None if searches else attempt.search
+    context.reporter.stage("path")
+    yield from _changed(attempt, attempted(context, partial(initial_guess, context, search)), **changes)
+
+
+def _shorter_steps(trial: AnyTrial) -> Iterator[Attempt]:
+    """Guesses in ever shorter steps between via-points, each smoother than the one before.
+
+    The global search bounds the steps between via-points by the joints' velocities alone. They may turn round
+    from one via-point to the next faster than accelerations and jerks allow; the shorter, the less. The peak
+    at rest may be higher. Where no path leads on from the scene's posture in shorter steps, they start
+    elsewhere; see `sliding_guess`. With fixed knots there are none.
+    """
+    context, guess, search = trial.attempt.context, trial.attempt.guess, trial.attempt.search
+    if not isinstance(trial.outcome, NoTrajectory) or not isinstance(guess, InitialGuess) or search is None:
+        return
+    rough, tries = roughness(guess.problem), 0
+    for _ in range(_HALVINGS):
+        if tries == _TRIES or context.deadline.expired():
+            return
+        search = search.halved()
+        context.reporter.step(f"no trajectory follows that guess; trying step_share {search.step_share:.3g}")
+        shorter = attempted(context, partial(sliding_guess, context, guess.unreached, search))
+        if not isinstance(shorter, InitialGuess):
+            return
+        if roughness(shorter.problem) <= SMOOTHER * rough:
+            rough, tries = roughness(shorter.problem), tries + 1
+            yield from _changed(trial.attempt, shorter)
+
+
+def _tell_shorter(before: AnyTrial, after: AnyTrial) -> str:
+    search, share = after.attempt.search, before.attempt.context.options.step_share
+    return (
+        f"With planner.step_share {share:g} no trajectory was found ({in_words(before.failure)}): planned "
+        f"with {search.step_share if search else share:.3g} instead, a smoother sequence of postures."
+    )
+
+
+def _clearer_guess(trial: AnyTrial) -> Iterator[Attempt]:
+    """Where a clearance cannot be kept: a guess that keeps a little more of it.
+
+    Postures of least torque may lie at the safety margin itself, where splines have no room to either side.
+    """
+    attempt, search = trial.attempt, trial.attempt.search
+    context, margin = attempt.context, attempt.context.options.safety_margin_m
+    match trial.outcome, attempt.guess:
+        case NoTrajectory(broken=NearObstacle()), InitialGuess(unreached=unreached) if search is not None:
+            for factor in _CLEARER:
+                away = f"{1e3 * factor * margin:.3g} mm away"
+                context.reporter.stage("path")
+                context.reporter.step(f"no trajectory keeps clear; trying postures {away}")
+                wider = replace(context, options=replace(context.options, safety_margin_m=factor * margin))
+                found = attempted(context, partial(searched, wider, search))
+                if isinstance(found, tuple):
+                    guess = attempted(context, partial(sliding_guess, context, unreached, found[0]))
+                    yield from _changed(attempt, guess, kept=factor)
+
+
+def _tell_clearer(before: AnyTrial, after: AnyTrial) -> str:
+    return (
+        f"From postures at the safety margin no trajectory keeps clear ({in_words(before.failure)}): planned "
+        f"from such that keep {100 * (after.attempt.kept - 1):.0f} % more."
+    )
+
+
+def _more_via_points(trial: AnyTrial) -> Iterator[Attempt]:
+    """Where the tool strays from its path between via-points: more of them, which hold it more often.
+
+    Splines miss a smooth path by the square of their segments' length or less, so a deviation of r times its
+    bound needs sqrt(r) times the segments; twice as many are tried first. They help no guess that leaps.
+    """
+    context, guess = trial.attempt.context, trial.attempt.guess
+    match trial.outcome:
+        case NoTrajectory(broken=ToolOff(ratio=ratio)) | Uncertified(broken=ToolOff(ratio=ratio)):
+            form = guess.problem.parametrization if isinstance(guess, InitialGuess) else None
+            if ratio <= 1.0 or (form is not None and leap(context, form.via_points)):
+                return
+            most = int(np.clip(np.ceil(np.sqrt(ratio)), *_FINER))
+            for factor in sorted({_FINER[0], most}):
+                number = factor * (len(context.times) - 1) + 1
+                if number <= _MOST_VIA_POINTS:
+                    yield from _with_via_points(trial, number, "the tool strays between via-points")
+
+
+def _fewer_via_points(trial: AnyTrial) -> Iterator[Attempt]:
+    """Where accelerations or jerks cannot be kept: fewer via-points, between which the tool has some room.
+
+    The tool is on its path at every via-point, in time; between them only the bounds on its deviation and lag
+    count. The denser they are, the more exactly splines follow the speed profile, whose acceleration jumps.
+    """
+    context = trial.attempt.context
+    count, legs = len(context.times), len(context.task.path.seconds)
+    match trial.outcome:
+        case NoTrajectory(broken=JointRate(order=order)) if order != 1:
+            for share in _COARSER:
+                number = max(round(share * (count - 1)), _FEWEST_IN_A_LEG * legs) + 1
+                if number < count:
+                    yield from _with_via_points(trial, number, "no trajectory keeps the rates")
+
+
+def _with_via_points(trial: AnyTrial, number: int, why: str) -> Iterator[Attempt]:
+    context = trial.attempt.context
+    context.reporter.step(f"{why}; trying {number} of them")
+    context = replace(context, times=context.task.path.via_times(number))
+    yield from _anew(trial.attempt, searches=True, context=context)
+
+
+def _tell_via_points(before: AnyTrial, after: AnyTrial) -> str:
+    count, number = (len(trial.attempt.context.times) for trial in (before, after))
+    reason = "the tool strays from its path between them" if number > count else "no trajectory was found"
+    key = f"{after.attempt.context.stroke.key}.via_points {number}"
+    return f"With {count} via-points {reason} ({in_words(before.failure)}): planned with {key} instead."
+
+
+def _another_start(trial: AnyTrial) -> Iterator[Attempt]:
+    """Where no trajectory leads on from the scene's posture: a part of the self-motion where one may.
+
+    The way on from there may be so sudden that only rest is possible. Where an approach has failed before,
+    the scene's posture is all that is left.
+    """
+    context, guess, search = trial.attempt.context, trial.attempt.guess, trial.attempt.search
+    if not isinstance(trial.outcome, NoTrajectory) or not isinstance(guess, InitialGuess) or search is None:
+        return
+    if guess.unreached or not guess.pinned:
+        return
+    context.reporter.stage("path")
+    reason = f"no trajectory follows the tool path ({in_words(trial.outcome)})"
+    start = partial(sliding_guess, context, unfollowed=context.path_not_found(reason, context.first))
+    rough, tries, parts = roughness(guess.problem), 0, search.parts_of_first_chart()
+    for _ in range(1 + _HALVINGS):
+        pinned = solved(search, pinned=True)
+        for starts in parts:
+            if tries == _TRIES or context.deadline.expired():
+                return
+            left = attempted(context, partial(start, search=search, starts=starts, pinned=pinned))
+            if isinstance(left, InitialGuess) and roughness(left.problem) <= SMOOTHER * rough:
+                tries += 1
+                yield from _changed(trial.attempt, left)
+        search = search.halved()
+
+
+def _reachable_start(trial: AnyTrial) -> Iterator[Attempt]:
+    """Where no approach leads to a better start: the best start that self-motion leads to.
+
+    Of a stroke that begins elsewhere the scene's posture does not hold the tool where it begins. Where
+    nothing that can be reached is better, `SCENE_START` says so.
+    """
+    context, search = trial.attempt.context, trial.attempt.search
+    if isinstance(trial.outcome, NoWay) and search is not None and not context.stroke.begins_elsewhere:
+        if trial.attempt.is_pinned:
+            return
+        context.reporter.stage("path")
+        starts = reachable(context, search.first_chart.q)
+        best = attempted(context, partial(sliding_guess, context, search=search, starts=starts))
+        if isinstance(best, InitialGuess) and not best.pinned:
+            yield from _changed(trial.attempt, best)
+
+
+def _joined_start(trial: AnyTrial) -> Iterator[Attempt]:
+    """Where no approach leads to the start that was chosen: the best of those that trees lead to."""
+    context, search = trial.attempt.context, trial.attempt.search
+    if isinstance(trial.outcome, NoWay) and search is not None and context.stroke.begins_elsewhere:
+        context.reporter.step("no approach leads there; seeking a start that one leads to")
+        start = partial(sliding_guess, context, search=search, pinned=trial.outcome.error)
+        for starts, way in islice(joined_starts(context, search.first_chart.q), _JOINED_STARTS):
+            context.reporter.stage("path")
+            best = attempted(context, partial(start, starts=starts))
+            if isinstance(best, InitialGuess):
+                yield from _changed(trial.attempt, replace(best, way=way))
+
+
+def _scene_start(trial: AnyTrial) -> Iterator[Attempt]:
+    """Where no approach leads to a better start, or no trajectory on from there: the scene's posture."""
+    context, search = trial.attempt.context, trial.attempt.search
+    if search is None or trial.attempt.is_pinned:
+        return
+    match trial.outcome:
+        case NoWay(error=error):
+            stays = partial(sliding_guess, context, unreached=error, search=search)
+        case NoTrajectory() if not context.stroke.begins_elsewhere:
+            context.reporter.step("no trajectory leads on from a better start; trying the scene's posture")
+            stays = partial(initial_guess, context, search, stay=True)
+        case _:
+            return
+    context.reporter.stage("path")
+    yield from _changed(trial.attempt, attempted(context, stays))
+
+
+def _tell_scene_start(before: AnyTrial, after: AnyTrial) -> str:
+    if isinstance(before.outcome, NoWay):
+        # The start's failures tell of it.
+        return ""
+    why = in_words(before.failure)
+    return f"From a better start no trajectory was found ({why}): planned from the scene's."
+
+
+def _dense_solver(trial: AnyTrial) -> Iterator[Attempt]:
+    """Where the sparse solver that ``auto`` chose ended undecided: SLSQP, for few via-points."""
+    context = trial.attempt.context
+    match trial.outcome:
+        case NoTrajectory(undecided=True) if trial.attempt.automatic and context.options.solver == "sqp":
+            if len(context.times) <= _FEW_VIA_POINTS:
+                context.reporter.step("sqp gave up; trying slsqp")
+                dense = replace(context, options=replace(context.options, solver="slsqp"))
+                yield from _anew(trial.attempt, context=dense, automatic=False)
+
+
+def _tell(words: str, before: AnyTrial, after: AnyTrial) -> str:
+    return words.format(in_words(before.failure), briefly(before.failure))
+
+
+SPARE_CLEARANCE = Remedy(cost=1, propose=_spare_clearance, tell=_tell_spare, most=2)
+FINER_SAMPLES = Remedy(
+    cost=2,
+    propose=_finer_samples,
+    tell=partial(_tell, "A bound was missed narrowly ({0}): planned with twice the samples instead."),
+)
+SHORTER_STEPS = Remedy(cost=101, propose=_shorter_steps, tell=_tell_shorter)
+CLEARER_GUESS = Remedy(cost=102, propose=_clearer_guess, tell=_tell_clearer)
+MORE_VIA_POINTS = Remedy(cost=103, propose=_more_via_points, tell=_tell_via_points)
+FEWER_VIA_POINTS = Remedy(cost=104, propose=_fewer_via_points, tell=_tell_via_points)
+ANOTHER_START = Remedy(cost=105, propose=_another_start)
+REACHABLE_START = Remedy(
+    cost=106,
+    propose=_reachable_start,
+    tell=partial(_tell, "No approach leads to the best start ({1}): the best that self-motion leads to."),
+)
+JOINED_START = Remedy(
+    cost=107,
+    propose=_joined_start,
+    tell=partial(_tell, "No approach leads to the best start ({1}): the best of those that one leads to."),
+)
+SCENE_START = Remedy(cost=108, propose=_scene_start, tell=_tell_scene_start, replaces=True)
+DENSE_SOLVER = Remedy(
+    cost=109,
+    propose=_dense_solver,
+    tell=partial(_tell, "The solver sqp gave up ({1}): planned with slsqp instead."),
+    replaces=True,
+)
+
+REMEDIES = (
+    *(SPARE_CLEARANCE, FINER_SAMPLES, SHORTER_STEPS, CLEARER_GUESS, MORE_VIA_POINTS, FEWER_VIA_POINTS),
+    *(ANOTHER_START, REACHABLE_START, JOINED_START, SCENE_START, DENSE_SOLVER),
+)

@@ -1,0 +1,187 @@
+"""Legs with ``seconds: auto``: planned slowly, timed along the joint path found, planned again in that time.
+
+A motion in the shortest time of its own joint path is planned by the same steps as any other, with its laws
+as the scene's: the same splines, the same certificate. Where no such motion is certified the laws are
+stretched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from cmbot.common.arrays import BoolArray
+from cmbot.planning.attempts.advice import SLOWER_LEGS, slower_legs
+from cmbot.planning.attempts.agenda import Remedy, Solved, Trial
+from cmbot.planning.attempts.attempt import Attempt, agenda_of
+from cmbot.planning.attempts.failure import Failure, Uncertified, attempted, briefly
+from cmbot.planning.attempts.motion import StrokeMotion, is_better
+from cmbot.planning.attempts.remedies import REMEDIES
+from cmbot.planning.budget import Budget
+from cmbot.planning.initial_guess import InitialGuess, initial_guess, shifted_problem
+from cmbot.planning.timing.leg_paths import leg_paths, shortest_laws
+from cmbot.planning.timing.timing import Timing
+from cmbot.planning.torque import Optimised, optimise
+from cmbot.trajectory import QuinticTrajectory
+
+# Factors by which laws are stretched while no motion is certified.
+_STRETCHED = (1.01, 1.03, 1.06, 1.1, 1.2, 1.4, 2.0)
+# Rounds of laws along the path that was planned last, and what is worth another one, as a share of the time.
+_ROUNDS, _WORTH = 3, 0.99
+
+Work = Callable[[Attempt], Solved[StrokeMotion] | Failure]
+
+
+def in_shortest_time(
+    first: Attempt, budget: Budget, work: Work, better: Remedy[Attempt, StrokeMotion]
+) -> Trial[Attempt, StrokeMotion]:
+    """Plan a stroke in the shortest time that is found.
+
+    Parameters
+    ----------
+    first : Attempt
+        Some legs of its path are open.
+    budget : Budget
+        Of the slow motion and all others.
+    work : callable
+        From an attempt to its certified motion.
+    better : Remedy
+        What else is tried after a success.
+
+    Returns
+    -------
+    Trial
+        Failed where no motion is found, however slow.
+    """
+    half = Budget(runs=budget.left // 2)
+    slow = agenda_of(first.context, _slow_motion, (*REMEDIES, SLOWER_LEGS), half).search(first)
+    budget.used += half.used
+    if not isinstance(slow.outcome, Solved):
+        return Trial(attempt=slow.attempt, outcome=slow.outcome, parent=slow.parent, remedy=slow.remedy)
+    timed = _timed(slow.attempt, slow.outcome.result.trajectory)
+    if not isinstance(timed, Attempt):
+        return Trial(attempt=slow.attempt, outcome=timed, parent=slow)
+    remedies = (*REMEDIES, STRETCHED_LAWS, FEWER_STRETCHED_LEGS, FASTER_ROUND, better)
+    return agenda_of(first.context, work, remedies, budget, is_better(first.context)).search(timed, slow)
+
+
+def _slow_motion(attempt: Attempt) -> Solved[Optimised] | Failure:
+    """A motion whose limits hardly matter: its via-points are where the objective is least."""
+    guess = attempt.guess
+    if not isinstance(guess, InitialGuess):
+        return guess
+    return attempted(attempt.context, lambda: Solved(result=optimise(guess.problem)))
+
+
+def _timed(before: Attempt, trajectory: QuinticTrajectory) -> Attempt | Failure:
+    """The attempt in the shortest time along the joint path of a motion."""
+    context = before.context
+    context.reporter.stage("path")
+    context.reporter.step("seeking the shortest time within the limits")
+    legs = sorted(context.task.path.open_legs) or [law.leg for law in context.stroke.file.time_laws or ()]
+    paths = leg_paths(context, legs, trajectory)
+    laws = attempted(context, lambda: tuple(shortest_laws(context, paths)))
+    if not isinstance(laws, tuple):
+        return laws
+    timing = Timing(
+        context=context,
+        trajectory=trajectory,
+        paths=paths,
+        laws=laws,
+        factors=np.ones(len(laws)),
+        at_fault=np.zeros(len(laws), dtype=np.bool_),
+    )
+    return _in(timing, before)
+
+
+def _in(timing: Timing, before: Attempt) -> Attempt | Failure:
+    """The attempt in a timing, from the start of the one before."""
+
+    def make() -> Attempt:
+        context = timing.timed
+        guess = initial_guess(context)
+        if isinstance(before.guess, InitialGuess):
+            guess = replace(guess, pinned=before.guess.pinned, failures=before.guess.failures)
+        problem = shifted_problem(context, guess, timing.via_points(context))
+        return replace(
+            before, guess=replace(guess, problem=problem), context=context, timing=timing, is_first=False
+        )
+
+    return attempted(timing.context, make)
+
+
+def _stretched_laws(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
+    """Where no motion is certified in a time: a longer one."""
+    timing, failure = trial.attempt.timing, trial.outcome
+    if timing is None or isinstance(failure, Solved):
+        return
+    longer = [factor for factor in _STRETCHED if factor > timing.factors.max()]
+    if longer and (timing.factors == timing.factors[0]).all():
+        at_fault = timing.at_fault | _at_fault(trial.attempt, timing, failure)
+        factors = np.full(len(timing.laws), longer[0])
+        yield from _stretched(trial, timing.stretched(factors, at_fault, briefly(failure)))
+
+
+def _fewer_stretched_legs(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
+    """Where motions before failed on some legs alone: only these are stretched."""
+    timing = trial.attempt.timing
+    if timing is None or not isinstance(trial.outcome, Solved) or timing.at_fault.all():
+        return
+    if timing.at_fault.any() and (timing.factors > 1.0).all():
+        factors = np.where(timing.at_fault, timing.factors, 1.0)
+        yield from _stretched(trial, replace(timing, factors=factors))
+
+
+def _stretched(trial: Trial[Attempt, Any], timing: Timing) -> Iterator[Attempt]:
+    attempt = _in(timing, trial.attempt)
+    if isinstance(attempt, Attempt):
+        yield attempt
+
+
+def _faster_round(trial: Trial[Attempt, StrokeMotion]) -> Iterator[Attempt]:
+    """Along the path that was planned last, laws that are shorter still."""
+    timing, solved = trial.attempt.timing, trial.outcome
+    if timing is None or not isinstance(solved, Solved):
+        return
+    attempt = _timed(trial.attempt, solved.result.work.trajectory)
+    if isinstance(attempt, Attempt) and attempt.timing is not None:
+        known = sum(law.duration for law in trial.attempt.context.stroke.file.time_laws or ())
+        if attempt.timing.seconds <= _WORTH * known:
+            yield attempt
+            # A little longer than the shortest is shorter than before.
+            factors = np.full(len(attempt.timing.laws), _STRETCHED[0])
+            yield from _stretched(trial, replace(attempt.timing, factors=factors))
+
+
+def _at_fault(attempt: Attempt, timing: Timing, failure: Failure) -> BoolArray:
+    """The legs (L,) on which an attempt failed: all of them, where that is not known."""
+    legs = np.array([law.leg for law in timing.laws])
+    factors = slower_legs(attempt.context, failure)
+    if factors is not None:
+        return np.asarray(factors[legs] > 1.0)
+    if isinstance(failure, Uncertified):
+        ends = attempt.context.task.path.leg_times
+        return np.asarray((ends[legs] <= failure.time) & (failure.time <= ends[legs + 1]))
+    return np.ones(len(legs), dtype=np.bool_)
+
+
+def _tell(before: Trial[Attempt, Any], after: Trial[Attempt, Any]) -> str:
+    timing = after.attempt.timing
+    if timing is None:
+        return ""
+    slower = timing.factors > 1.0
+    legs = "" if slower.all() else f" on {slower.sum()} of {len(slower)} legs"
+    return (
+        f"In {timing.seconds:.4g} s, the shortest time along the joint path, no motion is certified "
+        f"({timing.reason}): planned {100 * (timing.factors.max() - 1):.0f} % slower{legs}."
+    )
+
+
+STRETCHED_LAWS = Remedy(cost=10, propose=_stretched_laws, tell=_tell, topic="stretched", most=len(_STRETCHED))
+FEWER_STRETCHED_LEGS = Remedy(
+    cost=20, propose=_fewer_stretched_legs, tell=_tell, topic="stretched", most=_ROUNDS
+)
+FASTER_ROUND = Remedy(cost=30, propose=_faster_round, most=_ROUNDS - 1)

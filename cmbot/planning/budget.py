@@ -1,0 +1,98 @@
+"""What decides how much is tried: a budget of counted runs, and a deadline, which only stops."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+__all__ = ["ADVICE_RUNS", "MORE_TIME", "RUNS", "SHORTEST_TIME_RUNS", "Budget", "Deadline"]
+
+RUNS, SHORTEST_TIME_RUNS, ADVICE_RUNS = 12, 24, 6
+"""Runs of optimise-and-certify at most: for a stroke of given seconds, for one with ``seconds: auto``, and
+for the advice of a refusal."""
+
+MORE_TIME = 0.2
+"""Share of the time by which the search for a free move may exceed it: no plan is complete without them."""
+
+
+@dataclass(kw_only=True)
+class Budget:
+    """A number of runs, which are counted.
+
+    Attributes
+    ----------
+    runs : int
+        At most.
+    used : int
+        So far.
+    """
+
+    runs: int
+    used: int = 0
+
+    @property
+    def left(self) -> int:
+        """Runs that are left."""
+        return self.runs - self.used
+
+    def take(self) -> bool:
+        """Take a run, where one is left."""
+        if self.left <= 0:
+            return False
+        self.used += 1
+        return True
+
+
+class Deadline:
+    """When planning has to stop; it decides nothing else.
+
+    Until `expired` has answered with True once, nothing that is planned depends on the clock.
+
+    Parameters
+    ----------
+    limit : float, s
+    clock : callable
+        Gives seconds that do not go back.
+    whole : Deadline, optional
+        That of which this is a part.
+    """
+
+    def __init__(
+        self,
+        limit: float = math.inf,
+        clock: Callable[[], float] = time.perf_counter,
+        whole: Deadline | None = None,
+    ) -> None:
+        self._clock, self._began, self._whole = clock, clock(), whole
+        self.limit = limit
+        """How long planning, or a part of it, may take, s."""
+        self._stopped = False
+
+    def part(self, left: int) -> Deadline:
+        """Return the deadline of a part of several, of which so many are left: it has an equal part."""
+        return Deadline(max(self.limit - self.used, 0.0) / left, self._clock, self)
+
+    def expired(self, more: float = 0.0) -> bool:
+        """Whether the time is over, and so is a share `more` of it; then what asks has to stop."""
+        over = self.used >= (1.0 + more) * self.limit
+        if over:
+            self._stop()
+        return over
+
+    def _stop(self) -> None:
+        self._stopped = True
+        if self._whole is not None:
+            self._whole._stop()
+
+    @property
+    def mark(self) -> Literal["time"] | None:
+        """What plans say of it: ``time`` where something was stopped."""
+        return "time" if self._stopped else None
+
+    @property
+    def used(self) -> float:
+        """What is used of the time, s."""
+        return self._clock() - self._began

@@ -1,0 +1,84 @@
+"""The time laws that an attempt has, and the motion along whose joint path they are the shortest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.planning.context import PlanningContext
+from cmbot.planning.timing.leg_paths import LegPath
+from cmbot.scene import LegLaw
+from cmbot.trajectory import QuinticTrajectory
+
+__all__ = ["Timing", "in_time"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Timing:
+    """Laws along a joint path, and by how much they are stretched.
+
+    Attributes
+    ----------
+    context : PlanningContext
+        In which `trajectory` was planned.
+    trajectory : QuinticTrajectory
+    paths : sequence of LegPath
+        Of the L legs whose time is sought.
+    laws : tuple of LegLaw
+        The shortest along them.
+    factors : (L,)
+        By which each law is stretched.
+    at_fault : (L,)
+        Legs on which motions in less time failed.
+    reason : str
+        Why the first of these failed.
+    """
+
+    context: PlanningContext
+    trajectory: QuinticTrajectory
+    paths: Sequence[LegPath]
+    laws: tuple[LegLaw, ...]
+    factors: FloatArray
+    at_fault: BoolArray
+    reason: str = ""
+
+    @property
+    def seconds(self) -> float:
+        """Of the laws together, as they are before they are stretched."""
+        return sum(law.duration for law in self.laws)
+
+    @property
+    def timed(self) -> PlanningContext:
+        """The context in which the legs have the stretched laws."""
+        pairs = zip(self.laws, self.factors, strict=True)
+        return in_time(self.context, [law.slowed(float(factor)) for law, factor in pairs])
+
+    def stretched(self, factors: FloatArray, at_fault: BoolArray, reason: str) -> Timing:
+        """Return the same laws stretched by other factors."""
+        return replace(self, factors=factors, at_fault=at_fault, reason=self.reason or reason)
+
+    def via_points(self, timed: PlanningContext) -> FloatArray:
+        """Postures (k, n) of the joint path at the via-points of a context in another time."""
+        leg, share = timed.task.path.leg_shares(timed.times)
+        old = np.empty(len(leg))
+        for k in np.unique(leg):
+            old[leg == k] = self.context.task.path.times_at(int(k), share[leg == k])
+        q = self.trajectory.evaluate(old)
+        for path in self.paths:
+            q[leg == path.leg] = path.q(share[leg == path.leg])
+        # The arm starts where it did.
+        q[0] = self.trajectory.q[0]
+        return q
+
+
+def in_time(context: PlanningContext, laws: Sequence[LegLaw]) -> PlanningContext:
+    """Return the context of a stroke whose open legs have these laws."""
+    path = context.task.path.timed(laws)
+    file = context.stroke.file.changed(time_laws=tuple(laws))
+    stroke = replace(context.stroke, path=path, file=file)
+    strokes = (*context.strokes[: context.number], stroke, *context.strokes[context.number + 1 :])
+    times = path.via_times(len(context.times))
+    return replace(context, task=replace(context.task, path=path), strokes=strokes, times=times)
