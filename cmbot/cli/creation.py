@@ -15,7 +15,6 @@ from cmbot.cli.console import out
 from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError, ModelError, one_line
 from cmbot.common.installation import scene_folder
-from cmbot.common.validation import shown
 
 if TYPE_CHECKING:
     from cmbot.planning import StartPosture
@@ -106,7 +105,7 @@ class NewCommand(Writing):
 
     def _asked(self, source: str) -> NewRobot:
         """The robot that the options describe; ``--tool`` is a frame, or a tool as the scene file has it."""
-        from cmbot.common.validation import validated
+        from cmbot.common.validation import shown, validated
         from cmbot.common.yaml_reader import yaml_value
         from cmbot.scene import FOLDER, AttachedToolFile, NewRobot
 
@@ -243,6 +242,8 @@ def _loaded(asked: NewRobot, srdf: Path | None = None) -> Robot:
 
 def xacro_arguments(given: Sequence[str]) -> dict[str, str]:
     """Return the arguments of xacro by their names; each is ``NAME=VALUE``."""
+    from cmbot.common.validation import shown
+
     arguments: dict[str, str] = {}
     for text in given:
         name, equals, value = text.partition("=")

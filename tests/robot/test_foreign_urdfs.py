@@ -192,9 +192,11 @@ def test_a_scene_names_folders_of_packages(tmp_path: Path) -> None:
         encoding="utf-8",
     )
     scene = load_scene(tmp_path / "s.yaml")
-    assert scene.robot.package_dirs == (tmp_path / "else",)
+    assert scene.robot.package_dirs == (str(tmp_path / "else"),)
     replace(tmp_path / "s.yaml", "[else]", "[urdf/arm.urdf]")
-    with pytest.raises(SceneError, match=r"s.yaml:3: robot.package_dirs: .* expected a folder that exists"):
+    with pytest.raises(
+        SceneError, match=r"s.yaml:3: robot.package_dirs\[0\]: .* expected a folder that exists"
+    ):
         load_scene(tmp_path / "s.yaml")
 
 

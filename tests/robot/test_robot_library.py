@@ -155,7 +155,7 @@ def test_without_the_library_its_command_is_named(monkeypatch: pytest.MonkeyPatc
     command = r"example-robot-data is not installed; run: pip install .*\[robots\]"
     with pytest.raises(MissingExtra, match=rf"{command}.*; panda is no file"):
         load_robot("panda")
-    with pytest.raises(MissingExtra, match=rf"{command}.*; scene: robot.model: panda is no file"):
+    with pytest.raises(MissingExtra, match=rf"{command}.*; robot.model: panda is no file"):
         load_scene({**SHORT, "robot": {"model": "panda"}})
     with pytest.raises(ModelError, match=r"cmbott: no such file.*did you mean cmbot\?"):
         load_robot("cmbott")

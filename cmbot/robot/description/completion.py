@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from copy import deepcopy
 from xml.etree import ElementTree
 
@@ -36,7 +37,9 @@ def add_masses(root: ElementTree.Element, files: RobotFiles) -> tuple[str, ...]:
     ModelError
         When a link that has a mass is not there or has no shape, or the total mass leaves nothing to spread.
     """
-    listed = {} if files.limits is None else read_joint_limits(files.limits).masses_kg
+    listed: Mapping[str, float] = {}
+    with suppress(ModelError):  # who reads the limits refuses it, after frames that are not there
+        listed = {} if files.limits is None else read_joint_limits(files.limits).masses_kg
     if not listed and files.total_mass is None:
         return ()
     bare = {link.get("name", ""): link for link in root.findall("link") if not _mass_of(link) > _BARE_KG}
