@@ -8,6 +8,7 @@ The reading order::
     Plan           what came out, with its figures
     save, load_plan   a plan directory                    cmbot.archive
     simulate       what bends on the way                  cmbot.simulation
+    excite         what shakes it: trains, wind           cmbot.excitation
     identify       how stiff it is, from measurements     cmbot.identification
     locate         where the work is, from touched points   cmbot.identification
     walk, tour     the steps from one stance to another, and the work in each   cmbot.walking
@@ -38,8 +39,9 @@ from cmbot.common.lazy_imports import on_first_use
 from cmbot.version import __version__
 
 if TYPE_CHECKING:
-    from cmbot.archive import load_plan, load_tracking, load_walk, save, save_tracking
+    from cmbot.archive import load_plan, load_tracking, load_walk, save, save_excitation, save_tracking
     from cmbot.campaigns import Campaign, campaign
+    from cmbot.excitation import Excitation, excite
     from cmbot.identification import Identification, Location, identify, locate
     from cmbot.planning import Plan, QuinticTrajectory, plan
     from cmbot.robot import Robot, load_robot
@@ -52,6 +54,7 @@ __all__ = [
     "ArchiveError",
     "Campaign",
     "CmbotError",
+    "Excitation",
     "Identification",
     "InputError",
     "LimitViolation",
@@ -74,6 +77,7 @@ __all__ = [
     "Walk",
     "__version__",
     "campaign",
+    "excite",
     "identify",
     "load_plan",
     "load_robot",
@@ -86,6 +90,7 @@ __all__ = [
     "replay",
     "report",
     "save",
+    "save_excitation",
     "save_tracking",
     "show",
     "simulate",
@@ -94,8 +99,9 @@ __all__ = [
 ]
 
 _ROOMS = {
-    "cmbot.archive": ("load_plan", "load_tracking", "load_walk", "save", "save_tracking"),
+    "cmbot.archive": ("load_plan", "load_tracking", "load_walk", "save", "save_excitation", "save_tracking"),
     "cmbot.campaigns": ("Campaign", "campaign"),
+    "cmbot.excitation": ("Excitation", "excite"),
     "cmbot.identification": ("Identification", "Location", "identify", "locate"),
     "cmbot.planning": ("Plan", "QuinticTrajectory", "plan"),
     "cmbot.robot": ("Robot", "load_robot"),

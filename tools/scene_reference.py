@@ -33,6 +33,7 @@ _SECTIONS = {
     "ToolShapeFile": "`robot.tool.shapes`",
     "MountFile": "`robot.mount`, `frames`",
     "BaseFile": "`base`",
+    "ModesFile": "`base.modes`",
     "Tool": "`tool`",
     "Tolerance": "`tool.tolerance`",
     "Uncertainty": "`uncertainty`",
@@ -63,6 +64,13 @@ _SECTIONS = {
     "IdentifiedStiffness": "`identified`",
     "IdentifiedSpring": "`identified.links`, `identified.joints`",
     "IdentifiedBase": "`identified.base`",
+    "ExcitationFile": "`excitation`",
+    "DeckFile": "`excitation.deck`",
+    "TrainsFile": "`excitation.deck.trains`",
+    "SpanFile": "`excitation.deck.trains.span`",
+    "WindFile": "`excitation.wind`",
+    "PassingFile": "`excitation.passing`",
+    "DamperFile": "`damper`",
     "PlannerOptions": "`planner`",
 }
 

@@ -25,6 +25,7 @@ from cmbot.archive.writing import export_csv, save
 from cmbot.common.lazy_imports import on_first_use
 
 if TYPE_CHECKING:
+    from cmbot.archive.excitation import excitation_json, require_no_excitation, save_excitation
     from cmbot.archive.reading import load_plan, plan_data
     from cmbot.archive.ros import export_mcap, export_ros, export_ros_package
     from cmbot.archive.tracking import load_tracking, require_no_tracking, save_tracking, tracking_json
@@ -41,6 +42,7 @@ __all__ = [
     "add_file",
     "claim",
     "columns",
+    "excitation_json",
     "export_csv",
     "export_mcap",
     "export_ros",
@@ -55,8 +57,10 @@ __all__ = [
     "require_absent",
     "require_free",
     "require_new_folder",
+    "require_no_excitation",
     "require_no_tracking",
     "save",
+    "save_excitation",
     "save_tracking",
     "tracking_json",
     "verified_motions",
@@ -65,6 +69,7 @@ __all__ = [
 ]
 
 _LATER = {
+    "cmbot.archive.excitation": ("excitation_json", "require_no_excitation", "save_excitation"),
     "cmbot.archive.reading": ("load_plan", "plan_data"),
     "cmbot.archive.ros": ("export_mcap", "export_ros", "export_ros_package"),
     "cmbot.archive.tracking": ("load_tracking", "require_no_tracking", "save_tracking", "tracking_json"),

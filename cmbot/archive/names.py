@@ -4,6 +4,7 @@ from __future__ import annotations
 
 __all__ = [
     "BASELINE_FILE",
+    "EXCITATION_FILE",
     "FORMATS",
     "JOB_FILES",
     "OWN_FILES",
@@ -31,6 +32,8 @@ PLAN_FILES = (*JOB_FILES, BASELINE_FILE)
 """What a plan is read from, beside its record."""
 TRACKING_FILES = ("tracking.csv", "tracking_baseline.csv", "tracking.json")
 """Those of a plan that has been simulated: the tables of both motions, and the metrics."""
+EXCITATION_FILE = "excitation.json"
+"""That of a plan that has been shaken."""
 
 _PLOTS = (
     *("guardrail_torque", "joints", "clearance", "tool_deviation"),
@@ -39,8 +42,9 @@ _PLOTS = (
 SHOWN_FILES = (
     "replay.html",
     "report.html",
+    "excitation.html",
     *(f"{plot}.{kind}" for plot in _PLOTS for kind in ("png", "svg")),
 )
 """Pages and plots."""
-OWN_FILES = frozenset({PLAN_FILE, *PLAN_FILES, *TRACKING_FILES, *SHOWN_FILES})
+OWN_FILES = frozenset({PLAN_FILE, *PLAN_FILES, *TRACKING_FILES, EXCITATION_FILE, *SHOWN_FILES})
 """All files that belong to a plan."""

@@ -18,6 +18,7 @@ from cmbot.cli.command import Command, UsageError, parsed
 from cmbot.cli.completion import ASKED, completions, install, script
 from cmbot.cli.console import ExitStatus, LostOutputError, discard, err, out
 from cmbot.cli.creation import NewCommand
+from cmbot.cli.excitation import ExciteCommand
 from cmbot.cli.identify import IdentifyCommand
 from cmbot.cli.inspection import CheckCommand, DoctorCommand, ScenesCommand, SchemaCommand, VerifyCommand
 from cmbot.cli.locate import LocateCommand
@@ -39,16 +40,9 @@ COMMANDS: dict[str, type[Command]] = {
     kind.verb(): kind
     for kind in (
         *(PlanCommand, StandCommand, WalkCommand, TourCommand, CampaignCommand, NewCommand),
-        *(ReplayCommand, ReportCommand, CompareCommand, ExportCommand, SimulateCommand, VerifyCommand),
-        *(
-            IdentifyCommand,
-            LocateCommand,
-            ReproduceCommand,
-            CheckCommand,
-            ScenesCommand,
-            SchemaCommand,
-            DoctorCommand,
-        ),
+        *(ReplayCommand, ReportCommand, CompareCommand, ExportCommand, SimulateCommand, ExciteCommand),
+        *(VerifyCommand, IdentifyCommand, LocateCommand, ReproduceCommand, CheckCommand, ScenesCommand),
+        *(SchemaCommand, DoctorCommand),
     )
 }
 """The commands by what they are called."""

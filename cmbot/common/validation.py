@@ -262,8 +262,9 @@ def plain(value: object, source: str, steps: Sequence[str | int] = ()) -> Any:
 def input_error(source: str, error: ValidationError, error_type: type[InputError], model: Any) -> InputError:
     """Return the one error to raise for those that pydantic found against `model`."""
     detail = _most_telling(error.errors(include_url=False))
-    loc, kind, context = detail["loc"], detail["type"], detail.get("ctx", {})
-    schema = _schema(model)
+    kind, context, schema = detail["type"], detail.get("ctx", {}), _schema(model)
+    # Without the models that pydantic names between alternatives.
+    loc = tuple(step for step in detail["loc"] if step not in schema.get("$defs", ()))
     if kind == _REFUSAL:
         key = key_path((*loc, *context["key"]))
         return error_type(source, key, context["got"], context["expected"], context["choices"])

@@ -59,7 +59,7 @@ class ElasticArm:
     driven: IntArray  # (n,), indices of the actuated joints' coordinates, in the order of `robot.joints`
     elastic: IntArray  # (f,), indices of the elastic coordinates
     stiffness: FloatArray  # (f, f), of the elastic coordinates, N/m, N/rad, Nm/rad
-    damping: FloatArray  # (f, f), Nms/rad: the joints' own
+    damping: FloatArray  # (f, f), Nms/rad: that of joints and base of their own
     added_mass: FloatArray  # (f, f), kg, kg m, kg m2: the guardrail's, at the foot; not in `model`
     tool_frame_id: int  # index of the tool frame in `model`
     # (k,), indices among the elastic coordinates of what bends, by its kind and name: ("base", ""),
@@ -156,7 +156,7 @@ class _Builder:
                 self.elastic.append(self._add(joint, placement, f"guardrail {kind} {axis}"))
                 placement = pin.SE3.Identity()
         self.X_LB = to_foot.inverse()
-        self._add_springs(("base", ""), self.options.guardrail_factor * base.stiffness)
+        self._add_springs(("base", ""), self.options.guardrail_factor * base.stiffness, base.damping)
         self.add_inertia(self.robot.model.inertias[0])
 
     def add_driven(self, joint: int) -> None:

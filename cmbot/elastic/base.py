@@ -47,6 +47,8 @@ class ElasticBase:
         Exactly symmetric.
     mass : (6, 6), kg, kg m, kg m2
         Mass of the guardrail that moves with the foot; zero for a given stiffness without a mass.
+    damping : (6, 6), Ns/m, Ns, Nms
+        Of its own; zero but for a given stiffness with a damping.
     frequencies : (k,), Hz
         Lowest natural frequencies of the whole frame without the robot, ascending; empty for a given
         stiffness or a material without mass.
@@ -54,6 +56,7 @@ class ElasticBase:
 
     stiffness: FloatArray
     mass: FloatArray
+    damping: FloatArray
     frequencies: FloatArray
 
     __repr__ = short_repr
@@ -75,8 +78,9 @@ def elastic_base(guardrail: Guardrail) -> ElasticBase | None:
         When there is no frame for the guardrail, or its stiffness is ill-conditioned.
     """
     if guardrail.stiffness is not None:
-        mass = np.zeros((6, 6)) if guardrail.mass is None else guardrail.mass
-        return _base(guardrail.stiffness, mass, np.zeros(0))
+        none = np.zeros((6, 6))
+        mass, damping = (none if part is None else part for part in (guardrail.mass, guardrail.damping))
+        return _base(guardrail.stiffness, mass, np.zeros(0), damping)
     if not guardrail.post_positions:
         return None
     made = guardrail_frame(guardrail)
@@ -153,11 +157,14 @@ def _motion(points: FloatArray, foot_point: FloatArray) -> FloatArray:
     return np.vstack(rows)
 
 
-def _base(stiffness: FloatArray, mass: FloatArray, frequencies: FloatArray) -> ElasticBase:
+def _base(
+    stiffness: FloatArray, mass: FloatArray, frequencies: FloatArray, damping: FloatArray | None = None
+) -> ElasticBase:
     # Matrices from files may be asymmetric in the last digit; symmetric ones are unchanged.
     return ElasticBase(
         stiffness=read_only((stiffness + stiffness.T) / 2),
         mass=read_only((mass + mass.T) / 2),
+        damping=read_only(np.zeros((6, 6)) if damping is None else (damping + damping.T) / 2),
         frequencies=read_only(frequencies),
     )
 

@@ -53,7 +53,8 @@ class ElasticSystem:
 
     Its equation of motion, with q_a prescribed, is that of the elastic coordinates alone::
 
-        (M_ff + added_mass) qdd_f = - stiffness q_f - damping qd_f - h_f(q, qd) - M_fa qdd_a
+        (M_ff + added_mass) qdd_f = - stiffness q_f - damping qd_f - h_f(q, qd) - (M_fa + added_coupling)
+        qdd_a
 
     The force on the tool is part of h_f.
     """
@@ -65,6 +66,7 @@ class ElasticSystem:
     damping: FloatArray  # (f, f), symmetric
     added_mass: FloatArray  # (f, f), symmetric: mass outside the model, such as the guardrail's own
     external_forces: Any = None  # by joint, in their frames; None without
+    added_coupling: FloatArray | None = None  # (f, d): mass outside the model, which driven coordinates move
 
     @classmethod
     def of(cls, arm: ElasticArm, damping: FloatArray) -> ElasticSystem:
@@ -288,6 +290,8 @@ class GeneralizedAlpha:
                 self._factor = np.full_like(self._mass, np.nan)
         force = pin.rnea(system.model, self._data, q, v, a, self._external)
         force.take(system.elastic, out=self._force, mode="clip")
+        if system.added_coupling is not None:
+            self._force += system.added_coupling @ a[system.driven]
         self._force += self._linear @ own
         change, _ = dpotrs(self._factor, self._force)
         return np.asarray(-change)

@@ -105,6 +105,8 @@ class Guardrail:
         own; read-only. None: the frame's, and without posts the hold is rigid.
     mass : array or None
         (6, 6), moves with the foot beside a given `stiffness`; read-only. None: no such mass.
+    damping : array or None
+        (6, 6), of the foot's rates beside a given `stiffness`; read-only. None: no damping of its own.
     stiffness_factor : float
         On the frame's own stiffness.
     foot_point : three floats, m
@@ -122,6 +124,7 @@ class Guardrail:
     foot_point: tuple[float, float, float] = (0.0, 0.0, 0.0)
     footholds: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0),)
     stiffness_factor: float = 1.0
+    damping: FloatArray | None = None
 
     __repr__ = short_repr
 

@@ -7,7 +7,8 @@ from cmbot.scene.base.hold import HoldFile, held_member
 from cmbot.scene.base.identified import IdentifiedBase, IdentifiedSpring, IdentifiedStiffness
 from cmbot.scene.base.stance import FootholdFile, Stance, StanceFile, axis_point, foothold_face, foothold_pose
 from cmbot.scene.changes import changed_content, is_within, whole_key
-from cmbot.scene.files import FOLDER
+from cmbot.scene.excitation import DamperFile, ExcitationFile, TrainsFile
+from cmbot.scene.files import FOLDER, TRAINS
 from cmbot.scene.mesh_file import load_mesh
 from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, ObstacleFile, Shape, Sphere, pose
 from cmbot.scene.options import MOST_SAMPLES, PlannerOptions
@@ -35,6 +36,7 @@ __all__ = [
     "SAME_PLACE",
     "SPEED_TOLERANCE",
     "STOW",
+    "TRAINS",
     "WORK",
     "ArcTo",
     "AttachedToolFile",
@@ -44,6 +46,8 @@ __all__ = [
     "Coverage",
     "Cylinder",
     "CylinderPatch",
+    "DamperFile",
+    "ExcitationFile",
     "FaceSelection",
     "FootholdFile",
     "Goal",
@@ -83,6 +87,7 @@ __all__ = [
     "Tool",
     "ToolPath",
     "ToolPoses",
+    "TrainsFile",
     "Uncertainty",
     "axis_point",
     "cells_of",

@@ -16,10 +16,22 @@ from cmbot.common.validation import hint, refusal, shown
 from cmbot.scene.fields import Text
 from cmbot.scene.mesh_file import is_mesh_file
 
-__all__ = ["FOLDER", "FilePath", "FolderPath", "MeshName", "RobotModel", "file_hashes", "without_paths"]
+__all__ = [
+    "FOLDER",
+    "TRAINS",
+    "AxlesName",
+    "FilePath",
+    "FolderPath",
+    "MeshName",
+    "RobotModel",
+    "file_hashes",
+    "without_paths",
+]
 
 FOLDER = "folder"
 """In the context of a validation the folder at which relative paths start; without one they stay."""
+TRAINS = ("freight", "emu", *(f"hslm_a{k}" for k in range(1, 11)))
+"""Trains that need no file."""
 
 
 def _place(text: str, info: ValidationInfo) -> Path | None:
@@ -46,6 +58,10 @@ def _folder(text: str, info: ValidationInfo) -> str:
     if not is_folder(path):
         raise refusal("a folder that exists (relative to the scene file)", got=shown(text))
     return str(path.resolve())
+
+
+def _axles_name(text: str, info: ValidationInfo) -> str:
+    return text if text in TRAINS else _file(text, info)
 
 
 def _mesh_name(text: str, info: ValidationInfo) -> str:
@@ -76,6 +92,8 @@ FilePath = Annotated[Text, AfterValidator(_file)]
 """Of a file, relative to the scene file; in a scene that is read absolute."""
 FolderPath = Annotated[Text, AfterValidator(_folder)]
 """Of a folder, likewise."""
+AxlesName = Annotated[Text, AfterValidator(_axles_name)]
+"""The name of a train, or the path of a file of axle loads, likewise."""
 MeshName = Annotated[Text, AfterValidator(_mesh_name)]
 """The path of a mesh file, likewise, or the name of an obstacle."""
 RobotModel = Annotated[Text, AfterValidator(_model)]
@@ -124,6 +142,11 @@ def _paths(data: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any], str]]:
     yield from ((f"robot.{name}", robot, name) for name in ("limits", "srdf", "elasticity") if name in robot)
     if Path(robot["model"]).is_absolute():
         yield "robot.model", robot, "model"
+    deck = data.get("excitation", {}).get("deck", {})
+    if "record" in deck:
+        yield "excitation.deck.record", deck, "record"
+    if "trains" in deck and deck["trains"]["axles"] not in TRAINS:
+        yield "excitation.deck.trains.axles", deck["trains"], "axles"
     tool = robot.get("tool", {})
     blocks = [("robot.tool", tool)]
     blocks += [(f"robot.tool.shapes[{k}]", shape) for k, shape in enumerate(tool.get("shapes", ()))]

@@ -19,6 +19,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.common.validation import FileModel, refusal, shown
 from cmbot.scene.attached_tool import AttachedToolFile
+from cmbot.scene.excitation import ModesFile
 from cmbot.scene.fields import (
     Angles,
     Length,
@@ -71,6 +72,8 @@ class BaseFile(FileModel):
 
     name: Slug
     """What messages and pages call it; left out with its block: guardrail for ``cmbot``, base for others."""
+    modes: ModesFile | None = None
+    """How it bends, by its natural modes; left out: as the guardrail says."""
 
 
 class NamedState(FileModel):

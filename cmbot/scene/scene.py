@@ -32,6 +32,7 @@ from cmbot.hold import Foot
 from cmbot.scene.base.guardrail import GuardrailFile, elastic_guardrail, feet_of, guardrail_obstacles
 from cmbot.scene.base.identified import IdentifiedStiffness
 from cmbot.scene.base.stance import Stance, StanceFile, resolved_stance
+from cmbot.scene.excitation import DamperFile, ExcitationFile
 from cmbot.scene.fields import Slug
 from cmbot.scene.files import FOLDER, file_hashes, without_paths
 from cmbot.scene.obstacles import Obstacle, ObstacleFile, obstacle_from_file
@@ -147,6 +148,10 @@ class Scene(FileModel):
     identified: IdentifiedStiffness | None = None
     """The stiffness that ``cmbot identify`` found, or the path of its file; left out: as modelled. Stiffness
     and mass of its base take the place of the guardrail's."""
+    excitation: ExcitationFile | None = None
+    """What shakes the arm; ``cmbot excite`` says by how much."""
+    damper: DamperFile | Literal["auto"] | None = None
+    """A tuned damper against it; ``auto``: the best of 1 kg at the tool."""
     planner: PlannerOptions = PlannerOptions()
 
     # Beside what the file says: where it came from, which strokes it lists, what the files that it names have
@@ -165,6 +170,10 @@ class Scene(FileModel):
             self.stance  # noqa: B018  it is refused here where the climber reaches none
         self._check_identified()
         measured = self.identified is not None and self.identified.base is not None
+        modes = None if self.base is None else self.base.modes
+        if modes is not None and (measured or self.guardrail.stiffness or self.guardrail.mass):
+            expected = "no such key beside a stiffness: one of them says how the base bends"
+            raise refusal(expected, got="modes", key=("base", "modes"))
         if self.guardrail.mass is not None and self.guardrail.stiffness is None and not measured:
             expected = "no mass where no stiffness is given"
             raise refusal(expected, got="a mass alone", key=("guardrail", "mass"))
@@ -402,8 +411,12 @@ class Scene(FileModel):
 
     @property
     def elastic_guardrail(self) -> Guardrail:
-        """The guardrail in SI units, with the stiffness that was identified."""
-        return elastic_guardrail(self.guardrail, self.identified and self.identified.base)
+        """The guardrail in SI units, with the stiffness that was identified, or that of its modes."""
+        guardrail = elastic_guardrail(self.guardrail, self.identified and self.identified.base)
+        if self.base is None or self.base.modes is None:
+            return guardrail
+        stiffness, mass, damping = self.base.modes.matrices()
+        return replace(guardrail, stiffness=stiffness, mass=mass, damping=damping)
 
     @property
     def stance(self) -> Stance | None:

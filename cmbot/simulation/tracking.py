@@ -25,6 +25,7 @@ from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.sag import Sag
 from cmbot.planning import Plan, ToolTask, require_plan, robot_of
 from cmbot.robot import Kinematics, Robot
+from cmbot.simulation.accelerated_base import GroundAcceleration, on_accelerated_base
 from cmbot.simulation.execution import executed, is_executed
 from cmbot.simulation.metrics import ErrorMetrics, error_metrics
 from cmbot.simulation.options import SimulationOptions
@@ -306,6 +307,7 @@ def track_work(
     options: SimulationOptions,
     progress: Callable[[float], None] | None = None,
     sag: Sag | None = None,
+    ground: GroundAcceleration | None = None,
 ) -> MotionTracking:
     """Simulate an elastic arm under the motions of a work and at rest after it.
 
@@ -319,6 +321,9 @@ def track_work(
         Called repeatedly with the time that has been reached, s.
     sag : Sag, optional
         The sag that the motion compensates.
+    ground : callable, optional
+        The acceleration (N, 3), m/s2, in W, of what the arm stands on, at times (N,); errors are relative to
+        it.
 
     Raises
     ------
@@ -339,8 +344,11 @@ def track_work(
     if is_executed(options):
         curve, moved = executed(work, options)
         motions = list(moved)
+    system = ElasticSystem.of(arm, modes.damping(options.damping) + arm.damping)
+    if ground is not None:
+        system, motions, forces = on_accelerated_base(system, motions, forces, ground)
     integrator = GeneralizedAlpha(
-        ElasticSystem.of(arm, modes.damping(options.damping) + arm.damping),
+        system,
         step=options.step_s,
         rho_inf=options.spectral_radius,
         corrections=options.corrections,

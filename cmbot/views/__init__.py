@@ -18,18 +18,21 @@ from cmbot.views.report import REPLAY, REPORT, pages, report, report_page
 from cmbot.views.show import Shown, show
 
 if TYPE_CHECKING:
+    from cmbot.views.overview.excitation import EXCITATION, excitation_page
     from cmbot.views.overview.stances import stances_page
     from cmbot.views.overview.tour import tour_page
     from cmbot.views.overview.walk import walk_page
     from cmbot.views.walk_replay import walk_replay_page
 
 __all__ = [
+    "EXCITATION",
     "REPLAY",
     "REPORT",
     "ReplayServer",
     "Shown",
     "assemble_plain",
     "compare_page",
+    "excitation_page",
     "figure_files",
     "film",
     "gallery_page",
@@ -49,6 +52,7 @@ __all__ = [
 ]
 
 _LATER = {
+    "cmbot.views.overview.excitation": ("EXCITATION", "excitation_page"),
     "cmbot.views.overview.stances": ("stances_page",),
     "cmbot.views.overview.tour": ("tour_page",),
     "cmbot.views.walk_replay": ("walk_replay_page",),

@@ -151,10 +151,16 @@ class Twin:
         start: FloatArray,
         steps: int,
         every: int,
+        ground: Callable[[FloatArray], FloatArray] | None = None,
     ) -> FloatArray:
-        """Let MuJoCo integrate, the driven joints overwritten; tool points (steps/every + 1, 3), m."""
+        """Let MuJoCo integrate, the driven joints overwritten; tool points (steps/every + 1, 3), m.
+
+        With the acceleration `ground` (N, 3) of what it stands on, it feels another gravity in each step.
+        """
         arm, model, data, h = self.arm, self.model, self.data, self.model.opt.timestep
         q, v, a = states(h * np.arange(steps + 1))
+        shaken = np.zeros((steps + 1, 3)) if ground is None else ground(h * np.arange(steps + 1))
+        still = np.array(model.opt.gravity)
         data.qpos[arm.elastic] = start
         # Its Euler step is the leapfrog whose rates are half a step behind: so they begin there.
         data.qpos[arm.driven], data.qvel[arm.driven] = q[0], v[0]
@@ -170,6 +176,8 @@ class Twin:
             # The mean acceleration of the step that follows.
             mean = (v[k + 1] - v[k]) / h if k < steps else a[k]
             data.qfrc_applied[arm.driven] = DRIVEN_ARMATURE * mean
+            model.opt.gravity[:] = still - shaken[k]
+            data.qfrc_applied[arm.elastic] = -arm.added_mass[:, :3] @ shaken[k]
             mujoco.mj_step(model, data)
         return points
 

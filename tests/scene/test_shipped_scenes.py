@@ -34,6 +34,7 @@ def test_the_shipped_scenes():
         "gusset_plate",
         "line",
         "panda_sanding",
+        "passing_train",
         "pipe",
         "triangle",
         "two_brackets",

@@ -64,7 +64,8 @@ def test_exudyn_moves_the_tool_alike(tmp_path: Path) -> None:
     # A hold that moves some millimetres, and couples; massless, for Exudyn has no matrix for it.
     stiffness = np.diag([2e5, 3e5, 4e5, 2e4, 3e4, 2.5e4])
     stiffness[0, 4] = stiffness[4, 0] = 1e4
-    base = ElasticBase(stiffness=stiffness, mass=np.zeros((6, 6)), frequencies=np.zeros(0))
+    none = np.zeros((6, 6))
+    base = ElasticBase(stiffness=stiffness, mass=none, damping=none, frequencies=np.zeros(0))
     t = np.linspace(0.0, 1.2, 25)
     out_and_back = np.sin(np.pi * t / 1.2) ** 2
     drive = PrescribedMotion.through(

@@ -1,0 +1,120 @@
+"""How far tools sway on shaken decks: prints the tables of docs/excitation.md.
+
+``python benchmarks/excitation.py`` plans the triangle as it stands and elsewhere; some minutes.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+import cmbot
+from cmbot.common.errors import CmbotError
+from cmbot.excitation import PASSAGE_HEADINGS, passage_rows, sway_mm_per_m_s2
+from cmbot.excitation.damper import best_damper
+from cmbot.excitation.response import BAND_HZ, flat_band, modal_response
+from cmbot.planning import Plan, bending_arm
+
+SPAN = {"length_m": 24, "first_hz": 5.5, "mass_t_m": 3.5, "damping": 0.005, "at_m": 12}
+TRAINS = {"freight": [40, 60, 80, 100, 120], "emu": [80, 120, 160]}
+STANCES: Mapping[str, Any] = {
+    "shipped": None,
+    "post_4, 0.54 m": {"foot_1": {"member": "post_4", "along_m": 0.54, "face": "outer"}, "foot_2": "free"},
+    "post_4, 1.10 m": {"foot_1": {"member": "post_4", "along_m": 1.1, "face": "outer"}, "foot_2": "free"},
+}
+DAMPING = (0.005, 0.01, 0.02, 0.04, 0.08)
+PLACES = ("tool", "joint_4", "arm_base")
+MASSES = (0.5, 1.0, 2.0)
+STIFFNESS = (0.7, 1.0, 1.3)
+
+
+def planned(**keys: Any) -> Plan:
+    """The triangle with other keys, planned."""
+    return cmbot.plan(cmbot.load_scene(cmbot.load_scene("triangle").as_data() | keys), progress=False)
+
+
+def stances() -> Iterator[tuple[str, ...]]:
+    """Sway, slowest mode, sag and torque of stances."""
+    for name, stance in STANCES.items():
+        keys = {} if stance is None else {"guardrail": {"stance": stance}}
+        try:
+            plan = planned(**keys)
+        except CmbotError as error:
+            yield name, *4 * ("-",), f"({error})"
+            continue
+        excitation = cmbot.excite(plan)
+        arm = bending_arm(plan.scene, plan.robot)
+        moments = [
+            modal_response(arm, q, 0.01).moments(flat_band(1.0, (2.0, 30.0)), (2.0, 30.0))
+            for q in plan.trajectory.evaluate(np.linspace(*plan.trajectory.t[[0, -1]], 5))
+        ]
+        narrow = 1e3 * np.mean([np.sqrt(np.trace(each.value[:3, :3])) for each in moments])
+        peak = plan.figures.peak_guardrail_torque
+        first = excitation.reference.first_hz.min()
+        yield name, f"{peak:.0f}", f"{first:.1f}", f"{excitation.rms_mm:.1f}", f"{narrow:.1f}"
+
+
+def damping(plan: Plan) -> Iterator[tuple[str, ...]]:
+    """Sway by the ratio of damping."""
+    arm, q = bending_arm(plan.scene, plan.robot), plan.trajectory.q[0]
+    for ratio in DAMPING:
+        variance = modal_response(arm, q, ratio).tool_variance(flat_band(), BAND_HZ)
+        yield f"{100 * ratio:g} %", f"{1e3 * np.sqrt(variance):.1f}"
+
+
+def dampers(plan: Plan) -> Iterator[tuple[str, ...]]:
+    """What the best dampers leave of the sway, over postures and stiffnesses."""
+    arm = bending_arm(plan.scene, plan.robot)
+    postures = plan.trajectory.evaluate(np.linspace(*plan.trajectory.t[[0, -1]], 4))
+    arms = [arm.softened(factor) for factor in STIFFNESS]
+    for place in PLACES:
+        responses = [modal_response(each, q, 0.01, place=place) for each in arms for q in postures]
+        for mass in MASSES:
+            gain = best_damper(responses, flat_band(), BAND_HZ, mass, place)
+            tuned, share = gain.damper, gain.rms_with / gain.rms_without
+            yield (
+                place,
+                f"{mass:g} kg",
+                f"{tuned.frequency:.2f} Hz",
+                f"{tuned.damping:.2f}",
+                f"{100 * share:.0f} %",
+            )
+
+
+def trains(plan: Plan) -> Iterator[tuple[str, ...]]:
+    """Passages of trains over an assumed span."""
+    tolerance = {"tolerance": {"across_mm": 5.0, "along_axis_mm": 10.0}}
+    for name, speeds in TRAINS.items():
+        deck = {"deck": {"trains": {"axles": name, "speeds_km_h": speeds, "span": SPAN}}}
+        data = plan.scene.as_data() | {"excitation": deck, "tool": tolerance}
+        excitation = cmbot.excite(replace(plan, scene=cmbot.load_scene(data)))
+        yield from ((name, *row) for row in passage_rows(excitation))
+
+
+def main() -> None:
+    """Print all tables."""
+    plan = planned()
+    begun = time.perf_counter()
+    reference = cmbot.excite(plan)
+    print(f"triangle: {reference.rms_mm:.2f} mm RMS by 1 m/s2, {time.perf_counter() - begun:.1f} s")
+    print(f"sway_mm_per_m_s2: {sway_mm_per_m_s2(plan):.2f}\n")
+    headings = ("stance", "peak at work, Nm", "first mode, Hz", "0.5-30 Hz, mm", "2-30 Hz, mm")
+    _print(headings, stances())
+    _print(("damping", "0.5-30 Hz, mm"), damping(plan))
+    _print(("damper at", "mass", "frequency", "ratio", "RMS left"), dampers(plan))
+    _print(("train", *PASSAGE_HEADINGS), trains(plan))
+
+
+def _print(headings: tuple[str, ...], rows: Iterator[tuple[str, ...]]) -> None:
+    print(f"| {' | '.join(headings)} |\n|{'---|' * len(headings)}")
+    for row in rows:
+        print(f"| {' | '.join(row)} |", flush=True)
+    print()
+
+
+if __name__ == "__main__":
+    main()

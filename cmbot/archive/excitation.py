@@ -1,0 +1,88 @@
+"""An excitation in the directory of its plan."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from cmbot.archive.folder import add_files
+from cmbot.archive.names import EXCITATION_FILE, PLAN_FILE
+from cmbot.archive.places import claim, require_plan_directory, shown_files
+from cmbot.archive.strict_json import json_bytes
+from cmbot.common.errors import ArchiveError
+from cmbot.common.validation import given_path, plain, require_type
+from cmbot.excitation import Excitation
+from cmbot.version import __version__
+
+__all__ = ["excitation_json", "require_no_excitation", "save_excitation"]
+
+_FORMAT = "cmbot-excitation/1"
+
+
+def save_excitation(
+    excitation: Excitation,
+    directory: str | Path,
+    *,
+    force: bool = False,
+    added: Mapping[str, bytes | str] | None = None,
+) -> tuple[Path, ...]:
+    """Add an excitation to a plan directory, all files or none; ``plan.json`` takes their hashes.
+
+    Parameters
+    ----------
+    excitation : Excitation
+        Of the plan that was saved there.
+    directory : str or Path
+    force : bool
+        Replace one that is there.
+    added : mapping from str to bytes or str, optional
+        Pages and plots that are added with it, by their names.
+
+    Returns
+    -------
+    tuple of Path
+        Of the files.
+
+    Raises
+    ------
+    InputError
+        When `excitation` is no Excitation, or `directory` no path.
+    ArchiveError
+        When `directory` is no plan directory, holds one already, a number is not finite, another process is
+        writing there, or the system refuses.
+
+    Examples
+    --------
+    >>> [path.name for path in cmbot.save_excitation(excitation, "out/triangle")]
+    ['excitation.json']
+    """
+    expected = "an Excitation, as cmbot.excite returns it"
+    require_type(excitation, Excitation, "cmbot.save_excitation", "excitation", expected)
+    folder = given_path(directory, "cmbot.save_excitation", "directory", "the path of a plan directory")
+    files = {EXCITATION_FILE: json_bytes(excitation_json(excitation), indent=2)} | shown_files(added)
+    target = require_plan_directory(folder)
+    with claim(folder):
+        require_no_excitation(folder, force=force)
+        add_files(target, PLAN_FILE, files)
+        return tuple(folder / name for name in files)
+
+
+def require_no_excitation(directory: str | Path, *, force: bool = False) -> None:
+    """Refuse a directory that `save_excitation` would refuse, before anything is computed.
+
+    Raises
+    ------
+    ArchiveError
+        When an excitation is there and is not to be replaced.
+    """
+    path = Path(directory) / EXCITATION_FILE
+    if path.exists() and not force:
+        expected = "a plan without an excitation; --force (in Python force=True) replaces it"
+        raise ArchiveError(str(path), "", "a file that is already there", expected)
+
+
+def excitation_json(excitation: Excitation) -> dict[str, Any]:
+    """Return an excitation ready for JSON, SI units but where a key says otherwise."""
+    content = plain(excitation, "cmbot.save_excitation")
+    return {"format": _FORMAT, "cmbot": __version__, "rms_mm": excitation.rms_mm, **content}

@@ -1,0 +1,17 @@
+"""What shakes an arm: the deck under it, trains over it, wind; how its tool sways, and what helps."""
+
+from cmbot.excitation.excite import Excitation, Shaken, excite
+from cmbot.excitation.summary import PASSAGE_HEADINGS, excitation_rows, excitation_sentences, passage_rows
+from cmbot.excitation.sway import RandomSway, sway_mm_per_m_s2
+
+__all__ = [
+    "PASSAGE_HEADINGS",
+    "Excitation",
+    "RandomSway",
+    "Shaken",
+    "excitation_rows",
+    "excitation_sentences",
+    "excite",
+    "passage_rows",
+    "sway_mm_per_m_s2",
+]

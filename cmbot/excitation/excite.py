@@ -1,0 +1,333 @@
+"""What shakes a plan's arm, and by how much: spectra, records, trains, wind; and a damper against it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.representation import short_repr
+from cmbot.elastic.arm import ElasticArm
+from cmbot.excitation.damper import DamperGain, best_damper
+from cmbot.excitation.ground import Record, axles_of, read_record
+from cmbot.excitation.passages import (
+    Passage,
+    PassageLoad,
+    Timetable,
+    passage,
+    resonance_speeds,
+    timetable,
+)
+from cmbot.excitation.response import (
+    AXES,
+    BAND_HZ,
+    ModalResponse,
+    Spectrum,
+    flat_band,
+    linear_spectrum,
+    modal_response,
+)
+from cmbot.excitation.sway import DAMPING, RandomSway, require_bending, shaken_adhesion, sway_of
+from cmbot.excitation.trains import Span, passing_pressure
+from cmbot.excitation.wind import AIR_KG_M3, DRAG, gust_spectrum, link_loads
+from cmbot.planning import Plan, require_plan
+from cmbot.scene import DamperFile, ExcitationFile, TrainsFile
+from cmbot.simulation import PrescribedWork, SimulationOptions, elastic_arm_of, track_work
+
+__all__ = ["Excitation", "Shaken", "excite"]
+
+# Postures in which the response is computed along the work; those in which trains pass and dampers are tuned.
+_POSTURES, _SOME = 13, slice(None, None, 4)
+_STIFFNESSES = (0.7, 1.0, 1.3)
+# Of records and trains, s.
+_STEP = 0.002
+_CURVE_HZ = np.geomspace(*BAND_HZ, 400)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shaken:
+    """A work that was simulated whole on a shaken base: what moved the tool beside its sag, m."""
+
+    rms: float
+    peak: float
+    peak_time: float
+
+    __repr__ = short_repr
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Excitation:
+    """What shakes the arm of a plan, and how it answers.
+
+    Attributes
+    ----------
+    kind : str
+        What the deck does: ``spectrum``, ``record``, ``trains``, ``still``, or ``reference``, where the
+        scene has no excitation: 1 m/s2 RMS along each axis, flat from 0.5 to 30 Hz.
+    damping : float
+        Ratio of every mode.
+    reference : RandomSway
+        Under that flat spectrum, without wind and damper.
+    sway : RandomSway or None
+        Under the scene's spectrum and gusts; None where nothing is random.
+    simulated : Shaken or None
+        Under the record from the begin of the work, or the train at the worst of its speeds.
+    passages : tuple of Passage
+    timetable : Timetable or None
+    resonances_km_h : tuple of float
+        Speeds within the asked range at which axles meet the span's first frequency.
+    wind : float, m
+        Largest displacement of the tool under the mean wind.
+    adhesion : float or None, N
+        Largest that a foot needs, the shaking and the mean wind included.
+    adhesion_factor : float
+        Peak to root mean square in it.
+    damper : DamperGain or None
+    curve_hz, curve : (F,), Hz and m per m/s2
+        How far the tool moves by an acceleration of the deck that swings at a frequency, as the root of the
+        sum of squares over the axes of both; the largest of the postures, with the damper.
+    seconds : float
+        Wall time.
+    """
+
+    kind: str
+    damping: float
+    reference: RandomSway
+    sway: RandomSway | None
+    simulated: Shaken | None
+    passages: tuple[Passage, ...]
+    timetable: Timetable | None
+    resonances_km_h: tuple[float, ...]
+    wind: float
+    adhesion: float | None
+    adhesion_factor: float
+    damper: DamperGain | None
+    curve_hz: FloatArray
+    curve: FloatArray
+    seconds: float
+
+    def __repr__(self) -> str:
+        return f"<Excitation: {self.kind}, {self.rms_mm:.2f} mm RMS at the tool>"
+
+    @property
+    def rms_mm(self) -> float:
+        """Mean over the work of the tool's RMS in space, mm; of records and trains, as simulated."""
+        if self.kind == "reference":
+            return self.reference.rms_mm
+        each = [0.0 if self.sway is None else self.sway.rms_mm]
+        each += [] if self.simulated is None else [1e3 * self.simulated.rms]
+        return float(np.hypot.reduce(each))
+
+
+def excite(plan: Plan) -> Excitation:
+    """Return what shakes the arm of a plan, as its scene says, and how the arm answers.
+
+    Parameters
+    ----------
+    plan : Plan
+
+    Raises
+    ------
+    InputError
+        When `plan` is no plan, nothing of its arm bends, or a file that the scene names cannot be used.
+    SimulationDiverged
+        When a record shakes the arm beyond the model of springs.
+
+    Examples
+    --------
+    >>> excitation = cmbot.excite(plan)
+    >>> f"{excitation.rms_mm:.1f} mm RMS by 1 m/s2 of the deck"
+    '10.5 mm RMS by 1 m/s2 of the deck'
+    """
+    require_plan(plan, "cmbot.excite")
+    started = time.perf_counter()
+    # The matrices are too small for several threads of linear algebra.
+    with threadpool_limits(limits=1, user_api="blas"):
+        found = _Excited(plan, plan.scene.excitation).answer()
+    return replace(found, seconds=time.perf_counter() - started)
+
+
+class _Excited:
+    """A plan's arm; its inputs are the deck's acceleration, a pressure along y, and one along the wind."""
+
+    def __init__(self, plan: Plan, given: ExcitationFile | None) -> None:
+        self.plan, self.given = plan, given
+        self.damping = DAMPING if given is None else given.damping
+        self.damper = DamperFile() if plan.scene.damper == "auto" else plan.scene.damper
+        self.options = SimulationOptions(damping=self.damping, step_s=_STEP, output_step_s=_STEP)
+        self.arm = elastic_arm_of(plan, self.options)
+        require_bending(self.arm, plan.scene.source)
+        self.work = PrescribedWork.planned(plan)
+        self.t = np.linspace(0.0, self.work.duration, _POSTURES)
+        self.postures = self.work.postures(self.t)
+        samples = plan.samples
+        wrench = np.hstack([samples.guardrail_force, samples.guardrail_torque])
+        self.wrench = np.stack([np.interp(self.t, samples.t, column) for column in wrench.T], axis=1)
+
+    def responses(
+        self, arm: ElasticArm, postures: FloatArray, damper: DamperFile | None = None
+    ) -> list[ModalResponse]:
+        wind = 0.0 if self.given is None or self.given.wind is None else np.radians(self.given.wind.from_deg)
+        towards = -np.array([np.cos(wind), np.sin(wind), 0.0])
+        loads = [link_loads(np.array([0.0, 1.0, 0.0])), link_loads(towards, DRAG)]
+        place = "tool" if damper is None else damper.at
+        return [modal_response(arm, q, self.damping, loads, place) for q in postures]
+
+    def answer(self) -> Excitation:
+        plan, tolerance = self.plan, self.plan.scene.tool.tolerance
+        responses = self.responses(self.arm, self.postures, self.damper)
+        flat = _with_loads(flat_band())
+        moments = [response.moments(flat, BAND_HZ) for response in responses]
+        asked = tolerance if self.given is None else None
+        reference = sway_of(self.t, responses, moments, flat, BAND_HZ, asked)
+        spectrum, band = self.random()
+        # Against trains and records all frequencies of the band count alike.
+        at_random = spectrum is not None and self.kind in ("spectrum", "still")
+        damper = self.tuned(spectrum, band) if at_random and spectrum else self.tuned(flat, BAND_HZ)
+        if damper is not None:
+            responses = [replace(response, damper=damper.damper) for response in responses]
+        sway = None
+        if spectrum is not None:
+            moments = [response.moments(spectrum, band) for response in responses]
+            sway = sway_of(self.t, responses, moments, spectrum, band, tolerance)
+        factor, steady = (sway or reference).peak_factor, self.mean_wind()
+        still = np.array([response.static(steady) for response in responses])
+        needed = list[float | None]()
+        if sway is not None or self.given is None:
+            needed.append(shaken_adhesion(plan.robot, self.wrench + still[:, AXES:], moments, factor))
+        passages, times, resonances = self.trains(responses)
+        needed += [each.adhesion for each in passages]
+        tool = [response.transfer(_CURVE_HZ)[:, :AXES, :AXES] for response in responses]
+        return Excitation(
+            kind=self.kind,
+            damping=self.damping,
+            reference=reference,
+            sway=sway,
+            simulated=self.simulated(passages),
+            passages=passages,
+            timetable=times,
+            resonances_km_h=resonances,
+            wind=float(np.linalg.norm(still[:, :AXES], axis=1).max()),
+            adhesion=max((each for each in needed if each is not None), default=None),
+            adhesion_factor=factor,
+            damper=damper,
+            curve_hz=_CURVE_HZ,
+            curve=np.max([np.linalg.norm(each, axis=(1, 2)) for each in tool], axis=0),
+            seconds=0.0,
+        )
+
+    @property
+    def kind(self) -> str:
+        if self.given is None:
+            return "reference"
+        deck = self.given.deck
+        if deck is None:
+            return "still"
+        return next(name for name in ("spectrum", "record", "trains") if getattr(deck, name) is not None)
+
+    def random(self) -> tuple[Spectrum | None, tuple[float, float]]:
+        """The spectrum of what is random among the inputs, and its band, Hz; None where nothing is."""
+        given = self.given
+        wind = None if given is None else given.wind
+        gusty = wind is not None and wind.gusts_m_s > 0 and wind.mean_m_s > 0
+        rows = None if given is None or given.deck is None else given.deck.spectrum
+        if rows is None and not gusty:
+            return None, BAND_HZ
+        deck = None if rows is None else linear_spectrum(np.array(rows))
+        low, high = BAND_HZ
+        if rows is not None:
+            low, high = (min(low, rows[0][0]), max(high, rows[-1][0])) if gusty else (rows[0][0], rows[-1][0])
+
+        def spectrum(f: FloatArray) -> FloatArray:
+            S = np.zeros((len(f), AXES + 2))
+            if deck is not None:
+                S[:, :AXES] = deck(f)
+            if gusty and wind is not None:
+                # Of the pressure: rho U v' about its mean.
+                S[:, -1] = (AIR_KG_M3 * wind.mean_m_s) ** 2 * gust_spectrum(f, wind.mean_m_s, wind.gusts_m_s)
+                S[(f < low) | (f > high), -1] = 0.0
+            return S
+
+        return spectrum, (low, high)
+
+    def mean_wind(self) -> FloatArray:
+        steady = np.zeros(AXES + 2)
+        if self.given is not None and self.given.wind is not None:
+            steady[-1] = AIR_KG_M3 * self.given.wind.mean_m_s**2 / 2
+        return steady
+
+    def tuned(self, spectrum: Spectrum, band: tuple[float, float]) -> DamperGain | None:
+        """The damper that is best over postures and the stiffness interval; None where none is asked."""
+        wanted = self.damper
+        if wanted is None:
+            return None
+        arms = [self.arm if factor == 1 else self.arm.softened(factor) for factor in _STIFFNESSES]
+        responses = [each for arm in arms for each in self.responses(arm, self.postures[_SOME], wanted)]
+        given = {"frequency": wanted.frequency_hz, "damping": wanted.damping}
+        return best_damper(responses, spectrum, band, wanted.mass_kg, wanted.at, **given)
+
+    def trains(
+        self, responses: Sequence[ModalResponse]
+    ) -> tuple[tuple[Passage, ...], Timetable | None, tuple[float, ...]]:
+        """The passages at each speed, what they leave of an hour, and the speeds of resonance, km/h."""
+        deck = None if self.given is None else self.given.deck
+        if deck is None or deck.trains is None:
+            return (), None, ()
+        trains, tolerance = deck.trains, self.plan.scene.tool.tolerance
+        loads = [self.load(trains, speed) for speed in trains.speeds_km_h]
+        some, wrench = responses[_SOME], self.wrench[_SOME]
+        passages = tuple(passage(load, some, tolerance, self.plan.robot, wrench) for load in loads)
+        parts = [part for part in self.work.parts if part.path is not None]
+        strokes = np.array([(part.begin, part.begin + part.motion.duration) for part in parts])
+        speeds = [load.speed for load in loads]
+        met = resonance_speeds(loads[0].train, loads[0].span.first, min(speeds), max(speeds))
+        times = timetable(trains.per_hour, passages, strokes)
+        return passages, times, tuple(3.6 * speed for speed in met)
+
+    def load(self, trains: TrainsFile, speed_km_h: float) -> PassageLoad:
+        span, train, speed = _span(trains), axles_of(trains.axles), speed_km_h / 3.6
+        passing = None if self.given is None else self.given.passing
+        pressure = 0.0 if passing is None else passing_pressure(speed, passing.distance_m, passing.shape)
+        return PassageLoad(span=span, train=train, speed=speed, pressure=pressure)
+
+    def simulated(self, passages: Sequence[Passage]) -> Shaken | None:
+        """The whole work under the record, or under the train at its worst speed, from time 0."""
+        deck = None if self.given is None else self.given.deck
+        if deck is None:
+            return None
+        if deck.record is not None:
+            record = read_record(Path(deck.record), "excitation.deck.record")
+        elif deck.trains is not None:
+            worst = max(passages, key=lambda each: each.tool)
+            load = self.load(deck.trains, worst.speed_km_h)
+            t = np.arange(0.0, self.work.duration + self.options.settle_s + _STEP, _STEP / 2)
+            record = Record(t=t, a=load.inputs(t, AXES))
+        else:
+            return None
+        tracking = track_work(self.arm, self.work, self.options, sag=self.plan.sag, ground=record.at)
+        size = np.linalg.norm(tracking.dynamic, axis=1)
+        k = int(size.argmax())
+        return Shaken(
+            rms=float(np.sqrt(np.mean(size**2))), peak=float(size[k]), peak_time=float(tracking.t[k])
+        )
+
+
+def _span(trains: TrainsFile) -> Span:
+    span = trains.span
+    return Span(
+        length=span.length_m,
+        first=span.first_hz,
+        mass=1e3 * span.mass_t_m,
+        damping=span.damping,
+        at=span.at_m,
+    )
+
+
+def _with_loads(spectrum: Spectrum) -> Spectrum:
+    """A spectrum of the deck, with loads that are still."""
+    return lambda f: np.hstack([spectrum(f), np.zeros((len(f), 2))])

@@ -1,0 +1,195 @@
+"""Trains that pass while the arm works: how far the tool moves at each speed, when to pause, how long."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.representation import short_repr
+from cmbot.excitation.response import AXES, ModalResponse
+from cmbot.excitation.trains import Span, Train, pressure_pulse
+from cmbot.robot import Robot
+from cmbot.scene import Tolerance
+
+__all__ = ["STILL_M", "Passage", "PassageLoad", "Timetable", "passage", "resonance_speeds", "timetable"]
+
+STILL_M = 0.5e-3
+"""A tool that moves by less is still, m."""
+
+# Step, s; and the tail: until the slowest decay has lost three decades, but no longer than this, s.
+_STEP, _DECADES, _LONGEST_TAIL = 0.002, 3, 60.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PassageLoad:
+    """What a train at one speed, m/s, does to the arm: over a span, by pressure, Pa, from one side."""
+
+    span: Span
+    train: Train
+    speed: float
+    pressure: float = 0.0
+
+    def inputs(self, t: FloatArray, count: int) -> FloatArray:
+        """Return the first inputs (N, count) at times (N,): the deck's acceleration, then pressure, Pa.
+
+        The first axle comes onto the span at time 0, and the head passes the arm as it is abreast.
+        """
+        x = np.zeros((len(t), count))
+        x[:, :AXES] = self.span.acceleration(self.train, self.speed, t)
+        if count > AXES:
+            abreast = self.span.at / self.speed
+            x[:, AXES] = self.pressure * pressure_pulse(self.train, self.speed, t - abreast)
+        return x
+
+
+@dataclass(frozen=True, kw_only=True)
+class Passage:
+    """What a train at one speed does, at worst over the postures of the work.
+
+    Attributes
+    ----------
+    speed_km_h : float
+    passes_s : float, s
+        From the first axle on the span to the last one off it.
+    deck : float, m/s2
+        Largest acceleration of the deck.
+    tool : float, m
+        Largest displacement of the tool from where it would be.
+    torque : float, Nm
+        Largest torque about O0 that is added.
+    adhesion : float or None, N
+        Largest that a foot needs, of the planned motion's wrench in that posture and what is added.
+    still_s : float, s
+        From the last axle off until the tool moves by less than 0.5 mm for good; 0 where it never did.
+    pause_s : float, s
+        From the first axle on until the tool is for good within its tolerance, or without one still; 0: no
+        pause.
+    kept : bool or None
+        Whether the tolerance is kept throughout; None without one.
+    """
+
+    speed_km_h: float
+    passes_s: float
+    deck: float
+    tool: float
+    torque: float
+    adhesion: float | None
+    still_s: float
+    pause_s: float
+    kept: bool | None
+
+    __repr__ = short_repr
+
+
+def passage(
+    load: PassageLoad,
+    responses: Sequence[ModalResponse],
+    tolerance: Tolerance | None,
+    robot: Robot,
+    planned: FloatArray,
+) -> Passage:
+    """Return what a train does in some postures, with the planned wrenches (K, 6) there."""
+    slowest = min(float((each.frequencies * each.damping).min()) for each in responses)
+    slowest = min(slowest, load.span.first * load.span.damping)
+    tail = min(_DECADES * np.log(10) / (2 * np.pi * slowest), _LONGEST_TAIL)
+    passes = load.span.passage(load.train, load.speed)
+    t = np.arange(0.0, passes + tail, _STEP)
+    inputs = load.inputs(t, responses[0].gain.shape[1])
+    tool = torque = still = pause = 0.0
+    adhesion: float | None = None
+    kept = True
+    for response, wrench in zip(responses, planned, strict=True):
+        y = response.history(inputs, _STEP)
+        size = np.linalg.norm(y[:, :AXES], axis=1)
+        off = _off(y[:, :AXES], response.axis, tolerance, size)
+        tool = max(tool, float(size.max()))
+        torque = max(torque, float(np.linalg.norm(y[:, 6:], axis=1).max()))
+        still, pause = max(still, _last(t, size > STILL_M) - passes), max(pause, _last(t, off))
+        kept = kept and not off.any()
+        if robot.holding is not None and robot.holding.adhesive:
+            peak = robot.holding.worst(y[:, 3:] + wrench, t).peak
+            adhesion = peak if adhesion is None else max(adhesion, peak)
+    return Passage(
+        speed_km_h=3.6 * load.speed,
+        passes_s=passes,
+        deck=float(np.abs(inputs[:, :AXES]).max()),
+        tool=tool,
+        torque=torque,
+        adhesion=adhesion,
+        still_s=max(still, 0.0),
+        pause_s=pause,
+        kept=None if tolerance is None else kept,
+    )
+
+
+def _off(y: FloatArray, axis: FloatArray, tolerance: Tolerance | None, size: FloatArray) -> FloatArray:
+    """When the tool is off its tolerance, or without one not still."""
+    if tolerance is None:
+        return np.asarray(size > STILL_M)
+    along = y @ axis
+    off = np.zeros(len(y), dtype=bool)
+    if tolerance.across_mm is not None:
+        off |= np.sqrt(np.maximum(size**2 - along**2, 0.0)) > tolerance.across_mm / 1e3
+    if tolerance.along_axis_mm is not None:
+        off |= np.abs(along) > tolerance.along_axis_mm / 1e3
+    return np.asarray(off)
+
+
+def _last(t: FloatArray, off: FloatArray) -> float:
+    """The last time that something is so; 0 where it never is."""
+    return float(t[np.flatnonzero(off)[-1]]) if off.any() else 0.0
+
+
+def resonance_speeds(train: Train, first_hz: float, slowest: float, fastest: float) -> tuple[float, ...]:
+    """Return the speeds, m/s, at which the axles' commonest repetition meets a frequency: ``v = f L / n``."""
+    gaps = np.round(np.subtract.outer(train.axles, train.axles), 2)
+    lengths, counts = np.unique(gaps[gaps > train.length / len(train.axles)], return_counts=True)
+    length = float(lengths[np.argmax(counts)]) if len(lengths) else train.length
+    each = [first_hz * length / n for n in range(1, 21)] if length else []
+    return tuple(speed for speed in reversed(each) if slowest <= speed <= fastest)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Timetable:
+    """How much of an hour is left for work where the arm pauses for trains, between strokes alone.
+
+    Attributes
+    ----------
+    per_hour : float
+        Trains in an hour.
+    pause_s : float
+        For each: the longest of the passages.
+    waits_s : float
+        Mean of what is lost before: a stroke that would not end before the train comes is not begun.
+    work_s : float
+        Left of an hour.
+    pauses_at_s : tuple of float
+        When the work can pause, s on its clock: at the ends of strokes.
+    """
+
+    per_hour: float
+    pause_s: float
+    waits_s: float
+    work_s: float
+    pauses_at_s: tuple[float, ...]
+
+    __repr__ = short_repr
+
+
+def timetable(per_hour: float, passages: Sequence[Passage], strokes: FloatArray) -> Timetable:
+    """Return what trains leave of an hour; `strokes` (S, 2) are begins and ends on the work's clock, s."""
+    pause = max(each.pause_s for each in passages)
+    durations = strokes[:, 1] - strokes[:, 0]
+    # A train comes at any time alike: within a stroke in proportion to its length, half of which is then
+    # lost.
+    waits = float((durations**2).sum() / (2 * (strokes[-1, 1] - strokes[0, 0]))) if pause else 0.0
+    return Timetable(
+        per_hour=per_hour,
+        pause_s=pause,
+        waits_s=waits,
+        work_s=max(0.0, 3600.0 - per_hour * (pause + waits)),
+        pauses_at_s=tuple(strokes[:, 1].tolist()),
+    )

@@ -1,0 +1,87 @@
+"""What is said of an excitation: rows of figures, a row for each speed of the trains, and a few sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from cmbot.excitation.damper import DamperGain
+from cmbot.excitation.excite import Excitation
+from cmbot.excitation.response import BAND_HZ
+from cmbot.excitation.sway import RandomSway
+
+__all__ = ["PASSAGE_HEADINGS", "excitation_rows", "excitation_sentences", "passage_rows"]
+
+PASSAGE_HEADINGS = (
+    *("speed, km/h", "tool, mm", "torque added, Nm", "adhesion, kN", "passes, s", "still after, s"),
+    *("pause, s", "tolerance"),
+)
+_KEPT = {None: "-", True: "kept", False: "left"}
+
+
+def excitation_rows(excitation: Excitation) -> Iterator[tuple[str, str]]:
+    """Yield the figures of an excitation, each as its name and unit, and its value."""
+    reference, shaken = excitation.reference, excitation.simulated
+    low, high = BAND_HZ
+    yield f"tool by 1 m/s2 of the deck, {low:g}-{high:g} Hz, RMS, mm", f"{reference.rms_mm:.2f}"
+    yield "slowest mode, Hz", f"{reference.first_hz.min():.2f}"
+    if excitation.sway is not None:
+        yield from _sway(excitation.sway)
+    if shaken is not None:
+        value = f"{1e3 * shaken.rms:.2f}, {1e3 * shaken.peak:.2f}"
+        yield "simulated whole: tool, RMS and largest, mm", value
+    if excitation.wind:
+        yield "tool under the mean wind, mm", f"{1e3 * excitation.wind:.2f}"
+    if excitation.adhesion is not None:
+        yield "adhesion needed, kN", f"{excitation.adhesion / 1e3:.2f}"
+    if excitation.damper is not None:
+        yield from _damper(excitation.damper)
+    if excitation.timetable is not None:
+        yield "work in an hour, s", f"{excitation.timetable.work_s:.0f}"
+
+
+def _sway(sway: RandomSway) -> Iterator[tuple[str, str]]:
+    yield "tool under spectrum and gusts, RMS, mm", f"{sway.rms_mm:.2f}"
+    value = f"{1e3 * sway.across.max():.2f}, {1e3 * sway.along.max():.2f}"
+    yield "largest across its axis, along it, RMS, mm", value
+    yield "mean of the largest displacement, mm", f"{1e3 * sway.peak:.2f}"
+    if sway.leaves is not None:
+        yield "probability of leaving the tolerance", f"{sway.leaves:.3g}"
+
+
+def _damper(gain: DamperGain) -> Iterator[tuple[str, str]]:
+    tuned = gain.damper
+    name = f"damper of {tuned.mass:g} kg at {gain.at}, Hz and ratio"
+    yield name, f"{tuned.frequency:.2f}, {tuned.damping:.3f}"
+    value = f"{1e3 * gain.rms_with:.2f}, {1e3 * gain.rms_without:.2f}"
+    yield "largest RMS with it, without, mm", value
+
+
+def passage_rows(excitation: Excitation) -> Iterator[tuple[str, ...]]:
+    """Yield a row for each speed of the trains, under `PASSAGE_HEADINGS`."""
+    for each in excitation.passages:
+        yield (
+            *(f"{each.speed_km_h:g}", f"{1e3 * each.tool:.2f}", f"{each.torque:.0f}"),
+            "-" if each.adhesion is None else f"{each.adhesion / 1e3:.2f}",
+            *(f"{each.passes_s:.1f}", f"{each.still_s:.1f}", f"{each.pause_s:.1f}", _KEPT[each.kept]),
+        )
+
+
+def excitation_sentences(excitation: Excitation) -> Iterator[str]:
+    """Yield what is to be said of an excitation beside its figures."""
+    if excitation.kind == "reference":
+        yield "The scene has no excitation: figures are for a deck of 1 m/s2 RMS along each axis."
+    times = excitation.timetable
+    if times is None:
+        return
+    left = ", ".join(f"{each.speed_km_h:g}" for each in excitation.passages if each.kept is False)
+    kept = ", ".join(f"{each.speed_km_h:g}" for each in excitation.passages if each.kept)
+    if left:
+        yield f"The tool leaves its tolerance at {left} km/h; it keeps it at {kept or 'no speed'}."
+    if met := ", ".join(f"{speed:.0f}" for speed in excitation.resonances_km_h):
+        yield f"Axles meet the span's first frequency at {met} km/h."
+    if times.pause_s:
+        at = ", ".join(f"{time:.1f}" for time in times.pauses_at_s)
+        yield (
+            f"For a train the work pauses for {times.pause_s:.0f} s, at the end of a stroke ({at} s of the "
+            f"work); {times.per_hour:g} trains an hour leave {times.work_s:.0f} s of it."
+        )

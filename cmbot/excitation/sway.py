@@ -1,0 +1,316 @@
+"""Sway: how far an arm's tool moves, over its work, while its base is shaken at random.
+
+Each posture answers as if it were held: that is good where it changes little while its slowest mode dies
+away, 1 / (2 pi zeta f), some seconds. Where the arm moves faster, the response lags behind; a simulated
+record shows it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError
+from cmbot.common.representation import short_repr
+from cmbot.elastic import Guardrail, elastic_base
+from cmbot.elastic.arm import ElasticArm, elastic_arm
+from cmbot.excitation.peaks import davenport_factor, departure_rate, probability_of_leaving
+from cmbot.excitation.response import (
+    AXES,
+    BAND_HZ,
+    ModalResponse,
+    Moments,
+    Spectrum,
+    flat_band,
+    modal_response,
+)
+from cmbot.hold import needed_by_load
+from cmbot.planning import Plan
+from cmbot.robot import Robot
+from cmbot.scene import Tolerance
+
+__all__ = ["DAMPING", "RandomSway", "sampled_tool", "shaken_adhesion", "sway_mm_per_m_s2", "sway_of"]
+
+DAMPING = 0.01
+"""Ratio of every mode where nothing else is said: measured arms of aluminium tubes have 0.5 to 2 %."""
+
+# Simulated records: how many, their steps a second over the highest frequency, and how many numbers at most;
+# from so many of them that leave the tolerance their share is taken, else the bound by crossings.
+_RECORDS, _FINENESS, _MOST_NUMBERS, _FEWEST_OUTSIDE = 2000, 2.5, 16_000_000, 20
+# Every which posture they are computed in.
+_EVERY_POSTURE = 2
+_FEWEST_RECORDS, _RECORD_SEED = 100, 2021
+# Decay times after which a vibration is forgotten.
+_FORGETS = 5.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RandomSway:
+    """The tool's motion about where it would be, stationary in each of K postures of the work.
+
+    Attributes
+    ----------
+    t : (K,), s
+        On the clock of the work.
+    covariance : (K, 3, 3), m2
+        Of the tool point, in W.
+    across, along : (K,), m
+        Root mean squares across the tool's axis, of both directions, and along it.
+    first_hz : (K,), Hz
+        The slowest mode.
+    peak : float, m
+        Mean of the largest displacement over the work along the direction that moves most (Davenport).
+    peak_factor : float
+        Of that peak to the root mean square.
+    leaves : float or None
+        Probability that the tolerance is left in the work; None without a tolerance.
+    leaves_by : str or None
+        How it was found: ``records``, the share of simulated ones, or ``crossings``, a bound from above.
+    """
+
+    t: FloatArray
+    covariance: FloatArray
+    across: FloatArray
+    along: FloatArray
+    first_hz: FloatArray
+    peak: float
+    peak_factor: float
+    leaves: float | None
+    leaves_by: str | None
+
+    __repr__ = short_repr
+
+    @property
+    def rms(self) -> FloatArray:
+        """Root mean squares of the displacement in space (K,), m."""
+        return np.asarray(np.sqrt(np.trace(self.covariance, axis1=1, axis2=2)))
+
+    @property
+    def rms_mm(self) -> float:
+        """Their mean over the work, mm."""
+        return 1e3 * mean_over(self.t, self.rms)
+
+
+def mean_over(t: FloatArray, values: FloatArray) -> float:
+    """Return the mean of values (K,) at times (K,), linear in between."""
+    if len(t) == 1 or t[-1] == t[0]:
+        return float(values.mean())
+    return float(np.sum((values[1:] + values[:-1]) / 2 * np.diff(t)) / (t[-1] - t[0]))
+
+
+def sway_mm_per_m_s2(
+    work: Plan | FloatArray, robot: Robot | None = None, guardrail: Guardrail | None = None
+) -> float:
+    """Return the tool's RMS in space, mm, by 1 m/s2 RMS of the deck along each axis, flat from 0.5 to 30 Hz.
+
+    With a damping of 1 %.
+
+    Parameters
+    ----------
+    work : Plan or (n,)
+        Of a plan the mean over its work; or one posture, rad and m.
+    robot : Robot, optional
+        Of a posture.
+    guardrail : Guardrail, optional
+        On which that robot stands.
+
+    Raises
+    ------
+    InputError
+        When nothing bends, or it is too soft to carry itself.
+    """
+    if isinstance(work, Plan):
+        arm = elastic_arm(work.robot, elastic_base(work.scene.elastic_guardrail))
+        t = np.linspace(0.0, work.work.duration, 13)
+        postures = work.trajectory.evaluate(work.trajectory.t[0] + t)
+    else:
+        if robot is None:
+            raise InputError("sway_mm_per_m_s2", "robot", "nothing", "the robot whose posture that is")
+        arm = elastic_arm(robot, None if guardrail is None else elastic_base(guardrail))
+        t, postures = np.zeros(1), np.asarray(work)[None]
+    require_bending(arm, "sway_mm_per_m_s2")
+    each = [modal_response(arm, q, DAMPING).moments(flat_band(), BAND_HZ) for q in postures]
+    return 1e3 * mean_over(t, np.array([np.sqrt(np.trace(moments.value[:3, :3])) for moments in each]))
+
+
+def require_bending(arm: ElasticArm, source: str) -> None:
+    """Refuse an arm of which nothing bends.
+
+    Raises
+    ------
+    InputError
+    """
+    if not len(arm.elastic):
+        expected = "guardrail.bays, guardrail.stiffness, base.modes or robot.elasticity in the scene"
+        raise InputError(source, "guardrail", "nothing that bends", expected)
+
+
+def sway_of(
+    t: FloatArray,
+    responses: Sequence[ModalResponse],
+    moments: Sequence[Moments],
+    spectrum: Spectrum,
+    band: tuple[float, float],
+    tolerance: Tolerance | None,
+) -> RandomSway:
+    """Return the sway over a work in K postures.
+
+    Parameters
+    ----------
+    t : (K,), s
+    responses : K ModalResponse
+    moments : K Moments
+        Of all outputs.
+    spectrum : callable
+        Of the inputs.
+    band : (float, float), Hz
+    tolerance : Tolerance or None
+    """
+    covariance = np.array([each.value[:3, :3] for each in moments])
+    frames = [_frame(response.axis) for response in responses]
+    turned = [each.along(R @ np.eye(3, 9)) for each, R in zip(moments, frames, strict=True)]
+    squares = np.array([np.diag(each.value) for each in turned])
+    # The direction, posture by posture, that moves most.
+    main = [each.along(np.linalg.eigh(each.value)[1][:, -1:].T) for each in turned]
+    sigma = np.sqrt([float(each.value[0, 0]) for each in main])
+    worst = int(np.argmax(sigma))
+    rate = np.sqrt(float(main[worst].rate[0, 0])) / (2 * np.pi * max(sigma[worst], 1e-300))
+    factor = davenport_factor(rate, float(t[-1] - t[0]) or 1.0)
+    leaves, by = None, None
+    if tolerance is not None:
+        leaves, by = _leaving(t, responses, turned, spectrum, band, tolerance)
+    return RandomSway(
+        t=t,
+        covariance=covariance,
+        across=np.sqrt(squares[:, 0] + squares[:, 1]),
+        along=np.sqrt(squares[:, 2]),
+        first_hz=np.array([response.frequencies[0] for response in responses]),
+        peak=factor * float(sigma[worst]),
+        peak_factor=factor,
+        leaves=leaves,
+        leaves_by=by,
+    )
+
+
+def _leaving(
+    t: FloatArray,
+    responses: Sequence[ModalResponse],
+    turned: Sequence[Moments],
+    spectrum: Spectrum,
+    band: tuple[float, float],
+    tolerance: Tolerance,
+) -> tuple[float, str]:
+    """Probability that the tool leaves its tolerance in the work, and how it was found."""
+    bounds = []
+    if tolerance.across_mm is not None:
+        bounds.append((tolerance.across_mm / 1e3, np.eye(2, 3)))
+    if tolerance.along_axis_mm is not None:
+        bounds.append((tolerance.along_axis_mm / 1e3, np.eye(3)[2:]))
+    stays = 1.0
+    for bound, rows in bounds:
+        each = np.array([departure_rate(some.along(rows), bound) for some in turned])
+        stays *= 1 - probability_of_leaving(t, each[:, 0], each[:, 1])
+    some = slice(None, None, _EVERY_POSTURE) if len(t) % _EVERY_POSTURE == 1 else slice(None)
+    tool = sampled_tool(t[some], responses[some], spectrum, band)
+    axes = np.einsum("kn,ki->ni", _shares(t, len(tool)), [response.axis for response in responses])
+    along = np.einsum("nri,ni->nr", tool, axes)
+    across = np.sqrt(np.maximum(np.einsum("nri,nri->nr", tool, tool) - along**2, 0.0))
+    outside = np.zeros(tool.shape[1], dtype=bool)
+    if tolerance.across_mm is not None:
+        outside |= (across > tolerance.across_mm / 1e3).any(axis=0)
+    if tolerance.along_axis_mm is not None:
+        outside |= (np.abs(along) > tolerance.along_axis_mm / 1e3).any(axis=0)
+    if outside.sum() < _FEWEST_OUTSIDE:
+        return float(1 - stays), "crossings"
+    return float(outside.mean()), "records"
+
+
+def sampled_tool(
+    t: FloatArray,
+    responses: Sequence[ModalResponse],
+    spectrum: Spectrum,
+    band: tuple[float, float],
+    records: int = _RECORDS,
+) -> FloatArray:
+    """Return displacements of the tool (N, R, 3), m, in W, at N equal steps of the work.
+
+    They are those under simulated records, which are Gaussian, with random phases and amplitudes, the same
+    in every run. Between postures the responses to the same record are mixed.
+
+    Parameters
+    ----------
+    t : (K,), s
+    responses : K ModalResponse
+    spectrum, band
+        Of the inputs.
+    records : int
+        Fewer where they are long.
+    """
+    duration = float(t[-1] - t[0])
+    # A record is cut from a periodic one, longer by the time in which the slowest decay forgets.
+    N = max(int(_FINENESS * band[1] * duration), 2)
+    step = duration / (N - 1) if duration else 1 / (_FINENESS * band[1])
+    slowest = min(float((response.frequencies * response.damping).min()) for response in responses)
+    count = next_fast_len(N + int(_FORGETS / (2 * np.pi * slowest * step)), real=True)
+    records = max(min(records, _MOST_NUMBERS // (AXES * count)), _FEWEST_RECORDS)
+    f = np.arange(count // 2 + 1) / (count * step)
+    S, random = spectrum(f), np.random.default_rng(_RECORD_SEED)
+    # E |X|^2 = S N^2 df / 2 for the coefficients of a real series.
+    scale = np.sqrt(S / (count * step)) * count / 2
+    X = random.standard_normal((len(f), records, S.shape[1], 2), dtype=np.float32)
+    spectra = (X[..., 0] + 1j * X[..., 1]) * scale[:, None].astype(np.float32)
+    share, y = _shares(t, N), np.zeros((N, records, AXES))
+    for k, response in enumerate(responses):
+        Y = response.transfer(f)[:, :AXES].astype(np.complex64)
+        series = irfft(spectra @ Y.transpose(0, 2, 1), count, axis=0)
+        here = np.flatnonzero(share[k])
+        y[here] += share[k][here, None, None] * series[here]
+    return y
+
+
+def _shares(t: FloatArray, N: int) -> FloatArray:
+    """How much of each posture (K, N) counts at N equal steps from the first time to the last."""
+    at = np.linspace(t[0], t[-1], N)
+    return np.array([np.interp(at, t, unit) for unit in np.eye(len(t))])
+
+
+def _frame(axis: FloatArray) -> FloatArray:
+    """Rows (3, 3): two directions across the tool's axis, and the axis."""
+    x = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(axis, x), axis])
+
+
+def shaken_adhesion(
+    robot: Robot, planned: FloatArray, moments: Sequence[Moments], factor: float
+) -> float | None:
+    """Return the largest adhesion that a foot needs while it is shaken, N: static, and a peak factor on top.
+
+    What a foot needs is convex and grows with the size of each of its loads, so that what two loads need
+    together is no more than the sum. All loads of the shaking are taken at their peaks at once: a bound from
+    above.
+
+    Parameters
+    ----------
+    robot : Robot
+    planned : (K, 6), N and Nm
+        The wrench of the planned motion in each posture.
+    moments : K Moments
+    factor : float
+        Peak to root mean square.
+    """
+    holding, most = robot.holding, None
+    if holding is None:
+        return None
+    for number in holding.adhesive:
+        foot = holding.feet[number]
+        for wrench, each in zip(planned, moments, strict=True):
+            load = factor * np.sqrt(np.diag(foot.from_wrench @ each.value[3:, 3:] @ foot.from_wrench.T))
+            more = needed_by_load(foot, load[None])[0][0]
+            needed = float(holding.needed(number, wrench[None])[0] + more)
+            most = needed if most is None else max(most, needed)
+    return most

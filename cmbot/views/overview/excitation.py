@@ -1,0 +1,88 @@
+"""The page of `cmbot excite`: figures, the response over frequency and work, and trains over speeds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from html import escape
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.excitation import (
+    PASSAGE_HEADINGS,
+    Excitation,
+    excitation_rows,
+    excitation_sentences,
+    passage_rows,
+)
+from cmbot.planning import Plan
+from cmbot.views.page import still_page, table
+
+__all__ = ["EXCITATION", "excitation_page"]
+
+EXCITATION = "excitation.html"
+
+_WIDTH_PX, _HEIGHT_PX, _EDGE_PX = 900, 300, 60
+_COLOUR = "#2f6fb7"
+_TICKS = 5
+
+
+def excitation_page(plan: Plan, excitation: Excitation) -> str:
+    """Return an HTML page that opens no connection and runs no script.
+
+    Parameters
+    ----------
+    plan : Plan
+    excitation : Excitation
+        Of that plan.
+    """
+    content = f"<section>{table(excitation_rows(excitation))}</section>"
+    if excitation.passages:
+        speeds = np.array([each.speed_km_h for each in excitation.passages])
+        order = np.argsort(speeds)
+        tool = 1e3 * np.array([each.tool for each in excitation.passages])
+        content += _plot(
+            "Trains: largest displacement of the tool, mm", "speed, km/h", speeds[order], tool[order]
+        )
+        shown = table(passage_rows(excitation), PASSAGE_HEADINGS)
+        content += f"<section>{shown}</section>"
+    content += _plot(
+        "Tool by 1 m/s2 of the deck at one frequency, mm",
+        "frequency, Hz (logarithmic)",
+        excitation.curve_hz,
+        1e3 * excitation.curve,
+        logarithmic=True,
+    )
+    sway = excitation.sway or excitation.reference
+    content += _plot("RMS of the tool over the work, mm", "time, s", sway.t, 1e3 * sway.rms)
+    return still_page(f"What shakes {plan.scene.name}", excitation_sentences(excitation), content)
+
+
+def _plot(title: str, axis: str, x: FloatArray, y: FloatArray, *, logarithmic: bool = False) -> str:
+    """A curve with dots where there are few points."""
+    along = np.log(x) if logarithmic else x
+    low, high = float(along.min()), float(along.max())
+    across = _EDGE_PX + (along - low) / max(high - low, 1e-9) * (_WIDTH_PX - 2 * _EDGE_PX)
+    top = 1.1 * max(float(y.max()), 1e-9)
+    up = _HEIGHT_PX - _EDGE_PX - y / top * (_HEIGHT_PX - 1.5 * _EDGE_PX)
+    points = list(zip(across.tolist(), up.tolist(), strict=True))
+    drawn = "".join(_scale(x, across, top))
+    way = " ".join(f"{px:.1f},{py:.1f}" for px, py in points)
+    drawn += f'<polyline points="{way}" fill="none" stroke="{_COLOUR}" stroke-width="2"/>'
+    if len(points) <= 30:
+        drawn += "".join(
+            f'<circle cx="{px:.1f}" cy="{py:.1f}" r="3.5" fill="{_COLOUR}"/>' for px, py in points
+        )
+    drawn += f'<text x="{_WIDTH_PX // 2}" y="{_HEIGHT_PX - 12}" text-anchor="middle">{escape(axis)}</text>'
+    svg = f'<svg viewBox="0 0 {_WIDTH_PX} {_HEIGHT_PX}" role="img" aria-label="{escape(title)}">{drawn}</svg>'
+    return f'<h2>{escape(title)}</h2><section><div class="wide">{svg}</div></section>'
+
+
+def _scale(x: FloatArray, across: Sequence[float] | FloatArray, top: float) -> Iterator[str]:
+    """Lines and numbers."""
+    for value in np.linspace(0.0, top, _TICKS):
+        y = _HEIGHT_PX - _EDGE_PX - value / top * (_HEIGHT_PX - 1.5 * _EDGE_PX)
+        yield f'<path d="M{_EDGE_PX} {y:.0f}H{_WIDTH_PX - _EDGE_PX}" stroke="#8a8f98" stroke-opacity="0.25"/>'
+        yield f'<text x="{_EDGE_PX - 8}" y="{y + 4:.0f}" text-anchor="end">{value:.3g}</text>'
+    for k in np.unique(np.linspace(0, len(x) - 1, 7).astype(int)):
+        yield f'<text x="{across[k]:.0f}" y="{_HEIGHT_PX - 36}" text-anchor="middle">{x[k]:.3g}</text>'

@@ -1,0 +1,64 @@
+"""``cmbot excite``: what it adds, prints and refuses."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from command_line import output, refusal
+from plan_folders import names
+
+import cmbot
+from cmbot.archive import excitation_json, save_excitation
+from cmbot.common.errors import ArchiveError, InputError
+from cmbot.planning import Plan
+
+ADDED = {"excitation.json", "excitation.html"}
+
+
+@pytest.fixture(scope="module")
+def excited(saved_short: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    folder = Path(shutil.copytree(saved_short, tmp_path_factory.mktemp("excited") / "plan"))
+    return folder, output("excite", folder, "--json")
+
+
+def test_it_adds_figures_and_a_page(excited: tuple[Path, str], saved_short: Path) -> None:
+    folder, text = excited
+    assert names(folder) - names(saved_short) == ADDED
+    told, written = json.loads(text), json.loads((folder / "excitation.json").read_text())
+    assert told["verb"] == "excite"
+    assert told["rms_mm"] == written["rms_mm"] > 1
+    assert written["damping"] == 0.01
+    assert written["kind"] == "reference"
+    # The plan counts them in, and is read with them.
+    record = json.loads((folder / "plan.json").read_text())
+    assert record["files"].keys() >= ADDED
+    cmbot.load_plan(folder)
+    page = (folder / "excitation.html").read_text()
+    assert "<svg" in page
+    assert "http" not in page.split("</head>")[1].replace("http://www.w3.org", "")
+
+
+def test_it_prints_a_table(excited: tuple[Path, str]) -> None:
+    folder, _ = excited
+    text = output("excite", folder, "--force")
+    assert "slowest mode, Hz" in text
+    assert "The scene has no excitation" in text
+    assert output("excite", folder, "--force", "--quiet") == ""
+
+
+def test_what_is_there_is_kept(excited: tuple[Path, str], tmp_path: Path, short_plan: Plan) -> None:
+    folder, _ = excited
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert "--force" in refusal("excite", folder)
+    excitation = cmbot.excite(short_plan)
+    with pytest.raises(ArchiveError, match="already there"):
+        save_excitation(excitation, folder)
+    with pytest.raises(ArchiveError):
+        save_excitation(excitation, tmp_path / "none")
+    with pytest.raises(ArchiveError, match="page or a plot"):
+        save_excitation(excitation, folder, force=True, added={"other.html": ""})
+    with pytest.raises(InputError, match="an Excitation"):
+        save_excitation(short_plan, folder)  # type: ignore[arg-type]
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    assert excitation_json(excitation)["format"] == "cmbot-excitation/1"

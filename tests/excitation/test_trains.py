@@ -1,0 +1,106 @@
+"""Trains: a moving load in closed form and by integration, the universal trains of EN 1991-2, pressure."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from cmbot.excitation.ground import axles_of
+from cmbot.excitation.trains import Span, Train, passing_pressure, pressure_pulse, train_of
+
+SPAN = Span(length=24.0, first=5.5, mass=3500.0, damping=0.005, at=9.0)
+ONE = Train(axles=np.zeros(1), loads=np.array([1e5]))
+
+
+def test_one_load_is_frybas_series() -> None:
+    """Undamped, of the first mode: 2 P / (m L) sin(pi x / L) (sin W t - W/w sin w t) / (w^2 - W^2)."""
+    span, speed = Span(length=24.0, first=5.5, mass=3500.0, damping=1e-9, at=12.0), 40.0
+    t = np.linspace(0.0, 24.0 / speed, 301)
+    w, W = 2 * np.pi * 5.5, np.pi * speed / 24.0
+    series = 2e5 / (3500.0 * 24.0) * (np.sin(W * t) - W / w * np.sin(w * t)) / (w**2 - W**2)
+    # At the middle of the span the second mode is at rest.
+    assert np.abs(span.deflection(ONE, speed, t) - series).max() < 1e-6 * np.abs(series).max()
+
+
+@pytest.mark.parametrize("speed", [11.0, 44.0, 90.0])
+def test_axles_are_those_of_the_beams_equation(speed: float) -> None:
+    """On the span and after it, two modes, by an integrator of ordinary differential equations."""
+    train = Train(axles=np.array([0.0, 3.0]), loads=np.array([1e5, 2e5]))
+    t = np.linspace(0.0, SPAN.passage(train, speed) + 0.5, 1501)
+
+    def rates(time: float, y: np.ndarray) -> list[float]:
+        out = []
+        for n in (1, 2):
+            w = 2 * np.pi * SPAN.first * n**2
+            way = speed * time - train.axles
+            on = (way >= 0) & (way <= SPAN.length)
+            force = 2 * (train.loads * np.sin(n * np.pi * way / SPAN.length) * on).sum()
+            q, v = y[2 * n - 2 : 2 * n]
+            out += [v, force / (SPAN.mass * SPAN.length) - 2 * SPAN.damping * w * v - w**2 * q]
+        return out
+
+    y = solve_ivp(rates, (0, t[-1]), np.zeros(4), t_eval=t, rtol=1e-9, atol=1e-13, max_step=2e-3).y
+    shapes = np.sin(np.pi * np.array([1, 2]) * SPAN.at / SPAN.length)
+    expected = shapes @ y[::2]
+    ours = SPAN.deflection(train, speed, t)
+    assert np.abs(ours - expected).max() < 1e-5 * np.abs(expected).max()
+    # Its derivatives are those of the same curve.
+    second = np.gradient(SPAN.deflection(train, speed, t, 1), t)
+    smooth = np.abs(np.gradient(second)) < np.quantile(np.abs(np.gradient(second)), 0.9)
+    difference = np.abs(second - SPAN.deflection(train, speed, t, 2))[5:-5]
+    assert np.median(difference[smooth[5:-5]]) < 1e-2 * np.abs(second).max()
+
+
+def test_a_slow_load_bends_the_beam_as_at_rest() -> None:
+    """P L^3 / (48 EI) at the middle, of which the first mode has 96 / pi^4."""
+    span = Span(length=24.0, first=5.5, mass=3500.0, damping=0.05, at=12.0)
+    bending = 3500.0 * (2 * np.pi * 5.5) ** 2 * (24.0 / np.pi) ** 4
+    speed = 0.2
+    deflection = span.deflection(ONE, speed, np.array([12.0 / speed]))[0]
+    assert deflection == pytest.approx(96 / np.pi**4 * 1e5 * 24.0**3 / (48 * bending), rel=1e-3)
+
+
+# Number of axles, and load of each, kN: EN 1991-2, Table 6.3; power cars have 8 axles, end coaches 6.
+AXLES = [(50, 170), (48, 200), (46, 180), (44, 190), (42, 170), (40, 180), (40, 190), (38, 190), (36, 210)]
+
+
+@pytest.mark.parametrize(("number", "expected"), [*enumerate([*AXLES, (36, 210)], start=1)])
+def test_universal_trains_have_the_axles_of_the_standard(number: int, expected: tuple[int, int]) -> None:
+    train = train_of(f"hslm_a{number}")
+    assert (len(train.axles), train.loads[0] / 1e3) == expected
+    assert np.all(np.diff(train.axles) > 0)
+    # The same from both ends, and about 400 m long.
+    assert train.axles == pytest.approx(train.length - train.axles[::-1])
+    assert 350 < train.length < 410
+    assert train.axles[:5] == pytest.approx([0, 3, 14, 17, 20.525])
+
+
+def test_coaches_shake_a_span_most_at_their_resonance() -> None:
+    """v = f D / n: at 5.5 Hz and D = 18 m with n = 2 at 178 km/h."""
+    train, span = train_of("hslm_a1"), Span(length=12.0, first=5.5, mass=5000.0, damping=0.01, at=6.0)
+    speeds = np.arange(150.0, 205.0, 2.0)
+    t = [np.arange(0.0, span.passage(train, v / 3.6), 0.002) for v in speeds]
+    largest = [np.abs(span.acceleration(train, v / 3.6, at)).max() for v, at in zip(speeds, t, strict=True)]
+    assert speeds[int(np.argmax(largest))] == pytest.approx(3.6 * 5.5 * 18 / 2, abs=4)
+
+
+def test_axles_from_a_file_are_those_of_the_train(tmp_path) -> None:
+    train = train_of("emu")
+    rows = np.column_stack([train.axles + 5.0, train.loads / 1e3])
+    path = tmp_path / "axles.csv"
+    np.savetxt(path, rows, delimiter=",", header="at_m,load_kn", comments="")
+    read = axles_of(str(path))
+    assert read.axles == pytest.approx(train.axles)
+    assert read.loads == pytest.approx(train.loads)
+
+
+def test_pressure_is_that_of_the_standard() -> None:
+    """By hand, at 160 km/h and 3 m: (2.5 / 3.25^2 + 0.02) 44.44^2 / 1.6 = 317 Pa."""
+    assert passing_pressure(160 / 3.6, 3.0, "freight") == pytest.approx(316.9, abs=0.1)
+    assert passing_pressure(160 / 3.6, 3.0, "streamlined") == pytest.approx(0.6 * 316.9, abs=0.1)
+    t = np.linspace(-1.0, 12.0, 13001)
+    pulse = pressure_pulse(train_of("emu"), 40.0, t)
+    assert pulse.max() == pytest.approx(1.0, abs=1e-3)
+    assert pulse.min() == pytest.approx(-1.0, abs=1e-3)
+    assert np.trapezoid(pulse, t) == pytest.approx(0.0, abs=1e-6)
