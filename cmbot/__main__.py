@@ -12,8 +12,6 @@ from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import LazyLoader
 from types import ModuleType
 
-__all__ = ["main"]
-
 _STOPPED = 128 + signal.SIGINT
 # Of the objects that are made between two searches for reference cycles. Importing makes some 200,000 that
 # stay: with Python's own 700 it takes a fifth longer.

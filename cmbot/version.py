@@ -2,8 +2,6 @@
 
 from functools import cache
 
-__all__ = ["__version__", "versions"]
-
 __version__ = "0.2.0"
 
 

@@ -131,6 +131,14 @@ def past_the_checks(module: Module) -> Iterator[int]:
             yield from [node.lineno] * ast.unparse(node.args[0]).rpartition(".")[2].endswith("scene")
 
 
+def inner_exports(module: Module) -> Iterator[int]:
+    """Yield lines that list what a module exports, which only the door of a package does."""
+    if module.path.name != "__init__.py":
+        for node in module.tree.body:
+            if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
+                yield node.lineno
+
+
 def commands_below_planning(module: Module) -> Iterator[int]:
     """Yield lines whose text names commands or options that packages below planning do not know."""
     if module.package not in _BELOW:
@@ -184,6 +192,7 @@ RULES: dict[str, Callable[[Module], Iterator[int]]] = {
         scenes_as_data,
         past_the_checks,
         commands_below_planning,
+        inner_exports,
     )
 }
 """What no code may do, module by module."""

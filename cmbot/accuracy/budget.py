@@ -22,8 +22,6 @@ from cmbot.common.file_types import NonNegative, Share
 from cmbot.elastic.arm import ElasticArm
 from cmbot.scene import Placement, Tolerance, ToolPath, Uncertainty
 
-__all__ = ["Accuracy", "AccuracyPart", "Remedy", "Work", "accuracy_of"]
-
 # Draws; postures of a stroke at most, and the time between them, s.
 _DRAWS, _MOST_POSTURES, _BETWEEN_POSTURES = 2048, 80, 0.25
 _SEED = 0

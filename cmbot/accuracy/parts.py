@@ -20,8 +20,6 @@ from cmbot.elastic.stiffness_parameters import StiffnessParameters
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import Placement, Uncertainty
 
-__all__ = ["Part", "PartName", "parts_of"]
-
 PartName = Literal[
     "sag",
     "stiffness",

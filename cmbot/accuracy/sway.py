@@ -21,8 +21,6 @@ from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.modes import arm_modes, linearised
 from cmbot.trajectory import QuinticTrajectory
 
-__all__ = ["Sway", "sway_along"]
-
 # Longest time between postures at which matrices are computed, s, and postures at most.
 _BETWEEN_POSTURES, _MOST_POSTURES = 0.15, 120
 # Steps in a period of the slowest mode, and steps at most.

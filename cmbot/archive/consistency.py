@@ -13,8 +13,6 @@ from cmbot.common.validation import counted, shown
 from cmbot.planning import RETURN, Job, free_move_name
 from cmbot.scene import PlannerOptions, Scene
 
-__all__ = ["require_fit", "require_same", "require_segments"]
-
 # Relative tolerance of times and shares; tolerance of angles, rad, because degrees round.
 _SAME, _SAME_ANGLE = 1e-9, 1e-9
 

@@ -15,8 +15,6 @@ from cmbot.common.validation import given_path, plain, require_type
 from cmbot.excitation import Excitation
 from cmbot.version import __version__
 
-__all__ = ["excitation_json", "require_no_excitation", "save_excitation"]
-
 _FORMAT = "cmbot-excitation/1"
 
 

@@ -29,22 +29,6 @@ from cmbot.common.errors import ArchiveError
 from cmbot.common.input_files import LARGEST_TEXT, read_input, require_replaceable
 from cmbot.common.validation import shown
 
-__all__ = [
-    "FILE_NAME",
-    "add_files",
-    "drafted",
-    "exclusive",
-    "read_file",
-    "read_folder",
-    "read_record",
-    "refusals",
-    "replace_folder",
-    "resolved",
-    "sealed",
-    "without_hashes",
-    "write_file",
-]
-
 FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._\-]{0,199}")
 _PART = re.compile(r"\.([A-Za-z0-9][A-Za-z0-9._\-]{0,199})\.part")
 _FILES, _CONTENT = "files", "content"

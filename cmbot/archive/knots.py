@@ -21,8 +21,6 @@ from cmbot.common.validation import counted, shown
 from cmbot.planning import QuinticTrajectory
 from cmbot.scene import Stroke
 
-__all__ = ["knots_npz", "read_knots", "require_times", "segment_trajectories"]
-
 # Relative tolerance of times.
 _SAME = 1e-9
 _KNOTS = ("t", "q", "v", "a")

@@ -2,21 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = [
-    "BASELINE_FILE",
-    "EXCITATION_FILE",
-    "FORMATS",
-    "JOB_FILES",
-    "OWN_FILES",
-    "PLAN_FILE",
-    "PLAN_FILES",
-    "SHOWN_FILES",
-    "STANCES_FILE",
-    "TOUR_FILE",
-    "TRACKING_FILES",
-    "WALK_FILE",
-]
-
 PLAN_FILE, WALK_FILE, TOUR_FILE, STANCES_FILE = "plan.json", "walk.json", "tour.json", "stances.json"
 FORMATS = {
     PLAN_FILE: "cmbot-plan/2",

@@ -26,22 +26,6 @@ from cmbot.archive.strict_json import read_json
 from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import shown
 
-__all__ = [
-    "add_file",
-    "claim",
-    "in_bytes",
-    "new_folder",
-    "plans_nearby",
-    "record_of",
-    "require_absent",
-    "require_free",
-    "require_new_folder",
-    "require_plan_directory",
-    "shown_files",
-    "write_plan_files",
-    "write_results",
-]
-
 # Where the command line puts plans by default.
 _DEFAULT_PLACE = Path("out")
 _MOST_SUGGESTED = 3

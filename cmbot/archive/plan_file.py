@@ -48,8 +48,6 @@ from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, Scene
 from cmbot.version import versions
 
-__all__ = ["HashesFile", "MotionFile", "PlanFile", "StrokeEntries", "hashes_of", "made"]
-
 T = TypeVar("T")
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, Field(min_length=1, max_length=100)]

@@ -52,8 +52,6 @@ from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import PlannerOptions, Scene
 
-__all__ = ["load_plan", "plan_data", "read_plan"]
-
 # Relative and absolute tolerance of metrics computed again: processors round differently.
 _SAME, _SAME_ZERO = 1e-6, 1e-9
 # The same of what is drawn in single precision.

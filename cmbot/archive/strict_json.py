@@ -9,9 +9,6 @@ from typing import Any, NoReturn
 from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import shown
 
-__all__ = ["json_bytes", "read_json"]
-
-
 # No plan has as many: 20,000 via-points make 20,000 numbers, 2,000 legs and 1,000 obstacles some ten each.
 _MOST_VALUES = 200_000
 _MOST_KEYS = 1000

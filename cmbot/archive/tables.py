@@ -13,8 +13,6 @@ from cmbot.common.validation import counted, shown
 from cmbot.planning import Samples
 from cmbot.trajectory import LARGEST
 
-__all__ = ["columns", "read_motion", "read_table", "require_table", "samples_csv", "table_csv"]
-
 _JOINT_COLUMNS = ("q", "v", "a", "j", "tau")
 _VECTORS = ("guardrail_torque", "guardrail_force", "tool")
 _CLEARANCE, _SEGMENT, _ADHESION = "clearance", "segment", "adhesion_needed"

@@ -31,8 +31,6 @@ from cmbot.simulation import (
 )
 from cmbot.version import __version__
 
-__all__ = ["load_tracking", "require_no_tracking", "save_tracking", "tracking_json"]
-
 _FORMAT = "cmbot-tracking/1"
 _PLANNED, _BASELINE, _METRICS = TRACKING_FILES
 _TABLES = {_PLANNED: "planned", _BASELINE: "baseline"}

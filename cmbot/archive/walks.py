@@ -24,8 +24,6 @@ from cmbot.siting import Candidate, candidate_at, in_world
 from cmbot.trajectory import QuinticTrajectory
 from cmbot.walking import Kind, Move, Step, Walk, certified_move, stance_of, walk_data
 
-__all__ = ["load_walk"]
-
 # Moves join where they are nearer, rad; feet are where they should be, m; figures that are computed again.
 _SAME_POSTURE, _SAME_PLACE, _SAME, _SAME_ZERO = 1e-9, 1e-6, 1e-6, 1e-9
 # The moves of a step: while a foot is off, the arm is still.

@@ -17,8 +17,6 @@ from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import given_path, validated
 from cmbot.planning import Plan, require_plan
 
-__all__ = ["export_csv", "job_table", "save"]
-
 
 def save(
     plan: Plan,

@@ -18,8 +18,6 @@ import numpy as np
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.robot import Chain, Robot
 
-__all__ = ["BroadPhase", "LowerBounds"]
-
 # Postures are treated in blocks of this many, whose arrays fit the processor's cache.
 _BLOCK = 512
 # How often points of two boxes are projected onto each other's box: a direction need not be the best one.

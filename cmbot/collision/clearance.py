@@ -18,8 +18,6 @@ from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.robot import Robot
 from cmbot.scene import Obstacle
 
-__all__ = ["RESOLUTION", "Clearances", "Nearest", "Smallest"]
-
 RESOLUTION = 1e-4
 """To which the smallest distance of a motion is known, m: what lies so near a margin may count as below."""
 

@@ -14,8 +14,6 @@ import pinocchio as pin
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.robot import prismatic_joints, slide_axes
 
-__all__ = ["DistanceCache", "pair_reach", "raise_bounds", "shape_reach", "travel"]
-
 # When some point of the arm may have moved further than this, m, all pairs are measured again.
 _LARGEST_MOVE = 0.1
 # In postures nearer than this to the one before, m, it is worth measuring all pairs where the bounds leave

@@ -17,8 +17,6 @@ from cmbot.common.arrays import FloatArray
 from cmbot.robot import Robot
 from cmbot.scene import Obstacle
 
-__all__ = ["PointDistances"]
-
 
 class PointDistances:
     """Distances of a robot's moving shapes to obstacles and to its own other shapes.

@@ -21,8 +21,6 @@ from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, l
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["PairedShapes", "ShapePair", "coal_shapes", "extent_of", "touched_by"]
-
 # Meshes whose hulls are kept.
 _KEPT = 8
 

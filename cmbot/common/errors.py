@@ -24,25 +24,6 @@ from collections.abc import Sequence
 from cmbot.common.installation import install_command
 from cmbot.common.limit import Limit
 
-__all__ = [
-    "FAR_BEYOND",
-    "LONGEST_MESSAGE",
-    "ArchiveError",
-    "CmbotError",
-    "InputError",
-    "LimitViolation",
-    "MissingExtra",
-    "ModelError",
-    "OptimisationFailed",
-    "PathNotFound",
-    "PlanningError",
-    "SceneError",
-    "SimulationDiverged",
-    "beyond",
-    "one_line",
-    "whole_sentences",
-]
-
 LONGEST_MESSAGE = 390
 """Characters of an error's message; with ``error: `` before it, a line has at most 400."""
 

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler
     from pydantic_core import CoreSchema
 
-__all__ = ["Count", "ModerateOrInfinite", "NonNegative", "OrInfinite", "Row", "Rows", "Share"]
-
 # Larger numbers could not be printed in other units.
 _LARGEST = 1e12
 

@@ -13,17 +13,6 @@ from pathlib import Path
 
 from cmbot.common.errors import InputError
 
-__all__ = [
-    "LARGEST_MESH",
-    "LARGEST_TEXT",
-    "is_file",
-    "is_folder",
-    "read_csv",
-    "read_input",
-    "require_input",
-    "require_replaceable",
-]
-
 LARGEST_TEXT = 20_000_000
 """Bytes of a URDF, an SRDF or a plan.json."""
 LARGEST_MESH = 50_000_000

@@ -5,17 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from shlex import quote
 
-__all__ = [
-    "DISTRIBUTION",
-    "assumptions_file",
-    "data_folder",
-    "install_command",
-    "model_folder",
-    "picture_folder",
-    "scene_folder",
-    "shipped_scenes",
-]
-
 # The import name and the command are cmbot; that name is another project's on the package index.
 DISTRIBUTION = "cmbot-planner"
 _PACKAGE = Path(__file__).resolve().parent.parent

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-__all__ = ["Limit"]
-
 
 class Limit(StrEnum):
     """What is limited: by it remedies are chosen, never by what messages call it."""

@@ -7,8 +7,6 @@ from dataclasses import MISSING, fields
 from html import escape
 from typing import Any
 
-__all__ = ["LONGEST_REPR", "card", "fields_repr", "short_repr"]
-
 LONGEST_REPR = 300
 """Characters of a short repr at most."""
 

@@ -9,8 +9,6 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 
-__all__ = ["LIBRARY", "LIBRARY_EXTRA", "is_robot_name", "library_robots"]
-
 LIBRARY, LIBRARY_EXTRA = "example-robot-data", "robots"
 _PLACE = Path("share", "example-robot-data", "robots")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_\-]{0,99}")

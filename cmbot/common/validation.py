@@ -18,23 +18,6 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 from cmbot.common.errors import InputError
 from cmbot.common.representation import fields_repr
 
-__all__ = [
-    "CheckedFields",
-    "FileModel",
-    "check_fields",
-    "checked_options",
-    "counted",
-    "given_path",
-    "hint",
-    "input_error",
-    "key_path",
-    "plain",
-    "refusal",
-    "require_type",
-    "shown",
-    "validated",
-]
-
 T = TypeVar("T")
 
 _LONGEST_SHOWN = 60

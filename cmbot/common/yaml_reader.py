@@ -31,8 +31,6 @@ from cmbot.common.errors import InputError
 from cmbot.common.input_files import read_input
 from cmbot.common.validation import key_path, shown
 
-__all__ = ["LARGEST_FILE", "lines_named", "read_yaml", "yaml_text", "yaml_value"]
-
 LARGEST_FILE = 2_000_000
 """Size in bytes above which a file is refused."""
 

@@ -18,8 +18,6 @@ from cmbot.common.validation import CheckedFields
 from cmbot.elastic.base import ElasticBase
 from cmbot.robot import Robot, external_forces, turn_axis
 
-__all__ = ["ElasticArm", "ElasticOptions", "cut_inertia", "elastic_arm"]
-
 # Bodies that are lighter are there for their frames only, kg; no radius of gyration is made of their mass.
 _NO_MASS = 1e-12
 # A body thinner than this share of the axis' length lies in a plane across it.

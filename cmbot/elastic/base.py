@@ -18,16 +18,6 @@ from cmbot.elastic.beam import SectionConstants, section_constants
 from cmbot.elastic.frame import Frame, Member
 from cmbot.elastic.guardrail import Guardrail
 
-__all__ = [
-    "ElasticBase",
-    "GuardrailFrame",
-    "SharedFrame",
-    "elastic_base",
-    "guardrail_frame",
-    "rigid_motion",
-    "shares",
-]
-
 # Joints closer than this are merged, m: far below a section's width, and a beam much shorter than its
 # neighbours would cost digits, as stiffness grows with the inverse third power of length.
 _SAME_PLACE = 1e-3

@@ -19,15 +19,6 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.guardrail import AngleSection, Section
 
-__all__ = [
-    "Outline",
-    "SectionConstants",
-    "beam_mass",
-    "beam_stiffness",
-    "beam_strain",
-    "section_constants",
-]
-
 # The coordinates of stretching, torsion, bending in the plane xy and bending in the plane xz.
 _COORDINATES = (np.array([0, 6]), np.array([3, 9]), np.array([1, 5, 7, 11]), np.array([2, 4, 8, 10]))
 # A positive rotation about y lowers the beam in the plane xz; one about z lifts it in the plane xy.

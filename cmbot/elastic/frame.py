@@ -18,8 +18,6 @@ from cmbot.common.errors import InputError
 from cmbot.elastic.beam import SectionConstants, beam_mass, beam_stiffness
 from cmbot.elastic.guardrail import GuardrailMaterial
 
-__all__ = ["Condensed", "Frame", "Member", "natural_frequencies"]
-
 # Sine of the angle to the member's axis below which a first axis does not define the section's orientation.
 _PARALLEL = 1e-6
 # Largest asymmetry of a compliance, relative to its diagonal, that is accepted as rounding.

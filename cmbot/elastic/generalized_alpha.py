@@ -25,8 +25,6 @@ from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import SimulationDiverged
 from cmbot.elastic.arm import ElasticArm
 
-__all__ = ["DrivenMotion", "ElasticMotion", "ElasticSystem", "GeneralizedAlpha"]
-
 # Displacement, m or rad, beyond which the model of springs between rigid bodies is not valid.
 _MAX_DISPLACEMENT = 1.0
 # Steps of one length, between two reports of progress, and between two trials of a second correction.

@@ -9,8 +9,6 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import short_repr
 
-__all__ = ["AngleSection", "BarSection", "Guardrail", "GuardrailMaterial", "Post", "Rail", "Section"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class AngleSection:

@@ -15,8 +15,6 @@ from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.sag import Sag
 from cmbot.elastic.stiffness_parameters import StiffnessParameters
 
-__all__ = ["ArmModes", "Linearised", "arm_modes", "frequency_slopes", "linearised"]
-
 # Share of the largest squared period below which a squared period is rounding: its coordinate has no mass.
 _MASSLESS = 1e-13
 

@@ -17,8 +17,6 @@ from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.stiffness_parameters import StiffnessParameters
 from cmbot.robot import Kinematics
 
-__all__ = ["Sag", "SagStates", "TooSoftError"]
-
 # Newton's method: most iterations, and the step, m and rad, at which it ends; the remaining error is about
 # the step's square.
 _ITERATIONS = 30

@@ -15,8 +15,6 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
 
-__all__ = ["StiffnessParameters", "entries_of", "exponential_slopes", "symmetric"]
-
 # Entries on and above the diagonal of a symmetric matrix (6, 6), row by row.
 _ROW, _COLUMN = np.triu_indices(6)
 _BASIS = np.zeros((21, 6, 6))

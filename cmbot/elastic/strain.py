@@ -14,8 +14,6 @@ from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.beam import Outline, beam_strain
 from cmbot.elastic.frame import Frame
 
-__all__ = ["BeamStrains", "frame_strains", "tube_strains"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BeamStrains:

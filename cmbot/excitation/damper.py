@@ -17,8 +17,6 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import short_repr
 from cmbot.excitation.response import AXES, ModalResponse, Spectrum, TunedDamper
 
-__all__ = ["DamperGain", "best_damper", "den_hartog"]
-
 # Evaluations at most; the optimum is flat, so that more gain nothing that could be built.
 _MOST_EVALUATIONS, _FLAT_OPTIMUM = 60, 1e-3
 

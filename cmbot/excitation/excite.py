@@ -39,8 +39,6 @@ from cmbot.planning import Plan, require_plan
 from cmbot.scene import DamperFile, ExcitationFile, TrainsFile
 from cmbot.simulation import PrescribedWork, SimulationOptions, elastic_arm_of, track_work
 
-__all__ = ["Excitation", "Shaken", "excite"]
-
 # Postures in which the response is computed along the work; those in which trains pass and dampers are tuned.
 _POSTURES, _SOME = 13, slice(None, None, 4)
 _STIFFNESSES = (0.7, 1.0, 1.3)

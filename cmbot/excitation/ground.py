@@ -16,8 +16,6 @@ from cmbot.common.validation import shown
 from cmbot.excitation.trains import Train, train_of
 from cmbot.scene import TRAINS
 
-__all__ = ["Record", "axles_of", "read_record"]
-
 _LARGEST_RECORD_BYTES = 50_000_000
 
 

@@ -14,8 +14,6 @@ from cmbot.excitation.trains import Span, Train, pressure_pulse
 from cmbot.robot import Robot
 from cmbot.scene import Tolerance
 
-__all__ = ["STILL_M", "Passage", "PassageLoad", "Timetable", "passage", "resonance_speeds", "timetable"]
-
 STILL_M = 0.5e-3
 """A tool that moves by less is still, m."""
 

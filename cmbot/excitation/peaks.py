@@ -12,8 +12,6 @@ from scipy.special import ndtr
 from cmbot.common.arrays import FloatArray
 from cmbot.excitation.response import Moments
 
-__all__ = ["bandwidth", "davenport_factor", "departure_rate", "probability_of_leaving"]
-
 _EULER = 0.5772156649
 _BOUNDARY_ANGLES = 128
 # Below this share of the largest variance a direction does not move.

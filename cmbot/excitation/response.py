@@ -30,19 +30,6 @@ from cmbot.common.validation import shown
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.modes import arm_modes
 
-__all__ = [
-    "AXES",
-    "BAND_HZ",
-    "Loads",
-    "ModalResponse",
-    "Moments",
-    "Spectrum",
-    "TunedDamper",
-    "flat_band",
-    "linear_spectrum",
-    "modal_response",
-]
-
 AXES = 3
 """Inputs of every response: the deck's acceleration along x, y and z."""
 BAND_HZ = (0.5, 30.0)

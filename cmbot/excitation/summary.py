@@ -9,8 +9,6 @@ from cmbot.excitation.excite import Excitation
 from cmbot.excitation.response import BAND_HZ
 from cmbot.excitation.sway import RandomSway
 
-__all__ = ["PASSAGE_HEADINGS", "excitation_rows", "excitation_sentences", "passage_rows"]
-
 PASSAGE_HEADINGS = (
     *("speed, km/h", "tool, mm", "torque added, Nm", "adhesion, kN", "passes, s", "still after, s"),
     *("pause, s", "tolerance"),

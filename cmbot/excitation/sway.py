@@ -33,8 +33,6 @@ from cmbot.planning import Plan
 from cmbot.robot import Robot
 from cmbot.scene import Tolerance
 
-__all__ = ["DAMPING", "RandomSway", "sampled_tool", "shaken_adhesion", "sway_mm_per_m_s2", "sway_of"]
-
 DAMPING = 0.01
 """Ratio of every mode where nothing else is said: measured arms of aluminium tubes have 0.5 to 2 %."""
 

@@ -18,8 +18,6 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import short_repr
 
-__all__ = ["Span", "Train", "passing_pressure", "pressure_pulse", "train_of"]
-
 _SPAN_MODES = 2
 # EN 1991-2, Table 6.3: intermediate coaches, their length D, axle spacing d of a bogie, m, axle load P, kN.
 _HSLM_A = (

@@ -14,8 +14,6 @@ from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
 from cmbot.excitation.response import Loads
 
-__all__ = ["AIR_KG_M3", "DRAG", "gust_spectrum", "link_loads"]
-
 AIR_KG_M3 = 1.25
 """Density of the air: EN 1991-1-4, 4.5."""
 DRAG = 1.2

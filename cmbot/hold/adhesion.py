@@ -26,8 +26,6 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.file_types import Count, NonNegative
 from cmbot.hold.foot import Foot
 
-__all__ = ["ADHESION", "CLAMP_LOAD", "MODES", "AdhesionPeak", "FlatContact", "Holding", "needed_by_load"]
-
 MODES = ("pull", "tip", "slip")
 """What the adhesion is needed against."""
 

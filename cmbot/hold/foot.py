@@ -11,8 +11,6 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import short_repr
 
-__all__ = ["Foot", "mean_distance"]
-
 
 def mean_distance(half_along: float, half_across: float) -> float:
     """Return the mean distance of a rectangle's points from its centre, m.

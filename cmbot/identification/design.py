@@ -27,8 +27,6 @@ from cmbot.planning import Plan, QuinticTrajectory, build_context, follow_path, 
 from cmbot.robot import Dynamics
 from cmbot.scene import Scene
 
-__all__ = ["Proposal", "job_postures", "propose", "require_axes"]
-
 # Postures that are chosen from, random ones that are tried for them, and how many at a time.
 _CANDIDATES, _MOST_TRIED, _AT_ONCE = 800, 40_000, 2000
 # Postures of a job.

@@ -33,8 +33,6 @@ from cmbot.identification.problem import Label, Problem
 from cmbot.planning import modelled_stiffness
 from cmbot.scene import IdentifiedStiffness
 
-__all__ = ["Identification", "Weight", "estimate"]
-
 
 class Weight(NamedTuple):
     """A weight that was hung on: as stated, as estimated and its standard deviation, kg."""

@@ -29,8 +29,6 @@ from cmbot.common.validation import counted
 from cmbot.identification.touches import Feature, Touches, TouchSetup, read_touches
 from cmbot.scene import Box, Placement, Scene
 
-__all__ = ["Location", "expected_covariance", "features_to_touch", "locate", "location_remarks"]
-
 # Probability by chance of the residual of a touch that is left out, and the share that may go.
 _CHANCE, _MOST_LEFT_OUT = 1e-3, 1 / 3
 # A direction whose variance is more than this share of the prior's is not fixed by the touches.

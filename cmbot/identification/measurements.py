@@ -33,16 +33,6 @@ from cmbot.identification.records import RingDown, read_record
 from cmbot.planning import robot_of
 from cmbot.scene import Scene, load_scene, shipped_scenes
 
-__all__ = [
-    "Measurements",
-    "MeasurementsFile",
-    "MeasuringSetup",
-    "Prior",
-    "is_sheet",
-    "read_measurements",
-    "require_alike",
-]
-
 _MOST = 1000
 
 Share = Annotated[float, Field(ge=1e-3, le=3)]

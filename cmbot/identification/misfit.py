@@ -24,8 +24,6 @@ from scipy.stats import f as fisher
 from cmbot.common.arrays import FloatArray
 from cmbot.identification.problem import Block, Kind, Label, Problem
 
-__all__ = ["Part", "Slip", "parts", "rescaled", "slips"]
-
 # Probability of a larger misfit below which a part is doubted.
 _DOUBTED = 0.01
 # That of a row, among all of them, below which it is wrong.

@@ -18,8 +18,6 @@ from cmbot.planning import robot_of
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import Scene
 
-__all__ = ["DeflectionModel", "SagAlong", "measured_arm", "prior_deviations", "sag_along"]
-
 _ARC_MINUTE = np.pi / (180 * 60)
 # Draws of the error along a job, and the share of them of which the bound is told.
 _DRAWS, _CONFIDENCE = 4000, 0.95

@@ -19,8 +19,6 @@ from cmbot.elastic.modes import frequency_slopes
 from cmbot.identification.measurements import Measurements
 from cmbot.identification.model import DeflectionModel, prior_deviations
 
-__all__ = ["Block", "Kind", "Label", "Problem", "whitener"]
-
 # Residual where the arm is too soft to carry itself: such a step is not taken.
 _TOO_SOFT = 1e6
 # Modes that a measured frequency may be of; the largest difference of its logarithm from theirs, and that of

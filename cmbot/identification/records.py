@@ -17,8 +17,6 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.input_files import read_csv
 
-__all__ = ["RingDown", "read_record", "ring_down"]
-
 _LARGEST = 20_000_000
 _COLUMNS = (("t", "ax"), ("t", "ay"), ("t", "az"), ("t", "ax", "ay", "az"))
 # How Klipper calls them.

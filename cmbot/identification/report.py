@@ -17,16 +17,6 @@ from cmbot.identification.misfit import Slip
 from cmbot.identification.model import SagAlong
 from cmbot.scene import IdentifiedStiffness
 
-__all__ = [
-    "HEADINGS",
-    "identified_rows",
-    "proposal_remarks",
-    "remarks",
-    "require_fit",
-    "stiffness_text",
-    "unseen",
-]
-
 HEADINGS = ("", "modelled", "identified", "factor", "sd, %", "before, %", "")
 """Of the columns of `identified_rows`."""
 

@@ -35,8 +35,6 @@ from cmbot.planning import bending_arm, robot_of
 from cmbot.robot import Kinematics
 from cmbot.scene import Placement, Scene, load_scene, shipped_scenes
 
-__all__ = ["Feature", "TouchSetup", "Touches", "TouchesFile", "read_touches"]
-
 _MOST, _LARGEST_CSV = 1000, 1_000_000
 _SHAPES = ("point", "plane", "edge", "cylinder")
 _PLACES = ("posture_deg", "posture", "place")

@@ -9,8 +9,6 @@ import numpy as np
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.limit import Limit
 
-__all__ = ["OBJECTIVE", "ConstraintSet", "Violation"]
-
 OBJECTIVE = 0
 """Family of the objective; behind it come the program's constraints, then its bounds."""
 

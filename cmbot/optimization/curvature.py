@@ -10,8 +10,6 @@ from scipy import linalg, sparse
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.optimization.program import StateFunction, StateSamples
 
-__all__ = ["convexified", "state_curvature"]
-
 # Sites whose multiplier is below this share of all do not bend anything.
 _NEGLIGIBLE = 1e-5
 # Step of the forward differences of exact first derivatives, for states in units of about 1.

@@ -17,8 +17,6 @@ from cmbot.optimization.qp import NlpModel, NlpValues
 from cmbot.optimization.separation import find_violations
 from cmbot.trajectory import LocalRows, Parametrization
 
-__all__ = ["NlpEvaluation", "Stage"]
-
 # At most so many constraints of a family are added for a step: the worst, which usually hold the others.
 _MOST = 40
 

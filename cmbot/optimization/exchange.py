@@ -24,8 +24,6 @@ from cmbot.optimization.slsqp import solve_slsqp
 from cmbot.optimization.sqp import SqpOptions, SqpResult, SqpStatus, solve_sqp
 from cmbot.trajectory import Parametrization
 
-__all__ = ["ExchangeOptions", "ExchangeReport", "Result", "minimize_peak", "minimize_smoothed_peak"]
-
 # From a start, with an accuracy and a number of iterations at most, to the end and the iterations it took.
 DenseSolver = Callable[[NlpEvaluation, float, int], tuple[NlpEvaluation, int]]
 

@@ -12,8 +12,6 @@ from scipy import linalg
 
 from cmbot.common.arrays import FloatArray
 
-__all__ = ["nearest"]
-
 # A row that is smaller than this share of the largest bounds no unknown; a slope that is smaller is none.
 _NOTHING = 1e-12
 # A distance this much larger than the given point's own length is none, and neither is a point that is beyond

@@ -11,8 +11,6 @@ from cmbot.optimization.constraint_set import ConstraintSet
 from cmbot.optimization.program import KinematicBound, Linearization, Program, StateFunction, StateSamples
 from cmbot.trajectory import QuinticTrajectory
 
-__all__ = ["ConstraintValues", "families_of", "linearize"]
-
 # Position, velocity, acceleration and jerk.
 _ORDERS = (0, 1, 2, 3)
 

@@ -17,8 +17,6 @@ from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.limit import Limit
 from cmbot.trajectory import Parametrization, QuinticTrajectory
 
-__all__ = ["KinematicBound", "Linearization", "Program", "StateFunction", "StateSamples"]
-
 Computed = TypeVar("Computed")
 _ALL = slice(None)
 

@@ -13,8 +13,6 @@ from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import MissingExtra
 from cmbot.optimization.constraint_set import OBJECTIVE
 
-__all__ = ["NlpModel", "NlpValues", "QpStep", "piqp_module", "solve_qp"]
-
 # What PIQP is asked for, and what is still good enough to step by: the step is judged by what it brings.
 _ACCURACY = 1e-8
 

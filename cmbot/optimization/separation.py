@@ -16,8 +16,6 @@ from cmbot.optimization.constraint_set import OBJECTIVE, ConstraintSet, Violatio
 from cmbot.optimization.program import KinematicBound, Program, StateFunction, StateSamples
 from cmbot.trajectory import QuinticTrajectory
 
-__all__ = ["Separation", "WorstViolations", "find_violations", "violated_bound", "violated_function"]
-
 # Sampled functions within this of their bound are evaluated between the samples, too.
 _NEAR = 0.02
 # So many states are evaluated at once: more only ask for memory, and lose its nearness.

@@ -12,8 +12,6 @@ from cmbot.common.errors import OptimisationFailed
 from cmbot.optimization.constraint_set import OBJECTIVE
 from cmbot.optimization.evaluation import NlpEvaluation
 
-__all__ = ["DenseProgram", "DenseValues", "solve_slsqp"]
-
 # Unknowns without any effect keep the Hessian regular by this.
 _LEAST_CURVATURE = 1e-6
 # What a point costs that cannot be evaluated: the line search turns back from it.

@@ -25,8 +25,6 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import OptimisationFailed
 from cmbot.optimization.qp import NlpModel, NlpValues, QpStep, solve_qp
 
-__all__ = ["Iterate", "SqpOptions", "SqpResult", "SqpStatus", "solve_sqp"]
-
 # Predictions are no smaller than this, so that ratios exist.
 _LEAST_PREDICTION = 1e-15
 

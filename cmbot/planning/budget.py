@@ -8,8 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = ["ADVICE_RUNS", "MORE_TIME", "RUNS", "SHORTEST_TIME_RUNS", "Budget", "Deadline"]
-
 RUNS, SHORTEST_TIME_RUNS, ADVICE_RUNS = 12, 24, 6
 """Runs of optimise-and-certify at most: for a stroke of given seconds, for one with ``seconds: auto``, and
 for the advice of a refusal."""

@@ -20,8 +20,6 @@ from cmbot.planning.result.plan import Plan, Seconds
 from cmbot.planning.result.stroke_plan import StrokePlan, objective_metrics
 from cmbot.scene import SAME_PLACE, Scene
 
-__all__ = ["composed"]
-
 
 def composed(scene: Scene, made: Sequence[PlannedStroke], *, custom: bool) -> Plan:
     """Return the plan of a job's motions, beside the baseline."""

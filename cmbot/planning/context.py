@@ -25,22 +25,6 @@ from cmbot.planning.units import require_metres
 from cmbot.robot import Kinematics, PostureBatch, Postures, Robot, load_robot
 from cmbot.scene import SPEED_TOLERANCE, STOW, NamedState, PlannerOptions, Scene, Stroke, ToolPoses
 
-__all__ = [
-    "SAMPLE_STEP",
-    "PlanningContext",
-    "bending_arm",
-    "build_context",
-    "end_posture_of",
-    "in_cells",
-    "no_start_left",
-    "rigid_arm_remark",
-    "robot_of",
-    "sag_of",
-    "sample_step",
-    "strokes_of",
-    "task_of",
-]
-
 SAMPLE_STEP = 0.01
 """Step of the sampled motions, s; of long ones it is longer: `sample_step`."""
 

@@ -19,20 +19,6 @@ from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.torque import TorqueProblem, parametrization_through
 
-__all__ = [
-    "SMOOTHER",
-    "Choice",
-    "InitialGuess",
-    "fixed_guess",
-    "initial_guess",
-    "leap",
-    "leap_failure",
-    "roughness",
-    "shifted_problem",
-    "sliding_guess",
-    "solved",
-]
-
 SMOOTHER = 0.9
 """A guess with shorter steps is worth it when its roughness is at most this share of that before."""
 

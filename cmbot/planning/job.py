@@ -18,17 +18,6 @@ from cmbot.planning.certification.metrics import LimitUse, MotionMetrics
 from cmbot.planning.task import ToolTask
 from cmbot.trajectory import QuinticTrajectory
 
-__all__ = [
-    "APPROACH",
-    "RETURN",
-    "Job",
-    "Segment",
-    "Timed",
-    "free_move_name",
-    "job_metrics",
-    "join_trajectories",
-]
-
 APPROACH, RETURN = "approach", "return"
 """Names of the free move to the first stroke and of the way back."""
 

@@ -15,17 +15,6 @@ from cmbot.optimization import Linearization, StateSamples
 from cmbot.robot import Dynamics, Efforts, PostureBatch, Postures, Robot
 from cmbot.scene import PlannerOptions
 
-__all__ = [
-    "Objective",
-    "PostureFunction",
-    "PostureObjective",
-    "WeightedMoment",
-    "WrenchFunction",
-    "WrenchObjective",
-    "efforts_of",
-    "objective_of",
-]
-
 # A norm has no derivative at zero; below this share of its largest value it is taken as flat.
 _FLAT = 1e-12
 # A function is tried at this share of a step to each side, and its gradient is believed to this accuracy.

@@ -31,8 +31,6 @@ from cmbot.planning.result.plan import Plan
 from cmbot.planning.stroke_order import in_least_travel
 from cmbot.scene import PlannerOptions, Scene
 
-__all__ = ["plan"]
-
 # Peaks of two orders of strokes that differ by less are the same.
 _SAME_PEAK = 1.001
 

@@ -34,18 +34,6 @@ from cmbot.robot import Dynamics, Finding, Robot
 from cmbot.scene import PlannerOptions, Scene, Stroke, Tool, ToolPath, coverage_of
 from cmbot.trajectory import SUPPORT
 
-__all__ = [
-    "MOST_UNKNOWNS",
-    "Precheck",
-    "failures_explained",
-    "oversized",
-    "precheck_options",
-    "precheck_scene",
-    "require_reasonable_size",
-    "require_tool_speed",
-    "solver_of",
-]
-
 MOST_UNKNOWNS = 3000
 """Of a problem for SLSQP, whose dense matrices cost the cube of them: here an exchange iteration takes one to
 two minutes, at 4,000 more than three."""

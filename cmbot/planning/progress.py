@@ -13,8 +13,6 @@ from cmbot.common.representation import short_repr
 if TYPE_CHECKING:
     from cmbot.optimization.exchange import ExchangeReport
 
-__all__ = ["Progress", "ProgressReporter"]
-
 _STAGES = {"path": "following the tool path", "optimise": "optimising", "certify": "certifying"}
 # A step's share is reported when it has risen by this.
 _SHARE_STEP = 0.01

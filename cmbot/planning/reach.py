@@ -19,8 +19,6 @@ from cmbot.planning.selfmotion.reachability import out_of_reach
 from cmbot.robot import Finding, Robot
 from cmbot.scene import Scene, Stroke
 
-__all__ = ["beyond_reach", "require_posture", "require_postures", "require_within_reach", "without_posture"]
-
 # A stretched arm is not out of its own reach.
 _ROUNDING = 1e-9
 

@@ -15,14 +15,6 @@ from cmbot.elastic.stiffness_parameters import StiffnessParameters
 from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, Scene
 
-__all__ = [
-    "covariance_of",
-    "identified_in_words",
-    "known_share",
-    "modelled_stiffness",
-    "with_identified_stiffness",
-]
-
 # By what share a modelled stiffness may differ from what an identified one was compared with.
 _SAME = 1e-6
 # Standard deviations of the stiffness that suppression allows for.

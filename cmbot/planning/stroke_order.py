@@ -12,8 +12,6 @@ from cmbot.planning.context import end_posture_of, robot_of, strokes_of
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import Scene, Stroke, StrokeFile
 
-__all__ = ["in_least_travel", "least_travel"]
-
 # Share of the arm's length that the tool travels as a turn by one radian does.
 _LEVER = 0.25
 

@@ -16,8 +16,6 @@ from cmbot.common.representation import short_repr
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import Keep, ToolPath, ToolPoses, shortest_turns
 
-__all__ = ["ToolTask", "task_dimension"]
-
 # Sine of an angle below which a rotation vector is zero, and the cosine below which a turn counts as nearly
 # half a one.
 _NO_TURN, _NEARLY_HALF_A_TURN = 1e-300, -0.9

@@ -12,8 +12,6 @@ from cmbot.common.errors import SceneError
 from cmbot.robot import Finding, Robot
 from cmbot.scene import Obstacle, Scene
 
-__all__ = ["mistaken_units", "require_metres", "unit_findings"]
-
 # An angle is whole to this, deg.
 _WHOLE = 1e-6
 # An obstacle whose every side is at least the first, m, may be in millimetres: decks and girders are long.

@@ -31,15 +31,6 @@ from cmbot.robot.description.mesh_file import (
 )
 from cmbot.robot.self_collision import NEAR, near_pairs
 
-__all__ = [
-    "ArmModel",
-    "Built",
-    "arm_model",
-    "attach_payload",
-    "build_model",
-    "set_tool_length",
-]
-
 # As many as a posture in a scene file may have.
 _MOST_JOINTS = 100
 # Joint angles and distances at which other joints are locked, rad or m.

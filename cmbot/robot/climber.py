@@ -13,8 +13,6 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.installation import model_folder
 from cmbot.robot.description.xml_file import parse_urdf
 
-__all__ = ["CLIMBING_JOINTS", "Climber", "ClimberBodies"]
-
 CLIMBING_JOINTS = ("climb_1", "climb_2", "climb_3", "climb_4", "climb_5")
 # Feet are where they should be when they miss it by less, m and rad.
 _REACHED = 1e-6

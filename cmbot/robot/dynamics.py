@@ -18,8 +18,6 @@ from cmbot.common.arrays import FloatArray
 from cmbot.robot.kinematics import Postures
 from cmbot.robot.robot import Robot
 
-__all__ = ["Dynamics", "EffortDerivatives", "Efforts", "external_forces"]
-
 
 def external_forces(model: Any, tool_frame_id: int, tool_force: Sequence[float]) -> Any:
     """Return a force on the tool as pinocchio takes it: one a joint, in the joints' frames.

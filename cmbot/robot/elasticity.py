@@ -28,8 +28,6 @@ from cmbot.common.validation import FileModel, refusal, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml
 from cmbot.robot.joint_kinds import prismatic_joints
 
-__all__ = ["JointElasticity", "LinkTube", "read_elasticity"]
-
 # The bounds keep every power of a length finite, and catch lengths in millimetres and moduli in gigapascals.
 Coordinate = Annotated[float, Field(ge=-1e4, le=1e4)]
 Length = Annotated[float, Field(ge=1e-5, le=1e4)]

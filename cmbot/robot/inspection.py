@@ -24,8 +24,6 @@ from cmbot.robot.description.frames import arm_frames, moving_links
 from cmbot.robot.description.limits_file import MoveItLimitsFile, read_joint_limits
 from cmbot.robot.description.xml_file import parse_urdf
 
-__all__ = ["Finding", "default_arm", "inspect_inertias", "inspect_robot", "inspect_urdf", "overview"]
-
 _JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
 # Of joints of several coordinates: they are locked, and no arm may have one.
 _LOCKED_TYPES = ("floating", "planar")

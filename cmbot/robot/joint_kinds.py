@@ -14,15 +14,6 @@ import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray
 
-__all__ = [
-    "JointUnits",
-    "PostureMetric",
-    "joint_units",
-    "postures_in_words",
-    "prismatic_joints",
-    "slide_axes",
-]
-
 _TURN = 2 * np.pi
 
 

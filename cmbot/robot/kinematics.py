@@ -18,8 +18,6 @@ from cmbot.common.arrays import BoolArray, FloatArray, cross
 from cmbot.robot.joint_kinds import prismatic_joints
 from cmbot.robot.robot import Robot
 
-__all__ = ["Chain", "Kinematics", "PostureBatch", "Postures", "ToolBatch", "link_poses"]
-
 # Postures are evaluated in blocks of this size, whose arrays fit the processor's cache.
 _BLOCK = 512
 # Bound of the second derivative of the tool's orientation, where the reach is that of its point.

@@ -31,8 +31,6 @@ from cmbot.robot.description.limits_file import (
 )
 from cmbot.robot.joint_kinds import JointUnits, joint_units, prismatic_joints
 
-__all__ = ["ASSUMED_ACCELERATION", "ASSUMED_JERK", "JointLimits", "joint_limits"]
-
 ASSUMED_ACCELERATION = 2.0
 """Acceleration limit that is assumed where none is given, as a share of the velocity limit, 1/s."""
 ASSUMED_JERK = 10.0

@@ -31,8 +31,6 @@ from cmbot.robot.limits import joint_limits
 from cmbot.robot.robot import Robot
 from cmbot.robot.self_collision import PAIR, srdf_of
 
-__all__ = ["ARM_JOINTS", "Side", "inspect_loaded", "load_climbing_robot", "load_robot", "srdf_text"]
-
 ARM_JOINTS = tuple(f"joint_{number}" for number in range(1, 8))
 """Of the shipped robot."""
 Side = Literal[1, 2]

@@ -20,8 +20,6 @@ from cmbot.robot.elasticity import JointElasticity, LinkTube
 from cmbot.robot.joint_kinds import PostureMetric, slide_axes
 from cmbot.robot.limits import JointLimits
 
-__all__ = ["Robot"]
-
 # Least length, m, by which moves of joints that slide are measured.
 _SHORTEST = 0.1
 _NO_FORCE = (0.0, 0.0, 0.0)

@@ -17,8 +17,6 @@ import pinocchio as pin
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 
-__all__ = ["MOST_FAR", "NEAR", "PAIR", "SAMPLES", "near_pairs", "sampled_postures", "srdf_of"]
-
 NEAR = 0.02
 """Distance below which links count as near, m: the default safety margin."""
 SAMPLES = 200

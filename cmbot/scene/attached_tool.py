@@ -14,8 +14,6 @@ from cmbot.scene.files import FilePath
 if TYPE_CHECKING:
     from cmbot.robot import AttachedTool, ToolShape
 
-__all__ = ["AttachedToolFile", "ToolShapeFile"]
-
 _SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh")
 _NOT_TURNED = (0.0, 0.0, 0.0)
 Scale = Annotated[float, Field(ge=1e-6, le=1e3)]

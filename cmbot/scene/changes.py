@@ -11,8 +11,6 @@ from typing import Any
 from cmbot.common.errors import SceneError
 from cmbot.common.installation import scene_folder
 
-__all__ = ["changed_content", "is_within", "whole_key"]
-
 # A step of a key such as tool_path.legs[0].by[2].
 _STEP = re.compile(r"\.?([A-Za-z_]\w*)|\[(\d{1,4})\]")
 # Blocks in blocks, beyond which no key is looked for.

@@ -13,17 +13,6 @@ from cmbot.common.validation import FileModel, refusal
 from cmbot.scene.fields import Angle, Coordinate, Length, Text, exactly_one, one_of_schema
 from cmbot.scene.files import AxlesName, FilePath
 
-__all__ = [
-    "DamperFile",
-    "DeckFile",
-    "ExcitationFile",
-    "ModesFile",
-    "PassingFile",
-    "SpanFile",
-    "TrainsFile",
-    "WindFile",
-]
-
 _DECK = ("record", "spectrum", "trains")
 
 Hertz = Annotated[float, Field(gt=0, le=1000)]

@@ -20,27 +20,6 @@ from pydantic import (
 from cmbot.common.errors import InputError
 from cmbot.common.validation import hint, refusal, shown
 
-__all__ = [
-    "LONGEST",
-    "SHORTEST",
-    "SHORTEST_LEG",
-    "Angle",
-    "Angles",
-    "Coordinate",
-    "Length",
-    "LongVector",
-    "Mass",
-    "Posture",
-    "Slug",
-    "Text",
-    "UnitVector",
-    "Vector",
-    "exactly_one",
-    "given_of",
-    "one_of_schema",
-    "si_fields",
-]
-
 SHORTEST_LEG = 1e-6
 """m."""
 

@@ -16,18 +16,6 @@ from cmbot.common.validation import hint, refusal, shown
 from cmbot.scene.fields import Text
 from cmbot.scene.mesh_file import is_mesh_file
 
-__all__ = [
-    "FOLDER",
-    "TRAINS",
-    "AxlesName",
-    "FilePath",
-    "FolderPath",
-    "MeshName",
-    "RobotModel",
-    "file_hashes",
-    "without_paths",
-]
-
 FOLDER = "folder"
 """In the context of a validation the folder at which relative paths start; without one they stay."""
 TRAINS = ("freight", "emu", *(f"hslm_a{k}" for k in range(1, 11)))

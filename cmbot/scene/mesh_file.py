@@ -16,8 +16,6 @@ from cmbot.common.validation import shown
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["is_mesh_file", "load_mesh"]
-
 # The formats that trimesh reads without further packages.
 _FORMATS = ("glb", "obj", "off", "ply", "stl")
 _FARTHEST = 1e4  # m, as of any coordinate in a scene

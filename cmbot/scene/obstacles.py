@@ -29,19 +29,6 @@ from cmbot.scene.fields import (
 )
 from cmbot.scene.files import FilePath
 
-__all__ = [
-    "Box",
-    "Capsule",
-    "Cylinder",
-    "Mesh",
-    "Obstacle",
-    "ObstacleFile",
-    "Shape",
-    "Sphere",
-    "obstacle_from_file",
-    "pose",
-]
-
 _SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh")
 # From micrometres to kilometres, m.
 _LEAST_SCALE, _MOST_SCALE = 1e-6, 1e3

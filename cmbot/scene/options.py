@@ -10,8 +10,6 @@ from pydantic import AfterValidator, Field
 from cmbot.common.representation import short_repr
 from cmbot.common.validation import CheckedFields, refusal
 
-__all__ = ["MOST_SAMPLES", "PlannerOptions"]
-
 MOST_SAMPLES = 400
 """Samples per segment at most."""
 

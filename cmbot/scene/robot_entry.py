@@ -35,18 +35,6 @@ from cmbot.scene.fields import (
 from cmbot.scene.files import FilePath, FolderPath, RobotModel
 from cmbot.scene.obstacles import pose
 
-__all__ = [
-    "STOW",
-    "BaseFile",
-    "Joints",
-    "MountFile",
-    "NamedState",
-    "PostureFile",
-    "ReturnTo",
-    "RobotFile",
-    "named_posture",
-]
-
 STOW = "stow"
 """The group state of an SRDF that has the stow posture."""
 Joints = Literal["elastic", "rigid"]

@@ -55,8 +55,6 @@ from cmbot.scene.robot_entry import (
 from cmbot.scene.tool import Tool
 from cmbot.scene.uncertainty import Uncertainty, UncertaintyOrNone
 
-__all__ = ["FORMAT", "Scene"]
-
 Cells = Sequence[Sequence[RowPiece]]
 """Pieces of rows that follow on each other, of several strokes."""
 FORMAT = "cmbot-scene/2"

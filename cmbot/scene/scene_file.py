@@ -17,8 +17,6 @@ from cmbot.common.yaml_reader import lines_named, read_yaml
 from cmbot.scene.path.path_file import FEWEST_WAYPOINTS
 from cmbot.scene.scene import Scene
 
-__all__ = ["load_scene", "scene_from_data", "scene_path"]
-
 _LONGEST_SOURCE = 300
 _LARGEST_WAYPOINTS = 1_000_000
 _WAYPOINT_COLUMNS = ("x", "y", "z", "qw", "qx", "qy", "qz")

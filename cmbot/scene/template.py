@@ -18,8 +18,6 @@ from cmbot.scene.attached_tool import AttachedToolFile
 if TYPE_CHECKING:
     from cmbot.robot import JointLimits, Robot, RobotFiles
 
-__all__ = ["NewRobot", "limits_text", "scene_text"]
-
 _SHIPPED = "cmbot"
 
 

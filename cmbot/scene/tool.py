@@ -10,8 +10,6 @@ from pydantic import Field
 from cmbot.common.validation import CheckedFields
 from cmbot.scene.uncertainty import Tolerance
 
-__all__ = ["SPEED_TOLERANCE", "Tool"]
-
 SPEED_TOLERANCE = 0.05
 """By what share the arm's tool may exceed the largest speed of the tool path between via-points."""
 

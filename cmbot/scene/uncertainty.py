@@ -8,8 +8,6 @@ from pydantic import Field, GetPydanticSchema, WrapValidator
 
 from cmbot.common.validation import FileModel
 
-__all__ = ["JointUncertainty", "Placement", "Tolerance", "Uncertainty", "UncertaintyOrNone"]
-
 Millimetres = Annotated[float, Field(ge=0, le=1000)]
 Degrees = Annotated[float, Field(ge=0, le=90)]
 

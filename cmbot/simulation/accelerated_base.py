@@ -17,8 +17,6 @@ import pinocchio as pin
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.generalized_alpha import DrivenMotion, ElasticSystem
 
-__all__ = ["GroundAcceleration", "on_accelerated_base"]
-
 GroundAcceleration = Callable[[FloatArray], FloatArray]
 """The acceleration (N, 3), m/s2, in W, of what an arm stands on, at times (N,), s."""
 

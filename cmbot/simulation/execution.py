@@ -23,8 +23,6 @@ from cmbot.simulation.prescribed_motion import PrescribedWork
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
 
-__all__ = ["ExecutedMotion", "executed", "is_executed"]
-
 # Longest step of the solution, s, and in units of the quickest servo's time; between steps a cubic of its
 # positions and rates.
 _STEP, _RESOLVED = 1e-3, 0.25

@@ -10,17 +10,6 @@ from scipy.spatial.distance import pdist
 from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import short_repr
 
-__all__ = [
-    "ErrorMetrics",
-    "Residual",
-    "Statistics",
-    "error_metrics",
-    "mode_power",
-    "power_density",
-    "residual",
-    "statistics",
-]
-
 # Half-width of a mode's band, as a share of its frequency: the frequency changes with the posture.
 _BAND = 0.2
 _MODES = 4

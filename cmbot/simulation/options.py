@@ -10,8 +10,6 @@ from pydantic import ConfigDict, Field, model_validator
 from cmbot.common.representation import short_repr
 from cmbot.common.validation import refusal
 
-__all__ = ["SimulationOptions"]
-
 Bandwidth = Annotated[float, Field(ge=0.1, le=200)]
 Factor = Annotated[float, Field(ge=1e-6, le=1e6)]
 

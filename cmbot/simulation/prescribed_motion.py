@@ -21,8 +21,6 @@ from cmbot.scene import ToolPath
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
 
-__all__ = ["PrescribedMotion", "PrescribedWork", "WorkPart"]
-
 # Share of a time by which it may be off, by rounding.
 _SAME_TIME = 1e-12
 

@@ -15,17 +15,6 @@ from cmbot.simulation.metrics import statistics
 from cmbot.simulation.options import SimulationOptions
 from cmbot.simulation.tracking import MotionTracking, Tracking
 
-__all__ = [
-    "INTERVAL_HEADINGS",
-    "base_movement",
-    "beyond_margin",
-    "interval_rows",
-    "tracking_remarks",
-    "tracking_rows",
-    "tracking_summary",
-    "tracking_verdict",
-]
-
 _QUANTITIES = (
     ("mean", "mean"),
     ("standard deviation", "standard_deviation"),

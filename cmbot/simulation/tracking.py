@@ -34,19 +34,6 @@ from cmbot.simulation.prescribed_motion import PrescribedMotion, PrescribedWork
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
 
-__all__ = [
-    "MotionTracking",
-    "StiffnessCase",
-    "Tracking",
-    "elastic_arm_of",
-    "execution_error",
-    "expected_tool",
-    "motion_tracking",
-    "simulate",
-    "track",
-    "track_work",
-]
-
 Distance = Annotated[float, Field(ge=0)]
 
 # Displacement, m or rad, by which a second correction of a step has to move something to be made, and which

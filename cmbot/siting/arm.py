@@ -13,8 +13,6 @@ from cmbot.robot import Postures, Robot, load_robot
 from cmbot.scene import Scene, ToolPoses
 from cmbot.siting.loads import StanceLoads
 
-__all__ = ["CLOSELY", "ROUGHLY", "BaseArm", "Effort"]
-
 # Postures of the table.
 _TABLE = 60_000
 # How long steps along the self-motion are, rad: of walks, and to where the objective is less, at first.

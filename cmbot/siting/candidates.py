@@ -20,17 +20,6 @@ from cmbot.scene import (
 )
 from cmbot.siting.footholds import bare_climber, in_the_way
 
-__all__ = [
-    "APART",
-    "REACH",
-    "Candidate",
-    "candidate_at",
-    "candidates_of",
-    "climber_in_the_way",
-    "own_candidate",
-    "places_of",
-]
-
 REACH = 0.9
 """Foot 2 is sought no further from foot 1 than this, m: both legs and their offsets."""
 APART = 0.16

@@ -19,8 +19,6 @@ from cmbot.planning import (
 )
 from cmbot.scene import Scene
 
-__all__ = ["Charted", "bounded_quickly", "chart"]
-
 # Via-points of a stroke that is charted quickly.
 _VIA_POINTS = 13
 

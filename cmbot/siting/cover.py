@@ -10,8 +10,6 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 
 from cmbot.common.arrays import BoolArray, FloatArray
 
-__all__ = ["fewest_groups"]
-
 _Group = frozenset[int]
 
 

@@ -13,8 +13,6 @@ from cmbot.common.arrays import FloatArray
 from cmbot.robot import ARM_JOINTS, Robot, load_climbing_robot
 from cmbot.scene import Box, FootholdFile, Obstacle, Scene, foothold_pose
 
-__all__ = ["bare_climber", "in_the_way", "lift_height", "without_links"]
-
 # The foot in its frame, as the URDF has it, m: sides, and its centre above the member's axis.
 _FOOT, _CENTRE = (0.13, 0.05, 0.15), 0.065
 _LIFT = 0.06

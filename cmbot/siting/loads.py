@@ -14,8 +14,6 @@ from cmbot.robot import Climber, Robot
 from cmbot.scene import PlannerOptions, Scene, axis_point, feet_at
 from cmbot.siting.candidates import Candidate
 
-__all__ = ["StanceLoads"]
-
 
 class _Shares:
     """What the feet of each candidate bear of a wrench."""

@@ -14,8 +14,6 @@ from cmbot.planning import robot_of, strokes_of
 from cmbot.scene import WORK, Goal, JobStrokes, Scene, StrokeFile
 from cmbot.siting.candidates import Candidate
 
-__all__ = ["in_world", "joined", "scene_at", "with_strokes"]
-
 T = TypeVar("T")
 
 _LONGEST_NAME, _STANCE = 90, "_stance"

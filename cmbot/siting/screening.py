@@ -24,8 +24,6 @@ from cmbot.siting.arm import CLOSELY, ROUGHLY, BaseArm, Effort
 from cmbot.siting.candidates import Candidate
 from cmbot.siting.loads import StanceLoads
 
-__all__ = ["Screening", "screen"]
-
 # Via-points of a stroke at which all stances are screened.
 _VIA_POINTS = 6
 # Postures that are tried at once.

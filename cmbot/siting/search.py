@@ -26,8 +26,6 @@ from cmbot.siting.charting import bounded_quickly, chart
 from cmbot.siting.placed_scene import scene_at
 from cmbot.siting.screening import Screening
 
-__all__ = ["Ending", "StandOptions", "Stood", "judged"]
-
 # Bases nearer, m, to one that could not be planned or charted are tried last.
 _NEAR = {"plan": 0.3, "charts": 0.12}
 # Attempts to plan: so many times the number of plans wanted and one more.

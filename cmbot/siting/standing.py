@@ -22,15 +22,6 @@ from cmbot.siting.placed_scene import joined, scene_at, with_strokes
 from cmbot.siting.screening import screen
 from cmbot.siting.search import Ending, StandOptions, Stood, judged
 
-__all__ = [
-    "Standing",
-    "best_scene",
-    "require_on_guardrail",
-    "require_planned",
-    "require_standing",
-    "stand",
-]
-
 # For whose scenes alone stances and steps are sought.
 _SHIPPED_ROBOT = "the shipped robot, an arm on a climber that holds a guardrail"
 

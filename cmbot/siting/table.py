@@ -11,8 +11,6 @@ from cmbot.planning import Plan
 from cmbot.siting.search import Stood
 from cmbot.siting.standing import Standing
 
-__all__ = ["bounds_table", "in_words", "planned_table", "shared_out", "stances_csv"]
-
 _Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
 _COLUMNS = (

@@ -19,8 +19,6 @@ from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.trajectory.polynomials import halves
 from cmbot.trajectory.quintic import QuinticTrajectory
 
-__all__ = ["Ellipses", "Peak", "Pieces", "clenshaw_curtis", "highest"]
-
 DEGREE = 12
 """Of the interpolants."""
 

@@ -18,8 +18,6 @@ from scipy.sparse.linalg import SuperLU, splu
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.trajectory.spline_space import SplineSpace
 
-__all__ = ["LocalRows", "SparseSplines"]
-
 _ORDERS = 4
 # A unit of a basis spline moves a joint by no more than this, rad.
 _FAR = 0.02

@@ -19,8 +19,6 @@ from cmbot.trajectory.local_basis import LocalRows, SparseSplines
 from cmbot.trajectory.quintic import QuinticTrajectory
 from cmbot.trajectory.spline_space import SplineSpace
 
-__all__ = ["Parametrization", "Retraction"]
-
 # Unit of a displacement, rad: a via-point moves at most about so far before tangents are taken anew.
 _LONGEST = 0.3
 # Step of the central differences that tell how via-points leave the tangents, rad.

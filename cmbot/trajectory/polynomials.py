@@ -9,9 +9,6 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 
-__all__ = ["bernstein_coefficients", "derivative", "halves", "hull", "roots_in_unit_interval", "values"]
-
-
 # A root is found once the next step is no longer than this; so many steps are enough, even if every other one
 # only halves what is left of [0, 1].
 _NEXT, _STEPS = 2.0**-51, 110

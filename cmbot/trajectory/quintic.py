@@ -14,8 +14,6 @@ from cmbot.common.file_types import Row, Rows
 from cmbot.common.representation import short_repr
 from cmbot.trajectory.polynomials import derivative, hull, roots_in_unit_interval, values
 
-__all__ = ["LARGEST", "Extrema", "QuinticTrajectory", "hermite_coefficients"]
-
 # By how much times may miss the ends, as a share of the duration: they come from sums of steps.
 _TIME_ROUNDING = 1e-9
 # So many times are evaluated at once: more only ask for memory, and lose its nearness.

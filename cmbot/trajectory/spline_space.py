@@ -26,9 +26,6 @@ from cmbot.common.errors import InputError
 from cmbot.trajectory.polynomials import derivative
 from cmbot.trajectory.quintic import QuinticTrajectory, hermite_coefficients
 
-__all__ = ["SUPPORT", "SplineSpace"]
-
-
 SUPPORT = 4
 """A basis spline lives on this many segments: the fewest on which a C3 quintic spline that vanishes at the
 knots between them, and joins zero with C3 on both sides, exists; it is then unique up to its scale.

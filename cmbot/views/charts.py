@@ -15,20 +15,6 @@ from cmbot.planning import RETURN, BaselineSegment, Plan, Samples, Segment, base
 from cmbot.simulation import Tracking
 from cmbot.views.page import pack
 
-__all__ = [
-    "Chart",
-    "Curve",
-    "charts",
-    "downsampled",
-    "floor_meaning",
-    "floor_name",
-    "joint_axes",
-    "joint_charts",
-    "joint_quantities",
-    "work_begins",
-    "work_ends",
-]
-
 MOST_POINTS = 1000  # of a curve in a large plot
 MOST_SMALL_POINTS = 400  # of a curve in a small one
 ROOM = 1.06  # an axis reaches this much further than its curves

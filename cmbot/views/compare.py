@@ -40,8 +40,6 @@ from cmbot.views.replay_data import (
 )
 from cmbot.views.report import SHARES, judged, section
 
-__all__ = ["MOST_PLANS", "compare_page"]
-
 MOST_PLANS = 6
 
 # With as many the verdicts are folded: the view comes soon.

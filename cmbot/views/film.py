@@ -16,8 +16,6 @@ import numpy as np
 from cmbot.common.errors import InputError, MissingExtra
 from cmbot.views.page import draft_of, write_page
 
-__all__ = ["film"]
-
 FRAME_RATE = 30
 SIZE = (1280, 720)
 COLOURS = ("own", "load", "strain")

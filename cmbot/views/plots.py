@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["figure_files", "plot", "require_matplotlib"]
-
 # Blue and orange as on the pages: distinct with any colour vision, and in grey by their lightness.
 _BASELINE, _PLANNED = "#6AABEC", "#B23F05"
 _COLOURS = {"baseline": _BASELINE, "planned": _PLANNED}

@@ -19,8 +19,6 @@ from cmbot.views.replay_data import replay_data
 if TYPE_CHECKING:
     from http.server import BaseHTTPRequestHandler
 
-__all__ = ["ReplayServer", "replay", "replay_html", "replay_page"]
-
 LOOPBACK = "127.0.0.1"
 
 

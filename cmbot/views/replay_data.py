@@ -46,15 +46,6 @@ from cmbot.views.drawing import (
 )
 from cmbot.views.page import pack, pack_exactly
 
-__all__ = [
-    "Frames",
-    "bending_of",
-    "frame_times",
-    "link_names",
-    "pair_joints",
-    "replay_data",
-]
-
 FRAME_STEP = 0.02  # between two frames, s, where `MOST_POSES` allows it; the page interpolates
 MOST_POSES = 12_000  # frames times links, of the whole job
 _BETWEEN = " – "  # two names of a pair

@@ -45,8 +45,6 @@ from cmbot.views.page import STAGE_SCRIPTS, assemble, table, write_page
 from cmbot.views.replay import replay_html
 from cmbot.views.replay_data import replay_data
 
-__all__ = ["REPLAY", "REPORT", "SHARES", "headlines", "judged", "pages", "report", "report_page", "section"]
-
 REPLAY, REPORT = "replay.html", "report.html"
 # Peaks that differ by less, as a share, are the same.
 _GAIN = 1e-3

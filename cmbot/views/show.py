@@ -9,8 +9,6 @@ from cmbot.planning import Plan, require_plan
 from cmbot.simulation import Tracking
 from cmbot.views.replay import replay_page
 
-__all__ = ["Shown", "show"]
-
 _LEAST, _MOST = 240, 4000  # px
 
 

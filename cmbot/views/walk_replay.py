@@ -27,8 +27,6 @@ from cmbot.views.page import STAGE_SCRIPTS, assemble, pack
 from cmbot.views.replay_data import MOST_POSES
 from cmbot.walking import Walk, WalkSamples, walk_samples
 
-__all__ = ["walk_replay_page"]
-
 _ONLY = "planned"  # the name of the one motion
 # Places of a foot that are drawn, and how little it moves from one sample to the next where it stays, m.
 _MOST_PLACES, _STAYS = 160, 1e-5

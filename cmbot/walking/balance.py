@@ -19,8 +19,6 @@ from cmbot.robot import Climber, ClimberBodies, Postures, Side
 from cmbot.scene import FootholdFile, Scene, StanceFile, feet_at
 from cmbot.siting import Candidate, bare_climber, scene_at
 
-__all__ = ["SPARE", "Balance", "StepLoad", "foot_at"]
-
 # Counterweights grow from the nearest to the arm's posture of so many random ones: rounds, random postures in
 # each, their distance in a joint, rad, and how many are kept: those of the furthest centres of mass.
 _SEEDS, _ROUNDS, _DRAWN, _STEP, _KEPT = 20_000, 20, 1500, 0.35, 800

@@ -17,8 +17,6 @@ from cmbot.version import __version__
 from cmbot.walking.steps import Move
 from cmbot.walking.walk import Walk
 
-__all__ = ["WalkSamples", "walk_csv", "walk_data", "walk_samples"]
-
 _STEP = 0.1
 
 

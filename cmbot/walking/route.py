@@ -14,8 +14,6 @@ from cmbot.scene import FootholdFile, Scene, foothold_face, foothold_pose
 from cmbot.siting import APART, REACH, Candidate, bare_climber, candidate_at, places_of
 from cmbot.walking.balance import SPARE, Balance
 
-__all__ = ["Edge", "Route", "nodes_between"]
-
 # Places this far beyond both stances are looked at, m.
 _BEYOND = 0.8
 # A metre that a foot goes costs as much as so many steps.

@@ -30,16 +30,6 @@ from cmbot.siting import Candidate, lift_height, scene_at, without_links
 from cmbot.trajectory import QuinticTrajectory
 from cmbot.walking.balance import foot_at
 
-__all__ = [
-    "Kind",
-    "Move",
-    "Step",
-    "arm_move",
-    "certified_move",
-    "plan_step",
-    "swinging_robot",
-]
-
 # Postures of the straight way on which a foot is lifted.
 _ON_THE_WAY = 9
 # Samples of a move at which the speed of the foot is found, and by how much it is then slowed further.

@@ -29,8 +29,6 @@ from cmbot.version import __version__
 from cmbot.walking.balance import Balance
 from cmbot.walking.walk import Walk, WalkOptions, walk
 
-__all__ = ["Tour", "tour", "tour_data"]
-
 _Progress = Callable[[str, float], None]
 
 

@@ -10,8 +10,6 @@ from cmbot.scene import Scene
 from cmbot.siting import scene_at
 from cmbot.walking.steps import Move
 
-__all__ = ["second_opinion_of"]
-
 
 def second_opinion_of(move: Move, scene: Scene) -> tuple[Check, ...]:
     """Compute again what a move's certificate stands on: see `cmbot.planning.verification`.

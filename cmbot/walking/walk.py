@@ -22,8 +22,6 @@ from cmbot.walking.balance import Balance
 from cmbot.walking.route import Edge, Route, nodes_between
 from cmbot.walking.steps import Move, Step, arm_move, plan_step
 
-__all__ = ["Walk", "WalkOptions", "goal_stance", "load_goal", "stance_of", "walk"]
-
 # Postures of the arm with which a step is planned.
 _TRIED = 15
 # Steps that may turn out impossible before a walk is given up.

@@ -12,8 +12,6 @@ from chang2021.tables import decimals
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.simulation import MotionTracking
 
-__all__ = ["Finding", "findings", "reasons"]
-
 # Tolerances of agreement: of reductions in points of per cent, of sizes a factor, of the torque difference a
 # share.
 POINTS, FACTOR, SHARE = 10.0, 2.0, 0.1

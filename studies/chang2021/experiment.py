@@ -16,18 +16,6 @@ from cmbot.planning import Plan, Progress, plan
 from cmbot.scene import PlannerOptions, Scene, load_scene
 from cmbot.simulation import MotionTracking, SimulationOptions, Tracking, simulate
 
-__all__ = [
-    "FACTORS",
-    "QUICK_FACTORS",
-    "Experiment",
-    "Reproduction",
-    "Run",
-    "Variant",
-    "axes",
-    "reduction",
-    "reproduce",
-]
-
 # Of the stiffness of guardrail and links, with which plans are simulated.
 FACTORS = (1.0, 0.9, 1.1, 0.8, 1.2, 0.7, 1.3)
 QUICK_FACTORS = (1.0, 0.7, 1.3)  # the modelled stiffness and the extremes

@@ -13,8 +13,6 @@ from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.planning import Plan
 from cmbot.simulation import Statistics, Tracking, statistics
 
-__all__ = ["compensation_goal", "goals", "least_sag", "posture_goal", "rest_goal"]
-
 # Least reductions, per cent: at the modelled stiffness, and at any other within this share of it.
 _NOMINAL_CUT, _OTHER_CUT, _SHARE = 90.0, 65.0, 0.3
 _ASKED = "sag compensated: errors"

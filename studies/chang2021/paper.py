@@ -16,8 +16,6 @@ from chang2021.tables import Row
 from cmbot.common.arrays import FloatArray
 from cmbot.common.installation import assumptions_file
 
-__all__ = ["PAPER", "AssumptionTable", "AxisErrors", "PaperExperiment", "assumption_tables"]
-
 SOURCE = "Chang et al., Electronics 2021, 10(22), 2793, Section 5"
 _LINK = re.compile(r"\[([^\]]*)\]\([^)]*\)")
 

@@ -18,8 +18,6 @@ from cmbot.simulation import MotionTracking, Tracking, tracking_remarks
 from cmbot.version import __version__
 from cmbot.views import pages
 
-__all__ = ["FORMAT", "as_json", "comparison", "markdown", "require_room", "save_reproduction", "verdict_rows"]
-
 FORMAT = "cmbot-reproduction/1"
 _PAGE, _FIGURES = "reproduce.md", "reproduce.json"
 

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-__all__ = ["GoalRow", "GoalTable", "Row", "Verdict", "cells", "decimals", "markdown_table", "numbers"]
-
 Row = tuple[str, ...]
 
 

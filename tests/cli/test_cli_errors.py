@@ -60,7 +60,7 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
         "plan nosuch",
         (
             "nosuch: no such file, expected a scene",
-            "shipped scene (one of: angle_steel, bracket_faces, gusset_plate, line, panda_sanding, pipe, ",
+            "shipped scene (one of: angle_steel, bracket_faces, gusset_plate, line, panda_sanding, ",
         ),
     ),
     ("plan triangel", ("triangel: no such file", "shipped scene; did you mean triangle? (one of: angle")),
@@ -90,7 +90,7 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
         "check nosuch.yaml",
         (
             "nosuch.yaml: no such file",
-            "one of: angle_steel, bracket_faces, gusset_plate, line, panda_sanding, pipe, triangle",
+            "one of: angle_steel, bracket_faces, gusset_plate, line, panda_sanding, passing_train, pipe",
         ),
     ),
     ("plan no_plan", ("no_plan: got a folder, expected a scene file or the name of a shipped scene (one",)),
@@ -198,6 +198,9 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
         "identify short.yaml --propose 0",
         ("--propose: got 0, expected a whole number of at least 1 and",),
     ),
+    ("excite nosuch", ("nosuch: no such folder, expected a plan directory",)),
+    ("excite short.yaml", ("short.yaml: got a file, not a folder, expected a plan",)),
+    ("excite nosuch --damper 3", ("no such option: --damper",)),
     ("locate nosuch", ("nosuch: no such file, expected a file of touches",)),
     ("locate short.yaml --propose 0", ("--propose: got 0, expected a whole number of at least 1 and",)),
     ("locate x.csv --propose 2", ("x.csv: --propose: got a CSV file, expected a scene",)),
@@ -305,8 +308,8 @@ def test_exit_status_of_every_error(
     monkeypatch.setattr(cmbot, "plan", Mock(side_effect=error))
     assert refusal("plan", "short.yaml", status=status) == f"error: {error}"
     assert not (folder / "out").exists()
-    named = [getattr(errors, name) for name in errors.__all__]
-    kinds = {kind for kind in named if isinstance(kind, type)} - {errors.PlanningError}
+    own = (value for value in vars(errors).values() if isinstance(value, type))
+    kinds = {kind for kind in own if issubclass(kind, errors.CmbotError)} - {errors.PlanningError}
     assert {type(error) for error, _ in FAILURES} == kinds
 
 

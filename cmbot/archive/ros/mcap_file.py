@@ -20,8 +20,6 @@ from cmbot.planning import Plan, require_plan
 from cmbot.robot import link_poses
 from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere, load_mesh
 
-__all__ = ["export_mcap", "messages"]
-
 WORLD, FOOT = "world", "O0"
 # Between two messages of the motion, s.
 _STEP = 0.02

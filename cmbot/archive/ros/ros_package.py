@@ -19,8 +19,6 @@ from cmbot.planning import Plan, require_plan
 from cmbot.robot import Robot, RobotFiles, locate_meshes, parse_urdf, robot_files, srdf_text
 from cmbot.scene import STOW
 
-__all__ = ["export_ros_package"]
-
 _CMAKE = """cmake_minimum_required(VERSION 3.8)
 project({name})
 find_package(ament_cmake REQUIRED)

@@ -13,8 +13,6 @@ from cmbot.common.validation import given_path
 from cmbot.planning import Plan, Samples, require_plan
 from cmbot.robot import Robot
 
-__all__ = ["export_ros", "trajectory_message"]
-
 
 def export_ros(plan: Plan, path: str | Path, *, effort: bool = False) -> None:
     """Write the planned job of a plan as JSON of a ``trajectory_msgs/JointTrajectory``, whole or not at all.

@@ -15,8 +15,6 @@ from cmbot.planning import robot_of
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import PlannerOptions, RowPiece, Scene, StrokeFile
 
-__all__ = ["looser_promises", "require_asked"]
-
 # When an option promises less than another value of it would; those that say what is sought promise another
 # thing. The other options are effort: whatever they are, the same is promised.
 _LOOSER: Mapping[str, Callable[[Any, Any], bool]] = {

@@ -22,8 +22,6 @@ from cmbot.archive.writing import job_table
 from cmbot.common.errors import ArchiveError
 from cmbot.planning import Plan
 
-__all__ = ["unverified_files"]
-
 # What numbers of messages may differ by, as a share and at least: processors round differently.
 _SAME, _SAME_ZERO, _WHY = 1e-6, 1e-9, "the knots have it"
 _LARGEST_FILE = 500_000_000

@@ -25,8 +25,6 @@ from cmbot.scene import Scene, StanceFile
 from cmbot.siting import Candidate, in_world
 from cmbot.walking import Walk, WalkOptions, goal_stance, second_opinion_of, stance_of, walk_csv
 
-__all__ = ["Verdict", "VerifiedMotion", "verified_motions"]
-
 # Figures, and stances and postures of parts that follow on each other, are the same but for so much.
 _SAME = 1e-6
 _WALK_TABLE = "walk.csv"

@@ -34,8 +34,6 @@ from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions
 from cmbot.trajectory import Peak, QuinticTrajectory
 
-__all__ = ["Certificate", "Check", "certify"]
-
 # What "at its timed pose" means, m and rad; the same duration, as a share of it.
 _AT_VIA_POINT, _SAME_DURATION = 1e-6, 1e-9
 # Motions that break the bound of a rate so many times, as damaged files do, are enclosed coarsely: no closer

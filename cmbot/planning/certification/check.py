@@ -9,8 +9,6 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.file_types import OrInfinite
 from cmbot.common.limit import Limit
 
-__all__ = ["Check", "largest_check"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Check:

@@ -15,8 +15,6 @@ from cmbot.planning.certification.check import Check
 from cmbot.planning.certification.norm_bounds import NormBounds
 from cmbot.trajectory import Peak, Pieces, highest
 
-__all__ = ["EnclosedHold"]
-
 
 @dataclass(frozen=True, eq=False)
 class EnclosedHold:

@@ -17,8 +17,6 @@ from cmbot.planning.task import ToolTask
 from cmbot.robot import Dynamics, Efforts, Kinematics, Robot
 from cmbot.trajectory import Peak, Pieces, QuinticTrajectory, highest
 
-__all__ = ["EnclosedMotion"]
-
 # How far bounds may lie beyond what was found: of torques, as a share of the bound or of the largest value;
 # of the tool, m and rad, or m/s.
 _TORQUE_RESOLUTION, _TOOL_RESOLUTION = 1e-6, 1e-8

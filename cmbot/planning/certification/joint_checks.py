@@ -10,8 +10,6 @@ from cmbot.planning.certification.check import Check
 from cmbot.robot import Robot
 from cmbot.trajectory import QuinticTrajectory
 
-__all__ = ["continuity_check", "posture_checks", "range_check", "rate_checks"]
-
 # What "continuous" and "at rest" mean in floating point: jumps relative to the joint's bound. Where knots
 # are dense, the last digit of a position is a jump of a derivative; positions may be off by this many.
 _JUMP, _DIGITS = 1e-9, 64

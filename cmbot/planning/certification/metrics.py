@@ -16,8 +16,6 @@ from cmbot.hold import AdhesionPeak
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Dynamics, Kinematics, Postures, Robot
 
-__all__ = ["LimitUse", "MotionMetrics", "Samples", "figures", "measure", "tool_lag"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class LimitUse:

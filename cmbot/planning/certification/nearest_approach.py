@@ -15,8 +15,6 @@ from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.trajectory import QuinticTrajectory, bernstein_coefficients, halves
 
-__all__ = ["NearestApproach", "nearest_approach"]
-
 # What coal's distances may be too large, m.
 _ROUNDING = 1e-6
 # Distances that are less above a margin, m, are not told from it.

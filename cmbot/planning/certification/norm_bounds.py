@@ -16,8 +16,6 @@ from cmbot.robot import Robot
 from cmbot.scene import ToolPath
 from cmbot.trajectory import Ellipses, Pieces
 
-__all__ = ["NormBounds", "norm_bounds", "timed_pose_bounds"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NormBounds:

@@ -8,8 +8,6 @@ from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.scene import ToolPath
 from cmbot.trajectory import Peak, Pieces, highest
 
-__all__ = ["speed_deviation"]
-
 # How far the bound may lie above what was found, as a share of the process speed.
 _RESOLUTION = 1e-6
 

@@ -11,8 +11,6 @@ from cmbot.planning.certification.check import Check
 from cmbot.scene import ToolPath
 from cmbot.trajectory import QuinticTrajectory
 
-__all__ = ["across_path", "largest_spread", "spread_check", "spread_times"]
-
 # Longest time between postures in which the standard deviation is computed, s; it changes slowly.
 _INTERVAL = 0.25
 

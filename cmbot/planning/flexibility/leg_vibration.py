@@ -17,8 +17,6 @@ from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.modes import linearised
 from cmbot.trajectory import QuinticTrajectory
 
-__all__ = ["ElasticPath", "LegVibration", "Uncertainty", "tool_amplitudes"]
-
 # Modes at the start, the middle and the end that together carry the motion in between.
 _CARRIERS = 3
 # Steps a period of the fastest mode that is suppressed; longest time with the same matrices, s.

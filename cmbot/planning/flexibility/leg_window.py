@@ -19,8 +19,6 @@ from cmbot.planning.flexibility.leg_vibration import LegVibration, tool_amplitud
 from cmbot.planning.torque import TorqueProblem
 from cmbot.trajectory import SUPPORT, QuinticTrajectory, SplineSpace
 
-__all__ = ["SAME_TIME", "Change", "Leg", "Window", "legs_by_window"]
-
 # By how much times may miss their knots, s.
 SAME_TIME = 1e-9
 # Most segments of a window of several legs; windows with fewer than the second number take one more leg.

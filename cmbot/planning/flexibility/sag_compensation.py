@@ -26,8 +26,6 @@ from cmbot.planning.path.projection import gram, solve_batch
 from cmbot.planning.torque import Optimised, TorqueProblem, optimise
 from cmbot.scene import ShiftedToolPath, ToolPoses
 
-__all__ = ["MOST_ROUNDS", "Compensation", "compensate"]
-
 MOST_ROUNDS = 8
 """Rounds at most."""
 

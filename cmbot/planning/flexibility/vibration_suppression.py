@@ -38,8 +38,6 @@ from cmbot.planning.torque import Optimised, TorqueProblem
 from cmbot.scene import PlannerOptions
 from cmbot.trajectory import QuinticTrajectory
 
-__all__ = ["VibrationSuppression", "suppress_vibration"]
-
 # Rounds at most, and constraints at most that are added in each round for each window.
 _ROUNDS, _MOST_SITES = 12, 400
 # Earlier linearizations are kept of what was nearer to its bound than this.

@@ -19,8 +19,6 @@ from cmbot.planning.free_motion.graph import graph_of, path_between_ends
 from cmbot.planning.free_motion.rrt_connect import MOST_GROWTHS, rrt_connect
 from cmbot.planning.job import Segment, free_move_name
 
-__all__ = ["joined_starts", "plan_approach", "reachable"]
-
 # Postures to which trees grow at once at most.
 _MOST_GOALS = 40
 # Growths of trees at most that seek the way to a better start. Of 12 ways in random scenes one took more than

@@ -25,8 +25,6 @@ from cmbot.robot import Dynamics, Robot
 from cmbot.scene import PlannerOptions, SpeedProfile
 from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
-__all__ = ["FreeMove", "certify_move", "free_space", "largest_objective", "plan_move"]
-
 # Distance of the spline's knots along the path, rad; halved while the spline's certificate does not hold.
 _KNOT_SPACING, _HALVINGS = 0.4, 4
 # Share of the limits that a free move may use.

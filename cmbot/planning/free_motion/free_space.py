@@ -11,8 +11,6 @@ from cmbot.collision import Clearances
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.robot import Robot
 
-__all__ = ["FreeSpace"]
-
 # Between two postures of a line that are checked no point of the arm moves further than this, m.
 _CHECK_EVERY = 0.04
 # Where the ends of a path spare less, this share of what they spare is required in between.

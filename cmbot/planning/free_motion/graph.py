@@ -8,8 +8,6 @@ from scipy.sparse.csgraph import dijkstra
 
 from cmbot.common.arrays import FloatArray, IntArray
 
-__all__ = ["graph_of", "path_between_ends"]
-
 # Weight of an edge that has none, such as between two postures that are the same: a sparse graph would take
 # it for no edge.
 _NO_WEIGHT = 1e-12

@@ -10,8 +10,6 @@ from cmbot.planning.context import PlanningContext
 from cmbot.planning.free_motion.free_move import FreeMove, plan_move
 from cmbot.planning.job import RETURN, Segment
 
-__all__ = ["SAME_POSTURE", "plan_return"]
-
 SAME_POSTURE = 1e-9
 """Postures that differ by less, rad and m, are the same: no move leads from one to the other."""
 

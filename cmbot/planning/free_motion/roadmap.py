@@ -14,8 +14,6 @@ from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.graph import graph_of, path_between_ends
 from cmbot.robot import PostureMetric
 
-__all__ = ["lower_peak"]
-
 # Random postures that are drawn in each round: half anywhere, half about the best path so far, at these
 # standard deviations of a joint, rad.
 _DRAWN, _SPREAD = 4000, (0.1, 0.3, 0.6)

@@ -10,8 +10,6 @@ from cmbot.common.arrays import FloatArray
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.robot import PostureMetric
 
-__all__ = ["MOST_GROWTHS", "rrt_connect"]
-
 # Longest step of a tree, rad, and how often the trees are grown before the search is given up: also so often
 # one after the other without a new posture, as where the roots of a tree are shut in.
 _STEP = 0.3

@@ -7,8 +7,6 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.robot import JointLimits
 
-__all__ = ["quickest_straight"]
-
 
 def quickest_straight(
     limits: JointLimits, start: FloatArray, end: FloatArray, step: float

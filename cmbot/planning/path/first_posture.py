@@ -11,8 +11,6 @@ from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.nearest_miss import nearest_miss
 from cmbot.planning.path.projection import project_onto_task
 
-__all__ = ["starting_at_path"]
-
 # Random postures from which Newton's method starts, and its steps.
 _RESTARTS, _STEPS = 1000, 40
 

@@ -21,9 +21,6 @@ from cmbot.planning.path.projection import null_space, project_onto_task
 from cmbot.robot import Kinematics, PostureMetric, postures_in_words
 from cmbot.scene import PlannerOptions
 
-__all__ = ["JointPath", "find_path", "follow_path", "robust_inverse", "self_motion_postures"]
-
-
 # Lag of the tool behind its path, m, beyond which it no longer follows, not only drifts.
 _LOST = 0.01
 # Power k of the weights of near pairs: with a small one they cancel out, with a large one the blend comes

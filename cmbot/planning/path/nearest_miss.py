@@ -13,8 +13,6 @@ from cmbot.planning.path.place_search import MissedPlace, worst_missed
 from cmbot.planning.task import ToolTask
 from cmbot.scene import AxisCone, Keep
 
-__all__ = ["NearestMiss", "nearest_miss", "places_along"]
-
 # Distance of places along a leg, m, and the least number of steps on one; how many there are at most of a
 # stroke, and of all together, and at least; as many ends of legs come on top.
 _EVERY, _STEPS = 0.05, 4

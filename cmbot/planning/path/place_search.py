@@ -20,8 +20,6 @@ from cmbot.planning.task import ToolTask
 from cmbot.robot import Postures, Robot
 from cmbot.scene import ToolPoses
 
-__all__ = ["MissedPlace", "worst_missed"]
-
 # Random postures at each place in the first rounds, and in the last one at the worst place.
 _ROUNDS, _LAST = (2, 30), 1000
 # Steps from each posture, and more of them from the nearest one of the worst place.

@@ -16,16 +16,6 @@ from cmbot.planning.task import ToolTask
 from cmbot.robot import PostureMetric, Postures, ToolBatch
 from cmbot.scene import ToolPoses
 
-__all__ = [
-    "TangentPredictor",
-    "gram",
-    "null_directions",
-    "null_space",
-    "project_onto_task",
-    "solve_batch",
-    "task_jacobian",
-]
-
 # Postures far from the task take steps of at most this length a joint, rad.
 _LONGEST_STEP = 0.6
 # Added to the diagonal of Gram matrices, for singular Jacobians.

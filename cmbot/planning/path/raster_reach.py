@@ -16,8 +16,6 @@ from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.task import ToolTask
 from cmbot.scene import PlannerOptions, RowPiece, Scene, StrokeFile, ToolPath, ToolPoses, cells_of, rows_alone
 
-__all__ = ["reached_scene"]
-
 # Distance of places along rows: as a share of the rows' distance, and at most, m.
 _SHARE, _EVERY = 0.25, 0.03
 # Rows that are so long that there would be more places have them further apart.

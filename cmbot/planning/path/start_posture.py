@@ -18,8 +18,6 @@ from cmbot.planning.task import ToolTask
 from cmbot.robot import Dynamics, Postures, Robot, sampled_postures
 from cmbot.scene import Obstacle, PlannerOptions, SpeedProfile, ToolPath, ToolPoses
 
-__all__ = ["StartPosture", "find_start"]
-
 # Random postures that Newton's method starts from, its most steps, and how many results are tried with a leg.
 _RESTARTS, _STEPS, _TRIED = 2000, 60, 30
 # The first leg: its longest length, m, and as a share of the reach; shares of that which are tried; the steps

@@ -20,8 +20,6 @@ from cmbot.planning.result.stroke_plan import StrokePlan
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Robot
 
-__all__ = ["BaselineSegment", "baseline_job", "combined_baseline", "joined_samples"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class BaselineSegment:

@@ -13,8 +13,6 @@ from cmbot.planning.result.plan import Plan
 from cmbot.planning.result.verdict import during, tightest_check
 from cmbot.robot import Dynamics, Robot
 
-__all__ = ["emergency_stop", "holding_remarks"]
-
 # States of a segment in which a stop is looked at.
 _STATES = 200
 # Arms with more joints are stopped with all of them at once alone.

@@ -35,8 +35,6 @@ from cmbot.robot import Kinematics, Robot
 from cmbot.scene import WORK, Coverage, PlannerOptions, Scene, coverage_of, pieces_left_out, rows_alone
 from cmbot.trajectory import QuinticTrajectory
 
-__all__ = ["Plan", "Seconds", "require_plan"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Seconds:

@@ -23,8 +23,6 @@ from cmbot.planning.units import mistaken_units
 from cmbot.robot import Kinematics, postures_in_words
 from cmbot.scene import STOW
 
-__all__ = ["remarks"]
-
 # A peak lower by less than this share is no gain; a baseline this near to the lower bound leaves none, and
 # the peak of sequences of postures is told where it is further away.
 _GAIN, _NEAR_BOUND = 1e-2, 1e-2

@@ -23,8 +23,6 @@ from cmbot.planning.task import ToolTask
 from cmbot.scene import PlannerOptions
 from cmbot.trajectory import QuinticTrajectory
 
-__all__ = ["ObjectiveMetrics", "Start", "StrokePlan", "combined", "objective_metrics"]
-
 # Samples per segment at which the peak of an objective is taken that is not enclosed.
 _PEAK_SAMPLES = 400
 

@@ -17,21 +17,6 @@ from cmbot.planning.job import Job, Segment
 from cmbot.planning.result.plan import Plan
 from cmbot.robot import Dynamics
 
-__all__ = [
-    "accuracy_in_words",
-    "baseline_faults",
-    "bound_use",
-    "during",
-    "further",
-    "left_out",
-    "promised",
-    "promises",
-    "strays",
-    "tightest_check",
-    "travels",
-    "verdict",
-]
-
 # Peaks that differ by less, as a share of them, are the same.
 _SAME = 1e-3
 # A peak lower by less than this share is hardly a gain.

@@ -16,16 +16,6 @@ from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.context import PlanningContext
 from cmbot.robot import PostureMetric
 
-__all__ = [
-    "Chart",
-    "GraphLayer",
-    "LayerCache",
-    "best_nodes",
-    "charts_of",
-    "check_clearances",
-    "connected_parts",
-]
-
 # Postures within this many spacings of each other are on the same part of the self-motion.
 _BESIDE = 1.5
 # Charts that are evaluated at once: more only need memory, beyond the processor's cache.

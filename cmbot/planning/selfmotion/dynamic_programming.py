@@ -18,8 +18,6 @@ from cmbot.planning.selfmotion.charts import GraphLayer, best_nodes, charts_of, 
 from cmbot.planning.selfmotion.reachability import out_of_reach
 from cmbot.planning.selfmotion.sampler import Coverage
 
-__all__ = ["BottleneckDynamicProgram", "Edges", "blocked", "edges", "edges_along", "nearest_turn", "refine"]
-
 # Weight of the squared steps, in shares of what the joints may do between via-points, beside the squared
 # objective.
 _STEP_WEIGHT = 0.02

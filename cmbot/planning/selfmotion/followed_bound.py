@@ -20,8 +20,6 @@ from cmbot.planning.selfmotion.charts import GraphLayer, best_nodes, charts_of
 from cmbot.planning.selfmotion.dynamic_programming import BottleneckDynamicProgram, blocked, edges_along
 from cmbot.planning.selfmotion.sampler import SelfMotionSampler
 
-__all__ = ["followed_bound", "quick_bound"]
-
 # Postures within this many spacings are beside each other.
 _BESIDE = 1.5
 

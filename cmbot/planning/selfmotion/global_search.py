@@ -36,8 +36,6 @@ from cmbot.planning.selfmotion.lower_bound import LowerBound, find_lower_bound, 
 from cmbot.planning.selfmotion.sampler import sampled_charts
 from cmbot.scene import ToolPoses, shortest_turns
 
-__all__ = ["GlobalSearch", "GlobalSolution", "sequences_beside"]
-
 # Two postures nearer than this in every joint are one, rad.
 _SAME_POSTURE = 1e-9
 # Task coordinates of a whole pose.

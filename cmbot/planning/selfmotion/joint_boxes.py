@@ -8,17 +8,6 @@ import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray, cross
 
-__all__ = [
-    "JointBoxes",
-    "azimuth_between",
-    "common_moves",
-    "frame_about",
-    "inverses",
-    "joined",
-    "narrowed",
-    "without_pivot",
-]
-
 # Added to intervals of angles, rad.
 _ROUNDING = 1e-9
 # Determinants, sines and derivatives below which nothing is inferred from them.

@@ -25,8 +25,6 @@ from cmbot.planning.selfmotion.charts import GraphLayer
 from cmbot.planning.selfmotion.proof import TorqueFloorProof
 from cmbot.planning.selfmotion.sampler import Coverage
 
-__all__ = ["LowerBound", "find_lower_bound", "with_proof"]
-
 # What progress says of the search.
 _STEP = "finding the least torque at rest"
 # Accuracy of the bound, as a share of it, and halvings of a cell at most along each edge.

@@ -11,8 +11,6 @@ from scipy.spatial import cKDTree
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.robot import PostureMetric
 
-__all__ = ["PoissonDiskSets", "without_neighbours"]
-
 _ONE_TURN = 2 * np.pi
 
 

@@ -32,8 +32,6 @@ from cmbot.planning.selfmotion.joint_boxes import (
 from cmbot.planning.selfmotion.spherical_joint import WristChain, turns, wrist_chain
 from cmbot.robot import PostureBatch, Postures, ToolBatch
 
-__all__ = ["Proof", "TorqueFloorProof"]
-
 # Boxes are dropped when they miss a condition by more than this, m, rad, or a share of Nm.
 _ROUNDING = 1e-9
 # Of clearances, m: distances are computed to 1e-6 m.

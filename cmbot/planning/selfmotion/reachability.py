@@ -14,8 +14,6 @@ from cmbot.planning.objectives import WeightedMoment
 from cmbot.planning.selfmotion.proof import TorqueFloorProof
 from cmbot.planning.selfmotion.spherical_joint import wrist_chain
 
-__all__ = ["out_of_reach"]
-
 # A stretched or folded arm is not out of its own reach, m.
 _ROUNDING = 1e-9
 

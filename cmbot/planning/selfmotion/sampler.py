@@ -26,8 +26,6 @@ from cmbot.planning.path.projection import TangentPredictor, null_space, project
 from cmbot.planning.selfmotion.poisson_disk import PoissonDiskSets
 from cmbot.scene import ToolPoses
 
-__all__ = ["Coverage", "SelfMotionSampler", "sampled_charts"]
-
 # Newton steps that put random postures onto the task.
 _RANDOM_STEPS = 40
 # Accepted postures keep this share of the spacing from each other. One that is further than so many spacings

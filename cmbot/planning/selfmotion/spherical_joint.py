@@ -16,8 +16,6 @@ import numpy as np
 from cmbot.common.arrays import FloatArray, IntArray, cross
 from cmbot.planning.context import PlanningContext
 
-__all__ = ["WristChain", "turns", "wrist_chain"]
-
 # Axes meet when they pass a point at no more than this distance, m: URDFs are rounded.
 _MEET = 2e-5
 # Sine of the angle between successive axes of a spherical joint at least.

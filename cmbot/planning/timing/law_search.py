@@ -25,8 +25,6 @@ from scipy.optimize import linprog
 from cmbot.common.arrays import FloatArray
 from cmbot.scene import PiecewiseLaw
 
-__all__ = ["Bounded", "shortest_law"]
-
 # Points per phase at which rows are kept, and at which the duration is taken in the end.
 _POINTS, _FINE = 4, 12
 # Programs at most, least gain of one, and the box at first and at last, as a share of the largest node.

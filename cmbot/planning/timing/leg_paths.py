@@ -17,8 +17,6 @@ from cmbot.robot import Dynamics, Kinematics, Robot
 from cmbot.scene import SPEED_TOLERANCE, LegLaw
 from cmbot.trajectory import QuinticTrajectory
 
-__all__ = ["LegPath", "bounds_along", "leg_paths", "shortest_laws"]
-
 # Pieces of the spline that a joint path is, one a segment, and points of each that are put onto the task.
 _FEWEST_PIECES, _MOST_PIECES, _POINTS = 12, 40, 3
 # More of them on curves, whose curvature jumps where lines and arcs meet; on straight legs more of them show

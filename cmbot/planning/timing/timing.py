@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.planning.context import PlanningContext
-from cmbot.planning.timing.leg_paths import LegPath
 from cmbot.scene import LegLaw
 from cmbot.trajectory import QuinticTrajectory
 
-__all__ = ["Timing", "in_time"]
+if TYPE_CHECKING:
+    # It loads SciPy's splines, which only times that are sought need.
+    from cmbot.planning.timing.leg_paths import LegPath
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -16,18 +16,6 @@ from cmbot.planning.task import ToolTask
 from cmbot.robot import Dynamics, Postures, ToolBatch
 from cmbot.scene import ToolPoses
 
-__all__ = [
-    "ClearanceMargin",
-    "FootHold",
-    "JointTorque",
-    "ProcessSpeed",
-    "ToolDeviation",
-    "ToolLag",
-    "ToolRotation",
-    "ToolSpeed",
-    "ToolTilt",
-]
-
 # A norm has no derivative at zero; below this share of its bound it is taken as flat.
 _FLAT = 1e-12
 # Directions across a leg in which the tool is held near it, or in which its axis may lean.

@@ -19,8 +19,6 @@ from cmbot.planning.torque.feasibility import check_feasible
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.trajectory import QuinticTrajectory
 
-__all__ = ["LONGEST_WHOLE", "Optimised", "exchange_options", "joined", "optimise", "segments"]
-
 LONGEST_WHOLE = 300
 """Paths of up to so many via-points are one segment."""
 

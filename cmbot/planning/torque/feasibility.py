@@ -15,8 +15,6 @@ from cmbot.planning.torque.constraints import ClearanceMargin
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.trajectory import QuinticTrajectory
 
-__all__ = ["check_feasible"]
-
 _SAMPLES_PER_SEGMENT = 6
 # Segments beside one that breaks a bound: what is further away does nothing for it.
 _AROUND = 10

@@ -36,8 +36,6 @@ from cmbot.planning.torque.task_manifold import TaskManifold
 from cmbot.robot import Dynamics, Robot
 from cmbot.trajectory import Parametrization, QuinticTrajectory, SparseSplines, SplineSpace
 
-__all__ = ["TorqueProblem", "parametrization_through"]
-
 # Sampled constraints are kept this share, divided by the squared samples per segment, inside their bounds,
 # for what parabolas through samples do not see; bounds on polynomials are met at their exact extrema and need
 # only room for the solver's tolerance.

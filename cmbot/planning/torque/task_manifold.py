@@ -13,8 +13,6 @@ from cmbot.planning.task import ToolTask
 from cmbot.robot import Postures
 from cmbot.scene import ToolPoses
 
-__all__ = ["TaskManifold"]
-
 # Newton steps that project moved via-points onto the tool task, and the error that they leave.
 _NEWTON_STEPS = 13
 _ON_TASK = 1e-11

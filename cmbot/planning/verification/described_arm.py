@@ -20,8 +20,6 @@ from cmbot.common.yaml_reader import read_yaml
 from cmbot.robot import JointLimits, Robot, RobotFiles, parse_urdf, robot_files
 from cmbot.scene import Scene
 
-__all__ = ["DescribedArm", "DescribedLimits", "pose_of"]
-
 _FILES = ("model", "srdf", "limits", "elasticity", "package_dirs", "xacro", "total_mass", "tool")
 _MOVABLE = ("revolute", "continuous", "prismatic")
 # A range that ends beyond this is none, and so is a smaller limit than the last.

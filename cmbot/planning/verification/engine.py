@@ -20,8 +20,6 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra, ModelError
 from cmbot.planning.verification.described_arm import DescribedArm
 
-__all__ = ["ENGINE", "EngineStates", "engine_states", "is_installed", "require_installed"]
-
 ENGINE = "mujoco"
 """What has to be installed, and its name on the command line."""
 _EXTRA = "verify"

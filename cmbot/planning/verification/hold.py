@@ -11,8 +11,6 @@ from cmbot.hold import Foot
 from cmbot.planning.certification.check import Check, largest_check
 from cmbot.robot import Robot
 
-__all__ = ["hold_checks"]
-
 # What two computations may differ by, as a share of the largest, and N; by what share a bound may be missed.
 _SAME, _LEAST, _LIMIT = 1e-6, 1e-6, 1e-9
 # Points along a quarter's edge by which distances from the centre are averaged.

@@ -27,8 +27,6 @@ from cmbot.robot import Dynamics, Efforts, Kinematics, Robot
 from cmbot.scene import SPEED_TOLERANCE, AxisCone, Obstacle, PlannerOptions, Scene, Stroke
 from cmbot.trajectory import QuinticTrajectory
 
-__all__ = ["judged_motion", "second_opinion"]
-
 # States at which everything is computed again, and how many of them at most are knots.
 _STATES, _KNOTS = 300, 100
 # What two computations of the same may differ by: torques and forces as a share of the largest, tool points

@@ -18,8 +18,6 @@ from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.planning.verification.described_arm import pose_of
 from cmbot.scene import ArcTo, Goal, Leg, LegLaw, Raster, Scene, SpeedProfile, Stroke, StrokeFile
 
-__all__ = ["DescribedPath"]
-
 _NO_TURN = 1e-12
 # Samples of a path in which points are looked for: at least, and for each of them.
 _SAMPLES, _PER_POINT = 4001, 40

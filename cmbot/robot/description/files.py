@@ -21,8 +21,6 @@ from cmbot.robot.description.limits_file import read_joint_limits
 from cmbot.robot.description.tool import AttachedTool
 from cmbot.robot.description.xml_file import read_urdf
 
-__all__ = ["RobotFiles", "robot_files"]
-
 _SHIPPED = "cmbot"
 # A file of joint limits of ours that lacks its format is known by its keys.
 _OUR_LIMITS = re.compile(

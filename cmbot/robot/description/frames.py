@@ -8,8 +8,6 @@ from xml.etree import ElementTree
 from cmbot.common.errors import ModelError
 from cmbot.common.validation import shown
 
-__all__ = ["arm_frames", "moving_links", "require_independent"]
-
 _TURNING = ("revolute", "continuous")
 _MOVING = (*_TURNING, "prismatic")
 # The name of a tool frame in ROS-Industrial's convention.

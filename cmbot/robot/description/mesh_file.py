@@ -24,19 +24,6 @@ from cmbot.common.input_files import LARGEST_MESH, is_file, read_input, require_
 from cmbot.common.validation import shown
 from cmbot.robot.description.packages import find_copy, find_resource
 
-__all__ = [
-    "FARTHEST",
-    "faces_of",
-    "is_mesh",
-    "is_near",
-    "locate_meshes",
-    "mesh_loader",
-    "read_vertices",
-    "replace_unreadable",
-    "require_near_meshes",
-    "vertices_of",
-]
-
 FARTHEST = 1e4
 """Largest distance, m, of a point or a frame from the origin that it is given in."""
 

@@ -11,8 +11,6 @@ from xml.etree import ElementTree
 from cmbot.common.errors import ModelError
 from cmbot.common.input_files import read_input
 
-__all__ = ["find_copy", "find_package", "find_resource"]
-
 # Lists of folders below which packages are installed, in ``share``.
 _INSTALLED = ("AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH", "CMAKE_PREFIX_PATH")
 

@@ -12,8 +12,6 @@ from cmbot.common.errors import MissingExtra, ModelError, one_line
 from cmbot.common.validation import hint, shown
 from cmbot.robot.description.packages import find_copy, find_package
 
-__all__ = ["expand_xacro", "is_xacro"]
-
 _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 _ELEMENT = re.compile(rb"<xacro:\w")
 _NAME = re.compile(rb"<robot\b[^>]*?\bname\s*=\s*[\"']([^\"'$]+)[\"']")

@@ -13,8 +13,6 @@ from cmbot.common.input_files import read_input
 from cmbot.common.validation import shown
 from cmbot.robot.description.xacro import expand_xacro, is_xacro
 
-__all__ = ["parse_urdf", "read_urdf", "urdf_content"]
-
 # Readers of XML trees call themselves for each level.
 _DEEPEST = 50
 # The parser is stopped after the piece in which a refusal is found.

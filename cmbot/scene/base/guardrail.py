@@ -34,8 +34,6 @@ from cmbot.scene.base.stance import StanceFile, axis_point, foothold_face, footh
 from cmbot.scene.fields import Angle, Coordinate, Length, Slug, exactly_one, one_of_schema, si_fields
 from cmbot.scene.obstacles import Box, Obstacle, pose
 
-__all__ = ["GuardrailFile", "elastic_guardrail", "feet_at", "feet_of", "guardrail_obstacles"]
-
 _SECTIONS = ("angle", "bar")
 
 

@@ -15,8 +15,6 @@ from cmbot.elastic import AngleSection, Guardrail, Section
 from cmbot.hold import Foot
 from cmbot.scene.fields import Length
 
-__all__ = ["FACES", "Face", "HoldFile", "Holds", "face_of", "foot_on", "held_member"]
-
 Load = Annotated[float, Field(ge=1e-3, le=1e9)]
 FACES = {
     "post": {"outer": (0, 1, 0), "inner": (0, -1, 0), "right": (1, 0, 0), "left": (-1, 0, 0)},

@@ -12,8 +12,6 @@ from cmbot.common.validation import FileModel, refusal
 from cmbot.scene.base.matrices import Matrix6, check_positive_definite
 from cmbot.scene.fields import Text, Vector
 
-__all__ = ["IdentifiedBase", "IdentifiedSpring", "IdentifiedStiffness"]
-
 _OF_BASE = 21
 
 Number = Annotated[float, Field(ge=-1e6, le=1e6)]

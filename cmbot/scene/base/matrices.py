@@ -9,8 +9,6 @@ from pydantic import Field
 
 from cmbot.common.validation import refusal
 
-__all__ = ["Matrix6", "check_positive_definite"]
-
 # Their bounds keep every product finite.
 Entry = Annotated[float, Field(ge=-1e15, le=1e15)]
 Row6 = tuple[Entry, Entry, Entry, Entry, Entry, Entry]

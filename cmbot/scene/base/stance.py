@@ -15,16 +15,6 @@ from cmbot.elastic import Guardrail
 from cmbot.scene.base.hold import FACES, Face, face_of
 from cmbot.scene.fields import Angle, Coordinate, Slug, Vector
 
-__all__ = [
-    "FootholdFile",
-    "Stance",
-    "StanceFile",
-    "axis_point",
-    "foothold_face",
-    "foothold_pose",
-    "resolved_stance",
-]
-
 # From the foot's frame to its plate, m: the frame lies on the centre line of the post that is held.
 _PLATE = 0.0375
 _QUARTERS = (0.0, 90.0, 180.0, 270.0, -90.0, -180.0, -270.0)

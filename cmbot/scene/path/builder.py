@@ -26,8 +26,6 @@ from cmbot.scene.raster.raster import CylinderPatch, Raster
 from cmbot.scene.raster.rows import cylinder_corners, cylinder_frame, rectangle_axes, rectangle_corners
 from cmbot.scene.raster.surface import Surface
 
-__all__ = ["timed_path"]
-
 # Angle below which a turn is none, rad.
 _NO_TURN = 1e-12
 # First guesses of speeds where the shortest time is to be found, m/s and rad/s, and of a duration, s; as a

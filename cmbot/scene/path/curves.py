@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
     from scipy.spatial.transform import RotationSpline
 
-__all__ = ["Arc", "Blend", "Curve", "Line", "Rolled", "Spline", "rounded"]
-
 # Points of the Gauss rule that measures the length of a spline's piece.
 _GAUSS = 12
 # Cosine of the largest angle, 150 deg, by which a rounded corner turns.

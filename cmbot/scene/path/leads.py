@@ -11,8 +11,6 @@ from scipy.spatial.transform import Rotation
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.scene.path.curves import Curve
 
-__all__ = ["Extended"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Extended(Curve):

@@ -21,17 +21,6 @@ from cmbot.scene.fields import (
     given_of,
 )
 
-__all__ = [
-    "AUTO",
-    "ArcTo",
-    "Goal",
-    "Leg",
-    "Seconds",
-    "SecondsOrAuto",
-    "Speed",
-    "ViaPoints",
-]
-
 AUTO: Literal["auto"] = "auto"
 """Seconds that are to be found."""
 

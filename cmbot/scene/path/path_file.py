@@ -25,23 +25,6 @@ from cmbot.scene.path.time_law import LegLaw, SpeedProfile
 from cmbot.scene.path.waypoints import SAME_PLACE, Waypoint, distinct, turned_in_place
 from cmbot.scene.raster.raster import Raster
 
-__all__ = [
-    "FEWEST_WAYPOINTS",
-    "FREE_MOVE",
-    "LONGEST",
-    "MOST_ORDERED",
-    "RESERVED",
-    "SMOOTH",
-    "WORK",
-    "AxisCone",
-    "JobStrokes",
-    "Keep",
-    "Order",
-    "PathFile",
-    "StrokeFile",
-    "ToolPathEntry",
-]
-
 LONGEST = 36_000
 """Duration of all strokes, s: motions are sampled every 0.01 s."""
 FEWEST_WAYPOINTS = 3

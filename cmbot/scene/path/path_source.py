@@ -16,8 +16,6 @@ from cmbot.scene.path.path_file import PathFile
 from cmbot.scene.raster.face_rows import FaceSurface
 from cmbot.scene.raster.surface import PlainSurface, Surface
 
-__all__ = ["PathSource", "surface_of"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PathSource:

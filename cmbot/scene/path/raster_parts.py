@@ -11,8 +11,6 @@ from cmbot.scene.path.path_file import StrokeFile
 from cmbot.scene.raster.pieces import RowPiece
 from cmbot.scene.raster.raster import Raster
 
-__all__ = ["raster_parts", "require_apart", "rows_alone"]
-
 # Via-points of a part: at least so many for each row and step, and for its ends.
 _PER_LEG, _ENDS = 3, 12
 # Largest ramp, as a share of a leg's time.

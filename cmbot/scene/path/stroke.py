@@ -19,8 +19,6 @@ from cmbot.scene.path.tool_path import ToolPath
 from cmbot.scene.raster.pieces import RowPiece, without
 from cmbot.scene.raster.surface import Coverage, Surface
 
-__all__ = ["Stroke", "coverage_of", "pieces_left_out", "timed_stroke"]
-
 # What splines follow between two via-points to a millimetre: way of the tool, m, turn of the tool and of the
 # path, rad, and seconds; and how many segments a ramp has.
 _WAY, _TURN, _BEND, _SECONDS, _PER_RAMP = 0.05, np.radians(15), np.radians(36), 1.0, 3

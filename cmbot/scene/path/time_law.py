@@ -13,8 +13,6 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.validation import CheckedFields
 
-__all__ = ["LegLaw", "PiecewiseLaw", "ProcessPart", "SpeedProfile", "TimeLaw", "law_with_leads"]
-
 _Duration = Annotated[float, Field(gt=0, le=36_000)]
 _Jerk = Annotated[float, Field(ge=-1e9, le=1e9)]
 # Halvings that find when a share is covered.

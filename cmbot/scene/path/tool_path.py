@@ -19,8 +19,6 @@ from cmbot.scene.path.curves import Curve
 from cmbot.scene.path.time_law import LegLaw, ProcessPart, SpeedProfile, TimeLaw
 from cmbot.scene.path.tool_poses import ToolPoses
 
-__all__ = ["ShiftedToolPath", "ToolPath", "share_out_segments"]
-
 _NO_LENGTH = 1e-300
 # Points by which a curve is shown.
 _SHOWN = 41

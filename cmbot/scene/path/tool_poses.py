@@ -9,8 +9,6 @@ import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray, cross
 
-__all__ = ["ToolPoses", "shortest_turns"]
-
 # Sines of angles below which a turn is none, and two unit vectors are parallel or opposite.
 _NO_TURN, _OPPOSITE = 1e-300, 1e-12
 

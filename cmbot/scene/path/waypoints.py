@@ -13,8 +13,6 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.validation import refusal
 from cmbot.scene.fields import Coordinate
 
-__all__ = ["SAME_PLACE", "Waypoint", "distinct", "turned_in_place"]
-
 SAME_PLACE = 1e-4
 """Waypoints nearer to each other, m, are at one place: hardly an arm tells them apart, and a spline through
 both has a loop where the digits of a file lead sideways."""

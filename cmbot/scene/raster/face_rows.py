@@ -19,8 +19,6 @@ from cmbot.scene.raster.surface import Surface
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["FLAT", "LEAST_NODES", "FaceRows", "FaceSurface"]
-
 FLAT = 1e-4
 """Height, m, up to which faces are taken as a plane."""
 LEAST_NODES = 5

@@ -12,8 +12,6 @@ from cmbot.common.errors import InputError
 from cmbot.common.validation import CheckedFields
 from cmbot.scene.fields import SHORTEST_LEG
 
-__all__ = ["MOST_ROWS", "Interval", "RowPiece", "cells_of", "united", "without"]
-
 MOST_ROWS = 500
 """Of a raster."""
 

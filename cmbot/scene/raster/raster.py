@@ -17,8 +17,6 @@ from cmbot.scene.files import MeshName
 from cmbot.scene.mesh_file import is_mesh_file
 from cmbot.scene.raster.pieces import MOST_ROWS, RowPiece
 
-__all__ = ["CylinderPatch", "FaceSelection", "Raster"]
-
 # Cosine of the angle between two edges that are at right angles.
 _SQUARE = 1e-6
 _RECTANGLE, _FACES = ("origin", "u", "v"), ("mesh", "faces", "along")

@@ -10,8 +10,6 @@ from cmbot.common.arrays import FloatArray
 from cmbot.scene.raster.pieces import RowPiece
 from cmbot.scene.raster.raster import CylinderPatch, Raster
 
-__all__ = ["cylinder_corners", "cylinder_frame", "rectangle_axes", "rectangle_corners"]
-
 # Cosine of 10 degrees: the angle to the z axis below which a cylinder's angles count from the x axis.
 _UPRIGHT = 0.98480775
 

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from cmbot.scene.raster.pieces import Interval, RowPiece, cells_of, united
 from cmbot.scene.raster.raster import Raster
 
-__all__ = ["Coverage", "PlainSurface", "Surface"]
-
 # Shares of an area below which nothing is left out.
 _ROUNDING = 1e-6
 

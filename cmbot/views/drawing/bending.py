@@ -17,8 +17,6 @@ from cmbot.planning import Plan, bending_arm
 from cmbot.simulation import Tracking, elastic_arm_of
 from cmbot.views.drawing.support import Rails, packed_strains, pole_of
 
-__all__ = ["Bending", "drawn_factor", "most_factor"]
-
 # Least time between two equilibria, s; the page interpolates.
 _STEP = 0.2
 

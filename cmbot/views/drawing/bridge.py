@@ -22,8 +22,6 @@ from cmbot.scene import Box, Obstacle, Scene, pose
 from cmbot.views.drawing.camera import link_corners, link_poses
 from cmbot.views.drawing.surfaces import Surface, merged, obstacle_surface
 
-__all__ = ["bridge_of", "jobs_of"]
-
 # Lengths in m; y and z are those of W, z from the lower side of the walkway, where the posts end.
 _BEYOND = 0.6  # of the last post
 _EDGE, _EDGE_BEAM, _WALKWAY = -0.12, (0.12, 0.16), (1.2, 0.12)

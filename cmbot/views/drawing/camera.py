@@ -17,8 +17,6 @@ from cmbot.views.drawing.meshcat_scene import reach, surroundings
 from cmbot.views.drawing.support import pole_of
 from cmbot.views.drawing.surfaces import obstacle_surface
 
-__all__ = ["ARROW", "RISE", "focus_of", "focus_on", "link_corners", "link_poses", "seen", "workpieces"]
-
 ARROW = 0.32  # of the largest torque, as a share of the reach
 RISE = 0.24  # of a camera, upwards in a length of 1 across
 # How far beside the tool path workpieces are shown, and a pole from the foot, as shares of the reach.

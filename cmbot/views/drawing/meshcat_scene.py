@@ -30,17 +30,6 @@ from cmbot.views.drawing.surfaces import (
     visual_surface,
 )
 
-__all__ = [
-    "bridge_commands",
-    "carrier_commands",
-    "moving_robot_commands",
-    "obstacle_commands",
-    "path_commands",
-    "reach",
-    "scene_commands",
-    "surroundings",
-]
-
 MOST_ROBOT_FACES = 24_000
 MOST_OBSTACLE_FACES = 12_000
 """With these, and `MOST_POSES` of `replay_data`, a page stays below 5 MB, but for meshes of loose parts."""

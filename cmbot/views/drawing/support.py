@@ -14,8 +14,6 @@ from cmbot.elastic.strain import BeamStrains, frame_strains
 from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Scene, guardrail_obstacles, load_mesh
 from cmbot.views.page import pack
 
-__all__ = ["Pole", "Rails", "packed_strains", "pole_of", "supports"]
-
 # A pole is this many times as long as it is wide, its surface no farther from the foot than this, m.
 _SLENDER, _NEAR = 3.0, 0.03
 # How near the foot is to an end of a pole that is held at the other alone, as a share of its length; the sine

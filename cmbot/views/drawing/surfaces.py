@@ -23,17 +23,6 @@ from cmbot.common.errors import ModelError
 from cmbot.robot import faces_of, is_mesh, vertices_of
 from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere, load_mesh
 
-__all__ = [
-    "Surface",
-    "creased",
-    "merged",
-    "obstacle_surface",
-    "simplified",
-    "sliced",
-    "tube",
-    "visual_surface",
-]
-
 SECTIONS, RINGS = 32, 16  # of a round solid: about its axis, and of a ball from pole to pole
 TUBE_SECTIONS = 12  # about the axis of a tube
 _MOST_PIECES = 400  # of a box that is cut

@@ -18,8 +18,6 @@ from cmbot.excitation import (
 from cmbot.planning import Plan
 from cmbot.views.page import still_page, table
 
-__all__ = ["EXCITATION", "excitation_page"]
-
 EXCITATION = "excitation.html"
 
 _WIDTH_PX, _HEIGHT_PX, _EDGE_PX = 900, 300, 60

@@ -9,8 +9,6 @@ from html import escape
 from cmbot.common.installation import picture_folder, scene_folder
 from cmbot.views.page import still_page
 
-__all__ = ["gallery_page"]
-
 
 def gallery_page(scenes: Mapping[str, tuple[str, str]]) -> str:
     """Return an HTML page that opens no connection and runs no script.

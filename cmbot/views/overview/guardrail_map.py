@@ -16,8 +16,6 @@ from cmbot.scene import Box, Obstacle, Scene, guardrail_obstacles
 from cmbot.siting import Candidate
 from cmbot.walking import WalkSamples
 
-__all__ = ["Stand", "guardrail_map"]
-
 _WIDTH, _EDGE = 900, 40
 # Colours of feet from bearing nothing to bearing all that they can, and of one without bounds.
 _LEAST, _MOST, _UNKNOWN = (26, 127, 55), (192, 57, 43), "#5d6670"

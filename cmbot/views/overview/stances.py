@@ -12,8 +12,6 @@ from cmbot.siting import Standing, bounds_table, in_words, planned_table, shared
 from cmbot.views.overview.guardrail_map import Stand, guardrail_map
 from cmbot.views.page import still_page, table
 
-__all__ = ["stances_page"]
-
 _WIDTH, _HEIGHT, _EDGE = 900, 380, 60
 _LABEL = (18.0, 13.0)  # room for a number beside a dot, px
 # Where stances without a bound are drawn.

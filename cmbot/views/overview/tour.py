@@ -14,8 +14,6 @@ from cmbot.views.page import still_page, table
 from cmbot.views.report import REPORT
 from cmbot.walking import Tour, Walk, walk_samples
 
-__all__ = ["tour_page"]
-
 _REPLAY = {"replay": "replay.html"}
 
 

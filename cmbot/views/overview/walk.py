@@ -11,8 +11,6 @@ from cmbot.views.overview.guardrail_map import guardrail_map
 from cmbot.views.page import still_page, table
 from cmbot.walking import Walk, WalkSamples, walk_samples
 
-__all__ = ["steps_table", "walk_page"]
-
 
 def walk_page(walk: Walk) -> str:
     """Return an HTML page that opens no connection and runs no script.

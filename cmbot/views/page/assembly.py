@@ -21,18 +21,6 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.input_files import require_replaceable
 
-__all__ = [
-    "STAGE_SCRIPTS",
-    "assemble",
-    "assemble_plain",
-    "draft_of",
-    "pack",
-    "pack_exactly",
-    "still_page",
-    "table",
-    "write_page",
-]
-
 STAGE_SCRIPTS = ("stage.js", "marks.js", "beams.js", "bending.js", "colours.js", "motions.js", "player.js")
 """The 3-D view and the time, shared by replay and report."""
 
