@@ -66,9 +66,10 @@ class DeckFile(FileModel):
 
     record: FilePath | None = None
     """Path of a CSV file with the columns ``t,ax,ay,az``: times, s, and accelerations in W, m/s2."""
-    spectrum: Annotated[tuple[tuple[Hertz, Density, Density, Density], ...], Field(min_length=2)] | None = (
-        None
-    )
+    spectrum: (
+        Annotated[tuple[tuple[Hertz, Density, Density, Density], ...], Field(min_length=2, max_length=10_000)]
+        | None
+    ) = None
     """Rows of a frequency, Hz, and the one-sided spectral densities of the accelerations along x, y and z,
     (m/s2)^2/Hz; linear in between, nothing outside."""
     trains: TrainsFile | None = None

@@ -149,13 +149,15 @@ class Headline:
 
 def headlines(plan: Plan, tracking: Tracking | None) -> Iterator[Headline]:
     """Yield the cards, the most important first."""
-    if accuracy := _accuracy_card(plan):
+    accuracy = _accuracy_card(plan)
+    if accuracy is not None:
         yield accuracy
     yield _peak_card(plan)
     yield _lower_bound_card(plan)
     yield _certificate_card(plan)
     yield _clearance_card(plan)
-    yield _deviation_card(plan)
+    if accuracy is None:
+        yield _deviation_card(plan)
     if tracking is not None:
         yield _tracking_card(plan, tracking)
 
@@ -274,12 +276,15 @@ def _accuracy_card(plan: Plan) -> Headline | None:
     if accuracy.parts:
         most = accuracy.parts[0]
         detail += f"; most of it: {most.name} ({most.size_mm:.3g} mm)"
+    planned, bound = plan.figures.max_tool_deviation, plan.options.max_tool_deviation_m
+    arm = "with the predicted sag" if plan.options.compensate else "rigid arm"
+    detail += f"; {arm}, as planned, {1e3 * planned:.2f} of {1e3 * bound:g} mm"
     kept = accuracy.tolerance_kept
     return Headline(
         title="Tool from its path, at most",
         value=f"{accuracy.within_mm:.3g} mm",
         detail=detail if kept is None else f"{detail}; tolerance {'kept' if kept else 'not kept'}",
-        state="plain" if kept is None else "good" if kept else "bad",
+        state="bad" if planned > bound or kept is False else "plain" if kept is None else "good",
     )
 
 

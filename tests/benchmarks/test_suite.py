@@ -232,7 +232,7 @@ def test_a_random_job_is_one_of_strokes_from_poses_of_their_own(tmp_path: Path) 
     assert (made["arm"], scene.name) == ("ur5", jobs.job_name(5, 4))
     plain, world, path, R = read_scene(tmp_path / "job")
     strokes = strokes_of(scene, robot_of(scene))
-    assert len(strokes) == made["strokes"] == len(plain.legs)
+    assert len(strokes) == made["strokes"] == len(plain.strokes[0].legs)
     # The legs of the scene, each from where it began there, in some order.
     for stroke in strokes:
         k = int(stroke.name.removeprefix("leg_")) - 1

@@ -190,7 +190,7 @@ def test_a_stroke_in_an_obstacle_is_refused_before_any_is_planned() -> None:
             "tool_path": {"legs": [{"by": [0, 0.1, 0], "seconds": 3}]},
             "obstacles": [{"name": "crate", "box": [0.05, 0.05, 0.05], "xyz": [1.8154, 0.78, -1.9628]}],
         }
-    ).all_obstacles
+    ).obstacles
     scene = scene.changed(obstacles=(*scene.obstacles, crate))
     told: list[Progress] = []
     with pytest.raises(

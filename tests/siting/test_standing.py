@@ -179,7 +179,7 @@ def test_the_best_stance_needs_less_than_the_scenes(scene: Scene, standing: Stan
     assert best.figures.adhesion_needed.peak < usual.figures.adhesion_needed.peak
     np.testing.assert_allclose(best.samples.tool_point[0], usual.samples.tool_point[0], atol=1e-6)
     loaded = best_scene(standing)
-    assert loaded.robot.stance == best.scene.stance
+    assert loaded.stance == best.scene.stance
     said = list(in_words(standing))
     assert said[0].startswith(f"Best of those planned: {standing.best.place}, ")
     assert sum("may be better" in line for line in said) == 1

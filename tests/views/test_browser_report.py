@@ -385,7 +385,7 @@ def test_without_simulation_and_approach_there_is_less(
     assert ask(chrome, "[cmbotReplay.start, cmbotReplay.end]") == [0, 4]
     assert len(chrome.find_elements("css selector", ".chart:not(.small)")) == 3
     assert not chrome.find_element("id", "charts-tracking").is_displayed()
-    assert len(chrome.find_elements("css selector", ".card")) == 6
+    assert len(chrome.find_elements("css selector", ".card")) == 5
 
 
 def test_it_is_dark_where_the_system_is(shown: Chrome) -> None:

@@ -64,7 +64,8 @@ def test_no_gain_is_stated_against_a_motion_that_breaks_a_limit(
     assert not [card for card in cards if card.before or "→" in card.detail]
     assert not [card for card in cards if card.state == "worse"]
     assert [card.title for card in cards if card.state == "good"] == ["Certified checks, whole job"]
-    assert cards[0].detail.startswith(
+    # The first card is that of the tool.
+    assert cards[1].detail.startswith(
         f"at work {plan.figures.peak_guardrail_torque:.1f} Nm; no gain is stated, as the baseline {fault}"
     )
     assert "<s>" not in report_page(plan)
@@ -75,7 +76,7 @@ def test_a_gain_is_stated_against_a_motion_that_keeps_them(triangle_plan: Plan) 
     said = [*remarks(triangle_plan)]
     assert baseline_faults(triangle_plan) == ""
     assert [each for each in said if each.startswith("Against the baseline") and GAIN.search(each)]
-    peak, *_ = headlines(triangle_plan, None)
+    _, peak, *_ = headlines(triangle_plan, None)
     assert peak.before and GAIN.search(peak.detail)
 
 
