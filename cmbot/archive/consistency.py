@@ -161,7 +161,7 @@ def require_same(
     elif isinstance(got, list | tuple) and isinstance(expected, list | tuple) and len(got) == len(expected):
         for k, (one, other) in enumerate(zip(got, expected, strict=True)):
             require_same(one, other, source, f"{key}[{k}]", tolerance, zero, why)
-    elif isinstance(got, int | float) and isinstance(expected, int | float):
+    elif not isinstance(got, bool) and isinstance(got, int | float) and isinstance(expected, int | float):
         if got != expected and not abs(got - expected) <= zero + tolerance * abs(expected):
             raise ArchiveError(source, key, got, f"{expected:g}, as {why}")
     elif got != expected:

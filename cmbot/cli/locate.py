@@ -54,7 +54,7 @@ class LocateCommand(Writing):
         def say() -> None:
             for line in remarks:
                 out.print(one_line(line))
-            out.print(f"Written to {one_line(str(target))}: its blocks go into the scene.")
+            out.print(f"Written to {one_line(str(target))}: {_use(found)}.")
 
         self.answer(lambda: {"file": str(target), **_summary(found), "remarks": remarks}, say)
 
@@ -62,7 +62,7 @@ class LocateCommand(Writing):
         """Propose corners, and write the sheet."""
         from cmbot.archive import write_file
         from cmbot.common.yaml_reader import yaml_text
-        from cmbot.identification import TouchSetup, features_to_touch
+        from cmbot.identification import TouchSetup, features_to_touch, frame_of
 
         if Path(self.source).suffix.lower() == ".csv":
             raise InputError(self.source, "--propose", "a CSV file", "a scene, whose corners can be touched")
@@ -71,17 +71,20 @@ class LocateCommand(Writing):
         target = self.output or Path(f"{scene.name}.touches.yaml")
         require_new(target, self.force)
         joints = len(scene.posture)
-        points = [[round(float(x), 6) for x in feature.point] for feature in features]
+        frame, X_WF = frame_of(scene)
+        in_frame = [X_WF[:3, :3].T @ (feature.point - X_WF[:3, 3]) for feature in features]
+        points = [[round(float(x), 6) for x in point] for point in in_frame]
         setup = TouchSetup()
         sheet = {
             "format": "cmbot-touches/1",
             "scene": self.source,
+            "locates": frame,
             "touch_sd_mm": setup.touch_sd_mm,
-            "touches": [{"posture_deg": [0.0] * joints, "point": point} for point in points],
+            "touches": [{"posture_deg": None, "point": point} for point in points],
         }
         text = (
-            "# Touch each corner with the tool point, and write down the joints' angles. The points are the\n"
-            "# scene's, in W; with locates: NAME, a frame of the scene, they are in that frame.\n"
+            f"# Touch each corner with the tool point, and write down the {joints} angles of the joints.\n"
+            f"# The points are in {'W' if frame == 'world' else f'the frame {frame} of the scene'}.\n"
         )
         write_file(target, (text + yaml_text(sheet)).encode())
         shift, turn = _expected(covariance)
@@ -124,6 +127,15 @@ def _summary(found: Location) -> dict[str, Any]:
     }
 
 
+def _use(found: Location) -> str:
+    """What to do with the blocks."""
+    if found.frame == "world":
+        return (
+            "with from: {frame: workpiece, ...} in the scene's strokes their path follows; obstacles do not"
+        )
+    return "its blocks go into the scene"
+
+
 def _blocks(found: Location, remarks: list[str]) -> str:
     """The blocks of a scene that say where the workpiece is, below what was found in words."""
     return "\n".join(_lines(found, remarks)) + "\n"
@@ -135,6 +147,9 @@ def _lines(found: Location, remarks: list[str]) -> Iterator[str]:
     name = "workpiece" if found.frame == "world" else found.frame
     xyz, rpy = ([round(x, 7) for x in told[key]] for key in ("xyz", "rpy_deg"))
     yield f"frames: {{{name}: {{xyz: {xyz}, rpy_deg: {rpy}}}}}"
+    if found.frame == "world":
+        # Nothing in the scene follows the frame yet, so its path is known no better.
+        return
     yield "uncertainty:"
     yield f"  workpiece: {{mm: {known.mm:.4g}, deg: {known.deg:.4g}}}"
     yield "  foot: {mm: 0, deg: 0}  # the place is that of the workpiece relative to the foot"

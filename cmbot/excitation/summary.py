@@ -23,27 +23,28 @@ def excitation_rows(excitation: Excitation) -> Iterator[tuple[str, str]]:
     yield f"tool by 1 m/s2 of the deck, {low:g}-{high:g} Hz, RMS, mm", f"{reference.rms_mm:.2f}"
     yield "slowest mode, Hz", f"{reference.first_hz.min():.2f}"
     if excitation.sway is not None:
-        yield from _sway(excitation.sway)
+        yield from _sway(excitation.sway, trains=bool(excitation.passages))
     if shaken is not None:
         value = f"{1e3 * shaken.rms:.2f}, {1e3 * shaken.peak:.2f}"
-        yield "simulated whole: tool, RMS and largest, mm", value
+        yield "by the deck alone, simulated whole: tool, RMS and largest, mm", value
     if excitation.wind:
         yield "tool under the mean wind, mm", f"{1e3 * excitation.wind:.2f}"
     if excitation.adhesion is not None:
-        yield "adhesion needed, kN", f"{excitation.adhesion / 1e3:.2f}"
+        yield "adhesion needed at work, kN", f"{excitation.adhesion / 1e3:.2f}"
     if excitation.damper is not None:
         yield from _damper(excitation.damper)
     if excitation.timetable is not None:
         yield "work in an hour, s", f"{excitation.timetable.work_s:.0f}"
 
 
-def _sway(sway: RandomSway) -> Iterator[tuple[str, str]]:
-    yield "tool under spectrum and gusts, RMS, mm", f"{sway.rms_mm:.2f}"
+def _sway(sway: RandomSway, *, trains: bool) -> Iterator[tuple[str, str]]:
+    by = "gusts alone, without trains" if trains else "spectrum and gusts"
+    yield f"tool under {by}, RMS, mm", f"{sway.rms_mm:.2f}"
     value = f"{1e3 * sway.across.max():.2f}, {1e3 * sway.along.max():.2f}"
     yield "largest across its axis, along it, RMS, mm", value
     yield "mean of the largest displacement, mm", f"{1e3 * sway.peak:.2f}"
     if sway.leaves is not None:
-        yield "probability of leaving the tolerance", f"{sway.leaves:.3g}"
+        yield f"probability of leaving the tolerance by {by}", f"{sway.leaves:.3g}"
 
 
 def _damper(gain: DamperGain) -> Iterator[tuple[str, str]]:
@@ -51,7 +52,7 @@ def _damper(gain: DamperGain) -> Iterator[tuple[str, str]]:
     name = f"damper of {tuned.mass:g} kg at {gain.at}, Hz and ratio"
     yield name, f"{tuned.frequency:.2f}, {tuned.damping:.3f}"
     value = f"{1e3 * gain.rms_with:.2f}, {1e3 * gain.rms_without:.2f}"
-    yield "largest RMS with it, without, mm", value
+    yield "largest RMS over the range of stiffness with it, without, mm", value
 
 
 def passage_rows(excitation: Excitation) -> Iterator[tuple[str, ...]]:

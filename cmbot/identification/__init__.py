@@ -30,7 +30,7 @@ from cmbot.identification.report import (
     stiffness_text,
     unseen,
 )
-from cmbot.identification.touches import Feature, Touches, TouchSetup, read_touches
+from cmbot.identification.touches import Feature, Touches, TouchSetup, frame_of, read_touches
 
 __all__ = [
     "HEADINGS",
@@ -51,6 +51,7 @@ __all__ = [
     "Weight",
     "estimate",
     "features_to_touch",
+    "frame_of",
     "identified_rows",
     "identify",
     "is_sheet",

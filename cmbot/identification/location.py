@@ -31,6 +31,8 @@ from cmbot.scene import Box, Placement, Scene
 
 # Probability by chance of the residual of a touch that is left out, and the share that may go.
 _CHANCE, _MOST_LEFT_OUT = 1e-3, 1 / 3
+# A place further from the prior's, in its standard deviations, is a mistake.
+_FARTHEST = 6.0
 # A direction whose variance is more than this share of the prior's is not fixed by the touches.
 _NOT_FIXED = 0.8
 # Residual, in standard deviations, beyond which the first estimate counts touches linearly.
@@ -131,6 +133,16 @@ def located(touches: Touches) -> Location:
                 f"{1e3 * float(np.linalg.norm(problem.residual(xi, worst))):.1f} mm from its feature",
                 "touches that fit each other: more than a third does not; look at features and units",
             )
+    if (off := float(np.abs(xi / problem.prior).max())) > _FARTHEST:
+        shift, turned = 1e3 * np.linalg.norm(xi[:3]), np.degrees(np.linalg.norm(xi[3:]))
+        prior, frame = touches.setup.prior, touches.frame
+        raise InputError(
+            touches.source,
+            "prior",
+            f"{frame} {shift:.0f} mm and {turned:.1f} deg from where the scene has it, {off:.0f} deviations",
+            f"a place within {_FARTHEST:g} of prior: {{mm: {prior.mm:g}, deg: {prior.deg:g}}}; look at the "
+            "units and at the frame that the points are given in (locates), or widen prior",
+        )
     covariance = problem.covariance(xi, counted_in)
     X, turn = touches.X_WF.copy(), pin.exp3(xi[3:])
     X[:3, 3] = problem.middle + xi[:3] + turn @ (X[:3, 3] - problem.middle)
@@ -233,10 +245,11 @@ def location_remarks(found: Location, touches: Touches) -> Iterator[str]:
     """Say where the frame is, how exactly, and which touches did not count."""
     shift, turn = np.linalg.norm(found.moved[:3]), np.degrees(np.linalg.norm(found.moved[3:]))
     known, before = found.placement, touches.setup.prior
+    exactness = f"{known.mm:.2f} mm and {known.deg:.3f} deg"
     yield (
-        f"{found.frame} is {1e3 * shift:.2f} mm and {turn:.3f} deg from where the scene has it, known within "
-        f"{known.mm:.2f} mm and {known.deg:.3f} deg (one standard deviation in the worst direction; before "
-        f"{before.mm:g} mm and {before.deg:g} deg)."
+        f"{found.frame} is {1e3 * shift:.2f} mm and {turn:.3f} deg from where the scene has it, at the "
+        f"middle of what was touched, known within {exactness} (one standard deviation in the worst "
+        f"direction; before {before.mm:g} mm and {before.deg:g} deg)."
     )
     kept = [r for k, r in enumerate(found.residuals) if k not in found.left_out]
     size = float(np.sqrt(np.mean(np.concatenate(kept) ** 2)))

@@ -250,19 +250,27 @@ def _touches(file: TouchesFile, folder: Path, source: str, given: Scene | str | 
         scene = load_scene(given)
     else:
         scene = load_scene(file.scene if file.scene in shipped_scenes() else folder / file.scene)
-    frames = scene.frame_poses
-    name = file.locates or (next(iter(frames)) if len(frames) == 1 else "world")
-    if name != "world" and name not in frames:
-        raise InputError(source, "locates", name, "a frame of the scene", tuple(frames))
+    name, X_WF = frame_of(scene)
+    if file.locates is not None and file.locates != name:
+        name, frames = file.locates, scene.frame_poses
+        if name != "world" and name not in frames:
+            raise InputError(source, "locates", name, "a frame of the scene, or world", tuple(frames))
+        X_WF = np.eye(4) if name == "world" else frames[name]
     return Touches(
         source=source,
         scene=scene,
         setup=file,
         frame=name,
-        X_WF=np.eye(4) if name == "world" else frames[name],
+        X_WF=X_WF,
         places=_places(file, scene, source),
         features=tuple(_feature(touch, source, k) for k, touch in enumerate(file.touches)),
     )
+
+
+def frame_of(scene: Scene) -> tuple[str, FloatArray]:
+    """Return the frame that is located where none is named: the scene's only one, or W, and its pose."""
+    frames = scene.frame_poses
+    return next(iter(frames.items())) if len(frames) == 1 else ("world", np.eye(4))
 
 
 def _places(file: TouchesFile, scene: Scene, source: str) -> FloatArray:

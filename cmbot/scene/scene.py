@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import replace
+from dataclasses import fields, replace
 from hashlib import sha256
 from json import dumps
 from pathlib import Path
@@ -24,9 +24,9 @@ from pydantic import (
 )
 
 from cmbot.common.arrays import FloatArray, read_only
-from cmbot.common.errors import SceneError
+from cmbot.common.errors import InputError, SceneError
 from cmbot.common.representation import card
-from cmbot.common.validation import FileModel, counted, refusal, require_type, shown, validated
+from cmbot.common.validation import FileModel, counted, hint, refusal, require_type, shown, validated
 from cmbot.elastic import Guardrail
 from cmbot.hold import Foot
 from cmbot.scene.base.guardrail import GuardrailFile, elastic_guardrail, feet_of, guardrail_obstacles
@@ -320,6 +320,10 @@ class Scene(FileModel):
         """Return the scene with other options of the planner: all of them, or some by their names."""
         options = self.planner if options is None else options
         require_type(options, PlannerOptions, "Scene", "planner", "PlannerOptions")
+        known = tuple(field.name for field in fields(PlannerOptions))
+        for name in changes.keys() - set(known):
+            expected = f"an option of the planner{hint(name, known)}"
+            raise InputError("Scene.with_options", name, "no such option", expected)
         return self.changed(planner=replace(options, **changes))
 
     def with_strokes(self, strokes: Sequence[StrokeFile], order: Order | None = None) -> Self:

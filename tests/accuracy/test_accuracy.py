@@ -194,8 +194,8 @@ def test_a_tolerance_is_judged_with_its_probability(bent: Plan) -> None:
         assert judged.accuracy.tolerance_kept is kept
         assert judged.accuracy.within_mm == radius
         said = accuracy_in_words(judged)
-        assert (": kept, in " in said) is kept
-        assert (": not kept, in " in said) is not kept
+        assert (": kept (within it in " in said) is kept
+        assert (": not kept (within it in " in said) is not kept
 
 
 def test_remedies_are_computed_and_the_largest_part_is_said(bent: Plan) -> None:

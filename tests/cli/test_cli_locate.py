@@ -37,12 +37,48 @@ def test_touched_corners_move_the_workpiece(tmp_path: Path, monkeypatch: pytest.
     Path("points.csv").write_text("\n".join(lines), encoding="utf-8")
     outcome = run("locate", "points.csv", "--scene", "triangle")
     assert outcome.status == 0, outcome.err
-    assert outcome.out.startswith("world is 12.00 mm and 0.000 deg from where the scene has it, known ")
+    assert outcome.out.startswith("world is 12.00 mm and 0.000 deg from where the scene has it, at ")
     blocks = read_yaml(tmp_path / "points.location.yaml", SceneError)
     np.testing.assert_allclose(blocks["frames"]["workpiece"]["xyz"], [0, 0.012, 0], atol=1e-5)
-    # They are blocks of a scene.
+    # They are a block of a scene; what nothing follows makes nothing more exact.
     scene = read_yaml(Path(load_scene("triangle").source), SceneError)
-    assert load_scene(scene | blocks).uncertainty.workpiece.mm == blocks["uncertainty"]["workpiece"]["mm"]
+    assert load_scene(scene | blocks).frame_poses.keys() == {"workpiece"}
+    assert "uncertainty" not in blocks
+    assert "from: {frame: workpiece, ...}" in outcome.out
+
+
+def test_a_frame_of_the_scene_is_located_where_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The sheet's points are in the frame; a tracker sees them 7 mm away."""
+    monkeypatch.chdir(tmp_path)
+    assert run("locate", "gusset_plate", "--propose", "4", "-q").status == 0
+    sheet = read_yaml(tmp_path / "gusset_plate.touches.yaml", SceneError)
+    X = load_scene("gusset_plate").frame_poses[sheet["locates"]]
+    for touch in sheet["touches"]:
+        del touch["posture_deg"]
+        touch["place"] = (X[:3, :3] @ touch["point"] + X[:3, 3] + [0.007, 0, 0]).tolist()
+    Path("touched.yaml").write_text(json.dumps(sheet), encoding="utf-8")
+    outcome = run("locate", "touched.yaml")
+    assert outcome.status == 0, outcome.err
+    assert " is 7.00 mm and 0.000 deg from " in outcome.out
+    blocks = read_yaml(tmp_path / "touched.location.yaml", SceneError)
+    assert 0 < blocks["uncertainty"]["workpiece"]["mm"] < 1
+    # Points in W, taken for points in the frame, are far away.
+    for touch in sheet["touches"]:
+        touch["point"] = touch["place"]
+    Path("mistaken.yaml").write_text(json.dumps(sheet), encoding="utf-8")
+    outcome = run("locate", "mistaken.yaml")
+    assert outcome.status == 2
+    assert "look at the units and at the frame" in outcome.err
+
+
+def test_a_sheet_that_is_not_filled_in_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run("locate", "triangle", "--propose", "3", "-q").status == 0
+    outcome = run("locate", "triangle.touches.yaml")
+    assert outcome.status == 2
+    assert "touches[0]: got none, expected exactly one of posture_deg, posture, place" in outcome.err
 
 
 @pytest.mark.parametrize(

@@ -209,7 +209,9 @@ def test_wrong_touches_are_named(scene: Scene, touch: dict[str, Any], said: str)
 def test_a_frame_that_the_scene_lacks_is_named(scene: Scene) -> None:
     touch = {"place": [0, 0, 0], "point": [0, 0, 0]}
     file = {"format": "cmbot-touches/1", "scene": "triangle", "locates": "braket", "touches": [touch]}
-    with pytest.raises(InputError, match=r"locates: got braket, expected a frame of the scene \(one of: bra"):
+    with pytest.raises(
+        InputError, match=r"locates: got braket, expected a frame of the scene, or world \(one"
+    ):
         cmbot.locate(file, scene)
 
 

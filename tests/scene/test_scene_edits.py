@@ -235,7 +235,7 @@ def test_nothing_goes_past_the_checks() -> None:
         replace(scene, name="other")  # type: ignore[type-var]
     with pytest.raises(ValueError, match="frozen"):
         scene.name = "other"
-    with pytest.raises(TypeError):
+    with pytest.raises(InputError, match="no such option"):
         scene.with_options(no_such_option=1)
 
 
@@ -266,3 +266,8 @@ def test_files_count_as_they_were_read(tmp_path: Path, monkeypatch: pytest.Monke
     with pytest.raises(SceneError) as caught:
         scene.with_source("mine.yaml").changed(obstacles=[{**rock, "mesh": "no.stl"}])
     assert (caught.value.source, caught.value.key) == ("mine.yaml", "obstacles[0].mesh")
+
+
+def test_an_option_that_is_none_is_named() -> None:
+    with pytest.raises(InputError, match=r"compensat: no such option, expected .*did you mean compensate\?"):
+        load_scene("triangle").with_options(compensat=True)

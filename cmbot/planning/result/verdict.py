@@ -73,9 +73,8 @@ def accuracy_in_words(plan: Plan) -> str:
             if value is not None
         ]
         kept = "kept" if accuracy.tolerance_kept else "not kept"
-        text += (
-            f", tolerance {' and '.join(asked)}: {kept}, in {100 * accuracy.tolerance_share:.3g} % of cases"
-        )
+        share, least = (f"{100 * x:.3g} %" for x in (accuracy.tolerance_share, accuracy.probability))
+        text += f", tolerance {' and '.join(asked)}: {kept} (within it in {share} of cases, asked {least})"
     if accuracy.parts:
         most = accuracy.parts[0]
         text += f"; most of it: {most.name} ({most.size_mm:.3g} mm)"
