@@ -197,7 +197,8 @@ def _remedies(
             found.append(Remedy(name=name, within_mm=left))
             all_together = remedy(all_together)
     if len(found) > 1:
-        name = " and ".join(remedy.name for remedy in found)
+        *others, last = (remedy.name for remedy in found)
+        name = f"{', '.join(others)} and {last}"
         found.append(Remedy(name=name, within_mm=_within(all_together.distances(), probability)))
     return tuple(sorted(found, key=lambda remedy: remedy.within_mm))
 
