@@ -16,7 +16,6 @@ import pinocchio as pin
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.sag import Sag
-from cmbot.elastic.stiffness_parameters import StiffnessParameters
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import Placement, Uncertainty
 
@@ -130,10 +129,12 @@ def _stiffness(
         # The sag of a stiffness times 1 + s is to first order 1 - s times as large.
         maps = -_UNIFORM * uncertainty.stiffness_share * bent[:, :, None]
         return Part(name="stiffness", bias=nothing, maps=maps, is_uniform=True)
-    _, u, lever = sag.loaded(q)
-    slope = lever @ StiffnessParameters(sag.arm).relaxation(u)
     values, vectors = np.linalg.eigh(covariance)
-    return Part(name="stiffness", bias=nothing, maps=slope @ (vectors * np.sqrt(np.maximum(values, 0.0))))
+    return Part(
+        name="stiffness",
+        bias=nothing,
+        maps=sag.by_stiffness(q) @ (vectors * np.sqrt(np.maximum(values, 0.0))),
+    )
 
 
 def _placed(placement: Placement, arms: FloatArray) -> FloatArray:

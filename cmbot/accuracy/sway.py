@@ -116,9 +116,6 @@ def _inertial_loads(
 
 def _tool_levers(arm: ElasticArm, q: FloatArray, u: FloatArray) -> FloatArray:
     """Jacobians (N, 3, f) of the bent arm's tool point by the elastic coordinates."""
-    data, world = arm.model.createData(), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    levers = np.empty((len(q), 3, u.shape[1]))
-    for k, configuration in enumerate(arm.configuration(q, u)):
-        J = pin.computeFrameJacobian(arm.model, data, configuration, arm.tool_frame_id, world)
-        levers[k] = J.reshape(6, -1)[:3, arm.elastic]
-    return levers
+    data = arm.model.createData()
+    jacobians = [arm.tool_jacobian(configuration, data)[1] for configuration in arm.configuration(q, u)]
+    return np.array(jacobians)[:, :3, arm.elastic]

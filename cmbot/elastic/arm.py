@@ -101,6 +101,16 @@ class ElasticArm:
         joined[..., self.driven], joined[..., self.elastic] = q, u
         return joined
 
+    def tool_jacobian(self, configuration: FloatArray, data: Any) -> tuple[Any, FloatArray]:
+        """Return pose and Jacobian (6, n + f) of the bent arm's tool, as `Kinematics.tool_jacobian`.
+
+        `data` is pinocchio's working memory for `model`.
+        """
+        world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        J = pin.computeFrameJacobian(self.model, data, configuration, self.tool_frame_id, world)
+        # pinocchio's Jacobian of a single joint is a vector.
+        return pin.updateFramePlacement(self.model, data, self.tool_frame_id), J.reshape(6, self.model.nv)
+
 
 def elastic_arm(robot: Robot, base: ElasticBase | None, options: ElasticOptions | None = None) -> ElasticArm:
     """Build the mechanism of a robot's joints, drives, tubes and its elastic base, if any.

@@ -72,7 +72,7 @@ class Sag:
         # Implicit function theorem on stiffness u + loads(q, u) = 0.
         du_dq = -np.linalg.solve(tangent, by_joints)
         for k in range(N):
-            X_WT, J = self._tool(arm.configuration(q[k], u[k]))
+            X_WT, J = arm.tool_jacobian(arm.configuration(q[k], u[k]), self._data)
             X_WR, J_rigid = self._rigid.tool_jacobian(q[k])
             tool[k] = X_WT.translation - X_WR.translation
             rotation[k] = pin.log3(X_WT.rotation @ X_WR.rotation.T)
@@ -105,10 +105,15 @@ class Sag:
         rigid = self._rigid.tool_poses(q)[0]
         tool, lever = np.empty((len(q), 3)), np.empty((len(q), 3, u.shape[1]))
         for k in range(len(q)):
-            X_WT, J = self._tool(self.arm.configuration(q[k], u[k]))
+            X_WT, J = self.arm.tool_jacobian(self.arm.configuration(q[k], u[k]), self._data)
             tool[k] = X_WT.translation - rigid[k]
             lever[k] = np.linalg.solve(tangent[k].T, J[:3, self.arm.elastic].T).T
         return tool, u, lever
+
+    def by_stiffness(self, q: FloatArray) -> FloatArray:
+        """Return the derivatives (N, 3, p), m, of the tool's displacements by the `StiffnessParameters`."""
+        _, u, lever = self.loaded(q)
+        return np.asarray(lever @ StiffnessParameters(self.arm).relaxation(u))
 
     def spread(self, q: FloatArray) -> FloatArray:
         """Return the covariances (N, 3, 3), m2, of the tool's displacements at postures `q` (N, n).
@@ -117,8 +122,7 @@ class Sag:
         """
         if self.covariance is None:
             return np.zeros((len(q), 3, 3))
-        _, u, lever = self.loaded(q)
-        slope = lever @ StiffnessParameters(self.arm).relaxation(u)
+        slope = self.by_stiffness(q)
         return np.asarray(slope @ self.covariance @ slope.transpose(0, 2, 1))
 
     def following(self, q: FloatArray) -> FloatArray:
@@ -219,10 +223,3 @@ class Sag:
             least = np.linalg.eigvalsh(0.5 * (tangent + tangent.transpose(0, 2, 1)))[:, 0]
             raise refused(int(least.argmin()), "from which the arm topples") from error
         return tangent, by_joints
-
-    def _tool(self, configuration: FloatArray) -> tuple[pin.SE3, FloatArray]:
-        """Pose and Jacobian (6, n + f) of the bent arm's tool, as `Kinematics.tool_jacobian`."""
-        model, data, frame = self.arm.model, self._data, self.arm.tool_frame_id
-        world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        J = pin.computeFrameJacobian(model, data, configuration, frame, world)
-        return pin.updateFramePlacement(model, data, frame), J.reshape(6, model.nv)

@@ -343,10 +343,9 @@ def _rigid(mass: float, lever: FloatArray) -> FloatArray:
 
 def _jacobian(arm: ElasticArm, data: Any, configuration: FloatArray, place: str) -> tuple[FloatArray, Any]:
     """Jacobian (3, f) of a place of the bent arm by the elastic coordinates, and its pose."""
-    model, world = arm.model, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    model = arm.model
     if place == "tool":
-        J = pin.computeFrameJacobian(model, data, configuration, arm.tool_frame_id, world)
-        pose = pin.updateFramePlacement(model, data, arm.tool_frame_id)
+        pose, J = arm.tool_jacobian(configuration, data)
     else:
         names = arm.robot.joints
         if place not in ("arm_base", *names):
@@ -354,7 +353,8 @@ def _jacobian(arm: ElasticArm, data: Any, configuration: FloatArray, place: str)
             raise InputError("damper", "at", shown(place), expected, ("tool", "arm_base", *names))
         joint = model.getJointId(names[0] if place == "arm_base" else place)
         pin.computeJointJacobians(model, data, configuration)
-        J, pose = pin.getJointJacobian(model, data, joint, world), data.oMi[joint]
+        J = pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+        pose = data.oMi[joint]
     return np.asarray(J.reshape(6, model.nv)[:3, arm.elastic]), pose
 
 

@@ -197,7 +197,8 @@ def _reduced(at: _Matrices, factors: FloatArray, modes: int) -> tuple[FloatArray
     omega, X = np.stack([omega[:r] for omega, _ in own]), np.stack([X[:, :r] for _, X in own])
     D = V.T @ at.gyroscopic @ V + (2 * _DAMPING / omega[:, 0])[:, None, None, None] * K
     forces = V.T @ at.coupling + V.T @ (at.mass @ at.sag_slope) / by_case
-    tool = _tool_jacobian(at.arm, at.q[-1], at.u[-1])[:, at.arm.elastic] @ V
+    _, J = at.arm.tool_jacobian(at.arm.configuration(at.q[-1], at.u[-1]), at.arm.model.createData())
+    tool = J[:3, at.arm.elastic] @ V
     to_tool = np.linalg.norm(tool @ X, axis=1)
     M, tool = (np.broadcast_to(one, (len(factors), *one.shape)) for one in (M, tool))
     return M, D, K, np.linalg.solve(K, forces), M[:, -1] @ X, omega, to_tool, tool
@@ -295,11 +296,3 @@ def _gyroscopic(arm: ElasticArm, q: FloatArray, u: FloatArray, v: FloatArray) ->
     for k, (configuration, rate) in enumerate(zip(arm.configuration(q, u), rates, strict=True)):
         found[k] = pin.computeRNEADerivatives(arm.model, data, configuration, rate, still)[1][block]
     return found
-
-
-def _tool_jacobian(arm: ElasticArm, q: FloatArray, u: FloatArray) -> FloatArray:
-    """Jacobian (3, n + f) of the bent arm's tool point."""
-    world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    configuration = arm.configuration(q, u)
-    J = pin.computeFrameJacobian(arm.model, arm.model.createData(), configuration, arm.tool_frame_id, world)
-    return np.asarray(J[:3])

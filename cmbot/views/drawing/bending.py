@@ -143,9 +143,7 @@ class Bending:
         arm, data = self._arm, self._arm.model.createData()
         J = np.empty((len(q), 3, len(arm.elastic)))
         for k, configuration in enumerate(arm.configuration(q, u)):
-            world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-            whole = pin.computeFrameJacobian(arm.model, data, configuration, arm.tool_frame_id, world)
-            J[k] = whole.reshape(6, -1)[:3, arm.elastic]
+            J[k] = arm.tool_jacobian(configuration, data)[1][:3, arm.elastic]
         yielding = np.linalg.solve(tangent, J.transpose(0, 2, 1))
         return np.asarray(yielding @ np.linalg.pinv(J @ yielding))
 
