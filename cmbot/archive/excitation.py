@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cmbot.archive.folder import add_files
-from cmbot.archive.names import EXCITATION_FILE, PLAN_FILE
-from cmbot.archive.places import claim, require_plan_directory, shown_files
+from cmbot.archive.names import EXCITATION_FILE
+from cmbot.archive.places import add_results, require_no_results, shown_files
 from cmbot.archive.strict_json import json_bytes
-from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import given_path, plain, require_type
 from cmbot.excitation import Excitation
 from cmbot.version import __version__
@@ -59,11 +58,7 @@ def save_excitation(
     require_type(excitation, Excitation, "cmbot.save_excitation", "excitation", expected)
     folder = given_path(directory, "cmbot.save_excitation", "directory", "the path of a plan directory")
     files = {EXCITATION_FILE: json_bytes(excitation_json(excitation), indent=2)} | shown_files(added)
-    target = require_plan_directory(folder)
-    with claim(folder):
-        require_no_excitation(folder, force=force)
-        add_files(target, PLAN_FILE, files)
-        return tuple(folder / name for name in files)
+    return add_results(folder, files, partial(require_no_excitation, force=force))
 
 
 def require_no_excitation(directory: str | Path, *, force: bool = False) -> None:
@@ -74,10 +69,8 @@ def require_no_excitation(directory: str | Path, *, force: bool = False) -> None
     ArchiveError
         When an excitation is there and is not to be replaced.
     """
-    path = Path(directory) / EXCITATION_FILE
-    if path.exists() and not force:
-        expected = "a plan without an excitation; --force (in Python force=True) replaces it"
-        raise ArchiveError(str(path), "", "a file that is already there", expected)
+    expected = "a plan without an excitation; --force (in Python force=True) replaces it"
+    require_no_results(directory, (EXCITATION_FILE,), expected, force=force)
 
 
 def excitation_json(excitation: Excitation) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from difflib import get_close_matches
 from itertools import islice
@@ -123,6 +123,38 @@ def add_file(directory: str | Path, name: str, content: bytes | str) -> Path:
         raise ArchiveError(str(directory), "", "no plan directory", "a folder that a plan was saved in")
     add_files(resolved(directory), record, {name: data})
     return directory / name
+
+
+def add_results(
+    folder: Path, contents: Mapping[str, bytes], require: Callable[[Path], object]
+) -> tuple[Path, ...]:
+    """Add results to a plan directory that `require` takes, all files or none; return their paths.
+
+    Raises
+    ------
+    ArchiveError
+        When `folder` is no plan directory, `require` refuses it, another process is writing there, or the
+        system refuses.
+    """
+    target = require_plan_directory(folder)
+    with claim(folder):
+        require(folder)
+        add_files(target, PLAN_FILE, contents)
+        return tuple(folder / name for name in contents)
+
+
+def require_no_results(directory: str | Path, names: Collection[str], expected: str, *, force: bool) -> None:
+    """Refuse a plan directory that has results of some names, unless they may be replaced.
+
+    Raises
+    ------
+    ArchiveError
+        That says what is `expected`.
+    """
+    for name in () if force else names:
+        path = Path(directory) / name
+        if path.exists():
+            raise ArchiveError(str(path), "", "a file that is already there", expected)
 
 
 def require_absent(directory: str | Path, names: Collection[str], *, force: bool = False) -> None:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic import ConfigDict
 
-from cmbot.archive.folder import add_files, read_folder
+from cmbot.archive.folder import read_folder
 from cmbot.archive.names import PLAN_FILE, TRACKING_FILES
-from cmbot.archive.places import claim, require_plan_directory, shown_files
+from cmbot.archive.places import add_results, require_no_results, shown_files
 from cmbot.archive.strict_json import json_bytes, read_json
 from cmbot.archive.tables import read_table, table_csv
 from cmbot.common.arrays import FloatArray
@@ -112,12 +113,7 @@ def save_tracking(
         contents[name] = table_csv(columns, table, name)
     pages = shown_files(added)
     contents[_METRICS] = json_bytes(tracking_json(tracking), indent=2)
-    target = require_plan_directory(folder)
-    with claim(folder):
-        require_no_tracking(folder, force=force)
-        added_files = contents | pages
-        add_files(target, PLAN_FILE, added_files)
-        return tuple(folder / name for name in added_files)
+    return add_results(folder, contents | pages, partial(require_no_tracking, force=force))
 
 
 def require_no_tracking(directory: str | Path, *, force: bool = False) -> None:
@@ -128,11 +124,8 @@ def require_no_tracking(directory: str | Path, *, force: bool = False) -> None:
     ArchiveError
         When tracking errors are there and are not to be replaced.
     """
-    folder = Path(directory)
-    for name in TRACKING_FILES:
-        if (folder / name).exists() and not force:
-            expected = "a plan without tracking errors; --force (in Python force=True) replaces them"
-            raise ArchiveError(str(folder / name), "", "a file that is already there", expected)
+    expected = "a plan without tracking errors; --force (in Python force=True) replaces them"
+    require_no_results(directory, TRACKING_FILES, expected, force=force)
 
 
 def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
