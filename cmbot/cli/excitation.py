@@ -6,21 +6,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import cmbot
-from cmbot.cli.command import Reporting, argument, option
+from cmbot.cli.command import Writing, argument
 from cmbot.cli.console import err, out, print_table
 from cmbot.cli.views import claimed_plan
 from cmbot.common.errors import one_line
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExciteCommand(Reporting):
+class ExciteCommand(Writing):
     """Shake a plan's arm by trains, records or wind, as its scene says; add how its tool sways, and a page.
 
     Example: cmbot excite out/triangle
     """
 
     directory: Path = argument("A plan directory.", "DIR")
-    force: bool = option(False, "Replace what is there.")
 
     def __call__(self) -> None:
         from cmbot.archive import excitation_json, require_no_excitation

@@ -12,11 +12,10 @@ import numpy as np
 from cmbot.accuracy import Accuracy, Work, accuracy_of
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import InputError
 from cmbot.common.file_types import NonNegative
 from cmbot.common.representation import card
 from cmbot.common.validation import require_type
-from cmbot.elastic.sag import Sag
+from cmbot.elastic.sag import Sag, TooSoftError
 from cmbot.hold import CLAMP_LOAD
 from cmbot.planning.certification.certificate import Certificate
 from cmbot.planning.certification.metrics import MotionMetrics, Samples, measure
@@ -212,7 +211,7 @@ class Plan(StrokePlan):
                 compensated=self.compensation is not None,
                 covariance=covariance,
             )
-        except InputError:
+        except TooSoftError:
             # Remarks say that the arm is too soft to carry itself.
             return None
 
