@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +14,6 @@ from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError, one_line
 
 if TYPE_CHECKING:
-    from cmbot.common.arrays import FloatArray
     from cmbot.identification import Location
 
 
@@ -61,8 +59,9 @@ class LocateCommand(Writing):
     def _propose(self, number: int) -> None:
         """Propose corners, and write the sheet."""
         from cmbot.archive import write_file
+        from cmbot.common.validation import counted
         from cmbot.common.yaml_reader import yaml_text
-        from cmbot.identification import TouchSetup, features_to_touch, frame_of
+        from cmbot.identification import TouchSetup, features_to_touch, frame_of, placement_of
 
         if Path(self.source).suffix.lower() == ".csv":
             raise InputError(self.source, "--propose", "a CSV file", "a scene, whose corners can be touched")
@@ -87,9 +86,10 @@ class LocateCommand(Writing):
             f"# The points are in {'W' if frame == 'world' else f'the frame {frame} of the scene'}.\n"
         )
         write_file(target, (text + yaml_text(sheet)).encode())
-        shift, turn = _expected(covariance)
+        known = placement_of(covariance)
         words = (
-            f"After {len(points)} touches its place will be known within {shift:.2f} mm and {turn:.3f} deg."
+            f"After {counted(len(points), 'touch', 'touches')} its place will be known within {known.mm:.2f} "
+            f"mm and {known.deg:.3f} deg, one standard deviation in the worst direction."
         )
 
         def say() -> None:
@@ -98,16 +98,8 @@ class LocateCommand(Writing):
             out.print(f"Sheet to fill in: {sheet}; then: cmbot locate {sheet}")
 
         self.answer(
-            lambda: {"file": str(target), "touches": points, "shift_mm": shift, "turn_deg": turn}, say
+            lambda: {"file": str(target), "touches": points, "shift_mm": known.mm, "turn_deg": known.deg}, say
         )
-
-
-def _expected(covariance: FloatArray) -> tuple[float, float]:
-    """The largest standard deviations along, mm, and about, degrees, any direction."""
-    import numpy as np
-
-    along, about = (np.linalg.eigvalsh(covariance[part, part])[-1] for part in (slice(3), slice(3, 6)))
-    return 1e3 * float(np.sqrt(along)), float(np.degrees(np.sqrt(about)))
 
 
 def _summary(found: Location) -> dict[str, Any]:
@@ -138,18 +130,16 @@ def _use(found: Location) -> str:
 
 def _blocks(found: Location, remarks: list[str]) -> str:
     """The blocks of a scene that say where the workpiece is, below what was found in words."""
-    return "\n".join(_lines(found, remarks)) + "\n"
-
-
-def _lines(found: Location, remarks: list[str]) -> Iterator[str]:
-    yield from (f"# {one_line(line)}" for line in remarks)
     told, known = _summary(found), found.placement
     name = "workpiece" if found.frame == "world" else found.frame
     xyz, rpy = ([round(x, 7) for x in told[key]] for key in ("xyz", "rpy_deg"))
-    yield f"frames: {{{name}: {{xyz: {xyz}, rpy_deg: {rpy}}}}}"
-    if found.frame == "world":
-        # Nothing in the scene follows the frame yet, so its path is known no better.
-        return
-    yield "uncertainty:"
-    yield f"  workpiece: {{mm: {known.mm:.4g}, deg: {known.deg:.4g}}}"
-    yield "  foot: {mm: 0, deg: 0}  # the place is that of the workpiece relative to the foot"
+    lines = [f"# {one_line(line)}" for line in remarks]
+    lines.append(f"frames: {{{name}: {{xyz: {xyz}, rpy_deg: {rpy}}}}}")
+    # Nothing in the scene follows a frame that it did not have, so its path is known no better.
+    if found.frame != "world":
+        lines += [
+            "uncertainty:",
+            f"  workpiece: {{mm: {known.mm:.4g}, deg: {known.deg:.4g}}}",
+            "  foot: {mm: 0, deg: 0}  # the place is that of the workpiece relative to the foot",
+        ]
+    return "\n".join([*lines, ""])

@@ -10,7 +10,14 @@ from typing import Any
 from cmbot.common.yaml_reader import lines_named
 from cmbot.identification.design import Proposal, job_postures, propose, require_axes
 from cmbot.identification.estimation import Identification, Weight, estimate
-from cmbot.identification.location import Location, features_to_touch, locate, located, location_remarks
+from cmbot.identification.location import (
+    Location,
+    features_to_touch,
+    locate,
+    located,
+    location_remarks,
+    placement_of,
+)
 from cmbot.identification.measurements import (
     Measurements,
     MeasurementsFile,
@@ -60,6 +67,7 @@ __all__ = [
     "located",
     "location_remarks",
     "measured_arm",
+    "placement_of",
     "prior_deviations",
     "proposal_remarks",
     "propose",

@@ -74,16 +74,20 @@ class Location:
     @property
     def placement(self) -> Placement:
         """How exactly its place is known: the largest standard deviations along and about any direction."""
-        shift, turn = (
-            float(np.sqrt(np.linalg.eigvalsh(block)[-1]))
-            for block in (self.covariance[:3, :3], self.covariance[3:, 3:])
-        )
-        return Placement(mm=1e3 * shift, deg=float(np.degrees(turn)))
+        return placement_of(self.covariance)
 
     @property
     def rpy(self) -> FloatArray:
         """Roll, pitch and yaw (3,) of the frame, rad."""
         return np.asarray(pin.rpy.matrixToRpy(self.X_WF[:3, :3]))
+
+
+def placement_of(covariance: FloatArray) -> Placement:
+    """Return the largest standard deviations along and about any direction, of a covariance (6, 6)."""
+    along, about = (
+        float(np.sqrt(np.linalg.eigvalsh(block)[-1])) for block in (covariance[:3, :3], covariance[3:, 3:])
+    )
+    return Placement(mm=1e3 * along, deg=float(np.degrees(about)))
 
 
 def locate(source: str | Path | Mapping[str, Any], scene: Scene | str | Path | None = None) -> Location:
@@ -119,10 +123,11 @@ def located(touches: Touches) -> Location:
     counted_in = list(range(len(touches.features)))
     most = int(_MOST_LEFT_OUT * len(counted_in))
     problem = _Problem(touches)
-    xi = problem.solved(np.zeros(6), counted_in, robust=True)
+    xi = problem.solved(np.zeros(6), counted_in, robust=True).x
     while True:
-        xi = problem.solved(xi, counted_in)
-        worst = problem.worst(xi, counted_in)
+        estimate = problem.solved(xi, counted_in)
+        xi, covariance = estimate.x, np.linalg.inv(estimate.jac.T @ estimate.jac)
+        worst = problem.worst(estimate, covariance, counted_in)
         if worst is None:
             break
         counted_in.remove(worst)
@@ -143,7 +148,6 @@ def located(touches: Touches) -> Location:
             f"a place within {_FARTHEST:g} of prior: {{mm: {prior.mm:g}, deg: {prior.deg:g}}}; look at the "
             "units and at the frame that the points are given in (locates), or widen prior",
         )
-    covariance = problem.covariance(xi, counted_in)
     X, turn = touches.X_WF.copy(), pin.exp3(xi[3:])
     X[:3, 3] = problem.middle + xi[:3] + turn @ (X[:3, 3] - problem.middle)
     X[:3, :3] = turn @ X[:3, :3]
@@ -182,9 +186,9 @@ class _Problem:
         each = [self.residual(xi, k) / self._deviation for k in numbers]
         return np.concatenate([*each, xi / self.prior])
 
-    def solved(self, start: FloatArray, numbers: Sequence[int], *, robust: bool = False) -> FloatArray:
-        """The estimate (6,) from those touches; with `robust`, far ones count less."""
-        found = least_squares(
+    def solved(self, start: FloatArray, numbers: Sequence[int], *, robust: bool = False) -> Any:
+        """SciPy's result for those touches, its `x` the estimate (6,); with `robust`, far ones count less."""
+        return least_squares(
             self.stacked,
             start,
             args=(numbers,),
@@ -196,33 +200,16 @@ class _Problem:
             ftol=1e-12,
             gtol=1e-12,
         )
-        return np.asarray(found.x)
 
-    def jacobian(self, xi: FloatArray, numbers: Sequence[int]) -> FloatArray:
-        """Derivatives (m, 6) of the whitened residuals."""
-        step = 1e-3 * self.prior
-        columns = [
-            (self.stacked(xi + h, numbers) - self.stacked(xi - h, numbers)) / (2 * h[i])
-            for i, h in enumerate(np.diag(step))
-        ]
-        return np.stack(columns, axis=1)
-
-    def covariance(self, xi: FloatArray, numbers: Sequence[int]) -> FloatArray:
-        """That of the estimate (6, 6)."""
-        J = self.jacobian(xi, numbers)
-        return np.asarray(np.linalg.inv(J.T @ J))
-
-    def worst(self, xi: FloatArray, numbers: Sequence[int]) -> int | None:
+    def worst(self, estimate: Any, covariance: FloatArray, numbers: Sequence[int]) -> int | None:
         """The touch that fits the others least, where chance hardly makes it so."""
-        r, J = self.stacked(xi, numbers), self.jacobian(xi, numbers)
-        A, at, found = np.linalg.inv(J.T @ J), 0, list[tuple[float, float, int]]()
+        at, found = 0, list[tuple[float, float, int]]()
         for number in numbers:
-            size = len(self.residual(xi, number))
-            own = slice(at, at + size)
-            at += size
-            left = np.eye(size) - J[own] @ A @ J[own].T
-            square = float(r[own] @ np.linalg.pinv(left, rcond=1e-9) @ r[own])
-            found.append((float(chdtrc(size, square)), -square, number))
+            own = slice(at, at + len(self.residual(estimate.x, number)))
+            at, r, J = own.stop, estimate.fun[own], estimate.jac[own]
+            left = np.eye(len(r)) - J @ covariance @ J.T
+            square = float(r @ np.linalg.pinv(left, rcond=1e-9) @ r)
+            found.append((float(chdtrc(len(r), square)), -square, number))
         chance, _, number = min(found)
         return number if chance * len(numbers) < _CHANCE else None
 

@@ -211,8 +211,15 @@ def _from_csv(path: Path) -> TouchesFile:
     rows = [row for row in rows if row and not row[0].lstrip().startswith("#")]
     heading = [name.strip().lower() for name in rows[0]] if rows else []
     joints = [name for name in heading if name.startswith("q")]
-    places = [["x", "y", "z"]] if {"x", "y", "z"} <= set(heading) else [joints]
-    if not places[0] or not {"px", "py", "pz"} <= set(heading):
+    columns = ["x", "y", "z"] if {"x", "y", "z"} <= set(heading) else joints
+    key = (
+        "place"
+        if columns != joints
+        else "posture_deg"
+        if joints and joints[0].endswith("_deg")
+        else "posture"
+    )
+    if not columns or not {"px", "py", "pz"} <= set(heading):
         expected = "the columns x,y,z or q1_deg,q2_deg,..., then px,py,pz, and nx,ny,nz or ex,ey,ez"
         raise InputError(str(path), "line 1", shown(",".join(heading)), expected)
     touches = list[dict[str, Any]]()
@@ -227,9 +234,6 @@ def _from_csv(path: Path) -> TouchesFile:
             each = [given.get(f"{letter}{axis}") for axis in "xyz"]
             return None if None in each else [x for x in each if x is not None]
 
-        key = "place" if places[0] == ["x", "y", "z"] else "posture"
-        if key == "posture" and joints[0].endswith("_deg"):
-            key = "posture_deg"
         point, normal, edge = vector("p"), vector("n"), vector("e")
         shape: dict[str, Any] = {"point": point}
         if normal is not None:
@@ -238,7 +242,7 @@ def _from_csv(path: Path) -> TouchesFile:
             shape = {"cylinder": {"point": point, "direction": edge, "radius_m": given["radius"]}}
         elif edge is not None:
             shape = {"edge": {"point": point, "direction": edge}}
-        touches.append({key: [given.get(name) for name in places[0]], **shape})
+        touches.append({key: [given.get(name) for name in columns], **shape})
     data = {"format": "cmbot-touches/1", "scene": "given", "touches": touches}
     return validated(TouchesFile, data, str(path), InputError)
 
