@@ -22,7 +22,7 @@ from cmbot.elastic.sag import Sag
 from cmbot.planning.certification.sag_spread import largest_spread
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.initial_guess import InitialGuess, shifted_problem
-from cmbot.planning.path.projection import gram, solve_batch
+from cmbot.planning.path.projection import least_norm_step, task_jacobian
 from cmbot.planning.torque import Optimised, TorqueProblem, optimise
 from cmbot.scene import ShiftedToolPath, ToolPoses
 
@@ -40,8 +40,6 @@ _GROWS, _LEAST = 1.05, 0.2
 _PER_SEGMENT = 4
 # Newton steps at most to a posture whose bent tool is on the path, and the error, m or rad, that ends them.
 _STEPS, _ON_PATH = 8, 1e-8
-# Added to the diagonal of Gram matrices, for singular Jacobians.
-_REGULAR = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,11 +141,9 @@ def _bent_on_path(
         error = task.errors(at.tool_point + bent.tool, at.tool_rotation, goals)
         if np.abs(error).max() < _ON_PATH:
             break
-        J = task.jacobian(at.tool_rotation, at.leading_jacobian.transpose(2, 0, 1)).copy()
-        J[:, :3] += bent.d_tool
-        J = metric.positions(J).transpose(1, 2, 0)
-        step = np.einsum("ikn,in->nk", J, solve_batch(gram(J, _REGULAR), error.T[:, None])[:, 0])
-        q = q + metric.positions(step)
+        J = task_jacobian(task, at, metric)
+        J[:3] += metric.positions(bent.d_tool).transpose(1, 2, 0)
+        q = q + metric.positions(least_norm_step(J, error.T)[0].T)
     return q, -bent.tool
 
 

@@ -65,8 +65,8 @@ def project_onto_task(
             active, error, J = active[~done], error[:, ~done], J[:, :, ~done]
         if len(active) == 0:
             break
-        y = solve_batch(gram(J, _REGULAR), error[:, None])[:, 0]
-        step = _shortened(np.einsum("ikn,in->kn", J, y))
+        step, y = least_norm_step(J, error)
+        step = _shortened(step)
         x[:, active] += step
         # The error after a short step is at most curvature times its square: it needs no evaluation.
         left = _REGULAR * np.abs(y).max(axis=0) + postures.bend * np.abs(step).sum(axis=0) ** 2
@@ -118,6 +118,15 @@ class TangentPredictor:
             way = self.task.errors(self.at.tool_point, self.at.tool_rotation, goals)
         step = np.einsum("kjn,nj->kn", self.slope, way)
         return np.asarray(self.q + self.postures.metric.positions(_shortened(step).T))
+
+
+def least_norm_step(J: FloatArray, error: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the Newton steps (n, N) of least norm that undo errors (m, N), and their multipliers (m, N).
+
+    `J` (m, n, N) are the Jacobians.
+    """
+    y = solve_batch(gram(J, _REGULAR), error[:, None])[:, 0]
+    return np.einsum("ikn,in->kn", J, y), y
 
 
 def gram(A: FloatArray, more: float = 0.0) -> FloatArray:
