@@ -31,6 +31,7 @@ from cmbot.common.validation import FileModel, given_path, plain, refusal, requi
 from cmbot.common.yaml_reader import lines_named, read_yaml
 from cmbot.identification.records import RingDown, read_record
 from cmbot.planning import robot_of
+from cmbot.robot import JointLimits
 from cmbot.scene import Scene, load_scene, shipped_scenes
 
 _MOST = 1000
@@ -219,12 +220,7 @@ def _measurements(file: MeasurementsFile, folder: Path, source: str) -> Measurem
     rows, n = [], len(limits.torque)
     for k, each in enumerate(file.measurements):
         key = f"measurements[{k}].posture"
-        if each.posture_deg is not None and limits.prismatic.any():
-            expected = "posture, in rad and, of joints that slide, m"
-            raise InputError(source, f"{key}_deg", "degrees, but a joint slides", expected)
-        given = np.radians(each.posture_deg) if each.posture_deg is not None else np.array(each.posture)
-        _require_length(given, n, source, key)
-        rows.append(given)
+        rows.append(posture_of(each.posture_deg, each.posture, limits, source, key))
     for k, posture in enumerate(file.job or ()):
         _require_length(posture, n, source, f"job[{k}]")
     rung = [_rung(each, folder, source, k) for k, each in enumerate(file.measurements)]
@@ -255,6 +251,24 @@ def _rung(file: MeasurementFile, folder: Path, source: str, number: int) -> Ring
         key = f"measurements[{number}].record"
         raise InputError(source, key, file.record, "a file that exists (relative to this one)")
     return read_record(path)
+
+
+def posture_of(
+    posture_deg: Posture | None, posture: Posture | None, limits: JointLimits, source: str, key: str
+) -> FloatArray:
+    """Return a posture (n,) in SI that a file gives in degrees or in rad and m; `key` is that of the latter.
+
+    Raises
+    ------
+    InputError
+        When there are other numbers than joints, or degrees of an arm with joints that slide.
+    """
+    if posture_deg is not None and limits.prismatic.any():
+        expected = "posture, in rad and, of joints that slide, m"
+        raise InputError(source, f"{key}_deg", "degrees, but a joint slides", expected)
+    given = np.array(posture, dtype=float) if posture_deg is None else np.radians(posture_deg)
+    _require_length(given, len(limits.torque), source, key)
+    return given
 
 
 def _require_length(posture: Any, n: int, source: str, key: str) -> None:

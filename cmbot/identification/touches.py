@@ -31,6 +31,7 @@ from cmbot.common.representation import short_repr
 from cmbot.common.validation import FileModel, given_path, refusal, shown, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml
 from cmbot.elastic.sag import Sag
+from cmbot.identification.measurements import Coordinate, Posture, Text, posture_of
 from cmbot.planning import bending_arm, robot_of
 from cmbot.robot import Kinematics
 from cmbot.scene import Placement, Scene, load_scene, shipped_scenes
@@ -39,10 +40,7 @@ _MOST, _LARGEST_CSV = 1000, 1_000_000
 _SHAPES = ("point", "plane", "edge", "cylinder")
 _PLACES = ("posture_deg", "posture", "place")
 
-Coordinate = Annotated[float, Field(ge=-1e4, le=1e4)]
 Vector = tuple[Coordinate, Coordinate, Coordinate]
-Posture = Annotated[tuple[Coordinate, ...], Field(min_length=1, max_length=100)]
-Text = Annotated[str, Field(min_length=1, max_length=4096)]
 
 
 class PlaneFile(FileModel):
@@ -285,17 +283,9 @@ def _places(file: TouchesFile, scene: Scene, source: str) -> FloatArray:
         if touch.place is not None:
             places[k] = touch.place
             continue
-        degrees = touch.posture_deg is not None
-        posture = np.array(touch.posture_deg or touch.posture, dtype=float)
-        posture = np.radians(posture) if degrees else posture
-        key = f"touches[{k}].posture{'_deg' if degrees else ''}"
-        if degrees and robot.limits.prismatic.any():
-            raise InputError(source, key, "degrees, but a joint slides", "posture, in rad and m")
-        if len(posture) != robot.dof:
-            got, expected = f"{len(posture)} numbers", f"{robot.dof}, one for each joint of the robot"
-            raise InputError(source, key, got, expected)
         at.append(k)
-        postures.append(posture)
+        key = f"touches[{k}].posture"
+        postures.append(posture_of(touch.posture_deg, touch.posture, robot.limits, source, key))
     if at:
         q, arm = np.array(postures), bending_arm(scene, robot)
         sag = np.zeros((len(q), 3)) if arm is None else Sag(arm).at(q).tool
