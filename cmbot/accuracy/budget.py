@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -277,8 +277,9 @@ class _Budget:
         along = self.along.astype(vectors.dtype)
         return np.asarray(vectors - np.einsum("...ni,ni->...n", vectors, along)[..., None] * along)
 
-    def errors(self) -> FloatArray:
-        """Errors (D, N, 3), m, of D draws, single precision."""
+    @cached_property
+    def off_path(self) -> FloatArray:
+        """Errors (D, N, 3), m, across the path, of D draws, in single precision."""
         once = [part for part in self.parts if not part.changes]
         uniform = _stratified(sum(part.maps.shape[2] for part in once))
         columns, sway, at = list[FloatArray](), self.sway[1], 0
@@ -292,7 +293,7 @@ class _Budget:
         maps = np.concatenate([part.maps for part in once], axis=2).astype(np.float32)
         known = self.planned + sum((part.bias for part in self.parts), np.zeros_like(self.planned))
         drawn = (draws @ maps.reshape(-1, maps.shape[2]).T).reshape(len(draws), *known.shape)
-        return np.asarray(drawn + (known + sway).astype(np.float32) + self._changing())
+        return self._across(drawn + (known + sway).astype(np.float32) + self._changing())
 
     def _changing(self) -> FloatArray:
         """What changes from posture to posture (D, N, 3): the sum of many small parts, taken to be normal."""
@@ -313,12 +314,12 @@ class _Budget:
 
     def distances(self) -> FloatArray:
         """Largest distance (D,), m, from the path over the work, of each draw."""
-        across = self._across(self.errors())
-        return np.asarray(np.sqrt(np.einsum("dni,dni->dn", across, across).max(axis=1)))
+        squares = np.einsum("dni,dni->dn", self.off_path, self.off_path)
+        return np.asarray(np.sqrt(squares.max(axis=1)))
 
     def keeps(self, tolerance: Tolerance) -> BoolArray:
         """Whether each draw (D,) keeps a tolerance all along the work."""
-        across = self._across(self.errors())
+        across = self.off_path
         on_axis = (across * self.axis).sum(axis=2)
         aside = np.sqrt(((across - on_axis[:, :, None] * self.axis) ** 2).sum(axis=2))
         kept = np.ones(len(across), dtype=np.bool_)
