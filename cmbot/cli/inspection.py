@@ -155,7 +155,7 @@ def _check_urdf(file: str, xacro: Sequence[str]) -> tuple[Sequence[Finding], dic
     errors = _errors(findings)
     conclusion = f"Not usable: {counted(errors, 'error')}" if errors else "OK: no error"
     conclusion += f", {counted(len(findings) - errors, 'warning')}."
-    if files.srdf is None:
+    if files.srdf is None and not errors:
         conclusion += f" cmbot check {one_line(file)} --write-srdf FILE writes an SRDF."
     return findings, found, conclusion
 
