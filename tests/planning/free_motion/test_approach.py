@@ -9,7 +9,7 @@ from small_scenes import parts, request_of, short_scene
 
 from cmbot.collision import Clearances
 from cmbot.common.errors import PathNotFound
-from cmbot.planning import Plan, Segment, certify_move, plan
+from cmbot.planning import JobState, Plan, Segment, certify_move, plan
 from cmbot.planning.budget import Deadline
 from cmbot.planning.free_motion import free_move
 from cmbot.planning.free_motion.approach import joined_starts, plan_approach
@@ -46,7 +46,7 @@ def test_a_near_start_is_reached_along_the_self_motion() -> None:
 def test_from_a_folded_posture_the_base_bears_no_more_than_at_work(triangle_plan: Plan) -> None:
     """Not even while the arm moves: it goes no faster than that allows."""
     folded = np.radians([26.0, -146, 43, 161, -84, -112, -55])
-    asked = replace(request_of(triangle_plan.scene), posture=folded)
+    asked = replace(request_of(triangle_plan.scene), state=JobState(posture=folded))
     end = triangle_plan.start.posture
     approach = plan_approach(asked, end, end[None])
     torque = np.linalg.norm(

@@ -302,7 +302,7 @@ def test_no_start_beyond_the_first_range(cmbot_robot: Any) -> None:
     narrow = replace(
         cmbot_robot, limits=replace(cmbot_robot.limits, lower=posture - reach, upper=posture + reach)
     )
-    found = self_motion_postures(replace(asked, robot=narrow))
+    found = self_motion_postures(replace(asked, cell=replace(asked.cell, robot=narrow)))
     assert 0 < len(found) < 10
     assert all(np.abs(q - posture).max() <= reach for q in found)
 

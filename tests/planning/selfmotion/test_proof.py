@@ -127,7 +127,7 @@ def test_where_nothing_holds_the_tool_all_is_proven() -> None:
     asked = request_of(short_scene())
     limits = asked.cell.robot.limits
     no_torque = replace(limits, torque=np.full(len(limits.torque), 1e-3))
-    weak = replace(asked, robot=replace(asked.cell.robot, limits=no_torque))
+    weak = replace(asked, cell=replace(asked.cell, robot=replace(asked.cell.robot, limits=no_torque)))
     proof = prover(weak).prove(0, np.inf)
     assert proof.lowest == np.inf
     assert proof.posture is None
@@ -162,7 +162,9 @@ def test_a_long_link_keeps_the_tool_away(tmp_path: Path) -> None:
     near = np.linalg.norm(points - long.base_point, axis=1).min()
     assert 0 < long.inner_reach <= near
     assert near <= long.inner_reach + 0.5
-    assert f"nearer than {long.inner_reach:.3f} m" in out_of_reach(replace(asked, robot=long), 0)
+    assert f"nearer than {long.inner_reach:.3f} m" in out_of_reach(
+        replace(asked, cell=replace(asked.cell, robot=long)), 0
+    )
     assert np.linalg.norm(start - long.base_point) < long.inner_reach
 
 
