@@ -110,7 +110,7 @@ _ROOMS = {
     "cmbot.views": ("plot", "replay", "report", "show"),
     "cmbot.stances.walking": ("Tour", "Walk", "tour", "walk"),
 }
-_MODULES = [module.rpartition(".")[2] for module in _ROOMS]
+_MODULES = [module.split(".")[1] for module in _ROOMS]
 __getattr__ = on_first_use(__name__, _ROOMS, _MODULES)
 
 
