@@ -15,8 +15,8 @@ from cmbot.archive import json_bytes, load_walk
 from cmbot.common.errors import ArchiveError, LimitViolation
 from cmbot.robot import Climber
 from cmbot.scene import SpeedProfile
+from cmbot.stances.walking import walk_data
 from cmbot.trajectory import SplineSpace
-from cmbot.walking import walk_data
 
 
 @pytest.fixture(scope="module")
