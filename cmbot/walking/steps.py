@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from cmbot.collision import Clearances
+from cmbot.collision import Clearances, Obstacle
 from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import short_repr
 from cmbot.planning import (
@@ -25,8 +25,9 @@ from cmbot.planning import (
     plan_move,
 )
 from cmbot.robot import Climber, Kinematics, Robot, Side, load_climbing_robot
-from cmbot.scene import Obstacle, PlannerOptions, Scene, SpeedProfile, ToolPath
+from cmbot.scene import PlannerOptions, Scene
 from cmbot.siting import Candidate, lift_height, scene_at, without_links
+from cmbot.toolpath import SpeedProfile, ToolPath
 from cmbot.trajectory import QuinticTrajectory
 from cmbot.walking.balance import foot_at
 
