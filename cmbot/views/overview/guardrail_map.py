@@ -13,8 +13,8 @@ from cmbot.collision import Box, Obstacle, extent_of
 from cmbot.common.arrays import FloatArray
 from cmbot.robot import Climber
 from cmbot.scene import Scene, guardrail_obstacles
-from cmbot.siting import Candidate
-from cmbot.walking import WalkSamples
+from cmbot.stances import Candidate
+from cmbot.stances.walking import WalkSamples
 
 _WIDTH, _EDGE = 900, 40
 # Colours of feet from bearing nothing to bearing all that they can, and of one without bounds.

@@ -16,11 +16,11 @@ from cmbot.common.representation import short_repr
 from cmbot.common.validation import counted, shown
 from cmbot.planning import ToolTask, precheck_scene, robot_of, strokes_of, task_of
 from cmbot.scene import Scene
-from cmbot.siting.candidates import Candidate, candidates_of, own_candidate
-from cmbot.siting.cover import fewest_groups
-from cmbot.siting.placed_scene import joined, scene_at, with_strokes
-from cmbot.siting.screening import screen
-from cmbot.siting.search import Ending, StandOptions, Stood, judged
+from cmbot.stances.candidates import Candidate, candidates_of, own_candidate
+from cmbot.stances.cover import fewest_groups
+from cmbot.stances.placed_scene import joined, scene_at, with_strokes
+from cmbot.stances.screening import screen
+from cmbot.stances.search import Ending, StandOptions, Stood, judged
 
 # For whose scenes alone stances and steps are sought.
 _SHIPPED_ROBOT = "the shipped robot, an arm on a climber that holds a guardrail"

@@ -21,10 +21,10 @@ from cmbot.common.errors import (
 from cmbot.common.representation import short_repr
 from cmbot.planning import Plan, plan
 from cmbot.scene import PlannerOptions, Scene
-from cmbot.siting.candidates import Candidate, climber_in_the_way
-from cmbot.siting.charting import bounded_quickly, chart
-from cmbot.siting.placed_scene import scene_at
-from cmbot.siting.screening import Screening
+from cmbot.stances.candidates import Candidate, climber_in_the_way
+from cmbot.stances.charting import bounded_quickly, chart
+from cmbot.stances.placed_scene import scene_at
+from cmbot.stances.screening import Screening
 
 # Bases nearer, m, to one that could not be planned or charted are tried last.
 _NEAR = {"plan": 0.3, "charts": 0.12}

@@ -20,9 +20,9 @@ from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning import ToolTask
 from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, Scene
-from cmbot.siting.arm import CLOSELY, ROUGHLY, BaseArm, Effort
-from cmbot.siting.candidates import Candidate
-from cmbot.siting.loads import StanceLoads
+from cmbot.stances.arm import CLOSELY, ROUGHLY, BaseArm, Effort
+from cmbot.stances.candidates import Candidate
+from cmbot.stances.loads import StanceLoads
 
 # Via-points of a stroke at which all stances are screened.
 _VIA_POINTS = 6

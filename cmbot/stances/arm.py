@@ -11,7 +11,7 @@ from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning import ToolTask, project_onto_task
 from cmbot.robot import Postures, Robot, load_robot
 from cmbot.scene import Scene
-from cmbot.siting.loads import StanceLoads
+from cmbot.stances.loads import StanceLoads
 from cmbot.toolpath import ToolPoses
 
 # Postures of the table.

@@ -1,6 +1,6 @@
 """Where to stand: candidates along the guardrail, screened and ranked, the best planned."""
 
-from cmbot.siting.candidates import (
+from cmbot.stances.candidates import (
     APART,
     REACH,
     Candidate,
@@ -9,11 +9,11 @@ from cmbot.siting.candidates import (
     own_candidate,
     places_of,
 )
-from cmbot.siting.footholds import bare_climber, in_the_way, lift_height, without_links
-from cmbot.siting.placed_scene import in_world, joined, scene_at
-from cmbot.siting.screening import Screening, screen
-from cmbot.siting.search import StandOptions, Stood
-from cmbot.siting.standing import (
+from cmbot.stances.footholds import bare_climber, in_the_way, lift_height, without_links
+from cmbot.stances.placed_scene import in_world, joined, scene_at
+from cmbot.stances.screening import Screening, screen
+from cmbot.stances.search import StandOptions, Stood
+from cmbot.stances.standing import (
     Standing,
     best_scene,
     require_on_guardrail,
@@ -21,7 +21,7 @@ from cmbot.siting.standing import (
     require_standing,
     stand,
 )
-from cmbot.siting.table import bounds_table, in_words, planned_table, shared_out, stances_csv
+from cmbot.stances.table import bounds_table, in_words, planned_table, shared_out, stances_csv
 
 __all__ = [
     "APART",

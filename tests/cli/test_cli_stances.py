@@ -78,7 +78,7 @@ def test_time_that_is_over_at_once(job: Path) -> None:
 
 STOPS = """
 import os, signal
-import cmbot.siting.search as search
+import cmbot.stances.search as search
 def stopped(scene):
     os.kill(os.getpid(), signal.SIGINT)
 search.bounded_quickly = stopped
@@ -186,9 +186,9 @@ def test_jobs_of_other_bridges_are_refused(both: tuple[Path, Outcome]) -> None:
 @pytest.mark.parametrize(
     ("verb", "words", "search"),
     [
-        ("stand", (), "cmbot.siting.stand"),
-        ("walk", ("--to", "line"), "cmbot.walking.walk"),
-        ("tour", (), "cmbot.walking.tour"),
+        ("stand", (), "cmbot.stances.stand"),
+        ("walk", ("--to", "line"), "cmbot.stances.walking.walk"),
+        ("tour", (), "cmbot.stances.walking.tour"),
         ("reproduce", (), "chang2021.reproduce"),
     ],
 )

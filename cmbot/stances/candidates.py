@@ -18,7 +18,7 @@ from cmbot.scene import (
     foothold_pose,
     held_member,
 )
-from cmbot.siting.footholds import bare_climber, in_the_way
+from cmbot.stances.footholds import bare_climber, in_the_way
 
 REACH = 0.9
 """Foot 2 is sought no further from foot 1 than this, m: both legs and their offsets."""

@@ -1,10 +1,10 @@
 """How the robot walks from one stance to another: steps, each certified, the arm as a counterweight."""
 
-from cmbot.walking.files import WalkSamples, walk_csv, walk_data, walk_samples
-from cmbot.walking.steps import Kind, Move, Step, certified_move
-from cmbot.walking.tour import Tour, tour, tour_data
-from cmbot.walking.verification import second_opinion_of
-from cmbot.walking.walk import Walk, WalkOptions, goal_stance, load_goal, stance_of, walk
+from cmbot.stances.walking.files import WalkSamples, walk_csv, walk_data, walk_samples
+from cmbot.stances.walking.steps import Kind, Move, Step, certified_move
+from cmbot.stances.walking.tour import Tour, tour, tour_data
+from cmbot.stances.walking.verification import second_opinion_of
+from cmbot.stances.walking.walk import Walk, WalkOptions, goal_stance, load_goal, stance_of, walk
 
 __all__ = [
     "Kind",

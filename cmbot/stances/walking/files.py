@@ -13,9 +13,9 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.validation import plain
 from cmbot.hold import Holding
 from cmbot.robot import ARM_JOINTS, CLIMBING_JOINTS, Climber, Dynamics
+from cmbot.stances.walking.steps import Move
+from cmbot.stances.walking.walk import Walk
 from cmbot.version import __version__
-from cmbot.walking.steps import Move
-from cmbot.walking.walk import Walk
 
 _STEP = 0.1
 

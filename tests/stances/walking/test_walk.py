@@ -20,10 +20,8 @@ from cmbot.common.errors import PlanningError, SceneError
 from cmbot.planning import Deadline, FreeSpace
 from cmbot.robot import Climber, Kinematics, load_climbing_robot
 from cmbot.scene import FootholdFile, Scene, StanceFile
-from cmbot.siting import Candidate, in_the_way, places_of
-from cmbot.views import walk_page
-from cmbot.views.overview.guardrail_map import guardrail_map
-from cmbot.walking import (
+from cmbot.stances import Candidate, in_the_way, places_of
+from cmbot.stances.walking import (
     Walk,
     WalkOptions,
     load_goal,
@@ -33,10 +31,12 @@ from cmbot.walking import (
     walk_data,
     walk_samples,
 )
-from cmbot.walking.balance import Balance
-from cmbot.walking.route import Edge, Route, nodes_between
-from cmbot.walking.steps import plan_step, swinging_robot
-from cmbot.walking.walk import _cause, _Search
+from cmbot.stances.walking.balance import Balance
+from cmbot.stances.walking.route import Edge, Route, nodes_between
+from cmbot.stances.walking.steps import plan_step, swinging_robot
+from cmbot.stances.walking.walk import _cause, _Search
+from cmbot.views import walk_page
+from cmbot.views.overview.guardrail_map import guardrail_map
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from cmbot.common.representation import short_repr
 from cmbot.common.validation import counted
 from cmbot.planning import Plan
 from cmbot.scene import Scene
-from cmbot.siting import (
+from cmbot.stances import (
     Candidate,
     Standing,
     StandOptions,
@@ -25,9 +25,9 @@ from cmbot.siting import (
     scene_at,
     stand,
 )
+from cmbot.stances.walking.balance import Balance
+from cmbot.stances.walking.walk import Walk, WalkOptions, walk
 from cmbot.version import __version__
-from cmbot.walking.balance import Balance
-from cmbot.walking.walk import Walk, WalkOptions, walk
 
 _Progress = Callable[[str, float], None]
 
@@ -112,7 +112,7 @@ def tour(
 ) -> Tour:
     """Plan the work of one or several scenes of a bridge, from as few stances as possible, and the walks.
 
-    The stances are those of `cmbot.siting.stand` in which a foot can be lifted; of each group's planned
+    The stances are those of `cmbot.stances.stand` in which a foot can be lifted; of each group's planned
     stances, the best first, the first ones are taken between which a walk is found. A walk begins in the
     posture in which the work before it ends, and ends in that in which the next one starts.
 

@@ -8,8 +8,8 @@ import cmbot
 from cmbot.common.errors import PathNotFound
 from cmbot.planning import build_context
 from cmbot.scene import Scene
-from cmbot.siting import candidates_of, in_world, scene_at
-from cmbot.siting.charting import bounded_quickly, chart
+from cmbot.stances import candidates_of, in_world, scene_at
+from cmbot.stances.charting import bounded_quickly, chart
 
 
 @pytest.fixture(scope="module")

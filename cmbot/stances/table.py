@@ -8,8 +8,8 @@ import numpy as np
 
 from cmbot.common.validation import counted
 from cmbot.planning import Plan
-from cmbot.siting.search import Stood
-from cmbot.siting.standing import Standing
+from cmbot.stances.search import Stood
+from cmbot.stances.standing import Standing
 
 _Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 

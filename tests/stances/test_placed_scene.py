@@ -11,7 +11,7 @@ from cmbot.common.errors import SceneError
 from cmbot.planning import robot_of, strokes_of
 from cmbot.robot import Climber
 from cmbot.scene import FootholdFile, Scene, foothold_pose
-from cmbot.siting import candidate_at, in_world, joined, scene_at, stand
+from cmbot.stances import candidate_at, in_world, joined, scene_at, stand
 
 LEG = {"by": [0, -0.1, 0], "seconds": 3}
 BEGIN = {"xyz": [1.8, 0.68, -1.96], "frame": "world"}

@@ -7,8 +7,8 @@ from cmbot.planning.verification.described_arm import DescribedArm
 from cmbot.planning.verification.second_opinion import judged_motion
 from cmbot.robot import ARM_JOINTS, Climber, robot_files
 from cmbot.scene import Scene
-from cmbot.siting import scene_at
-from cmbot.walking.steps import Move
+from cmbot.stances import scene_at
+from cmbot.stances.walking.steps import Move
 
 
 def second_opinion_of(move: Move, scene: Scene) -> tuple[Check, ...]:
@@ -18,7 +18,7 @@ def second_opinion_of(move: Move, scene: Scene) -> tuple[Check, ...]:
     ----------
     move : Move
     scene : Scene
-        In which it is made, as `cmbot.siting.in_world` returns it.
+        In which it is made, as `cmbot.stances.in_world` returns it.
     """
     robot, obstacles, margin = move.robot, scene.all_obstacles, scene.planner.safety_margin_m
     if move.kind == "arm":

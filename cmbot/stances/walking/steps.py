@@ -26,10 +26,10 @@ from cmbot.planning import (
 )
 from cmbot.robot import Climber, Kinematics, Robot, Side, load_climbing_robot
 from cmbot.scene import PlannerOptions, Scene
-from cmbot.siting import Candidate, lift_height, scene_at, without_links
+from cmbot.stances import Candidate, lift_height, scene_at, without_links
+from cmbot.stances.walking.balance import foot_at
 from cmbot.toolpath import SpeedProfile, ToolPath
 from cmbot.trajectory import QuinticTrajectory
-from cmbot.walking.balance import foot_at
 
 # Postures of the straight way on which a foot is lifted.
 _ON_THE_WAY = 9

@@ -17,10 +17,10 @@ from cmbot.common.yaml_reader import read_yaml
 from cmbot.hold import AdhesionPeak
 from cmbot.robot import Climber
 from cmbot.scene import FootholdFile, Scene, StanceFile, load_scene
-from cmbot.siting import Candidate, candidate_at, in_world, require_on_guardrail
-from cmbot.walking.balance import Balance
-from cmbot.walking.route import Edge, Route, nodes_between
-from cmbot.walking.steps import Move, Step, arm_move, plan_step
+from cmbot.stances import Candidate, candidate_at, in_world, require_on_guardrail
+from cmbot.stances.walking.balance import Balance
+from cmbot.stances.walking.route import Edge, Route, nodes_between
+from cmbot.stances.walking.steps import Move, Step, arm_move, plan_step
 
 # Postures of the arm with which a step is planned.
 _TRIED = 15

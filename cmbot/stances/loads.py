@@ -12,7 +12,7 @@ from cmbot.elastic import SharedFrame
 from cmbot.hold import Holding, needed_by_load
 from cmbot.robot import Climber, Robot
 from cmbot.scene import PlannerOptions, Scene, axis_point, feet_at
-from cmbot.siting.candidates import Candidate
+from cmbot.stances.candidates import Candidate
 
 
 class _Shares:

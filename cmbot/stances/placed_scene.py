@@ -12,7 +12,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.planning import robot_of, strokes_of
 from cmbot.scene import WORK, JobStrokes, Scene, StrokeFile
-from cmbot.siting.candidates import Candidate
+from cmbot.stances.candidates import Candidate
 from cmbot.toolpath import Goal
 
 T = TypeVar("T")

@@ -15,7 +15,7 @@ from cmbot.common.errors import PlanningError, SceneError
 from cmbot.planning import plan, robot_of, strokes_of, task_of
 from cmbot.robot import Climber
 from cmbot.scene import FootholdFile, Scene, StanceFile, foothold_pose
-from cmbot.siting import (
+from cmbot.stances import (
     Candidate,
     Standing,
     StandOptions,
@@ -33,8 +33,8 @@ from cmbot.siting import (
     stances_csv,
     stand,
 )
-from cmbot.siting.arm import BaseArm, _Goals
-from cmbot.siting.candidates import climber_in_the_way
+from cmbot.stances.arm import BaseArm, _Goals
+from cmbot.stances.candidates import climber_in_the_way
 from cmbot.views import stances_page
 from cmbot.views.overview.stances import _apart
 
@@ -284,7 +284,7 @@ def test_a_search_that_has_nothing_is_stopped(scene: Scene, at: str) -> None:
 
 def test_a_search_ends_with_its_time(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     late = _Stopped("checking", interrupts=False)
-    monkeypatch.setattr("cmbot.siting.search.monotonic", late.clock)
+    monkeypatch.setattr("cmbot.stances.search.monotonic", late.clock)
     (found,) = stand(scene, replace(WIDE, time_limit=1e6), late)
     assert found.ended_by == "time"
     assert found.best.own

@@ -11,8 +11,8 @@ from scipy.sparse.csgraph import dijkstra
 from cmbot.common.arrays import BoolArray, IntArray
 from cmbot.robot import Climber, Side
 from cmbot.scene import FootholdFile, Scene, foothold_face, foothold_pose
-from cmbot.siting import APART, REACH, Candidate, bare_climber, candidate_at, places_of
-from cmbot.walking.balance import SPARE, Balance
+from cmbot.stances import APART, REACH, Candidate, bare_climber, candidate_at, places_of
+from cmbot.stances.walking.balance import SPARE, Balance
 
 # Places this far beyond both stances are looked at, m.
 _BEYOND = 0.8

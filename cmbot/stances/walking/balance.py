@@ -17,7 +17,7 @@ from cmbot.hold import Foot, Holding
 from cmbot.planning import robot_of
 from cmbot.robot import Climber, ClimberBodies, Postures, Side
 from cmbot.scene import FootholdFile, Scene, StanceFile, feet_at
-from cmbot.siting import Candidate, bare_climber, scene_at
+from cmbot.stances import Candidate, bare_climber, scene_at
 
 # Counterweights grow from the nearest to the arm's posture of so many random ones: rounds, random postures in
 # each, their distance in a joint, rad, and how many are kept: those of the furthest centres of mass.

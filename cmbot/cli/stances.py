@@ -16,8 +16,8 @@ from cmbot.cli.signals import interrupt_taken
 from cmbot.common.errors import PlanningError, one_line
 
 if TYPE_CHECKING:
-    from cmbot.siting import Standing
-    from cmbot.walking import Tour, Walk
+    from cmbot.stances import Standing
+    from cmbot.stances.walking import Tour, Walk
 
 _SHOWN = 10
 _FILES = ("stances.csv", "index.html")
@@ -62,8 +62,8 @@ class StandCommand(Writing):
         name = "_".join(each.name for each in loaded)
         directory = self.output or Path("out") / f"{name}_stances"
         from cmbot.archive import STANCES_FILE, require_absent, write_results
-        from cmbot.siting import StandOptions
-        from cmbot.siting import stand as find
+        from cmbot.stances import StandOptions
+        from cmbot.stances import stand as find
 
         options = StandOptions(
             spacing=self.spacing,
@@ -120,8 +120,8 @@ class WalkCommand(Writing):
         loaded = cmbot.load_scene(self.scene)
         directory = self.output or Path("out") / f"{loaded.name}_walk"
         from cmbot.archive import WALK_FILE, require_absent
-        from cmbot.walking import WalkOptions, load_goal
-        from cmbot.walking import walk as find
+        from cmbot.stances.walking import WalkOptions, load_goal
+        from cmbot.stances.walking import walk as find
 
         goal, options = load_goal(self.to), WalkOptions(spacing=self.spacing, speed=self.speed)
 
@@ -168,9 +168,9 @@ class TourCommand(Reporting):
         name = "_".join(each.name for each in loaded)
         directory = self.output or Path("out") / f"{name}_tour"
         from cmbot.archive import require_new_folder
-        from cmbot.siting import StandOptions
-        from cmbot.walking import WalkOptions, tour_data
-        from cmbot.walking import tour as find
+        from cmbot.stances import StandOptions
+        from cmbot.stances.walking import WalkOptions, tour_data
+        from cmbot.stances.walking import tour as find
 
         standing = StandOptions(plans=self.plans, pair_spacing=self.spacing, members=self.members)
         walking = WalkOptions(spacing=self.spacing, speed=self.speed)
@@ -200,7 +200,7 @@ def _stopped(standings: Sequence[Standing]) -> bool:
 
 def _require_planned(standings: Sequence[Standing], directory: Path) -> None:
     """Refuse a search without a plan, and say where the reasons are."""
-    from cmbot.siting import require_planned
+    from cmbot.stances import require_planned
 
     try:
         require_planned(standings)
@@ -210,7 +210,7 @@ def _require_planned(standings: Sequence[Standing], directory: Path) -> None:
 
 
 def _print_standings(standings: Sequence[Standing]) -> None:
-    from cmbot.siting import shared_out
+    from cmbot.stances import shared_out
 
     for number, standing in enumerate(standings, start=1):
         _print_standing(standing, f"Stances {number}" if len(standings) > 1 else "Stances")
@@ -229,7 +229,7 @@ def _print_written(directory: Path, started: float) -> None:
 
 
 def _print_standing(standing: Standing, title: str) -> None:
-    from cmbot.siting import bounds_table, in_words, planned_table
+    from cmbot.stances import bounds_table, in_words, planned_table
 
     headings, rows = planned_table(standing)
     if rows:
@@ -243,8 +243,8 @@ def _print_standing(standing: Standing, title: str) -> None:
 def _write_tour(directory: Path, found: Tour) -> None:
     from cmbot.archive import TOUR_FILE, new_folder, write_results
     from cmbot.planning import Plan
+    from cmbot.stances.walking import tour_data
     from cmbot.views import pages, tour_page
-    from cmbot.walking import tour_data
 
     with new_folder(directory) as draft:
         for part_name, _, part in found.parts:
@@ -257,8 +257,8 @@ def _write_tour(directory: Path, found: Tour) -> None:
 
 def _write_walk(directory: Path, walked: Walk, *, force: bool = False) -> None:
     from cmbot.archive import WALK_FILE, write_results
+    from cmbot.stances.walking import walk_csv, walk_data
     from cmbot.views import walk_page, walk_replay_page
-    from cmbot.walking import walk_csv, walk_data
 
     files = (walk_csv(walked).encode(), walk_page(walked).encode(), walk_replay_page(walked).encode())
     contents = dict(zip(_WALK_FILES, files, strict=True))
@@ -268,7 +268,7 @@ def _write_walk(directory: Path, walked: Walk, *, force: bool = False) -> None:
 def _contents(standings: Sequence[Standing], name: str) -> dict[str, bytes]:
     from cmbot.common.validation import plain
     from cmbot.common.yaml_reader import yaml_text
-    from cmbot.siting import best_scene, stances_csv
+    from cmbot.stances import best_scene, stances_csv
     from cmbot.views import stances_page
 
     texts = (stances_csv(standings), stances_page(standings, name))
@@ -283,7 +283,7 @@ def _contents(standings: Sequence[Standing], name: str) -> dict[str, bytes]:
 
 
 def _summary(standings: Sequence[Standing]) -> dict[str, Any]:
-    from cmbot.siting import in_words, shared_out
+    from cmbot.stances import in_words, shared_out
 
     each = [
         {

@@ -12,11 +12,11 @@ from walks import one_step
 from cmbot.archive import json_bytes
 from cmbot.common.errors import PlanningError
 from cmbot.planning import plan
-from cmbot.siting import Standing, Stood
+from cmbot.stances import Standing, Stood
+from cmbot.stances.walking import Tour, stance_of, tour, tour_data
 from cmbot.views import tour_page
-from cmbot.walking import Tour, stance_of, tour, tour_data
 
-MODULE = importlib.import_module("cmbot.walking.tour")
+MODULE = importlib.import_module("cmbot.stances.walking.tour")
 
 
 @pytest.fixture(scope="module")
