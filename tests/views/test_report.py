@@ -14,8 +14,8 @@ import cmbot
 from cmbot.common.errors import InputError
 from cmbot.common.limit import Limit
 from cmbot.planning import Certificate, Plan, bound_use, remarks
-from cmbot.scene import Coverage
 from cmbot.simulation import Tracking, tracking_rows, tracking_verdict
+from cmbot.toolpath import Coverage
 from cmbot.views import pages, report_page
 from cmbot.views.charts import charts
 from cmbot.views.report import headlines
