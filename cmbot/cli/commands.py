@@ -26,7 +26,7 @@ from cmbot.cli.locate import LocateCommand
 from cmbot.cli.planning import PlanCommand
 from cmbot.cli.signals import raised_again
 from cmbot.cli.simulation import ReproduceCommand, SimulateCommand
-from cmbot.cli.siting import StandCommand, TourCommand, WalkCommand
+from cmbot.cli.stances import StandCommand, TourCommand, WalkCommand
 from cmbot.cli.views import CompareCommand, ExportCommand, ReplayCommand, ReportCommand
 from cmbot.common.errors import (
     LONGEST_MESSAGE,

@@ -234,7 +234,7 @@ class VerifyCommand(Reporting):
     def __call__(self) -> None:
         from cmbot.archive import verified_motions
         from cmbot.planning.verification.engine import ENGINE, is_installed, require_installed
-        from cmbot.walking import load_goal
+        from cmbot.stances.walking import load_goal
 
         if self.engine is not None:
             require_installed()

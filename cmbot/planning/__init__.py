@@ -33,6 +33,7 @@ from cmbot.planning.precheck import Precheck, precheck_options, precheck_scene
 from cmbot.planning.progress import Progress, ProgressReporter
 from cmbot.planning.request import JobState, StrokeRequest, build_request, end_posture_of, strokes_of, task_of
 from cmbot.planning.result.baseline import BaselineSegment
+from cmbot.planning.result.loads import LOAD_HEADINGS, Load, load_point, load_rows, loads
 from cmbot.planning.result.plan import Plan, Seconds, require_plan
 from cmbot.planning.result.remarks import remarks
 from cmbot.planning.result.stroke_plan import ObjectiveMetrics, Start, StrokePlan, objective_metrics
@@ -57,6 +58,7 @@ from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
 __all__ = [
     "APPROACH",
+    "LOAD_HEADINGS",
     "RETURN",
     "BaselineSegment",
     "Certificate",
@@ -73,6 +75,7 @@ __all__ = [
     "JobState",
     "JointPath",
     "LimitUse",
+    "Load",
     "LowerBound",
     "MotionMetrics",
     "Objective",
@@ -114,6 +117,9 @@ __all__ = [
     "free_space",
     "job_metrics",
     "left_out",
+    "load_point",
+    "load_rows",
+    "loads",
     "measure",
     "modelled_stiffness",
     "most_often_near",

@@ -26,7 +26,8 @@ from cmbot.planning.task import ToolTask, task_dimension
 from cmbot.planning.units import mistaken_units, require_metres, unit_findings
 from cmbot.planning.workcell import rigid_arm_remark, robot_of
 from cmbot.robot import Dynamics, Finding, Robot
-from cmbot.scene import PlannerOptions, Scene, Stroke, Tool, ToolPath, coverage_of
+from cmbot.scene import PlannerOptions, Scene, Stroke, Tool, coverage_of
+from cmbot.toolpath import ToolPath
 from cmbot.trajectory import SUPPORT
 
 MOST_UNKNOWNS = 3000

@@ -17,7 +17,8 @@ from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.task import ToolTask
 from cmbot.planning.workcell import Workcell, build_workcell
 from cmbot.robot import Kinematics, Robot
-from cmbot.scene import SPEED_TOLERANCE, STOW, NamedState, PlannerOptions, Scene, Stroke, ToolPoses
+from cmbot.scene import SPEED_TOLERANCE, STOW, NamedState, PlannerOptions, Scene, Stroke
+from cmbot.toolpath import ToolPoses
 
 # Beside what the arm asks anyway this share of it is nothing.
 _NEGLIGIBLE = 1e-2

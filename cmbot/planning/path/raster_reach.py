@@ -15,7 +15,8 @@ from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.request import StrokeRequest, build_request, in_cells
 from cmbot.planning.task import ToolTask
 from cmbot.planning.workcell import robot_of
-from cmbot.scene import PlannerOptions, RowPiece, Scene, StrokeFile, ToolPath, ToolPoses, cells_of, rows_alone
+from cmbot.scene import PlannerOptions, Scene, StrokeFile, rows_alone
+from cmbot.toolpath import RowPiece, ToolPath, ToolPoses, cells_of
 
 # Distance of places along rows: as a share of the rows' distance, and at most, m.
 _SHARE, _EVERY = 0.25, 0.03
