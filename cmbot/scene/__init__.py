@@ -10,6 +10,7 @@ from cmbot.scene.changes import changed_content, is_within, whole_key
 from cmbot.scene.excitation import DamperFile, ExcitationFile, TrainsFile
 from cmbot.scene.files import FOLDER, TRAINS
 from cmbot.scene.mesh_file import load_mesh
+from cmbot.scene.mounts import MountsFile
 from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, ObstacleFile, Shape, Sphere, pose
 from cmbot.scene.options import MOST_SAMPLES, PlannerOptions
 from cmbot.scene.path.legs import ArcTo, Goal, Leg
@@ -63,6 +64,7 @@ __all__ = [
     "LegLaw",
     "Mesh",
     "MountFile",
+    "MountsFile",
     "NamedState",
     "NewRobot",
     "Obstacle",
