@@ -10,8 +10,9 @@ from scipy.spatial import cKDTree
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning import ToolTask, project_onto_task
 from cmbot.robot import Postures, Robot, load_robot
-from cmbot.scene import Scene, ToolPoses
+from cmbot.scene import Scene
 from cmbot.stances.loads import StanceLoads
+from cmbot.toolpath import ToolPoses
 
 # Postures of the table.
 _TABLE = 60_000

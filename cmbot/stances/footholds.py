@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from cmbot.collision import Clearances, touched_by
+from cmbot.collision import Box, Clearances, Obstacle, touched_by
 from cmbot.common.arrays import FloatArray
 from cmbot.robot import ARM_JOINTS, Robot, load_climbing_robot
-from cmbot.scene import Box, FootholdFile, Obstacle, Scene, foothold_pose
+from cmbot.scene import FootholdFile, Scene, foothold_pose
 
 # The foot in its frame, as the URDF has it, m: sides, and its centre above the member's axis.
 _FOOT, _CENTRE = (0.13, 0.05, 0.15), 0.065

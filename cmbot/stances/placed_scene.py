@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.planning import robot_of, strokes_of
-from cmbot.scene import WORK, Goal, JobStrokes, Scene, StrokeFile
+from cmbot.scene import WORK, JobStrokes, Scene, StrokeFile
 from cmbot.stances.candidates import Candidate
+from cmbot.toolpath import Goal
 
 T = TypeVar("T")
 

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from cmbot.collision import Clearances
+from cmbot.collision import Clearances, Obstacle
 from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import short_repr
 from cmbot.planning import (
@@ -25,9 +25,10 @@ from cmbot.planning import (
     plan_move,
 )
 from cmbot.robot import Climber, Kinematics, Robot, Side, load_climbing_robot
-from cmbot.scene import Obstacle, PlannerOptions, Scene, SpeedProfile, ToolPath
+from cmbot.scene import PlannerOptions, Scene
 from cmbot.stances import Candidate, lift_height, scene_at, without_links
 from cmbot.stances.walking.balance import foot_at
+from cmbot.toolpath import SpeedProfile, ToolPath
 from cmbot.trajectory import QuinticTrajectory
 
 # Postures of the straight way on which a foot is lifted.

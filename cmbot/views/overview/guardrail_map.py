@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cmbot.collision import extent_of
+from cmbot.collision import Box, Obstacle, extent_of
 from cmbot.common.arrays import FloatArray
 from cmbot.robot import Climber
-from cmbot.scene import Box, Obstacle, Scene, guardrail_obstacles
+from cmbot.scene import Scene, guardrail_obstacles
 from cmbot.stances import Candidate
 from cmbot.stances.walking import WalkSamples
 

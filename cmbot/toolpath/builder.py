@@ -9,22 +9,21 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
+from cmbot.common.fields import SHORTEST_LEG
+from cmbot.common.poses import pose
 from cmbot.common.validation import counted
-from cmbot.scene.fields import SHORTEST_LEG
-from cmbot.scene.obstacles import pose
-from cmbot.scene.path.curves import Arc, Blend, Curve, Line, Rolled, Spline, rounded
-from cmbot.scene.path.leads import Extended
-from cmbot.scene.path.legs import AUTO, ArcTo, Goal, Leg
-from cmbot.scene.path.path_file import PathFile
-from cmbot.scene.path.path_source import PathSource, surface_of
-from cmbot.scene.path.time_law import ProcessPart, TimeLaw, law_with_leads
-from cmbot.scene.path.tool_path import ToolPath
-from cmbot.scene.path.tool_poses import shortest_turns
-from cmbot.scene.raster.face_rows import FaceRows, FaceSurface
-from cmbot.scene.raster.pieces import RowPiece
-from cmbot.scene.raster.raster import CylinderPatch, Raster
-from cmbot.scene.raster.rows import cylinder_corners, cylinder_frame, rectangle_axes, rectangle_corners
-from cmbot.scene.raster.surface import Surface
+from cmbot.toolpath.curves import Arc, Blend, Curve, Line, Rolled, Spline, rounded
+from cmbot.toolpath.leads import Extended
+from cmbot.toolpath.legs import AUTO, ArcTo, Goal, Leg
+from cmbot.toolpath.path_source import PathDescription, PathSource
+from cmbot.toolpath.raster.face_rows import FaceRows, FaceSurface
+from cmbot.toolpath.raster.pieces import RowPiece
+from cmbot.toolpath.raster.raster import CylinderPatch, Raster
+from cmbot.toolpath.raster.rows import cylinder_corners, cylinder_frame, rectangle_axes, rectangle_corners
+from cmbot.toolpath.raster.surface import Surface
+from cmbot.toolpath.time_law import ProcessPart, TimeLaw, law_with_leads
+from cmbot.toolpath.tool_path import ToolPath
+from cmbot.toolpath.tool_poses import shortest_turns
 
 # Angle below which a turn is none, rad.
 _NO_TURN = 1e-12
@@ -33,26 +32,27 @@ _NO_TURN = 1e-12
 _FIRST_SPEED, _FIRST_TURN, _FIRST_SECONDS, _FIRST_SHARE = 0.05, 0.1, 2.0, 0.5
 
 
-def timed_path(file: PathFile, place: PathSource, X_WT: FloatArray) -> tuple[ToolPath, Surface | None]:
-    """Return the tool path that a file describes, and the surface of a raster.
+def timed_path(
+    file: PathDescription, place: PathSource, X_WT: FloatArray, surface: Surface | None
+) -> ToolPath:
+    """Return the tool path that is described.
 
     Parameters
     ----------
-    file : PathFile
+    file : PathDescription
     place : PathSource
     X_WT : (4, 4)
         Pose of the tool before; the path begins there unless it has a start of its own.
+    surface : Surface or None
+        That of the raster.
 
     Raises
     ------
     SceneError
-        When a leg has no length but a speed, three points are on a line, a frame is not known, or a mesh has
-        no such faces.
-    MissingExtra
-        When a raster is over faces of a mesh, and shapely is not installed.
+        When a leg has no length but a speed, three points are on a line, or a frame is not known.
     """
-    builder = _PathBuilder(file, place, X_WT)
-    if file.waypoints:
+    builder = _PathBuilder(file, place, X_WT, surface)
+    if file.passed:
         builder.spline()
     if file.raster is not None:
         builder.raster(file.raster)
@@ -60,7 +60,7 @@ def timed_path(file: PathFile, place: PathSource, X_WT: FloatArray) -> tuple[Too
         builder.leg(leg, f"{place.key}.legs[{k}]")
     if file.blend_radius_m is not None:
         builder.blend(file.blend_radius_m)
-    return builder.path(), builder.surface
+    return builder.path()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,19 +79,21 @@ class _Part:
 class _PathBuilder:
     """Puts legs one after the other."""
 
-    def __init__(self, file: PathFile, place: PathSource, X_WT: FloatArray) -> None:
+    def __init__(
+        self, file: PathDescription, place: PathSource, X_WT: FloatArray, surface: Surface | None
+    ) -> None:
         self._file, self._place = file, place
         self._X_tool = X_WT
-        self.surface, self._pieces = surface_of(file, place, X_WT), tuple[RowPiece, ...]()
-        if file.raster is not None and self.surface is not None:
-            self._pieces = file.raster.pieces or self._whole_rows(self.surface)
-        self._face_rows = self.surface.rows(self._pieces) if isinstance(self.surface, FaceSurface) else None
+        self._pieces = tuple[RowPiece, ...]()
+        if file.raster is not None and surface is not None:
+            self._pieces = file.raster.pieces or self._whole_rows(surface)
+        self._face_rows = surface.rows(self._pieces) if isinstance(surface, FaceSurface) else None
         self._point, self._R = X_WT[:3, 3], X_WT[:3, :3]
         if file.start_pose is not None:
             self._point, turn = self._at(file.start_pose, f"{place.key}.from")
             self._R = _turned(turn, self._R)
             self._X_tool = _matrix(self._point, self._R)
-        elif file.waypoints:
+        elif file.passed:
             self._point, self._R = (each[0] for each in self._waypoints())
         elif file.raster is not None:
             self._point, self._R = self._raster_start(file.raster)

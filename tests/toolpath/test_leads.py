@@ -11,8 +11,9 @@ from timed_paths import check_described
 
 from cmbot import load_scene
 from cmbot.common.errors import SceneError
-from cmbot.scene import Scene, SpeedProfile, ToolPath
-from cmbot.scene.path.time_law import law_with_leads
+from cmbot.scene import Scene
+from cmbot.toolpath import SpeedProfile, ToolPath
+from cmbot.toolpath.time_law import law_with_leads
 
 SPEED, LEADS = 0.1, {"lead_in_m": 0.05, "lead_out_m": 0.08, "speed_tolerance": 0.05}
 WAVE = [

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import (
@@ -13,11 +14,13 @@ from pydantic import (
     Field,
     GetPydanticSchema,
     PlainSerializer,
+    ValidationInfo,
     WithJsonSchema,
     WrapValidator,
 )
 
 from cmbot.common.errors import InputError
+from cmbot.common.input_files import is_file, is_folder
 from cmbot.common.validation import hint, refusal, shown
 
 SHORTEST_LEG = 1e-6
@@ -25,6 +28,11 @@ SHORTEST_LEG = 1e-6
 
 SHORTEST, LONGEST = 1e-6, 1e4
 """Bounds of a length, m: they catch some millimetres given for metres, and keep every power finite."""
+
+FOLDER = "folder"
+"""In the context of a validation the folder at which relative paths start; without one they stay."""
+MESH_FORMATS = ("glb", "obj", "off", "ply", "stl")
+"""Of mesh files: those that trimesh reads without further packages."""
 
 # Axes are unit vectors up to what people round.
 _LENGTH_OF_AXIS = 1e-2
@@ -51,6 +59,42 @@ def _unit_vector(axis: Vector) -> Vector:
     return axis
 
 
+def is_mesh_file(text: str) -> bool:
+    """Whether a text is the path of a mesh file by its ending, not the name of an obstacle."""
+    return Path(text).suffix.lower().removeprefix(".") in MESH_FORMATS
+
+
+def place_of(text: str, info: ValidationInfo) -> Path | None:
+    """Return where a file is that is named in a scene; None where it is not sought."""
+    if info.data.get("model") == "cmbot":
+        return None  # beside the shipped robot there is none: `RobotFile` says so
+    folder = (info.context or {}).get(FOLDER)
+    return None if folder is None else folder / text
+
+
+def existing_file(text: str, info: ValidationInfo) -> str:
+    """Return the absolute path of a file; refuse one that does not exist."""
+    path = place_of(text, info)
+    if path is None:
+        return text
+    if not is_file(path):
+        raise refusal("a file that exists (relative to the scene file)", got=shown(text))
+    return str(path.resolve())
+
+
+def _folder(text: str, info: ValidationInfo) -> str:
+    path = place_of(text, info)
+    if path is None:
+        return text
+    if not is_folder(path):
+        raise refusal("a folder that exists (relative to the scene file)", got=shown(text))
+    return str(path.resolve())
+
+
+def _mesh_name(text: str, info: ValidationInfo) -> str:
+    return existing_file(text, info) if is_mesh_file(text) else text
+
+
 Length = Annotated[float, Field(ge=SHORTEST, le=LONGEST)]
 Coordinate = Annotated[float, Field(ge=-LONGEST, le=LONGEST)]
 Vector = tuple[Coordinate, Coordinate, Coordinate]
@@ -64,6 +108,12 @@ Posture = Annotated[tuple[Coordinate, ...], Field(min_length=1, max_length=100)]
 Slug = Annotated[
     str, AfterValidator(_slug), WithJsonSchema({"type": "string", "pattern": f"^{_SLUG.pattern}$"})
 ]
+FilePath = Annotated[Text, AfterValidator(existing_file)]
+"""Of a file, relative to the scene file; in a scene that is read absolute."""
+FolderPath = Annotated[Text, AfterValidator(_folder)]
+"""Of a folder, likewise."""
+MeshName = Annotated[Text, AfterValidator(_mesh_name)]
+"""The path of a mesh file, likewise, or the name of an obstacle."""
 
 
 def given_of(entry: object, names: Sequence[str]) -> list[str]:

@@ -10,12 +10,20 @@ import numpy as np
 from pydantic import Field
 
 from cmbot.common.errors import InputError
+from cmbot.common.fields import (
+    Angle,
+    Length,
+    LongVector,
+    MeshName,
+    Slug,
+    UnitVector,
+    Vector,
+    given_of,
+    is_mesh_file,
+)
 from cmbot.common.representation import short_repr
 from cmbot.common.validation import CheckedFields, shown
-from cmbot.scene.fields import Angle, Length, LongVector, Slug, UnitVector, Vector, given_of
-from cmbot.scene.files import MeshName
-from cmbot.scene.mesh_file import is_mesh_file
-from cmbot.scene.raster.pieces import MOST_ROWS, RowPiece
+from cmbot.toolpath.raster.pieces import MOST_ROWS, RowPiece
 
 # Cosine of the angle between two edges that are at right angles.
 _SQUARE = 1e-6

@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import InputError
 from cmbot.common.representation import short_repr
-from cmbot.scene.path.curves import Curve
-from cmbot.scene.path.time_law import LegLaw, ProcessPart, SpeedProfile, TimeLaw
-from cmbot.scene.path.tool_poses import ToolPoses
+from cmbot.toolpath.curves import Curve
+from cmbot.toolpath.time_law import LegLaw, ProcessPart, SpeedProfile, TimeLaw
+from cmbot.toolpath.tool_poses import ToolPoses
 
 _NO_LENGTH = 1e-300
 # Points by which a curve is shown.

@@ -16,8 +16,8 @@ from timed_paths import SECOND, WHERE, check_path, scene_of, vectors
 from cmbot import load_scene
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError, SceneError
-from cmbot.scene import ArcTo, Goal, Leg, SpeedProfile, ToolPath
-from cmbot.scene.path.curves import Spline
+from cmbot.toolpath import ArcTo, Goal, Leg, SpeedProfile, ToolPath
+from cmbot.toolpath.curves import Spline
 
 
 def unit(v: list[float]) -> list[float]:

@@ -9,8 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, GetPydanticSchema, PlainSerializer, WrapValidator
 
 from cmbot.common.errors import InputError
-from cmbot.common.validation import CheckedFields
-from cmbot.scene.fields import (
+from cmbot.common.fields import (
     Angle,
     Angles,
     LongVector,
@@ -20,6 +19,7 @@ from cmbot.scene.fields import (
     exactly_one,
     given_of,
 )
+from cmbot.common.validation import CheckedFields
 
 AUTO: Literal["auto"] = "auto"
 """Seconds that are to be found."""

@@ -19,7 +19,8 @@ from cmbot import load_scene
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra, SceneError
 from cmbot.planning import precheck_scene
-from cmbot.scene import Coverage, Scene, Stroke, coverage_of
+from cmbot.scene import Scene, Stroke, coverage_of
+from cmbot.toolpath import Coverage
 
 
 def bent_sheet(radius: float, span_deg: float, length: float, facets: int, thickness: float = 0.01) -> Any:

@@ -12,9 +12,9 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra, SceneError
 from cmbot.common.validation import counted
-from cmbot.scene.raster.pieces import MOST_ROWS, Interval, RowPiece, united
-from cmbot.scene.raster.raster import FaceSelection, Raster
-from cmbot.scene.raster.surface import Surface
+from cmbot.toolpath.raster.pieces import MOST_ROWS, Interval, RowPiece, united
+from cmbot.toolpath.raster.raster import FaceSelection, Raster
+from cmbot.toolpath.raster.surface import Surface
 
 if TYPE_CHECKING:
     import trimesh

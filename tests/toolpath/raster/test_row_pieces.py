@@ -13,8 +13,9 @@ from timed_paths import SECOND, check_path, scene_of
 
 from cmbot import load_scene
 from cmbot.common.errors import InputError, SceneError
-from cmbot.scene import RowPiece, Scene, coverage_of, pieces_left_out
-from cmbot.scene.raster.pieces import cells_of, united, without
+from cmbot.scene import Scene, coverage_of, pieces_left_out
+from cmbot.toolpath import RowPiece
+from cmbot.toolpath.raster.pieces import cells_of, united, without
 
 RECTANGLE = {"origin": [0, 0, 0], "u": [0.4, 0, 0], "v": [0, 0.2, 0], "spacing_m": 0.1, "stand_off_m": 0.1}
 CYLINDER = {

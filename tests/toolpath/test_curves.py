@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
 from cmbot.planning.certification.norm_bounds import timed_pose_bounds
-from cmbot.scene.path.curves import Arc, Blend, Curve, Rolled, Spline
-from cmbot.scene.path.time_law import SpeedProfile
-from cmbot.scene.path.tool_path import ToolPath
+from cmbot.toolpath.curves import Arc, Blend, Curve, Rolled, Spline
+from cmbot.toolpath.time_law import SpeedProfile
+from cmbot.toolpath.tool_path import ToolPath
 from cmbot.trajectory import Pieces, QuinticTrajectory
 
 seeds = st.integers(0, 2**32 - 1)

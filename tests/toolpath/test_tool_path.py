@@ -14,7 +14,8 @@ from small_scenes import SHORT
 
 from cmbot.common.errors import InputError, SceneError
 from cmbot.planning import robot_of, strokes_of
-from cmbot.scene import SpeedProfile, ToolPath, load_scene, share_out_segments
+from cmbot.scene import load_scene
+from cmbot.toolpath import SpeedProfile, ToolPath, share_out_segments
 
 FloatArray = NDArray[np.float64]
 KINDS = ("trapezoidal", "jerk_limited")

@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cmbot.common.errors import SceneError
+from cmbot.common.fields import MESH_FORMATS
 from cmbot.common.input_files import LARGEST_MESH, read_input
 from cmbot.common.validation import shown
 
 if TYPE_CHECKING:
     import trimesh
 
-# The formats that trimesh reads without further packages.
-_FORMATS = ("glb", "obj", "off", "ply", "stl")
 _FARTHEST = 1e4  # m, as of any coordinate in a scene
 # Files that were read last and are kept: planning and pages ask for the same ones several times.
 _KEPT = 8
@@ -34,11 +33,6 @@ _DAMAGED = (
 )
 
 
-def is_mesh_file(text: str) -> bool:
-    """Whether a text is the path of a mesh file by its ending, not the name of an obstacle."""
-    return Path(text).suffix.lower().removeprefix(".") in _FORMATS
-
-
 def load_mesh(path: Path, name: str = "", *, key: str = "", scale: float = 1.0) -> trimesh.Trimesh:
     """Load an obstacle's mesh file (GLB, OBJ, OFF, PLY or STL) without its colours; in metres by `scale`.
 
@@ -53,8 +47,8 @@ def load_mesh(path: Path, name: str = "", *, key: str = "", scale: float = 1.0) 
     """
     key = key or f"obstacles[{name}].mesh"
     suffix = path.suffix.lower().removeprefix(".")
-    if suffix not in _FORMATS:
-        raise SceneError(str(path), key, f"the format {path.suffix!r}", "a mesh file", _FORMATS)
+    if suffix not in MESH_FORMATS:
+        raise SceneError(str(path), key, f"the format {path.suffix!r}", "a mesh file", MESH_FORMATS)
     content = read_input(path, SceneError, kind="a mesh file", key=key, largest=LARGEST_MESH)
     try:
         mesh = _parsed(content, suffix, scale)

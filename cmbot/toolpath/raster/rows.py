@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.scene.raster.pieces import RowPiece
-from cmbot.scene.raster.raster import CylinderPatch, Raster
+from cmbot.toolpath.raster.pieces import RowPiece
+from cmbot.toolpath.raster.raster import CylinderPatch, Raster
 
 # Cosine of 10 degrees: the angle to the z axis below which a cylinder's angles count from the x axis.
 _UPRIGHT = 0.98480775

@@ -6,8 +6,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from cmbot.scene.raster.pieces import Interval, RowPiece, cells_of, united
-from cmbot.scene.raster.raster import Raster
+from cmbot.toolpath.raster.pieces import Interval, RowPiece, cells_of, united
+from cmbot.toolpath.raster.raster import Raster
 
 # Shares of an area below which nothing is left out.
 _ROUNDING = 1e-6

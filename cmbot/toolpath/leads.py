@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import BoolArray, FloatArray
-from cmbot.scene.path.curves import Curve
+from cmbot.toolpath.curves import Curve
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
