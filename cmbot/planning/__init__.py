@@ -41,8 +41,8 @@ from cmbot.planning.path.start_posture import StartPosture, find_start
 from cmbot.planning.planner import plan
 from cmbot.planning.precheck import Precheck, precheck_options, precheck_scene
 from cmbot.planning.progress import Progress, ProgressReporter
-from cmbot.planning.result.baseline import BaselineSegment
-from cmbot.planning.result.plan import Plan, Seconds, require_plan
+from cmbot.planning.result.baseline import BaselineSegment, joined_samples
+from cmbot.planning.result.plan import Plan, Seconds, require_plan, work_of
 from cmbot.planning.result.remarks import remarks
 from cmbot.planning.result.stroke_plan import ObjectiveMetrics, Start, StrokePlan, objective_metrics
 from cmbot.planning.result.verdict import (
@@ -119,6 +119,7 @@ __all__ = [
     "free_move_name",
     "free_space",
     "job_metrics",
+    "joined_samples",
     "left_out",
     "measure",
     "modelled_stiffness",
@@ -145,4 +146,5 @@ __all__ = [
     "tool_lag",
     "unit_findings",
     "verdict",
+    "work_of",
 ]
