@@ -46,13 +46,13 @@ from cmbot.scene import PlannerOptions, Scene
 from cmbot.simulation import SimulationOptions
 
 # Between two postures whose sag is computed, s, and postures of a segment at most.
-_SAG_STEP, _MOST_POSTURES = 0.05, 400
+_SAG_INTERVAL, _POSTURES_OF_SEGMENT = 0.05, 400
 # Between two samples of a table, s.
 _SAMPLE_STEP = 0.01
 # Columns that are named.
 _NAMED_COLUMNS = 5
 # What counts as the scene's start, rad and m.
-_AT_START = 1e-6
+_START_KEPT = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,11 +193,11 @@ class Evaluation:
         if self.missing:
             yield f"Not followed: {', '.join(self.missing)}; what is no stroke is taken with the tool off."
         start = float(np.abs(motion.q[0] - self.scene.posture).max())
-        if start > _AT_START:
+        if start > _START_KEPT:
             yield f"It starts up to {start:.4g} rad (or m) a joint from the scene's posture."
         rates = np.abs(job.trajectory.v[[0, -1]]) / self.robot.limits.velocity
-        if rates.max() > _AT_START:
-            which = "begin" if rates[0].max() > _AT_START else "end"
+        if rates.max() > _START_KEPT:
+            which = "begin" if rates[0].max() > _START_KEPT else "end"
             yield f"It does not {which} at rest."
         if motion.unknown:
             more = "" if len(motion.unknown) <= _NAMED_COLUMNS else " and so on"
@@ -382,7 +382,7 @@ def _bending(scene: Scene, robot: Robot, job: Job, untimed: set[str], *, compens
 def _moved(arm: ElasticArm, segment: Segment) -> tuple[float, float]:
     """Largest sag and sway of the tool in a segment, m."""
     motion = segment.trajectory
-    count = int(np.clip(np.ceil(motion.duration / _SAG_STEP), 2, _MOST_POSTURES)) + 1
+    count = int(np.clip(np.ceil(motion.duration / _SAG_INTERVAL), 2, _POSTURES_OF_SEGMENT)) + 1
     t = np.linspace(motion.t[0], motion.t[-1], count)
     sag = np.linalg.norm(Sag(arm).along(t, motion.evaluate(t)), axis=1)
     sway = sway_along(arm, motion.evaluate, motion.duration, SimulationOptions().damping)
