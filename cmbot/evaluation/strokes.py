@@ -11,7 +11,8 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.planning import ToolTask
 from cmbot.robot import Kinematics, Robot
-from cmbot.scene import PlannerOptions, ToolPath
+from cmbot.scene import PlannerOptions
+from cmbot.toolpath import ToolPath
 from cmbot.trajectory import QuinticTrajectory
 
 # A joint that uses less of its bound of velocity rests.

@@ -15,10 +15,10 @@ from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
 from cmbot.archive import export_mcap, export_ros, load_plan, save
+from cmbot.collision import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere
 from cmbot.common.errors import ArchiveError, InputError, MissingExtra
 from cmbot.planning import Plan, QuinticTrajectory
 from cmbot.robot import Dynamics, Kinematics
-from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere
 
 Messages = dict[str, list[tuple[float, Any]]]
 
