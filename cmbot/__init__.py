@@ -39,7 +39,15 @@ from cmbot.common.lazy_imports import on_first_use
 from cmbot.version import __version__
 
 if TYPE_CHECKING:
-    from cmbot.archive import load_plan, load_tracking, load_walk, save, save_excitation, save_tracking
+    from cmbot.archive import (
+        load_plan,
+        load_tour,
+        load_tracking,
+        load_walk,
+        save,
+        save_excitation,
+        save_tracking,
+    )
     from cmbot.campaigns import Campaign, campaign
     from cmbot.excitation import Excitation, excite
     from cmbot.identification import Identification, Location, identify, locate
@@ -82,6 +90,7 @@ __all__ = [
     "load_plan",
     "load_robot",
     "load_scene",
+    "load_tour",
     "load_tracking",
     "load_walk",
     "locate",
@@ -99,7 +108,15 @@ __all__ = [
 ]
 
 _ROOMS = {
-    "cmbot.archive": ("load_plan", "load_tracking", "load_walk", "save", "save_excitation", "save_tracking"),
+    "cmbot.archive": (
+        "load_plan",
+        "load_tour",
+        "load_tracking",
+        "load_walk",
+        "save",
+        "save_excitation",
+        "save_tracking",
+    ),
     "cmbot.campaigns": ("Campaign", "campaign"),
     "cmbot.excitation": ("Excitation", "excite"),
     "cmbot.identification": ("Identification", "Location", "identify", "locate"),

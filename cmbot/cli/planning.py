@@ -71,7 +71,7 @@ class PlanCommand(Writing):
 
     def __call__(self) -> None:
         started = time.perf_counter()
-        loaded, options = _loaded(self.scene, self.changes)
+        loaded, options = loaded_scene(self.scene, self.changes)
         # Imports the robot's libraries: after the scene file, so that its errors are reported at once.
         from cmbot.archive import require_free
         from cmbot.planning import precheck_options, unit_findings
@@ -107,7 +107,7 @@ class PlanCommand(Writing):
         self.answer(lambda: _summary(planned, directory), say, directory)
 
 
-def _loaded(scene: str, changes: Sequence[str]) -> tuple[cmbot.Scene, cmbot.PlannerOptions]:
+def loaded_scene(scene: str, changes: Sequence[str]) -> tuple[cmbot.Scene, cmbot.PlannerOptions]:
     """Return a scene and its planner's options with what ``--set`` changes of them."""
     from cmbot.common.validation import validated
     from cmbot.scene import PlannerOptions
