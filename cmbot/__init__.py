@@ -11,7 +11,7 @@ The reading order::
     excite         what shakes it: trains, wind           cmbot.excitation
     identify       how stiff it is, from measurements     cmbot.identification
     locate         where the work is, from touched points   cmbot.identification
-    walk, tour     the steps from one stance to another, and the work in each   cmbot.walking
+    walk, tour     the steps from one stance to another, and the work in each   cmbot.stances.walking
     replay, report, show   the motion in a browser or a notebook, and what it gains   cmbot.views
     campaign       many scenes on many processes          cmbot.campaigns
 
@@ -55,8 +55,8 @@ if TYPE_CHECKING:
     from cmbot.robot import Robot, load_robot
     from cmbot.scene import PlannerOptions, Scene, load_scene
     from cmbot.simulation import SimulationOptions, Tracking, simulate
+    from cmbot.stances.walking import Tour, Walk, tour, walk
     from cmbot.views import plot, replay, report, show
-    from cmbot.walking import Tour, Walk, tour, walk
 
 __all__ = [
     "ArchiveError",
@@ -125,9 +125,9 @@ _ROOMS = {
     "cmbot.scene": ("PlannerOptions", "Scene", "load_scene"),
     "cmbot.simulation": ("SimulationOptions", "Tracking", "simulate"),
     "cmbot.views": ("plot", "replay", "report", "show"),
-    "cmbot.walking": ("Tour", "Walk", "tour", "walk"),
+    "cmbot.stances.walking": ("Tour", "Walk", "tour", "walk"),
 }
-_MODULES = [module.rpartition(".")[2] for module in _ROOMS]
+_MODULES = [module.split(".")[1] for module in _ROOMS]
 __getattr__ = on_first_use(__name__, _ROOMS, _MODULES)
 
 

@@ -20,7 +20,8 @@ from cmbot.accuracy.sway import sway_along
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.file_types import NonNegative, Share
 from cmbot.elastic.arm import ElasticArm
-from cmbot.scene import Placement, Tolerance, ToolPath, Uncertainty
+from cmbot.scene import Placement, Tolerance, Uncertainty
+from cmbot.toolpath import ToolPath
 
 # Draws; postures of a stroke at most, and the time between them, s.
 _DRAWS, _MOST_POSTURES, _BETWEEN_POSTURES = 2048, 80, 0.25

@@ -21,8 +21,8 @@ from cmbot.common.representation import short_repr
 from cmbot.common.validation import FileModel, given_path, validated
 from cmbot.planning import Plan
 from cmbot.scene import Scene
-from cmbot.siting import Candidate
-from cmbot.walking import Walk, part_data, stance_of
+from cmbot.stances import Candidate
+from cmbot.stances.walking import Walk, part_data, stance_of
 
 # Figures, stances and postures are the same but for so much.
 _SAME = 1e-6

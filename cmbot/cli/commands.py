@@ -10,6 +10,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Sequence
+from pathlib import Path
 from types import TracebackType
 
 import cmbot
@@ -25,7 +26,7 @@ from cmbot.cli.locate import LocateCommand
 from cmbot.cli.planning import PlanCommand
 from cmbot.cli.signals import raised_again
 from cmbot.cli.simulation import ReproduceCommand, SimulateCommand
-from cmbot.cli.siting import StandCommand, TourCommand, WalkCommand
+from cmbot.cli.stances import StandCommand, TourCommand, WalkCommand
 from cmbot.cli.views import CompareCommand, ExportCommand, ReplayCommand, ReportCommand
 from cmbot.common.errors import (
     LONGEST_MESSAGE,
@@ -57,6 +58,22 @@ _INSTEAD = {
 }
 
 
+# What to do with a file that was given in place of another one, by what its format begins with.
+_OTHER_FILES = {
+    "cmbot-scene": "cmbot plan {file} plans it",
+    "cmbot-campaign": "cmbot campaign {file} plans it",
+    "cmbot-measurements": "cmbot identify {file} reads it",
+    "cmbot-stiffness": "a scene names it as identified",
+    "cmbot-joint-limits": "a scene names it as robot.limits",
+    "cmbot-elasticity": "a scene names it as robot.elasticity",
+    "cmbot-plan": "cmbot replay {folder} shows it",
+    "cmbot-tracking": "cmbot report {folder} shows it",
+    "cmbot-walk": "cmbot replay {folder} shows it",
+    "cmbot-tour": "{folder}/index.html shows it",
+    "xml": "cmbot check inspects a URDF",
+}
+
+
 def main() -> None:
     """Run the command line; turn errors into one line and an exit status."""
     sys.excepthook = _report
@@ -85,6 +102,9 @@ def _run(words: Sequence[str]) -> int:
         _print_error(f"{whole_sentences(message, LONGEST_MESSAGE - len(where))}{where}")
         return ExitStatus.BAD_INPUT
     except CmbotError as error:
+        if isinstance(error, InputError) and error.holds:
+            file = Path(error.source)
+            error.add_hint(_OTHER_FILES[error.holds].format(file=file, folder=file.parent))
         if _debugging():
             traceback.print_exc()
         else:

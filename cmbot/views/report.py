@@ -28,7 +28,6 @@ from cmbot.planning import (
     verdict,
 )
 from cmbot.robot import postures_in_words
-from cmbot.scene import ToolPath
 from cmbot.simulation import (
     INTERVAL_HEADINGS,
     Tracking,
@@ -39,6 +38,7 @@ from cmbot.simulation import (
     tracking_rows,
     tracking_verdict,
 )
+from cmbot.toolpath import ToolPath
 from cmbot.version import __version__, versions
 from cmbot.views.charts import MOST_SMALL_POINTS, charts, floor_name, joint_charts
 from cmbot.views.page import STAGE_SCRIPTS, assemble, table, write_page

@@ -21,7 +21,7 @@ from cmbot.common.errors import ArchiveError, InputError
 from cmbot.planning import Plan, plan, robot_of
 from cmbot.robot import Kinematics
 from cmbot.scene import PlannerOptions, Scene, load_scene
-from cmbot.walking import walk_csv, walk_data
+from cmbot.stances.walking import walk_csv, walk_data
 
 
 @pytest.fixture

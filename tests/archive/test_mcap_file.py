@@ -15,10 +15,10 @@ from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
 from cmbot.archive import export_mcap, export_ros
+from cmbot.collision import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere
 from cmbot.common.errors import InputError, MissingExtra
 from cmbot.planning import Plan
 from cmbot.robot import Kinematics
-from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere
 
 Messages = dict[str, list[tuple[float, Any]]]
 

@@ -15,8 +15,8 @@ from walks import one_step
 from cmbot.archive import TOUR_FILE, WALK_FILE, load_tour, save, write_results
 from cmbot.common.errors import ArchiveError
 from cmbot.planning import Plan, plan
-from cmbot.siting import in_world
-from cmbot.walking import Walk, part_data, walk_data
+from cmbot.stances import in_world
+from cmbot.stances.walking import Walk, part_data, walk_data
 
 RETURNS = {"format": "cmbot-scene/2", "return": "start"}
 

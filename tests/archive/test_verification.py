@@ -16,7 +16,7 @@ from cmbot.archive import WALK_FILE, write_results
 from cmbot.collision import Clearances
 from cmbot.planning.verification import engine, second_opinion
 from cmbot.robot import Dynamics, Kinematics
-from cmbot.walking import walk_data
+from cmbot.stances.walking import walk_data
 
 
 @pytest.fixture

@@ -12,8 +12,8 @@ from plan_folders import changed, without_approach
 import cmbot
 from cmbot.common.errors import InputError
 from cmbot.planning import Certificate, Plan, bound_use, remarks
-from cmbot.scene import Coverage
 from cmbot.simulation import Tracking, tracking_rows, tracking_verdict
+from cmbot.toolpath import Coverage
 from cmbot.views import pages, report_page
 from cmbot.views.charts import charts
 from cmbot.views.report import headlines

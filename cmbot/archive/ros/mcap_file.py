@@ -13,12 +13,12 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.archive.folder import write_file
 from cmbot.archive.ros.trajectory_file import trajectory_message
+from cmbot.collision import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere, load_mesh
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra
 from cmbot.common.validation import given_path
 from cmbot.planning import Plan, require_plan
 from cmbot.robot import link_poses
-from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere, load_mesh
 
 WORLD, FOOT = "world", "O0"
 # Between two messages of the motion, s.

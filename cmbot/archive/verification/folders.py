@@ -21,8 +21,8 @@ from cmbot.common.errors import ArchiveError, InputError, LimitViolation
 from cmbot.common.validation import counted, given_path
 from cmbot.planning import Check, Plan
 from cmbot.scene import PlannerOptions, Scene, StanceFile
-from cmbot.siting import in_world, joined
-from cmbot.walking import Walk, WalkOptions, goal_stance, second_opinion_of, walk_csv
+from cmbot.stances import in_world, joined
+from cmbot.stances.walking import Walk, WalkOptions, goal_stance, second_opinion_of, walk_csv
 
 # Stances and postures are the same but for so much.
 _SAME = 1e-6

@@ -31,7 +31,8 @@ from cmbot.planning.result.baseline import (
 from cmbot.planning.result.stroke_plan import StrokePlan, combined
 from cmbot.planning.stiffness import covariance_of
 from cmbot.robot import Kinematics, Robot
-from cmbot.scene import WORK, Coverage, PlannerOptions, Scene, coverage_of, pieces_left_out, rows_alone
+from cmbot.scene import WORK, PlannerOptions, Scene, coverage_of, pieces_left_out, rows_alone
+from cmbot.toolpath import Coverage
 from cmbot.trajectory import QuinticTrajectory
 
 

@@ -14,7 +14,10 @@ from typing import Annotated, Self, cast
 import numpy as np
 from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
+from cmbot.collision import Box, Obstacle
 from cmbot.common.arrays import FloatArray, read_only
+from cmbot.common.fields import Angle, Coordinate, Length, Slug, exactly_one, one_of_schema, si_fields
+from cmbot.common.poses import pose
 from cmbot.common.validation import FileModel, refusal, shown
 from cmbot.elastic import (
     AngleSection,
@@ -31,8 +34,6 @@ from cmbot.scene.base.hold import Face, HoldFile, Holds, face_of, foot_on, held_
 from cmbot.scene.base.identified import IdentifiedBase
 from cmbot.scene.base.matrices import Matrix6, check_positive_definite
 from cmbot.scene.base.stance import StanceFile, axis_point, foothold_face, foothold_pose
-from cmbot.scene.fields import Angle, Coordinate, Length, Slug, exactly_one, one_of_schema, si_fields
-from cmbot.scene.obstacles import Box, Obstacle, pose
 
 _SECTIONS = ("angle", "bar")
 
