@@ -123,8 +123,9 @@ def read_tour(folder: Path, read: Callable[[Path], Plan | Walk]) -> tuple[TourPa
             raise ArchiveError(source, f"{key}.name", got, "that in which the part before ends")
         parts.append(part)
         record = WALK_FILE if entry.kind == "walk" else PLAN_FILE
-        bridges = (bridge_of(one.motion.scene) for one in (part, parts[0]))
-        require_same(*bridges, str(folder / entry.name / record), "scene", why=f"in {parts[0].name}")
+        first, file_of_part = parts[0], str(folder / entry.name / record)
+        own, common = bridge_of(part.motion.scene), bridge_of(first.motion.scene)
+        require_same(own, common, file_of_part, "scene", why=f"in {first.name}")
         clock, here = clock + found["seconds"], ends
     require_same(file.seconds, clock, source, "seconds", _SAME, _SAME, "its parts say")
     return tuple(parts)

@@ -105,8 +105,8 @@ def load_walk(directory: str | Path) -> Walk:
     goal = reader.node(file.goal, "goal")
     reader.require_stance(goal, "goal")
     last = None if file.last is None else reader.move(file.last, "last", "arm")
-    told = {"failures": file.failures, "speed": file.max_foot_speed}
-    walk = Walk(scene=scene, goal=goal, steps=steps, last=last, **told)
+    failures, speed = file.failures, file.max_foot_speed
+    walk = Walk(scene=scene, goal=goal, steps=steps, last=last, failures=failures, speed=speed)
     again = walk_data(walk) | {"scene": data["scene"], "cmbot": file.cmbot}
     require_same(without_hashes(data), again, str(path), "", _SAME, _SAME_ZERO)
     return walk
