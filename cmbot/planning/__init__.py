@@ -42,6 +42,7 @@ from cmbot.planning.planner import plan
 from cmbot.planning.precheck import Precheck, precheck_options, precheck_scene
 from cmbot.planning.progress import Progress, ProgressReporter
 from cmbot.planning.result.baseline import BaselineSegment
+from cmbot.planning.result.loads import LOAD_HEADINGS, Load, load_point, load_rows, loads
 from cmbot.planning.result.plan import Plan, Seconds, require_plan
 from cmbot.planning.result.remarks import remarks
 from cmbot.planning.result.stroke_plan import ObjectiveMetrics, Start, StrokePlan, objective_metrics
@@ -65,6 +66,7 @@ from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
 __all__ = [
     "APPROACH",
+    "LOAD_HEADINGS",
     "RETURN",
     "BaselineSegment",
     "Certificate",
@@ -80,6 +82,7 @@ __all__ = [
     "Job",
     "JointPath",
     "LimitUse",
+    "Load",
     "LowerBound",
     "MotionMetrics",
     "Objective",
@@ -120,6 +123,9 @@ __all__ = [
     "free_space",
     "job_metrics",
     "left_out",
+    "load_point",
+    "load_rows",
+    "loads",
     "measure",
     "modelled_stiffness",
     "objective_metrics",
