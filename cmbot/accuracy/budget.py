@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,6 @@ from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.file_types import NonNegative, Share
 from cmbot.elastic.arm import ElasticArm
 from cmbot.scene import Placement, Tolerance, Uncertainty
-from cmbot.toolpath import ToolPath
 
 # Draws; postures of a stroke at most, and the time between them, s.
 _DRAWS, _MOST_POSTURES, _BETWEEN_POSTURES = 2048, 80, 0.25
@@ -99,13 +99,27 @@ class Accuracy:
         return f"<Accuracy: within {self.within_mm:.3g} mm with {100 * self.probability:g} %>"
 
 
+class WorkPath(Protocol):
+    """Where the tool is to be: a `ToolPath`, or what stands for one."""
+
+    @property
+    def duration(self) -> float:
+        """Time along it, s."""
+
+    def position(self, times: FloatArray) -> FloatArray:
+        """Return its places (N, 3), m, at `times` (N,)."""
+
+    def leg_offset(self, times: FloatArray, p: FloatArray) -> FloatArray:
+        """Return the vectors (N, 3), m, to points `p` (N, 3) from it."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Work:
     """A stroke, and how it is moved along.
 
     Attributes
     ----------
-    path : ToolPath
+    path : WorkPath
     motion : callable
         From times (N,), s, and an order of derivative to joint positions and their derivatives (N, n).
     commanded : callable
@@ -114,7 +128,7 @@ class Work:
         From times to the orientations (N, 3, 3) of the rigid arm's tool.
     """
 
-    path: ToolPath
+    path: WorkPath
     motion: Callable[[FloatArray, int], FloatArray]
     commanded: Callable[[FloatArray], FloatArray]
     rotation: Callable[[FloatArray], FloatArray]

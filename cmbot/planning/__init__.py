@@ -41,9 +41,9 @@ from cmbot.planning.path.start_posture import StartPosture, find_start
 from cmbot.planning.planner import plan
 from cmbot.planning.precheck import Precheck, precheck_options, precheck_scene
 from cmbot.planning.progress import Progress, ProgressReporter
-from cmbot.planning.result.baseline import BaselineSegment
+from cmbot.planning.result.baseline import BaselineSegment, joined_samples
 from cmbot.planning.result.loads import LOAD_HEADINGS, Load, load_point, load_rows, loads
-from cmbot.planning.result.plan import Plan, Seconds, require_plan
+from cmbot.planning.result.plan import Plan, Seconds, require_plan, work_of
 from cmbot.planning.result.remarks import remarks
 from cmbot.planning.result.stroke_plan import ObjectiveMetrics, Start, StrokePlan, objective_metrics
 from cmbot.planning.result.verdict import (
@@ -122,6 +122,7 @@ __all__ = [
     "free_move_name",
     "free_space",
     "job_metrics",
+    "joined_samples",
     "left_out",
     "load_point",
     "load_rows",
@@ -151,4 +152,5 @@ __all__ = [
     "tool_lag",
     "unit_findings",
     "verdict",
+    "work_of",
 ]
