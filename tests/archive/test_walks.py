@@ -46,7 +46,7 @@ def dragged(lift: dict[str, Any]) -> None:
     aside = min(climber.reaching(X), key=lambda found: float(np.abs(found - angles[::-1]).max()))[::-1]
     u = np.linspace(0.0, 1.0, 20)
     space = SplineSpace(3.0 * u)
-    share = SpeedProfile(kind="jerk_limited", ramp=0.5).share(u)[:, None]
+    share = SpeedProfile(kind="jerk_limited", ramp=0.5).law.share(u)[:, None]
     trajectory = space.trajectory(space.least_jerk(angles + share * (aside - angles)))
     lift["knots"] = {name: getattr(trajectory, name).tolist() for name in "tqva"}
     lift["seconds"] = trajectory.duration

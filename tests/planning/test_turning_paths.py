@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_scenes import SHORT, context_of, off_task
+from small_scenes import SHORT, context_of, off_task, with_corners
 
 from cmbot import load_plan, load_scene, plan, save
 from cmbot.common.errors import ArchiveError, LimitViolation, PathNotFound
@@ -166,7 +166,7 @@ def test_a_beginning_out_of_reach_is_no_path() -> None:
     with pytest.raises(PathNotFound, match=r"tool_path.from lies .* out of reach \(the arm"):
         plan(elsewhere({"xyz": [9, 0, 0]}))
     context = context_of(scene_of("turning"))
-    far = replace(context.task.path, corners=context.task.path.corners + np.array([9.0, 0, 0]))
+    far = with_corners(context.task.path, context.task.path.corners + np.array([9.0, 0, 0]))
     with pytest.raises(
         PathNotFound, match=r"the path begins out of reach at \(.*\) m: no posture .* mm and .* deg off"
     ):

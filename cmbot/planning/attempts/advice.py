@@ -169,7 +169,7 @@ def slower(context: PlanningContext, factors: FloatArray) -> PlanningContext:
         else:
             own = float(path.seconds[k] if stroke.file.legs else stroke.file.seconds or path.seconds[k])
             seconds[k] *= _rounded_up(own * factors[k]) / own
-    path = replace(path, seconds=seconds)
+    path = path.in_seconds(seconds)
     times = path.via_times(len(context.times))
     return replace(context, task=replace(context.task, path=path), times=times)
 
