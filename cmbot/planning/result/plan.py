@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cmbot.accuracy import Accuracy, Work, accuracy_of
+from cmbot.accuracy import Accuracy, Work, WorkPath, accuracy_of
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.file_types import NonNegative
@@ -20,8 +20,8 @@ from cmbot.hold import CLAMP_LOAD
 from cmbot.planning.certification.certificate import Certificate
 from cmbot.planning.certification.metrics import MotionMetrics, Samples, measure
 from cmbot.planning.certification.sag_spread import across_path, spread_times
-from cmbot.planning.context import bending_arm, end_posture_of, sag_of, sample_step, strokes_of
 from cmbot.planning.job import APPROACH, RETURN, Job, Segment, job_metrics
+from cmbot.planning.request import end_posture_of, strokes_of
 from cmbot.planning.result.baseline import (
     BaselineSegment,
     baseline_job,
@@ -30,10 +30,11 @@ from cmbot.planning.result.baseline import (
 )
 from cmbot.planning.result.stroke_plan import StrokePlan, combined
 from cmbot.planning.stiffness import covariance_of
+from cmbot.planning.workcell import bending_arm, sag_of
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import WORK, PlannerOptions, Scene, coverage_of, pieces_left_out, rows_alone
 from cmbot.toolpath import Coverage
-from cmbot.trajectory import QuinticTrajectory
+from cmbot.trajectory import QuinticTrajectory, sample_step
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,7 +202,7 @@ class Plan(StrokePlan):
         arm = bending_arm(self.scene, self.robot)
         if arm is None:
             return None
-        works = [_work(self.robot, segment) for segment in self.job.strokes]
+        works = [work_of(self.robot, each.trajectory, each.task.path) for each in self.job.strokes]
         covariance = covariance_of(self.scene, arm)
         try:
             return accuracy_of(
@@ -433,17 +434,16 @@ def _adhesions(name: str, motions: Sequence[MotionMetrics]) -> Iterator[tuple[st
         yield name, left, right
 
 
-def _work(robot: Robot, segment: Segment) -> Work:
-    """A stroke of a job, as the accuracy budget takes it."""
+def work_of(robot: Robot, trajectory: QuinticTrajectory, path: WorkPath) -> Work:
+    """Return a stroke of a job, moved along its path by a trajectory, as the accuracy budget takes it."""
     kinematics = Kinematics(robot)
-    motion = segment.trajectory.evaluate
 
     def tool(t: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return kinematics.tool_poses(motion(t))
+        return kinematics.tool_poses(trajectory.evaluate(t))
 
     return Work(
-        path=segment.task.path,
-        motion=motion,
+        path=path,
+        motion=trajectory.evaluate,
         commanded=lambda t: tool(t)[0],
         rotation=lambda t: tool(t)[1],
     )
