@@ -27,6 +27,7 @@ from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.request import StrokeRequest
 from cmbot.robot import Dynamics, Kinematics
 from cmbot.scene import PlannerOptions, Scene, load_scene
+from cmbot.toolpath import ToolPath
 
 OPTIONS = PlannerOptions(knots="fixed")
 # Beside the tool's way at first, then across it.
