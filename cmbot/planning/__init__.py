@@ -41,10 +41,16 @@ from cmbot.planning.path.start_posture import StartPosture, find_start
 from cmbot.planning.planner import plan
 from cmbot.planning.precheck import Precheck, precheck_options, precheck_scene
 from cmbot.planning.progress import Progress, ProgressReporter
-from cmbot.planning.result.baseline import BaselineSegment
+from cmbot.planning.result.baseline import Baseline, BaselineSegment
 from cmbot.planning.result.plan import Plan, Seconds, require_plan
 from cmbot.planning.result.remarks import remarks
-from cmbot.planning.result.stroke_plan import ObjectiveMetrics, Start, StrokePlan, objective_metrics
+from cmbot.planning.result.stroke_plan import (
+    ObjectiveMetrics,
+    Start,
+    StrokeBaseline,
+    StrokePlan,
+    objective_metrics,
+)
 from cmbot.planning.result.verdict import (
     baseline_faults,
     bound_use,
@@ -66,6 +72,7 @@ from cmbot.trajectory import QuinticTrajectory, SplineSpace
 __all__ = [
     "APPROACH",
     "RETURN",
+    "Baseline",
     "BaselineSegment",
     "Certificate",
     "Check",
@@ -98,6 +105,7 @@ __all__ = [
     "SplineSpace",
     "Start",
     "StartPosture",
+    "StrokeBaseline",
     "StrokePlan",
     "ToolTask",
     "VibrationSuppression",
