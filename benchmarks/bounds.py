@@ -29,7 +29,7 @@ from cmbot.common.errors import PlanningError
 from cmbot.planning import GlobalSearch, LowerBound
 from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.path.projection import null_space, project_onto_task
-from cmbot.scene import ToolPoses
+from cmbot.toolpath import ToolPoses
 
 # Newton steps of restarts; descents: from so many of the best restarts, steps of so many tries.
 _STEPS, _DESCENTS, _DESCENT_STEPS, _AROUND = 40, 6, 60, 20

@@ -25,7 +25,8 @@ from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.planning import ToolTask, certify, measure, robot_of
 from cmbot.robot import Dynamics, Kinematics, Robot
-from cmbot.scene import PlannerOptions, SpeedProfile, ToolPath
+from cmbot.scene import PlannerOptions
+from cmbot.toolpath import SpeedProfile, ToolPath
 from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
 _SEGMENTS = (4, 12)

@@ -21,7 +21,7 @@ from screenshot import shoot, time_shown
 import cmbot
 from cmbot.common.installation import scene_folder
 from cmbot.scene import shipped_scenes
-from cmbot.siting import StandOptions
+from cmbot.stances import StandOptions
 from cmbot.views import replay_page, walk_replay_page
 
 PAGE, PICTURES = ROOT / "docs" / "gallery.md", ROOT / "docs" / "gallery"

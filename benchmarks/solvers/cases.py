@@ -27,7 +27,8 @@ from cmbot.planning.torque.decomposition import exchange_options
 from cmbot.planning.torque.feasibility import check_feasible
 from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
 from cmbot.robot import Postures
-from cmbot.scene import Leg, Scene
+from cmbot.scene import Scene
+from cmbot.toolpath import Leg
 from cmbot.trajectory.quintic import QuinticTrajectory
 
 __all__ = [

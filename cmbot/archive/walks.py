@@ -20,9 +20,9 @@ from cmbot.hold import AdhesionPeak
 from cmbot.planning import Check
 from cmbot.robot import ARM_JOINTS, Climber, Side
 from cmbot.scene import Scene, StanceFile, foothold_pose
-from cmbot.siting import Candidate, candidate_at, in_world
+from cmbot.stances import Candidate, candidate_at, in_world
+from cmbot.stances.walking import Kind, Move, Step, Walk, certified_move, stance_of, walk_data
 from cmbot.trajectory import QuinticTrajectory
-from cmbot.walking import Kind, Move, Step, Walk, certified_move, stance_of, walk_data
 
 # Moves join where they are nearer, rad; feet are where they should be, m; figures that are computed again.
 _SAME_POSTURE, _SAME_PLACE, _SAME, _SAME_ZERO = 1e-9, 1e-6, 1e-6, 1e-9

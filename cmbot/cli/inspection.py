@@ -154,7 +154,10 @@ def _check_urdf(file: str, xacro: Sequence[str]) -> tuple[Sequence[Finding], dic
         findings = sorted([*findings, *inspect_loaded(files)], key=lambda finding: finding.severity)
     errors = _errors(findings)
     conclusion = f"Not usable: {counted(errors, 'error')}" if errors else "OK: no error"
-    return findings, found, f"{conclusion}, {counted(len(findings) - errors, 'warning')}."
+    conclusion += f", {counted(len(findings) - errors, 'warning')}."
+    if files.srdf is None and not errors:
+        conclusion += f" cmbot check {one_line(file)} --write-srdf FILE writes an SRDF."
+    return findings, found, conclusion
 
 
 def _check_scene(file: str) -> tuple[Sequence[Finding], dict[str, str], str]:
@@ -231,7 +234,7 @@ class VerifyCommand(Reporting):
     def __call__(self) -> None:
         from cmbot.archive import verified_motions
         from cmbot.planning.verification.engine import ENGINE, is_installed, require_installed
-        from cmbot.walking import load_goal
+        from cmbot.stances.walking import load_goal
 
         if self.engine is not None:
             require_installed()

@@ -41,8 +41,9 @@ from cmbot.planning.path.start_posture import StartPosture, find_start
 from cmbot.planning.planner import plan
 from cmbot.planning.precheck import Precheck, precheck_options, precheck_scene
 from cmbot.planning.progress import Progress, ProgressReporter
-from cmbot.planning.result.baseline import Baseline, BaselineSegment
-from cmbot.planning.result.plan import Plan, Seconds, require_plan
+from cmbot.planning.result.baseline import Baseline, BaselineSegment, joined_samples
+from cmbot.planning.result.loads import LOAD_HEADINGS, Load, load_point, load_rows, loads
+from cmbot.planning.result.plan import Plan, Seconds, require_plan, work_of
 from cmbot.planning.result.remarks import remarks
 from cmbot.planning.result.stroke_plan import (
     ObjectiveMetrics,
@@ -71,6 +72,7 @@ from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
 __all__ = [
     "APPROACH",
+    "LOAD_HEADINGS",
     "RETURN",
     "Baseline",
     "BaselineSegment",
@@ -87,6 +89,7 @@ __all__ = [
     "Job",
     "JointPath",
     "LimitUse",
+    "Load",
     "LowerBound",
     "MotionMetrics",
     "Objective",
@@ -127,7 +130,11 @@ __all__ = [
     "free_move_name",
     "free_space",
     "job_metrics",
+    "joined_samples",
     "left_out",
+    "load_point",
+    "load_rows",
+    "loads",
     "measure",
     "modelled_stiffness",
     "objective_metrics",
@@ -153,4 +160,5 @@ __all__ = [
     "tool_lag",
     "unit_findings",
     "verdict",
+    "work_of",
 ]

@@ -23,7 +23,8 @@ from cmbot.planning.stiffness import covariance_of, known_share, with_identified
 from cmbot.planning.task import ToolTask
 from cmbot.planning.units import require_metres
 from cmbot.robot import Kinematics, PostureBatch, Postures, Robot, load_robot
-from cmbot.scene import SPEED_TOLERANCE, STOW, NamedState, PlannerOptions, Scene, Stroke, ToolPoses
+from cmbot.scene import SPEED_TOLERANCE, STOW, NamedState, PlannerOptions, Scene, Stroke
+from cmbot.toolpath import ToolPoses
 
 SAMPLE_STEP = 0.01
 """Step of the sampled motions, s; of long ones it is longer: `sample_step`."""

@@ -31,7 +31,8 @@ from cmbot.planning.stiffness import identified_in_words
 from cmbot.planning.task import ToolTask, task_dimension
 from cmbot.planning.units import mistaken_units, require_metres, unit_findings
 from cmbot.robot import Dynamics, Finding, Robot
-from cmbot.scene import PlannerOptions, Scene, Stroke, Tool, ToolPath, coverage_of
+from cmbot.scene import PlannerOptions, Scene, Stroke, Tool, coverage_of
+from cmbot.toolpath import ToolPath
 from cmbot.trajectory import SUPPORT
 
 MOST_UNKNOWNS = 3000

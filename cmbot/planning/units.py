@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cmbot.collision import extent_of
+from cmbot.collision import Obstacle, extent_of
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.robot import Finding, Robot
-from cmbot.scene import Obstacle, Scene
+from cmbot.scene import Scene
 
 # An angle is whole to this, deg.
 _WHOLE = 1e-6

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import InputError
 from cmbot.planning import Plan, QuinticTrajectory
-from cmbot.scene import ToolPath
+from cmbot.toolpath import ToolPath
 
 # scipy.interpolate is slow to import and planning does not need it: it is imported where it is used.
 if TYPE_CHECKING:

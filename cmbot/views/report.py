@@ -12,8 +12,10 @@ from typing import Any, Literal, TypedDict
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from cmbot.common.limit import Limit
 from cmbot.common.validation import given_path
 from cmbot.planning import (
+    LOAD_HEADINGS,
     Certificate,
     MotionMetrics,
     Plan,
@@ -21,6 +23,8 @@ from cmbot.planning import (
     bound_use,
     during,
     left_out,
+    load_point,
+    load_rows,
     promised,
     promises,
     remarks,
@@ -29,7 +33,6 @@ from cmbot.planning import (
     verdict,
 )
 from cmbot.robot import postures_in_words
-from cmbot.scene import ToolPath
 from cmbot.simulation import (
     Tracking,
     base_movement,
@@ -40,6 +43,7 @@ from cmbot.simulation import (
     tracking_rows,
     tracking_verdict,
 )
+from cmbot.toolpath import ToolPath
 from cmbot.version import __version__, versions
 from cmbot.views.charts import MOST_SMALL_POINTS, charts, floor_name, joint_charts
 from cmbot.views.page import STAGE_SCRIPTS, assemble, table, write_page
@@ -153,6 +157,8 @@ def headlines(plan: Plan, tracking: Tracking | None) -> Iterator[Headline]:
     accuracy = _accuracy_card(plan)
     if accuracy is not None:
         yield accuracy
+    if plan.robot.holding is not None:
+        yield _holds_card(plan)
     yield _peak_card(plan)
     yield _lower_bound_card(plan)
     yield _certificate_card(plan)
@@ -187,6 +193,23 @@ def _peak_card(plan: Plan) -> Headline:
         value=f"{plan.job.figures.peak_guardrail_torque:.1f} Nm",
         detail=detail,
         **_against(plan, lambda figures: figures.peak_guardrail_torque, "{:.1f}"),
+    )
+
+
+def _holds_card(plan: Plan) -> Headline:
+    """Whether the feet hold: the share of what their safety allows that they use."""
+    held = [check for _, check in plan.job.checks() if check.limit is Limit.HOLD]
+    needed = plan.job.figures.adhesion_needed
+    if not held:
+        asked = "" if needed is None else f"; as magnets the feet would need {needed.peak / 1e3:.1f} kN"
+        return Headline(title="Holds", value="–", detail=f"what the feet bear is not given{asked}")
+    worst = max(held, key=bound_use)
+    shown = f", {worst.value / 1e3:.2f} of {worst.bound / 1e3:.2f} kN" if worst.unit == "N" else ""
+    return Headline(
+        title="Holds",
+        value=f"{100 * bound_use(worst):.0f} %",
+        detail=f"of what its safety allows, at most: {worst.quantity}{shown}, at all times of the job",
+        state="good" if all(check.holds for check in held) else "bad",
     )
 
 
@@ -311,6 +334,18 @@ def _accuracy_section(plan: Plan) -> str:
     return section("Where the tool will be", told + helped)
 
 
+def _loads_section(plan: Plan) -> str:
+    """The loads for whoever sizes the base and chooses the arm."""
+    point, base = _numbers(load_point(plan), 3), plan.scene.base_name
+    told = (
+        f"Of the samples of job.csv. Forces and torques on the {base} are what the arm exerts on it, about "
+        f"({point}) m, where it is fixed, along the axes of the world; values with their signs."
+    )
+    return section(
+        "Loads on the base and the joints", f"{table(load_rows(plan), LOAD_HEADINGS)}<p>{escape(told)}</p>"
+    )
+
+
 def _deviation_card(plan: Plan) -> Headline:
     value, bound = plan.figures.max_tool_deviation, plan.options.max_tool_deviation_m
     arm = "with the predicted sag" if plan.options.compensate else "rigid arm"
@@ -363,6 +398,7 @@ def _sections(plan: Plan, tracking: Tracking | None) -> Iterator[str]:
     # The verdict, which comes first of them, stands above.
     yield section("Remarks", _list(list(remarks(plan))[1:]), kind="wide")
     yield section("Metrics", table(plan.rows(), plan.headings))
+    yield _loads_section(plan)
     if accuracy := _accuracy_section(plan):
         yield accuracy
     elastic = list(_elastic(plan))

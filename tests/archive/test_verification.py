@@ -18,7 +18,7 @@ from cmbot.collision import Clearances
 from cmbot.planning import plan
 from cmbot.planning.verification import engine, second_opinion
 from cmbot.robot import Dynamics, Kinematics
-from cmbot.walking import walk_data
+from cmbot.stances.walking import walk_data
 
 
 @pytest.fixture

@@ -14,9 +14,9 @@ from walks import one_step
 from cmbot.archive import json_bytes, load_walk
 from cmbot.common.errors import ArchiveError, LimitViolation
 from cmbot.robot import Climber
-from cmbot.scene import SpeedProfile
+from cmbot.stances.walking import walk_data
+from cmbot.toolpath import SpeedProfile
 from cmbot.trajectory import SplineSpace
-from cmbot.walking import walk_data
 
 
 @pytest.fixture(scope="module")

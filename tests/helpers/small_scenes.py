@@ -15,7 +15,8 @@ from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.initial_guess import initial_guess
 from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
 from cmbot.robot import Dynamics, Kinematics, Postures, Robot
-from cmbot.scene import Scene, SpeedProfile, ToolPath, ToolPoses, load_scene
+from cmbot.scene import Scene, load_scene
+from cmbot.toolpath import SpeedProfile, ToolPath, ToolPoses
 from cmbot.trajectory.quintic import QuinticTrajectory
 
 SHORT: dict[str, Any] = {

@@ -250,7 +250,7 @@ def test_progress_is_reported_pass_by_pass(solved: Solved) -> None:
 
 def test_passes_run_out() -> None:
     problem = unattainable(max_passes=1, solver="slsqp")
-    with pytest.raises(OptimisationFailed, match="no solution in 1 pass, and planner") as caught:
+    with pytest.raises(OptimisationFailed, match="no solution in 1 pass; max_passes") as caught:
         optimise(problem)
     assert caught.value.constraint
 

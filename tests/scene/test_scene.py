@@ -16,9 +16,10 @@ from minimal_scenes import MINIMAL, OTHER_ROBOT
 from small_scenes import short_scene
 
 import cmbot
+from cmbot.collision import Box, Capsule, Cylinder, Mesh, Sphere
 from cmbot.common.errors import InputError, SceneError
 from cmbot.planning import Plan
-from cmbot.scene import Box, Capsule, Cylinder, Mesh, Scene, Sphere, load_scene
+from cmbot.scene import Scene, load_scene
 
 A_PLAN = "a Plan, as cmbot.plan and cmbot.load_plan return it"
 

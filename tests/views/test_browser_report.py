@@ -20,9 +20,10 @@ from selenium.webdriver import Chrome
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.support.ui import WebDriverWait
 
+from cmbot.collision import Obstacle, Sphere
+from cmbot.common.poses import pose
 from cmbot.planning import Plan
 from cmbot.robot import Kinematics
-from cmbot.scene import Obstacle, Sphere, pose
 from cmbot.simulation import Tracking
 from cmbot.views import report
 from cmbot.views.page import pack

@@ -13,7 +13,8 @@ from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import counted, plain, shown
 from cmbot.planning import robot_of
 from cmbot.robot import Kinematics, Robot
-from cmbot.scene import PlannerOptions, RowPiece, Scene, StrokeFile
+from cmbot.scene import PlannerOptions, Scene, StrokeFile
+from cmbot.toolpath import RowPiece
 
 # When an option promises less than another value of it would; those that say what is sought promise another
 # thing. The other options are effort: whatever they are, the same is promised.

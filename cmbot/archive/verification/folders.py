@@ -22,8 +22,8 @@ from cmbot.common.errors import ArchiveError, InputError, LimitViolation
 from cmbot.common.validation import FileModel, given_path, validated
 from cmbot.planning import Check, Plan
 from cmbot.scene import Scene, StanceFile
-from cmbot.siting import Candidate, in_world
-from cmbot.walking import Walk, WalkOptions, goal_stance, second_opinion_of, stance_of, walk_csv
+from cmbot.stances import Candidate, in_world
+from cmbot.stances.walking import Walk, WalkOptions, goal_stance, second_opinion_of, stance_of, walk_csv
 
 # Figures, and stances and postures of parts that follow on each other, are the same but for so much.
 _SAME = 1e-6

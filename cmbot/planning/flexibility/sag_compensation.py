@@ -24,7 +24,7 @@ from cmbot.planning.context import PlanningContext
 from cmbot.planning.initial_guess import InitialGuess, shifted_problem
 from cmbot.planning.path.projection import least_norm_step, task_jacobian
 from cmbot.planning.torque import Optimised, TorqueProblem, optimise
-from cmbot.scene import ShiftedToolPath, ToolPoses
+from cmbot.toolpath import ShiftedToolPath, ToolPoses
 
 MOST_ROUNDS = 8
 """Rounds at most."""

@@ -22,7 +22,8 @@ from cmbot.planning.job import Segment
 from cmbot.planning.objectives import efforts_of
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Dynamics, Robot
-from cmbot.scene import PlannerOptions, SpeedProfile
+from cmbot.scene import PlannerOptions
+from cmbot.toolpath import SpeedProfile
 from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
 # Distance of the spline's knots along the path, rad; halved while the spline's certificate does not hold.

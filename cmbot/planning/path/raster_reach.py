@@ -14,7 +14,8 @@ from cmbot.planning.context import PlanningContext, build_context, in_cells, rob
 from cmbot.planning.path.nearest_miss import nearest_miss
 from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.task import ToolTask
-from cmbot.scene import PlannerOptions, RowPiece, Scene, StrokeFile, ToolPath, ToolPoses, cells_of, rows_alone
+from cmbot.scene import PlannerOptions, Scene, StrokeFile, rows_alone
+from cmbot.toolpath import RowPiece, ToolPath, ToolPoses, cells_of
 
 # Distance of places along rows: as a share of the rows' distance, and at most, m.
 _SHARE, _EVERY = 0.25, 0.03

@@ -34,7 +34,7 @@ from cmbot.planning.selfmotion.dynamic_programming import (
 from cmbot.planning.selfmotion.followed_bound import followed_bound
 from cmbot.planning.selfmotion.lower_bound import LowerBound, find_lower_bound, with_proof
 from cmbot.planning.selfmotion.sampler import sampled_charts
-from cmbot.scene import ToolPoses, shortest_turns
+from cmbot.toolpath import ToolPoses, shortest_turns
 
 # Two postures nearer than this in every joint are one, rad.
 _SAME_POSTURE = 1e-9

@@ -24,7 +24,7 @@ from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import TangentPredictor, null_space, project_onto_task
 from cmbot.planning.selfmotion.poisson_disk import PoissonDiskSets
-from cmbot.scene import ToolPoses
+from cmbot.toolpath import ToolPoses
 
 # Newton steps that put random postures onto the task.
 _RANDOM_STEPS = 40

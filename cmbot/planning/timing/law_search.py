@@ -23,7 +23,7 @@ from scipy.interpolate import PPoly
 from scipy.optimize import linprog
 
 from cmbot.common.arrays import FloatArray
-from cmbot.scene import PiecewiseLaw
+from cmbot.toolpath import PiecewiseLaw
 
 # Points per phase at which rows are kept, and at which the duration is taken in the end.
 _POINTS, _FINE = 4, 12

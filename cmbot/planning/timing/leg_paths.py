@@ -14,7 +14,8 @@ from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.timing.law_search import Bounded, shortest_law
 from cmbot.robot import Dynamics, Kinematics, Robot
-from cmbot.scene import SPEED_TOLERANCE, LegLaw
+from cmbot.scene import SPEED_TOLERANCE
+from cmbot.toolpath import LegLaw
 from cmbot.trajectory import QuinticTrajectory
 
 # Pieces of the spline that a joint path is, one a segment, and points of each that are put onto the task.

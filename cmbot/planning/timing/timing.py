@@ -10,7 +10,7 @@ import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.planning.context import PlanningContext
-from cmbot.scene import LegLaw
+from cmbot.toolpath import LegLaw
 from cmbot.trajectory import QuinticTrajectory
 
 if TYPE_CHECKING:

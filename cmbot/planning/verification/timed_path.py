@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.planning.verification.described_arm import pose_of
-from cmbot.scene import ArcTo, Goal, Leg, LegLaw, Raster, Scene, SpeedProfile, Stroke, StrokeFile
+from cmbot.scene import Scene, Stroke, StrokeFile
+from cmbot.toolpath import ArcTo, Goal, Leg, LegLaw, Raster, SpeedProfile
 
 _NO_TURN = 1e-12
 # Samples of a path in which points are looked for: at least, and for each of them.

@@ -10,10 +10,10 @@ import numpy as np
 from pydantic import Field, GetPydanticSchema, PlainSerializer, WrapValidator, model_validator
 
 from cmbot.common.arrays import FloatArray, read_only
+from cmbot.common.fields import Length
 from cmbot.common.validation import FileModel, refusal, shown
 from cmbot.elastic import AngleSection, Guardrail, Section
 from cmbot.hold import Foot
-from cmbot.scene.fields import Length
 
 Load = Annotated[float, Field(ge=1e-3, le=1e9)]
 FACES = {

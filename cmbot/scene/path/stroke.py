@@ -12,12 +12,8 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.common.representation import short_repr
-from cmbot.scene.path.builder import timed_path
 from cmbot.scene.path.path_file import StrokeFile
-from cmbot.scene.path.path_source import PathSource
-from cmbot.scene.path.tool_path import ToolPath
-from cmbot.scene.raster.pieces import RowPiece, without
-from cmbot.scene.raster.surface import Coverage, Surface
+from cmbot.toolpath import Coverage, PathSource, RowPiece, Surface, ToolPath, timed_path, without
 
 # What splines follow between two via-points to a millimetre: way of the tool, m, turn of the tool and of the
 # path, rad, and seconds; and how many segments a ramp has.
@@ -86,7 +82,13 @@ class Stroke:
 
 
 def timed_stroke(
-    file: StrokeFile, place: PathSource, X_WT: FloatArray, *, begins_elsewhere: bool, deviation: float
+    file: StrokeFile,
+    place: PathSource,
+    X_WT: FloatArray,
+    surface: Surface | None,
+    *,
+    begins_elsewhere: bool,
+    deviation: float,
 ) -> Stroke:
     """Return the stroke that a file describes.
 
@@ -96,6 +98,8 @@ def timed_stroke(
     place : PathSource
     X_WT : (4, 4)
         Pose of the tool before.
+    surface : Surface or None
+        Of its raster.
     begins_elsewhere : bool
         Whether the arm has to be brought to its start.
     deviation : float
@@ -106,7 +110,7 @@ def timed_stroke(
     SceneError
         When its path is none, its via-points are too few, or its time laws are those of others.
     """
-    path, surface = timed_path(file, place, X_WT)
+    path = timed_path(file, place, X_WT, surface)
     path = path.reversed() if file.backwards else path
     path = path.repeated(file.passes or 1)
     if file.time_laws is not None:

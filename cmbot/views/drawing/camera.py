@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from cmbot.collision import Obstacle
 from cmbot.common.arrays import FloatArray
 from cmbot.planning import Plan
 from cmbot.robot import Chain, Robot
-from cmbot.scene import Obstacle
 from cmbot.views.drawing.meshcat_scene import reach, surroundings
 from cmbot.views.drawing.support import pole_of
 from cmbot.views.drawing.surfaces import obstacle_surface

@@ -8,11 +8,11 @@ from itertools import chain
 import numpy as np
 
 from cmbot.planning import Plan
+from cmbot.stances.walking import Tour, Walk, walk_samples
 from cmbot.views.overview.guardrail_map import Stand, guardrail_map
 from cmbot.views.overview.walk import steps_table
 from cmbot.views.page import still_page, table
 from cmbot.views.report import REPORT
-from cmbot.walking import Tour, Walk, walk_samples
 
 _REPLAY = {"replay": "replay.html"}
 

@@ -27,7 +27,7 @@ from cmbot.planning.timing.leg_paths import bounds_along, leg_paths
 from cmbot.planning.timing.timing import Timing, in_time
 from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Dynamics, Robot
-from cmbot.scene import LegLaw
+from cmbot.toolpath import LegLaw
 
 LEG = {"by": [0, -0.3, 0]}
 

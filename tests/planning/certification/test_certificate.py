@@ -15,14 +15,14 @@ from oracles import chang2021_arm
 from small_scenes import short_scene
 
 import cmbot
-from cmbot.collision import Clearances
+from cmbot.collision import Box, Clearances, Obstacle
 from cmbot.common.errors import InputError, LimitViolation
+from cmbot.common.poses import pose
 from cmbot.planning import Plan, QuinticTrajectory, plan
 from cmbot.planning.certification.certificate import Certificate, Check, certify
 from cmbot.planning.certification.joint_checks import continuity_check
 from cmbot.planning.certification.metrics import measure
 from cmbot.robot import Dynamics, Efforts, Kinematics, Robot, load_robot
-from cmbot.scene import Box, Obstacle, pose
 from cmbot.trajectory import Parametrization, SparseSplines, SplineSpace
 
 FloatArray = NDArray[np.float64]

@@ -31,7 +31,8 @@ from cmbot.planning.context import PlanningContext
 from cmbot.planning.flexibility.sag_compensation import compensate
 from cmbot.planning.initial_guess import InitialGuess
 from cmbot.planning.torque import Optimised
-from cmbot.scene import Scene, ShiftedToolPath, load_scene
+from cmbot.scene import Scene, load_scene
+from cmbot.toolpath import ShiftedToolPath
 
 ALLOWED = 0.001
 

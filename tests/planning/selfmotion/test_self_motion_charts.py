@@ -23,7 +23,8 @@ from cmbot.planning.selfmotion.poisson_disk import PoissonDiskSets, without_neig
 from cmbot.planning.selfmotion.sampler import SelfMotionSampler
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Kinematics, PostureMetric, Postures, Robot
-from cmbot.scene import PlannerOptions, Scene, ToolPoses, load_scene
+from cmbot.scene import PlannerOptions, Scene, load_scene
+from cmbot.toolpath import ToolPoses
 
 SPACING = 0.1
 PITCHES = np.linspace(-np.pi, np.pi, 181)

@@ -21,12 +21,14 @@ from small_scenes import short_scene
 from state_samples import StateSamples
 from urdf_arms import arm_scene, endless_scene, six_joint_scene
 
-import cmbot.scene.path.builder
-from cmbot.collision import Clearances
+import cmbot.toolpath.builder
+from cmbot.collision import Box, Clearances, Obstacle
+from cmbot.common.poses import pose
 from cmbot.planning import Plan, QuinticTrajectory, plan, robot_of
 from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Dynamics, Kinematics, Robot, load_robot
-from cmbot.scene import Box, Obstacle, Scene, SpeedProfile, ToolPath, load_scene, pose
+from cmbot.scene import Scene, load_scene
+from cmbot.toolpath import SpeedProfile, ToolPath
 
 FloatArray = NDArray[np.float64]
 SIX_JOINT_POSTURE = [10.0, -60, 60, 10, 20, 30]
@@ -225,7 +227,7 @@ def test_a_planner_whose_legs_are_short(monkeypatch: pytest.MonkeyPatch) -> None
         return ToolPath(corners=corners[0] + 0.1 * (corners - corners[0]), **fields)
 
     with monkeypatch.context() as patch:
-        patch.setattr(cmbot.scene.path.builder, "ToolPath", short_path)
+        patch.setattr(cmbot.toolpath.builder, "ToolPath", short_path)
         planned = plan(short_scene())
     assert broken(planned) == {"distance of the tool from its timed via-point"}
 
