@@ -11,8 +11,8 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.limit import Limit
 from cmbot.common.validation import counted
 from cmbot.planning.certification.check import Check
-from cmbot.planning.context import end_posture_of
 from cmbot.planning.job import Job, Segment
+from cmbot.planning.request import end_posture_of
 from cmbot.planning.result.baseline import Baseline
 from cmbot.planning.result.plan import Plan
 from cmbot.robot import Dynamics
