@@ -16,9 +16,9 @@ from cmbot.planning.initial_guess import Choice, searched
 from cmbot.planning.job import APPROACH, RETURN, Job, Segment, free_move_name, job_metrics
 from cmbot.planning.path.first_posture import starting_at_path
 from cmbot.planning.path.gradient_projection import JointPath, follow_path
-from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.path.start_posture import StartPosture, find_start
 from cmbot.planning.planner import plan
+from cmbot.planning.postures.projection import project_onto_task
 from cmbot.planning.precheck import Precheck, precheck_options, precheck_scene
 from cmbot.planning.progress import Progress, ProgressReporter
 from cmbot.planning.request import JobState, StrokeRequest, build_request, end_posture_of, strokes_of, task_of

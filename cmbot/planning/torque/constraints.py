@@ -361,7 +361,7 @@ class ClearanceMargin:
         its neighbours does.
         """
         if np.isneginf(threshold):
-            smallest = self.clearances.smallest(states.q)
+            smallest = self.clearances.query(states.q)
             return ((self.margin - smallest.distance) / self.scale)[:, None], smallest.pair[:, None]
         finite: BoolArray = np.all(np.isfinite(states.q), axis=1)
         value, pair = np.where(finite, -np.inf, np.nan), np.full(len(finite), -1, dtype=np.intp)

@@ -13,7 +13,7 @@ from urdf_arms import six_joint_scene
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound, PlanningError
 from cmbot.planning import GlobalSearch, plan
-from cmbot.planning.path.projection import null_space, project_onto_task
+from cmbot.planning.postures.projection import null_space, project_onto_task
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion import global_search
 from cmbot.planning.selfmotion import sampler as sampling
@@ -45,7 +45,7 @@ def test_a_solution_is_admissible(asked: StrokeRequest, search: GlobalSearch, pi
     at = asked.cell.postures.at(solution.q)
     assert off_task(robot, task, solution.q, asked.goals) < 1e-9
     assert ((solution.q >= robot.limits.lower) & (solution.q <= robot.limits.upper)).all()
-    assert asked.cell.clearances.smallest(solution.q).distance.min() >= options.safety_margin_m
+    assert asked.cell.clearances.query(solution.q).distance.min() >= options.safety_margin_m
     assert (np.abs(at.joint_torque) <= robot.limits.torque).all()
     steps = options.step_share * robot.limits.velocity * np.diff(asked.times)[:, None]
     assert (np.abs(np.diff(solution.q, axis=0)) <= steps + 0.5 * options.chart_spacing).all()
@@ -210,7 +210,7 @@ def test_refining_never_raises_the_peak() -> None:
         better = refine(asked, q, steps, 0.3, 0.0, np.zeros(7, dtype=bool), start_stays=stays)
         assert off_task(robot, task, better, asked.goals) < 1e-9
         assert (np.abs(np.diff(better, axis=0)) <= steps).all()
-        assert not asked.cell.clearances.check_collision(better, asked.cell.options.safety_margin_m).any()
+        assert asked.cell.clear(better).all()
         peak = asked.cell.objective.at_rest(postures.at(better)).max()
         assert peak <= before
         assert (peak < before - 10) != stays
