@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -314,7 +315,7 @@ def _directions_across(axis: FloatArray, away: FloatArray) -> FloatArray:
 
 def _tool(postures: Postures, states: StateSamples) -> ToolBatch:
     """The tool at the states: computed once, whichever constraints need it."""
-    return states.computed(id(postures), lambda s: postures.tool_at(s.q))
+    return states.computed(id(postures), partial(postures.tool_at, states.q))
 
 
 @dataclass(eq=False)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from small_scenes import off_task, request_of, short_scene
 from urdf_arms import six_joint_scene
 
+from cmbot.collision import Smallest
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound, PlanningError
 from cmbot.planning import GlobalSearch, plan
@@ -256,10 +257,14 @@ def test_a_way_that_is_narrower_than_the_charts_is_found(monkeypatch: pytest.Mon
     narrow, reached = project_onto_task(asked.cell.postures, asked.task, q + 0.2 * null, asked.goals)
     assert reached.all()
 
-    def near(some: FloatArray, margin: float) -> FloatArray:
-        return np.linalg.norm(some[:, None] - narrow, axis=2).min(axis=1) > 0.05
+    query = asked.cell.clearances.query
 
-    monkeypatch.setattr(asked.cell.clearances, "check_collision", near)
+    def narrowly(some: FloatArray, below: float | None = None) -> Smallest:
+        blocked = np.linalg.norm(some[:, None] - narrow, axis=2).min(axis=1) > 0.05
+        found = query(some, below)
+        return found if below is None else found._replace(distance=np.where(blocked, -np.inf, np.inf))
+
+    monkeypatch.setattr(asked.cell.clearances, "query", narrowly)
     assert GlobalSearch(asked).solve(pinned=False).peak > 0
     monkeypatch.setattr(global_search, "_REFINEMENTS", 0)
     with pytest.raises(PathNotFound, match=r"no way was found .* of \d+ postures that were tried"):
@@ -307,7 +312,7 @@ def test_denser_charts_keep_the_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [a is b for a, b in zip(layers, search._layers, strict=True)] == [
         k not in range(1, 6) for k in range(8)
     ]
-    monkeypatch.setattr(search._request.cell.clearances, "check_collision", None)
+    monkeypatch.setattr(search._request.cell.clearances, "query", None)
     anew = edges_along(search._layers, search._steps, search._winding)
     for got, expected in zip(search._edges, anew, strict=True):
         np.testing.assert_array_equal(got.before, expected.before)
