@@ -28,8 +28,6 @@ _FEW, _MANY, _SCATTER, _FURTHEST = 12, 60, 0.15, 0.6
 _AT_START, _ANYWHERE, _STEPS, _TOLERANCE = 300, 60, 30, 1e-9
 # Random postures are sought at places of this stride: to the others they are carried.
 _STRIDE = 3
-# Directions in which the tool leans where it may, and share of its cone by which.
-_LEANING, _LEAN = 6, 0.8
 # Largest share of its bound that a joint, or a foot, uses at rest where rows are cut: motion takes some.
 _CUT_USE = 0.97
 # Pieces that are shorter than this share of the rows' distance are left out.
@@ -116,7 +114,7 @@ class _Follower:
         self._sampler = PostureSampler(
             cell=request.cell, task=request.task, steps=_STEPS, tolerance=_TOLERANCE
         )
-        self._rng = self._sampler.rng
+        self._rng, self._known = self._sampler.rng, request.state.posture
         self._every = min(_SHARE * file.raster.spacing_m, _EVERY)
 
     def parts(self, cell: _Cell) -> list[_Cell]:
@@ -161,7 +159,7 @@ class _Follower:
 
     def _followed(self, goals: ToolPoses, width: int) -> int:
         """How many places from the first one on postures are carried to."""
-        q = self._anywhere(goals[0], _AT_START)[0]
+        q = self._sampler.at_each(goals[0], _AT_START, self._known)[0]
         q = q[self._rng.permutation(len(q))[:width]]
         for number in range(len(goals)):
             self._require_time(number, len(goals))
@@ -192,16 +190,12 @@ class _Follower:
         moved = np.abs(metric.coordinates(placed - near)).max(axis=1)
         return self._sampler.admissible(placed[ok & (moved <= _FURTHEST)])
 
-    def _anywhere(self, goals: ToolPoses, number: int) -> list[FloatArray]:
-        """Admissible postures (k, n) at each of the goals, from random ones."""
-        return self._sampler.at_each(goals, number, self._request.state.posture, _LEANING, _LEAN)
-
     def _trimmed(self, cell: _Cell, places: _Places) -> list[_Cell]:
         """A cell's rows at the places that some posture reaches, in cells."""
         on_rows = np.flatnonzero(places.leg % 2 == 0)
         leg, share = places.leg[on_rows], places.share[on_rows]
         each = [np.empty((0, self._request.cell.robot.dof))] * len(on_rows)
-        each[::_STRIDE] = self._anywhere(places.goals[on_rows[::_STRIDE]], _ANYWHERE)
+        each[::_STRIDE] = self._sampler.at_each(places.goals[on_rows[::_STRIDE]], _ANYWHERE, self._known)
         for order in (range(1, len(each)), range(len(each) - 2, -1, -1)):
             for k in order:
                 self._require_time(k, len(each))

@@ -13,6 +13,9 @@ from cmbot.planning.task import ToolTask
 from cmbot.planning.workcell.workcell import Workcell
 from cmbot.toolpath import ToolPoses
 
+# Sides to which the tool leans where nothing is found in the middle of its cone, and by which share of it.
+_SIDES, _CONE_SHARE = 6, 0.8
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PostureSampler:
@@ -77,16 +80,14 @@ class PostureSampler:
         placed, reached = self.held(q, goals)
         return self.admissible(placed[reached])
 
-    def at_each(
-        self, goals: ToolPoses, number: int, known: FloatArray, leans: int, leaning: float
-    ) -> list[FloatArray]:
+    def at_each(self, goals: ToolPoses, number: int, known: FloatArray) -> list[FloatArray]:
         """Return admissible postures (k, n) at each goal, from `known` (n,) and `number` - 1 random ones.
 
-        Where there are none with the axis in the middle of its cone, it leans by a share of it, `leaning`, to
-        so many sides.
+        Where there are none with the axis in the middle of its cone, it leans by most of it to all sides.
         """
         each = [np.empty((0, self.cell.robot.dof))] * len(goals)
-        for lean in (None, *([] if self.task.cone is None else axis_leans(leaning * self.task.cone, leans))):
+        cone = self.task.cone
+        for lean in (None, *(() if cone is None else axis_leans(_CONE_SHARE * cone, _SIDES))):
             empty = [k for k, found in enumerate(each) if not len(found)]
             if not empty:
                 break
