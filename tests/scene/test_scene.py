@@ -409,7 +409,7 @@ def test_any_mutation_is_a_scene_or_a_scene_error(path, value, action, key):
 
 
 def test_an_obstacle_moves_with_its_workpiece() -> None:
-    """In a frame it is where the frame's pose puts it; of a frame that is not there its place is not known."""
+    """It is where the frame of the workpiece puts it; a frame that is not there is refused."""
     box = {"name": "plate", "box": [0.2, 0.1, 0.02], "xyz": [0.1, 0, 0], "rpy_deg": [0, 0, 30]}
     frame = {"xyz": [1.5, 0.5, -2], "rpy_deg": [0, 90, 0]}
     placed = short_scene(frames={"part": frame}, obstacles=[box | {"frame": "part"}])
