@@ -19,7 +19,7 @@ from cmbot.archive.names import BASELINE_FILE, JOB_FILES, PLAN_FILE, PLAN_FILES
 from cmbot.archive.places import plans_nearby
 from cmbot.archive.plan_file import MotionFile, PlanFile, SegmentFile, StrokeEntries, made
 from cmbot.archive.tables import read_motion
-from cmbot.archive.verification.asked import looser_promises, require_asked
+from cmbot.archive.verification.asked import require_asked, require_promised
 from cmbot.archive.verification.exported import unverified_files
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
@@ -140,8 +140,7 @@ def read_plan(
     if asked is not None:
         require_asked(scene, asked, str(source))
     promised = options or (asked.planner if asked is not None else file.options)
-    if looser := looser_promises(file.options, promised):
-        raise ArchiveError(str(source), "options", "; ".join(looser), "promises as strict as what was asked")
+    require_promised(file.options, promised, str(source), "options")
     require_segments(file, str(source), scene, returns=end is not None)
     knots, table = str(folder / JOB_FILES[1]), str(folder / BASELINE_FILE)
     trajectories = segment_trajectories(file, contents[JOB_FILES[1]], knots, robot.dof, strokes)

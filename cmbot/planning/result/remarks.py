@@ -11,7 +11,6 @@ from cmbot.common.limit import Limit
 from cmbot.common.validation import counted
 from cmbot.elastic.sag import Sag
 from cmbot.planning.certification.sag_spread import spread_times
-from cmbot.planning.context import bending_arm, rigid_arm_remark
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.job import RETURN
 from cmbot.planning.result.holding import holding_remarks
@@ -20,6 +19,7 @@ from cmbot.planning.result.stroke_plan import ObjectiveMetrics
 from cmbot.planning.result.verdict import baseline_faults, further, strays, travels, verdict
 from cmbot.planning.stiffness import identified_in_words
 from cmbot.planning.units import mistaken_units
+from cmbot.planning.workcell import bending_arm, rigid_arm_remark
 from cmbot.robot import Kinematics, postures_in_words
 from cmbot.scene import STOW
 

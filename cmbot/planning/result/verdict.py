@@ -12,8 +12,8 @@ from cmbot.common.limit import Limit
 from cmbot.common.validation import counted
 from cmbot.planning.certification.check import Check
 from cmbot.planning.certification.metrics import MotionMetrics
-from cmbot.planning.context import end_posture_of
 from cmbot.planning.job import Job, Segment
+from cmbot.planning.request import end_posture_of
 from cmbot.planning.result.plan import Plan
 from cmbot.robot import Dynamics
 
