@@ -32,11 +32,17 @@ from cmbot.planning.planner import plan
 from cmbot.planning.precheck import Precheck, precheck_options, precheck_scene
 from cmbot.planning.progress import Progress, ProgressReporter
 from cmbot.planning.request import JobState, StrokeRequest, build_request, end_posture_of, strokes_of, task_of
-from cmbot.planning.result.baseline import BaselineSegment, joined_samples
+from cmbot.planning.result.baseline import Baseline, BaselineSegment, joined_samples
 from cmbot.planning.result.loads import LOAD_HEADINGS, Load, load_point, load_rows, loads
 from cmbot.planning.result.plan import Plan, Seconds, require_plan, work_of
 from cmbot.planning.result.remarks import remarks
-from cmbot.planning.result.stroke_plan import ObjectiveMetrics, Start, StrokePlan, objective_metrics
+from cmbot.planning.result.stroke_plan import (
+    ObjectiveMetrics,
+    Start,
+    StrokeBaseline,
+    StrokePlan,
+    objective_metrics,
+)
 from cmbot.planning.result.verdict import (
     baseline_faults,
     bound_use,
@@ -60,6 +66,7 @@ __all__ = [
     "APPROACH",
     "LOAD_HEADINGS",
     "RETURN",
+    "Baseline",
     "BaselineSegment",
     "Certificate",
     "Check",
@@ -93,6 +100,7 @@ __all__ = [
     "SplineSpace",
     "Start",
     "StartPosture",
+    "StrokeBaseline",
     "StrokePlan",
     "StrokeRequest",
     "ToolTask",
