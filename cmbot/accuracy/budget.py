@@ -254,7 +254,8 @@ class _Budget:
             else part
             for part in self.parts
         )
-        return replace(self, parts=parts, sway=factors.get("sway", 1.0) * self.sway)
+        share = factors.get("stiffness", 1.0) * self.share
+        return replace(self, parts=parts, sway=factors.get("sway", 1.0) * self.sway, share=share)
 
     def located(self, before: Placement) -> _Budget:
         """Return the budget with the foot as exact as touched points make it, where that is better."""
@@ -301,9 +302,10 @@ class _Budget:
         for part in once:
             unit = uniform[:, at : at + part.maps.shape[2]]
             at += part.maps.shape[2]
-            columns.append(np.sqrt(12) * (unit - 0.5) if part.is_uniform else ndtri(unit))
             if part.name == "stiffness" and part.is_uniform:
                 sway = self._swaying(2 * unit[:, 0] - 1)
+                unit = 0.5 + 0.5 * self._more_compliant(2 * unit - 1)
+            columns.append(np.sqrt(12) * (unit - 0.5) if part.is_uniform else ndtri(unit))
         draws = np.concatenate(columns, axis=1).astype(np.float32)
         maps = np.concatenate([part.maps for part in once], axis=2).astype(np.float32)
         known = self.planned + sum((part.bias for part in self.parts), np.zeros_like(self.planned))
@@ -319,6 +321,10 @@ class _Budget:
         values, vectors = np.linalg.eigh(joined @ joined.transpose(0, 2, 1))
         roots = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None]).astype(np.float32)
         return np.asarray(np.einsum("nik,dnk->dni", roots, _normal(len(roots)), optimize=True))
+
+    def _more_compliant(self, share: FloatArray) -> FloatArray:
+        """Return what the stiffness' part takes for a share: the sag goes with 1 / (1 + s), not 1 - s."""
+        return share / (1 + self.share * share)
 
     def _swaying(self, share: FloatArray) -> FloatArray:
         """Sway (D, N, 3) of stiffness between the least (-1) and the largest (1), interpolated."""

@@ -71,7 +71,7 @@ class PlanCommand(Writing):
 
     def __call__(self) -> None:
         started = time.perf_counter()
-        loaded, options = _loaded(self.scene, self.changes)
+        loaded, options = loaded_scene(self.scene, self.changes)
         # Imports the robot's libraries: after the scene file, so that its errors are reported at once.
         from cmbot.archive import require_free
         from cmbot.planning import precheck_options, unit_findings
@@ -123,7 +123,7 @@ class EvaluateCommand(Writing):
     alone: bool = option(False, "Do not plan the scene, to tell the motion beside the plan.")
 
     def __call__(self) -> None:
-        loaded, options = _loaded(self.scene, self.changes)
+        loaded, options = loaded_scene(self.scene, self.changes)
         from cmbot.archive import EVALUATION_FILE, require_absent, samples_csv, write_results
         from cmbot.common.errors import PlanningError
         from cmbot.evaluation import evaluation_json, read_motion
@@ -156,7 +156,7 @@ class EvaluateCommand(Writing):
         self.answer(lambda: answer, say, self.output)
 
 
-def _loaded(scene: str, changes: Sequence[str]) -> tuple[cmbot.Scene, cmbot.PlannerOptions]:
+def loaded_scene(scene: str, changes: Sequence[str]) -> tuple[cmbot.Scene, cmbot.PlannerOptions]:
     """Return a scene and its planner's options with what ``--set`` changes of them."""
     from cmbot.common.validation import validated
     from cmbot.scene import PlannerOptions
@@ -227,8 +227,7 @@ def _print_plan(planned: Plan) -> None:
     from cmbot.planning import remarks
 
     if out.is_terminal:
-        headings, rows = ("", "baseline", "planned"), list(planned.rows())
-        print_table(planned.scene.name, headings, rows, text_columns=1)
+        print_table(planned.scene.name, planned.headings, list(planned.rows()), text_columns=1)
     else:
         out.print(planned.summary())
     for remark in remarks(planned):

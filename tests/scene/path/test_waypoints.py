@@ -15,7 +15,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError, SceneError
 from cmbot.planning import plan, precheck_scene, remarks, robot_of, strokes_of
 from cmbot.scene import Scene
-from cmbot.toolpath import ToolPath
+from cmbot.toolpath import Line, Spline, ToolPath
 
 DOWN = [0.0, 0, 1, 0]  # half a turn about y
 WAY: dict[str, Any] = {"speed_m_s": 0.05, "via_points": 16}
@@ -175,7 +175,7 @@ def test_corners_of_dense_waypoints_are_rested_at(noise: float, rng: np.random.G
     """Noise below a quarter of the tolerance, 1 mm, makes none; sides are lines."""
     rows = rounded_square(rng, noise)
     path = path_of(way_of(rows, corner_deg=15))
-    assert len(path.seconds) == 4 and not path.curves
+    assert [type(segment.curve) for segment in path.segments] == [Line] * 4
     np.testing.assert_allclose(path.corners, rows[[0, 40, 80, 120, 160], :3], atol=1e-12)
     np.testing.assert_allclose(path.velocity(path.leg_times), 0, atol=1e-9)
     t = np.linspace(0, path.duration, 4001)
@@ -188,8 +188,8 @@ def test_what_bends_evenly_is_no_corner() -> None:
     angle = np.radians(np.arange(0, 361, 30))
     rows = np.tile([0.0, 0, 0.1, *DOWN], (len(angle), 1))
     rows[:, 0], rows[:, 1] = 0.2 * np.cos(angle), 0.2 * np.sin(angle)
-    (curve,) = path_of(way_of(rows, corner_deg=15)).curves.values()
-    assert len(curve.points) == len(rows)  # type: ignore[attr-defined]
+    (segment,) = path_of(way_of(rows, corner_deg=15)).segments
+    assert isinstance(segment.curve, Spline) and len(segment.curve.points) == len(rows)
     rows[6, :2] *= 0.2
     assert len(path_of(way_of(rows, corner_deg=15)).seconds) > 1
 
@@ -208,8 +208,8 @@ def test_of_dense_waypoints_on_a_curve_some_are_passed_and_all_are_near(rng: np.
     rows[1:-1, :3] += rng.uniform(-1e-4, 1e-4, (398, 3))
     scene = way_of(rows, corner_deg=15)
     path = path_of(scene)
-    (curve,) = path.curves.values()
-    assert len(curve.points) < 60  # type: ignore[attr-defined]
+    (segment,) = path.segments
+    assert isinstance(segment.curve, Spline) and len(segment.curve.points) < 60
     points = path.position(np.linspace(0, path.duration, 40_001))
     for row in rows[::7]:
         assert np.linalg.norm(points - row[:3], axis=1).min() < 0.26e-3
@@ -225,6 +225,6 @@ def test_turns_in_place_to_and_fro_about_two_axes() -> None:
     rows = [[0.1, 0.2, 0.3, *turned(*turn)] for turn in turns]
     path = path_of(way_of(rows, corner_deg=15))
     assert len(path.seconds) == 6
-    sizes = np.degrees(np.linalg.norm(path.rotations, axis=1))
+    sizes = np.degrees([np.linalg.norm(segment.turn) for segment in path.segments])
     np.testing.assert_allclose(sizes, [45, 90, 45, 45, 90, 45], atol=1e-6)
-    np.testing.assert_allclose(path.seconds / path.seconds.sum(), sizes / 360, atol=1e-9)
+    np.testing.assert_allclose(path.seconds / path.seconds.sum(), np.array(sizes) / 360, atol=1e-9)
