@@ -29,7 +29,7 @@ from cmbot.toolpath.tool_poses import shortest_turns
 # Angle below which a turn is none, rad.
 _NO_TURN = 1e-12
 # A turn in place is as quick as the tool moves at this distance from its axis, m.
-_LEVER = 0.1
+_TURNING_ARM_M = 0.1
 # First guesses of speeds where the shortest time is to be found, m/s and rad/s, and of a duration, s; as a
 # share of the tool's largest speed.
 _FIRST_SPEED, _FIRST_TURN, _FIRST_SECONDS, _FIRST_SHARE = 0.05, 0.1, 2.0, 0.5
@@ -220,7 +220,7 @@ class _PathBuilder:
             lengths.append(way if curve is None else curve.length)
             turns.append(float(np.linalg.norm(turn)))
         # By how long each would take at one speed; a turn in place as what is beside the tool point.
-        ways = np.where(np.array(lengths) >= SHORTEST_LEG, lengths, _LEVER * np.array(turns))
+        ways = np.where(np.array(lengths) >= SHORTEST_LEG, lengths, _TURNING_ARM_M * np.array(turns))
         for k, part in enumerate(parts):
             if file.seconds is None or file.seconds == AUTO:
                 key = f"{place.key}.speed_m_s"

@@ -27,7 +27,7 @@ NO_TURN = 1e-3
 """A turn by less, rad, may be what a file rounds."""
 
 # A corner in any case, and how many times as much a corner bends as the path beside it.
-_SHARP, _BESIDE = np.radians(60), 2.0
+_SHARP, _TIMES_AS_MUCH = np.radians(60), 2.0
 # A direction is that over so many tolerances at least: noise of a point is less than one.
 _DIRECTION = 4.0
 # The share of the tolerance that a path may miss its waypoints by; it is missed only where this share of them
@@ -222,7 +222,9 @@ def _corners(points: FloatArray, fit: Fit) -> list[int]:
         # Of ends nothing is known: what bends between them alone may be a curve.
         inner = [angle[j] for j in (before[k], after[k]) if 0 < j < count - 1]
         beside = max(inner, default=angle[k])
-        if (angle[k] > _SHARP or angle[k] > _BESIDE * beside) and not (found and found[-1] > before[k]):
+        if (angle[k] > _SHARP or angle[k] > _TIMES_AS_MUCH * beside) and not (
+            found and found[-1] > before[k]
+        ):
             found.append(k)
     return found
 

@@ -25,7 +25,7 @@ _SAMPLES, _PER_POINT = 4001, 40
 # Rounded corners turn by 150 degrees at most, and pass their points within so many radii.
 _CORNER = 3.0
 # Dense waypoints are passed within this share of the tool's tolerance.
-_NEAR = 0.25
+_WAYPOINTS_MISSED = 0.25
 # Durations whose shares agree to so many digits are the same.
 _DIGITS = 9
 
@@ -249,7 +249,7 @@ class DescribedPath:
             return _surface_misses(raster, self._frames[raster.frame], p, R[:, :, 2]).ravel()
         rounded = _CORNER * (self._file.blend_radius_m or 0.0)
         if self._legs is None:
-            rounded += _NEAR * self._deviation
+            rounded += _WAYPOINTS_MISSED * self._deviation
         points = np.array(self._file.waypoints)[:, :3] if self._legs is None else self._legs.corners
         return np.maximum(self._distance(points) - rounded, 0.0)
 

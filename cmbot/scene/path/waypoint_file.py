@@ -19,7 +19,7 @@ from cmbot.common.text_table import TextTable, read_table
 from cmbot.common.validation import FileModel, counted
 from cmbot.toolpath import shortest_turns
 
-_LARGEST = 5_000_000
+_LARGEST_TABLE = 5_000_000
 _PLACE = ("x", "y", "z")
 _QUATERNION = ("qw", "qx", "qy", "qz")
 _ANGLES = ("roll", "pitch", "yaw")
@@ -28,7 +28,7 @@ _TIMES = ("seconds", "time", "t")
 _IN_METRES = {"": 1.0, "m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}
 _ORIENTATIONS = "qw,qx,qy,qz or roll,pitch,yaw or nx,ny,nz or i,j,k"
 # Names that are no columns of anything: numbers of rows.
-_NUMBERS = ("", "index", "id", "n", "#")
+_ROW_NUMBERS = ("", "index", "id", "n", "#")
 # A unit quaternion up to what files round; a direction shorter than this is none.
 _LENGTH_OF_QUATERNION, _NO_NORMAL = 1e-3, 1e-9
 
@@ -74,7 +74,7 @@ def read_waypoints(path: Path, given: WaypointFile, keep: object) -> tuple[list[
     SceneError
         When it is no such file, or has less of the tool's pose than is kept.
     """
-    table = read_table(path, SceneError, kind="a table of waypoints", largest=_LARGEST)
+    table = read_table(path, SceneError, kind="a table of waypoints", largest=_LARGEST_TABLE)
     places = [table.index(name) for name in _PLACE]
     if None in places:
         got = f"the columns {','.join(table.names)}" if table.names else "no names of columns"
@@ -96,7 +96,7 @@ def read_waypoints(path: Path, given: WaypointFile, keep: object) -> tuple[list[
         used.append(time)
         t = table.numbers([time])[:, 0]
         seconds = float(t[-1] - t[0]) if (np.diff(t) >= 0).all() and t[-1] > t[0] else None
-    unknown = [name for k, name in enumerate(table.names) if k not in used and name not in _NUMBERS]
+    unknown = [name for k, name in enumerate(table.names) if k not in used and name not in _ROW_NUMBERS]
     if unknown:
         verb = "is" if len(unknown) == 1 else "are"
         what = f"{counted(len(unknown), 'column')} of {path.name} {verb} not read: {', '.join(unknown[:5])}"
