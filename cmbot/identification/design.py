@@ -134,7 +134,7 @@ def _followed(scene: Scene) -> Iterator[FloatArray]:
     request = build_request(scene, scene.planner)
     state = request.state
     for number in range(len(request.strokes)):
-        request = request.at_stroke(number, scene, state)
+        request = request.at_stroke(number, state)
         if request.stroke.begins_elsewhere:
             request = starting_at_path(request)
         found = follow_path(request, stop_at_obstacles=False)

@@ -163,11 +163,11 @@ class _Planner:
         for number, stroke in enumerate(request.strokes):
             require_reasonable_size(scene, stroke, request.cell.robot.dof, self.options)
             require_tool_speed(scene, stroke)
-            require_within_reach(request.at_stroke(number, scene))
-        require_postures(request, scene)
+            require_within_reach(request.at_stroke(number))
+        require_postures(request)
         made, state = list[PlannedStroke](), request.state
         for number in range(len(request.strokes)):
-            made.append(plan_stroke(_at_stroke(request, scene, number, state), automatic=self.automatic))
+            made.append(plan_stroke(_at_stroke(request, number, state), automatic=self.automatic))
             outcome = made[-1].trial.outcome
             if not isinstance(outcome, Solved):
                 return made[-1]
@@ -185,7 +185,7 @@ def _is_better_order(plan: Plan, best: Plan) -> bool:
     return peak < lowest
 
 
-def _at_stroke(request: StrokeRequest, scene: Scene, number: int, state: JobState) -> StrokeRequest:
+def _at_stroke(request: StrokeRequest, number: int, state: JobState) -> StrokeRequest:
     """The request of a stroke after those that are planned."""
     left, name = len(request.strokes) - number, request.strokes[number].name
     if left > 1:
@@ -194,7 +194,7 @@ def _at_stroke(request: StrokeRequest, scene: Scene, number: int, state: JobStat
     if len(request.strokes) > 1:
         request.reporter.begin_stroke(name)
         request = replace(request, deadline=request.deadline.part(left, name))
-    return request.at_stroke(number, scene, state)
+    return request.at_stroke(number, state)
 
 
 def _refuse(stroke: PlannedStroke) -> NoReturn:

@@ -53,7 +53,7 @@ def require_within_reach(request: StrokeRequest) -> None:
         )
 
 
-def require_postures(request: StrokeRequest, scene: Scene) -> None:
+def require_postures(request: StrokeRequest) -> None:
     """Refuse strokes with places for which no posture is found; the error names the worst of the first one.
 
     The tool has to be held there within the joint ranges; and on strokes after the first one, which is
@@ -61,7 +61,7 @@ def require_postures(request: StrokeRequest, scene: Scene) -> None:
     """
     for number, stroke in enumerate(request.strokes):
         if not _is_cut(stroke):
-            require_posture(request.at_stroke(number, scene), is_clear=number > 0)
+            require_posture(request.at_stroke(number), is_clear=number > 0)
 
 
 def require_posture(request: StrokeRequest, *, is_clear: bool) -> None:
@@ -100,7 +100,7 @@ def without_posture(scene: Scene) -> Iterator[Finding]:
     for number, stroke in enumerate(request.strokes):
         if any(beyond_reach(stroke, request.cell.robot)):
             continue
-        at = request.at_stroke(number, scene)
+        at = request.at_stroke(number)
         miss = nearest_miss(at, is_clear=True)
         if miss is not None:
             remedy = "planning cuts its rows to what is" if _is_cut(stroke) else miss.remedy()

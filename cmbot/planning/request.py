@@ -56,6 +56,8 @@ class StrokeRequest:
         Before the stroke.
     strokes : tuple of Stroke
         Of the job.
+    tasks : tuple of ToolTask
+        What the scene prescribes on each of them.
     number : int
         Of the stroke among them, from 0.
     task : ToolTask
@@ -79,6 +81,7 @@ class StrokeRequest:
     times: FloatArray
     first: FloatArray
     end_posture: FloatArray | None = None
+    tasks: tuple[ToolTask, ...] = ()
     spare_clearance: float = 0.0
     deadline: Deadline = field(default_factory=Deadline)
     reporter: ProgressReporter = field(default_factory=ProgressReporter)
@@ -90,15 +93,15 @@ class StrokeRequest:
         """The stroke that is planned."""
         return self.strokes[self.number]
 
-    def at_stroke(self, number: int, scene: Scene, state: JobState | None = None) -> StrokeRequest:
-        """Return the request of another stroke of a scene, from another state where given."""
+    def at_stroke(self, number: int, state: JobState | None = None) -> StrokeRequest:
+        """Return the request of another stroke of the job, from another state where given."""
         stroke, state = self.strokes[number], state or self.state
         return replace(
             self,
             number=number,
             state=state,
             first=state.posture,
-            task=task_of(stroke, scene),
+            task=self.tasks[number],
             times=stroke.via_times,
         )
 
@@ -172,12 +175,14 @@ def build_request(
     """
     cell = build_workcell(scene, options, own)
     strokes, state = strokes_of(scene, cell.robot), JobState(posture=np.array(scene.posture))
+    tasks = tuple(task_of(stroke, scene) for stroke in strokes)
     return StrokeRequest(
         cell=cell,
         state=state,
         strokes=strokes,
         number=0,
-        task=task_of(strokes[0], scene),
+        tasks=tasks,
+        task=tasks[0],
         times=strokes[0].via_times,
         first=state.posture,
         end_posture=end_posture_of(scene, cell.robot),

@@ -90,7 +90,7 @@ def _strokes(scene: Scene) -> Iterator[StrokeRequest]:
     if scene.return_to not in ("start", "none"):
         _require_stow(request.tool_off)
     for number in range(len(request.strokes)):
-        yield starting_at_path(request.at_stroke(number, scene))
+        yield starting_at_path(request.at_stroke(number))
 
 
 def _require_stow(request: StrokeRequest) -> None:

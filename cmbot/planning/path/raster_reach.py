@@ -70,7 +70,7 @@ def reached_scene(scene: Scene, options: PlannerOptions, deadline: Deadline | No
         cell = raster.pieces or stroke.surface.pieces
         found, k = [cell], numbers[stroke.file.part_of or stroke.name]
         if raster.cover == "reachable" and raster.frame != "tool":
-            at = request.at_stroke(number, apart)
+            at = request.at_stroke(number)
             at_first.setdefault(k, at)
             found = _Follower(at, apart).parts(cell)
         whole.setdefault(k, []).extend(cell)

@@ -223,7 +223,7 @@ class _BranchAndBound:
     """Branch and bound at several via-points at a time."""
 
     def __init__(self, request: StrokeRequest, layers: Sequence[GraphLayer], spacing: float) -> None:
-        self._request = request
+        self._request, self._cell, self._task = request, request.cell, request.task
         self._layers = layers
         self._spacing = spacing
 
@@ -242,8 +242,8 @@ class _BranchAndBound:
         q, of = np.concatenate(charts), np.repeat(np.arange(len(some)), [len(chart) for chart in charts])
         edges = self._null_space(q)
         half = np.full(edges.shape[:2], self._spacing)
-        if self._request.task.cone is not None:
-            edges, half = self._leaning(q, edges, of, self._request.task.cone)
+        if self._task.cone is not None:
+            edges, half = self._leaning(q, edges, of, self._task.cone)
         if edges.shape[1] == 0:
             # Without self-motion there are no other postures.
             return best, np.where(best > incumbent, best * (1 - _ACCURACY), -np.inf)
@@ -314,7 +314,7 @@ class _BranchAndBound:
         while first < len(better):
             some = better[first : first + count]
             some = some[self._admissible_but_for_clearance(q[some], np.full(len(some), k))]
-            clear = some[self._request.cell.clear(q[some])]
+            clear = some[self._cell.clear(q[some])]
             if len(clear):
                 # The lowest that is admissible is all that counts.
                 best[k], postures[self._some[k]] = value[clear[0]], q[clear[0]]
@@ -330,7 +330,7 @@ class _BranchAndBound:
         Postures `q` (M, n) at the via-points `of` (M,) are those of charts, which hold the axis somewhere in
         it.
         """
-        task, at = self._request.task, self._request.cell.postures.tool_at(q)
+        task, at = self._task, self._cell.postures.tool_at(q)
         leans = task.on_axis.jacobian(at.tool_rotation, at.jacobian)[:, 3:] @ edges.transpose(0, 2, 1)
         _, rate, V = np.linalg.svd(leans)
         half = np.full(edges.shape[:2], self._spacing)
@@ -339,11 +339,11 @@ class _BranchAndBound:
         return V @ edges, half
 
     def _null_space(self, q: FloatArray) -> FloatArray:
-        return null_space(self._request.cell.postures, self._request.task, q)
+        return null_space(self._cell.postures, self._task, q)
 
     def _placed(self, q: FloatArray, of: IntArray) -> tuple[FloatArray, BoolArray]:
         """Postures projected onto the task at their via-points, and which of them lie on it."""
-        return project_onto_task(self._request.cell.postures, self._request.task, q, self._goals[of])
+        return project_onto_task(self._cell.postures, self._task, q, self._goals[of])
 
     def _bounded(self, cells: _Cells) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Values at the centres, how far they may fall along each edge, and which cells may be admissible."""
@@ -365,30 +365,30 @@ class _BranchAndBound:
 
     def _in_range_somewhere(self, cells: _Cells) -> BoolArray:
         """Which cells may reach into the joint ranges."""
-        limits = self._request.cell.robot.limits
+        limits = self._cell.robot.limits
         extent = np.einsum("kd,kdn->kn", cells.half, np.abs(cells.edges))
         inside = (cells.q + extent >= limits.lower) & (cells.q - extent <= limits.upper)
         return np.asarray(inside.all(axis=1))
 
     def _measured(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Objective at rest and largest share of a joint torque's bound, (N,) each."""
-        at = self._request.cell.postures.at(q)
-        use = self._request.cell.use_at_rest(at)
-        return self._request.cell.objective.at_rest(at), use
+        at = self._cell.postures.at(q)
+        use = self._cell.use_at_rest(at)
+        return self._cell.objective.at_rest(at), use
 
     def _checked(
         self, cells: _Cells, value: FloatArray, best: FloatArray, postures: FloatArray
     ) -> tuple[FloatArray, BoolArray]:
         """Compute clearances in cells: the best values then, and which cells may be clear somewhere."""
-        limits, clearances = self._request.cell.robot.limits, self._request.cell.clearances
+        limits, clearances = self._cell.robot.limits, self._cell.clearances
         hopeful = value < best[cells.of]
         hopeful[hopeful] = self._admissible_but_for_clearance(cells.q[hopeful], cells.of[hopeful])
         reach = np.einsum("kd,kdn,n->k", cells.half, np.abs(cells.edges), clearances.reach)
         # Cells that reach further are nearly always clear somewhere.
         check = np.flatnonzero(hopeful | (reach < _WIDE))
-        near = check[~self._request.cell.clear(cells.q[check])]
+        near = check[~self._cell.clear(cells.q[check])]
         blocked = np.zeros(len(value), dtype=np.bool_)
-        least = self._request.cell.options.safety_margin_m - reach[near]
+        least = self._cell.options.safety_margin_m - reach[near]
         blocked[near] = clearances.query(cells.q[near], least).distance < least
         best, hopeful[near] = best.copy(), False
         for k in np.flatnonzero(hopeful):
@@ -399,18 +399,16 @@ class _BranchAndBound:
 
     def _admissible_but_for_clearance(self, q: FloatArray, of: IntArray) -> BoolArray:
         """Which postures keep to joint ranges, joint torques and the cone of the tool's axis."""
-        holds = self._request.cell.robot.limits.contain(q) & (self._beyond_cone(q, of) <= 0.0)
+        holds = self._cell.robot.limits.contain(q) & (self._beyond_cone(q, of) <= 0.0)
         holds[holds] = self._measured(q[holds])[1] <= 1.0
         return np.asarray(holds)
 
     def _beyond_cone(self, q: FloatArray, of: IntArray) -> FloatArray:
         """By how much the tool's axis leans out of its cone, rad; negative within."""
-        task = self._request.task
+        task = self._task
         if task.cone is None:
             return np.full(len(q), -np.inf)
-        return (
-            task.rotation(self._request.cell.postures.tool_at(q).tool_rotation, self._goals[of]) - task.cone
-        )
+        return task.rotation(self._cell.postures.tool_at(q).tool_rotation, self._goals[of]) - task.cone
 
     def _halved(self, cells: _Cells, fall: FloatArray) -> _Cells:
         """Halve every cell along the edge of the largest fall; where none falls, along the longest."""
@@ -423,7 +421,7 @@ class _BranchAndBound:
         of = np.tile(cells.of, 2)
         q, reached = self._placed(np.concatenate([cells.q + shift, cells.q - shift]), of)
         # The parent's edges, turned the least way into the self-motion here.
-        null, metric = self._null_space(q), self._request.cell.robot.metric
+        null, metric = self._null_space(q), self._cell.robot.metric
         both = metric.coordinates(np.tile(cells.edges, (2, 1, 1)))
         U, _, V = np.linalg.svd(both @ metric.coordinates(null).transpose(0, 2, 1))
         return _Cells(q, U @ V @ null, np.tile(half, (2, 1)), of)[reached]

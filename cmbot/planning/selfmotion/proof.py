@@ -96,7 +96,7 @@ class TorqueFloorProof:
 
     def __init__(self, request: StrokeRequest, chain: WristChain, function: WeightedMoment) -> None:
         cell = request.cell
-        self._request, self._chain = request, chain
+        self._request, self._cell, self._chain = request, request.cell, chain
         limits = cell.robot.limits
         self._range = limits.sampled
         self._lever = chain.lever_bounds()
@@ -285,10 +285,10 @@ class TorqueFloorProof:
         off = self._gravity * self._second_order(reach, self._moment)
         lowest = value + np.maximum(linear, along) - self._heaviest * off
         keep &= lowest < enough
-        robot = self._request.cell.robot
+        robot = self._cell.robot
         torque, slopes = at.joint_torque, self._torque_slopes(at)
         if robot.pushed:
-            pushed = self._request.cell.postures.tool_at(middle)
+            pushed = self._cell.postures.tool_at(middle)
             torque, slopes = torque + pushed.torque_against_push, slopes + _push_slopes(pushed)
             # A second derivative of the force's lever, of its direction, and twice the product of the first.
             off = off + self._second_order(reach, np.full(robot.dof, 4 * self._push * robot.reach))
@@ -386,8 +386,8 @@ class TorqueFloorProof:
     def _objective(self, at: PostureBatch, via_point: int) -> tuple[FloatArray, FloatArray]:
         """The objective (N,) at rest and its derivatives (N, n), the force on the tool as on the task."""
         goal = self._request.goals[via_point]
-        push = goal.rotation[0] @ self._request.cell.robot.tool_force
-        lever = goal.point[0] - np.array(self._request.cell.robot.foot_point)
+        push = goal.rotation[0] @ self._cell.robot.tool_force
+        lever = goal.point[0] - np.array(self._cell.robot.foot_point)
         constant = np.concatenate([push, cross(lever, push)])
         value, gradient = self._function(np.hstack([at.guardrail_force, at.guardrail_torque]) + constant)
         # The torque's derivative is the moved first moment crossed with gravity.
@@ -408,7 +408,7 @@ class TorqueFloorProof:
 
     def _clear(self, boxes: JointBoxes) -> BoolArray:
         """Which boxes may hold a posture that keeps the safety margin."""
-        clearances, margin = self._request.cell.clearances, self._request.cell.options.safety_margin_m
+        clearances, margin = self._cell.clearances, self._cell.options.safety_margin_m
         reach = boxes.half @ clearances.reach
         clear = np.ones(len(boxes), dtype=np.bool_)
         # Wider ones are nearly always clear somewhere.

@@ -255,7 +255,7 @@ def test_slower_legs_are_named_by_the_keys_of_the_stroke(time: dict[str, float],
     strokes = [{"name": name, "raster": RASTER, "via_points": 20, **time} for name in ("one", "two")]
     scene = load_scene({**SHORT, "tool_path": {"strokes": strokes}})
     before = request_of(scene)
-    before = before.at_stroke(1, scene)
+    before = before.at_stroke(1)
     key = "tool_path.strokes[1]"
     # Its rows have no durations of their own.
     after = slower(before, np.array([1.0, 1.0, 1.5, 1.0, 1.0]))

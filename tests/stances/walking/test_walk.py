@@ -75,7 +75,7 @@ def test_a_step_is_the_same_on_a_slow_machine(walked: Walk, monkeypatch: pytest.
     monkeypatch.setattr(FreeSpace, "straight", but_the_whole)
     quick = planned()
     hours = (3600.0 * k for k in count())
-    monkeypatch.setattr(Deadline.__init__, "__defaults__", (np.inf, hours.__next__, None))
+    monkeypatch.setattr(Deadline.__init__, "__defaults__", (np.inf, hours.__next__, None, ""))
     for one, other in zip(quick, planned(), strict=True):
         np.testing.assert_array_equal(one, other)
     assert next(hours) > 3600.0
