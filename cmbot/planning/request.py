@@ -95,15 +95,9 @@ class StrokeRequest:
 
     def at_stroke(self, number: int, state: JobState | None = None) -> StrokeRequest:
         """Return the request of another stroke of the job, from another state where given."""
-        stroke, state = self.strokes[number], state or self.state
-        return replace(
-            self,
-            number=number,
-            state=state,
-            first=state.posture,
-            task=self.tasks[number],
-            times=stroke.via_times,
-        )
+        state, times = state or self.state, self.strokes[number].via_times
+        changed = replace(self, number=number, task=self.tasks[number], times=times)
+        return replace(changed, state=state, first=state.posture)
 
     def with_options(self, **changes: Any) -> StrokeRequest:
         """Return the request with other options."""
