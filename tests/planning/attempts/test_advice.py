@@ -71,7 +71,7 @@ def test_a_trajectory_slowed_down_so_keeps_the_limits(
     asked: StrokeRequest, trajectory: QuinticTrajectory
 ) -> None:
     fast = QuinticTrajectory(t=0.2 * trajectory.t, q=trajectory.q, v=5 * trajectory.v, a=25 * trajectory.a)
-    path = replace(asked.task.path, seconds=0.2 * asked.task.path.seconds)
+    path = asked.task.path.in_seconds(0.2 * asked.task.path.seconds)
     hasty = replace(asked, task=replace(asked.task, path=path), times=path.via_times(16))
     # A tool that such joints leave far behind needs the time, not more via-points.
     astray = failed(Limit.TOOL_DEVIATION, fast, 99.0)
@@ -92,7 +92,7 @@ def test_a_trajectory_slowed_down_so_keeps_the_limits(
 def test_seconds_are_round_and_many_legs_are_one(asked: StrokeRequest) -> None:
     after = slower(asked, np.array([1.0, 1.611, 1.0]))
     assert in_keys(asked, after) == "tool_path.legs[1].seconds 3.3 instead of 2"
-    hardly = replace(asked.task.path, seconds=asked.task.path.seconds * [1.0, 1.00001, 1.0])
+    hardly = asked.task.path.in_seconds(asked.task.path.seconds * [1.0, 1.00001, 1.0])
     after = replace(asked, task=replace(asked.task, path=hardly))
     assert in_keys(asked, after) == "tool_path.legs[1].seconds 2.00002 instead of 2"
     many = request_of(short_scene(tool_path={"legs": 2 * LEGS, "via_points": 16}))
