@@ -192,10 +192,14 @@ class FirstOrder:
             self._block(q[k : k + _AT_A_TIME], _some(bases, slice(k, k + _AT_A_TIME)))
             for k in range(0, len(q), _AT_A_TIME)
         ]
-        names = ("screw", "momentum", "tool", "root")
-        if not parts:
-            parts = [self._block(q, bases)]
-        return FirstOrderBatch(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in names})
+        f = self.count + (0 if bases.stiffness is None else 6)
+        shapes = {"screw": (0, f, 6), "momentum": (0, f, 6), "tool": (0, 3), "root": (0, f, f)}
+        return FirstOrderBatch(
+            **{
+                name: np.concatenate([np.empty(shape), *(getattr(part, name) for part in parts)])
+                for name, shape in shapes.items()
+            }
+        )
 
     def _block(self, q: FloatArray, bases: Bases) -> FirstOrderBatch:
         N = len(q)

@@ -59,6 +59,7 @@ from cmbot.planning.result.verdict import (
 from cmbot.planning.selfmotion.followed_bound import quick_bound
 from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
+from cmbot.planning.selfmotion.proof import TorqueFloorProof
 from cmbot.planning.stiffness import covariance_of, modelled_stiffness
 from cmbot.planning.task import ToolTask
 from cmbot.planning.units import unit_findings
@@ -103,6 +104,7 @@ __all__ = [
     "StartPosture",
     "StrokePlan",
     "ToolTask",
+    "TorqueFloorProof",
     "VibrationSuppression",
     "WeightedMoment",
     "WrenchFunction",

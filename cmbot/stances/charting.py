@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +12,8 @@ from cmbot.common.errors import PathNotFound
 from cmbot.planning import (
     Deadline,
     PlanningContext,
+    PostureObjective,
+    TorqueFloorProof,
     build_context,
     quick_bound,
     searched,
@@ -19,8 +21,14 @@ from cmbot.planning import (
 )
 from cmbot.scene import Scene
 
+AtRest = Callable[[FloatArray], FloatArray]
+"""What is ranked (N,) at rest in postures (N, n); in place of the planner's objective."""
 # Via-points of a stroke that is charted quickly.
 _VIA_POINTS = 13
+
+
+class CannotBePutAway(PathNotFound):
+    """The arm cannot be in the posture in which it starts or is put away: the reason is the same for many."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,22 +39,19 @@ class Charted:
     ----------
     bound : float
         Largest of the strokes' lower bounds at rest for sequences of postures that the joints can follow, in
-        the objective's unit: an estimate (`GlobalSearch.followed_bound`).
+        the unit of what is ranked: an estimate (`GlobalSearch.followed_bound`).
     expected : float
         Largest value, at rest, of the best sequences that were found.
-    torque : float, Nm
-        Largest torque on the guardrail, at rest, in these sequences.
-    begins : (n,), rad
-        The first posture of the first stroke's sequence.
+    postures : (K, n), rad
+        Of these sequences.
     """
 
     bound: float
     expected: float
-    torque: float
-    begins: FloatArray
+    postures: FloatArray
 
 
-def bounded_quickly(scene: Scene) -> float:
+def bounded_quickly(scene: Scene, at_rest: AtRest | None = None) -> float:
     """Return a bound as `Charted` has it, from charts at few via-points.
 
     Raises
@@ -54,10 +59,10 @@ def bounded_quickly(scene: Scene) -> float:
     PathNotFound
         When no sequence of admissible postures leads along a stroke.
     """
-    return max(quick_bound(context, _VIA_POINTS) for context in _strokes(scene))
+    return max(quick_bound(context, _VIA_POINTS) for context in _strokes(scene, at_rest))
 
 
-def chart(scene: Scene) -> Charted:
+def chart(scene: Scene, at_rest: AtRest | None = None) -> Charted:
     """Chart the strokes of a scene, each within the scene's time limit.
 
     Raises
@@ -65,40 +70,71 @@ def chart(scene: Scene) -> Charted:
     PathNotFound
         When no sequence of admissible postures leads along a stroke.
     """
-    found = list[Charted]()
-    for context in _strokes(scene):
+    bounds, peaks, postures = list[float](), list[float](), list[FloatArray]()
+    for context in _strokes(scene, at_rest):
         deadline = Deadline(scene.planner.time_limit_s)
         search, solution = searched(replace(context, deadline=deadline))
         if isinstance(solution, PathNotFound):
             raise solution
-        bound = min(search.followed_bound(), solution.peak)
-        torque = np.linalg.norm(context.postures.at(solution.q).guardrail_torque, axis=1).max()
-        found.append(Charted(bound=bound, expected=solution.peak, torque=float(torque), begins=solution.q[0]))
-    return Charted(
-        bound=max(each.bound for each in found),
-        expected=max(each.expected for each in found),
-        torque=max(each.torque for each in found),
-        begins=found[0].begins,
-    )
+        bounds.append(min(search.followed_bound(), solution.peak))
+        peaks.append(solution.peak)
+        postures.append(solution.q)
+    return Charted(bound=max(bounds), expected=max(peaks), postures=np.concatenate(postures))
 
 
-def _strokes(scene: Scene) -> Iterator[PlanningContext]:
+def proven_bound(scene: Scene, stroke: int, time: float, value: float) -> float | None:
+    """Return what no admissible posture at a time of a stroke undercuts, up to `value`; None without a proof.
+
+    Parameters
+    ----------
+    scene : Scene
+        With the robot in the stance.
+    stroke : int
+    time : float, s
+        Of the via-point.
+    value : float
+        What is to be proven.
+    """
+    context = build_context(scene, scene.planner)
+    context = context.at_stroke(stroke, scene, context.posture, 0.0, 0.0)
+    proof = TorqueFloorProof.of(replace(context, times=np.array([time])))
+    return None if proof is None else proof.prove(0, value).lowest
+
+
+def _strokes(scene: Scene, at_rest: AtRest | None) -> Iterator[PlanningContext]:
     """The strokes' contexts, each from a posture that holds the tool where it begins."""
     context = build_context(scene, scene.planner)
-    if scene.return_to not in ("start", "none"):
-        _require_stow(context.tool_off)
+    if at_rest is not None:
+        context = replace(context, objective=PostureObjective(function=_value(at_rest), name="", unit=""))
+    _require_put_away(scene, context.tool_off)
     for number in range(len(context.strokes)):
         yield starting_at_path(context.at_stroke(number, scene, context.posture, 0.0, 0.0))
 
 
-def _require_stow(context: PlanningContext) -> None:
-    """Refuse a stance in which the arm cannot be put away: its base may be tilted."""
-    posture = context.posture if context.end_posture is None else context.end_posture
-    q = posture[None]
-    why, pair = "", None
-    if context.use_at_rest(context.postures.at(q))[0] > 1:
-        why = f"{context.weakest_joint(q)} cannot hold the arm in its stow posture"
-    elif context.clearances.check_collision(q, context.options.safety_margin_m)[0]:
-        why, pair = "the arm in its stow posture comes too near to something", context.most_often_near(q)
-    if why:
-        raise context.path_not_found(why, posture, pair=pair)
+def _value(at_rest: AtRest) -> Callable[[FloatArray], tuple[FloatArray, FloatArray]]:
+    def function(q: FloatArray, /) -> tuple[FloatArray, FloatArray]:
+        return at_rest(q), np.zeros_like(q)  # charts need no gradient
+
+    return function
+
+
+def _require_put_away(scene: Scene, context: PlanningContext) -> None:
+    """Refuse a stance in which the arm cannot be where it starts or is put away: its base may be tilted."""
+    if scene.return_to == "none" or context.end_posture is None:
+        return  # it is put away by hand
+    back = "start" if scene.return_to == "start" else str(scene.return_to)
+    stowed = scene.start is None or scene.start.stow is not None
+    ends = {back: context.end_posture, "stow" if stowed else "start": context.posture}
+    for name, posture in ends.items():
+        q = posture[None]
+        why, pair = "", None
+        if context.use_at_rest(context.postures.at(q))[0] > 1:
+            why = f"{context.weakest_joint(q)} cannot hold the arm in its {name} posture"
+        elif context.clearances.check_collision(q, context.options.safety_margin_m)[0]:
+            why, pair = (
+                f"the arm in its {name} posture comes too near to something",
+                context.most_often_near(q),
+            )
+        if why:
+            singular = context.task.smallest_singular_value(context.robot, posture)
+            raise CannotBePutAway(why, time=0.0, progress=0.0, smallest_singular_value=singular, pair=pair)

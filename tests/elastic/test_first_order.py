@@ -99,6 +99,14 @@ def test_sway_is_that_of_the_modal_response() -> None:
         assert value == pytest.approx(np.sqrt(np.trace(moments.value[:3, :3])), rel=0.05)
 
 
+def test_no_postures_are_none() -> None:
+    case = Case("rigid")
+    none = replace(case.bases, **{name: value[:0] for name, value in vars(case.bases).items()})
+    batch = case.first.at(case.q[:0], none)
+    assert batch.sag(case.gravity[:0]).shape == (0, 3)
+    assert batch.first_hz.shape == (0,)
+
+
 def test_a_rigid_arm_on_a_rigid_base_does_not_sag() -> None:
     case = Case("rigid")
     own = replace(case.arm.robot, elasticity={}, joint_elasticity={})
