@@ -1,4 +1,4 @@
-"""Where to stand: the best stances by what is asked of them, what bounds say of the others, and what it costs.
+"""Where to stand: the best stances by what is asked, what bounds say of the others, and what it costs.
 
     python benchmarks/stances.py                # prints, and writes benchmarks/results/stances.json
     python benchmarks/stances.py --document     # the tables of docs/hold.md, too
@@ -231,9 +231,7 @@ def _cells(figures: StanceFigures) -> Iterator[str]:
         yield "-" if value is None else f"{value:.4g}"
 
 
-def _goals(
-    each: Sequence[Found], screenings: Sequence[Mapping[str, Any]]
-) -> Iterator[tuple[str, str, str]]:
+def _goals(each: Sequence[Found], screenings: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str, str]]:
     def told(met: bool) -> str:
         return "met" if met else "missed"
 

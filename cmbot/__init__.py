@@ -7,6 +7,7 @@ The reading order::
     plan           path, trajectory, certificate          cmbot.planning
     Plan           what came out, with its figures
     save, load_plan   a plan directory                    cmbot.archive
+    evaluate       what a motion planned elsewhere does   cmbot.evaluation
     simulate       what bends on the way                  cmbot.simulation
     excite         what shakes it: trains, wind           cmbot.excitation
     identify       how stiff it is, from measurements     cmbot.identification
@@ -39,8 +40,17 @@ from cmbot.common.lazy_imports import on_first_use
 from cmbot.version import __version__
 
 if TYPE_CHECKING:
-    from cmbot.archive import load_plan, load_tracking, load_walk, save, save_excitation, save_tracking
+    from cmbot.archive import (
+        load_plan,
+        load_tour,
+        load_tracking,
+        load_walk,
+        save,
+        save_excitation,
+        save_tracking,
+    )
     from cmbot.campaigns import Campaign, campaign
+    from cmbot.evaluation import Evaluation, evaluate
     from cmbot.excitation import Excitation, excite
     from cmbot.identification import Identification, Location, identify, locate
     from cmbot.planning import Plan, QuinticTrajectory, plan
@@ -54,6 +64,7 @@ __all__ = [
     "ArchiveError",
     "Campaign",
     "CmbotError",
+    "Evaluation",
     "Excitation",
     "Identification",
     "InputError",
@@ -77,11 +88,13 @@ __all__ = [
     "Walk",
     "__version__",
     "campaign",
+    "evaluate",
     "excite",
     "identify",
     "load_plan",
     "load_robot",
     "load_scene",
+    "load_tour",
     "load_tracking",
     "load_walk",
     "locate",
@@ -99,8 +112,17 @@ __all__ = [
 ]
 
 _ROOMS = {
-    "cmbot.archive": ("load_plan", "load_tracking", "load_walk", "save", "save_excitation", "save_tracking"),
+    "cmbot.archive": (
+        "load_plan",
+        "load_tour",
+        "load_tracking",
+        "load_walk",
+        "save",
+        "save_excitation",
+        "save_tracking",
+    ),
     "cmbot.campaigns": ("Campaign", "campaign"),
+    "cmbot.evaluation": ("Evaluation", "evaluate"),
     "cmbot.excitation": ("Excitation", "excite"),
     "cmbot.identification": ("Identification", "Location", "identify", "locate"),
     "cmbot.planning": ("Plan", "QuinticTrajectory", "plan"),

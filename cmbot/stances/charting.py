@@ -11,13 +11,15 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning import (
     Deadline,
-    PlanningContext,
     PostureObjective,
+    StrokeRequest,
     TorqueFloorProof,
-    build_context,
+    build_request,
+    most_often_near,
     quick_bound,
     searched,
     starting_at_path,
+    weakest_joint,
 )
 from cmbot.scene import Scene
 
@@ -59,7 +61,7 @@ def bounded_quickly(scene: Scene, at_rest: AtRest | None = None) -> float:
     PathNotFound
         When no sequence of admissible postures leads along a stroke.
     """
-    return max(quick_bound(context, _VIA_POINTS) for context in _strokes(scene, at_rest))
+    return max(quick_bound(request, _VIA_POINTS) for request in _strokes(scene, at_rest))
 
 
 def chart(scene: Scene, at_rest: AtRest | None = None) -> Charted:
@@ -71,9 +73,9 @@ def chart(scene: Scene, at_rest: AtRest | None = None) -> Charted:
         When no sequence of admissible postures leads along a stroke.
     """
     bounds, peaks, postures = list[float](), list[float](), list[FloatArray]()
-    for context in _strokes(scene, at_rest):
+    for request in _strokes(scene, at_rest):
         deadline = Deadline(scene.planner.time_limit_s)
-        search, solution = searched(replace(context, deadline=deadline))
+        search, solution = searched(replace(request, deadline=deadline))
         if isinstance(solution, PathNotFound):
             raise solution
         bounds.append(min(search.followed_bound(), solution.peak))
@@ -95,20 +97,20 @@ def proven_bound(scene: Scene, stroke: int, time: float, value: float) -> float 
     value : float
         What is to be proven.
     """
-    context = build_context(scene, scene.planner)
-    context = context.at_stroke(stroke, scene, context.posture, 0.0, 0.0)
-    proof = TorqueFloorProof.of(replace(context, times=np.array([time])))
+    request = build_request(scene, scene.planner).at_stroke(stroke, scene)
+    proof = TorqueFloorProof.of(replace(request, times=np.array([time])))
     return None if proof is None else proof.prove(0, value).lowest
 
 
-def _strokes(scene: Scene, at_rest: AtRest | None) -> Iterator[PlanningContext]:
-    """The strokes' contexts, each from a posture that holds the tool where it begins."""
-    context = build_context(scene, scene.planner)
+def _strokes(scene: Scene, at_rest: AtRest | None) -> Iterator[StrokeRequest]:
+    """The strokes' requests, each from a posture that holds the tool where it begins."""
+    request = build_request(scene, scene.planner)
     if at_rest is not None:
-        context = replace(context, objective=PostureObjective(function=_value(at_rest), name="", unit=""))
-    _require_put_away(scene, context.tool_off)
-    for number in range(len(context.strokes)):
-        yield starting_at_path(context.at_stroke(number, scene, context.posture, 0.0, 0.0))
+        objective = PostureObjective(function=_value(at_rest), name="", unit="")
+        request = replace(request, cell=replace(request.cell, objective=objective))
+    _require_put_away(scene, request.tool_off)
+    for number in range(len(request.strokes)):
+        yield starting_at_path(request.at_stroke(number, scene))
 
 
 def _value(at_rest: AtRest) -> Callable[[FloatArray], tuple[FloatArray, FloatArray]]:
@@ -118,23 +120,24 @@ def _value(at_rest: AtRest) -> Callable[[FloatArray], tuple[FloatArray, FloatArr
     return function
 
 
-def _require_put_away(scene: Scene, context: PlanningContext) -> None:
+def _require_put_away(scene: Scene, request: StrokeRequest) -> None:
     """Refuse a stance in which the arm cannot be where it starts or is put away: its base may be tilted."""
-    if scene.return_to == "none" or context.end_posture is None:
+    cell = request.cell
+    if scene.return_to == "none" or request.end_posture is None:
         return  # it is put away by hand
     back = "start" if scene.return_to == "start" else str(scene.return_to)
     stowed = scene.start is None or scene.start.stow is not None
-    ends = {back: context.end_posture, "stow" if stowed else "start": context.posture}
+    ends = {back: request.end_posture, "stow" if stowed else "start": request.state.posture}
     for name, posture in ends.items():
         q = posture[None]
         why, pair = "", None
-        if context.use_at_rest(context.postures.at(q))[0] > 1:
-            why = f"{context.weakest_joint(q)} cannot hold the arm in its {name} posture"
-        elif context.clearances.check_collision(q, context.options.safety_margin_m)[0]:
+        if cell.use_at_rest(cell.postures.at(q))[0] > 1:
+            why = f"{weakest_joint(cell, q)} cannot hold the arm in its {name} posture"
+        elif cell.clearances.check_collision(q, cell.options.safety_margin_m)[0]:
             why, pair = (
                 f"the arm in its {name} posture comes too near to something",
-                context.most_often_near(q),
+                most_often_near(cell, q),
             )
         if why:
-            singular = context.task.smallest_singular_value(context.robot, posture)
+            singular = request.task.smallest_singular_value(cell.robot, posture)
             raise CannotBePutAway(why, time=0.0, progress=0.0, smallest_singular_value=singular, pair=pair)

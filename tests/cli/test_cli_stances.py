@@ -67,7 +67,9 @@ def test_where_nothing_is_planned_the_status_is_3_and_the_table_says_why(job: Pa
     assert {path.name for path in out.iterdir()} == FILES - {"best.yaml"}
     rows = [*csv.DictReader((out / "stances.csv").read_text().splitlines())]
     assert {"beyond a bound", "out of reach"} <= {row["status"] for row in rows}
-    assert next(row["reason"] for row in rows if row["status"] == "beyond a bound").endswith("1 s are allowed")
+    assert next(row["reason"] for row in rows if row["status"] == "beyond a bound").endswith(
+        "1 s are allowed"
+    )
 
 
 def test_time_that_is_over_at_once(job: Path) -> None:
