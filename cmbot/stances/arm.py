@@ -151,7 +151,7 @@ class BaseArm:
         sag = hz = sway = np.full(len(q), np.nan)
         if loads.bends:
             batch = self._elastic.at(at.q, loads.bases(stance))
-            sag = 1e3 * np.linalg.norm(batch.sag(loads.gravity[stance], push), axis=1)
+            sag = 1e3 * self._sag(at.q, stance, push, loads)
             hz, sway = batch.first_hz, 1e3 * batch.shaken(DAMPING, BAND_HZ)
         ranked = {"torque": torque, "hold": adhesion, "sag": sag, "sway": sway}[loads.objective]
         return np.array([ranked, torque, adhesion, sag, hz, sway])
@@ -184,8 +184,8 @@ class BaseArm:
         return 1e3 * self._sag(q, stance, push, loads)
 
     def _sag(self, q: FloatArray, stance: IntArray, push: FloatArray, loads: StanceLoads) -> FloatArray:
-        batch = self._elastic.at(q, loads.bases(stance))
-        return np.asarray(np.linalg.norm(batch.sag(loads.gravity[stance], push), axis=1))
+        sag = self._elastic.sag(q, loads.bases(stance), loads.gravity[stance], push)
+        return np.asarray(np.linalg.norm(sag, axis=1))
 
     def _near(self, goals: _Goals, count: int, steps: int) -> tuple[FloatArray, IntArray]:
         """Postures (N, n) that hold the tool at the goals, from the nearest of the table, and whose (N,)."""
