@@ -191,8 +191,9 @@ class FirstOrder:
 
     def _sag(self, q: FloatArray, bases: Bases, gravity: FloatArray, push: FloatArray) -> FloatArray:
         places, tool = self._places(q)
-        first, mass = np.zeros_like(tool), 0.0
-        sag, loads, levers = np.zeros_like(tool), list[FloatArray](), list[FloatArray]()
+        first: FloatArray = np.zeros_like(tool)
+        mass, sag = 0.0, np.zeros_like(tool)
+        loads, levers = list[FloatArray](), list[FloatArray]()
         for owner, piece, coordinate in reversed(self._along):
             p, turned = places[owner]
             if piece is not None:
@@ -211,7 +212,8 @@ class FirstOrder:
             whole = mass + bases.carrier_mass
             first = first + bases.carrier_mass[:, None] * bases.carrier_centre
             away = tool - bases.foot
-            torque = cross(first - whole[:, None] * bases.foot, gravity) + cross(away, push)
+            lever = np.asarray(first - whole[:, None] * bases.foot)
+            torque = cross(lever, gravity) + cross(away, push)
             wrench = np.hstack([whole[:, None] * gravity + push, torque])
             moved = np.linalg.solve(bases.stiffness, wrench[:, :, None])[:, :, 0]
             sag = sag + moved[:, :3] + cross(moved[:, 3:], away)

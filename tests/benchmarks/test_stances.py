@@ -25,7 +25,7 @@ def row(**changes: Any) -> dict[str, Any]:
 
 def goals(*rows: dict[str, Any]) -> dict[str, tuple[str, ...]]:
     screened = {"scene": "a", "stances": 2400, "bounded": 9, "processor_seconds": 30.0}
-    made = stances.sheets({"found": rows, "screened": [screened]})
+    made = stances.sheets({"found": dict(enumerate(rows)), "screened": [screened]})
     cells = [cells for sheet in made if sheet.key == "goals of stances" for cells in sheet.rows]
     return {goal: rest for goal, *rest in cells}
 
