@@ -212,11 +212,12 @@ class FirstOrder:
             whole = mass + bases.carrier_mass
             first = first + bases.carrier_mass[:, None] * bases.carrier_centre
             away = tool - bases.foot
-            lever = np.asarray(first - whole[:, None] * bases.foot)
-            torque = cross(lever, gravity) + cross(away, push)
+            about: FloatArray = first - whole[:, None] * bases.foot
+            torque = cross(about, gravity) + cross(away, push)
             wrench = np.hstack([whole[:, None] * gravity + push, torque])
-            moved = np.linalg.solve(bases.stiffness, wrench[:, :, None])[:, :, 0]
-            sag = sag + moved[:, :3] + cross(moved[:, 3:], away)
+            moved = np.asarray(np.linalg.solve(bases.stiffness, wrench[:, :, None])[:, :, 0])
+            turned: FloatArray = moved[:, 3:]
+            sag = sag + moved[:, :3] + cross(turned, away)
         return np.asarray(sag)
 
     def _places(self, q: FloatArray) -> tuple[list[tuple[FloatArray, FloatArray]], FloatArray]:

@@ -186,7 +186,7 @@ class Route:
         return Edge(before=before, after=after, foot=_FEET[int(foot[hardest]) - 1]), float(share[hardest])
 
     def _all_steps(self) -> Iterator[tuple[IntArray, FloatArray, IntArray]]:
-        """Pairs (E, 2) of nodes between which a foot goes, least shares (E,) of bounds, and that foot (E,)."""
+        """Pairs (E, 2) of nodes between which a foot goes, shares (E,) of bounds, and that foot (E,)."""
         for foot in _FEET:
             goes, stays, use = self._place[foot], self._place[_other(foot)], self.use[_other(foot)]
             for place in np.unique(stays[stays != self._free]):
