@@ -126,7 +126,7 @@ class Found:
             place=best.place,
             stances=len(ranking.ranked),
             planned=ranking.count("planned"),
-            proven=len(ranking.proven),
+            proven=ranking.proven,
             failed=ranking.count("failed"),
             seconds=seconds,
             processor_seconds=processor_seconds,

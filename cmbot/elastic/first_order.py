@@ -216,8 +216,8 @@ class FirstOrder:
             torque = cross(about, gravity) + cross(away, push)
             wrench = np.hstack([whole[:, None] * gravity + push, torque])
             moved = np.asarray(np.linalg.solve(bases.stiffness, wrench[:, :, None])[:, :, 0])
-            turned: FloatArray = moved[:, 3:]
-            sag = sag + moved[:, :3] + cross(turned, away)
+            turn: FloatArray = moved[:, 3:]
+            sag = sag + moved[:, :3] + cross(turn, away)
         return np.asarray(sag)
 
     def _places(self, q: FloatArray) -> tuple[list[tuple[FloatArray, FloatArray]], FloatArray]:

@@ -25,6 +25,8 @@ from cmbot.scene import Scene
 
 AtRest = Callable[[FloatArray], FloatArray]
 """What is ranked (N,) at rest in postures (N, n); in place of the planner's objective."""
+# Share of a value by which a proof of it may be off.
+_PROVEN = 1e-4
 # Via-points of a stroke that is charted quickly.
 _VIA_POINTS = 13
 
@@ -84,22 +86,26 @@ def chart(scene: Scene, at_rest: AtRest | None = None) -> Charted:
     return Charted(bound=max(bounds), expected=max(peaks), postures=np.concatenate(postures))
 
 
-def proven_bound(scene: Scene, stroke: int, time: float, value: float) -> float | None:
-    """Return what no admissible posture at a time of a stroke undercuts, up to `value`; None without a proof.
+def proven_bound(scene: Scene, stroke: int, times: FloatArray, value: float) -> float:
+    """Return what is proven that no plan rests below, up to `value`; zero without a proof.
 
     Parameters
     ----------
     scene : Scene
         With the robot in the stance.
     stroke : int
-    time : float, s
-        Of the via-point.
+    times : (K,), s
+        Of via-points of the stroke: at one of them no admissible posture undercuts it. They are tried in
+        their order until the value is proven.
     value : float
         What is to be proven.
     """
-    request = build_request(scene, scene.planner).at_stroke(stroke, scene)
-    proof = TorqueFloorProof.of(replace(request, times=np.array([time])))
-    return None if proof is None else proof.prove(0, value).lowest
+    request = replace(build_request(scene, scene.planner).at_stroke(stroke, scene), times=times)
+    proof, lowest = TorqueFloorProof.of(request), 0.0
+    for k in range(len(times) if proof is not None else 0):
+        if proof is not None and lowest < (1 - _PROVEN) * value:
+            lowest = max(lowest, proof.prove(k, value).lowest)
+    return lowest
 
 
 def _strokes(scene: Scene, at_rest: AtRest | None) -> Iterator[StrokeRequest]:

@@ -30,12 +30,14 @@ from cmbot.stances.search import (
     StandOptions,
     evaluate_stances,
 )
-from cmbot.stances.stages import Judge, at_rest_of
+from cmbot.stances.stages import PROVEN_SHARE, Judge, at_rest_of
 
 # For whose scenes alone steps are sought.
 _SHIPPED_ROBOT = "the shipped robot, an arm on a climber that holds a guardrail"
 
 _LONGEST_NAME = 90
+# Share of the best value that is proven of the others, less what a proof may be off.
+_NO_BETTER = PROVEN_SHARE - 1e-3
 # So many of the reasons for which stances are left out are named.
 _REASONS = 3
 
@@ -99,9 +101,10 @@ class StanceRanking:
         return min((each.bound for each in self.ranked if each.status == "screened"), default=np.inf)
 
     @property
-    def proven(self) -> list[float]:
-        """What those that were not planned are proven to ask at least, of those of which that is known."""
-        return [each.proven for each in self.ranked if each.plan is None and each.proven > 0]
+    def proven(self) -> int:
+        """How many that were not planned are proven to be no better than the best one by more than 2.1 %."""
+        least = np.inf if self.best is None else _NO_BETTER * self.best.value
+        return sum(each.plan is None and each.proven >= least for each in self.ranked)
 
     def count(self, status: str) -> int:
         """Return how many stances ended so."""

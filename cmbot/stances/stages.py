@@ -21,15 +21,15 @@ from cmbot.stances.bounds import Bounds, StanceFigures, StanceObjective
 from cmbot.stances.candidates import AnyCandidate, Candidate, climber_in_the_way
 from cmbot.stances.charting import AtRest, bounded_quickly, chart, proven_bound
 from cmbot.stances.placed_scene import scene_at
-from cmbot.stances.screening import Screener, Screening
+from cmbot.stances.screening import VIA_POINTS, Screener, Screening
 from cmbot.stances.search import Ending, Rejection, Stage, StanceResult, StandOptions
 
 # Attempts to plan: so many times the number of plans wanted and one more.
 _TRIES = 2
 # A stance is not planned where the postures of its charts exceed a bound by this factor; a plan may not.
 _ROOM = 1.05
-# Of a proof: the share of the best value that others are proven not to undercut.
-_PROVEN_SHARE = 0.98
+PROVEN_SHARE = 0.98
+"""Share of the best value that others are proven not to undercut."""
 # Postures of the work in which sag and modes of a plan are computed.
 _SAGS, _MODES = 61, 5
 # Postures of a job between which the joints' travel is measured.
@@ -182,7 +182,7 @@ class Judge:
         """
         best = min((each.value for each in results), default=np.inf)
         left = self.options.proofs if np.isfinite(best) and self.objective == "torque" else 0
-        value = _PROVEN_SHARE * best
+        value = PROVEN_SHARE * best
         for done, result in enumerate(results):
             number = self.numbers[result.candidate]
             if not found.within_reach[strokes, number].all():
@@ -193,13 +193,10 @@ class Judge:
                 left -= 1
                 progress("proving bounds of the others", done / len(results))
                 worst = int(found.bound[strokes, number].argmax())
-                stroke = strokes[worst]
-                time = float(times[stroke, found.via_point[stroke, number]])
+                first = int(found.via_point[strokes[worst], number])
+                each = times[strokes[worst], [first, *(k for k in range(VIA_POINTS) if k != first)]]
                 scene = scene_at(self.scene, result.candidate, None)
-                lowest = proven_bound(scene, worst, time, value)
-                if lowest is None:
-                    left = 0
-                yield replace(result, proven=lowest or 0.0)
+                yield replace(result, proven=proven_bound(scene, worst, each, value))
 
 
 def at_rest_of(rows: FloatArray) -> StanceFigures:

@@ -11,6 +11,7 @@ from cmbot.stances.bounds import StanceFigures
 from cmbot.stances.candidates import Candidate
 from cmbot.stances.ranking import StanceRanking
 from cmbot.stances.search import StanceResult
+from cmbot.stances.stages import PROVEN_SHARE
 
 _Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
@@ -89,13 +90,14 @@ def _best_in_words(ranking: StanceRanking, best: StanceResult) -> Iterator[str]:
             f"No stance that was not planned has a bound below {least:.4g} {unit} (estimate, "
             f"{_LEFT_OUT_BY[first.stage]}): none may be better {by}."
         )
-    if len(proven := ranking.proven) > ranking.count("out of reach"):
-        others, share = len(ranked) - ranking.count("planned"), min(proven) / peak if peak > 0 else 0.0
-        left = others - len(proven)
-        rest = f"; {left} are excluded by estimates, which are no proof" if left else ""
+    if ranking.proven > ranking.count("out of reach"):
+        others = len(ranked) - ranking.count("planned")
+        rest = (
+            f"; of {left} that is an estimate, which is no proof" if (left := others - ranking.proven) else ""
+        )
         yield (
-            f"Of the {others} others {len(proven)} are proven to ask {min(proven):.4g} {unit} at rest or "
-            f"more, {100 * share:.1f} % of the best one{rest}."
+            f"Of the {others} others {ranking.proven} are proven to ask {PROVEN_SHARE * peak:.4g} {unit} at "
+            f"rest or more, {100 * PROVEN_SHARE:g} % of the best one{rest}."
         )
     failed = [each for each in ranked if each.status == "failed" and each.bound < peak]
     if failed:
