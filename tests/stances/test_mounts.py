@@ -26,7 +26,8 @@ from cmbot.stances import (
 from cmbot.stances.candidates import mounts_of
 from cmbot.views import stances_page
 
-STIFFNESS = np.diag([2e5, 1e5, 3e5, 2e4, 1e4, 3e4]) + 100.0 * np.ones((6, 6))
+# So stiff that what is of second order in the turn of the base, which is far from W, does not count.
+STIFFNESS = 1e4 * (np.diag([2e5, 1e5, 3e5, 2e4, 1e4, 3e4]) + 100.0 * np.ones((6, 6)))
 
 
 def panda(**changes: Any) -> Scene:
@@ -107,8 +108,8 @@ def test_a_mount_bends_where_it_is() -> None:
         there = scene_at(scene, candidate, None)
         arm = bending_arm(there, robot_of(there))
         sags.append(Sag(arm).at(np.array([there.posture])).tool[0])
-    assert np.linalg.norm(sags[0]) > 1e-4
-    np.testing.assert_allclose(sags[0], sags[1], rtol=1e-6, atol=1e-12)
+    assert np.linalg.norm(sags[0]) > 1e-8
+    np.testing.assert_allclose(sags[0], sags[1], rtol=1e-4)
 
 
 def test_the_scenes_own_mount_comes_first_and_once() -> None:
@@ -124,5 +125,5 @@ def test_an_arm_without_mounts() -> None:
     with pytest.raises(SceneError, match="mounts: got none, expected where the base frame may be held"):
         stand(panda())
     rigid = panda(mounts=[{"xyz": [1, 1, 1]}])
-    with pytest.raises(SceneError, match="nothing that bends, expected guardrail, mounts or an arm"):
+    with pytest.raises(SceneError, match="nothing that bends, expected something that bends"):
         stand(rigid, StandOptions(objective="sag"))
