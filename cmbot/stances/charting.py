@@ -139,7 +139,7 @@ def _require_put_away(scene: Scene, request: StrokeRequest) -> None:
         why, pair = "", None
         if cell.use_at_rest(cell.postures.at(q))[0] > 1:
             why = f"{weakest_joint(cell, q)} cannot hold the arm in its {name} posture"
-        elif cell.clearances.check_collision(q, cell.options.safety_margin_m)[0]:
+        elif not cell.clear(q)[0]:
             why, pair = (
                 f"the arm in its {name} posture comes too near to something",
                 most_often_near(cell, q),
