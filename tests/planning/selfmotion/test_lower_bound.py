@@ -127,7 +127,7 @@ def test_where_all_is_negligible_nothing_is_searched(monkeypatch: pytest.MonkeyP
     at_rest = off.cell.objective.at_rest(off.cell.postures.at(asked.state.posture[None]))[0]
     assert asked.negligible == pytest.approx(0.01 * at_rest)
     monkeypatch.setattr(_BranchAndBound, "minimise", None)
-    found = GlobalSearch(replace(asked, reached=1e6)).lower_bound
+    found = GlobalSearch(replace(asked, state=replace(asked.state, reached=1e6))).lower_bound
     assert 0 < found.value == found.error == found.each.max() < 1e4
 
 

@@ -1,7 +1,5 @@
 """Via-points that rule out every trajectory are refused at once, and others are not."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -56,8 +54,7 @@ def test_a_margin_that_the_via_points_break_is_refused_at_once() -> None:
     problem = problem_of(short_scene(obstacles=[plate]))
     asked, form = problem.request, problem.parametrization
     distance = asked.cell.clearances.query(form.via_points).distance.min()
-    options = replace(asked.cell.options, safety_margin_m=float(distance) + 0.01)
-    stricter = TorqueProblem(replace(asked, options=options), form, 0.0)
+    stricter = TorqueProblem(asked.with_options(safety_margin_m=float(distance) + 0.01), form, 0.0)
     failure = refused(stricter, "a via-point of the path breaks a bound")
     assert failure.constraint == "clearance"
     assert failure.violation == pytest.approx(0.1, rel=0.05)

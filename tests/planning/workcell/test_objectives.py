@@ -324,7 +324,7 @@ def test_an_objective_of_the_posture_has_a_floor() -> None:
     asked = request_of(short_scene(planner={"knots": "sliding"}))
     assert isinstance(objective_of(asked.cell.robot, asked.cell.options), WrenchObjective)
     objective = PostureObjective(function=bent_elbow, name="elbow", unit="")
-    stage = GlobalSearch(replace(asked, objective=objective))
+    stage = GlobalSearch(replace(asked, cell=replace(asked.cell, objective=objective)))
     solution = stage.solve(pinned=False)
     np.testing.assert_allclose(solution.value, 1 - np.cos(solution.q[:, 2]), rtol=1e-12)
     assert stage.lower_bound.value <= solution.peak + 1e-12
