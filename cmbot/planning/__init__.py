@@ -41,11 +41,17 @@ from cmbot.planning.path.start_posture import StartPosture, find_start
 from cmbot.planning.planner import plan
 from cmbot.planning.precheck import Precheck, precheck_options, precheck_scene
 from cmbot.planning.progress import Progress, ProgressReporter
-from cmbot.planning.result.baseline import BaselineSegment
+from cmbot.planning.result.baseline import Baseline, BaselineSegment
 from cmbot.planning.result.loads import LOAD_HEADINGS, Load, load_point, load_rows, loads
 from cmbot.planning.result.plan import Plan, Seconds, require_plan
 from cmbot.planning.result.remarks import remarks
-from cmbot.planning.result.stroke_plan import ObjectiveMetrics, Start, StrokePlan, objective_metrics
+from cmbot.planning.result.stroke_plan import (
+    ObjectiveMetrics,
+    Start,
+    StrokeBaseline,
+    StrokePlan,
+    objective_metrics,
+)
 from cmbot.planning.result.verdict import (
     baseline_faults,
     bound_use,
@@ -68,6 +74,7 @@ __all__ = [
     "APPROACH",
     "LOAD_HEADINGS",
     "RETURN",
+    "Baseline",
     "BaselineSegment",
     "Certificate",
     "Check",
@@ -101,6 +108,7 @@ __all__ = [
     "SplineSpace",
     "Start",
     "StartPosture",
+    "StrokeBaseline",
     "StrokePlan",
     "ToolTask",
     "VibrationSuppression",

@@ -77,7 +77,7 @@ def test_the_peak_under_a_force_is_enclosed(pushed_plan: Plan) -> None:
     torque = np.linalg.norm(Dynamics(robot).efforts(*states).guardrail_torque, axis=1)
     assert torque.max() <= certificate.guardrail_torque_bound
     assert torque.max() == pytest.approx(certificate.guardrail_torque_bound, rel=1e-5)
-    assert pushed_plan.baseline_figures.peak_guardrail_torque > torque.max()
+    assert pushed_plan.baseline.figures.peak_guardrail_torque > torque.max()
     assert pushed_plan.torque_floor_kind == "proven"
     assert pushed_plan.gap_to_floor == pytest.approx(0, abs=0.01)
     assert "peak of its static part at work, Nm" in pushed_plan.summary()

@@ -95,7 +95,7 @@ def test_what_it_keeps(compensated: Plan) -> None:
     assert compensated.certificate.holds
     assert compensated.figures.min_clearance >= compensated.options.safety_margin_m
     # The baseline is what it was: rigid, uncompensated.
-    assert compensated.baseline.expected_tool_point is None
+    assert compensated.baseline.samples.expected_tool_point is None
     # The first posture is not the scene's, but near it when that is pinned.
     assert compensated.start.moved > 0
     if compensated.options.start == "pinned":

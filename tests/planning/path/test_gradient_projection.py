@@ -337,8 +337,8 @@ def test_the_line_starts_elsewhere(fixed_line_plan: Plan) -> None:
     assert start.moved > 0.1
     np.testing.assert_allclose(fixed_line_plan.trajectory.q[0], start.posture, rtol=0, atol=1e-9)
     # The baseline is still the paper's: from its own posture, and into itself.
-    np.testing.assert_array_equal(fixed_line_plan.baseline.q[0], load_scene("line").posture)
-    assert fixed_line_plan.baseline_figures.min_clearance < 0.02
+    np.testing.assert_array_equal(fixed_line_plan.baseline.samples.q[0], load_scene("line").posture)
+    assert fixed_line_plan.baseline.figures.min_clearance < 0.02
     assert fixed_line_plan.figures.min_clearance >= 0.02
 
 
