@@ -6,6 +6,7 @@ import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -67,6 +68,7 @@ class PlanCommand(Writing):
         metavar="NAME=VALUE",
     )
     options: bool = option(False, "List the planner's options, and stop.", instead=_print_options)
+    verbose: bool = option(False, "Print all figures, loads and remarks.")
     figures: bool = option(False, "Draw plots as PNG and SVG into the plan directory, too.")
 
     def __call__(self) -> None:
@@ -94,14 +96,15 @@ class PlanCommand(Writing):
             cmbot.save(planned, directory, force=self.force, added=pages(planned) | drawn)
 
         def say() -> None:
-            _print_plan(planned)
+            _print_plan(planned, verbose=self.verbose)
             seconds = time.perf_counter() - started
             out.print(
                 f"Written to {one_line(directory)}, in all {seconds:.1f} s with reading, checks and pages."
             )
             if drawn:
                 out.print(f"Figures: {', '.join(drawn)}.")
-            out.print(f"Look at it: open {one_line(directory / REPORT)} in a browser.")
+            more = "" if self.verbose else "; --verbose prints the rest"
+            out.print(f"Look at it: open {one_line(directory / REPORT)} in a browser{more}.")
 
         planned = self.work_in(directory, require, planned_scene, write, [self.scene])
         self.answer(lambda: _summary(planned, directory), say, directory)
@@ -166,20 +169,43 @@ def _with_values(scene: str, values: Mapping[str, object]) -> cmbot.Scene:
 
 def _summary(planned: Plan, directory: Path) -> dict[str, Any]:
     from cmbot.archive import plan_data
-    from cmbot.planning import baseline_faults, remarks, verdict
+    from cmbot.planning import baseline_faults, loads, notes, plan_rows, remarks, verdict
 
     entries = {name: entry for name, entry in plan_data(directory).items() if name not in _LEFT_OUT}
-    faults = {"work": baseline_faults(planned, work=True), "job": baseline_faults(planned)}
-    said = {"verdict": verdict(planned), "remarks": list(remarks(planned)), "baseline_faults": faults}
-    return {"scene": planned.scene.name, **entries, **said}
+    told: dict[str, Sequence[Any]] = {
+        "table": plan_rows(planned),
+        "notes": notes(planned),
+        "loads": loads(planned),
+    }
+    return {
+        "scene": planned.scene.name,
+        **entries,
+        "verdict": verdict(planned, area=False),
+        "remarks": list(remarks(planned)),
+        "baseline_faults": {"work": baseline_faults(planned, work=True), "job": baseline_faults(planned)},
+        **{name: [_finite(asdict(each)) for each in of] for name, of in told.items()},
+    }
 
 
-def _print_plan(planned: Plan) -> None:
-    from cmbot.planning import remarks
+def _finite(values: dict[str, Any]) -> dict[str, Any]:
+    """Values for JSON, which has no infinite numbers."""
+    plain = {name: _finite(value) if isinstance(value, dict) else value for name, value in values.items()}
+    return {
+        name: None if isinstance(value, float) and not isfinite(value) else value
+        for name, value in plain.items()
+    }
 
-    if out.is_terminal:
-        print_table(planned.scene.name, planned.headings, list(planned.rows()), text_columns=1)
+
+def _print_plan(planned: Plan, *, verbose: bool) -> None:
+    """Print at most ten lines of figures and five sentences, or all."""
+    from cmbot.planning import LOAD_HEADINGS, first_remarks, load_rows, remarks
+
+    rows = list(planned.rows(first=not verbose))
+    if out.is_terminal or verbose:
+        print_table(planned.scene.name, planned.headings, rows, text_columns=1)
     else:
         out.print(planned.summary())
-    for remark in remarks(planned):
+    if verbose:
+        print_table("Loads", LOAD_HEADINGS, list(load_rows(planned)), text_columns=1)
+    for remark in remarks(planned) if verbose else first_remarks(planned):
         out.print(remark)
