@@ -7,6 +7,7 @@ The reading order::
     plan           path, trajectory, certificate          cmbot.planning
     Plan           what came out, with its figures
     save, load_plan   a plan directory                    cmbot.archive
+    evaluate       what a motion planned elsewhere does   cmbot.evaluation
     simulate       what bends on the way                  cmbot.simulation
     excite         what shakes it: trains, wind           cmbot.excitation
     identify       how stiff it is, from measurements     cmbot.identification
@@ -41,6 +42,7 @@ from cmbot.version import __version__
 if TYPE_CHECKING:
     from cmbot.archive import load_plan, load_tracking, load_walk, save, save_excitation, save_tracking
     from cmbot.campaigns import Campaign, campaign
+    from cmbot.evaluation import Evaluation, evaluate
     from cmbot.excitation import Excitation, excite
     from cmbot.identification import Identification, Location, identify, locate
     from cmbot.planning import Plan, QuinticTrajectory, plan
@@ -54,6 +56,7 @@ __all__ = [
     "ArchiveError",
     "Campaign",
     "CmbotError",
+    "Evaluation",
     "Excitation",
     "Identification",
     "InputError",
@@ -77,6 +80,7 @@ __all__ = [
     "Walk",
     "__version__",
     "campaign",
+    "evaluate",
     "excite",
     "identify",
     "load_plan",
@@ -101,6 +105,7 @@ __all__ = [
 _ROOMS = {
     "cmbot.archive": ("load_plan", "load_tracking", "load_walk", "save", "save_excitation", "save_tracking"),
     "cmbot.campaigns": ("Campaign", "campaign"),
+    "cmbot.evaluation": ("Evaluation", "evaluate"),
     "cmbot.excitation": ("Excitation", "excite"),
     "cmbot.identification": ("Identification", "Location", "identify", "locate"),
     "cmbot.planning": ("Plan", "QuinticTrajectory", "plan"),

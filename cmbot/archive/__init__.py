@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from cmbot.archive.folder import write_file
-from cmbot.archive.names import PLAN_FILE, STANCES_FILE, TOUR_FILE, WALK_FILE
+from cmbot.archive.names import EVALUATION_FILE, PLAN_FILE, STANCES_FILE, TOUR_FILE, WALK_FILE
 from cmbot.archive.places import (
     add_file,
     claim,
@@ -20,7 +20,7 @@ from cmbot.archive.places import (
     write_results,
 )
 from cmbot.archive.strict_json import json_bytes
-from cmbot.archive.tables import columns
+from cmbot.archive.tables import columns, samples_csv
 from cmbot.archive.writing import export_csv, save
 from cmbot.common.lazy_imports import on_first_use
 
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from cmbot.archive.walks import load_walk
 
 __all__ = [
+    "EVALUATION_FILE",
     "PLAN_FILE",
     "STANCES_FILE",
     "TOUR_FILE",
@@ -59,6 +60,7 @@ __all__ = [
     "require_new_folder",
     "require_no_excitation",
     "require_no_tracking",
+    "samples_csv",
     "save",
     "save_excitation",
     "save_tracking",

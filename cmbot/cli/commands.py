@@ -23,7 +23,7 @@ from cmbot.cli.excitation import ExciteCommand
 from cmbot.cli.identify import IdentifyCommand
 from cmbot.cli.inspection import CheckCommand, DoctorCommand, ScenesCommand, SchemaCommand, VerifyCommand
 from cmbot.cli.locate import LocateCommand
-from cmbot.cli.planning import PlanCommand
+from cmbot.cli.planning import EvaluateCommand, PlanCommand
 from cmbot.cli.signals import raised_again
 from cmbot.cli.simulation import ReproduceCommand, SimulateCommand
 from cmbot.cli.stances import StandCommand, TourCommand, WalkCommand
@@ -43,7 +43,7 @@ COMMANDS: dict[str, type[Command]] = {
         *(PlanCommand, StandCommand, WalkCommand, TourCommand, CampaignCommand, NewCommand),
         *(ReplayCommand, ReportCommand, CompareCommand, ExportCommand, SimulateCommand, ExciteCommand),
         *(VerifyCommand, IdentifyCommand, LocateCommand, ReproduceCommand, CheckCommand, ScenesCommand),
-        *(SchemaCommand, DoctorCommand),
+        *(EvaluateCommand, SchemaCommand, DoctorCommand),
     )
 }
 """The commands by what they are called."""

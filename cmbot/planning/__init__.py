@@ -41,11 +41,11 @@ from cmbot.planning.path.start_posture import StartPosture, find_start
 from cmbot.planning.planner import plan
 from cmbot.planning.precheck import Precheck, precheck_options, precheck_scene
 from cmbot.planning.progress import Progress, ProgressReporter
-from cmbot.planning.result.baseline import Baseline, BaselineSegment
+from cmbot.planning.result.baseline import Baseline, BaselineSegment, joined_samples
 from cmbot.planning.result.judgement import baseline_faults, bound_use, during, tightest_check
 from cmbot.planning.result.loads import LOAD_HEADINGS, Load, load_point, load_rows, loads
 from cmbot.planning.result.notes import Note, notes
-from cmbot.planning.result.plan import Plan, Seconds, require_plan
+from cmbot.planning.result.plan import Plan, Seconds, require_plan, work_of
 from cmbot.planning.result.rows import Row, plan_rows
 from cmbot.planning.result.stroke_plan import (
     ObjectiveMetrics,
@@ -134,6 +134,7 @@ __all__ = [
     "free_move_name",
     "free_space",
     "job_metrics",
+    "joined_samples",
     "left_out",
     "load_point",
     "load_rows",
@@ -166,4 +167,5 @@ __all__ = [
     "tool_lag",
     "unit_findings",
     "verdict",
+    "work_of",
 ]

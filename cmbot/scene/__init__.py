@@ -10,6 +10,7 @@ from cmbot.scene.base.stance import FootholdFile, Stance, StanceFile, axis_point
 from cmbot.scene.changes import changed_content, is_within, whole_key
 from cmbot.scene.excitation import DamperFile, ExcitationFile, TrainsFile
 from cmbot.scene.files import TRAINS
+from cmbot.scene.mounts import MountsFile
 from cmbot.scene.obstacles import ObstacleFile
 from cmbot.scene.options import MOST_SAMPLES, PlannerOptions
 from cmbot.scene.path.path_file import WORK, AxisCone, JobStrokes, Keep, StrokeFile
@@ -45,6 +46,7 @@ __all__ = [
     "JointUncertainty",
     "Keep",
     "MountFile",
+    "MountsFile",
     "NamedState",
     "NewRobot",
     "ObstacleFile",

@@ -36,6 +36,7 @@ from cmbot.scene.base.identified import IdentifiedStiffness
 from cmbot.scene.base.stance import Stance, StanceFile, resolved_stance
 from cmbot.scene.excitation import DamperFile, ExcitationFile
 from cmbot.scene.files import file_hashes, without_paths
+from cmbot.scene.mounts import MountsFile
 from cmbot.scene.obstacles import ObstacleFile, obstacle_from_file
 from cmbot.scene.options import PlannerOptions
 from cmbot.scene.path.path_file import MOST_ORDERED, WORK, JobStrokes, Order, StrokeFile, ToolPathEntry
@@ -127,6 +128,8 @@ class Scene(FileModel):
     name: Slug
     """Also the name of the folder that a plan is written to."""
     robot: RobotFile = RobotFile()
+    mounts: Annotated[tuple[MountsFile, ...], Field(max_length=100)] = ()
+    """Of another robot than the shipped one: where its base frame may be held; ``cmbot stand`` chooses."""
     base: BaseFile | None = None
     """What the robot stands on."""
     start: PostureFile | None = None
@@ -167,6 +170,9 @@ class Scene(FileModel):
                 expected = "no such key with a URDF of one's own, whose mount says where it stands"
                 raise refusal(expected, got="stance", key=("guardrail", "stance"))
             self.stance  # noqa: B018  it is refused here where the climber reaches none
+        if self.mounts and self.on_guardrail:
+            expected = "no such key with model: cmbot, which stands where its feet hold the guardrail"
+            raise refusal(expected, got="mounts", key=("mounts",))
         self._check_identified()
         measured = self.identified is not None and self.identified.base is not None
         modes = None if self.base is None else self.base.modes

@@ -238,7 +238,7 @@ def test_a_message_is_played_ten_times_as_quick(exported: Path) -> None:
         since["sec"], since["nanosec"] = divmod(nanoseconds, 10**9)
     path.write_text(json.dumps(data), encoding="utf-8")
     error = refusal("verify", exported)
-    assert error.startswith(f"error: {path}: points[1].time_from_start.nanosec: got 1000000, expected 1e+07")
+    assert error.startswith(f"error: {path}: points: got an end at ")
 
 
 @pytest.mark.parametrize("listed", [False, True])

@@ -49,7 +49,7 @@ def test_round_trip(loaded, triangle_plan):
     assert plan.start.failures == ()
     same_arrays(plan.lower_bound, triangle_plan.lower_bound)
     assert plan.summary() == triangle_plan.summary()
-    again = figures(plan.robot, plan.baseline)
+    again = figures(plan.robot, plan.baseline.samples)
     assert again.peak_guardrail_torque == pytest.approx(plan.baseline.figures.peak_guardrail_torque)
     assert again.limit_use.jerk == pytest.approx(plan.baseline.figures.limit_use.jerk)
     same_arrays(plan.samples, triangle_plan.samples)

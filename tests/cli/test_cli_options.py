@@ -174,7 +174,7 @@ def test_json_of_a_plan_is_that_of_plan_json(folder: Path) -> None:
     # The baseline keeps the limits: gains are stated.
     assert data["baseline_faults"] == {"work": "", "job": ""}
     assert any(remark.startswith("Certified: ") for remark in data["remarks"])
-    assert [row["key"] for row in data["table"] if row["first"]][0] == "accuracy.within_mm"
+    assert next(row["key"] for row in data["table"] if row["first"]) == "accuracy.within_mm"
     assert {note["level"] for note in data["notes"]} <= {"first", "fault", "warning", "note"}
     assert {load["unit"] for load in data["loads"]} == {"N", "Nm"}
     verbose = run("plan", "short.yaml", "-o", "out", "--force", "--verbose")

@@ -108,8 +108,12 @@ def test_a_plan_under_a_force_is_read_back(pushed_plan: Plan, tmp_path: Path) ->
     again = load_plan(folder, verify=True)
     assert again.robot.tool_force == FORCE
     assert again.scene.tool == Tool(process_force_n=FORCE)
-    for name in ("samples", "approach_samples", "baseline"):
-        got, expected = (getattr(one, name).guardrail_torque for one in (again, pushed_plan))
+    for got, expected in (
+        (again.samples, pushed_plan.samples),
+        (again.approach_samples, pushed_plan.approach_samples),
+        (again.baseline.samples, pushed_plan.baseline.samples),
+    ):
+        got, expected = got.guardrail_torque, expected.guardrail_torque
         np.testing.assert_allclose(got, expected, rtol=0, atol=1e-6)
 
 

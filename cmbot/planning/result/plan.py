@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cmbot.accuracy import Accuracy, Work, accuracy_of
+from cmbot.accuracy import Accuracy, Work, WorkPath, accuracy_of
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
@@ -172,7 +172,7 @@ class Plan(StrokePlan):
         arm = bending_arm(self.scene, self.robot)
         if arm is None:
             return None
-        works = [_work(self.robot, segment) for segment in self.job.strokes]
+        works = [work_of(self.robot, each.trajectory, each.task.path) for each in self.job.strokes]
         covariance = covariance_of(self.scene, arm)
         try:
             return accuracy_of(
@@ -381,17 +381,16 @@ def require_plan(value: object, source: str) -> None:
     require_type(value, Plan, source, "plan", "a Plan, as cmbot.plan and cmbot.load_plan return it")
 
 
-def _work(robot: Robot, segment: Segment) -> Work:
-    """A stroke of a job, as the accuracy budget takes it."""
+def work_of(robot: Robot, trajectory: QuinticTrajectory, path: WorkPath) -> Work:
+    """Return a stroke of a job, moved along its path by a trajectory, as the accuracy budget takes it."""
     kinematics = Kinematics(robot)
-    motion = segment.trajectory.evaluate
 
     def tool(t: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return kinematics.tool_poses(motion(t))
+        return kinematics.tool_poses(trajectory.evaluate(t))
 
     return Work(
-        path=segment.task.path,
-        motion=motion,
+        path=path,
+        motion=trajectory.evaluate,
         commanded=lambda t: tool(t)[0],
         rotation=lambda t: tool(t)[1],
     )

@@ -82,7 +82,7 @@ def test_the_baseline_returns_straight_and_quickly(returning_plan: Plan) -> None
     seconds = returning_plan.baseline.samples.t[-1] + back.t[-1]
     total = sum(
         np.trapezoid(np.linalg.norm(each.guardrail_torque, axis=1), each.t)
-        for each in (returning_plan.baseline, back)
+        for each in (returning_plan.baseline.samples, back)
     )
     assert figures.mean_guardrail_torque == pytest.approx(total / seconds)
 

@@ -34,20 +34,13 @@ def turned(of: Plan) -> Plan:
     return beside(of, limit_use=use, peak_guardrail_torque=1500.0)
 
 
-def turning(of: Plan) -> Plan:
-    """The plan beside a baseline that turns the tool away."""
-    figures = replace(of.baseline.figures, max_tool_rotation=1.0)
-    own = replace(of.baseline, figures=figures)
-    return replace(of, baseline=own)
-
-
 BROKEN: dict[str, Callable[[Plan], Plan]] = {
     "collides": lambda of: beside(of, min_clearance=-0.047),
     "breaks the safety margin": lambda of: beside(of, min_clearance=0.0),
     "breaks joint limits": turned,
     "leaves its path by 3.0 mm": lambda of: beside(of, max_tool_deviation=3e-3),
     "leaves its path by 119 mm": lambda of: with_baseline(of, drift=0.119),
-    "turns the tool away": lambda of: turning(of),
+    "turns the tool away": lambda of: beside(of, max_tool_rotation=1.0),
 }
 
 
