@@ -82,9 +82,12 @@ def of_plan(plan: Plan) -> Known:
                 for each in motion
                 if each.kind in kinds
             ]
-            for motion in (plan.job.segments, plan.baseline.segments)
+            for motion in (plan.job.segments, () if plan.baseline is None else plan.baseline.segments)
         )
-        yield from (*of_figures(*ours), *of_figures(*theirs))
+        yield from of_figures(*ours)
+        if not theirs:
+            continue
+        yield from of_figures(*theirs)
         for name in ("peak_guardrail_torque", "peak_static_guardrail_torque"):
             peak, before = (max(getattr(each, name) for each in motion) for motion in (ours, theirs))
             yield 100 * (peak / before - 1), "%"
@@ -93,13 +96,15 @@ def of_plan(plan: Plan) -> Known:
             for motion in (ours, theirs)
         ]
         yield 100 * (means[0] / means[1] - 1), "%"
-    yield plan.largest_torque_difference[0], "Nm"
-    yield 1e3 * plan.baseline.drift, "mm"
+    if plan.baseline is not None:
+        yield 1e3 * plan.baseline.drift, "mm"
     yield 1e3 * plan.options.safety_margin_m, "mm"
     yield 1e3 * plan.options.max_tool_deviation_m, "mm"
     objective, whole = plan.objective, plan.job.certificate
-    yield from ((value, objective.unit) for value in (objective.baseline_peak, objective.planned_peak))
-    yield 100 * (objective.planned_peak / objective.baseline_peak - 1), "%"
+    yield objective.planned_peak, objective.unit
+    if objective.baseline_peak is not None:
+        yield objective.baseline_peak, objective.unit
+        yield 100 * (objective.planned_peak / objective.baseline_peak - 1), "%"
     if plan.lower_bound is not None and plan.choice is not None:
         bound, choice = plan.lower_bound, plan.choice
         each = (objective.floor, bound.value, bound.error, choice.free, choice.pinned)

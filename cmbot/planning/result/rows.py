@@ -177,8 +177,7 @@ def _base(plan: Plan) -> Iterator[Row]:
     most = plan.largest_torque_difference
     # Against a motion that breaks limits no gain is stated.
     if most is not None and not baseline_faults(plan, work=True):
-        name = f"most below the baseline, at {most[1]:.1f} s"
-        yield _row(name, "largest_torque_difference", "Nm", ".1f", most[0])
+        yield _row("most below the baseline", "largest_torque_difference", "Nm", ".1f", most[0])
 
 
 def _work(plan: Plan) -> Iterator[Row]:
@@ -223,7 +222,7 @@ def _effort(plan: Plan) -> Iterator[Row]:
         name = f"joint {limit} at work, share of its bound"
         yield _row(name, f"limit_use.{limit}", "", ".3f", after, before)
     if plan.baseline is not None:
-        yield _row("joints travel at work, times the baseline's", "", "", ".2f", further(plan))
+        yield _row("joints travel at work, times the baseline's", "travel", "", ".2f", further(plan))
 
 
 def _search(plan: Plan) -> Iterator[Row]:
