@@ -40,7 +40,15 @@ from cmbot.common.lazy_imports import on_first_use
 from cmbot.version import __version__
 
 if TYPE_CHECKING:
-    from cmbot.archive import load_plan, load_tracking, load_walk, save, save_excitation, save_tracking
+    from cmbot.archive import (
+        load_plan,
+        load_tour,
+        load_tracking,
+        load_walk,
+        save,
+        save_excitation,
+        save_tracking,
+    )
     from cmbot.campaigns import Campaign, campaign
     from cmbot.evaluation import Evaluation, evaluate
     from cmbot.excitation import Excitation, excite
@@ -86,6 +94,7 @@ __all__ = [
     "load_plan",
     "load_robot",
     "load_scene",
+    "load_tour",
     "load_tracking",
     "load_walk",
     "locate",
@@ -103,7 +112,15 @@ __all__ = [
 ]
 
 _ROOMS = {
-    "cmbot.archive": ("load_plan", "load_tracking", "load_walk", "save", "save_excitation", "save_tracking"),
+    "cmbot.archive": (
+        "load_plan",
+        "load_tour",
+        "load_tracking",
+        "load_walk",
+        "save",
+        "save_excitation",
+        "save_tracking",
+    ),
     "cmbot.campaigns": ("Campaign", "campaign"),
     "cmbot.evaluation": ("Evaluation", "evaluate"),
     "cmbot.excitation": ("Excitation", "excite"),

@@ -21,6 +21,11 @@ import cmbot
 Row = tuple[str, str, str]
 ROOT = Path(__file__).resolve().parent.parent
 SCENES = ("triangle", "line")
+FIGURES = {
+    *("peak_guardrail_torque", "mean_guardrail_torque", "rms_guardrail_torque", "min_clearance"),
+    *("peak_static_guardrail_torque", "max_tool_deviation", "max_tool_rotation", "adhesion_needed.peak"),
+    *("job.duration", "limit_use.velocity", "limit_use.acceleration", "limit_use.jerk", "limit_use.torque"),
+}
 HEADER = (
     "| | triangle, baseline | triangle, planned | line, baseline | line, planned |\n|---|---|---|---|---|"
 )

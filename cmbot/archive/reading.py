@@ -26,7 +26,7 @@ from cmbot.archive.plan_file import (
     made,
 )
 from cmbot.archive.tables import read_motion
-from cmbot.archive.verification.asked import looser_promises, require_asked
+from cmbot.archive.verification.asked import require_asked, require_promised
 from cmbot.archive.verification.exported import unverified_files
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray, IntArray
@@ -151,23 +151,15 @@ def read_plan(
     if asked is not None:
         require_asked(scene, asked, str(source))
     promised = options or (asked.planner if asked is not None else file.options)
-    if looser := looser_promises(file.options, promised):
-        raise ArchiveError(str(source), "options", "; ".join(looser), "promises as strict as what was asked")
+    require_promised(file.options, promised, str(source), "options")
     require_segments(file, str(source), scene, returns=end is not None)
     knots = str(folder / JOB_FILES[1])
     trajectories = segment_trajectories(file, contents[JOB_FILES[1]], knots, robot.dof, strokes)
     tasks = [task_of(stroke, scene) for stroke in strokes]
     job = _job(file, trajectories, tasks, source)
     require_fit(file, np.array(scene.posture), end, job, str(source), knots)
-    entries: tuple[StrokeEntries, ...] = file.strokes or (file,)
-    baselines: Sequence[StrokeBaseline | None] = [None] * len(entries)
-    if file.baseline is not None:
-        baselines = _baselines(file, folder, contents.get(BASELINE_FILE), tasks, robot, clearances)
     plan = Plan.of(
-        [
-            _stroke_plan(entry, stroke.name, task, baseline)
-            for entry, stroke, task, baseline in zip(entries, strokes, tasks, baselines, strict=True)
-        ],
+        _stroke_plans(file, folder, contents, [stroke.name for stroke in strokes], tasks, robot, clearances),
         clearances,
         scene=scene,
         options=file.options,
@@ -262,6 +254,27 @@ def _certificate(entry: SegmentFile, source: str, key: str) -> Certificate:
     return certificate
 
 
+def _stroke_plans(
+    file: PlanFile,
+    folder: Path,
+    contents: Mapping[str, bytes],
+    names: Sequence[str],
+    tasks: Sequence[ToolTask],
+    robot: Robot,
+    clearances: Clearances,
+) -> list[StrokePlan]:
+    """What is planned of each stroke, beside its baseline."""
+    entries: tuple[StrokeEntries, ...] = file.strokes or (file,)
+    baselines: Sequence[StrokeBaseline | None] = [None] * len(entries)
+    if file.baseline is not None:
+        baselines = _baselines(file, folder, contents.get(BASELINE_FILE), tasks, robot, clearances)
+    strokes = []
+    for entry, name, task, baseline in zip(entries, names, tasks, baselines, strict=True):
+        own = {"start": entry.start.made(), "lower_bound": entry.floor, "baseline": baseline}
+        strokes.append(made(StrokePlan, entry, name=name, task=task, **own))
+    return strokes
+
+
 def _baselines(
     file: PlanFile,
     folder: Path,
@@ -309,14 +322,6 @@ def _require_straight(baseline: Baseline, content: bytes, source: str, dof: int)
 
 def _agree(got: FloatArray, expected: FloatArray) -> bool:
     return got.shape == expected.shape and np.allclose(got, expected, rtol=_SAME_ZERO, atol=_SAME_ZERO)
-
-
-def _stroke_plan(
-    entry: StrokeEntries, name: str, task: ToolTask, baseline: StrokeBaseline | None
-) -> StrokePlan:
-    """What is planned of a stroke, beside its baseline."""
-    own = {"start": entry.start.made(), "lower_bound": entry.floor, "baseline": baseline}
-    return made(StrokePlan, entry, name=name, task=task, **own)
 
 
 def _sag(scene: Scene, robot: Robot, options: PlannerOptions) -> Sag | None:

@@ -73,7 +73,7 @@ class PlanCommand(Writing):
 
     def __call__(self) -> None:
         started = time.perf_counter()
-        loaded, options = _loaded(self.scene, self.changes)
+        loaded, options = loaded_scene(self.scene, self.changes)
         # Imports the robot's libraries: after the scene file, so that its errors are reported at once.
         from cmbot.archive import require_free
         from cmbot.planning import precheck_options, unit_findings
@@ -126,7 +126,7 @@ class EvaluateCommand(Writing):
     alone: bool = option(False, "Do not plan the scene, to tell the motion beside the plan.")
 
     def __call__(self) -> None:
-        loaded, options = _loaded(self.scene, self.changes)
+        loaded, options = loaded_scene(self.scene, self.changes)
         from cmbot.archive import EVALUATION_FILE, require_absent, samples_csv, write_results
         from cmbot.common.errors import PlanningError
         from cmbot.evaluation import evaluation_json, read_motion
@@ -159,7 +159,7 @@ class EvaluateCommand(Writing):
         self.answer(lambda: answer, say, self.output)
 
 
-def _loaded(scene: str, changes: Sequence[str]) -> tuple[cmbot.Scene, cmbot.PlannerOptions]:
+def loaded_scene(scene: str, changes: Sequence[str]) -> tuple[cmbot.Scene, cmbot.PlannerOptions]:
     """Return a scene and its planner's options with what ``--set`` changes of them."""
     from cmbot.common.validation import validated
     from cmbot.scene import PlannerOptions

@@ -8,17 +8,7 @@ from cmbot.planning.budget import Deadline
 from cmbot.planning.certification.certificate import Certificate, certify
 from cmbot.planning.certification.check import Check
 from cmbot.planning.certification.metrics import LimitUse, MotionMetrics, Samples, figures, measure, tool_lag
-from cmbot.planning.context import (
-    PlanningContext,
-    bending_arm,
-    build_context,
-    end_posture_of,
-    rigid_arm_remark,
-    robot_of,
-    sag_of,
-    strokes_of,
-    task_of,
-)
+from cmbot.planning.diagnosis import most_often_near, weakest_joint
 from cmbot.planning.flexibility.sag_compensation import Compensation
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.free_motion.free_move import FreeMove, certify_move, free_space, plan_move
@@ -41,6 +31,7 @@ from cmbot.planning.path.start_posture import StartPosture, find_start
 from cmbot.planning.planner import plan
 from cmbot.planning.precheck import Precheck, precheck_options, precheck_scene
 from cmbot.planning.progress import Progress, ProgressReporter
+from cmbot.planning.request import JobState, StrokeRequest, build_request, end_posture_of, strokes_of, task_of
 from cmbot.planning.result.baseline import Baseline, BaselineSegment, joined_samples
 from cmbot.planning.result.judgement import baseline_faults, bound_use, during, tightest_check
 from cmbot.planning.result.loads import LOAD_HEADINGS, Load, load_point, load_rows, loads
@@ -69,6 +60,7 @@ from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.stiffness import covariance_of, modelled_stiffness
 from cmbot.planning.task import ToolTask
 from cmbot.planning.units import unit_findings
+from cmbot.planning.workcell import Workcell, bending_arm, rigid_arm_remark, robot_of, sag_of
 from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
 __all__ = [
@@ -88,6 +80,7 @@ __all__ = [
     "GlobalSearch",
     "GlobalSolution",
     "Job",
+    "JobState",
     "JointPath",
     "LimitUse",
     "Load",
@@ -97,7 +90,6 @@ __all__ = [
     "Objective",
     "ObjectiveMetrics",
     "Plan",
-    "PlanningContext",
     "PostureFunction",
     "PostureObjective",
     "Precheck",
@@ -113,15 +105,17 @@ __all__ = [
     "StartPosture",
     "StrokeBaseline",
     "StrokePlan",
+    "StrokeRequest",
     "ToolTask",
     "VibrationSuppression",
     "WeightedMoment",
+    "Workcell",
     "WrenchFunction",
     "WrenchObjective",
     "baseline_faults",
     "bending_arm",
     "bound_use",
-    "build_context",
+    "build_request",
     "certify",
     "certify_move",
     "covariance_of",
@@ -141,6 +135,7 @@ __all__ = [
     "loads",
     "measure",
     "modelled_stiffness",
+    "most_often_near",
     "notes",
     "objective_metrics",
     "objective_of",
@@ -167,5 +162,6 @@ __all__ = [
     "tool_lag",
     "unit_findings",
     "verdict",
+    "weakest_joint",
     "work_of",
 ]

@@ -11,11 +11,13 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning import (
     Deadline,
-    PlanningContext,
-    build_context,
+    StrokeRequest,
+    build_request,
+    most_often_near,
     quick_bound,
     searched,
     starting_at_path,
+    weakest_joint,
 )
 from cmbot.scene import Scene
 
@@ -54,7 +56,7 @@ def bounded_quickly(scene: Scene) -> float:
     PathNotFound
         When no sequence of admissible postures leads along a stroke.
     """
-    return max(quick_bound(context, _VIA_POINTS) for context in _strokes(scene))
+    return max(quick_bound(request, _VIA_POINTS) for request in _strokes(scene))
 
 
 def chart(scene: Scene) -> Charted:
@@ -66,13 +68,13 @@ def chart(scene: Scene) -> Charted:
         When no sequence of admissible postures leads along a stroke.
     """
     found = list[Charted]()
-    for context in _strokes(scene):
+    for request in _strokes(scene):
         deadline = Deadline(scene.planner.time_limit_s)
-        search, solution = searched(replace(context, deadline=deadline))
+        search, solution = searched(replace(request, deadline=deadline))
         if isinstance(solution, PathNotFound):
             raise solution
         bound = min(search.followed_bound(), solution.peak)
-        torque = np.linalg.norm(context.postures.at(solution.q).guardrail_torque, axis=1).max()
+        torque = np.linalg.norm(request.cell.postures.at(solution.q).guardrail_torque, axis=1).max()
         found.append(Charted(bound=bound, expected=solution.peak, torque=float(torque), begins=solution.q[0]))
     return Charted(
         bound=max(each.bound for each in found),
@@ -82,23 +84,27 @@ def chart(scene: Scene) -> Charted:
     )
 
 
-def _strokes(scene: Scene) -> Iterator[PlanningContext]:
-    """The strokes' contexts, each from a posture that holds the tool where it begins."""
-    context = build_context(scene, scene.planner)
+def _strokes(scene: Scene) -> Iterator[StrokeRequest]:
+    """The strokes' requests, each from a posture that holds the tool where it begins."""
+    request = build_request(scene, scene.planner)
     if scene.return_to not in ("start", "none"):
-        _require_stow(context.tool_off)
-    for number in range(len(context.strokes)):
-        yield starting_at_path(context.at_stroke(number, scene, context.posture, 0.0, 0.0))
+        _require_stow(request.tool_off)
+    for number in range(len(request.strokes)):
+        yield starting_at_path(request.at_stroke(number, scene))
 
 
-def _require_stow(context: PlanningContext) -> None:
+def _require_stow(request: StrokeRequest) -> None:
     """Refuse a stance in which the arm cannot be put away: its base may be tilted."""
-    posture = context.posture if context.end_posture is None else context.end_posture
+    cell = request.cell
+    posture = request.state.posture if request.end_posture is None else request.end_posture
     q = posture[None]
     why, pair = "", None
-    if context.use_at_rest(context.postures.at(q))[0] > 1:
-        why = f"{context.weakest_joint(q)} cannot hold the arm in its stow posture"
-    elif context.clearances.check_collision(q, context.options.safety_margin_m)[0]:
-        why, pair = "the arm in its stow posture comes too near to something", context.most_often_near(q)
+    if cell.use_at_rest(cell.postures.at(q))[0] > 1:
+        why = f"{weakest_joint(request.cell, q)} cannot hold the arm in its stow posture"
+    elif cell.clearances.check_collision(q, cell.options.safety_margin_m)[0]:
+        why, pair = (
+            "the arm in its stow posture comes too near to something",
+            most_often_near(request.cell, q),
+        )
     if why:
-        raise context.path_not_found(why, posture, pair=pair)
+        raise request.path_not_found(why, posture, pair=pair)

@@ -74,22 +74,9 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
     step = max(FRAME_STEP, (end - start) * plan.robot.dof / MOST_POSES)
     frames = Frames(plan, tracking=tracking)
     times = frame_times(0.0, work_end - begin, step)
-    baseline, tracked = plan.baseline, {} if tracking is None else dict(tracking.motions)
-    work = {
-        "planned": frames.motion(
-            plan.samples, plan.work.figures, times, tracked.get("planned"), _on(plan.job.segments)
-        )
-    }
-    if baseline is not None:
-        figures_of_work, at_work = job_metrics(baseline.work), _on(baseline.segments)
-        work["baseline"] = frames.motion(
-            baseline.samples, figures_of_work, times, tracked.get("baseline"), at_work
-        )
     data = {
         "title": plan.scene.name,
         "robot": plan.robot.name,
-        # What the pages call the motions otherwise is said by pages of several plans alone.
-        **({} if baseline is not None else {"motions": ["planned"], "names": {}}),
         "start": start,
         "workStart": begin,
         "workEnd": work_end,
@@ -110,7 +97,7 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
         "margin": plan.options.safety_margin_m,
         "links": link_names(plan.robot),
         "approach": _approach(plan, frames, start, step) if start < begin else None,
-        **work,
+        **_at_work(plan, frames, times, tracking),
         "return": _return(plan, frames, frame_times(0.0, back, step)) if back > 0 else None,
         "rest": None if back > 0 else _rest(plan, tracking, frames, frame_times(work_end, end, step) - begin),
     }
@@ -323,6 +310,18 @@ def _end(plan: Plan, tracking: Tracking) -> float:
             expected = f"{duration:g} s, the plan's duration: the tracking errors of this plan"
             raise InputError("tracking", f"{name}.stop", f"{motion.stop:g} s", expected)
     return max(*durations.values(), *(float(motion.t[-1]) for _, motion in tracking.motions))
+
+
+def _at_work(plan: Plan, frames: Frames, times: FloatArray, tracking: Tracking | None) -> dict[str, Any]:
+    """Return the motions at work; ``motions`` are named where they are not the planned one and a baseline."""
+    tracked = {} if tracking is None else dict(tracking.motions)
+    on, baseline = _on(plan.job.segments), plan.baseline
+    planned = frames.motion(plan.samples, plan.work.figures, times, tracked.get("planned"), on)
+    if baseline is None:
+        return {"planned": planned, "motions": ["planned"], "names": {}}
+    on, figures_of_work = _on(baseline.segments), job_metrics(baseline.work)
+    other = frames.motion(baseline.samples, figures_of_work, times, tracked.get("baseline"), on)
+    return {"planned": planned, "baseline": other}
 
 
 def _approach(plan: Plan, frames: Frames, start: float, step: float) -> dict[str, Any]:

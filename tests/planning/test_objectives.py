@@ -12,7 +12,7 @@ from finite_differences import check_derivative, check_state_derivatives
 from hypothesis import given
 from hypothesis import strategies as st
 from plan_folders import edit, refused
-from small_scenes import context_of, short_scene
+from small_scenes import request_of, short_scene
 from state_samples import StateSamples as RandomStates
 
 import cmbot
@@ -20,8 +20,8 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError, InputError, SceneError
 from cmbot.optimization.program import StateSamples
 from cmbot.planning import GlobalSearch, Plan, PostureObjective, WeightedMoment, remarks
-from cmbot.planning.context import build_context
 from cmbot.planning.objectives import Objective, WrenchObjective, objective_of
+from cmbot.planning.request import build_request
 from cmbot.planning.torque.problem import ScaledObjective
 from cmbot.robot import Dynamics, Postures, Robot
 from cmbot.scene import PlannerOptions, Scene
@@ -281,8 +281,8 @@ def test_a_plan_about_the_base(about_base: Plan) -> None:
 
 def test_weights_are_one_of_anyones_own_functions(with_own: Plan) -> None:
     scene = upward(axis_weights=[1, 2, 0])
-    weighted = GlobalSearch(context_of(scene))
-    own = GlobalSearch(build_context(scene, scene.planner, steep))
+    weighted = GlobalSearch(request_of(scene))
+    own = GlobalSearch(build_request(scene, scene.planner, steep))
     assert own.lower_bound.value == pytest.approx(weighted.lower_bound.value, rel=1e-9)
     np.testing.assert_allclose(own.solve(pinned=False).q, weighted.solve(pinned=False).q)
     figures = with_own.objective
@@ -313,7 +313,7 @@ def test_round_trip(about_base: Plan, with_own: Plan, tmp_path: Path) -> None:
 def test_an_objective_that_rests_at_zero(short_plan: Plan) -> None:
     """Gravity has no moment about the vertical: the floor is 0, and no gap to it is made up."""
     weights = {"knots": "sliding", "axis_weights": [0, 0, 1]}
-    stage = GlobalSearch(context_of(short_scene(planner=weights)))
+    stage = GlobalSearch(request_of(short_scene(planner=weights)))
     assert stage.lower_bound.value == stage.solve(pinned=True).peak == 0.0
     figures = replace(short_plan.objective, axis_weights=(0.0, 0.0, 1.0), floor=stage.lower_bound.value)
     assert figures.gap is None
@@ -321,10 +321,10 @@ def test_an_objective_that_rests_at_zero(short_plan: Plan) -> None:
 
 
 def test_an_objective_of_the_posture_has_a_floor() -> None:
-    context = context_of(short_scene(planner={"knots": "sliding"}))
-    assert isinstance(objective_of(context.robot, context.options), WrenchObjective)
+    asked = request_of(short_scene(planner={"knots": "sliding"}))
+    assert isinstance(objective_of(asked.cell.robot, asked.cell.options), WrenchObjective)
     objective = PostureObjective(function=bent_elbow, name="elbow", unit="")
-    stage = GlobalSearch(replace(context, objective=objective))
+    stage = GlobalSearch(replace(asked, objective=objective))
     solution = stage.solve(pinned=False)
     np.testing.assert_allclose(solution.value, 1 - np.cos(solution.q[:, 2]), rtol=1e-12)
     assert stage.lower_bound.value <= solution.peak + 1e-12

@@ -6,7 +6,7 @@ import pytest
 
 import cmbot
 from cmbot.common.errors import PathNotFound
-from cmbot.planning import build_context
+from cmbot.planning import build_request
 from cmbot.scene import Scene
 from cmbot.stances import candidates_of, in_world, scene_at
 from cmbot.stances.charting import bounded_quickly, chart
@@ -50,8 +50,8 @@ def test_a_stance_in_which_the_arm_cannot_be_put_away(scene: Scene) -> None:
     with pytest.raises(PathNotFound, match="joint_2 cannot hold the arm in its stow posture"):
         bounded_quickly(stowed)
     data = {**scene.as_data(), "return": "stow", "guardrail": {"bays": 4}}
-    context = build_context(cmbot.load_scene(data), scene.planner)
-    at = context.postures.tool_at(context.end_posture[None]).tool_point[0]
+    asked = build_request(cmbot.load_scene(data), scene.planner)
+    at = asked.cell.postures.tool_at(asked.end_posture[None]).tool_point[0]
     box = {"name": "box", "box": [0.1, 0.1, 0.1], "xyz": at.tolist()}
     with pytest.raises(PathNotFound, match="in its stow posture comes too near to something"):
         bounded_quickly(cmbot.load_scene({**data, "obstacles": [*data["obstacles"], box]}))

@@ -13,13 +13,13 @@ from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import short_repr
 from cmbot.planning.certification.metrics import MotionMetrics, Samples, figures, measure
-from cmbot.planning.context import SAMPLE_STEP
 from cmbot.planning.free_motion.return_move import SAME_POSTURE
 from cmbot.planning.free_motion.straight_move import quickest_straight
 from cmbot.planning.job import RETURN, free_move_name, job_metrics
 from cmbot.planning.result.stroke_plan import StrokeBaseline, StrokePlan
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Robot
+from cmbot.trajectory import SAMPLE_STEP
 
 
 @dataclass(frozen=True, kw_only=True)

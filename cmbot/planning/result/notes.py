@@ -9,8 +9,8 @@ from typing import Any, Literal
 import numpy as np
 
 from cmbot.common.limit import Limit
-from cmbot.planning.context import end_posture_of, rigid_arm_remark
 from cmbot.planning.job import RETURN
+from cmbot.planning.request import end_posture_of
 from cmbot.planning.result.baseline import Baseline
 from cmbot.planning.result.holding import emergency_stop
 from cmbot.planning.result.judgement import (
@@ -25,6 +25,7 @@ from cmbot.planning.result.judgement import (
 from cmbot.planning.result.plan import Plan
 from cmbot.planning.stiffness import identified_in_words
 from cmbot.planning.units import mistaken_units
+from cmbot.planning.workcell import rigid_arm_remark
 from cmbot.robot import Dynamics, postures_in_words
 from cmbot.scene import STOW
 

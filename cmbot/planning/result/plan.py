@@ -20,16 +20,17 @@ from cmbot.elastic.sag import Sag, TooSoftError
 from cmbot.planning.certification.certificate import Certificate
 from cmbot.planning.certification.metrics import MotionMetrics, Samples, measure
 from cmbot.planning.certification.sag_spread import across_path, spread_times
-from cmbot.planning.context import bending_arm, end_posture_of, sag_of, sample_step, strokes_of
 from cmbot.planning.job import APPROACH, Job, Segment
+from cmbot.planning.request import end_posture_of, strokes_of
 from cmbot.planning.result.baseline import Baseline, baseline_of, joined_samples
 from cmbot.planning.result.stroke_plan import StrokePlan, combined
 from cmbot.planning.stiffness import covariance_of
 from cmbot.planning.task import ToolTask
+from cmbot.planning.workcell import bending_arm, sag_of
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import WORK, PlannerOptions, Scene, coverage_of, pieces_left_out, rows_alone
 from cmbot.toolpath import Coverage
-from cmbot.trajectory import QuinticTrajectory
+from cmbot.trajectory import QuinticTrajectory, sample_step
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 from cmbot.stances.walking.files import WalkSamples, walk_csv, walk_data, walk_samples
 from cmbot.stances.walking.steps import Kind, Move, Step, certified_move
-from cmbot.stances.walking.tour import Tour, tour, tour_data
+from cmbot.stances.walking.tour import Tour, part_data, tour, tour_data
 from cmbot.stances.walking.verification import second_opinion_of
 from cmbot.stances.walking.walk import Walk, WalkOptions, goal_stance, load_goal, stance_of, walk
 
@@ -17,6 +17,7 @@ __all__ = [
     "certified_move",
     "goal_stance",
     "load_goal",
+    "part_data",
     "second_opinion_of",
     "stance_of",
     "tour",

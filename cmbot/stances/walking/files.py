@@ -151,6 +151,7 @@ def walk_data(walk: Walk) -> dict[str, Any]:
         "effort_used": walk.effort,
         "steps": steps,
         "last": last,
+        "failures": list(walk.failures),
         "words": list(walk.in_words()),
     }
 

@@ -15,10 +15,12 @@ from cmbot.common.representation import short_repr
 from cmbot.planning import (
     FreeMove,
     FreeSpace,
-    PlanningContext,
+    JobState,
     Segment,
+    StrokeRequest,
     ToolTask,
-    build_context,
+    Workcell,
+    build_request,
     certify_move,
     free_space,
     objective_of,
@@ -123,10 +125,12 @@ def arm_move(scene: Scene, node: Candidate, way: FloatArray) -> Move | None:
         free = all(space.straight(one, other) for one, other in pairwise(way))
         return space.shorten(way) if free and len(way) > 2 else None
 
-    context = build_context(scene_at(scene, node, start), scene.planner)
-    segment = plan_move(context, _named("arm", start, end, "the counterweight's posture"), given)
+    request = build_request(scene_at(scene, node, start), scene.planner)
+    segment = plan_move(request, _named("arm", start, end, "the counterweight's posture"), given)
     holds: tuple[Side, ...] = (1,) if node.stance.foot_2 is None else (1, 2)
-    return Move(kind="arm", robot=context.robot.tool_off, holds=holds, node=node, arm=start, segment=segment)
+    return Move(
+        kind="arm", robot=request.cell.robot.tool_off, holds=holds, node=node, arm=start, segment=segment
+    )
 
 
 def plan_step(
@@ -161,29 +165,31 @@ def plan_step(
         When nothing leads there, or the joints or the foot that holds cannot bear it.
     """
     robot = swinging_robot(scene, before, foot, arm)
-    near, far = (_swing_context(scene, robot, foot, near=close) for close in (True, False))
+    near, far = (_swing_request(scene, robot, foot, near=close) for close in (True, False))
     ways = [_lifted(node, foot) for node in (before, after)]
     up, down = ways[0], ways[1][::-1]
     # On foot 2 the joints are in the other order.
     turn = 1 if foot == 2 else -1
     if straight:
         # Neighbouring links spare less than a free space asks by default.
-        space = free_space(far).around(np.stack([up[-1], down[0]])[:, ::turn])
+        space = free_space(far.cell).around(np.stack([up[-1], down[0]])[:, ::turn])
         if space is None or not space.straight(up[-1][::turn], down[0][::turn]):
             return ()
-    parts: list[tuple[Kind, PlanningContext, FloatArray]] = []
+    parts: list[tuple[Kind, StrokeRequest, FloatArray]] = []
     if len(up) > 1:
         parts.append(("lift", near, up[:, ::turn]))
     parts.append(("swing", far, np.stack([up[-1], down[0]])[:, ::turn]))
     if len(down) > 1:
         parts.append(("set", near, down[:, ::turn]))
     moves = list[Move]()
-    for kind, context, path in parts:
+    for kind, request, path in parts:
         move = _named(kind, path[0], path[-1], _ENDS[kind])
-        segment = plan_move(context, move, partial(_given, None if kind == "swing" else path))
-        slow = _slowed(context, segment, speed)
+        segment = plan_move(request, move, partial(_given, None if kind == "swing" else path))
+        slow = _slowed(request, segment, speed)
         holds: Side = 1 if foot == 2 else 2
-        moves.append(Move(kind=kind, robot=context.robot, holds=(holds,), node=before, arm=arm, segment=slow))
+        moves.append(
+            Move(kind=kind, robot=request.cell.robot, holds=(holds,), node=before, arm=arm, segment=slow)
+        )
     return tuple(moves)
 
 
@@ -214,14 +220,16 @@ def certified_move(
         When the certificate does not hold.
     """
     if kind == "arm":
-        context = build_context(scene_at(scene, node, arm), scene.planner).tool_off
-        task = context.task.held_at_start()
+        request = build_request(scene_at(scene, node, arm), scene.planner).tool_off
+        task = request.task.held_at_start()
     else:
         goes: Side = 2 if holds == (1,) else 1
-        context = _swing_context(scene, swinging_robot(scene, node, goes, arm), goes, near=kind != "swing")
-        task = replace(context.task.held_at_start(), max_speed=speed)
-    q, robot = trajectory.q, context.robot
-    certificate = certify_move(robot, task, trajectory, context.clearances, context.options, q[0], q[-1])
+        request = _swing_request(scene, swinging_robot(scene, node, goes, arm), goes, near=kind != "swing")
+        task = replace(request.task.held_at_start(), max_speed=speed)
+    q, robot = trajectory.q, request.cell.robot
+    certificate = certify_move(
+        robot, task, trajectory, request.cell.clearances, request.cell.options, q[0], q[-1]
+    )
     certificate.require()
     segment = Segment(
         name=kind, kind="free", begin=0.0, trajectory=trajectory, certificate=certificate, task=task
@@ -229,12 +237,12 @@ def certified_move(
     return Move(kind=kind, robot=robot, holds=holds, node=node, arm=arm, segment=segment)
 
 
-def _swing_context(scene: Scene, robot: Robot, foot: Side, *, near: bool) -> PlanningContext:
+def _swing_request(scene: Scene, robot: Robot, foot: Side, *, near: bool) -> StrokeRequest:
     """What a move of a foot needs, near the member that it held or is to hold, or away from it."""
     options = replace(scene.planner, objective="torque", moment_about="foot", axis_weights=(1.0, 1.0, 1.0))
     # Near the member that it holds the foot's shapes count no more; the foothold is known to be free.
     shapes = without_links(robot, lambda link: link == f"foot_{foot}") if near else robot
-    return _context(shapes, scene.all_obstacles, options)
+    return _request(shapes, scene.all_obstacles, options)
 
 
 _ENDS = {"lift": "the lifted foot", "swing": "above the next place", "set": "the next place"}
@@ -295,7 +303,7 @@ def _lifted(node: Candidate, foot: Side) -> FloatArray:
     return np.array(way)
 
 
-def _context(robot: Robot, obstacles: tuple[Obstacle, ...], options: PlannerOptions) -> PlanningContext:
+def _request(robot: Robot, obstacles: tuple[Obstacle, ...], options: PlannerOptions) -> StrokeRequest:
     """What planning a free move of the climbing joints needs; the other foot is the tool."""
     q = np.zeros(robot.dof)
     X_WT = Kinematics(robot).tool_pose(q)
@@ -304,27 +312,24 @@ def _context(robot: Robot, obstacles: tuple[Obstacle, ...], options: PlannerOpti
         corners=corners, orientation=np.array(X_WT.rotation), seconds=np.ones(1), profile=SpeedProfile()
     )
     objective = objective_of(robot, options)
-    return PlanningContext(
+    cell = Workcell(
         robot=robot,
-        posture=q,
-        end_posture=None,
-        first=q,
-        strokes=(),
-        number=0,
-        task=ToolTask(path),
         clearances=Clearances(robot, obstacles),
-        times=np.array([0.0, 1.0]),
         options=options,
         objective=objective,
         idle_objective=objective,
-        arm=None,
-        sag=None,
+    )
+    times = np.array([0.0, 1.0])
+    state = JobState(posture=q)
+    return StrokeRequest(
+        cell=cell, state=state, strokes=(), number=0, task=ToolTask(path), times=times, first=q
     )
 
 
-def _slowed(context: PlanningContext, segment: Segment, speed: float) -> Segment:
+def _slowed(request: StrokeRequest, segment: Segment, speed: float) -> Segment:
     """The same motion so slow that the foot keeps below a speed, certified again."""
-    trajectory, kinematics = segment.trajectory, Kinematics(context.robot)
+    cell = request.cell
+    trajectory, kinematics = segment.trajectory, Kinematics(cell.robot)
     t = np.linspace(0.0, trajectory.duration, _SAMPLES)
     q, v, *_ = trajectory.states(t)
     J = kinematics.tool_point_jacobians(q)[1]
@@ -335,8 +340,6 @@ def _slowed(context: PlanningContext, segment: Segment, speed: float) -> Segment
         t=trajectory.t * factor, q=trajectory.q, v=trajectory.v / factor, a=trajectory.a / factor**2
     )
     task = replace(segment.task, max_speed=speed)
-    certificate = certify_move(
-        context.robot, task, slow, context.clearances, context.options, slow.q[0], slow.q[-1]
-    )
+    certificate = certify_move(cell.robot, task, slow, cell.clearances, cell.options, slow.q[0], slow.q[-1])
     certificate.require()
     return replace(segment, trajectory=slow, certificate=certificate, task=task)

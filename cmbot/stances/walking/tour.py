@@ -218,23 +218,25 @@ def _needed(part: Plan | Walk) -> float | None:
 
 def tour_data(tour: Tour) -> dict[str, Any]:
     """Return the parts of a tour, ready for JSON."""
-    parts = [
-        {
-            "name": name,
-            "kind": "work" if isinstance(part, Plan) else "walk",
-            "begin": begin,
-            "seconds": _seconds(part),
-            "adhesion_needed": _needed(part),
-            **(_work(part) if isinstance(part, Plan) else {"steps": len(part.steps)}),
-        }
-        for name, begin, part in tour.parts
-    ]
+    parts = [part_data(*part) for part in tour.parts]
     return {
         "format": "cmbot-tour/1",
         "cmbot": __version__,
         "seconds": tour.seconds,
         "parts": parts,
         "words": list(tour.in_words()),
+    }
+
+
+def part_data(name: str, begin: float, part: Plan | Walk) -> dict[str, Any]:
+    """Return what a tour says of a part that begins so many seconds after it, ready for JSON."""
+    return {
+        "name": name,
+        "kind": "work" if isinstance(part, Plan) else "walk",
+        "begin": begin,
+        "seconds": _seconds(part),
+        "adhesion_needed": _needed(part),
+        **(_work(part) if isinstance(part, Plan) else {"steps": len(part.steps)}),
     }
 
 

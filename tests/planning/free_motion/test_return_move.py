@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from forgeries import changed_scene, put_job
 from plan_folders import edit, refused, same_arrays
-from small_scenes import context_of, short_scene
+from small_scenes import request_of, short_scene
 
 from cmbot.archive import load_plan, save
 from cmbot.common.errors import LimitViolation, PathNotFound
@@ -139,10 +139,10 @@ def test_a_return_to_another_posture_is_refused(returning_plan: Plan, folder: Pa
 
 
 def test_no_move_leads_to_where_the_arm_is() -> None:
-    context = context_of(short_scene())
-    assert plan_return(context, context.posture, begin=4.0, allowed=0.0) is None
-    there = replace(context, end_posture=context.posture)
-    assert plan_return(there, context.posture.copy(), begin=4.0, allowed=0.0) is None
+    asked = request_of(short_scene())
+    assert plan_return(asked, asked.state.posture, begin=4.0, allowed=0.0) is None
+    there = replace(asked, end_posture=asked.state.posture)
+    assert plan_return(there, asked.state.posture.copy(), begin=4.0, allowed=0.0) is None
 
 
 def test_a_return_that_hurries_breaks_a_promise(returning_plan: Plan, folder: Path) -> None:
