@@ -23,9 +23,9 @@ from cmbot.planning.result.judgement import (
     travels,
 )
 from cmbot.planning.result.plan import Plan
-from cmbot.planning.stiffness import identified_in_words
-from cmbot.planning.units import mistaken_units
-from cmbot.planning.workcell import rigid_arm_remark
+from cmbot.planning.workcell.stiffness import identified_in_words
+from cmbot.planning.workcell.units import mistaken_units
+from cmbot.planning.workcell.workcell import rigid_arm_remark
 from cmbot.robot import Dynamics, postures_in_words
 from cmbot.scene import STOW
 
