@@ -97,6 +97,9 @@ def _first(plan: Plan) -> Iterator[Note]:
             "along_axis_mm": tolerance and tolerance.along_axis_mm,
         }
         yield Note(level="first", key="tool", values=values)
+    else:
+        values = {"within_mm": 1e3 * plan.figures.max_tool_deviation}
+        yield Note(level="first", key="rigid_tool", values=values)
     yield from _holds(plan)
     yield Note(level="first", key="base", values=_base(plan))
     segment, check = tightest_check(plan.job)

@@ -22,7 +22,6 @@ MOST_FIRST = 5
 _LITTLE = 1e-2
 # A gain below this share is told with what it costs: joints that travel so many times as far, or more.
 _SMALL, _FURTHER = 5e-2, 3.0
-_ORDER = ("tool", "holds", "unknown_hold", "base", "promise", "help")
 
 
 def verdict(plan: Plan, *, area: bool = True) -> str:
@@ -356,6 +355,7 @@ def _seconds(path: float, optimise: float, certify: float, total: float, passes:
 
 _SENTENCES: dict[str, str | Callable[..., str]] = {
     "tool": _tool,
+    "rigid_tool": "The tool is within {within_mm:.3g} mm of its path, as the rigid arm has it.",
     "holds": _holds,
     "unknown_hold": _unknown_hold,
     "base": _base,

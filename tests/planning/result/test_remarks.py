@@ -251,7 +251,7 @@ def test_what_is_shown_first_is_short_and_begins_with_the_tool(
     assert rows[0][0].startswith("tool from its path" if plan.accuracy else "largest tool deviation")
     assert set(rows) <= set(plan.rows())
     assert plan.summary().count("\n") == len(rows)
-    order = "The tool is within", "Hold:", f"The {plan.scene.base_name} must bear", "With "
+    order = "The tool is", "Hold:", f"The {plan.scene.base_name} must bear", "With "
     begun = [
         next(k for k, said in enumerate(order) if sentence.startswith(said)) for sentence in sentences[:4]
     ]
@@ -266,3 +266,16 @@ def test_every_note_has_a_level_values_and_one_sentence(triangle_plan: Plan) -> 
         assert note.level in ("first", "fault", "warning", "note")
         assert sentence(note).endswith(".")
         json.dumps(note.values, allow_nan=False)
+
+
+def test_an_arm_that_bends_nowhere_has_its_tool_first_too(short_plan: Plan) -> None:
+    rigid = replace(
+        short_plan,
+        scene=short_scene(guardrail={"bays": 0}),
+        robot=replace(short_plan.robot, elasticity={}, joint_elasticity={}),
+        suppression=None,
+    )
+    off = 1e3 * short_plan.figures.max_tool_deviation
+    assert rigid.accuracy is None
+    assert first_remarks(rigid)[0] == f"The tool is within {off:.3g} mm of its path, as the rigid arm has it."
+    assert next(rigid.rows(first=True))[0] == "largest tool deviation, mm"
