@@ -9,7 +9,7 @@ from cmbot.toolpath.raster.pieces import RowPiece, cells_of, without
 from cmbot.toolpath.raster.raster import CylinderPatch, FaceSelection, Raster
 from cmbot.toolpath.raster.surface import Coverage, PlainSurface, Surface
 from cmbot.toolpath.time_law import LegLaw, PiecewiseLaw, SpeedProfile
-from cmbot.toolpath.tool_path import ShiftedToolPath, ToolPath, share_out_segments
+from cmbot.toolpath.tool_path import ToolPath, share_out_segments
 from cmbot.toolpath.tool_poses import ToolPoses, shortest_turns
 
 __all__ = [
@@ -34,7 +34,6 @@ __all__ = [
     "Rolled",
     "RowPiece",
     "SecondsOrAuto",
-    "ShiftedToolPath",
     "Speed",
     "SpeedProfile",
     "Spline",

@@ -12,6 +12,7 @@ from cmbot.common.limit import Limit
 from cmbot.hold import Holding
 from cmbot.optimization import Linearization, StateSamples
 from cmbot.planning.objectives import efforts_of
+from cmbot.planning.path.bent_tool import BentTool
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Dynamics, Postures, ToolBatch
 from cmbot.toolpath import ToolPoses
@@ -88,7 +89,7 @@ class ToolDeviation:
     That is never less than its distance from all the legs, and unlike that has no kink at a corner.
     """
 
-    postures: Postures
+    postures: Postures | BentTool
     task: ToolTask
     bound: float
     name: str = "tool deviation"
@@ -125,7 +126,7 @@ class ToolDeviation:
 class ToolLag:
     """Distance of the tool point along the leg from its timed place within its bound; ahead, then behind."""
 
-    postures: Postures
+    postures: Postures | BentTool
     task: ToolTask
     bound: float
     name: str = "tool lag"
@@ -154,7 +155,7 @@ class ToolLag:
 class ToolRotation:
     """Angle by which the tool misses its prescribed orientation or axis within its bound."""
 
-    postures: Postures
+    postures: Postures | BentTool
     task: ToolTask
     bound: float
     name: str = "tool rotation"
@@ -192,7 +193,7 @@ class ToolTilt:
     the axes agree.
     """
 
-    postures: Postures
+    postures: Postures | BentTool
     task: ToolTask
     bound: float  # rad
     name: str = "tool tilt"
@@ -238,7 +239,7 @@ class ToolTilt:
 class ToolSpeed:
     """Speed of the tool point within its bound."""
 
-    postures: Postures
+    postures: Postures | BentTool
     bound: float
     name: str = "tool speed"
     limit: Limit = Limit.TOOL_SPEED
@@ -267,7 +268,7 @@ class ProcessSpeed:
     Along the path it is not below, which is no weaker than that the speed is not, and linear in the rates.
     """
 
-    postures: Postures
+    postures: Postures | BentTool
     task: ToolTask
     bound: float
     name: str = "process speed"
@@ -312,9 +313,13 @@ def _directions_across(axis: FloatArray, away: FloatArray) -> FloatArray:
     return np.asarray(np.cos(angle) * u + np.sin(angle) * cross(axis, u))
 
 
-def _tool(postures: Postures, states: StateSamples) -> ToolBatch:
+def _tool(postures: Postures | BentTool, states: StateSamples) -> ToolBatch:
     """The tool at the states: computed once, whichever constraints need it."""
-    return states.computed(id(postures), lambda s: postures.tool_at(s.q))
+
+    def computed(at: StateSamples) -> ToolBatch:
+        return postures.at(at.t, at.q) if isinstance(postures, BentTool) else postures.tool_at(at.q)
+
+    return states.computed(id(postures), computed)
 
 
 @dataclass(eq=False)
