@@ -551,7 +551,7 @@ def _scene(plan: Plan) -> Iterator[Row]:
 
 def _legs(path: ToolPath) -> Iterator[Row]:
     for k, (by, seconds) in enumerate(zip(np.diff(path.corners, axis=0), path.seconds, strict=True)):
-        along = f", {path.lengths[k]:.3f} m along a curve" if k in path.curves else ""
+        along = f", {path.lengths[k]:.3f} m along a curve" if not path.segments[k].is_straight else ""
         yield f"leg {k + 1}", f"by ({_numbers(by, 3)}) m in {seconds:g} s{along}"
 
 

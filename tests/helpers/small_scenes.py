@@ -80,7 +80,7 @@ def parts(scene: Scene) -> tuple[Robot, ToolTask, FloatArray, Clearances]:
 def path_through(corners: FloatArray, orientation: FloatArray) -> ToolPath:
     """A tool path of a second a leg."""
     seconds = np.ones(len(corners) - 1)
-    return ToolPath(corners=corners, orientation=orientation, seconds=seconds, profile=SpeedProfile())
+    return ToolPath.straight(corners, orientation, seconds, SpeedProfile().law)
 
 
 def task_at(robot: Robot, q: FloatArray, keep: Any = "pose") -> ToolTask:
@@ -139,3 +139,8 @@ def torque_problem(kind: str, least: float = 0.0) -> TorqueProblem:
     asked, via_points = short_request()
     form = parametrization_through(asked, via_points, sliding=kind != "fixed", pinned=kind == "pinned")
     return TorqueProblem(asked, form, least)
+
+
+def with_corners(path: ToolPath, corners: FloatArray) -> ToolPath:
+    """Straight legs between other corners, timed as those of a path."""
+    return ToolPath.straight(corners, path.orientation, path.seconds, path.segments[0].law)

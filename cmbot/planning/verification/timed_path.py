@@ -19,11 +19,13 @@ from cmbot.planning.verification.described_arm import pose_of
 from cmbot.scene import Scene, Stroke, StrokeFile
 from cmbot.toolpath import ArcTo, Goal, Leg, LegLaw, Raster, SpeedProfile
 
-_NO_TURN = 1e-12
+_NO_TURN, _NO_TIME = 1e-12, 1e-12
 # Samples of a path in which points are looked for: at least, and for each of them.
 _SAMPLES, _PER_POINT = 4001, 40
 # Rounded corners turn by 150 degrees at most, and pass their points within so many radii.
 _CORNER = 3.0
+# Dense waypoints are passed within this share of the tool's tolerance.
+_WAYPOINTS_MISSED = 0.25
 # Durations whose shares agree to so many digits are the same.
 _DIGITS = 9
 
@@ -158,7 +160,7 @@ class _LegPath:
 
 
 def _distance(profile: SpeedProfile, law: LegLaw | None) -> BSpline:
-    """What is covered by the share of a leg's time, in any unit: accelerations or jerks, integrated."""
+    """What is covered by the share of a leg's time, in any unit: speeds or jerks, integrated."""
     if law is not None:
         ends = np.append(0.0, np.cumsum(law.seconds))
         return make_interp_spline(ends / ends[-1], law.jerk, k=1).antiderivative(3)
@@ -167,8 +169,16 @@ def _distance(profile: SpeedProfile, law: LegLaw | None) -> BSpline:
     ramped = np.minimum(u, 1 - u) / ramp
     if profile.kind == "trapezoidal":
         return make_interp_spline(u, np.minimum(ramped, 1.0), k=1).antiderivative(1)
-    pull = np.maximum(1 - np.abs(2 * ramped - 1), 0.0) * np.sign(0.5 - u)
-    return make_interp_spline(u, pull, k=1).antiderivative(2)
+    if profile.kind == "jerk_limited":
+        pull = np.maximum(1 - np.abs(2 * ramped - 1), 0.0) * np.sign(0.5 - u)
+        return make_interp_spline(u, pull, k=1).antiderivative(2)
+    quarters = ramp * np.arange(5) / 4
+    u = np.concatenate([quarters, 1 - quarters[::-1]])
+    jerk = np.array([0.0, 1.0, 0.0, -1.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0])
+    # Ramps of half the time meet in its middle.
+    apart = np.append(True, np.diff(u) > _NO_TIME)
+    u, jerk = u[apart], jerk[apart]
+    return make_interp_spline(u, jerk, k=1).antiderivative(3)
 
 
 class DescribedPath:
@@ -196,7 +206,7 @@ class DescribedPath:
         self._path, self._file, self._frames = stroke.path, stroke.file, frames
         self._has_leads = bool(stroke.file.lead_in_m or stroke.file.lead_out_m)
         self._legs = _LegPath(stroke.file, frames) if stroke.file.legs else None
-        self._number = stroke.via_points
+        self._number, self._deviation = stroke.via_points, scene.planner.max_tool_deviation_m
         self.is_plain = self._legs is not None and not (stroke.file.blend_radius_m or self._has_leads)
 
     def poses(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -237,8 +247,10 @@ class DescribedPath:
             times = times[self._path.process_speed(times) > 0] if self._has_leads else times
             p, R = self.poses(times)
             return _surface_misses(raster, self._frames[raster.frame], p, R[:, :, 2]).ravel()
-        points = np.array(self._file.waypoints)[:, :3] if self._legs is None else self._legs.corners
         rounded = _CORNER * (self._file.blend_radius_m or 0.0)
+        if self._legs is None:
+            rounded += _WAYPOINTS_MISSED * self._deviation
+        points = np.array(self._file.waypoints)[:, :3] if self._legs is None else self._legs.corners
         return np.maximum(self._distance(points) - rounded, 0.0)
 
     def _distance(self, points: FloatArray) -> FloatArray:
