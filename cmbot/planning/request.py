@@ -12,9 +12,9 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound, SceneError
 from cmbot.common.representation import short_repr
 from cmbot.planning.budget import Deadline
-from cmbot.planning.path.bent_tool import BentTool
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.task import ToolTask
+from cmbot.planning.workcell.bent_tool import BentTool
 from cmbot.planning.workcell.objectives import WrenchFunction
 from cmbot.planning.workcell.workcell import Workcell, build_workcell
 from cmbot.robot import Kinematics, Robot

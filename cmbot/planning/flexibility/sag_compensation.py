@@ -21,9 +21,9 @@ from cmbot.common.limit import Limit
 from cmbot.elastic.sag import Sag
 from cmbot.planning.certification.sag_spread import largest_spread
 from cmbot.planning.initial_guess import InitialGuess, problem_near
-from cmbot.planning.path.bent_tool import BentTool
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.torque import Optimised, TorqueProblem, optimise
+from cmbot.planning.workcell.bent_tool import BentTool
 
 MOST_ROUNDS = 8
 """Rounds at most."""

@@ -29,10 +29,10 @@ from cmbot.planning.attempts import motion
 from cmbot.planning.budget import Deadline
 from cmbot.planning.flexibility.sag_compensation import compensate
 from cmbot.planning.initial_guess import InitialGuess
-from cmbot.planning.path.bent_tool import BentTool
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.torque import Optimised
 from cmbot.planning.torque.task_manifold import TaskManifold
+from cmbot.planning.workcell.bent_tool import BentTool
 from cmbot.robot import Postures
 from cmbot.scene import Scene, load_scene
 from cmbot.toolpath import ToolPoses
