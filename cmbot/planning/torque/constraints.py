@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -315,11 +316,9 @@ def _directions_across(axis: FloatArray, away: FloatArray) -> FloatArray:
 
 def _tool(postures: Postures | BentTool, states: StateSamples) -> ToolBatch:
     """The tool at the states: computed once, whichever constraints need it."""
-
-    def computed(at: StateSamples) -> ToolBatch:
-        return postures.at(at.t, at.q) if isinstance(postures, BentTool) else postures.tool_at(at.q)
-
-    return states.computed(id(postures), computed)
+    if isinstance(postures, BentTool):
+        return states.computed(id(postures), partial(postures.at, states.t, states.q))
+    return states.computed(id(postures), partial(postures.tool_at, states.q))
 
 
 @dataclass(eq=False)
@@ -366,7 +365,7 @@ class ClearanceMargin:
         its neighbours does.
         """
         if np.isneginf(threshold):
-            smallest = self.clearances.smallest(states.q)
+            smallest = self.clearances.query(states.q)
             return ((self.margin - smallest.distance) / self.scale)[:, None], smallest.pair[:, None]
         finite: BoolArray = np.all(np.isfinite(states.q), axis=1)
         value, pair = np.where(finite, -np.inf, np.nan), np.full(len(finite), -1, dtype=np.intp)
