@@ -100,7 +100,7 @@ def proven_bound(scene: Scene, stroke: int, times: FloatArray, value: float) -> 
     value : float
         What is to be proven.
     """
-    request = replace(build_request(scene, scene.planner).at_stroke(stroke, scene), times=times)
+    request = replace(build_request(scene, scene.planner).at_stroke(stroke), times=times)
     proof, lowest = TorqueFloorProof.of(request), 0.0
     for k in range(len(times) if proof is not None else 0):
         if proof is not None and lowest < (1 - _PROVEN) * value:
