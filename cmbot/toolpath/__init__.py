@@ -8,6 +8,7 @@ from cmbot.toolpath.raster.face_rows import FaceSurface
 from cmbot.toolpath.raster.pieces import RowPiece, cells_of, without
 from cmbot.toolpath.raster.raster import CylinderPatch, FaceSelection, Raster
 from cmbot.toolpath.raster.surface import Coverage, PlainSurface, Surface
+from cmbot.toolpath.shaper import Shaper, extra_insensitive, two_hump
 from cmbot.toolpath.time_law import LegLaw, SpeedProfile, TimeLaw
 from cmbot.toolpath.tool_path import Segment, ShiftedToolPath, ToolPath, share_out_segments
 from cmbot.toolpath.tool_poses import ToolPoses, shortest_turns
@@ -34,6 +35,7 @@ __all__ = [
     "RowPiece",
     "SecondsOrAuto",
     "Segment",
+    "Shaper",
     "ShiftedToolPath",
     "Speed",
     "SpeedProfile",
@@ -44,8 +46,10 @@ __all__ = [
     "ToolPoses",
     "ViaPoints",
     "cells_of",
+    "extra_insensitive",
     "share_out_segments",
     "shortest_turns",
     "timed_path",
+    "two_hump",
     "without",
 ]

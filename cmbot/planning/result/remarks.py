@@ -317,7 +317,7 @@ def _return(plan: Plan) -> Iterator[str]:
 def _shortest_time(plan: Plan) -> Iterator[str]:
     """How long legs take whose seconds were to be found."""
     for file, segment in zip(plan.scene.strokes, plan.job.strokes, strict=True):
-        if not file.time_laws:
+        if not (file.time_laws and file.is_open):
             continue
         of = f" of {segment.name}" if plan.several else ""
         legs = "the leg" if len(file.time_laws) == 1 else f"{len(file.time_laws)} legs"

@@ -92,8 +92,8 @@ class PathFile(FileModel):
     max_base_torque_nm: Annotated[float, Field(gt=0, le=1e6)] | None = None
     """With ``seconds: auto``: the largest torque on the base, Nm, with the tool on; left out: any."""
     time_laws: Annotated[tuple[LegLaw, ...], Field(max_length=2000)] | None = None
-    """How legs with ``seconds: auto`` are covered, as planning found it: in the scenes of plans. Left out: it
-    is searched."""
+    """How legs with ``seconds: auto``, or of a ``quiet`` path, are covered, as planning found it: in the
+    scenes of plans. Left out: it is searched."""
     speed_m_s: Speed | None = None
     """In place of `seconds` the speed at which the tool cruises along `waypoints` or `raster`, m/s."""
     speed_tolerance: Annotated[float, Field(ge=1e-4, le=0.5)] | None = None
@@ -144,9 +144,12 @@ class PathFile(FileModel):
             legs = (leg if leg.is_timed else replace(leg, seconds=AUTO) for leg in self.legs)
             object.__setattr__(self, "legs", tuple(legs))
             object.__setattr__(self, "seconds", None)
-        for name in ("max_base_torque_nm", "time_laws"):
-            if not self.is_open and getattr(self, name) is not None:
-                raise refusal("no such key without seconds: auto", got="a value", key=(*at, name))
+        if not self.is_open and self.max_base_torque_nm is not None:
+            expected = "no such key without seconds: auto"
+            raise refusal(expected, got="a value", key=(*at, "max_base_torque_nm"))
+        if not (self.is_open or self.speed_profile.kind == "quiet") and self.time_laws is not None:
+            expected = "no such key without seconds: auto or speed_profile: {kind: quiet}"
+            raise refusal(expected, got="a value", key=(*at, "time_laws"))
         for name in ("speed_tolerance", "lead_in_m", "lead_out_m"):
             if self.is_open and getattr(self, name) is not None:
                 expected = "no such key beside seconds: auto, which has no constant speed"
