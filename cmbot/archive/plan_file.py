@@ -25,7 +25,7 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, core_schema
 
-from cmbot.accuracy import Accuracy
+from cmbot.accuracy import Accuracy, Quietness
 from cmbot.common.errors import PathNotFound
 from cmbot.common.file_types import Count, NonNegative, OrInfinite, Share
 from cmbot.common.validation import FileModel, refusal
@@ -271,6 +271,7 @@ class PlanFile(StrokeEntries):
     gap_to_floor: float | None
     """Planned peak less its lower bound, as a share of the bound."""
     accuracy: Accuracy | None
+    sway: Quietness | None
     """Where the tool is beside its path; null where nothing bends."""
     fallbacks: tuple[str, ...]
     stopped: Literal["time"] | None

@@ -24,9 +24,9 @@ from cmbot.planning.flexibility.leg_vibration import DAMPING, slowest
 from cmbot.toolpath import TimeLaw
 
 # Postures of a leg less one; modes of three of them that carry the motion.
-_INTERVALS, _MODES = 12, 3
+_INTERVALS, _CARRIERS = 12, 3
 # Steps in a period of the slowest mode, and in a leg at least and at most.
-_STEPS_PER_PERIOD, _FEWEST_STEPS, _MOST_STEPS = 30, 120, 1500
+_STEPS_A_PERIOD, _LEAST_STEPS, _LIMIT_STEPS = 40, 120, 1500
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,7 +65,7 @@ class LegResponse:
         posture, first, second = (q(shares, order) for order in range(3))
         at = linearised(arm, posture)
         ends = (0, _INTERVALS // 2, _INTERVALS)
-        shapes = [slowest(at.mass[k], at.stiffness[k], _MODES) for k in ends]
+        shapes = [slowest(at.mass[k], at.stiffness[k], _CARRIERS) for k in ends]
         self.omega = shapes[1][0]
         V = np.linalg.qr(np.hstack([shape for _, shape in shapes]))[0]
         du = -np.einsum("kij,kj->ki", np.linalg.solve(at.stiffness, at.weight), first)
@@ -90,7 +90,7 @@ class LegResponse:
     def of(self, laws: Sequence[TimeLaw], seconds: float, factors: Sequence[float]) -> Response:
         """Return the response to C laws that take `seconds`, s, with F factors on the stiffness."""
         period = 2 * np.pi / self.omega[0]
-        steps = int(np.clip(np.ceil(seconds / period * _STEPS_PER_PERIOD), _FEWEST_STEPS, _MOST_STEPS))
+        steps = int(np.clip(np.ceil(seconds / period * _STEPS_A_PERIOD), _LEAST_STEPS, _LIMIT_STEPS))
         u, h = np.linspace(0.0, 1.0, steps + 1), seconds / steps
         share = np.array([law.share(u) for law in laws])
         rate, bend = (np.array([law.rate(u, k) for law in laws]) / seconds**k for k in (1, 2))

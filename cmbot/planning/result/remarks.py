@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from cmbot.accuracy import Quietness
 from cmbot.common.errors import InputError
 from cmbot.common.limit import Limit
 from cmbot.common.validation import counted
@@ -102,7 +103,9 @@ def _bending(plan: Plan) -> Iterator[str]:
             )
     yield from _sag(plan)
     if plan.suppression is not None:
-        yield _suppression(plan.suppression, plan.scene.base_name)
+        yield _suppression(plan.suppression)
+    if plan.sway is not None:
+        yield _swayed(plan.sway)
 
 
 def _sag(plan: Plan) -> Iterator[str]:
@@ -130,41 +133,50 @@ def _sag(plan: Plan) -> Iterator[str]:
         )
 
 
-def _suppression(done: VibrationSuppression, base: str) -> str:
-    modes = "slowest vibration" if done.modes == 1 else f"{done.modes} slowest vibrations"
-    what = f"Vibration suppression: the {modes} of {base} and links "
-    if done.at_rest:
-        return f"{what}{'is' if done.modes == 1 else 'are'} next to none at the ends of the legs anyway."
-    # Of several strokes one may be left as it is, and another one not.
-    if any(done.shares):
-        return (
-            f"{what}{'is' if done.modes == 1 else 'are'} made {100 * done.share:.0f} % smaller"
-            f"{' on average' if len(done.shares) > 1 else ''} at the ends of "
-            f"{_suppressed_legs(done.shares)}, as predicted. {_swings(done, made=True)}"
-        )
-    if not done.worth_it and done.swing_with != done.swing_without:
-        return (
-            f"{what}{'is left as it is' if done.modes == 1 else 'are left as they are'}: the change that was "
-            f"tried makes the largest swing hardly smaller. {_swings(done, made=False)}"
-        )
+def _swayed(done: Quietness) -> str:
+    """How far the tool sways at work and swings after it, beside what it would without the laws chosen."""
+
+    def told(planned: float, unshaped: float | None) -> str:
+        text = f"{planned:.3g} mm"
+        return text if unshaped is None else f"{text} (by the law of speed_profile alone {unshaped:.3g} mm)"
+
+    low, high = 1 - done.stiffness_share, 1 + done.stiffness_share
     return (
-        f"{what}could not be brought to rest at the ends of the legs: no change of the motion that was "
-        f"tried keeps every bound. {_swings(done, made=False)}"
+        f"Sway: at work the tool is up to {told(done.sway_mm, done.unshaped_sway_mm)} from its place at "
+        f"rest, after the stop it swings through {told(done.swing_mm, done.unshaped_swing_mm)}, simulated at "
+        f"{low:.3g}, 1 and {high:.3g} times the stiffness."
     )
 
 
-def _swings(done: VibrationSuppression, *, made: bool) -> str:
+def _suppression(done: VibrationSuppression) -> str:
+    what = "Vibration suppression: "
+    if done.at_rest:
+        return f"{what}there is next to no vibration at the ends of the legs anyway."
+    # Of several strokes one may be left as it is, and another one not.
+    if any(done.shares):
+        return f"{what}the motion was changed at the ends of {_suppressed_legs(done.shares)}. {_swings(done)}"
+    if not done.worth_it and done.swing_with != done.swing_without:
+        return (
+            f"{what}the motion is left as it is: the change that was tried makes the largest swing hardly "
+            f"smaller. {_swings(done)}"
+        )
+    return (
+        f"{what}the motion is left as it is: no change that was tried keeps every bound and lessens the "
+        f"vibration. {_swings(done)}"
+    )
+
+
+def _swings(done: VibrationSuppression) -> str:
     """What the tool swings through after the stop: the most of all that was simulated, and as modelled."""
     if not done.stiffness:
         return (
-            f"As predicted, they would leave the tool swinging by {1e3 * done.before:.4f} mm to either side "
-            f"without that, and by {1e3 * done.after:.4f} mm with it."
+            f"As predicted, the tool would swing by {1e3 * done.before:.4f} mm to either side without a "
+            f"change, and by {1e3 * done.after:.4f} mm with it."
         )
-    cases, word = [*zip(done.swing_with, done.swing_without, strict=True)], "without" if made else "with"
+    cases = [*zip(done.swing_with, done.swing_without, strict=True)]
 
     def told(with_it: float, without: float) -> str:
-        here, other = (f"{1e3 * each:.3f}" for each in ((with_it, without) if made else (without, with_it)))
-        return f"{here} mm" if here == other else f"{here} mm ({word} that {other})"
+        return f"{1e3 * with_it:.3f} mm with the change, {1e3 * without:.3f} mm without it"
 
     most = told(*(max(each) for each in zip(*cases, strict=True)))
     low, high, load = min(done.stiffness), max(done.stiffness), max(done.load_kg)
@@ -173,7 +185,7 @@ def _swings(done: VibrationSuppression, *, made: bool) -> str:
         case for *at, case in zip(done.stiffness, done.load_kg, cases, strict=True) if at == [1.0, 0.0]
     ]
     return (
-        f"In the 2 s after the stop the tool swings through {most} at most, simulated at {low:.3g} to "
+        f"In the 2 s after the stop the tool swings through at most {most}, simulated at {low:.3g} to "
         f"{high:.3g} times the stiffness{carried}{f'; as modelled {told(*modelled[0])}' if modelled else ''}."
     )
 

@@ -21,16 +21,16 @@ from cmbot.planning.timing.leg_paths import LegPath, leg_paths
 from cmbot.toolpath import LegLaw, Segment, Shaper, TimeLaw, extra_insensitive, two_hump
 from cmbot.trajectory import QuinticTrajectory
 
-_RAMPS = (0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5)
+_RAMP_SHARES = (0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5)
 # A shaper takes this share of a leg's time at most; ramps beside a speed that is asked for are no shorter.
-_LONGEST, _SHORTEST_RAMP = 0.4, 0.08
+_LONGEST_SHAPER, _SHORTEST_RAMP = 0.4, 0.08
 # Share of the joints' bounds that a law may use along the guess: splines through its points swing about it.
 _USE = 0.9
 # What swings after the stop counts so much beside what sways at work: the next leg inherits it.
 _SWING = 2.0
 # Legs whose response is predicted; others have the ramp and shaper of the one that is most like them.
 _MOST_LEGS = 8
-_POINTS = 241
+_TIMES_OF_LAW = 241
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -112,10 +112,10 @@ def _candidates(request: StrokeRequest, leg: int, omega: FloatArray) -> Iterator
     asked, own = stroke.asked_speed(leg) is not None, stroke.file.speed_profile.ramp
     for number, shaper in enumerate(_shapers(omega)):
         share = 0.0 if shaper is None else shaper.duration / seconds
-        if share > _LONGEST:
+        if share > _LONGEST_SHAPER:
             continue
         # The speed between ramps is that of the scene's law: (1 - share) (1 - ramp) is what it was.
-        ramps = (1 - (1 - own) / (1 - share),) if asked else _RAMPS
+        ramps = (1 - (1 - own) / (1 - share),) if asked else _RAMP_SHARES
         for ramp in ramps:
             if ramp < _SHORTEST_RAMP or (shaper is None and ramp == own):
                 continue
@@ -143,7 +143,7 @@ def _best(
 
 def _use(request: StrokeRequest, path: LegPath, law: TimeLaw, seconds: float) -> float:
     """Largest share of the joints' and the tool's bounds that a law asks for along a joint path."""
-    u, limits = np.linspace(0.0, 1.0, _POINTS), request.cell.robot.limits
+    u, limits = np.linspace(0.0, 1.0, _TIMES_OF_LAW), request.cell.robot.limits
     s = law.share(u)
     d, dd, ddd = ((law.rate(u, k) / seconds**k)[:, None] for k in (1, 2, 3))
     q1, q2, q3 = (path.q(s, k) for k in (1, 2, 3))
