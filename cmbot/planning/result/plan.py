@@ -24,8 +24,8 @@ from cmbot.planning.job import APPROACH, Job, Segment
 from cmbot.planning.request import end_posture_of, strokes_of
 from cmbot.planning.result.baseline import Baseline, baseline_of, joined_samples
 from cmbot.planning.result.stroke_plan import StrokePlan, combined
-from cmbot.planning.stiffness import covariance_of
-from cmbot.planning.workcell import bending_arm, sag_of
+from cmbot.planning.workcell.stiffness import covariance_of
+from cmbot.planning.workcell.workcell import bending_arm, sag_of
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import WORK, PlannerOptions, Scene, StrokeFile, coverage_of, pieces_left_out, rows_alone
 from cmbot.toolpath import Coverage

@@ -19,9 +19,9 @@ from cmbot.planning.result.holding import holding_remarks
 from cmbot.planning.result.plan import Plan
 from cmbot.planning.result.stroke_plan import ObjectiveMetrics
 from cmbot.planning.result.verdict import baseline_faults, further, strays, travels, verdict
-from cmbot.planning.stiffness import identified_in_words
-from cmbot.planning.units import mistaken_units
-from cmbot.planning.workcell import bending_arm, rigid_arm_remark
+from cmbot.planning.workcell.stiffness import identified_in_words
+from cmbot.planning.workcell.units import mistaken_units
+from cmbot.planning.workcell.workcell import bending_arm, rigid_arm_remark
 from cmbot.robot import Kinematics, postures_in_words
 from cmbot.scene import STOW
 

@@ -17,9 +17,9 @@ from cmbot.planning.certification.metrics import MotionMetrics, Samples
 from cmbot.planning.flexibility.sag_compensation import Compensation
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.initial_guess import Choice
-from cmbot.planning.objectives import Objective
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.task import ToolTask
+from cmbot.planning.workcell.objectives import Objective
 from cmbot.scene import PlannerOptions
 from cmbot.trajectory import QuinticTrajectory
 

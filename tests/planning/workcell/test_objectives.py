@@ -20,9 +20,9 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError, InputError, SceneError
 from cmbot.optimization.program import StateSamples
 from cmbot.planning import GlobalSearch, Plan, PostureObjective, WeightedMoment, remarks
-from cmbot.planning.objectives import Objective, WrenchObjective, objective_of
 from cmbot.planning.request import build_request
 from cmbot.planning.torque.problem import ScaledObjective
+from cmbot.planning.workcell.objectives import Objective, WrenchObjective, objective_of
 from cmbot.robot import Dynamics, Postures, Robot
 from cmbot.scene import PlannerOptions, Scene
 
