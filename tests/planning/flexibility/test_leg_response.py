@@ -7,8 +7,8 @@ from small_scenes import SHORT
 from cmbot import Plan, load_scene, plan
 from cmbot.accuracy import sway_along
 from cmbot.common.arrays import FloatArray
+from cmbot.planning import bending_arm
 from cmbot.planning.flexibility.leg_response import LegResponse
-from cmbot.planning.workcell import bending_arm
 from cmbot.robot import load_robot
 from cmbot.toolpath import SpeedProfile, TimeLaw, extra_insensitive
 
