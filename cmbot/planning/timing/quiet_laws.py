@@ -45,6 +45,8 @@ class _Candidate:
 def quiet_laws(request: StrokeRequest, trajectory: QuinticTrajectory) -> tuple[LegLaw, ...]:
     """Return the laws of a stroke's legs but those that have a process speed between leads, or stay.
 
+    None where those of the scene are the best.
+
     Parameters
     ----------
     request : StrokeRequest
@@ -63,6 +65,8 @@ def quiet_laws(request: StrokeRequest, trajectory: QuinticTrajectory) -> tuple[L
         response = None if arm is None else LegResponse(arm, path.q)
         omega = np.empty(0) if response is None else response.omega
         chosen[path.leg] = _best(request, path, response, list(_candidates(request, path.leg, omega))), omega
+    if all(best.law is segments[leg].law for leg, (best, _) in chosen.items()):
+        return ()
     laws = []
     for leg in moving:
         best, omega = chosen[min(chosen, key=partial(_unlikeness, segments, leg))]

@@ -39,7 +39,7 @@ from cmbot.toolpath import (
 
 LONGEST = 36_000
 """Duration of all strokes, s: motions are sampled every 0.01 s."""
-SMOOTH = SpeedProfile(kind="jerk_limited", ramp=0.25)
+QUIET = SpeedProfile(kind="quiet", ramp=0.3)
 """Speed profile of new scenes that have none of their own."""
 MOST_ORDERED = 12
 """Strokes whose best order is sought, at most."""
@@ -124,8 +124,8 @@ class PathFile(FileModel):
     blend_radius_m: Annotated[float | None, Field(ge=1e-4, le=100)] = None
     """Radius by which corners between straight legs, and between the rows of a raster, are rounded, m; left
     out, and where the way turns by more than 150 degrees, the tool rests there."""
-    speed_profile: SpeedProfile = SMOOTH
-    """Left out: jerk_limited with a ramp of 0.25, which leaves less vibration than the paper's trapezoid."""
+    speed_profile: SpeedProfile = QUIET
+    """Left out: quiet with a ramp of 0.3, in place of which planning chooses ramps and input shapers."""
     passes: Annotated[int, Field(ge=1, le=100)] | None = None
     """How often the path is followed, to and fro, without leaving it; left out: once."""
     via_points: ViaPoints = 50
