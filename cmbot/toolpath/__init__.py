@@ -11,7 +11,7 @@ from cmbot.toolpath.raster.surface import Coverage, PlainSurface, Surface
 from cmbot.toolpath.shaper import Shaper, extra_insensitive, two_hump
 from cmbot.toolpath.stretches import SAME_PLACE, distinct, merged, waypoint_poses
 from cmbot.toolpath.time_law import LegLaw, SpeedProfile, TimeLaw
-from cmbot.toolpath.tool_path import Segment, ShiftedToolPath, ToolPath, share_out_segments
+from cmbot.toolpath.tool_path import Segment, ToolPath, share_out_segments
 from cmbot.toolpath.tool_poses import ToolPoses, shortest_turns
 
 __all__ = [
@@ -38,7 +38,6 @@ __all__ = [
     "SecondsOrAuto",
     "Segment",
     "Shaper",
-    "ShiftedToolPath",
     "Speed",
     "SpeedProfile",
     "Spline",
