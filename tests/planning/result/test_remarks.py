@@ -141,7 +141,7 @@ def test_what_is_done_about_vibration_is_told(triangle_plan: Plan) -> None:
 @pytest.mark.parametrize(
     ("shares", "words"),
     [
-        ((1.0, 1.0, 1.0), "are made smaller at the ends of the legs, at "),
+        ((1.0, 1.0, 1.0), "are acted on at the ends of the legs, at "),
         ((1.0, 0.5, 0.0), "at the ends of 2 of the 3 legs, and at the others no change keeps every bound"),
     ],
 )
