@@ -232,7 +232,7 @@ class Robot:
     @cached_property
     def holding(self) -> Holding | None:
         """What its feet bear; None without a foot that has a flat contact or bounds."""
-        if not any(foot.half is not None or foot.bounded for foot in self.feet):
+        if not any(foot.contact is not None or foot.bounded for foot in self.feet):
             return None
         weight = self.carrier_mass * self.model.gravity.linear
         return Holding(self.feet, np.hstack([weight, self.carrier_torque]))

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.elastic import SharedFrame
-from cmbot.hold import Holding, needed_by_load
+from cmbot.hold import Foot, Holding, needed_by_load
 from cmbot.robot import Climber, Robot
 from cmbot.scene import PlannerOptions, Scene, axis_point, feet_at
 from cmbot.siting.candidates import Candidate
@@ -46,15 +45,6 @@ class _Shares:
         return self._frame.shares(first, second, candidate.root[:3, 3])
 
 
-@dataclass(frozen=True, eq=False)
-class _Contacts:
-    """Flat contacts, one a load."""
-
-    half: tuple[FloatArray, FloatArray]
-    radius: FloatArray
-    friction: FloatArray
-
-
 class StanceLoads:
     """What stances make of the arm's wrench: values and gradients in the base's frame."""
 
@@ -81,10 +71,7 @@ class StanceLoads:
         # Where there is no second foot, the first one stands for it.
         self._feet = [[each[min(k, len(each) - 1)] for each in feet] for k in (0, 1)]
         self._from_wrench = [np.array([foot.from_wrench for foot in part]) for part in self._feet]
-        flat = [np.array([foot.half or (np.nan, np.nan) for foot in part]) for part in self._feet]
-        radius = [np.array([foot.radius or np.nan for foot in part]) for part in self._feet]
-        friction = [np.array([foot.friction for foot in part]) for part in self._feet]
-        self._flat = list(zip(flat, radius, friction, strict=True))
+        self._alike = [_alike(part) for part in self._feet]
         self._holding = [Holding(each, self._still[k]) for k, each in enumerate(feet)]
         self._bounded = any(holding.bounded for holding in self._holding)
         self._torque = options.objective == "torque"
@@ -106,14 +93,17 @@ class StanceLoads:
         """Adhesion (N,) that the feet need, and its gradients (N, 6); zero where none is flat."""
         value, gradient = np.zeros(len(of)), np.zeros((len(of), 6))
         whole = wrench + self._still[of]
-        for by_wrench, (half, radius, friction) in zip(self._from_wrench, self._flat, strict=True):
-            contact = _Contacts((half[of, 0], half[of, 1]), radius[of], friction[of])
+        for by_wrench, feet, alike in zip(self._from_wrench, self._feet, self._alike, strict=True):
             load = np.einsum("kij,kj->ki", by_wrench[of], whole)
-            with np.errstate(invalid="ignore"):
-                needed, by_load = needed_by_load(contact, load)
-            more = needed > value
-            value[more] = needed[more]
-            gradient[more] = np.einsum("ki,kij->kj", by_load[more], by_wrench[of][more])
+            for kind in np.unique(alike[of]):
+                rows = np.flatnonzero(alike[of] == kind)
+                foot = feet[int(of[rows[0]])]
+                if foot.contact is None:
+                    continue
+                needed, by_load = needed_by_load(foot, load[rows])
+                more = needed > value[rows]
+                value[rows[more]] = needed[more]
+                gradient[rows[more]] = np.einsum("ki,kij->kj", by_load[more], by_wrench[of[rows[more]]])
         return value, gradient
 
     def value(self, of: IntArray, wrench: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -134,3 +124,9 @@ class StanceLoads:
             rows = of == c
             good[rows] = self._holding[c].share(wrench[rows])[0] <= 1.0
         return good
+
+
+def _alike(feet: Sequence[Foot]) -> IntArray:
+    """Numbers (C,) that are the same for feet that need the same adhesion for the same load."""
+    kinds = dict[object, int]()
+    return np.array([kinds.setdefault((foot.contact, foot.friction, foot.gap), len(kinds)) for foot in feet])

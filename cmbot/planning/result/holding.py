@@ -123,8 +123,8 @@ def _stop(stop: AdhesionPeak, foot: Foot) -> str:
 
 
 def _contact(foot: Foot) -> str:
-    along, across = foot.half or (0.0, 0.0)
-    return f"{2 * along:.3f} x {2 * across:.3f} m of steel (friction {foot.friction:g})"
+    area = 0.0 if foot.contact is None else foot.contact.area
+    return f"{1e4 * area:.0f} cm2 of steel (friction {foot.friction:g})"
 
 
 def _kilonewtons(force: float) -> str:
