@@ -363,7 +363,7 @@ class _Place:
 
 
 def _cells(region: shapely.MultiPolygon) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Centroids (K, 2), m, and areas (K,), m2, of a region's cells, and sides (K, 2), m, of the whole ones."""
+    """Centroids (K, 2), m, and areas (K,), m2, of a region's cells, and sides (K, 2), m, of whole ones."""
     low_u, low_w, high_u, high_w = region.bounds
     sides = np.array([high_u - low_u, high_w - low_w])
     counts = np.maximum(_CELLS // 2, np.rint(_CELLS * sides / sides.max())).astype(int)
