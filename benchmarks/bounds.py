@@ -27,9 +27,9 @@ from cmbot import load_scene
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import PlanningError
 from cmbot.planning import GlobalSearch, LowerBound
-from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.path.projection import null_space, project_onto_task
-from cmbot.scene import ToolPoses
+from cmbot.planning.request import StrokeRequest, build_request
+from cmbot.toolpath import ToolPoses
 
 # Newton steps of restarts; descents: from so many of the best restarts, steps of so many tries.
 _STEPS, _DESCENTS, _DESCENT_STEPS, _AROUND = 40, 6, 60, 20
@@ -44,60 +44,60 @@ class Found:
     least: float
 
 
-def brute_force(context: PlanningContext, bound: LowerBound, tries: int, seed: int) -> Found:
+def brute_force(request: StrokeRequest, bound: LowerBound, tries: int, seed: int) -> Found:
     """Look for an admissible posture below a bound less its error, at its via-point."""
-    rng, limits = np.random.default_rng(seed), context.robot.limits
+    rng, limits = np.random.default_rng(seed), request.cell.robot.limits
     half = np.minimum(limits.range_half, np.pi)
     low, high = limits.range_middle - half, limits.range_middle + half
-    goal = context.goals[bound.via_point]
+    goal = request.goals[bound.via_point]
     q = rng.uniform(low, high, (tries, len(low)))
-    q, reached = project_onto_task(context.postures, context.task, q, goal, steps=_STEPS)
+    q, reached = project_onto_task(request.cell.postures, request.task, q, goal, steps=_STEPS)
     q = limits.turned_to_middle(q[reached])
-    q, value = _allowed(context, q)
+    q, value = _allowed(request, q)
     order = np.argsort(value, kind="stable")
     best, number = np.inf, len(q)
     clear = []
     for k in order:
         if len(clear) == _DESCENTS:
             break
-        if _clear(context, q[k : k + 1])[0]:
+        if _clear(request, q[k : k + 1])[0]:
             clear.append(k)
             best = min(best, float(value[k]))
     for k in clear:
-        least, tried = _descended(context, q[k], goal, rng)
+        least, tried = _descended(request, q[k], goal, rng)
         best, number = min(best, least), number + tried
     return Found(postures=number, least=best)
 
 
-def _allowed(context: PlanningContext, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _allowed(request: StrokeRequest, q: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Those of the postures (N, n) within ranges and static torques, and their values."""
-    limits = context.robot.limits
+    limits = request.cell.robot.limits
     q = q[limits.contain(q)]
-    at = context.postures.at(q)
+    at = request.cell.postures.at(q)
     holds = (np.abs(at.joint_torque) <= limits.torque).all(axis=1)
-    return q[holds], context.objective.at_rest(at)[holds]
+    return q[holds], request.cell.objective.at_rest(at)[holds]
 
 
-def _clear(context: PlanningContext, q: FloatArray) -> BoolArray:
-    return ~context.clearances.check_collision(q, context.options.safety_margin_m)
+def _clear(request: StrokeRequest, q: FloatArray) -> BoolArray:
+    return ~request.cell.clearances.check_collision(q, request.cell.options.safety_margin_m)
 
 
 def _descended(
-    context: PlanningContext, q: FloatArray, goal: ToolPoses, rng: np.random.Generator
+    request: StrokeRequest, q: FloatArray, goal: ToolPoses, rng: np.random.Generator
 ) -> tuple[float, int]:
     """The least value that random steps along the self-motion lead to, and how many postures were tried."""
-    value, length, number = _allowed(context, q[None])[1][0], 0.2, 0
+    value, length, number = _allowed(request, q[None])[1][0], 0.2, 0
     for _ in range(_DESCENT_STEPS):
-        null = null_space(context.postures, context.task, q[None])[0]
+        null = null_space(request.cell.postures, request.task, q[None])[0]
         moves = length * rng.normal(size=(_AROUND, len(null))) @ null
-        near, reached = project_onto_task(context.postures, context.task, q + moves, goal)
-        near, values = _allowed(context, near[reached])
+        near, reached = project_onto_task(request.cell.postures, request.task, q + moves, goal)
+        near, values = _allowed(request, near[reached])
         number += len(near)
         length *= 0.85
         for k in np.argsort(values, kind="stable"):
             if values[k] >= value:
                 break
-            if _clear(context, near[k : k + 1])[0]:
+            if _clear(request, near[k : k + 1])[0]:
                 q, value = near[k], values[k]
                 break
     return float(value), number
@@ -125,15 +125,15 @@ def main() -> None:
                 names.append(str(place / "scene.yaml"))
         for name in names:
             scene = load_scene(name)
-            context = build_context(scene, scene.planner)
+            request = build_request(scene, scene.planner)
             started = time.process_time()
             try:
-                bound = GlobalSearch(context).lower_bound
+                bound = GlobalSearch(request).lower_bound
             except PlanningError as error:
                 console.print(f"{scene.name}: {str(error)[:90]}", style="dim")
                 continue
             took = time.process_time() - started
-            found = brute_force(context, bound, given.tries, given.seed)
+            found = brute_force(request, bound, given.tries, given.seed)
             scenes, postures, proven = (
                 scenes + 1,
                 postures + found.postures,

@@ -25,8 +25,8 @@ from threadpoolctl import threadpool_limits
 
 from cmbot import Scene, load_scene
 from cmbot.planning.certification.certificate import certify
-from cmbot.planning.context import build_context
 from cmbot.planning.initial_guess import sliding_guess
+from cmbot.planning.request import build_request
 from cmbot.planning.torque.decomposition import optimise
 
 SIZES = (50, 200, 1000)
@@ -82,26 +82,26 @@ def sweep(via_points: int, **options: object) -> Scene:
 def measured(via_points: int) -> Costs:
     """Plan a sweep in this process, without the comparison with the paper's motion and the approach."""
     scene = sweep(via_points)
-    context = build_context(scene, scene.planner)
+    request = build_request(scene, scene.planner)
     laps = [time.process_time()]
-    guess = sliding_guess(context)
+    guess = sliding_guess(request)
     laps.append(time.process_time())
     optimised = optimise(guess.problem)
     laps.append(time.process_time())
     certificate = certify(
-        context.robot,
-        context.task,
+        request.cell.robot,
+        request.task,
         optimised.trajectory,
-        context.clearances,
-        context.options,
-        via_points=len(context.times),
+        request.cell.clearances,
+        request.cell.options,
+        via_points=len(request.times),
     )
     laps.append(time.process_time())
     certificate.require()
     global_stage, optimisation, certifying = (after - start for start, after in pairwise(laps))
     return Costs(
         via_points=via_points,
-        path=context.task.path.duration,
+        path=request.task.path.duration,
         global_stage=global_stage,
         optimisation=optimisation,
         certificate=certifying,

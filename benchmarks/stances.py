@@ -29,9 +29,9 @@ from cmbot import load_scene, plan
 from cmbot.common.errors import PathNotFound
 from cmbot.planning import Plan, robot_of, strokes_of, task_of
 from cmbot.scene import Scene
-from cmbot.siting import Standing, StandOptions, candidates_of, in_world, scene_at, screen, stand
-from cmbot.siting.candidates import climber_in_the_way
-from cmbot.siting.charting import bounded_quickly
+from cmbot.stances import Standing, StandOptions, candidates_of, in_world, scene_at, screen, stand
+from cmbot.stances.candidates import climber_in_the_way
+from cmbot.stances.charting import bounded_quickly
 
 __all__ = ["DOCUMENT", "REFERENCE", "blocks", "found", "screened"]
 

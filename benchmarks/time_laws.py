@@ -23,7 +23,7 @@ from scipy.interpolate import BSpline
 
 from cmbot import load_scene, plan
 from cmbot.planning import Plan
-from cmbot.planning.context import build_context
+from cmbot.planning.request import build_request
 from cmbot.planning.timing.leg_paths import leg_paths
 from cmbot.robot import JointLimits
 
@@ -100,9 +100,9 @@ def toppra_seconds(q: BSpline, limits: JointLimits) -> float:
 def compared(planned: Plan) -> Compared:
     """Compare the times of a plan's legs, along the joint paths that it follows."""
     (stroke,) = planned.job.strokes
-    context = build_context(planned.scene, planned.options)
+    request = build_request(planned.scene, planned.options)
     laws = planned.scene.strokes[0].time_laws or ()
-    paths = leg_paths(context, [law.leg for law in laws], stroke.trajectory)
+    paths = leg_paths(request, [law.leg for law in laws], stroke.trajectory)
     limits = planned.robot.limits
     return Compared(
         planned=sum(law.duration for law in laws),

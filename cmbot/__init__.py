@@ -7,11 +7,12 @@ The reading order::
     plan           path, trajectory, certificate          cmbot.planning
     Plan           what came out, with its figures
     save, load_plan   a plan directory                    cmbot.archive
+    evaluate       what a motion planned elsewhere does   cmbot.evaluation
     simulate       what bends on the way                  cmbot.simulation
     excite         what shakes it: trains, wind           cmbot.excitation
     identify       how stiff it is, from measurements     cmbot.identification
     locate         where the work is, from touched points   cmbot.identification
-    walk, tour     the steps from one stance to another, and the work in each   cmbot.walking
+    walk, tour     the steps from one stance to another, and the work in each   cmbot.stances.walking
     replay, report, show   the motion in a browser or a notebook, and what it gains   cmbot.views
     campaign       many scenes on many processes          cmbot.campaigns
 
@@ -39,21 +40,31 @@ from cmbot.common.lazy_imports import on_first_use
 from cmbot.version import __version__
 
 if TYPE_CHECKING:
-    from cmbot.archive import load_plan, load_tracking, load_walk, save, save_excitation, save_tracking
+    from cmbot.archive import (
+        load_plan,
+        load_tour,
+        load_tracking,
+        load_walk,
+        save,
+        save_excitation,
+        save_tracking,
+    )
     from cmbot.campaigns import Campaign, campaign
+    from cmbot.evaluation import Evaluation, evaluate
     from cmbot.excitation import Excitation, excite
     from cmbot.identification import Identification, Location, identify, locate
     from cmbot.planning import Plan, QuinticTrajectory, plan
     from cmbot.robot import Robot, load_robot
     from cmbot.scene import PlannerOptions, Scene, load_scene
     from cmbot.simulation import SimulationOptions, Tracking, simulate
+    from cmbot.stances.walking import Tour, Walk, tour, walk
     from cmbot.views import plot, replay, report, show
-    from cmbot.walking import Tour, Walk, tour, walk
 
 __all__ = [
     "ArchiveError",
     "Campaign",
     "CmbotError",
+    "Evaluation",
     "Excitation",
     "Identification",
     "InputError",
@@ -77,11 +88,13 @@ __all__ = [
     "Walk",
     "__version__",
     "campaign",
+    "evaluate",
     "excite",
     "identify",
     "load_plan",
     "load_robot",
     "load_scene",
+    "load_tour",
     "load_tracking",
     "load_walk",
     "locate",
@@ -99,8 +112,17 @@ __all__ = [
 ]
 
 _ROOMS = {
-    "cmbot.archive": ("load_plan", "load_tracking", "load_walk", "save", "save_excitation", "save_tracking"),
+    "cmbot.archive": (
+        "load_plan",
+        "load_tour",
+        "load_tracking",
+        "load_walk",
+        "save",
+        "save_excitation",
+        "save_tracking",
+    ),
     "cmbot.campaigns": ("Campaign", "campaign"),
+    "cmbot.evaluation": ("Evaluation", "evaluate"),
     "cmbot.excitation": ("Excitation", "excite"),
     "cmbot.identification": ("Identification", "Location", "identify", "locate"),
     "cmbot.planning": ("Plan", "QuinticTrajectory", "plan"),
@@ -108,9 +130,9 @@ _ROOMS = {
     "cmbot.scene": ("PlannerOptions", "Scene", "load_scene"),
     "cmbot.simulation": ("SimulationOptions", "Tracking", "simulate"),
     "cmbot.views": ("plot", "replay", "report", "show"),
-    "cmbot.walking": ("Tour", "Walk", "tour", "walk"),
+    "cmbot.stances.walking": ("Tour", "Walk", "tour", "walk"),
 }
-_MODULES = [module.rpartition(".")[2] for module in _ROOMS]
+_MODULES = [module.split(".")[1] for module in _ROOMS]
 __getattr__ = on_first_use(__name__, _ROOMS, _MODULES)
 
 

@@ -26,7 +26,7 @@ from cmbot.planning.selfmotion import sampler
 from cmbot.robot import Dynamics, Kinematics, Robot, load_robot
 from cmbot.scene import PlannerOptions, load_scene
 from cmbot.simulation import SimulationOptions, Tracking, simulate
-from cmbot.siting import charting
+from cmbot.stances import charting
 
 pytest_plugins = ["plan_folders"]
 

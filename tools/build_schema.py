@@ -17,21 +17,19 @@ from pathlib import Path
 from scene_reference import reference_text
 
 from cmbot.common.validation import FileModel
-from cmbot.scene import (
+from cmbot.scene import PlannerOptions, Scene, Tool
+from cmbot.scene.scene import FORMAT
+from cmbot.toolpath import (
     ArcTo,
     CylinderPatch,
     FaceSelection,
     Goal,
     Leg,
     LegLaw,
-    PlannerOptions,
     Raster,
     RowPiece,
-    Scene,
     SpeedProfile,
-    Tool,
 )
-from cmbot.scene.scene import FORMAT
 
 _ROOT = Path(__file__).resolve().parent.parent
 TARGET, PAGE = _ROOT / "scenes" / "scene.schema.json", _ROOT / "docs" / "scene_file.md"

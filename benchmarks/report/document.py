@@ -22,6 +22,8 @@ from report.tables import KEYS, goal_sheet, markdown, sheets
 ROOT = Path(__file__).resolve().parent.parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
 LATEST, REFERENCE = RESULTS / "latest.json", RESULTS / "reference.json"
+# Tables too long for a page.
+PRINTED_ALONE = frozenset({"programs-each"})
 PAGE, FIGURE = ROOT / "docs" / "performance.md", ROOT / "docs" / "images" / "performance.png"
 
 
@@ -30,7 +32,8 @@ def blocks(results: Mapping[str, Any]) -> dict[str, str]:
     made = [goal_sheet(goals(results)), *sheets(results)]
     # A theme that was left out keeps its place.
     kept = dict.fromkeys(KEYS, "Not measured in this run.")
-    return {**kept, **{sheet.key: markdown(sheet) for sheet in made}, "machine": _machine(results)}
+    texts = {**kept, **{sheet.key: markdown(sheet) for sheet in made}, "machine": _machine(results)}
+    return {key: text for key, text in texts.items() if key not in PRINTED_ALONE}
 
 
 def page(path: Path, found: Mapping[str, str]) -> str:

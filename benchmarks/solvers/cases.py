@@ -21,13 +21,14 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import OptimisationFailed, PathNotFound
 from cmbot.optimization.exchange import Result, minimize_smoothed_peak
 from cmbot.optimization.program import StateSamples
-from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.initial_guess import InitialGuess, initial_guess
+from cmbot.planning.request import StrokeRequest, build_request
 from cmbot.planning.torque.decomposition import exchange_options
 from cmbot.planning.torque.feasibility import check_feasible
 from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
 from cmbot.robot import Postures
-from cmbot.scene import Leg, Scene
+from cmbot.scene import Scene
+from cmbot.toolpath import Leg
 from cmbot.trajectory.quintic import QuinticTrajectory
 
 __all__ = [
@@ -56,14 +57,14 @@ class Case:
     Attributes
     ----------
     name : str
-    context : PlanningContext
+    request : StrokeRequest
     via_points : (n, d), rad
     sliding, pinned : bool
         Whether via-points slide; all but the first.
     """
 
     name: str
-    context: PlanningContext
+    request: StrokeRequest
     via_points: FloatArray
     sliding: bool = False
     pinned: bool = False
@@ -76,14 +77,14 @@ class Case:
     @property
     def smoothing(self) -> float:
         """Weight of half the mean squared jerk, rho."""
-        return self.context.options.smoothing_weight
+        return self.request.cell.options.smoothing_weight
 
     def problem(self) -> TorqueProblem:
         """Pose it around the splines of least jerk."""
         form = parametrization_through(
-            self.context, self.via_points, sliding=self.sliding, pinned=self.pinned
+            self.request, self.via_points, sliding=self.sliding, pinned=self.pinned
         )
-        return TorqueProblem(self.context, form, 0.0)
+        return TorqueProblem(self.request, form, 0.0)
 
     def solve(self, solver: str) -> Result:
         """Pose and solve it with cmbot's ``sqp`` or ``slsqp``."""
@@ -113,9 +114,9 @@ class Judgement:
 
 def judged(case: Case, problem: TorqueProblem, trajectory: QuinticTrajectory) -> Judgement:
     """Judge a trajectory by the constraints of `problem`, from the trajectory alone."""
-    limits = case.context.robot.limits
+    limits = case.request.cell.robot.limits
     states = StateSamples.along(trajectory, problem.grid)
-    peak = float(case.context.objective.values(states).max())
+    peak = float(case.request.cell.objective.values(states).max())
     worst = [float(function.sample(states)[0].max()) for function in problem.constraints]
     for bound in problem.bounds:
         value = trajectory.extrema(bound.order).value
@@ -137,24 +138,24 @@ def _off_task(case: Case, trajectory: QuinticTrajectory) -> float:
     """How far via-points are from where they have to be, m or rad."""
     if not case.sliding:
         return float(np.abs(trajectory.q - case.via_points).max())
-    context = case.context
-    at = Postures(context.robot).at(np.ascontiguousarray(trajectory.q))
-    return float(np.abs(context.task.errors(at.tool_point, at.tool_rotation, context.goals)).max())
+    request = case.request
+    at = Postures(request.cell.robot).at(np.ascontiguousarray(trajectory.q))
+    return float(np.abs(request.task.errors(at.tool_point, at.tool_rotation, request.goals)).max())
 
 
-def guess_of(scene: Scene, knots: str) -> tuple[PlanningContext, InitialGuess]:
-    """Return the context and the initial guess of a scene with ``sliding`` or ``fixed`` via-points."""
-    context = build_context(scene, replace(scene.planner, knots=knots))
-    return context, initial_guess(context)
+def guess_of(scene: Scene, knots: str) -> tuple[StrokeRequest, InitialGuess]:
+    """Return the request and the initial guess of a scene with ``sliding`` or ``fixed`` via-points."""
+    request = build_request(scene, replace(scene.planner, knots=knots))
+    return request, initial_guess(request)
 
 
 def case_of(scene: Scene, knots: str) -> Case:
     """Return the problem of a scene around its initial guess; with ``fixed`` ones Chang 2021, Eq. (30)."""
-    context, guess = guess_of(scene, knots)
+    request, guess = guess_of(scene, knots)
     sliding = knots == "sliding"
     return Case(
         name=scene.name,
-        context=context,
+        request=request,
         via_points=guess.problem.parametrization.via_points,
         sliding=sliding,
         pinned=sliding and guess.pinned,

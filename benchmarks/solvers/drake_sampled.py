@@ -27,8 +27,8 @@ def solve_by_drake(case: Case, solver: str, *, samples: int, peak_alone: bool) -
         When Drake is not installed.
     """
     begin = time.process_time()
-    options = replace(case.context.options, samples_per_segment=samples)
-    sampled = SampledProblem(replace(case, context=replace(case.context, options=options)))
+    options = replace(case.request.cell.options, samples_per_segment=samples)
+    sampled = SampledProblem(replace(case, request=replace(case.request, options=options)))
     program = drake_program(sampled, peak_alone=peak_alone)
     ended = solve_with_drake(program, solver)
     return Answer(

@@ -97,7 +97,7 @@ def formulated_case(case: Case, seconds: float, tell: Callable[[str], None]) -> 
 
 def _ways(case: Case) -> Iterator[tuple[str, str, int, Callable[[], Answer]]]:
     """Solvers, rows, samples and what solves the case with them."""
-    samples = case.context.options.samples_per_segment
+    samples = case.request.cell.options.samples_per_segment
     for solver in (FAST, SLSQP):
         yield solver, EXCHANGE, samples, partial(_by_exchange, partial(case.solve, solver))
     yield "snopt", EXCHANGE, samples, partial(_by_exchange, partial(solve_by_exchange, case))

@@ -39,7 +39,7 @@ class LagrangianHessian:
         self._sampled = sampled
         problem, arm = sampled.problem, verified(sampled.robot)
         self._of_states = _of_states(arm, sampled).map(len(problem.grid))
-        self._of_task = _of_task(arm, sampled.case.context.task.path.orientation)
+        self._of_task = _of_task(arm, sampled.case.request.task.path.orientation)
         self._legs = _legs(sampled)
         self._J = sampled.states_by_unknowns
         reached = abs(self._J)
@@ -108,7 +108,7 @@ def _of_task(arm: SymbolicArm, orientation: FloatArray) -> Any:
 
 def _legs(sampled: SampledProblem) -> FloatArray:
     """Where the leg of each sample begins, and where it leads: (6, N), m."""
-    path = sampled.case.context.task.path
+    path = sampled.case.request.task.path
     leg = np.searchsorted(path.leg_times, sampled.problem.grid, side="right") - 1
     leg = np.clip(leg, 0, len(path.seconds) - 1)
     return np.hstack([path.corners[leg], np.diff(path.corners, axis=0)[leg]]).T

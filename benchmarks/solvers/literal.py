@@ -69,7 +69,7 @@ class LiteralProblem:
     """
 
     def __init__(self, case: Case, per_segment: int = PER_SEGMENT) -> None:
-        self._case, robot = case, case.context.robot
+        self._case, robot = case, case.request.cell.robot
         self._problem = problem = case.problem()
         self._dynamics, self._kinematics = Dynamics(robot), Kinematics(robot)
         space, self._limits = problem.space, robot.limits

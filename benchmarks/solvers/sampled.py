@@ -67,7 +67,7 @@ class SampledProblem:
     """
 
     def __init__(self, case: Case) -> None:
-        self.case, self.robot = case, case.context.robot
+        self.case, self.robot = case, case.request.cell.robot
         self.problem = problem = case.problem()
         self.splines = problem.parametrization.splines
         (n, d), count = case.via_points.shape, self.splines.count
@@ -139,7 +139,7 @@ class SampledProblem:
             return peak
         joint = self._dynamics.efforts(at.q, at.v, at.a).joint_torque / self.torque_bound
         point = self._kinematics.tool_poses(at.q)[0]
-        away = self.case.context.task.path.leg_offset(at.t, point) / self.deviation_bound
+        away = self.case.request.task.path.leg_offset(at.t, point) / self.deviation_bound
         distance = np.sqrt((away**2).sum(axis=1) + ROUND**2)
         return np.hstack([peak, joint, distance[:, None]])
 
@@ -167,7 +167,7 @@ class SampledProblem:
         if peak_alone:
             return D
         p, J = self._kinematics.tool_point_jacobians(at.q)
-        away = self.case.context.task.path.leg_offset(at.t, p) / self.deviation_bound
+        away = self.case.request.task.path.leg_offset(at.t, p) / self.deviation_bound
         distance = np.sqrt((away**2).sum(axis=1) + ROUND**2)[:, None]
         D[0, :, -1] = np.einsum("ki,kij->kj", away / distance, J) / self.deviation_bound
         return D
@@ -255,10 +255,10 @@ class SampledProblem:
 
     def task_at(self, number: IntArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Task residuals (m, 6) of some via-points at `q` (m, d), and their derivatives (m, 6, d)."""
-        context = self.case.context
+        request = self.case.request
         at = self._postures.at(np.ascontiguousarray(q))
-        E = at.tool_rotation @ context.task.path.orientation.T
-        off = at.tool_point - context.task.path.position(context.times[number])
+        E = at.tool_rotation @ request.task.path.orientation.T
+        off = at.tool_point - request.task.path.position(request.times[number])
         turn = 0.5 * np.stack([E[:, 2, 1] - E[:, 1, 2], E[:, 0, 2] - E[:, 2, 0], E[:, 1, 0] - E[:, 0, 1]], 1)
         by_turn = 0.5 * (np.trace(E, axis1=1, axis2=2)[:, None, None] * np.eye(3) - E)
         J = np.concatenate([at.jacobian[:, :3], by_turn @ at.jacobian[:, 3:]], axis=1)

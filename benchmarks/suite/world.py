@@ -15,7 +15,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from ruamel.yaml import YAML
 
-from cmbot.scene import Box, Capsule, Cylinder, Scene, Sphere
+from cmbot.collision import Box, Capsule, Cylinder, Sphere
+from cmbot.scene import Scene
 from suite.arms import Arm
 
 __all__ = ["FloatArray", "World", "limits_in"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cmbot.accuracy.budget import Accuracy, AccuracyPart, Remedy, Work, accuracy_of
+from cmbot.accuracy.budget import Accuracy, AccuracyPart, Remedy, Work, WorkPath, accuracy_of
 from cmbot.accuracy.parts import Part, parts_of
 from cmbot.accuracy.sway import Sway, sway_along
 
@@ -13,6 +13,7 @@ __all__ = [
     "Remedy",
     "Sway",
     "Work",
+    "WorkPath",
     "accuracy_of",
     "parts_of",
     "sway_along",

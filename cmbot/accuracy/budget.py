@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from cmbot.accuracy.sway import sway_along
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.file_types import NonNegative, Share
 from cmbot.elastic.arm import ElasticArm
-from cmbot.scene import Placement, Tolerance, ToolPath, Uncertainty
+from cmbot.scene import Placement, Tolerance, Uncertainty
 
 # Draws; postures of a stroke at most, and the time between them, s.
 _DRAWS, _MOST_POSTURES, _BETWEEN_POSTURES = 2048, 80, 0.25
@@ -98,13 +99,27 @@ class Accuracy:
         return f"<Accuracy: within {self.within_mm:.3g} mm with {100 * self.probability:g} %>"
 
 
+class WorkPath(Protocol):
+    """Where the tool is to be: a `ToolPath`, or what stands for one."""
+
+    @property
+    def duration(self) -> float:
+        """Time along it, s."""
+
+    def position(self, times: FloatArray) -> FloatArray:
+        """Return its places (N, 3), m, at `times` (N,)."""
+
+    def leg_offset(self, times: FloatArray, p: FloatArray) -> FloatArray:
+        """Return the vectors (N, 3), m, to points `p` (N, 3) from it."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Work:
     """A stroke, and how it is moved along.
 
     Attributes
     ----------
-    path : ToolPath
+    path : WorkPath
     motion : callable
         From times (N,), s, and an order of derivative to joint positions and their derivatives (N, n).
     commanded : callable
@@ -113,7 +128,7 @@ class Work:
         From times to the orientations (N, 3, 3) of the rigid arm's tool.
     """
 
-    path: ToolPath
+    path: WorkPath
     motion: Callable[[FloatArray, int], FloatArray]
     commanded: Callable[[FloatArray], FloatArray]
     rotation: Callable[[FloatArray], FloatArray]
@@ -239,7 +254,8 @@ class _Budget:
             else part
             for part in self.parts
         )
-        return replace(self, parts=parts, sway=factors.get("sway", 1.0) * self.sway)
+        share = factors.get("stiffness", 1.0) * self.share
+        return replace(self, parts=parts, sway=factors.get("sway", 1.0) * self.sway, share=share)
 
     def located(self, before: Placement) -> _Budget:
         """Return the budget with the foot as exact as touched points make it, where that is better."""
@@ -286,9 +302,10 @@ class _Budget:
         for part in once:
             unit = uniform[:, at : at + part.maps.shape[2]]
             at += part.maps.shape[2]
-            columns.append(np.sqrt(12) * (unit - 0.5) if part.is_uniform else ndtri(unit))
             if part.name == "stiffness" and part.is_uniform:
                 sway = self._swaying(2 * unit[:, 0] - 1)
+                unit = 0.5 + 0.5 * self._more_compliant(2 * unit - 1)
+            columns.append(np.sqrt(12) * (unit - 0.5) if part.is_uniform else ndtri(unit))
         draws = np.concatenate(columns, axis=1).astype(np.float32)
         maps = np.concatenate([part.maps for part in once], axis=2).astype(np.float32)
         known = self.planned + sum((part.bias for part in self.parts), np.zeros_like(self.planned))
@@ -304,6 +321,10 @@ class _Budget:
         values, vectors = np.linalg.eigh(joined @ joined.transpose(0, 2, 1))
         roots = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None]).astype(np.float32)
         return np.asarray(np.einsum("nik,dnk->dni", roots, _normal(len(roots)), optimize=True))
+
+    def _more_compliant(self, share: FloatArray) -> FloatArray:
+        """Return what the stiffness' part takes for a share: the sag goes with 1 / (1 + s), not 1 - s."""
+        return share / (1 + self.share * share)
 
     def _swaying(self, share: FloatArray) -> FloatArray:
         """Sway (D, N, 3) of stiffness between the least (-1) and the largest (1), interpolated."""

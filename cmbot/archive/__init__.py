@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from cmbot.archive.folder import write_file
-from cmbot.archive.names import PLAN_FILE, STANCES_FILE, TOUR_FILE, WALK_FILE
+from cmbot.archive.names import EVALUATION_FILE, PLAN_FILE, STANCES_FILE, TOUR_FILE, WALK_FILE
 from cmbot.archive.places import (
     add_file,
     claim,
@@ -20,7 +20,7 @@ from cmbot.archive.places import (
     write_results,
 )
 from cmbot.archive.strict_json import json_bytes
-from cmbot.archive.tables import columns
+from cmbot.archive.tables import columns, samples_csv
 from cmbot.archive.writing import export_csv, save
 from cmbot.common.lazy_imports import on_first_use
 
@@ -28,15 +28,19 @@ if TYPE_CHECKING:
     from cmbot.archive.excitation import excitation_json, require_no_excitation, save_excitation
     from cmbot.archive.reading import load_plan, plan_data
     from cmbot.archive.ros import export_mcap, export_ros, export_ros_package
+    from cmbot.archive.tours import TourPart, load_tour
     from cmbot.archive.tracking import load_tracking, require_no_tracking, save_tracking, tracking_json
-    from cmbot.archive.verification.folders import Verdict, VerifiedMotion, verified_motions
+    from cmbot.archive.verification.folders import Asked, Verdict, VerifiedMotion, verified_motions
     from cmbot.archive.walks import load_walk
 
 __all__ = [
+    "EVALUATION_FILE",
     "PLAN_FILE",
     "STANCES_FILE",
     "TOUR_FILE",
     "WALK_FILE",
+    "Asked",
+    "TourPart",
     "Verdict",
     "VerifiedMotion",
     "add_file",
@@ -49,6 +53,7 @@ __all__ = [
     "export_ros_package",
     "json_bytes",
     "load_plan",
+    "load_tour",
     "load_tracking",
     "load_walk",
     "new_folder",
@@ -59,6 +64,7 @@ __all__ = [
     "require_new_folder",
     "require_no_excitation",
     "require_no_tracking",
+    "samples_csv",
     "save",
     "save_excitation",
     "save_tracking",
@@ -72,8 +78,9 @@ _LATER = {
     "cmbot.archive.excitation": ("excitation_json", "require_no_excitation", "save_excitation"),
     "cmbot.archive.reading": ("load_plan", "plan_data"),
     "cmbot.archive.ros": ("export_mcap", "export_ros", "export_ros_package"),
+    "cmbot.archive.tours": ("TourPart", "load_tour"),
     "cmbot.archive.tracking": ("load_tracking", "require_no_tracking", "save_tracking", "tracking_json"),
-    "cmbot.archive.verification.folders": ("Verdict", "VerifiedMotion", "verified_motions"),
+    "cmbot.archive.verification.folders": ("Asked", "Verdict", "VerifiedMotion", "verified_motions"),
     "cmbot.archive.walks": ("load_walk",),
 }
 __getattr__ = on_first_use(__name__, _LATER)

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 PLAN_FILE, WALK_FILE, TOUR_FILE, STANCES_FILE = "plan.json", "walk.json", "tour.json", "stances.json"
+EVALUATION_FILE = "evaluation.json"
 FORMATS = {
     PLAN_FILE: "cmbot-plan/2",
     WALK_FILE: "cmbot-walk/1",
     TOUR_FILE: "cmbot-tour/1",
     STANCES_FILE: "cmbot-stances/1",
+    EVALUATION_FILE: "cmbot-evaluation/1",
 }
 """The records of folders, which name all other files there, and their formats."""
 JOB_FILES = ("job.csv", "job.npz")
 """The whole job on one clock."""
 BASELINE_FILE = "baseline.csv"
+"""The baseline's work, where one is asked for."""
 PLAN_FILES = (*JOB_FILES, BASELINE_FILE)
 """What a plan is read from, beside its record."""
 TRACKING_FILES = ("tracking.csv", "tracking_baseline.csv", "tracking.json")

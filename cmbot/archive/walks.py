@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -20,17 +19,17 @@ from cmbot.hold import AdhesionPeak
 from cmbot.planning import Check
 from cmbot.robot import ARM_JOINTS, Climber, Side
 from cmbot.scene import Scene, StanceFile, foothold_pose
-from cmbot.siting import Candidate, candidate_at, in_world
+from cmbot.stances import Candidate, candidate_at, in_the_way, in_world, lift_height
+from cmbot.stances.walking import Kind, Move, Step, Walk, certified_move, stance_of, walk_data
 from cmbot.trajectory import QuinticTrajectory
-from cmbot.walking import Kind, Move, Step, Walk, certified_move, stance_of, walk_data
 
 # Moves join where they are nearer, rad; feet are where they should be, m; figures that are computed again.
 _SAME_POSTURE, _SAME_PLACE, _SAME, _SAME_ZERO = 1e-9, 1e-6, 1e-6, 1e-9
-# The moves of a step: while a foot is off, the arm is still.
-_ORDER = re.compile("(arm, )*(lift, )?swing(, set)?")
 # Near its place a foot's shapes do not count: there it goes along the normal, aside by so much at most, m and
 # as a share of its height; samples at which that is looked at.
 _ASIDE, _ASLANT, _SAMPLES = 1e-4, 0.05, 300
+# Points of a foot in its frame, m: the middle of its plate, and about its corners.
+_PLATE = np.array([[0.0, 0.0, 0.0], *([x, 0.0, z] for x in (-0.065, 0.065) for z in (-0.075, 0.075))])
 
 _Row = tuple[float, ...]
 _Seconds = Annotated[float, Field(ge=0)]
@@ -65,8 +64,9 @@ class _WalkFile(FileModel):
     max_foot_speed: Annotated[float, Field(gt=0)]
     adhesion_needed: AdhesionPeak | None
     effort_used: float
-    steps: tuple[_StepFile, ...]
+    steps: Annotated[tuple[_StepFile, ...], Field(min_length=1)]
     last: _MoveFile | None
+    failures: tuple[str, ...]
     words: tuple[str, ...]
 
 
@@ -105,7 +105,8 @@ def load_walk(directory: str | Path) -> Walk:
     goal = reader.node(file.goal, "goal")
     reader.require_stance(goal, "goal")
     last = None if file.last is None else reader.move(file.last, "last", "arm")
-    walk = Walk(scene=scene, goal=goal, steps=steps, last=last, failures=(), speed=file.max_foot_speed)
+    failures, speed = file.failures, file.max_foot_speed
+    walk = Walk(scene=scene, goal=goal, steps=steps, last=last, failures=failures, speed=speed)
     again = walk_data(walk) | {"scene": data["scene"], "cmbot": file.cmbot}
     require_same(without_hashes(data), again, str(path), "", _SAME, _SAME_ZERO)
     return walk
@@ -152,8 +153,17 @@ class _Reader:
         self.require_stance(before, f"{key}.before")
         self._here = before
         holds: Side = 1 if file.foot == 2 else 2
-        if not _ORDER.fullmatch(kinds := ", ".join(entry.kind for entry in file.moves)):
-            raise self._error(f"{key}.moves", kinds, "the arm, then a lift, a swing and a set of the foot")
+        places = [node.stance.foot_1 if file.foot == 1 else node.stance.foot_2 for node in (before, after)]
+        # A foot that is free is neither lifted nor set; while one is off, the arm is still.
+        order = [kind for kind, place in zip(("lift", "set"), places, strict=True) if place is not None]
+        order.insert("lift" in order, "swing")
+        kinds = [entry.kind for entry in file.moves]
+        if kinds[kinds.count("arm") :] != order or set(kinds[: -len(order)]) > {"arm"}:
+            expected = f"moves of the arm, if any, then {', '.join(order)}"
+            raise self._error(f"{key}.moves", ", ".join(kinds), expected)
+        for name, place in zip(("before", "after"), places, strict=True):
+            if place is not None and (other := in_the_way(self._world, place)) is not None:
+                raise self._error(f"{key}.{name}.foot_{file.foot}", f"a place beside {other}", "a free one")
         moves = list[Move]()
         for k, entry in enumerate(file.moves):
             kind: Kind | None = "arm" if entry.kind == "arm" else None
@@ -172,19 +182,25 @@ class _Reader:
         return Step(foot=file.foot, before=before, after=after, moves=tuple(moves))
 
     def _require_straight(self, move: Move, key: str) -> None:
-        """A foot has to leave its place along the face's normal, ever further, or to come there so."""
+        """A foot has to leave its place along the face's normal, ever further, or to come there so.
+
+        Only there its own shapes do not count, so it may go no further than a foot is lifted.
+        """
         trajectory, turn = move.segment.trajectory, -1 if move.holds == (2,) else 1
         times = np.linspace(trajectory.t[0], trajectory.t[-1], _SAMPLES)
         poses = [self._foot_2(angles) for angles in trajectory.evaluate(times)[:, ::turn]]
         X = np.array(poses if turn == 1 else [np.linalg.inv(pose) for pose in poses])
         X = X if move.kind == "lift" else X[::-1]
-        away = X[:, :3, 3] - X[0, :3, 3]
-        # The normal of foot 1.
-        out = np.array([0.0, 1.0, 0.0]) if turn == 1 else X[0, :3, 1]
+        points = X[:, None, :3, 3] + np.einsum("kij,pj->kpi", X[:, :3, :3], _PLATE)
+        away = points - points[0]
+        out = X[0, :3, 1]
         height = away @ out
-        aside = np.linalg.norm(away - height[:, None] * out, axis=1) - _ASLANT * np.abs(height)
-        if aside.max() > _ASIDE or (np.diff(height) < -_SAME_PLACE).any() or height[-1] <= _ASIDE:
+        aside = np.linalg.norm(away - height[..., None] * out, axis=2) - _ASLANT * np.abs(height)
+        if aside.max() > _ASIDE or (np.diff(height, axis=0) < -_SAME_PLACE).any():
             raise self._error(key, f"a {move.kind} of the foot along the face", "one along its normal")
+        if not _ASIDE < height[-1].min() <= height[-1].max() <= lift_height() + _ASIDE:
+            got = f"a {move.kind} by {1e3 * height[-1, 0]:.1f} mm"
+            raise self._error(key, got, f"at most {1e3 * lift_height():g} mm: further is a swing")
 
     def _foot_2(self, angles: FloatArray) -> FloatArray:
         return self._climber.poses(angles)[0]

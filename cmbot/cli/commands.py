@@ -10,6 +10,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Sequence
+from pathlib import Path
 from types import TracebackType
 
 import cmbot
@@ -22,10 +23,10 @@ from cmbot.cli.excitation import ExciteCommand
 from cmbot.cli.identify import IdentifyCommand
 from cmbot.cli.inspection import CheckCommand, DoctorCommand, ScenesCommand, SchemaCommand, VerifyCommand
 from cmbot.cli.locate import LocateCommand
-from cmbot.cli.planning import PlanCommand
+from cmbot.cli.planning import EvaluateCommand, PlanCommand
 from cmbot.cli.signals import raised_again
 from cmbot.cli.simulation import ReproduceCommand, SimulateCommand
-from cmbot.cli.siting import StandCommand, TourCommand, WalkCommand
+from cmbot.cli.stances import StandCommand, TourCommand, WalkCommand
 from cmbot.cli.views import CompareCommand, ExportCommand, ReplayCommand, ReportCommand
 from cmbot.common.errors import (
     LONGEST_MESSAGE,
@@ -42,7 +43,7 @@ COMMANDS: dict[str, type[Command]] = {
         *(PlanCommand, StandCommand, WalkCommand, TourCommand, CampaignCommand, NewCommand),
         *(ReplayCommand, ReportCommand, CompareCommand, ExportCommand, SimulateCommand, ExciteCommand),
         *(VerifyCommand, IdentifyCommand, LocateCommand, ReproduceCommand, CheckCommand, ScenesCommand),
-        *(SchemaCommand, DoctorCommand),
+        *(EvaluateCommand, SchemaCommand, DoctorCommand),
     )
 }
 """The commands by what they are called."""
@@ -54,6 +55,22 @@ _INSTEAD = {
     "--debug": "With a command: show the traceback of an error.",
     "--install-completion": "Make the present shell (bash, zsh, fish) complete commands, options and scenes.",
     "--show-completion": "Print what that installs.",
+}
+
+
+# What to do with a file that was given in place of another one, by what its format begins with.
+_OTHER_FILES = {
+    "cmbot-scene": "cmbot plan {file} plans it",
+    "cmbot-campaign": "cmbot campaign {file} plans it",
+    "cmbot-measurements": "cmbot identify {file} reads it",
+    "cmbot-stiffness": "a scene names it as identified",
+    "cmbot-joint-limits": "a scene names it as robot.limits",
+    "cmbot-elasticity": "a scene names it as robot.elasticity",
+    "cmbot-plan": "cmbot replay {folder} shows it",
+    "cmbot-tracking": "cmbot report {folder} shows it",
+    "cmbot-walk": "cmbot replay {folder} shows it",
+    "cmbot-tour": "{folder}/index.html shows it",
+    "xml": "cmbot check inspects a URDF",
 }
 
 
@@ -85,6 +102,9 @@ def _run(words: Sequence[str]) -> int:
         _print_error(f"{whole_sentences(message, LONGEST_MESSAGE - len(where))}{where}")
         return ExitStatus.BAD_INPUT
     except CmbotError as error:
+        if isinstance(error, InputError) and error.holds:
+            file = Path(error.source)
+            error.add_hint(_OTHER_FILES[error.holds].format(file=file, folder=file.parent))
         if _debugging():
             traceback.print_exc()
         else:

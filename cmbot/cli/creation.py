@@ -17,9 +17,10 @@ from cmbot.common.errors import InputError, ModelError, one_line
 from cmbot.common.installation import scene_folder
 
 if TYPE_CHECKING:
+    from cmbot.collision import Obstacle
     from cmbot.planning import StartPosture
     from cmbot.robot import Robot
-    from cmbot.scene import NewRobot, Obstacle
+    from cmbot.scene import NewRobot
 
 _SHIPPED = "cmbot"
 _NO_SLUG = re.compile(r"[^A-Za-z0-9_\-]+")
@@ -174,9 +175,10 @@ def _composed(robot: Robot, asked: NewRobot, tool_at: Numbers, rpy_deg: Numbers 
     """What is written: the scene, joint limits where the robot has none, an SRDF where its own blocks it."""
     import numpy as np
 
+    from cmbot.common.poses import pose
     from cmbot.planning import find_start
     from cmbot.robot import Kinematics
-    from cmbot.scene import PlannerOptions, limits_text, pose, scene_text
+    from cmbot.scene import PlannerOptions, limits_text, scene_text
 
     shipped = asked.source == _SHIPPED
 

@@ -16,6 +16,7 @@ from cmbot.cli.command import Command, Reporting, argument, option
 from cmbot.cli.completion import complete_scene
 from cmbot.cli.console import ExitStatus, out, print_json, print_pairs, print_table
 from cmbot.cli.creation import xacro_arguments
+from cmbot.cli.planning import loaded_scene
 from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError, MissingExtra, SceneError, one_line
 from cmbot.common.input_files import is_file
@@ -154,7 +155,10 @@ def _check_urdf(file: str, xacro: Sequence[str]) -> tuple[Sequence[Finding], dic
         findings = sorted([*findings, *inspect_loaded(files)], key=lambda finding: finding.severity)
     errors = _errors(findings)
     conclusion = f"Not usable: {counted(errors, 'error')}" if errors else "OK: no error"
-    return findings, found, f"{conclusion}, {counted(len(findings) - errors, 'warning')}."
+    conclusion += f", {counted(len(findings) - errors, 'warning')}."
+    if files.srdf is None and not errors:
+        conclusion += f" cmbot check {one_line(file)} --write-srdf FILE writes an SRDF."
+    return findings, found, conclusion
 
 
 def _check_scene(file: str) -> tuple[Sequence[Finding], dict[str, str], str]:
@@ -214,30 +218,48 @@ class VerifyCommand(Reporting):
     Exit status 2, and one line that says what is wrong, where a promise is broken, two computations differ, a
     file beside the plan has another motion, or the folder is not what was asked for.
 
-    Examples: cmbot verify out/triangle --scene triangle, cmbot verify out/triangle --engine mujoco
+    Examples: cmbot verify out/triangle --scene triangle --set start=pinned, cmbot verify out/walk
+    --scene here.yaml --to there.yaml
     """
 
     directory: Path = argument("The folder of a plan, a walk or a tour.", "DIR")
-    scene: str | None = option(
-        None,
-        "What was asked for, a scene file or the name of a shipped scene. Left out: what the folder says.",
+    scenes: tuple[str, ...] = option(
+        (),
+        "What was asked for: a scene file, or the name of a shipped scene; of a tour all. Left out: what the "
+        "folder says.",
+        "--scene",
+        metavar="SCENE",
+    )
+    changes: tuple[str, ...] = option(
+        (),
+        "What was asked in place of the scene's own: a planner option, or a value by its key; repeatable.",
+        "--set",
+        metavar="NAME=VALUE",
     )
     to: Path | None = option(None, "Where a walk was to end: a scene, or a file with foot_1 and foot_2.")
+    speed: float = option(0.03, "Metres a second of a walking foot at most, as asked.", least=1e-3, most=1.0)
     engine: Literal["mujoco"] | None = option(
         None,
         "The second engine that has to be asked: mujoco, of the extra verify. Left out: if installed.",
     )
 
     def __call__(self) -> None:
-        from cmbot.archive import verified_motions
+        from cmbot.archive import Asked, verified_motions
         from cmbot.planning.verification.engine import ENGINE, is_installed, require_installed
-        from cmbot.walking import load_goal
+        from cmbot.stances.walking import load_goal
 
         if self.engine is not None:
             require_installed()
-        scene = None if self.scene is None else cmbot.load_scene(self.scene)
-        goal = None if self.to is None else load_goal(self.to)
-        verdict, asked = verified_motions(self.directory, scene, goal), is_installed()
+        if self.changes and len(self.scenes) != 1:
+            raise InputError("--set", "", f"{len(self.scenes)} of --scene", "one, whose values it changes")
+        loaded = [loaded_scene(scene, self.changes) for scene in self.scenes]
+        question = Asked(
+            scenes=tuple(scene for scene, _ in loaded),
+            options=loaded[0][1] if self.changes else None,
+            goal=None if self.to is None else load_goal(self.to),
+            foot_speed=self.speed,
+        )
+        verdict, asked = verified_motions(self.directory, question), is_installed()
 
         def data() -> dict[str, Any]:
             entries = [
@@ -246,7 +268,7 @@ class VerifyCommand(Reporting):
             ]
             return {
                 "directory": str(self.directory),
-                "scene": self.scene,
+                "scenes": list(self.scenes),
                 "engine": ENGINE if asked else None,
                 "looser": verdict.looser,
                 "motions": entries,
@@ -260,7 +282,7 @@ class VerifyCommand(Reporting):
             ]
             print_table("Verified", ("part", "motion", "seconds", "checks that hold"), rows, text_columns=2)
             out.print(one_line("Certified anew, and computed a second time at 300 states of each motion."))
-            if scene is None:
+            if not self.scenes:
                 out.print("Judged by what the folder says that was asked: --scene SCENE names the scene.")
             out.print(one_line(f"Not verified: {'; '.join(verdict.not_verified) or 'nothing'}."))
             second = f"The second engine, {ENGINE}, was asked."

@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cmbot
 from cmbot.cli.command import Writing, argument, option
 from cmbot.cli.completion import complete_scene
-from cmbot.cli.console import ConsoleProgress, err, out, print_table
+from cmbot.cli.console import ConsoleProgress, err, out, print_table, scenes_named
 from cmbot.cli.views import plot_files, require_plots
 from cmbot.common.errors import InputError, SceneError, one_line
 from cmbot.common.installation import scene_folder
@@ -71,7 +71,7 @@ class PlanCommand(Writing):
 
     def __call__(self) -> None:
         started = time.perf_counter()
-        loaded, options = _loaded(self.scene, self.changes)
+        loaded, options = loaded_scene(self.scene, self.changes)
         # Imports the robot's libraries: after the scene file, so that its errors are reported at once.
         from cmbot.archive import require_free
         from cmbot.planning import precheck_options, unit_findings
@@ -107,7 +107,56 @@ class PlanCommand(Writing):
         self.answer(lambda: _summary(planned, directory), say, directory)
 
 
-def _loaded(scene: str, changes: Sequence[str]) -> tuple[cmbot.Scene, cmbot.PlannerOptions]:
+@dataclass(frozen=True, kw_only=True)
+class EvaluateCommand(Writing):
+    """Judge a motion that was planned elsewhere: what it does to the base, beside what a plan does.
+
+    The motion is a table with t and the joints, a ROS JointTrajectory (.json, .yaml) or a plan directory.
+
+    Example: cmbot evaluate triangle --motion motion.csv
+    """
+
+    scene: str = argument("A scene file, or the name of a shipped scene.", "SCENE", complete=complete_scene)
+    motion: Path = option(MISSING, "The motion to judge.", metavar="FILE")
+    output: Path | None = option(None, "Folder for evaluation.json and motion.csv.", "--output", "-o")
+    changes: tuple[str, ...] = option((), "As of cmbot plan; repeatable.", "--set", metavar="NAME=VALUE")
+    alone: bool = option(False, "Do not plan the scene, to tell the motion beside the plan.")
+
+    def __call__(self) -> None:
+        loaded, options = loaded_scene(self.scene, self.changes)
+        from cmbot.archive import EVALUATION_FILE, require_absent, samples_csv, write_results
+        from cmbot.common.errors import PlanningError
+        from cmbot.evaluation import evaluation_json, read_motion
+        from cmbot.planning import robot_of
+
+        table = "motion.csv"
+        if self.output is not None:
+            require_absent(self.output, (EVALUATION_FILE, table), force=self.force)
+        motion, planned, refused = read_motion(self.motion, robot_of(loaded)), None, ""
+        if not self.alone:
+            with scenes_named(self.scene), ConsoleProgress(quiet=self.quiet) as progress:
+                try:
+                    planned = cmbot.plan(loaded, options=options, progress=progress.update)
+                except PlanningError as error:
+                    refused = f"There is no plan beside it: {one_line(error)}"
+        found = cmbot.evaluate(loaded, motion, options=options, plan=planned)
+        remarks = [*found.remarks(), *filter(None, [refused])]
+        answer = evaluation_json(found) | {"remarks": remarks}
+        if self.output is not None:
+            samples = samples_csv(found.samples[0], table, found.samples[1])
+            write_results(self.output, EVALUATION_FILE, answer, {table: samples}, force=self.force)
+
+        def say() -> None:
+            print_table(loaded.name, ("", "motion", "planned"), list(found.rows()), text_columns=1)
+            for remark in remarks:
+                out.print(one_line(remark))
+            if self.output is not None:
+                out.print(f"Written to {one_line(self.output)}.")
+
+        self.answer(lambda: answer, say, self.output)
+
+
+def loaded_scene(scene: str, changes: Sequence[str]) -> tuple[cmbot.Scene, cmbot.PlannerOptions]:
     """Return a scene and its planner's options with what ``--set`` changes of them."""
     from cmbot.common.validation import validated
     from cmbot.scene import PlannerOptions
@@ -178,8 +227,7 @@ def _print_plan(planned: Plan) -> None:
     from cmbot.planning import remarks
 
     if out.is_terminal:
-        headings, rows = ("", "baseline", "planned"), list(planned.rows())
-        print_table(planned.scene.name, headings, rows, text_columns=1)
+        print_table(planned.scene.name, planned.headings, list(planned.rows()), text_columns=1)
     else:
         out.print(planned.summary())
     for remark in remarks(planned):

@@ -225,6 +225,11 @@ class ExportCommand(Command):
     )
     ros_package: Path | None = option(None, "Description package to write; a new folder.", metavar="FOLDER")
     force: bool = option(False, "Replace files with these names that are there.")
+    max_points: int | None = option(None, "With --ros: points at most; left out: 200.", least=2, most=100_000)
+    rate: float | None = option(None, "With --ros: points a second, in place of --max-points.", metavar="HZ")
+    joints: str | None = option(
+        None, "With --ros: these joints alone, for one of several controllers.", metavar="A,B,…"
+    )
     effort: bool = option(False, "With --mcap and --ros: torques, too, for controllers that take them.")
 
     def __call__(self) -> None:
@@ -235,21 +240,41 @@ class ExportCommand(Command):
             raise InputError("cmbot export", "--work", "no table", "it with --csv FILE")
         if self.effort and self.mcap is None and self.ros is None:
             raise InputError("cmbot export", "--effort", "no trajectory to write", "it with --mcap or --ros")
-        from cmbot.archive import export_csv, export_mcap, export_ros, export_ros_package
+        of_messages = {"--max-points": self.max_points, "--rate": self.rate, "--joints": self.joints}
+        given = [name for name, value in of_messages.items() if value is not None]
+        if given and self.ros is None:
+            raise InputError("cmbot export", given[0], "no message to write", "it with --ros FILE")
+        if self.max_points is not None and self.rate is not None:
+            raise InputError("cmbot export", "--max-points, --rate", "both", "one of them")
+        from cmbot.archive import export_csv, export_mcap, export_ros_package
 
         loaded = cmbot.load_plan(self.directory)
         exports: tuple[tuple[Path | None, Callable[[Plan, Path], object]], ...] = (
             (self.csv, partial(export_csv, work=self.work)),
             (self.mcap, partial(export_mcap, effort=self.effort)),
-            (self.ros, partial(export_ros, effort=self.effort)),
+            (self.ros, self._write_message),
         )
         for file, _ in exports:
             if file is not None:
                 require_new(file, self.force)
         for file, write in ((self.ros_package, export_ros_package), *exports):
             if file is not None:
-                write(loaded, file)
-                out.print(f"Written to {one_line(file)}.")
+                said = write(loaded, file)
+                out.print(f"Written to {one_line(file)}{said if isinstance(said, str) else ''}.")
+
+    def _write_message(self, plan: Plan, file: Path) -> str:
+        """Write the job as a message; return how many points that has, and how far off it is."""
+        from cmbot.archive import export_ros
+
+        found = export_ros(
+            plan,
+            file,
+            max_points=self.max_points,
+            rate=self.rate,
+            joints=None if self.joints is None else [name.strip() for name in self.joints.split(",")],
+            effort=self.effort,
+        )
+        return f": {found.points} points, between them within {found.deviation:.1e} rad (or m) of the plan"
 
 
 def require_new(path: Path, force: bool) -> None:

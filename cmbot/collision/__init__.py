@@ -1,20 +1,46 @@
-"""Clearances: the smallest distances between the arm, the obstacles and the arm itself."""
+"""Clearances: the smallest distances between the arm, the obstacles and the arm itself.
 
-from cmbot.collision.clearance import RESOLUTION, Clearances, Nearest, Smallest
-from cmbot.collision.motion_bounds import raise_bounds, travel
-from cmbot.collision.point_distances import PointDistances
-from cmbot.collision.shapes import PairedShapes, ShapePair, extent_of, touched_by
+What needs coal or pinocchio is imported when it is first used: a scene is read without them.
+"""
+
+from typing import TYPE_CHECKING
+
+from cmbot.collision.mesh_file import load_mesh
+from cmbot.collision.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere
+from cmbot.common.lazy_imports import on_first_use
+
+if TYPE_CHECKING:
+    from cmbot.collision.clearance import RESOLUTION, Clearances, Nearest, Smallest
+    from cmbot.collision.motion_bounds import raise_bounds, travel
+    from cmbot.collision.point_distances import PointDistances
+    from cmbot.collision.shapes import PairedShapes, ShapePair, extent_of, touched_by
 
 __all__ = [
     "RESOLUTION",
+    "Box",
+    "Capsule",
     "Clearances",
+    "Cylinder",
+    "Mesh",
     "Nearest",
+    "Obstacle",
     "PairedShapes",
     "PointDistances",
+    "Shape",
     "ShapePair",
     "Smallest",
+    "Sphere",
     "extent_of",
+    "load_mesh",
     "raise_bounds",
     "touched_by",
     "travel",
 ]
+
+_MODULES = {
+    "cmbot.collision.clearance": ("RESOLUTION", "Clearances", "Nearest", "Smallest"),
+    "cmbot.collision.motion_bounds": ("raise_bounds", "travel"),
+    "cmbot.collision.point_distances": ("PointDistances",),
+    "cmbot.collision.shapes": ("PairedShapes", "ShapePair", "extent_of", "touched_by"),
+}
+__getattr__ = on_first_use(__name__, _MODULES)

@@ -13,10 +13,10 @@ import pinocchio as pin
 
 from cmbot.collision.broad_phase import BroadPhase, LowerBounds
 from cmbot.collision.motion_bounds import DistanceCache, pair_reach, shape_reach
+from cmbot.collision.obstacles import Obstacle
 from cmbot.collision.shapes import PairedShapes
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.robot import Robot
-from cmbot.scene import Obstacle
 
 RESOLUTION = 1e-4
 """To which the smallest distance of a motion is known, m: what lies so near a margin may count as below."""

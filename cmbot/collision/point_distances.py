@@ -12,10 +12,10 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from cmbot.collision.obstacles import Obstacle
 from cmbot.collision.shapes import coal_shapes
 from cmbot.common.arrays import FloatArray
 from cmbot.robot import Robot
-from cmbot.scene import Obstacle
 
 
 class PointDistances:

@@ -13,10 +13,11 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from cmbot.collision.mesh_file import load_mesh
+from cmbot.collision.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.robot import Robot, convex_hull, encloses_volume
-from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, load_mesh
 
 if TYPE_CHECKING:
     import trimesh

@@ -148,6 +148,9 @@ class InputError(CmbotError, ValueError):
         Where in the file, counted from 1.
     """
 
+    holds = ""
+    """What the format of a file begins with that was given in place of another one, or ``xml``."""
+
     def __init__(
         self,
         source: str,

@@ -24,6 +24,7 @@ class Limit(StrEnum):
     TOOL_LAG = "tool lag"
     TOOL_SPEED = "tool speed"
     PROCESS_SPEED = "process speed"
+    CONTINUITY = "continuity"
     SHIFT = "shift"
     """Change of the shifted tool path from one round of the compensation of the sag to the next."""
     PEAK = "peak"

@@ -48,18 +48,18 @@ _PHRASES = {
     "string_too_long": "text of at most {max_length} characters",
     "json_invalid": "valid text and a depth that a file of this format can have ({error})",
 }
-# What files of cmbot are, by what their formats begin with, and what to do with one that is given elsewhere.
+# What files of cmbot are, by what their formats begin with.
 _KINDS = {
-    "cmbot-scene": ("a scene", "cmbot plan {file} plans it"),
-    "cmbot-campaign": ("a campaign", "cmbot campaign {file} plans it"),
-    "cmbot-measurements": ("a sheet of measurements", "cmbot identify {file} reads it"),
-    "cmbot-stiffness": ("an identified stiffness", "a scene names it as identified"),
-    "cmbot-joint-limits": ("a file of joint limits", "a scene names it as robot.limits"),
-    "cmbot-elasticity": ("a file of elasticity", "a scene names it as robot.elasticity"),
-    "cmbot-plan": ("part of a plan directory", "cmbot replay {folder} shows it"),
-    "cmbot-tracking": ("part of a plan directory", "cmbot report {folder} shows it"),
-    "cmbot-walk": ("part of a walk's folder", "cmbot replay {folder} shows it"),
-    "cmbot-tour": ("part of a tour's folder", "{folder}/index.html shows it"),
+    "cmbot-scene": "a scene",
+    "cmbot-campaign": "a campaign",
+    "cmbot-measurements": "a sheet of measurements",
+    "cmbot-stiffness": "an identified stiffness",
+    "cmbot-joint-limits": "a file of joint limits",
+    "cmbot-elasticity": "a file of elasticity",
+    "cmbot-plan": "part of a plan directory",
+    "cmbot-tracking": "part of a plan directory",
+    "cmbot-walk": "part of a walk's folder",
+    "cmbot-tour": "part of a tour's folder",
 }
 
 
@@ -266,14 +266,14 @@ def input_error(source: str, error: ValidationError, error_type: type[InputError
         loc = loc[:-1]
     node, got = _schema_at(schema, loc), shown(detail["input"])
     choices: tuple[str, ...] = ()
+    other = ""
     if kind == "literal_error":
         choices = tuple(str(choice) for choice in node.get("enum", ()))
         known = f"a known value{hint(detail['input'], choices)}"
         expected = known if choices else repr(node.get("const"))
         if loc == ("format",) and (other := _other_kind(detail["input"], choices or (node.get("const"),))):
-            file = Path(source)
-            got, rest = f"{other[0]} ({detail['input']})", other[1].format(file=file, folder=file.parent)
-            expected, choices = f"{' or '.join(choices) or node.get('const')}; {rest}", ()
+            got = f"{_KINDS[other]} ({detail['input']})"
+            expected, choices = " or ".join(choices) or str(node.get("const")), ()
     elif kind in _LENGTHS and node.get("minItems", 0) == node.get("maxItems"):
         expected = f"a list of {node['maxItems']} items"
     elif kind in _PHRASES:
@@ -284,7 +284,9 @@ def input_error(source: str, error: ValidationError, error_type: type[InputError
         expected = f"something else ({detail['msg']})"
     if kind == "json_invalid":
         got = "text that cannot be read"
-    return error_type(source, key_path(loc), got, expected, choices)
+    found = error_type(source, key_path(loc), got, expected, choices)
+    found.holds = other
+    return found
 
 
 def refusal(
@@ -341,10 +343,10 @@ def hint(word: object, choices: Sequence[str]) -> str:
     return f"; did you mean {close[0]}?" if close else ""
 
 
-def _other_kind(format_: object, known: Sequence[object]) -> tuple[str, str] | None:
-    """What a file of another format than the known ones is, and what to do with it."""
+def _other_kind(format_: object, known: Sequence[object]) -> str:
+    """What the format of a file begins with that is another than the known ones; empty where it is none."""
     kind = str(format_).partition("/")[0]
-    return None if any(str(each).startswith(f"{kind}/") for each in known) else _KINDS.get(kind)
+    return kind if kind in _KINDS and not any(str(each).startswith(f"{kind}/") for each in known) else ""
 
 
 def _most_telling(errors: list[ErrorDetails]) -> ErrorDetails:

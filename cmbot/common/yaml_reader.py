@@ -75,8 +75,9 @@ def read_yaml(path: str | Path, error_type: type[InputError], kind: str = "a fil
     source = str(path)
     text = _read_text(Path(path), source, error_type, kind)
     if _XML.match(text):
-        expected = "a YAML file of keys and values (cmbot check inspects a URDF)"
-        raise error_type(source, "", "XML, such as a URDF", expected)
+        error = error_type(source, "", "XML, such as a URDF", "a YAML file of keys and values")
+        error.holds = "xml"
+        raise error
     data = _parsed(text, source, error_type)
     if data is None:
         raise error_type(source, "", "an empty file", "a mapping of keys to values")

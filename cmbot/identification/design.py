@@ -23,7 +23,7 @@ from cmbot.identification.estimation import Identification
 from cmbot.identification.measurements import MeasuringSetup
 from cmbot.identification.model import DeflectionModel, SagAlong, measured_arm, prior_deviations, sag_along
 from cmbot.identification.problem import whitener
-from cmbot.planning import Plan, QuinticTrajectory, build_context, follow_path, starting_at_path
+from cmbot.planning import JobState, Plan, QuinticTrajectory, build_request, follow_path, starting_at_path
 from cmbot.robot import Dynamics
 from cmbot.scene import Scene
 
@@ -131,17 +131,17 @@ def _spread(trajectory: QuinticTrajectory) -> FloatArray:
 
 def _followed(scene: Scene) -> Iterator[FloatArray]:
     """Postures along each stroke, by gradient projection from where the one before ends."""
-    context = build_context(scene, scene.planner)
-    reached = context.posture
-    for number in range(len(context.strokes)):
-        context = context.at_stroke(number, scene, reached, 0.0, 0.0)
-        if context.stroke.begins_elsewhere:
-            context = starting_at_path(context)
-        found = follow_path(context, stop_at_obstacles=False)
+    request = build_request(scene, scene.planner)
+    state = request.state
+    for number in range(len(request.strokes)):
+        request = request.at_stroke(number, scene, state)
+        if request.stroke.begins_elsewhere:
+            request = starting_at_path(request)
+        found = follow_path(request, stop_at_obstacles=False)
         if not (off := float(found.drift.max())) <= _LOST:
             got = f"a path that gradient projection leaves by {off:.2f} m"
-            raise InputError(scene.source, context.stroke.key, got, "a plan of it in its place: --job DIR")
-        reached = found.q[-1]
+            raise InputError(scene.source, request.stroke.key, got, "a plan of it in its place: --job DIR")
+        state = JobState(posture=found.q[-1])
         yield found.q
 
 

@@ -22,12 +22,13 @@ import pinocchio as pin
 from scipy.optimize import least_squares
 from scipy.special import chdtrc
 
+from cmbot.collision import Box
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.representation import short_repr
 from cmbot.common.validation import counted
 from cmbot.identification.touches import Feature, Touches, TouchSetup, read_touches
-from cmbot.scene import Box, Placement, Scene
+from cmbot.scene import Placement, Scene
 
 # Probability by chance of the residual of a touch that is left out, and the share that may go.
 _CHANCE, _MOST_LEFT_OUT = 1e-3, 1 / 3

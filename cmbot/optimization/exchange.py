@@ -331,8 +331,9 @@ class _Exchange:
         self._constraints, left = found.added_to(self._constraints), o.stalls
         while True:
             if len(self.reports) >= o.max_passes:
-                passes = counted(o.max_passes, "pass", "passes")
-                reason = f"no solution in {passes}, and planner.max_passes allows no more"
+                reason = (
+                    f"no solution in {counted(o.max_passes, 'pass', 'passes')}; max_passes allows no more"
+                )
                 raise self._failure(reason, found.worst)
             start = NlpEvaluation.around(self._program, stage, self.form, self._constraints)
             end, iterations, done = self._solved(start, attempt=attempt)

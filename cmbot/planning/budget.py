@@ -56,6 +56,8 @@ class Deadline:
         Gives seconds that do not go back.
     whole : Deadline, optional
         That of which this is a part.
+    name : str
+        Of that part.
     """
 
     def __init__(
@@ -63,15 +65,16 @@ class Deadline:
         limit: float = math.inf,
         clock: Callable[[], float] = time.perf_counter,
         whole: Deadline | None = None,
+        name: str = "",
     ) -> None:
-        self._clock, self._began, self._whole = clock, clock(), whole
+        self._clock, self._began, self._whole, self._name = clock, clock(), whole, name
         self.limit = limit
         """How long planning, or a part of it, may take, s."""
         self._stopped = False
 
-    def part(self, left: int) -> Deadline:
+    def part(self, left: int, name: str = "") -> Deadline:
         """Return the deadline of a part of several, of which so many are left: it has an equal part."""
-        return Deadline(max(self.limit - self.used, 0.0) / left, self._clock, self)
+        return Deadline(max(self.limit - self.used, 0.0) / left, self._clock, self, name)
 
     def expired(self, more: float = 0.0) -> bool:
         """Whether the time is over, and so is a share `more` of it; then what asks has to stop."""
@@ -84,6 +87,20 @@ class Deadline:
         self._stopped = True
         if self._whole is not None:
             self._whole._stop()
+
+    @property
+    def in_words(self) -> str:
+        """What messages call the time that planning has, and the part of it that the stroke has."""
+        whole = self
+        while whole._whole is not None:
+            whole = whole._whole
+        part = f", of which {self._name} had {self.limit:.3g} s" if self._name else ""
+        return f"the time, {whole.limit:g} s (planner.time_limit_s){part}"
+
+    @property
+    def over_in_words(self) -> str:
+        """What messages say where the time was over."""
+        return f"{self.in_words}, was over after {self.used:.3g} s,"
 
     @property
     def mark(self) -> Literal["time"] | None:

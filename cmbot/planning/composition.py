@@ -1,4 +1,4 @@
-"""The plan of a job, composed of what was planned of its strokes, beside the baseline."""
+"""The plan of a job, composed of what was planned of its strokes, beside its baseline if any."""
 
 from __future__ import annotations
 
@@ -12,48 +12,49 @@ from cmbot.common.errors import PathNotFound
 from cmbot.planning.attempts.motion import suppresses_vibration
 from cmbot.planning.attempts.stroke import PlannedStroke
 from cmbot.planning.certification.metrics import figures, measure
-from cmbot.planning.context import PlanningContext
 from cmbot.planning.job import Job
 from cmbot.planning.path.first_posture import starting_at_path
 from cmbot.planning.path.gradient_projection import follow_path
+from cmbot.planning.request import StrokeRequest
 from cmbot.planning.result.plan import Plan, Seconds
-from cmbot.planning.result.stroke_plan import StrokePlan, objective_metrics
+from cmbot.planning.result.stroke_plan import StrokeBaseline, StrokePlan, objective_metrics
 from cmbot.scene import SAME_PLACE, Scene
 
 
 def composed(scene: Scene, made: Sequence[PlannedStroke], *, custom: bool) -> Plan:
-    """Return the plan of a job's motions, beside the baseline."""
+    """Return the plan of a job's motions, beside a baseline where one is asked for."""
     motions = [stroke.trial.result for stroke in made]
-    context = motions[0].context
+    request = motions[0].request
     # What follows stops nothing: it only says what was planned.
-    stopped = next((mark for motion in motions if (mark := motion.context.deadline.mark)), None)
+    stopped = next((mark for motion in motions if (mark := motion.request.deadline.mark)), None)
     strokes, at = list[StrokePlan](), None
     for stroke in made:
         strokes.append(_stroke_plan(stroke, at, custom=custom))
-        at = strokes[-1].baseline.q[-1]
+        if (baseline := strokes[-1].baseline) is not None:
+            at = baseline.samples.q[-1]
     shares = [motion.guess.search.step_share for motion in motions if motion.guess.search is not None]
     return Plan.of(
         strokes,
-        context.clearances,
-        scene=_as_planned(scene, [motion.context for motion in motions]),
-        options=replace(context.options, step_share=min(shares)) if shares else context.options,
-        robot=context.robot,
+        request.cell.clearances,
+        scene=_as_planned(scene, [motion.request for motion in motions]),
+        options=replace(request.cell.options, step_share=min(shares)) if shares else request.cell.options,
+        robot=request.cell.robot,
         job=Job(segments=tuple(segment for motion in motions for segment in motion.job.segments)),
-        sag=context.sag,
+        sag=request.cell.sag,
         fallbacks=tuple(_all_fallbacks(made, stopped=stopped is not None)),
         stopped=stopped,
-        seconds=Seconds(**context.reporter.seconds()),
+        seconds=Seconds(**request.reporter.seconds()),
     )
 
 
-def _as_planned(scene: Scene, contexts: Sequence[PlanningContext]) -> Scene:
+def _as_planned(scene: Scene, requests: Sequence[StrokeRequest]) -> Scene:
     """The scene with the number of via-points and the time laws that each stroke was planned with."""
-    changes: list[dict[str, Any]] = [{} for _ in contexts]
-    for stroke, context, changed in zip(scene.strokes, contexts, changes, strict=True):
-        if len(context.times) != stroke.via_points:
-            changed["via_points"] = len(context.times)
-        if context.stroke.file.time_laws != stroke.time_laws:
-            changed["time_laws"] = context.stroke.file.time_laws
+    changes: list[dict[str, Any]] = [{} for _ in requests]
+    for stroke, request, changed in zip(scene.strokes, requests, changes, strict=True):
+        if len(request.times) != stroke.via_points:
+            changed["via_points"] = len(request.times)
+        if request.stroke.file.time_laws != stroke.time_laws:
+            changed["time_laws"] = request.stroke.file.time_laws
     if not any(changes):
         return scene
     pairs = zip(scene.strokes, changes, strict=True)
@@ -61,39 +62,29 @@ def _as_planned(scene: Scene, contexts: Sequence[PlanningContext]) -> Scene:
 
 
 def _stroke_plan(stroke: PlannedStroke, at: FloatArray | None, *, custom: bool) -> StrokePlan:
-    """What is planned of a stroke, beside the baseline from the posture `at` (n,), by default the scene's."""
+    """What is planned of a stroke, beside a baseline from the posture `at` (n,), by default the scene's."""
     motion = stroke.trial.result
-    context, guess, options = motion.context, motion.guess, motion.context.options
-    # The comparison is with the paper's motion from the scene's own posture, obstacles or not.
-    path = follow_path(
-        context if at is None else _starting_near(context, at),
-        stop_at_obstacles=False,
-        report=partial(context.reporter.part, "following the tool path as the baseline does"),
-    )
-    baseline = measure(
-        context.robot, context.task, context.clearances, path.t, path.motion(), clearance=path.clearance
-    )
-    baseline_figures = figures(context.robot, baseline)
+    request, guess, options = motion.request, motion.guess, motion.request.cell.options
+    baseline = None
+    if options.baseline != "none":
+        baseline = _baseline(request if at is None else _starting_near(request, at))
     bound = guess.lower_bound if guess.search is not None else None
-    if bound is not None and context.sag is None:
-        at_rest = context.objective.at_rest(context.postures.at(motion.optimised.via_points))
+    if bound is not None and request.cell.sag is None:
+        at_rest = request.cell.objective.at_rest(request.cell.postures.at(motion.optimised.via_points))
         bound = bound.met(at_rest)
     objective = objective_metrics(
-        context.objective,
+        request.cell.objective,
         options,
         own=custom,
-        baseline=(baseline_figures, baseline),
+        baseline=baseline,
         planned=(motion.work.figures, motion.work.trajectory),
         floor=None if bound is None else bound.value,
     )
     return StrokePlan(
-        name=context.stroke.name,
-        task=context.task,
+        name=request.stroke.name,
+        task=request.task,
         start=motion.start,
         baseline=baseline,
-        baseline_figures=baseline_figures,
-        drift=float(path.drift.max()),
-        smallest_singular_value=float(path.singular_value.min()),
         passes=motion.optimised.passes,
         objective=objective,
         lower_bound=bound,
@@ -104,18 +95,39 @@ def _stroke_plan(stroke: PlannedStroke, at: FloatArray | None, *, custom: bool) 
     )
 
 
-def _starting_near(context: PlanningContext, q: FloatArray) -> PlanningContext:
-    """The context of a stroke that starts in the admissible posture nearest to `q` (n,)."""
+def _baseline(request: StrokeRequest) -> StrokeBaseline:
+    """The motion without optimisation along a stroke, from the posture of a request, obstacles or not."""
+    cell = request.cell
+    if cell.options.baseline == "straight":
+        request = request.with_options(avoidance_gain=0.0, centre_of_gravity_weight=0.0)
+    path = follow_path(
+        request,
+        stop_at_obstacles=False,
+        report=partial(request.reporter.part, "following the tool path as the baseline does"),
+    )
+    samples = measure(
+        cell.robot, request.task, cell.clearances, path.t, path.motion(), clearance=path.clearance
+    )
+    return StrokeBaseline(
+        samples=samples,
+        figures=figures(cell.robot, samples),
+        drift=float(path.drift.max()),
+        smallest_singular_value=float(path.singular_value.min()),
+    )
+
+
+def _starting_near(request: StrokeRequest, q: FloatArray) -> StrokeRequest:
+    """The request of a stroke that starts in the admissible posture nearest to `q` (n,)."""
     try:
-        return starting_at_path(replace(context, posture=q))
+        return starting_at_path(replace(request, state=replace(request.state, posture=q)))
     except PathNotFound:
         # What was planned starts in one.
-        return context
+        return request
 
 
 def _all_fallbacks(made: Sequence[PlannedStroke], *, stopped: bool) -> Iterator[str]:
     for stroke in made:
-        of = f"Stroke {stroke.trial.result.context.stroke.name}: " if len(made) > 1 else ""
+        of = f"Stroke {stroke.trial.result.request.stroke.name}: " if len(made) > 1 else ""
         for fallback in _fallbacks(stroke, stopped=stopped):
             yield of + fallback
 
@@ -124,15 +136,19 @@ def _fallbacks(stroke: PlannedStroke, *, stopped: bool) -> Iterator[str]:
     """What failed, or was left out, on the way to a motion."""
     yield from stroke.trial.told
     motion = stroke.trial.result
-    context, optimised = motion.context, motion.optimised
-    if merged := context.stroke.file.merged:
+    request, optimised = motion.request, motion.optimised
+    if merged := request.stroke.file.merged:
         is_ = "waypoint is" if merged == 1 else "waypoints are"
         yield f"{merged} {is_} merged with the one before, less than {1e3 * SAME_PLACE:g} mm away."
-    limit = f"{context.options.time_limit_s:g} s (planner.time_limit_s)"
+    limit = f"{request.cell.options.time_limit_s:g} s (planner.time_limit_s)"
     if not optimised.complete:
         why = f"Stopped after {limit}" if stopped else "The last stage of the optimisation failed"
         yield f"{why}: the best motion so far."
-    if context.arm is not None and suppresses_vibration(context.options) and motion.suppression is None:
+    if (
+        request.cell.arm is not None
+        and suppresses_vibration(request.cell.options)
+        and motion.suppression is None
+    ):
         yield f"The vibration at the ends of the legs is not suppressed: the time, {limit}, was over."
     if why := optimised.whole_because:
         yield f"The path was optimised as a whole, as a segment failed ({why}): that took longer."

@@ -12,12 +12,13 @@ from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import OptimisationFailed, PathNotFound
 from cmbot.common.file_types import NonNegative
 from cmbot.optimization import find_violations
-from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.gradient_projection import find_path
 from cmbot.planning.path.projection import project_onto_task
+from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.torque import TorqueProblem, parametrization_through
+from cmbot.planning.workcell.diagnosis import nearest_to_end, out_of_range
 
 SMOOTHER = 0.9
 """A guess with shorter steps is worth it when its roughness is at most this share of that before."""
@@ -69,7 +70,7 @@ class InitialGuess:
 
 
 def initial_guess(
-    context: PlanningContext, search: GlobalSearch | None = None, *, stay: bool = False
+    request: StrokeRequest, search: GlobalSearch | None = None, *, stay: bool = False
 ) -> InitialGuess:
     """Return the guess that the option ``knots`` asks for; see `fixed_guess` and `sliding_guess`.
 
@@ -77,19 +78,19 @@ def initial_guess(
     below nearly the same peak: shorter steps between via-points often cost no torque. Where it leaps between
     branches of postures, as slow joints have time to, one that does not: no trajectory follows a leap.
     """
-    if context.options.knots == "fixed":
-        return fixed_guess(context)
-    guess = sliding_guess(context, search=search, stay=stay)
+    if request.cell.options.knots == "fixed":
+        return fixed_guess(request)
+    guess = sliding_guess(request, search=search, stay=stay)
     best, shorter = guess, guess.search
     for halving in range(_MOST_HALVINGS):
-        leaping = leap(context, best.problem.parametrization.via_points)
+        leaping = leap(request, best.problem.parametrization.via_points)
         enough = halving >= _HALVINGS or roughness(best.problem) <= _HOPELESS
-        if shorter is None or (enough and not leaping) or context.deadline.expired():
+        if shorter is None or (enough and not leaping) or request.deadline.expired():
             break
         # Where there is much time, half of what joints could do is no less than a leap.
         shorter = shorter.halved(leaping or np.inf)
         try:
-            other = sliding_guess(context, search=shorter, stay=stay)
+            other = sliding_guess(request, search=shorter, stay=stay)
         except PathNotFound:
             break
         if leaping:
@@ -98,30 +99,31 @@ def initial_guess(
         rests = (each.problem.at_via_points.max() for each in (other, guess))
         if next(rests) > next(rests) * (1 + _NEXT_TO_NOTHING):
             break
-        may_start = other.pinned == guess.pinned or context.options.start == "free"
+        may_start = other.pinned == guess.pinned or request.cell.options.start == "free"
         if may_start and roughness(other.problem) <= SMOOTHER * roughness(best.problem):
             best = replace(other, choice=guess.choice)
     return best
 
 
-def leap(context: PlanningContext, via_points: FloatArray) -> float:
+def leap(request: StrokeRequest, via_points: FloatArray) -> float:
     """Share of the velocity bounds that the longest leap between via-points (n, d), rad, asks; 0 without one.
 
     A step leaps that leads from one branch of postures to another: the tool leaves its path on the way, as no
     posture near the middle of the step holds it there.
     """
-    metric = context.robot.metric
+    cell = request.cell
+    metric = cell.robot.metric
     x = metric.coordinates(via_points)
     steps = np.abs(np.diff(x, axis=0)).max(axis=1)
     long = np.flatnonzero(steps > _LONG)
     if len(long) == 0:
         return 0.0
     middles = metric.positions(0.5 * (x[long] + x[long + 1]))
-    goals = context.task.goals(0.5 * (context.times[long] + context.times[long + 1]))
-    near, reached = project_onto_task(context.postures, context.task, middles, goals, steps=_MANY_STEPS)
+    goals = request.task.goals(0.5 * (request.times[long] + request.times[long + 1]))
+    near, reached = project_onto_task(cell.postures, request.task, middles, goals, steps=_MANY_STEPS)
     moved = np.abs(metric.coordinates(near - middles)).max(axis=1)
-    share = np.abs(np.diff(via_points, axis=0)) / context.robot.limits.velocity
-    share = share.max(axis=1) / np.diff(context.times)
+    share = np.abs(np.diff(via_points, axis=0)) / cell.robot.limits.velocity
+    share = share.max(axis=1) / np.diff(request.times)
     return float(share[long[~reached | (moved > _OFF_THE_MIDDLE * steps[long])]].max(initial=0.0))
 
 
@@ -131,7 +133,7 @@ def leap_failure(problem: TorqueProblem) -> OptimisationFailed | None:
     None where none leaps.
     """
     form = problem.parametrization
-    if leap(problem.context, form.via_points) == 0.0:
+    if leap(problem.request, form.via_points) == 0.0:
         return None
     worst = find_violations(problem, form.trajectory, np.inf, 0.0, 1).worst
     return OptimisationFailed(
@@ -153,21 +155,21 @@ def roughness(problem: TorqueProblem) -> float:
     return max(float(share.max()) for share in shares)
 
 
-def fixed_guess(context: PlanningContext) -> InitialGuess:
+def fixed_guess(request: StrokeRequest) -> InitialGuess:
     """Take via-points from the path of gradient projection, to stay there (Chang 2021, Eqs. (15)-(30))."""
-    path, failures = find_path(context)
-    rough = np.stack([np.interp(context.times, path.t, joint) for joint in path.q.T], axis=1)
-    form = parametrization_through(context, _placed(context.on_axis, rough), sliding=False)
-    each = context.objective.at_rest(context.postures.at(form.via_points))
+    path, failures = find_path(request)
+    rough = np.stack([np.interp(request.times, path.t, joint) for joint in path.q.T], axis=1)
+    form = parametrization_through(request, _placed(request.on_axis, rough), sliding=False)
+    each = request.cell.objective.at_rest(request.cell.postures.at(form.via_points))
     bound = LowerBound(
         value=float(each.max()), error=0.0, via_point=int(each.argmax()), each=each, kind="proven"
     )
-    problem = TorqueProblem(context, form, bound.value)
+    problem = TorqueProblem(request, form, bound.value)
     return InitialGuess(problem=problem, pinned=True, lower_bound=bound, failures=failures)
 
 
 def sliding_guess(
-    context: PlanningContext,
+    request: StrokeRequest,
     unreached: PathNotFound | None = None,
     search: GlobalSearch | None = None,
     starts: BoolArray | None = None,
@@ -180,7 +182,7 @@ def sliding_guess(
 
     With ``start: free`` the arm starts wherever the tool pose is the scene's, if that gains enough. With
     ``pinned``, where it is to `stay`, or where no approach leads there (`unreached`), it starts in the
-    scene's posture, or in the nearest one from which a path leads on. A `search` of the same context saves
+    scene's posture, or in the nearest one from which a path leads on. A `search` of the same request saves
     making the charts again; `starts` says in which postures of its first chart the arm may start. Where no
     trajectory leads on from the scene's posture (`unfollowed`), it starts elsewhere. `pinned` is what the
     search finds from there, where that is known.
@@ -191,10 +193,10 @@ def sliding_guess(
         When the scene's posture is in collision or within the safety margin, a via-point is blocked, or
         nothing leads from one to the next.
     """
-    options = context.options
+    options = request.cell.options
     if search is None:
-        _require_clear_start(context)
-        search, free = searched(context)
+        _require_clear_start(request)
+        search, free = searched(request)
     else:
         free = solved(search, pinned=False, starts=starts)
     if pinned is None:
@@ -213,9 +215,9 @@ def sliding_guess(
     else:
         solution, failures = search.solve_elsewhere(pinned)
     stays = solution is not free
-    form = parametrization_through(context, solution.q, sliding=True, pinned=stays)
+    form = parametrization_through(request, solution.q, sliding=True, pinned=stays)
     return InitialGuess(
-        problem=TorqueProblem(context, form, search.lower_bound.value),
+        problem=TorqueProblem(request, form, search.lower_bound.value),
         pinned=stays,
         lower_bound=search.lower_bound,
         failures=failures,
@@ -225,41 +227,41 @@ def sliding_guess(
     )
 
 
-def shifted_problem(context: PlanningContext, guess: InitialGuess, via_points: FloatArray) -> TorqueProblem:
-    """Return the problem of a guess along the shifted tool path of `context`, near `via_points` (n, d), rad.
+def shifted_problem(request: StrokeRequest, guess: InitialGuess, via_points: FloatArray) -> TorqueProblem:
+    """Return the problem of a guess along the shifted tool path of `request`, near `via_points` (n, d), rad.
 
     Raises
     ------
     PathNotFound
         When a via-point cannot be projected onto the shifted tool path.
     """
-    placed = _placed(context, via_points)
+    placed = _placed(request, via_points)
     form = parametrization_through(
-        context, placed, sliding=guess.search is not None, pinned=guess.search is not None and guess.pinned
+        request, placed, sliding=guess.search is not None, pinned=guess.search is not None and guess.pinned
     )
-    return TorqueProblem(context, form, guess.lower_bound.value)
+    return TorqueProblem(request, form, guess.lower_bound.value)
 
 
 def searched(
-    context: PlanningContext, bounded_as: GlobalSearch | None = None
+    request: StrokeRequest, bounded_as: GlobalSearch | None = None
 ) -> tuple[GlobalSearch, GlobalSolution | PathNotFound]:
     """The global search, and what it finds from any start; its bound is that of another one where given.
 
     Where the tool's axis may lean and nothing is found with it in the middle of its cone, it leans all along.
     """
-    if context.task.cone is None:
-        search = GlobalSearch(context, bounded_as=bounded_as)
+    if request.task.cone is None:
+        search = GlobalSearch(request, bounded_as=bounded_as)
         return search, solved(search, pinned=False)
     failures: list[PathNotFound] = []
-    for lean in (None, *_leans(context.task.cone)):
-        if failures and context.deadline.expired():
+    for lean in (None, *_leans(request.task.cone)):
+        if failures and request.deadline.expired():
             break
         try:
-            search = GlobalSearch(context, lean, bounded_as)
+            search = GlobalSearch(request, lean, bounded_as)
             return search, search.solve(pinned=False)
         except PathNotFound as failure:
             failures.append(failure)
-            context.reporter.step("nothing found in the middle of the cone; leaning the tool's axis")
+            request.reporter.step("nothing found in the middle of the cone; leaning the tool's axis")
     raise failures[0]
 
 
@@ -269,32 +271,34 @@ def _leans(cone: float) -> Iterator[FloatArray]:
         yield Rotation.from_rotvec(_LEANING * cone * np.array([np.cos(angle), np.sin(angle), 0])).as_matrix()
 
 
-def _require_clear_start(context: PlanningContext) -> None:
+def _require_clear_start(request: StrokeRequest) -> None:
     """Refuse a scene's posture within the safety margin: neither work nor approach can start there."""
-    margin, q = context.options.safety_margin_m, context.first
-    smallest = context.clearances.smallest(q[None])
+    cell = request.cell
+    margin, q = cell.options.safety_margin_m, request.first
+    smallest = cell.clearances.smallest(q[None])
     distance = float(smallest.distance[0])
     if distance >= margin:
         return
-    shapes = context.clearances.pairs[smallest.pair[0]]
+    shapes = cell.clearances.pairs[smallest.pair[0]]
     always = ""
-    if shapes.self_collision and _are_always_near(context, int(smallest.pair[0])):
+    if shapes.self_collision and _are_always_near(request, int(smallest.pair[0])):
         always = f"; in all of {_SOME_POSTURES} random postures they do, and robot.srdf can disable the pair"
-    raise context.path_not_found(
+    raise request.path_not_found(
         f"in the scene's posture {shapes.describe(distance, margin)}{always}",
         q,
         pair=(shapes.link, shapes.other),
     )
 
 
-def _are_always_near(context: PlanningContext, pair: int) -> bool:
+def _are_always_near(request: StrokeRequest, pair: int) -> bool:
     """Whether two links are within the safety margin in random postures, too."""
-    limits, rng = context.robot.limits, np.random.default_rng(0)
+    cell = request.cell
+    limits, rng = cell.robot.limits, np.random.default_rng(0)
     half = limits.sampled_half
     q = rng.uniform(limits.range_middle - half, limits.range_middle + half, (_SOME_POSTURES, len(half)))
     row = np.arange(_SOME_POSTURES)
-    distance = context.clearances.distances(q, row, np.full(_SOME_POSTURES, pair))
-    return bool((distance < context.options.safety_margin_m).all())
+    distance = cell.clearances.distances(q, row, np.full(_SOME_POSTURES, pair))
+    return bool((distance < cell.options.safety_margin_m).all())
 
 
 def solved(
@@ -307,17 +311,17 @@ def solved(
         return failure
 
 
-def _placed(context: PlanningContext, rough: FloatArray) -> FloatArray:
+def _placed(request: StrokeRequest, rough: FloatArray) -> FloatArray:
     """Project postures (n, d) near the via-points onto the tool task."""
     q, reached = project_onto_task(
-        context.postures, context.task, rough, context.goals, steps=_MANY_STEPS, tolerance=1e-12
+        request.cell.postures, request.task, rough, request.goals, steps=_MANY_STEPS, tolerance=1e-12
     )
     for k in np.flatnonzero(~reached)[:1]:
-        joint = context.out_of_range(rough[k : k + 1]) or context.nearest_to_end(rough[k])
-        raise context.path_not_found(
+        joint = out_of_range(request.cell, rough[k : k + 1]) or nearest_to_end(request.cell, rough[k])
+        raise request.path_not_found(
             f"via-point {k + 1} cannot be put onto the tool path exactly by Newton steps (nearest "
             f"to an end of its range is {joint})",
             rough[k],
-            context.times[k],
+            request.times[k],
         )
     return q

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal, NoReturn
 
@@ -16,8 +16,6 @@ from cmbot.planning.attempts.failure import Failure, NoWay, OutOfTime, error_of
 from cmbot.planning.attempts.stroke import PlannedStroke, advice, plan_stroke
 from cmbot.planning.budget import Budget, Deadline
 from cmbot.planning.composition import composed
-from cmbot.planning.context import PlanningContext, build_context
-from cmbot.planning.objectives import WrenchFunction
 from cmbot.planning.path.raster_reach import reached_scene
 from cmbot.planning.precheck import (
     failures_explained,
@@ -27,8 +25,10 @@ from cmbot.planning.precheck import (
 )
 from cmbot.planning.progress import Progress, ProgressReporter
 from cmbot.planning.reach import require_posture, require_postures, require_within_reach
+from cmbot.planning.request import JobState, StrokeRequest, build_request
 from cmbot.planning.result.plan import Plan
 from cmbot.planning.stroke_order import in_least_travel
+from cmbot.planning.workcell.objectives import WrenchFunction
 from cmbot.scene import PlannerOptions, Scene
 
 # Peaks of two orders of strokes that differ by less are the same.
@@ -159,17 +159,21 @@ class _Planner:
     def job(self, scene: Scene, deadline: Deadline) -> Plan | PlannedStroke:
         """Return the plan of a job, or the stroke that could not be planned."""
         self.reporter.stage("path")
-        context = build_context(scene, self.options, self.objective, self.reporter, deadline)
-        for number, stroke in enumerate(context.strokes):
-            require_reasonable_size(scene, stroke, context.robot.dof, self.options)
+        request = build_request(scene, self.options, self.objective, self.reporter, deadline)
+        for number, stroke in enumerate(request.strokes):
+            require_reasonable_size(scene, stroke, request.cell.robot.dof, self.options)
             require_tool_speed(scene, stroke)
-            require_within_reach(context.at_stroke(number, scene, context.posture, 0.0, 0.0))
-        require_postures(context, scene)
-        made = list[PlannedStroke]()
-        for number in range(len(context.strokes)):
-            made.append(plan_stroke(_at_stroke(context, scene, number, made), automatic=self.automatic))
-            if not isinstance(made[-1].trial.outcome, Solved):
+            require_within_reach(request.at_stroke(number, scene))
+        require_postures(request, scene)
+        made, state = list[PlannedStroke](), request.state
+        for number in range(len(request.strokes)):
+            made.append(plan_stroke(_at_stroke(request, scene, number, state), automatic=self.automatic))
+            outcome = made[-1].trial.outcome
+            if not isinstance(outcome, Solved):
                 return made[-1]
+            motion = outcome.result
+            last, reached = motion.job.segments[-1], max(state.reached, motion.peak)
+            state = JobState(posture=last.trajectory.q[-1], begin=last.end, reached=reached)
         return composed(scene, made, custom=self.objective is not None)
 
 
@@ -181,36 +185,30 @@ def _is_better_order(plan: Plan, best: Plan) -> bool:
     return peak < lowest
 
 
-def _at_stroke(
-    context: PlanningContext, scene: Scene, number: int, made: Sequence[PlannedStroke]
-) -> PlanningContext:
-    """The context of a stroke after those that are planned."""
-    left = len(context.strokes) - number
+def _at_stroke(request: StrokeRequest, scene: Scene, number: int, state: JobState) -> StrokeRequest:
+    """The request of a stroke after those that are planned."""
+    left, name = len(request.strokes) - number, request.strokes[number].name
     if left > 1:
         # Only the last stroke leads to where the job ends.
-        context = replace(context, end_posture=None)
-    if len(context.strokes) > 1:
-        context.reporter.begin_stroke(context.strokes[number].name)
-        context = replace(context, deadline=context.deadline.part(left))
-    if not made:
-        return context
-    before = made[-1].trial.result.job.segments[-1]
-    reached = max(stroke.trial.result.peak for stroke in made)
-    return context.at_stroke(number, scene, before.trajectory.q[-1], before.end, reached)
+        request = replace(request, end_posture=None)
+    if len(request.strokes) > 1:
+        request.reporter.begin_stroke(name)
+        request = replace(request, deadline=request.deadline.part(left, name))
+    return request.at_stroke(number, scene, state)
 
 
 def _refuse(stroke: PlannedStroke) -> NoReturn:
     """Raise why a stroke is not planned, with what would do."""
-    context, failure = stroke.trial.chain[0].attempt.context, stroke.trial.failure
+    request, failure = stroke.trial.chain[0].attempt.request, stroke.trial.failure
     if not (isinstance(failure, NoWay) and failure.is_start_near):
         # Before anything else is advised; and it says by how much a place is missed.
-        require_posture(context, is_clear=True)
+        require_posture(request, is_clear=True)
     error = error_of(failure)
-    if len(context.strokes) > 1:
-        error.add_hint(f"this is stroke {context.stroke.name}")
-    if context.deadline.expired():
+    if len(request.strokes) > 1:
+        error.add_hint(f"this is stroke {request.stroke.name}")
+    if request.deadline.expired():
         if not isinstance(failure, OutOfTime):
-            limit = f"{context.options.time_limit_s:g} s (planner.time_limit_s)"
+            limit = f"{request.cell.options.time_limit_s:g} s (planner.time_limit_s)"
             error.add_hint(f"then the time, {limit}, was over")
     elif words := advice(stroke.trial):
         error.add_hint(words)

@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from cmbot.common.errors import PathNotFound
-from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.path.nearest_miss import nearest_miss
+from cmbot.planning.request import StrokeRequest, build_request
 from cmbot.planning.selfmotion.reachability import out_of_reach
 from cmbot.robot import Finding, Robot
 from cmbot.scene import Scene, Stroke
@@ -36,12 +36,12 @@ def beyond_reach(stroke: Stroke, robot: Robot) -> Iterator[tuple[str, float]]:
         yield stroke.leg_key(int(k)), float(distances[k])
 
 
-def require_within_reach(context: PlanningContext) -> None:
+def require_within_reach(request: StrokeRequest) -> None:
     """Refuse a tool path that leaves the reach of the stretched arm; the error names the first such leg."""
-    path, robot = context.task.path, context.robot
-    for key, distance in beyond_reach(context.stroke, robot):
-        away = np.linalg.norm(context.goals.point - robot.base_point, axis=1)
-        time = float(context.times[np.argmax(away > robot.reach * (1 + _ROUNDING))])
+    path, robot = request.task.path, request.cell.robot
+    for key, distance in beyond_reach(request.stroke, robot):
+        away = np.linalg.norm(request.goals.point - robot.base_point, axis=1)
+        time = float(request.times[np.argmax(away > robot.reach * (1 + _ROUNDING))])
         what = "lies" if key.endswith(".from") else "ends"
         raise PathNotFound(
             f"{key} {what} {distance:.3f} m from the arm's first joint, {distance - robot.reach:.3f} m out "
@@ -53,37 +53,37 @@ def require_within_reach(context: PlanningContext) -> None:
         )
 
 
-def require_postures(context: PlanningContext, scene: Scene) -> None:
+def require_postures(request: StrokeRequest, scene: Scene) -> None:
     """Refuse strokes with places for which no posture is found; the error names the worst of the first one.
 
     The tool has to be held there within the joint ranges; and on strokes after the first one, which is
     planned at once, clear of obstacles and strongly enough.
     """
-    for number, stroke in enumerate(context.strokes):
+    for number, stroke in enumerate(request.strokes):
         if not _is_cut(stroke):
-            require_posture(context.at_stroke(number, scene, context.posture, 0.0, 0.0), is_clear=number > 0)
+            require_posture(request.at_stroke(number, scene), is_clear=number > 0)
 
 
-def require_posture(context: PlanningContext, *, is_clear: bool) -> None:
+def require_posture(request: StrokeRequest, *, is_clear: bool) -> None:
     """Refuse a stroke with places for which no posture is found; the error names the worst of them.
 
     The tool has to be held there within the joint ranges, and clear of obstacles and strongly enough where
     `is_clear`.
     """
-    miss = nearest_miss(context, is_clear=is_clear)
+    miss = nearest_miss(request, is_clear=is_clear)
     if miss is None:
         return
-    there = replace(context, times=np.array([miss.time]))
+    there = replace(request, times=np.array([miss.time]))
     proven = not miss.missed.is_held and bool(out_of_reach(there, 0))
     failure = PathNotFound(
         "; ".join(filter(None, (f"{miss.key} is {miss.reason(proven=proven)}", miss.remedy()))),
         time=miss.first_time,
-        progress=context.task.path.progress(miss.first_time),
+        progress=request.task.path.progress(miss.first_time),
         smallest_singular_value=0.0,
         pair=miss.pair,
     )
-    if len(context.strokes) > 1:
-        failure.add_hint(f"this is stroke {context.stroke.name}")
+    if len(request.strokes) > 1:
+        failure.add_hint(f"this is stroke {request.stroke.name}")
     raise failure
 
 
@@ -96,11 +96,11 @@ def without_posture(scene: Scene) -> Iterator[Finding]:
     ----------
     scene : Scene
     """
-    context = build_context(scene, scene.planner)
-    for number, stroke in enumerate(context.strokes):
-        if any(beyond_reach(stroke, context.robot)):
+    request = build_request(scene, scene.planner)
+    for number, stroke in enumerate(request.strokes):
+        if any(beyond_reach(stroke, request.cell.robot)):
             continue
-        at = context.at_stroke(number, scene, context.posture, 0.0, 0.0)
+        at = request.at_stroke(number, scene)
         miss = nearest_miss(at, is_clear=True)
         if miss is not None:
             remedy = "planning cuts its rows to what is" if _is_cut(stroke) else miss.remedy()

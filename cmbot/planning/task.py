@@ -14,7 +14,8 @@ from cmbot.common.arrays import FloatArray, cross
 from cmbot.common.errors import InputError
 from cmbot.common.representation import short_repr
 from cmbot.robot import Kinematics, Robot
-from cmbot.scene import Keep, ToolPath, ToolPoses, shortest_turns
+from cmbot.scene import Keep
+from cmbot.toolpath import ToolPath, ToolPoses, shortest_turns
 
 # Sine of an angle below which a rotation vector is zero, and the cosine below which a turn counts as nearly
 # half a one.

@@ -367,7 +367,7 @@ def _near_remarks(
     also = f", and links that are nearly always nearer than {1e3 * NEAR:g} mm: {pairs}" if near else ""
     yield (
         f"No SRDF says which links may touch; not checked are those of neighbouring joints{also}. "
-        "cmbot check URDF --write-srdf FILE writes an SRDF; robot.srdf in the scene names it."
+        "An SRDF that robot.srdf names would say it."
     )
     others: dict[str, set[str]] = {}
     for first, second in zip(*np.nonzero(looked_at), strict=True):

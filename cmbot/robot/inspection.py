@@ -405,7 +405,7 @@ def overview(files: RobotFiles, root: ElementTree.Element) -> Iterator[tuple[str
         yield "prismatic joints", f"{kinds['prismatic']}, in m and N; the others in rad and Nm"
     yield "limits in the URDF", _limits(joints)
     yield "joint_limits.yaml beside it", _joint_limits(files, joints)
-    none = "none: links that are neighbours or nearly always near may touch (--write-srdf writes one)"
+    none = "none: links that are neighbours or nearly always near may touch"
     yield "SRDF", none if files.srdf is None else files.srdf.name
     if files.srdf is not None:
         yield "group states in it", _group_states(files.srdf)

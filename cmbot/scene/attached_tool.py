@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Self
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
+from cmbot.common.fields import Angles, FilePath, Length, Mass, Vector, exactly_one, given_of, one_of_schema
 from cmbot.common.validation import FileModel, refusal
-from cmbot.scene.fields import Angles, Length, Mass, Vector, exactly_one, given_of, one_of_schema
-from cmbot.scene.files import FilePath
 
 if TYPE_CHECKING:
     from cmbot.robot import AttachedTool, ToolShape

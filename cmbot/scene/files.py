@@ -10,55 +10,22 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, ValidationInfo
 
 from cmbot.common.errors import MissingExtra, SceneError
-from cmbot.common.input_files import LARGEST_MESH, is_file, is_folder, read_input
+from cmbot.common.fields import Text, existing_file, is_mesh_file, place_of
+from cmbot.common.input_files import LARGEST_MESH, is_file, read_input
 from cmbot.common.robot_library import LIBRARY, LIBRARY_EXTRA, is_robot_name, library_robots
 from cmbot.common.validation import hint, refusal, shown
-from cmbot.scene.fields import Text
-from cmbot.scene.mesh_file import is_mesh_file
 
-FOLDER = "folder"
-"""In the context of a validation the folder at which relative paths start; without one they stay."""
 TRAINS = ("freight", "emu", *(f"hslm_a{k}" for k in range(1, 11)))
 """Trains that need no file."""
 
 
-def _place(text: str, info: ValidationInfo) -> Path | None:
-    """Where a file is that is named in a scene; None where it is not sought."""
-    if info.data.get("model") == "cmbot":
-        return None  # beside the shipped robot there is none: `RobotFile` says so
-    folder = (info.context or {}).get(FOLDER)
-    return None if folder is None else folder / text
-
-
-def _file(text: str, info: ValidationInfo) -> str:
-    path = _place(text, info)
-    if path is None:
-        return text
-    if not is_file(path):
-        raise refusal("a file that exists (relative to the scene file)", got=shown(text))
-    return str(path.resolve())
-
-
-def _folder(text: str, info: ValidationInfo) -> str:
-    path = _place(text, info)
-    if path is None:
-        return text
-    if not is_folder(path):
-        raise refusal("a folder that exists (relative to the scene file)", got=shown(text))
-    return str(path.resolve())
-
-
 def _axles_name(text: str, info: ValidationInfo) -> str:
-    return text if text in TRAINS else _file(text, info)
-
-
-def _mesh_name(text: str, info: ValidationInfo) -> str:
-    return _file(text, info) if is_mesh_file(text) else text
+    return text if text in TRAINS else existing_file(text, info)
 
 
 def _model(text: str, info: ValidationInfo) -> str:
     """The path of a URDF, or the name of a robot; a file of that name comes first."""
-    path = _place(text, info)
+    path = place_of(text, info)
     if text == "cmbot" or path is None:
         return text
     if is_file(path):
@@ -76,14 +43,8 @@ def _model(text: str, info: ValidationInfo) -> str:
     raise refusal(expected, got=shown(text))
 
 
-FilePath = Annotated[Text, AfterValidator(_file)]
-"""Of a file, relative to the scene file; in a scene that is read absolute."""
-FolderPath = Annotated[Text, AfterValidator(_folder)]
-"""Of a folder, likewise."""
 AxlesName = Annotated[Text, AfterValidator(_axles_name)]
 """The name of a train, or the path of a file of axle loads, likewise."""
-MeshName = Annotated[Text, AfterValidator(_mesh_name)]
-"""The path of a mesh file, likewise, or the name of an obstacle."""
 RobotModel = Annotated[Text, AfterValidator(_model)]
 """``cmbot``, the path of a URDF, likewise, or the name of a robot of example-robot-data."""
 

@@ -1,169 +1,38 @@
-"""Obstacles: their shapes and poses, in the scene and in its file."""
+"""Obstacles as a scene file describes them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Self, cast
 
 import numpy as np
-from numpy.typing import ArrayLike
 from pydantic import ConfigDict, Field, model_validator
-from scipy.spatial.transform import Rotation
 
-from cmbot.common.arrays import FloatArray, read_only
-from cmbot.common.errors import InputError
-from cmbot.common.representation import short_repr
-from cmbot.common.validation import CheckedFields, FileModel, refusal, require_type, shown
-from cmbot.scene.fields import (
+from cmbot.collision import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere
+from cmbot.collision.obstacles import LEAST_SCALE, MOST_SCALE
+from cmbot.common.fields import (
     LONGEST,
     SHORTEST,
     Angles,
-    Length,
+    FilePath,
     Slug,
     Vector,
     exactly_one,
     given_of,
     one_of_schema,
 )
-from cmbot.scene.files import FilePath
+from cmbot.common.poses import pose
+from cmbot.common.validation import FileModel, refusal
+from cmbot.scene.robot_entry import MountFile
 
 _SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh")
-# From micrometres to kilometres, m.
-_LEAST_SCALE, _MOST_SCALE = 1e-6, 1e3
 # As it is written; in metres it has the bounds of `Length`.
-_Written = Annotated[float, Field(ge=0, le=LONGEST / _LEAST_SCALE)]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Box(CheckedFields):
-    """A cuboid about its centre.
-
-    Attributes
-    ----------
-    size : tuple of float
-        (3,), edge lengths along x, y, z, m.
-    """
-
-    size: tuple[Length, Length, Length]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Cylinder(CheckedFields):
-    """A cylinder along z, about its centre.
-
-    Attributes
-    ----------
-    radius, length : float
-        m.
-    """
-
-    radius: Length
-    length: Length
-
-
-@dataclass(frozen=True, kw_only=True)
-class Capsule(CheckedFields):
-    """A capsule along z, about its centre.
-
-    Attributes
-    ----------
-    radius : float
-        m.
-    length : float
-        Between the centres of its two half spheres, m; over all it is ``length + 2 radius`` long.
-    """
-
-    radius: Length
-    length: Length
-
-
-@dataclass(frozen=True, kw_only=True)
-class Sphere(CheckedFields):
-    """A ball about its centre.
-
-    Attributes
-    ----------
-    radius : float
-        m.
-    """
-
-    radius: Length
-
-
-@dataclass(frozen=True, kw_only=True)
-class Mesh:
-    """A triangle mesh in a file.
-
-    Attributes
-    ----------
-    path : Path
-        Of the file, absolute.
-    scale : float, m
-        The unit of its coordinates: 0.001 where they are millimetres.
-    """
-
-    path: Path
-    scale: float = 1.0
-
-    def __post_init__(self) -> None:
-        require_type(self.path, Path, "Mesh", "path", "a path, as pathlib.Path")
-        _require_scale(self.scale, "Mesh")
-
-
-Shape = Box | Cylinder | Capsule | Sphere | Mesh
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Obstacle:
-    """An obstacle: a shape, placed in W.
-
-    Attributes
-    ----------
-    name : str
-        Unique in its scene.
-    shape : Box, Cylinder, Capsule, Sphere or Mesh
-    X_WO : array
-        (4, 4), pose of the shape in W, m; read-only.
-    workpiece : bool
-        The tool works on it: it stays in every clearance that is reported or constrained, but does not push
-        the tool away.
-    scale : float or None, m
-        The unit of the shape's dimensions in the scene file; `shape` has them in metres. Where one is given
-        they are meant, however large.
-    """
-
-    name: str
-    shape: Shape
-    X_WO: FloatArray
-    workpiece: bool = False
-    scale: float | None = None
-
-    __repr__ = short_repr
-
-    def __post_init__(self) -> None:
-        require_type(self.name, str, "Obstacle", "name", "text")
-        kinds = (Box, Cylinder, Capsule, Sphere, Mesh)
-        require_type(self.shape, kinds, "Obstacle", "shape", "a Box, Cylinder, Capsule, Sphere or Mesh")
-        require_type(self.workpiece, bool, "Obstacle", "workpiece", "true or false")
-        if self.scale is not None:
-            _require_scale(self.scale, "Obstacle")
-        X = self.X_WO
-        sized = isinstance(X, np.ndarray) and X.dtype.kind in "fi" and X.shape == (4, 4)
-        if not (sized and np.isfinite(X).all()):
-            got = shown(X.tolist() if isinstance(X, np.ndarray) else X)
-            raise InputError("Obstacle", "X_WO", got, "a pose: an array (4, 4) of finite numbers")
-
-
-def _require_scale(scale: object, kind: str) -> None:
-    is_number = isinstance(scale, (int, float)) and not isinstance(scale, bool)
-    if not (is_number and _LEAST_SCALE <= cast("float", scale) <= _MOST_SCALE):
-        raise InputError(kind, "scale", shown(scale), f"a number from {_LEAST_SCALE:g} to {_MOST_SCALE:g}")
+_Written = Annotated[float, Field(ge=0, le=LONGEST / LEAST_SCALE)]
 
 
 class ObstacleFile(FileModel):
-    """An obstacle: exactly one shape, placed in W."""
+    """An obstacle: exactly one shape, placed in W or in a workpiece's frame."""
 
     model_config = ConfigDict(json_schema_extra=one_of_schema(_SHAPES))
 
@@ -178,13 +47,15 @@ class ObstacleFile(FileModel):
     """Radius, m."""
     mesh: FilePath | None = None
     """Path of a mesh file, relative to the scene file; in metres without `scale`."""
+    frame: Slug | None = None
+    """Of a workpiece, with which it moves; left out: it is placed in W."""
     xyz: Vector
-    """Centre (of a mesh: its origin) in W, m."""
+    """Centre (of a mesh: its origin) in its frame, m."""
     rpy_deg: Angles = (0.0, 0.0, 0.0)
     """Roll, pitch, yaw as in URDF: R = Rz(yaw) Ry(pitch) Rx(roll)."""
     workpiece: bool = False
     """The tool works on it, so it may come close."""
-    scale: Annotated[float, Field(ge=_LEAST_SCALE, le=_MOST_SCALE)] | None = None
+    scale: Annotated[float, Field(ge=LEAST_SCALE, le=MOST_SCALE)] | None = None
     """Factor that makes metres of the numbers of its shape, or of its mesh file: 0.001 where they are
     millimetres. ``xyz`` is in metres anyway. 1 says that an obstacle is meant to be as large and as far away
     as it is."""
@@ -216,8 +87,11 @@ class ObstacleFile(FileModel):
 
 
 @lru_cache(maxsize=1024)
-def obstacle_from_file(file: ObstacleFile) -> Obstacle:
-    """Return the obstacle that an entry of a scene file describes; its mesh has an absolute path."""
+def obstacle_from_file(file: ObstacleFile, frame: MountFile | None = None) -> Obstacle:
+    """Return the obstacle that an entry of a scene file describes; its mesh has an absolute path.
+
+    `frame` is the pose in W of the frame that the entry names.
+    """
     shape: Shape
     match file.kind, file.in_metres:
         case "box", (x, y, z):
@@ -230,25 +104,6 @@ def obstacle_from_file(file: ObstacleFile) -> Obstacle:
             shape = Sphere(radius=radius)
         case _:
             shape = Mesh(path=Path(cast("str", file.mesh)), scale=1.0 if file.scale is None else file.scale)
-    X_WO = pose(file.xyz, np.radians(file.rpy_deg))
+    X_FO = pose(file.xyz, np.radians(file.rpy_deg))
+    X_WO = X_FO if frame is None else frame.matrix @ X_FO
     return Obstacle(name=file.name, shape=shape, X_WO=X_WO, workpiece=file.workpiece, scale=file.scale)
-
-
-def pose(xyz: ArrayLike, rpy: ArrayLike = (0.0, 0.0, 0.0)) -> FloatArray:
-    """Return a pose from URDF's position and angles.
-
-    Parameters
-    ----------
-    xyz : (3,), m
-    rpy : (3,), rad
-        Roll, pitch, yaw: ``R = Rz(yaw) Ry(pitch) Rx(roll)``.
-
-    Returns
-    -------
-    (4, 4)
-        Homogeneous, read-only.
-    """
-    X = np.eye(4)
-    X[:3, :3] = Rotation.from_euler("xyz", np.asarray(rpy, dtype=float)).as_matrix()
-    X[:3, 3] = xyz
-    return read_only(X)

@@ -17,11 +17,10 @@ from pydantic import (
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
-from cmbot.common.validation import FileModel, refusal, shown
-from cmbot.scene.attached_tool import AttachedToolFile
-from cmbot.scene.excitation import ModesFile
-from cmbot.scene.fields import (
+from cmbot.common.fields import (
     Angles,
+    FilePath,
+    FolderPath,
     Length,
     Mass,
     Posture,
@@ -32,8 +31,11 @@ from cmbot.scene.fields import (
     one_of_schema,
     word_or,
 )
-from cmbot.scene.files import FilePath, FolderPath, RobotModel
-from cmbot.scene.obstacles import pose
+from cmbot.common.poses import pose
+from cmbot.common.validation import FileModel, refusal, shown
+from cmbot.scene.attached_tool import AttachedToolFile
+from cmbot.scene.excitation import ModesFile
+from cmbot.scene.files import RobotModel
 
 STOW = "stow"
 """The group state of an SRDF that has the stow posture."""

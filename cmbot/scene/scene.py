@@ -23,8 +23,10 @@ from pydantic import (
     model_validator,
 )
 
+from cmbot.collision import Obstacle
 from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.errors import InputError, SceneError
+from cmbot.common.fields import FOLDER, Slug
 from cmbot.common.representation import card
 from cmbot.common.validation import FileModel, counted, hint, refusal, require_type, shown, validated
 from cmbot.elastic import Guardrail
@@ -33,15 +35,14 @@ from cmbot.scene.base.guardrail import GuardrailFile, elastic_guardrail, feet_of
 from cmbot.scene.base.identified import IdentifiedStiffness
 from cmbot.scene.base.stance import Stance, StanceFile, resolved_stance
 from cmbot.scene.excitation import DamperFile, ExcitationFile
-from cmbot.scene.fields import Slug
-from cmbot.scene.files import FOLDER, file_hashes, without_paths
-from cmbot.scene.obstacles import Obstacle, ObstacleFile, obstacle_from_file
+from cmbot.scene.files import file_hashes, without_paths
+from cmbot.scene.mounts import MountsFile
+from cmbot.scene.obstacles import ObstacleFile, obstacle_from_file
 from cmbot.scene.options import PlannerOptions
 from cmbot.scene.path.path_file import MOST_ORDERED, WORK, JobStrokes, Order, StrokeFile, ToolPathEntry
-from cmbot.scene.path.path_source import PathSource, surface_of
 from cmbot.scene.path.raster_parts import raster_parts, require_apart
 from cmbot.scene.path.stroke import Stroke, timed_stroke
-from cmbot.scene.raster.pieces import RowPiece
+from cmbot.scene.path.surface import surface_of
 from cmbot.scene.robot_entry import (
     STOW,
     BaseFile,
@@ -54,6 +55,7 @@ from cmbot.scene.robot_entry import (
 )
 from cmbot.scene.tool import Tool
 from cmbot.scene.uncertainty import Uncertainty, UncertaintyOrNone
+from cmbot.toolpath import PathSource, RowPiece
 
 Cells = Sequence[Sequence[RowPiece]]
 """Pieces of rows that follow on each other, of several strokes."""
@@ -126,6 +128,8 @@ class Scene(FileModel):
     name: Slug
     """Also the name of the folder that a plan is written to."""
     robot: RobotFile = RobotFile()
+    mounts: Annotated[tuple[MountsFile, ...], Field(max_length=100)] = ()
+    """Of another robot than the shipped one: where its base frame may be held; ``cmbot stand`` chooses."""
     base: BaseFile | None = None
     """What the robot stands on."""
     start: PostureFile | None = None
@@ -166,6 +170,9 @@ class Scene(FileModel):
                 expected = "no such key with a URDF of one's own, whose mount says where it stands"
                 raise refusal(expected, got="stance", key=("guardrail", "stance"))
             self.stance  # noqa: B018  it is refused here where the climber reaches none
+        if self.mounts and self.on_guardrail:
+            expected = "no such key with model: cmbot, which stands where its feet hold the guardrail"
+            raise refusal(expected, got="mounts", key=("mounts",))
         self._check_identified()
         measured = self.identified is not None and self.identified.base is not None
         modes = None if self.base is None else self.base.modes
@@ -181,6 +188,10 @@ class Scene(FileModel):
                 expected = "a name that no other obstacle or guardrail member has"
                 raise refusal(expected, got=shown(obstacle.name), key=("obstacles", index, "name"))
             taken.add(obstacle.name)
+            if obstacle.frame is not None and obstacle.frame not in dict(self.frames):
+                named = ", ".join(dict(self.frames))
+                expected = f"one of {named}" if named else "no such key: the scene has no frames"
+                raise refusal(expected, got=shown(obstacle.frame), key=("obstacles", index, "frame"))
         self._listed = tuple(str(stroke.name) for stroke in self.strokes)
         return self
 
@@ -440,7 +451,8 @@ class Scene(FileModel):
     @property
     def all_obstacles(self) -> tuple[Obstacle, ...]:
         """The scene's own obstacles, then the members of the guardrail; in SI units."""
-        own = (obstacle_from_file(entry) for entry in self.obstacles)
+        frames = dict(self.frames)
+        own = (obstacle_from_file(entry, frames.get(entry.frame or "")) for entry in self.obstacles)
         return (*own, *guardrail_obstacles(self.elastic_guardrail))
 
     # The strokes
@@ -484,7 +496,7 @@ class Scene(FileModel):
         """
         cells, whole = dict[int, Cells](), dict[int, Sequence[RowPiece]]()
         for k, file in enumerate(self.strokes):
-            surface = surface_of(file, self._path_source(k), X_WT)
+            surface = surface_of(file.raster, self._path_source(k), self.all_obstacles, X_WT)
             last = file
             if surface is not None and file.raster is not None and file.raster.pieces is None:
                 own = surface.cells
@@ -536,16 +548,17 @@ class Scene(FileModel):
             source=self.source,
             key=self._stroke_key(number),
             frames=self.frame_poses,
-            obstacles=self.all_obstacles,
             max_speed=self.tool.max_speed_m_s,
         )
 
     def _timed(self, number: int, file: StrokeFile, X_WT: FloatArray) -> Stroke:
         """A stroke, from the pose (4, 4) of the tool before."""
+        place = self._path_source(number)
         return timed_stroke(
             file,
-            self._path_source(number),
+            place,
             X_WT,
+            surface_of(file.raster, place, self.all_obstacles, X_WT),
             begins_elsewhere=file.has_start or number > 0,
             deviation=self.planner.max_tool_deviation_m,
         )

@@ -7,11 +7,12 @@ from cmbot.trajectory.enclosure import Ellipses, Peak, Pieces, clenshaw_curtis, 
 from cmbot.trajectory.local_basis import LocalRows, SparseSplines
 from cmbot.trajectory.parametrization import Parametrization, Retraction
 from cmbot.trajectory.polynomials import bernstein_coefficients, halves
-from cmbot.trajectory.quintic import LARGEST, Extrema, QuinticTrajectory
+from cmbot.trajectory.quintic import LARGEST, SAMPLE_STEP, Extrema, QuinticTrajectory, sample_step
 from cmbot.trajectory.spline_space import SUPPORT, SplineSpace
 
 __all__ = [
     "LARGEST",
+    "SAMPLE_STEP",
     "SUPPORT",
     "Ellipses",
     "Extrema",
@@ -27,4 +28,5 @@ __all__ = [
     "clenshaw_curtis",
     "halves",
     "highest",
+    "sample_step",
 ]

@@ -26,6 +26,24 @@ _SHORTEST = 1e-9
 
 POSITION, VELOCITY, ACCELERATION, JERK = range(4)
 
+SAMPLE_STEP = 0.01
+"""Step of the sampled motions, s; of long ones it is longer: `sample_step`."""
+# Steps of a motion at most; steps grow by these factors.
+_MOST_STEPS, _LONGER = 40_000, (1.0, 2.0, 5.0)
+
+
+def sample_step(duration: float, step: float = SAMPLE_STEP) -> float:
+    """Return the step, s, by which a motion of a duration, s, is sampled: the number of steps is bounded.
+
+    That is `step`, or it times 2, 5, 10, 20 and so on.
+    """
+    power = 1.0
+    while True:
+        for factor in _LONGER:
+            if duration <= _MOST_STEPS * step * factor * power:
+                return step * factor * power
+        power *= 10.0
+
 
 def hermite_coefficients(
     h: FloatArray, start: tuple[FloatArray, ...], end: tuple[FloatArray, ...]

@@ -13,6 +13,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.installation import model_folder
 from cmbot.planning import robot_of
 from cmbot.robot import ARM_JOINTS, CLIMBING_JOINTS
+from cmbot.stances.walking import Walk, WalkSamples, walk_samples
 from cmbot.views.drawing import (
     bridge_commands,
     bridge_of,
@@ -25,7 +26,6 @@ from cmbot.views.drawing import (
 )
 from cmbot.views.page import STAGE_SCRIPTS, assemble, pack
 from cmbot.views.replay_data import MOST_POSES
-from cmbot.walking import Walk, WalkSamples, walk_samples
 
 _ONLY = "planned"  # the name of the one motion
 # Places of a foot that are drawn, and how little it moves from one sample to the next where it stays, m.

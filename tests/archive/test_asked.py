@@ -21,7 +21,7 @@ from cmbot.common.errors import ArchiveError, InputError
 from cmbot.planning import Plan, plan, robot_of
 from cmbot.robot import Kinematics
 from cmbot.scene import PlannerOptions, Scene, load_scene
-from cmbot.walking import walk_csv, walk_data
+from cmbot.stances.walking import walk_csv, walk_data
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def options(**changes: Any) -> Callable[[dict[str, Any]], object]:
 
 def test_a_plan_of_the_scene_holds(short_folder: Path, asked: Path, short_plan: Plan) -> None:
     data = json.loads(output("verify", short_folder, "--scene", asked, "--json"))
-    assert (data["scene"], data["looser"]) == (str(asked), [])
+    assert (data["scenes"], data["looser"]) == ([str(asked)], [])
     told = output("verify", short_folder)
     assert "Judged by what the folder says that was asked" in told
     again = load_plan(short_folder, verify=True, scene=load_scene(asked), options=short_plan.options)
@@ -107,7 +107,7 @@ def test_the_tool_is_lower_than_asked(short_plan: Plan, asked: Path, tmp_path: P
             "scene.tool_path.strokes[0].legs[0].seconds",
             "got 5",
         ),
-        ({"tool_path": {"via_points": 7}}, "scene.tool_path.strokes[0].via_points", "got 7, expected 8"),
+        ({"tool_path": {"via_points": 9}}, "scene.tool_path.strokes[0].via_points", "got 9, expected 8"),
         ({"planner": {"max_tool_deviation_m": 0.1}}, "scene.planner.max_tool_deviation_m", "got 0.1"),
     ],
 )
@@ -124,9 +124,27 @@ def test_a_plan_of_another_scene(
     assert "plan.json: hashes.scene: got " in refusal("verify", folder)
 
 
-def test_more_via_points_than_asked(short_plan: Plan) -> None:
-    require_asked(short_plan.scene, short_scene(tool_path={"via_points": 7}), "plan.json")
-    require_asked(short_plan.scene, short_scene(tool_path={"via_points": "auto"}), "plan.json")
+@pytest.mark.parametrize(("number", "holds"), [(8, True), (15, True), (50, True), (9, False), (5, False)])
+def test_via_points_that_were_not_asked(number: int, holds: bool) -> None:
+    """Planning parts each segment further; other via-points have the tool elsewhere at its timed poses."""
+    planned, asked = (short_scene(tool_path={"via_points": count}) for count in (number, 8))
+    require_asked(planned, short_scene(tool_path={"via_points": "auto"}), "plan.json")
+    if holds:
+        require_asked(planned, asked, "plan.json")
+        return
+    with pytest.raises(ArchiveError, match=f"via_points: got {number}, expected 8, as asked"):
+        require_asked(planned, asked, "plan.json")
+
+
+def test_what_was_asked_by_set(short_plan: Plan, asked: Path, tmp_path: Path) -> None:
+    """It is part of the question, beside the scene, which says otherwise."""
+    planned = replace(short_plan, options=replace(short_plan.options, max_tool_deviation_m=0.005))
+    words = ("verify", save(planned, tmp_path / "plan"), "--scene", asked)
+    assert "max_tool_deviation_m 0.005 (asked 0.001)" in refusal(*words)
+    output(*words, "--set", "max_tool_deviation_m=0.005")
+    assert "(asked 0.004)" in refusal(*words, "--set", "max_tool_deviation_m=0.004")
+    assert "via_points: got 8, expected 9, as asked" in refusal(*words, "--set", "tool_path.via_points=9")
+    assert refusal("verify", words[1], "--set", "start=pinned").startswith("error: --set: got 0 of --scene")
 
 
 def several(**changes: Any) -> Scene:
@@ -238,7 +256,7 @@ def test_a_message_is_played_ten_times_as_quick(exported: Path) -> None:
         since["sec"], since["nanosec"] = divmod(nanoseconds, 10**9)
     path.write_text(json.dumps(data), encoding="utf-8")
     error = refusal("verify", exported)
-    assert error.startswith(f"error: {path}: points[1].time_from_start.nanosec: got 1000000, expected 1e+07")
+    assert error.startswith(f"error: {path}: points: got an end at ")
 
 
 @pytest.mark.parametrize("listed", [False, True])
@@ -329,6 +347,8 @@ def test_a_walk_that_was_asked_for(walked: Path, tmp_path: Path) -> None:
     there["robot"]["payload_kg"] = 3.0
     other = write_scene(tmp_path / "other.yaml", there)
     assert "walk.json: scene." in refusal("verify", walked, "--scene", other)
+    slow = refusal("verify", walked, "--scene", scene, "--speed", "0.02")
+    assert slow.endswith("walk.json: max_foot_speed: got 0.03, expected at most 0.02 m/s, as asked")
 
 
 def test_a_table_of_a_walk(walked: Path) -> None:
@@ -364,5 +384,5 @@ def test_claims_are_computed_again_or_named(triangle_folder: Path) -> None:
 
 @pytest.mark.parametrize("key", ["drift", "smallest_singular_value"])
 def test_what_is_said_of_the_baseline(short_folder: Path, key: str) -> None:
-    edit(short_folder, lambda data: data.update({key: 2 * data[key]}))
+    edit(short_folder, lambda data: data["baseline"].update({key: 2 * data["baseline"][key]}))
     assert f"{key}: got " in refusal("verify", short_folder)

@@ -14,11 +14,11 @@ from oracles.joint_trajectory_controller import refusals
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
-from cmbot.archive import export_mcap, export_ros
-from cmbot.common.errors import InputError, MissingExtra
-from cmbot.planning import Plan
-from cmbot.robot import Kinematics
-from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere
+from cmbot.archive import export_mcap, export_ros, load_plan, save
+from cmbot.collision import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere
+from cmbot.common.errors import ArchiveError, InputError, MissingExtra
+from cmbot.planning import Plan, QuinticTrajectory
+from cmbot.robot import Dynamics, Kinematics
 
 Messages = dict[str, list[tuple[float, Any]]]
 
@@ -37,15 +37,20 @@ def messages(strokes_plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Me
 
 def test_the_trajectory_is_the_whole_job(messages: Messages, strokes_plan: Plan) -> None:
     ((time, message),) = messages["/joint_trajectory"]
-    samples, _ = strokes_plan.job_samples
+    job = strokes_plan.job.trajectory
     assert time == 0
     assert tuple(message.joint_names) == strokes_plan.robot.joints
-    rows = ("positions", "q"), ("velocities", "v"), ("accelerations", "a")
-    for name, attribute in rows:
-        values = np.array([getattr(point, name) for point in message.points])
-        np.testing.assert_array_equal(values, getattr(samples, attribute))
-    times = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in message.points]
-    np.testing.assert_allclose(times, samples.t, atol=1e-9)
+    t = np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in message.points])
+    q, v, a = (
+        np.array([getattr(point, name) for point in message.points])
+        for name in ("positions", "velocities", "accelerations")
+    )
+    # What a controller makes of it.
+    driven = QuinticTrajectory(t=t, q=q, v=v, a=a)
+    every = np.linspace(0, min(job.duration, t[-1]), 5001)
+    np.testing.assert_allclose(driven.evaluate(every), job.evaluate(every), atol=1e-8)
+    np.testing.assert_allclose(q[[0, -1]], job.q[[0, -1]], atol=1e-14)
+    assert t[-1] == pytest.approx(job.duration, abs=1e-9)
     assert all(len(point.effort) == 0 for point in message.points)
 
 
@@ -57,7 +62,7 @@ def test_controllers_accept_what_is_written_without_efforts(
     bag, file = tmp_path / "job.mcap", tmp_path / "job.json"
     words = ["--effort"] if effort else []
     told = output("export", saved_short, "--mcap", bag, "--ros", file, *words)
-    assert told == f"Written to {bag}.\nWritten to {file}.\n"
+    assert told.startswith(f"Written to {bag}.\nWritten to {file}: ")
     message = json.loads(file.read_text(encoding="utf-8"))
     joints = short_plan.robot.joints
     expected = ["effort"] if effort else []
@@ -68,11 +73,73 @@ def test_controllers_accept_what_is_written_without_efforts(
         (connection,) = (each for each in reader.connections if each.topic == "/joint_trajectory")
         ((_, _, raw),) = reader.messages([connection])
         recorded = reader.deserialize(raw, connection.msgtype)
-    samples, _ = short_plan.job_samples
-    for point, other, torque in zip(message["points"], recorded.points, samples.joint_torque, strict=True):
+    t = [_seconds(point) for point in message["points"]]
+    states = short_plan.job.trajectory.states(np.minimum(t, short_plan.job.duration))
+    torques = Dynamics(short_plan.robot).efforts(*states).joint_torque
+    for point, other, torque in zip(message["points"], recorded.points, torques, strict=True):
         for name in ("positions", "velocities", "accelerations"):
             assert point[name] == getattr(other, name).tolist()
-        assert point.get("effort", []) == other.effort.tolist() == (torque.tolist() if effort else [])
+        assert point.get("effort", []) == other.effort.tolist()
+        np.testing.assert_allclose(point.get("effort", torque), torque, rtol=1e-9)
+
+
+def _seconds(point: dict[str, Any]) -> float:
+    time = point["time_from_start"]
+    return float(time["sec"] + 1e-9 * time["nanosec"])
+
+
+@pytest.mark.parametrize("words", [["--max-points", "12"], ["--rate", "40"], ["--joints", "{1},{0}"]])
+def test_fewer_points_and_joints_stay_within_what_is_stated(
+    words: list[str], strokes_plan: Plan, tmp_path: Path
+) -> None:
+    folder, file = save(strokes_plan, tmp_path / "plan"), tmp_path / "plan" / "job.ros.json"
+    joints = strokes_plan.robot.joints
+    told = output("export", folder, "--ros", file, *(word.format(*joints) for word in words))
+    stated = float(told.split("within ")[1].split(" rad")[0])
+    message = json.loads(file.read_text(encoding="utf-8"))
+    names, points = message["joint_names"], message["points"]
+    assert names == (list(joints) if words[0] != "--joints" else [joints[1], joints[0]])
+    assert refusals(message, names, "humble") == refusals(message, names, "jazzy") == []
+    t = np.array([_seconds(point) for point in points])
+    if words[0] == "--max-points":
+        assert len(points) == 12
+    if words[0] == "--rate":
+        np.testing.assert_allclose(np.diff(t)[:-1], 1 / 40, atol=2e-9)
+    driven = QuinticTrajectory(
+        t=t,
+        q=np.array([point["positions"] for point in points]),
+        v=np.array([point["velocities"] for point in points]),
+        a=np.array([point["accelerations"] for point in points]),
+    )
+    job = strokes_plan.job.trajectory
+    every, columns = np.linspace(0, min(job.duration, t[-1]), 3001), [joints.index(name) for name in names]
+    away = np.abs(driven.evaluate(every) - job.evaluate(every)[:, columns]).max()
+    assert away <= 1.05 * stated + 1e-9
+    np.testing.assert_array_equal(driven.q[0], job.q[0, columns])
+    # It is compared with the plan where the plan is verified: a point that was moved is found.
+    if stated < 1e-3:
+        load_plan(folder, verify=True)
+        points[len(points) // 2]["positions"][0] += 1e-4
+    file.write_text(json.dumps(message), encoding="utf-8")
+    with pytest.raises(ArchiveError, match=r"job\.ros\.json"):
+        load_plan(folder, verify=True)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--joints", "elbow"], "joints: got elbow"),
+        (["--rate", "0"], "rate: got 0"),
+        (["--rate", "9", "--max-points", "9"], "got both"),
+    ],
+)
+def test_messages_that_cannot_be_written(
+    words: list[str], told: str, saved_short: Path, tmp_path: Path
+) -> None:
+    assert told in refusal("export", saved_short, "--ros", tmp_path / "job.json", *words)
+    assert not (tmp_path / "job.json").exists()
+    alone = refusal("export", saved_short, "--csv", tmp_path / "job.csv", *words[:2])
+    assert "with --ros FILE" in alone
 
 
 def test_the_oracle_refuses_what_controllers_do(short_plan: Plan, saved_short: Path, tmp_path: Path) -> None:

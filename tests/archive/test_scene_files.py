@@ -13,10 +13,11 @@ import pytest
 from plan_folders import refused, same_arrays
 
 from cmbot.archive import load_plan, save
+from cmbot.collision import Mesh
 from cmbot.common.errors import ArchiveError, SceneError
 from cmbot.common.installation import model_folder
 from cmbot.planning import Plan, robot_of
-from cmbot.scene import Mesh, load_scene
+from cmbot.scene import load_scene
 
 # A closed tetrahedron far from the arm.
 TETRAHEDRON = "\n".join(

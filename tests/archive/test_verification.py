@@ -10,15 +10,13 @@ import pytest
 from command_line import output, refusal
 from forgeries import FORGERIES, Forgery, forge
 from plan_folders import edit
-from small_scenes import short_scene
 from walks import one_step
 
-from cmbot.archive import TOUR_FILE, WALK_FILE, save, write_results
+from cmbot.archive import WALK_FILE, write_results
 from cmbot.collision import Clearances
-from cmbot.planning import plan
 from cmbot.planning.verification import engine, second_opinion
 from cmbot.robot import Dynamics, Kinematics
-from cmbot.walking import walk_data
+from cmbot.stances.walking import walk_data
 
 
 @pytest.fixture
@@ -27,35 +25,12 @@ def walked(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.fixture
-def toured(walked: Path) -> Path:
-    """A tour of a walk alone."""
-    folder = walked / "walk_1"
-    folder.mkdir()
-    (walked / "walk.json").rename(folder / "walk.json")
-    _write_tour(walked)
-    return walked
-
-
-def _write_tour(folder: Path, **changes: Any) -> None:
-    seconds = one_step().seconds
-    part = {"name": "walk_1", "kind": "walk", "begin": 0.0, "seconds": seconds, "adhesion_needed": None}
-    tour = {
-        "format": "cmbot-tour/1",
-        "cmbot": "0",
-        "seconds": seconds,
-        "words": [],
-        "parts": [part | changes],
-    }
-    write_results(folder, TOUR_FILE, tour, {}, force=True)
-
-
-@pytest.mark.parametrize("kind", ["short_folder", "walked", "toured"])
+@pytest.mark.parametrize("kind", ["short_folder", "walked"])
 def test_what_was_written_holds(kind: str, request: pytest.FixtureRequest) -> None:
     folder = request.getfixturevalue(kind)
     data = json.loads(output("verify", folder, "--json"))
     assert (data["verb"], data["engine"]) == ("verify", "mujoco")
-    assert {each["part"] for each in data["motions"]} == {"walk_1" if kind == "toured" else ""}
+    assert {each["part"] for each in data["motions"]} == {""}
     for motion in data["motions"]:
         names = [check["quantity"] for check in motion["checks"]]
         for what in ("guardrail torque", "joint torque", "tool point", "clearance"):
@@ -125,46 +100,6 @@ def test_without_the_second_engine(short_folder: Path, monkeypatch: pytest.Monke
 def test_an_engine_that_is_none(short_folder: Path) -> None:
     error = "error: --engine: got bullet, expected a known value (one of: mujoco)"
     assert refusal("verify", short_folder, "--engine", "bullet").startswith(error)
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"begin": 1.0}, r"parts[0].begin: got 1, expected 0, as its parts say"),
-        ({"seconds": 1.0}, r"parts[0].seconds: got 1, expected"),
-        ({"kind": "work"}, r"parts[0].kind: got work, expected walk"),
-        ({"name": "../walk_1"}, r"parts[0].name"),
-        ({"name": "walk_2"}, r"walk_2"),
-    ],
-)
-def test_a_tour_that_says_something_else(toured: Path, changes: dict[str, Any], words: str) -> None:
-    _write_tour(toured, **changes)
-    assert words in refusal("verify", toured)
-
-
-def test_parts_of_a_tour_follow_on_each_other(toured: Path) -> None:
-    """The same walk twice does not begin where it ends."""
-
-    def twice(tour: dict[str, Any]) -> None:
-        (part,) = tour["parts"]
-        tour["parts"] = [part, {**part, "begin": part["seconds"]}]
-        tour["seconds"] *= 2
-
-    edit(toured, twice, "tour.json")
-    assert "parts[1].name: got walk_1: another stance or posture" in refusal("verify", toured)
-
-
-def test_work_that_ends_where_the_next_begins(tmp_path: Path) -> None:
-    planned = plan(short_scene(**{"format": "cmbot-scene/2", "return": "start"}))
-    for name in ("work_1", "work_2"):
-        save(planned, tmp_path / name)
-    seconds = planned.job.duration
-    part = {"kind": "work", "seconds": seconds, "adhesion_needed": None}
-    parts = [part | {"name": "work_1", "begin": 0.0}, part | {"name": "work_2", "begin": seconds}]
-    tour = {"format": "cmbot-tour/1", "cmbot": "0", "seconds": 2 * seconds, "words": [], "parts": parts}
-    write_results(tmp_path, TOUR_FILE, tour, {})
-    motions = json.loads(output("verify", tmp_path, "--json"))["motions"]
-    assert [each["name"] for each in motions] == 2 * [segment.name for segment in planned.job.segments]
 
 
 def test_a_walk_that_breaks_a_promise(walked: Path) -> None:

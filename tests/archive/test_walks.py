@@ -3,20 +3,23 @@
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from plan_folders import seal
+from scipy.spatial.transform import Rotation
 from walks import one_step
 
 from cmbot.archive import json_bytes, load_walk
 from cmbot.common.errors import ArchiveError, LimitViolation
 from cmbot.robot import Climber
-from cmbot.scene import SpeedProfile
+from cmbot.stances import Candidate
+from cmbot.stances.walking import walk_data
+from cmbot.toolpath import SpeedProfile
 from cmbot.trajectory import SplineSpace
-from cmbot.walking import walk_data
 
 
 @pytest.fixture(scope="module")
@@ -38,18 +41,28 @@ def test_a_walk_is_read_as_it_was_written(data: dict[str, Any], tmp_path: Path) 
         assert all(one[name] == two[name] for name in ("kind", "holds", "joints", "arm", "knots", "begin"))
 
 
-def dragged(lift: dict[str, Any]) -> None:
-    """Turn a lift into a way beside the rail: foot 1 goes 4 mm aside and comes off no more than by that."""
-    angles, climber = np.array(lift["knots"]["q"][0]), Climber()
-    X = climber.poses(angles[::-1])[0].copy()
-    X[:3, 3] += 0.004 * X[:3, 0]
-    aside = min(climber.reaching(X), key=lambda found: float(np.abs(found - angles[::-1]).max()))[::-1]
-    u = np.linspace(0.0, 1.0, 20)
-    space = SplineSpace(3.0 * u)
-    share = SpeedProfile(kind="jerk_limited", ramp=0.5).share(u)[:, None]
-    trajectory = space.trajectory(space.least_jerk(angles + share * (aside - angles)))
+def moved(lift: dict[str, Any], out: float, aside: float, turn_deg: float = 0.0) -> None:
+    """Turn a lift of foot 1 into another way of it: off by `out` and aside, m, and turned."""
+    climber, way = Climber(), [np.array(lift["knots"]["q"][0])]
+    X_12, u = climber.poses(way[0][::-1])[0], np.linspace(0.0, 1.0, 20)
+    for share in SpeedProfile(kind="jerk_limited", ramp=0.5).law.share(u)[1:]:
+        # Foot 1 goes in its own frame; the posture is that of foot 2 in the frame of foot 1.
+        X_away = np.eye(4)
+        X_away[:3, :3] = Rotation.from_euler("y", share * turn_deg, degrees=True).as_matrix()
+        X_away[:3, 3] = share * aside, share * out, 0.0
+        found = climber.reaching(np.linalg.inv(X_away) @ X_12)
+        way.append(min((q[::-1] for q in found), key=lambda q: float(np.abs(q - way[-1]).max())))
+    space = SplineSpace(6.0 * u)
+    trajectory = space.trajectory(space.least_jerk(np.array(way)))
     lift["knots"] = {name: getattr(trajectory, name).tolist() for name in "tqva"}
     lift["seconds"] = trajectory.duration
+
+
+def lamp(scene: dict[str, Any], place: Candidate) -> None:
+    """Put a lamp beside foot 1."""
+    X = place.root
+    xyz = (X[:3, 3] + 0.08 * X[:3, 0] + 0.07 * X[:3, 1]).tolist()
+    scene["obstacles"] = [{"name": "lamp", "sphere": 0.03, "xyz": xyz}]
 
 
 CHANGES: list[tuple[Callable[[dict[str, Any]], object], str]] = [
@@ -60,7 +73,10 @@ CHANGES: list[tuple[Callable[[dict[str, Any]], object], str]] = [
     (lambda d: d["steps"][0].update(before=d["steps"][0]["after"]), "steps[0].before: got another stance"),
     (lambda d: d["steps"][0].update(after=d["steps"][0]["before"]), "steps[0].after: got another stance"),
     (lambda d: d.update(goal=d["steps"][0]["before"]), "goal: got another stance"),
-    (lambda d: d["steps"][0]["moves"].pop(1), "steps[0].moves: got lift, set, expected the arm, then a lift"),
+    (
+        lambda d: d["steps"][0]["moves"].pop(1),
+        "steps[0].moves: got lift, set, expected moves of the arm, if any, then lift, swing, set",
+    ),
     (lambda d: d["steps"][0]["moves"][1].update(begin=9.0), "steps[0].moves[1].begin"),
     (lambda d: d["steps"][0]["moves"][0].update(holds=[1]), "steps[0].moves[0].holds: got [1]"),
     (lambda d: d["steps"][0]["moves"][0]["arm"].__setitem__(0, 0.0), "steps[0].moves[0].arm"),
@@ -75,7 +91,18 @@ CHANGES: list[tuple[Callable[[dict[str, Any]], object], str]] = [
         "got lift, arm",
     ),
     (lambda d: d["steps"][0].update(moves=d["steps"][0]["moves"][:1]), "steps[0].moves: got lift, expected"),
-    (lambda d: dragged(d["steps"][0]["moves"][0]), "steps[0].moves[0].knots: got a lift of the foot along"),
+    (lambda d: moved(d["steps"][0]["moves"][0], 0.0, 0.004), "moves[0].knots: got a lift of the foot along"),
+    (lambda d: moved(d["steps"][0]["moves"][0], 0.05, 0.004), "moves[0].knots: got a lift of the foot along"),
+    (lambda d: moved(d["steps"][0]["moves"][0], 0.08, 0.0), "moves[0].knots: got a lift by 80.0 mm"),
+    (lambda d: moved(d["steps"][0]["moves"][0], 0.05, 0.0, 4.0), "moves[0].knots: got a lift of the foot al"),
+    (lambda d: d["steps"][0]["moves"].pop(0), "steps[0].moves: got swing, set, expected"),
+    (lambda d: d["steps"][0]["moves"].pop(), "steps[0].moves: got lift, swing, expected"),
+    (lambda d: d["steps"][0]["moves"].reverse(), "steps[0].moves: got set, swing, lift, expected"),
+    (lambda d: d["steps"][0].update(moves=[]), "steps[0].moves"),
+    (lambda d: d.update(steps=[]), "steps"),
+    (lambda d: d.update(failures=["no step"]), "words"),
+    (lambda d: lamp(d["scene"], one_step().steps[0].before), "before.foot_1: got a place beside lamp"),
+    (lambda d: lamp(d["scene"], one_step().steps[0].after), ".foot_1: got a place beside lamp"),
     (lambda d: d.update(effort_used=0.1), "effort_used: got 0.1"),
     (
         lambda d: d.update(adhesion_needed={"peak": 1.0, "mode": "pull", "time": 0.0, "foot": 1}),
@@ -100,6 +127,11 @@ def test_a_motion_that_breaks_a_promise_is_refused(data: dict[str, Any], tmp_pat
     knots["q"] = (np.array(knots["q"]) + 0.3 * (np.arange(len(knots["t"])) == 1)[:, None]).tolist()
     with pytest.raises((LimitViolation, ArchiveError)):
         load_walk(written(forged, tmp_path))
+
+
+def test_steps_that_were_tried_in_vain(tmp_path: Path) -> None:
+    walked = replace(one_step(), failures=("it comes too near",))
+    assert load_walk(written(json.loads(json_bytes(walk_data(walked))), tmp_path)).failures == walked.failures
 
 
 def test_no_walk(tmp_path: Path) -> None:

@@ -9,8 +9,8 @@ from report.document import page
 from small_scenes import short_scene
 
 from cmbot.planning import plan
-from cmbot.siting import Standing, StandOptions, Stood
-from cmbot.walking import stance_of
+from cmbot.stances import Standing, StandOptions, Stood
+from cmbot.stances.walking import stance_of
 
 
 def row(**changes: Any) -> dict[str, Any]:

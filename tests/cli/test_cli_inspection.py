@@ -13,7 +13,7 @@ from small_scenes import SHORT
 
 import cmbot
 from cmbot.common.installation import model_folder, scene_folder
-from cmbot.planning.objectives import objective_of
+from cmbot.planning.workcell.objectives import objective_of
 from cmbot.robot import Postures
 from cmbot.scene import shipped_scenes
 
@@ -162,7 +162,9 @@ def test_a_urdf_that_lacks_limits_is_described_and_one_that_is_doubtful_is_usabl
     assert dense.startswith(
         f"warning: {path}: link.inertial.mass: got 2.5 kg that move, with a reach of 0.000 m"
     )
-    assert described.splitlines()[-1] == "OK: no error, 5 warnings."
+    assert described.splitlines()[-1] == (
+        f"OK: no error, 5 warnings. cmbot check {path} --write-srdf FILE writes an SRDF."
+    )
     assert values(described) == {
         "robot": "bare",
         "links": "4, 2.50 kg in all",
@@ -171,7 +173,7 @@ def test_a_urdf_that_lacks_limits_is_described_and_one_that_is_doubtful_is_usabl
         "limits in the URDF": "of 2 movable joints: position 1, velocity 0, effort 1",
         "joint_limits.yaml beside it": "none: acceleration and jerk limits are assumed where the scene names "
         "none",
-        "SRDF": "none: links that are neighbours or nearly always near may touch (--write-srdf writes one)",
+        "SRDF": "none: links that are neighbours or nearly always near may touch",
         "elasticity file": "none: nothing bends",
         "base frame": "any link; the root is floor",
         "tool frame": "any link that joints move below it; at the ends: wheel, plate",
@@ -185,7 +187,7 @@ def test_a_urdf_that_lacks_limits_is_described_and_one_that_is_doubtful_is_usabl
     assert outcome.status == 0
     assert first.startswith(f"warning: {path}: link[slide].inertial.inertia: got principal moments")
     assert second.startswith(f"warning: {path}: link[wheel].inertial.mass: got 0 kg")
-    assert last == "OK: no error, 2 warnings."
+    assert last.startswith("OK: no error, 2 warnings. ")
 
 
 def test_a_damaged_urdf(tmp_path: Path, bare_urdf: str) -> None:

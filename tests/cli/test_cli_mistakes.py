@@ -131,9 +131,7 @@ def test_obstacles_in_millimetres_are_suspected(tmp_path: Path) -> None:
 
 def test_a_urdf_given_as_scene() -> None:
     urdf = model_folder() / "urdf" / "cmbot.urdf"
-    expected = (
-        "got XML, such as a URDF, expected a YAML file of keys and values (cmbot check inspects a URDF)"
-    )
+    expected = "got XML, such as a URDF, expected a YAML file of keys and values; cmbot check inspects a URDF"
     assert refusal("plan", urdf) == f"error: {urdf}: {expected}"
 
 

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from state_samples import StateSamples
 
-from cmbot.collision import Clearances, PairedShapes
+from cmbot.collision import Clearances, Mesh, Obstacle, PairedShapes
 from cmbot.collision.broad_phase import BroadPhase
+from cmbot.common.poses import pose
 from cmbot.robot import Robot
-from cmbot.scene import Mesh, Obstacle, load_scene, pose
+from cmbot.scene import load_scene
 
 FloatArray = NDArray[np.float64]
 

@@ -19,9 +19,10 @@ from robot_files import load_copy
 from scipy.spatial.transform import Rotation
 from state_samples import StateSamples
 
-from cmbot.collision import Clearances
+from cmbot.collision import Box, Clearances, Obstacle, Shape, Sphere
+from cmbot.common.poses import pose
 from cmbot.robot import Robot, load_robot
-from cmbot.scene import Box, Obstacle, Shape, Sphere, load_scene, pose
+from cmbot.scene import load_scene
 
 FloatArray = NDArray[np.float64]
 LINKS = ("link_1", "link_2", "link_3", "link_5", "tool")

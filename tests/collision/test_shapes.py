@@ -15,11 +15,22 @@ from robot_files import FLAT, write_flat_obj
 from robot_files import pose as pose_of
 from state_samples import StateSamples
 
-from cmbot.collision import Clearances, extent_of
+from cmbot.collision import (
+    Box,
+    Capsule,
+    Clearances,
+    Cylinder,
+    Mesh,
+    Obstacle,
+    Shape,
+    Sphere,
+    extent_of,
+    load_mesh,
+)
 from cmbot.collision.shapes import coal_shapes
 from cmbot.common.errors import SceneError
+from cmbot.common.poses import pose
 from cmbot.robot import Robot, convex_hull, encloses_volume
-from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, load_mesh, pose
 
 FloatArray = NDArray[np.float64]
 X_WO = pose([0.6, 0.7, -1.2], [0.4, -0.8, 1.1])

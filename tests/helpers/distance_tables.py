@@ -5,9 +5,8 @@ from typing import Any
 import coal
 import numpy as np
 
-from cmbot.collision import Clearances
+from cmbot.collision import Box, Capsule, Clearances, Cylinder, Shape, Sphere
 from cmbot.common.arrays import FloatArray
-from cmbot.scene import Box, Capsule, Cylinder, Shape, Sphere
 
 # How well coal knows the depth of a deep overlap, m.
 TOLERANCE = 2e-6

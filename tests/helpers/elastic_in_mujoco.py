@@ -152,10 +152,12 @@ class Twin:
         steps: int,
         every: int,
         ground: Callable[[FloatArray], FloatArray] | None = None,
+        damping: FloatArray | None = None,
     ) -> FloatArray:
         """Let MuJoCo integrate, the driven joints overwritten; tool points (steps/every + 1, 3), m.
 
         With the acceleration `ground` (N, 3) of what it stands on, it feels another gravity in each step.
+        `damping` (f, f) is that of the elastic coordinates, by the rates of the step before.
         """
         arm, model, data, h = self.arm, self.model, self.data, self.model.opt.timestep
         q, v, a = states(h * np.arange(steps + 1))
@@ -178,6 +180,8 @@ class Twin:
             data.qfrc_applied[arm.driven] = DRIVEN_ARMATURE * mean
             model.opt.gravity[:] = still - shaken[k]
             data.qfrc_applied[arm.elastic] = -arm.added_mass[:, :3] @ shaken[k]
+            if damping is not None:
+                data.qfrc_applied[arm.elastic] -= damping @ data.qvel[arm.elastic]
             mujoco.mj_step(model, data)
         return points
 

@@ -5,7 +5,8 @@ from typing import Any
 
 from scipy.spatial.transform import Rotation
 
-from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Scene, Sphere
+from cmbot.collision import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere
+from cmbot.scene import Scene
 
 
 def entry_of(obstacle: Obstacle) -> dict[str, Any]:

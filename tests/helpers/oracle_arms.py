@@ -8,9 +8,10 @@ from oracles.convex_distance import ConvexShape, hull
 from oracles.multibody import Multibody, PlacedShape
 from oracles.urdf_reader import Near, mesh_parts, read_multibody
 
+from cmbot.collision import Box, Capsule, Cylinder, Mesh, Shape, Sphere
 from cmbot.planning import robot_of
 from cmbot.robot import MOST_FAR, NEAR, locate_meshes, parse_urdf, robot_files, sampled_postures
-from cmbot.scene import Box, Capsule, Cylinder, Mesh, Scene, Shape, Sphere
+from cmbot.scene import Scene
 
 FloatArray = NDArray[np.float64]
 

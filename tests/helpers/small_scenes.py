@@ -11,11 +11,12 @@ import pinocchio as pin
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.planning import ToolTask, robot_of, strokes_of, task_of
-from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.initial_guess import initial_guess
+from cmbot.planning.request import StrokeRequest, build_request
 from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
 from cmbot.robot import Dynamics, Kinematics, Postures, Robot
-from cmbot.scene import Scene, SpeedProfile, ToolPath, ToolPoses, load_scene
+from cmbot.scene import Scene, load_scene
+from cmbot.toolpath import SpeedProfile, ToolPath, ToolPoses
 from cmbot.trajectory.quintic import QuinticTrajectory
 
 SHORT: dict[str, Any] = {
@@ -28,7 +29,7 @@ SHORT: dict[str, Any] = {
         "speed_profile": {"kind": "trapezoidal"},
         "via_points": 8,
     },
-    "planner": {"knots": "fixed", "path_step_s": 0.02},
+    "planner": {"knots": "fixed", "path_step_s": 0.02, "baseline": "paper"},
 }
 
 
@@ -60,7 +61,7 @@ def strokes_scene(**planner: Any) -> Scene:
         "tool": {"process_force_n": [0, 0, -40]},
         "tool_path": {"strokes": [there, back]},
         "return": "start",
-        "planner": {"path_step_s": 0.02, **planner},
+        "planner": {"path_step_s": 0.02, "baseline": "paper", **planner},
     }
     return load_scene({**copy.deepcopy(SHORT), **changes})
 
@@ -79,7 +80,7 @@ def parts(scene: Scene) -> tuple[Robot, ToolTask, FloatArray, Clearances]:
 def path_through(corners: FloatArray, orientation: FloatArray) -> ToolPath:
     """A tool path of a second a leg."""
     seconds = np.ones(len(corners) - 1)
-    return ToolPath(corners=corners, orientation=orientation, seconds=seconds, profile=SpeedProfile())
+    return ToolPath.straight(corners, orientation, seconds, SpeedProfile().law)
 
 
 def task_at(robot: Robot, q: FloatArray, keep: Any = "pose") -> ToolTask:
@@ -111,30 +112,35 @@ def tool_points(robot: Robot, q: FloatArray) -> FloatArray:
 
 def torque_along(problem: TorqueProblem, trajectory: QuinticTrajectory, times: FloatArray) -> FloatArray:
     """Torque on the guardrail (N,) in units of the problem's scale."""
-    efforts = Dynamics(problem.context.robot).efforts(*trajectory.states(times))
+    efforts = Dynamics(problem.request.cell.robot).efforts(*trajectory.states(times))
     return np.asarray(np.linalg.norm(efforts.guardrail_torque, axis=1) / problem.scale)
 
 
-def context_of(scene: Scene, **options: Any) -> PlanningContext:
-    """The planning context of a scene, with other options."""
-    return build_context(scene, replace(scene.planner, **options))
+def request_of(scene: Scene, **options: Any) -> StrokeRequest:
+    """The planning asked of a scene, with other options."""
+    return build_request(scene, replace(scene.planner, **options))
 
 
 def problem_of(scene: Scene, **options: Any) -> TorqueProblem:
     """The torque problem around the initial guess for a scene, with other options."""
-    return initial_guess(context_of(scene, **options)).problem
+    return initial_guess(request_of(scene, **options)).problem
 
 
 @cache
-def short_context() -> tuple[PlanningContext, FloatArray]:
-    """The context of the short scene, and its via-points by gradient projection."""
-    context = context_of(short_scene())
-    return context, initial_guess(context).problem.parametrization.via_points
+def short_request() -> tuple[StrokeRequest, FloatArray]:
+    """The asked of the short scene, and its via-points by gradient projection."""
+    asked = request_of(short_scene())
+    return asked, initial_guess(asked).problem.parametrization.via_points
 
 
 @cache
 def torque_problem(kind: str, least: float = 0.0) -> TorqueProblem:
     """The short scene's problem with via-points that are ``fixed``, ``free``, or ``pinned`` at the start."""
-    context, via_points = short_context()
-    form = parametrization_through(context, via_points, sliding=kind != "fixed", pinned=kind == "pinned")
-    return TorqueProblem(context, form, least)
+    asked, via_points = short_request()
+    form = parametrization_through(asked, via_points, sliding=kind != "fixed", pinned=kind == "pinned")
+    return TorqueProblem(asked, form, least)
+
+
+def with_corners(path: ToolPath, corners: FloatArray) -> ToolPath:
+    """Straight legs between other corners, timed as those of a path."""
+    return ToolPath.straight(corners, path.orientation, path.seconds, path.segments[0].law)

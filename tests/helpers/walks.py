@@ -7,8 +7,8 @@ import numpy as np
 from small_scenes import short_scene
 
 from cmbot.scene import Scene
-from cmbot.walking import Step, Walk, stance_of
-from cmbot.walking.steps import plan_step
+from cmbot.stances.walking import Step, Walk, stance_of
+from cmbot.stances.walking.steps import plan_step
 
 CLAMP = {"kind": "clamp", "force_n": [2e4] * 3, "moment_nm": [2e3] * 3}
 ARM_DEG = (-83.0, -166.0, 120.0, 30.0, 73.0, 62.0, -10.0)

@@ -14,8 +14,9 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 # In the order in which a reader would use them: what one makes the next ones take.
 NAMES = (
     *("load_scene", "load_robot", "plan", "save", "load_plan", "simulate", "save_tracking", "load_tracking"),
-    *("excite", "save_excitation"),
-    *("replay", "report", "show", "plot", "identify", "locate", "walk", "load_walk", "tour", "campaign"),
+    *("evaluate", "excite", "save_excitation"),
+    *("replay", "report", "show", "plot", "identify", "locate", "walk", "load_walk"),
+    *("load_tour", "tour", "campaign"),
 )
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 

@@ -23,7 +23,7 @@ HEAVY = {"pinocchio", "coal", "numpy", "scipy", "meshcat", "trimesh", "yourdfpy"
 # What planning a scene without meshes and writing its pages can do without.
 NOT_TO_PLAN = {"IPython", "matplotlib", "meshcat", "networkx", "requests", "selenium", "ssl", "tornado"}
 NOT_TO_PLAN |= {"trimesh", "yourdfpy", "zmq"}
-NOT_TO_PLAN |= {f"cmbot.{name}" for name in ("campaigns", "identification", "siting", "walking")}
+NOT_TO_PLAN |= {f"cmbot.{name}" for name in ("campaigns", "identification", "stances")}
 NOT_TO_PLAN |= {f"scipy.{name}" for name in ("integrate", "interpolate", "ndimage", "signal", "stats")}
 
 

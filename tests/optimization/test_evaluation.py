@@ -39,7 +39,7 @@ def constraints_of(problem: TorqueProblem) -> ConstraintSet:
     some = ConstraintSet(step=0.01).at_all([OBJECTIVE, DEVIATION, LAG, ROTATION], TIMES)
     for family in (TORQUE, *range(6, 10)):
         some = some.extended(np.full(3, family), joints, TIMES)
-    tool = next(k for k, pair in enumerate(problem.context.clearances.pairs) if pair.link == "tool")
+    tool = next(k for k, pair in enumerate(problem.request.cell.clearances.pairs) if pair.link == "tool")
     return some.extended(np.full(3, CLEARANCE), np.full(3, tool), TIMES)
 
 
@@ -77,7 +77,7 @@ def test_derivatives(problem: TorqueProblem, stage: Stage, rng: np.random.Genera
 def test_values_are_those_of_their_definitions(problem: TorqueProblem, rng: np.random.Generator) -> None:
     peak, mean = (iterate(problem, stage, np.random.default_rng(1)) for stage in (PEAK, MEAN))
     trajectory = peak.parametrization.trajectory
-    torque = problem.context.objective.values(StateSamples.along(trajectory, TIMES)) / problem.scale
+    torque = problem.request.cell.objective.values(StateSamples.along(trajectory, TIMES)) / problem.scale
     np.testing.assert_allclose(peak.values.value[:3], torque, rtol=1e-10)
     assert peak.peak == mean.peak == peak.values.peak == pytest.approx(torque.max())
     # Where the mean square is minimised the peak is one of the constraints.
@@ -88,7 +88,7 @@ def test_values_are_those_of_their_definitions(problem: TorqueProblem, rng: np.r
     assert peak.values.violation == peak.values.value[3:].max(initial=0.0)
     times, share = gauss_points(problem.space.t, 3)
     np.testing.assert_allclose(problem.mean_times, times, rtol=1e-14)
-    f = problem.context.objective.values(StateSamples.along(trajectory, times)) / problem.scale
+    f = problem.request.cell.objective.values(StateSamples.along(trajectory, times)) / problem.scale
     smoothing = 0.1 * peak.parametrization.mean_squared_jerk()[0]
     assert peak.values.objective == pytest.approx(smoothing)
     assert mean.values.objective == pytest.approx(smoothing + 0.5 * share @ f**2)

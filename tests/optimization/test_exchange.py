@@ -29,12 +29,12 @@ both_solvers = pytest.mark.parametrize("solver", SOLVERS)
 
 def literal(problem: TorqueProblem, *, per_segment: int) -> Literal:
     return Literal(
-        robot=problem.context.robot,
-        task=problem.context.task,
+        robot=problem.request.cell.robot,
+        task=problem.request.task,
         t=problem.space.t,
         via_points=problem.parametrization.via_points,
         scale=problem.scale,
-        smoothing_weight=problem.context.options.smoothing_weight,
+        smoothing_weight=problem.request.cell.options.smoothing_weight,
         max_tool_deviation=problem.constraints[1].bound,
         per_segment=per_segment,
     )
@@ -46,7 +46,7 @@ def variables_of(trajectory: QuinticTrajectory) -> FloatArray:
 
 
 def keeps_joint_limits(problem: TorqueProblem, trajectory: QuinticTrajectory) -> bool:
-    limits = problem.context.robot.limits
+    limits = problem.request.cell.robot.limits
     bounds = (limits.velocity, limits.acceleration, limits.jerk)
     largest = [trajectory.extrema(order).largest()[0] for order in (1, 2, 3)]
     return all((value < 0.99 * bound).all() for value, bound in zip(largest, bounds, strict=True))
@@ -58,7 +58,7 @@ def unattainable(**planner: Any) -> TorqueProblem:
         tool_path={"legs": OUT_AND_BACK, "via_points": 9}, planner={"max_tool_deviation_m": 0.01} | planner
     )
     given = problem_of(scene)
-    return TorqueProblem(given.context, given.parametrization, 0.0)
+    return TorqueProblem(given.request, given.parametrization, 0.0)
 
 
 def precise(problem: TorqueProblem) -> ExchangeOptions:
@@ -128,7 +128,7 @@ def test_a_lower_bound_that_cannot_be_attained_is_left_for_the_lowest_peak(solve
     # Nothing lower was overlooked: below it there is no motion.
     lower = exchange._Exchange(problem, options, None)
     with pytest.raises(OptimisationFailed):
-        lower.run(problem.context.options.smoothing_weight, bound=0.999 * found.peak_bound, attempt=True)
+        lower.run(problem.request.cell.options.smoothing_weight, bound=0.999 * found.peak_bound, attempt=True)
 
 
 def test_the_last_thousandths_of_a_peak_are_left_for_less_jerk() -> None:
@@ -208,11 +208,11 @@ def test_never_worse_than_the_start(solved: Solved) -> None:
     start = problem.parametrization.trajectory
     before, after = (torque_along(problem, each, problem.grid) for each in (start, optimised.trajectory))
     assert after.max() <= max(before.max(), problem.lower_bound * (1 + 1e-4)) * (1 + 1e-4)
-    jerk = problem.context.robot.limits.jerk
+    jerk = problem.request.cell.robot.limits.jerk
 
     def objective(each: QuinticTrajectory, torque: FloatArray) -> float:
         smooth = ((each.evaluate(problem.grid, 3) / jerk) ** 2).mean(axis=1)
-        weight = problem.context.options.smoothing_weight
+        weight = problem.request.cell.options.smoothing_weight
         return float(np.trapezoid(torque**2 + weight * smooth, problem.grid))
 
     assert objective(optimised.trajectory, after) <= objective(start, before) * (1 + 1e-6)
@@ -220,14 +220,14 @@ def test_never_worse_than_the_start(solved: Solved) -> None:
 
 def test_bounds_are_kept_between_the_samples(solved: Solved) -> None:
     problem, optimised, _ = solved
-    task, limits = problem.context.task, problem.context.robot.limits
+    task, limits = problem.request.task, problem.request.cell.robot.limits
     trajectory = optimised.trajectory
     fine = np.linspace(0, trajectory.t[-1], 3001)
     for order, bound in ((1, limits.velocity), (2, limits.acceleration), (3, limits.jerk)):
         assert (np.abs(trajectory.evaluate(fine, order)) <= bound).all()
     some = fine[::10]
-    away = task.path.leg_offset(some, tool_points(problem.context.robot, trajectory.evaluate(some)))
-    assert np.linalg.norm(away, axis=1).max() <= problem.context.options.max_tool_deviation_m
+    away = task.path.leg_offset(some, tool_points(problem.request.cell.robot, trajectory.evaluate(some)))
+    assert np.linalg.norm(away, axis=1).max() <= problem.request.cell.options.max_tool_deviation_m
     np.testing.assert_array_equal(optimised.via_points, problem.parametrization.via_points)
     np.testing.assert_allclose(trajectory.evaluate(trajectory.t), optimised.via_points, rtol=0, atol=1e-12)
 
@@ -238,7 +238,7 @@ def test_progress_is_reported_pass_by_pass(solved: Solved) -> None:
     assert [report.number for report in told] == list(range(1, len(told) + 1))
     assert all(report.iterations >= 1 for report in told)
     assert told[-1].stage == "mean square"
-    assert told[-1].worst.value <= problem.context.options.constraint_tolerance
+    assert told[-1].worst.value <= problem.request.cell.options.constraint_tolerance
     # The peak that is reported lies between the samples, where it is largest.
     fine = np.linspace(0, problem.grid[-1], 100 * len(problem.grid))
     on_grid, everywhere = (
@@ -250,7 +250,7 @@ def test_progress_is_reported_pass_by_pass(solved: Solved) -> None:
 
 def test_passes_run_out() -> None:
     problem = unattainable(max_passes=1, solver="slsqp")
-    with pytest.raises(OptimisationFailed, match="no solution in 1 pass, and planner") as caught:
+    with pytest.raises(OptimisationFailed, match="no solution in 1 pass; max_passes") as caught:
         optimise(problem)
     assert caught.value.constraint
 
@@ -318,7 +318,7 @@ def test_a_lighter_smoothing_that_fails_leaves_the_heavier_ones_result(
     whole = exchange._Exchange.run
 
     def lighter_fails(self: Any, smoothing: float, **target: Any) -> float:
-        if smoothing < problem.context.options.smoothing_weight:
+        if smoothing < problem.request.cell.options.smoothing_weight:
             heavier.append(self.form.trajectory)
             whole(self, smoothing, **target)
             failing()

@@ -18,11 +18,11 @@ from urdf_arms import arm_scene, path_of, six_joint_scene
 
 from cmbot.optimization.exchange import minimize_peak
 from cmbot.optimization.program import StateSamples
-from cmbot.planning.context import build_context
 from cmbot.planning.initial_guess import initial_guess
-from cmbot.planning.objectives import WrenchFunction
+from cmbot.planning.request import build_request
 from cmbot.planning.torque.decomposition import exchange_options
 from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
+from cmbot.planning.workcell.objectives import WrenchFunction
 from cmbot.scene import Scene, load_scene
 from cmbot.trajectory.quintic import QuinticTrajectory
 
@@ -104,11 +104,11 @@ class SameStart:
     """A scene's torque problem, for both solvers around the same via-points."""
 
     def __init__(self, scene: Scene, own: WrenchFunction | None = None) -> None:
-        context = build_context(scene, scene.planner, own)
-        guess = initial_guess(context)
+        asked = build_request(scene, scene.planner, own)
+        guess = initial_guess(asked)
         via_points, sliding = guess.problem.parametrization.via_points, scene.planner.knots == "sliding"
-        form = parametrization_through(context, via_points, sliding=sliding, pinned=guess.pinned)
-        self.problem = TorqueProblem(context, form, guess.lower_bound.value)
+        form = parametrization_through(asked, via_points, sliding=sliding, pinned=guess.pinned)
+        self.problem = TorqueProblem(asked, form, guess.lower_bound.value)
 
     def solve(self, solver: Literal["sqp", "slsqp"]) -> Answer:
         # To the end, so that it does not matter which of them attains a lower bound by a hair.
@@ -125,10 +125,10 @@ class SameStart:
 
     def judged(self, trajectory: QuinticTrajectory, bound: float) -> Answer:
         """Judge a trajectory whose peak is held below `bound`."""
-        problem, context = self.problem, self.problem.context
-        limits = context.robot.limits
+        problem, asked = self.problem, self.problem.request
+        limits = asked.cell.robot.limits
         times, share = gauss_points(trajectory.t, 5)
-        value = context.objective.values(StateSamples.along(trajectory, times)) / problem.scale
+        value = asked.cell.objective.values(StateSamples.along(trajectory, times)) / problem.scale
         jerk = ((trajectory.evaluate(times, 3) / limits.jerk) ** 2).mean(axis=1)
         fine = np.linspace(*trajectory.t[[0, -1]], 60 * len(trajectory.t))
         states = StateSamples.along(trajectory, fine)
@@ -141,8 +141,8 @@ class SameStart:
         q = trajectory.extrema(0).value
         outside = np.maximum(q - limits.upper[:, None], limits.lower[:, None] - q)
         return Answer(
-            objective=0.5 * float(share @ (value**2 + context.options.smoothing_weight * jerk)),
-            peak=float(context.objective.values(states).max()) / problem.scale,
+            objective=0.5 * float(share @ (value**2 + asked.cell.options.smoothing_weight * jerk)),
+            peak=float(asked.cell.objective.values(states).max()) / problem.scale,
             bound=bound,
             violation=max(*kept, float(outside.max())),
             trajectory=trajectory,

@@ -11,16 +11,16 @@ from forgeries import certified, changed_scene
 from plan_folders import edit
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
-from small_scenes import context_of, short_scene
+from small_scenes import request_of, short_scene
 
 from cmbot import LimitViolation, load_plan, plan, save
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning import Plan, QuinticTrajectory
 from cmbot.planning import initial_guess as guess
-from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.gradient_projection import follow_path
 from cmbot.planning.path.projection import project_onto_task
+from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.global_search import GlobalSearch
 from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Kinematics, ToolBatch
@@ -48,11 +48,11 @@ def tilts(planned: Plan, x: QuinticTrajectory) -> FloatArray:
 
 def least_at_rest(planned: Plan, *, leans: bool) -> float:
     """The least torque at rest at the via-point of the lower bound, by SLSQP from postures of the plan."""
-    context, k = context_of(planned.scene), planned.lower_bound.via_point
-    goal, limits = context.goals[[k]], context.robot.limits
+    asked, k = request_of(planned.scene), planned.lower_bound.via_point
+    goal, limits = asked.goals[[k]], asked.cell.robot.limits
 
     def at(q: FloatArray) -> ToolBatch:
-        return context.postures.tool_at(q[None])
+        return asked.cell.postures.tool_at(q[None])
 
     def off_task(q: FloatArray) -> FloatArray:
         across = at(q).tool_rotation[0, :, 2] @ goal.rotation[0, :, :2]
@@ -63,7 +63,7 @@ def least_at_rest(planned: Plan, *, leans: bool) -> float:
 
     found = [
         minimize(
-            lambda q: context.objective.at_rest(context.postures.at(q[None]))[0] / 100,
+            lambda q: asked.cell.objective.at_rest(asked.cell.postures.at(q[None]))[0] / 100,
             q,
             method="SLSQP",
             bounds=list(zip(limits.lower, limits.upper, strict=True)),
@@ -76,8 +76,8 @@ def least_at_rest(planned: Plan, *, leans: bool) -> float:
 
 def test_leaning_is_worth_torque(leaning: Plan) -> None:
     assert leaning.figures.peak_guardrail_torque < 0.99 * least_at_rest(leaning, leans=False)
-    held = follow_path(context_of(scene_of("axis")), stop_at_obstacles=False)
-    np.testing.assert_allclose(leaning.baseline.q, held.q, rtol=0, atol=1e-12)
+    held = follow_path(request_of(scene_of("axis")), stop_at_obstacles=False)
+    np.testing.assert_allclose(leaning.baseline.samples.q, held.q, rtol=0, atol=1e-12)
 
 
 def test_the_axis_stays_within_the_cone(leaning: Plan) -> None:
@@ -95,9 +95,9 @@ def test_the_axis_stays_within_the_cone(leaning: Plan) -> None:
 
 
 def test_the_lower_bound_is_that_of_the_cone(leaning: Plan) -> None:
-    bound, context = leaning.lower_bound, context_of(leaning.scene)
+    bound, asked = leaning.lower_bound, request_of(leaning.scene)
     assert bound.kind == "estimated"
-    rests = context.objective.at_rest(context.postures.at(leaning.trajectory.evaluate(context.times)))
+    rests = asked.cell.objective.at_rest(asked.cell.postures.at(leaning.trajectory.evaluate(asked.times)))
     assert bound.value == bound.each[bound.via_point] <= rests[bound.via_point] * (1 + 1e-9)
     assert abs(leaning.gap_to_floor) < 1e-3
     assert least_at_rest(leaning, leans=True) >= bound.value * (1 - 1e-4)
@@ -116,19 +116,19 @@ def test_a_plan_that_rests_lower_lowers_an_estimate(leaning: Plan) -> None:
 
 def test_charts_that_lean(leaning: Plan) -> None:
     """They hold the axis at one angle all along the path; their lower bound is of the same cone."""
-    context, angle = context_of(leaning.scene), np.radians(7)
-    search = GlobalSearch(context, Rotation.from_rotvec([0, angle, 0]).as_matrix())
+    asked, angle = request_of(leaning.scene), np.radians(7)
+    search = GlobalSearch(asked, Rotation.from_rotvec([0, angle, 0]).as_matrix())
     q = search.first_chart.q[: len(search.first_chart.q) // 2]
-    R = context.postures.tool_at(q).tool_rotation
-    assert (context.task.rotation(R, context.goals[0]) <= CONE + 1e-9).all()
-    assert np.median(context.task.rotation(R, context.goals[0])) == pytest.approx(angle, abs=1e-6)
+    R = asked.cell.postures.tool_at(q).tool_rotation
+    assert (asked.task.rotation(R, asked.goals[0]) <= CONE + 1e-9).all()
+    assert np.median(asked.task.rotation(R, asked.goals[0])) == pytest.approx(angle, abs=1e-6)
     found, bound = leaning.lower_bound, search.lower_bound
     assert bound.value - bound.error <= found.value <= bound.value * (1 + 1e-3)
     assert found.value - found.error <= bound.value
     solution = search.solve(pinned=False)
     assert solution.peak == pytest.approx(bound.value, rel=1e-3)
     assert (
-        context.task.rotation(context.postures.tool_at(solution.q).tool_rotation, context.goals) <= CONE
+        asked.task.rotation(asked.cell.postures.tool_at(solution.q).tool_rotation, asked.goals) <= CONE
     ).all()
 
 
@@ -136,15 +136,15 @@ def test_where_the_middle_of_the_cone_is_blocked_the_axis_leans(monkeypatch: pyt
     """In four directions, until a way is found; without a cone there is nothing else to try."""
     tried = list[FloatArray | None]()
 
-    def search(context: PlanningContext, lean: FloatArray | None = None, bounded_as: Any = None) -> Any:
+    def search(asked: StrokeRequest, lean: FloatArray | None = None, bounded_as: Any = None) -> Any:
         tried.append(lean)
         if len(tried) < found:
-            raise context.path_not_found(f"blocked {len(tried)}", context.first)
+            raise asked.path_not_found(f"blocked {len(tried)}", asked.first)
         return SimpleNamespace(solve=lambda *, pinned: "sequence")
 
     monkeypatch.setattr(guess, "GlobalSearch", search)
-    context, found = context_of(scene_of({"axis_within_deg": 10})), 4
-    assert guess.searched(context)[1] == "sequence"
+    asked, found = request_of(scene_of({"axis_within_deg": 10})), 4
+    assert guess.searched(asked)[1] == "sequence"
     assert tried[0] is None
     axes = np.array([lean[:, 2] for lean in tried[1:]])
     np.testing.assert_allclose(np.arccos(axes[:, 2]), 0.7 * CONE, atol=1e-9)
@@ -154,7 +154,7 @@ def test_where_the_middle_of_the_cone_is_blocked_the_axis_leans(monkeypatch: pyt
         tried.clear()
         found = 9
         with pytest.raises(PathNotFound, match="blocked 1"):
-            guess.searched(context_of(scene_of(keep)))
+            guess.searched(request_of(scene_of(keep)))
         assert len(tried) == number
 
 
@@ -181,15 +181,15 @@ def test_a_forged_plan_that_leaves_the_cone_is_refused(leaning: Plan, tmp_path: 
 
 def test_a_motion_out_of_the_cone_is_not_certified(leaning: Plan) -> None:
     """Self-motion, with the tool point held, takes the axis out of its cone between two via-points."""
-    x, context = leaning.trajectory, context_of(leaning.scene)
+    x, asked = leaning.trajectory, request_of(leaning.scene)
     t = np.sort(np.append(x.t, 0.5 * (x.t[3] + x.t[4])))
     q, v, a = (np.array(each) for each in x.states(t))
-    at = context.postures.tool_at(q[4:5])
-    J, axis = at.jacobian[0], context.task.path.orientation[:, 2]
+    at = asked.cell.postures.tool_at(q[4:5])
+    J, axis = at.jacobian[0], asked.task.path.orientation[:, 2]
     turn = np.cross(axis, at.tool_rotation[0, :, 2])
     lean = np.linalg.pinv(J) @ np.concatenate([np.zeros(3), turn / np.linalg.norm(turn)])
     moved, _ = project_onto_task(
-        context.postures, context.task, q[4:5] + 0.2 * lean, context.task.path.poses(t[4:5])
+        asked.cell.postures, asked.task, q[4:5] + 0.2 * lean, asked.task.path.poses(t[4:5])
     )
     q[4] = moved[0]
     forged = certified(leaning.scene, leaning, QuinticTrajectory(t=t, q=q, v=v, a=a))

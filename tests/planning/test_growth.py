@@ -8,19 +8,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import sparse
-from small_scenes import context_of, problem_of, short_scene
+from small_scenes import problem_of, request_of, short_scene
 
 from cmbot.common.errors import SceneError
 from cmbot.common.installation import install_command
 from cmbot.planning import plan, precheck
-from cmbot.planning.context import PlanningContext, robot_of, strokes_of
 from cmbot.planning.path.projection import TangentPredictor, project_onto_task
 from cmbot.planning.precheck import MOST_UNKNOWNS, oversized, precheck_scene
+from cmbot.planning.request import StrokeRequest, strokes_of
 from cmbot.planning.selfmotion import charts as self_motion
 from cmbot.planning.selfmotion.charts import GraphLayer, check_clearances
 from cmbot.planning.selfmotion.dynamic_programming import BottleneckDynamicProgram, edges, edges_along
 from cmbot.planning.selfmotion.global_search import GlobalSearch
 from cmbot.planning.torque.decomposition import optimise
+from cmbot.planning.workcell.workcell import robot_of
 from cmbot.robot import Finding, Postures, Robot
 from cmbot.scene import Scene
 from cmbot.trajectory.local_basis import SparseSplines
@@ -31,13 +32,13 @@ FEW, MANY, RATIO = 50, 200, 4.4
 
 
 @pytest.fixture(scope="module")
-def context() -> PlanningContext:
-    return context_of(short_scene(), knots="sliding")
+def asked() -> StrokeRequest:
+    return request_of(short_scene(), knots="sliding")
 
 
 @pytest.fixture(scope="module")
-def stage(context: PlanningContext) -> GlobalSearch:
-    return GlobalSearch(context)
+def stage(asked: StrokeRequest) -> GlobalSearch:
+    return GlobalSearch(asked)
 
 
 def test_matrices_grow_in_proportion(cmbot_robot: Robot) -> None:
@@ -120,36 +121,34 @@ def test_the_best_sequence_is_the_same_when_all_clearances_are_computed(every: i
     """Near a post many postures of the best sequences come too near, so several rounds are needed."""
     post = {"name": "post", "box": [0.1, 0.1, 1.5], "xyz": [1.25, 0.75, -1.8]}
     scene = short_scene(obstacles=[post])
-    context = context_of(scene, knots="sliding")
-    stage = GlobalSearch(context)
+    asked = request_of(scene, knots="sliding")
+    stage = GlobalSearch(asked)
     starts = np.arange(len(stage.first_chart.q)) % every == 0
 
     def best(layers: list[GraphLayer]) -> list[int]:
-        return BottleneckDynamicProgram(context, layers, stage._edges, starts).best()
+        return BottleneckDynamicProgram(asked, layers, stage._edges, starts).best()
 
     lazily = best(stage._layers)
-    eagerly = [GraphLayer(context, node.chart) for node in stage._layers]
+    eagerly = [GraphLayer(asked.cell, node.chart) for node in stage._layers]
     check_clearances(eagerly, [node.admissible for node in eagerly])
     assert any(node.too_near.any() for node in eagerly)
     assert lazily == best(eagerly)
 
 
 def test_charts_evaluated_one_by_one_are_the_same(
-    stage: GlobalSearch, context: PlanningContext, monkeypatch: pytest.MonkeyPatch
+    stage: GlobalSearch, asked: StrokeRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     each = [node.chart.q for node in stage._layers]
     monkeypatch.setattr(self_motion, "_TOGETHER", 1)
-    again = self_motion.charts_of(context, each)
+    again = self_motion.charts_of(asked.cell, each)
     for node, chart in zip(stage._layers, again, strict=True):
         np.testing.assert_allclose(chart.value, node.chart.value, rtol=1e-13)
         np.testing.assert_allclose(chart.joint_use, node.chart.joint_use, rtol=1e-11, atol=1e-12)
 
 
-def test_the_predictor_is_the_first_step_of_a_projection(
-    stage: GlobalSearch, context: PlanningContext
-) -> None:
-    postures, task = Postures(context.robot), context.task
-    goals = task.path.poses(context.times)
+def test_the_predictor_is_the_first_step_of_a_projection(stage: GlobalSearch, asked: StrokeRequest) -> None:
+    postures, task = Postures(asked.cell.robot), asked.task
+    goals = task.path.poses(asked.times)
     q = stage._layers[0].chart.q
     predictor = TangentPredictor.of(postures, task, q, goals[0])
     first, _ = project_onto_task(postures, task, q, goals[1], steps=1)

@@ -8,7 +8,7 @@ from cmbot import load_scene, plan
 from cmbot.planning import Plan, remarks
 from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Kinematics
-from cmbot.scene import Coverage
+from cmbot.toolpath import Coverage
 
 
 @pytest.fixture(scope="module")

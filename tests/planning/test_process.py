@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plan_folders import edit
 from small_motions import wild
-from small_scenes import context_of, short_scene, task_at
+from small_scenes import request_of, short_scene, task_at
 
 from cmbot.archive import load_plan, save
 from cmbot.collision import Clearances
@@ -77,7 +77,7 @@ def test_the_peak_under_a_force_is_enclosed(pushed_plan: Plan) -> None:
     torque = np.linalg.norm(Dynamics(robot).efforts(*states).guardrail_torque, axis=1)
     assert torque.max() <= certificate.guardrail_torque_bound
     assert torque.max() == pytest.approx(certificate.guardrail_torque_bound, rel=1e-5)
-    assert pushed_plan.baseline_figures.peak_guardrail_torque > torque.max()
+    assert pushed_plan.baseline.figures.peak_guardrail_torque > torque.max()
     assert pushed_plan.torque_floor_kind == "proven"
     assert pushed_plan.gap_to_floor == pytest.approx(0, abs=0.01)
     assert "peak of its static part at work, Nm" in pushed_plan.summary()
@@ -108,8 +108,12 @@ def test_a_plan_under_a_force_is_read_back(pushed_plan: Plan, tmp_path: Path) ->
     again = load_plan(folder, verify=True)
     assert again.robot.tool_force == FORCE
     assert again.scene.tool == Tool(process_force_n=FORCE)
-    for name in ("samples", "approach_samples", "baseline"):
-        got, expected = (getattr(one, name).guardrail_torque for one in (again, pushed_plan))
+    for got, expected in (
+        (again.samples, pushed_plan.samples),
+        (again.approach_samples, pushed_plan.approach_samples),
+        (again.baseline.samples, pushed_plan.baseline.samples),
+    ):
+        got, expected = got.guardrail_torque, expected.guardrail_torque
         np.testing.assert_allclose(got, expected, rtol=0, atol=1e-6)
 
 
@@ -136,22 +140,22 @@ def test_a_motion_made_without_the_force_does_not_certify_with_it(short_plan: Pl
 
 def test_the_idle_objective_knows_no_force() -> None:
     for planner in ({}, {"objective": "sag"}):
-        context = context_of(scene_with({"process_force_n": list(FORCE)}, planner=planner))
-        alone = context_of(short_scene(planner=planner))
-        idle, q = context.tool_off, context.posture[None]
-        off, without, on = (c.objective.at_rest(c.postures.at(q))[0] for c in (idle, alone, context))
+        asked = request_of(scene_with({"process_force_n": list(FORCE)}, planner=planner))
+        alone = request_of(short_scene(planner=planner))
+        idle, q = asked.tool_off, asked.state.posture[None]
+        off, without, on = (c.cell.objective.at_rest(c.cell.postures.at(q))[0] for c in (idle, alone, asked))
         assert off == without != on
         assert idle.tool_off is idle
-        assert not idle.robot.pushed
+        assert not idle.cell.robot.pushed
 
 
 def test_the_bent_arm_is_pushed_in_the_simulation() -> None:
     """At rest under the force it stays; let go it does not."""
-    context = context_of(scene_with({"process_force_n": list(FORCE)}))
-    assert context.arm is not None
-    free = elastic_arm(context.robot.tool_off, context.arm.base)
-    q = context.posture
-    bent = Sag(context.arm).at(q[None]).u[0]
+    asked = request_of(scene_with({"process_force_n": list(FORCE)}))
+    assert asked.cell.arm is not None
+    free = elastic_arm(asked.cell.robot.tool_off, asked.cell.arm.base)
+    q = asked.state.posture
+    bent = Sag(asked.cell.arm).at(q[None]).u[0]
     still = PrescribedMotion.held(q, 0.1)
 
     def moved(system: ElasticSystem) -> float:
@@ -159,7 +163,7 @@ def test_the_bent_arm_is_pushed_in_the_simulation() -> None:
         return float(np.abs(run.run([still], bent, np.zeros_like(bent)).u - bent).max())
 
     none = np.zeros((len(bent), len(bent)))
-    assert moved(ElasticSystem.of(context.arm, none)) < 1e-9
+    assert moved(ElasticSystem.of(asked.cell.arm, none)) < 1e-9
     assert moved(ElasticSystem.of(free, none)) > 1e-5
 
 

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from finite_differences import check_derivative
 from rail_arms import POSTURE, RAIL_JOINTS, rail_data, rail_scene
-from small_scenes import off_task, problem_of
+from small_scenes import off_task, problem_of, with_corners
 
 import cmbot
 from cmbot.common.errors import SceneError
 from cmbot.planning import Plan, remarks, robot_of, strokes_of, task_of
-from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.free_motion.approach import plan_approach
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.roadmap import lower_peak
 from cmbot.planning.free_motion.rrt_connect import rrt_connect
 from cmbot.planning.path.gradient_projection import follow_path, self_motion_postures
 from cmbot.planning.path.projection import null_space, project_onto_task
+from cmbot.planning.request import StrokeRequest, build_request
 from cmbot.planning.result.stroke_plan import Start
 from cmbot.planning.selfmotion.reachability import out_of_reach
 from cmbot.planning.selfmotion.sampler import SelfMotionSampler
@@ -35,9 +35,9 @@ SLIDES = np.array([name in ("rail", "draw") for name in RAIL_JOINTS])
 
 
 @pytest.fixture(scope="module")
-def context(tmp_path_factory: pytest.TempPathFactory) -> PlanningContext:
+def asked(tmp_path_factory: pytest.TempPathFactory) -> StrokeRequest:
     scene = rail_scene(tmp_path_factory.mktemp("rail"))
-    return build_context(scene, scene.planner)
+    return build_request(scene, scene.planner)
 
 
 def test_a_plan_is_certified_and_read_back(rail_plan: Plan, tmp_path: Path) -> None:
@@ -103,12 +103,12 @@ def test_a_start_elsewhere_is_told_in_the_units_of_the_joints(rail_plan: Plan) -
     assert "up to 0.010 m a joint away" in list(remarks(replace(rail_plan, start=only)))[1]
 
 
-def test_an_approach_is_certified(context: PlanningContext) -> None:
-    found = self_motion_postures(context)
+def test_an_approach_is_certified(asked: StrokeRequest) -> None:
+    found = self_motion_postures(asked)
     end = found[len(found) // 2]
-    approach = plan_approach(context, end, np.array(found))
+    approach = plan_approach(asked, end, np.array(found))
     assert approach.certificate.holds
-    np.testing.assert_allclose(approach.trajectory.q[[0, -1]], [context.posture, end], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(approach.trajectory.q[[0, -1]], [asked.state.posture, end], rtol=0, atol=1e-12)
     assert (np.ptp(approach.trajectory.q, axis=0)[SLIDES] > 0.01).all()
 
 
@@ -123,13 +123,13 @@ def test_postures_in_degrees_are_refused(tmp_path: Path) -> None:
 
 def test_via_points_slide_with_exact_derivatives(tmp_path: Path, rng: np.random.Generator) -> None:
     problem = problem_of(rail_scene(tmp_path))
-    context, q = problem.context, problem.parametrization.via_points
-    manifold, metric = TaskManifold(context.postures, context.task, context.goals), context.robot.metric
+    asked, q = problem.request, problem.parametrization.via_points
+    manifold, metric = TaskManifold(asked.cell.postures, asked.task, asked.goals), asked.cell.robot.metric
     tangents = metric.coordinates(manifold.tangents(q))
     np.testing.assert_allclose(np.linalg.norm(tangents, axis=2), 1.0, rtol=0, atol=1e-12)
     u = 0.1 * rng.normal(size=tangents.shape[:2])
     moved, slope = manifold.retract(q, manifold.tangents(q), u, np.arange(len(q)))
-    assert off_task(context.robot, context.task, moved, context.goals) < 1e-10
+    assert off_task(asked.cell.robot, asked.task, moved, asked.goals) < 1e-10
     along = np.einsum("kai,ki->ka", tangents, metric.coordinates(moved - q))
     np.testing.assert_allclose(along, u, rtol=0, atol=1e-10)
     check_derivative(
@@ -141,14 +141,14 @@ def test_via_points_slide_with_exact_derivatives(tmp_path: Path, rng: np.random.
     )
 
 
-def test_charts_hold_all_postures_in_range(context: PlanningContext, rng: np.random.Generator) -> None:
+def test_charts_hold_all_postures_in_range(asked: StrokeRequest, rng: np.random.Generator) -> None:
     """Random restarts of Newton's method find none that is further than a spacing from the chart."""
-    sampler, limits, metric = SelfMotionSampler(context), context.robot.limits, context.robot.metric
-    chart = sampler.first(context.goals[0], context.posture[None])
+    sampler, limits, metric = SelfMotionSampler(asked), asked.cell.robot.limits, asked.cell.robot.metric
+    chart = sampler.first(asked.goals[0], asked.state.posture[None])
     assert ((chart >= limits.lower) & (chart <= limits.upper))[:, SLIDES].all()
-    assert off_task(context.robot, context.task, chart, context.goals[0]) < 1e-9
+    assert off_task(asked.cell.robot, asked.task, chart, asked.goals[0]) < 1e-9
     start = rng.uniform(np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi), (300, 7))
-    q, reached = project_onto_task(context.postures, context.task, start, context.goals[0], steps=50)
+    q, reached = project_onto_task(asked.cell.postures, asked.task, start, asked.goals[0], steps=50)
     q = limits.turned_to_middle(q[reached])
     q = q[limits.contain(q)]
     assert len(q) > 20
@@ -157,42 +157,45 @@ def test_charts_hold_all_postures_in_range(context: PlanningContext, rng: np.ran
     assert np.linalg.norm(moves, axis=2).min(axis=0).max() < 1.5 * sampler.spacing
 
 
-def test_least_norms_do_not_depend_on_the_unit_of_length(context: PlanningContext) -> None:
+def test_least_norms_do_not_depend_on_the_unit_of_length(asked: StrokeRequest) -> None:
     """Moves along the null space are as long by the metric; by joints that slide and that turn."""
-    null = null_space(context.postures, context.task, context.posture[None])[0]
-    np.testing.assert_allclose(context.robot.metric.lengths(null), 1.0, rtol=0, atol=1e-12)
-    found = self_motion_postures(context)
-    away = context.robot.metric.lengths(np.array(found) - context.posture)
+    null = null_space(asked.cell.postures, asked.task, asked.state.posture[None])[0]
+    np.testing.assert_allclose(asked.cell.robot.metric.lengths(null), 1.0, rtol=0, atol=1e-12)
+    found = self_motion_postures(asked)
+    away = asked.cell.robot.metric.lengths(np.array(found) - asked.state.posture)
     assert (np.diff(away) >= 0).all()
-    assert context.robot.limits.contain(np.array(found)).all()
+    assert asked.cell.robot.limits.contain(np.array(found)).all()
 
 
-def test_nothing_is_proven_by_angles_that_slide(context: PlanningContext) -> None:
+def test_nothing_is_proven_by_angles_that_slide(asked: StrokeRequest) -> None:
     """Its last three axes meet, but what comes before them slides."""
-    assert wrist_chain(context) is None
-    assert out_of_reach(context, 0) == ""
-    path = context.task.path
-    beyond = path.corners + np.array([0.0, 0.0, context.robot.reach])
-    away = replace(context, task=replace(context.task, path=replace(path, corners=beyond)))
+    assert wrist_chain(asked) is None
+    assert out_of_reach(asked, 0) == ""
+    path = asked.task.path
+    beyond = path.corners + np.array([0.0, 0.0, asked.cell.robot.reach])
+    away = replace(asked, task=replace(asked.task, path=with_corners(path, beyond)))
     assert out_of_reach(away, 0).startswith("out of reach: the tool point is ")
 
 
-def test_gradient_projection_follows_the_path(context: PlanningContext) -> None:
-    path = follow_path(context)
+def test_gradient_projection_follows_the_path(asked: StrokeRequest) -> None:
+    path = follow_path(asked)
     assert path.drift.max() < 1e-4
-    assert context.robot.limits.contain(path.q).all()
+    assert asked.cell.robot.limits.contain(path.q).all()
     assert (np.ptp(path.q, axis=0)[SLIDES] > 1e-3).all()
 
 
-def test_free_postures_are_connected_within_the_ranges(context: PlanningContext) -> None:
+def test_free_postures_are_connected_within_the_ranges(asked: StrokeRequest) -> None:
     """By two trees, and by a roadmap on which the arm's own moment about the foot is less."""
-    limits = context.robot.limits
+    limits = asked.cell.robot.limits
     space = FreeSpace(
-        context.robot, context.clearances, 0.01, lambda q: context.objective.at_rest(context.postures.at(q))
+        asked.cell.robot,
+        asked.cell.clearances,
+        0.01,
+        lambda q: asked.cell.objective.at_rest(asked.cell.postures.at(q)),
     )
-    end = context.posture.copy()
+    end = asked.state.posture.copy()
     end[RAIL_JOINTS.index("rail")] = limits.lower[0] + 0.01
-    path = rrt_connect(space, context.posture, end[None])
+    path = rrt_connect(space, asked.state.posture, end[None])
     assert path is not None
     lower = lower_peak(space, path, 0.0, iter([False, True, True, True, True, True]).__next__)
     assert limits.contain(np.vstack([path, lower])).all()

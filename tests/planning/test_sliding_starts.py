@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_scenes import context_of, parts, short_scene
+from small_scenes import parts, request_of, short_scene
 
 from cmbot.common.errors import PathNotFound
 from cmbot.planning import GlobalSearch, Plan, Segment, SplineSpace, plan, planner, remarks
@@ -80,7 +80,7 @@ def test_a_free_start_stays_where_nothing_is_gained_by_leaving() -> None:
 
 def test_a_pinned_start_that_is_not_admissible_is_what_is_named() -> None:
     scene = short_scene(obstacles=[{**BALL, "sphere": 0.1}], planner=PINNED)
-    stage = GlobalSearch(context_of(scene))
+    stage = GlobalSearch(request_of(scene))
     assert stage.solve(pinned=False).peak > 0
     expected = r"via-point 1 of 8 is blocked: in the posture to start in \S+ and \S+ come within the safety"
     with pytest.raises(PathNotFound, match=expected) as caught:

@@ -14,17 +14,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
-from small_scenes import context_of, parts, path_through, short_scene, strokes_scene
+from small_scenes import parts, path_through, request_of, short_scene, strokes_scene
 
 from cmbot import load_robot
 from cmbot.common.errors import PathNotFound, SceneError
 from cmbot.common.yaml_reader import read_yaml
 from cmbot.planning import plan, precheck_scene
-from cmbot.planning.context import strokes_of
 from cmbot.planning.path.nearest_miss import places_along
 from cmbot.planning.path.place_search import worst_missed
 from cmbot.planning.progress import Progress
 from cmbot.planning.reach import beyond_reach
+from cmbot.planning.request import strokes_of
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Kinematics, Postures, Robot
 from cmbot.scene import Keep, Scene, Stroke, load_scene
@@ -245,7 +245,7 @@ def test_no_seconds_are_advised_where_a_place_between_via_points_is_out_of_reach
     # It is tried what less to keep would do, and told what does.
     assert caught.value.reason.endswith("; with tool_path.keep position every place has a posture")
     task = ToolTask.of(stroke.path, "position")
-    assert worst_missed(robot, task, task.goals(places_along(context_of(scene))), scene.posture) is None
+    assert worst_missed(robot, task, task.goals(places_along(request_of(scene))), scene.posture) is None
     assert any(
         "1 of " in warning.got and "out of reach" in warning.got for warning in precheck_scene(scene).warnings
     )

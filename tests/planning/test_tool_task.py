@@ -14,7 +14,8 @@ from small_scenes import goals_at, path_through
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.planning.task import ToolTask
-from cmbot.scene import AxisCone, ToolPoses
+from cmbot.scene import AxisCone
+from cmbot.toolpath import ToolPoses
 
 SIZES = {"pose": 6, "axis": 5, "position": 3}
 every_kind = pytest.mark.parametrize("keep", SIZES)

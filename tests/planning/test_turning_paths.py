@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_scenes import SHORT, context_of, off_task
+from small_scenes import SHORT, off_task, request_of, with_corners
 
 from cmbot import load_plan, load_scene, plan, save
 from cmbot.common.errors import ArchiveError, LimitViolation, PathNotFound
@@ -102,34 +102,39 @@ def test_a_motion_along_another_path_is_refused(
         PATHS, kind, {**other, "legs": [*other["legs"], *PATHS[kind]["legs"][len(other["legs"]) :]]}
     )
     made = plan(scene_of(kind))
-    context = context_of(whole)
+    asked = request_of(whole)
     with pytest.raises(LimitViolation):
         certify(
-            context.robot, context.task, made.trajectory, context.clearances, context.options, via_points=16
+            asked.cell.robot,
+            asked.task,
+            made.trajectory,
+            asked.cell.clearances,
+            asked.cell.options,
+            via_points=16,
         ).require()
     assert broken(whole, made)
 
 
 def test_gradient_projection_turns_the_tool() -> None:
-    context = context_of(scene_of("turning"))
-    path = follow_path(context)
-    goals = context.task.path.poses(path.t)
-    assert off_task(context.robot, context.task, path.q, goals) < 1e-3
+    asked = request_of(scene_of("turning"))
+    path = follow_path(asked)
+    goals = asked.task.path.poses(path.t)
+    assert off_task(asked.cell.robot, asked.task, path.q, goals) < 1e-3
     assert path.drift.max() < 1e-4
 
 
 @pytest.mark.parametrize("keep", ["pose", "axis", "position"])
 def test_predictions_follow_a_turning_tool(keep: str) -> None:
     """The error falls with the square of the step."""
-    context = context_of(scene_of("turning", keep=keep))
-    postures, task, path = context.postures, context.task, context.task.path
-    q, reached = project_onto_task(postures, task, context.posture[None], path.poses([1.0]), steps=50)
+    asked = request_of(scene_of("turning", keep=keep))
+    postures, task, path = asked.cell.postures, asked.task, asked.task.path
+    q, reached = project_onto_task(postures, task, asked.state.posture[None], path.poses([1.0]), steps=50)
     assert reached.all()
     predictor = TangentPredictor.of(postures, task, q, path.poses([1.0]))
 
     def error(step: float) -> float:
         goals = path.poses([1.0 + step])
-        return off_task(context.robot, task, predictor.towards(goals), goals)
+        return off_task(asked.cell.robot, task, predictor.towards(goals), goals)
 
     assert error(0.02) < 0.3 * error(0.04)
     assert error(0.02) < 1e-3
@@ -165,12 +170,12 @@ def test_a_path_that_begins_elsewhere_has_an_approach(knots: str, tmp_path_facto
 def test_a_beginning_out_of_reach_is_no_path() -> None:
     with pytest.raises(PathNotFound, match=r"tool_path.from lies .* out of reach \(the arm"):
         plan(elsewhere({"xyz": [9, 0, 0]}))
-    context = context_of(scene_of("turning"))
-    far = replace(context.task.path, corners=context.task.path.corners + np.array([9.0, 0, 0]))
+    asked = request_of(scene_of("turning"))
+    far = with_corners(asked.task.path, asked.task.path.corners + np.array([9.0, 0, 0]))
     with pytest.raises(
         PathNotFound, match=r"the path begins out of reach at \(.*\) m: no posture .* mm and .* deg off"
     ):
-        starting_at_path(replace(context, task=replace(context.task, path=far)))
+        starting_at_path(replace(asked, task=replace(asked.task, path=far)))
 
 
 def test_a_stored_plan_of_another_beginning_is_refused(tmp_path_factory: pytest.TempPathFactory) -> None:

@@ -14,10 +14,11 @@ from oracles.urdf_reader import mesh_parts
 from raster_scenes import prism, raster_scene
 
 from cmbot import load_scene
-from cmbot.collision import extent_of
+from cmbot.collision import Mesh, Obstacle, Sphere, extent_of, load_mesh
 from cmbot.collision.shapes import coal_shapes
 from cmbot.common.errors import InputError, SceneError
-from cmbot.scene import Mesh, Obstacle, Scene, Sphere, load_mesh, pose
+from cmbot.common.poses import pose
+from cmbot.scene import Scene
 from cmbot.views.drawing.surfaces import obstacle_surface
 
 SHAPES: list[dict[str, Any]] = [

@@ -16,9 +16,10 @@ from minimal_scenes import MINIMAL, OTHER_ROBOT
 from small_scenes import short_scene
 
 import cmbot
+from cmbot.collision import Box, Capsule, Cylinder, Mesh, Sphere
 from cmbot.common.errors import InputError, SceneError
 from cmbot.planning import Plan
-from cmbot.scene import Box, Capsule, Cylinder, Mesh, Scene, Sphere, load_scene
+from cmbot.scene import Scene, load_scene
 
 A_PLAN = "a Plan, as cmbot.plan and cmbot.load_plan return it"
 
@@ -405,3 +406,15 @@ def test_any_mutation_is_a_scene_or_a_scene_error(path, value, action, key):
         assert "\n" not in str(error)
     else:
         assert load_scene(scene.as_data()).content_hash == scene.content_hash
+
+
+def test_an_obstacle_moves_with_its_workpiece() -> None:
+    """It is where the frame of the workpiece puts it; a frame that is not there is refused."""
+    box = {"name": "plate", "box": [0.2, 0.1, 0.02], "xyz": [0.1, 0, 0], "rpy_deg": [0, 0, 30]}
+    frame = {"xyz": [1.5, 0.5, -2], "rpy_deg": [0, 90, 0]}
+    placed = short_scene(frames={"part": frame}, obstacles=[box | {"frame": "part"}])
+    X_FO = placed.changed(obstacles=[box]).all_obstacles[0].X_WO
+    np.testing.assert_allclose(placed.all_obstacles[0].X_WO, placed.frame_poses["part"] @ X_FO, atol=1e-15)
+    for frames, expected in (({"part": frame}, "one of part"), ({}, "the scene has no frames")):
+        with pytest.raises(SceneError, match=f"obstacles\\[0\\].frame: got 'other'.*{expected}"):
+            short_scene(frames=frames, obstacles=[box | {"frame": "other"}])

@@ -9,19 +9,10 @@ import numpy as np
 import pytest
 from minimal_scenes import MINIMAL, OTHER_ROBOT
 
+from cmbot.collision import Box, Capsule, Cylinder, Mesh, Sphere
 from cmbot.common.errors import InputError, SceneError
 from cmbot.elastic import BarSection, elastic_base
-from cmbot.scene import (
-    Box,
-    Capsule,
-    Cylinder,
-    Mesh,
-    PlannerOptions,
-    Sphere,
-    Tool,
-    load_scene,
-    shipped_scenes,
-)
+from cmbot.scene import PlannerOptions, Tool, load_scene, shipped_scenes
 
 
 def test_defaults_are_filled_in():

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from oracles import chang2021_arm
 
+from cmbot.collision import Box
 from cmbot.common.errors import SceneError
 from cmbot.common.installation import scene_folder
 from cmbot.common.yaml_reader import read_yaml
 from cmbot.elastic import AngleSection, BarSection, GuardrailMaterial
-from cmbot.scene import Box, load_scene, shipped_scenes
+from cmbot.scene import load_scene, shipped_scenes
 
 
 def tool_point(posture):

@@ -8,8 +8,8 @@ from obstacle_entries import with_obstacles
 from walks import one_step
 
 from cmbot import Plan
-from cmbot.collision import Clearances
-from cmbot.scene import Box, Obstacle, pose
+from cmbot.collision import Box, Clearances, Obstacle
+from cmbot.common.poses import pose
 from cmbot.views.drawing import bridge, bridge_of, jobs_of
 
 MARGIN = 0.02  # m

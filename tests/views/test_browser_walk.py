@@ -12,9 +12,9 @@ from selenium.webdriver import Chrome
 from walks import one_step
 
 from cmbot.archive import WALK_FILE, write_results
+from cmbot.stances.walking import walk_data, walk_samples
 from cmbot.views import walk_page
 from cmbot.views.walk_replay import _decimated
-from cmbot.walking import walk_data, walk_samples
 
 pytestmark = pytest.mark.browser
 

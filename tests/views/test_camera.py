@@ -10,8 +10,8 @@ from hypothesis.extra.numpy import arrays
 from obstacle_entries import with_obstacles
 from small_scenes import short_scene
 
+from cmbot.collision import Box, Obstacle
 from cmbot.planning import Plan
-from cmbot.scene import Box, Obstacle
 from cmbot.views.drawing.camera import RISE, focus_of, seen, width_of, workpieces
 from cmbot.views.drawing.meshcat_scene import reach
 from cmbot.views.drawing.surfaces import box

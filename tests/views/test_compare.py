@@ -17,9 +17,10 @@ from page_data import data_of, floats, without_shapes
 from selenium.webdriver import Chrome
 
 from cmbot.archive import save
+from cmbot.collision import Box, Obstacle
 from cmbot.common.errors import InputError
+from cmbot.common.poses import pose
 from cmbot.planning import Plan
-from cmbot.scene import Box, Obstacle, pose
 from cmbot.simulation import Tracking
 from cmbot.views import compare_page
 

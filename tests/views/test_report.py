@@ -6,14 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from clamped import CLAMP, MAGNET, clamped_scene
 from page_data import data_of, floats
-from plan_folders import changed, without_approach
+from plan_folders import changed, with_baseline, without_approach
 
 import cmbot
 from cmbot.common.errors import InputError
+from cmbot.common.limit import Limit
 from cmbot.planning import Certificate, Plan, bound_use, remarks
-from cmbot.scene import Coverage
 from cmbot.simulation import Tracking, tracking_rows, tracking_verdict
+from cmbot.toolpath import Coverage
 from cmbot.views import pages, report_page
 from cmbot.views.charts import charts
 from cmbot.views.report import headlines
@@ -109,8 +111,11 @@ def test_nothing_to_hit_and_no_range(short_plan: Plan) -> None:
         changed(short_plan, "work", certificate=free),
         scene=short_plan.scene.changed(obstacles=(), guardrail={"bays": 0}),
         robot=replace(short_plan.robot, limits=limits, collision_model=alone),
-        baseline=replace(short_plan.baseline, clearance=np.full_like(short_plan.baseline.clearance, np.inf)),
     )
+    samples = short_plan.baseline.samples
+    samples = replace(samples, clearance=np.full_like(samples.clearance, np.inf))
+    stroke = replace(short_plan.baseline.segments[0], samples=samples)
+    plan = with_baseline(plan, samples=samples, segments=(stroke,))
     page = report_page(plan)
     data = data_of(page)
     assert data["planned"]["minClearance"] is None
@@ -146,11 +151,13 @@ def test_sag_compensation_and_vibration_suppression_are_in_tables(
 
 
 def test_headlines_say_what_was_gained(triangle_plan: Plan, triangle_tracking: Tracking) -> None:
-    tool, peak, floor, certified, clearance, error = headlines(triangle_plan, triangle_tracking)
+    tool, holds, peak, floor, certified, clearance, error = headlines(triangle_plan, triangle_tracking)
+    # Welded, nothing says what the feet bear.
+    assert (holds.value, holds.state) == ("–", "plain")
     accuracy = triangle_plan.accuracy
     assert tool.value == f"{accuracy.within_mm:.3g} mm"
     assert accuracy.parts[0].name in tool.detail
-    before, after = triangle_plan.baseline_figures, triangle_plan.figures
+    before, after = triangle_plan.baseline.figures, triangle_plan.figures
     job = triangle_plan.job.figures
     assert peak.before == f"{before.peak_guardrail_torque:.1f}"
     assert peak.value == f"{job.peak_guardrail_torque:.1f} Nm"
@@ -168,12 +175,12 @@ def test_headlines_say_what_was_gained(triangle_plan: Plan, triangle_tracking: T
     assert said.endswith("no posture within the limits has a smaller static torque (proven).")
     # Of the static torque: inertia may take a peak below it, which is no contradiction.
     static = replace(triangle_plan.objective, floor=triangle_plan.torque_floor + 1.0)
-    _, _, floor, *_ = headlines(replace(triangle_plan, objective=static), None)
+    _, _, _, floor, *_ = headlines(replace(triangle_plan, objective=static), None)
     assert "lower bound at rest" in floor.detail
     assert explained(replace(triangle_plan, objective=static)).endswith("(proven); moving, the arm has less.")
     bound = replace(triangle_plan.lower_bound, kind="estimated", missed=0.5)
     estimated = replace(triangle_plan, lower_bound=bound)
-    _, _, floor, *_ = headlines(estimated, None)
+    _, _, _, floor, *_ = headlines(estimated, None)
     assert floor.detail.startswith("lower bound (estimate) ")
     assert (
         "was found to have a smaller static torque (estimate; at most 50.00 % of the postures"
@@ -191,7 +198,7 @@ def test_headlines_say_what_was_gained(triangle_plan: Plan, triangle_tracking: T
     assert [card.state for card in (tool, certified, clearance)] == ["plain", "good", "good"]
     # The posture in which the arm begins asks that: no gain over the whole job.
     assert peak.state == "plain"
-    _, gained, *_ = headlines(without_approach(triangle_plan), None)
+    _, _, gained, *_ = headlines(without_approach(triangle_plan), None)
     assert gained.state == "good"
 
 
@@ -204,7 +211,7 @@ def broken(certificate: Certificate) -> Certificate:
 
 def test_a_broken_bound_of_the_work_or_the_approach_is_shown(triangle_plan: Plan) -> None:
     plan = changed(triangle_plan, "work", certificate=broken(triangle_plan.certificate))
-    _, _, _, certified, clearance, *_ = headlines(plan, None)
+    _, _, _, _, certified, clearance, *_ = headlines(plan, None)
     checks = plan.certificate.checks
     assert (certified.value, certified.state) == ("21 of 22 hold", "bad")
     assert f"work {len(checks) - 1} of {len(checks)}" in certified.detail
@@ -215,13 +222,28 @@ def test_a_broken_bound_of_the_work_or_the_approach_is_shown(triangle_plan: Plan
     assert '<p class="verdict bad"><b>NOT SAFE: 1 of 22 promises is broken.</b>' in text
     approach = triangle_plan.approach
     plan = changed(triangle_plan, "approach", certificate=broken(approach.certificate))
-    certified, number = list(headlines(plan, None))[3], len(approach.certificate.checks)
+    certified, number = list(headlines(plan, None))[4], len(approach.certificate.checks)
     assert certified.state == "bad"
     assert certified.detail.endswith(f"approach {number - 1} of {number}")
 
 
+@pytest.mark.parametrize(("hold", "shown"), [(MAGNET, " kN, at all times"), (CLAMP, ", at all times")])
+def test_what_the_feet_bear_is_a_share_of_what_their_safety_allows(
+    hold: dict[str, object], shown: str
+) -> None:
+    plan = cmbot.plan(clamped_scene(hold))
+    (holds,) = (card for card in headlines(plan, None) if card.title == "Holds")
+    check = next(check for check in plan.certificate.checks if check.limit is Limit.HOLD)
+    use = max(each.value / each.bound for _, each in plan.job.checks() if each.limit is Limit.HOLD)
+    assert holds.value == f"{100 * use:.0f} %"
+    assert check.quantity in holds.detail
+    assert shown in holds.detail
+    assert holds.state == "good"
+    assert "Loads on the base and the joints" in report_page(plan)
+
+
 def test_fixed_knots_have_neither_floor_nor_approach(short_plan: Plan) -> None:
-    _, _, floor, certified, *_ = headlines(short_plan, None)
+    _, _, _, floor, certified, *_ = headlines(short_plan, None)
     assert (floor.value, floor.detail) == ("–", "not computed for fixed knots")
     assert "approach" not in certified.detail
 

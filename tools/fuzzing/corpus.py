@@ -18,8 +18,8 @@ from cmbot.common.installation import scene_folder
 from cmbot.common.yaml_reader import read_yaml
 from cmbot.identification import stiffness_text
 from cmbot.scene import Scene, shipped_scenes
-from cmbot.walking import Step, Walk, stance_of, walk_data
-from cmbot.walking.steps import plan_step
+from cmbot.stances.walking import Step, Walk, stance_of, walk_data
+from cmbot.stances.walking.steps import plan_step
 
 __all__ = ["Corpus", "as_yaml", "make_corpus"]
 

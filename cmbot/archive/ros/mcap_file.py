@@ -13,12 +13,12 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.archive.folder import write_file
 from cmbot.archive.ros.trajectory_file import trajectory_message
+from cmbot.collision import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere, load_mesh
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra
 from cmbot.common.validation import given_path
 from cmbot.planning import Plan, require_plan
 from cmbot.robot import link_poses
-from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere, load_mesh
 
 WORLD, FOOT = "world", "O0"
 # Between two messages of the motion, s.
@@ -36,8 +36,8 @@ def export_mcap(plan: Plan, path: str | Path, *, effort: bool = False) -> None:
 
     Every 0.02 s, and at the end: ``/joint_states``, ``/tf`` (each link in the frame ``world``, which is W,
     and ``O0``, where the foot holds), ``/base_wrench``, what the arm exerts on the base, in ``O0``. At its
-    beginning, once: ``/joint_trajectory``, the whole job as a ``trajectory_msgs/JointTrajectory`` every
-    0.01 s, and ``/markers``, obstacles and tool paths. Time 0 is the beginning of the job.
+    beginning, once: ``/joint_trajectory``, the whole job as a ``trajectory_msgs/JointTrajectory`` of at most
+    200 points, and ``/markers``, obstacles and tool paths. Time 0 is the beginning of the job.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def messages(plan: Plan, *, effort: bool) -> Iterator[tuple[str, str, float, Mes
     """Yield topic, type, time and content of every message, in the order of time."""
     samples, _ = plan.job_samples
     stamp = _stamp(0.0)
-    job = trajectory_message(plan.robot, samples, effort=effort)
+    job = trajectory_message(plan, effort=effort).message
     # A message of MCAP has all fields: those left out are empty.
     job["points"] = [{"effort": [], **point} for point in job["points"]]
     yield "/joint_trajectory", "trajectory_msgs/msg/JointTrajectory", 0.0, job

@@ -13,7 +13,8 @@ from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import counted, plain, shown
 from cmbot.planning import robot_of
 from cmbot.robot import Kinematics, Robot
-from cmbot.scene import PlannerOptions, RowPiece, Scene, StrokeFile
+from cmbot.scene import PlannerOptions, Scene, StrokeFile
+from cmbot.toolpath import RowPiece
 
 # When an option promises less than another value of it would; those that say what is sought promise another
 # thing. The other options are effort: whatever they are, the same is promised.
@@ -46,12 +47,19 @@ def looser_promises(options: PlannerOptions, asked: PlannerOptions) -> tuple[str
     )
 
 
+def require_promised(options: PlannerOptions, asked: PlannerOptions, source: str, key: str) -> None:
+    """Refuse options that promise less than others, or another thing: an `ArchiveError` names the file."""
+    if looser := looser_promises(options, asked):
+        raise ArchiveError(source, key, "; ".join(looser), "promises as strict as what was asked")
+
+
 def require_asked(scene: Scene, asked: Scene, source: str) -> None:
     """Refuse the scene of a plan that is not what was asked, but for what planning decides.
 
-    That are numbers of via-points and durations that are ``auto``, more via-points than there were, the order
-    of strokes where it is ``best``, and which rows of a raster are in which part, or left out as nothing
-    reaches them. The files that both name have to be the same ones; their contents are hashed on reading.
+    That are numbers of via-points and durations that are ``auto``, a multiple of the segments between
+    via-points, the order of strokes where it is ``best``, and which rows of a raster are in which part, or
+    left out as nothing reaches them. Fewer via-points promise less. The files that both name have to be the
+    same ones; their contents are hashed on reading.
 
     Parameters
     ----------
@@ -87,8 +95,8 @@ def _decided(stroke: StrokeFile, asked: StrokeFile, *, in_any_direction: bool) -
     decided = {"backwards"} if in_any_direction else set[str]()
     if _AUTO in (asked.seconds, *(leg.seconds for leg in asked.legs)):
         decided.add("time_laws")
-    fewest = asked.via_points if isinstance(asked.via_points, int) else 0
-    if isinstance(stroke.via_points, int) and stroke.via_points >= fewest:
+    segments = asked.via_points - 1 if isinstance(asked.via_points, int) else 1
+    if isinstance(stroke.via_points, int) and (stroke.via_points - 1) % segments == 0:
         decided.add("via_points")
     return decided
 

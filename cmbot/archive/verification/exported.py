@@ -10,6 +10,7 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic_core import from_json
 
 from cmbot.archive.consistency import require_same
@@ -19,12 +20,16 @@ from cmbot.archive.ros.mcap_file import messages
 from cmbot.archive.ros.trajectory_file import trajectory_message
 from cmbot.archive.tables import require_table, samples_csv
 from cmbot.archive.writing import job_table
+from cmbot.common.arrays import IntArray
 from cmbot.common.errors import ArchiveError
+from cmbot.common.validation import counted, shown
 from cmbot.planning import Plan
 
 # What numbers of messages may differ by, as a share and at least: processors round differently.
 _SAME, _SAME_ZERO, _WHY = 1e-6, 1e-9, "the knots have it"
 _LARGEST_FILE = 500_000_000
+# What messages of few points may be off the plan between these, rad and m.
+_LARGEST_DEVIATION = 1e-3
 
 
 def unverified_files(plan: Plan, folder: Path) -> tuple[str, ...]:
@@ -57,8 +62,8 @@ def unverified_files(plan: Plan, folder: Path) -> tuple[str, ...]:
 def _table(plan: Plan, path: Path) -> bool:
     """Compare a table with the job, or with the work alone; False for a table of something else."""
     content, source = read_file(path, _LARGEST_FILE), str(path)
-    if path.name == BASELINE_FILE:
-        require_table(content, samples_csv(plan.baseline, source), source)
+    if path.name == BASELINE_FILE and plan.baseline is not None:
+        require_table(content, samples_csv(plan.baseline.samples, source), source)
         return True
     if path.name in TRACKING_FILES or (path.name != JOB_FILES[0] and not content.startswith(b"t,q1,")):
         return False
@@ -76,12 +81,33 @@ def _message(plan: Plan, path: Path) -> bool:
         return False
     if not isinstance(data, Mapping) or not data.keys() & {"joint_names", "points"}:
         return False
-    points = data.get("points")
-    first = points[0] if isinstance(points, list) and points else None
-    effort = isinstance(first, Mapping) and "effort" in first
-    expected = trajectory_message(plan.robot, plan.job_samples[0], effort=effort)
-    require_same(data, expected, str(path), "", _SAME, _SAME_ZERO, _WHY)
+    source = str(path)
+    times, joints, effort = _as_given(data, plan, source)
+    found = trajectory_message(plan, times, joints=joints, effort=effort)
+    require_same(data, found.message, source, "", _SAME, _SAME_ZERO, _WHY)
+    if found.deviation > _LARGEST_DEVIATION:
+        got = f"points whose quintics are {found.deviation:.3g} rad (or m) off"
+        raise ArchiveError(source, "points", got, f"the motion within {_LARGEST_DEVIATION:g}, as {_WHY}")
     return True
+
+
+def _as_given(data: Mapping[str, Any], plan: Plan, source: str) -> tuple[IntArray, list[str], bool]:
+    """Times, joints and whether there are efforts, of a message: of these the plan makes another one."""
+    names, points = data.get("joint_names"), data.get("points")
+    if not isinstance(names, list) or not set(map(str, names)) <= set(plan.robot.joints):
+        raise ArchiveError(source, "joint_names", shown(names), f"joints of the arm, as {_WHY}")
+    try:
+        each = [point["time_from_start"] for point in points]  # type: ignore[union-attr]
+        times = np.array([time["sec"] * 10**9 + time["nanosec"] for time in each], dtype=np.intp)
+    except (TypeError, KeyError, ValueError, OverflowError) as error:
+        raise ArchiveError(source, "points", shown(points), f"points with times, as {_WHY}") from error
+    if len(times) < 2 or not (np.diff(times) > 0).all() or times[0] != 0:
+        got = counted(len(times), "point")
+        raise ArchiveError(source, "points", got, f"times that increase from 0, as {_WHY}")
+    if abs(times[-1] - 1e9 * plan.job.duration) > 1:
+        got, expected = f"an end at {1e-9 * times[-1]:.9g} s", f"{plan.job.duration:.9g} s, as {_WHY}"
+        raise ArchiveError(source, "points", got, expected)
+    return times, names, bool(points) and "effort" in points[0]  # type: ignore[index]
 
 
 def _bag(plan: Plan, path: Path) -> bool:

@@ -2,30 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
 
-from cmbot.archive.folder import read_file, read_folder, without_hashes
+from cmbot.archive.consistency import require_same
+from cmbot.archive.folder import read_file
 from cmbot.archive.names import PLAN_FILE, TOUR_FILE, WALK_FILE
 from cmbot.archive.reading import read_plan
 from cmbot.archive.tables import require_table
-from cmbot.archive.verification.asked import looser_promises, require_asked
+from cmbot.archive.tours import TourPart, bridge_of, ends_of, place, read_tour
+from cmbot.archive.verification.asked import looser_promises, require_asked, require_promised
 from cmbot.archive.walks import load_walk
-from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError, InputError, LimitViolation
-from cmbot.common.validation import FileModel, given_path, validated
+from cmbot.common.validation import counted, given_path
 from cmbot.planning import Check, Plan
-from cmbot.scene import Scene, StanceFile
-from cmbot.siting import Candidate, in_world
-from cmbot.walking import Walk, WalkOptions, goal_stance, second_opinion_of, stance_of, walk_csv
+from cmbot.scene import PlannerOptions, Scene, StanceFile
+from cmbot.stances import in_world, joined
+from cmbot.stances.walking import Walk, WalkOptions, goal_stance, second_opinion_of, walk_csv
 
-# Figures, and stances and postures of parts that follow on each other, are the same but for so much.
+# Stances and postures are the same but for so much.
 _SAME = 1e-6
 _WALK_TABLE = "walk.csv"
 
@@ -69,59 +68,91 @@ class Verdict:
     not_verified: tuple[str, ...]
 
 
-class _PartFile(FileModel):
-    name: Annotated[str, Field(pattern=r"^(work|walk)_[1-9]\d{0,3}$")]
-    kind: Literal["work", "walk"]
-    begin: float
-    seconds: float
-    adhesion_needed: float | None
-    strokes: tuple[str, ...] | None = None
-    peak_torque: float | None = None
-    peak_torque_at_work: float | None = None
-    steps: int | None = None
+@dataclass(frozen=True, kw_only=True)
+class Asked:
+    """What was asked of a folder.
+
+    Attributes
+    ----------
+    scenes : tuple of Scene
+        Of a plan or a walk one, of a tour all of them; empty: what the folder says.
+    options : PlannerOptions or None
+        In place of the scene's.
+    goal : Scene, StanceFile or None
+        Where a walk was to end.
+    foot_speed : float, m/s
+        Largest of a foot that goes.
+    """
+
+    scenes: tuple[Scene, ...] = ()
+    options: PlannerOptions | None = None
+    goal: Scene | StanceFile | None = None
+    foot_speed: float = WalkOptions.speed
 
 
-class _TourFile(FileModel):
-    format: Literal["cmbot-tour/1"]
-    cmbot: str
-    seconds: float
-    parts: Annotated[tuple[_PartFile, ...], Field(min_length=1, max_length=1000)]
-    words: tuple[str, ...]
-
-
-def verified_motions(
-    directory: str | Path, scene: Scene | None = None, goal: Scene | StanceFile | None = None
-) -> Verdict:
+def verified_motions(directory: str | Path, asked: Asked | None = None) -> Verdict:
     """Verify the folder of a plan, a walk or a tour.
 
     Parameters
     ----------
     directory : str or Path
-    scene : Scene, optional
-        That was asked for: the folder has to be a plan, or a walk, of it.
-    goal : Scene or StanceFile, optional
-        Where the walk was to end.
+    asked : Asked, optional
 
     Raises
     ------
     InputError
-        When `directory` is no path, a tour is to be of one scene, or a goal is given for no walk.
+        When `directory` is no path, several scenes are given for what is no tour, or a goal for no walk.
     ArchiveError
         When a file is missing, damaged or contradicts the others, a motion breaks a promise, or it is not
         what was asked for.
     SceneError, ModelError
         When its scene or its robot cannot be used.
     """
-    folder = given_path(directory, "cmbot verify", "DIR", "the path of a folder")
+    folder, asked = given_path(directory, "cmbot verify", "DIR", "the path of a folder"), asked or Asked()
     if len(records := [name for name in (PLAN_FILE, WALK_FILE, TOUR_FILE) if (folder / name).exists()]) > 1:
         raise ArchiveError(str(folder), "", " and ".join(records), "one of them: the folder of one thing")
-    if goal is not None and not (folder / WALK_FILE).exists():
+    if asked.goal is not None and WALK_FILE not in records:
         raise InputError("cmbot verify", "--to", str(folder), "the folder of a walk, which has a goal")
-    if not (folder / TOUR_FILE).exists():
-        return _verified(folder, "", scene, goal)[1]
-    if scene is not None:
-        raise InputError("cmbot verify", "--scene", "a tour", "a plan or a walk, such as a part of it")
-    return _together(_tour(folder))
+    if TOUR_FILE in records:
+        return _verified_tour(folder, asked)
+    if len(asked.scenes) > 1:
+        got = counted(len(asked.scenes), "scene")
+        raise InputError("cmbot verify", "--scene", got, "one: only a tour is of several")
+    return _verified(folder, "", asked)[1]
+
+
+def _verified_tour(folder: Path, asked: Asked) -> Verdict:
+    """Verify the parts, that each begins where the one before ends, and that they are what was asked for."""
+    verdicts = list[Verdict]()
+
+    def read(part: Path) -> Plan | Walk:
+        motion, verdict = _verified(part, part.name, replace(asked, scenes=()))
+        verdicts.append(verdict)
+        return motion
+
+    parts = read_tour(folder, read)
+    if asked.scenes:
+        _require_tour(folder, parts, joined(asked.scenes))
+    return _together((*verdicts, Verdict(looser=(), motions=(), not_verified=("words",))))
+
+
+def _require_tour(folder: Path, parts: Sequence[TourPart], asked: Scene) -> None:
+    """Refuse a tour of another bridge, or one that does not do each stroke that was asked once."""
+    source = folder / TOUR_FILE
+    require_same(bridge_of(parts[0].motion.scene), bridge_of(asked), str(source), "scene", why="asked")
+    plans = [part.motion for part in parts if isinstance(part.motion, Plan)]
+    strokes = {str(stroke.name): stroke for stroke in asked.strokes}
+    if len(strokes) == 1:
+        # That of a path without strokes has the name of the scene.
+        strokes = dict.fromkeys([str(plan.scene.strokes[0].name) for plan in plans[:1]], asked.strokes[0])
+    done = [stroke.part_of or str(stroke.name) for plan in plans for stroke in plan.scene.strokes]
+    if sorted(done) != sorted(strokes):
+        got, expected = (", ".join(names) for names in (done, strokes))
+        raise ArchiveError(str(source), "parts", got, f"each stroke once, as asked: {expected}")
+    for plan in plans:
+        own = [strokes[str(stroke.name)].changed(name=stroke.name) for stroke in plan.scene.strokes]
+        wanted = plan.scene.with_strokes(own, asked.order)
+        require_asked(plan.scene, wanted, str(source))
 
 
 def _together(verdicts: Iterable[Verdict]) -> Verdict:
@@ -130,32 +161,50 @@ def _together(verdicts: Iterable[Verdict]) -> Verdict:
     return Verdict(**{name: tuple(chain.from_iterable(getattr(one, name) for one in each)) for name in names})
 
 
-def _verified(
-    folder: Path, name: str = "", scene: Scene | None = None, goal: Scene | StanceFile | None = None
-) -> tuple[Plan | Walk, Verdict]:
+def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdict]:
     """A plan or a walk, and what was verified of it; `name` is that of a part of a tour."""
     is_walk = (folder / WALK_FILE).exists()
+    source = folder / (WALK_FILE if is_walk else PLAN_FILE)
     part: Plan | Walk
-    looser, skipped = tuple[str, ...](), tuple[str, ...]()
+    looser: tuple[str, ...]
     try:
         if is_walk:
             part = load_walk(folder)
-            if part.speed > (usual := WalkOptions().speed):
-                looser = (f"max_foot_speed {part.speed:g} m/s (where none is asked {usual:g})",)
-            skipped = _walk_files(folder, part)
-            if scene is not None:
-                require_asked(part.scene, scene, str(folder / WALK_FILE))
-            if goal is not None:
-                _require_goal(part, goal, str(folder / WALK_FILE))
+            looser = _require_walk(part, asked, str(source))
+            skipped = (*(["failures"] if part.failures else []), *_walk_files(folder, part))
         else:
-            part, skipped = read_plan(folder, verify=True, asked=scene)
+            scene = asked.scenes[0] if asked.scenes else None
+            part, skipped = read_plan(folder, verify=True, asked=scene, options=asked.options)
             looser = looser_promises(part.options, part.scene.planner)
             skipped = (*_claims(part), *skipped)
         motions = tuple(_motions(name, part))
     except LimitViolation as error:
-        raise _broken(folder / (WALK_FILE if is_walk else PLAN_FILE), error) from error
+        got = f"{error.value:.6g} {error.unit} at t = {error.time:.3f} s"
+        expected = f"a value within {error.bound:.6g} {error.unit}"
+        raise ArchiveError(str(source), error.quantity, got, expected) from error
     said = (tuple(f"{name}: {text}" if name else text for text in texts) for texts in (looser, skipped))
     return part, Verdict(motions=motions, **dict(zip(("looser", "not_verified"), said, strict=True)))
+
+
+def _require_walk(walk: Walk, asked: Asked, source: str) -> tuple[str, ...]:
+    """Refuse a walk that is not what was asked for; return what it promises less, where nobody asked."""
+    if asked.goal is not None:
+        _, ends = ends_of(walk)
+        scene = asked.goal if isinstance(asked.goal, Scene) else walk.scene
+        posture = np.array(scene.posture) if scene is asked.goal else ends[-len(scene.posture) :]
+        wanted = place(goal_stance(asked.goal, walk.scene), posture)
+        if not np.allclose(ends, wanted, rtol=0, atol=_SAME):
+            raise ArchiveError(source, "goal", "another stance or posture", "that which was asked for")
+    for scene in asked.scenes:
+        require_asked(walk.scene, scene, source)
+        require_promised(walk.scene.planner, asked.options or scene.planner, source, "scene.planner")
+    if walk.speed <= asked.foot_speed:
+        return ()
+    if asked.scenes:
+        raise ArchiveError(
+            source, "max_foot_speed", walk.speed, f"at most {asked.foot_speed:g} m/s, as asked"
+        )
+    return (f"max_foot_speed {walk.speed:g} m/s (where none is asked {asked.foot_speed:g})",)
 
 
 def _walk_files(folder: Path, walk: Walk) -> tuple[str, ...]:
@@ -169,7 +218,8 @@ def _walk_files(folder: Path, walk: Walk) -> tuple[str, ...]:
 
 def _claims(plan: Plan) -> Iterator[str]:
     """The keys of plan.json whose values only planning anew could confirm."""
-    yield "baseline (that it is the motion it is compared with)"
+    if plan.baseline is not None:
+        yield "baseline (that it is the motion it is compared with)"
     if plan.torque_floor is not None:
         yield f"torque_floor ({plan.torque_floor:.6g} Nm, {plan.torque_floor_kind}), gap_to_floor"
     for name in ("lower_bound", "choice", "suppression", "compensation"):
@@ -179,21 +229,6 @@ def _claims(plan: Plan) -> Iterator[str]:
         if coverage.left_out or coverage.unreached:
             yield f"raster {name} (that nothing reaches the rows that it leaves out)"
     yield "passes, fallbacks, seconds, versions"
-
-
-def _require_goal(walk: Walk, goal: Scene | StanceFile, source: str) -> None:
-    """Refuse a walk that ends in another stance than it was to."""
-    posture = _arm_at_end(walk)
-    wanted = _place(
-        goal_stance(goal, walk.scene), np.array(goal.posture) if isinstance(goal, Scene) else posture
-    )
-    if not np.allclose(_place(walk.goal, posture), wanted, rtol=0, atol=_SAME):
-        raise ArchiveError(source, "goal", "another stance or posture", "that which was asked for")
-
-
-def _broken(file: Path, error: LimitViolation) -> ArchiveError:
-    got = f"{error.value:.6g} {error.unit} at t = {error.time:.3f} s"
-    return ArchiveError(str(file), error.quantity, got, f"a value within {error.bound:.6g} {error.unit}")
 
 
 def _motions(name: str, part: Plan | Walk) -> Iterator[VerifiedMotion]:
@@ -209,46 +244,3 @@ def _motions(name: str, part: Plan | Walk) -> Iterator[VerifiedMotion]:
         certificate.require()
         title = f"{move.kind}_{number}"
         yield VerifiedMotion(part=name, name=title, seconds=seconds, checks=certificate.checks)
-
-
-def _tour(folder: Path) -> Iterator[Verdict]:
-    """Verify the parts, and that each begins where the one before ends."""
-    source = folder / TOUR_FILE
-    data, _ = read_folder(
-        folder, TOUR_FILE, lambda hashes: [name for name in hashes if (folder / name).exists()]
-    )
-    file = validated(_TourFile, without_hashes(data), str(source), ArchiveError)
-    clock, here = 0.0, None
-    for k, entry in enumerate(file.parts):
-        part, verdict = _verified(folder / entry.name, entry.name)
-        yield verdict
-        is_plan, seconds = isinstance(part, Plan), sum(motion.seconds for motion in verdict.motions)
-        key, stance, posture = f"parts[{k}]", stance_of(part.scene), np.array(part.scene.posture)
-        if is_plan != (entry.kind == "work"):
-            raise ArchiveError(str(source), f"{key}.kind", entry.kind, "work" if is_plan else "walk")
-        if here is not None and not np.allclose(_place(stance, posture), here, rtol=0, atol=_SAME):
-            got = f"{entry.name}: another stance or posture"
-            raise ArchiveError(str(source), f"{key}.name", got, "that in which the part before ends")
-        for name, read, found in (("begin", entry.begin, clock), ("seconds", entry.seconds, seconds)):
-            _require_same(source, f"{key}.{name}", read, found)
-        clock += seconds
-        if isinstance(part, Plan):
-            here = _place(stance, part.job.trajectory.q[-1])
-        else:
-            here = _place(part.goal, _arm_at_end(part))
-    _require_same(source, "seconds", file.seconds, clock)
-
-
-def _require_same(source: Path, key: str, read: float, found: float) -> None:
-    if not np.isclose(read, found, rtol=_SAME, atol=_SAME):
-        raise ArchiveError(str(source), key, f"{read:g}", f"{found:g}, as its parts say")
-
-
-def _arm_at_end(walk: Walk) -> FloatArray:
-    arms = [move.segment.trajectory.q[-1] for move in walk.moves if move.kind == "arm"]
-    return np.asarray(arms[-1] if arms else walk.scene.posture)
-
-
-def _place(stance: Candidate, posture: FloatArray) -> FloatArray:
-    """Pose of foot 1, angles of the climber and posture of the arm, in a row."""
-    return np.concatenate([stance.root.ravel(), stance.climber, posture])

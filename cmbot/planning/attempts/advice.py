@@ -26,7 +26,7 @@ from cmbot.planning.attempts.failure import (
     ToolOff,
     Uncertified,
 )
-from cmbot.planning.context import PlanningContext
+from cmbot.planning.request import StrokeRequest
 from cmbot.scene import Stroke
 from cmbot.trajectory import QuinticTrajectory
 
@@ -49,20 +49,20 @@ _EASED = {
 _MARGIN, _MOST_EASED = "safety_margin_m", 3.0
 
 
-def slower_legs(context: PlanningContext, failure: Failure) -> FloatArray | None:
+def slower_legs(request: StrokeRequest, failure: Failure) -> FloatArray | None:
     """Return by which factors (L,) the legs would have to take longer; None where time is not the matter.
 
     A velocity of r times its bound asks for r times the seconds, an acceleration for r^(1/2), a jerk for
     r^(1/3).
     """
-    factors = np.ones(len(context.task.path.seconds))
+    factors = np.ones(len(request.task.path.seconds))
     match failure:
         case NoWay():
-            factors[_leg(context, failure.time)] = failure.pace
+            factors[_leg(request, failure.time)] = failure.pace
         case Uncertified(broken=JointRate(order=order, ratio=ratio)) if order:
-            factors[_leg(context, failure.time)] = ratio ** (1 / order)
+            factors[_leg(request, failure.time)] = ratio ** (1 / order)
         case NoTrajectory():
-            factors = _factors(context, failure.trajectory)
+            factors = _factors(request, failure.trajectory)
             if not isinstance(failure.broken, JointRate):
                 # Joints at their limits leave the tool behind.
                 hasty = (factors >= _AT_LIMIT) & (failure.violation > FAR_BEYOND)
@@ -75,19 +75,19 @@ def slower_legs(context: PlanningContext, failure: Failure) -> FloatArray | None
     return factors if 1.0 < factors.max() <= _SLOWEST else None
 
 
-def eased(context: PlanningContext, failure: Failure) -> PlanningContext | None:
-    """Return the context with an option eased that has the bound which could not be kept.
+def eased(request: StrokeRequest, failure: Failure) -> StrokeRequest | None:
+    """Return the request with an option eased that has the bound which could not be kept.
 
     A smaller safety margin, or a tool that may leave its path further. None where it is another bound, or one
     that would have to be eased by far.
     """
     match failure:
         case NoTrajectory() | Uncertified():
-            return _eased(context, failure.broken)
+            return _eased(request, failure.broken)
         case NoWay() if failure.is_start_near:
-            distance = float(context.clearances.smallest(context.first[None]).distance[0])
-            margin = context.options.safety_margin_m
-            return _eased(context, NearObstacle(distance=distance, margin=margin))
+            distance = float(request.cell.clearances.smallest(request.first[None]).distance[0])
+            margin = request.cell.options.safety_margin_m
+            return _eased(request, NearObstacle(distance=distance, margin=margin))
         case NoWay() | OutOfTime():
             return None
         case _:
@@ -95,34 +95,31 @@ def eased(context: PlanningContext, failure: Failure) -> PlanningContext | None:
 
 
 def _eased(
-    context: PlanningContext, broken: NearObstacle | JointRate | JointTorque | ToolOff | OtherLimit
-) -> PlanningContext | None:
-    """The context with the option eased that has a bound."""
+    request: StrokeRequest, broken: NearObstacle | JointRate | JointTorque | ToolOff | OtherLimit
+) -> StrokeRequest | None:
+    """The request with the option eased that has a bound."""
     match broken:
         case NearObstacle(distance=distance):
-            if distance <= 0.0 or context.options.safety_margin_m > _MOST_EASED * distance:
+            if distance <= 0.0 or request.cell.options.safety_margin_m > _MOST_EASED * distance:
                 return None
-            return _with(context, _MARGIN, _rounded_down(distance / _ROOM))
+            return request.with_options(**{_MARGIN: _rounded_down(distance / _ROOM)})
         case ToolOff(what=what, ratio=ratio):
             option = _EASED.get(what)
             if option is None or ratio > _MOST_EASED:
                 return None
-            return _with(context, option, _rounded_up(_ROOM * ratio * getattr(context.options, option)))
+            return request.with_options(
+                **{option: _rounded_up(_ROOM * ratio * getattr(request.cell.options, option))}
+            )
         case JointRate() | JointTorque() | OtherLimit():
             return None
         case _:
             assert_never(broken)
 
 
-def _with(context: PlanningContext, option: str, value: float) -> PlanningContext:
-    change: dict[str, Any] = {option: value}
-    return replace(context, options=replace(context.options, **change))
-
-
-def changed_in_words(before: PlanningContext, after: PlanningContext) -> str:
+def changed_in_words(before: StrokeRequest, after: StrokeRequest) -> str:
     """Say by the keys of the scene what was eased, or which legs take longer."""
     for option in dict.fromkeys((_MARGIN, *_EASED.values())):
-        old, new = (getattr(context.options, option) for context in (before, after))
+        old, new = (getattr(request.cell.options, option) for request in (before, after))
         if new != old:
             return _changed(f"planner.{option}", new, old, 4)
     return in_keys(before, after)
@@ -133,9 +130,9 @@ def _slower_legs(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
     attempt = trial.attempt
     if isinstance(trial.outcome, Solved):
         return
-    factors = slower_legs(attempt.context, trial.outcome)
+    factors = slower_legs(attempt.request, trial.outcome)
     if factors is not None:
-        yield Attempt.of(slower(attempt.context, factors), automatic=attempt.automatic)
+        yield Attempt.of(slower(attempt.request, factors), automatic=attempt.automatic)
 
 
 def _eased_bound(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
@@ -143,21 +140,21 @@ def _eased_bound(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
     attempt = trial.attempt
     if isinstance(trial.outcome, Solved) or trial.parent is not None:
         return
-    context = eased(attempt.context, trial.outcome)
-    if context is not None:
-        yield Attempt.of(context, automatic=attempt.automatic)
+    request = eased(attempt.request, trial.outcome)
+    if request is not None:
+        yield Attempt.of(request, automatic=attempt.automatic)
 
 
 SLOWER_LEGS = Remedy(cost=10_000, propose=_slower_legs, most=2)
 EASED_BOUND = Remedy(cost=10_000, propose=_eased_bound)
 
 
-def slower(context: PlanningContext, factors: FloatArray) -> PlanningContext:
-    """Return the context of legs that take longer by `factors` (L,), to round numbers of the scene's keys.
+def slower(request: StrokeRequest, factors: FloatArray) -> StrokeRequest:
+    """Return the request of legs that take longer by `factors` (L,), to round numbers of the scene's keys.
 
     More than a few, and those that share a key, are slowed down as one.
     """
-    path, stroke = context.task.path, context.stroke
+    path, stroke = request.task.path, request.stroke
     if (factors > 1.0).sum() > _MOST_LISTED or not _have_own_keys(stroke):
         factors = np.full(len(factors), factors.max())
     seconds = path.seconds.copy()
@@ -169,12 +166,12 @@ def slower(context: PlanningContext, factors: FloatArray) -> PlanningContext:
         else:
             own = float(path.seconds[k] if stroke.file.legs else stroke.file.seconds or path.seconds[k])
             seconds[k] *= _rounded_up(own * factors[k]) / own
-    path = replace(path, seconds=seconds)
-    times = path.via_times(len(context.times))
-    return replace(context, task=replace(context.task, path=path), times=times)
+    path = path.in_seconds(seconds)
+    times = path.via_times(len(request.times))
+    return replace(request, task=replace(request.task, path=path), times=times)
 
 
-def in_keys(before: PlanningContext, after: PlanningContext) -> str:
+def in_keys(before: StrokeRequest, after: StrokeRequest) -> str:
     """Say by the keys of the scene which legs take longer after than before, and how long."""
     stroke, old, new = before.stroke, before.task.path.seconds, after.task.path.seconds
     changed = np.flatnonzero(new > old)
@@ -206,11 +203,11 @@ def _have_own_keys(stroke: Stroke) -> bool:
     return bool(file.legs) and not file.blend_radius_m and (file.passes or 1) == 1
 
 
-def _factors(context: PlanningContext, trajectory: QuinticTrajectory | None) -> FloatArray:
+def _factors(request: StrokeRequest, trajectory: QuinticTrajectory | None) -> FloatArray:
     """By which factors (L,) legs would have to take longer, or may take less, for a trajectory's limits."""
     if trajectory is None:
-        return np.ones(len(context.task.path.seconds))
-    limits, edges = context.robot.limits, context.task.path.leg_times
+        return np.ones(len(request.task.path.seconds))
+    limits, edges = request.cell.robot.limits, request.task.path.leg_times
     middles = 0.5 * (trajectory.t[1:] + trajectory.t[:-1])
     needed = np.zeros(len(middles))
     for order, bound in enumerate((limits.velocity, limits.acceleration, limits.jerk), start=1):
@@ -219,9 +216,9 @@ def _factors(context: PlanningContext, trajectory: QuinticTrajectory | None) -> 
     return np.array([needed[(middles >= a) & (middles < b)].max(initial=0.0) for a, b in pairwise(edges)])
 
 
-def _leg(context: PlanningContext, time: float) -> int:
+def _leg(request: StrokeRequest, time: float) -> int:
     """The leg that leads to a time."""
-    edges = context.task.path.leg_times
+    edges = request.task.path.leg_times
     return int(np.clip(np.searchsorted(edges, time) - 1, 0, len(edges) - 2))
 
 

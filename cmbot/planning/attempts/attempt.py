@@ -10,8 +10,8 @@ from cmbot.common.arrays import FloatArray
 from cmbot.planning.attempts.agenda import Agenda, Remedy, Solved
 from cmbot.planning.attempts.failure import Failure, attempted, failure_of
 from cmbot.planning.budget import Budget
-from cmbot.planning.context import PlanningContext
 from cmbot.planning.initial_guess import InitialGuess, initial_guess, leap_failure
+from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.global_search import GlobalSearch
 from cmbot.planning.timing.timing import Timing
 
@@ -24,7 +24,7 @@ class Attempt:
 
     Attributes
     ----------
-    context : PlanningContext
+    request : StrokeRequest
     guess : InitialGuess or Failure
         Or why there is none.
     automatic : bool
@@ -37,7 +37,7 @@ class Attempt:
         Of legs whose shortest time is sought.
     """
 
-    context: PlanningContext
+    request: StrokeRequest
     guess: InitialGuess | Failure
     automatic: bool = False
     is_first: bool = True
@@ -45,9 +45,9 @@ class Attempt:
     timing: Timing | None = None
 
     @classmethod
-    def of(cls, context: PlanningContext, **own: Any) -> Attempt:
-        """Return the attempt from the first guess of a context."""
-        return cls(context=context, guess=attempted(context, lambda: initial_guess(context)), **own)
+    def of(cls, request: StrokeRequest, **own: Any) -> Attempt:
+        """Return the attempt from the first guess of a request."""
+        return cls(request=request, guess=attempted(request, lambda: initial_guess(request)), **own)
 
     @property
     def search(self) -> GlobalSearch | None:
@@ -62,14 +62,14 @@ class Attempt:
     @property
     def key(self) -> Hashable:
         """What tells it from other attempts at the same stroke."""
-        options, guess = self.context.options, self.guess
+        options, guess = self.request.cell.options, self.guess
         if not isinstance(guess, InitialGuess):
-            return options, self.context.times.tobytes()
+            return options, self.request.times.tobytes()
         form = guess.problem.parametrization
         chart = None if guess.search is None else guess.search.first_chart.q
         arrays: tuple[FloatArray | None, ...] = (form.space.t, form.via_points, chart, guess.way)
         numbers = tuple(None if array is None else array.tobytes() for array in arrays)
-        return options, guess.pinned, self.context.spare_clearance, numbers
+        return options, guess.pinned, self.request.spare_clearance, numbers
 
     @property
     def refused(self) -> Failure | None:
@@ -81,23 +81,23 @@ class Attempt:
         if not isinstance(self.guess, InitialGuess):
             return self.guess
         leaps = None if self.is_first else leap_failure(self.guess.problem)
-        return None if leaps is None else failure_of(self.context, leaps)
+        return None if leaps is None else failure_of(self.request, leaps)
 
 
 def agenda_of(
-    context: PlanningContext,
+    request: StrokeRequest,
     work: Callable[[Attempt], Solved[S] | Failure],
     remedies: Sequence[Remedy[Attempt, S]],
     budget: Budget,
     better: Callable[[S, S], bool] = lambda result, best: False,
 ) -> Agenda[Attempt, S]:
-    """Return an agenda of attempts at the stroke of a context."""
+    """Return an agenda of attempts at the stroke of a request."""
     return Agenda(
         work=work,
         key=lambda attempt: attempt.key,
         refused=lambda attempt: attempt.refused,
         remedies=remedies,
         budget=budget,
-        deadline=context.deadline,
+        deadline=request.deadline,
         better=better,
     )

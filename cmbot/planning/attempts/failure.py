@@ -10,7 +10,7 @@ import numpy as np
 
 from cmbot.common.errors import LimitViolation, OptimisationFailed, PathNotFound, PlanningError
 from cmbot.common.limit import Limit
-from cmbot.planning.context import PlanningContext
+from cmbot.planning.request import StrokeRequest
 from cmbot.robot import Dynamics
 from cmbot.trajectory import QuinticTrajectory
 
@@ -131,24 +131,22 @@ Failure = NoWay | NoTrajectory | Uncertified | OutOfTime
 """Why an attempt failed."""
 
 
-def attempted(context: PlanningContext, make: Callable[[], Made]) -> Made | Failure:
-    """Return what is made with a context, or why it fails: solvers raise their errors as far as this."""
+def attempted(request: StrokeRequest, make: Callable[[], Made]) -> Made | Failure:
+    """Return what is made with a request, or why it fails: solvers raise their errors as far as this."""
     try:
         return make()
     except (PathNotFound, OptimisationFailed, LimitViolation) as error:
-        return failure_of(context, error)
+        return failure_of(request, error)
 
 
-def failure_of(
-    context: PlanningContext, error: PathNotFound | OptimisationFailed | LimitViolation
-) -> Failure:
+def failure_of(request: StrokeRequest, error: PathNotFound | OptimisationFailed | LimitViolation) -> Failure:
     """Return the failure that an error tells of, with pairs and joints named."""
     match error:
         case PathNotFound():
             no_way = _like(NoWay, error)
             return OutOfTime(during=no_way) if error.stopped else no_way
         case OptimisationFailed():
-            constraint, broken = _named(context, error)
+            constraint, broken = _named(request, error)
             no_trajectory = _like(NoTrajectory, error, constraint=constraint, broken=broken)
             return OutOfTime(during=no_trajectory) if error.stopped else no_trajectory
         case LimitViolation():
@@ -196,25 +194,26 @@ def _without(name: str, failure: Failure) -> dict[str, Any]:
     return {key: value for key, value in vars(failure).items() if key != name}
 
 
-def _named(context: PlanningContext, error: OptimisationFailed) -> tuple[str, Broken]:
+def _named(request: StrokeRequest, error: OptimisationFailed) -> tuple[str, Broken]:
     """The worst constraint with its pair or joint, and what is broken."""
+    cell = request.cell
     trajectory, broken = error.trajectory, _broken(error.limit, 1.0 + error.violation, 1.0)
     if isinstance(broken, NearObstacle):
-        broken = NearObstacle(distance=0.0, margin=context.options.safety_margin_m)
+        broken = NearObstacle(distance=0.0, margin=cell.options.safety_margin_m)
     if not isinstance(trajectory, QuinticTrajectory):
         return error.constraint, broken
     q, v, a = trajectory.sampled(_SAMPLES)
     match broken:
         case NearObstacle(margin=margin):
-            smallest = context.clearances.smallest(q)
+            smallest = cell.clearances.smallest(q)
             worst = int(smallest.distance.argmin())
-            pair = context.clearances.pairs[int(smallest.pair[worst])]
+            pair = cell.clearances.pairs[int(smallest.pair[worst])]
             near = NearObstacle(distance=float(smallest.distance[worst]), margin=margin)
             return f"clearance of {pair.link} from {pair.other}", near
         case JointTorque():
-            torque = Dynamics(context.robot).efforts(q, v, a).joint_torque
-            use = np.abs(torque) / context.robot.limits.torque
-            return f"torque of {context.robot.joints[int(use.max(axis=0).argmax())]}", broken
+            torque = Dynamics(cell.robot).efforts(q, v, a).joint_torque
+            use = np.abs(torque) / cell.robot.limits.torque
+            return f"torque of {cell.robot.joints[int(use.max(axis=0).argmax())]}", broken
     return error.constraint, broken
 
 
@@ -232,7 +231,7 @@ def _broken(limit: Limit, value: float, bound: float) -> Broken:
             return ToolOff(what=limit, ratio=ratio)
         case Limit.TOOL_SPEED | Limit.PROCESS_SPEED | Limit.SHIFT:
             return ToolOff(what=limit, ratio=ratio)
-        case Limit.POSITION | Limit.HOLD | Limit.BASE_TORQUE | Limit.PEAK | Limit.OTHER:
+        case Limit.POSITION | Limit.HOLD | Limit.BASE_TORQUE | Limit.CONTINUITY | Limit.PEAK | Limit.OTHER:
             return OtherLimit(what=limit)
         case _:
             assert_never(limit)

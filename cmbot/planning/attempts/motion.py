@@ -16,7 +16,6 @@ from cmbot.planning.attempts.attempt import Attempt
 from cmbot.planning.attempts.failure import Failure, attempted, failure_of
 from cmbot.planning.attempts.remedies import is_little_nearer
 from cmbot.planning.certification.certificate import Certificate, certify
-from cmbot.planning.context import PlanningContext
 from cmbot.planning.flexibility.sag_compensation import Compensation, compensate
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression, suppress_vibration
 from cmbot.planning.free_motion.approach import plan_approach
@@ -24,6 +23,7 @@ from cmbot.planning.free_motion.free_move import largest_objective
 from cmbot.planning.free_motion.return_move import SAME_POSTURE, plan_return
 from cmbot.planning.initial_guess import InitialGuess, leap_failure
 from cmbot.planning.job import Job, Segment
+from cmbot.planning.request import StrokeRequest
 from cmbot.planning.result.stroke_plan import Start
 from cmbot.planning.torque import Optimised, optimise
 from cmbot.scene import PlannerOptions
@@ -39,7 +39,7 @@ class StrokeMotion:
 
     Attributes
     ----------
-    context : PlanningContext
+    request : StrokeRequest
     guess : InitialGuess
         What it was planned from.
     optimised : Optimised
@@ -51,7 +51,7 @@ class StrokeMotion:
         Largest value of the objective over the job.
     """
 
-    context: PlanningContext
+    request: StrokeRequest
     guess: InitialGuess
     optimised: Optimised
     compensation: Compensation | None
@@ -74,15 +74,15 @@ class StrokeMotion:
 
 def certified_motion(attempt: Attempt) -> Solved[StrokeMotion] | Failure:
     """Optimise and certify the motion of an attempt, with the free moves that go with it."""
-    context, guess = attempt.context, attempt.guess
+    request, guess = attempt.request, attempt.guess
     if not isinstance(guess, InitialGuess):
         return guess
-    return attempted(context, partial(_motion, context, guess))
+    return attempted(request, partial(_motion, request, guess))
 
 
-def is_better(context: PlanningContext) -> Callable[[StrokeMotion, StrokeMotion], bool]:
+def is_better(request: StrokeRequest) -> Callable[[StrokeMotion, StrokeMotion], bool]:
     """Return how motions of a stroke compare: the shorter one is better, then that of the smaller peak."""
-    margin = 1 + context.options.gap_target
+    margin = 1 + request.cell.options.gap_target
 
     def better(motion: StrokeMotion, best: StrokeMotion) -> bool:
         seconds, most = motion.work.duration, best.work.duration
@@ -93,10 +93,12 @@ def is_better(context: PlanningContext) -> Callable[[StrokeMotion, StrokeMotion]
     return better
 
 
-def peak_of(context: PlanningContext, parts: Sequence[Segment]) -> float:
+def peak_of(request: StrokeRequest, parts: Sequence[Segment]) -> float:
     """Return the largest value of the objective over segments."""
     return max(
-        largest_objective(context if segment.kind == "stroke" else context.tool_off, segment.trajectory)
+        largest_objective(
+            request.cell if segment.kind == "stroke" else request.cell.tool_off, segment.trajectory
+        )
         for segment in parts
     )
 
@@ -106,53 +108,54 @@ def suppresses_vibration(options: PlannerOptions) -> bool:
     return options.knots == "sliding" and options.quiet_modes > 0
 
 
-def _motion(context: PlanningContext, guess: InitialGuess) -> Solved[StrokeMotion] | Failure:
+def _motion(request: StrokeRequest, guess: InitialGuess) -> Solved[StrokeMotion] | Failure:
     """The motion from a guess."""
-    optimised, compensation, suppression = _optimised(context, guess)
-    context.reporter.stage("certify")
+    optimised, compensation, suppression = _optimised(request, guess)
+    request.reporter.stage("certify")
     posture = optimised.trajectory.q[0]
-    moved = float(np.abs(context.robot.metric.coordinates(posture - context.posture)).max())
-    start = context.posture if moved <= SAME_POSTURE else None
-    certificate = _certified(context, optimised, start)
+    moved = float(np.abs(request.cell.robot.metric.coordinates(posture - request.state.posture)).max())
+    start = request.state.posture if moved <= SAME_POSTURE else None
+    certificate = _certified(request, optimised, start)
     if not isinstance(certificate, Certificate):
         return certificate
     approach: Segment | None = None
     if moved <= SAME_POSTURE:
-        posture, moved = context.posture, 0.0
+        posture, moved = request.state.posture, 0.0
     else:
-        approach = _approach(context, guess, optimised.trajectory)
+        approach = _approach(request, guess, optimised.trajectory)
     work = Segment(
-        name=context.stroke.name,
+        name=request.stroke.name,
         kind="stroke",
-        begin=context.begin if approach is None else approach.end,
+        begin=request.state.begin if approach is None else approach.end,
         trajectory=optimised.trajectory,
         certificate=certificate,
-        task=context.task,
+        task=request.task,
     )
     before = () if approach is None else (approach,)
-    back = _return(context, (*before, work))
+    back = _return(request, (*before, work))
     job = Job(segments=(*before, work, *(() if back is None else (back,))))
     motion = StrokeMotion(
-        context=context,
+        request=request,
         guess=guess,
         optimised=optimised,
         compensation=compensation,
         suppression=suppression,
         start=Start(posture=posture, moved=moved, failures=guess.failures),
         job=job,
-        peak=peak_of(context, job.segments),
+        peak=peak_of(request, job.segments),
     )
     return Solved(result=motion)
 
 
 def _optimised(
-    context: PlanningContext, guess: InitialGuess
+    request: StrokeRequest, guess: InitialGuess
 ) -> tuple[Optimised, Compensation | None, VibrationSuppression | None]:
     """The optimised motion, with sag compensated and vibration suppressed where something bends."""
-    context.reporter.stage("optimise")
+    cell = request.cell
+    request.reporter.stage("optimise")
 
     def each_pass(report: ExchangeReport, rounds: int = 0) -> None:
-        context.reporter.passed(report, context.objective.unit, rounds)
+        request.reporter.passed(report, cell.objective.unit, rounds)
 
     compensation = suppression = None
     problem = guess.problem
@@ -163,52 +166,53 @@ def _optimised(
         if leaps is None:
             raise
         raise leaps from failure
-    if context.sag is not None:
-        optimised, compensation, problem = compensate(context, guess, optimised, context.sag, each_pass)
-    if context.arm is not None and suppresses_vibration(context.options):
-        optimised, suppression = suppress_vibration(context.arm, problem, optimised)
+    if cell.sag is not None:
+        optimised, compensation, problem = compensate(request, guess, optimised, cell.sag, each_pass)
+    if cell.arm is not None and suppresses_vibration(cell.options):
+        optimised, suppression = suppress_vibration(cell.arm, problem, optimised)
     return optimised, compensation, suppression
 
 
 def _certified(
-    context: PlanningContext, optimised: Optimised, start: FloatArray | None
+    request: StrokeRequest, optimised: Optimised, start: FloatArray | None
 ) -> Certificate | Failure:
     """The certificate of an optimised motion; where none holds, the failure is the solver's if it has one."""
+    cell = request.cell
     certificate = certify(
-        context.robot,
-        context.task,
+        cell.robot,
+        request.task,
         optimised.trajectory,
-        context.clearances,
-        context.options,
-        via_points=len(context.times),
+        cell.clearances,
+        cell.options,
+        via_points=len(request.times),
         start=start,
-        sag=context.sag,
+        sag=cell.sag,
     )
     try:
         certificate.require()
     except LimitViolation as violation:
-        failure = failure_of(context, violation)
+        failure = failure_of(request, violation)
         if optimised.failure is not None and not is_little_nearer(failure):
-            return failure_of(context, optimised.failure)
+            return failure_of(request, optimised.failure)
         return failure
     return certificate
 
 
-def _approach(context: PlanningContext, guess: InitialGuess, trajectory: QuinticTrajectory) -> Segment:
+def _approach(request: StrokeRequest, guess: InitialGuess, trajectory: QuinticTrajectory) -> Segment:
     """The free move to where a trajectory starts."""
-    context.reporter.step("planning the approach to the start")
-    at_rest = context.objective.at_rest(context.postures.at(trajectory.q))
-    chart = context.first[None] if guess.search is None else guess.search.first_chart.q
+    request.reporter.step("planning the approach to the start")
+    at_rest = request.cell.objective.at_rest(request.cell.postures.at(trajectory.q))
+    chart = request.first[None] if guess.search is None else guess.search.first_chart.q
     stays = guess.choice is not None and guess.choice.pinned is not None
     return plan_approach(
-        context, trajectory.q[0], chart, way=guess.way, allowed=float(at_rest.max()), dispensable=stays
+        request, trajectory.q[0], chart, way=guess.way, allowed=float(at_rest.max()), dispensable=stays
     )
 
 
-def _return(context: PlanningContext, before: tuple[Segment, ...]) -> Segment | None:
+def _return(request: StrokeRequest, before: tuple[Segment, ...]) -> Segment | None:
     """The return of a job after what is planned of it."""
-    if context.end_posture is None:
+    if request.end_posture is None:
         return None
-    context.reporter.step("planning the return")
-    work, allowed = before[-1], max(context.reached, peak_of(context, before))
-    return plan_return(context, work.trajectory.q[-1], begin=work.end, allowed=allowed)
+    request.reporter.step("planning the return")
+    work, allowed = before[-1], max(request.state.reached, peak_of(request, before))
+    return plan_return(request, work.trajectory.q[-1], begin=work.end, allowed=allowed)

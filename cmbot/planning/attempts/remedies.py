@@ -82,17 +82,17 @@ def _spare_clearance(trial: AnyTrial) -> Iterator[Attempt]:
         case Uncertified(bound=bound, value=value) as failure, InitialGuess() as guess:
             if not is_little_nearer(failure):
                 return
-            spare = attempt.context.spare_clearance + bound - value + _SPARE
-            context = replace(attempt.context, spare_clearance=spare)
+            spare = attempt.request.spare_clearance + bound - value + _SPARE
+            request = replace(attempt.request, spare_clearance=spare)
             missing = f"{1e3 * (bound - value):.2g} mm of clearance are missing"
-            context.reporter.stage("path")
-            context.reporter.step(f"{missing}; planning with more of it")
-            problem = TorqueProblem(context, guess.problem.parametrization, guess.lower_bound.value)
-            yield from _changed(attempt, replace(guess, problem=problem), context=context)
+            request.reporter.stage("path")
+            request.reporter.step(f"{missing}; planning with more of it")
+            problem = TorqueProblem(request, guess.problem.parametrization, guess.lower_bound.value)
+            yield from _changed(attempt, replace(guess, problem=problem), request=request)
 
 
 def _tell_spare(before: AnyTrial, after: AnyTrial) -> str:
-    failure, spare = before.failure, after.attempt.context.spare_clearance
+    failure, spare = before.failure, after.attempt.request.spare_clearance
     missing = failure.bound - failure.value if isinstance(failure, Uncertified) else 0.0
     return (
         f"The safety margin was missed by {1e3 * missing:.2g} mm ({in_words(failure)}): planned with "
@@ -102,13 +102,13 @@ def _tell_spare(before: AnyTrial, after: AnyTrial) -> str:
 
 def _finer_samples(trial: AnyTrial) -> Iterator[Attempt]:
     """Twice the samples where the certificate misses a bound that sampled constraints overlooked."""
-    attempt, options = trial.attempt, trial.attempt.context.options
+    attempt, options = trial.attempt, trial.attempt.request.cell.options
     match trial.outcome:
         case Uncertified(excess=excess) if excess <= _NARROWLY:
             samples = 2 * options.samples_per_segment
             if samples <= MOST_SAMPLES:
-                finer = replace(options, samples_per_segment=samples)
-                yield from _anew(attempt, context=replace(attempt.context, options=finer))
+                finer = attempt.request.with_options(samples_per_segment=samples)
+                yield from _anew(attempt, request=finer)
 
 
 def _changed(attempt: Attempt, guess: object, **changes: Any) -> Iterator[Attempt]:
@@ -118,10 +118,10 @@ def _changed(attempt: Attempt, guess: object, **changes: Any) -> Iterator[Attemp
 
 
 def _anew(attempt: Attempt, *, searches: bool = False, **changes: Any) -> Iterator[Attempt]:
-    """The attempt from the first guess of a changed context, if there is one; charts are kept, or not."""
-    context, search = changes["context"], None if searches else attempt.search
-    context.reporter.stage("path")
-    yield from _changed(attempt, attempted(context, partial(initial_guess, context, search)), **changes)
+    """The attempt from the first guess of a changed request, if there is one; charts are kept, or not."""
+    request, search = changes["request"], None if searches else attempt.search
+    request.reporter.stage("path")
+    yield from _changed(attempt, attempted(request, partial(initial_guess, request, search)), **changes)
 
 
 def _shorter_steps(trial: AnyTrial) -> Iterator[Attempt]:
@@ -132,16 +132,16 @@ def _shorter_steps(trial: AnyTrial) -> Iterator[Attempt]:
     at rest may be higher. Where no path leads on from the scene's posture in shorter steps, they start
     elsewhere; see `sliding_guess`. With fixed knots there are none.
     """
-    context, guess, search = trial.attempt.context, trial.attempt.guess, trial.attempt.search
+    request, guess, search = trial.attempt.request, trial.attempt.guess, trial.attempt.search
     if not isinstance(trial.outcome, NoTrajectory) or not isinstance(guess, InitialGuess) or search is None:
         return
     rough, tries = roughness(guess.problem), 0
     for _ in range(_HALVINGS):
-        if tries == _TRIES or context.deadline.expired():
+        if tries == _TRIES or request.deadline.expired():
             return
         search = search.halved()
-        context.reporter.step(f"no trajectory follows that guess; trying step_share {search.step_share:.3g}")
-        shorter = attempted(context, partial(sliding_guess, context, guess.unreached, search))
+        request.reporter.step(f"no trajectory follows that guess; trying step_share {search.step_share:.3g}")
+        shorter = attempted(request, partial(sliding_guess, request, guess.unreached, search))
         if not isinstance(shorter, InitialGuess):
             return
         if roughness(shorter.problem) <= SMOOTHER * rough:
@@ -150,7 +150,7 @@ def _shorter_steps(trial: AnyTrial) -> Iterator[Attempt]:
 
 
 def _tell_shorter(before: AnyTrial, after: AnyTrial) -> str:
-    search, share = after.attempt.search, before.attempt.context.options.step_share
+    search, share = after.attempt.search, before.attempt.request.cell.options.step_share
     return (
         f"With planner.step_share {share:g} no trajectory was found ({in_words(before.failure)}): planned "
         f"with {search.step_share if search else share:.3g} instead, a smoother sequence of postures."
@@ -163,17 +163,17 @@ def _clearer_guess(trial: AnyTrial) -> Iterator[Attempt]:
     Postures of least torque may lie at the safety margin itself, where splines have no room to either side.
     """
     attempt, search = trial.attempt, trial.attempt.search
-    context, margin = attempt.context, attempt.context.options.safety_margin_m
+    request, margin = attempt.request, attempt.request.cell.options.safety_margin_m
     match trial.outcome, attempt.guess:
         case NoTrajectory(broken=NearObstacle()), InitialGuess(unreached=unreached) if search is not None:
             for factor in _CLEARER:
                 away = f"{1e3 * factor * margin:.3g} mm away"
-                context.reporter.stage("path")
-                context.reporter.step(f"no trajectory keeps clear; trying postures {away}")
-                wider = replace(context, options=replace(context.options, safety_margin_m=factor * margin))
-                found = attempted(context, partial(searched, wider, search))
+                request.reporter.stage("path")
+                request.reporter.step(f"no trajectory keeps clear; trying postures {away}")
+                wider = request.with_options(safety_margin_m=factor * margin)
+                found = attempted(request, partial(searched, wider, search))
                 if isinstance(found, tuple):
-                    guess = attempted(context, partial(sliding_guess, context, unreached, found[0]))
+                    guess = attempted(request, partial(sliding_guess, request, unreached, found[0]))
                     yield from _changed(attempt, guess, kept=factor)
 
 
@@ -190,15 +190,15 @@ def _more_via_points(trial: AnyTrial) -> Iterator[Attempt]:
     Splines miss a smooth path by the square of their segments' length or less, so a deviation of r times its
     bound needs sqrt(r) times the segments; twice as many are tried first. They help no guess that leaps.
     """
-    context, guess = trial.attempt.context, trial.attempt.guess
+    request, guess = trial.attempt.request, trial.attempt.guess
     match trial.outcome:
         case NoTrajectory(broken=ToolOff(ratio=ratio)) | Uncertified(broken=ToolOff(ratio=ratio)):
             form = guess.problem.parametrization if isinstance(guess, InitialGuess) else None
-            if ratio <= 1.0 or (form is not None and leap(context, form.via_points)):
+            if ratio <= 1.0 or (form is not None and leap(request, form.via_points)):
                 return
             most = int(np.clip(np.ceil(np.sqrt(ratio)), *_FINER))
             for factor in sorted({_FINER[0], most}):
-                number = factor * (len(context.times) - 1) + 1
+                number = factor * (len(request.times) - 1) + 1
                 if number <= _MOST_VIA_POINTS:
                     yield from _with_via_points(trial, number, "the tool strays between via-points")
 
@@ -209,8 +209,8 @@ def _fewer_via_points(trial: AnyTrial) -> Iterator[Attempt]:
     The tool is on its path at every via-point, in time; between them only the bounds on its deviation and lag
     count. The denser they are, the more exactly splines follow the speed profile, whose acceleration jumps.
     """
-    context = trial.attempt.context
-    count, legs = len(context.times), len(context.task.path.seconds)
+    request = trial.attempt.request
+    count, legs = len(request.times), len(request.task.path.seconds)
     match trial.outcome:
         case NoTrajectory(broken=JointRate(order=order)) if order != 1:
             for share in _COARSER:
@@ -220,16 +220,16 @@ def _fewer_via_points(trial: AnyTrial) -> Iterator[Attempt]:
 
 
 def _with_via_points(trial: AnyTrial, number: int, why: str) -> Iterator[Attempt]:
-    context = trial.attempt.context
-    context.reporter.step(f"{why}; trying {number} of them")
-    context = replace(context, times=context.task.path.via_times(number))
-    yield from _anew(trial.attempt, searches=True, context=context)
+    request = trial.attempt.request
+    request.reporter.step(f"{why}; trying {number} of them")
+    request = replace(request, times=request.task.path.via_times(number))
+    yield from _anew(trial.attempt, searches=True, request=request)
 
 
 def _tell_via_points(before: AnyTrial, after: AnyTrial) -> str:
-    count, number = (len(trial.attempt.context.times) for trial in (before, after))
+    count, number = (len(trial.attempt.request.times) for trial in (before, after))
     reason = "the tool strays from its path between them" if number > count else "no trajectory was found"
-    key = f"{after.attempt.context.stroke.key}.via_points {number}"
+    key = f"{after.attempt.request.stroke.key}.via_points {number}"
     return f"With {count} via-points {reason} ({in_words(before.failure)}): planned with {key} instead."
 
 
@@ -239,21 +239,21 @@ def _another_start(trial: AnyTrial) -> Iterator[Attempt]:
     The way on from there may be so sudden that only rest is possible. Where an approach has failed before,
     the scene's posture is all that is left.
     """
-    context, guess, search = trial.attempt.context, trial.attempt.guess, trial.attempt.search
+    request, guess, search = trial.attempt.request, trial.attempt.guess, trial.attempt.search
     if not isinstance(trial.outcome, NoTrajectory) or not isinstance(guess, InitialGuess) or search is None:
         return
     if guess.unreached or not guess.pinned:
         return
-    context.reporter.stage("path")
+    request.reporter.stage("path")
     reason = f"no trajectory follows the tool path ({in_words(trial.outcome)})"
-    start = partial(sliding_guess, context, unfollowed=context.path_not_found(reason, context.first))
+    start = partial(sliding_guess, request, unfollowed=request.path_not_found(reason, request.first))
     rough, tries, parts = roughness(guess.problem), 0, search.parts_of_first_chart()
     for _ in range(1 + _HALVINGS):
         pinned = solved(search, pinned=True)
         for starts in parts:
-            if tries == _TRIES or context.deadline.expired():
+            if tries == _TRIES or request.deadline.expired():
                 return
-            left = attempted(context, partial(start, search=search, starts=starts, pinned=pinned))
+            left = attempted(request, partial(start, search=search, starts=starts, pinned=pinned))
             if isinstance(left, InitialGuess) and roughness(left.problem) <= SMOOTHER * rough:
                 tries += 1
                 yield from _changed(trial.attempt, left)
@@ -266,45 +266,45 @@ def _reachable_start(trial: AnyTrial) -> Iterator[Attempt]:
     Of a stroke that begins elsewhere the scene's posture does not hold the tool where it begins. Where
     nothing that can be reached is better, `SCENE_START` says so.
     """
-    context, search = trial.attempt.context, trial.attempt.search
-    if isinstance(trial.outcome, NoWay) and search is not None and not context.stroke.begins_elsewhere:
+    request, search = trial.attempt.request, trial.attempt.search
+    if isinstance(trial.outcome, NoWay) and search is not None and not request.stroke.begins_elsewhere:
         if trial.attempt.is_pinned:
             return
-        context.reporter.stage("path")
-        starts = reachable(context, search.first_chart.q)
-        best = attempted(context, partial(sliding_guess, context, search=search, starts=starts))
+        request.reporter.stage("path")
+        starts = reachable(request, search.first_chart.q)
+        best = attempted(request, partial(sliding_guess, request, search=search, starts=starts))
         if isinstance(best, InitialGuess) and not best.pinned:
             yield from _changed(trial.attempt, best)
 
 
 def _joined_start(trial: AnyTrial) -> Iterator[Attempt]:
     """Where no approach leads to the start that was chosen: the best of those that trees lead to."""
-    context, search = trial.attempt.context, trial.attempt.search
-    if isinstance(trial.outcome, NoWay) and search is not None and context.stroke.begins_elsewhere:
-        context.reporter.step("no approach leads there; seeking a start that one leads to")
-        start = partial(sliding_guess, context, search=search, pinned=trial.outcome.error)
-        for starts, way in islice(joined_starts(context, search.first_chart.q), _JOINED_STARTS):
-            context.reporter.stage("path")
-            best = attempted(context, partial(start, starts=starts))
+    request, search = trial.attempt.request, trial.attempt.search
+    if isinstance(trial.outcome, NoWay) and search is not None and request.stroke.begins_elsewhere:
+        request.reporter.step("no approach leads there; seeking a start that one leads to")
+        start = partial(sliding_guess, request, search=search, pinned=trial.outcome.error)
+        for starts, way in islice(joined_starts(request, search.first_chart.q), _JOINED_STARTS):
+            request.reporter.stage("path")
+            best = attempted(request, partial(start, starts=starts))
             if isinstance(best, InitialGuess):
                 yield from _changed(trial.attempt, replace(best, way=way))
 
 
 def _scene_start(trial: AnyTrial) -> Iterator[Attempt]:
     """Where no approach leads to a better start, or no trajectory on from there: the scene's posture."""
-    context, search = trial.attempt.context, trial.attempt.search
+    request, search = trial.attempt.request, trial.attempt.search
     if search is None or trial.attempt.is_pinned:
         return
     match trial.outcome:
         case NoWay(error=error):
-            stays = partial(sliding_guess, context, unreached=error, search=search)
-        case NoTrajectory() if not context.stroke.begins_elsewhere:
-            context.reporter.step("no trajectory leads on from a better start; trying the scene's posture")
-            stays = partial(initial_guess, context, search, stay=True)
+            stays = partial(sliding_guess, request, unreached=error, search=search)
+        case NoTrajectory() if not request.stroke.begins_elsewhere:
+            request.reporter.step("no trajectory leads on from a better start; trying the scene's posture")
+            stays = partial(initial_guess, request, search, stay=True)
         case _:
             return
-    context.reporter.stage("path")
-    yield from _changed(trial.attempt, attempted(context, stays))
+    request.reporter.stage("path")
+    yield from _changed(trial.attempt, attempted(request, stays))
 
 
 def _tell_scene_start(before: AnyTrial, after: AnyTrial) -> str:
@@ -317,13 +317,13 @@ def _tell_scene_start(before: AnyTrial, after: AnyTrial) -> str:
 
 def _dense_solver(trial: AnyTrial) -> Iterator[Attempt]:
     """Where the sparse solver that ``auto`` chose ended undecided: SLSQP, for few via-points."""
-    context = trial.attempt.context
+    request = trial.attempt.request
     match trial.outcome:
-        case NoTrajectory(undecided=True) if trial.attempt.automatic and context.options.solver == "sqp":
-            if len(context.times) <= _FEW_VIA_POINTS:
-                context.reporter.step("sqp gave up; trying slsqp")
-                dense = replace(context, options=replace(context.options, solver="slsqp"))
-                yield from _anew(trial.attempt, context=dense, automatic=False)
+        case NoTrajectory(undecided=True) if trial.attempt.automatic and request.cell.options.solver == "sqp":
+            if len(request.times) <= _FEW_VIA_POINTS:
+                request.reporter.step("sqp gave up; trying slsqp")
+                dense = request.with_options(solver="slsqp")
+                yield from _anew(trial.attempt, request=dense, automatic=False)
 
 
 def _tell(words: str, before: AnyTrial, after: AnyTrial) -> str:

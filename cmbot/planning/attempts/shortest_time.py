@@ -57,7 +57,7 @@ def in_shortest_time(
         Failed where no motion is found, however slow.
     """
     half = Budget(runs=budget.left // 2)
-    slow = agenda_of(first.context, _slow_motion, (*REMEDIES, SLOWER_LEGS), half).search(first)
+    slow = agenda_of(first.request, _slow_motion, (*REMEDIES, SLOWER_LEGS), half).search(first)
     budget.used += half.used
     if not isinstance(slow.outcome, Solved):
         return Trial(attempt=slow.attempt, outcome=slow.outcome, parent=slow.parent, remedy=slow.remedy)
@@ -65,7 +65,7 @@ def in_shortest_time(
     if not isinstance(timed, Attempt):
         return Trial(attempt=slow.attempt, outcome=timed, parent=slow)
     remedies = (*REMEDIES, STRETCHED_LAWS, FEWER_STRETCHED_LEGS, FASTER_ROUND, better)
-    return agenda_of(first.context, work, remedies, budget, is_better(first.context)).search(timed, slow)
+    return agenda_of(first.request, work, remedies, budget, is_better(first.request)).search(timed, slow)
 
 
 def _slow_motion(attempt: Attempt) -> Solved[Optimised] | Failure:
@@ -73,21 +73,21 @@ def _slow_motion(attempt: Attempt) -> Solved[Optimised] | Failure:
     guess = attempt.guess
     if not isinstance(guess, InitialGuess):
         return guess
-    return attempted(attempt.context, lambda: Solved(result=optimise(guess.problem)))
+    return attempted(attempt.request, lambda: Solved(result=optimise(guess.problem)))
 
 
 def _timed(before: Attempt, trajectory: QuinticTrajectory) -> Attempt | Failure:
     """The attempt in the shortest time along the joint path of a motion."""
-    context = before.context
-    context.reporter.stage("path")
-    context.reporter.step("seeking the shortest time within the limits")
-    legs = sorted(context.task.path.open_legs) or [law.leg for law in context.stroke.file.time_laws or ()]
-    paths = leg_paths(context, legs, trajectory)
-    laws = attempted(context, lambda: tuple(shortest_laws(context, paths)))
+    request = before.request
+    request.reporter.stage("path")
+    request.reporter.step("seeking the shortest time within the limits")
+    legs = sorted(request.task.path.open_legs) or [law.leg for law in request.stroke.file.time_laws or ()]
+    paths = leg_paths(request, legs, trajectory)
+    laws = attempted(request, lambda: tuple(shortest_laws(request, paths)))
     if not isinstance(laws, tuple):
         return laws
     timing = Timing(
-        context=context,
+        request=request,
         trajectory=trajectory,
         paths=paths,
         laws=laws,
@@ -101,16 +101,16 @@ def _in(timing: Timing, before: Attempt) -> Attempt | Failure:
     """The attempt in a timing, from the start of the one before."""
 
     def make() -> Attempt:
-        context = timing.timed
-        guess = initial_guess(context)
+        request = timing.timed
+        guess = initial_guess(request)
         if isinstance(before.guess, InitialGuess):
             guess = replace(guess, pinned=before.guess.pinned, failures=before.guess.failures)
-        problem = shifted_problem(context, guess, timing.via_points(context))
+        problem = shifted_problem(request, guess, timing.via_points(request))
         return replace(
-            before, guess=replace(guess, problem=problem), context=context, timing=timing, is_first=False
+            before, guess=replace(guess, problem=problem), request=request, timing=timing, is_first=False
         )
 
-    return attempted(timing.context, make)
+    return attempted(timing.request, make)
 
 
 def _stretched_laws(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
@@ -148,7 +148,7 @@ def _faster_round(trial: Trial[Attempt, StrokeMotion]) -> Iterator[Attempt]:
         return
     attempt = _timed(trial.attempt, solved.result.work.trajectory)
     if isinstance(attempt, Attempt) and attempt.timing is not None:
-        known = sum(law.duration for law in trial.attempt.context.stroke.file.time_laws or ())
+        known = sum(law.duration for law in trial.attempt.request.stroke.file.time_laws or ())
         if attempt.timing.seconds <= _WORTH * known:
             yield attempt
             # A little longer than the shortest is shorter than before.
@@ -159,11 +159,11 @@ def _faster_round(trial: Trial[Attempt, StrokeMotion]) -> Iterator[Attempt]:
 def _at_fault(attempt: Attempt, timing: Timing, failure: Failure) -> BoolArray:
     """The legs (L,) on which an attempt failed: all of them, where that is not known."""
     legs = np.array([law.leg for law in timing.laws])
-    factors = slower_legs(attempt.context, failure)
+    factors = slower_legs(attempt.request, failure)
     if factors is not None:
         return np.asarray(factors[legs] > 1.0)
     if isinstance(failure, Uncertified):
-        ends = attempt.context.task.path.leg_times
+        ends = attempt.request.task.path.leg_times
         return np.asarray((ends[legs] <= failure.time) & (failure.time <= ends[legs + 1]))
     return np.ones(len(legs), dtype=np.bool_)
 

@@ -14,10 +14,10 @@ from cmbot.planning.attempts.failure import Failure, attempted
 from cmbot.planning.attempts.motion import StrokeMotion, certified_motion, is_better, peak_of
 from cmbot.planning.attempts.remedies import REMEDIES
 from cmbot.planning.budget import ADVICE_RUNS, RUNS, SHORTEST_TIME_RUNS, Budget
-from cmbot.planning.context import PlanningContext
 from cmbot.planning.initial_guess import InitialGuess, sliding_guess
 from cmbot.planning.path.first_posture import starting_at_path
 from cmbot.planning.progress import ProgressReporter
+from cmbot.planning.request import StrokeRequest
 
 # The scene's posture is planned from, too, where that may lower the peak of the job by more than this share.
 _WORTH_PLANNING = 1e-2
@@ -39,35 +39,35 @@ class PlannedStroke:
     runs: int
 
 
-def plan_stroke(context: PlanningContext, *, automatic: bool) -> PlannedStroke:
+def plan_stroke(request: StrokeRequest, *, automatic: bool) -> PlannedStroke:
     """Plan a stroke and the free moves that go with it.
 
     Parameters
     ----------
-    context : PlanningContext
+    request : StrokeRequest
     automatic : bool
         The solver was chosen by ``auto``.
     """
-    if context.stroke.begins_elsewhere:
-        begun = attempted(context, lambda: starting_at_path(context))
-        if not isinstance(begun, PlanningContext):
-            attempt = Attempt(context=context, guess=begun, automatic=automatic)
+    if request.stroke.begins_elsewhere:
+        begun = attempted(request, lambda: starting_at_path(request))
+        if not isinstance(begun, StrokeRequest):
+            attempt = Attempt(request=request, guess=begun, automatic=automatic)
             return PlannedStroke(trial=Trial(attempt=attempt, outcome=begun), runs=0)
-        context = begun
-    budget = Budget(runs=SHORTEST_TIME_RUNS if context.task.path.open_legs else RUNS)
-    trial = searched_motion(Attempt.of(context, automatic=automatic), budget)
+        request = begun
+    budget = Budget(runs=SHORTEST_TIME_RUNS if request.task.path.open_legs else RUNS)
+    trial = searched_motion(Attempt.of(request, automatic=automatic), budget)
     return PlannedStroke(trial=trial, runs=budget.used)
 
 
 def searched_motion(first: Attempt, budget: Budget) -> Trial[Attempt, StrokeMotion]:
     """Return the best motion that is found from an attempt on, or the failure that is to be told."""
-    if first.context.task.path.open_legs:
+    if first.request.task.path.open_legs:
         # Imported where needed: SciPy's splines and linear programs take a while to load.
         from cmbot.planning.attempts.shortest_time import in_shortest_time
 
         return in_shortest_time(first, budget, certified_motion, LIGHTER_START)
-    remedies, better = (*REMEDIES, LIGHTER_START), is_better(first.context)
-    return agenda_of(first.context, certified_motion, remedies, budget, better).search(first)
+    remedies, better = (*REMEDIES, LIGHTER_START), is_better(first.request)
+    return agenda_of(first.request, certified_motion, remedies, budget, better).search(first)
 
 
 def advice(refused: Trial[Attempt, StrokeMotion]) -> str:
@@ -75,13 +75,13 @@ def advice(refused: Trial[Attempt, StrokeMotion]) -> str:
 
     It is tried within a budget of its own.
     """
-    first, reporter = refused.chain[0].attempt, refused.attempt.context.reporter
-    silent = replace(first.context, reporter=ProgressReporter())
+    first, reporter = refused.chain[0].attempt, refused.attempt.request.reporter
+    silent = replace(first.request, reporter=ProgressReporter())
     budget = Budget(runs=ADVICE_RUNS)
     is_open = bool(silent.task.path.open_legs)
 
     def work(attempt: Attempt) -> Solved[StrokeMotion] | Failure:
-        reporter.step(f"trying {changed_in_words(silent, attempt.context)}")
+        reporter.step(f"trying {changed_in_words(silent, attempt.request)}")
         return searched_motion(attempt, budget).outcome if is_open else certified_motion(attempt)
 
     # Ever longer times were tried of legs whose time is sought.
@@ -89,10 +89,10 @@ def advice(refused: Trial[Attempt, StrokeMotion]) -> str:
     if not is_open:
         remedies += [remedy.where(lambda trial: trial.parent is not None) for remedy in REMEDIES]
     agenda = agenda_of(silent, work, remedies, Budget(runs=1) if is_open else budget)
-    found = agenda.search_from(Trial(attempt=replace(first, context=silent), outcome=refused.outcome))
+    found = agenda.search_from(Trial(attempt=replace(first, request=silent), outcome=refused.outcome))
     if not isinstance(found.outcome, Solved):
         return ""
-    return f"{changed_in_words(silent, found.attempt.context)} would do"
+    return f"{changed_in_words(silent, found.attempt.request)} would do"
 
 
 def _lighter_start(trial: Trial[Attempt, StrokeMotion]) -> Iterator[Attempt]:
@@ -103,27 +103,27 @@ def _lighter_start(trial: Trial[Attempt, StrokeMotion]) -> Iterator[Attempt]:
     attempt, guess, solved = trial.attempt, trial.attempt.guess, trial.outcome
     if not isinstance(solved, Solved) or not isinstance(guess, InitialGuess):
         return
-    context, motion = attempt.context, solved.result
+    request, motion = attempt.request, solved.result
     pinned = None if guess.choice is None else guess.choice.pinned
     if motion.approach is None or pinned is None or guess.failures:
         return
-    highest, margin = motion.peak, 1 + context.options.gap_target
-    rest = peak_of(context, [segment for segment in motion.job.segments if segment is not motion.approach])
-    off = context.tool_off
-    idle = off.objective.at_rest(off.postures.at(np.stack([context.posture, context.first])))
+    highest, margin = motion.peak, 1 + request.cell.options.gap_target
+    rest = peak_of(request, [segment for segment in motion.job.segments if segment is not motion.approach])
+    off = request.cell.tool_off
+    idle = off.objective.at_rest(off.postures.at(np.stack([request.state.posture, request.first])))
     # No job from the scene's posture has a smaller peak than at rest there, with the tool off or on.
-    least = max(pinned, rest, float(idle.max()), context.reached)
+    least = max(pinned, rest, float(idle.max()), request.state.reached)
     if highest <= max(margin, 1 + _WORTH_PLANNING) * least:
         return
-    context.reporter.stage("path")
-    context.reporter.step("the peak is on the approach; trying the scene's posture")
-    stays = attempted(context, lambda: sliding_guess(context, search=guess.search, stay=True))
+    request.reporter.stage("path")
+    request.reporter.step("the peak is on the approach; trying the scene's posture")
+    stays = attempted(request, lambda: sliding_guess(request, search=guess.search, stay=True))
     if isinstance(stays, InitialGuess):
         yield replace(attempt, guess=stays, is_first=False)
 
 
 def _tell_lighter(before: Trial[Attempt, StrokeMotion], after: Trial[Attempt, StrokeMotion]) -> str:
-    unit = after.attempt.context.objective.unit
+    unit = after.attempt.request.cell.objective.unit
     return (
         f"A start that is better at work is not used: the approach to it would have a peak of "
         f"{before.result.peak:.4g} {unit}, the whole job from the scene's posture "

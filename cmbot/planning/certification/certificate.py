@@ -127,7 +127,7 @@ def certify(
         Margin, tool deviation, rotation and lag that were promised.
     via_points : int or None
         The scene's number: at their times the tool has to be at its timed pose, and between them within the
-        bounds of the options. None with the tool off: then the task is only measured.
+        bounds of the options. 0: within these alone. None with the tool off: then the task is only measured.
     start, end : (n,), rad, optional
         Postures that the trajectory has to start and end in.
     sag : Sag, optional
@@ -210,7 +210,7 @@ def _path_checks(
         quantity, most = Limit.TOOL_ROTATION, float(np.deg2rad(options.max_tool_rotation_deg))
     checks = [
         _duration_check(task, trajectory),
-        *_via_point_checks(task, motion, options, via_points, expected),
+        *(_via_point_checks(task, motion, options, via_points, expected) if via_points else ()),
         _enclosed(
             Limit.TOOL_DEVIATION, f"{expected}tool deviation", deviation, options.max_tool_deviation_m, "m"
         ),

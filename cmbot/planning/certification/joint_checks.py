@@ -113,4 +113,5 @@ def continuity_check(robot: Robot, trajectory: QuinticTrajectory) -> Check:
         value=float(worst.max()),
         bound=1.0,
         unit="of its allowance",
+        limit=Limit.CONTINUITY,
     )

@@ -13,7 +13,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.robot import Robot
-from cmbot.scene import ToolPath
+from cmbot.toolpath import ToolPath
 from cmbot.trajectory import Ellipses, Pieces
 
 

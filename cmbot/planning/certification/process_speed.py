@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cmbot.common.arrays import FloatArray, IntArray
-from cmbot.scene import ToolPath
+from cmbot.toolpath import ToolPath
 from cmbot.trajectory import Peak, Pieces, highest
 
 # How far the bound may lie above what was found, as a share of the process speed.

@@ -8,7 +8,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.limit import Limit
 from cmbot.elastic.sag import Sag
 from cmbot.planning.certification.check import Check
-from cmbot.scene import ToolPath
+from cmbot.toolpath import ToolPath
 from cmbot.trajectory import QuinticTrajectory
 
 # Longest time between postures in which the standard deviation is computed, s; it changes slowly.

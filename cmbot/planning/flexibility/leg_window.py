@@ -77,7 +77,7 @@ class Window:
 
     def __init__(self, problem: TorqueProblem, legs: list[Leg]) -> None:
         space = problem.space
-        self._space, self._jerk = space, problem.context.robot.limits.jerk
+        self._space, self._jerk = space, problem.request.cell.robot.limits.jerk
         self.start = float(space.t[legs[0][0]])
         near = [np.arange(max(first, last - _MOST), last) for first, last in legs]
         coefficients = np.concatenate(near)

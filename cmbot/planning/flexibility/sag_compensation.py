@@ -20,11 +20,11 @@ from cmbot.common.file_types import Count, NonNegative
 from cmbot.common.limit import Limit
 from cmbot.elastic.sag import Sag
 from cmbot.planning.certification.sag_spread import largest_spread
-from cmbot.planning.context import PlanningContext
 from cmbot.planning.initial_guess import InitialGuess, shifted_problem
 from cmbot.planning.path.projection import least_norm_step, task_jacobian
+from cmbot.planning.request import StrokeRequest
 from cmbot.planning.torque import Optimised, TorqueProblem, optimise
-from cmbot.scene import ShiftedToolPath, ToolPoses
+from cmbot.toolpath import ShiftedToolPath, ToolPoses
 
 MOST_ROUNDS = 8
 """Rounds at most."""
@@ -66,7 +66,7 @@ class Compensation:
 
 
 def compensate(
-    context: PlanningContext,
+    request: StrokeRequest,
     guess: InitialGuess,
     optimised: Optimised,
     sag: Sag,
@@ -84,38 +84,38 @@ def compensate(
     OptimisationFailed
         When a round finds no trajectory, or the shift does not settle.
     """
-    allowed = context.options.max_tool_deviation_m
+    allowed = request.cell.options.max_tool_deviation_m
     settled = _SETTLED * allowed
-    room = _LEFT * (allowed - _uncertain(context, optimised, sag))
-    options = replace(context.options, max_tool_deviation_m=room)
-    times = np.linspace(context.times[:-1], context.times[1:], _PER_SEGMENT, endpoint=False, axis=1)
-    times = np.append(times.ravel(), context.times[-1])
-    goals = context.task.goals(times)
+    room = _LEFT * (allowed - _uncertain(request, optimised, sag))
+    narrower = request.with_options(max_tool_deviation_m=room)
+    times = np.linspace(request.times[:-1], request.times[1:], _PER_SEGMENT, endpoint=False, axis=1)
+    times = np.append(times.ravel(), request.times[-1])
+    goals = request.task.goals(times)
     shift, problem = np.zeros((len(times), 3)), guess.problem
     for rounds in range(MOST_ROUNDS + 1):
-        q, wanted = _bent_on_path(context, sag, optimised.trajectory.evaluate(times), goals)
+        q, wanted = _bent_on_path(request, sag, optimised.trajectory.evaluate(times), goals)
         change = float(np.linalg.norm(wanted - shift, axis=1).max())
         if change < settled:
             largest = float(np.linalg.norm(shift, axis=1).max())
             spread = 0.0
             if sag.covariance is not None:
-                spread, _ = largest_spread(context.task.path, sag, optimised.trajectory)
+                spread, _ = largest_spread(request.task.path, sag, optimised.trajectory)
             done = Compensation(rounds=rounds, largest_shift=largest, last_change=change, deviation=spread)
             return optimised, done, problem
         if rounds == MOST_ROUNDS:
             break
-        if context.deadline.expired():
+        if request.deadline.expired():
             tried = f"{rounds} of at most {MOST_ROUNDS} rounds"
             raise OptimisationFailed(
-                f"{context.time_over} after {tried} of the compensation of the sag",
+                f"{request.deadline.over_in_words} after {tried} of the compensation of the sag",
                 constraint="change of the shift",
                 violation=change / settled - 1,
                 limit=Limit.SHIFT,
                 stopped=True,
             )
         shift = wanted
-        task = replace(context.task, path=_shifted(context, times, shift))
-        around = replace(context, task=task, options=options)
+        task = replace(request.task, path=_shifted(request, times, shift))
+        around = replace(narrower, task=task)
         problem = shifted_problem(around, guess, q[::_PER_SEGMENT])
         report = None if progress is None else partial(progress, rounds=rounds + 1)
         optimised = optimise(problem, report)
@@ -128,16 +128,16 @@ def compensate(
 
 
 def _bent_on_path(
-    context: PlanningContext, sag: Sag, q: FloatArray, goals: ToolPoses
+    request: StrokeRequest, sag: Sag, q: FloatArray, goals: ToolPoses
 ) -> tuple[FloatArray, FloatArray]:
     """Postures (N, n) near `q` (N, n) whose bent tool is at `goals`, and minus the sag there (N, 3), m.
 
     Newton steps of least norm on the bent tool's point and the rigid arm's orientation, which is what the
     path prescribes of it.
     """
-    task, metric = context.task, context.postures.metric
+    task, metric = request.task, request.cell.postures.metric
     for _ in range(_STEPS):
-        bent, at = sag.at(q), context.postures.tool_at(q)
+        bent, at = sag.at(q), request.cell.postures.tool_at(q)
         error = task.errors(at.tool_point + bent.tool, at.tool_rotation, goals)
         if np.abs(error).max() < _ON_PATH:
             break
@@ -147,12 +147,12 @@ def _bent_on_path(
     return q, -bent.tool
 
 
-def _uncertain(context: PlanningContext, optimised: Optimised, sag: Sag) -> float:
+def _uncertain(request: StrokeRequest, optimised: Optimised, sag: Sag) -> float:
     """What of the allowed deviation is for the errors of an identified stiffness, m."""
-    sigmas, allowed = context.options.deviation_sigmas, context.options.max_tool_deviation_m
+    sigmas, allowed = request.cell.options.deviation_sigmas, request.cell.options.max_tool_deviation_m
     if sag.covariance is None or not sigmas:
         return 0.0
-    spread, _ = largest_spread(context.task.path, sag, optimised.trajectory)
+    spread, _ = largest_spread(request.task.path, sag, optimised.trajectory)
     uncertain = _GROWS * sigmas * spread
     if uncertain > (1 - _LEAST) * allowed:
         raise OptimisationFailed(
@@ -165,8 +165,8 @@ def _uncertain(context: PlanningContext, optimised: Optimised, sag: Sag) -> floa
     return uncertain
 
 
-def _shifted(context: PlanningContext, times: FloatArray, shift: FloatArray) -> ShiftedToolPath:
+def _shifted(request: StrokeRequest, times: FloatArray, shift: FloatArray) -> ShiftedToolPath:
     # Imported where needed: it takes a while to load, and few plans need it.
     from scipy.interpolate import CubicSpline
 
-    return ShiftedToolPath.of(context.task.path, CubicSpline(times, shift))
+    return ShiftedToolPath.of(request.task.path, CubicSpline(times, shift))

@@ -119,9 +119,9 @@ def suppress_vibration(
     largest swing that is simulated, it stays what it was. So it does, and nothing is said of its vibration,
     where the time is over before that is known.
     """
-    context, trajectory, t = problem.context, optimised.trajectory, problem.space.t
-    options, reporter = context.options, context.reporter
-    leg_times = context.task.path.leg_times
+    request, trajectory, t = problem.request, optimised.trajectory, problem.space.t
+    options, reporter = request.cell.options, request.reporter
+    leg_times = request.task.path.leg_times
     few = t[-1] - t[0] > _LONG or options.quiet_modes > _MANY
     uncertainty = _uncertainty(options, arm.robot.payload, _FEW_FACTORS if few else _MOST_FACTORS)
     groups = legs_by_window(problem.space, leg_times)
@@ -129,7 +129,7 @@ def suppress_vibration(
     path = ElasticPath(arm, trajectory)
     ends = [(window, leg) for window, group in zip(windows, groups, strict=True) for leg in group]
     for window, (first, last) in reporter.each("predicting the vibration of every leg", ends):
-        if context.deadline.expired():
+        if request.deadline.expired():
             return optimised, None
         # What is left of the legs before is still there, but for that of long ago.
         earlier = [time for time in leg_times if window.start <= time + SAME_TIME < t[first]]
@@ -240,7 +240,7 @@ class _Search:
 
     def __init__(self, problem: TorqueProblem, trajectory: QuinticTrajectory, windows: list[Window]) -> None:
         self._problem, self._windows, self._given = problem, windows, trajectory
-        self._tolerance = problem.context.options.constraint_tolerance
+        self._tolerance = problem.request.cell.options.constraint_tolerance
         self._z = _knot_vector(trajectory)
         self._starts = np.array([window.start for window in windows])
         self._constraints = ConstraintSet(step=float(problem.grid[1] - problem.grid[0]))
@@ -263,7 +263,7 @@ class _Search:
         """Return the changed trajectory, and the share of each window's change that it took."""
         unfit = ~self._skipped
         for _ in range(_ROUNDS):
-            if not unfit.any() or self._problem.context.deadline.expired():
+            if not unfit.any() or self._problem.request.deadline.expired():
                 break
             self._step(unfit)
             unfit = self._unfit()

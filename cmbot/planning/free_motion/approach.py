@@ -12,12 +12,12 @@ from scipy.spatial import cKDTree
 
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.planning.budget import MORE_TIME
-from cmbot.planning.context import PlanningContext
 from cmbot.planning.free_motion.free_move import FreeMove, free_space, plan_move
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.graph import graph_of, path_between_ends
 from cmbot.planning.free_motion.rrt_connect import MOST_GROWTHS, rrt_connect
 from cmbot.planning.job import Segment, free_move_name
+from cmbot.planning.request import StrokeRequest
 
 # Postures to which trees grow at once at most.
 _MOST_GOALS = 40
@@ -29,7 +29,7 @@ _NEIGHBOURS = 1.6
 
 
 def plan_approach(
-    context: PlanningContext,
+    request: StrokeRequest,
     end: FloatArray,
     chart: FloatArray,
     *,
@@ -44,7 +44,7 @@ def plan_approach(
 
     Parameters
     ----------
-    context : PlanningContext
+    request : StrokeRequest
     end : (n,), rad
     chart : (M, n), rad
     way : (k, n), rad, optional
@@ -60,16 +60,16 @@ def plan_approach(
         When nothing leads there.
     """
     move = FreeMove(
-        name=free_move_name(context.number),
-        start=context.posture,
+        name=free_move_name(request.number),
+        start=request.state.posture,
         end=end,
-        start_name=context.before_in_words,
-        end_name="the start of the work" if context.number == 0 else f"the start of {context.stroke.name}",
-        begin=context.begin,
-        allowed=max(allowed, context.reached),
+        start_name=_before_in_words(request),
+        end_name="the start of the work" if request.number == 0 else f"the start of {request.stroke.name}",
+        begin=request.state.begin,
+        allowed=max(allowed, request.state.reached),
         most_growths=_FEW_GROWTHS if dispensable else MOST_GROWTHS,
     )
-    spacing = context.options.chart_spacing
+    spacing = request.cell.options.chart_spacing
 
     def along_chart(space: FreeSpace) -> FloatArray | None:
         return _along_chart(space, np.stack([move.start, end]), chart, spacing)
@@ -77,23 +77,30 @@ def plan_approach(
     def known(space: FreeSpace) -> FloatArray | None:
         if way is None:
             return None
-        turned = context.robot.limits.turned_towards(end, chart)
+        turned = request.cell.robot.limits.turned_towards(end, chart)
         rest = _along_chart(space, np.stack([way[-1], end]), turned, spacing)
         return None if rest is None else np.vstack([way, rest[1:]])
 
-    return plan_move(context, move, along_chart, known)
+    return plan_move(request, move, along_chart, known)
 
 
-def reachable(context: PlanningContext, chart: FloatArray) -> BoolArray:
+def _before_in_words(request: StrokeRequest) -> str:
+    """What messages call the posture in which the arm is before."""
+    if request.number == 0:
+        return "the scene's posture"
+    return f"the end of stroke {request.strokes[request.number - 1].name}"
+
+
+def reachable(request: StrokeRequest, chart: FloatArray) -> BoolArray:
     """Which postures of the start's chart (M, n) self-motion leads to from the scene's posture."""
-    space = free_space(context.tool_off)
-    space = space.around(context.posture[None]) or space
-    graph = _neighbours(space, context.posture[None], chart, context.options.chart_spacing)[1]
+    space = free_space(request.cell.tool_off)
+    space = space.around(request.state.posture[None]) or space
+    graph = _neighbours(space, request.state.posture[None], chart, request.cell.options.chart_spacing)[1]
     _, component = connected_components(graph, directed=False)
     return np.asarray(component[1:] == component[0])
 
 
-def joined_starts(context: PlanningContext, chart: FloatArray) -> Iterator[tuple[BoolArray, FloatArray]]:
+def joined_starts(request: StrokeRequest, chart: FloatArray) -> Iterator[tuple[BoolArray, FloatArray]]:
     """Yield which postures of the start's chart (M, n) a free move leads to from the scene's posture.
 
     And the move: a broken line (k, n) to one of them.
@@ -101,20 +108,21 @@ def joined_starts(context: PlanningContext, chart: FloatArray) -> Iterator[tuple
     Trees grow to one posture of each part of the chart at once, in which self-motion leads everywhere, until
     one is joined; then to the others, where its postures have led nowhere.
     """
-    whole = free_space(context.tool_off)
-    space = whole.around(context.posture[None]) or whole
-    chart = context.robot.limits.turned_towards(context.posture, chart)
+    cell = request.cell
+    whole = free_space(cell.tool_off)
+    space = whole.around(request.state.posture[None]) or whole
+    chart = cell.robot.limits.turned_towards(request.state.posture, chart)
     free = np.flatnonzero(space.holds(chart))
     if not len(free):
         return
-    nodes, graph = _neighbours(space, chart[free], chart[:0], context.options.chart_spacing)
+    nodes, graph = _neighbours(space, chart[free], chart[:0], cell.options.chart_spacing)
     number, part = connected_components(graph, directed=False)
     largest = np.argsort(-np.bincount(part, minlength=number), kind="stable")[:_MOST_GOALS]
     cost = space.cost(nodes)
     goals = [min(np.flatnonzero(part == k), key=lambda at: float(cost[at])) for k in largest]
-    stop = partial(context.deadline.expired, MORE_TIME)
+    stop = partial(request.deadline.expired, MORE_TIME)
     while goals and not stop():
-        path = rrt_connect(space, context.posture, nodes[goals], stop)
+        path = rrt_connect(space, request.state.posture, nodes[goals], stop)
         if path is None:
             return
         joined = int(np.abs(nodes[goals] - path[-1]).max(axis=1).argmin())

@@ -14,15 +14,18 @@ from cmbot.common.errors import LimitViolation, PathNotFound
 from cmbot.optimization import StateSamples
 from cmbot.planning.budget import MORE_TIME
 from cmbot.planning.certification.certificate import Certificate, certify
-from cmbot.planning.context import PlanningContext
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.roadmap import lower_peak
 from cmbot.planning.free_motion.rrt_connect import MOST_GROWTHS, rrt_connect
 from cmbot.planning.job import Segment
-from cmbot.planning.objectives import efforts_of
+from cmbot.planning.request import StrokeRequest
 from cmbot.planning.task import ToolTask
+from cmbot.planning.workcell.diagnosis import most_often_near, out_of_range, weakest_joint
+from cmbot.planning.workcell.objectives import efforts_of
+from cmbot.planning.workcell.workcell import Workcell
 from cmbot.robot import Dynamics, Robot
-from cmbot.scene import PlannerOptions, SpeedProfile
+from cmbot.scene import PlannerOptions
+from cmbot.toolpath import SpeedProfile
 from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
 # Distance of the spline's knots along the path, rad; halved while the spline's certificate does not hold.
@@ -69,7 +72,7 @@ class FreeMove:
 
 
 def plan_move(
-    context: PlanningContext,
+    request: StrokeRequest,
     move: FreeMove,
     first: Callable[[FreeSpace], FloatArray | None] = lambda space: None,
     known: Callable[[FreeSpace], FloatArray | None] = lambda space: None,
@@ -81,7 +84,7 @@ def plan_move(
 
     Parameters
     ----------
-    context : PlanningContext
+    request : StrokeRequest
     move : FreeMove
     first : callable
         From the free space to a path (k, n) between the ends that is tried before the straight one, or None.
@@ -93,20 +96,26 @@ def plan_move(
     PathNotFound
         When nothing leads there.
     """
-    context = context.tool_off
-    space = _space_around(context, move)
+    request = request.tool_off
+    space = _space_around(request, move)
     ends = np.stack([move.start, move.end])
     allowed = (1 + _SAME) * max(move.allowed, *space.cost(ends))
     given = first(space)
-    stop = partial(context.deadline.expired, MORE_TIME)
+    stop = partial(request.deadline.expired, MORE_TIME)
     path = _path(space, ends, given, known, allowed, stop, move.most_growths)
     if path is None:
-        raise _unconnected(context, space, move)
-    held = context.task.held_at_start()
+        raise _unconnected(request, space, move)
+    held = request.task.held_at_start()
     for halving in range(_HALVINGS):
-        trajectory = _timed(context, path, _KNOT_SPACING / 2**halving, allowed, move.begin)
+        trajectory = _timed(request, path, _KNOT_SPACING / 2**halving, allowed, move.begin)
         certificate = certify_move(
-            context.robot, held, trajectory, context.clearances, context.options, move.start, move.end
+            request.cell.robot,
+            held,
+            trajectory,
+            request.cell.clearances,
+            request.cell.options,
+            move.start,
+            move.end,
         )
         if certificate.holds:
             break
@@ -114,7 +123,7 @@ def plan_move(
         certificate.require()
     except LimitViolation as violation:
         reason = f"no {move.name} to {move.end_name} is certified: {violation}"
-        raise context.path_not_found(reason, move.start) from violation
+        raise request.path_not_found(reason, move.start) from violation
     return Segment(
         name=move.name,
         kind="free",
@@ -157,53 +166,53 @@ def certify_move(
     return certify(off, task, trajectory, clearances, options, via_points=None, start=start, end=end)
 
 
-def free_space(context: PlanningContext) -> FreeSpace:
+def free_space(cell: Workcell) -> FreeSpace:
     """Return the postures in which the arm can rest, with the objective there as their cost."""
 
     def cost(q: FloatArray) -> FloatArray:
-        at = context.postures.at(q)
-        holds = context.use_at_rest(at) <= 1.0
-        return np.where(holds, context.objective.at_rest(at), np.inf)
+        at = cell.postures.at(q)
+        holds = cell.use_at_rest(at) <= 1.0
+        return np.where(holds, cell.objective.at_rest(at), np.inf)
 
-    return FreeSpace(context.robot, context.clearances, context.options.safety_margin_m, cost)
+    return FreeSpace(cell.robot, cell.clearances, cell.options.safety_margin_m, cost)
 
 
-def largest_objective(context: PlanningContext, trajectory: QuinticTrajectory) -> float:
+def largest_objective(cell: Workcell, trajectory: QuinticTrajectory) -> float:
     """Return the largest value of the objective on a trajectory, at samples."""
-    return float(context.objective.values(StateSamples.even(trajectory, _SAMPLES)).max())
+    return float(cell.objective.values(StateSamples.even(trajectory, _SAMPLES)).max())
 
 
-def _space_around(context: PlanningContext, move: FreeMove) -> FreeSpace:
+def _space_around(request: StrokeRequest, move: FreeMove) -> FreeSpace:
     """The free space with the ends of a move in it."""
-    clearances, options = context.clearances, context.options
-    whole = free_space(context)
+    clearances, options = request.cell.clearances, request.cell.options
+    whole = free_space(request.cell)
     for place, q in ((move.start_name, move.start), (move.end_name, move.end)):
         if whole.around(q[None]) is None:
             nearest = clearances.smallest(q[None])
-            why, pair = f"{context.out_of_range(q[None])} is out of its range", None
+            why, pair = f"{out_of_range(request.cell, q[None])} is out of its range", None
             if nearest.distance[0] < options.safety_margin_m:
                 shapes = clearances.pairs[nearest.pair[0]]
                 pair = (shapes.link, shapes.other)
                 why = f"{shapes.link} and {shapes.other} come within the safety margin"
             reason = f"no collision-free {move.name}: in {place} {why}"
-            raise context.path_not_found(reason, move.start, pair=pair)
+            raise request.path_not_found(reason, move.start, pair=pair)
     return whole.around(np.stack([move.start, move.end])) or whole
 
 
-def _unconnected(context: PlanningContext, space: FreeSpace, move: FreeMove) -> PathNotFound:
+def _unconnected(request: StrokeRequest, space: FreeSpace, move: FreeMove) -> PathNotFound:
     """The error of a move that was not found: what is in the way on the straight line."""
     line = move.start + np.linspace(0.0, 1.0, _ON_THE_LINE)[:, None] * (move.end - move.start)
     blocked = line[~space.holds(line)]
     heavy = blocked[np.isinf(space.cost(blocked))]
     way, pair = "", None
     if 2 * len(heavy) > len(blocked):
-        way = f" (straight there {context.weakest_joint(heavy)} cannot hold the arm)"
-    elif len(blocked) and (pair := context.most_often_near(blocked)):
+        way = f" (straight there {weakest_joint(request.cell, heavy)} cannot hold the arm)"
+    elif len(blocked) and (pair := most_often_near(request.cell, blocked)):
         way = f" (straight there {pair[0]} and {pair[1]} come too near)"
-    stopped = context.deadline.expired()
+    stopped = request.deadline.expired()
     over = ", the time was over" if stopped else ""
     reason = f"no collision-free {move.name} to {move.end_name} was found{way}{over}"
-    return context.path_not_found(reason, move.start, pair=pair, stopped=stopped)
+    return request.path_not_found(reason, move.start, pair=pair, stopped=stopped)
 
 
 def _path(
@@ -233,27 +242,27 @@ def _path(
 
 
 def _timed(
-    context: PlanningContext, path: FloatArray, spacing: float, allowed: float, begin: float
+    request: StrokeRequest, path: FloatArray, spacing: float, allowed: float, begin: float
 ) -> QuinticTrajectory:
     """Put a C3 spline from rest to rest through a broken line, as fast as limits and objective allow."""
-    lengths = context.robot.metric.lengths(np.diff(path, axis=0))
+    lengths = request.cell.robot.metric.lengths(np.diff(path, axis=0))
     along = np.concatenate([[0.0], np.cumsum(lengths)])
     knots = max(int(np.ceil(along[-1] / spacing)) + 1, 8)
     u = np.linspace(0.0, 1.0, knots)
-    share = SpeedProfile(kind="jerk_limited", ramp=0.5).share(u)
+    share = SpeedProfile(kind="jerk_limited", ramp=0.5).law.share(u)
     q = np.stack([np.interp(share * along[-1], along, joint) for joint in path.T], axis=1)
     space = SplineSpace(u)
     trial = space.trajectory(space.least_jerk(q))
-    limits = context.robot.limits
+    limits = request.cell.robot.limits
     # Slowing down by T divides derivative k by T^k.
     seconds = max(
         float((trial.extrema(order).largest()[0] / (_LIMIT_SHARE * bound)).max()) ** (1.0 / order)
         for order, bound in enumerate((limits.velocity, limits.acceleration, limits.jerk), start=1)
     )
-    at_rest = _asked(context, StateSamples.at_rest(u, trial.q), allowed)
+    at_rest = _asked(request, StateSamples.at_rest(u, trial.q), allowed)
     for slower in _SLOWER:
         timed = _slowed(trial, slower * seconds, begin)
-        if _asked(context, StateSamples.even(timed, _SAMPLES), allowed) <= (1 + _SAME) * max(at_rest, 1.0):
+        if _asked(request, StateSamples.even(timed, _SAMPLES), allowed) <= (1 + _SAME) * max(at_rest, 1.0):
             break
     return timed
 
@@ -268,11 +277,12 @@ def _slowed(trial: QuinticTrajectory, seconds: float, begin: float) -> QuinticTr
     return space.trajectory(space.least_jerk(trial.q))
 
 
-def _asked(context: PlanningContext, states: StateSamples, allowed: float) -> float:
+def _asked(request: StrokeRequest, states: StateSamples, allowed: float) -> float:
     """The largest share of what is allowed that states ask of the objective and of the joints."""
-    efforts, holding = efforts_of(Dynamics(context.robot), states), context.robot.holding
-    use = float((np.abs(efforts.joint_torque) / context.robot.limits.torque).max())
+    cell = request.cell
+    efforts, holding = efforts_of(Dynamics(cell.robot), states), cell.robot.holding
+    use = float((np.abs(efforts.joint_torque) / cell.robot.limits.torque).max())
     if holding is not None and holding.bounded:
         use = max(use, float(holding.share(efforts.guardrail_wrench)[0].max()))
     use /= _LIMIT_SHARE
-    return max(use, float(context.objective.values(states).max()) / max(allowed, _NO_TORQUE))
+    return max(use, float(cell.objective.values(states).max()) / max(allowed, _NO_TORQUE))

@@ -6,22 +6,20 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
-from cmbot.planning.context import PlanningContext
 from cmbot.planning.free_motion.free_move import FreeMove, plan_move
 from cmbot.planning.job import RETURN, Segment
+from cmbot.planning.request import StrokeRequest
 
 SAME_POSTURE = 1e-9
 """Postures that differ by less, rad and m, are the same: no move leads from one to the other."""
 
 
-def plan_return(
-    context: PlanningContext, start: FloatArray, *, begin: float, allowed: float
-) -> Segment | None:
+def plan_return(request: StrokeRequest, start: FloatArray, *, begin: float, allowed: float) -> Segment | None:
     """Plan the free move from the end of the work, `start` (n,), to where the scene wants the arm.
 
     Parameters
     ----------
-    context : PlanningContext
+    request : StrokeRequest
     start : (n,), rad, of joints that slide m
     begin : float, s
         When the work ends on the job's clock.
@@ -38,7 +36,7 @@ def plan_return(
     PathNotFound
         When nothing leads there.
     """
-    end = context.end_posture
+    end = request.end_posture
     if end is None or np.abs(end - start).max() <= SAME_POSTURE:
         return None
     move = FreeMove(
@@ -46,12 +44,12 @@ def plan_return(
         start=start,
         end=end,
         start_name="the end of the work",
-        end_name=f"the {'start' if np.array_equal(end, context.posture) else 'stow'} posture",
+        end_name=f"the {'start' if np.array_equal(end, request.state.posture) else 'stow'} posture",
         begin=begin,
         allowed=allowed,
     )
     try:
-        return plan_move(context, move)
+        return plan_move(request, move)
     except PathNotFound as failure:
         # It is planned last, after all else is certified.
         failure.add_hint("with return: none the job is planned")

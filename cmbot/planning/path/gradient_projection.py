@@ -16,10 +16,12 @@ from scipy.linalg.lapack import dgesdd
 from cmbot.collision import Clearances, Nearest
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
-from cmbot.planning.context import PlanningContext, no_start_left, sample_step
 from cmbot.planning.path.projection import null_space, project_onto_task
+from cmbot.planning.request import StrokeRequest
+from cmbot.planning.workcell.diagnosis import no_start_left
 from cmbot.robot import Kinematics, PostureMetric, postures_in_words
 from cmbot.scene import PlannerOptions
+from cmbot.trajectory import sample_step
 
 # Lag of the tool behind its path, m, beyond which it no longer follows, not only drifts.
 _LOST = 0.01
@@ -79,7 +81,7 @@ class JointPath:
 
 
 def follow_path(
-    context: PlanningContext,
+    request: StrokeRequest,
     posture: FloatArray | None = None,
     *,
     stop_at_obstacles: bool = True,
@@ -100,8 +102,9 @@ def follow_path(
     PathNotFound
         When a joint leaves its range, a shape comes within the safety margin, or the tool cannot follow.
     """
-    robot, task = context.robot, context.task.on_axis
-    clearances, options = context.clearances, context.options
+    cell = request.cell
+    robot, task = cell.robot, request.task.on_axis
+    clearances, options = cell.clearances, cell.options
     kinematics = Kinematics(robot)
     step = sample_step(task.path.duration, options.path_step_s)
     if step > options.path_step_s:
@@ -116,7 +119,7 @@ def follow_path(
     ahead = np.diff(goals.point, axis=0, append=goals.point[-1:]) / dt
     q, v = np.empty((steps + 1, robot.dof)), np.empty((steps + 1, robot.dof))
     clearance, singular_value, tool = np.empty(steps + 1), np.empty(steps + 1), np.empty((steps + 1, 3))
-    q[0] = context.first if posture is None else posture
+    q[0] = request.first if posture is None else posture
     for k in range(steps + 1):
         X_WT, J = kinematics.tool_jacobian(q[k])
         J = metric.positions(J)
@@ -124,7 +127,7 @@ def follow_path(
         error = task.error(X_WT, goals[k])
         singular_value[k], tool[k] = s[-1], X_WT.translation
         if stop_at_obstacles:
-            clearance[k] = _require_free(context, q[k], t[k], error)
+            clearance[k] = _require_free(request, q[k], t[k], error)
         command = options.drift_gain * error
         command[:3] += ahead[k]
         if k < steps and task.path.turns:
@@ -220,15 +223,16 @@ def _away_from(near: Sequence[Nearest], metric: PostureMetric) -> FloatArray:
     return np.asarray((J_T @ (Q @ (along * inverse[:, None]).transpose(0, 2, 1)))[:, :, 0])
 
 
-def _require_free(context: PlanningContext, q: FloatArray, time: float, error: FloatArray) -> float:
+def _require_free(request: StrokeRequest, q: FloatArray, time: float, error: FloatArray) -> float:
     """Return the clearance of posture `q`; refuse one that is too near, out of range or off the path."""
-    robot, margin = context.robot, context.options.safety_margin_m
-    smallest = context.clearances.smallest(q[None])
+    cell = request.cell
+    robot, margin = cell.robot, cell.options.safety_margin_m
+    smallest = cell.clearances.smallest(q[None])
     clearance, lag = float(smallest.distance[0]), float(np.linalg.norm(error[:3]))
     outside = np.flatnonzero((q < robot.limits.lower) | (q > robot.limits.upper))
     pair = None
     if not clearance >= margin:
-        shapes = context.clearances.pairs[smallest.pair[0]]
+        shapes = cell.clearances.pairs[smallest.pair[0]]
         reason, pair = shapes.describe(clearance, margin), (shapes.link, shapes.other)
     elif len(outside):
         i = int(outside[0])
@@ -238,10 +242,10 @@ def _require_free(context: PlanningContext, q: FloatArray, time: float, error: F
         reason = f"the tool is {lag:.3f} m behind its path, which gradient projection cannot follow there"
     else:
         return clearance
-    raise context.path_not_found(reason, q, time, pair)
+    raise request.path_not_found(reason, q, time, pair)
 
 
-def find_path(context: PlanningContext) -> tuple[JointPath, tuple[PathNotFound, ...]]:
+def find_path(request: StrokeRequest) -> tuple[JointPath, tuple[PathNotFound, ...]]:
     """Follow the tool path from the scene's posture; where that fails, from others at the same tool pose.
 
     Returns the path and the failures from the starts before, the scene's first.
@@ -251,46 +255,47 @@ def find_path(context: PlanningContext) -> tuple[JointPath, tuple[PathNotFound, 
     PathNotFound
         As from the scene's posture, when none of the nearest ``other_starts`` others leads to the end.
     """
-    report = partial(context.reporter.part, "following the tool path")
+    report = partial(request.reporter.part, "following the tool path")
     try:
-        return follow_path(context, report=report), ()
+        return follow_path(request, report=report), ()
     except PathNotFound as error:
         failures = [error]
-    options = context.options
+    options = request.cell.options
     step = max(options.path_step_s, _COARSE_STEP)
-    coarse = replace(context, options=replace(options, path_step_s=step))
-    for start in self_motion_postures(context)[: options.other_starts]:
-        if context.deadline.expired():
+    coarse = request.with_options(path_step_s=step)
+    for start in self_motion_postures(request)[: options.other_starts]:
+        if request.deadline.expired():
             break
-        context.reporter.stage("path", failed_starts=len(failures))
+        request.reporter.stage("path", failed_starts=len(failures))
         try:
             follow_path(coarse, start)
-            return follow_path(context, start, report=report), tuple(failures)
+            return follow_path(request, start, report=report), tuple(failures)
         except PathNotFound as error:
             failures.append(error)
     raise no_start_left(failures) from failures[0]
 
 
-def self_motion_postures(context: PlanningContext) -> list[FloatArray]:
+def self_motion_postures(request: StrokeRequest) -> list[FloatArray]:
     """Return postures (n,) within the joint ranges that hold the task's start, the scene's nearest first.
 
     They lie on the curves that lead from the scene's posture along each direction of the null space, both
     ways; with a full pose and seven joints that is all of the self-motion connected with it. A curve ends at
     a joint's range, or where it comes back.
     """
-    posture, limits, task = context.first, context.robot.limits, context.task.on_axis
-    metric = context.robot.metric
-    directions = null_space(context.postures, task, posture[None])[0]
+    cell = request.cell
+    posture, limits, task = request.first, cell.robot.limits, request.task.on_axis
+    metric = cell.robot.metric
+    directions = null_space(cell.postures, task, posture[None])[0]
     along = np.concatenate([directions, -directions])
     q = np.tile(posture, (len(along), 1))
     found: list[FloatArray] = []
     for step in range(1, _MOST_STEPS + 1):
-        N = null_space(context.postures, task, q)
+        N = null_space(cell.postures, task, q)
         along = np.einsum("kai,kaj,kj->ki", N, *map(metric.coordinates, (N, along)))
         length = metric.lengths(along)[:, None]
         along /= np.maximum(length, 1e-6)
         q, follows = project_onto_task(
-            context.postures, task, q + _STEP * along, task.path.poses([0.0]), steps=50, tolerance=1e-12
+            cell.postures, task, q + _STEP * along, task.path.poses([0.0]), steps=50, tolerance=1e-12
         )
         follows &= length[:, 0] >= 1e-6
         follows &= limits.contain(q)

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.place_search import MissedPlace, worst_missed
+from cmbot.planning.request import StrokeRequest
 from cmbot.planning.task import ToolTask
+from cmbot.planning.workcell.diagnosis import most_often_near, weakest_joint
 from cmbot.scene import AxisCone, Keep
 
 # Distance of places along a leg, m, and the least number of steps on one; how many there are at most of a
@@ -27,7 +28,7 @@ class NearestMiss:
 
     Attributes
     ----------
-    context : PlanningContext
+    request : StrokeRequest
         Of the stroke.
     times : (N,), s
         Of the places that were tried.
@@ -37,7 +38,7 @@ class NearestMiss:
         Whether postures had to be clear and strong enough, too.
     """
 
-    context: PlanningContext
+    request: StrokeRequest
     times: FloatArray
     missed: MissedPlace
     is_clear: bool
@@ -55,16 +56,16 @@ class NearestMiss:
     @property
     def key(self) -> str:
         """The key of the leg that leads there."""
-        stroke, edges = self.context.stroke, self.context.task.path.leg_times
+        stroke, edges = self.request.stroke, self.request.task.path.leg_times
         return stroke.leg_key(int(np.clip(np.searchsorted(edges, self.time) - 1, 0, len(edges) - 2)))
 
     def reason(self, *, proven: bool = False) -> str:
         """Return what is the matter there, by how much, and how many places are like it."""
-        context, missed = self.context, self.missed
-        keep = context.stroke.file.keep
+        request, missed = self.request, self.missed
+        keep = request.stroke.file.keep
         kept = keep if isinstance(keep, str) else "axis"
         also = f"{int((~missed.found).sum())} of {len(missed.found)} places are like it"
-        where = f"({', '.join(f'{x:.3f}' for x in context.task.path.position([self.time])[0])}) m"
+        where = f"({', '.join(f'{x:.3f}' for x in request.task.path.position([self.time])[0])}) m"
         if missed.is_held:
             return (
                 f"blocked at {where}: none of {missed.attempts} attempts to hold the tool's {kept} is clear "
@@ -82,62 +83,60 @@ class NearestMiss:
 
     def remedy(self) -> str:
         """Return what was tried and has a posture for every place; empty where nothing does."""
-        for keep in _less(self.context.stroke.file.keep):
-            task = ToolTask.of(self.context.task.path, keep)
-            other = replace(self.context, task=task)
+        for keep in _less(self.request.stroke.file.keep):
+            task = ToolTask.of(self.request.task.path, keep)
+            other = replace(self.request, task=task)
             if _worst(other, self.times, is_clear=self.is_clear) is None:
-                return f"with {self.context.stroke.key}.keep {keep} every place has a posture"
+                return f"with {self.request.stroke.key}.keep {keep} every place has a posture"
         return ""
 
     @property
     def pair(self) -> tuple[str, str] | None:
         """What comes too near in the best posture; None where it is not held, or not strong enough."""
         near = self.missed.is_held and self._use <= 1.0
-        return self.context.most_often_near(self.missed.best[None]) if near else None
+        return most_often_near(self.request.cell, self.missed.best[None]) if near else None
 
     @property
     def _use(self) -> float:
         """Share of its bound that a joint or foot uses in the best posture, at most."""
-        return float(self.context.use_at_rest(self.context.postures.at(self.missed.best[None]))[0])
+        return float(self.request.cell.use_at_rest(self.request.cell.postures.at(self.missed.best[None]))[0])
 
     def _at_best(self) -> str:
         """What the best posture that was found lacks."""
-        context, best, use = self.context, self.missed.best[None], self._use
+        cell, best, use = self.request.cell, self.missed.best[None], self._use
         if use > 1.0:
-            joint = context.weakest_joint(best)
-            return (
-                f"{joint} uses {use:.0%} of {'its torque' if joint in context.robot.joints else 'its hold'}"
-            )
-        smallest = context.clearances.smallest(best)
-        pair = context.clearances.pairs[int(smallest.pair[0])]
-        return pair.describe(float(smallest.distance[0]), context.options.safety_margin_m)
+            joint = weakest_joint(cell, best)
+            return f"{joint} uses {use:.0%} of its {'torque' if joint in cell.robot.joints else 'hold'}"
+        smallest = cell.clearances.smallest(best)
+        pair = cell.clearances.pairs[int(smallest.pair[0])]
+        return pair.describe(float(smallest.distance[0]), cell.options.safety_margin_m)
 
 
 def nearest_miss(
-    context: PlanningContext, *, is_clear: bool, times: FloatArray | None = None
+    request: StrokeRequest, *, is_clear: bool, times: FloatArray | None = None
 ) -> NearestMiss | None:
     """Return the nearest miss of a stroke; None where each place has a posture within the joint ranges.
 
     Parameters
     ----------
-    context : PlanningContext
+    request : StrokeRequest
         Of the stroke.
     is_clear : bool
         The postures have to be clear of obstacles and strong enough, too.
     times : (N,), s, optional
         Of the places in order; left out: those of `places_along`.
     """
-    times = places_along(context) if times is None else times
-    missed = _worst(context, times, is_clear=is_clear)
+    times = places_along(request) if times is None else times
+    missed = _worst(request, times, is_clear=is_clear)
     if missed is None:
         return None
-    return NearestMiss(context=context, times=times, missed=missed, is_clear=is_clear)
+    return NearestMiss(request=request, times=times, missed=missed, is_clear=is_clear)
 
 
-def places_along(context: PlanningContext) -> FloatArray:
+def places_along(request: StrokeRequest) -> FloatArray:
     """Return times (N,), s, of places along a stroke: ends of legs, and by length between them."""
-    path = context.task.path
-    most = max(min(_PLACES, _ALL_PLACES // len(context.strokes)), _FEWEST)
+    path = request.task.path
+    most = max(min(_PLACES, _ALL_PLACES // len(request.strokes)), _FEWEST)
     steps = np.maximum(np.ceil(path.lengths / _EVERY), _STEPS).astype(np.intp)
     between = [path.times_at(leg, np.linspace(0.0, 1.0, n + 1)) for leg, n in enumerate(steps)]
     each = [
@@ -147,16 +146,19 @@ def places_along(context: PlanningContext) -> FloatArray:
     return np.unique(np.concatenate(each))
 
 
-def _worst(context: PlanningContext, times: FloatArray, *, is_clear: bool) -> MissedPlace | None:
-    margin = context.options.safety_margin_m
+def _worst(request: StrokeRequest, times: FloatArray, *, is_clear: bool) -> MissedPlace | None:
+    cell = request.cell
+    margin = cell.options.safety_margin_m
 
     def violation(q: FloatArray) -> FloatArray:
-        weak = context.use_at_rest(context.postures.at(q)) - 1.0
-        near = (margin - context.clearances.smallest(q).distance) / max(margin, _ROUNDING)
+        weak = cell.use_at_rest(cell.postures.at(q)) - 1.0
+        near = (margin - cell.clearances.smallest(q).distance) / max(margin, _ROUNDING)
         return np.asarray(np.maximum(np.maximum(weak, near), 0.0))
 
-    goals = context.task.goals(times)
-    return worst_missed(context.robot, context.task, goals, context.posture, violation if is_clear else None)
+    goals = request.task.goals(times)
+    return worst_missed(
+        cell.robot, request.task, goals, request.state.posture, violation if is_clear else None
+    )
 
 
 def _less(keep: Keep) -> Iterator[Keep]:

@@ -18,7 +18,7 @@ from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.path.projection import gram, solve_batch, task_jacobian
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Postures, Robot
-from cmbot.scene import ToolPoses
+from cmbot.toolpath import ToolPoses
 
 # Random postures at each place in the first rounds, and in the last one at the worst place.
 _ROUNDS, _LAST = (2, 30), 1000

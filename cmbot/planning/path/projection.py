@@ -14,7 +14,7 @@ import numpy as np
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.planning.task import ToolTask
 from cmbot.robot import PostureMetric, Postures, ToolBatch
-from cmbot.scene import ToolPoses
+from cmbot.toolpath import ToolPoses
 
 # Postures far from the task take steps of at most this length a joint, rad.
 _LONGEST_STEP = 0.6

@@ -10,11 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.budget import Deadline
-from cmbot.planning.context import PlanningContext, build_context, in_cells, robot_of
 from cmbot.planning.path.nearest_miss import nearest_miss
 from cmbot.planning.path.projection import project_onto_task
+from cmbot.planning.request import StrokeRequest, build_request, in_cells
 from cmbot.planning.task import ToolTask
-from cmbot.scene import PlannerOptions, RowPiece, Scene, StrokeFile, ToolPath, ToolPoses, cells_of, rows_alone
+from cmbot.planning.workcell.workcell import robot_of
+from cmbot.scene import PlannerOptions, Scene, StrokeFile, rows_alone
+from cmbot.toolpath import RowPiece, ToolPath, ToolPoses, cells_of
 
 # Distance of places along rows: as a share of the rows' distance, and at most, m.
 _SHARE, _EVERY = 0.25, 0.03
@@ -61,18 +63,18 @@ def reached_scene(scene: Scene, options: PlannerOptions, deadline: Deadline | No
     if not any(file.raster is not None for file in scene.strokes):
         return scene
     apart = in_cells(scene, robot_of(scene))
-    context = build_context(apart, options, deadline=deadline)
+    request = build_request(apart, options, deadline=deadline)
     numbers = {str(file.name): k for k, file in enumerate(scene.strokes)}
     whole, parts, cut = dict[int, list[RowPiece]](), dict[int, list[_Cell]](), False
-    at_first = dict[int, PlanningContext]()
-    for number, stroke in enumerate(context.strokes):
+    at_first = dict[int, StrokeRequest]()
+    for number, stroke in enumerate(request.strokes):
         raster = stroke.file.raster
         if raster is None or stroke.surface is None:
             continue
         cell = raster.pieces or stroke.surface.pieces
         found, k = [cell], numbers[stroke.file.part_of or stroke.name]
         if raster.cover == "reachable" and raster.frame != "tool":
-            at = context.at_stroke(number, apart, context.posture, 0.0, 0.0)
+            at = request.at_stroke(number, apart)
             at_first.setdefault(k, at)
             found = _Follower(at, apart).parts(cell)
         whole.setdefault(k, []).extend(cell)
@@ -85,7 +87,7 @@ def reached_scene(scene: Scene, options: PlannerOptions, deadline: Deadline | No
             reason = f"no place of the raster of {scene.strokes[k].name} is reached"
             if miss := nearest_miss(at_first[k], is_clear=True):
                 reason = "; ".join(filter(None, (f"{reason}: it is {miss.reason()}", miss.remedy())))
-            raise context.path_not_found(reason, context.posture)
+            raise request.path_not_found(reason, request.state.posture)
     changed = {k for k, found in parts.items() if len(found) > 1 or found != [tuple(whole[k])]}
     return scene.with_cells({k: parts[k] for k in changed}, whole)
 
@@ -105,9 +107,9 @@ class _Places:
 class _Follower:
     """Carries postures along the rows of a stroke."""
 
-    def __init__(self, context: PlanningContext, scene: Scene) -> None:
-        self._context, self._scene, self._rng = context, scene, np.random.default_rng(0)
-        file = context.stroke.file
+    def __init__(self, request: StrokeRequest, scene: Scene) -> None:
+        self._request, self._scene, self._rng = request, scene, np.random.default_rng(0)
+        file = request.stroke.file
         if file.raster is None:
             raise TypeError("a stroke without a raster")
         self._raster, leads = file.raster, max(file.lead_in_m or 0.0, file.lead_out_m or 0.0)
@@ -139,7 +141,7 @@ class _Follower:
 
     def _places(self, cell: _Cell) -> _Places:
         raster = replace(self._raster, pieces=cell, overscan_m=self._over)
-        path = self._path(rows_alone(self._context.stroke.file, raster))
+        path = self._path(rows_alone(self._request.stroke.file, raster))
         legs, shares, times = list[IntArray](), list[FloatArray](), list[FloatArray]()
         every = max(self._every, float(path.lengths.sum()) / _MOST_PLACES)
         for leg, length in enumerate(path.lengths):
@@ -152,7 +154,7 @@ class _Follower:
         return _Places(np.concatenate(legs), np.concatenate(shares), path.poses(t))
 
     def _path(self, file: StrokeFile) -> ToolPath:
-        X_WT, begin = np.eye(4), self._context.task.path.poses([0.0])
+        X_WT, begin = np.eye(4), self._request.task.path.poses([0.0])
         X_WT[:3, 3], X_WT[:3, :3] = begin.point[0], begin.rotation[0]
         return self._scene.with_strokes((file,)).timed_strokes(X_WT)[0].path
 
@@ -170,18 +172,18 @@ class _Follower:
 
     def _require_time(self, done: int, total: int) -> None:
         """Refuse to go on where the time is over."""
-        context = self._context
-        if context.deadline.expired():
-            raise context.path_not_found(
-                f"{context.time_in_words}, was over when {done} of {total} places along the rows had been "
-                "tried",
-                context.posture,
+        request = self._request
+        if request.deadline.expired():
+            raise request.path_not_found(
+                f"{request.deadline.in_words}, was over when {done} of {total} places along the rows had "
+                "been tried",
+                request.state.posture,
                 stopped=True,
             )
 
     def _carried(self, q: FloatArray, goal: ToolPoses, width: int) -> FloatArray:
         """Admissible postures at the next place, near postures `q` (N, n)."""
-        metric = self._context.robot.metric
+        metric = self._request.cell.robot.metric
         copied = q[self._rng.integers(len(q), size=max(width - len(q), 0))]
         around = copied + metric.positions(self._rng.normal(0.0, _SCATTER, copied.shape))
         near = np.vstack([q, copied])
@@ -192,7 +194,7 @@ class _Follower:
 
     def _placed(self, q: FloatArray, goal: ToolPoses) -> tuple[FloatArray, BoolArray]:
         """Postures (N, n) that hold the tool, and which do, from postures near them."""
-        postures, task = self._context.postures, self._context.task
+        postures, task = self._request.cell.postures, self._request.task
         placed, ok = project_onto_task(postures, task, q, goal, steps=_STEPS, tolerance=_TOLERANCE)
         if task.cone is None:
             return placed, ok
@@ -205,27 +207,29 @@ class _Follower:
         return placed, ok
 
     def _admissible(self, q: FloatArray) -> FloatArray:
-        context = self._context
-        q = q[context.robot.limits.contain(q)]
-        q = q[context.use_at_rest(context.postures.at(q)) <= self._most_use]
-        return np.asarray(q[~context.clearances.check_collision(q, context.options.safety_margin_m)])
+        request = self._request
+        q = q[request.cell.robot.limits.contain(q)]
+        q = q[request.cell.use_at_rest(request.cell.postures.at(q)) <= self._most_use]
+        return np.asarray(
+            q[~request.cell.clearances.check_collision(q, request.cell.options.safety_margin_m)]
+        )
 
     def _anywhere(self, goals: ToolPoses, number: int) -> list[FloatArray]:
         """Admissible postures (k, n) at each of the goals, from random ones."""
-        context, limits = self._context, self._context.robot.limits
+        request, limits = self._request, self._request.cell.robot.limits
         half = limits.sampled_half
         low, high = limits.range_middle - half, limits.range_middle + half
         each = [np.empty((0, len(low)))] * len(goals)
-        for lean in _leaning(context.task):
+        for lean in _leaning(request.task):
             empty = [k for k, found in enumerate(each) if not len(found)]
             if not empty:
                 break
             which = np.repeat(empty, number)
             q = self._rng.uniform(low, high, (len(which), len(low)))
-            q[::number] = context.posture
+            q[::number] = request.state.posture
             some = goals[which] if lean is None else _turned(goals[which], lean)
             placed, ok = project_onto_task(
-                context.postures, context.task.on_axis, q, some, steps=_STEPS, tolerance=_TOLERANCE
+                request.cell.postures, request.task.on_axis, q, some, steps=_STEPS, tolerance=_TOLERANCE
             )
             placed = limits.turned_to_middle(placed)
             for k in empty:
@@ -236,7 +240,7 @@ class _Follower:
         """A cell's rows at the places that some posture reaches, in cells."""
         on_rows = np.flatnonzero(places.leg % 2 == 0)
         leg, share = places.leg[on_rows], places.share[on_rows]
-        each = [np.empty((0, self._context.robot.dof))] * len(on_rows)
+        each = [np.empty((0, self._request.cell.robot.dof))] * len(on_rows)
         each[::_STRIDE] = self._anywhere(places.goals[on_rows[::_STRIDE]], _ANYWHERE)
         for order in (range(1, len(each)), range(len(each) - 2, -1, -1)):
             for k in order:

@@ -9,14 +9,15 @@ from typing import Literal
 
 import numpy as np
 
-from cmbot.collision import Clearances
+from cmbot.collision import Clearances, Obstacle
 from cmbot.common.arrays import BoolArray, FloatArray, read_only
 from cmbot.common.errors import InputError, PlanningError
 from cmbot.common.validation import counted
 from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Dynamics, Postures, Robot, sampled_postures
-from cmbot.scene import Obstacle, PlannerOptions, SpeedProfile, ToolPath, ToolPoses
+from cmbot.scene import PlannerOptions
+from cmbot.toolpath import SpeedProfile, ToolPath, ToolPoses
 
 # Random postures that Newton's method starts from, its most steps, and how many results are tried with a leg.
 _RESTARTS, _STEPS, _TRIED = 2000, 60, 30
@@ -104,7 +105,7 @@ def find_start(
 
 def _task(point: FloatArray, orientation: FloatArray, keep: Literal["pose", "axis", "position"]) -> ToolTask:
     corners = np.array([point, point])
-    path = ToolPath(corners=corners, orientation=orientation, seconds=np.ones(1), profile=SpeedProfile())
+    path = ToolPath.straight(corners, orientation, np.ones(1), SpeedProfile().law)
     return ToolTask(path=path, keep=keep)
 
 

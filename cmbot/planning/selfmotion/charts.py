@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
-from cmbot.planning.context import PlanningContext
+from cmbot.planning.workcell.workcell import Workcell
 from cmbot.robot import PostureMetric
 
 # Postures within this many spacings of each other are on the same part of the self-motion.
@@ -35,15 +35,15 @@ class Chart:
     within: BoolArray  # (M,), which lie within the joint ranges; the others only connect them
 
 
-def charts_of(context: PlanningContext, each: Sequence[FloatArray]) -> list[Chart]:
+def charts_of(cell: Workcell, each: Sequence[FloatArray]) -> list[Chart]:
     """Return charts of given postures, arrays (M, n)."""
-    limits, charts = context.robot.limits, list[Chart]()
+    limits, charts = cell.robot.limits, list[Chart]()
     for first in range(0, len(each), _TOGETHER):
         some = each[first : first + _TOGETHER]
         q = np.vstack(some)
-        at = context.postures.at(q)
-        value = context.objective.at_rest(at)
-        use = context.use_at_rest(at)
+        at = cell.postures.at(q)
+        value = cell.objective.at_rest(at)
+        use = cell.use_at_rest(at)
         within = limits.contain(q)
         ends = np.cumsum([0, *(len(part) for part in some)])
         charts += [
@@ -71,19 +71,19 @@ class GraphLayer:
     within the safety margin.
     """
 
-    def __init__(self, context: PlanningContext, chart: Chart) -> None:
+    def __init__(self, cell: Workcell, chart: Chart) -> None:
         self.chart = chart
         self.admissible = chart.within & (chart.joint_use <= 1.0)
         self.too_near = np.zeros(len(chart.q), dtype=np.bool_)
         self._checked = ~self.admissible
-        self.context = context
+        self.cell = cell
 
     def between(self, distance: float) -> GraphLayer:
         """Return the layer with each value half way to the lowest one within a distance, rad.
 
         What is known of clearances is shared with it.
         """
-        chart, metric = self.chart, self.context.robot.metric
+        chart, metric = self.chart, self.cell.robot.metric
         tree = cKDTree(metric.on_one_turn(chart.q), boxsize=metric.period)
         i, j = tree.query_pairs(distance, output_type="ndarray").T
         lowest = chart.value.copy()
@@ -118,16 +118,16 @@ class GraphLayer:
 class LayerCache:
     """Layers of charts: those of charts that stay are kept, with what is known of their clearances."""
 
-    def __init__(self, context: PlanningContext) -> None:
-        self._context = context
+    def __init__(self, cell: Workcell) -> None:
+        self._cell = cell
         # By the arrays' identities; the arrays are kept so that these stay theirs.
         self._known: dict[int, tuple[FloatArray, GraphLayer]] = {}
 
     def layers(self, each: Sequence[FloatArray]) -> list[GraphLayer]:
         """Return the layers of charts, arrays (M, n); those of other charts are forgotten."""
         new = [q for q in each if id(q) not in self._known]
-        made = iter(charts_of(self._context, new))
-        all_ = [self._known.get(id(q)) or (q, GraphLayer(self._context, next(made))) for q in each]
+        made = iter(charts_of(self._cell, new))
+        all_ = [self._known.get(id(q)) or (q, GraphLayer(self._cell, next(made))) for q in each]
         self._known = {id(q): (q, layer) for q, layer in all_}
         return [layer for _, layer in all_]
 
@@ -141,9 +141,9 @@ def check_clearances(layers: Sequence[GraphLayer], which: Sequence[BoolArray | I
     ends = np.cumsum([0, *(len(nodes) for nodes in new)])
     if ends[-1] == 0:
         return np.zeros(len(layers), dtype=np.bool_)
-    context = layers[0].context
+    cell = layers[0].cell
     q = np.vstack([layer.chart.q[nodes] for layer, nodes in zip(layers, new, strict=True)])
-    near = context.clearances.check_collision(q, context.options.safety_margin_m)
+    near = cell.clearances.check_collision(q, cell.options.safety_margin_m)
     each = [near[a:b] for a, b in pairwise(ends)]
     for layer, nodes, of_layer in zip(layers, new, each, strict=True):
         layer.note(nodes, of_layer)

@@ -12,11 +12,12 @@ from scipy.spatial import cKDTree
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import PathNotFound
-from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import null_space, project_onto_task
+from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.charts import GraphLayer, best_nodes, charts_of, check_clearances
 from cmbot.planning.selfmotion.reachability import out_of_reach
 from cmbot.planning.selfmotion.sampler import Coverage
+from cmbot.planning.workcell.diagnosis import most_often_near, out_of_range, weakest_joint
 
 # Weight of the squared steps, in shares of what the joints may do between via-points, beside the squared
 # objective.
@@ -148,7 +149,7 @@ class BottleneckDynamicProgram:
     `starts` (M,) says in which nodes of the first layer a path may start.
     """
 
-    context: PlanningContext
+    request: StrokeRequest
     layers: Sequence[GraphLayer]
     edges: list[Edges]
     starts: BoolArray
@@ -187,7 +188,7 @@ class BottleneckDynamicProgram:
             allowed = layer.admissible if k else layer.admissible & self.starts
             reached = np.where(allowed, np.maximum(before, layer.chart.value), np.inf)
             if not np.isfinite(reached).any():
-                raise blocked(self.context, self.layers, k, origins=origins)
+                raise blocked(self.request, self.layers, k, origins=origins)
             origins = np.isfinite(reached)
         return float(reached.min())
 
@@ -210,7 +211,7 @@ class BottleneckDynamicProgram:
 
 
 def refine(
-    context: PlanningContext,
+    request: StrokeRequest,
     q: FloatArray,
     steps: FloatArray,
     reach: float,
@@ -228,17 +229,17 @@ def refine(
     """
     rng = np.random.default_rng(0)
     for done in range(_ROUNDS):
-        if context.deadline.expired():
+        if request.deadline.expired():
             break
-        context.reporter.part("refining the choice", done, _ROUNDS)
-        each = _candidates(context, q, reach, rng)
+        request.reporter.part("refining the choice", done, _ROUNDS)
+        each = _candidates(request, q, reach, rng)
         if start_stays:
             each[0] = q[:1]
-        charts = charts_of(context, each)
-        layers = [GraphLayer(context, chart) for chart in charts]
+        charts = charts_of(request.cell, each)
+        layers = [GraphLayer(request.cell, chart) for chart in charts]
         links = edges_along(layers, steps, winding)
         starts = np.ones(len(each[0]), dtype=np.bool_)
-        chosen = BottleneckDynamicProgram(context, layers, links, starts).best()
+        chosen = BottleneckDynamicProgram(request, layers, links, starts).best()
         q = np.stack([chart.q[k] for chart, k in zip(charts, chosen, strict=True)])
         peak = max(chart.value[k] for chart, k in zip(charts, chosen, strict=True))
         if peak <= lower_bound * (1 + _NEAR_BOUND):
@@ -248,11 +249,12 @@ def refine(
 
 
 def _candidates(
-    context: PlanningContext, q: FloatArray, reach: float, rng: np.random.Generator
+    request: StrokeRequest, q: FloatArray, reach: float, rng: np.random.Generator
 ) -> list[FloatArray]:
     """Postures at every via-point: its own, those of its neighbours projected there, and others around."""
+    cell = request.cell
     n, d = q.shape
-    null = null_space(context.postures, context.task, q)
+    null = null_space(cell.postures, request.task, q)
     directions = rng.normal(size=(n, _AROUND, null.shape[1]))
     directions /= np.linalg.norm(directions, axis=2, keepdims=True)
     # The square of the share draws more postures near by.
@@ -261,15 +263,15 @@ def _candidates(
     neighbours = np.stack([np.vstack([q[:1], q[:-1]]), np.vstack([q[1:], q[-1:]])], axis=1)
     some = np.concatenate([neighbours, around], axis=1).reshape(-1, d)
     of = np.repeat(np.arange(n), _AROUND + 2)
-    placed, reached = project_onto_task(context.postures, context.task, some, context.goals[of])
-    if context.task.cone is not None:
-        R_WT = context.postures.tool_at(placed).tool_rotation
-        reached &= context.task.rotation(R_WT, context.goals[of]) <= context.task.cone
+    placed, reached = project_onto_task(cell.postures, request.task, some, request.goals[of])
+    if request.task.cone is not None:
+        R_WT = cell.postures.tool_at(placed).tool_rotation
+        reached &= request.task.rotation(R_WT, request.goals[of]) <= request.task.cone
     return [np.vstack([q[k : k + 1], placed[reached & (of == k)]]) for k in range(n)]
 
 
 def blocked(
-    context: PlanningContext,
+    request: StrokeRequest,
     layers: Sequence[GraphLayer],
     k: int,
     coverage: Coverage | None = None,
@@ -285,72 +287,73 @@ def blocked(
     # Of what is not proven it is said that nothing was found.
     opening = f"no way was found through {place}"
     if not layer.chart.within.any():
-        joint = context.out_of_range(layer.chart.q)
+        joint = out_of_range(request.cell, layer.chart.q)
         beyond = f" (beyond its range is most often {joint})" if joint else ""
         found = f"no posture within the joint ranges that holds the tool there was found{tried}{beyond}"
-        proven = out_of_reach(context, k)
+        proven = out_of_reach(request, k)
         if proven:
             opening = f"{place} is blocked"
         why = proven or found
     elif not layer.admissible.any():
-        why, pair = _inadmissible(context, layer)
+        why, pair = _inadmissible(request, layer)
     elif k == 0:
         opening = f"{place} is blocked"
-        why, pair = _no_start(context, layer, origins)
+        why, pair = _no_start(request, layer, origins)
     else:
-        joint, pace = _slowest(context, layers, k, origins)
+        joint, pace = _slowest(request, layers, k, origins)
         why = (
             "its admissible postures, as far as they were found, are too far from those before for the "
             f"velocity of {joint}"
         )
     q = layer.chart.q if len(layer.chart.q) else layers[k - 1].chart.q
-    return context.path_not_found(f"{opening}: {why}", q[0], context.times[k], pair, pace)
+    return request.path_not_found(f"{opening}: {why}", q[0], request.times[k], pair, pace)
 
 
-def _inadmissible(context: PlanningContext, layer: GraphLayer) -> tuple[str, tuple[str, str] | None]:
+def _inadmissible(request: StrokeRequest, layer: GraphLayer) -> tuple[str, tuple[str, str] | None]:
     """Why no posture of a chart is admissible, and the pair that most often comes too near."""
     weak = layer.chart.within & (layer.chart.joint_use > 1.0)
     near, feeble = int(layer.too_near.sum()), int(weak.sum())
     tried = f"of {int(layer.chart.within.sum())} postures that were tried there"
-    holding = context.robot.holding
+    holding = request.cell.robot.holding
     much = "too much of a joint or foot" if holding and holding.bounded else "too much of a joint's torque"
-    if near >= feeble and (pair := context.most_often_near(layer.chart.q[layer.too_near])) is not None:
+    if near >= feeble and (pair := most_often_near(request.cell, layer.chart.q[layer.too_near])) is not None:
         why = (
             f"{tried} {near} come within the safety margin, most often {pair[0]} and {pair[1]}, {feeble} "
             f"ask {much}"
         )
         return why, pair
     why = (
-        f"{tried} {feeble} ask {much}, most often of {context.weakest_joint(layer.chart.q[weak])} and "
+        f"{tried} {feeble} ask {much}, most often of {weakest_joint(request.cell, layer.chart.q[weak])} and "
         f"{layer.chart.joint_use[weak].min():.0%} at best, {near} come within the safety margin"
     )
     return why, None
 
 
 def _no_start(
-    context: PlanningContext, layer: GraphLayer, starts: BoolArray | None
+    request: StrokeRequest, layer: GraphLayer, starts: BoolArray | None
 ) -> tuple[str, tuple[str, str] | None]:
     """Why a path may start in none of the postures `starts` (M,), and the pair that is too near."""
     chosen = layer.chart.within if starts is None else starts
     near, weak = chosen & layer.too_near, chosen & (layer.chart.joint_use > 1.0)
     what = "the posture to start in"
     if weak.any():
-        joint = context.weakest_joint(layer.chart.q[weak])
+        joint = weakest_joint(request.cell, layer.chart.q[weak])
         return f"{what} asks too much of {joint}", None
-    if near.any() and (pair := context.most_often_near(layer.chart.q[near])) is not None:
+    if near.any() and (pair := most_often_near(request.cell, layer.chart.q[near])) is not None:
         why = f"in {what} {pair[0]} and {pair[1]} come within the safety margin"
         return why, pair
     return f"{what} is none of those that hold the tool there", None
 
 
 def _slowest(
-    context: PlanningContext, layers: Sequence[GraphLayer], k: int, origins: BoolArray | None
+    request: StrokeRequest, layers: Sequence[GraphLayer], k: int, origins: BoolArray | None
 ) -> tuple[str, float]:
     """The joint that would have to be faster to reach via-point `k`, and by which factor, at least."""
-    limits, before = context.robot.limits, layers[k - 1]
-    spare = 0.5 * context.options.chart_spacing / context.robot.metric.weight
-    seconds = float(context.times[k] - context.times[k - 1])
-    by_velocity = context.options.step_share * limits.velocity * seconds
+    cell = request.cell
+    limits, before = cell.robot.limits, layers[k - 1]
+    spare = 0.5 * cell.options.chart_spacing / cell.robot.metric.weight
+    seconds = float(request.times[k] - request.times[k - 1])
+    by_velocity = cell.options.step_share * limits.velocity * seconds
     step = by_velocity + spare
     turn = np.where(limits.winding, 2 * np.pi / step, 0.0)
     some = before.chart.q[before.admissible if origins is None else origins]
@@ -360,4 +363,4 @@ def _slowest(
     best = int(distance.argmin())
     move = ahead[best] - some[nearest[best]]
     ratio = (np.abs(np.where(turn > 0, nearest_turn(move), move)) - spare) / by_velocity
-    return context.robot.joints[int(ratio.argmax())], float(max(ratio.max(), 1.0))
+    return cell.robot.joints[int(ratio.argmax())], float(max(ratio.max(), 1.0))

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cmbot.planning.context import PlanningContext
+from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.charts import GraphLayer, best_nodes, charts_of
 from cmbot.planning.selfmotion.dynamic_programming import BottleneckDynamicProgram, blocked, edges_along
 from cmbot.planning.selfmotion.sampler import SelfMotionSampler
@@ -24,12 +24,12 @@ from cmbot.planning.selfmotion.sampler import SelfMotionSampler
 _BESIDE = 1.5
 
 
-def followed_bound(context: PlanningContext, layers: Sequence[GraphLayer], spacing: float) -> float:
+def followed_bound(request: StrokeRequest, layers: Sequence[GraphLayer], spacing: float) -> float:
     """Estimate what sequences of postures that the joints can follow ask at rest, at least.
 
     Parameters
     ----------
-    context : PlanningContext
+    request : StrokeRequest
     layers : sequence of GraphLayer
         Of all its via-points.
     spacing : float, rad
@@ -40,23 +40,24 @@ def followed_bound(context: PlanningContext, layers: Sequence[GraphLayer], spaci
     PathNotFound
         When no sequence leads along the path even so.
     """
-    room = 2 * spacing / context.robot.metric.weight
-    steps = context.robot.limits.velocity * np.diff(context.times)[:, None] + room
+    cell = request.cell
+    room = 2 * spacing / cell.robot.metric.weight
+    steps = cell.robot.limits.velocity * np.diff(request.times)[:, None] + room
     lower = [layer.between(_BESIDE * spacing) for layer in layers]
-    links = edges_along(lower, steps, context.robot.limits.winding)
+    links = edges_along(lower, steps, cell.robot.limits.winding)
     starts = np.ones(len(lower[0].chart.q), dtype=np.bool_)
-    chosen = BottleneckDynamicProgram(context, lower, links, starts).best()
+    chosen = BottleneckDynamicProgram(request, lower, links, starts).best()
     return max(float(layer.chart.value[k]) for layer, k in zip(lower, chosen, strict=True))
 
 
-def quick_bound(context: PlanningContext, via_points: int) -> float:
+def quick_bound(request: StrokeRequest, via_points: int) -> float:
     """Return the followed bound of charts at few via-points, without a lower bound of each.
 
     Zero where the tool's axis may lean: charts hold it in the middle of its cone.
 
     Parameters
     ----------
-    context : PlanningContext
+    request : StrokeRequest
         Whose work starts in a posture that holds the tool.
     via_points : int
 
@@ -65,13 +66,13 @@ def quick_bound(context: PlanningContext, via_points: int) -> float:
     PathNotFound
         When some via-point has no admissible posture, or no sequence leads along the path.
     """
-    if context.task.cone is not None:
+    if request.task.cone is not None:
         return 0.0
-    context = replace(context, times=np.linspace(0.0, context.task.path.duration, via_points))
-    sampler = SelfMotionSampler(context)
-    each = sampler.along(context.goals, context.first[None])
-    layers = [GraphLayer(context, chart) for chart in charts_of(context, each)]
+    request = replace(request, times=np.linspace(0.0, request.task.path.duration, via_points))
+    sampler = SelfMotionSampler(request)
+    each = sampler.along(request.goals, request.first[None])
+    layers = [GraphLayer(request.cell, chart) for chart in charts_of(request.cell, each)]
     empty = next((k for k, best in enumerate(best_nodes(layers)) if best is None), None)
     if empty is not None:
-        raise blocked(context, layers, empty, sampler.coverage)
-    return followed_bound(context, layers, sampler.spacing)
+        raise blocked(request, layers, empty, sampler.coverage)
+    return followed_bound(request, layers, sampler.spacing)

@@ -20,8 +20,8 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import PathNotFound
-from cmbot.planning.context import PlanningContext, no_start_left
 from cmbot.planning.path.projection import project_onto_task
+from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.charts import Chart, GraphLayer, LayerCache, best_nodes, connected_parts
 from cmbot.planning.selfmotion.dynamic_programming import (
     BottleneckDynamicProgram,
@@ -34,7 +34,8 @@ from cmbot.planning.selfmotion.dynamic_programming import (
 from cmbot.planning.selfmotion.followed_bound import followed_bound
 from cmbot.planning.selfmotion.lower_bound import LowerBound, find_lower_bound, with_proof
 from cmbot.planning.selfmotion.sampler import sampled_charts
-from cmbot.scene import ToolPoses, shortest_turns
+from cmbot.planning.workcell.diagnosis import no_start_left
+from cmbot.toolpath import ToolPoses, shortest_turns
 
 # Two postures nearer than this in every joint are one, rad.
 _SAME_POSTURE = 1e-9
@@ -75,7 +76,7 @@ class GlobalSearch:
 
     Parameters
     ----------
-    context : PlanningContext
+    request : StrokeRequest
     lean : (3, 3), optional
         Where the tool's axis may lean: rotation in the tool's frame by which charts hold it apart from the
         middle of its cone.
@@ -98,17 +99,17 @@ class GlobalSearch:
 
     def __init__(
         self,
-        context: PlanningContext,
+        request: StrokeRequest,
         lean: FloatArray | None = None,
         bounded_as: GlobalSearch | None = None,
     ) -> None:
-        self._leaning, self._context = context, context.on_axis
+        self._leaning, self._request = request, request.on_axis
         if lean is not None:
-            self._context = replace(context, task=context.task.leaning(lean))
-        context = self._context
+            self._request = replace(request, task=request.task.leaning(lean))
+        request = self._request
         # The charts have one turn of these joints; the edges between charts count their angles modulo a turn.
-        self._winding = context.robot.limits.winding
-        self._wide = context.robot.dof - context.task.dimension > 1
+        self._winding = request.cell.robot.limits.winding
+        self._wide = request.cell.robot.dof - request.task.dimension > 1
         # The bound with the axis in the middle of its cone and that of all postures, and postures with them.
         self._bound: LowerBound | None = None
         self.lower_bound: LowerBound
@@ -119,24 +120,24 @@ class GlobalSearch:
             self._bound, self._lowest = bounded_as._bound, bounded_as._lowest
             self.lower_bound, self._lowest_leaning = bounded_as.lower_bound, bounded_as._lowest_leaning
         # How often each chart has been made denser.
-        self._rounds = np.zeros(len(context.goals), dtype=np.intp)
-        self._sampler, each = sampled_charts(context)
+        self._rounds = np.zeros(len(request.goals), dtype=np.intp)
+        self._sampler, each = sampled_charts(request)
         # What is added to charts of a bound, the charts with it, and the layers of both.
         self._more_of: LowerBound | None = None
         self._more = list[list[FloatArray]]()
         self._joined = dict[int, tuple[FloatArray, FloatArray]]()
-        self._own, self._wider = LayerCache(context), LayerCache(context)
+        self._own, self._wider = LayerCache(request.cell), LayerCache(request.cell)
         self._layers, self._edges, self._linked = list[GraphLayer](), list[Edges](), list[GraphLayer]()
         self._steps = np.empty(0)
         self._chart(each)
 
     def _chart(self, each: list[FloatArray]) -> None:
         """Find the lower bound and the graph of charts, (M, d) each."""
-        context = self._context
+        request = self._request
         self._each = self._bounded(each)
-        if self._wide or self._leaning is not context:
+        if self._wide or self._leaning is not request:
             self._layers = self._wider.layers(self._with_more(self._each))
-        self._allow(context.options.step_share)
+        self._allow(request.cell.options.step_share)
         self.first_chart = self._layers[0].chart
 
     def _bounded(self, each: list[FloatArray]) -> list[FloatArray]:
@@ -145,7 +146,7 @@ class GlobalSearch:
         Where it is set, and where no posture is admissible, more random postures check the chart first; in
         the second case denser charts do, too.
         """
-        context, sampler, known = self._context, self._sampler, self._bound
+        request, sampler, known = self._request, self._sampler, self._bound
         self._spacing = sampler.spacing
         for _ in range(_CHECKS):
             self._layers = self._own.layers(each)
@@ -155,26 +156,26 @@ class GlobalSearch:
                 if known is not None and self._holds(known, best):
                     return each
                 known = None
-                self._bound, self._lowest = find_lower_bound(context, self._layers, sampler.spacing)
+                self._bound, self._lowest = find_lower_bound(request, self._layers, sampler.spacing)
                 at = self._bound.via_point
-                if context.deadline.expired():
+                if request.deadline.expired():
                     break
             else:
                 at = empty
             before = sum(len(q) for q in each)
-            number = _SEEDS_OF_A_CHECK * context.options.chart_seeds
-            each = sampler.complete(each, context.goals, [at], number)
+            number = _SEEDS_OF_A_CHECK * request.cell.options.chart_seeds
+            each = sampler.complete(each, request.goals, [at], number)
             if sum(len(q) for q in each) == before:
                 break
         if empty is not None:
             if self._refine(each, empty):
                 return self._bounded(self._each)
-            failure = blocked(context, self._layers, empty, sampler.coverage)
-            if self._leaning is not context:
+            failure = blocked(request, self._layers, empty, sampler.coverage)
+            if self._leaning is not request:
                 failure.add_hint("only postures with the axis in the middle of its cone are searched")
             raise failure
-        if self._leaning is context and self._bound is not None:
-            self._bound, self._lowest = with_proof(context, self._bound, self._lowest, sampler.coverage)
+        if self._leaning is request and self._bound is not None:
+            self._bound, self._lowest = with_proof(request, self._bound, self._lowest, sampler.coverage)
             self.lower_bound, self._lowest_leaning = self._bound, self._lowest
         else:
             found = find_lower_bound(self._leaning, self._layers, sampler.spacing)
@@ -192,22 +193,24 @@ class GlobalSearch:
 
         What charts miss is within their spacing of what they have, at both ends of a step.
         """
-        context, k = self._context, max(via_point, 1)
+        request, k = self._request, max(via_point, 1)
         spacing = self._sampler.spacing_after(int(self._rounds[k - 1 : k + 1].min()))
-        moved = self.step_share * context.robot.limits.velocity * (context.times[k] - context.times[k - 1])
-        return pace > 1 + float((2 * spacing / context.robot.metric.weight / moved).max())
+        moved = (
+            self.step_share * request.cell.robot.limits.velocity * (request.times[k] - request.times[k - 1])
+        )
+        return pace > 1 + float((2 * spacing / request.cell.robot.metric.weight / moved).max())
 
     def _refine(self, each: list[FloatArray], via_point: int) -> bool:
         """Make charts, (M, d) each, denser about a via-point; return whether they became so."""
         rounds = int(self._rounds[via_point]) + 1
         many = max((len(e.before) for e in self._edges[max(via_point - 1, 0) : via_point + 1]), default=0)
-        if rounds > _REFINEMENTS or many > _MANY_EDGES or self._context.deadline.expired():
+        if rounds > _REFINEMENTS or many > _MANY_EDGES or self._request.deadline.expired():
             return False
         beside = np.arange(max(via_point - _ABOUT, 0), min(via_point + _ABOUT + 1, len(each)))
         beside = beside[self._rounds[beside] < rounds]
         self._rounds[beside] = rounds
-        self._context.reporter.step(f"charting via-point {via_point + 1} more densely")
-        self._each = self._sampler.refined(each, self._context.goals, beside.tolist(), rounds)
+        self._request.reporter.step(f"charting via-point {via_point + 1} more densely")
+        self._each = self._sampler.refined(each, self._request.goals, beside.tolist(), rounds)
         return self._each is not each
 
     def halved(self, share: float = np.inf) -> GlobalSearch:
@@ -235,7 +238,7 @@ class GlobalSearch:
         """
         asked = pinned, None if starts is None else starts.tobytes()
         if asked not in self._solutions:
-            solution = self._solve(self._context.first, starts) if pinned else self._solve_freely(starts)
+            solution = self._solve(self._request.first, starts) if pinned else self._solve_freely(starts)
             # Charts may have become denser, and what was found before with them is forgotten.
             self._solutions[asked] = solution
         return self._solutions[asked]
@@ -246,8 +249,8 @@ class GlobalSearch:
             try:
                 return self._solve(None, starts)
             except PathNotFound as failure:
-                k = int(np.abs(self._context.times - failure.time).argmin())
-                halved = self.step_share < self._context.options.step_share
+                k = int(np.abs(self._request.times - failure.time).argmin())
+                halved = self.step_share < self._request.cell.options.step_share
                 if starts is not None or halved or self._is_too_far(k, failure.pace):
                     raise
                 if not self._refine(self._each, k):
@@ -275,14 +278,14 @@ class GlobalSearch:
         PathNotFound
             When none of `PlannerOptions.other_starts` postures leads to the end.
         """
-        chart, posture = self._layers[0].chart, self._context.first
+        chart, posture = self._layers[0].chart, self._request.first
         moves = self._moves(posture, chart.q)
         away = self._largest(moves)
         others = np.flatnonzero(chart.within & (away >= _SAME_POSTURE))
         nearest = others[np.argsort(away[others], kind="stable")]
         failures = [failed]
-        for k in nearest[: self._context.options.other_starts]:
-            if self._context.deadline.expired():
+        for k in nearest[: self._request.cell.options.other_starts]:
+            if self._request.deadline.expired():
                 break
             try:
                 return self._solve(posture + moves[k]), tuple(failures)
@@ -300,29 +303,29 @@ class GlobalSearch:
         PathNotFound
             When no sequence can be followed.
         """
-        if self._leaning is not self._context:
+        if self._leaning is not self._request:
             return self.lower_bound.value
-        followed = followed_bound(self._context, self._layers, self._spacing)
+        followed = followed_bound(self._request, self._layers, self._spacing)
         return max(followed, self.lower_bound.value)
 
     def parts_of_first_chart(self) -> list[BoolArray]:
         """Return which postures (M,) of the first chart each connected part of it has, nearest first."""
         chart = self.first_chart
-        metric = self._context.robot.metric
+        metric = self._request.cell.robot.metric
         label = connected_parts(chart.q, chart.within, self._spacing, metric)
-        away = self._largest(self._moves(self._context.first, chart.q))
+        away = self._largest(self._moves(self._request.first, chart.q))
         parts = [label == number for number in np.unique(label[label >= 0])]
         return sorted(parts, key=lambda part: float(away[part].min()))
 
     def _allow(self, step_share: float) -> None:
         """Let joints use that share of their velocity bounds between via-points."""
-        context = self._context
+        request = self._request
         self.step_share = step_share
         self._solutions: dict[tuple[bool, bytes | None], GlobalSolution] = {}
         before = self._steps
         self._steps = (
-            step_share * context.robot.limits.velocity * np.diff(context.times)[:, None]
-            + 0.5 * context.options.chart_spacing / context.robot.metric.weight
+            step_share * request.cell.robot.limits.velocity * np.diff(request.times)[:, None]
+            + 0.5 * request.cell.options.chart_spacing / request.cell.robot.metric.weight
         )
         # What was found between the same charts is found again, or holds what shorter steps leave of it.
         same = [a is b for a, b in zip(self._layers, self._linked, strict=False)]
@@ -335,33 +338,33 @@ class GlobalSearch:
 
     def _moves(self, start: FloatArray, q: FloatArray) -> FloatArray:
         """Moves (M, d) from a posture (d,) to others, the shorter way round where that stays in range."""
-        return self._context.robot.limits.turned_towards(start, q, self._winding) - start
+        return self._request.cell.robot.limits.turned_towards(start, q, self._winding) - start
 
     def _largest(self, moves: FloatArray) -> FloatArray:
         """The largest move (M,), rad, of a joint in moves (M, d)."""
-        return np.asarray(np.abs(self._context.robot.metric.coordinates(moves)).max(axis=1))
+        return np.asarray(np.abs(self._request.cell.robot.metric.coordinates(moves)).max(axis=1))
 
     def _solve(self, start: FloatArray | None, starts: BoolArray | None = None) -> GlobalSolution:
         """Find the best sequence from a posture (d,), or from any of those that `starts` (M,) allows."""
-        context, layers = self._context, self._layers
+        request, layers = self._request, self._layers
         if starts is None:
             starts = np.ones(len(layers[0].chart.q), dtype=np.bool_)
         if start is not None:
             starts = self._largest(self._moves(start, layers[0].chart.q)) < _SAME_POSTURE
-        context.reporter.step("choosing the postures of least torque")
-        chosen = BottleneckDynamicProgram(context, layers, self._edges, starts).best()
+        request.reporter.step("choosing the postures of least torque")
+        chosen = BottleneckDynamicProgram(request, layers, self._edges, starts).best()
         q = np.stack([layer.chart.q[k] for layer, k in zip(layers, chosen, strict=True)])
-        if self._wide or self._leaning is not context:
+        if self._wide or self._leaning is not request:
             stays = start is not None
             # A start that stays is a lower bound as well.
             at_start = float(layers[0].chart.value[chosen[0]]) if stays else 0.0
-            bound = max(self.lower_bound.value, at_start, context.negligible)
+            bound = max(self.lower_bound.value, at_start, request.negligible)
             q = refine(self._leaning, q, self._steps, self._spacing, bound, self._winding, start_stays=stays)
         unwound, beyond = self._unwound(q, start)
         if beyond.any():
             search, same = self._on_all_turns(int(beyond.argmax()))
             return search._solve(start, starts[same])
-        value = context.objective.at_rest(context.postures.at(q))
+        value = request.cell.objective.at_rest(request.cell.postures.at(q))
         return GlobalSolution(q=unwound, value=value)
 
     def _with_more(self, each: list[FloatArray]) -> list[FloatArray]:
@@ -382,16 +385,16 @@ class GlobalSearch:
 
     def _found_beside(self) -> list[list[FloatArray]]:
         """Postures, (m, d) at each via-point, that charts get beside their own."""
-        context, more = self._context, list[list[FloatArray]]()
+        request, more = self._request, list[list[FloatArray]]()
         if self._bound is not None:
-            more.append(sequences_beside(context, self._lowest, self._bound.via_point, self._spacing))
-        if context.robot.dof > _POSE and not context.deadline.expired():
-            pose = replace(context, task=replace(context.task, keep="pose"))
+            more.append(sequences_beside(request, self._lowest, self._bound.via_point, self._spacing))
+        if request.cell.robot.dof > _POSE and not request.deadline.expired():
+            pose = replace(request, task=replace(request.task, keep="pose"))
             more.append(sampled_charts(pose)[1])
-        if self._leaning is not context:
+        if self._leaning is not request:
             k = self.lower_bound.via_point
             goals = _leaning_goals(self._leaning, self._lowest_leaning, k)
-            more.append(sequences_beside(context, self._lowest_leaning, k, self._spacing, goals))
+            more.append(sequences_beside(request, self._lowest_leaning, k, self._spacing, goals))
         return more
 
     def _unwound(self, q: FloatArray, start: FloatArray | None) -> tuple[FloatArray, BoolArray]:
@@ -399,12 +402,12 @@ class GlobalSearch:
 
         Also says which joints (d,) leave their ranges then.
         """
-        limits = self._context.robot.limits
+        limits = self._request.cell.robot.limits
         q, turn = q.copy(), 2 * np.pi
         q[1:, self._winding] = q[0, self._winding] + np.cumsum(
             nearest_turn(np.diff(q[:, self._winding], axis=0)), axis=0
         )
-        first = self._context.posture if start is None else start
+        first = self._request.state.posture if start is None else start
         turns = np.where(self._winding, np.round((first - q[0]) / turn), 0.0)
         if start is None:
             # The turns nearest to where the arm is on which the sequence stays within the ranges.
@@ -420,7 +423,7 @@ class GlobalSearch:
 
         And of which postures of the first chart now those of the new one are copies, (M,).
         """
-        limits = self._context.robot.limits
+        limits = self._request.cell.robot.limits
         reach = np.ceil((limits.upper[joint] - limits.lower[joint]) / (2 * np.pi))
         turns = np.zeros((int(2 * reach) + 1, len(limits.lower)))
         turns[:, joint] = 2 * np.pi * np.arange(-reach, reach + 1)
@@ -436,23 +439,23 @@ class GlobalSearch:
                 joint_use=chart.joint_use[same],
                 within=chart.within[same],
             )
-            layers.append(GraphLayer(self._context, copies))
+            layers.append(GraphLayer(self._request.cell, copies))
         search = copy.copy(self)
         search._layers, search._winding = layers, self._winding & (np.arange(len(limits.lower)) != joint)
         search._allow(self.step_share)
         return search, same_as[0]
 
 
-def _leaning_goals(context: PlanningContext, posture: FloatArray, via_point: int) -> ToolPoses:
+def _leaning_goals(request: StrokeRequest, posture: FloatArray, via_point: int) -> ToolPoses:
     """Goals whose axis leans all along the path as the tool's does in a posture (d,) of a via-point."""
-    goal = context.goals[via_point].rotation[0]
-    z = context.postures.tool_at(posture[None]).tool_rotation[:, :, 2] @ goal
+    goal = request.goals[via_point].rotation[0]
+    z = request.cell.postures.tool_at(posture[None]).tool_rotation[:, :, 2] @ goal
     lean = Rotation.from_rotvec(shortest_turns(np.array([[0.0, 0.0, 1.0]]), z)[0])
-    return context.task.leaning(lean.as_matrix()).goals(context.times)
+    return request.task.leaning(lean.as_matrix()).goals(request.times)
 
 
 def sequences_beside(
-    context: PlanningContext,
+    request: StrokeRequest,
     posture: FloatArray,
     via_point: int,
     spacing: float,
@@ -460,20 +463,20 @@ def sequences_beside(
 ) -> list[FloatArray]:
     """Carry a posture (d,) of a via-point, and others within `spacing`, along the path: (m, d) at each.
 
-    They hold the tool at the `goals` of all via-points, by default those of the context.
+    They hold the tool at the `goals` of all via-points, by default those of the request.
     """
     rng = np.random.default_rng(0)
     # The same offsets everywhere give sequences that run side by side.
     offsets = rng.normal(size=(_BESIDE, len(posture)))
     offsets *= spacing * rng.uniform(size=(_BESIDE, 1)) / np.linalg.norm(offsets, axis=1, keepdims=True)
-    offsets = context.robot.metric.positions(offsets)
-    goals = context.goals if goals is None else goals
+    offsets = request.cell.robot.metric.positions(offsets)
+    goals = request.goals if goals is None else goals
     each = [np.empty((0, len(posture))) for _ in range(len(goals))]
     for direction in (range(via_point, len(goals)), range(via_point - 1, -1, -1)):
         q = posture
         for k in direction:
             near = np.vstack([q, q + offsets])
-            placed, reached = project_onto_task(context.postures, context.task, near, goals[k])
+            placed, reached = project_onto_task(request.cell.postures, request.task, near, goals[k])
             if not reached[0]:
                 break
             each[k], q = placed[reached], placed[0]

@@ -19,8 +19,8 @@ import numpy as np
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.file_types import Count, NonNegative, Row, Share
 from cmbot.common.representation import short_repr
-from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import null_space, project_onto_task
+from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.charts import GraphLayer
 from cmbot.planning.selfmotion.proof import TorqueFloorProof
 from cmbot.planning.selfmotion.sampler import Coverage
@@ -101,7 +101,7 @@ class LowerBound:
 
 
 def find_lower_bound(
-    context: PlanningContext, layers: Sequence[GraphLayer], spacing: float
+    request: StrokeRequest, layers: Sequence[GraphLayer], spacing: float
 ) -> tuple[LowerBound, FloatArray]:
     """Find the lower bound from charts of the self-motion at all via-points, each with an admissible posture.
 
@@ -110,9 +110,9 @@ def find_lower_bound(
     best = [layer.best() for layer in layers]
     each = np.array([layer.chart.value[k] for layer, k in zip(layers, best, strict=True)])
     postures = np.stack([layer.chart.q[k] for layer, k in zip(layers, best, strict=True)])
-    search = _BranchAndBound(context, layers, spacing)
-    is_wide = context.robot.dof - context.task.dimension > 1
-    bound = (_searched_one_by_one if is_wide else _searched_together)(context, search, each, postures)
+    search = _BranchAndBound(request, layers, spacing)
+    is_wide = request.cell.robot.dof - request.task.dimension > 1
+    bound = (_searched_one_by_one if is_wide else _searched_together)(request, search, each, postures)
     searched = np.flatnonzero(np.isfinite(bound))
     # Where all is negligible nothing was searched.
     where = int(searched[each[searched].argmax()] if len(searched) else each.argmax())
@@ -122,7 +122,7 @@ def find_lower_bound(
 
 
 def _searched_together(
-    context: PlanningContext, search: _BranchAndBound, each: FloatArray, postures: FloatArray
+    request: StrokeRequest, search: _BranchAndBound, each: FloatArray, postures: FloatArray
 ) -> FloatArray:
     """Lower the values `each` (n,) where they may set the bound, several at a time; bounds (n,) of them."""
     bound = np.full(len(each), -np.inf)
@@ -132,33 +132,33 @@ def _searched_together(
     for first in range(0, len(order), _TOGETHER):
         some = order[first : first + _TOGETHER]
         # The bound at each via-point is one of the whole path, so the search may end early.
-        if each[some[0]] <= incumbent or (first > 0 and context.deadline.expired()):
+        if each[some[0]] <= incumbent or (first > 0 and request.deadline.expired()):
             break
         # The search of these may close some of the others.
         open_ = int((each[order[first:]] > incumbent).sum())
-        context.reporter.part(_STEP, first, first + open_)
+        request.reporter.part(_STEP, first, first + open_)
         each[some], bound[some] = search.minimise(some, each[some], incumbent, postures)
         incumbent = max(incumbent, float(each[some].max()))
     return bound
 
 
 def _searched_one_by_one(
-    context: PlanningContext, search: _BranchAndBound, each: FloatArray, postures: FloatArray
+    request: StrokeRequest, search: _BranchAndBound, each: FloatArray, postures: FloatArray
 ) -> FloatArray:
     """The same where the self-motion is wide: by descent, and by search only where that leaves the largest.
 
     A descent costs a tenth of a search, and nearly always shows that a via-point does not set the bound.
     Values that are negligible are not searched.
     """
-    least = context.negligible
+    least = request.negligible
     bound, descended = np.full(len(each), -np.inf), np.zeros(len(each), dtype=np.bool_)
     while True:
         k = int(each.argmax())
         searched = np.isfinite(bound)
-        late = searched.any() and context.deadline.expired()
+        late = searched.any() and request.deadline.expired()
         if searched[k] or late or each[k] <= least:
             return bound
-        context.reporter.part(_STEP, int(descended.sum()), len(each))
+        request.reporter.part(_STEP, int(descended.sum()), len(each))
         if not descended[k]:
             enough = float(each[descended].max(initial=least))
             each[k] = search.descend(k, each[k], enough, postures)
@@ -169,13 +169,13 @@ def _searched_one_by_one(
 
 
 def with_proof(
-    context: PlanningContext, bound: LowerBound, posture: FloatArray, coverage: Coverage
+    request: StrokeRequest, bound: LowerBound, posture: FloatArray, coverage: Coverage
 ) -> tuple[LowerBound, FloatArray]:
     """Return a lower bound proven where that is possible, otherwise called an estimate.
 
     Parameters
     ----------
-    context : PlanningContext
+    request : StrokeRequest
     bound : LowerBound
     posture : (n,), rad
         Has its value at its via-point.
@@ -189,10 +189,10 @@ def with_proof(
         As before, or better: a proof may meet one that the charts missed.
     """
     estimate = replace(bound, kind="estimated", missed=coverage.share)
-    prover = TorqueFloorProof.of(context)
+    prover = TorqueFloorProof.of(request)
     if prover is None:
         return estimate, posture
-    context.reporter.step("proving the lower bound")
+    request.reporter.step("proving the lower bound")
     proof = prover.prove(bound.via_point, bound.value)
     value = bound.value
     if proof.posture is not None and proof.value < value * (1 - _LOWERED):
@@ -222,10 +222,10 @@ class _Cells:
 class _BranchAndBound:
     """Branch and bound at several via-points at a time."""
 
-    def __init__(self, context: PlanningContext, layers: Sequence[GraphLayer], spacing: float) -> None:
-        self._context = context
+    def __init__(self, request: StrokeRequest, layers: Sequence[GraphLayer], spacing: float) -> None:
+        self._request = request
         self._layers = layers
-        self._spacing, self._margin = spacing, context.options.safety_margin_m
+        self._spacing, self._margin = spacing, request.cell.options.safety_margin_m
 
     def minimise(
         self, some: IntArray, best: FloatArray, incumbent: float, postures: FloatArray
@@ -237,13 +237,13 @@ class _BranchAndBound:
         set the lower bound: its search ends, and its bound is minus infinity.
         """
         best, left_out = best.copy(), np.full(len(some), np.inf)
-        self._some, self._goals = some, self._context.goals[some]
+        self._some, self._goals = some, self._request.goals[some]
         charts = [self._layers[k].chart.q for k in some]
         q, of = np.concatenate(charts), np.repeat(np.arange(len(some)), [len(chart) for chart in charts])
         edges = self._null_space(q)
         half = np.full(edges.shape[:2], self._spacing)
-        if self._context.task.cone is not None:
-            edges, half = self._leaning(q, edges, of, self._context.task.cone)
+        if self._request.task.cone is not None:
+            edges, half = self._leaning(q, edges, of, self._request.task.cone)
         if edges.shape[1] == 0:
             # Without self-motion there are no other postures.
             return best, np.where(best > incumbent, best * (1 - _ACCURACY), -np.inf)
@@ -254,7 +254,7 @@ class _BranchAndBound:
                 break
             value, fall, possible = self._bounded(cells)
             lowest = value - fall.sum(axis=1)
-            if self._context.deadline.expired():
+            if self._request.deadline.expired():
                 np.minimum.at(left_out, cells.of, lowest)
                 break
             worth = possible & (lowest < best[cells.of] * (1 - _ACCURACY))
@@ -281,7 +281,7 @@ class _BranchAndBound:
         From its own posture among `postures` (n, d), which is replaced, or those of its neighbours.
         """
         self._some = np.array([via_point])
-        self._goals = self._context.goals[self._some]
+        self._goals = self._request.goals[self._some]
         beside = postures[[k for k in (via_point - 1, via_point + 1) if 0 <= k < len(postures)]]
         near, reached = self._placed(beside, np.zeros(len(beside), dtype=np.intp))
         values = self._lowered(near[reached], 0, np.array([best]), postures)
@@ -295,7 +295,7 @@ class _BranchAndBound:
         for k in which:
             reach = self._spacing
             for _ in range(_STEPS):
-                if self._context.deadline.expired() or best[k] <= enough:
+                if self._request.deadline.expired() or best[k] <= enough:
                     break
                 q = postures[self._some[k]]
                 null = self._null_space(q[None])[0]
@@ -314,7 +314,7 @@ class _BranchAndBound:
         while first < len(better):
             some = better[first : first + count]
             some = some[self._admissible_but_for_clearance(q[some], np.full(len(some), k))]
-            clear = some[~self._context.clearances.check_collision(q[some], self._margin)]
+            clear = some[~self._request.cell.clearances.check_collision(q[some], self._margin)]
             if len(clear):
                 # The lowest that is admissible is all that counts.
                 best[k], postures[self._some[k]] = value[clear[0]], q[clear[0]]
@@ -330,7 +330,7 @@ class _BranchAndBound:
         Postures `q` (M, n) at the via-points `of` (M,) are those of charts, which hold the axis somewhere in
         it.
         """
-        task, at = self._context.task, self._context.postures.tool_at(q)
+        task, at = self._request.task, self._request.cell.postures.tool_at(q)
         leans = task.on_axis.jacobian(at.tool_rotation, at.jacobian)[:, 3:] @ edges.transpose(0, 2, 1)
         _, rate, V = np.linalg.svd(leans)
         half = np.full(edges.shape[:2], self._spacing)
@@ -339,11 +339,11 @@ class _BranchAndBound:
         return V @ edges, half
 
     def _null_space(self, q: FloatArray) -> FloatArray:
-        return null_space(self._context.postures, self._context.task, q)
+        return null_space(self._request.cell.postures, self._request.task, q)
 
     def _placed(self, q: FloatArray, of: IntArray) -> tuple[FloatArray, BoolArray]:
         """Postures projected onto the task at their via-points, and which of them lie on it."""
-        return project_onto_task(self._context.postures, self._context.task, q, self._goals[of])
+        return project_onto_task(self._request.cell.postures, self._request.task, q, self._goals[of])
 
     def _bounded(self, cells: _Cells) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Values at the centres, how far they may fall along each edge, and which cells may be admissible."""
@@ -365,22 +365,22 @@ class _BranchAndBound:
 
     def _in_range_somewhere(self, cells: _Cells) -> BoolArray:
         """Which cells may reach into the joint ranges."""
-        limits = self._context.robot.limits
+        limits = self._request.cell.robot.limits
         extent = np.einsum("kd,kdn->kn", cells.half, np.abs(cells.edges))
         inside = (cells.q + extent >= limits.lower) & (cells.q - extent <= limits.upper)
         return np.asarray(inside.all(axis=1))
 
     def _measured(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Objective at rest and largest share of a joint torque's bound, (N,) each."""
-        at = self._context.postures.at(q)
-        use = self._context.use_at_rest(at)
-        return self._context.objective.at_rest(at), use
+        at = self._request.cell.postures.at(q)
+        use = self._request.cell.use_at_rest(at)
+        return self._request.cell.objective.at_rest(at), use
 
     def _checked(
         self, cells: _Cells, value: FloatArray, best: FloatArray, postures: FloatArray
     ) -> tuple[FloatArray, BoolArray]:
         """Compute clearances in cells: the best values then, and which cells may be clear somewhere."""
-        limits, clearances = self._context.robot.limits, self._context.clearances
+        limits, clearances = self._request.cell.robot.limits, self._request.cell.clearances
         margin, hopeful = self._margin, value < best[cells.of]
         hopeful[hopeful] = self._admissible_but_for_clearance(cells.q[hopeful], cells.of[hopeful])
         reach = np.einsum("kd,kdn,n->k", cells.half, np.abs(cells.edges), clearances.reach)
@@ -398,16 +398,18 @@ class _BranchAndBound:
 
     def _admissible_but_for_clearance(self, q: FloatArray, of: IntArray) -> BoolArray:
         """Which postures keep to joint ranges, joint torques and the cone of the tool's axis."""
-        holds = self._context.robot.limits.contain(q) & (self._beyond_cone(q, of) <= 0.0)
+        holds = self._request.cell.robot.limits.contain(q) & (self._beyond_cone(q, of) <= 0.0)
         holds[holds] = self._measured(q[holds])[1] <= 1.0
         return np.asarray(holds)
 
     def _beyond_cone(self, q: FloatArray, of: IntArray) -> FloatArray:
         """By how much the tool's axis leans out of its cone, rad; negative within."""
-        task = self._context.task
+        task = self._request.task
         if task.cone is None:
             return np.full(len(q), -np.inf)
-        return task.rotation(self._context.postures.tool_at(q).tool_rotation, self._goals[of]) - task.cone
+        return (
+            task.rotation(self._request.cell.postures.tool_at(q).tool_rotation, self._goals[of]) - task.cone
+        )
 
     def _halved(self, cells: _Cells, fall: FloatArray) -> _Cells:
         """Halve every cell along the edge of the largest fall; where none falls, along the longest."""
@@ -420,7 +422,7 @@ class _BranchAndBound:
         of = np.tile(cells.of, 2)
         q, reached = self._placed(np.concatenate([cells.q + shift, cells.q - shift]), of)
         # The parent's edges, turned the least way into the self-motion here.
-        null, metric = self._null_space(q), self._context.robot.metric
+        null, metric = self._null_space(q), self._request.cell.robot.metric
         both = metric.coordinates(np.tile(cells.edges, (2, 1, 1)))
         U, _, V = np.linalg.svd(both @ metric.coordinates(null).transpose(0, 2, 1))
         return _Cells(q, U @ V @ null, np.tile(half, (2, 1)), of)[reached]

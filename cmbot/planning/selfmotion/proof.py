@@ -16,9 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, cross
-from cmbot.planning.context import PlanningContext
-from cmbot.planning.objectives import WeightedMoment, WrenchObjective
 from cmbot.planning.path.projection import project_onto_task
+from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.joint_boxes import (
     JointBoxes,
     azimuth_between,
@@ -30,6 +29,8 @@ from cmbot.planning.selfmotion.joint_boxes import (
     without_pivot,
 )
 from cmbot.planning.selfmotion.spherical_joint import WristChain, turns, wrist_chain
+from cmbot.planning.workcell.objectives import WeightedMoment, WrenchObjective
+from cmbot.planning.workcell.workcell import Workcell
 from cmbot.robot import PostureBatch, Postures, ToolBatch
 
 # Boxes are dropped when they miss a condition by more than this, m, rad, or a share of Nm.
@@ -87,43 +88,44 @@ class TorqueFloorProof:
 
     Parameters
     ----------
-    context : PlanningContext
+    request : StrokeRequest
     chain : WristChain
     function : WeightedMoment
-        The context's objective.
+        The request's objective.
     """
 
-    def __init__(self, context: PlanningContext, chain: WristChain, function: WeightedMoment) -> None:
-        self._context, self._chain = context, chain
-        limits = context.robot.limits
+    def __init__(self, request: StrokeRequest, chain: WristChain, function: WeightedMoment) -> None:
+        cell = request.cell
+        self._request, self._chain = request, chain
+        limits = cell.robot.limits
         half = limits.sampled_half
         self._range = limits.range_middle - half, limits.range_middle + half
         self._lever = chain.lever_bounds()
         self._goal_frame = frame_about(chain.axis[0])
-        model = context.robot.model
+        model = cell.robot.model
         self._gravity = float(np.linalg.norm(model.gravity.linear))
-        self._moment = _moment_bounds(context)
+        self._moment = _moment_bounds(request.cell)
         # The weights are looked at by themselves: what the force adds on the task does not change there.
-        self._unloaded = Postures(context.robot.tool_off)
-        self._push = float(np.linalg.norm(context.robot.tool_force))
+        self._unloaded = Postures(cell.robot.tool_off)
+        self._push = float(np.linalg.norm(cell.robot.tool_force))
         self._inner = chain.joints[: chain.inner]
         self._wrist = chain.joints[chain.inner :]
         self._function = function
         self._heaviest = float(function.weights.max())
-        self._weight = _weights(context)
+        self._weight = _weights(request.cell)
 
     @staticmethod
-    def of(context: PlanningContext) -> TorqueFloorProof | None:
-        """Return what proves bounds for a context; None where nothing does."""
-        objective = context.objective
+    def of(request: StrokeRequest) -> TorqueFloorProof | None:
+        """Return what proves bounds for a request; None where nothing does."""
+        objective = request.cell.objective
         function = objective.function if isinstance(objective, WrenchObjective) else None
-        chain = wrist_chain(context) if isinstance(function, WeightedMoment) else None
+        chain = wrist_chain(request) if isinstance(function, WeightedMoment) else None
         if chain is None or not isinstance(function, WeightedMoment):
             return None
-        if context.task.keep != "pose" and any(context.robot.tool_force[:2]):
+        if request.task.keep != "pose" and any(request.cell.robot.tool_force[:2]):
             # Only along the axis that the task keeps is it the same in all postures on it.
             return None
-        return TorqueFloorProof(context, chain, function)
+        return TorqueFloorProof(request, chain, function)
 
     def prove(self, via_point: int, value: float) -> Proof:
         """Prove that no admissible posture at a via-point has a smaller objective than `value`.
@@ -148,7 +150,7 @@ class TorqueFloorProof:
                 keep = lowest < value * (1 - _ACCURACY)
                 boxes, lowest = boxes[keep], lowest[keep]
             examined += 2 * len(boxes)
-            if examined > _MOST_WORK or len(boxes) > _MOST_BOXES or self._context.deadline.expired():
+            if examined > _MOST_WORK or len(boxes) > _MOST_BOXES or self._request.deadline.expired():
                 left_out = float(lowest.min(initial=np.inf))
                 break
             boxes = self._halved(boxes)
@@ -284,10 +286,10 @@ class TorqueFloorProof:
         off = self._gravity * self._second_order(reach, self._moment)
         lowest = value + np.maximum(linear, along) - self._heaviest * off
         keep &= lowest < enough
-        robot = self._context.robot
+        robot = self._request.cell.robot
         torque, slopes = at.joint_torque, self._torque_slopes(at)
         if robot.pushed:
-            pushed = self._context.postures.tool_at(middle)
+            pushed = self._request.cell.postures.tool_at(middle)
             torque, slopes = torque + pushed.torque_against_push, slopes + _push_slopes(pushed)
             # A second derivative of the force's lever, of its direction, and twice the product of the first.
             off = off + self._second_order(reach, np.full(robot.dof, 4 * self._push * robot.reach))
@@ -384,9 +386,9 @@ class TorqueFloorProof:
 
     def _objective(self, at: PostureBatch, via_point: int) -> tuple[FloatArray, FloatArray]:
         """The objective (N,) at rest and its derivatives (N, n), the force on the tool as on the task."""
-        goal = self._context.goals[via_point]
-        push = goal.rotation[0] @ self._context.robot.tool_force
-        lever = goal.point[0] - np.array(self._context.robot.foot_point)
+        goal = self._request.goals[via_point]
+        push = goal.rotation[0] @ self._request.cell.robot.tool_force
+        lever = goal.point[0] - np.array(self._request.cell.robot.foot_point)
         constant = np.concatenate([push, cross(lever, push)])
         value, gradient = self._function(np.hstack([at.guardrail_force, at.guardrail_torque]) + constant)
         # The torque's derivative is the moved first moment crossed with gravity.
@@ -407,7 +409,7 @@ class TorqueFloorProof:
 
     def _clear(self, boxes: JointBoxes) -> BoolArray:
         """Which boxes may hold a posture that keeps the safety margin."""
-        clearances, margin = self._context.clearances, self._context.options.safety_margin_m
+        clearances, margin = self._request.cell.clearances, self._request.cell.options.safety_margin_m
         reach = boxes.half @ clearances.reach
         clear = np.ones(len(boxes), dtype=np.bool_)
         # Wider ones are nearly always clear somewhere.
@@ -420,17 +422,19 @@ class TorqueFloorProof:
         self, boxes: JointBoxes, lowest: FloatArray, via_point: int, value: float
     ) -> tuple[FloatArray, float] | None:
         """An admissible posture below `value` near the middles of the boxes that allow most; None without."""
-        context = self._context
-        limits = context.robot.limits
+        request = self._request
+        limits = request.cell.robot.limits
         chosen = np.argsort(lowest, kind="stable")[:_TRIES]
         q = boxes.middle[chosen]
-        q, reached = project_onto_task(context.postures, context.task, q, context.goals[via_point])
+        q, reached = project_onto_task(request.cell.postures, request.task, q, request.goals[via_point])
         q = q[reached]
-        at = context.postures.at(q)
-        found = context.objective.at_rest(at)
-        good = limits.contain(q) & (found < value) & (context.use_at_rest(at) <= 1.0)
+        at = request.cell.postures.at(q)
+        found = request.cell.objective.at_rest(at)
+        good = limits.contain(q) & (found < value) & (request.cell.use_at_rest(at) <= 1.0)
         for k in np.flatnonzero(good)[np.argsort(found[good], kind="stable")]:
-            if not context.clearances.check_collision(q[k : k + 1], context.options.safety_margin_m)[0]:
+            if not request.cell.clearances.check_collision(
+                q[k : k + 1], request.cell.options.safety_margin_m
+            )[0]:
                 return q[k], float(found[k])
         return None
 
@@ -457,16 +461,16 @@ def _push_slopes(at: ToolBatch) -> FloatArray:
     return np.asarray(-lever - np.triu(direction, 1))
 
 
-def _weights(context: PlanningContext) -> FloatArray:
+def _weights(cell: Workcell) -> FloatArray:
     """How much the arm moves with each joint (n,), from 0 to 1."""
-    reach, moment = context.clearances.reach, _moment_bounds(context)
+    reach, moment = cell.clearances.reach, _moment_bounds(cell)
     shares = [part / part.max() for part in (reach, moment) if part.max() > 0]
     return np.asarray(np.max(shares, axis=0))
 
 
-def _moment_bounds(context: PlanningContext) -> FloatArray:
+def _moment_bounds(cell: Workcell) -> FloatArray:
     """Bounds (n,), kg m, of the first moments about each axis of all beyond it; they fall along the arm."""
-    at = context.postures.at(np.zeros((1, context.robot.dof)))
+    at = cell.postures.at(np.zeros((1, cell.robot.dof)))
     axis, origin, centre = at.axis[0], at.origin[0], at.centre[0]
     n = len(axis)
     bounds = np.zeros(n)

@@ -9,30 +9,30 @@ from __future__ import annotations
 
 import numpy as np
 
-from cmbot.planning.context import PlanningContext
-from cmbot.planning.objectives import WeightedMoment
+from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.proof import TorqueFloorProof
 from cmbot.planning.selfmotion.spherical_joint import wrist_chain
+from cmbot.planning.workcell.objectives import WeightedMoment
 
 # A stretched or folded arm is not out of its own reach, m.
 _ROUNDING = 1e-9
 
 
-def out_of_reach(context: PlanningContext, via_point: int) -> str:
+def out_of_reach(request: StrokeRequest, via_point: int) -> str:
     """Return why no posture within the joint ranges holds the tool at a via-point; empty without a proof."""
-    robot = context.robot
-    distance = float(np.linalg.norm(context.goals.point[via_point] - robot.base_point))
+    robot = request.cell.robot
+    distance = float(np.linalg.norm(request.goals.point[via_point] - robot.base_point))
     where = f"out of reach: the tool point is {distance:.3f} m from the arm's first joint"
     if distance > robot.reach * (1 + _ROUNDING):
         return f"{where}, which the arm with its tool stretched out, {robot.reach:.3f} m, does not reach"
     if distance < robot.inner_reach * (1 - _ROUNDING):
         return f"{where}, nearer than {robot.inner_reach:.3f} m, as near as its links can bring it"
-    chain = wrist_chain(context)
+    chain = wrist_chain(request)
     # Any objective: none is bounded.
     norm = WeightedMoment(np.zeros(3), np.ones(3))
-    if chain is not None and TorqueFloorProof(context, chain, norm).holds_nothing(via_point):
+    if chain is not None and TorqueFloorProof(request, chain, norm).holds_nothing(via_point):
         return (
-            f"out of reach: no posture within the joint ranges holds the tool's {context.task.keep} there "
+            f"out of reach: no posture within the joint ranges holds the tool's {request.task.keep} there "
             "(proven)"
         )
     return ""

@@ -21,10 +21,10 @@ import numpy as np
 from scipy.special import betaincinv
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
-from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import TangentPredictor, null_space, project_onto_task
+from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.poisson_disk import PoissonDiskSets
-from cmbot.scene import ToolPoses
+from cmbot.toolpath import ToolPoses
 
 # Newton steps that put random postures onto the task.
 _RANDOM_STEPS = 40
@@ -78,7 +78,7 @@ class Coverage:
 
 
 class SelfMotionSampler:
-    """Samples the postures (M, n) of charts along the tool path of a context.
+    """Samples the postures (M, n) of charts along the tool path of a request.
 
     Attributes
     ----------
@@ -86,21 +86,22 @@ class SelfMotionSampler:
         Of the charts, by the random postures that were drawn last.
     """
 
-    def __init__(self, context: PlanningContext) -> None:
-        self._postures, self._task = context.postures, context.task
+    def __init__(self, request: StrokeRequest) -> None:
+        cell = request.cell
+        self._postures, self._task = cell.postures, request.task
         # Every joint is charted on the circle, about the middle of its range.
-        self._limits = context.robot.limits
+        self._limits = cell.robot.limits
         # Joints that slide do so within their ranges: beyond them some could go on for ever.
         slides, limits = self._limits.prismatic, self._limits
         self._lower = np.where(slides, limits.lower, -np.inf)
         self._upper = np.where(slides, limits.upper, np.inf)
-        self._finest = context.options.chart_spacing
+        self._finest = cell.options.chart_spacing
         # How often the spacing within and that beyond the joint ranges have grown.
         self._coarser = self._beyond = 0
         # By how much it is finer while charts are refined.
         self._denser = 1.0
-        self._seeds = context.options.chart_seeds
-        self._freedom = max(context.robot.dof - context.task.dimension, 0)
+        self._seeds = cell.options.chart_seeds
+        self._freedom = max(cell.robot.dof - request.task.dimension, 0)
         self.coverage = Coverage(0, 0, 0)
         # The random numbers are the same in every run.
         self._rng = np.random.default_rng(0)
@@ -367,22 +368,28 @@ class _Postures:
         return _Postures(self.q[index], self.of[index])
 
 
-def sampled_charts(context: PlanningContext) -> tuple[SelfMotionSampler, list[FloatArray]]:
+def sampled_charts(request: StrokeRequest) -> tuple[SelfMotionSampler, list[FloatArray]]:
     """Postures (M, d) of the charts at all via-points, and the sampler that goes on from there.
 
     Jobs of a campaign often have the tool path and the arm in common, and differ in what it carries or how
     fast it moves.
     """
-    goals, limits, task, options = context.goals, context.robot.limits, context.task, context.options
+    cell = request.cell
+    goals, limits, task, options = (
+        request.goals,
+        cell.robot.limits,
+        request.task,
+        cell.options,
+    )
     # So that they do not depend on how the via-points' times were rounded.
     goals = replace(goals, point=goals.point.round(_DIGITS), rotation=goals.rotation.round(_DIGITS))
     lean = np.zeros(0) if task.lean is None else task.lean
-    arrays = (limits.lower, limits.upper, goals.point, goals.rotation, context.first, lean)
+    arrays = (limits.lower, limits.upper, goals.point, goals.rotation, request.first, lean)
     asked = (task.keep, task.path.turns, options.chart_spacing, options.chart_seeds)
-    known = (*asked, *(array.tobytes() for array in arrays), *context.postures.geometry)
+    known = (*asked, *(array.tobytes() for array in arrays), *cell.postures.geometry)
     if known not in _CHARTED:
-        sampler = SelfMotionSampler(context)
-        drawn = _charted(sampler, context, goals)
+        sampler = SelfMotionSampler(request)
+        drawn = _charted(sampler, request, goals)
         if sum(map(len, drawn)) > _MOST_KEPT:
             return sampler, drawn
         _CHARTED[known] = sampler, tuple(drawn)
@@ -392,13 +399,15 @@ def sampled_charts(context: PlanningContext) -> tuple[SelfMotionSampler, list[Fl
     return sampler.copied(), list(charts)
 
 
-def _charted(sampler: SelfMotionSampler, context: PlanningContext, goals: ToolPoses) -> list[FloatArray]:
-    step = f"charting the postures that hold the tool's {context.task.keep}"
+def _charted(sampler: SelfMotionSampler, request: StrokeRequest, goals: ToolPoses) -> list[FloatArray]:
+    step = f"charting the postures that hold the tool's {request.task.keep}"
 
     def report(done: int, total: int) -> None:
-        context.reporter.part(step, done, total)
-        if context.deadline.expired():
-            reason = f"{context.time_in_words}, was over when {done} of {total} via-points had been charted"
-            raise context.path_not_found(reason, context.first, stopped=True)
+        request.reporter.part(step, done, total)
+        if request.deadline.expired():
+            reason = (
+                f"{request.deadline.in_words}, was over when {done} of {total} via-points had been charted"
+            )
+            raise request.path_not_found(reason, request.first, stopped=True)
 
-    return sampler.along(goals, context.first[None], report)
+    return sampler.along(goals, request.first[None], report)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cmbot.common.arrays import FloatArray, IntArray, cross
-from cmbot.planning.context import PlanningContext
+from cmbot.planning.request import StrokeRequest
 
 # Axes meet when they pass a point at no more than this distance, m: URDFs are rounded.
 _MEET = 2e-5
@@ -85,19 +85,19 @@ class WristChain:
         return np.asarray(across + beyond)
 
 
-def wrist_chain(context: PlanningContext) -> WristChain | None:
-    """Return the chain of a context's arm and task; None where they do not decouple.
+def wrist_chain(request: StrokeRequest) -> WristChain | None:
+    """Return the chain of a request's arm and task; None where they do not decouple.
 
     They do for arms of six or seven revolute joints, the first or the last three of which meet, and
     ``keep: pose``; with a wrist and a tool on its last axis also for ``keep: axis``.
     """
-    robot, task = context.robot, context.task
+    robot, task = request.cell.robot, request.task
     if task.lean is not None:
         return None
     n = robot.dof
     if n - 3 not in _INNER or task.keep == "position" or task.path.turns or robot.limits.prismatic.any():
         return None
-    at = context.postures.tool_at(np.zeros((1, n)))
+    at = request.cell.postures.tool_at(np.zeros((1, n)))
     axis, origin = at.axis[0], at.origin[0]
     point, R = at.tool_point[0], at.tool_rotation[0]
     turned = task.path.orientation @ R.T
@@ -116,9 +116,9 @@ def wrist_chain(context: PlanningContext) -> WristChain | None:
                 continue
             free_axis = axis[-1]
         if reverse:
-            rotation, goal = turned.T, point + (centre - context.goals.point) @ turned
+            rotation, goal = turned.T, point + (centre - request.goals.point) @ turned
         else:
-            rotation, goal = turned, context.goals.point + turned @ (centre - point)
+            rotation, goal = turned, request.goals.point + turned @ (centre - point)
         return WristChain(
             joints=joints,
             axis=axis,

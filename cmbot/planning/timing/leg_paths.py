@@ -10,11 +10,12 @@ from scipy.interpolate import BSpline, CubicSpline, make_lsq_spline
 
 from cmbot.common.errors import LimitViolation
 from cmbot.common.limit import Limit
-from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import project_onto_task
+from cmbot.planning.request import StrokeRequest
 from cmbot.planning.timing.law_search import Bounded, shortest_law
 from cmbot.robot import Dynamics, Kinematics, Robot
-from cmbot.scene import SPEED_TOLERANCE, LegLaw
+from cmbot.scene import SPEED_TOLERANCE
+from cmbot.toolpath import LegLaw
 from cmbot.trajectory import QuinticTrajectory
 
 # Pieces of the spline that a joint path is, one a segment, and points of each that are put onto the task.
@@ -50,15 +51,15 @@ class LegPath:
 
 
 def leg_paths(
-    context: PlanningContext, legs: Sequence[int], trajectory: QuinticTrajectory
+    request: StrokeRequest, legs: Sequence[int], trajectory: QuinticTrajectory
 ) -> tuple[LegPath, ...]:
-    """Return the joint paths of legs that a trajectory of a context follows, put onto the task."""
-    path, times = context.task.path, context.times
+    """Return the joint paths of legs that a trajectory of a request follows, put onto the task."""
+    path, times = request.task.path, request.times
     found = []
     for leg in legs:
         begin, end = path.leg_times[leg : leg + 2]
         segments = int(((times > begin + 1e-9 * path.duration) & (times <= end + 1e-9 * path.duration)).sum())
-        finer = _ON_CURVES if leg in path.curves else 1.0
+        finer = 1.0 if path.segments[leg].is_straight else _ON_CURVES
         pieces = int(np.clip(finer * segments, _FEWEST_PIECES, finer * _MOST_PIECES))
         shares = np.linspace(0.0, 1.0, _POINTS * pieces + 1)
         at = path.times_at(leg, shares)
@@ -67,7 +68,9 @@ def leg_paths(
         knots = np.concatenate([np.zeros(6), np.linspace(0.0, 1.0, pieces + 1)[1:-1], np.ones(6)])
         smooth = make_lsq_spline(shares, rough, knots, k=5)(shares)
         smooth[[0, -1]] = rough[[0, -1]]
-        q, _ = project_onto_task(context.postures, context.task, smooth, context.task.goals(at), steps=30)
+        q, _ = project_onto_task(
+            request.cell.postures, request.task, smooth, request.task.goals(at), steps=30
+        )
         found.append(LegPath(leg=leg, q=make_lsq_spline(shares, q, knots, k=5), segments=segments))
     return tuple(found)
 
@@ -120,22 +123,22 @@ def bounds_along(
     return bounded
 
 
-def shortest_laws(context: PlanningContext, paths: Sequence[LegPath]) -> Iterator[LegLaw]:
-    """Yield the shortest laws along joint paths within a context's limits.
+def shortest_laws(request: StrokeRequest, paths: Sequence[LegPath]) -> Iterator[LegLaw]:
+    """Yield the shortest laws along joint paths within a request's limits.
 
     Raises
     ------
     LimitViolation
         Where the arm asks more of the base, or of a joint, at rest than it may.
     """
-    task = context.task
+    task = request.task
     max_speed = None if task.max_speed is None else task.max_speed / (1 + SPEED_TOLERANCE)
     for each in paths:
         phases = int(np.clip(_PHASES * each.segments, _FEWEST_PHASES, _MOST_PHASES))
-        bounded = bounds_along(context.robot, each.q, max_speed, task.max_base_torque)
+        bounded = bounds_along(request.cell.robot, each.q, max_speed, task.max_base_torque)
         _, jerk, seconds = shortest_law(bounded, phases)
         if not np.isfinite(seconds):
-            raise _too_heavy(context, each)
+            raise _too_heavy(request, each)
         yield LegLaw(
             leg=each.leg,
             seconds=(seconds / phases,) * phases,
@@ -143,12 +146,13 @@ def shortest_laws(context: PlanningContext, paths: Sequence[LegPath]) -> Iterato
         )
 
 
-def _too_heavy(context: PlanningContext, path: LegPath) -> LimitViolation:
+def _too_heavy(request: StrokeRequest, path: LegPath) -> LimitViolation:
     """The error of a leg on which no motion is slow enough."""
+    cell = request.cell
     shares = np.linspace(0.0, 1.0, 201)
-    efforts = Dynamics(context.robot).static_efforts(path.q(shares))
-    time = float(context.task.path.leg_times[path.leg])
-    most = context.task.max_base_torque
+    efforts = Dynamics(cell.robot).static_efforts(path.q(shares))
+    time = float(request.task.path.leg_times[path.leg])
+    most = request.task.max_base_torque
     asked = float(np.linalg.norm(efforts.guardrail_torque, axis=1).max())
     if most is not None and asked >= _BASE_TORQUE * most:
         return LimitViolation(
@@ -159,14 +163,14 @@ def _too_heavy(context: PlanningContext, path: LegPath) -> LimitViolation:
             unit="Nm",
             limit=Limit.BASE_TORQUE,
         )
-    use = np.abs(efforts.joint_torque) / context.robot.limits.torque
+    use = np.abs(efforts.joint_torque) / cell.robot.limits.torque
     joint = int(use.max(axis=0).argmax())
-    bound = float(context.robot.limits.torque[joint])
+    bound = float(cell.robot.limits.torque[joint])
     return LimitViolation(
-        f"torque of {context.robot.joints[joint]} at rest",
+        f"torque of {cell.robot.joints[joint]} at rest",
         time=time,
         value=float(use.max()) * bound,
         bound=bound,
-        unit=context.robot.limits.units(joint).torque,
+        unit=cell.robot.limits.units(joint).torque,
         limit=Limit.JOINT_TORQUE,
     )

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray
-from cmbot.planning.context import PlanningContext
-from cmbot.scene import LegLaw
+from cmbot.planning.request import StrokeRequest
+from cmbot.toolpath import LegLaw
 from cmbot.trajectory import QuinticTrajectory
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ class Timing:
 
     Attributes
     ----------
-    context : PlanningContext
+    request : StrokeRequest
         In which `trajectory` was planned.
     trajectory : QuinticTrajectory
     paths : sequence of LegPath
@@ -39,7 +39,7 @@ class Timing:
         Why the first of these failed.
     """
 
-    context: PlanningContext
+    request: StrokeRequest
     trajectory: QuinticTrajectory
     paths: Sequence[LegPath]
     laws: tuple[LegLaw, ...]
@@ -53,21 +53,21 @@ class Timing:
         return sum(law.duration for law in self.laws)
 
     @property
-    def timed(self) -> PlanningContext:
-        """The context in which the legs have the stretched laws."""
+    def timed(self) -> StrokeRequest:
+        """The request in which the legs have the stretched laws."""
         pairs = zip(self.laws, self.factors, strict=True)
-        return in_time(self.context, [law.slowed(float(factor)) for law, factor in pairs])
+        return in_time(self.request, [law.slowed(float(factor)) for law, factor in pairs])
 
     def stretched(self, factors: FloatArray, at_fault: BoolArray, reason: str) -> Timing:
         """Return the same laws stretched by other factors."""
         return replace(self, factors=factors, at_fault=at_fault, reason=self.reason or reason)
 
-    def via_points(self, timed: PlanningContext) -> FloatArray:
-        """Postures (k, n) of the joint path at the via-points of a context in another time."""
+    def via_points(self, timed: StrokeRequest) -> FloatArray:
+        """Postures (k, n) of the joint path at the via-points of a request in another time."""
         leg, share = timed.task.path.leg_shares(timed.times)
         old = np.empty(len(leg))
         for k in np.unique(leg):
-            old[leg == k] = self.context.task.path.times_at(int(k), share[leg == k])
+            old[leg == k] = self.request.task.path.times_at(int(k), share[leg == k])
         q = self.trajectory.evaluate(old)
         for path in self.paths:
             q[leg == path.leg] = path.q(share[leg == path.leg])
@@ -76,11 +76,11 @@ class Timing:
         return q
 
 
-def in_time(context: PlanningContext, laws: Sequence[LegLaw]) -> PlanningContext:
-    """Return the context of a stroke whose open legs have these laws."""
-    path = context.task.path.timed(laws)
-    file = context.stroke.file.changed(time_laws=tuple(laws))
-    stroke = replace(context.stroke, path=path, file=file)
-    strokes = (*context.strokes[: context.number], stroke, *context.strokes[context.number + 1 :])
-    times = path.via_times(len(context.times))
-    return replace(context, task=replace(context.task, path=path), strokes=strokes, times=times)
+def in_time(request: StrokeRequest, laws: Sequence[LegLaw]) -> StrokeRequest:
+    """Return the request of a stroke whose open legs have these laws."""
+    path = request.task.path.timed(laws)
+    file = request.stroke.file.changed(time_laws=tuple(laws))
+    stroke = replace(request.stroke, path=path, file=file)
+    strokes = (*request.strokes[: request.number], stroke, *request.strokes[request.number + 1 :])
+    times = path.via_times(len(request.times))
+    return replace(request, task=replace(request.task, path=path), strokes=strokes, times=times)

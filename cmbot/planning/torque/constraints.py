@@ -11,10 +11,10 @@ from cmbot.common.arrays import BoolArray, FloatArray, IntArray, cross
 from cmbot.common.limit import Limit
 from cmbot.hold import Holding
 from cmbot.optimization import Linearization, StateSamples
-from cmbot.planning.objectives import efforts_of
 from cmbot.planning.task import ToolTask
+from cmbot.planning.workcell.objectives import efforts_of
 from cmbot.robot import Dynamics, Postures, ToolBatch
-from cmbot.scene import ToolPoses
+from cmbot.toolpath import ToolPoses
 
 # A norm has no derivative at zero; below this share of its bound it is taken as flat.
 _FLAT = 1e-12

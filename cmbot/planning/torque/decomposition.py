@@ -91,10 +91,10 @@ def segments(problem: TorqueProblem) -> list[tuple[int, int]]:
     """
     t = problem.space.t
     last = len(t) - 1
-    if last + 1 <= LONGEST_WHOLE or problem.context.options.solver == "slsqp":
+    if last + 1 <= LONGEST_WHOLE or problem.request.cell.options.solver == "slsqp":
         return [(0, last)]
     # Inner via-points at which legs meet; `ToolPath.via_times` puts one exactly there.
-    corners = np.flatnonzero(np.isin(t, problem.context.task.path.leg_times[1:-1]))
+    corners = np.flatnonzero(np.isin(t, problem.request.task.path.leg_times[1:-1]))
     parts, first = [], 0
     while last - first > _MOST:
         candidates = corners[(corners >= first + _LEAST) & (corners <= last - _LEAST)]
@@ -119,7 +119,7 @@ def joined(trajectories: list[QuinticTrajectory]) -> QuinticTrajectory:
 
 def exchange_options(problem: TorqueProblem) -> ExchangeOptions:
     """Return how a problem's own options have it solved."""
-    o = problem.context.options
+    o = problem.request.cell.options
     return ExchangeOptions(
         solver=o.solver,
         smoothing=o.smoothing_weight,
@@ -139,8 +139,8 @@ def exchange_options(problem: TorqueProblem) -> ExchangeOptions:
             feasibility_tolerance=_CLOSER * o.constraint_tolerance,
             max_iterations=min(SqpOptions.max_iterations, o.max_iterations),
         ),
-        stop=problem.context.deadline.expired,
-        stop_reason=lambda: problem.context.time_over,
+        stop=problem.request.deadline.expired,
+        stop_reason=lambda: problem.request.deadline.over_in_words,
     )
 
 

@@ -109,7 +109,7 @@ def _check_via_points(problem: TorqueProblem) -> None:
     for function in problem.constraints:
         value = function.sample(at_rest)[0].max(axis=1)
         fixed = value if isinstance(function, ClearanceMargin) else value[[0, -1]]
-        if fixed.max() > problem.context.options.constraint_tolerance:
+        if fixed.max() > problem.request.cell.options.constraint_tolerance:
             raise OptimisationFailed(
                 "a via-point of the path breaks a bound, so every trajectory through it does",
                 constraint=function.name,

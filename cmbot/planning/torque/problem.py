@@ -19,8 +19,7 @@ from cmbot.collision import RESOLUTION
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.limit import Limit
 from cmbot.optimization import KinematicBound, Linearization, StateFunction, StateSamples
-from cmbot.planning.context import PlanningContext
-from cmbot.planning.objectives import Objective
+from cmbot.planning.request import StrokeRequest
 from cmbot.planning.torque.constraints import (
     ClearanceMargin,
     FootHold,
@@ -33,6 +32,7 @@ from cmbot.planning.torque.constraints import (
     ToolTilt,
 )
 from cmbot.planning.torque.task_manifold import TaskManifold
+from cmbot.planning.workcell.objectives import Objective
 from cmbot.robot import Dynamics, Robot
 from cmbot.trajectory import Parametrization, QuinticTrajectory, SparseSplines, SplineSpace
 
@@ -51,11 +51,11 @@ _MEAN_SAMPLES = 3
 
 
 class TorqueProblem:
-    """The program of a planning context around an initial guess; see `cmbot.optimization.program.Program`.
+    """The program of a planning request around an initial guess; see `cmbot.optimization.program.Program`.
 
     Parameters
     ----------
-    context : PlanningContext
+    request : StrokeRequest
     parametrization : Parametrization
         Around the initial guess.
     least : float
@@ -63,34 +63,35 @@ class TorqueProblem:
         move the arm rests, and they count too; so does what is negligible.
     """
 
-    def __init__(self, context: PlanningContext, parametrization: Parametrization, least: float) -> None:
-        robot, options = context.robot, context.options
-        self.context, self.parametrization, self.least = context, parametrization, least
+    def __init__(self, request: StrokeRequest, parametrization: Parametrization, least: float) -> None:
+        cell = request.cell
+        robot, options = cell.robot, cell.options
+        self.request, self.parametrization, self.least = request, parametrization, least
         self.samples_per_segment = options.samples_per_segment
         self.joints = robot.joints
         t, q = self.space.t, parametrization.via_points
-        self.at_via_points = context.objective.values(StateSamples.at_rest(t, q))
+        self.at_via_points = cell.objective.values(StateSamples.at_rest(t, q))
         """The objective at rest in each of the via-points, (n,)."""
         sampled = StateSamples.even(parametrization.trajectory, self.samples_per_segment)
         self.grid = sampled.t
         """Times (N,) at which functions of the state are sampled."""
-        self.scale = float(context.objective.values(sampled).max())
+        self.scale = float(cell.objective.values(sampled).max())
         fixed = np.setdiff1d(np.arange(len(t)), parametrization.movable)
         if parametrization.retraction is None:
             fixed = fixed[[0, -1]]
         at_fixed = float(self.at_via_points[fixed].max(initial=0.0))
-        self.lower_bound = max(least, at_fixed, context.negligible) / self.scale
-        self.objective: StateFunction = ScaledObjective(context.objective, self.scale)
+        self.lower_bound = max(least, at_fixed, request.negligible) / self.scale
+        self.objective: StateFunction = ScaledObjective(cell.objective, self.scale)
         self.bounds = _kinematic_bounds(robot, 1 - _EXACT_SHARE_IN_TOLERANCES * options.constraint_tolerance)
         inside = 1 - _SAMPLED_SHARE / options.samples_per_segment**2
-        postures, task = context.postures, context.task
+        postures, task = cell.postures, request.task
         hold = robot.holding if robot.holding and robot.holding.bounded else None
         angle = np.deg2rad(options.max_tool_rotation_deg) * inside
         self.constraints: tuple[StateFunction, ...] = (
             JointTorque(Dynamics(robot), robot.limits.torque * inside),
             ToolDeviation(postures, task, options.max_tool_deviation_m * inside),
             ClearanceMargin(
-                context.clearances, options.safety_margin_m + context.spare_clearance + _CLEARANCE_ROOM
+                cell.clearances, options.safety_margin_m + request.spare_clearance + _CLEARANCE_ROOM
             ),
             ToolLag(postures, task, options.max_tool_lag_m * inside),
             *([] if hold is None else [FootHold(Dynamics(robot), hold, inside)]),
@@ -115,36 +116,36 @@ class TorqueProblem:
 
     def mean_residuals(self, trajectory: QuinticTrajectory) -> tuple[Linearization, ...]:
         """Return weighted parts of the objective at `mean_times`: their squares sum to its mean square."""
-        parts = self.context.objective.residuals(StateSamples.along(trajectory, self.mean_times))
+        parts = self.request.cell.objective.residuals(StateSamples.along(trajectory, self.mean_times))
         return tuple(part.scaled(self._root_weights) for part in parts)
 
     def segment(self, first: int, last: int) -> TorqueProblem:
         """Return the problem between two via-points: at ends inside the path the arm rests, and stays."""
         return TorqueProblem(
-            self.context, self.parametrization.segment(first, last), self.lower_bound * self.scale
+            self.request, self.parametrization.segment(first, last), self.lower_bound * self.scale
         )
 
 
 def parametrization_through(
-    context: PlanningContext, via_points: FloatArray, *, sliding: bool, pinned: bool = False
+    request: StrokeRequest, via_points: FloatArray, *, sliding: bool, pinned: bool = False
 ) -> Parametrization:
     """Return the splines around those of least jerk through `via_points`.
 
     Parameters
     ----------
-    context : PlanningContext
+    request : StrokeRequest
     via_points : (n, d), rad
     sliding : bool
         They may move along the self-motion.
     pinned : bool
         All but the first.
     """
-    limits = context.robot.limits
+    limits = request.cell.robot.limits
     # Jerk bounds far above what the work asks would leave smoothing without weight: splines would swing.
     jerk = np.minimum(limits.jerk, _ORDINARY_JERK * limits.velocity)
     bounds = np.stack([limits.velocity, limits.acceleration, jerk])
-    splines = SparseSplines(SplineSpace(context.times), bounds)
-    manifold = TaskManifold(context.postures, context.task, context.goals)
+    splines = SparseSplines(SplineSpace(request.times), bounds)
+    manifold = TaskManifold(request.cell.postures, request.task, request.goals)
     return Parametrization(
         splines,
         via_points,

@@ -11,7 +11,7 @@ from cmbot.common.errors import OptimisationFailed
 from cmbot.planning.path.projection import null_space, project_onto_task
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Postures
-from cmbot.scene import ToolPoses
+from cmbot.toolpath import ToolPoses
 
 # Newton steps that project moved via-points onto the tool task, and the error that they leave.
 _NEWTON_STEPS = 13

@@ -15,7 +15,7 @@ from itertools import zip_longest
 import numpy as np
 from scipy.interpolate import BPoly
 
-from cmbot.collision import Clearances, PointDistances
+from cmbot.collision import Clearances, Obstacle, PointDistances
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.sag import Sag
 from cmbot.planning.certification.check import Check, largest_check
@@ -24,7 +24,7 @@ from cmbot.planning.verification.engine import engine_states, is_installed
 from cmbot.planning.verification.hold import hold_checks
 from cmbot.planning.verification.timed_path import DescribedPath
 from cmbot.robot import Dynamics, Efforts, Kinematics, Robot
-from cmbot.scene import SPEED_TOLERANCE, AxisCone, Obstacle, PlannerOptions, Scene, Stroke
+from cmbot.scene import SPEED_TOLERANCE, AxisCone, PlannerOptions, Scene, Stroke
 from cmbot.trajectory import QuinticTrajectory
 
 # States at which everything is computed again, and how many of them at most are knots.

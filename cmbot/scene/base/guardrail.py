@@ -14,7 +14,10 @@ from typing import Annotated, Self, cast
 import numpy as np
 from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
+from cmbot.collision import Box, Obstacle
 from cmbot.common.arrays import FloatArray, read_only
+from cmbot.common.fields import Angle, Coordinate, Length, Slug, exactly_one, one_of_schema, si_fields
+from cmbot.common.poses import pose
 from cmbot.common.validation import FileModel, refusal, shown
 from cmbot.elastic import (
     AngleSection,
@@ -29,10 +32,8 @@ from cmbot.elastic import (
 from cmbot.hold import MAGNET_PRESSURE, Foot
 from cmbot.scene.base.hold import Face, HoldFile, Holds, face_of, foot_on, held_member
 from cmbot.scene.base.identified import IdentifiedBase
-from cmbot.scene.base.matrices import Matrix6, check_positive_definite
+from cmbot.scene.base.matrices import Matrix6, check_positive_definite, six_rows
 from cmbot.scene.base.stance import StanceFile, axis_point, foothold_face, foothold_pose
-from cmbot.scene.fields import Angle, Coordinate, Length, Slug, exactly_one, one_of_schema, si_fields
-from cmbot.scene.obstacles import Box, Obstacle, pose
 
 _SECTIONS = ("angle", "bar")
 
@@ -175,18 +176,8 @@ class GuardrailFile(FileModel):
     @field_validator("stiffness", "mass", mode="before")
     @classmethod
     def _check_rows(cls, value: object, info: ValidationInfo) -> object:
-        lists = (list, tuple)
-        rows = value if isinstance(value, lists) else ()
-        if value is None:
-            return None
         given = info.field_name == "stiffness"
-        if given and len(rows) == 6 and all(isinstance(entry, int | float) for entry in rows):
-            return tuple(tuple(entry if i == j else 0.0 for j in range(6)) for i, entry in enumerate(rows))
-        if len(rows) != 6 or not all(isinstance(row, lists) and len(row) == 6 for row in rows):
-            units = "N/m, N/rad, Nm/rad), or the diagonal's 6" if given else "kg, kg m, kg m2)"
-            raise refusal(f"6 rows of 6 numbers, linear then angular ({units}", got=shown(value))
-        # Past here pydantic no longer knows that it came from JSON, and wants tuples.
-        return tuple(map(tuple, rows))
+        return six_rows(value, "N/m, N/rad, Nm/rad" if given else "kg, kg m, kg m2", diagonal=given)
 
     @model_validator(mode="after")
     def _check(self) -> Self:

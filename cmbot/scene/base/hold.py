@@ -12,10 +12,10 @@ import shapely
 from pydantic import Field, GetPydanticSchema, PlainSerializer, WrapValidator, model_validator
 
 from cmbot.common.arrays import FloatArray, read_only
+from cmbot.common.fields import Length
 from cmbot.common.validation import FileModel, refusal, shown
 from cmbot.elastic import AngleSection, BarSection, Guardrail
 from cmbot.hold import Contact, Foot, Gap
-from cmbot.scene.fields import Length
 
 Load = Annotated[float, Field(ge=1e-3, le=1e9)]
 FACES = {

@@ -7,13 +7,28 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from cmbot.common.validation import refusal
+from cmbot.common.validation import refusal, shown
 
 # Their bounds keep every product finite.
 Entry = Annotated[float, Field(ge=-1e15, le=1e15)]
 Row6 = tuple[Entry, Entry, Entry, Entry, Entry, Entry]
 Matrix6 = tuple[Row6, Row6, Row6, Row6, Row6, Row6]
 """Six rows of six numbers, linear then angular."""
+
+
+def six_rows(value: object, units: str, *, diagonal: bool) -> object:
+    """Return six rows of six numbers as pydantic takes them; `diagonal`: or the six of the diagonal."""
+    lists = (list, tuple)
+    rows = value if isinstance(value, lists) else ()
+    if value is None:
+        return None
+    if diagonal and len(rows) == 6 and all(isinstance(entry, int | float) for entry in rows):
+        return tuple(tuple(entry if i == j else 0.0 for j in range(6)) for i, entry in enumerate(rows))
+    if len(rows) != 6 or not all(isinstance(row, lists) and len(row) == 6 for row in rows):
+        units = f"{units}), or the diagonal's 6" if diagonal else f"{units})"
+        raise refusal(f"6 rows of 6 numbers, linear then angular ({units}", got=shown(value))
+    # Past here pydantic no longer knows that it came from JSON, and wants tuples.
+    return tuple(map(tuple, rows))
 
 
 def check_positive_definite(rows: Matrix6, key: str) -> None:

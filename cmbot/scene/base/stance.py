@@ -10,10 +10,10 @@ import numpy as np
 from pydantic import Field, GetPydanticSchema, PlainSerializer, WrapValidator, model_validator
 
 from cmbot.common.arrays import FloatArray
+from cmbot.common.fields import Angle, Coordinate, Slug, Vector
 from cmbot.common.validation import CheckedFields, FileModel, refusal, shown
 from cmbot.elastic import Guardrail
 from cmbot.scene.base.hold import FACES, Face, face_of
-from cmbot.scene.fields import Angle, Coordinate, Slug, Vector
 
 # From the foot's frame to its plate, m: the frame lies on the centre line of the post that is held.
 _PLATE = 0.0375

@@ -18,12 +18,10 @@ from pydantic import (
     model_validator,
 )
 
+from cmbot.common.fields import Slug, word_or
 from cmbot.common.validation import FileModel, counted, refusal
-from cmbot.scene.fields import Slug, word_or
-from cmbot.scene.path.legs import AUTO, Goal, Leg, SecondsOrAuto, Speed, ViaPoints
-from cmbot.scene.path.time_law import LegLaw, SpeedProfile
 from cmbot.scene.path.waypoints import SAME_PLACE, Waypoint, distinct, turned_in_place
-from cmbot.scene.raster.raster import Raster
+from cmbot.toolpath import AUTO, Goal, Leg, LegLaw, Raster, SecondsOrAuto, Speed, SpeedProfile, ViaPoints
 
 LONGEST = 36_000
 """Duration of all strokes, s: motions are sampled every 0.01 s."""

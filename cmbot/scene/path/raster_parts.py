@@ -8,8 +8,7 @@ from typing import Any
 
 from cmbot.common.errors import SceneError
 from cmbot.scene.path.path_file import StrokeFile
-from cmbot.scene.raster.pieces import RowPiece
-from cmbot.scene.raster.raster import Raster
+from cmbot.toolpath import Raster, RowPiece
 
 # Via-points of a part: at least so many for each row and step, and for its ends.
 _PER_LEG, _ENDS = 3, 12

@@ -12,12 +12,8 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.common.representation import short_repr
-from cmbot.scene.path.builder import timed_path
 from cmbot.scene.path.path_file import StrokeFile
-from cmbot.scene.path.path_source import PathSource
-from cmbot.scene.path.tool_path import ToolPath
-from cmbot.scene.raster.pieces import RowPiece, without
-from cmbot.scene.raster.surface import Coverage, Surface
+from cmbot.toolpath import Coverage, PathSource, RowPiece, Surface, ToolPath, timed_path, without
 
 # What splines follow between two via-points to a millimetre: way of the tool, m, turn of the tool and of the
 # path, rad, and seconds; and how many segments a ramp has.
@@ -86,7 +82,13 @@ class Stroke:
 
 
 def timed_stroke(
-    file: StrokeFile, place: PathSource, X_WT: FloatArray, *, begins_elsewhere: bool, deviation: float
+    file: StrokeFile,
+    place: PathSource,
+    X_WT: FloatArray,
+    surface: Surface | None,
+    *,
+    begins_elsewhere: bool,
+    deviation: float,
 ) -> Stroke:
     """Return the stroke that a file describes.
 
@@ -96,6 +98,8 @@ def timed_stroke(
     place : PathSource
     X_WT : (4, 4)
         Pose of the tool before.
+    surface : Surface or None
+        Of its raster.
     begins_elsewhere : bool
         Whether the arm has to be brought to its start.
     deviation : float
@@ -106,7 +110,7 @@ def timed_stroke(
     SceneError
         When its path is none, its via-points are too few, or its time laws are those of others.
     """
-    path, surface = timed_path(file, place, X_WT)
+    path = timed_path(file, place, X_WT, surface)
     path = path.reversed() if file.backwards else path
     path = path.repeated(file.passes or 1)
     if file.time_laws is not None:
@@ -117,7 +121,7 @@ def timed_stroke(
         path = path.timed(file.time_laws)
     number = file.via_points
     if not isinstance(number, int):
-        number = _automatic_via_points(path, deviation, file.speed_tolerance)
+        number = _automatic_via_points(path, deviation, file)
     needed = len(path.section_times)
     if number < needed:
         expected = f"at least {needed}, one for each end of a leg, row or lead, or auto"
@@ -133,7 +137,7 @@ def timed_stroke(
     )
 
 
-def _automatic_via_points(path: ToolPath, deviation: float, speed_tolerance: float | None) -> int:
+def _automatic_via_points(path: ToolPath, deviation: float, file: StrokeFile) -> int:
     """Return how many via-points a path asks for: ``via_points: auto``.
 
     Parameters
@@ -141,8 +145,8 @@ def _automatic_via_points(path: ToolPath, deviation: float, speed_tolerance: flo
     path : ToolPath
     deviation : float
         Of the tool from the path at most, m.
-    speed_tolerance : float or None
-        By what share the tool's speed may miss that of the process.
+    file : StrokeFile
+        By what share the tool's speed may miss that of the process, and how long its ramps are.
 
     Notes
     -----
@@ -152,20 +156,19 @@ def _automatic_via_points(path: ToolPath, deviation: float, speed_tolerance: flo
     the speed's tolerance below 20 %. A leg has 4 to 400 segments, a path 12 at least.
     """
     finer = min((deviation / _DEVIATION) ** 0.25, 1.0)
-    if speed_tolerance is not None:
-        finer *= min(math.sqrt(speed_tolerance / _SPEED), 1.0)
-    ramp = path.profile.ramp
+    if file.speed_tolerance is not None:
+        finer *= min(math.sqrt(file.speed_tolerance / _SPEED), 1.0)
+    timed = {law.leg for law in file.time_laws or ()}
     count = 0
-    for leg, seconds in enumerate(path.seconds):
-        length, bend = float(path.lengths[leg]), 0.0
-        if leg in path.curves:
-            bend = path.curves[leg].curvature * length
+    for leg, segment in enumerate(path.segments):
+        length = segment.curve.length
+        bend = segment.curve.curvature * length
         asked = [length / (_WAY * finer), _turned(path, leg) / (_TURN * finer), bend / (_BEND * finer)]
         moves = max(asked) > 0
-        if moves and leg in path.open_legs | path.laws.keys():
+        if moves and (segment.is_open or leg in timed or segment.process is not None):
             asked.append(_FEWEST_OPEN)
         elif moves:
-            asked += [seconds / _SECONDS, _PER_RAMP / ramp]
+            asked += [segment.seconds / _SECONDS, _PER_RAMP / file.speed_profile.ramp]
         count += int(np.clip(math.ceil(max(asked)), _FEWEST if moves else 1, _MOST))
     return max(count, _ALL, len(path.section_times) - 1) + 1
 

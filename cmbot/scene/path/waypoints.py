@@ -10,8 +10,8 @@ from pydantic import AfterValidator, Field
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
+from cmbot.common.fields import Coordinate
 from cmbot.common.validation import refusal
-from cmbot.scene.fields import Coordinate
 
 SAME_PLACE = 1e-4
 """Waypoints nearer to each other, m, are at one place: hardly an arm tells them apart, and a spline through

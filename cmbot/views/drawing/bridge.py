@@ -14,11 +14,12 @@ from itertools import product
 
 import numpy as np
 
-from cmbot.collision import Clearances
+from cmbot.collision import Box, Clearances, Obstacle
 from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.common.poses import pose
 from cmbot.planning import Plan
 from cmbot.robot import Robot
-from cmbot.scene import Box, Obstacle, Scene, pose
+from cmbot.scene import Scene
 from cmbot.views.drawing.camera import link_corners, link_poses
 from cmbot.views.drawing.surfaces import Surface, merged, obstacle_surface
 

@@ -14,10 +14,11 @@ import numpy as np
 import umsgpack
 from numpy.typing import NDArray
 
+from cmbot.collision import Obstacle
 from cmbot.common.arrays import FloatArray
 from cmbot.planning import Plan
 from cmbot.robot import Robot
-from cmbot.scene import Obstacle, Scene
+from cmbot.scene import Scene
 from cmbot.views.drawing.support import pole_of, supports
 from cmbot.views.drawing.surfaces import (
     Surface,

@@ -7,11 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from cmbot.collision import Box, Capsule, Cylinder, Mesh, Obstacle, load_mesh
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.base import guardrail_frame, rigid_motion
 from cmbot.elastic.frame import Frame
 from cmbot.elastic.strain import BeamStrains, frame_strains
-from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Scene, guardrail_obstacles, load_mesh
+from cmbot.scene import Scene, guardrail_obstacles
 from cmbot.views.page import pack
 
 # A pole is this many times as long as it is wide, its surface no farther from the foot than this, m.

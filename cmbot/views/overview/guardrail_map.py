@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cmbot.collision import extent_of
+from cmbot.collision import Box, Obstacle, extent_of
 from cmbot.common.arrays import FloatArray
 from cmbot.robot import Climber
-from cmbot.scene import Box, Obstacle, Scene, guardrail_obstacles
-from cmbot.siting import Candidate
-from cmbot.walking import WalkSamples
+from cmbot.scene import Scene, guardrail_obstacles
+from cmbot.stances import Candidate
+from cmbot.stances.walking import WalkSamples
 
 _WIDTH, _EDGE = 900, 40
 # Colours of feet from bearing nothing to bearing all that they can, and of one without bounds.

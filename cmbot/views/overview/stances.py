@@ -8,7 +8,7 @@ from html import escape
 import numpy as np
 
 from cmbot.planning import robot_of, strokes_of
-from cmbot.siting import Standing, bounds_table, in_words, planned_table, shared_out
+from cmbot.stances import Standing, bounds_table, in_words, planned_table, shared_out
 from cmbot.views.overview.guardrail_map import Stand, guardrail_map
 from cmbot.views.page import still_page, table
 
@@ -41,7 +41,7 @@ def stances_page(standings: Sequence[Standing], name: str | None = None) -> str:
     Parameters
     ----------
     standings : sequence of Standing
-        As `cmbot.siting.stand` returns them.
+        As `cmbot.stances.stand` returns them.
     name : str, optional
         What they are for; the name of the first one's scene if left out.
     """

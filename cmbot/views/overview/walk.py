@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
+from cmbot.stances.walking import Walk, WalkSamples, walk_samples
 from cmbot.views.overview.guardrail_map import guardrail_map
 from cmbot.views.page import still_page, table
-from cmbot.walking import Walk, WalkSamples, walk_samples
 
 
 def walk_page(walk: Walk) -> str:

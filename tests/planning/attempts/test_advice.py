@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_scenes import SHORT, context_of, problem_of, short_scene
+from small_scenes import SHORT, problem_of, request_of, short_scene
 
 from cmbot.common.errors import LimitViolation, OptimisationFailed, PathNotFound, PlanningError
 from cmbot.common.limit import Limit
@@ -14,7 +14,7 @@ from cmbot.planning import plan
 from cmbot.planning.attempts.advice import changed_in_words, eased, in_keys, slower, slower_legs
 from cmbot.planning.attempts.failure import OutOfTime, error_of, failure_of
 from cmbot.planning.budget import Deadline
-from cmbot.planning.context import PlanningContext
+from cmbot.planning.request import StrokeRequest
 from cmbot.robot import Kinematics
 from cmbot.scene import Scene, load_scene
 from cmbot.trajectory import QuinticTrajectory
@@ -23,8 +23,8 @@ LEGS = [{"by": [0, -0.1, 0], "seconds": seconds} for seconds in (4, 2, 4)]
 
 
 @pytest.fixture(scope="module")
-def context() -> PlanningContext:
-    return context_of(short_scene(tool_path={"legs": LEGS, "via_points": 16}))
+def asked() -> StrokeRequest:
+    return request_of(short_scene(tool_path={"legs": LEGS, "via_points": 16}))
 
 
 @pytest.fixture(scope="module")
@@ -58,9 +58,9 @@ def violation(limit: Limit, value: float) -> LimitViolation:
     ],
 )
 def test_the_leg_of_a_failure_is_slowed_down_by_the_root_of_the_ratio(
-    context: PlanningContext, failure: PlanningError, factor: float | None
+    asked: StrokeRequest, failure: PlanningError, factor: float | None
 ) -> None:
-    factors = slower_legs(context, failure_of(context, failure))
+    factors = slower_legs(asked, failure_of(asked, failure))
     if factor is None:
         assert factors is None
         return
@@ -68,18 +68,18 @@ def test_the_leg_of_a_failure_is_slowed_down_by_the_root_of_the_ratio(
 
 
 def test_a_trajectory_slowed_down_so_keeps_the_limits(
-    context: PlanningContext, trajectory: QuinticTrajectory
+    asked: StrokeRequest, trajectory: QuinticTrajectory
 ) -> None:
     fast = QuinticTrajectory(t=0.2 * trajectory.t, q=trajectory.q, v=5 * trajectory.v, a=25 * trajectory.a)
-    path = replace(context.task.path, seconds=0.2 * context.task.path.seconds)
-    hasty = replace(context, task=replace(context.task, path=path), times=path.via_times(16))
+    path = replace(asked.task.path, seconds=0.2 * asked.task.path.seconds)
+    hasty = replace(asked, task=replace(asked.task, path=path), times=path.via_times(16))
     # A tool that such joints leave far behind needs the time, not more via-points.
     astray = failed(Limit.TOOL_DEVIATION, fast, 99.0)
     np.testing.assert_allclose(slower_legs(hasty, failure_of(hasty, astray)), 2.1)
     assert slower_legs(hasty, failure_of(hasty, failed(Limit.TOOL_DEVIATION, fast))) is None
     factors = slower_legs(hasty, failure_of(hasty, failed(Limit.JERK, fast)))
     # All legs by the largest factor: derivative k falls by its power k.
-    slow, limits = factors.max() / 1.05, context.robot.limits
+    slow, limits = factors.max() / 1.05, asked.cell.robot.limits
     for order, bound in enumerate((limits.velocity, limits.acceleration, limits.jerk), start=1):
         assert (fast.extrema(order).largest()[0] <= bound * slow**order * (1 + 1e-9)).all()
     after = slower(hasty, factors)
@@ -89,29 +89,29 @@ def test_a_trajectory_slowed_down_so_keeps_the_limits(
     assert in_keys(hasty, after).startswith(first)
 
 
-def test_seconds_are_round_and_many_legs_are_one(context: PlanningContext) -> None:
-    after = slower(context, np.array([1.0, 1.611, 1.0]))
-    assert in_keys(context, after) == "tool_path.legs[1].seconds 3.3 instead of 2"
-    hardly = replace(context.task.path, seconds=context.task.path.seconds * [1.0, 1.00001, 1.0])
-    after = replace(context, task=replace(context.task, path=hardly))
-    assert in_keys(context, after) == "tool_path.legs[1].seconds 2.00002 instead of 2"
-    many = context_of(short_scene(tool_path={"legs": 2 * LEGS, "via_points": 16}))
+def test_seconds_are_round_and_many_legs_are_one(asked: StrokeRequest) -> None:
+    after = slower(asked, np.array([1.0, 1.611, 1.0]))
+    assert in_keys(asked, after) == "tool_path.legs[1].seconds 3.3 instead of 2"
+    hardly = replace(asked.task.path, seconds=asked.task.path.seconds * [1.0, 1.00001, 1.0])
+    after = replace(asked, task=replace(asked.task, path=hardly))
+    assert in_keys(asked, after) == "tool_path.legs[1].seconds 2.00002 instead of 2"
+    many = request_of(short_scene(tool_path={"legs": 2 * LEGS, "via_points": 16}))
     after = slower(many, np.array([1.0, 1.1, 1.2, 1.3, 1.5, 1.0]))
     np.testing.assert_allclose(after.task.path.seconds, 1.5 * many.task.path.seconds)
     assert in_keys(many, after) == "every leg of tool_path.legs in 1.5 times its seconds"
 
 
 def test_pairs_and_joints_of_constraints_are_named(
-    context: PlanningContext, trajectory: QuinticTrajectory
+    asked: StrokeRequest, trajectory: QuinticTrajectory
 ) -> None:
-    smallest = context.clearances.smallest(trajectory.evaluate(np.linspace(0, 10, 2001)))
-    pair = context.clearances.pairs[int(smallest.pair[smallest.distance.argmin()])]
+    smallest = asked.cell.clearances.smallest(trajectory.evaluate(np.linspace(0, 10, 2001)))
+    pair = asked.cell.clearances.pairs[int(smallest.pair[smallest.distance.argmin()])]
     for limit, expected in (
         (Limit.CLEARANCE, f"clearance of {pair.link} from {pair.other}"),
         (Limit.JOINT_TORQUE, r"torque of joint_\d"),
         (Limit.TOOL_LAG, "tool lag"),
     ):
-        error = error_of(failure_of(context, failed(limit, trajectory)))
+        error = error_of(failure_of(asked, failed(limit, trajectory)))
         assert re.search(f"worst constraint: {expected}, 100.00% beyond", str(error))
         assert error.trajectory is trajectory
 
@@ -124,67 +124,67 @@ ERRORS = (
 
 
 @pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
-def test_an_error_is_made_of_its_failure_again(context: PlanningContext, error: PlanningError) -> None:
-    again = error_of(failure_of(context, error))
+def test_an_error_is_made_of_its_failure_again(asked: StrokeRequest, error: PlanningError) -> None:
+    again = error_of(failure_of(asked, error))
     assert type(again) is type(error)
     assert str(again) == str(error)
     assert vars(again) == vars(error)
 
 
-def test_hints_of_an_error_are_kept(context: PlanningContext) -> None:
+def test_hints_of_an_error_are_kept(asked: StrokeRequest) -> None:
     error = PathNotFound("blocked", time=1.0, progress=0.5, smallest_singular_value=1.0)
     error.add_hint("with return: none the job is planned")
-    again = error_of(failure_of(context, error))
+    again = error_of(failure_of(asked, error))
     assert str(again) == str(error)
     assert str(again).endswith("; with return: none the job is planned")
 
 
-def test_every_limit_is_broken_in_some_way(context: PlanningContext) -> None:
+def test_every_limit_is_broken_in_some_way(asked: StrokeRequest) -> None:
     """What a joint cannot do asks for time, what the tool does between via-points for more of them."""
-    kinds = {limit: type(failure_of(context, violation(limit, 2.0)).broken).__name__ for limit in Limit}
+    kinds = {limit: type(failure_of(asked, violation(limit, 2.0)).broken).__name__ for limit in Limit}
     assert {kinds[limit] for limit in (Limit.VELOCITY, Limit.ACCELERATION, Limit.JERK)} == {"JointRate"}
     assert kinds[Limit.CLEARANCE] == "NearObstacle"
     assert all(kinds[limit] == "ToolOff" for limit in Limit if limit.name.startswith("TOOL"))
     assert kinds[Limit.HOLD] == kinds[Limit.OTHER] == "OtherLimit"
 
 
-def test_a_time_that_was_over_is_told_with_the_limit_and_what_was_used(context: PlanningContext) -> None:
+def test_a_time_that_was_over_is_told_with_the_limit_and_what_was_used(asked: StrokeRequest) -> None:
     now = [0.0]
     said = []
     for left, used in ((1, 61.25), (3, 21.0)):
         now[0] = 0.0
         deadline = Deadline(60.0, lambda: now[0])
-        timed = replace(context, deadline=deadline if left == 1 else deadline.part(left))
+        timed = replace(asked, deadline=deadline if left == 1 else deadline.part(left, asked.stroke.name))
         now[0] = used
-        said.append(timed.time_over)
-    work = context.stroke.name
+        said.append(timed.deadline.over_in_words)
+    work = asked.stroke.name
     assert said == [
         "the time, 60 s (planner.time_limit_s), was over after 61.2 s,",
         f"the time, 60 s (planner.time_limit_s), of which {work} had 20 s, was over after 21 s,",
     ]
 
 
-def test_what_was_stopped_has_no_remedy(context: PlanningContext) -> None:
+def test_what_was_stopped_has_no_remedy(asked: StrokeRequest) -> None:
     late = OptimisationFailed(
         "late", constraint="clearance", violation=0.1, limit=Limit.CLEARANCE, stopped=True
     )
-    failure = failure_of(context, late)
+    failure = failure_of(asked, late)
     assert isinstance(failure, OutOfTime)
-    assert slower_legs(context, failure) is None
-    assert eased(context, failure) is None
+    assert slower_legs(asked, failure) is None
+    assert eased(asked, failure) is None
     assert str(error_of(failure)) == str(late)
 
 
-def test_bounds_are_eased_by_what_failed(context: PlanningContext) -> None:
-    options = context.options
+def test_bounds_are_eased_by_what_failed(asked: StrokeRequest) -> None:
+    options = asked.cell.options
 
     def changed(error: PlanningError) -> tuple[str, dict[str, Any]] | None:
-        found = eased(context, failure_of(context, error))
+        found = eased(asked, failure_of(asked, error))
         if found is None:
             return None
-        before, after = asdict(options), asdict(found.options)
+        before, after = asdict(options), asdict(found.cell.options)
         values = {name: value for name, value in after.items() if value != before[name]}
-        return changed_in_words(context, found), values
+        return changed_in_words(asked, found), values
 
     words, values = changed(failed(Limit.TOOL_DEVIATION, None, 0.5))
     assert words == "planner.max_tool_deviation_m 0.0016 instead of 0.001"
@@ -223,14 +223,14 @@ def test_a_margin_that_would_do_for_the_start_is_tried_and_told() -> None:
 def near_start(distance: float) -> Scene:
     """Scene with a ball so far behind the first link that moves away from nothing else, m."""
     scene = short_scene()
-    context = context_of(scene)
-    point = Kinematics(context.robot).tool_pose(scene.posture).translation
+    asked = request_of(scene)
+    point = Kinematics(asked.cell.robot).tool_pose(scene.posture).translation
     ball = {"name": "ball", "sphere": 0.05, "xyz": point.tolist()}
     low, high = 0.0, 1.0
     for _ in range(60):
         away = 0.5 * (low + high)
         ball["xyz"] = (point + away * np.array([0.0, 1.0, 0.0])).tolist()
-        other = context_of(short_scene(obstacles=[ball])).clearances.smallest(scene.posture[None])
+        other = request_of(short_scene(obstacles=[ball])).cell.clearances.smallest(scene.posture[None])
         low, high = (away, high) if other.distance[0] < distance else (low, away)
     return short_scene(obstacles=[ball])
 
@@ -254,8 +254,8 @@ RASTER = {
 def test_slower_legs_are_named_by_the_keys_of_the_stroke(time: dict[str, float], changed: str) -> None:
     strokes = [{"name": name, "raster": RASTER, "via_points": 20, **time} for name in ("one", "two")]
     scene = load_scene({**SHORT, "tool_path": {"strokes": strokes}})
-    before = context_of(scene)
-    before = before.at_stroke(1, scene, before.posture, 0.0, 0.0)
+    before = request_of(scene)
+    before = before.at_stroke(1, scene)
     key = "tool_path.strokes[1]"
     # Its rows have no durations of their own.
     after = slower(before, np.array([1.0, 1.0, 1.5, 1.0, 1.0]))

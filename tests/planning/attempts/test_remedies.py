@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_scenes import context_of, problem_of, short_scene
+from small_scenes import problem_of, request_of, short_scene
 from urdf_arms import panda_scene, path_of, six_joint_scene
 
 from cmbot.archive import load_plan, save
@@ -101,9 +101,9 @@ def elsewhere() -> Attempt:
 
 
 def attempt_at(scene: Scene, **options: Any) -> Attempt:
-    context = context_of(scene, **options)
-    guess = sliding_guess(context) if context.options.knots == "sliding" else initial_guess(context)
-    return Attempt(context=context, guess=guess, automatic=True)
+    asked = request_of(scene, **options)
+    guess = sliding_guess(asked) if asked.cell.options.knots == "sliding" else initial_guess(asked)
+    return Attempt(request=asked, guess=guess, automatic=True)
 
 
 def turned_wrist(folder: Path, **planner: object) -> Scene:
@@ -179,7 +179,7 @@ def search(attempt: Attempt, *failures: Failure, runs: int = 12) -> tuple[Trial[
         refused=lambda attempt: attempt.refused,
         remedies=REMEDIES,
         budget=Budget(runs=runs),
-        deadline=attempt.context.deadline,
+        deadline=attempt.request.deadline,
     )
     return agenda.search(attempt), run
 
@@ -196,14 +196,14 @@ def test_where_nothing_helps_the_first_failure_is_told_within_the_budget(rough: 
 
 def test_what_tells_attempts_apart(rough: Attempt) -> None:
     """Remedies of remedies lead to the same guess."""
-    guess, context = rough.guess, rough.context
-    same = [replace(rough, kept=1.1, is_first=False), replace(rough, guess=sliding_guess(context))]
+    guess, asked = rough.guess, rough.request
+    same = [replace(rough, kept=1.1, is_first=False), replace(rough, guess=sliding_guess(asked))]
     other = [
-        replace(rough, context=replace(context, options=replace(context.options, gap_target=0.0))),
-        replace(rough, context=replace(context, spare_clearance=1e-3)),
+        replace(rough, request=asked.with_options(gap_target=0.0)),
+        replace(rough, request=replace(asked, spare_clearance=1e-3)),
         replace(rough, guess=replace(guess, pinned=not guess.pinned)),
         replace(rough, guess=replace(guess, way=np.zeros((2, 7)))),
-        replace(rough, guess=sliding_guess(context, search=guess.search.halved(0.1))),
+        replace(rough, guess=sliding_guess(asked, search=guess.search.halved(0.1))),
     ]
     assert {attempt.key for attempt in same} == {rough.key}
     assert len({rough.key, *(attempt.key for attempt in other)}) == 1 + len(other)
@@ -211,7 +211,7 @@ def test_what_tells_attempts_apart(rough: Attempt) -> None:
 
 def test_when_the_time_is_over_nothing_else_is_tried(rough: Attempt) -> None:
     over = Deadline(-1.0, lambda: 2.0)
-    late = replace(rough, context=replace(rough.context, deadline=over))
+    late = replace(rough, request=replace(rough.request, deadline=over))
     found, run = search(late, SUDDEN)
     assert found.failure is SUDDEN
     assert run == [late]
@@ -236,13 +236,13 @@ def test_guesses_in_shorter_steps_are_few_and_each_is_smoother(rough: Attempt) -
 def test_a_guess_that_leaps_is_optimised_once(tmp_path: Path) -> None:
     """Hardly any trajectory follows it, whatever the optimiser and the number of its via-points."""
     leg = ([0.0, 0.0, -0.15], 300.0)
-    context = context_of(six_joint_scene(tmp_path, "ur3", POSTURE, path_of("axis", 9, leg)))
-    leaps = Attempt(context=context, guess=sliding_guess(context))
+    asked = request_of(six_joint_scene(tmp_path, "ur3", POSTURE, path_of("axis", 9, leg)))
+    leaps = Attempt(request=asked, guess=sliding_guess(asked))
     assert leaps.refused is None
     again = replace(leaps, is_first=False).refused
     assert again.reason.startswith("only by leaps to other")
     assert again.violation > 0.1
-    assert replace(leaps, guess=initial_guess(context), is_first=False).refused is None
+    assert replace(leaps, guess=initial_guess(asked), is_first=False).refused is None
     astray = unfollowed(ToolOff(what=Limit.TOOL_DEVIATION, ratio=4.0))
     assert not tried(MORE_VIA_POINTS, leaps, astray)
 
@@ -253,10 +253,10 @@ def test_where_no_approach_leads_to_a_better_start_the_best_is_tried_that_self_m
     found, run = search(elsewhere, UNREACHED)
     assert len(run) == 2
     assert not found.attempt.is_pinned
-    context, chart = elsewhere.context, elsewhere.search.first_chart.q
-    allowed = reachable(context, chart)
+    asked, chart = elsewhere.request, elsewhere.search.first_chart.q
+    allowed = reachable(asked, chart)
     assert 0 < allowed.sum() < len(chart)
-    assert np.abs(chart[allowed] - context.posture).max(axis=1).min() < 1e-9
+    assert np.abs(chart[allowed] - asked.state.posture).max(axis=1).min() < 1e-9
     assert np.abs(chart[allowed] - via_points(found.attempt)[0]).max(axis=1).min() < 1e-9
     (sentence,) = found.told
     assert "No approach leads to the best start (no approach)" in sentence
@@ -267,7 +267,9 @@ def test_else_the_scenes_posture_is(elsewhere: Attempt) -> None:
     assert len(run) == 3
     assert found.attempt.is_pinned
     assert [str(failure) for failure in found.attempt.guess.failures] == [str(UNREACHED.error)]
-    np.testing.assert_allclose(via_points(found.attempt)[0], elsewhere.context.posture, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        via_points(found.attempt)[0], elsewhere.request.state.posture, rtol=0, atol=1e-12
+    )
     # The better start was the planner's own choice: what fails from the scene's posture is told.
     again = unfollowed(JointRate(order=1, ratio=2.0))
     assert search(elsewhere, UNREACHED, UNREACHED, *99 * [again])[0].failure is again
@@ -276,20 +278,20 @@ def test_else_the_scenes_posture_is(elsewhere: Attempt) -> None:
 def test_where_no_trajectory_leads_on_from_a_better_start_the_scenes_is_taken(elsewhere: Attempt) -> None:
     ((found, sentence),) = tried(SCENE_START, elsewhere, SUDDEN)
     assert found.is_pinned
-    np.testing.assert_allclose(via_points(found)[0], elsewhere.context.posture, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(via_points(found)[0], elsewhere.request.state.posture, rtol=0, atol=1e-12)
     assert "From a better start no trajectory was found (no; jerk of joint_3)" in sentence
 
 
 def test_where_a_clearance_is_missed_by_less_than_a_millimetre_there_is_some_to_spare(
     rough: Attempt,
 ) -> None:
-    margin = rough.context.options.safety_margin_m
+    margin = rough.request.cell.options.safety_margin_m
     found, run = search(rough, nearer(9e-4, margin), nearer(2e-4, margin))
     np.testing.assert_allclose(
-        [attempt.context.spare_clearance for attempt in run], [0.0, 1.05e-3, 1.4e-3], atol=1e-12
+        [attempt.request.spare_clearance for attempt in run], [0.0, 1.05e-3, 1.4e-3], atol=1e-12
     )
     # What is certified is the margin that was asked for; what is optimised keeps more.
-    assert found.attempt.context.options == rough.context.options
+    assert found.attempt.request.cell.options == rough.request.cell.options
     keeps = [
         next(part.margin for part in attempt.guess.problem.constraints if isinstance(part, ClearanceMargin))
         for attempt in (found.attempt, rough)
@@ -308,9 +310,9 @@ def test_where_a_bound_is_missed_narrowly_there_are_more_samples(
     strays = missed(ToolOff(what=Limit.TOOL_DEVIATION, ratio=value / 1e-3), value, 1e-3)
     found = tried(FINER_SAMPLES, rough, strays)
     assert bool(found) == helps
-    samples = rough.context.options.samples_per_segment
+    samples = rough.request.cell.options.samples_per_segment
     for attempt, sentence in found:
-        assert attempt.context.options.samples_per_segment == 2 * samples
+        assert attempt.request.cell.options.samples_per_segment == 2 * samples
         assert attempt.guess.problem.samples_per_segment == 2 * samples
         assert "missed narrowly" in sentence
 
@@ -328,10 +330,10 @@ def test_where_a_bound_is_missed_narrowly_there_are_more_samples(
 )
 def test_where_the_tool_strays_there_are_more_via_points(broken: Broken, numbers: list[int]) -> None:
     found = tried(MORE_VIA_POINTS, attempt_at(short_scene()), unfollowed(broken, "tool lag"))
-    assert [len(attempt.context.times) for attempt, _ in found] == numbers
+    assert [len(attempt.request.times) for attempt, _ in found] == numbers
     for attempt, sentence in found:
         number = len(attempt.guess.problem.space.t)
-        assert number == len(attempt.context.times)
+        assert number == len(attempt.request.times)
         assert "With 8 via-points the tool strays from its path between them (no; tool lag)" in sentence
         assert sentence.endswith(f"planned with tool_path.via_points {number} instead.")
 
@@ -340,9 +342,9 @@ def test_where_the_tool_strays_there_are_more_via_points(broken: Broken, numbers
 def test_where_joints_move_too_suddenly_there_are_fewer_via_points(order: int, numbers: list[int]) -> None:
     sudden = unfollowed(JointRate(order=order, ratio=2.0))
     found = tried(FEWER_VIA_POINTS, attempt_at(short_scene(tool_path={"via_points": 16})), sudden)
-    assert [len(attempt.context.times) for attempt, _ in found] == numbers
+    assert [len(attempt.request.times) for attempt, _ in found] == numbers
     for attempt, sentence in found:
-        assert len(attempt.guess.problem.space.t) == len(attempt.context.times)
+        assert len(attempt.guess.problem.space.t) == len(attempt.request.times)
         assert sentence.startswith("With 16 via-points no trajectory was found (no; jerk of joint_3)")
     assert not tried(FEWER_VIA_POINTS, attempt_at(short_scene(tool_path={"via_points": 5})), sudden)
 
@@ -355,12 +357,12 @@ def test_where_no_trajectory_keeps_clear_the_guess_keeps_more(
     near = unfollowed(NearObstacle(distance=0.019, margin=0.02))
     margins = list[float]()
     for attempt, sentence in tried(CLEARER_GUESS, rough, near):
-        margins.append(float(attempt.context.clearances.smallest(via_points(attempt)).distance.min()))
-        assert attempt.context is rough.context
+        margins.append(float(attempt.request.cell.clearances.smallest(via_points(attempt)).distance.min()))
+        assert attempt.request is rough.request
         assert attempt.guess.lower_bound == rough.search.lower_bound
         assert attempt.search.halved().lower_bound == rough.search.lower_bound
         assert f"planned from such that keep {100 * (attempt.kept - 1):.0f} % more" in sentence
-    least = rough.context.options.safety_margin_m
+    least = rough.request.cell.options.safety_margin_m
     assert margins[0] >= 1.02 * least
     assert margins[1] >= 1.1 * least
 
@@ -409,7 +411,7 @@ def test_slsqp_is_tried_where_the_sparse_solver_of_auto_is_undecided(automatic: 
     first = replace(attempt_at(rough_scene(), solver="sqp"), automatic=automatic)
     undecided = unfollowed(OtherLimit(what=Limit.OTHER), undecided=True)
     found = tried(DENSE_SOLVER, first, undecided)
-    assert [attempt.context.options.solver for attempt, _ in found] == (["slsqp"] if automatic else [])
+    assert [attempt.request.cell.options.solver for attempt, _ in found] == (["slsqp"] if automatic else [])
     for attempt, sentence in found:
         assert sentence == "The solver sqp gave up (no): planned with slsqp instead."
         assert not tried(DENSE_SOLVER, attempt, undecided)
@@ -442,18 +444,18 @@ def test_a_time_limit_that_is_over_at_once(knots: str, tmp_path: Path) -> None:
 
 def test_half_the_steps_from_the_same_charts(rough: Attempt) -> None:
     search = rough.guess.search
-    assert search.step_share == rough.context.options.step_share
+    assert search.step_share == rough.request.cell.options.step_share
     half = search.halved()
     assert half.step_share == 0.5 * search.step_share
     assert half.lower_bound is search.lower_bound
     # Shorter steps are some of the longer ones, and what was known before stays as it was.
     assert half.solve(pinned=True).peak >= search.solve(pinned=True).peak
-    again = sliding_guess(rough.context).problem.parametrization.via_points
+    again = sliding_guess(rough.request).problem.parametrization.via_points
     np.testing.assert_array_equal(again, rough.guess.problem.parametrization.via_points)
 
 
 def test_roughness_is_the_largest_share_of_any_bound(rough: Attempt) -> None:
-    start, limits = rough.guess.problem.parametrization.trajectory, rough.context.robot.limits
+    start, limits = rough.guess.problem.parametrization.trajectory, rough.request.cell.robot.limits
     t = np.linspace(start.t[0], start.t[-1], 20001)
     shares = [
         np.abs(start.evaluate(t, order)).max(axis=0) / bound
@@ -463,7 +465,7 @@ def test_roughness_is_the_largest_share_of_any_bound(rough: Attempt) -> None:
 
 
 def test_a_first_guess_is_smooth_where_that_costs_next_to_no_torque(rough: Attempt) -> None:
-    guess = initial_guess(rough.context)
+    guess = initial_guess(rough.request)
     assert roughness(guess.problem) <= 0.9 * roughness(rough.guess.problem)
     assert guess.problem.at_via_points.max() <= 1.001 * rough.guess.problem.at_via_points.max()
     assert guess.search.step_share < rough.guess.search.step_share
@@ -476,10 +478,10 @@ def test_a_guess_that_leaps_between_branches_is_made_in_shorter_steps(
 ) -> None:
     """In much time joints could go anywhere between via-points; the tool would leave its path there."""
     leg = ([0.0, 0.0, -0.15], seconds)
-    context = context_of(six_joint_scene(tmp_path, "ur3", POSTURE, path_of("axis", 9, leg)))
-    rough, smooth = sliding_guess(context), initial_guess(context)
+    asked = request_of(six_joint_scene(tmp_path, "ur3", POSTURE, path_of("axis", 9, leg)))
+    rough, smooth = sliding_guess(asked), initial_guess(asked)
     via_points = [each.problem.parametrization.via_points for each in (rough, smooth)]
-    assert [leap(context, q) > 0 for q in via_points] == [leaps, False]
+    assert [leap(asked, q) > 0 for q in via_points] == [leaps, False]
     assert (smooth.search.step_share < rough.search.step_share) == leaps
 
 

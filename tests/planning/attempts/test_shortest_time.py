@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.interpolate import make_interp_spline
-from small_scenes import context_of, short_scene
+from small_scenes import request_of, short_scene
 
 from cmbot import load_scene
 from cmbot.archive import load_plan, save
@@ -27,7 +27,7 @@ from cmbot.planning.timing.leg_paths import bounds_along, leg_paths
 from cmbot.planning.timing.timing import Timing, in_time
 from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Dynamics, Robot
-from cmbot.scene import LegLaw
+from cmbot.toolpath import LegLaw
 
 LEG = {"by": [0, -0.3, 0]}
 
@@ -137,23 +137,23 @@ def test_it_is_read_back_and_planned_again_in_that_time(quick_plan: Plan, tmp_pa
 def test_only_the_legs_on_which_motions_fail_are_stretched() -> None:
     """The second of two legs, which no motion follows in less than 1.03 times its law's seconds."""
     path = {"legs": [LEG, {"by": [0, 0, 0.1]}], "seconds": "auto", "via_points": 26}
-    context = context_of(short_scene(tool_path=path))
-    trajectory = initial_guess(context).problem.parametrization.trajectory
+    asked = request_of(short_scene(tool_path=path))
+    trajectory = initial_guess(asked).problem.parametrization.trajectory
     laws = tuple(LegLaw(leg=k, seconds=(2.0, 2.0), jerk=(0.0, 1.0, 0.0)) for k in (0, 1))
     timing = Timing(
-        context=context,
+        request=asked,
         trajectory=trajectory,
-        paths=leg_paths(context, [0, 1], trajectory),
+        paths=leg_paths(asked, [0, 1], trajectory),
         laws=laws,
         factors=np.ones(2),
         at_fault=np.zeros(2, dtype=np.bool_),
     )
-    timed = in_time(context, laws)
-    first = Attempt(context=timed, guess=initial_guess(timed), timing=timing)
+    timed = in_time(asked, laws)
+    first = Attempt(request=timed, guess=initial_guess(timed), timing=timing)
     tried = list[FloatArray]()
 
     def work(attempt: Attempt) -> Solved[float] | Failure:
-        seconds = attempt.context.task.path.seconds
+        seconds = attempt.request.task.path.seconds
         tried.append(seconds / 4.0)
         if seconds[1] < 4.0 * 1.03:
             return Uncertified(
@@ -176,7 +176,7 @@ def test_only_the_legs_on_which_motions_fail_are_stretched() -> None:
         better=lambda seconds, least: seconds < least,
     ).search(first)
     np.testing.assert_allclose(tried, [[1, 1], [1.01, 1.01], [1.03, 1.03], [1, 1.03]])
-    np.testing.assert_allclose(best.attempt.context.task.path.seconds, [4.0, 4.12])
+    np.testing.assert_allclose(best.attempt.request.task.path.seconds, [4.0, 4.12])
     (told,) = best.told
     assert "In 8 s, the shortest time along the joint path, no motion is certified (velocity of" in told
     assert told.endswith("planned 3 % slower on 1 of 2 legs.")

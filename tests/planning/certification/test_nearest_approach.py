@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cmbot.collision import Clearances
+from cmbot.collision import Box, Capsule, Clearances, Cylinder, Obstacle, Shape, Sphere
 from cmbot.common.arrays import FloatArray
+from cmbot.common.poses import pose
 from cmbot.planning.certification.nearest_approach import nearest_approach
 from cmbot.robot import Robot
-from cmbot.scene import Box, Capsule, Cylinder, Obstacle, Shape, Sphere, pose
 from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
 SHAPES: tuple[Shape, ...] = (

@@ -13,7 +13,7 @@ from cmbot.common.errors import OptimisationFailed
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import elastic_arm
 from cmbot.elastic.stiffness_parameters import StiffnessParameters
-from cmbot.planning import Plan, build_context, modelled_stiffness, plan, robot_of
+from cmbot.planning import Plan, build_request, modelled_stiffness, plan, robot_of
 from cmbot.planning.certification.sag_spread import across_path, largest_spread, spread_times
 from cmbot.scene import Scene
 from cmbot.views.charts import charts
@@ -120,10 +120,10 @@ def test_a_stiffness_that_is_hardly_known_promises_nothing() -> None:
 
 def test_suppression_allows_for_what_is_not_known() -> None:
     scene = scene_of()
-    options = build_context(scene, scene.planner).options
+    options = build_request(scene, scene.planner).cell.options
     # Two modes, of many springs with independent errors of 2 % each.
     assert 0.005 < options.quiet_stiffness_share < 2 * DEVIATION
     vague = scene_of(1.0)
-    assert build_context(vague, vague.planner).options.quiet_stiffness_share == 0.3
+    assert build_request(vague, vague.planner).cell.options.quiet_stiffness_share == 0.3
     none = replace(scene.planner, quiet_modes=0)
-    assert build_context(scene, none).options.quiet_stiffness_share == 0.3
+    assert build_request(scene, none).cell.options.quiet_stiffness_share == 0.3

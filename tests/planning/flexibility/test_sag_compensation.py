@@ -1,13 +1,13 @@
 """Sag compensation and sag as the objective: what is commanded, what is expected, what is said."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from finite_differences import check_derivative
 from scipy.interpolate import CubicSpline
-from small_scenes import context_of, problem_of, short_scene, tool_points
+from small_scenes import problem_of, request_of, short_scene, tool_points
 
 from cmbot.archive import load_plan, save
 from cmbot.common.errors import OptimisationFailed, SceneError
@@ -27,11 +27,12 @@ from cmbot.planning import (
 )
 from cmbot.planning.attempts import motion
 from cmbot.planning.budget import Deadline
-from cmbot.planning.context import PlanningContext
 from cmbot.planning.flexibility.sag_compensation import compensate
 from cmbot.planning.initial_guess import InitialGuess
+from cmbot.planning.request import StrokeRequest
 from cmbot.planning.torque import Optimised
-from cmbot.scene import Scene, ShiftedToolPath, load_scene
+from cmbot.scene import Scene, load_scene
+from cmbot.toolpath import ShiftedToolPath
 
 ALLOWED = 0.001
 
@@ -94,7 +95,7 @@ def test_what_it_keeps(compensated: Plan) -> None:
     assert compensated.certificate.holds
     assert compensated.figures.min_clearance >= compensated.options.safety_margin_m
     # The baseline is what it was: rigid, uncompensated.
-    assert compensated.baseline.expected_tool_point is None
+    assert compensated.baseline.samples.expected_tool_point is None
     # The first posture is not the scene's, but near it when that is pinned.
     assert compensated.start.moved > 0
     if compensated.options.start == "pinned":
@@ -136,7 +137,7 @@ def least_sag(spacing: float = 0.3, **changes: object) -> Scene:
 
 def test_sag_as_the_objective(tmp_path: Path) -> None:
     """From the best posture there is: the global stage's."""
-    best = GlobalSearch(context_of(least_sag(0.1))).solve(pinned=False).q[0]
+    best = GlobalSearch(request_of(least_sag(0.1))).solve(pinned=False).q[0]
     scene = least_sag(posture_deg=np.rad2deg(best).tolist())
     planned = plan(scene)
     torque = plan(scene, options=replace(scene.planner, objective="torque", start="pinned"))
@@ -170,7 +171,7 @@ def test_a_shifted_path_is_the_path_and_the_shift(rng: np.random.Generator) -> N
     path = task_of(strokes_of(scene, robot_of(scene))[0], scene).path
     knots = np.linspace(0, path.duration, 12)
     shift = CubicSpline(knots, rng.uniform(-0.02, 0.02, (12, 3)))
-    shifted = ShiftedToolPath(**{each.name: getattr(path, each.name) for each in fields(path)}, shift=shift)
+    shifted = ShiftedToolPath.of(path, shift)
     t = rng.uniform(0, path.duration, 50)
     np.testing.assert_allclose(shifted.position(t), path.position(t) + shift(t), rtol=0, atol=1e-15)
     p = path.position(t) + rng.uniform(-0.1, 0.1, (50, 3))
@@ -182,7 +183,7 @@ def test_a_shifted_path_is_the_path_and_the_shift(rng: np.random.Generator) -> N
 
 
 def test_where_the_time_is_over_the_compensation_says_how_far_it_came() -> None:
-    context = context_of(short_scene(), compensate=True)
+    asked = request_of(short_scene(), compensate=True)
     over = Deadline(-1.0, lambda: 2.0)
     problem = problem_of(short_scene())
     optimised = Optimised(
@@ -190,18 +191,18 @@ def test_where_the_time_is_over_the_compensation_says_how_far_it_came() -> None:
         via_points=problem.parametrization.via_points,
         passes=(),
     )
-    late = replace(context, deadline=over)
+    late = replace(asked, deadline=over)
     guess = InitialGuess(problem=problem, pinned=True, lower_bound=None)  # type: ignore[arg-type]
     words = r"time_limit_s\), .*was over after .* after 0 of at most 8 rounds of the compensation"
     with pytest.raises(OptimisationFailed, match=words):
-        compensate(late, guess, optimised, context.sag)
+        compensate(late, guess, optimised, asked.cell.sag)
 
 
 def test_a_better_start_that_no_approach_leads_to_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """The work begins where the arm is, and says why."""
 
-    def fails(context: PlanningContext, *_: object, **__: object) -> None:
-        raise context.path_not_found("no collision-free approach was found", context.posture)
+    def fails(asked: StrokeRequest, *_: object, **__: object) -> None:
+        raise asked.path_not_found("no collision-free approach was found", asked.state.posture)
 
     monkeypatch.setattr(motion, "plan_approach", fails)
     planned = plan(least_sag())

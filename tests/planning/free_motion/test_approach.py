@@ -5,11 +5,11 @@ from itertools import chain, pairwise, repeat
 
 import numpy as np
 import pytest
-from small_scenes import context_of, parts, short_scene
+from small_scenes import parts, request_of, short_scene
 
 from cmbot.collision import Clearances
 from cmbot.common.errors import PathNotFound
-from cmbot.planning import Plan, Segment, certify_move, plan
+from cmbot.planning import JobState, Plan, Segment, certify_move, plan
 from cmbot.planning.budget import Deadline
 from cmbot.planning.free_motion import free_move
 from cmbot.planning.free_motion.approach import joined_starts, plan_approach
@@ -33,11 +33,11 @@ def test_the_triangles_approach_is_certified(triangle_plan: Plan) -> None:
 
 def test_a_near_start_is_reached_along_the_self_motion() -> None:
     """The tool then stays where it is, within a few millimetres."""
-    context = context_of(short_scene())
-    postures = self_motion_postures(context)
-    approach = plan_approach(context, postures[2], np.array(postures))
+    asked = request_of(short_scene())
+    postures = self_motion_postures(asked)
+    approach = plan_approach(asked, postures[2], np.array(postures))
     assert approach.certificate.holds
-    coarse = replace(context, options=replace(context.options, chart_spacing=0.2))
+    coarse = asked.with_options(chart_spacing=0.2)
     approach = plan_approach(coarse, postures[2], np.array(postures))
     assert approach.along_self_motion
     assert approach.certificate.figures.max_tool_deviation < 0.02
@@ -46,11 +46,11 @@ def test_a_near_start_is_reached_along_the_self_motion() -> None:
 def test_from_a_folded_posture_the_base_bears_no_more_than_at_work(triangle_plan: Plan) -> None:
     """Not even while the arm moves: it goes no faster than that allows."""
     folded = np.radians([26.0, -146, 43, 161, -84, -112, -55])
-    context = replace(context_of(triangle_plan.scene), posture=folded)
+    asked = replace(request_of(triangle_plan.scene), state=JobState(posture=folded))
     end = triangle_plan.start.posture
-    approach = plan_approach(context, end, end[None])
+    approach = plan_approach(asked, end, end[None])
     torque = np.linalg.norm(
-        Dynamics(context.robot).static_efforts(np.stack([folded, end])).guardrail_torque, axis=1
+        Dynamics(asked.cell.robot).static_efforts(np.stack([folded, end])).guardrail_torque, axis=1
     )
     assert torque[0] < 170
     assert approach.certificate.holds
@@ -58,31 +58,31 @@ def test_from_a_folded_posture_the_base_bears_no_more_than_at_work(triangle_plan
 
 
 def test_starts_that_are_joined_are_parts_of_the_self_motion() -> None:
-    context = context_of(short_scene())
-    chart = np.array(self_motion_postures(context))
+    asked = request_of(short_scene())
+    chart = np.array(self_motion_postures(asked))
     folded = chart.copy()
     folded[:, 0] = np.radians(90)  # link_1 across the guardrail
     both = np.vstack([chart, folded])
-    parts_joined, ways = zip(*joined_starts(context, both), strict=True)
+    parts_joined, ways = zip(*joined_starts(asked, both), strict=True)
     once = np.sum(parts_joined, axis=0)
     for part, way in zip(parts_joined, ways, strict=True):
-        np.testing.assert_array_equal(way[0], context.posture)
+        np.testing.assert_array_equal(way[0], asked.state.posture)
         assert np.abs(both[part] - way[-1]).max(axis=1).min() < 1e-12
     assert once.max() == 1
     assert once[: len(chart)].any()
     assert not once[len(chart) :].any()
-    assert list(joined_starts(context, folded)) == []
+    assert list(joined_starts(asked, folded)) == []
 
 
 def test_a_known_way_is_taken_where_no_straight_line_is_free(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is sought again: the way to one posture of the self-motion, and on along that."""
-    context = context_of(short_scene())
-    chart = np.array(self_motion_postures(context))
-    middle = context.posture + np.array([0, 0, 0, 0.3, 0.3, 0, 0.5])
-    way = np.stack([context.posture, middle, chart[-1]])
+    asked = request_of(short_scene())
+    chart = np.array(self_motion_postures(asked))
+    middle = asked.state.posture + np.array([0, 0, 0, 0.3, 0.3, 0, 0.5])
+    way = np.stack([asked.state.posture, middle, chart[-1]])
     monkeypatch.setattr(FreeSpace, "straight", lambda *_: False)
     monkeypatch.setattr(free_move, "rrt_connect", None)
-    approach = plan_approach(context, chart[-3], chart[-4:], way=way)
+    approach = plan_approach(asked, chart[-3], chart[-4:], way=way)
     assert approach.certificate.holds
     q = approach.trajectory.q
     assert np.abs(q - middle).max(axis=1).min() < 0.2  # at a knot of the spline
@@ -91,20 +91,20 @@ def test_a_known_way_is_taken_where_no_straight_line_is_free(monkeypatch: pytest
 
 def test_a_blocked_approach_is_refused() -> None:
     """The goal lies inside an obstacle: nothing leads there."""
-    context = context_of(short_scene())
-    goal = context.posture.copy()
+    asked = request_of(short_scene())
+    goal = asked.state.posture.copy()
     goal[0] = np.radians(90)  # link_1 across the guardrail
     expected = (
         r"no collision-free approach: in the start of the work \S+ and \S+ come within the safety margin"
     )
     with pytest.raises(PathNotFound, match=expected) as caught:
-        plan_approach(context, goal, context.posture[None])
+        plan_approach(asked, goal, asked.state.posture[None])
     assert all(name in str(caught.value) for name in caught.value.pair)
-    goal = context.posture.copy()
+    goal = asked.state.posture.copy()
     goal[6] = np.radians(175)
     with pytest.raises(PathNotFound, match="in the start of the work joint_7 is out of its range"):
-        plan_approach(context, goal, context.posture[None])
-    _, J = Kinematics(context.robot).tool_jacobian(context.posture)
+        plan_approach(asked, goal, asked.state.posture[None])
+    _, J = Kinematics(asked.cell.robot).tool_jacobian(asked.state.posture)
     smallest = np.linalg.svd(J, compute_uv=False)[-1]
     assert caught.value.smallest_singular_value == pytest.approx(smallest)
 
@@ -112,13 +112,13 @@ def test_a_blocked_approach_is_refused() -> None:
 def test_the_way_to_a_start_that_is_only_better_is_not_sought_for_long(
     triangle_plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    context, most = context_of(triangle_plan.scene), list[int]()
+    asked, most = request_of(triangle_plan.scene), list[int]()
     monkeypatch.setattr(FreeSpace, "straight", lambda *_: False)
     monkeypatch.setattr(free_move, "rrt_connect", lambda *arguments: most.append(arguments[-1]))
     for dispensable in (True, False):
         with pytest.raises(PathNotFound, match="was found"):
             plan_approach(
-                context, triangle_plan.start.posture, context.posture[None], dispensable=dispensable
+                asked, triangle_plan.start.posture, asked.state.posture[None], dispensable=dispensable
             )
     assert 0 < most[0] < most[1] == MOST_GROWTHS
 
@@ -126,12 +126,12 @@ def test_the_way_to_a_start_that_is_only_better_is_not_sought_for_long(
 def test_what_is_in_the_way_of_an_approach_is_named(triangle_plan: Plan) -> None:
     """The time is over, and so is the share that an approach may take beyond it."""
     over = Deadline(1.0, iter([0.0, *999 * [2.0]]).__next__)
-    context = replace(context_of(triangle_plan.scene), deadline=over)
+    asked = replace(request_of(triangle_plan.scene), deadline=over)
     assert over.expired(0.9)
     assert not over.expired(1.5)
     expected = r"was found \(straight there \S+ and \S+ come too near\), the time was over$"
     with pytest.raises(PathNotFound, match=expected) as caught:
-        plan_approach(context, triangle_plan.start.posture, context.posture[None])
+        plan_approach(asked, triangle_plan.start.posture, asked.state.posture[None])
     assert caught.value.pair is not None
 
 
@@ -141,8 +141,8 @@ def test_before_the_limit_the_time_does_not_matter(triangle_plan: Plan) -> None:
     for later in (0.0, 59.0):
         # Nothing is over when the deadline is set and the search begins.
         clock = chain([0.0] * 2, repeat(later)).__next__
-        context = replace(context_of(triangle_plan.scene), deadline=Deadline(60.0, clock))
-        found.append(plan_approach(context, triangle_plan.start.posture, context.posture[None]))
+        asked = replace(request_of(triangle_plan.scene), deadline=Deadline(60.0, clock))
+        found.append(plan_approach(asked, triangle_plan.start.posture, asked.state.posture[None]))
     one, other = (each.trajectory for each in found)
     np.testing.assert_array_equal(one.q, other.q)
 
@@ -173,7 +173,7 @@ def test_a_pinned_start_keeps_the_posture_and_needs_no_approach() -> None:
     torque = Dynamics(planned.robot).static_efforts(scene.posture[None]).guardrail_torque
     assert {report.stage for report in planned.passes} == {"mean square"}
     assert planned.figures.peak_guardrail_torque == pytest.approx(np.linalg.norm(torque), rel=1e-5)
-    assert planned.figures.mean_guardrail_torque < planned.baseline_figures.mean_guardrail_torque
+    assert planned.figures.mean_guardrail_torque < planned.baseline.figures.mean_guardrail_torque
 
 
 def test_its_samples_are_measured_once(triangle_plan: Plan) -> None:

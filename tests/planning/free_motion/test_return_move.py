@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from forgeries import changed_scene, put_job
 from plan_folders import edit, refused, same_arrays
-from small_scenes import context_of, short_scene
+from small_scenes import request_of, short_scene
 
 from cmbot.archive import load_plan, save
 from cmbot.common.errors import LimitViolation, PathNotFound
@@ -70,17 +70,17 @@ def test_a_plan_with_a_return_is_read_back(returning_plan: Plan, saved: Path) ->
 
 
 def test_the_baseline_returns_straight_and_quickly(returning_plan: Plan) -> None:
-    back = returning_plan.baseline_return
+    back = returning_plan.baseline.segment("return").samples
     assert back is not None
-    np.testing.assert_allclose(back.q[0], returning_plan.baseline.q[-1], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(back.q[0], returning_plan.baseline.samples.q[-1], rtol=0, atol=1e-12)
     np.testing.assert_allclose(back.q[-1], returning_plan.robot.group_states["stow"], rtol=0, atol=1e-12)
     assert back.t[-1] < returning_plan.job.segments[-1].duration
-    figures = returning_plan.baseline_job_figures
-    assert figures.peak_guardrail_torque >= returning_plan.baseline_figures.peak_guardrail_torque
-    seconds = returning_plan.baseline.t[-1] + back.t[-1]
+    figures = returning_plan.baseline.job_figures
+    assert figures.peak_guardrail_torque >= returning_plan.baseline.figures.peak_guardrail_torque
+    seconds = returning_plan.baseline.samples.t[-1] + back.t[-1]
     total = sum(
         np.trapezoid(np.linalg.norm(each.guardrail_torque, axis=1), each.t)
-        for each in (returning_plan.baseline, back)
+        for each in (returning_plan.baseline.samples, back)
     )
     assert figures.mean_guardrail_torque == pytest.approx(total / seconds)
 
@@ -137,10 +137,10 @@ def test_a_return_to_another_posture_is_refused(returning_plan: Plan, folder: Pa
 
 
 def test_no_move_leads_to_where_the_arm_is() -> None:
-    context = context_of(short_scene())
-    assert plan_return(context, context.posture, begin=4.0, allowed=0.0) is None
-    there = replace(context, end_posture=context.posture)
-    assert plan_return(there, context.posture.copy(), begin=4.0, allowed=0.0) is None
+    asked = request_of(short_scene())
+    assert plan_return(asked, asked.state.posture, begin=4.0, allowed=0.0) is None
+    there = replace(asked, end_posture=asked.state.posture)
+    assert plan_return(there, asked.state.posture.copy(), begin=4.0, allowed=0.0) is None
 
 
 def test_a_return_that_hurries_breaks_a_promise(returning_plan: Plan, folder: Path) -> None:

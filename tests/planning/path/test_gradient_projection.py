@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from small_scenes import context_of, parts, short_scene
+from small_scenes import parts, request_of, short_scene
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning import Plan, Progress, plan
 from cmbot.planning.budget import Deadline
-from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.gradient_projection import (
     JointPath,
     find_path,
@@ -25,19 +24,21 @@ from cmbot.planning.path.gradient_projection import (
     self_motion_postures,
 )
 from cmbot.planning.progress import ProgressReporter
+from cmbot.planning.request import StrokeRequest
 from cmbot.robot import Dynamics, Kinematics
 from cmbot.scene import PlannerOptions, Scene, load_scene
+from cmbot.toolpath import ToolPath
 
 OPTIONS = PlannerOptions(knots="fixed")
 # Beside the tool's way at first, then across it.
 WALL = {"name": "wall", "box": [1, 0.02, 1], "xyz": [1.8, 0.45, -2.0]}
 seeds = st.integers(0, 2**32 - 1)
-Followed = tuple[PlanningContext, JointPath]
+Followed = tuple[StrokeRequest, JointPath]
 
 
 def path_of(scene: Scene, **options: Any) -> Followed:
-    context = context_of(scene, **options)
-    return context, follow_path(context)
+    asked = request_of(scene, **options)
+    return asked, follow_path(asked)
 
 
 @pytest.fixture(scope="module")
@@ -81,8 +82,8 @@ def test_inverse_is_bounded_near_singularities(seed: int, s_6: float) -> None:
 
 
 def test_the_tool_follows_the_triangle(triangle_path: Followed) -> None:
-    context, path = triangle_path
-    task, kinematics = context.task, Kinematics(context.robot)
+    asked, path = triangle_path
+    task, kinematics = asked.task, Kinematics(asked.cell.robot)
     p_WT, R_WT = kinematics.tool_poses(path.q)
     np.testing.assert_allclose(
         path.drift, np.linalg.norm(p_WT - task.path.position(path.t), axis=1), atol=1e-12
@@ -92,7 +93,7 @@ def test_the_tool_follows_the_triangle(triangle_path: Followed) -> None:
     assert task.rotation(R_WT, task.path.poses([0.0])).max() < np.deg2rad(0.01)
     np.testing.assert_allclose(path.t, np.linspace(0, 20, 1001), atol=1e-12)
     np.testing.assert_allclose(path.q[1:], path.q[:-1] + path.t[1] * path.v[:-1], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(path.clearance, context.clearances.smallest(path.q).distance, atol=1e-8)
+    np.testing.assert_allclose(path.clearance, asked.cell.clearances.smallest(path.q).distance, atol=1e-8)
     smallest = [np.linalg.svd(kinematics.tool_jacobian(q)[1], compute_uv=False)[-1] for q in path.q]
     np.testing.assert_allclose(path.singular_value, smallest, atol=1e-12)
 
@@ -108,9 +109,9 @@ def test_the_drift_falls_with_the_step() -> None:
 @pytest.mark.parametrize("keep", ["pose", "axis", "position"])
 def test_what_is_kept_and_what_is_free(keep: str) -> None:
     scene = short_scene(tool_path={"keep": keep})
-    context, path = path_of(scene)
-    task = context.task
-    p_WT, R_WT = Kinematics(context.robot).tool_poses(path.q)
+    asked, path = path_of(scene)
+    task = asked.task
+    p_WT, R_WT = Kinematics(asked.cell.robot).tool_poses(path.q)
     assert np.linalg.norm(p_WT - task.path.position(path.t), axis=1).max() < 1e-4
     axis = np.arccos(np.clip(R_WT[:, :, 2] @ task.path.orientation[:, 2], -1, 1))
     whole = np.linalg.norm(R_WT - task.path.orientation, axis=(1, 2))
@@ -154,28 +155,28 @@ def test_path_ends_out_of_reach() -> None:
 
 
 def test_carrying_on_whatever_happens() -> None:
-    context = context_of(short_scene(obstacles=[WALL]))
-    path = follow_path(context, stop_at_obstacles=False)
+    asked = request_of(short_scene(obstacles=[WALL]))
+    path = follow_path(asked, stop_at_obstacles=False)
     assert path.clearance.min() < 0.02
-    assert path.t[-1] == context.task.path.duration
+    assert path.t[-1] == asked.task.path.duration
 
 
 @pytest.fixture(scope="module")
 def near_postures(triangle_path: Followed) -> FloatArray:
-    context, path = triangle_path
+    asked, path = triangle_path
     q = path.q[::20] + np.random.default_rng(3).uniform(-0.1, 0.1, path.q[::20].shape)
-    near = context.clearances.smallest(q, avoidable_only=True).distance
+    near = asked.cell.clearances.smallest(q, avoidable_only=True).distance
     return q[(near > 0.005) & (near < 0.14)]
 
 
-def self_motion(context: PlanningContext, q: FloatArray, **options: Any) -> FloatArray:
+def self_motion(asked: StrokeRequest, q: FloatArray, **options: Any) -> FloatArray:
     """Joint rates at `q` when the tool is to stay where it is."""
-    X_WT = Kinematics(context.robot).tool_pose(q)
+    X_WT = Kinematics(asked.cell.robot).tool_pose(q)
     # A leg of no length to speak of.
     corners = np.array([X_WT.translation, X_WT.translation + np.array([0, 0, 1e-12])])
-    path = replace(context.task.path, corners=corners, orientation=X_WT.rotation, seconds=np.array([0.02]))
-    chosen = replace(context.options, path_step_s=0.02, **options)
-    still = replace(context, task=replace(context.task, path=path), options=chosen)
+    law = asked.task.path.segments[0].law
+    path = ToolPath.straight(corners, np.array(X_WT.rotation), np.array([0.02]), law)
+    still = replace(asked, task=replace(asked.task, path=path)).with_options(path_step_s=0.02, **options)
     return follow_path(still, q, stop_at_obstacles=False).v[0]
 
 
@@ -183,19 +184,19 @@ def self_motion(context: PlanningContext, q: FloatArray, **options: Any) -> Floa
 def test_self_motion_leaves_the_tool_alone(
     triangle_path: Followed, near_postures: FloatArray, avoidance: str
 ) -> None:
-    context, _ = triangle_path
-    kinematics = Kinematics(context.robot)
+    asked, _ = triangle_path
+    kinematics = Kinematics(asked.cell.robot)
     fastest = 0.0
     for q in near_postures:
-        v = self_motion(context, q, avoidance=avoidance)
+        v = self_motion(asked, q, avoidance=avoidance)
         assert np.abs(kinematics.tool_jacobian(q)[1] @ v).max() < 1e-9
         fastest = max(fastest, np.abs(v).max())
     assert fastest > 0.1
 
 
 def test_switch_is_equation_17_to_the_letter(triangle_path: Followed, near_postures: FloatArray) -> None:
-    context, path = triangle_path
-    kinematics, clearances = Kinematics(context.robot), context.clearances
+    asked, path = triangle_path
+    kinematics, clearances = Kinematics(asked.cell.robot), asked.cell.clearances
     avoidable = [k for k, pair in enumerate(clearances.pairs) if pair.avoidable]
     far = path.q[clearances.smallest(path.q, avoidable_only=True).distance > 0.16][:3]
     assert len(far) == 3
@@ -206,20 +207,20 @@ def test_switch_is_equation_17_to_the_letter(triangle_path: Followed, near_postu
         gradient = np.linalg.pinv(near.jacobian) @ u if near.distance <= 0.15 else np.zeros(7)
         J = kinematics.tool_jacobian(q)[1]
         expected = 2.0 * (np.eye(7) - np.linalg.pinv(J) @ J) @ gradient
-        got = self_motion(context, q, avoidance="switch")
+        got = self_motion(asked, q, avoidance="switch")
         np.testing.assert_allclose(got, expected, rtol=0, atol=1e-6)
 
 
 def test_smooth_avoidance_of_one_pair_fades_in(triangle_path: Followed, near_postures: FloatArray) -> None:
     """With one near pair it is Eq. (17) times 1 - d/d_s."""
-    context, _ = triangle_path
+    asked, _ = triangle_path
     compared = 0
     for q in near_postures:
         # d_s just beyond the nearest pair, short of the next.
-        distances = sorted(near.distance for near in context.clearances.within(q, 0.5))
+        distances = sorted(near.distance for near in asked.cell.clearances.within(q, 0.5))
         d_s = 0.5 * (distances[0] + distances[1])
         got, switched = (
-            self_motion(context, q, avoidance=kind, avoidance_distance_m=d_s) for kind in ("smooth", "switch")
+            self_motion(asked, q, avoidance=kind, avoidance_distance_m=d_s) for kind in ("smooth", "switch")
         )
         np.testing.assert_allclose(got, (1 - distances[0] / d_s) * switched, rtol=0, atol=1e-9)
         compared += np.abs(got).max() > 1e-3
@@ -247,14 +248,14 @@ def test_smooth_rates_are_continuous_and_switched_ones_are_not() -> None:
 
 def with_options(followed: Followed, **options: Any) -> JointPath:
     """The triangle's path again, with other options, whatever is in the way."""
-    context, path = followed
-    other = replace(context, options=replace(context.options, **options))
+    asked, path = followed
+    other = asked.with_options(**options)
     return follow_path(other, path.q[0], stop_at_obstacles=False)
 
 
 def test_avoidance_gains_clearance(triangle_path: Followed) -> None:
-    context, path = triangle_path
-    clearances = context.clearances
+    asked, path = triangle_path
+    clearances = asked.cell.clearances
     without = with_options(triangle_path, avoidance_gain=0.0)
     assert path.clearance.min() > without.clearance.min() + 0.01
     ours, theirs = (clearances.smallest(x.q, avoidable_only=True).distance.min() for x in (path, without))
@@ -262,9 +263,9 @@ def test_avoidance_gains_clearance(triangle_path: Followed) -> None:
 
 
 def test_pulling_the_centre_of_gravity_lowers_the_torque(triangle_path: Followed) -> None:
-    context, path = triangle_path
+    asked, path = triangle_path
     pulled = with_options(triangle_path, centre_of_gravity_weight=0.2)
-    dynamics = Dynamics(context.robot)
+    dynamics = Dynamics(asked.cell.robot)
     mean, mean_without = (
         np.linalg.norm(dynamics.static_efforts(x.q).guardrail_torque, axis=1).mean() for x in (pulled, path)
     )
@@ -274,9 +275,9 @@ def test_pulling_the_centre_of_gravity_lowers_the_torque(triangle_path: Followed
 
 @pytest.mark.parametrize("keep", ["pose", "axis", "position"])
 def test_self_motion_holds_what_is_kept(keep: str) -> None:
-    context = context_of(short_scene(tool_path={"keep": keep}))
-    robot, task, posture = context.robot, context.task, context.posture
-    found = self_motion_postures(context)
+    asked = request_of(short_scene(tool_path={"keep": keep}))
+    robot, task, posture = asked.cell.robot, asked.task, asked.state.posture
+    found = self_motion_postures(asked)
     assert len(found) > 20
     kinematics = Kinematics(robot)
     for q in found:
@@ -289,40 +290,40 @@ def test_self_motion_holds_what_is_kept(keep: str) -> None:
 
 
 def test_self_motion_goes_both_ways() -> None:
-    context = context_of(short_scene())
-    along = np.linalg.svd(Kinematics(context.robot).tool_jacobian(context.posture)[1])[2][-1]
-    side = [along @ (q - context.posture) for q in self_motion_postures(context)[:6]]
+    asked = request_of(short_scene())
+    along = np.linalg.svd(Kinematics(asked.cell.robot).tool_jacobian(asked.state.posture)[1])[2][-1]
+    side = [along @ (q - asked.state.posture) for q in self_motion_postures(asked)[:6]]
     assert min(side) < -0.05
     assert max(side) > 0.05
 
 
 def test_no_start_beyond_the_first_range(cmbot_robot: Any) -> None:
     """The curve ends where a joint's range does; a narrow range leaves few postures."""
-    context, reach = context_of(short_scene()), np.deg2rad(15)
-    posture = context.posture
+    asked, reach = request_of(short_scene()), np.deg2rad(15)
+    posture = asked.state.posture
     narrow = replace(
         cmbot_robot, limits=replace(cmbot_robot.limits, lower=posture - reach, upper=posture + reach)
     )
-    found = self_motion_postures(replace(context, robot=narrow))
+    found = self_motion_postures(replace(asked, cell=replace(asked.cell, robot=narrow)))
     assert 0 < len(found) < 10
     assert all(np.abs(q - posture).max() <= reach for q in found)
 
 
 def test_the_scenes_posture_is_kept_where_it_works() -> None:
     reports: list[Progress] = []
-    context = replace(context_of(short_scene()), reporter=ProgressReporter(reports.append))
-    path, failures = find_path(context)
+    asked = replace(request_of(short_scene()), reporter=ProgressReporter(reports.append))
+    path, failures = find_path(asked)
     assert {report.failed_starts for report in reports} == {0}
     assert failures == ()
-    np.testing.assert_array_equal(path.q[0], context.posture)
+    np.testing.assert_array_equal(path.q[0], asked.state.posture)
 
 
 def test_no_other_start_is_tried_when_the_time_is_over() -> None:
     ball = {"name": "ball", "sphere": 0.0666, "xyz": [0.95, 0.52, -1.0]}
     over = Deadline(-1.0, lambda: 2.0)
-    context = replace(context_of(short_scene(obstacles=[ball])), deadline=over)
+    asked = replace(request_of(short_scene(obstacles=[ball])), deadline=over)
     with pytest.raises(PathNotFound, match=r"link_3 comes within .* of ball") as caught:
-        find_path(context)
+        find_path(asked)
     assert "other starting" not in str(caught.value)
 
 
@@ -337,8 +338,8 @@ def test_the_line_starts_elsewhere(fixed_line_plan: Plan) -> None:
     assert start.moved > 0.1
     np.testing.assert_allclose(fixed_line_plan.trajectory.q[0], start.posture, rtol=0, atol=1e-9)
     # The baseline is still the paper's: from its own posture, and into itself.
-    np.testing.assert_array_equal(fixed_line_plan.baseline.q[0], load_scene("line").posture)
-    assert fixed_line_plan.baseline_figures.min_clearance < 0.02
+    np.testing.assert_array_equal(fixed_line_plan.baseline.samples.q[0], load_scene("line").posture)
+    assert fixed_line_plan.baseline.figures.min_clearance < 0.02
     assert fixed_line_plan.figures.min_clearance >= 0.02
 
 
@@ -358,9 +359,9 @@ def test_only_the_scenes_posture() -> None:
 def test_a_hopeless_scene(tries: int, words: str) -> None:
     scene = short_scene(obstacles=[WALL], planner={"other_starts": tries, "path_step_s": 0.05})
     reports: list[Progress] = []
-    context = replace(context_of(scene), reporter=ProgressReporter(reports.append))
+    asked = replace(request_of(scene), reporter=ProgressReporter(reports.append))
     with pytest.raises(PathNotFound, match=rf"; {words} as well \(the best") as caught:
-        find_path(context)
+        find_path(asked)
     begun = [report.failed_starts for report in reports if not report.step]
     assert begun == list(range(1, tries + 1))
     first = caught.value.__cause__

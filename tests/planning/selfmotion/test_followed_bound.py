@@ -1,29 +1,26 @@
 """What sequences of postures that the joints can follow ask at least, by charts at all or few via-points."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from small_scenes import context_of, short_scene
+from small_scenes import request_of, short_scene
 
 from cmbot.planning import GlobalSearch, quick_bound
-from cmbot.planning.context import PlanningContext
+from cmbot.planning.request import StrokeRequest
 
 
 @pytest.fixture(scope="module")
-def context() -> PlanningContext:
-    return context_of(short_scene(tool_path={"legs": [{"by": [-0.6, 0, 0], "seconds": 4}]}), knots="sliding")
+def asked() -> StrokeRequest:
+    return request_of(short_scene(tool_path={"legs": [{"by": [-0.6, 0, 0], "seconds": 4}]}), knots="sliding")
 
 
 @pytest.fixture(scope="module")
-def search(context: PlanningContext) -> GlobalSearch:
-    return GlobalSearch(context)
+def search(asked: StrokeRequest) -> GlobalSearch:
+    return GlobalSearch(asked)
 
 
-def test_no_sequence_of_denser_charts_asks_less(context: PlanningContext) -> None:
-    options = replace(context.options, chart_spacing=0.07, step_share=1.0)
-    finer = GlobalSearch(replace(context, options=options)).solve(pinned=False).peak
-    few = [quick_bound(context, via_points) for via_points in (2, 5)]
+def test_no_sequence_of_denser_charts_asks_less(asked: StrokeRequest) -> None:
+    finer = GlobalSearch(asked.with_options(chart_spacing=0.07, step_share=1.0)).solve(pinned=False).peak
+    few = [quick_bound(asked, via_points) for via_points in (2, 5)]
     assert max(few) == pytest.approx(finer, rel=1e-3)
 
 

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from small_scenes import context_of, off_task, short_scene
+from small_scenes import off_task, request_of, short_scene
 from urdf_arms import six_joint_scene
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound, PlanningError
 from cmbot.planning import GlobalSearch, plan
-from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import null_space, project_onto_task
+from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion import global_search
 from cmbot.planning.selfmotion import sampler as sampling
 from cmbot.planning.selfmotion.dynamic_programming import edges_along, refine
@@ -24,34 +24,34 @@ from cmbot.planning.selfmotion.sampler import SelfMotionSampler
 from cmbot.robot import Dynamics
 
 
-def sliding(**changes: object) -> PlanningContext:
-    return context_of(short_scene(**changes), knots="sliding")
+def sliding(**changes: object) -> StrokeRequest:
+    return request_of(short_scene(**changes), knots="sliding")
 
 
 @pytest.fixture(scope="module")
-def context() -> PlanningContext:
+def asked() -> StrokeRequest:
     return sliding()
 
 
 @pytest.fixture(scope="module")
-def search(context: PlanningContext) -> GlobalSearch:
-    return GlobalSearch(context)
+def search(asked: StrokeRequest) -> GlobalSearch:
+    return GlobalSearch(asked)
 
 
 @pytest.mark.parametrize("pinned", [False, True])
-def test_a_solution_is_admissible(context: PlanningContext, search: GlobalSearch, pinned: bool) -> None:
+def test_a_solution_is_admissible(asked: StrokeRequest, search: GlobalSearch, pinned: bool) -> None:
     solution = search.solve(pinned=pinned)
-    robot, task, options = context.robot, context.task, context.options
-    at = context.postures.at(solution.q)
-    assert off_task(robot, task, solution.q, context.goals) < 1e-9
+    robot, task, options = asked.cell.robot, asked.task, asked.cell.options
+    at = asked.cell.postures.at(solution.q)
+    assert off_task(robot, task, solution.q, asked.goals) < 1e-9
     assert ((solution.q >= robot.limits.lower) & (solution.q <= robot.limits.upper)).all()
-    assert context.clearances.smallest(solution.q).distance.min() >= options.safety_margin_m
+    assert asked.cell.clearances.smallest(solution.q).distance.min() >= options.safety_margin_m
     assert (np.abs(at.joint_torque) <= robot.limits.torque).all()
-    steps = options.step_share * robot.limits.velocity * np.diff(context.times)[:, None]
+    steps = options.step_share * robot.limits.velocity * np.diff(asked.times)[:, None]
     assert (np.abs(np.diff(solution.q, axis=0)) <= steps + 0.5 * options.chart_spacing).all()
     np.testing.assert_allclose(solution.value, np.linalg.norm(at.guardrail_torque, axis=1))
     if pinned:
-        np.testing.assert_allclose(solution.q[0], context.posture, atol=1e-12)
+        np.testing.assert_allclose(solution.q[0], asked.state.posture, atol=1e-12)
 
 
 def test_arms_that_weigh_otherwise_share_charts(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -92,10 +92,9 @@ def test_freedom_never_costs_torque(search: GlobalSearch) -> None:
     assert search.lower_bound.value - search.lower_bound.error <= free <= pinned
 
 
-def test_the_bound_is_below_what_random_postures_ask(context: PlanningContext, search: GlobalSearch) -> None:
+def test_the_bound_is_below_what_random_postures_ask(asked: StrokeRequest, search: GlobalSearch) -> None:
     """No admissible posture at its via-point, found by other random seeds, is below the bound."""
-    options = replace(context.options, chart_spacing=0.05, chart_seeds=500)
-    finer = GlobalSearch(replace(context, options=options)).lower_bound
+    finer = GlobalSearch(asked.with_options(chart_spacing=0.05, chart_seeds=500)).lower_bound
     bound = search.lower_bound
     assert finer.value >= bound.value - bound.error - 1e-9
     assert bound.value == pytest.approx(finer.value, rel=1e-4)
@@ -114,7 +113,7 @@ def test_no_plan_rests_below_the_bound(by: tuple[float, float, float]) -> None:
         fixed = plan(scene)
     except PlanningError:
         return
-    bound = GlobalSearch(context_of(scene, knots="sliding")).lower_bound
+    bound = GlobalSearch(request_of(scene, knots="sliding")).lower_bound
     static = Dynamics(fixed.robot).static_efforts(fixed.trajectory.q).guardrail_torque
     assert np.linalg.norm(static, axis=1).max() >= bound.value - bound.error
 
@@ -178,14 +177,14 @@ def test_charts_get_no_denser_where_joints_are_far_too_slow(monkeypatch: pytest.
 
 
 @pytest.fixture(scope="module", params=["axis", "position"])
-def freer(request: pytest.FixtureRequest) -> tuple[PlanningContext, GlobalSearch]:
+def freer(request: pytest.FixtureRequest) -> tuple[StrokeRequest, GlobalSearch]:
     wide = sliding(tool_path={"keep": request.param})
     return wide, GlobalSearch(wide)
 
 
 @pytest.mark.parametrize("pinned", [False, True])
 def test_wide_self_motions(
-    search: GlobalSearch, freer: tuple[PlanningContext, GlobalSearch], pinned: bool
+    search: GlobalSearch, freer: tuple[StrokeRequest, GlobalSearch], pinned: bool
 ) -> None:
     """More freedom costs nothing, and what is done about coarse charts keeps everything that was asked."""
     wide, wider = freer
@@ -197,78 +196,80 @@ def test_wide_self_motions(
 
 
 def test_refining_never_raises_the_peak() -> None:
-    context = sliding(tool_path={"keep": "axis"})
-    robot, task, postures = context.robot, context.task, context.postures
-    sequences = sequences_beside(context, context.posture, 0, 0.3)
+    asked = sliding(tool_path={"keep": "axis"})
+    robot, task, postures = asked.cell.robot, asked.task, asked.cell.postures
+    sequences = sequences_beside(asked, asked.state.posture, 0, 0.3)
     q = np.stack([each[0] for each in sequences])
-    np.testing.assert_array_equal(q[0], context.posture)
-    for each, goal in zip(sequences, context.goals, strict=True):
+    np.testing.assert_array_equal(q[0], asked.state.posture)
+    for each, goal in zip(sequences, asked.goals, strict=True):
         assert len(each) > 20
         assert off_task(robot, task, each, goal) < 1e-9
     steps = np.full((len(q) - 1, 7), 0.3)
-    before = context.objective.at_rest(postures.at(q)).max()
+    before = asked.cell.objective.at_rest(postures.at(q)).max()
     for stays in (True, False):
-        better = refine(context, q, steps, 0.3, 0.0, np.zeros(7, dtype=bool), start_stays=stays)
-        assert off_task(robot, task, better, context.goals) < 1e-9
+        better = refine(asked, q, steps, 0.3, 0.0, np.zeros(7, dtype=bool), start_stays=stays)
+        assert off_task(robot, task, better, asked.goals) < 1e-9
         assert (np.abs(np.diff(better, axis=0)) <= steps).all()
-        assert not context.clearances.check_collision(better, context.options.safety_margin_m).any()
-        peak = context.objective.at_rest(postures.at(better)).max()
+        assert not asked.cell.clearances.check_collision(better, asked.cell.options.safety_margin_m).any()
+        peak = asked.cell.objective.at_rest(postures.at(better)).max()
         assert peak <= before
         assert (peak < before - 10) != stays
         assert (better[0] == q[0]).all() == stays
 
 
 @pytest.fixture(scope="module")
-def turned(tmp_path_factory: pytest.TempPathFactory) -> PlanningContext:
+def turned(tmp_path_factory: pytest.TempPathFactory) -> StrokeRequest:
     """A UR5, whose joints can turn twice, with joint 4 one turn on."""
     path = {"keep": "pose", "legs": [{"by": [0.06, -0.05, -0.02], "seconds": 5}], "via_points": 6}
     folder = tmp_path_factory.mktemp("ur5")
-    return context_of(six_joint_scene(folder, "ur5", [-105, -76, -94, 84 - 360, 48, -61], path))
+    return request_of(six_joint_scene(folder, "ur5", [-105, -76, -94, 84 - 360, 48, -61], path))
 
 
-def test_joints_that_can_turn_twice(turned: PlanningContext) -> None:
+def test_joints_that_can_turn_twice(turned: StrokeRequest) -> None:
     """One turn of the chart stands for all; a sequence begins on the turn of the scene's posture."""
-    limits, search = turned.robot.limits, GlobalSearch(turned)
+    limits, search = turned.cell.robot.limits, GlobalSearch(turned)
     pinned, free = search.solve(pinned=True), search.solve(pinned=False)
-    np.testing.assert_allclose(pinned.q[0], turned.posture, atol=1e-9)
+    np.testing.assert_allclose(pinned.q[0], turned.state.posture, atol=1e-9)
     for solution in (pinned, free):
         assert ((solution.q >= limits.lower) & (solution.q <= limits.upper)).all()
-        assert off_task(turned.robot, turned.task, solution.q, turned.goals) < 1e-9
+        assert off_task(turned.cell.robot, turned.task, solution.q, turned.goals) < 1e-9
         assert np.abs(np.diff(solution.q, axis=0)).max() < 1.0
     everywhere, same = search._on_all_turns(3)
     assert len(same) > len(search.first_chart.q)
     for got, expected in ((everywhere.solve(pinned=True), pinned), (everywhere.solve(pinned=False), free)):
         assert got.peak == pytest.approx(expected.peak, rel=1e-12)
     # Where a range ends between two turns the sequence takes one that stays within.
-    narrow = replace(turned.robot.limits, upper=limits.upper - 2 * np.pi * (np.arange(6) == 3))
-    within = GlobalSearch(replace(turned, robot=replace(turned.robot, limits=narrow))).solve(pinned=False)
+    narrow = replace(turned.cell.robot.limits, upper=limits.upper - 2 * np.pi * (np.arange(6) == 3))
+    within = GlobalSearch(
+        replace(turned, cell=replace(turned.cell, robot=replace(turned.cell.robot, limits=narrow)))
+    ).solve(pinned=False)
     assert (within.q <= narrow.upper).all()
 
 
 def test_a_way_that_is_narrower_than_the_charts_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """Only what is next to a sequence between the charts' postures counts as clear."""
-    context = sliding(planner={"chart_spacing": 0.5})
-    q = GlobalSearch(context).solve(pinned=False).q
-    null = null_space(context.postures, context.task, q)[:, 0]
+    asked = sliding(planner={"chart_spacing": 0.5})
+    q = GlobalSearch(asked).solve(pinned=False).q
+    null = null_space(asked.cell.postures, asked.task, q)[:, 0]
     # The directions of neighbours agree.
     null *= np.cumprod(np.sign(np.append(1.0, (null[1:] * null[:-1]).sum(axis=1))))[:, None]
-    narrow, reached = project_onto_task(context.postures, context.task, q + 0.2 * null, context.goals)
+    narrow, reached = project_onto_task(asked.cell.postures, asked.task, q + 0.2 * null, asked.goals)
     assert reached.all()
 
     def near(some: FloatArray, margin: float) -> FloatArray:
         return np.linalg.norm(some[:, None] - narrow, axis=2).min(axis=1) > 0.05
 
-    monkeypatch.setattr(context.clearances, "check_collision", near)
-    assert GlobalSearch(context).solve(pinned=False).peak > 0
+    monkeypatch.setattr(asked.cell.clearances, "check_collision", near)
+    assert GlobalSearch(asked).solve(pinned=False).peak > 0
     monkeypatch.setattr(global_search, "_REFINEMENTS", 0)
     with pytest.raises(PathNotFound, match=r"no way was found .* of \d+ postures that were tried"):
-        GlobalSearch(context).solve(pinned=False)
+        GlobalSearch(asked).solve(pinned=False)
 
 
 def test_what_is_asked_again_is_not_searched_again(
-    context: PlanningContext, monkeypatch: pytest.MonkeyPatch
+    asked: StrokeRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    search, tried = GlobalSearch(context), list[object]()
+    search, tried = GlobalSearch(asked), list[object]()
     real = GlobalSearch._solve
 
     def solve(self: GlobalSearch, *arguments: Any) -> Any:
@@ -306,7 +307,7 @@ def test_denser_charts_keep_the_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [a is b for a, b in zip(layers, search._layers, strict=True)] == [
         k not in range(1, 6) for k in range(8)
     ]
-    monkeypatch.setattr(search._context.clearances, "check_collision", None)
+    monkeypatch.setattr(search._request.cell.clearances, "check_collision", None)
     anew = edges_along(search._layers, search._steps, search._winding)
     for got, expected in zip(search._edges, anew, strict=True):
         np.testing.assert_array_equal(got.before, expected.before)

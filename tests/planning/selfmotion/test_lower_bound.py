@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from admissible_postures import admissible, restarts, values
 from scipy import optimize
-from small_scenes import context_of, short_scene
+from small_scenes import request_of, short_scene
 from urdf_arms import endless_scene, panda_scene
 
 from cmbot.common.arrays import FloatArray
 from cmbot.planning import GlobalSearch, Plan, plan
 from cmbot.planning.budget import Deadline
-from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.progress import Progress, ProgressReporter
+from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.lower_bound import LowerBound, _BranchAndBound
 from cmbot.scene import Scene
 
@@ -34,8 +34,8 @@ def kind(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture(scope="module")
-def context(kind: str) -> PlanningContext:
-    return context_of(scene_of(kind))
+def asked(kind: str) -> StrokeRequest:
+    return request_of(scene_of(kind))
 
 
 @pytest.fixture(scope="module")
@@ -49,10 +49,10 @@ def bound(planned: Plan) -> LowerBound:
     return planned.lower_bound
 
 
-def descended(context: PlanningContext, via_point: int, start: FloatArray) -> FloatArray:
+def descended(asked: StrokeRequest, via_point: int, start: FloatArray) -> FloatArray:
     """Where SLSQP gets to from a posture: the task, joint ranges and torques kept, clearances not."""
-    postures, task, limits = context.postures, context.task, context.robot.limits
-    goal = context.goals[via_point]
+    postures, task, limits = asked.cell.postures, asked.task, asked.cell.robot.limits
+    goal = asked.goals[via_point]
 
     def off(q: FloatArray) -> FloatArray:
         at = postures.at(q[None])
@@ -63,7 +63,7 @@ def descended(context: PlanningContext, via_point: int, start: FloatArray) -> Fl
         return np.concatenate([1 - share, 1 + share])
 
     result = optimize.minimize(
-        lambda q: values(context, q[None])[0] / 100.0,
+        lambda q: values(asked, q[None])[0] / 100.0,
         start,
         method="SLSQP",
         bounds=list(zip(limits.lower, limits.upper, strict=True)),
@@ -75,35 +75,35 @@ def descended(context: PlanningContext, via_point: int, start: FloatArray) -> Fl
 
 
 def test_no_random_posture_is_below_the_floor(
-    context: PlanningContext, bound: LowerBound, rng: np.random.Generator
+    asked: StrokeRequest, bound: LowerBound, rng: np.random.Generator
 ) -> None:
-    q = restarts(context, bound.via_point, rng, RESTARTS)
-    value = values(context, q)
+    q = restarts(asked, bound.via_point, rng, RESTARTS)
+    value = values(asked, q)
     assert len(q) > 50
     assert value.min() >= bound.value - min(bound.error, 1e-3 * bound.value)
     for start in q[np.argsort(value)[:5]]:
-        end = descended(context, bound.via_point, start)
-        end = end[admissible(context, end)]
-        assert (values(context, end) >= bound.value * (1 - 1e-4)).all()
+        end = descended(asked, bound.via_point, start)
+        end = end[admissible(asked, end)]
+        assert (values(asked, end) >= bound.value * (1 - 1e-4)).all()
 
 
 def test_at_every_via_point_some_posture_has_no_more(
-    context: PlanningContext, bound: LowerBound, rng: np.random.Generator
+    asked: StrokeRequest, bound: LowerBound, rng: np.random.Generator
 ) -> None:
     assert bound.value == bound.each[bound.via_point] == bound.each.max()
     last = len(bound.each) - 1
     # Elsewhere than where it is set, wide self-motions are known by coarse charts alone.
-    assert bound.each[last] <= np.quantile(values(context, restarts(context, last, rng, RESTARTS)), 0.1)
+    assert bound.each[last] <= np.quantile(values(asked, restarts(asked, last, rng, RESTARTS)), 0.1)
 
 
-def test_a_search_that_ends_early_bounds_from_below(context: PlanningContext, bound: LowerBound) -> None:
+def test_a_search_that_ends_early_bounds_from_below(asked: StrokeRequest, bound: LowerBound) -> None:
     now = [0.0]
 
     def pass_time(progress: Progress) -> None:
         now[0] = max(now[0], float(progress.step.startswith("finding")))
 
     deadline = Deadline(0.5, lambda: now[0])
-    timed = replace(context, reporter=ProgressReporter(pass_time), deadline=deadline)
+    timed = replace(asked, reporter=ProgressReporter(pass_time), deadline=deadline)
     early = GlobalSearch(timed).lower_bound
     assert deadline.expired()
     assert early.value - early.error <= bound.value
@@ -117,17 +117,17 @@ def test_the_error_is_small_where_the_self_motion_is_narrow(kind: str, bound: Lo
 
 @pytest.fixture(scope="module")
 def pose() -> LowerBound:
-    return GlobalSearch(context_of(scene_of("pose"))).lower_bound
+    return GlobalSearch(request_of(scene_of("pose"))).lower_bound
 
 
 def test_where_all_is_negligible_nothing_is_searched(monkeypatch: pytest.MonkeyPatch) -> None:
     """The bound is then what was found, and nothing is known of what lies below."""
-    context = context_of(scene_of("position"))
-    off = context.tool_off
-    at_rest = off.objective.at_rest(off.postures.at(context.posture[None]))[0]
-    assert context.negligible == pytest.approx(0.01 * at_rest)
+    asked = request_of(scene_of("position"))
+    off = asked.tool_off
+    at_rest = off.cell.objective.at_rest(off.cell.postures.at(asked.state.posture[None]))[0]
+    assert asked.negligible == pytest.approx(0.01 * at_rest)
     monkeypatch.setattr(_BranchAndBound, "minimise", None)
-    found = GlobalSearch(replace(context, reached=1e6)).lower_bound
+    found = GlobalSearch(replace(asked, reached=1e6)).lower_bound
     assert 0 < found.value == found.error == found.each.max() < 1e4
 
 
@@ -136,10 +136,10 @@ def test_more_freedom_has_a_lower_floor(kind: str, bound: LowerBound, pose: Lowe
     assert (bound.value < pose.value - 5.0) == (kind == "position")
 
 
-def test_a_plan_comes_near_it(planned: Plan, context: PlanningContext, bound: LowerBound) -> None:
+def test_a_plan_comes_near_it(planned: Plan, asked: StrokeRequest, bound: LowerBound) -> None:
     assert planned.certificate.holds
     assert planned.gap_to_floor < planned.options.gap_target + planned.options.least_peak_tolerance
-    static = values(context, planned.trajectory.q)
+    static = values(asked, planned.trajectory.q)
     assert static.max() >= bound.value - min(bound.error, 1e-4 * bound.value)
 
 
@@ -147,9 +147,9 @@ def test_a_plan_comes_near_it(planned: Plan, context: PlanningContext, bound: Lo
 def test_other_arms(make: Callable[..., Scene], keep: str, tmp_path: Path, rng: np.random.Generator) -> None:
     scene = make(tmp_path, keep=keep, via_points=5)
     planned = plan(scene, options=replace(scene.planner, quiet_modes=0))
-    context, bound = context_of(scene), planned.lower_bound
-    q = restarts(context, bound.via_point, rng, RESTARTS)
+    asked, bound = request_of(scene), planned.lower_bound
+    q = restarts(asked, bound.via_point, rng, RESTARTS)
     assert len(q) > 50
-    assert values(context, q).min() >= bound.value - bound.error
+    assert values(asked, q).min() >= bound.value - bound.error
     assert planned.certificate.holds
     assert -1e-3 < planned.gap_to_floor < planned.options.gap_target + planned.options.least_peak_tolerance

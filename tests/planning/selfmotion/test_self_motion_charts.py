@@ -14,48 +14,44 @@ from urdf_arms import endless_scene, panda_scene
 
 from cmbot.collision import Clearances
 from cmbot.planning import robot_of, strokes_of, task_of
-from cmbot.planning.context import PlanningContext
-from cmbot.planning.objectives import objective_of
 from cmbot.planning.path.projection import project_onto_task
+from cmbot.planning.request import JobState, StrokeRequest
 from cmbot.planning.selfmotion.charts import Chart, charts_of
 from cmbot.planning.selfmotion.dynamic_programming import nearest_turn
 from cmbot.planning.selfmotion.poisson_disk import PoissonDiskSets, without_neighbours
 from cmbot.planning.selfmotion.sampler import SelfMotionSampler
 from cmbot.planning.task import ToolTask
+from cmbot.planning.workcell.objectives import objective_of
+from cmbot.planning.workcell.workcell import Workcell
 from cmbot.robot import Kinematics, PostureMetric, Postures, Robot
-from cmbot.scene import PlannerOptions, Scene, ToolPoses, load_scene
+from cmbot.scene import PlannerOptions, Scene, load_scene
+from cmbot.toolpath import ToolPoses
 
 SPACING = 0.1
 PITCHES = np.linspace(-np.pi, np.pi, 181)
 
 
-def context_for(robot: Robot, task: ToolTask, spacing: float = SPACING, seeds: int = 300) -> PlanningContext:
+def request_for(robot: Robot, task: ToolTask, spacing: float = SPACING, seeds: int = 300) -> StrokeRequest:
     options = PlannerOptions(chart_spacing=spacing, chart_seeds=seeds)
     objective = objective_of(robot, options)
-    return PlanningContext(
-        first=np.zeros(robot.dof),
-        end_posture=None,
+    cell = Workcell(
         robot=robot,
-        posture=np.zeros(robot.dof),
-        strokes=(),
-        number=0,
-        task=task,
         clearances=Clearances(robot, ()),
-        times=np.zeros(1),
         options=options,
         objective=objective,
         idle_objective=objective,
-        arm=None,
-        sag=None,
     )
+    q = np.zeros(robot.dof)
+    state = JobState(posture=q)
+    return StrokeRequest(cell=cell, state=state, strokes=(), number=0, task=task, times=np.zeros(1), first=q)
 
 
-def first_chart(context: PlanningContext, q: np.ndarray) -> Chart:
-    return charts_of(context, [SelfMotionSampler(context).first(context.task.path.poses([0.0]), q)])[0]
+def first_chart(asked: StrokeRequest, q: np.ndarray) -> Chart:
+    return charts_of(asked.cell, [SelfMotionSampler(asked).first(asked.task.path.poses([0.0]), q)])[0]
 
 
-def charts_along(context: PlanningContext, goals: ToolPoses, q: np.ndarray) -> list[Chart]:
-    return charts_of(context, SelfMotionSampler(context).along(goals, q))
+def charts_along(asked: StrokeRequest, goals: ToolPoses, q: np.ndarray) -> list[Chart]:
+    return charts_of(asked.cell, SelfMotionSampler(asked).along(goals, q))
 
 
 def within(robot: Robot, q: np.ndarray) -> np.ndarray:
@@ -107,7 +103,7 @@ def test_charts_are_complete_against_the_closed_form(cmbot_robot: Robot, rng: np
     for q in rng.uniform(limits.lower, limits.upper, (80, 7)):
         task = task_at(cmbot_robot, q)
         start = task.path.poses([0.0])
-        chart = first_chart(context_for(cmbot_robot, task, spacing, seeds=200), q[None])
+        chart = first_chart(request_for(cmbot_robot, task, spacing, seeds=200), q[None])
         oracle = all_postures(cmbot_robot, task, start)
         if len(oracle):
             assert distance_on_circle(chart.q, oracle).max() < 1.5 * spacing
@@ -121,7 +117,7 @@ def test_a_charts_postures_hold_the_task_apart_from_each_other(
 ) -> None:
     q = np.radians([-10, -90, 90, 0, 10, 50, 0])
     task = task_at(cmbot_robot, q, keep)
-    chart = first_chart(context_for(cmbot_robot, task, spacing), q[None])
+    chart = first_chart(request_for(cmbot_robot, task, spacing), q[None])
     np.testing.assert_allclose(chart.q[0], q, atol=1e-15)
     check_chart(cmbot_robot, task, chart, task.path.poses([0.0]), spacing)
 
@@ -130,7 +126,7 @@ def test_charts_along_a_path_are_complete(cmbot_robot: Robot) -> None:
     scene = load_scene("triangle")
     task = task_of(strokes_of(scene, cmbot_robot)[0], scene)
     goals = task.path.poses(task.path.via_times(50))
-    charts = charts_along(context_for(cmbot_robot, task, 0.2), goals, scene.posture[None])
+    charts = charts_along(request_for(cmbot_robot, task, 0.2), goals, scene.posture[None])
     assert len(charts) == len(goals)
     for goal, chart in zip(goals, charts, strict=True):
         check_chart(cmbot_robot, task, chart, goal, 0.2)
@@ -148,7 +144,7 @@ def test_other_arms_charts_are_complete(
     scene = make(tmp_path, keep=keep)
     robot = robot_of(scene)
     task, limits = task_of(strokes_of(scene, robot)[0], scene), robot.limits
-    sampler = SelfMotionSampler(context_for(robot, task, 0.15, seeds=200))
+    sampler = SelfMotionSampler(request_for(robot, task, 0.15, seeds=200))
     chart = sampler.first(task.path.poses([0.0]), scene.posture[None])
     lower, upper = np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi)
     q, reached = project_onto_task(
@@ -166,11 +162,11 @@ def test_charts_along_any_number_of_points(cmbot_robot: Robot, count: int) -> No
     q = np.radians([-10, -90, 90, 0, 10, 50, 0])
     task = task_at(cmbot_robot, q)
     goals = goals_at(task, task.path.corners[0] + np.linspace(0, 0.1, count)[:, None] * [0, 0, 1])
-    charts = charts_along(context_for(cmbot_robot, task), goals, q[None])
+    charts = charts_along(request_for(cmbot_robot, task), goals, q[None])
     assert len(charts) == count
     for goal, chart in zip(goals, charts, strict=True):
         assert off_task(cmbot_robot, task, chart.q, goal) < 1e-9
-    anew = SelfMotionSampler(context_for(cmbot_robot, task)).first(goals[-1], charts[-1].q[:1])
+    anew = SelfMotionSampler(request_for(cmbot_robot, task)).first(goals[-1], charts[-1].q[:1])
     assert distance_on_circle(charts[-1].q, anew).max() < 1.5 * SPACING
 
 
@@ -229,7 +225,7 @@ def test_a_branch_that_the_charts_miss_is_found_by_random_postures(cmbot_robot: 
     q = np.radians([-10, -90, 90, 0, 10, 50, 0])
     task = task_at(cmbot_robot, q)
     goals = goals_at(task, task.path.corners[0] + np.linspace(0, 0.1, 4)[:, None] * [0, 0, 1])
-    sampler = SelfMotionSampler(context_for(cmbot_robot, task, 0.2))
+    sampler = SelfMotionSampler(request_for(cmbot_robot, task, 0.2))
     whole = sampler.along(goals, q[None])
     assert sampler.coverage.missed == 0
     assert sampler.coverage.share == pytest.approx(1 - 0.05 ** (1 / sampler.coverage.held))

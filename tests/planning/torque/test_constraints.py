@@ -10,13 +10,12 @@ from finite_differences import check_derivative, check_state_derivatives
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from small_scenes import parts, short_context, short_scene
+from small_scenes import parts, short_request, short_scene
 from state_samples import StateSamples as RandomStates
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.optimization.program import Linearization, StateFunction, StateSamples
-from cmbot.planning.objectives import efforts_of
 from cmbot.planning.task import ToolTask
 from cmbot.planning.torque.constraints import (
     ClearanceMargin,
@@ -27,6 +26,7 @@ from cmbot.planning.torque.constraints import (
     ToolSpeed,
     ToolTilt,
 )
+from cmbot.planning.workcell.objectives import efforts_of
 from cmbot.robot import Dynamics, Efforts, Kinematics, Postures, Robot
 from cmbot.trajectory.quintic import QuinticTrajectory
 
@@ -238,9 +238,9 @@ def swinging(seed: int, number: int = 300) -> FloatArray:
 @given(st.integers(0, 2**32 - 1), st.floats(0.02, 0.6), st.sampled_from([-0.02, -0.5, 0.1]))
 def test_clearances_are_measured_wherever_they_matter(seed: int, margin: float, threshold: float) -> None:
     """Along motions that come nearer to each other, with few samples or many, as an optimisation asks."""
-    context, _ = short_context()
-    clearance = ClearanceMargin(context.clearances, margin)
-    here, there = (context.posture + 0.5 * swinging(seed + k) for k in (0, 1))
+    asked, _ = short_request()
+    clearance = ClearanceMargin(asked.cell.clearances, margin)
+    here, there = (asked.state.posture + 0.5 * swinging(seed + k) for k in (0, 1))
     for share, every in ((0.0, 10), (0.0, 1), (0.5, 1), (0.6, 10), (0.6, 1), (0.61, 1), (0.611, 1)):
         q = ((1 - share) * here + share * there)[::every]
         states = StateSamples.at_rest(np.linspace(0, 7, len(q)), q)
@@ -300,10 +300,10 @@ def test_clearances_that_hardly_change_are_not_measured_again() -> None:
         def lower_bounds(self, q: FloatArray) -> FloatArray:
             return np.full((len(q), len(self.pairs)), -np.inf)
 
-    context, _ = short_context()
-    clearances = Counted(context.robot, ())
+    asked, _ = short_request()
+    clearances = Counted(asked.cell.robot, ())
     clearance, t = ClearanceMargin(clearances, 0.0), np.linspace(0, 9, 4000)
-    q = context.posture + 0.05 * np.sin(t)[:, None]
+    q = asked.state.posture + 0.05 * np.sin(t)[:, None]
     for shift in (0.0, 1e-4, 2e-4):
         clearance.sample(StateSamples.at_rest(t, q + shift), -0.02)
         if shift == 0.0:
@@ -314,9 +314,9 @@ def test_clearances_that_hardly_change_are_not_measured_again() -> None:
 
 def test_a_posture_that_is_no_number_is_measured() -> None:
     """What was remembered says nothing of it."""
-    context, _ = short_context()
-    clearance, t = ClearanceMargin(context.clearances, 0.0), np.linspace(0, 1, 50)
-    q = np.repeat(context.posture[None], 50, axis=0)
+    asked, _ = short_request()
+    clearance, t = ClearanceMargin(asked.cell.clearances, 0.0), np.linspace(0, 1, 50)
+    q = np.repeat(asked.state.posture[None], 50, axis=0)
     clearance.sample(StateSamples.at_rest(t, q), -0.02)
     q[20] = np.nan
     value = clearance.sample(StateSamples.at_rest(t, q), -0.02)[0]

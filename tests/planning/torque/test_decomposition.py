@@ -42,13 +42,13 @@ def problem(request: pytest.FixtureRequest) -> TorqueProblem:
 
 
 def test_segments_end_where_legs_meet(problem: TorqueProblem) -> None:
-    context = problem.context
+    asked = problem.request
     parts = segments(problem)
     assert parts[0][0] == 0 and parts[-1][1] == 32
     assert all(end == start for (_, end), (start, _) in pairwise(parts))
     assert len(parts) == 4
-    inner = [context.times[end] for _, end in parts[:-1]]
-    assert np.isin(np.round(inner, 9), np.round(context.task.path.leg_times, 9)).all()
+    inner = [asked.times[end] for _, end in parts[:-1]]
+    assert np.isin(np.round(inner, 9), np.round(asked.task.path.leg_times, 9)).all()
 
 
 def test_short_paths_are_one_segment(problem: TorqueProblem, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -75,7 +75,7 @@ def test_what_slsqp_solves_and_a_leg_without_corners_are_one_segment() -> None:
 
 
 def test_what_is_joined_is_smooth_certified_and_counted_through(problem: TorqueProblem) -> None:
-    context = problem.context
+    asked = problem.request
     told: list[ExchangeReport] = []
     found = optimise(problem, told.append)
     assert [report.number for report in told] == list(range(1, len(told) + 1))
@@ -87,14 +87,14 @@ def test_what_is_joined_is_smooth_certified_and_counted_through(problem: TorqueP
     # Position, velocity, acceleration and jerk are continuous at every inner knot.
     jerk = found.trajectory.evaluate(problem.space.t[1:-1], 3)
     before = found.trajectory.evaluate(problem.space.t[1:-1] - 1e-9, 3)
-    np.testing.assert_allclose(before, jerk, rtol=0, atol=1e-6 * context.robot.limits.jerk.max())
+    np.testing.assert_allclose(before, jerk, rtol=0, atol=1e-6 * asked.cell.robot.limits.jerk.max())
     certificate = certify(
-        context.robot,
-        context.task,
+        asked.cell.robot,
+        asked.task,
         found.trajectory,
-        context.clearances,
-        context.options,
-        via_points=len(context.times),
+        asked.cell.clearances,
+        asked.cell.options,
+        via_points=len(asked.times),
     )
     certificate.require()
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from small_scenes import context_of, problem_of, short_scene, torque_problem
+from small_scenes import problem_of, request_of, short_scene, torque_problem
 
 from cmbot.common.errors import OptimisationFailed
 from cmbot.planning import ExchangeReport
@@ -54,10 +54,10 @@ def test_feasibility_is_exact_to_its_samples() -> None:
 def test_a_margin_that_the_via_points_break_is_refused_at_once() -> None:
     plate = {"name": "plate", "box": [0.5, 0.02, 0.5], "xyz": [2.3, 0.6, -2.06]}
     problem = problem_of(short_scene(obstacles=[plate]))
-    context, form = problem.context, problem.parametrization
-    distance = context.clearances.smallest(form.via_points).distance.min()
-    options = replace(context.options, safety_margin_m=float(distance) + 0.01)
-    stricter = TorqueProblem(replace(context, options=options), form, 0.0)
+    asked, form = problem.request, problem.parametrization
+    distance = asked.cell.clearances.smallest(form.via_points).distance.min()
+    options = replace(asked.cell.options, safety_margin_m=float(distance) + 0.01)
+    stricter = TorqueProblem(replace(asked, options=options), form, 0.0)
     failure = refused(stricter, "a via-point of the path breaks a bound")
     assert failure.constraint == "clearance"
     assert failure.violation == pytest.approx(0.1, rel=0.05)
@@ -67,7 +67,7 @@ def test_a_load_that_is_too_heavy_at_rest_is_refused_at_once() -> None:
     problem = problem_of(short_scene(robot={"payload_kg": 20.0}))
     failure = refused(problem, "a via-point of the path breaks a bound")
     assert failure.constraint == "joint torque"
-    robot = problem.context.robot
+    robot = problem.request.cell.robot
     ends = problem.parametrization.via_points[[0, -1]]
     share = np.abs(Dynamics(robot).static_efforts(ends).joint_torque / robot.limits.torque).max()
     assert failure.violation == pytest.approx(share - 1, abs=0.02)
@@ -86,10 +86,10 @@ def test_stretches_hold_what_is_broken_and_its_surroundings(broken: list[bool]) 
 
 def test_a_jump_in_a_long_path_is_found_by_its_surroundings() -> None:
     legs = [{"by": [0, -0.3, 0], "seconds": 60}]
-    context = context_of(short_scene(tool_path={"legs": legs, "via_points": 120}))
-    via_points = np.repeat(context.posture[None], 120, axis=0)
+    asked = request_of(short_scene(tool_path={"legs": legs, "via_points": 120}))
+    via_points = np.repeat(asked.state.posture[None], 120, axis=0)
     via_points[60:, 2] += 1.0
-    problem = TorqueProblem(context, parametrization_through(context, via_points, sliding=False), 0.0)
+    problem = TorqueProblem(asked, parametrization_through(asked, via_points, sliding=False), 0.0)
     least_jerk = problem.parametrization.trajectory
     bounds = [bound for bound in problem.bounds if bound.order > 0]
     broken = feasibility._broken_segments(least_jerk, bounds)

@@ -7,38 +7,38 @@ from small_scenes import goals_at, off_task, problem_of, short_scene
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import OptimisationFailed
-from cmbot.planning.context import PlanningContext
+from cmbot.planning.request import StrokeRequest
 from cmbot.planning.torque.problem import parametrization_through
 from cmbot.planning.torque.task_manifold import TaskManifold
 
 
 @pytest.fixture(scope="module", params=["pose", "axis"])
-def given(request: pytest.FixtureRequest) -> tuple[PlanningContext, TaskManifold, FloatArray]:
+def given(request: pytest.FixtureRequest) -> tuple[StrokeRequest, TaskManifold, FloatArray]:
     problem = problem_of(short_scene(tool_path={"keep": request.param}))
-    context = problem.context
-    manifold = TaskManifold(context.postures, context.task, context.goals)
-    return context, manifold, problem.parametrization.via_points
+    asked = problem.request
+    manifold = TaskManifold(asked.cell.postures, asked.task, asked.goals)
+    return asked, manifold, problem.parametrization.via_points
 
 
-Given = tuple[PlanningContext, TaskManifold, FloatArray]
+Given = tuple[StrokeRequest, TaskManifold, FloatArray]
 
 
 def test_tangents_are_orthonormal_and_keep_the_task(given: Given) -> None:
-    context, manifold, q = given
+    asked, manifold, q = given
     tangents = manifold.tangents(q)
     identity = np.broadcast_to(np.eye(tangents.shape[1]), (len(q), *2 * (tangents.shape[1],)))
     np.testing.assert_allclose(tangents @ tangents.transpose(0, 2, 1), identity, rtol=0, atol=1e-12)
     for tangent in tangents.transpose(1, 0, 2):
         # Errors grow with the square of the step.
-        assert off_task(context.robot, context.task, q + 1e-4 * tangent, context.goals) < 1e-7
+        assert off_task(asked.cell.robot, asked.task, q + 1e-4 * tangent, asked.goals) < 1e-7
 
 
 def test_retracted_via_points(given: Given, rng: np.random.Generator) -> None:
-    context, manifold, q = given
+    asked, manifold, q = given
     tangents = manifold.tangents(q)
     u = 0.2 * rng.normal(size=tangents.shape[:2])
     moved, slope = manifold.retract(q, tangents, u, np.arange(len(q)))
-    assert off_task(context.robot, context.task, moved, context.goals) < 1e-10
+    assert off_task(asked.cell.robot, asked.task, moved, asked.goals) < 1e-10
     np.testing.assert_allclose(np.einsum("kai,ki->ka", tangents, moved - q), u, rtol=0, atol=1e-10)
     some = np.array([1, 4, 6])
     apart, slopes = manifold.retract(q, tangents[some], u[some], some)
@@ -69,19 +69,19 @@ def test_where_the_task_cannot_be_held(given: Given) -> None:
 def test_steps_of_the_parametrization(
     given: Given, sliding: bool, pinned: bool, rng: np.random.Generator
 ) -> None:
-    context, manifold, q = given
-    form = parametrization_through(context, q, sliding=sliding, pinned=pinned)
+    asked, manifold, q = given
+    form = parametrization_through(asked, q, sliding=sliding, pinned=pinned)
     expected = form.space.trajectory(form.space.least_jerk(q))
     for name in "qva":
         np.testing.assert_allclose(
             getattr(form.trajectory, name), getattr(expected, name), rtol=0, atol=1e-10
         )
-    limits = context.robot.limits
+    limits = asked.cell.robot.limits
     np.testing.assert_array_equal(form.splines.bounds, [limits.velocity, limits.acceleration, limits.jerk])
     a = manifold.tangents(q).shape[1]
     assert form.dimension == 7 * (len(q) - 4) + (a * (len(q) - pinned) if sliding else 0)
     moved = form.step(0.3 * rng.normal(size=form.dimension))
-    assert off_task(context.robot, context.task, moved.via_points, context.goals) < 1e-10
+    assert off_task(asked.cell.robot, asked.task, moved.via_points, asked.goals) < 1e-10
     change = np.abs(moved.via_points - q).max(axis=1)
     assert (change[1:] > 1e-3).all() == sliding
     assert (change[0] == 0.0) == (pinned or not sliding)

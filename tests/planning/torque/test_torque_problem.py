@@ -40,13 +40,13 @@ def wild(form: Parametrization, rng: np.random.Generator, size: float) -> Parame
 def test_units_and_the_lower_bound(kind: str) -> None:
     """What rests in a posture that stays cannot ask less; what is known of all postures counts, too."""
     problem = torque_problem(kind)
-    form, robot = problem.parametrization, problem.context.robot
+    form, robot = problem.parametrization, problem.request.cell.robot
     assert len(problem.grid) == 7 * problem.samples_per_segment + 1
     assert torque_along(problem, form.trajectory, problem.grid).max() == pytest.approx(1.0)
     at_rest = np.linalg.norm(Dynamics(robot).static_efforts(form.via_points).guardrail_torque, axis=1)
     np.testing.assert_allclose(problem.at_via_points, at_rest, rtol=1e-12)
     resting = {"fixed": [0, -1], "free": [], "pinned": [0]}[kind]
-    least = max(at_rest[resting].max(initial=0.0), problem.context.negligible)
+    least = max(at_rest[resting].max(initial=0.0), problem.request.negligible)
     assert problem.lower_bound == pytest.approx(least / problem.scale)
     known = 2 * problem.scale
     assert torque_problem(kind, known).lower_bound == pytest.approx(2.0)
@@ -75,7 +75,7 @@ def test_residuals_square_to_the_mean(
 @pytest.mark.parametrize("order", range(4))
 def test_bounds_of_the_joints(fixed: TorqueProblem, rng: np.random.Generator, order: int) -> None:
     """At its worst time a violated bound counts as its violation, as a share of the limit."""
-    limits, bound, tolerance = fixed.context.robot.limits, fixed.bounds[order], 1e-6
+    limits, bound, tolerance = fixed.request.cell.robot.limits, fixed.bounds[order], 1e-6
     trajectory = wild(fixed.parametrization, rng, 400.0).trajectory
     if order == 0:
         middle, half = 0.5 * (limits.lower + limits.upper), 0.5 * (limits.upper - limits.lower)
@@ -90,7 +90,7 @@ def test_bounds_of_the_joints(fixed: TorqueProblem, rng: np.random.Generator, or
     everything = linearize(fixed, known, trajectory).value
     values = everything[known.family == family]
     # The bound lies ten tolerances inside the limit.
-    inside = 1 - 10 * fixed.context.options.constraint_tolerance
+    inside = 1 - 10 * fixed.request.cell.options.constraint_tolerance
     for joint in np.flatnonzero(share > 1):
         assert np.abs(values - (share[joint] - inside)).min() < 1e-9
     assert values.max() == pytest.approx(share.max() - inside, abs=1e-9)
@@ -101,7 +101,7 @@ def test_bounds_of_the_joints(fixed: TorqueProblem, rng: np.random.Generator, or
 def test_endless_joints_have_no_ends(tmp_path: Path) -> None:
     problem = problem_of(endless_scene(tmp_path), knots="fixed")
     bound = problem.bounds[0]
-    endless = ~np.isfinite(problem.context.robot.limits.lower)
+    endless = ~np.isfinite(problem.request.cell.robot.limits.lower)
     assert 0 < endless.sum() < 7
     assert (bound.scale[endless] == 1.0).all()
     far = np.full((1, 7), 50.0)
@@ -112,17 +112,17 @@ def test_endless_joints_have_no_ends(tmp_path: Path) -> None:
 
 def test_sampled_constraints_are_kept_a_little_inside(fixed: TorqueProblem) -> None:
     """For what is not seen between samples, the less the more there are."""
-    context, options = fixed.context, fixed.context.options
+    asked, options = fixed.request, fixed.request.cell.options
     torque, deviation, clearance, lag, rotation = fixed.constraints
     inside = 1 - 0.5 / options.samples_per_segment**2
-    np.testing.assert_allclose(torque.bound, context.robot.limits.torque * inside, rtol=1e-14)
+    np.testing.assert_allclose(torque.bound, asked.cell.robot.limits.torque * inside, rtol=1e-14)
     assert deviation.bound == pytest.approx(options.max_tool_deviation_m * inside)
     assert lag.bound == pytest.approx(options.max_tool_lag_m * inside)
     assert rotation.bound == pytest.approx(np.deg2rad(options.max_tool_rotation_deg) * inside)
     # The clearance's bound falls short of the distance by up to its resolution.
     assert clearance.margin == pytest.approx(options.safety_margin_m + 1e-5 + RESOLUTION)
     assert [each.components for each in fixed.constraints] == [14, 1, None, 2, 1]
-    assert fixed.joints == context.robot.joints
+    assert fixed.joints == asked.cell.robot.joints
 
 
 @pytest.mark.parametrize("kind", ["fixed", "free", "pinned"])

@@ -16,11 +16,13 @@ from plan_folders import edit, rewrite, without_approach
 from small_scenes import SHORT, short_scene
 
 from cmbot.archive import load_plan
-from cmbot.collision import Clearances
+from cmbot.collision import Box, Clearances, Obstacle
 from cmbot.common.errors import ArchiveError, LimitViolation
+from cmbot.common.poses import pose
 from cmbot.planning import Plan, QuinticTrajectory, certify_move, plan
 from cmbot.robot import Robot
-from cmbot.scene import Box, Obstacle, SpeedProfile, load_scene, pose
+from cmbot.scene import load_scene
+from cmbot.toolpath import SpeedProfile
 from cmbot.trajectory import SplineSpace
 
 
@@ -115,7 +117,7 @@ def straight(start: Any, end: Any, seconds: float) -> QuinticTrajectory:
     """A straight line in joint space, from rest to rest."""
     u = np.linspace(0, 1, 20)
     space = SplineSpace(u * seconds)
-    share = SpeedProfile(kind="jerk_limited", ramp=0.5).share(u)[:, None]
+    share = SpeedProfile(kind="jerk_limited", ramp=0.5).law.share(u)[:, None]
     return space.trajectory(space.least_jerk(start + share * (end - start)))
 
 

@@ -17,16 +17,18 @@ from oracles import chang2021_arm
 from oracles.convex_distance import smallest_distances
 from rail_arms import rail_scene
 from random_arms import random_arm
-from small_scenes import short_scene
+from small_scenes import short_scene, with_corners
 from state_samples import StateSamples
 from urdf_arms import arm_scene, endless_scene, six_joint_scene
 
-import cmbot.scene.path.builder
-from cmbot.collision import Clearances
+import cmbot.toolpath.builder
+from cmbot.collision import Box, Clearances, Obstacle
+from cmbot.common.poses import pose
 from cmbot.planning import Plan, QuinticTrajectory, plan, robot_of
 from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Dynamics, Kinematics, Robot, load_robot
-from cmbot.scene import Box, Obstacle, Scene, SpeedProfile, ToolPath, load_scene, pose
+from cmbot.scene import Scene, load_scene
+from cmbot.toolpath import SpeedProfile, ToolPath
 
 FloatArray = NDArray[np.float64]
 SIX_JOINT_POSTURE = [10.0, -60, 60, 10, 20, 30]
@@ -126,7 +128,7 @@ def test_bodies_move_as_in_the_paper(cmbot_robot: Robot, random_states: StateSam
         np.testing.assert_allclose(got, expected, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("kind", ["trapezoidal", "jerk_limited"])
+@pytest.mark.parametrize("kind", ["trapezoidal", "jerk_limited", "quiet"])
 @pytest.mark.parametrize("ramp", [0.03, 0.2, 0.5])
 def test_the_timed_path_agrees(kind: Any, ramp: float) -> None:
     scene = load_scene("triangle").with_path(speed_profile=SpeedProfile(kind=kind, ramp=ramp), via_points=37)
@@ -221,11 +223,12 @@ def test_an_arm_with_other_joints(short_plan: Plan, tmp_path: Path) -> None:
 def test_a_planner_whose_legs_are_short(monkeypatch: pytest.MonkeyPatch) -> None:
     """The certificate of such a plan holds: planner and certificate share the path."""
 
-    def short_path(*, corners: FloatArray, **fields: Any) -> ToolPath:
-        return ToolPath(corners=corners[0] + 0.1 * (corners - corners[0]), **fields)
+    def short_path(**fields: Any) -> ToolPath:
+        path = ToolPath(**fields)
+        return with_corners(path, path.corners[0] + 0.1 * (path.corners - path.corners[0]))
 
     with monkeypatch.context() as patch:
-        patch.setattr(cmbot.scene.path.builder, "ToolPath", short_path)
+        patch.setattr(cmbot.toolpath.builder, "ToolPath", short_path)
         planned = plan(short_scene())
     assert broken(planned) == {"distance of the tool from its timed via-point"}
 

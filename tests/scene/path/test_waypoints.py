@@ -13,7 +13,8 @@ from timed_paths import check_path, scene_of
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError, SceneError
 from cmbot.planning import plan, precheck_scene, remarks, robot_of, strokes_of
-from cmbot.scene import Scene, ToolPath
+from cmbot.scene import Scene
+from cmbot.toolpath import ToolPath
 
 DOWN = [0.0, 0, 1, 0]  # half a turn about y
 WAY: dict[str, Any] = {"speed_m_s": 0.05, "via_points": 16}

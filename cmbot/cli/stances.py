@@ -1,0 +1,301 @@
+"""The commands for stances and the steps between them: `cmbot stand`, `walk` and `tour`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import MISSING, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import cmbot
+from cmbot.cli.command import Reporting, Writing, argument, option
+from cmbot.cli.completion import complete_scene
+from cmbot.cli.console import ConsoleProgress, ExitStatus, out, print_table, scenes_named
+from cmbot.cli.signals import interrupt_taken
+from cmbot.common.errors import PlanningError, one_line
+
+if TYPE_CHECKING:
+    from cmbot.stances import Standing
+    from cmbot.stances.walking import Tour, Walk
+
+_SHOWN = 10
+_FILES = ("stances.csv", "index.html")
+_MARK = "# Written by cmbot stand: the scene in its best stance.\n"
+_WALK_FILES = ("walk.csv", "index.html", "replay.html")
+
+
+_SCENES = "Scene files, or names of shipped scenes, of jobs on one bridge."
+_MEMBERS = "A post or rail that feet hold at work; may be repeated; else all."
+
+
+@dataclass(frozen=True, kw_only=True)
+class StandCommand(Writing):
+    """Find where the robot should stand for jobs: stances screened by bounds, the best planned.
+
+    For scenes of the shipped robot alone, an arm on a climber that holds a guardrail. Strokes that no
+    stance does together are done from several, as few as possible. Writes a ranked table, a page with a
+    map, and the scene with the best stance: best.yaml, or best_1.yaml and so on. The scene's own stance is
+    planned first: no worse one is written. Ctrl-C keeps the best so far. Exit status 3 where none was
+    planned.
+
+    Examples: cmbot stand line --objective hold, then cmbot plan out/line_stances/best.yaml;
+    cmbot stand left.yaml right.yaml -o out/both
+    """
+
+    scenes: tuple[str, ...] = argument(_SCENES, "SCENE", complete=complete_scene)
+    output: Path | None = option(None, "Folder to write; out/NAME_stances if left out.", "--output", "-o")
+    objective: Literal["torque", "hold"] | None = option(None, "torque or hold, in place of the scene's.")
+    plans: int = option(3, "How many of the best stances to plan.", least=0)
+    spacing: float = option(0.05, "Metres between places of foot 1.", least=0.01)
+    pair_spacing: float = option(0.15, "Metres between places of two feet.", least=0.05)
+    one_foot: bool = option(False, "Leave foot 2 free.")
+    max_torque: float | None = option(None, "Newton metres on the guardrail at work at most.", least=0.0)
+    members: tuple[str, ...] = option((), _MEMBERS, "--on", metavar="MEMBER")
+    time_limit: float | None = option(None, "Seconds after which the best so far is kept.", least=0.0)
+
+    def __call__(self) -> int:
+        started = time.perf_counter()
+        loaded = [cmbot.load_scene(scene) for scene in self.scenes]
+        if self.objective is not None:
+            loaded = [scene.with_options(objective=self.objective) for scene in loaded]
+        name = "_".join(each.name for each in loaded)
+        directory = self.output or Path("out") / f"{name}_stances"
+        from cmbot.archive import STANCES_FILE, require_absent, write_results
+        from cmbot.stances import StandOptions
+        from cmbot.stances import stand as find
+
+        options = StandOptions(
+            spacing=self.spacing,
+            pair_spacing=float("inf") if self.one_foot else self.pair_spacing,
+            plans=self.plans,
+            members=self.members,
+            max_torque=float("inf") if self.max_torque is None else self.max_torque,
+            time_limit=float("inf") if self.time_limit is None else self.time_limit,
+        )
+
+        def work(progress: ConsoleProgress) -> Sequence[Standing]:
+            standings = find(loaded, options, progress.stage)
+            if _stopped(standings):
+                interrupt_taken()
+            return standings
+
+        def write(standings: Sequence[Standing]) -> None:
+            contents = _contents(standings, name)
+            write_results(directory, STANCES_FILE, _summary(standings), contents, force=self.force)
+
+        def say() -> None:
+            _print_standings(standings)
+            _print_written(directory, started)
+
+        files = (*_FILES, STANCES_FILE, "best.yaml", "best_1.yaml")
+        standings = self.work_in(
+            directory, lambda: require_absent(directory, files, force=self.force), work, write, self.scenes
+        )
+        if self.plans and not _stopped(standings):
+            with scenes_named(*self.scenes):
+                _require_planned(standings, directory)
+        self.answer(lambda: _summary(standings), say, directory)
+        return ExitStatus.STOPPED if _stopped(standings) else ExitStatus.DONE
+
+
+@dataclass(frozen=True, kw_only=True)
+class WalkCommand(Writing):
+    """Plan the steps from a scene's stance to another one: a foot lets go, swings, and holds again.
+
+    For scenes of the shipped robot alone, an arm on a climber that holds a guardrail. Writes all joints
+    over time, the steps with what was certified of them, and a page.
+
+    Example: cmbot walk here.yaml --to out/line_stances/best.yaml
+    """
+
+    scene: str = argument("A scene file, or the name of a shipped scene.", "SCENE", complete=complete_scene)
+    to: Path = option(MISSING, "Where to: a scene, or a file with foot_1 and foot_2.")
+    output: Path | None = option(None, "Folder to write; out/NAME_walk if left out.", "--output", "-o")
+    spacing: float = option(0.15, "Metres between places of the feet.", least=0.05)
+    speed: float = option(0.03, "Metres a second of a foot at most.", least=1e-3, most=1.0)
+
+    def __call__(self) -> None:
+        started = time.perf_counter()
+        loaded = cmbot.load_scene(self.scene)
+        directory = self.output or Path("out") / f"{loaded.name}_walk"
+        from cmbot.archive import WALK_FILE, require_absent
+        from cmbot.stances.walking import WalkOptions, load_goal
+        from cmbot.stances.walking import walk as find
+
+        goal, options = load_goal(self.to), WalkOptions(spacing=self.spacing, speed=self.speed)
+
+        def say() -> None:
+            rows = [
+                (str(number), f"foot {step.foot}", *step.places, f"{step.seconds:.1f}")
+                for number, step in enumerate(walked.steps, start=1)
+            ]
+            print_table("Steps", ("", "moves", "from", "to", "seconds"), rows, text_columns=4)
+            _print_lines(walked.in_words())
+            _print_written(directory, started)
+
+        walked = self.work_in(
+            directory,
+            lambda: require_absent(directory, (*_WALK_FILES, WALK_FILE), force=self.force),
+            lambda progress: find(loaded, goal, options, progress.stage),
+            lambda walked: _write_walk(directory, walked, force=self.force),
+            [self.scene],
+        )
+        self.answer(lambda: {"steps": len(walked.steps), "words": list(walked.in_words())}, say, directory)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TourCommand(Reporting):
+    """Plan work and walks: the fewest stances for all strokes, the job in each, the steps between them.
+
+    For scenes of the shipped robot alone, an arm on a climber that holds a guardrail. Writes a folder
+    with a plan directory for the work in each stance, a folder for each walk, and one page about all of
+    it.
+
+    Example: cmbot tour two_brackets --on top_rail, then open out/two_brackets_tour/index.html in a browser.
+    """
+
+    scenes: tuple[str, ...] = argument(_SCENES, "SCENE", complete=complete_scene)
+    output: Path | None = option(None, "New folder to write; out/NAME_tour if left out.", "--output", "-o")
+    plans: int = option(3, "How many of the best stances to plan for each group.", least=1)
+    spacing: float = option(0.15, "Metres between places of the feet.", least=0.05)
+    speed: float = option(0.03, "Metres a second of a foot at most.", least=1e-3, most=1.0)
+    members: tuple[str, ...] = option((), _MEMBERS, "--on", metavar="MEMBER")
+
+    def __call__(self) -> None:
+        started = time.perf_counter()
+        loaded = [cmbot.load_scene(scene) for scene in self.scenes]
+        name = "_".join(each.name for each in loaded)
+        directory = self.output or Path("out") / f"{name}_tour"
+        from cmbot.archive import require_new_folder
+        from cmbot.stances import StandOptions
+        from cmbot.stances.walking import WalkOptions, tour_data
+        from cmbot.stances.walking import tour as find
+
+        standing = StandOptions(plans=self.plans, pair_spacing=self.spacing, members=self.members)
+        walking = WalkOptions(spacing=self.spacing, speed=self.speed)
+
+        def say() -> None:
+            rows = [
+                (part["name"], part["kind"], f"{part['begin']:.1f}", f"{part['seconds']:.1f}")
+                for part in tour_data(found)["parts"]
+            ]
+            print_table("Tour", ("", "what", "begins, s", "seconds"), rows, text_columns=2)
+            _print_lines(found.in_words())
+            _print_written(directory, started)
+
+        found = self.work_in(
+            directory,
+            lambda: require_new_folder(directory),
+            lambda progress: find(loaded, standing, walking, progress.stage),
+            lambda found: _write_tour(directory, found),
+            self.scenes,
+        )
+        self.answer(lambda: tour_data(found), say, directory)
+
+
+def _stopped(standings: Sequence[Standing]) -> bool:
+    return any(standing.ended_by == "interrupt" for standing in standings)
+
+
+def _require_planned(standings: Sequence[Standing], directory: Path) -> None:
+    """Refuse a search without a plan, and say where the reasons are."""
+    from cmbot.stances import require_planned
+
+    try:
+        require_planned(standings)
+    except PlanningError as error:
+        error.add_hint(f"{one_line(directory / _FILES[0])} has the reason of each")
+        raise
+
+
+def _print_standings(standings: Sequence[Standing]) -> None:
+    from cmbot.stances import shared_out
+
+    for number, standing in enumerate(standings, start=1):
+        _print_standing(standing, f"Stances {number}" if len(standings) > 1 else "Stances")
+    _print_lines(shared_out(standings))
+
+
+def _print_lines(lines: Iterable[str]) -> None:
+    for line in lines:
+        out.print(one_line(line))
+
+
+def _print_written(directory: Path, started: float) -> None:
+    """Print where the results and their page are, and the seconds since the command began."""
+    out.print(f"Written to {one_line(directory)} in {time.perf_counter() - started:.1f} s.")
+    out.print(f"Look at it: open {one_line(directory / 'index.html')} in a browser.")
+
+
+def _print_standing(standing: Standing, title: str) -> None:
+    from cmbot.stances import bounds_table, in_words, planned_table
+
+    headings, rows = planned_table(standing)
+    if rows:
+        print_table(f"{title}, planned", headings, rows, text_columns=2)
+    headings, rows = bounds_table(standing, _SHOWN)
+    if rows:
+        print_table(f"{title}, not planned: bounds (estimates)", headings, rows, text_columns=4)
+    _print_lines(in_words(standing))
+
+
+def _write_tour(directory: Path, found: Tour) -> None:
+    from cmbot.archive import TOUR_FILE, new_folder, write_results
+    from cmbot.planning import Plan
+    from cmbot.stances.walking import tour_data
+    from cmbot.views import pages, tour_page
+
+    with new_folder(directory) as draft:
+        for part_name, _, part in found.parts:
+            if isinstance(part, Plan):
+                cmbot.save(part, draft / part_name, added=pages(part))
+            else:
+                _write_walk(draft / part_name, part)
+        write_results(draft, TOUR_FILE, tour_data(found), {"index.html": tour_page(found).encode()})
+
+
+def _write_walk(directory: Path, walked: Walk, *, force: bool = False) -> None:
+    from cmbot.archive import WALK_FILE, write_results
+    from cmbot.stances.walking import walk_csv, walk_data
+    from cmbot.views import walk_page, walk_replay_page
+
+    files = (walk_csv(walked).encode(), walk_page(walked).encode(), walk_replay_page(walked).encode())
+    contents = dict(zip(_WALK_FILES, files, strict=True))
+    write_results(directory, WALK_FILE, walk_data(walked), contents, force=force)
+
+
+def _contents(standings: Sequence[Standing], name: str) -> dict[str, bytes]:
+    from cmbot.common.validation import plain
+    from cmbot.common.yaml_reader import yaml_text
+    from cmbot.stances import best_scene, stances_csv
+    from cmbot.views import stances_page
+
+    texts = (stances_csv(standings), stances_page(standings, name))
+    contents = dict(zip(_FILES, texts, strict=True))
+    for number, each in enumerate(standings, start=1):
+        if each.plans and each.best is None:
+            continue
+        file = "best.yaml" if len(standings) == 1 else f"best_{number}.yaml"
+        best = yaml_text(plain(best_scene(each), each.scene.name))
+        contents[file] = f"{_MARK}# Metres, seconds, degrees.\n{best}"
+    return {file: text.encode() for file, text in contents.items()}
+
+
+def _summary(standings: Sequence[Standing]) -> dict[str, Any]:
+    from cmbot.stances import in_words, shared_out
+
+    each = [
+        {
+            "strokes": list(standing.strokes),
+            "candidates": len(standing.ranked),
+            **{name: standing.count(name.replace("_", " ")) for name in _STATUSES},
+            "best": standing.ranked[0].place,
+            "words": list(in_words(standing)),
+        }
+        for standing in standings
+    ]
+    return each[0] if len(each) == 1 else {"stances": each, "words": list(shared_out(standings))}
+
+
+_STATUSES = ("planned", "screened", "failed", "too_much_torque", "blocked", "no_posture", "out_of_reach")

@@ -1,0 +1,170 @@
+"""Types of values that several parts of the scene file share, and the rule for the units in its keys."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    Field,
+    GetPydanticSchema,
+    PlainSerializer,
+    ValidationInfo,
+    WithJsonSchema,
+    WrapValidator,
+)
+
+from cmbot.common.errors import InputError
+from cmbot.common.input_files import is_file, is_folder
+from cmbot.common.validation import hint, refusal, shown
+
+SHORTEST_LEG = 1e-6
+"""m."""
+
+SHORTEST, LONGEST = 1e-6, 1e4
+"""Bounds of a length, m: they catch some millimetres given for metres, and keep every power finite."""
+
+FOLDER = "folder"
+"""In the context of a validation the folder at which relative paths start; without one they stay."""
+MESH_FORMATS = ("glb", "obj", "off", "ply", "stl")
+"""Of mesh files: those that trimesh reads without further packages."""
+
+# Axes are unit vectors up to what people round.
+_LENGTH_OF_AXIS = 1e-2
+_SLUG = re.compile(r"[A-Za-z0-9][A-Za-z0-9_\-]{0,99}")
+_UNIT = re.compile("_(deg|kg_m3|kg|m|pa)$")
+
+
+def _slug(text: str) -> str:
+    if not _SLUG.fullmatch(text):
+        expected = "1 to 100 letters, digits, - and _, beginning with a letter or digit"
+        raise refusal(expected, got=shown(text))
+    return text
+
+
+def _long_enough(by: Vector) -> Vector:
+    if max(map(abs, by)) < SHORTEST_LEG:
+        raise refusal("a leg longer than a micrometre", got=by)
+    return by
+
+
+def _unit_vector(axis: Vector) -> Vector:
+    if abs(math.hypot(*axis) - 1.0) > _LENGTH_OF_AXIS:
+        raise refusal("a unit vector", got=axis)
+    return axis
+
+
+def is_mesh_file(text: str) -> bool:
+    """Whether a text is the path of a mesh file by its ending, not the name of an obstacle."""
+    return Path(text).suffix.lower().removeprefix(".") in MESH_FORMATS
+
+
+def place_of(text: str, info: ValidationInfo) -> Path | None:
+    """Return where a file is that is named in a scene; None where it is not sought."""
+    if info.data.get("model") == "cmbot":
+        return None  # beside the shipped robot there is none: `RobotFile` says so
+    folder = (info.context or {}).get(FOLDER)
+    return None if folder is None else folder / text
+
+
+def existing_file(text: str, info: ValidationInfo) -> str:
+    """Return the absolute path of a file; refuse one that does not exist."""
+    path = place_of(text, info)
+    if path is None:
+        return text
+    if not is_file(path):
+        raise refusal("a file that exists (relative to the scene file)", got=shown(text))
+    return str(path.resolve())
+
+
+def _folder(text: str, info: ValidationInfo) -> str:
+    path = place_of(text, info)
+    if path is None:
+        return text
+    if not is_folder(path):
+        raise refusal("a folder that exists (relative to the scene file)", got=shown(text))
+    return str(path.resolve())
+
+
+def _mesh_name(text: str, info: ValidationInfo) -> str:
+    return existing_file(text, info) if is_mesh_file(text) else text
+
+
+Length = Annotated[float, Field(ge=SHORTEST, le=LONGEST)]
+Coordinate = Annotated[float, Field(ge=-LONGEST, le=LONGEST)]
+Vector = tuple[Coordinate, Coordinate, Coordinate]
+LongVector = Annotated[Vector, AfterValidator(_long_enough)]
+UnitVector = Annotated[Vector, AfterValidator(_unit_vector)]
+Angle = Annotated[float, Field(ge=-360, le=360)]
+Angles = tuple[Angle, Angle, Angle]
+Mass = Annotated[float, Field(ge=0, le=1e4)]
+Text = Annotated[str, Field(min_length=1, max_length=4096)]
+Posture = Annotated[tuple[Coordinate, ...], Field(min_length=1, max_length=100)]
+Slug = Annotated[
+    str, AfterValidator(_slug), WithJsonSchema({"type": "string", "pattern": f"^{_SLUG.pattern}$"})
+]
+FilePath = Annotated[Text, AfterValidator(existing_file)]
+"""Of a file, relative to the scene file; in a scene that is read absolute."""
+FolderPath = Annotated[Text, AfterValidator(_folder)]
+"""Of a folder, likewise."""
+MeshName = Annotated[Text, AfterValidator(_mesh_name)]
+"""The path of a mesh file, likewise, or the name of an obstacle."""
+
+
+def given_of(entry: object, names: Sequence[str]) -> list[str]:
+    """Return those of the keys `names` that an entry of a file gives."""
+    return [name for name in names if getattr(entry, name) is not None]
+
+
+def exactly_one(entry: object, names: Sequence[str]) -> None:
+    """Refuse an entry of a file, or a dataclass, that gives none or several of the keys `names`."""
+    given = given_of(entry, names)
+    if len(given) != 1:
+        got = " and ".join(given) or "none"
+        raise InputError(type(entry).__name__, "", got, "exactly one of these keys", tuple(names))
+
+
+def one_of_schema(names: Sequence[str]) -> dict[str, Any]:
+    """Return `exactly_one` as JSON Schema; a null counts as not given."""
+    return {
+        "oneOf": [{"required": [name], "properties": {name: {"not": {"type": "null"}}}} for name in names]
+    }
+
+
+def word_or(words: Sequence[str], model: type[BaseModel], example: str) -> GetPydanticSchema:
+    """Return what makes of a type one of `words` or a `model`, such as the `example` in a message.
+
+    There is one error for what is neither, where a union would have several.
+    """
+
+    def checked(value: Any, of_model: Any) -> Any:
+        if isinstance(value, str) and value in words:
+            return value
+        if isinstance(value, dict | model):
+            return of_model(value)
+        raise refusal(f"a known value{hint(value, words)}", got=shown(value), choices=(*words, example))
+
+    def as_data(kept: Any) -> Any:
+        return kept if isinstance(kept, str) else kept.model_dump()
+
+    # The mapping first: messages name its keys.
+    return GetPydanticSchema(
+        lambda _, handler: handler(Annotated[model, WrapValidator(checked), PlainSerializer(as_data)]),
+        lambda schema, handler: {"anyOf": [handler(schema), {"enum": list(words), "type": "string"}]},
+    )
+
+
+def si_fields(model: BaseModel) -> dict[str, Any]:
+    """Return a file model's values by their names without the unit, angles in radians."""
+    values = {}
+    for name in type(model).model_fields:
+        value = getattr(model, name)
+        if name.endswith("_deg"):
+            value = tuple(map(math.radians, value)) if isinstance(value, tuple) else math.radians(value)
+        values[_UNIT.sub("", name)] = value
+    return values

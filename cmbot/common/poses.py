@@ -1,0 +1,29 @@
+"""Poses as homogeneous matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from cmbot.common.arrays import FloatArray, read_only
+
+
+def pose(xyz: ArrayLike, rpy: ArrayLike = (0.0, 0.0, 0.0)) -> FloatArray:
+    """Return a pose from URDF's position and angles.
+
+    Parameters
+    ----------
+    xyz : (3,), m
+    rpy : (3,), rad
+        Roll, pitch, yaw: ``R = Rz(yaw) Ry(pitch) Rx(roll)``.
+
+    Returns
+    -------
+    (4, 4)
+        Homogeneous, read-only.
+    """
+    X = np.eye(4)
+    X[:3, :3] = Rotation.from_euler("xyz", np.asarray(rpy, dtype=float)).as_matrix()
+    X[:3, 3] = xyz
+    return read_only(X)

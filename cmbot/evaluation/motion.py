@@ -1,0 +1,82 @@
+"""A motion given by points in time, as the curve through them that is judged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.representation import short_repr
+from cmbot.trajectory import QuinticTrajectory
+
+# Times in each interval at which two curves are compared.
+_TIMES_BETWEEN_POINTS = 16
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointMotion:
+    """Points of a motion, in the order of the robot's joints.
+
+    Attributes
+    ----------
+    t : (N,), s
+    q : (N, n), rad, of joints that slide m
+    v, a : (N, n) or None
+        Where they are given.
+    unknown : tuple of str
+        What of a file was not read: columns, joints that are none of the arm's.
+    """
+
+    t: FloatArray
+    q: FloatArray
+    v: FloatArray | None = None
+    a: FloatArray | None = None
+    unknown: tuple[str, ...] = ()
+
+    __repr__ = short_repr
+
+    @property
+    def is_quintic(self) -> bool:
+        """Whether it is the quintics of its velocities and accelerations; else the C2 spline."""
+        return self.v is not None and self.a is not None
+
+    @cached_property
+    def spline(self) -> CubicSpline:
+        """The cubic spline through the points; at rest at both ends where no velocity is given there."""
+        ends = np.zeros((2, self.q.shape[1])) if self.v is None else self.v[[0, -1]]
+        return CubicSpline(self.t - self.t[0], self.q, bc_type=((1, ends[0]), (1, ends[1])))
+
+    @cached_property
+    def trajectory(self) -> QuinticTrajectory:
+        """The curve that is judged, from time 0.
+
+        Raises
+        ------
+        InputError
+            When times do not increase, or a number is not finite.
+        """
+        t = self.t - self.t[0]
+        if self.v is not None and self.a is not None:
+            return QuinticTrajectory(t=t, q=self.q, v=self.v, a=self.a)
+        # A cubic is a quintic.
+        return QuinticTrajectory(t=t, q=self.q, v=self.spline(t, 1), a=self.spline(t, 2))
+
+    @property
+    def spread(self) -> float:
+        """Largest distance of a joint between the curves that a controller may drive, rad and m.
+
+        Those are the C2 spline and what the given velocities, and accelerations, make. 0 where only positions
+        are given.
+        """
+        if self.v is None:
+            return 0.0
+        t = self.t - self.t[0]
+        shares = np.arange(_TIMES_BETWEEN_POINTS) / _TIMES_BETWEEN_POINTS
+        every = np.append((t[:-1, None] + shares * np.diff(t)[:, None]).ravel(), t[-1])
+        other = CubicHermiteSpline(t, self.q, self.v)(every)
+        if self.is_quintic:
+            other = self.trajectory.evaluate(every)
+        return float(np.abs(self.spline(every) - other).max())

@@ -1,0 +1,66 @@
+"""What most postures lack: the pair that is too near, the joint that is too weak or out of its range."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import PathNotFound
+from cmbot.common.validation import counted
+from cmbot.planning.workcell.workcell import Workcell
+
+
+def most_often_near(cell: Workcell, q: FloatArray) -> tuple[str, str] | None:
+    """Return the link and the obstacle, or second link, that are nearest in most of postures (N, n)."""
+    nearest = cell.clearances.smallest(q).pair
+    nearest = nearest[nearest >= 0]
+    if not len(nearest):
+        return None
+    pair = cell.clearances.pairs[int(np.bincount(nearest).argmax())]
+    return pair.link, pair.other
+
+
+def weakest_joint(cell: Workcell, q: FloatArray) -> str:
+    """Return the joint that at rest uses most of its torque in most of postures (N, n), or the feet."""
+    at = cell.postures.at(q)
+    use = np.abs(at.joint_torque) / cell.robot.limits.torque
+    if (cell.use_at_rest(at) > use.max(axis=1)).mean() > 0.5:
+        return "a foot"
+    return cell.robot.joints[int(np.bincount(use.argmax(axis=1)).argmax())]
+
+
+def out_of_range(cell: Workcell, q: FloatArray) -> str:
+    """Return the joint that is out of its range in most of postures (N, n); empty where none is."""
+    limits = cell.robot.limits
+    number = ((q < limits.lower) | (q > limits.upper)).sum(axis=0)
+    return cell.robot.joints[int(number.argmax())] if number.any() else ""
+
+
+def nearest_to_end(cell: Workcell, q: FloatArray) -> str:
+    """Return the joint that in a posture (n,) is nearest to an end of its range."""
+    limits = cell.robot.limits
+    room = cell.robot.metric.coordinates(np.minimum(q - limits.lower, limits.upper - q))
+    return cell.robot.joints[int(room.argmin())]
+
+
+def no_start_left(failures: Sequence[PathNotFound]) -> PathNotFound:
+    """Return the first failure, with the number of the others."""
+    first, others = failures[0], len(failures) - 1
+    reason = first.reason
+    if others:
+        furthest = max(failure.progress for failure in failures)
+        fail = "fails" if others == 1 else "fail"
+        reason += (
+            f"; {counted(others, 'other starting posture')} {fail} as well "
+            f"(the best at {furthest:.0%} of the path)"
+        )
+    return PathNotFound(
+        reason,
+        time=first.time,
+        progress=first.progress,
+        smallest_singular_value=first.smallest_singular_value,
+        pair=first.pair,
+        pace=first.pace,
+    )

@@ -1,0 +1,107 @@
+"""Units that may have been mistaken: degrees and radians of the start, millimetres of obstacles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from cmbot.collision import Obstacle, extent_of
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import SceneError
+from cmbot.robot import Finding, Robot
+from cmbot.scene import Scene
+
+# An angle is whole to this, deg.
+_WHOLE = 1e-6
+# An obstacle whose every side is at least the first, m, may be in millimetres: decks and girders are long.
+# One whose every side is beyond the second is, where as millimetres it would be near the arm.
+_HUGE, _VAST = 5.0, 50.0
+# What is nearer than so many times the arm's reach is near it; what is further than the second is far away.
+_NEAR, _FAR = 4.0, 10.0
+_MILLIMETRE = 1e-3
+
+
+def mistaken_units(scene: Scene) -> Iterator[tuple[str, str, str]]:
+    """Yield what of a scene looks as if it were in other units: key, the units it looks like, and its own."""
+    key = scene.posture_key
+    if key.endswith("posture_deg"):
+        angles = np.abs(np.degrees(scene.posture))
+        fractions = np.abs(angles - np.round(angles)) > _WHOLE
+        if 0.5 < angles.max() <= 2 * np.pi and fractions.sum() >= 2:
+            yield key, "radians", "degrees"
+    elif key == "start.posture" and np.abs(scene.posture).max() > 2 * np.pi:
+        yield key, "degrees", "rad (start.posture_deg is in degrees)"
+    for obstacle in _own(scene):
+        if obstacle.scale is None and _shortest_side(extent_of(obstacle)) >= _HUGE:
+            yield f"obstacle {obstacle.name}", "millimetres", "metres (scale: 1 says that they are)"
+
+
+def unit_findings(scene: Scene) -> Iterator[Finding]:
+    """Yield a warning for all that `mistaken_units` yields.
+
+    Parameters
+    ----------
+    scene : Scene
+    """
+    for key, looks, units in mistaken_units(scene):
+        got = f"numbers that look like {looks}"
+        yield Finding(severity="warning", key=key, got=got, expected=units)
+
+
+def require_metres(scene: Scene, robot: Robot) -> None:
+    """Refuse an obstacle that is far away, or vast, and as millimetres would be near the arm.
+
+    Parameters
+    ----------
+    scene : Scene
+    robot : Robot
+
+    Raises
+    ------
+    SceneError
+        For the first one that does not say with ``scale: 1`` that it is meant.
+    """
+    for number, obstacle in enumerate(_own(scene)):
+        found = None if obstacle.scale == 1 else _as_millimetres(obstacle, robot)
+        if found is not None:
+            got, expected = found
+            raise SceneError(scene.source, f"obstacles[{number}]", f"{obstacle.name}, {got}", expected)
+
+
+def _own(scene: Scene) -> list[Obstacle]:
+    """Obstacles that are none of the guardrail's members."""
+    return list(scene.all_obstacles[: len(scene.obstacles)])
+
+
+def _as_millimetres(obstacle: Obstacle, robot: Robot) -> tuple[str, str] | None:
+    """What is suspicious of an obstacle that looks like millimetres, and what is expected; else None."""
+    extent, place = extent_of(obstacle), obstacle.X_WO[:3, 3]
+    away, near, far = _distance(extent, robot), _NEAR * robot.reach, _FAR * robot.reach
+    # A scale says of the size that it is meant, not of the place.
+    is_vast = obstacle.scale is None and _shortest_side(extent) > _VAST
+    smaller = place + _MILLIMETRE * (extent - place)
+    if (
+        not (away > far or is_vast)
+        or min(_distance(each, robot) for each in (_MILLIMETRE * extent, smaller)) > near
+    ):
+        return None
+    got = f"{away:.4g} m from an arm that reaches {robot.reach:.3g} m"
+    if away <= far:
+        got = f"{' x '.join(f'{side:.4g}' for side in np.diff(extent, axis=0)[0])} m"
+    if obstacle.scale is not None:
+        return f"{got}: like xyz in millimetres", "xyz in metres, as scale has no part in it"
+    how = "size and xyz in metres"
+    if _distance(smaller, robot) <= far:
+        how = "metres; scale: 0.001 reads its size in millimetres, not xyz"
+    return f"{got}: like millimetres", f"{how}; scale: 1 says that it is meant"
+
+
+def _shortest_side(extent: FloatArray) -> float:
+    return float(np.diff(extent, axis=0).min())
+
+
+def _distance(extent: FloatArray, robot: Robot) -> float:
+    """Distance of the arm's first joint from a box between two corners (2, 3) in W, m."""
+    low, high = extent - robot.base_point
+    return float(np.linalg.norm(np.maximum(0.0, np.maximum(low, -high))))

@@ -1,0 +1,186 @@
+"""The workcell: robot, clearances, what bends, objectives and options, none of which changes during a job."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from cmbot.collision import Clearances
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import ModelError, SceneError
+from cmbot.common.representation import short_repr
+from cmbot.elastic import elastic_base
+from cmbot.elastic.arm import ElasticArm, elastic_arm
+from cmbot.elastic.sag import Sag
+from cmbot.planning.workcell.objectives import Objective, WrenchFunction, objective_of
+from cmbot.planning.workcell.stiffness import covariance_of, known_share, with_identified_stiffness
+from cmbot.planning.workcell.units import require_metres
+from cmbot.robot import PostureBatch, Postures, Robot, load_robot
+from cmbot.scene import PlannerOptions, Scene
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Workcell:
+    """What is there while a job is planned, and how it is planned.
+
+    Attributes
+    ----------
+    robot : Robot
+    clearances : Clearances
+    options : PlannerOptions
+    objective : Objective
+        What is minimised.
+    idle_objective : Objective
+        The same with the tool off.
+    arm : ElasticArm or None
+        On its guardrail; None where both are rigid.
+    sag : Sag or None
+        Where it is to be compensated.
+    """
+
+    robot: Robot
+    clearances: Clearances
+    options: PlannerOptions
+    objective: Objective
+    idle_objective: Objective
+    arm: ElasticArm | None = None
+    sag: Sag | None = None
+
+    __repr__ = short_repr
+
+    def with_options(self, **changes: Any) -> Workcell:
+        """Return the workcell with other options."""
+        return replace(self, options=replace(self.options, **changes))
+
+    @cached_property
+    def tool_off(self) -> Workcell:
+        """The workcell of motions with the tool off: no process force acts on it."""
+        if not self.robot.pushed:
+            return self
+        return replace(self, robot=self.robot.tool_off, objective=self.idle_objective)
+
+    @cached_property
+    def postures(self) -> Postures:
+        """Kinematics and statics of the robot in batches."""
+        return Postures(self.robot)
+
+    def use_at_rest(self, at: PostureBatch) -> FloatArray:
+        """Return the largest shares (N,) of their bounds that joints and feet use at rest in N postures."""
+        use = (np.abs(at.joint_torque) / self.robot.limits.torque).max(axis=1)
+        holding = self.robot.holding
+        if holding is None or not holding.bounded:
+            return np.asarray(use)
+        wrench = np.hstack([at.guardrail_force, at.guardrail_torque])
+        return np.asarray(np.maximum(use, holding.share(wrench)[0]))
+
+
+def build_workcell(scene: Scene, options: PlannerOptions, own: WrenchFunction | None = None) -> Workcell:
+    """Bring a scene and its robot together; the objective is the function `own` where given.
+
+    Raises
+    ------
+    SceneError, ModelError
+        When they do not fit together.
+    InputError
+        When `own` is no function of the wrench.
+    """
+    robot = robot_of(scene)
+    require_metres(scene, robot)
+    posture = np.array(scene.posture)
+    if options.objective == "hold" and not (robot.holding and robot.holding.flat):
+        expected = (
+            "a foot on flat steel, for objective: hold: guardrail.bays and a member that is no round bar"
+        )
+        raise SceneError(scene.source, "guardrail", "none", expected)
+    arm = bending_arm(scene, robot)
+    if arm is not None:
+        options = known_share(scene, arm, options)
+    sag = sag_of(scene, arm, options)
+    objective = idle = objective_of(robot, options, own, posture, sag)
+    if robot.pushed:
+        off = robot.tool_off
+        idle = objective_of(off, options, own, posture, sag_of(scene, bending_arm(scene, off), options))
+    return Workcell(
+        robot=robot,
+        clearances=Clearances(robot, scene.all_obstacles),
+        options=options,
+        objective=objective,
+        idle_objective=idle,
+        arm=arm,
+        sag=sag if options.compensate else None,
+    )
+
+
+def rigid_arm_remark(scene: Scene, robot: Robot) -> str:
+    """Say that only the base bends, where the arm has no elasticity file; otherwise empty."""
+    if robot.elasticity or robot.joint_elasticity or bending_arm(scene, robot) is None:
+        return ""
+    only = f"only the {scene.base_name} bends"
+    return f"Links and joints are taken to be rigid, without an elasticity file; {only}."
+
+
+def bending_arm(scene: Scene, robot: Robot) -> ElasticArm | None:
+    """Return a scene's elastic arm on its guardrail; None where both are rigid."""
+    arm = elastic_arm(robot, elastic_base(scene.elastic_guardrail))
+    return arm if len(arm.elastic) else None
+
+
+def sag_of(scene: Scene, arm: ElasticArm | None, options: PlannerOptions) -> Sag | None:
+    """Return the predicted sag of the tool where the options need it.
+
+    Parameters
+    ----------
+    scene : Scene
+    arm : ElasticArm or None
+        From `bending_arm`.
+    options : PlannerOptions
+
+    Raises
+    ------
+    SceneError
+        When they need it, and nothing bends.
+    """
+    if not (options.compensate or options.objective == "sag"):
+        return None
+    if arm is None:
+        raise SceneError(
+            scene.source,
+            "guardrail",
+            "no guardrail, and a robot without link tubes",
+            "something that bends: guardrail.bays, guardrail.stiffness or robot.elasticity",
+        )
+    return Sag(arm, covariance_of(scene, arm))
+
+
+def robot_of(scene: Scene) -> Robot:
+    """Load the robot that a scene names, its tool on: the process force acts on it.
+
+    Raises
+    ------
+    ModelError
+        When its files cannot be used.
+    SceneError
+        When the scene names a frame that is none of its robot's.
+    """
+    file, stance = scene.robot, scene.stance
+    try:
+        robot = load_robot(
+            **file.files,
+            mount=None if file.mount is None else file.mount.matrix,
+            tool_length=file.tool_length_m,
+            payload=file.payload_kg,
+            root=None if stance is None else stance.root,
+            locked=None if stance is None else stance.locked,
+        )
+    except ModelError as error:
+        if error.key not in ("base_frame", "tool_frame", "total_mass_kg") and "xacro." not in error.key:
+            raise
+        # The scene holds the key that has to be changed.
+        key = f"robot.{error.key}"
+        raise SceneError(scene.source, key, error.got, error.expected, error.choices) from error
+    robot = robot if file.joints == "elastic" else robot.with_rigid_joints
+    robot = with_identified_stiffness(robot, scene)
+    return replace(robot, tool_force=scene.tool.process_force_n, feet=scene.feet)

@@ -1,0 +1,218 @@
+"""Candidates: every place where the feet could hold, with the climber's postures that reach both."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.representation import short_repr
+from cmbot.robot import Climber
+from cmbot.scene import (
+    FootholdFile,
+    Scene,
+    StanceFile,
+    foothold_face,
+    foothold_pose,
+    held_member,
+)
+from cmbot.stances.footholds import bare_climber, in_the_way
+
+REACH = 0.9
+"""Foot 2 is sought no further from foot 1 than this, m: both legs and their offsets."""
+APART = 0.16
+"""Feet do not stand on each other, m."""
+# Places this far from the ends of a member are left out, m.
+_MARGIN = 0.04
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidate:
+    """A stance, and where the arm's base is in it.
+
+    Attributes
+    ----------
+    stance : StanceFile
+        With the climber's angles.
+    root, base : (4, 4)
+        Poses of foot 1 and of the arm's base in W.
+    climber : (5,), rad
+    at_origin : bool
+        Whether it is that of a scene without ``guardrail.stance``: foot 1 holds at the origin of W.
+    """
+
+    stance: StanceFile
+    root: FloatArray
+    base: FloatArray
+    climber: FloatArray
+    at_origin: bool = False
+
+    __repr__ = short_repr
+
+    @property
+    def place(self) -> str:
+        """Where the feet hold, in words."""
+        feet = [foot for foot in (self.stance.foot_1, self.stance.foot_2) if foot is not None]
+        return " and ".join(f"{foot.member} at {foot.along_m:.2f} m ({foot.face})" for foot in feet)
+
+    @property
+    def in_file(self) -> StanceFile | None:
+        """What `guardrail.stance` of a scene file has; None: nothing."""
+        return None if self.at_origin else self.stance
+
+
+def own_candidate(scene: Scene) -> Candidate | None:
+    """Return the stance in which a scene has its robot; None where its foot holds no member."""
+    climber, file = Climber(), scene.guardrail.stance
+    if file is None or scene.stance is None:
+        member = held_member(scene.elastic_guardrail)
+        if member is None:
+            return None
+        place = FootholdFile(member=member, along_m=0.0)
+        along = max(float(-foothold_face(scene.elastic_guardrail, place).ends[0]), 0.0)
+        place = place.changed(along_m=along)
+        return replace(candidate_at(place, None, np.eye(4), climber.working, climber), at_origin=True)
+    stance = scene.stance
+    return candidate_at(file.foot_1, file.foot_2, stance.root, np.array(stance.climber), climber)
+
+
+def candidates_of(
+    scene: Scene,
+    spacing: float,
+    pair_spacing: float,
+    members: Collection[str] = (),
+    first: Sequence[Candidate] = (),
+) -> Iterator[Candidate]:
+    """Yield the stances of the shipped robot on a scene's guardrail.
+
+    Round bars are left out where the feet are magnets or welded, and so are stances in which the base is
+    on the track's side of foot 1's member. Of stances in which plates and base are where they are in another
+    one, as a foot may be turned by half a turn, the first one counts.
+
+    Parameters
+    ----------
+    scene : Scene
+    spacing : float, m
+        Between places of foot 1 alone, along members.
+    pair_spacing : float, m
+        Between places of both feet; infinite: foot 2 stays free.
+    members : collection of str
+        Those that feet hold; empty: all.
+    first : sequence of Candidate
+        Stances that come before all others, where they are on these members.
+    """
+    climber = Climber()
+    known = set[tuple[float, ...]]()
+    for candidate in first:
+        feet = [place for place in (candidate.stance.foot_1, candidate.stance.foot_2) if place is not None]
+        X_2 = foothold_pose(scene.elastic_guardrail, feet[1]) if len(feet) > 1 else None
+        on_them = not members or all(place.member in members for place in feet)
+        if on_them and _is_new(candidate, X_2, known):
+            yield candidate
+    for place in (place for place in places_of(scene, spacing) if not members or place.member in members):
+        X = foothold_pose(scene.elastic_guardrail, place)
+        angles = climber.hanging(X[:3, :3])
+        if angles is None:
+            continue
+        candidate = candidate_at(place, None, X, angles, climber)
+        if _is_new(candidate, None, known):
+            yield candidate
+    if not np.isfinite(pair_spacing):
+        return
+    places = [place for place in places_of(scene, pair_spacing) if not members or place.member in members]
+    poses = [foothold_pose(scene.elastic_guardrail, place) for place in places]
+    for place, X in zip(places, poses, strict=True):
+        for other, X_2 in zip(places, poses, strict=True):
+            away = float(np.linalg.norm(X_2[:3, 3] - X[:3, 3]))
+            if not APART <= away <= REACH or other.turn_deg != places[0].turn_deg:
+                continue
+            for angles in climber.reaching(np.linalg.inv(X) @ X_2):
+                candidate = candidate_at(place, other, X, angles, climber)
+                out = candidate.base[:3, 3] - X[:3, 3]
+                if out @ X[:3, 1] > 0 and _is_new(candidate, X_2, known):
+                    yield candidate
+
+
+def _is_new(candidate: Candidate, X_2: FloatArray | None, known: set[tuple[float, ...]]) -> bool:
+    """Whether plates and base are elsewhere than in those known; with a foot turned by half they are not."""
+    feet = [candidate.root] if X_2 is None else [candidate.root, X_2]
+    parts = (candidate.base.ravel(), *(X[:3, column] for X in feet for column in (1, 3)))
+    key = tuple(np.concatenate(parts).round(6).tolist())
+    new = key not in known
+    known.add(key)
+    return new
+
+
+def candidate_at(
+    place: FootholdFile, other: FootholdFile | None, X: FloatArray, angles: FloatArray, climber: Climber
+) -> Candidate:
+    """Return the stance with the feet at two places, the second None where it is free.
+
+    Parameters
+    ----------
+    place, other : FootholdFile
+        Of foot 1 and of foot 2.
+    X : (4, 4)
+        Pose of foot 1 in W.
+    angles : (5,), rad
+    climber : Climber
+    """
+    degrees = tuple(np.degrees(angles).tolist())
+    stance = StanceFile(foot_1=place, foot_2=other, climber_deg=degrees)
+    return Candidate(stance=stance, root=X, base=X @ climber.poses(angles)[1], climber=angles)
+
+
+def places_of(scene: Scene, spacing: float) -> Iterator[FootholdFile]:
+    """Yield places of a foot along posts and rails, on every side from which a base can hang, both ways up.
+
+    Where an obstacle or another member is in the way of the foot there is none: `in_the_way`.
+
+    Parameters
+    ----------
+    scene : Scene
+    spacing : float, m
+    """
+    guardrail = scene.elastic_guardrail
+    posts = [(f"post_{k + 1}", ("outer", "left", "right")) for k in range(len(guardrail.post_positions))]
+    rails = [(rail.name, ("outer",)) for rail in guardrail.rails]
+    clamps = {hold.kind for hold in scene.guardrail.hold or ()} == {"clamp"}
+    for member, faces in (*posts, *rails):
+        for face in faces:
+            probe = FootholdFile.model_validate({"member": member, "along_m": 0.0, "face": face})
+            side = foothold_face(guardrail, probe)
+            if side.held_by_clamps_alone and not clamps:
+                continue
+            low, high = _MARGIN, side.ends[1] - side.ends[0] - _MARGIN
+            if member.startswith("post_"):
+                low = guardrail.post.clamp - guardrail.post.bottom + _MARGIN
+                high += _MARGIN - 0.05
+            for along in np.arange(low, high + 1e-9, spacing):
+                place = probe.changed(along_m=round(float(along), 4))
+                if in_the_way(scene, place) is not None:
+                    continue
+                for turn in (0.0, 180.0):
+                    yield place.changed(turn_deg=turn)
+
+
+def climber_in_the_way(scene: Scene, candidate: Candidate) -> str | None:
+    """Return what of the climber comes too near to what in a stance; None where nothing does.
+
+    Links of the climber may be nearer to each other than the safety margin, but must not touch: it is locked.
+
+    Parameters
+    ----------
+    scene : Scene
+        As `in_world` returns it.
+    candidate : Candidate
+    """
+    climber = bare_climber(candidate.root, scene.all_obstacles, foot_2=candidate.stance.foot_2 is None)
+    numbers = np.arange(len(climber.pairs))
+    distance = climber.distances(candidate.climber[None], np.zeros_like(numbers), numbers)
+    own = np.array([pair.self_collision for pair in climber.pairs], dtype=np.bool_)
+    spare = distance - np.where(own, 0.0, scene.planner.safety_margin_m)
+    if len(spare) == 0 or spare.min() >= 0:
+        return None
+    pair = climber.pairs[int(spare.argmin())]
+    return f"{pair.link} and {pair.other} come too near to each other"

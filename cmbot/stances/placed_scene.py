@@ -1,0 +1,133 @@
+"""Scenes for stances: the job stays where it is in the world, and the robot stands elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import SceneError
+from cmbot.planning import robot_of, strokes_of
+from cmbot.scene import WORK, JobStrokes, Scene, StrokeFile
+from cmbot.stances.candidates import Candidate
+from cmbot.toolpath import Goal
+
+T = TypeVar("T")
+
+_LONGEST_NAME, _STANCE = 90, "_stance"
+_PLAIN: dict[str, Any] = dict.fromkeys(("lead_in_m", "lead_out_m", "speed_tolerance", "passes"))
+# What scenes of one bridge have in common, by their keys.
+_COMMON = {
+    "robot": "robot",
+    "base": "base",
+    "tool": "tool",
+    "return": "return_to",
+    "identified": "identified",
+    "planner": "planner",
+}
+
+
+def scene_at(scene: Scene, candidate: Candidate, posture: FloatArray | None) -> Scene:
+    """Return the scene with the robot in another stance.
+
+    Parameters
+    ----------
+    scene : Scene
+        As `in_world` returns it.
+    candidate : Candidate
+    posture : (n,), rad, or None
+        In which the arm starts: elsewhere the scene's own, None, may be in the way of something.
+    """
+    changes: dict[str, Any] = {"guardrail": scene.guardrail.changed(stance=candidate.in_file)}
+    if posture is not None:
+        changes["start"] = {"posture_deg": np.degrees(posture)}
+    name = scene.name if scene.name.endswith(_STANCE) else f"{scene.name}{_STANCE}"
+    return scene.changed(name=name, **changes)
+
+
+def in_world(scene: Scene) -> Scene:
+    """Return the scene with a tool path whose strokes begin at poses in the world, where they begin now."""
+    robot, strokes = robot_of(scene), list(scene.strokes)
+    moved = False
+    for k, stroke in enumerate(scene.strokes):
+        goal = stroke.start_pose
+        fixed = goal is not None and goal.frame != "tool" and goal.rpy_deg is not None
+        if not stroke.legs or fixed:
+            continue
+        # Without leads and turns it begins where its first leg does.
+        alone = scene.with_strokes((*scene.strokes[:k], stroke.changed(**_PLAIN, backwards=False)))
+        pose = strokes_of(alone, robot)[-1].path.poses([0.0])
+        begin = Goal(xyz=tuple(pose.point[0].tolist()), rpy_deg=_rpy_deg(pose.rotation[0]))
+        strokes[k], moved = stroke.changed(start_pose=begin), True
+    return scene.with_strokes(strokes, scene.order) if moved else scene
+
+
+def joined(scenes: Sequence[Scene]) -> Scene:
+    """Return a scene with the strokes and the obstacles of several ones, as `in_world` returns them.
+
+    Where the robot starts is the first one's.
+
+    Raises
+    ------
+    SceneError
+        When there are none, or they do not have robot, guardrail, tool, return and planner in common, or
+        different obstacles or frames of the same name.
+    """
+    if not scenes:
+        raise SceneError("scenes", "", "none", "one scene or more")
+    first, *others = (in_world(scene) for scene in scenes)
+    if not others:
+        return first
+    obstacles, frames = {one.name: one for one in first.obstacles}, dict(first.frames)
+    strokes = {f"{first.name}_{stroke.name}": stroke for stroke in _strokes(first)}
+    for other in others:
+        for key, name in _COMMON.items():
+            _require_same(key, getattr(first, name), getattr(other, name), first, other)
+        own, its = (scene.guardrail.changed(stance=None) for scene in (first, other))
+        _require_same("guardrail", own, its, first, other)
+        obstacles = _united("obstacles", obstacles, {one.name: one for one in other.obstacles}, first, other)
+        frames = _united("frames", frames, dict(other.frames), first, other)
+        strokes |= {f"{other.name}_{stroke.name}": stroke for stroke in _strokes(other)}
+    names = [stroke.name for stroke in strokes.values()]
+    renamed = [
+        stroke if names.count(stroke.name) == 1 else stroke.changed(name=long)
+        for long, stroke in strokes.items()
+    ]
+    return first.changed(
+        name="_".join(scene.name for scene in scenes)[:_LONGEST_NAME],
+        tool_path=JobStrokes(strokes=tuple(renamed)),
+        obstacles=tuple(obstacles.values()),
+        frames=frames,
+    )
+
+
+def with_strokes(scene: Scene, numbers: Collection[int], name: str) -> Scene:
+    """Return a scene, as `in_world` returns it, with some of its strokes in their order, and a name."""
+    strokes = tuple(stroke for k, stroke in enumerate(_strokes(scene)) if k in numbers)
+    return scene.changed(name=name, tool_path=JobStrokes(strokes=strokes, order=scene.order))
+
+
+def _strokes(scene: Scene) -> list[StrokeFile]:
+    """The strokes of a scene; that of a path without strokes has the scene's name."""
+    return [stroke.changed(name=scene.name) if stroke.name == WORK else stroke for stroke in scene.strokes]
+
+
+def _require_same(key: str, own: object, its: object, first: Scene, other: Scene) -> None:
+    if own != its:
+        expected = f"the same {key} in all scenes of a bridge, that of {first.source}"
+        raise SceneError(other.source, key, "another one", expected)
+
+
+def _united(key: str, own: Mapping[str, T], its: Mapping[str, T], first: Scene, other: Scene) -> dict[str, T]:
+    """Obstacles or frames of both, each name once."""
+    for name in own.keys() & its.keys():
+        _require_same(f"{key}.{name}", own[name], its[name], first, other)
+    return {**own, **its}
+
+
+def _rpy_deg(R: FloatArray) -> tuple[float, float, float]:
+    roll, pitch, yaw = Rotation.from_matrix(R).as_euler("xyz", degrees=True).tolist()
+    return roll, pitch, yaw

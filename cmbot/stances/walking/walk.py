@@ -1,0 +1,362 @@
+"""Walk from one stance to another: the shortest way through the graph of stances, step by step certified."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import CmbotError, PlanningError, SceneError, whole_sentences
+from cmbot.common.input_files import is_file
+from cmbot.common.representation import short_repr
+from cmbot.common.validation import counted, validated
+from cmbot.common.yaml_reader import read_yaml
+from cmbot.hold import AdhesionPeak
+from cmbot.robot import Climber
+from cmbot.scene import FootholdFile, Scene, StanceFile, load_scene
+from cmbot.stances import Candidate, candidate_at, in_world, require_on_guardrail
+from cmbot.stances.walking.balance import Balance
+from cmbot.stances.walking.route import Edge, Route, nodes_between
+from cmbot.stances.walking.steps import Move, Step, arm_move, plan_step
+
+# Postures of the arm with which a step is planned.
+_TRIED = 15
+# Steps that may turn out impossible before a walk is given up.
+_MOST_FAILURES = 20
+_SAME_PLACE = 1e-6
+# Characters of the cause for which a step failed, within a message that is about more.
+_LONGEST_CAUSE = 120
+
+
+@dataclass(frozen=True, kw_only=True)
+class WalkOptions:
+    """How a walk is sought.
+
+    Attributes
+    ----------
+    spacing : float, m
+        Between places of the feet along members.
+    speed : float, m/s
+        Largest of a foot that goes.
+    """
+
+    spacing: float = 0.15
+    speed: float = 0.03
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Walk:
+    """A certified walk.
+
+    Attributes
+    ----------
+    scene : Scene
+        Where it begins.
+    goal : Candidate
+        The stance in which it ends.
+    steps : tuple of Step
+    last : Move or None
+        The arm's move to the posture in which the next work starts; None where it stays.
+    failures : tuple of str
+        Steps that were tried in vain, and why.
+    speed : float, m/s
+        Largest of a foot that goes.
+    """
+
+    scene: Scene
+    goal: Candidate
+    steps: tuple[Step, ...]
+    last: Move | None
+    failures: tuple[str, ...]
+    speed: float
+
+    __repr__ = short_repr
+
+    @property
+    def moves(self) -> tuple[Move, ...]:
+        """All moves in their order."""
+        last = () if self.last is None else (self.last,)
+        return (*(move for step in self.steps for move in step.moves), *last)
+
+    @property
+    def seconds(self) -> float:
+        """How long it takes, s."""
+        return sum(move.segment.duration for move in self.moves)
+
+    @property
+    def begins(self) -> tuple[float, ...]:
+        """When each move begins, s."""
+        ends = np.cumsum([move.segment.duration for move in self.moves])
+        return (0.0, *ends[:-1].tolist())
+
+    @property
+    def adhesion_needed(self) -> AdhesionPeak | None:
+        """The largest adhesion that a foot needs, on the walk's clock; None without a flat contact."""
+        peaks = list[AdhesionPeak]()
+        for move, begin in zip(self.moves, self.begins, strict=True):
+            peak = move.segment.figures.adhesion_needed
+            if peak is not None:
+                foot = move.holds[peak.foot - 1] if peak.foot <= len(move.holds) else peak.foot
+                peaks.append(replace(peak, time=begin + peak.time, foot=foot))
+        return max(peaks, key=lambda each: each.peak, default=None)
+
+    @property
+    def effort(self) -> float:
+        """The largest share of a joint's effort that the steps use."""
+        each = (move.segment.figures.limit_use.torque for move in self.moves)
+        return max(each, default=0.0)
+
+    def in_words(self) -> Iterator[str]:
+        """Yield what was found, a sentence each."""
+        arms = sum(move.kind == "arm" for move in self.moves)
+        yield (
+            f"{counted(len(self.steps), 'step')} and {counted(arms, 'move')} of the arm in "
+            f"{self.seconds:.0f} s, a foot at most {self.speed:g} m/s."
+        )
+        needed = self.adhesion_needed
+        if needed is not None:
+            yield (
+                f"Adhesion needed at most {needed.peak / 1e3:.2f} kN (foot {needed.foot}, {needed.mode}, at "
+                f"{needed.time:.1f} s)."
+            )
+        yield f"The joints use at most {100 * self.effort:.0f} % of their efforts."
+        if self.scene.guardrail.hold is None:
+            yield "The feet are taken as welded: this says nothing about holding; see guardrail.hold."
+        if self.failures:
+            yield f"{counted(len(self.failures), 'other step')} turned out impossible on the way."
+
+
+def walk(
+    scene: Scene,
+    to: Scene | StanceFile,
+    options: WalkOptions | None = None,
+    progress: Callable[[str, float], None] = lambda _step, _share: None,
+) -> Walk:
+    """Plan the steps from a scene's stance to another one.
+
+    One foot lets go, the climbing joints swing it with the arm locked as a counterweight, it holds again.
+    Every move is certified: ranges, velocities, efforts, clearances, and what the foot that holds bears. On
+    two feet the arm moves to where the next step has the smallest load.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of the shipped robot on a guardrail. The walk begins in its stance and its posture.
+    to : Scene or StanceFile
+        Where it ends; of a scene the arm ends in its posture, too.
+    options : WalkOptions, optional
+    progress : callable
+        Takes what is done and the share of it.
+
+    Raises
+    ------
+    SceneError
+        When there is no guardrail to walk on, or a stance is none.
+    PlanningError
+        When no steps lead there that joints and feet can bear, with the figures of the easiest one.
+
+    Examples
+    --------
+    A search of minutes:
+
+    >>> steps = cmbot.walk(cmbot.load_scene("here.yaml"), cmbot.load_scene("there.yaml"))  # doctest: +SKIP
+    """
+    options = options or WalkOptions()
+    first = stance_of(scene)
+    last = goal_stance(to, scene)
+    if last.stance == first.stance:
+        got, expected = "the stance where the walk is to end", "another one: the robot stands there already"
+        raise SceneError(scene.source, "guardrail.stance", got, expected)
+    posture = np.array(scene.posture)
+    progress("listing stances", 0.0)
+    balance, world = Balance(scene, posture), in_world(scene)
+    route = Route(nodes_between(scene, first, last, options.spacing), balance)
+    search = _Search(world, balance, route, posture, options, progress)
+    steps = search.steps()
+    end = None
+    if isinstance(to, Scene):
+        progress("moving the arm to where it works", 1.0)
+        end = arm_move(world, last, np.stack([search.arm, np.array(to.posture)]))
+    return Walk(
+        scene=scene,
+        goal=last,
+        steps=tuple(steps),
+        last=end,
+        failures=tuple(search.failures),
+        speed=options.speed,
+    )
+
+
+class _Search:
+    """Plans the steps of the shortest route, and of others from where one turns out impossible."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        balance: Balance,
+        route: Route,
+        arm: FloatArray,
+        options: WalkOptions,
+        progress: Callable[[str, float], None],
+    ) -> None:
+        self._scene, self._balance, self._route = scene, balance, route
+        self._options, self._progress = options, progress
+        self._checked = set[int]()
+        self.arm, self._weight, self.failures = arm, -1, list[str]()
+        self._last = ""
+
+    def steps(self) -> list[Step]:
+        """Plan until the goal is reached."""
+        here, made = 0, list[Step]()
+        # Nodes from which the steps lead, and the arm's posture before each.
+        came = list[tuple[int, FloatArray, int]]()
+        while here != 1:
+            edges = self._route.shortest(here)
+            if edges is None:
+                raise PlanningError(self._no_way(here))
+            unknown = [k for k in {here, *(edge.after for edge in edges)} if k not in self._checked]
+            if unknown:
+                self._progress(f"checking stances ({len(self._checked)} so far)", 0.0)
+                for k in unknown:
+                    self._check(k)
+                continue
+            after = {edge.after for edge in edges}
+            back = next((k for k, (node, *_) in enumerate(came) if node in after), None)
+            if back is not None:
+                # It leads on from where the walk was before: the steps since then are not needed.
+                here, self.arm, self._weight = came[back]
+                del made[back:], came[back:]
+                continue
+            number = len(made) + len(edges)
+            self._progress(f"planning step {len(made) + 1} of {number}", len(made) / number)
+            state = here, self.arm, self._weight
+            step = self._step(edges[0])
+            if step is None:
+                self._route.close(edges[0])
+                if len(self.failures) >= _MOST_FAILURES:
+                    begin = f"no walk after {_MOST_FAILURES} steps in vain, the last: {self._last}"
+                    raise PlanningError(f"{begin}: {self.failures[-1]}")
+                continue
+            made.append(step)
+            came.append(state)
+            here = edges[0].after
+        return made
+
+    def _step(self, edge: Edge) -> Step | None:
+        before, after = (self._route.nodes[k] for k in (edge.before, edge.after))
+        weights = self._route.counterweights(edge, self._weight)[:_TRIED].tolist()
+        why = "the foot's straight swing comes too near to something, whatever folded posture the arm has"
+        for k, straight in (*((k, True) for k in weights), *((k, False) for k in weights[:1])):
+            arm = self._balance.arms[k]
+            try:
+                swung = plan_step(
+                    self._scene, before, after, edge.foot, arm, self._options.speed, straight=straight
+                )
+                if not swung:
+                    continue
+                moved = arm_move(self._scene, before, self._way(k))
+            except CmbotError as error:
+                why = str(error)
+                continue
+            self.arm, self._weight = arm, k
+            moves = swung if moved is None else (moved, *swung)
+            return Step(foot=edge.foot, before=before, after=after, moves=moves)
+        self.failures.append(_cause(why))
+        self._last = f"{_names(before)} to {_names(after)}"
+        return None
+
+    def _way(self, weight: int) -> FloatArray:
+        """Postures (k, 7) from where the arm is to a counterweight."""
+        if self._weight < 0:
+            # The first counterweight is the nearest to where the arm is; the others were grown from it.
+            return np.vstack([self.arm, self._balance.between(0, weight)])
+        return self._balance.between(self._weight, weight)
+
+    def _check(self, k: int) -> None:
+        """Leave out the postures of the arm that come too near to something in a stance."""
+        self._checked.add(k)
+        self._route.leave_out(k, self._balance.impossible(self._scene, self._route.nodes[k]))
+
+    def _no_way(self, here: int) -> str:
+        """Why there is no route, with the figures of the step of the smallest load."""
+        begin = "no walk: no steps that joints and feet can bear at rest lead there"
+        tried = ""
+        if self.failures:
+            tried = f", {len(self.failures)} were tried in vain (the last: {self.failures[-1]})"
+        least = self._route.least_use(here)
+        if least is None:
+            return f"{begin}; from {_names(self._route.nodes[here])} no step leads anywhere{tried}"
+        edge, use = least
+        node = self._route.nodes[edge.after]
+        load = self._balance.step_load(node, 2 if edge.foot == 1 else 1)
+        k = int(load.use.argmin())
+        adhesion = f", adhesion needed {load.adhesion[k] / 1e3:.2f} kN" if load.adhesion[k] > 0 else ""
+        effort = f"climb_{load.joint[k]:.0f} {100 * load.effort[k]:.0f} % of its effort"
+        return (
+            f"{begin}; from {_names(self._route.nodes[here])} the easiest step, to {_names(node)}, uses "
+            f"{100 * use:.0f} % of what is allowed ({effort}{adhesion}){tried}"
+        )
+
+
+def _cause(why: str) -> str:
+    """The first clause of a cause, so that a message that is about more than that holds it."""
+    return whole_sentences(why.partition("; ")[0], _LONGEST_CAUSE)
+
+
+def _names(node: Candidate) -> str:
+    feet = (node.stance.foot_1, node.stance.foot_2)
+    return " and ".join(
+        "free" if place is None else f"{place.member} {place.along_m:.2f} m" for place in feet
+    )
+
+
+def stance_of(scene: Scene) -> Candidate:
+    """Return where the robot of a scene stands.
+
+    Raises
+    ------
+    SceneError
+        When it does not stand on a member of a guardrail.
+    """
+    require_on_guardrail(scene)
+    stance, file = scene.stance, scene.guardrail.stance
+    if file is not None and stance is not None:
+        return candidate_at(file.foot_1, file.foot_2, stance.root, np.array(stance.climber), Climber())
+    places = enumerate(scene.elastic_guardrail.post_positions, start=1)
+    number = next((number for number, x in places if abs(x) < _SAME_PLACE), None)
+    if number is None:
+        expected = "a stance, as the foot holds no post"
+        raise SceneError(scene.source, "guardrail.stance", "nothing", expected)
+    place, climber = FootholdFile(member=f"post_{number}", along_m=-scene.guardrail.post.bottom_m), Climber()
+    return candidate_at(place, None, np.eye(4), climber.working, climber)
+
+
+def goal_stance(to: Scene | StanceFile, scene: Scene) -> Candidate:
+    """Return the stance in which a walk of a scene is to end."""
+    return stance_of(to) if isinstance(to, Scene) else _stance_from(to, scene)
+
+
+def _stance_from(stance: StanceFile, scene: Scene) -> Candidate:
+    return stance_of(scene.with_stance(stance))
+
+
+def load_goal(path: str | Path) -> Scene | StanceFile:
+    """Return where a walk is to end: a scene, or a file with what `guardrail.stance` has.
+
+    Parameters
+    ----------
+    path : str or Path
+        Or the name of a shipped scene.
+
+    Raises
+    ------
+    SceneError
+        When it is neither.
+    """
+    if is_file(path) and "foot_1" in (data := read_yaml(path, SceneError)):
+        return validated(StanceFile, data, str(path), SceneError)
+    # As text: a path is never the name of a shipped scene.
+    return load_scene(str(path))

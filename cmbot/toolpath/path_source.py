@@ -1,0 +1,97 @@
+"""What a path is made of: its description, where that is, and the frames of its poses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import SceneError
+from cmbot.common.validation import shown
+from cmbot.toolpath.legs import Goal, Leg
+from cmbot.toolpath.raster.raster import Raster
+from cmbot.toolpath.time_law import SpeedProfile
+
+
+class PathDescription(Protocol):
+    """Legs, waypoints or a raster, and how they are timed: with the units of a scene's ``tool_path``."""
+
+    @property
+    def legs(self) -> tuple[Leg, ...]:
+        """From where the path begins, each from rest to rest."""
+
+    @property
+    def passed(self) -> Sequence[Sequence[float]]:
+        """In place of legs waypoints: x, y, z, qw, qx, qy, qz in W, no two neighbours at one place."""
+
+    @property
+    def raster(self) -> Raster | None:
+        """In place of legs rows over a surface."""
+
+    @property
+    def start_pose(self) -> Goal | None:
+        """Where the legs begin, in place of the tool's pose before."""
+
+    @property
+    def blend_radius_m(self) -> float | None:
+        """By which corners are rounded, m."""
+
+    @property
+    def seconds(self) -> float | Literal["auto"] | None:
+        """Duration of the waypoints or of the raster, s."""
+
+    @property
+    def speed_m_s(self) -> float | None:
+        """In place of that the speed at which the tool cruises, m/s."""
+
+    @property
+    def speed_tolerance(self) -> float | None:
+        """By what share the tool's speed may miss that of the process."""
+
+    @property
+    def lead_in_m(self) -> float | None:
+        """Length of the lead before the path, m."""
+
+    @property
+    def lead_out_m(self) -> float | None:
+        """Length of the lead behind it, m."""
+
+    @property
+    def speed_profile(self) -> SpeedProfile:
+        """Of every leg."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PathSource:
+    """Where a path is described, and the frames in which its poses are.
+
+    Attributes
+    ----------
+    source, key : str
+        The scene's, and the path's in it, for messages.
+    frames : mapping of str to (4, 4)
+        Poses in W of the frames that the scene names.
+    max_speed : float or None
+        Of the tool point, m/s: seconds that are to be found begin slower.
+    """
+
+    source: str
+    key: str
+    frames: Mapping[str, FloatArray]
+    max_speed: float | None = None
+
+    def frame(self, name: str, key: str, X_WT: FloatArray) -> FloatArray:
+        """Return the pose (4, 4) in W of the frame that `key` names; ``tool`` is `X_WT`.
+
+        Raises
+        ------
+        SceneError
+            When there is no such frame.
+        """
+        frames = {"world": np.eye(4), "tool": X_WT, **self.frames}
+        if name not in frames:
+            raise SceneError(self.source, f"{key}.frame", shown(name), "a frame of the scene", tuple(frames))
+        return frames[name]

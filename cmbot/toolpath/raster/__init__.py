@@ -1,0 +1,1 @@
+"""Rasters: rows over rectangles, cylinders and faces of a mesh."""

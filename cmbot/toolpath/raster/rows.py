@@ -1,0 +1,63 @@
+"""Where rows over rectangles and cylinders begin and end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.toolpath.raster.pieces import RowPiece
+from cmbot.toolpath.raster.raster import CylinderPatch, Raster
+
+# Cosine of 10 degrees: the angle to the z axis below which a cylinder's angles count from the x axis.
+_UPRIGHT = 0.98480775
+
+
+def rectangle_axes(raster: Raster, X_WF: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return unit vectors in W along a row, to the next one, and out of a rectangle in a frame (4, 4)."""
+    _, *edges = map(np.array, raster.rectangle or ())
+    u, v = (X_WF[:3, :3] @ edge / np.linalg.norm(edge) for edge in edges)
+    return u, v, np.cross(u, v)
+
+
+def rectangle_corners(raster: Raster, pieces: Sequence[RowPiece], X_WF: FloatArray) -> FloatArray:
+    """Return the tool points (2 P, 3), m, in W at which pieces of rows begin and end, to and fro."""
+    u, v, normal = rectangle_axes(raster, X_WF)
+    corner = X_WF[:3, :3] @ np.array(raster.origin) + X_WF[:3, 3] + raster.stand_off_m * normal
+    ends = _ends(pieces, raster.overscan_m)
+    places = np.repeat([piece.row for piece in pieces], 2) * raster.sides[1] / raster.steps
+    return np.asarray(corner + ends[:, None] * u + places[:, None] * v)
+
+
+def cylinder_frame(pipe: CylinderPatch, X_WF: FloatArray) -> FloatArray:
+    """Return the pose (4, 4) in W of a cylinder: z along its axis, x where the angle is zero."""
+    axis = np.array(pipe.axis) / np.linalg.norm(pipe.axis)
+    x = np.eye(3)[0 if abs(axis[2]) > _UPRIGHT else 2]
+    x = x - (x @ axis) * axis
+    x /= np.linalg.norm(x)
+    local = np.eye(4)
+    local[:3, :3], local[:3, 3] = np.stack([x, np.cross(axis, x), axis], axis=1), pipe.centre
+    return np.asarray(X_WF @ local)
+
+
+def cylinder_corners(raster: Raster, pipe: CylinderPatch, pieces: Sequence[RowPiece]) -> FloatArray:
+    """Return the ends (2 P, 3) of rows on the stand-off surface unrolled: x around, y along it, m."""
+    begin, way = np.radians(pipe.from_deg), pipe.angle
+    rows = np.repeat([piece.row for piece in pieces], 2)
+    ends, corners = _ends(pieces, raster.overscan_m), np.zeros((2 * len(pieces), 3))
+    if pipe.rows == "along":
+        corners[:, 0] = begin + way / raster.steps * rows
+        corners[:, 1] = ends - 0.5 * pipe.length
+    else:
+        corners[:, 0] = begin + np.sign(way) * ends / pipe.radius
+        corners[:, 1] = pipe.length * (rows / raster.steps - 0.5)
+    corners[:, 0] *= pipe.radius + raster.stand_off_m
+    return corners
+
+
+def _ends(pieces: Sequence[RowPiece], beyond: float) -> FloatArray:
+    """Where pieces begin and end (2 P,), m along their rows, every second one the other way round."""
+    ends = np.array([[piece.begin_m - beyond, piece.end_m + beyond] for piece in pieces])
+    ends[1::2] = ends[1::2, ::-1]
+    return ends.ravel()

@@ -1,0 +1,138 @@
+"""Tours read back and verified: each part where the one before ends, on one bridge, each stroke once."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import output, refusal, write_scene
+from plan_folders import edit
+from small_scenes import SHORT, short_scene
+from walks import one_step
+
+from cmbot.archive import TOUR_FILE, WALK_FILE, load_tour, save, write_results
+from cmbot.common.errors import ArchiveError
+from cmbot.planning import Plan, plan
+from cmbot.stances import in_world
+from cmbot.stances.walking import Walk, part_data, walk_data
+
+RETURNS = {"format": "cmbot-scene/2", "return": "start"}
+
+
+def write_tour(folder: Path, **parts: Plan | Walk) -> Path:
+    begin, entries = 0.0, list[dict[str, Any]]()
+    for name, part in parts.items():
+        if isinstance(part, Plan):
+            save(part, folder / name)
+        else:
+            write_results(folder / name, WALK_FILE, walk_data(part), {})
+        entries.append(part_data(name, begin, part))
+        begin += entries[-1]["seconds"]
+    record = {"cmbot": "0", "seconds": begin, "parts": entries, "words": []}
+    write_results(folder, TOUR_FILE, record, {})
+    return folder
+
+
+@pytest.fixture
+def walked(tmp_path: Path) -> Path:
+    """A tour of a walk alone."""
+    return write_tour(tmp_path / "tour", walk_1=one_step())
+
+
+@pytest.fixture(scope="module")
+def work() -> Plan:
+    """Of a job that ends where it begins."""
+    return plan(in_world(short_scene(**RETURNS)))
+
+
+def test_what_was_written_is_read_and_holds(walked: Path) -> None:
+    (part,) = load_tour(walked)
+    assert (part.name, part.begin, part.motion.seconds) == ("walk_1", 0.0, one_step().seconds)
+    data = json.loads(output("verify", walked, "--json"))
+    assert {motion["part"] for motion in data["motions"]} == {"walk_1"}
+    assert "words" in data["not_verified"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"begin": 1.0}, "parts[0].begin: got 1.0, expected 0, as its folder says"),
+        ({"seconds": 1.0}, "parts[0].seconds: got 1.0, expected"),
+        ({"kind": "work"}, "parts[0].kind: got 'work', expected 'walk'"),
+        ({"steps": 2}, "parts[0].steps: got 2, expected 1"),
+        ({"adhesion_needed": 9.0}, "parts[0].adhesion_needed: got 9"),
+        ({"peak_torque": 1.0}, "parts[0].peak_torque: got 1"),
+        ({"name": "../walk_1"}, "parts[0].name"),
+        ({"name": "walk_2"}, "walk_2"),
+    ],
+)
+def test_a_part_is_said_to_be_something_else(walked: Path, changes: dict[str, Any], words: str) -> None:
+    edit(walked, lambda data: data["parts"][0].update(changes), TOUR_FILE)
+    assert words in refusal("verify", walked)
+    with pytest.raises(ArchiveError):
+        load_tour(walked)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda tour: tour.update(seconds=1.0), "seconds: got 1.0, expected"),
+        (lambda tour: tour.update(parts=[]), "parts"),
+        (lambda tour: tour.update(format="cmbot-tour/2"), "format"),
+    ],
+)
+def test_the_whole_is_said_to_be_something_else(
+    walked: Path, change: Callable[[dict[str, Any]], object], words: str
+) -> None:
+    edit(walked, change, TOUR_FILE)
+    assert words in refusal("verify", walked)
+
+
+def test_parts_follow_on_each_other(walked: Path) -> None:
+    """The same walk twice does not begin where it ends."""
+
+    def twice(tour: dict[str, Any]) -> None:
+        (part,) = tour["parts"]
+        tour["parts"] = [part, {**part, "begin": part["seconds"]}]
+        tour["seconds"] *= 2
+
+    edit(walked, twice, TOUR_FILE)
+    assert "parts[1].name: got walk_1: another stance or posture" in refusal("verify", walked)
+
+
+def test_work_that_ends_where_the_next_begins(work: Plan, tmp_path: Path) -> None:
+    folder, asked = (
+        write_tour(tmp_path / "tour", work_1=work),
+        write_scene(tmp_path / "s.yaml", SHORT | RETURNS),
+    )
+    data = json.loads(output("verify", folder, "--scene", asked, "--json"))
+    assert [motion["name"] for motion in data["motions"]] == [segment.name for segment in work.job.segments]
+    (part,) = load_tour(folder, verify=True)
+    np.testing.assert_array_equal(part.motion.job.trajectory.q, work.job.trajectory.q)
+    changed = ("verify", folder, "--scene", asked, "--set")
+    assert "scene.robot.payload_kg: got 0.0, expected 0.5" in refusal(*changed, "robot.payload_kg=0.5")
+    assert "safety_margin_m 0.02 (asked 0.03)" in refusal(*changed, "safety_margin_m=0.03")
+    assert "via_points: got 8, expected 20" in refusal(*changed, "tool_path.via_points=20")
+
+
+def test_a_stroke_is_done_twice(work: Plan, tmp_path: Path) -> None:
+    folder, asked = (
+        write_tour(tmp_path / "tour", work_1=work, work_2=work),
+        write_scene(tmp_path / "s.yaml", SHORT | RETURNS),
+    )
+    assert len(load_tour(folder)) == 2
+    output("verify", folder)
+    assert "parts: got work, work, expected each stroke once, as asked" in refusal(
+        "verify", folder, "--scene", asked
+    )
+
+
+def test_parts_are_on_one_bridge(work: Plan, tmp_path: Path) -> None:
+    """Without the payload the second part is another robot's."""
+    heavy = plan(short_scene(**RETURNS, robot={"payload_kg": 0.5}))
+    folder = write_tour(tmp_path / "tour", work_1=heavy, work_2=work)
+    assert "work_2/plan.json: scene.robot.payload_kg: got 0.0, expected 0.5, as in work_1" in refusal(
+        "verify", folder
+    )

@@ -1,0 +1,203 @@
+"""``cmbot stand``: what it writes, prints and refuses."""
+
+import csv
+import json
+import re
+from pathlib import Path
+from unittest.mock import Mock
+
+import pytest
+from command_line import Outcome, one_line, run, run_apart, write_scene
+from small_scenes import short_scene
+
+import cmbot
+from cmbot.archive import STANCES_FILE, write_results
+
+FILES = {"stances.csv", "stances.json", "best.yaml", "index.html"}
+
+
+@pytest.fixture(scope="module")
+def stood(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome]:
+    """A folder after ``cmbot stand`` of few places and no plan, and what that said."""
+    folder = tmp_path_factory.mktemp("stood")
+    (folder / "short.yaml").write_text(json.dumps(short_scene().as_data()))
+    words = ("--one-foot", "--spacing", "1.5", "--plans", "0", "--objective", "hold")
+    return folder, run("stand", folder / "short.yaml", *words, "-o", folder / "out")
+
+
+def test_it_writes_the_table_the_page_and_the_scene(stood: tuple[Path, Outcome]) -> None:
+    folder, outcome = stood
+    assert outcome.status == 0, outcome.err
+    assert {path.name for path in (folder / "out").iterdir()} == FILES
+    rows = [*csv.DictReader((folder / "out" / "stances.csv").read_text().splitlines())]
+    assert f"{len(rows)} stances: " in outcome.out
+    best = cmbot.load_scene(folder / "out" / "best.yaml")
+    first, _, *blocks = (folder / "out" / "best.yaml").read_text().splitlines()
+    assert first == "# Written by cmbot stand: the scene in its best stance."
+    assert {"name: short_stance", "planner:", "  objective: hold"} <= {*blocks}
+    assert best.planner.objective == "hold"
+    assert best.stance.foot == pytest.approx([float(rows[0][axis]) for axis in "xyz"], abs=1e-4)
+
+
+def test_it_replaces_nothing_unasked(stood: tuple[Path, Outcome]) -> None:
+    folder, _ = stood
+    again = run("stand", folder / "short.yaml", "-o", folder / "out")
+    assert again.status == 2
+    assert "expected a folder without these files, or --force" in again.err
+
+
+@pytest.fixture
+def job(tmp_path: Path) -> Path:
+    """A scene in a folder that has the best scene of an earlier search."""
+    write_results(tmp_path / "out", STANCES_FILE, {}, {"best.yaml": b"name: best"})
+    return write_scene(tmp_path / "short.yaml", short_scene().as_data())
+
+
+COARSE = ("--one-foot", "--spacing", "1.5", "--plans", "1", "--force")
+
+
+def test_where_nothing_is_planned_the_status_is_3_and_the_table_says_why(job: Path) -> None:
+    out = job.parent / "out"
+    outcome = run("stand", job, *COARSE, "--max-torque", "1", "-o", out, "--json", "--quiet")
+    assert outcome.status == 3
+    error = one_line(outcome)
+    assert re.search(r"short.yaml: no stance of \d+ was planned, most often for: ", error)
+    assert error.endswith(f"{out / 'stances.csv'} has the reason of each")
+    assert error.count("(") >= 3
+    assert {path.name for path in out.iterdir()} == FILES - {"best.yaml"}
+    rows = [*csv.DictReader((out / "stances.csv").read_text().splitlines())]
+    assert {"too much torque", "out of reach"} <= {row["status"] for row in rows}
+    assert next(row["reason"] for row in rows if row["status"] == "too much torque").endswith("are allowed")
+
+
+def test_time_that_is_over_at_once(job: Path) -> None:
+    outcome = run("stand", job, *COARSE, "--time-limit", "0", "-o", job.parent / "out", "--quiet")
+    assert outcome.status == 3
+    assert "was planned; the time was over (--time-limit), most often for: " in outcome.err
+
+
+STOPS = """
+import os, signal
+import cmbot.stances.search as search
+def stopped(scene):
+    os.kill(os.getpid(), signal.SIGINT)
+search.bounded_quickly = stopped
+from cmbot.cli import take_signals
+take_signals()
+"""
+
+
+@pytest.mark.parametrize("shown", [(), ("--json",)])
+def test_ctrl_c_keeps_the_best_so_far(job: Path, shown: tuple[str, ...]) -> None:
+    """The scene's own stance, which is planned first; the page says that the search was stopped."""
+    out = job.parent / "out"
+    outcome = run_apart("stand", job, *COARSE, *shown, "-o", out, before=STOPS)
+    assert outcome.status == 130, outcome.err
+    said = "The search ended early, as it was stopped: what was planned until then is kept"
+    assert said in (" ".join(json.loads(outcome.out)["words"]) if shown else outcome.out)
+    assert {path.name for path in out.iterdir()} == FILES
+    assert said in (out / "index.html").read_text()
+    best = cmbot.load_scene(out / "best.yaml")
+    assert best.robot == cmbot.load_scene(job).robot
+    assert "Traceback" not in outcome.err
+
+
+def test_an_objective_that_cannot_be_screened(stood: tuple[Path, Outcome]) -> None:
+    folder, _ = stood
+    refused = run("stand", folder / "short.yaml", "--objective", "sag")
+    assert refused.status == 2
+    assert "--objective: got sag, expected a known value (one of: torque, hold)" in refused.err
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome]:
+    """A folder after ``cmbot stand`` of two jobs at the ends of a guardrail, and what that said."""
+    folder = tmp_path_factory.mktemp("both")
+    for name, x in (("left", -3.2), ("right", 3.2)):
+        begin = {"frame": "world", "xyz": [x, 0.78, -1.96], "rpy_deg": [0, 180, 0]}
+        job = short_scene(name=name, tool_path={"from": begin})
+        (folder / f"{name}.yaml").write_text(json.dumps(job.as_data()))
+    words = ("--one-foot", "--spacing", "0.8", "--plans", "0", "-o", folder / "out")
+    (folder / "out").mkdir()
+    (folder / "out" / "notes.txt").write_text("mine")
+    return folder, run("stand", folder / "left.yaml", folder / "right.yaml", *words)
+
+
+def test_jobs_that_no_stance_reaches_are_done_from_two(both: tuple[Path, Outcome]) -> None:
+    folder, outcome = both
+    assert outcome.status == 0, outcome.err
+    assert "2 strokes from 2 stances: no fewer were found to be enough." in outcome.out
+    names = {path.name for path in (folder / "out").iterdir()}
+    assert names == {"stances.csv", "index.html", "best_1.yaml", "best_2.yaml", "stances.json", "notes.txt"}
+    scenes = [cmbot.load_scene(folder / "out" / f"best_{k}.yaml") for k in (1, 2)]
+    assert [scene.strokes[0].name for scene in scenes] == ["left", "right"]
+    assert scenes[0].stance.foot[0] < scenes[1].stance.foot[0]
+    for scene, x in zip(scenes, (-3.2, 3.2), strict=True):
+        assert scene.strokes[0].start_pose.xyz[0] == pytest.approx(x)
+    rows = [*csv.DictReader((folder / "out" / "stances.csv").read_text().splitlines())]
+    assert {(row["group"], row["strokes"]) for row in rows} == {("1", "left"), ("2", "right")}
+    page = (folder / "out" / "index.html").read_text()
+    assert "<h1>Where to stand: left_right</h1>" in page
+    assert f"Look at it: open {folder / 'out' / 'index.html'}" in outcome.out
+    assert "<h2>Stance 1: left</h2>" in page
+    assert page.count("<svg") == 4  # each on the guardrail, and among the others
+
+
+def test_scenes_of_an_earlier_search_do_not_stay(both: tuple[Path, Outcome]) -> None:
+    folder, _ = both
+    words = ("--one-foot", "--spacing", "1.5", "--plans", "0", "-o", folder / "out", "--force", "--quiet")
+    again = run("stand", folder / "left.yaml", *words)
+    assert again.status == 0, again.err
+    names = {path.name for path in (folder / "out").iterdir()}
+    assert names == {"stances.csv", "index.html", "best.yaml", "stances.json", "notes.txt"}
+
+
+@pytest.mark.parametrize("verb", ["stand", "tour"])
+def test_a_member_that_there_is_not(both: tuple[Path, Outcome], verb: str) -> None:
+    folder, _ = both
+    refused = run(verb, folder / "left.yaml", "--on", "top-rail", "-o", folder / "new")
+    assert refused.status == 2
+    assert refused.err.startswith(
+        "error: members (--on): got 'top-rail', expected a member of the guardrail of "
+    )
+    assert not (folder / "new").exists()
+
+
+def test_only_on_some_members(both: tuple[Path, Outcome]) -> None:
+    folder, _ = both
+    words = ("--one-foot", "--spacing", "1.5", "--plans", "0", "--on", "top_rail", "--on", "post_2")
+    done = run("stand", folder / "left.yaml", *words, "-o", folder / "some", "--quiet")
+    assert done.status == 0, done.err
+    rows = csv.DictReader((folder / "some" / "stances.csv").read_text().splitlines())
+    assert {row["foot_1_member"] for row in rows} == {"top_rail", "post_2"}
+
+
+def test_jobs_of_other_bridges_are_refused(both: tuple[Path, Outcome]) -> None:
+    folder, _ = both
+    other = short_scene(name="other", guardrail={"bays": 6})
+    (folder / "other.yaml").write_text(json.dumps(other.as_data()))
+    refused = run("stand", folder / "left.yaml", folder / "other.yaml", "-o", folder / "new")
+    assert refused.status == 2
+    assert "guardrail: got another one, expected the same guardrail in all scenes of a bridge" in refused.err
+    assert not (folder / "new").exists()
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no /proc")
+@pytest.mark.parametrize(
+    ("verb", "words", "search"),
+    [
+        ("stand", (), "cmbot.stances.stand"),
+        ("walk", ("--to", "line"), "cmbot.stances.walking.walk"),
+        ("tour", (), "cmbot.stances.walking.tour"),
+        ("reproduce", (), "chang2021.reproduce"),
+    ],
+)
+def test_a_place_that_cannot_be_written_to_is_refused_before_the_search(
+    verb: str, words: tuple[str, ...], search: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(search, Mock(side_effect=pytest.fail.Exception("searched first")))
+    scene = () if verb == "reproduce" else ("triangle",)
+    refused = run(verb, *scene, *words, "-o", "/proc/x")
+    assert refused.status == 2
+    assert refused.err.startswith("error: /proc/x: got a place ")
+    assert refused.err.endswith(", expected a place that can be written to\n")

@@ -1,0 +1,58 @@
+"""Tables of text as programs and loggers write them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cmbot.common.errors import InputError
+from cmbot.common.text_table import read_table
+
+ROWS = [[0.5, -1.25, 3e-4], [1.5, 2.0, -7.0]]
+
+
+def _written(separator: str, comma: bool, heading: str) -> str:
+    lines = [separator.join(f"{x:.6g}" for x in row) for row in ROWS]
+    text = "\n".join(lines).replace(".", ",") if comma else "\n".join(lines)
+    return f"{heading}\n{text}\n"
+
+
+@pytest.mark.parametrize(
+    ("separator", "comma"), [(",", False), (";", False), (";", True), ("\t", True), (" ", False)]
+)
+@pytest.mark.parametrize("heading", ["", "# of a logger\n#a{0}B{0}c", "\ufeffa{0}B{0}c\n", "\n\nA{0}b{0}c"])
+def test_the_same_table_however_it_is_written(
+    separator: str, comma: bool, heading: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "table.txt"
+    file.write_text(_written(separator, comma, heading.format(separator)), encoding="utf-8")
+    table = read_table(file, InputError, kind="a table")
+    np.testing.assert_array_equal(table.numbers([0, 1, 2]), ROWS)
+    assert table.names == (("a", "b", "c") if heading else ())
+
+
+def test_units_quotes_and_comments_between_rows(tmp_path: Path) -> None:
+    file = tmp_path / "phyphox.csv"
+    file.write_text('"Time (s)","a [m/s^2]"\n0,1\n\n# a gap\n0.1,2\n', encoding="utf-8")
+    table = read_table(file, InputError, kind="a table")
+    assert (table.names, table.units, table.lines) == (("time", "a"), ("s", "m/s^2"), (2, 5))
+    assert table.index("t", "time") == 0 and table.index("b") is None
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (b"", "an empty file"),
+        (b"a,b\nc,d\n", "no row of numbers"),
+        (b"a,b\n1,2\n3\n", "line 3: got 1 cell, expected 2 cells, as in line 2"),
+        (b"a,b\n1,2\n3,x\n", "line 3, b: got 'x'"),
+        (b"a,b\n1,2\n3,nan\n", "line 3, b: got 'nan'"),
+        (b"1,2\n3,x\n", "line 2, column 2"),
+        (b"\xff\xfe1,2\n", "cannot be read"),
+    ],
+)
+def test_what_is_no_table(content: bytes, told: str, tmp_path: Path) -> None:
+    file = tmp_path / "table.csv"
+    file.write_bytes(content)
+    with pytest.raises(InputError, match=told):
+        read_table(file, InputError, kind="a table").numbers([0, 1])

@@ -1,0 +1,94 @@
+"""Obstacles in millimetres: refused, warned of, read by their scale, or meant."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import trimesh
+from command_line import run, write_scene
+from small_scenes import SHORT, short_scene
+
+import cmbot
+from cmbot.common.errors import SceneError
+from cmbot.common.installation import shipped_scenes
+from cmbot.planning import precheck_scene, robot_of
+from cmbot.planning.workcell.units import require_metres
+
+TABLE = {"name": "table", "box": [1000, 800, 60], "xyz": [1800, 700, -2700]}
+WALL = {"name": "wall", "box": [20, 0.3, 5], "xyz": [0, 60, 0]}
+DECK = {"name": "deck", "box": [40, 9, 5], "xyz": [0, 0, 20]}
+
+
+def with_obstacle(**changes: Any) -> dict[str, Any]:
+    return {**SHORT, "obstacles": [changes]}
+
+
+@pytest.mark.parametrize("command", ["check", "plan"])
+@pytest.mark.parametrize(
+    ("obstacle", "expected"),
+    [
+        (TABLE, "size and xyz in metres; scale: 1"),
+        ({**TABLE, "xyz": [1.8, 0.7, -2.7]}, "metres; scale: 0.001 reads its size in millimetres, not xyz; "),
+        ({**TABLE, "scale": 0.001}, "xyz in metres, as scale has no part in it"),
+        ({"name": "ball", "sphere": 50, "xyz": [2000, 700, -2700]}, "size and xyz in metres"),
+        (WALL, "scale: 1 says that it is meant"),
+    ],
+)
+def test_what_is_near_as_millimetres_and_far_as_given_is_refused(
+    obstacle: dict[str, Any], expected: str, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    outcome = run(command, write_scene(tmp_path / "mm.yaml", with_obstacle(**obstacle)))
+    assert (outcome.status, outcome.out) == (2, "")
+    line = outcome.err.splitlines()[-1]
+    assert ": obstacles[0]: got " in line
+    assert "millimetres" in line
+    assert expected in line
+
+
+def test_following_the_advice_leads_to_a_scene_without_a_warning() -> None:
+    """The table in metres, by its scale, and in metres by hand are the same obstacle."""
+    lying = [1.8, 0.7, -4.7]
+    read = cmbot.load_scene(with_obstacle(**{**TABLE, "scale": 0.001, "xyz": lying}))
+    same = cmbot.load_scene(with_obstacle(name="table", box=[1, 0.8, 0.06], xyz=lying))
+    assert read.all_obstacles[0].shape == same.all_obstacles[0].shape
+    assert not precheck_scene(read).warnings
+    assert not precheck_scene(cmbot.load_scene(with_obstacle(**WALL, scale=1))).warnings
+
+
+def test_what_is_long_is_warned_of_until_its_scale_is_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    warning = "obstacle deck: got numbers that look like millimetres, expected metres (scale: 1 says that"
+    for scale, number in (({}, 1), ({"scale": 1}, 0)):
+        path = write_scene(tmp_path / "deck.yaml", with_obstacle(**DECK, **scale))
+        outcome = run("plan", path, "--force")
+        assert outcome.err.count(warning) == number
+        assert outcome.out.count("Numbers of obstacle deck look like millimetres; ") == number
+        assert run("check", path).out.count(warning) == number
+
+
+@pytest.mark.parametrize("name", shipped_scenes())
+def test_no_shipped_scene_is_suspected(name: str) -> None:
+    scene = cmbot.load_scene(name)
+    require_metres(scene, robot_of(scene))
+
+
+def test_a_long_guardrail_is_no_obstacle_in_millimetres() -> None:
+    """Its posts are far away, and would be near if they were in millimetres."""
+    scene = short_scene(guardrail={"bays": 40, "post_spacing_m": 2.0})
+    require_metres(scene, robot_of(scene))
+
+
+def test_a_vast_mesh_is_refused_and_its_scale_is_what_helps(tmp_path: Path) -> None:
+    trimesh.creation.box((300, 400, 60)).export(tmp_path / "block.stl")
+    block = {"name": "block", "mesh": str(tmp_path / "block.stl"), "xyz": [1.8, 0.7, -4.7]}
+    scene = cmbot.load_scene(with_obstacle(**block))
+    with pytest.raises(SceneError, match=r"got block, 300 x 400 x 60 m: like millimetres, .*scale: 0\.001"):
+        cmbot.plan(scene)
+    scaled = precheck_scene(cmbot.load_scene(with_obstacle(**block, scale=0.001)))
+    assert not scaled.warnings
+    assert dict(scaled.found)["obstacles"].startswith(str(len(short_scene().all_obstacles) + 1))

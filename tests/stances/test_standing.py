@@ -1,0 +1,418 @@
+"""Where to stand: candidates, bounds, the ranked table, the scene with the best stance."""
+
+import csv
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+from small_scenes import short_scene
+
+import cmbot
+from cmbot.common.errors import PlanningError, SceneError
+from cmbot.planning import plan, robot_of, strokes_of, task_of
+from cmbot.robot import Climber
+from cmbot.scene import FootholdFile, Scene, StanceFile, foothold_pose
+from cmbot.stances import (
+    Candidate,
+    Standing,
+    StandOptions,
+    best_scene,
+    bounds_table,
+    candidate_at,
+    candidates_of,
+    in_words,
+    in_world,
+    own_candidate,
+    planned_table,
+    require_planned,
+    scene_at,
+    screen,
+    stances_csv,
+    stand,
+)
+from cmbot.stances.arm import BaseArm, _Goals
+from cmbot.stances.candidates import climber_in_the_way
+from cmbot.views import stances_page
+from cmbot.views.overview.stances import _apart
+
+COARSE = StandOptions(spacing=0.7, pair_spacing=np.inf, plans=1)
+
+
+def scene_of(objective: str = "hold", **changes: Any) -> Scene:
+    return short_scene(planner={"objective": objective, "knots": "sliding"}, **changes)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return scene_of()
+
+
+@pytest.fixture(scope="module")
+def standing(scene: Scene) -> Standing:
+    (standing,) = stand(scene, COARSE)
+    return standing
+
+
+@pytest.fixture(scope="module")
+def candidates(scene: Scene) -> list[Candidate]:
+    return [*candidates_of(scene, 0.9, 0.6)]
+
+
+def test_a_candidate_is_where_the_robot_of_its_scene_is(scene: Scene, candidates: list[Candidate]) -> None:
+    two = [each for each in candidates if each.stance.foot_2 is not None]
+    assert 0 < len(two) < len(candidates)
+    for candidate in (candidates[3], two[0], two[-1]):
+        robot = robot_of(scene_at(scene, candidate, None))
+        placement = robot.model.frames[robot.model.getFrameId("arm_base")].placement
+        np.testing.assert_allclose(placement.homogeneous, candidate.base, atol=1e-9)
+        np.testing.assert_allclose(robot.foot_point, candidate.root[:3, 3], atol=1e-9)
+
+
+def test_no_candidate_is_another_one_with_a_foot_turned(scene: Scene, candidates: list[Candidate]) -> None:
+    def place(candidate: Candidate) -> tuple[float, ...]:
+        foot_2 = candidate.stance.foot_2
+        far = np.zeros(3) if foot_2 is None else foothold_pose(scene.elastic_guardrail, foot_2)[:3, 3]
+        parts = (candidate.root[:3, [1, 3]].ravel(), far, candidate.base.ravel())
+        return tuple(np.concatenate(parts).round(4) + 0.0)
+
+    assert len({place(candidate) for candidate in candidates}) == len(candidates)
+
+
+def test_the_climber_weighs_what_does_not_move(scene: Scene, candidates: list[Candidate]) -> None:
+    candidate = candidates[-1]
+    mass, centre = Climber().weight(candidate.climber)
+    robot = robot_of(scene_at(scene, candidate, None))
+    assert mass == pytest.approx(robot.carrier_mass)
+    whole = candidate.root[:3, :3] @ centre + candidate.root[:3, 3]
+    np.testing.assert_allclose(whole, robot.model.inertias[0].lever, atol=1e-9)
+
+
+@pytest.mark.parametrize("objective", ["torque", "hold"])
+def test_the_bound_is_that_of_the_charts(objective: str) -> None:
+    """At the scene's own stance, from above, and about as low as the global search finds."""
+    scene = scene_of(objective, tool={"process_force_n": [0, 0, -30]})
+    place, climber = FootholdFile(member="post_3", along_m=1.10), Climber()
+    own = Candidate(
+        stance=StanceFile(foot_1=place),
+        root=np.eye(4),
+        base=climber.poses(climber.working)[1],
+        climber=climber.working,
+    )
+    robot = robot_of(scene)
+    tasks = [task_of(stroke, scene) for stroke in strokes_of(scene, robot)]
+    found = screen(scene, robot, tasks, [own], scene.planner)
+    made = plan(scene)
+    bound = max(made.lower_bound.each[k] for k in (0, -1))
+    assert 0.99 * bound <= found.bound[0, 0] <= 1.05 * made.objective.planned_peak
+
+
+def test_where_postures_are_rare_they_are_sought_more_closely() -> None:
+    """Of the line from here: a few neighbours ask 418 Nm, charts at all via-points 365.6 Nm."""
+    scene = in_world(cmbot.load_scene("line"))
+    place = FootholdFile(member="top_rail", along_m=4.49, turn_deg=180)
+    X = foothold_pose(scene.elastic_guardrail, place)
+    there = candidate_at(place, None, X, Climber().hanging(X[:3, :3]), Climber())
+    robot = robot_of(scene)
+    tasks = [task_of(stroke, scene) for stroke in strokes_of(scene, robot)]
+    found = screen(scene, robot, tasks, [there], scene.planner)
+    assert found.bound[0, 0] == pytest.approx(365.6, rel=0.01)
+
+
+@pytest.mark.parametrize(("keep", "seconds"), [("pose", 0.8), ("position", 0.52)])
+def test_postures_are_too_fast_where_no_joint_velocities_within_the_bounds_lead_on(
+    keep: Any, seconds: float
+) -> None:
+    """Against linear programs for the least largest share of a bound."""
+    scene = scene_of("torque", tool_path={"keep": keep, "legs": [{"by": [0, -0.3, 0], "seconds": seconds}]})
+    robot = robot_of(scene)
+    task, arm = task_of(strokes_of(scene, robot)[0], scene), BaseArm(scene, robot)
+    base = robot.model.frames[robot.model.getFrameId("arm_base")].placement.homogeneous
+    goals = _Goals.of(task, 0.5 * seconds, base[None])
+    q, of = arm._near(goals, 40, steps=10)
+    fast = arm._too_fast(q, of, goals)
+    rate = np.concatenate(
+        [base[:3, :3].T @ task.path.velocity([0.5 * seconds])[0], np.zeros(task.dimension - 3)]
+    )
+    bound = arm.limits.velocity[:, None]
+    within = np.vstack([np.hstack([sign * np.eye(robot.dof), -bound]) for sign in (1, -1)])
+    each = arm.postures.tool_at(q).jacobian[:, : task.dimension]
+    least = [
+        linprog(
+            [*np.zeros(robot.dof), 1],
+            A_ub=within,
+            b_ub=np.zeros(len(within)),
+            A_eq=np.hstack([J, np.zeros((len(J), 1))]),
+            b_eq=rate,
+            bounds=(None, None),
+        ).fun
+        for J in each
+    ]
+    assert (np.array(least)[fast] > 1).all()
+    assert (np.array(least)[~fast] < 1.05).all()
+    assert 0 < fast.sum() < len(fast)
+
+
+def test_the_ranked_table(standing: Standing) -> None:
+    rows = [*csv.DictReader(stances_csv([standing]).splitlines())]
+    assert {row["judged_by"] for row in rows if row["status"] == "out of reach"} == {"reach"}
+    assert rows[0]["judged_by"] == "plan"
+    assert len(rows) == len(standing.ranked) > 20
+    assert {row["status"] for row in rows} <= {
+        "planned",
+        "failed",
+        "blocked",
+        "screened",
+        "no posture",
+        "out of reach",
+    }
+    assert rows[0]["status"] == "planned"
+    bounds = [float(row["bound"]) for row in rows if row["status"] == "screened"]
+    assert bounds == sorted(bounds)
+    assert float(rows[0]["planned"]) == pytest.approx(standing.best.plan.objective.planned_peak, rel=1e-5)
+
+
+def test_the_best_stance_needs_less_than_the_scenes(scene: Scene, standing: Standing) -> None:
+    best, usual = standing.best.plan, plan(scene)
+    assert best.figures.adhesion_needed.peak < usual.figures.adhesion_needed.peak
+    np.testing.assert_allclose(best.samples.tool_point[0], usual.samples.tool_point[0], atol=1e-6)
+    loaded = best_scene(standing)
+    assert loaded.stance == best.scene.stance
+    said = list(in_words(standing))
+    assert said[0].startswith(f"Best of those planned: {standing.best.place}, ")
+    assert sum("may be better" in line for line in said) == 1
+    (own,) = standing.own
+    assert own.plan.objective.planned_peak == pytest.approx(usual.objective.planned_peak, rel=1e-6)
+    np.testing.assert_allclose(own.plan.robot.foot_point, usual.robot.foot_point, atol=1e-12)
+    less = 100 * (1 - best.objective.planned_peak / own.plan.objective.planned_peak)
+    assert sum(f"own stance asks {own.plan.objective.planned_peak:.1f} N at" in line for line in said) == 1
+    assert sum(f"the best one asks {less:.1f} % less" in line for line in said) == 1
+
+
+RAIL = {"name": "top", "height_m": 0.0, "section": {"angle": [0.075, 0.008]}, "box_m": [0.075, 0.075]}
+PLACE = {"member": "post_3"}
+WIDE = StandOptions(spacing=1.5, pair_spacing=np.inf, plans=1)
+
+
+def test_no_best_stance_is_worse_than_the_scenes(scene: Scene) -> None:
+    """Of one that is better than any on another grid."""
+    (better,) = stand(scene, WIDE)
+    good = best_scene(better)
+    (found,) = stand(good, replace(WIDE, spacing=2.2))
+    peak = plan(good).objective.planned_peak
+    assert found.best.plan.objective.planned_peak <= peak * (1 + 1e-9)
+    assert found.best.own
+    assert best_scene(found).stance == good.stance
+    assert "The scene's own stance is the best of those planned." in in_words(found)
+
+
+@pytest.mark.parametrize(
+    "guardrail",
+    [
+        {},
+        {"foot": {"post": 2}},
+        {"foot": {"post": 3, "offset_m": 0.4}, "rails": [RAIL]},
+        {"stance": {"foot_1": {"member": "top_rail", "along_m": 4.4, "turn_deg": 90}}},
+        {"stance": {"foot_1": {**PLACE, "along_m": 0.99}, "foot_2": {**PLACE, "along_m": 0.39}}},
+    ],
+)
+def test_the_scenes_own_stance(guardrail: dict[str, Any]) -> None:
+    scene = scene_of("torque", guardrail=guardrail)
+    own, robot = own_candidate(scene), robot_of(scene)
+    there = robot_of(scene_at(scene, own, None))
+    base = robot.model.frames[robot.model.getFrameId("arm_base")].placement
+    np.testing.assert_allclose(own.base, base.homogeneous, atol=1e-9)
+    np.testing.assert_allclose(own.root[:3, 3], robot.foot_point, atol=1e-9)
+    np.testing.assert_allclose(there.foot_point, robot.foot_point, atol=1e-12)
+    # On a grid that has it, too, it is there once, and first.
+    each = [*candidates_of(scene, 0.7, np.inf, first=[own])]
+    assert each[0] is own
+    assert [*candidates_of(scene, 0.7, np.inf, first=[own, own])][1] is not own
+    # Where feet are to hold other members, it is none.
+    assert own not in [*candidates_of(scene, 0.7, np.inf, ["post_5"], first=[own])]
+
+
+def test_the_most_frequent_reasons(standing: Standing) -> None:
+    causes = [each.cause for each in standing.ranked if each.cause]
+    assert len(causes) == len(standing.ranked) - standing.count("planned") - standing.count("screened")
+    assert 1 <= len(standing.reasons) <= 3
+    counts = [number for _, number in standing.reasons]
+    assert counts == sorted(counts, reverse=True) == [causes.count(cause) for cause, _ in standing.reasons]
+    assert max(map(causes.count, set(causes))) == counts[0]
+    first, number = standing.reasons[0]
+    assert sum(f"left out most often for: {first}, {number}" in line for line in in_words(standing)) == 1
+
+
+class _Stopped:
+    """Stops a search at a step, or lets its clock run on there."""
+
+    def __init__(self, at: str, *, interrupts: bool = True) -> None:
+        self._at, self._interrupts, self.now, self.steps = at, interrupts, 0.0, list[str]()
+
+    def clock(self) -> float:
+        return self.now
+
+    def __call__(self, step: str, share: float) -> None:
+        del share
+        self.steps.append(step)
+        if self._at in step:
+            if self._interrupts:
+                raise KeyboardInterrupt
+            self.now += 1e9
+
+
+@pytest.mark.parametrize("at", ["checking", "charting", "planning stance 1"])
+def test_a_search_that_is_stopped_keeps_the_best_so_far(scene: Scene, at: str) -> None:
+    stopped = _Stopped(at)
+    (found,) = stand(scene, WIDE, stopped)
+    assert found.ended_by == "interrupt"
+    assert found.best.own
+    assert found.count("planned") == 1
+    assert stopped.steps.index("planning the scene's own stance") < len(stopped.steps) - 1
+    # Who stopped it is not asked again.
+    assert at in stopped.steps[-1]
+    assert sum("ended early, as it was stopped: what was planned" in line for line in in_words(found)) == 1
+
+
+@pytest.mark.parametrize("at", ["screening", "own stance"])
+def test_a_search_that_has_nothing_is_stopped(scene: Scene, at: str) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        stand(scene, WIDE, _Stopped(at))
+
+
+def test_a_search_ends_with_its_time(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    late = _Stopped("checking", interrupts=False)
+    monkeypatch.setattr("cmbot.stances.search.monotonic", late.clock)
+    (found,) = stand(scene, replace(WIDE, time_limit=1e6), late)
+    assert found.ended_by == "time"
+    assert found.best.own
+    assert sum("checking" in step for step in late.steps) == 1
+    assert sum("its time was over (--time-limit): what" in line for line in in_words(found)) == 1
+
+
+def test_without_time_nothing_is_planned(scene: Scene) -> None:
+    (found,) = stand(scene, replace(WIDE, time_limit=0.0))
+    assert found.best is None
+    with pytest.raises(PlanningError, match=r"was planned; the time was over \(--time-limit\), most often"):
+        require_planned([found])
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"tool_path": {"from": {"xyz": [30, 0.8, -2]}}}, "out of reach; in the .* m from the arm's first"),
+        (
+            {"tool_path": {"from": {"xyz": [1.8, 4, -2]}}},
+            "in the nearest one, .* nearest is .* mm and .* off",
+        ),
+        (
+            {"guardrail": {"hold": {"kind": "magnet", "adhesion_n": 300}}},
+            "a foot uses [0-9]{4}% of its hold",
+        ),
+    ],
+)
+def test_where_no_stance_reaches_the_path(changes: dict[str, Any], said: str) -> None:
+    with pytest.raises(PlanningError, match=f"^no stance of [0-9]+ is left for stroke work: .*{said}"):
+        stand(scene_of("torque", **changes), WIDE)
+
+
+def test_where_none_is_within_reach_of_the_links() -> None:
+    away = scene_of("torque", tool_path={"from": {"xyz": [30, 0.8, -2]}})
+    with pytest.raises(PlanningError, match="no stance of 4 is left for stroke work: 4 out of reach; in"):
+        stand(away, replace(WIDE, members=("top_rail",)))
+
+
+def test_members_that_no_foot_holds(scene: Scene) -> None:
+    with pytest.raises(PlanningError, match="no place on bar_1 in which a foot holds; round bars"):
+        stand(scene, replace(WIDE, members=("bar_1",)))
+
+
+def test_none_that_was_not_planned_may_be_much_better(standing: Standing) -> None:
+    best = standing.best
+    assert best.bound <= best.plan.objective.planned_peak <= standing.best_unplanned / 0.98
+
+
+def test_stances_that_load_the_guardrail_too_much_are_left_out(scene: Scene) -> None:
+    """Where the best postures of the charts do, no plan is made."""
+    (standing,) = stand(scene, replace(COARSE, max_torque=1.0, charts=1, checks=5))
+    heavy = [each for each in standing.ranked if each.status == "too much torque"]
+    (charted,) = [each for each in heavy if each.judged == "charts"]
+    assert "Nm on the guardrail in its best postures, 1 Nm are allowed" in charted.reason
+    (own,) = [each for each in heavy if each.judged == "plan"]
+    assert own.own
+    assert own.reason.endswith(" Nm on the guardrail, 1 Nm are allowed")
+    assert sum(", 2 that load the guardrail" in line for line in in_words(standing)) == 1
+    assert standing.count("failed") == 0
+    assert standing.best is None
+
+
+def test_the_page_opens_no_connection(standing: Standing) -> None:
+    page = stances_page([standing])
+    assert "<script" not in page
+    assert "http://" not in page
+    # One for each stance, in the legend one for each status that there is, and one for each foot at work.
+    shown = len(standing.ranked) + len({each.status for each in standing.ranked})
+    feet = 1 + (standing.ranked[0].candidate.stance.foot_2 is not None)
+    assert page.count("<circle") == shown + feet
+    # Pointing at a stance with a figure tells which one it is.
+    known = [each for each in standing.ranked if np.isfinite(each.bound)]
+    assert page.count("<title>1: ") == 1
+    assert page.count("</title></circle>") == len(known)
+
+
+def test_numbers_beside_dots_are_apart() -> None:
+    given = [(100.0, 300.0, 1), (100.0, 297.0, 2), (104.0, 290.0, 3), (300.0, 291.0, 4)]
+    placed = {rank: (x, y) for x, y, rank in _apart(given)}
+    assert placed[1] == (100.0, 300.0)
+    assert placed[4] == (300.0, 291.0)
+    assert [placed[k][0] for k in (1, 2, 3)] == [100.0, 100.0, 104.0]
+    assert np.all(-np.diff([placed[k][1] for k in (1, 2, 3)]) >= 13.0)
+
+
+def test_what_is_planned_is_apart_from_what_is_bounded(standing: Standing) -> None:
+    """A bound in a column of planned values reads like one."""
+    figures, best = standing.best.plan.figures, standing.best.place
+    _, rows = planned_table(standing)
+    needed = f"{figures.adhesion_needed.peak / 1e3:.2f}"
+    assert rows[0] == ("1", best, f"{figures.peak_guardrail_torque:.1f}", needed)
+    planned = standing.count("planned")
+    assert len(rows) == planned < 12
+    # Clamps need no adhesion, and have no column of it.
+    clamped: Any = SimpleNamespace(
+        place=best,
+        plan=SimpleNamespace(figures=SimpleNamespace(peak_guardrail_torque=1.0, adhesion_needed=None)),
+    )
+    alone: Any = SimpleNamespace(ranked=[clamped])
+    assert planned_table(alone) == (("", "stance", "torque, Nm"), [("1", best, "1.0")])
+    headings, rows = bounds_table(standing, 12)
+    assert "bound, " in headings[-1]
+    assert [row[0] for row in rows] == [str(k) for k in range(planned + 1, 13)]
+    others = standing.ranked[planned : planned + 2]
+    assert [row[-1] for row in rows[:2]] == [f"{each.bound:.1f}" for each in others]
+    page = stances_page([standing])
+    begin = page.index("<h2>Planned</h2>")
+    assert begin < page.index(best, begin) < page.index("<h2>Not planned")
+    assert page.count("<table>") == 3  # the last one is folded
+
+
+def test_the_climber_keeps_clear_of_members() -> None:
+    """From the side of a post it hangs through the bars; on the outer side it does not."""
+    scene, climber = in_world(scene_of()), Climber()
+    found = {}
+    for face in ("outer", "right"):
+        place = FootholdFile(member="post_3", along_m=0.79, face=face)
+        X = foothold_pose(scene.elastic_guardrail, place)
+        found[face] = climber_in_the_way(
+            scene, candidate_at(place, None, X, climber.hanging(X[:3, :3]), climber)
+        )
+    assert found["outer"] is None
+    assert "bar_" in found["right"]
+
+
+def test_what_cannot_be_screened(scene: Scene) -> None:
+    with pytest.raises(SceneError, match="torque or hold, by which stances are screened"):
+        stand(scene.with_options(objective="sag"))
+    with pytest.raises(SceneError, match="the shipped robot, an arm on a climber that holds a guardrail"):
+        stand(scene_of("torque", guardrail={"bays": 0}))

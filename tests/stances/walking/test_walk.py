@@ -1,0 +1,276 @@
+"""Walking: the robot on either foot, what steps ask, a certified step, and refusals."""
+
+import csv
+import json
+import re
+from itertools import count, pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from small_scenes import short_scene
+from walks import ARM_DEG, CLAMP, COUNTERWEIGHT_DEG, feet, one_step
+from walks import scene_on_two_feet as scene_at
+
+import cmbot
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import PlanningError, SceneError
+from cmbot.planning import Deadline, FreeSpace
+from cmbot.robot import Climber, Kinematics, load_climbing_robot
+from cmbot.scene import FootholdFile, Scene, StanceFile
+from cmbot.stances import Candidate, in_the_way, places_of
+from cmbot.stances.walking import (
+    Walk,
+    WalkOptions,
+    load_goal,
+    stance_of,
+    walk,
+    walk_csv,
+    walk_data,
+    walk_samples,
+)
+from cmbot.stances.walking.balance import Balance
+from cmbot.stances.walking.route import Edge, Route, nodes_between
+from cmbot.stances.walking.steps import plan_step, swinging_robot
+from cmbot.stances.walking.walk import _cause, _Search
+from cmbot.views import walk_page
+from cmbot.views.overview.guardrail_map import guardrail_map
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return scene_at(4.04, 4.44, CLAMP)
+
+
+@pytest.fixture(scope="module")
+def balance(scene: Scene) -> Balance:
+    return Balance(scene, np.array(scene.posture))
+
+
+@pytest.fixture(scope="module")
+def node(scene: Scene) -> Candidate:
+    return stance_of(scene)
+
+
+@pytest.fixture(scope="module")
+def walked() -> Walk:
+    return one_step()
+
+
+def test_a_step_is_the_same_on_a_slow_machine(walked: Walk, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On one whose every look at the clock takes an hour, while trees seek the way."""
+    (step,), straight = walked.steps, FreeSpace.straight
+    (whole,) = (move.segment.trajectory.q[[0, -1]] for move in step.moves if move.kind == "swing")
+
+    def but_the_whole(space: FreeSpace, start: FloatArray, end: FloatArray) -> bool:
+        return not np.allclose([start, end], whole) and straight(space, start, end)
+
+    def planned() -> list[FloatArray]:
+        arm = np.radians(COUNTERWEIGHT_DEG)
+        moves = plan_step(walked.scene, step.before, step.after, step.foot, arm, walked.speed)
+        return [move.segment.trajectory.q for move in moves]
+
+    monkeypatch.setattr(FreeSpace, "straight", but_the_whole)
+    quick = planned()
+    hours = (3600.0 * k for k in count())
+    monkeypatch.setattr(Deadline.__init__, "__defaults__", (np.inf, hours.__next__, None))
+    for one, other in zip(quick, planned(), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert next(hours) > 3600.0
+
+
+def test_on_foot_2_it_is_the_same_robot() -> None:
+    arm, rng = np.radians(ARM_DEG), np.random.default_rng(1)
+    one, two = (load_climbing_robot(foot, np.eye(4), arm, payload=3.0) for foot in (1, 2))
+    assert two.joints == one.joints[::-1]
+    assert two.mass == pytest.approx(one.mass)
+    for q in rng.uniform(-1, 1, (4, 5)):
+        X = Kinematics(one).tool_pose(q).homogeneous
+        np.testing.assert_allclose(X, Climber().poses(q)[0], atol=1e-9)
+        back = Kinematics(two).tool_pose(q[::-1]).homogeneous
+        np.testing.assert_allclose(back, np.linalg.inv(X), atol=1e-9)
+        centres = [
+            (robot.arm_mass * pin.centerOfMass(robot.model, robot.model.createData(), posture.copy())
+             + robot.carrier_mass * robot.model.inertias[0].lever) / robot.mass
+            for robot, posture in ((one, q), (two, q[::-1]))
+        ]  # fmt: skip
+        np.testing.assert_allclose(X[:3, :3] @ centres[1] + X[:3, 3], centres[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("foot", [1, 2])
+def test_what_holding_on_to_a_foot_asks(scene: Scene, node: Candidate, balance: Balance, foot: Any) -> None:
+    """Against the whole robot's inverse dynamics."""
+    load, goes = balance.step_load(node, foot), 2 if foot == 1 else 1
+    for k in (0, 17):
+        robot = swinging_robot(scene, node, goes, balance.arms[k])
+        q = node.climber if foot == 1 else node.climber[::-1].copy()
+        torque = pin.computeGeneralizedGravity(robot.model, robot.model.createData(), q)
+        assert load.effort[k] == pytest.approx(np.abs(torque / robot.limits.torque).max(), rel=1e-6)
+        data = robot.model.createData()
+        pin.rnea(robot.model, data, q, np.zeros(5), np.zeros(5))
+        centre = pin.centerOfMass(robot.model, data, q)
+        moment = np.cross(centre - robot.foot_point, robot.arm_mass * robot.model.gravity.linear)
+        wrench = np.hstack([robot.arm_mass * robot.model.gravity.linear, moment])[None]
+        # A clamp needs none.
+        needed = robot.holding.each(wrench)[0, 0] if robot.holding.adhesive else 0.0
+        assert load.adhesion[k] == pytest.approx(needed, rel=1e-6)
+        share = max(robot.holding.share(wrench)[0][0], load.effort[k])
+        assert load.use[k] == pytest.approx(share, rel=1e-6)
+
+
+def test_a_step_is_certified(walked: Walk) -> None:
+    """Places, speed and the lift along the face's normal, sampled from the trajectories."""
+    (step,) = walked.steps
+    assert [move.kind for move in step.moves] == ["lift", "swing", "set"]
+    ends, places = [], (step.before.root, step.after.root)
+    for move in step.moves:
+        assert move.segment.certificate.holds
+        assert {"tool speed"} < {check.quantity for check in move.segment.certificate.checks}
+        t = np.linspace(0.0, move.segment.duration, 200)
+        q, v = move.segment.trajectory.states(t)[:2]
+        p, J = Kinematics(move.robot).tool_point_jacobians(q)
+        assert np.linalg.norm(np.einsum("kij,kj->ki", J, v), axis=1).max() <= 0.03
+        ends += [p[0], p[-1]]
+        if move.kind != "swing":
+            place = places[0 if move.kind == "lift" else 1]
+            aside = (p - place[:3, 3]) @ place[:3, [0, 2]]
+            assert np.abs(aside).max() < 2e-3
+    np.testing.assert_allclose(ends[0], places[0][:3, 3], atol=1e-6)
+    np.testing.assert_allclose(ends[-1], places[1][:3, 3], atol=1e-6)
+    np.testing.assert_allclose(ends[1:-1:2], ends[2::2], atol=1e-6)
+    assert walked.seconds > 0.11 / 0.03
+
+
+def test_a_walk_as_files(walked: Walk) -> None:
+    rows = [*csv.DictReader(walk_csv(walked).splitlines())]
+    assert {row["holds"] for row in rows} == {"2"}
+    assert float(rows[-1]["t"]) == pytest.approx(walked.seconds, rel=1e-5)
+    for row, node in ((rows[0], walked.steps[0].before), (rows[-1], walked.goal)):
+        place = [float(row[f"foot_1_{axis}"]) for axis in "xyz"]
+        np.testing.assert_allclose(place, node.root[:3, 3], atol=1e-6)
+        assert row["share_1"] == ""
+        assert 0 < float(row["share_2"]) <= 1
+    data = json.loads(json.dumps(walk_data(walked)))
+    assert data["steps"][0]["to"] == "top_rail at 4.09 m (outer)"
+    page = walk_page(walked)
+    assert "<script" not in page
+    assert "http://" not in page
+    assert page.count("<circle") == 3
+    assert "1 step and 0 moves of the arm" in page
+
+
+def test_the_map_shows_what_is_on_the_rail() -> None:
+    on_rail = {"name": "lamp", "cylinder": [0.05, 0.2], "xyz": [0.6, 0.0, 0.15]}
+    beside = {"name": "tank", "sphere": 0.2, "xyz": [0.6, 0.9, 0.0]}
+    samples = list(walk_samples(one_step()))
+    drawn = guardrail_map(scene_at(4.04, 4.44, CLAMP, obstacles=[on_rail, beside]), samples)
+    assert "lamp" in drawn
+    assert "tank" not in drawn
+    # 0.1 m wide and 0.2 m high.
+    width, height = (
+        float(x) for x in re.search(r'width="([\d.]+)" height="([\d.]+)"[^>]*><title>lamp', drawn).groups()
+    )
+    assert height == pytest.approx(2 * width, rel=0.01)
+
+
+def test_a_foot_keeps_clear_of_joints_and_lamps(scene: Scene) -> None:
+    near_post = FootholdFile(member="top_rail", along_m=3.45)
+    assert in_the_way(scene, near_post) == "post_3"
+    assert in_the_way(scene, FootholdFile(member="top_rail", along_m=3.9)) is None
+    lamp = {"name": "lamp", "cylinder": [0.05, 0.2], "xyz": [0.4, 0.15, 0.0]}
+    lit = scene_at(4.04, 4.44, CLAMP, obstacles=[lamp])
+    assert in_the_way(lit, FootholdFile(member="top_rail", along_m=3.9)) == "lamp"
+    places = {(each.member, each.along_m) for each in places_of(lit, 0.1)}
+    assert places < {(each.member, each.along_m) for each in places_of(scene, 0.1)}
+
+
+def test_the_route_has_only_steps_that_hold(scene: Scene, node: Candidate, balance: Balance) -> None:
+    goal = stance_of(scene_at(4.34, 4.74, CLAMP))
+    route = Route(nodes_between(scene, node, goal, 0.6), balance)
+    edges = route.shortest(0)
+    assert edges is not None
+    assert (edges[0].before, edges[-1].after) == (0, 1)
+    for edge in edges:
+        holds = 2 if edge.foot == 1 else 1
+        weights = route.counterweights(edge, -1)
+        assert len(weights)
+        assert (route.use[holds][[edge.before, edge.after]][:, weights] <= 0.9).all()
+    for edge in edges:
+        route.close(edge)
+    assert route.shortest(0) != edges
+
+
+class Graph:
+    """A route over a graph given by its edges, each as dear as the others."""
+
+    def __init__(self, *edges: tuple[int, int]) -> None:
+        self.edges = {*edges, *((b, a) for a, b in edges)}
+
+    def shortest(self, start: int) -> list[Edge] | None:
+        ways, seen = [[start]], {start}
+        for way in ways:
+            if way[-1] == 1:
+                return [Edge(before=a, after=b, foot=1) for a, b in pairwise(way)]
+            ahead = sorted(b for a, b in self.edges if a == way[-1] and b not in seen)
+            seen |= set(ahead)
+            ways += [[*way, b] for b in ahead]
+        return None
+
+    def close(self, edge: Edge) -> None:
+        self.edges -= {(edge.before, edge.after), (edge.after, edge.before)}
+
+
+class Steps(_Search):
+    """The search with steps that are made at once, but some that are impossible."""
+
+    def __init__(self, graph: Graph, impossible: set[tuple[int, int]]) -> None:
+        super().__init__(None, None, graph, np.zeros(7), WalkOptions(), lambda _step, _share: None)
+        self.impossible, self.tried = impossible, 0
+
+    def _step(self, edge: Edge) -> Any:
+        self.tried += 1
+        if (edge.before, edge.after) in self.impossible:
+            self.failures.append("impossible")
+            return None
+        self.arm, self._weight = self.arm + 1.0, edge.after
+        return edge.before, edge.after
+
+    def _check(self, k: int) -> None:
+        self._checked.add(k)
+
+
+def test_steps_that_lead_nowhere_are_not_walked() -> None:
+    """What leads on from where the walk was before is taken from there, with the arm as it was."""
+    search = Steps(Graph((0, 2), (2, 3), (3, 4), (4, 1), (2, 5), (5, 6), (6, 7), (7, 1)), {(4, 1)})
+    assert search.steps() == [(0, 2), (2, 5), (5, 6), (6, 7), (7, 1)]
+    assert search.tried == 8
+    assert search.arm[0] == 5.0
+    assert search._weight == 1
+
+
+def test_causes_are_short_within_what_is_said_of_a_walk() -> None:
+    """They are as long as messages themselves: a message that is cut leaves out what matters."""
+    first = "no path beyond t = 0.10 s: link_3 is too near to post_2"
+    assert _cause(f"{first}; another place for the tool path may help") == first
+    assert len(_cause("word " * 100)) <= 120
+    assert {*_cause("word " * 100).split()} == {"word", "…"}
+
+
+def test_a_step_that_does_not_hold_is_refused_with_its_figures() -> None:
+    weak = scene_at(4.04, 4.44, {"kind": "magnet", "adhesion_n": 300})
+    with pytest.raises(PlanningError, match=r"easiest step.*% of its effort, adhesion needed \d+\.\d+ kN"):
+        cmbot.walk(weak, StanceFile.model_validate(feet(4.34, 4.74)), WalkOptions(spacing=0.8))
+
+
+def test_where_to(tmp_path: Any, scene: Scene) -> None:
+    (tmp_path / "there.json").write_text(json.dumps(feet(4.34, 4.74)))
+    goal = load_goal(tmp_path / "there.json")
+    assert isinstance(goal, StanceFile)
+    assert goal.foot_2.along_m == 4.74
+    assert isinstance(load_goal(Path("triangle")), Scene)
+    with pytest.raises(SceneError, match="no such file"):
+        load_goal("a" * 300)
+    with pytest.raises(SceneError, match="the shipped robot, an arm on a climber that holds a guardrail"):
+        walk(short_scene(guardrail={"bays": 0}), goal)
