@@ -44,7 +44,7 @@ _RECORDS, _FINENESS, _MOST_NUMBERS, _FEWEST_OUTSIDE = 2000, 2.5, 16_000_000, 20
 _EVERY_POSTURE = 2
 _FEWEST_RECORDS, _RECORD_SEED = 100, 2021
 # Signs of the six loads of a foot.
-_SIGNS = np.array(list(product((-1.0, 1.0), repeat=6)))
+_LOAD_SIGNS = np.array(list(product((-1.0, 1.0), repeat=6)))
 # Decay times after which a vibration is forgotten.
 _FORGETS = 5.0
 
@@ -310,6 +310,6 @@ def shaken_adhesion(
         for wrench, each in zip(planned, moments, strict=True):
             load = factor * np.sqrt(np.diag(foot.from_wrench @ each.value[3:, 3:] @ foot.from_wrench.T))
             planned_load = holding.load(number, wrench[None])
-            needed = float(needed_by_load(foot, planned_load + _SIGNS * load)[0].max())
+            needed = float(needed_by_load(foot, planned_load + _LOAD_SIGNS * load)[0].max())
             most = needed if most is None else max(most, needed)
     return most

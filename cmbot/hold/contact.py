@@ -35,17 +35,17 @@ MAGNET_PRESSURE = 2.0**2 / (2 * 4e-7 * np.pi)
 # Cells along the longer side of the contact's box; centres of turning: along each side of the box, closer
 # towards its corners, and on circles around it, by their radius in half sides and how many; points along the
 # hull's edge, and shares of the way to it, of centres of pressure.
-_CELLS, _CENTRES = 24, 21
-_CIRCLES = {1.15: 48, 1.4: 64, 1.8: 64, 2.3: 64, 3.2: 80, 6.0: 80, 20.0: 80}
-_BEARINGS, _WAYS = 72, (0.0, 0.2, 0.34, 0.45, 0.55, 0.65, 0.74, 0.82, 0.88, 0.93, 0.965, 0.985)
+_CONTACT_CELLS, _TURNING_CENTRES = 24, 21
+_TURNING_CIRCLES = {1.15: 48, 1.4: 64, 1.8: 64, 2.3: 64, 3.2: 80, 6.0: 80, 20.0: 80}
+_RIM_POINTS, _WAYS_OUT = 72, (0.0, 0.2, 0.34, 0.45, 0.55, 0.65, 0.74, 0.82, 0.88, 0.93, 0.965, 0.985)
 # Friction torques are taken lower by this share of what they have beside plain sliding: for centres of
 # turning and of pressure between those above, and the cells; by more near the edge, where pressures are on
 # few cells. Against a contact model with finer cells.
-_BETWEEN, _NEAR_EDGE, _EDGE = 0.07, 0.25, 0.9
+_TABLE_MARGIN, _NEAR_EDGE, _EDGE_FROM = 0.07, 0.25, 0.9
 # Share of the mean distance without a gap by which P h grows with P at least.
 _STEADY = 0.3
 # Newton's steps at most for pressures, and where they end, as a share.
-_STEPS, _CONVERGED = 60, 1e-9
+_PRESSURE_STEPS, _PRESSURE_CLOSE = 60, 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,9 +179,11 @@ class _Tables:
         second = self._points.T @ (self._areas[:, None] * self._points) / self._areas.sum()
         second += np.diag(self._areas @ side**2) / (12 * self._areas.sum())
         self.corners = -hull[:-1] @ np.linalg.inv(second)
-        angles = [2 * np.pi * np.arange(number) / number for number in _CIRCLES.values()]
-        circles = [r * np.column_stack([np.cos(a), np.sin(a)]) for r, a in zip(_CIRCLES, angles, strict=True)]
-        along = np.sin(np.linspace(-np.pi / 2, np.pi / 2, _CENTRES))
+        angles = [2 * np.pi * np.arange(number) / number for number in _TURNING_CIRCLES.values()]
+        circles = [
+            r * np.column_stack([np.cos(a), np.sin(a)]) for r, a in zip(_TURNING_CIRCLES, angles, strict=True)
+        ]
+        along = np.sin(np.linspace(-np.pi / 2, np.pi / 2, _TURNING_CENTRES))
         inside = np.array(np.meshgrid(along, along)).reshape(2, -1).T
         self.centres = np.vstack([inside, *circles]) * half
         away = np.linalg.norm(self._points[:, None] - self.centres, axis=2)
@@ -189,13 +191,13 @@ class _Tables:
         self.mean = self._lowered(share @ away, np.zeros((1, 2)))
         self.by_pressure = (np.linalg.inv(second) @ (self._points.T * share) @ away).T
         self._lay_bearings(hull)
-        e = (np.array(_WAYS)[:, None, None] * self._rim).reshape(-1, 2)
+        e = (np.array(_WAYS_OUT)[:, None, None] * self._rim).reshape(-1, 2)
         found = self._lowered(_pressures(self._points, self._areas, e) @ away, e)
-        table = found.reshape(len(_WAYS), len(self._rim), -1)
+        table = found.reshape(len(_WAYS_OUT), len(self._rim), -1)
         # Beyond the last one, up to the edge, as between the last two.
-        outward = (table[-1] - table[-2]) / (_WAYS[-1] - _WAYS[-2])
-        self._ways = np.array([*_WAYS, 1.0])
-        self.distance = np.concatenate([table, (table[-1] + (1.0 - _WAYS[-1]) * outward)[None]])
+        outward = (table[-1] - table[-2]) / (_WAYS_OUT[-1] - _WAYS_OUT[-2])
+        self._ways = np.array([*_WAYS_OUT, 1.0])
+        self.distance = np.concatenate([table, (table[-1] + (1.0 - _WAYS_OUT[-1]) * outward)[None]])
         # With e towards a corner, P h may hardly change with P; so much it does: see `_STEADY`.
         for k in range(1, len(self._ways) - 1):
             inner, outer = self._ways[k : k + 2]
@@ -208,7 +210,7 @@ class _Tables:
     def _lay_bearings(self, hull: FloatArray) -> None:
         """Lay points along the hull's edges, closer together towards corners: bearings of the table."""
         lengths = np.hypot(*np.diff(hull, axis=0).T)
-        counts = np.maximum(1, np.rint(_BEARINGS * lengths / lengths.sum())).astype(int)
+        counts = np.maximum(1, np.rint(_RIM_POINTS * lengths / lengths.sum())).astype(int)
         shares = [0.5 - 0.5 * np.cos(np.pi * np.arange(count + 1) / count) for count in counts]
         corners = zip(hull[:-1], np.diff(hull, axis=0), shares, strict=True)
         self._rim = np.vstack([start + share[:, None] * side for start, side, share in corners])
@@ -219,7 +221,7 @@ class _Tables:
         """Distances (…, C) less a share of what they have beside that of the centre of pressure."""
         plain = np.linalg.norm(e[:, None] - self.centres, axis=2).reshape(distance.shape)
         way = _largest(e, self.edges)[0]
-        lower = np.interp(way, [_EDGE, 1.0], [_BETWEEN, _NEAR_EDGE])
+        lower = np.interp(way, [_EDGE_FROM, 1.0], [_TABLE_MARGIN, _NEAR_EDGE])
         return np.asarray(distance - lower.reshape(-1, *(1,) * (distance.ndim - 1)) * (distance - plain))
 
     def _bounds(self) -> None:
@@ -366,7 +368,7 @@ def _cells(region: shapely.MultiPolygon) -> tuple[FloatArray, FloatArray, FloatA
     """Centroids (K, 2), m, and areas (K,), m2, of a region's cells, and sides (K, 2), m, of whole ones."""
     low_u, low_w, high_u, high_w = region.bounds
     sides = np.array([high_u - low_u, high_w - low_w])
-    counts = np.maximum(_CELLS // 2, np.rint(_CELLS * sides / sides.max())).astype(int)
+    counts = np.maximum(_CONTACT_CELLS // 2, np.rint(_CONTACT_CELLS * sides / sides.max())).astype(int)
     # Narrow at the edges, so that centres of pressure near them are those of some pressure.
     ends = [0.5 - 0.5 * np.cos(np.pi * np.arange(count + 1) / count) for count in counts]
     u, w = low_u + sides[0] * ends[0], low_w + sides[1] * ends[1]
@@ -385,17 +387,17 @@ def _pressures(points: FloatArray, areas: FloatArray, e: FloatArray) -> FloatArr
     goal = np.column_stack([np.ones(len(e)), e / np.abs(points).max(axis=0)])
     gram, pairs = X.T @ (areas[:, None] * X), (X[:, :, None] * X[:, None, :]).reshape(-1, 9)
     c, rows = np.linalg.solve(gram, goal.T).T, np.arange(len(e))
-    for step in range(_STEPS):
+    for step in range(_PRESSURE_STEPS):
         pressure = c[rows] @ X.T
         on = np.where(pressure > 0, areas, 0.0)
         lack = (on * pressure) @ X - goal[rows]
-        open_ = np.abs(lack).max(axis=1) > _CONVERGED
+        open_ = np.abs(lack).max(axis=1) > _PRESSURE_CLOSE
         rows, on, lack = rows[open_], on[open_], lack[open_]
         if not len(rows):
             break
         active = (on @ pairs).reshape(-1, 3, 3) + 1e-9 * gram
         change = np.linalg.solve(active, lack[:, :, None])[:, :, 0]
         # Where cells come and go the whole step may lead to and fro.
-        c[rows] -= change if step < _STEPS // 3 else 0.3 * change
+        c[rows] -= change if step < _PRESSURE_STEPS // 3 else 0.3 * change
     pressure = np.maximum(c @ X.T, 0.0) * areas
     return np.asarray(pressure / pressure.sum(axis=1, keepdims=True))

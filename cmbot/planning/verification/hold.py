@@ -14,13 +14,13 @@ from cmbot.robot import Robot
 
 # What two computations may differ by, as a share of the largest, below and above, and N; by what share a
 # bound may be missed: this one has fewer centres of turning, the other one is on the safe side.
-_BELOW, _ABOVE, _LEAST, _LIMIT = 0.005, 0.06, 1e-6, 1e-9
+_MORE_THAN_FOUND, _LESS_THAN_FOUND, _LEAST_DIFFERENCE, _OF_BOUND = 0.005, 0.06, 1e-6, 1e-9
 # Cells along each side of the contact's box, centres of turning on a circle, the share of the way to its edge
 # up to which cells have a centre of pressure, and circles in half sides of the box.
-_CELLS, _ROUND, _SURE = 28, 24, 0.94
-_CIRCLES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.5, 2.5, 5.0)
+_SECOND_CELLS, _ON_CIRCLE, _INNER_WAY = 28, 24, 0.94
+_SECOND_CIRCLES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.5, 2.5, 5.0)
 # Steps of Newton's method for the pressure, and of the search for the adhesion.
-_STEPS, _HALVINGS = 40, 12
+_SECOND_STEPS, _SECOND_HALVINGS = 40, 12
 
 
 def hold_checks(robot: Robot, times: FloatArray, wrench: FloatArray) -> Iterator[Check]:
@@ -49,17 +49,22 @@ def hold_checks(robot: Robot, times: FloatArray, wrench: FloatArray) -> Iterator
             theirs = robot.holding.needed(number, wrench)
             own = _Plate(foot).adhesion(load, theirs)
             quantity = f"difference of the adhesion needed{which} from a second computation"
-            low, high = _BELOW * float(np.abs(own).max()), _ABOVE * float(np.abs(own).max())
-            off = np.maximum((own - theirs) / max(low, _LEAST), (theirs - own) / max(high, _LEAST))
+            low, high = (
+                _MORE_THAN_FOUND * float(np.abs(own).max()),
+                _LESS_THAN_FOUND * float(np.abs(own).max()),
+            )
+            off = np.maximum(
+                (own - theirs) / max(low, _LEAST_DIFFERENCE), (theirs - own) / max(high, _LEAST_DIFFERENCE)
+            )
             yield largest_check(quantity, times, off, 1.0, "of what is allowed")
             if foot.adhesion is not None:
-                bound = foot.adhesion / foot.safety * (1 + _BELOW)
+                bound = foot.adhesion / foot.safety * (1 + _MORE_THAN_FOUND)
                 quantity = f"adhesion needed{which} by a second computation"
                 yield largest_check(quantity, times, np.maximum(own, 0.0), bound, "N")
         if foot.force is not None and foot.moment is not None:
             use = foot.safety * (np.abs(load) / np.array([*foot.force, *foot.moment])).max(axis=1)
             quantity = f"load of the clamp{which} by a second computation"
-            yield largest_check(quantity, times, use, 1 + _LIMIT, "of its bounds")
+            yield largest_check(quantity, times, use, 1 + _OF_BOUND, "of its bounds")
 
 
 class _Plate:
@@ -71,15 +76,15 @@ class _Plate:
         rings = [np.array(ring) for ring in foot.contact.outline]
         corners = np.vstack(rings)
         low, high = corners.min(axis=0), corners.max(axis=0)
-        share = (np.arange(_CELLS) + 0.5) / _CELLS
+        share = (np.arange(_SECOND_CELLS) + 0.5) / _SECOND_CELLS
         points = np.array(np.meshgrid(share, share)).reshape(2, -1).T * (high - low) + low
         self.points = points[np.any([_inside(ring, points) for ring in rings], axis=0)]
         self.foot = foot
         side = ConvexHull(corners).equations
         self.edges = -side[:, :2] / side[:, 2:]
-        angle = 2 * np.pi * np.arange(_ROUND) / _ROUND
+        angle = 2 * np.pi * np.arange(_ON_CIRCLE) / _ON_CIRCLE
         circle = np.column_stack([np.cos(angle), np.sin(angle)]) * (high - low) / 2
-        self.centres = np.vstack([radius * circle for radius in _CIRCLES])
+        self.centres = np.vstack([radius * circle for radius in _SECOND_CIRCLES])
         self.away = np.linalg.norm(self.points[:, None] - self.centres, axis=2)
         self.second = self.points.T @ self.points / len(self.points)
         self.corners = corners
@@ -94,29 +99,31 @@ class _Plate:
         turning = load[:, 5:] + T[:, :1] * self.centres[:, 1] - T[:, 1:] * self.centres[:, 0]
         work = np.abs(turning) / self.foot.friction
         low, high = least, np.maximum(1.1 * (near - pull), 1.1 * least)
-        for _ in range(_HALVINGS):
+        for _ in range(_SECOND_HALVINGS):
             middle = 0.5 * (low + high)
             enough = (work <= middle[:, None] * (self._pressures(E / middle[:, None]) @ self.away)).all(
                 axis=1
             )
             low, high = np.where(enough, low, middle), np.where(enough, middle, high)
         only_least = (work <= least[:, None] * (self._pressures(E / least[:, None]) @ self.away)).all(axis=1)
-        tips = (E @ self.edges.T).max(axis=1) > _SURE * np.maximum(near - pull, 1e-9)
+        tips = (E @ self.edges.T).max(axis=1) > _INNER_WAY * np.maximum(near - pull, 1e-9)
         return np.asarray(pull + np.where(only_least | tips, least, high))
 
     def _pressures(self, e: FloatArray) -> FloatArray:
         """Forces (N, K) on the cells, one in all, linear and without tension, whose centre is at e (N, 2)."""
         X = np.column_stack([np.ones(len(self.points)), self.points / np.abs(self.points).max(axis=0)])
         # The cells' middles do not reach the edge.
-        e = e * np.minimum(1.0, _SURE / np.maximum((e @ self.edges.T).max(axis=1), 1e-9))[:, None]
+        e = e * np.minimum(1.0, _INNER_WAY / np.maximum((e @ self.edges.T).max(axis=1), 1e-9))[:, None]
         goal = np.column_stack([np.ones(len(e)), e / np.abs(self.points).max(axis=0)])
         c = goal @ np.linalg.inv(X.T @ X)
         pairs = (X[:, :, None] * X[:, None, :]).reshape(-1, 9)
-        for step in range(_STEPS):
+        for step in range(_SECOND_STEPS):
             on = (c @ X.T > 0).astype(float)
             lack = (on * (c @ X.T)) @ X - goal
             slope = (on @ pairs).reshape(-1, 3, 3) + 1e-9 * np.eye(3)
-            c -= (1.0 if step < _STEPS // 2 else 0.3) * np.linalg.solve(slope, lack[:, :, None])[:, :, 0]
+            c -= (1.0 if step < _SECOND_STEPS // 2 else 0.3) * np.linalg.solve(slope, lack[:, :, None])[
+                :, :, 0
+            ]
         pressure = np.maximum(c @ X.T, 0.0)
         return np.asarray(pressure / pressure.sum(axis=1, keepdims=True))
 

@@ -27,7 +27,7 @@ FACES = {
 # Members closer than this to the foot are those that it holds, m.
 _SAME_PLACE = 1e-3
 # A side of a section is flat where corners are less than this below its highest one, m.
-_FLAT = 1e-6
+_FLAT_WITHIN = 1e-6
 Derated = Annotated[tuple[Length, Annotated[float, Field(gt=0, le=1)]], Field(strict=False)]
 
 
@@ -148,7 +148,7 @@ class Face:
     def edge(self) -> bool:
         """Whether the steel is no wider than it is thick: the edge of a leg."""
         width = max((high - low for low, high in self.steel), default=0.0)
-        return self.thickness is not None and width <= self.thickness + _FLAT
+        return self.thickness is not None and width <= self.thickness + _FLAT_WITHIN
 
     @property
     def held_by_clamps_alone(self) -> str:
@@ -201,9 +201,9 @@ def _flat_side(
     c, s = np.cos(roll), np.sin(roll)
     corners = np.array(section_outline(section).exterior.coords) @ np.array([[c, s], [-s, c]])
     height, place = corners @ out, corners @ across
-    on = height >= height.max() - _FLAT
+    on = height >= height.max() - _FLAT_WITHIN
     sides = sorted(tuple(sorted(place[[k, k + 1]].tolist())) for k in np.flatnonzero(on[:-1] & on[1:]))
-    return float(height.max()), tuple((low, high) for low, high in sides if high - low > _FLAT)
+    return float(height.max()), tuple((low, high) for low, high in sides if high - low > _FLAT_WITHIN)
 
 
 @cache
