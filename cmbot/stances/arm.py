@@ -87,9 +87,7 @@ class BaseArm:
         self.postures, self.limits = Postures(self.robot), self.robot.limits
         self._force, self._mass = np.array(robot.tool_force), self.robot.arm_mass
         rng = np.random.default_rng(0)
-        half = self.limits.sampled_half
-        low, high = self.limits.range_middle - half, self.limits.range_middle + half
-        self._table = rng.uniform(low, high, (_TABLE, self.robot.dof))
+        self._table = self.limits.drawn(rng, _TABLE)
         at = self.postures.tool_at(self._table)
         self._points, self._rotations = at.tool_point, at.tool_rotation
         self._trees: dict[str, cKDTree] = {}

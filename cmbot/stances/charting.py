@@ -101,7 +101,7 @@ def _require_stow(request: StrokeRequest) -> None:
     why, pair = "", None
     if cell.use_at_rest(cell.postures.at(q))[0] > 1:
         why = f"{weakest_joint(request.cell, q)} cannot hold the arm in its stow posture"
-    elif cell.clearances.check_collision(q, cell.options.safety_margin_m)[0]:
+    elif not cell.clear(q)[0]:
         why, pair = (
             "the arm in its stow posture comes too near to something",
             most_often_near(request.cell, q),

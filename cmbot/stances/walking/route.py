@@ -70,7 +70,8 @@ def nodes_between(scene: Scene, first: Candidate, last: Candidate, spacing: floa
                 if (node.base[:3, 3] - X[:3, 3]) @ X[:3, 1] > 0:
                     nodes.append(node)
     angles = np.array([node.climber for node in nodes])
-    near = bare_climber(np.eye(4)).check_collision(angles, scene.planner.safety_margin_m)
+    margin = scene.planner.safety_margin_m
+    near = bare_climber(np.eye(4)).query(angles, margin).distance < margin
     return [node for k, node in enumerate(nodes) if k < 2 or not near[k]]
 
 
