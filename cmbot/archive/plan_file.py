@@ -29,6 +29,7 @@ from cmbot.accuracy import Accuracy
 from cmbot.common.errors import PathNotFound
 from cmbot.common.file_types import Count, NonNegative, OrInfinite, Share
 from cmbot.common.validation import FileModel, refusal
+from cmbot.hold import Foot
 from cmbot.planning import (
     Certificate,
     Check,
@@ -239,6 +240,15 @@ class StrokeFile(StrokeEntries):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ContactFile:
+    """The flat contact of a foot."""
+
+    area_cm2: NonNegative
+    outline_m: tuple[tuple[tuple[float, float], ...], ...]
+    """Its parts, along and across the member from its centroid."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class HashesFile:
     """SHA-256 of the inputs."""
 
@@ -272,6 +282,8 @@ class PlanFile(StrokeEntries):
     """Planned peak less its lower bound, as a share of the bound."""
     accuracy: Accuracy | None
     """Where the tool is beside its path; null where nothing bends."""
+    contact: tuple[ContactFile | None, ...]
+    """Of each foot; null on a round bar."""
     fallbacks: tuple[str, ...]
     stopped: Literal["time"] | None
     """``time``: planning was stopped by its time limit; null: the plan is the same on every machine."""
@@ -293,6 +305,7 @@ class PlanFile(StrokeEntries):
             status="certified" if plan.job.certificate.holds else "a promise is broken",
             baseline=_job_baseline(plan),
             planned=planned,
+            contact=tuple(map(_contact, plan.robot.feet)),
             segments=tuple(map(SegmentFile.of, plan.job.segments)),
             strokes=tuple(
                 StrokeFile.of(stroke, plan.robot, name=stroke.name, baseline=baseline)
@@ -309,6 +322,13 @@ class PlanFile(StrokeEntries):
         data: dict[str, Any] = TypeAdapter(PlanFile).dump_python(self, mode="json")
         first = {name: data[name] for name in ("format", "status", "baseline", "planned")}
         return first | data
+
+
+def _contact(foot: Foot) -> ContactFile | None:
+    """The contact of a foot."""
+    if foot.contact is None:
+        return None
+    return ContactFile(area_cm2=round(1e4 * foot.contact.area, 6), outline_m=foot.contact.outline)
 
 
 def _job_baseline(plan: Plan) -> JobBaselineFile | None:

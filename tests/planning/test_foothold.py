@@ -18,7 +18,7 @@ from cmbot.archive import export_mcap, load_plan, save
 from cmbot.collision import Clearances
 from cmbot.common.errors import ArchiveError, LimitViolation, PlanningError, SceneError
 from cmbot.hold import Holding
-from cmbot.planning import Plan, certify, plan, remarks
+from cmbot.planning import Plan, certify, plan, precheck_scene, remarks
 from cmbot.planning.result.holding import emergency_stop
 from cmbot.planning.verification.hold import hold_checks
 from cmbot.robot import Dynamics, Postures
@@ -98,6 +98,8 @@ def test_the_directory(held: Plan, tmp_path: Path) -> None:
     column = [float(line.split(",")[-2]) for line in lines[1:]]
     data = json.loads((folder / "plan.json").read_text())
     assert data["planned"]["adhesion_needed"]["mode"] == "tip"
+    assert data["contact"][0]["area_cm2"] == pytest.approx(93.75)
+    assert np.shape(data["contact"][0]["outline_m"]) == (1, 4, 2)
     assert data["planned"]["job"]["adhesion_needed"]["peak"] == pytest.approx(max(column), rel=1e-4)
     again = load_plan(folder, verify=True)
     names = [check.quantity for check in again.certificate.checks]
@@ -227,3 +229,11 @@ def test_a_plan_on_two_feet(tmp_path: Path) -> None:
 def replace_path(scene: cmbot.Scene, legs: list[dict[str, Any]]) -> cmbot.Scene:
     data = scene.as_data()
     return cmbot.load_scene(data | {"tool_path": {"legs": legs, "via_points": 6}})
+
+
+def test_a_scene_whose_feet_do_not_hold_at_the_start_is_told_so() -> None:
+    weak = precheck_scene(magnet_scene(1000.0))
+    assert "what the feet bear, safety included" in weak.warnings[0].got
+    assert not precheck_scene(magnet_scene()).warnings
+    with pytest.raises(PlanningError, match=r"where it begins the arm asks [0-9]+ % of what the feet bear"):
+        plan(magnet_scene(1000.0))

@@ -8,9 +8,12 @@ from itertools import product
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
+from cmbot.elastic.modes import arm_modes
+from cmbot.elastic.sag import TooSoftError
 from cmbot.hold import CLAMP_LOAD, AdhesionPeak, Foot, Holding
 from cmbot.planning.result.plan import Plan
 from cmbot.planning.result.verdict import during, tightest_check
+from cmbot.planning.workcell.workcell import bending_arm
 from cmbot.robot import Dynamics, Robot
 
 # States of a segment in which a stop is looked at.
@@ -19,6 +22,8 @@ _STATES = 200
 _MOST_JOINTS = 8
 # What a magnet is thought to lose to rust, paint and gaps.
 _LESS = 0.2
+# Of the slowest modes the quickest one of so many decides how much of a short stop reaches the feet.
+_SLOW_MODES = 4
 
 
 def holding_remarks(plan: Plan) -> Iterator[str]:
@@ -51,7 +56,10 @@ def _adhesion(plan: Plan, holding: Holding, needed: AdhesionPeak) -> Iterator[st
     before = None if plan.baseline is None else plan.baseline.job_figures.adhesion_needed
     other = "" if before is None else f"; baseline {_kilonewtons(before.peak)}"
     of = f", foot {needed.foot}" if len(holding.feet) > 1 else ""
-    most = f"{_kilonewtons(needed.peak)} ({needed.mode}, at {needed.time:.1f} s{of}{other})"
+    most = (
+        f"{_kilonewtons(needed.peak)} ({needed.mode}, at {needed.time:.1f} s{of}{other}; against tipping "
+        f"{_kilonewtons(needed.tip)}, so that no gap opens {_kilonewtons(needed.gap)})"
+    )
     stop = emergency_stop(plan)
     stopping = (
         ""
@@ -61,10 +69,11 @@ def _adhesion(plan: Plan, holding: Holding, needed: AdhesionPeak) -> Iterator[st
     if foot.kind == "welded":
         yield (
             "Hold: welded is assumed, so nothing here says whether the feet hold. As magnets they would need "
-            f"an adhesion of {most} on {_contact(foot)}.{stopping}"
+            f"an adhesion of {most} on {_contact(foot)}{_too_much(foot, needed.peak)}.{stopping}"
         )
     elif foot.adhesion is None:
-        yield f"Hold: the {foot.kind} needs an adhesion of {most} on {_contact(foot)}.{stopping}"
+        much = _too_much(foot, needed.peak)
+        yield f"Hold: the {foot.kind} needs an adhesion of {most} on {_contact(foot)}{much}.{stopping}"
     else:
         less = (1 - _LESS) * foot.adhesion
         factor = less / needed.peak if needed.peak > 0 else np.inf
@@ -84,7 +93,8 @@ def emergency_stop(plan: Plan) -> AdhesionPeak | None:
     """Return the largest adhesion needed where joints stop with their largest accelerations.
 
     At states along the job, whichever of the moving joints stop at that moment; the tool's force acts on
-    while the tool is on.
+    while the tool is on. A joint stops for |v| / a. Of a pulse that is shorter than a sixth of the period
+    1 / f of what bends, only 2 sin(pi f |v| / a) reaches the feet.
 
     Parameters
     ----------
@@ -98,15 +108,30 @@ def emergency_stop(plan: Plan) -> AdhesionPeak | None:
 
 def _stops(plan: Plan) -> Iterator[tuple[FloatArray, FloatArray]]:
     """The wrenches (N, 6) of stops along each segment of the job, and when on its clock, (N,), s."""
+    frequency = _frequency(plan)
     for segment in plan.job.segments:
         robot: Robot = plan.robot if segment.kind == "stroke" else plan.robot.tool_off
         t = np.linspace(segment.trajectory.t[0], segment.trajectory.t[-1], _STATES)
         q, v, _ = segment.trajectory.states(t)
         at = Dynamics(robot).wrench_derivatives(q, v, np.zeros_like(q))
-        stops = -np.sign(v) * robot.limits.acceleration
+        lasts = np.abs(v) / robot.limits.acceleration
+        felt = np.where(6 * frequency * lasts < 1, 2 * np.sin(np.pi * frequency * lasts), 1.0)
+        stops = -np.sign(v) * robot.limits.acceleration * felt
         each = np.einsum("kin,kn->kni", at.d_a, stops)
         wrench = at.value[:, None] + _which(robot.dof) @ each
         yield wrench.reshape(-1, 6), np.repeat(segment.begin + t, wrench.shape[1])
+
+
+def _frequency(plan: Plan) -> float:
+    """Of the modes that a stop moves, Hz, where the arm begins; 1 THz where nothing bends."""
+    arm = bending_arm(plan.scene, plan.robot)
+    if arm is None:
+        return 1e12
+    try:
+        frequencies = arm_modes(arm, plan.job.segments[0].trajectory.q[0]).frequencies
+    except TooSoftError:  # it topples: then nothing is told of its modes
+        return 1e12
+    return float(frequencies[:_SLOW_MODES].max(initial=0.0)) or 1e12
 
 
 def _which(joints: int) -> FloatArray:
@@ -126,6 +151,14 @@ def _stop(stop: AdhesionPeak, foot: Foot) -> str:
 def _contact(foot: Foot) -> str:
     area = 0.0 if foot.contact is None else foot.contact.area
     return f"{1e4 * area:.0f} cm2 of steel (friction {foot.friction:g})"
+
+
+def _too_much(foot: Foot, needed: float) -> str:
+    """Whether a magnet on that contact can have what is needed."""
+    if foot.contact is None or needed <= foot.ceiling:
+        return ""
+    thin = "" if foot.steel is None else f", with two poles on {1e3 * foot.steel:g} mm of steel"
+    return f", {needed / foot.contact.area / 1e6:.2f} MPa: no magnet of this size{thin} has it"
 
 
 def _kilonewtons(force: float) -> str:
