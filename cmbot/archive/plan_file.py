@@ -249,6 +249,16 @@ class ContactFile:
 
 
 @dataclass(frozen=True, kw_only=True)
+class HoldingJointFile:
+    """A locked joint between foot 1 and the arm's base."""
+
+    peak_nm: NonNegative
+    """Largest torque that it holds over the whole job."""
+    limit_nm: OrInfinite
+    """What it holds, by the limits file or the URDF; null where neither says it."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class HashesFile:
     """SHA-256 of the inputs."""
 
@@ -284,6 +294,8 @@ class PlanFile(StrokeEntries):
     """Where the tool is beside its path; null where nothing bends."""
     contact: tuple[ContactFile | None, ...]
     """Of each foot; null on a round bar."""
+    holding_joints: dict[str, HoldingJointFile]
+    """By their names; empty where nothing is locked there, or two feet hold."""
     fallbacks: tuple[str, ...]
     stopped: Literal["time"] | None
     """``time``: planning was stopped by its time limit; null: the plan is the same on every machine."""
@@ -306,6 +318,7 @@ class PlanFile(StrokeEntries):
             baseline=_job_baseline(plan),
             planned=planned,
             contact=tuple(map(_contact, plan.robot.feet)),
+            holding_joints=_holding_joints(plan),
             segments=tuple(map(SegmentFile.of, plan.job.segments)),
             strokes=tuple(
                 StrokeFile.of(stroke, plan.robot, name=stroke.name, baseline=baseline)
@@ -329,6 +342,17 @@ def _contact(foot: Foot) -> ContactFile | None:
     if foot.contact is None:
         return None
     return ContactFile(area_cm2=round(1e4 * foot.contact.area, 6), outline_m=foot.contact.outline)
+
+
+def _holding_joints(plan: Plan) -> dict[str, HoldingJointFile]:
+    """What locked joints hold, at samples of the job."""
+    joints, peaks = plan.robot.holding_joints, plan.holding_torque
+    if peaks is None:
+        return {}
+    return {
+        joint.name: HoldingJointFile(peak_nm=float(peak), limit_nm=joint.limit)
+        for joint, peak in zip(joints, peaks, strict=True)
+    }
 
 
 def _job_baseline(plan: Plan) -> JobBaselineFile | None:

@@ -33,6 +33,10 @@ def holding_remarks(plan: Plan) -> Iterator[str]:
     ----------
     plan : Plan
     """
+    if (peaks := plan.holding_torque) is not None:
+        each = zip(plan.robot.holding_joints, peaks, strict=True)
+        held = ", ".join(f"{joint.name} {peak:.0f} of {joint.limit:g} Nm" for joint, peak in each)
+        yield f"Locked joints hold at most {held}; no plan is constrained by it."
     holding, needed = plan.robot.holding, plan.job.figures.adhesion_needed
     if holding is None:
         return

@@ -319,6 +319,18 @@ class Plan(StrokePlan):
                 lines.append(stroke.path.outline())
         return tuple(lines)
 
+    @property
+    def holding_torque(self) -> FloatArray | None:
+        """Largest torques (k,), Nm, of `Robot.holding_joints` over the job, at its samples.
+
+        None without such joints, and where two feet hold: what each leg bears is then not known.
+        """
+        if not self.robot.holding_joints or len(self.robot.feet) > 1:
+            return None
+        samples, _ = self.job_samples
+        wrench = np.hstack([samples.guardrail_force, samples.guardrail_torque])
+        return np.asarray(np.abs(self.robot.holding_torque(wrench)).max(axis=0))
+
     def summary(self) -> str:
         """Return the figures as an aligned table of plain text."""
         rows = [self.headings, *self.rows()]
