@@ -46,6 +46,7 @@ from cmbot.planning.result.verdict import (
 from cmbot.planning.selfmotion.followed_bound import quick_bound
 from cmbot.planning.selfmotion.global_search import GlobalSearch
 from cmbot.planning.selfmotion.lower_bound import LowerBound
+from cmbot.planning.selfmotion.proof import TorqueFloorProof
 from cmbot.planning.task import ToolTask
 from cmbot.planning.workcell.diagnosis import most_often_near, weakest_joint
 from cmbot.planning.workcell.objectives import (
@@ -100,6 +101,7 @@ __all__ = [
     "StrokePlan",
     "StrokeRequest",
     "ToolTask",
+    "TorqueFloorProof",
     "VibrationSuppression",
     "WeightedMoment",
     "Workcell",
