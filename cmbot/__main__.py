@@ -38,6 +38,7 @@ class _WhenUsed:
 
 def main() -> None:
     """Run the command line; Ctrl-C during the imports ends it as quietly as later on."""
+    signal.signal(signal.SIGINT, lambda *_: os._exit(_STOPPED))
     gc.set_threshold(_BETWEEN_SEARCHES)
     sys.meta_path.insert(0, _WhenUsed)
     if mallopt := getattr(ctypes.CDLL(None), "mallopt", None):
@@ -47,7 +48,6 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # pydantic would look for plugins through all packages that are installed.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
-    signal.signal(signal.SIGINT, lambda *_: os._exit(_STOPPED))
     from cmbot.cli import main as run
     from cmbot.cli import take_signals
 
