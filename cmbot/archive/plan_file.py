@@ -296,6 +296,8 @@ class PlanFile(StrokeEntries):
     """Of each foot; null on a round bar."""
     holding_joints: dict[str, HoldingJointFile]
     """By their names; empty where nothing is locked there, or two feet hold."""
+    missing: tuple[str, ...]
+    """Strokes of what was asked that could not be planned; empty unless that was allowed."""
     fallbacks: tuple[str, ...]
     stopped: Literal["time"] | None
     """``time``: planning was stopped by its time limit; null: the plan is the same on every machine."""

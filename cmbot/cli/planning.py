@@ -69,6 +69,7 @@ class PlanCommand(Writing):
         "--set",
         metavar="NAME=VALUE",
     )
+    partial: bool = option(False, "Plan the strokes that can be planned where others cannot, and say which.")
     options: bool = option(False, "List the planner's options, and stop.", instead=_print_options)
     verbose: bool = option(False, "Print all figures, loads and remarks.")
     figures: bool = option(False, "Draw plots as PNG and SVG into the plan directory, too.")
@@ -91,7 +92,7 @@ class PlanCommand(Writing):
                 err.print(one_line(f"warning: {finding.key}: got {finding.got}, expected {finding.expected}"))
 
         def planned_scene(progress: ConsoleProgress) -> Plan:
-            return cmbot.plan(loaded, options=options, progress=progress.update)
+            return cmbot.plan(loaded, options=options, partial=self.partial, progress=progress.update)
 
         def write(planned: Plan) -> None:
             drawn.update(plot_files(planned, self.figures))

@@ -65,6 +65,8 @@ class Plan(StrokePlan):
         What is planned of each stroke; empty where there is one, which is the plan's own.
     sag : Sag or None
         The sag that was compensated.
+    missing : tuple of str
+        Names of the scene's strokes that could not be planned, where that was allowed (`plan`, partial).
     fallbacks : tuple of str
         What failed, and what was done instead, a sentence each.
     stopped : str or None
@@ -82,6 +84,7 @@ class Plan(StrokePlan):
     fallbacks: tuple[str, ...]
     stopped: Literal["time"] | None = None
     seconds: Seconds
+    missing: tuple[str, ...] = ()
 
     @classmethod
     def of(
