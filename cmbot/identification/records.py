@@ -68,11 +68,12 @@ def read_record(path: Path) -> RingDown:
     heading = tuple(name.strip() for name in rows[0]) if rows else ()
     if tuple(_KLIPPER.get(name, name) for name in heading) not in _COLUMNS:
         expected = "the columns t,ax,ay,az, or t and one of them, or Klipper's #time,accel_x,accel_y,accel_z"
-        raise InputError(str(path), "line 1", ",".join(heading), expected)
+        # Sheets name such files: what is in one that is no record is not told.
+        raise InputError(str(path), "line 1", f"other columns, {len(heading)} of them", expected)
     try:
         table = np.array(rows[1:], dtype=float)
     except ValueError as error:
-        raise InputError(str(path), "", f"no table of numbers ({error})", "a number in each cell") from error
+        raise InputError(str(path), "", "no table of numbers", "a number in each cell") from error
     if len(table) < _FEWEST or not np.isfinite(table).all():
         raise InputError(str(path), "", f"{len(table)} rows", f"{_FEWEST} or more rows of finite numbers")
     steps = np.diff(table[:, 0])
