@@ -314,7 +314,7 @@ def test_xacro_of_a_stranger(
     """Time, memory and files are bounded, and what they hold is not told."""
     pytest.importorskip("xacrodoc")
     if "1 s" in said:
-        monkeypatch.setattr(importlib.import_module("cmbot.robot.description.xacro"), "_SECONDS", 1)
+        monkeypatch.setattr(importlib.import_module("cmbot.robot.description.xacro"), "_CPU_SECONDS", 1)
     put(tmp_path / "secret.yaml", "password: 12345")
     folder = tmp_path / "model"
     folder.mkdir()

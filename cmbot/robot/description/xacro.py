@@ -33,7 +33,7 @@ _LINK, _MACRO = re.compile(r"<link\b"), re.compile(rb"<xacro:macro\b")
 # As many packages as a robot's description may name; files that are named as using macros, and their size.
 _MOST_PACKAGES, _MOST_USERS, _LARGEST_USER = 100, 3, 1_000_000
 # Processor time and memory of an expansion, s and byte; how much longer it may wait.
-_SECONDS, _MEMORY, _WAITS = 20, 1_000_000_000, 3
+_CPU_SECONDS, _MEMORY, _WAITS = 20, 1_000_000_000, 3
 # Of a line of an answer: the result, in which each byte may be written as six.
 _LONGEST_ANSWER = 6 * LARGEST_TEXT + 1_000_000
 _VARIABLES = ("HOME", "LANG", "PATH", "PYTHONHOME", "PYTHONPATH")
@@ -100,7 +100,7 @@ def _answered(
         "name": name[1].decode(errors="replace") if name else path.name.partition(".")[0],
         "arguments": dict(arguments),
         "roots": [str(place) for place in (folder, *package_dirs)],
-        "seconds": _SECONDS,
+        "seconds": _CPU_SECONDS,
         "memory": _MEMORY,
         "largest": LARGEST_TEXT,
     }
@@ -109,7 +109,7 @@ def _answered(
     words = [sys.executable, "-P", str(Path(__file__).with_name("xacro_child.py"))]
     pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
     with subprocess.Popen(words, stdin=pipe, stdout=pipe, stderr=nowhere, env=own) as process:
-        timer = Timer(_SECONDS * _WAITS, process.kill)
+        timer = Timer(_CPU_SECONDS * _WAITS, process.kill)
         timer.start()
         try:
             return _conversation(process, task, path, package_dirs)
@@ -143,7 +143,7 @@ def _refusal(path: Path, answer: Mapping[str, Any], arguments: Mapping[str, str]
     """Why a file does not expand."""
     files = [str(path), *answer.get("files", ())]
     if "failed" not in answer:
-        got = f"xacro that takes more than {_SECONDS} s"
+        got = f"xacro that takes more than {_CPU_SECONDS} s"
         expected = "a description that needs no more"
         if "nested" in answer:
             included = next((file for file in files[1:] if files[1:].count(file) > 1), None)
