@@ -65,7 +65,7 @@ def case(seed: int, robot: Robot, posture: FloatArray) -> Case:
     profile = SpeedProfile(
         kind=rng.choice(["trapezoidal", "jerk_limited"]), ramp=float(rng.uniform(0.1, 0.5))
     )
-    path = ToolPath(corners=p_WT[ends], orientation=R_WT[0], seconds=np.diff(t[ends]), profile=profile)
+    path = ToolPath.straight(p_WT[ends], R_WT[0], np.diff(t[ends]), profile.law)
     return Case(trajectory=trajectory, task=ToolTask(path, rng.choice(["pose", "axis"])))
 
 

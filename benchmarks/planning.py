@@ -84,7 +84,7 @@ def planned(name: str, repeats: int = 3) -> Planned:
         peak_slsqp=peak_slsqp,
         core=core,
         simulate=simulating,
-        simulated=float(tracking.baseline.t[-1] + tracking.planned.t[-1]),
+        simulated=sum(float(motion.t[-1]) for _, motion in tracking.motions),
     )
 
 

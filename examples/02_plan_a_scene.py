@@ -35,7 +35,7 @@ for check in plan.certificate.checks:
 fixed = cmbot.plan(scene, options=replace(scene.planner, knots="fixed"))
 at_via_points = Dynamics(fixed.robot).static_efforts(fixed.trajectory.q).guardrail_torque
 print("\ngravity's peak torque on the guardrail, Nm:")
-print(f"  baseline, from the scene's posture:  {plan.baseline_figures.peak_static_guardrail_torque:.2f}")
+print(f"  baseline, from the scene's posture:  {plan.baseline.figures.peak_static_guardrail_torque:.2f}")
 print(f"  fixed knots, at the via-points:      {np.linalg.norm(at_via_points, axis=1).max():.2f}")
 print(f"  fixed knots, all along:              {fixed.figures.peak_static_guardrail_torque:.2f}")
 print(f"  as the scene has it, all along:      {plan.figures.peak_static_guardrail_torque:.2f}")

@@ -16,6 +16,7 @@ scene = cmbot.load_scene(
         "name": "stroke",
         "start": {"posture_deg": [-10, -90, 90, 0, 10, 50, 0]},
         "tool_path": {"legs": [{"by": [0, -0.4, 0], "seconds": 4}], "via_points": 8},
+        "planner": {"baseline": "paper"},
     }
 )
 plain = cmbot.plan(scene)

@@ -46,7 +46,6 @@ for name, plan in (("minimised: torque", usual), (f"minimised: {own.objective.na
     samples = plan.samples
     peak, _ = stress(np.hstack([samples.guardrail_force, samples.guardrail_torque]))
     print(f"{name:<20} stress {peak.max():6.2f} MPa, torque {plan.figures.peak_guardrail_torque:6.2f} Nm")
-print(f"in the baseline      stress {own.objective.baseline_peak:6.2f} MPa")
 if own.lower_bound is not None:
     # Of functions other than a moment it is an estimate.
     print(

@@ -46,7 +46,10 @@ def run(*words: str) -> str:
 
 def operation(plan: cmbot.Plan) -> Iterator[Row]:
     """Yield the figures of the whole job, and of its work alone: name and unit, baseline, planned."""
-    work, job = (plan.baseline_figures, plan.figures), (plan.baseline_job_figures, plan.job.figures)
+    baseline = plan.baseline
+    if baseline is None:
+        sys.exit(f"{plan.scene.name} has no baseline (planner.baseline)")
+    work, job = (baseline.figures, plan.figures), (baseline.job_figures, plan.job.figures)
     for name, pair in (("over the whole job, with the approach", job), ("while working", work)):
         yield f"peak torque {name}, Nm", *(f"{each.peak_guardrail_torque:.2f}" for each in pair)
     bound = plan.lower_bound
@@ -71,7 +74,8 @@ def tracking(plan: cmbot.Plan, plain: cmbot.Tracking) -> Iterator[tuple[str, lis
     """Yield tracking errors, mm: of the baseline, of the plan, of a plan with compensation."""
     options = replace(plan.scene.planner, compensate=True)
     compensated = cmbot.simulate(cmbot.plan(plan.scene, options=options))
-    figures = [motion.metrics for motion in (plain.baseline, plain.planned, compensated.planned)]
+    motions = [*(motion for _, motion in plain.motions), compensated.planned]
+    figures = [motion.metrics for motion in motions]
     for name, part in (
         ("error, RMS", "total"),
         ("its dynamic part, RMS", "dynamic"),

@@ -51,7 +51,7 @@ def row(name: str, content: dict[str, Any]) -> str:
     except cmbot.PlanningError as error:
         return f"| {name} | no plan: {str(error).split(';')[0]} | | | |"
     figures = (
-        f"{plan.baseline_figures.peak_static_guardrail_torque:.2f}",
+        "-" if plan.baseline is None else f"{plan.baseline.figures.peak_static_guardrail_torque:.2f}",
         f"{plan.figures.peak_static_guardrail_torque:.2f}",
         f"{1e3 * plan.figures.min_clearance:.1f}",
         f"{math.degrees(plan.start.moved):.1f}",

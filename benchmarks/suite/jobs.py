@@ -184,11 +184,10 @@ def plan_job(folder: str) -> dict[str, Any]:
         last = segment.trajectory.q[-1]
     if np.abs(last - np.array(scene.posture)).max() > 1e-6:
         found.append("the arm does not come back")
-    peaks = (made.baseline_job_figures, made.job.figures)
     return {
         "status": "planned",
         "cpu_seconds": seconds,
-        "peaks": [each.peak_guardrail_torque for each in peaks],
+        "peak": made.job.figures.peak_guardrail_torque,
         "fallbacks": list(made.fallbacks),
         "violations": found,
     }

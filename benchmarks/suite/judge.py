@@ -68,7 +68,6 @@ def plan_scene(folder: str) -> dict[str, Any]:
         "fallbacks": list(made.fallbacks),
         "moved": made.start.moved,
         "peak": made.figures.peak_guardrail_torque,
-        "baseline_peak": made.baseline_figures.peak_guardrail_torque,
         "floor": made.torque_floor,
         "floor_error": None if made.lower_bound is None else made.lower_bound.error,
         "gap": made.gap_to_floor,

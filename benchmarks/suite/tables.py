@@ -190,7 +190,6 @@ def _success(key: str, title: str, groups: Groups) -> Sheet:
         seconds = [row["plan"]["cpu_seconds"] for row in planned]
         answered = [row["plan"]["cpu_seconds"] for row in rows if "cpu_seconds" in row.get("plan", {})]
         gaps = [row["plan"]["gap"] for row in planned if row["plan"]["gap"] is not None]
-        lower = [1 - row["plan"]["peak"] / row["plan"]["baseline_peak"] for row in planned]
         cells.append(
             (
                 ", ".join(name),
@@ -203,7 +202,6 @@ def _success(key: str, title: str, groups: Groups) -> Sheet:
                 _quantile(answered, 0.95, "{:.1f}"),
                 _quantile(gaps, 0.5, "{:.1%}"),
                 _quantile(gaps, 0.95, "{:.1%}"),
-                _quantile(lower, 0.5, "{:.0%}"),
             )
         )
     headings = (
@@ -217,7 +215,6 @@ def _success(key: str, title: str, groups: Groups) -> Sheet:
         "with refusals",
         "gap, median",
         "gap, 95 %",
-        "below baseline, median",
     )
     return Sheet(key=key, title=title, headings=headings, rows=tuple(cells))
 

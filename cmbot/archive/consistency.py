@@ -59,7 +59,11 @@ def require_fit(
     `posture` (n,), rad, is the scene's, and `end` that in which its job ends; None: where the work ends.
     `source` and `knots` are the files plan.json and job.npz, for messages.
     """
-    if np.isinf(file.baseline.min_clearance) != np.isinf(file.planned.min_clearance):
+    if (file.options.baseline == "none") != (file.baseline is None):
+        got, expected = ("a block", "null") if file.baseline else ("null", "a block")
+        raise ArchiveError(source, "baseline", got, f"{expected}, by options.baseline")
+    baseline = file.baseline
+    if baseline and np.isinf(baseline.min_clearance) != np.isinf(file.planned.min_clearance):
         got, expected = "null for one motion alone", "null, for nothing to hit, or numbers for both"
         raise ArchiveError(source, "baseline.min_clearance", got, expected)
     entries: dict[str, StrokeEntries] = {f"strokes[{k}].": stroke for k, stroke in enumerate(file.strokes)}
@@ -121,8 +125,8 @@ def _require_objective(entry: StrokeEntries, options: PlannerOptions, source: st
 def _require_peaks(entry: StrokeEntries, planned: float, source: str, prefix: str) -> None:
     """Refuse peaks of the objective that are not those of the figures."""
     if entry.objective.is_guardrail_torque:
-        baseline = entry.baseline.peak_guardrail_torque
-        require_same(entry.objective.baseline_peak, baseline, source, f"{prefix}objective.baseline_peak")
+        before = None if entry.baseline is None else entry.baseline.peak_guardrail_torque
+        require_same(entry.objective.baseline_peak, before, source, f"{prefix}objective.baseline_peak")
         require_same(entry.objective.planned_peak, planned, source, f"{prefix}objective.planned_peak")
 
 

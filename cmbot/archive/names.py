@@ -15,6 +15,7 @@ FORMATS = {
 JOB_FILES = ("job.csv", "job.npz")
 """The whole job on one clock."""
 BASELINE_FILE = "baseline.csv"
+"""The baseline's work, where one is asked for."""
 PLAN_FILES = (*JOB_FILES, BASELINE_FILE)
 """What a plan is read from, beside its record."""
 TRACKING_FILES = ("tracking.csv", "tracking_baseline.csv", "tracking.json")

@@ -8,6 +8,7 @@ is in degrees unless joints slide, and `PathNotFound` is an exception.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
@@ -41,6 +42,7 @@ from cmbot.planning import (
     Seconds,
     Segment,
     Start,
+    StrokeBaseline,
     StrokePlan,
     VibrationSuppression,
 )
@@ -98,6 +100,34 @@ class MotionFile(MotionMetrics):
 
     free: MotionMetrics | None
     job: MotionMetrics
+
+
+@dataclass(frozen=True, kw_only=True)
+class BaselineFile(MotionMetrics):
+    """`StrokeBaseline`: its figures, and what it has beside them."""
+
+    drift: NonNegative
+    """Of its tool point, m."""
+    smallest_singular_value: NonNegative
+
+    @classmethod
+    def of(cls, baseline: StrokeBaseline, **own: object) -> Self:
+        """Return it of a baseline, with the fields of a class below."""
+        names = ("drift", "smallest_singular_value")
+        return made(cls, baseline.figures, **({name: getattr(baseline, name) for name in names} | own))
+
+
+@dataclass(frozen=True, kw_only=True)
+class StrokeBaselineFile(BaselineFile):
+    """Of one of several strokes."""
+
+    begin: NonNegative
+    """In ``baseline.csv``, s."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JobBaselineFile(BaselineFile, MotionFile):
+    """`Baseline`: figures of the strokes, of the free moves, and of the whole job."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,7 +209,8 @@ class StartFile(FileModel):
 class StrokeEntries:
     """What is planned of a stroke, or of all of them."""
 
-    baseline: MotionMetrics
+    baseline: BaselineFile | None
+    """null: none is asked for."""
     suppression: Annotated[VibrationSuppression, _Beside("share")] | None
     """null: the vibration was not suppressed."""
     compensation: Compensation | None
@@ -188,10 +219,6 @@ class StrokeEntries:
     floor: LowerBound | None
     choice: Choice | None
     start: StartFile
-    drift: NonNegative
-    """Of the baseline's tool point, m."""
-    smallest_singular_value: NonNegative
-    """Along the baseline."""
     passes: tuple[ExchangeReport, ...]
     runs: Count
     """Of optimise-and-certify that it took."""
@@ -200,8 +227,7 @@ class StrokeEntries:
     def of(cls, stroke: StrokePlan, robot: Robot, **own: object) -> Self:
         """Return it of what is planned of a stroke, with the fields of a class below."""
         start = StartFile.of(stroke.start, robot)
-        given = {"baseline": stroke.baseline_figures, "floor": stroke.lower_bound, "start": start} | own
-        return made(cls, stroke, **given)
+        return made(cls, stroke, **({"floor": stroke.lower_bound, "start": start} | own))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,8 +235,7 @@ class StrokeFile(StrokeEntries):
     """`StrokePlan`, one of several."""
 
     name: Name
-    baseline_begin: NonNegative
-    """When the baseline's stroke begins in ``baseline.csv``, s."""
+    baseline: StrokeBaselineFile | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -231,7 +256,7 @@ class PlanFile(StrokeEntries):
 
     format: Literal["cmbot-plan/2"] = "cmbot-plan/2"
     status: Literal["certified"] = "certified"
-    baseline: MotionFile
+    baseline: JobBaselineFile | None
     planned: MotionFile
     segments: Annotated[tuple[SegmentFile, ...], Field(min_length=1, max_length=10_000)]
     """Of the job, in the order of time."""
@@ -258,23 +283,20 @@ class PlanFile(StrokeEntries):
     hashes: HashesFile
 
     @classmethod
-    def of_plan(cls, plan: Plan, baseline: MotionFile | None, hashes: HashesFile) -> PlanFile:
-        """Return it of a plan; what `baseline` says of the baseline is measured, where it is not given."""
-        measured = baseline or made(
-            MotionFile, plan.baseline_figures, free=plan.baseline_free_figures, job=plan.baseline_job_figures
-        )
+    def of_plan(cls, plan: Plan, hashes: HashesFile) -> PlanFile:
+        """Return it of a plan."""
         planned = made(MotionFile, plan.figures, free=plan.job.free_figures, job=plan.job.figures)
         return cls.of(
             plan,
             plan.robot,
             format="cmbot-plan/2",
             status="certified" if plan.job.certificate.holds else "a promise is broken",
-            baseline=measured,
+            baseline=_job_baseline(plan),
             planned=planned,
             segments=tuple(map(SegmentFile.of, plan.job.segments)),
             strokes=tuple(
-                StrokeFile.of(stroke, plan.robot, name=stroke.name, baseline_begin=begin)
-                for stroke, begin in zip(plan.several, _begins(plan), strict=True)
+                StrokeFile.of(stroke, plan.robot, name=stroke.name, baseline=baseline)
+                for stroke, baseline in zip(plan.several, _stroke_baselines(plan), strict=True)
             ),
             certificate=CertificateFile.of(plan.certificate),
             scene=plan.scene,
@@ -289,12 +311,22 @@ class PlanFile(StrokeEntries):
         return first | data
 
 
-def _begins(plan: Plan) -> list[float]:
-    """When each of several strokes begins in the table of the baseline, s."""
-    if not plan.several:
-        return []
-    begins = {each.name: each.begin for each in plan.baseline_segments}
-    return [begins[stroke.name] - begins[plan.strokes[0].name] for stroke in plan.several]
+def _job_baseline(plan: Plan) -> JobBaselineFile | None:
+    """The baseline of a plan."""
+    if (baseline := plan.baseline) is None:
+        return None
+    return JobBaselineFile.of(baseline, free=baseline.free_figures, job=baseline.job_figures)
+
+
+def _stroke_baselines(plan: Plan) -> Iterator[StrokeBaselineFile | None]:
+    """The baseline of each of several strokes."""
+    for number, stroke in enumerate(plan.several):
+        if plan.baseline is None or stroke.baseline is None:
+            yield None
+        else:
+            strokes = plan.baseline.strokes
+            begin = strokes[number].begin - strokes[0].begin
+            yield StrokeBaselineFile.of(stroke.baseline, begin=begin)
 
 
 def made(kind: type[T], source: object, /, **changes: object) -> T:

@@ -17,22 +17,32 @@ from cmbot.archive.folder import read_folder, without_hashes
 from cmbot.archive.knots import require_times, segment_trajectories
 from cmbot.archive.names import BASELINE_FILE, JOB_FILES, PLAN_FILE, PLAN_FILES
 from cmbot.archive.places import plans_nearby
-from cmbot.archive.plan_file import MotionFile, PlanFile, SegmentFile, StrokeEntries, made
+from cmbot.archive.plan_file import (
+    BaselineFile,
+    JobBaselineFile,
+    PlanFile,
+    SegmentFile,
+    StrokeEntries,
+    made,
+)
 from cmbot.archive.tables import read_motion
 from cmbot.archive.verification.asked import require_asked, require_promised
 from cmbot.archive.verification.exported import unverified_files
 from cmbot.collision import Clearances
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import ArchiveError, InputError
 from cmbot.common.validation import given_path, require_type, shown, validated
 from cmbot.elastic.sag import Sag
 from cmbot.planning import (
+    Baseline,
     Certificate,
     Job,
     MotionMetrics,
     Plan,
     QuinticTrajectory,
+    Samples,
     Segment,
+    StrokeBaseline,
     StrokePlan,
     ToolTask,
     bending_arm,
@@ -119,8 +129,9 @@ def read_plan(
     source = folder / PLAN_FILE
 
     def listed(hashes: Mapping[str, str]) -> tuple[str, ...]:
+        own = [name for name in PLAN_FILES if name in hashes or name in JOB_FILES]
         shown_files = sorted(hashes.keys() - {*PLAN_FILES}) if verify else ()
-        return (*PLAN_FILES, *(name for name in shown_files if (folder / name).exists()))
+        return (*own, *(name for name in shown_files if (folder / name).exists()))
 
     data, contents = _read(folder, listed)
     try:
@@ -142,14 +153,13 @@ def read_plan(
     promised = options or (asked.planner if asked is not None else file.options)
     require_promised(file.options, promised, str(source), "options")
     require_segments(file, str(source), scene, returns=end is not None)
-    knots, table = str(folder / JOB_FILES[1]), str(folder / BASELINE_FILE)
+    knots = str(folder / JOB_FILES[1])
     trajectories = segment_trajectories(file, contents[JOB_FILES[1]], knots, robot.dof, strokes)
     tasks = [task_of(stroke, scene) for stroke in strokes]
     job = _job(file, trajectories, tasks, source)
     require_fit(file, np.array(scene.posture), end, job, str(source), knots)
-    t, motion = read_motion(contents[BASELINE_FILE], table, robot.dof)
     plan = Plan.of(
-        _stroke_plans(file, [stroke.name for stroke in strokes], tasks, robot, clearances, t, motion, table),
+        _stroke_plans(file, folder, contents, [stroke.name for stroke in strokes], tasks, robot, clearances),
         clearances,
         scene=scene,
         options=file.options,
@@ -162,10 +172,12 @@ def read_plan(
     )
     # It costs a third of a second, and is computed anew where the plan is verified.
     vars(plan)["accuracy"] = file.accuracy
-    if plan.several and not (_agree(plan.baseline.t, t) and _agree(plan.baseline.q, motion[0])):
-        raise ArchiveError(table, "", "other motions between the strokes", "the quickest straight ones")
-    baseline = made(MotionFile, plan.baseline_figures, free=file.baseline.free, job=file.baseline.job)
-    again = PlanFile.of_plan(plan, baseline, file.hashes).as_data()
+    if plan.several and plan.baseline is not None:
+        _require_straight(plan.baseline, contents[BASELINE_FILE], str(folder / BASELINE_FILE), robot.dof)
+    again = PlanFile.of_plan(plan, file.hashes).as_data()
+    if file.baseline is not None:
+        # Its free moves are not in the table but measured again, which is compared where it is verified.
+        again["baseline"] |= {name: data["baseline"][name] for name in ("free", "job")}
     # What it was made of, and by what, is not computed.
     given = {name: data[name] for name in ("scene", "versions")}
     require_same(without_hashes(data), again | given, str(source), "")
@@ -244,55 +256,72 @@ def _certificate(entry: SegmentFile, source: str, key: str) -> Certificate:
 
 def _stroke_plans(
     file: PlanFile,
+    folder: Path,
+    contents: Mapping[str, bytes],
     names: Sequence[str],
     tasks: Sequence[ToolTask],
     robot: Robot,
     clearances: Clearances,
-    t: FloatArray,
-    motion: Sequence[FloatArray],
-    source: str,
 ) -> list[StrokePlan]:
-    """What is planned of each stroke, with its part of the baseline at times `t` (N,), from `source`."""
+    """What is planned of each stroke, beside its baseline."""
+    entries: tuple[StrokeEntries, ...] = file.strokes or (file,)
+    baselines: Sequence[StrokeBaseline | None] = [None] * len(entries)
+    if file.baseline is not None:
+        baselines = _baselines(file, folder, contents.get(BASELINE_FILE), tasks, robot, clearances)
+    strokes = []
+    for entry, name, task, baseline in zip(entries, names, tasks, baselines, strict=True):
+        own = {"start": entry.start.made(), "lower_bound": entry.floor, "baseline": baseline}
+        strokes.append(made(StrokePlan, entry, name=name, task=task, **own))
+    return strokes
+
+
+def _baselines(
+    file: PlanFile,
+    folder: Path,
+    content: bytes | None,
+    tasks: Sequence[ToolTask],
+    robot: Robot,
+    clearances: Clearances,
+) -> list[StrokeBaseline]:
+    """The baseline along each stroke, from the content of its table."""
+    source = str(folder / BASELINE_FILE)
+    if content is None:
+        expected = f"the file that was saved with {PLAN_FILE}"
+        raise ArchiveError(str(folder / PLAN_FILE), "files", f"no {BASELINE_FILE}", expected)
+    t, motion = read_motion(content, source, robot.dof)
     if not file.strokes:
         require_times(t, tasks[0].path.duration, source, "the scene")
-        return [_stroke_plan(file, names[0], robot, tasks[0], clearances, t, motion)]
-    strokes = []
-    for entry, task in zip(file.strokes, tasks, strict=True):
-        begin, end = entry.baseline_begin, entry.baseline_begin + task.path.duration
-        room = _SAME_ZERO * max(end, 1.0)
-        rows = np.flatnonzero((t >= begin - room) & (t <= end + room))
-        if not len(rows) or abs(t[rows[0]] - begin) > room or abs(t[rows[-1]] - end) > room:
-            expected = f"rows from {begin:g} to {end:g} s ({entry.name})"
-            raise ArchiveError(source, "t", "no row where a stroke begins or ends", expected)
-        along = [array[rows] for array in motion]
-        strokes.append(_stroke_plan(entry, entry.name, robot, task, clearances, t[rows] - t[rows[0]], along))
-    return strokes
+    baselines = []
+    for entry, task in zip(file.strokes or (file,), tasks, strict=True):
+        stored: BaselineFile | None = entry.baseline
+        if stored is None:  # where one of several strokes lacks it
+            raise ArchiveError(str(folder / PLAN_FILE), "strokes", "baseline: null", "one of every stroke")
+        begin = getattr(stored, "begin", 0.0)
+        rows = _rows(t, begin, begin + task.path.duration, source)
+        samples = measure(robot, task, clearances, t[rows] - t[rows[0]], [array[rows] for array in motion])
+        baselines.append(made(StrokeBaseline, stored, samples=samples, figures=made(MotionMetrics, stored)))
+    return baselines
+
+
+def _rows(t: FloatArray, begin: float, end: float, source: str) -> IntArray:
+    """Which of the times `t` (N,) of a table are those of a stroke."""
+    room = _SAME_ZERO * max(end, 1.0)
+    rows = np.flatnonzero((t >= begin - room) & (t <= end + room))
+    if not len(rows) or abs(t[rows[0]] - begin) > room or abs(t[rows[-1]] - end) > room:
+        expected = f"rows from {begin:g} to {end:g} s"
+        raise ArchiveError(source, "t", "no row where a stroke begins or ends", expected)
+    return rows
+
+
+def _require_straight(baseline: Baseline, content: bytes, source: str, dof: int) -> None:
+    """Refuse a table of a baseline with other motions between its strokes than the quickest straight ones."""
+    t, motion = read_motion(content, source, dof)
+    if not (_agree(baseline.samples.t, t) and _agree(baseline.samples.q, motion[0])):
+        raise ArchiveError(source, "", "other motions between the strokes", "the quickest straight ones")
 
 
 def _agree(got: FloatArray, expected: FloatArray) -> bool:
     return got.shape == expected.shape and np.allclose(got, expected, rtol=_SAME_ZERO, atol=_SAME_ZERO)
-
-
-def _stroke_plan(
-    entry: StrokeEntries,
-    name: str,
-    robot: Robot,
-    task: ToolTask,
-    clearances: Clearances,
-    t: FloatArray,
-    motion: Sequence[FloatArray],
-) -> StrokePlan:
-    """What is planned of a stroke, with its baseline at times `t` (N,)."""
-    return made(
-        StrokePlan,
-        entry,
-        name=name,
-        task=task,
-        start=entry.start.made(),
-        baseline=measure(robot, task, clearances, t, motion),
-        baseline_figures=made(MotionMetrics, entry.baseline),
-        lower_bound=entry.floor,
-    )
 
 
 def _sag(scene: Scene, robot: Robot, options: PlannerOptions) -> Sag | None:
@@ -317,7 +346,7 @@ def _require_accuracy(stored: Accuracy | None, computed: Accuracy | None, source
     require_same(given, again, str(source), "accuracy", _SAME_DRAWN, _SAME_ZERO)
 
 
-def _verified(plan: Plan, baseline: MotionFile, clearances: Clearances, source: Path) -> Plan:
+def _verified(plan: Plan, stored: JobBaselineFile | None, clearances: Clearances, source: Path) -> Plan:
     """Return the plan with new certificates; their metrics must be those in the file."""
     job = plan.job
     for k, segment in enumerate(plan.job.segments):
@@ -328,20 +357,22 @@ def _verified(plan: Plan, baseline: MotionFile, clearances: Clearances, source: 
         job = job.changed(segment.name, certificate=certificate)
     prefixes = [f"strokes[{k}]." for k in range(len(plan.several))] or [""]
     for prefix, stroke in zip(prefixes, plan.strokes, strict=True):
-        fresh = figures(plan.robot, stroke.baseline)
-        _require_again(stroke.baseline_figures, fresh, source, f"{prefix}baseline")
-        for name, value in _along_baseline(plan.robot, stroke).items():
-            key = f"{prefix}{name}"
-            require_same(getattr(stroke, name), value, str(source), key, _SAME, _SAME_ZERO)
+        if stroke.baseline is not None:
+            _verify_baseline(plan.robot, stroke.task, stroke.baseline, source, f"{prefix}baseline")
         if not plan.objective.own:
             _verify_objective(plan, stroke, source, f"{prefix}objective")
-    for name, stored, measured in (
-        ("job", baseline.job, plan.baseline_job_figures),
-        ("free", baseline.free, plan.baseline_free_figures),
-    ):
-        if stored is not None and measured is not None:
-            _require_again(stored, measured, source, f"baseline.{name}")
+    if stored is not None and plan.baseline is not None:
+        _require_again(stored.job, plan.baseline.job_figures, source, "baseline.job")
+        if stored.free is not None and plan.baseline.free_figures is not None:
+            _require_again(stored.free, plan.baseline.free_figures, source, "baseline.free")
     return replace(plan, job=job)
+
+
+def _verify_baseline(robot: Robot, task: ToolTask, baseline: StrokeBaseline, source: Path, key: str) -> None:
+    """Refuse figures of a baseline that are not those of its motion."""
+    _require_again(baseline.figures, figures(robot, baseline.samples), source, key)
+    for name, value in _along_baseline(robot, task, baseline.samples).items():
+        require_same(getattr(baseline, name), value, str(source), f"{key}.{name}", _SAME, _SAME_ZERO)
 
 
 def _certified(plan: Plan, number: int, clearances: Clearances) -> Certificate:
@@ -379,9 +410,9 @@ def _certified(plan: Plan, number: int, clearances: Clearances) -> Certificate:
     return replace(certificate, checks=(*certificate.checks, *checks))
 
 
-def _along_baseline(robot: Robot, stroke: StrokePlan) -> dict[str, float]:
+def _along_baseline(robot: Robot, task: ToolTask, baseline: Samples) -> dict[str, float]:
     """What a stroke has of its baseline beside the figures: `drift` and `smallest_singular_value`."""
-    kinematics, task, baseline = Kinematics(robot), stroke.task.on_axis, stroke.baseline
+    kinematics, task = Kinematics(robot), task.on_axis
     smallest = np.inf
     for q in baseline.q:
         X_WT, J = kinematics.tool_jacobian(q)
@@ -399,7 +430,7 @@ def _verify_objective(plan: Plan, stroke: StrokePlan, source: Path, key: str) ->
         objective_of(plan.robot, plan.options, sag=_sag(plan.scene, plan.robot, plan.options)),
         plan.options,
         own=False,
-        baseline=(stroke.baseline_figures, stroke.baseline),
+        baseline=stroke.baseline,
         planned=(segment.figures, segment.trajectory),
         floor=stroke.objective.floor,
     )

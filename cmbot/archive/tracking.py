@@ -58,7 +58,7 @@ class _TrackingFile(_Entry):
     options: SimulationOptions
     seconds: float
     interval: tuple[StiffnessCase, ...] = ()
-    baseline: _Motion
+    baseline: _Motion | None
     planned: _Motion
 
 
@@ -106,7 +106,9 @@ def save_tracking(
     folder = given_path(directory, "cmbot.save_tracking", "directory", "the path of a plan directory")
     contents = {}
     for name, attribute in _TABLES.items():
-        motion: MotionTracking = getattr(tracking, attribute)
+        motion: MotionTracking | None = getattr(tracking, attribute)
+        if motion is None:
+            continue
         table, columns = np.column_stack([motion.t, motion.error, motion.static]), _COLUMNS
         if motion.base is not None:
             table, columns = np.column_stack([table, motion.base]), _COLUMNS + _BASE
@@ -158,16 +160,21 @@ def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
     require_plan(plan, "cmbot.load_tracking")
     folder = given_path(directory, "cmbot.load_tracking", "directory", "the path of a plan directory")
     source = str(folder / _METRICS)
-    _, contents = read_folder(folder, PLAN_FILE, lambda hashes: TRACKING_FILES if _METRICS in hashes else ())
+    _, contents = read_folder(folder, PLAN_FILE, _wanted)
     if not contents:
         return None
     data = read_json(contents[_METRICS], source)
     if data.get("format") != _FORMAT:
         raise ArchiveError(source, "format", shown(data.get("format")), repr(_FORMAT))
     file = validated(_TrackingFile, data, source, ArchiveError)
-    baseline, planned = PrescribedWork.baseline(plan), PrescribedWork.planned(plan)
-    motions = {}
-    for name, work, sag in ((_BASELINE, baseline, None), (_PLANNED, planned, plan.sag)):
+    works = [(_PLANNED, PrescribedWork.planned(plan), plan.sag)]
+    if (other := PrescribedWork.baseline(plan)) is not None:
+        works.append((_BASELINE, other, None))
+    if (file.baseline is None) != (len(works) == 1) or len(works) + 1 != len(contents):
+        got, expected = ", ".join(sorted(contents)), "a table of each motion of the plan"
+        raise ArchiveError(source, "baseline", got, expected)
+    motions = dict[str, MotionTracking]()
+    for name, work, sag in works:
         with_base = contents[name].partition(b"\n")[0].endswith(_BASE[-1].encode())
         table = read_table(contents[name], str(folder / name), _COLUMNS + _BASE if with_base else _COLUMNS)
         t, error, static = table[:, 0].copy(), table[:, 1:4].copy(), table[:, 4:7].copy()
@@ -179,7 +186,19 @@ def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
         motions[_TABLES[name]] = motion_tracking(
             work, t, rigid + predicted, error, static, frequencies, execution, base
         )
-    return Tracking(options=file.options, seconds=file.seconds, interval=file.interval, **motions)
+    return Tracking(
+        options=file.options,
+        seconds=file.seconds,
+        interval=file.interval,
+        baseline=motions.get("baseline"),
+        planned=motions["planned"],
+    )
+
+
+def _wanted(hashes: Mapping[str, str]) -> tuple[str, ...]:
+    """The files of tracking errors: without a baseline there is no table of it."""
+    needed = (_PLANNED, _METRICS) if _METRICS in hashes else ()
+    return tuple(name for name in TRACKING_FILES if name in needed or (needed and name in hashes))
 
 
 def tracking_json(tracking: Tracking) -> dict[str, Any]:
@@ -189,7 +208,7 @@ def tracking_json(tracking: Tracking) -> dict[str, Any]:
         "cmbot": __version__,
         "options": asdict(tracking.options),
         "seconds": tracking.seconds,
-        "baseline": _motion(tracking.baseline),
+        "baseline": None if tracking.baseline is None else _motion(tracking.baseline),
         "planned": _motion(tracking.planned),
         "interval": [asdict(case) for case in tracking.interval],
     }

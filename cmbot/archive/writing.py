@@ -66,9 +66,10 @@ def save(
     contents = {
         table: job_table(plan, table),
         knots: knots_npz(plan.job.trajectory),
-        BASELINE_FILE: samples_csv(plan.baseline, BASELINE_FILE),
     }
-    record = PlanFile.of_plan(plan, None, hashes_of(plan)).as_data()
+    if plan.baseline is not None:
+        contents[BASELINE_FILE] = samples_csv(plan.baseline.samples, BASELINE_FILE)
+    record = PlanFile.of_plan(plan, hashes_of(plan)).as_data()
     # What could not be read back is not written.
     validated(PlanFile, record, PLAN_FILE, ArchiveError)
     write_plan_files(directory, record, contents | shown, force=force)

@@ -44,12 +44,9 @@ def plan_scene(scene: str, directory: str, *, pages: bool = False) -> dict[str, 
 
         added = pages_of(planned)
     save(planned, directory, force=True, added=added)
-    figures = {
-        "baseline_work": planned.baseline_figures,
-        "baseline_job": planned.baseline_job_figures,
-        "planned_work": planned.figures,
-        "planned_job": planned.job.figures,
-    }
+    figures = {"planned_work": planned.figures, "planned_job": planned.job.figures}
+    if (baseline := planned.baseline) is not None:
+        figures |= {"baseline_work": baseline.figures, "baseline_job": baseline.job_figures}
     return {
         "ended": "planned",
         "verdict": verdict(planned),

@@ -227,8 +227,7 @@ def _print_plan(planned: Plan) -> None:
     from cmbot.planning import remarks
 
     if out.is_terminal:
-        headings, rows = ("", "baseline", "planned"), list(planned.rows())
-        print_table(planned.scene.name, headings, rows, text_columns=1)
+        print_table(planned.scene.name, planned.headings, list(planned.rows()), text_columns=1)
     else:
         out.print(planned.summary())
     for remark in remarks(planned):

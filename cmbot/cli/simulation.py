@@ -24,7 +24,7 @@ _LEFT_OUT = ("format", "assumptions")
 
 @dataclass(frozen=True, kw_only=True)
 class SimulateCommand(Writing):
-    """Let guardrail and links bend under a plan's motion, and under the baseline's; add tracking errors.
+    """Let guardrail and links bend under a plan's motion, and the baseline's if any; add tracking errors.
 
     The plan's pages are written anew, with the tracking errors in them.
 
@@ -216,17 +216,17 @@ def _print_reproduction(found: Reproduction, *, details: bool) -> None:
 
 def _print_summary(plan: Plan, tracking: Tracking) -> None:
     from cmbot.simulation import (
-        INTERVAL_HEADINGS,
         base_movement,
+        interval_headings,
         interval_rows,
         tracking_summary,
         tracking_verdict,
     )
 
     rows = list(tracking_summary(tracking, compensated=plan.options.compensate))
-    print_table(f"{plan.scene.name}, mm", ("", "baseline", "planned"), rows, text_columns=1)
+    print_table(f"{plan.scene.name}, mm", tracking.headings, rows, text_columns=1)
     if others := list(interval_rows(plan, tracking)):
-        print_table("With another stiffness", INTERVAL_HEADINGS, others, text_columns=2)
+        print_table("With another stiffness", interval_headings(tracking), others, text_columns=2)
     out.print(tracking_verdict(plan, tracking))
     if moved := base_movement(plan, tracking):
         out.print(moved)

@@ -8,22 +8,12 @@ from cmbot.planning.budget import Deadline
 from cmbot.planning.certification.certificate import Certificate, certify
 from cmbot.planning.certification.check import Check
 from cmbot.planning.certification.metrics import LimitUse, MotionMetrics, Samples, figures, measure, tool_lag
-from cmbot.planning.diagnosis import most_often_near, weakest_joint
 from cmbot.planning.flexibility.sag_compensation import Compensation
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.free_motion.free_move import FreeMove, certify_move, free_space, plan_move
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.initial_guess import Choice, searched
 from cmbot.planning.job import APPROACH, RETURN, Job, Segment, free_move_name, job_metrics
-from cmbot.planning.objectives import (
-    Objective,
-    PostureFunction,
-    PostureObjective,
-    WeightedMoment,
-    WrenchFunction,
-    WrenchObjective,
-    objective_of,
-)
 from cmbot.planning.path.first_posture import starting_at_path
 from cmbot.planning.path.gradient_projection import JointPath, follow_path
 from cmbot.planning.path.projection import project_onto_task
@@ -32,11 +22,17 @@ from cmbot.planning.planner import plan
 from cmbot.planning.precheck import Precheck, precheck_options, precheck_scene
 from cmbot.planning.progress import Progress, ProgressReporter
 from cmbot.planning.request import JobState, StrokeRequest, build_request, end_posture_of, strokes_of, task_of
-from cmbot.planning.result.baseline import BaselineSegment, joined_samples
+from cmbot.planning.result.baseline import Baseline, BaselineSegment, joined_samples
 from cmbot.planning.result.loads import LOAD_HEADINGS, Load, load_point, load_rows, loads
 from cmbot.planning.result.plan import Plan, Seconds, require_plan, work_of
 from cmbot.planning.result.remarks import remarks
-from cmbot.planning.result.stroke_plan import ObjectiveMetrics, Start, StrokePlan, objective_metrics
+from cmbot.planning.result.stroke_plan import (
+    ObjectiveMetrics,
+    Start,
+    StrokeBaseline,
+    StrokePlan,
+    objective_metrics,
+)
 from cmbot.planning.result.verdict import (
     baseline_faults,
     bound_use,
@@ -50,16 +46,27 @@ from cmbot.planning.result.verdict import (
 from cmbot.planning.selfmotion.followed_bound import quick_bound
 from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
-from cmbot.planning.stiffness import covariance_of, modelled_stiffness
 from cmbot.planning.task import ToolTask
-from cmbot.planning.units import unit_findings
-from cmbot.planning.workcell import Workcell, bending_arm, rigid_arm_remark, robot_of, sag_of
+from cmbot.planning.workcell.diagnosis import most_often_near, weakest_joint
+from cmbot.planning.workcell.objectives import (
+    Objective,
+    PostureFunction,
+    PostureObjective,
+    WeightedMoment,
+    WrenchFunction,
+    WrenchObjective,
+    objective_of,
+)
+from cmbot.planning.workcell.stiffness import covariance_of, modelled_stiffness
+from cmbot.planning.workcell.units import unit_findings
+from cmbot.planning.workcell.workcell import Workcell, bending_arm, rigid_arm_remark, robot_of, sag_of
 from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
 __all__ = [
     "APPROACH",
     "LOAD_HEADINGS",
     "RETURN",
+    "Baseline",
     "BaselineSegment",
     "Certificate",
     "Check",
@@ -93,6 +100,7 @@ __all__ = [
     "SplineSpace",
     "Start",
     "StartPosture",
+    "StrokeBaseline",
     "StrokePlan",
     "StrokeRequest",
     "ToolTask",

@@ -1,4 +1,4 @@
-"""The plan of a job, composed of what was planned of its strokes, beside the baseline."""
+"""The plan of a job, composed of what was planned of its strokes, beside its baseline if any."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from cmbot.planning.path.first_posture import starting_at_path
 from cmbot.planning.path.gradient_projection import follow_path
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.result.plan import Plan, Seconds
-from cmbot.planning.result.stroke_plan import StrokePlan, objective_metrics
+from cmbot.planning.result.stroke_plan import StrokeBaseline, StrokePlan, objective_metrics
 from cmbot.scene import SAME_PLACE, Scene
 
 
 def composed(scene: Scene, made: Sequence[PlannedStroke], *, custom: bool) -> Plan:
-    """Return the plan of a job's motions, beside the baseline."""
+    """Return the plan of a job's motions, beside a baseline where one is asked for."""
     motions = [stroke.trial.result for stroke in made]
     request = motions[0].request
     # What follows stops nothing: it only says what was planned.
@@ -30,7 +30,8 @@ def composed(scene: Scene, made: Sequence[PlannedStroke], *, custom: bool) -> Pl
     strokes, at = list[StrokePlan](), None
     for stroke in made:
         strokes.append(_stroke_plan(stroke, at, custom=custom))
-        at = strokes[-1].baseline.q[-1]
+        if (baseline := strokes[-1].baseline) is not None:
+            at = baseline.samples.q[-1]
     shares = [motion.guess.search.step_share for motion in motions if motion.guess.search is not None]
     return Plan.of(
         strokes,
@@ -61,24 +62,12 @@ def _as_planned(scene: Scene, requests: Sequence[StrokeRequest]) -> Scene:
 
 
 def _stroke_plan(stroke: PlannedStroke, at: FloatArray | None, *, custom: bool) -> StrokePlan:
-    """What is planned of a stroke, beside the baseline from the posture `at` (n,), by default the scene's."""
+    """What is planned of a stroke, beside a baseline from the posture `at` (n,), by default the scene's."""
     motion = stroke.trial.result
     request, guess, options = motion.request, motion.guess, motion.request.cell.options
-    # The comparison is with the paper's motion from the scene's own posture, obstacles or not.
-    path = follow_path(
-        request if at is None else _starting_near(request, at),
-        stop_at_obstacles=False,
-        report=partial(request.reporter.part, "following the tool path as the baseline does"),
-    )
-    baseline = measure(
-        request.cell.robot,
-        request.task,
-        request.cell.clearances,
-        path.t,
-        path.motion(),
-        clearance=path.clearance,
-    )
-    baseline_figures = figures(request.cell.robot, baseline)
+    baseline = None
+    if options.baseline != "none":
+        baseline = _baseline(request if at is None else _starting_near(request, at))
     bound = guess.lower_bound if guess.search is not None else None
     if bound is not None and request.cell.sag is None:
         at_rest = request.cell.objective.at_rest(request.cell.postures.at(motion.optimised.via_points))
@@ -87,7 +76,7 @@ def _stroke_plan(stroke: PlannedStroke, at: FloatArray | None, *, custom: bool) 
         request.cell.objective,
         options,
         own=custom,
-        baseline=(baseline_figures, baseline),
+        baseline=baseline,
         planned=(motion.work.figures, motion.work.trajectory),
         floor=None if bound is None else bound.value,
     )
@@ -96,9 +85,6 @@ def _stroke_plan(stroke: PlannedStroke, at: FloatArray | None, *, custom: bool) 
         task=request.task,
         start=motion.start,
         baseline=baseline,
-        baseline_figures=baseline_figures,
-        drift=float(path.drift.max()),
-        smallest_singular_value=float(path.singular_value.min()),
         passes=motion.optimised.passes,
         objective=objective,
         lower_bound=bound,
@@ -106,6 +92,27 @@ def _stroke_plan(stroke: PlannedStroke, at: FloatArray | None, *, custom: bool) 
         compensation=motion.compensation,
         suppression=motion.suppression,
         runs=stroke.runs,
+    )
+
+
+def _baseline(request: StrokeRequest) -> StrokeBaseline:
+    """The motion without optimisation along a stroke, from the posture of a request, obstacles or not."""
+    cell = request.cell
+    if cell.options.baseline == "straight":
+        request = request.with_options(avoidance_gain=0.0, centre_of_gravity_weight=0.0)
+    path = follow_path(
+        request,
+        stop_at_obstacles=False,
+        report=partial(request.reporter.part, "following the tool path as the baseline does"),
+    )
+    samples = measure(
+        cell.robot, request.task, cell.clearances, path.t, path.motion(), clearance=path.clearance
+    )
+    return StrokeBaseline(
+        samples=samples,
+        figures=figures(cell.robot, samples),
+        drift=float(path.drift.max()),
+        smallest_singular_value=float(path.singular_value.min()),
     )
 
 

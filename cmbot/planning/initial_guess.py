@@ -12,13 +12,13 @@ from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import OptimisationFailed, PathNotFound
 from cmbot.common.file_types import NonNegative
 from cmbot.optimization import find_violations
-from cmbot.planning.diagnosis import nearest_to_end, out_of_range
 from cmbot.planning.path.gradient_projection import find_path
 from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.torque import TorqueProblem, parametrization_through
+from cmbot.planning.workcell.diagnosis import nearest_to_end, out_of_range
 
 SMOOTHER = 0.9
 """A guess with shorter steps is worth it when its roughness is at most this share of that before."""

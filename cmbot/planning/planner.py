@@ -16,7 +16,6 @@ from cmbot.planning.attempts.failure import Failure, NoWay, OutOfTime, error_of
 from cmbot.planning.attempts.stroke import PlannedStroke, advice, plan_stroke
 from cmbot.planning.budget import Budget, Deadline
 from cmbot.planning.composition import composed
-from cmbot.planning.objectives import WrenchFunction
 from cmbot.planning.path.raster_reach import reached_scene
 from cmbot.planning.precheck import (
     failures_explained,
@@ -29,6 +28,7 @@ from cmbot.planning.reach import require_posture, require_postures, require_with
 from cmbot.planning.request import JobState, StrokeRequest, build_request
 from cmbot.planning.result.plan import Plan
 from cmbot.planning.stroke_order import in_least_travel
+from cmbot.planning.workcell.objectives import WrenchFunction
 from cmbot.scene import PlannerOptions, Scene
 
 # Peaks of two orders of strokes that differ by less are the same.

@@ -21,10 +21,10 @@ from cmbot.common.yaml_reader import lines_named
 from cmbot.optimization import piqp_module
 from cmbot.planning.reach import beyond_reach, without_posture
 from cmbot.planning.request import end_posture_of, strokes_of, task_of
-from cmbot.planning.stiffness import identified_in_words
 from cmbot.planning.task import ToolTask, task_dimension
-from cmbot.planning.units import mistaken_units, require_metres, unit_findings
-from cmbot.planning.workcell import rigid_arm_remark, robot_of
+from cmbot.planning.workcell.stiffness import identified_in_words
+from cmbot.planning.workcell.units import mistaken_units, require_metres, unit_findings
+from cmbot.planning.workcell.workcell import rigid_arm_remark, robot_of
 from cmbot.robot import Dynamics, Finding, Robot
 from cmbot.scene import PlannerOptions, Scene, Stroke, Tool, coverage_of
 from cmbot.toolpath import ToolPath

@@ -12,10 +12,10 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound, SceneError
 from cmbot.common.representation import short_repr
 from cmbot.planning.budget import Deadline
-from cmbot.planning.objectives import WrenchFunction
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.task import ToolTask
-from cmbot.planning.workcell import Workcell, build_workcell
+from cmbot.planning.workcell.objectives import WrenchFunction
+from cmbot.planning.workcell.workcell import Workcell, build_workcell
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import SPEED_TOLERANCE, STOW, NamedState, PlannerOptions, Scene, Stroke
 from cmbot.toolpath import ToolPoses

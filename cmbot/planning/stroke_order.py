@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
 from cmbot.planning.request import end_posture_of, strokes_of
-from cmbot.planning.workcell import robot_of
+from cmbot.planning.workcell.workcell import robot_of
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import Scene, Stroke, StrokeFile
 

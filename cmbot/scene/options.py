@@ -63,6 +63,10 @@ class PlannerOptions(CheckedFields):
         minimised. With an identified stiffness it is at most two standard deviations.
     quiet_payload_kg : float
         By how much the payload may differ from the modelled one, kg.
+    baseline : str
+        The motion without optimisation that the plan is compared with. ``paper``: Chang 2021, Eq. (22), from
+        the scene's posture. ``straight``: least-norm steps along the same path, which is Eq. (22) without its
+        part in the null space. ``none``: none is computed, and the figures stand alone.
     avoidance : str
         ``smooth``: the clearance gradient is multiplied by ``1 - d/d_s``, so it fades in, and blends from one
         near pair to the next. ``switch``: Chang 2021, Eq. (17) to the letter; joint rates jump.
@@ -142,6 +146,7 @@ class PlannerOptions(CheckedFields):
     quiet_modes: Annotated[int, Field(ge=0, le=10)] = 2
     quiet_stiffness_share: Annotated[float, Field(ge=0, le=0.9)] = 0.3
     quiet_payload_kg: Annotated[float, Field(ge=0, le=100)] = 1.0
+    baseline: Literal["paper", "straight", "none"] = "none"
     avoidance: Literal["smooth", "switch"] = "smooth"
     avoidance_distance_m: Annotated[float, Field(ge=1e-4, le=10)] = 0.15
     avoidance_gain: Annotated[float, Field(ge=0, le=1000)] = 2.0

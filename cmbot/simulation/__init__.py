@@ -6,9 +6,9 @@ from cmbot.simulation.metrics import ErrorMetrics, Residual, Statistics, statist
 from cmbot.simulation.options import SimulationOptions
 from cmbot.simulation.prescribed_motion import PrescribedMotion, PrescribedWork
 from cmbot.simulation.summary import (
-    INTERVAL_HEADINGS,
     base_movement,
     beyond_margin,
+    interval_headings,
     interval_rows,
     tracking_remarks,
     tracking_rows,
@@ -29,7 +29,6 @@ from cmbot.simulation.tracking import (
 )
 
 __all__ = [
-    "INTERVAL_HEADINGS",
     "ErrorMetrics",
     "MotionTracking",
     "PrescribedMotion",
@@ -44,6 +43,7 @@ __all__ = [
     "elastic_arm_of",
     "execution_error",
     "expected_tool",
+    "interval_headings",
     "interval_rows",
     "motion_tracking",
     "simulate",

@@ -153,13 +153,14 @@ class PrescribedWork:
         )
 
     @classmethod
-    def baseline(cls, plan: Plan) -> PrescribedWork:
-        """Return the baseline, its strokes and its free moves through their samples."""
-        paths, segments = _paths(plan), plan.baseline_segments
-        strokes = [number for number, segment in enumerate(segments) if segment.name in paths]
+    def baseline(cls, plan: Plan) -> PrescribedWork | None:
+        """Return the baseline, its strokes and its free moves through their samples; None without one."""
+        if plan.baseline is None:
+            return None
+        paths = _paths(plan)
         return cls.of(
             (PrescribedMotion.through(segment.samples.t, segment.samples.q), paths.get(segment.name))
-            for segment in segments[strokes[0] : strokes[-1] + 1]
+            for segment in plan.baseline.work
         )
 
     @property

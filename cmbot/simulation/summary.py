@@ -43,12 +43,18 @@ _MODEL = (
     "settle_s",
 )
 
-INTERVAL_HEADINGS = ("stiffness times", "mm", "baseline", "without suppression (linear)", "planned")
-"""Headings of `interval_rows`; linear: as the plan simulates it, for small deflections beside the sag."""
+
+def interval_headings(tracking: Tracking) -> tuple[str, ...]:
+    """Return what the columns of `interval_rows` are called.
+
+    Linear: as the plan simulates it, for small deflections beside the sag.
+    """
+    *others, planned = (name for name, _ in tracking.motions)
+    return "stiffness times", "mm", *others, "without suppression (linear)", planned
 
 
-def tracking_summary(tracking: Tracking, *, compensated: bool) -> Iterator[tuple[str, str, str]]:
-    """Yield the main results in mm, each as its name, the baseline's and the planned motion's.
+def tracking_summary(tracking: Tracking, *, compensated: bool) -> Iterator[tuple[str, ...]]:
+    """Yield the main results in mm, each as its name and the value of each motion, the planned one last.
 
     Parameters
     ----------
@@ -56,20 +62,20 @@ def tracking_summary(tracking: Tracking, *, compensated: bool) -> Iterator[tuple
     compensated : bool
         The plan compensates the predicted sag.
     """
-    both = tracking.baseline, tracking.planned
+    each = [motion for _, motion in tracking.motions]
     sag = "tool sags beyond what was foreseen, mean" if compensated else "tool sags, mean"
     rows = {
-        sag: [motion.metrics.static.mean[3] for motion in both],
-        "tool sways beside its sag, at most": [motion.largest(motion.dynamic) for motion in both],
-        "bent tool off its path, at most": [motion.largest_off_path for motion in both],
+        sag: [motion.metrics.static.mean[3] for motion in each],
+        "tool sways beside its sag, at most": [motion.largest(motion.dynamic) for motion in each],
+        "bent tool off its path, at most": [motion.largest_off_path for motion in each],
     }
-    if all(motion.execution is not None for motion in both):
-        rows["tool off by how joints are driven, at most"] = [_largest_execution(motion) for motion in both]
-    swings = [motion.metrics.residual.diameter for motion in both if motion.metrics.residual is not None]
-    if len(swings) == len(both):
+    if all(motion.execution is not None for motion in each):
+        rows["tool off by how joints are driven, at most"] = [_largest_execution(motion) for motion in each]
+    swings = [motion.metrics.residual.diameter for motion in each if motion.metrics.residual is not None]
+    if len(swings) == len(each):
         rows["tool swings after the stop"] = swings
-    for name, (baseline, planned) in rows.items():
-        yield name, f"{1e3 * baseline:.3f}", f"{1e3 * planned:.3f}"
+    for name, values in rows.items():
+        yield name, *(f"{1e3 * value:.3f}" for value in values)
 
 
 def tracking_verdict(plan: Plan, tracking: Tracking) -> str:
@@ -93,14 +99,18 @@ def base_movement(plan: Plan, tracking: Tracking) -> str:
     tracking : Tracking
         Of that plan.
     """
-    before, after = tracking.baseline, tracking.planned
-    if before.base is None or after.base is None:
+    if any(motion.base is None for _, motion in tracking.motions):
         return ""
-    way, other = (1e3 * motion.largest_base_displacement for motion in (after, before))
-    turn, other_turn = (float(np.rad2deg(motion.largest_base_rotation)) for motion in (after, before))
+    *other, (way, turn) = [
+        (
+            f"{1e3 * motion.largest_base_displacement:.3g} mm",
+            f"{np.rad2deg(motion.largest_base_rotation):.3g} deg",
+        )
+        for _, motion in tracking.motions
+    ]
+    beside = f" (baseline {', '.join(other[0])})" if other else ""
     return (
-        f"Under the foot the {plan.scene.base_name} moves by up to {way:.3g} mm and turns by up to "
-        f"{turn:.3g} deg (baseline {other:.3g} mm, {other_turn:.3g} deg)."
+        f"Under the foot the {plan.scene.base_name} moves by up to {way} and turns by up to {turn}{beside}."
     )
 
 
@@ -123,7 +133,8 @@ def beyond_margin(plan: Plan, tracking: Tracking) -> str:
 
 
 def _swaying(plan: Plan, tracking: Tracking) -> str:
-    before, after = (motion.largest(motion.dynamic) for _, motion in tracking.motions)
+    *others, after = (motion.largest(motion.dynamic) for _, motion in tracking.motions)
+    before = max(others, default=np.inf)
     if after <= max(_MORE * before, _STILL):
         return ""
     return (
@@ -166,7 +177,7 @@ def _certified(plan: Plan) -> str:
 
 
 def interval_rows(plan: Plan, tracking: Tracking) -> Iterator[tuple[str, ...]]:
-    """Yield what the stiffness decides, in mm: its factor and name, the baseline's, unsuppressed, planned.
+    """Yield what the stiffness decides, in mm, a row as `interval_headings` calls its columns.
 
     Without suppression is told where the plan has simulated that, else left blank. Nothing where the stated
     stiffness alone was simulated.
@@ -179,13 +190,13 @@ def interval_rows(plan: Plan, tracking: Tracking) -> Iterator[tuple[str, ...]]:
         cases = zip(done.stiffness, done.load_kg, done.swing_without, strict=True)
         without = {factor: swing for factor, load, swing in cases if not load}
     for case in sorted(tracking.interval, key=lambda case: case.stiffness):
-        at, (baseline, planned) = f"{case.stiffness:g}", case.off_path
-        yield at, "bent tool off its path, at most", f"{1e3 * baseline:.3f}", "", f"{1e3 * planned:.3f}"
+        at, (*others, planned) = f"{case.stiffness:g}", [f"{1e3 * off:.3f}" for off in case.off_path]
+        yield at, "bent tool off its path, at most", *others, "", planned
         if case.swing is not None:
-            baseline, planned = case.swing
+            *others, planned = (f"{1e3 * swing:.3f}" for swing in case.swing)
             swing = without.get(round(case.stiffness, 6))
             told = "" if swing is None else f"{1e3 * swing:.3f}"
-            yield at, "tool swings after the stop", f"{1e3 * baseline:.3f}", told, f"{1e3 * planned:.3f}"
+            yield at, "tool swings after the stop", *others, told, planned
 
 
 def tracking_rows(tracking: Tracking) -> Iterator[tuple[str, ...]]:
@@ -218,7 +229,12 @@ def tracking_remarks(tracking: Tracking, *, compensated: bool = False) -> Iterat
     """
     rigid = "the bent tool from where the same joint angles put the rigid one"
     if compensated:
-        rigid = f"of the baseline {rigid}, of the planned motion from there with the sag that was foreseen"
+        if tracking.baseline is None:
+            rigid += ", with the sag that was foreseen"
+        else:
+            rigid = (
+                f"of the baseline {rigid}, of the planned motion from there with the sag that was foreseen"
+            )
     yield f"Error: {rigid}; static: at rest; mm in W."
     yield "Off the path: along strokes, the bent tool from the nearest point of its leg."
     for name, motion in tracking.motions:
@@ -233,7 +249,7 @@ def tracking_remarks(tracking: Tracking, *, compensated: bool = False) -> Iterat
             if text := remark(motion):
                 yield f"{name.capitalize()}: {text}."
     yield _setting(tracking.options)
-    simulated = tracking.baseline.t[-1] + tracking.planned.t[-1]
+    simulated = sum(float(motion.t[-1]) for _, motion in tracking.motions)
     yield f"Time: {tracking.seconds:.2f} s for {simulated:.0f} s of motion."
 
 

@@ -115,34 +115,35 @@ class MotionTracking:
 
 @dataclass(frozen=True, kw_only=True)
 class StiffnessCase:
-    """What matters of both motions where all stiffness is another.
+    """What matters of the motions where all stiffness is another.
 
     Attributes
     ----------
     stiffness : float
         Factor on all stiffness of the simulation's options.
-    off_path : (float, float), m
-        Largest distance of the bent tool from its path along the strokes, of the baseline and as planned.
-    swing : (float, float), m, or None
-        Largest distance between two positions of the tool after the stop, of both; None where that is not
+    off_path : tuple of float, m
+        Largest distance of the bent tool from its path along the strokes, of the motions of `Tracking`.
+    swing : tuple of float, m, or None
+        Largest distance between two positions of the tool after the stop, of each; None where that is not
         simulated.
     """
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
     stiffness: Annotated[float, Field(gt=0)]
-    off_path: tuple[Distance, Distance]
-    swing: tuple[Distance, Distance] | None
+    off_path: Annotated[tuple[Distance, ...], Field(min_length=1, max_length=2)]
+    swing: Annotated[tuple[Distance, ...], Field(min_length=1, max_length=2)] | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tracking:
-    """The tracking errors of a plan and of its baseline.
+    """The tracking errors of a plan, and of its baseline where it has one.
 
     Attributes
     ----------
     options : SimulationOptions
-    baseline, planned : MotionTracking
+    baseline : MotionTracking or None
+    planned : MotionTracking
     seconds : float, s
         Wall time.
     interval : tuple of StiffnessCase
@@ -150,7 +151,7 @@ class Tracking:
     """
 
     options: SimulationOptions
-    baseline: MotionTracking
+    baseline: MotionTracking | None
     planned: MotionTracking
     seconds: float
     interval: tuple[StiffnessCase, ...] = ()
@@ -165,7 +166,12 @@ class Tracking:
         for name, part in parts.items():
             values = (1e3 * getattr(motion.metrics, part).rms[3] for _, motion in self.motions)
             rows.append((f"{name}, RMS, mm", *(f"{value:.3f}" for value in values)))
-        return card("Tracking", self._in_words, rows, ("", "baseline", "planned"))
+        return card("Tracking", self._in_words, rows, self.headings)
+
+    @property
+    def headings(self) -> tuple[str, ...]:
+        """What the columns are called of a table with a value of each motion."""
+        return "", *(name for name, _ in self.motions)
 
     @property
     def _in_words(self) -> str:
@@ -176,8 +182,9 @@ class Tracking:
 
     @property
     def motions(self) -> tuple[tuple[Literal["baseline", "planned"], MotionTracking], ...]:
-        """Both motions with their names."""
-        return ("baseline", self.baseline), ("planned", self.planned)
+        """The motions with their names, the planned one last."""
+        planned: tuple[Literal["planned"], MotionTracking] = ("planned", self.planned)
+        return (planned,) if self.baseline is None else (("baseline", self.baseline), planned)
 
 
 def simulate(
@@ -186,7 +193,7 @@ def simulate(
     *,
     progress: Callable[[float], None] | Literal[False] | None = None,
 ) -> Tracking:
-    """Simulate the elastic arm of a plan's scene under its baseline and under its planned motion.
+    """Simulate the elastic arm of a plan's scene under its planned motion, and under its baseline if any.
 
     The joints follow their motion exactly from the first stroke's beginning to the last one's end; guardrail
     and links bend. The process force acts on the bent tool along the strokes, and on after the joints stop.
@@ -220,30 +227,33 @@ def simulate(
     started = time.perf_counter()
     # The matrices are too small for several threads of linear algebra.
     with threadpool_limits(limits=1, user_api="blas"), watched_share(progress, "simulating") as told:
-        works = PrescribedWork.baseline(plan), PrescribedWork.planned(plan)
-        sags = None, plan.sag
+        works = [(PrescribedWork.planned(plan), plan.sag)]
+        if (other := PrescribedWork.baseline(plan)) is not None:
+            works.insert(0, (other, None))
         share = options.stiffness_share
         factors = (1.0, 1 - share, 1 + share) if share else (1.0,)
-        total, before = len(factors) * sum(work.duration + options.settle_s for work in works), 0.0
+        total, before = len(factors) * sum(work.duration + options.settle_s for work, _ in works), 0.0
 
         def report(reached: float) -> None:
             if told is not None:
                 told((before + reached) / total)
 
-        motions = []
+        cases = []
         for factor in factors:
-            arm = elastic_arm_of(plan, _softened(options, factor))
-            for work, sag in zip(works, sags, strict=True):
+            arm, motions = elastic_arm_of(plan, _softened(options, factor)), list[MotionTracking]()
+            for work, sag in works:
                 motions.append(track_work(arm, work, options, report, sag))
                 before += work.duration + options.settle_s
-    baseline, planned, *others = motions
-    pairs = zip(factors[1:], others[::2], others[1::2], strict=True)
+            cases.append(motions)
+    *baseline, planned = cases[0]
     return Tracking(
         options=options,
-        baseline=baseline,
+        baseline=baseline[0] if baseline else None,
         planned=planned,
         seconds=time.perf_counter() - started,
-        interval=tuple(_case(factor, *pair) for factor, *pair in pairs),
+        interval=tuple(
+            _case(factor, *motions) for factor, motions in zip(factors[1:], cases[1:], strict=True)
+        ),
     )
 
 
@@ -256,8 +266,8 @@ def _softened(options: SimulationOptions, factor: float) -> SimulationOptions:
 def _case(factor: float, *motions: MotionTracking) -> StiffnessCase:
     off = [motion.largest_off_path for motion in motions]
     swings = [motion.metrics.residual.diameter for motion in motions if motion.metrics.residual is not None]
-    swing = (swings[0], swings[1]) if len(swings) == len(off) else None
-    return StiffnessCase(stiffness=factor, off_path=(off[0], off[1]), swing=swing)
+    swing = tuple(swings) if len(swings) == len(off) else None
+    return StiffnessCase(stiffness=factor, off_path=tuple(off), swing=swing)
 
 
 def elastic_arm_of(plan: Plan, options: SimulationOptions) -> ElasticArm:

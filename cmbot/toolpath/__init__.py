@@ -8,8 +8,8 @@ from cmbot.toolpath.raster.face_rows import FaceSurface
 from cmbot.toolpath.raster.pieces import RowPiece, cells_of, without
 from cmbot.toolpath.raster.raster import CylinderPatch, FaceSelection, Raster
 from cmbot.toolpath.raster.surface import Coverage, PlainSurface, Surface
-from cmbot.toolpath.time_law import LegLaw, PiecewiseLaw, SpeedProfile
-from cmbot.toolpath.tool_path import ShiftedToolPath, ToolPath, share_out_segments
+from cmbot.toolpath.time_law import LegLaw, SpeedProfile, TimeLaw
+from cmbot.toolpath.tool_path import Segment, ShiftedToolPath, ToolPath, share_out_segments
 from cmbot.toolpath.tool_poses import ToolPoses, shortest_turns
 
 __all__ = [
@@ -28,17 +28,18 @@ __all__ = [
     "Line",
     "PathDescription",
     "PathSource",
-    "PiecewiseLaw",
     "PlainSurface",
     "Raster",
     "Rolled",
     "RowPiece",
     "SecondsOrAuto",
+    "Segment",
     "ShiftedToolPath",
     "Speed",
     "SpeedProfile",
     "Spline",
     "Surface",
+    "TimeLaw",
     "ToolPath",
     "ToolPoses",
     "ViaPoints",

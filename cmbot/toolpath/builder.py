@@ -22,7 +22,7 @@ from cmbot.toolpath.raster.raster import CylinderPatch, Raster
 from cmbot.toolpath.raster.rows import cylinder_corners, cylinder_frame, rectangle_axes, rectangle_corners
 from cmbot.toolpath.raster.surface import Surface
 from cmbot.toolpath.time_law import ProcessPart, TimeLaw, law_with_leads
-from cmbot.toolpath.tool_path import ToolPath
+from cmbot.toolpath.tool_path import Segment, ToolPath
 from cmbot.toolpath.tool_poses import shortest_turns
 
 # Angle below which a turn is none, rad.
@@ -112,18 +112,19 @@ class _PathBuilder:
             R.append(_turned(part.turn, R[-1]))
         for k, (before, after) in leads.items():
             self._parts[k], laws[k], process[k] = self._led(k, R[k], before, after)
-        parts = self._parts
-        return ToolPath(
-            corners=np.vstack([self._start[0], *(part.end for part in parts)]),
-            orientation=self._start[1],
-            seconds=np.array([part.seconds for part in parts]),
-            profile=file.speed_profile,
-            rotations=np.array([part.turn for part in parts]),
-            curves={k: part.curve for k, part in enumerate(parts) if part.curve is not None},
-            laws=laws,
-            process=process,
-            open_legs=frozenset(k for k, part in enumerate(parts) if part.open or file.seconds == AUTO),
-        )
+        law, point, segments = file.speed_profile.law, self._start[0], list[Segment]()
+        for k, part in enumerate(self._parts):
+            segment = Segment(
+                curve=part.curve or Line(point, part.end),
+                turn=part.turn,
+                seconds=part.seconds,
+                law=laws.get(k, law),
+                process=process.get(k),
+                is_open=part.open or file.seconds == AUTO,
+            )
+            segments.append(segment)
+            point = part.end
+        return ToolPath(segments=tuple(segments), orientation=self._start[1])
 
     def _leads(self) -> dict[int, tuple[float, float]]:
         """Lengths of the leads, m, of the parts that have any."""

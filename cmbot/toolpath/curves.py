@@ -28,6 +28,8 @@ _BACK = -0.866
 _NO_RATE = 1e-9
 # Distance of three points from a line, as a share of their own distances, below which they have no circle.
 _STRAIGHT = 1e-6
+# Instead of no length, or its square.
+_NO_LENGTH = 1e-300
 
 
 class Curve(ABC):
@@ -69,6 +71,11 @@ class Curve(ABC):
         """Return unit vectors (N, 3) along the curve."""
         slope = self.slope(share)
         return np.asarray(slope / np.linalg.norm(slope, axis=1, keepdims=True))
+
+    def offset(self, share: FloatArray, p: FloatArray) -> FloatArray:
+        """Return the vectors (N, 3), m, to points (N, 3) from the nearest points of the tangents."""
+        away, tangent = p - self.position(share), self.tangent(share)
+        return np.asarray(away - np.einsum("nd,nd->n", away, tangent)[:, None] * tangent)
 
     def arc_angle(self, share: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the angles (N,), rad, and radii (N,), m, of the arcs on which the shares `at` (N,) lie.
@@ -473,6 +480,16 @@ class Line(Curve):
     def slope(self, share: FloatArray) -> FloatArray:
         """Return derivatives (N, 3), m."""
         return np.broadcast_to(self.end - self.start, (len(share), 3))
+
+    def tangent(self, share: FloatArray) -> FloatArray:
+        """Return unit vectors (N, 3); zero where it has no length."""
+        return np.asarray(self.slope(share) / max(self.length, _NO_LENGTH))
+
+    def offset(self, share: FloatArray, p: FloatArray) -> FloatArray:
+        """Return the vectors (N, 3), m, to points (N, 3) from the nearest points of the line."""
+        edge, away = self.end - self.start, p - self.start
+        along = away @ edge / max(self.length**2, _NO_LENGTH)
+        return np.asarray(away - np.clip(along, 0.0, 1.0)[:, None] * edge)
 
 
 def _lengths(spline: CubicSpline) -> FloatArray:

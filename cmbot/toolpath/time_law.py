@@ -2,41 +2,179 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import InputError
 from cmbot.common.validation import CheckedFields
+from cmbot.toolpath.shaper import Shaper
 
 _Duration = Annotated[float, Field(gt=0, le=36_000)]
 _Jerk = Annotated[float, Field(ge=-1e9, le=1e9)]
 # Halvings that find when a share is covered.
 _HALVINGS = 60
+# Shares of a duration that are nearer to each other are one break.
+_SAME_BREAK = 1e-12
+# Speed in a ramp from 0 to 1, over shares of the ramp: pieces of equal length, each by powers of what of the
+# ramp is behind since the piece began. The order of the derivative of the share covered that is continuous.
+_RAMPS: dict[str, tuple[int, tuple[tuple[float, ...], ...]]] = {
+    "trapezoidal": (1, ((0.0, 1.0),)),
+    "jerk_limited": (2, ((0.0, 0.0, 2.0), (1 / 2, 2.0, -2.0))),
+    "quiet": (
+        3,
+        (
+            (0.0, 0.0, 0.0, 16 / 3),
+            (1 / 12, 1.0, 4.0, -16 / 3),
+            (1 / 2, 2.0, 0.0, -16 / 3),
+            (11 / 12, 1.0, -4.0, 16 / 3),
+        ),
+    ),
+}
+
+Kind = Literal["trapezoidal", "jerk_limited", "quiet"]
+"""How the speed rises and falls."""
 
 
-class TimeLaw(Protocol):
-    """From rest to rest along a leg."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TimeLaw:
+    """A law from rest to rest: a polynomial in each of K phases.
 
-    @property
-    def breaks(self) -> FloatArray:
-        """Shares (B,) of the duration between which the law is a polynomial, 0 and 1 among them."""
+    Attributes
+    ----------
+    breaks : (K + 1,)
+        Shares of the duration at which the phases begin and the last one ends: from 0 to 1.
+    coefficients : (K, D + 1)
+        Of the share covered, by powers of the share of the duration since the phase began.
+    continuity : (K + 1,)
+        Of each break the order of the highest derivative without a jump; before and after it the tool rests.
+    """
+
+    breaks: FloatArray
+    coefficients: FloatArray
+    continuity: IntArray
+
+    @staticmethod
+    def ramped(kind: Kind, up: float, cruise: float, down: float) -> TimeLaw:
+        """Return a law with a ramp up, a constant speed and a ramp down, of so long durations.
+
+        Parameters
+        ----------
+        kind : str
+            ``trapezoidal``: constant acceleration in the ramps, so C1. ``jerk_limited``: it rises and falls
+            linearly, C2. ``quiet``: jerk rises and falls linearly, C3: tents of it, +J at a quarter of the
+            ramp, -J at three quarters.
+        up, cruise, down : float
+            In any unit.
+        """
+        order, shapes = _RAMPS[kind]
+        whole = up + cruise + down
+        up, cruise, down = up / whole, cruise / whole, down / whole
+        speed = 1 / (cruise + 0.5 * (up + down))
+        phases = [(length, speed * terms) for length, terms in _ramp(shapes, up)]
+        if cruise > 0:
+            phases.append((cruise, np.array([speed])))
+        for length, terms in _ramp(shapes, down):
+            falling = -speed * terms
+            falling[0] += speed
+            phases.append((length, falling))
+        return TimeLaw._of_speeds(phases, order)
+
+    @staticmethod
+    def _of_speeds(phases: Sequence[tuple[float, FloatArray]], order: int) -> TimeLaw:
+        """The law of phases, each of a duration and a polynomial of the speed."""
+        breaks = np.append(0.0, np.cumsum([length for length, _ in phases]))
+        coefficients = np.zeros((len(phases), 1 + max(len(terms) for _, terms in phases)))
+        covered = 0.0
+        for row, (length, terms) in zip(coefficients, phases, strict=True):
+            row[0], row[1 : 1 + len(terms)] = covered, terms / np.arange(1, 1 + len(terms))
+            covered = float(np.polynomial.polynomial.polyval(length, row))
+        breaks[-1] = 1.0
+        return TimeLaw(breaks=breaks, coefficients=coefficients, continuity=np.full(len(breaks), order))
 
     def share(self, u: FloatArray) -> FloatArray:
-        """Share of the length covered at share `u` of the duration, both in [0, 1]."""
+        """Return the shares (N,) of the length covered at shares `u` (N,) of the duration, in [0, 1]."""
+        return np.where(u < 1, np.clip(self._value(self.coefficients, u), 0.0, 1.0), 1.0)
 
-    def rate(self, u: FloatArray) -> FloatArray:
-        """Derivative of `share`: speed in units of length over duration."""
+    def rate(self, u: FloatArray, order: int = 1) -> FloatArray:
+        """Return a derivative (N,) of `share`, the first one: speed in units of length over duration."""
+        coefficients = self.coefficients
+        for _ in range(order):
+            coefficients = coefficients[:, 1:] * np.arange(1, coefficients.shape[1])
+        value = self._value(coefficients, u)
+        # At rest, whatever rounding says.
+        return np.where(u < 1, value, 0.0) if order <= self.continuity[-1] else value
 
     def time_share(self, share: FloatArray) -> FloatArray:
-        """Share of the duration at which shares (N,) of the length are covered: the inverse of `share`."""
+        """Return the shares (N,) of the duration at which shares (N,) of the length are covered."""
+        low, high = np.zeros(len(share)), np.ones(len(share))
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            early = self.share(middle) < share
+            low, high = np.where(early, middle, low), np.where(early, high, middle)
+        return 0.5 * (low + high)
 
     def reversed(self) -> TimeLaw:
         """Return the law of the way back."""
+        breaks = 1.0 - self.breaks[::-1]
+        terms = self._taylor(self.breaks[1:], np.arange(len(self.coefficients)))[::-1]
+        back = -terms * (-1.0) ** np.arange(terms.shape[1])
+        back[:, 0] += 1.0
+        return TimeLaw(breaks=breaks, coefficients=back, continuity=self.continuity[::-1])
+
+    def shaped(self, shaper: Shaper, seconds: float) -> TimeLaw:
+        """Return the law of `seconds`, s, that an input shaper makes of this one in the time that is left.
+
+        It is the sum of the law, delayed by each of the shaper's impulses, in proportion to these: it stays
+        on the path, and is as smooth as before.
+        """
+        delays, stretch = shaper.delays / seconds, 1.0 - shaper.delays[-1] / seconds
+        breaks = (delays[:, None] + stretch * self.breaks).ravel()
+        order = np.argsort(breaks, kind="stable")
+        breaks, continuity = breaks[order], np.tile(self.continuity, len(delays))[order]
+        first = np.append(True, np.diff(breaks) > _SAME_BREAK)
+        continuity = np.minimum.reduceat(continuity, np.flatnonzero(first))
+        breaks = breaks[first]
+        breaks[-1] = 1.0
+        begin, middle = breaks[:-1], 0.5 * (breaks[1:] + breaks[:-1])
+        coefficients = np.zeros((len(begin), self.coefficients.shape[1]))
+        for amplitude, delay in zip(shaper.amplitudes, delays, strict=True):
+            at, inside = (begin - delay) / stretch, (middle - delay) / stretch
+            terms = self._taylor(at, self._phase(inside)) / stretch ** np.arange(coefficients.shape[1])
+            terms[inside < 0] = 0.0
+            terms[inside > 1] = np.eye(1, terms.shape[1])
+            coefficients += amplitude * terms
+        return TimeLaw(breaks=breaks, coefficients=coefficients, continuity=continuity)
+
+    def _taylor(self, u: FloatArray, phase: IntArray) -> FloatArray:
+        """Coefficients (N, D + 1) of phases (N,) by powers of the share of the duration since `u` (N,)."""
+        x, terms = u - self.breaks[phase], self.coefficients[phase].copy()
+        for lowest in range(terms.shape[1] - 1):
+            # Horner's scheme, again and again: the value, then each derivative over its factorial.
+            for power in range(terms.shape[1] - 2, lowest - 1, -1):
+                terms[:, power] += x * terms[:, power + 1]
+        return terms
+
+    def _phase(self, u: FloatArray) -> IntArray:
+        return np.clip(np.searchsorted(self.breaks, u, side="right") - 1, 0, len(self.coefficients) - 1)
+
+    def _value(self, coefficients: FloatArray, u: FloatArray) -> FloatArray:
+        phase = self._phase(u)
+        x, value = u - self.breaks[phase], np.zeros(np.shape(u))
+        for column in coefficients.T[::-1]:
+            value = value * x + column[phase]
+        return value
+
+
+def _ramp(shapes: Sequence[Sequence[float]], length: float) -> list[tuple[float, FloatArray]]:
+    """The phases of a ramp of some `length`: their durations, and the speed from 0 to 1 by powers of time."""
+    if not length > 0:
+        return []
+    return [(length / len(shapes), np.array(shape) / length ** np.arange(len(shape))) for shape in shapes]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +186,7 @@ class SpeedProfile(CheckedFields):
     kind : str
         ``trapezoidal``: constant acceleration in the ramps, as in the paper.
         ``jerk_limited``: acceleration rises and falls linearly in the ramps, so jerk is bounded.
+        ``quiet``: jerk is continuous.
     ramp : float
         Share of a leg's duration spent speeding up, and again slowing down, 0.001 to 0.5.
 
@@ -57,99 +196,18 @@ class SpeedProfile(CheckedFields):
         When `kind` is unknown or `ramp` is out of range.
     """
 
-    kind: Literal["trapezoidal", "jerk_limited"] = "trapezoidal"
+    kind: Kind = "trapezoidal"
     ramp: Annotated[float, Field(ge=1e-3, le=0.5)] = 0.2
 
-    def share(self, u: FloatArray) -> FloatArray:
-        """Share of the length covered at share `u` of the duration, both in [0, 1]."""
-        late = u > 0.5
-        x = np.where(late, 1 - u, u)
-        ramp = self.ramp * self._ramp_integral(np.minimum(x / self.ramp, 1.0))
-        covered = (ramp + np.maximum(x - self.ramp, 0.0)) / (1 - self.ramp)
-        return np.where(late, 1 - covered, covered)
-
-    def rate(self, u: FloatArray) -> FloatArray:
-        """Derivative of `share`: speed in units of length over duration."""
-        x = np.minimum(np.minimum(u, 1 - u) / self.ramp, 1.0)
-        return self._ramp(x) / (1 - self.ramp)
-
-    def time_share(self, share: FloatArray) -> FloatArray:
-        """Share of the duration at which shares (N,) of the length are covered: the inverse of `share`."""
-        return _inverse(self.share, share)
-
     @property
-    def breaks(self) -> FloatArray:
-        """Shares (B,) of the duration between which the law is a polynomial, 0 and 1 among them."""
-        shares = [0.0, self.ramp, 1 - self.ramp, 1.0]
-        if self.kind == "jerk_limited":
-            shares += [0.5 * self.ramp, 1 - 0.5 * self.ramp]
-        return np.unique(shares)
-
-    def reversed(self) -> SpeedProfile:
-        """Return the law of the way back, which is the same."""
-        return self
-
-    def _ramp(self, x: FloatArray) -> FloatArray:
-        """Share of the cruising speed reached at share x of a ramp."""
-        if self.kind == "trapezoidal":
-            return x
-        return np.where(x < 0.5, 2 * x**2, 1 - 2 * (1 - x) ** 2)
-
-    def _ramp_integral(self, x: FloatArray) -> FloatArray:
-        if self.kind == "trapezoidal":
-            return x**2 / 2
-        return np.where(x < 0.5, 2 * x**3 / 3, x - 0.5 + 2 * (1 - x) ** 3 / 3)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PiecewiseLaw:
-    """A law of its own for a leg: a polynomial in each phase.
-
-    Attributes
-    ----------
-    breaks : (K + 1,)
-        Shares of the duration at which the phases begin and the last one ends.
-    coefficients : (K, D + 1)
-        Of the share covered, by powers of the share of the duration since the phase began.
-    """
-
-    breaks: FloatArray
-    coefficients: FloatArray
-
-    def share(self, u: FloatArray) -> FloatArray:
-        """Share of the length covered at share `u` of the duration, both in [0, 1]."""
-        return np.clip(self._value(self.coefficients, u), 0.0, 1.0)
-
-    def rate(self, u: FloatArray) -> FloatArray:
-        """Derivative of `share`: speed in units of length over duration."""
-        powers = np.arange(1, self.coefficients.shape[1])
-        return self._value(self.coefficients[:, 1:] * powers, u)
-
-    def time_share(self, share: FloatArray) -> FloatArray:
-        """Share of the duration at which shares (N,) of the length are covered: the inverse of `share`."""
-        return _inverse(self.share, share)
-
-    def reversed(self) -> PiecewiseLaw:
-        """Return the law of the way back."""
-        h, (phases, terms) = np.diff(self.breaks), self.coefficients.shape
-        back = np.zeros((phases, terms))
-        for k in range(phases):
-            from_end = np.polynomial.Polynomial(self.coefficients[k])(np.polynomial.Polynomial([h[k], -1.0]))
-            back[phases - 1 - k, : len(from_end.coef)] = -from_end.coef
-        back[:, 0] += 1.0
-        return PiecewiseLaw(breaks=1.0 - self.breaks[::-1], coefficients=back)
-
-    def _value(self, coefficients: FloatArray, u: FloatArray) -> FloatArray:
-        phase = np.clip(np.searchsorted(self.breaks, u, side="right") - 1, 0, len(coefficients) - 1)
-        x, value = u - self.breaks[phase], np.zeros(len(u))
-        for column in coefficients.T[::-1]:
-            value = value * x + column[phase]
-        return value
+    def law(self) -> TimeLaw:
+        """The law of a leg."""
+        return TimeLaw.ramped(self.kind, self.ramp, 1 - 2 * self.ramp, self.ramp)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LegLaw(CheckedFields):
-    """The law of a leg with ``seconds: auto``, as planning found it.
+    """The law of a leg, as planning found it.
 
     Attributes
     ----------
@@ -184,14 +242,21 @@ class LegLaw(CheckedFields):
         return sum(self.seconds)
 
     @property
-    def law(self) -> PiecewiseLaw:
+    def law(self) -> TimeLaw:
         """The law over shares of the duration."""
         whole = self.duration
         scale = whole ** np.arange(5.0) / self._covered
         terms = np.array([each for each, _ in self._phases]) * scale
         breaks = np.append(0.0, np.cumsum(self.seconds)) / whole
         breaks[-1] = 1.0
-        return PiecewiseLaw(breaks=breaks, coefficients=terms)
+        return TimeLaw(breaks=breaks, coefficients=terms, continuity=np.full(len(breaks), 3))
+
+    @staticmethod
+    def of(leg: int, law: TimeLaw, seconds: float) -> LegLaw:
+        """Return the record of a law with continuous jerk that takes so many seconds."""
+        jerk = law.rate(law.breaks, 3) / seconds**3
+        durations = np.diff(law.breaks) * seconds
+        return LegLaw(leg=leg, seconds=tuple(durations.tolist()), jerk=tuple(jerk.tolist()))
 
     def slowed(self, factor: float) -> LegLaw:
         """Return the law that takes so many times as long."""
@@ -240,7 +305,7 @@ class ProcessPart:
 
 def law_with_leads(
     profile: SpeedProfile, before: float, after: float, ramps: tuple[float, float]
-) -> tuple[PiecewiseLaw, tuple[float, float], float]:
+) -> tuple[TimeLaw, tuple[float, float], float]:
     """Return the law of a leg that begins or ends with a lead, in which the tool speeds up or slows down.
 
     Parameters
@@ -254,54 +319,13 @@ def law_with_leads(
 
     Returns
     -------
-    PiecewiseLaw, (two floats), float
+    TimeLaw, (two floats), float
         The law, the shares of the duration between which the speed is constant, and the duration in units of
         that in which the whole length is covered at that speed.
     """
     # At a constant speed of one: on a ramp the mean speed is half of that.
     process = (1 - before - after) / (1 - 0.5 * sum(ramps))
-    durations = np.array([2 * before + ramps[0] * process, 0.0, 2 * after + ramps[1] * process])
-    durations[1] = 2 * before + process + 2 * after - durations[0] - durations[2]
-    whole = float(durations.sum())
-    rate = whole  # share over share of the duration
-    up, cruise, down = durations / whole
-    phases: list[tuple[float, list[float]]]
-    if profile.kind == "trapezoidal":
-        phases = [
-            (up, [0.0, 0.5 * rate / up]),
-            (cruise, [rate]),
-            (down, [rate, -0.5 * rate / down]),
-        ]
-    else:
-        a, b = 2 * rate / up**2, 2 * rate / down**2
-        phases = [
-            (0.5 * up, [0.0, 0.0, a / 3]),
-            (0.5 * up, [0.5 * rate, 0.5 * a * up, -a / 3]),
-            (cruise, [rate]),
-            (0.5 * down, [rate, 0.0, -b / 3]),
-            (0.5 * down, [0.5 * rate, -0.5 * b * down, b / 3]),
-        ]
-    return _joined(phases), (up, up + cruise), whole
-
-
-def _joined(phases: list[tuple[float, list[float]]]) -> PiecewiseLaw:
-    """Put phases, of so long durations, one after the other; of each the coefficients but the first."""
-    phases = [(duration, terms) for duration, terms in phases if duration > 0]
-    breaks = np.append(0.0, np.cumsum([duration for duration, _ in phases]))
-    coefficients = np.zeros((len(phases), 1 + max(len(terms) for _, terms in phases)))
-    covered = 0.0
-    for k, (duration, terms) in enumerate(phases):
-        coefficients[k, 0], coefficients[k, 1 : 1 + len(terms)] = covered, terms
-        covered += sum(each * duration**power for power, each in enumerate(terms, start=1))
-    breaks[-1] = 1.0
-    return PiecewiseLaw(breaks=breaks, coefficients=coefficients)
-
-
-def _inverse(of: Callable[[FloatArray], FloatArray], share: FloatArray) -> FloatArray:
-    """Where an increasing function from [0, 1] to [0, 1] has the values `share` (N,)."""
-    low, high = np.zeros(len(share)), np.ones(len(share))
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        early = of(middle) < share
-        low, high = np.where(early, middle, low), np.where(early, high, middle)
-    return 0.5 * (low + high)
+    up, down = 2 * before + ramps[0] * process, 2 * after + ramps[1] * process
+    whole = 2 * before + process + 2 * after
+    law = TimeLaw.ramped(profile.kind, up, whole - up - down, down)
+    return law, (up / whole, (whole - down) / whole), whole

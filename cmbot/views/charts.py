@@ -358,7 +358,7 @@ def _of_joint(name: str, joint: int, factor: float) -> Callable[[Samples], Float
 
 
 def _curves(plan: Plan, quantity: Callable[[Samples], FloatArray], *, free: bool = True) -> tuple[Curve, ...]:
-    """Return a quantity of both motions on the job's clock, `free` moves too; both begin to work at once."""
+    """Return a quantity of the motions on the job's clock, `free` moves too; both begin to work at once."""
 
     def parts(segments: Sequence[Segment | BaselineSegment], sampled: Mapping[str, Samples]) -> list[_Part]:
         begin = next(segment.begin for segment in segments if segment.kind == "stroke") - work_begins(plan)
@@ -369,10 +369,6 @@ def _curves(plan: Plan, quantity: Callable[[Samples], FloatArray], *, free: bool
             for each in shown
         ]
 
-    planned = parts(plan.job.segments, plan.segment_samples)
-    others = {segment.name: segment.samples for segment in plan.baseline_segments}
-    baseline = parts(plan.baseline_segments, others)
-
     def curve(motion: str, parts: list[_Part]) -> Curve:
         times = [start + samples.t for start, samples in parts]
         ends = np.cumsum([len(t) for t in times])
@@ -382,7 +378,11 @@ def _curves(plan: Plan, quantity: Callable[[Samples], FloatArray], *, free: bool
         y = np.concatenate([quantity(samples) for _, samples in parts])
         return Curve(motion=motion, t=np.concatenate(times), y=y, starts=starts)
 
-    return curve("baseline", baseline), curve("planned", planned)
+    planned = curve("planned", parts(plan.job.segments, plan.segment_samples))
+    if (baseline := plan.baseline) is None:
+        return (planned,)
+    others = {segment.name: segment.samples for segment in baseline.segments}
+    return curve("baseline", parts(baseline.segments, others)), planned
 
 
 def work_begins(plan: Plan) -> float:
@@ -391,8 +391,9 @@ def work_begins(plan: Plan) -> float:
 
 
 def work_ends(plan: Plan) -> float:
-    """Return until when the pages show the work: until the slower of both motions is done, s."""
-    return work_begins(plan) + float(max(plan.samples.t[-1], plan.baseline.t[-1]))
+    """Return until when the pages show the work: until the slowest motion is done, s."""
+    each = [plan.samples, *([] if plan.baseline is None else [plan.baseline.samples])]
+    return work_begins(plan) + max(float(samples.t[-1]) for samples in each)
 
 
 def _work(plan: Plan) -> tuple[float, float | None]:

@@ -273,6 +273,6 @@ def _key(keys: Mapping[str, str], plans: Mapping[str, Plan]) -> str:
 
 def _rows(plans: Mapping[str, Plan]) -> Iterator[tuple[str, ...]]:
     """Yield the figures of all plans, one a row, as far as any has them."""
-    figures = [{name: planned for name, _, planned in plan.rows()} for plan in plans.values()]
+    figures = [{name: planned for name, *_, planned in plan.rows()} for plan in plans.values()]
     for name in dict.fromkeys(name for each in figures for name in each):
         yield name, *(each.get(name, "-") for each in figures)

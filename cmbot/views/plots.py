@@ -153,11 +153,13 @@ def _chart(chart: Chart) -> Figure:
 
 
 def _joints(plan: Plan) -> Figure:
-    """Draw both motions' joints, a row a quantity, as shares of the bounds; beyond them it is shaded."""
+    """Draw the motions' joints, a row a quantity, as shares of the bounds; beyond them it is shaded."""
     figure = _figure("joints", 8.0)
     quantities = joint_quantities(plan)
-    grid = figure.subplots(len(quantities), 2, sharex=True, squeeze=False)
-    begin, motions = work_begins(plan), (("baseline", plan.baseline), ("planned", plan.samples))
+    begin, motions = work_begins(plan), [("planned", plan.samples)]
+    if plan.baseline is not None:
+        motions.insert(0, ("baseline", plan.baseline.samples))
+    grid = figure.subplots(len(quantities), len(motions), sharex=True, squeeze=False)
     for column, (motion, samples) in enumerate(motions):
         grid[0, column].set_title(motion, loc="left")
         grid[-1, column].set_xlabel("time, s")
@@ -176,7 +178,7 @@ def _joints(plan: Plan) -> Figure:
                 dashes = _DASHES[joint // len(_JOINT_COLOURS) % len(_DASHES)]
                 axes.plot(begin + t, y, color=colour, linestyle=dashes, linewidth=0.9)
     names = plan.robot.joints
-    lines = grid[0, 1].get_lines()
+    lines = grid[0, -1].get_lines()
     figure.align_ylabels(list(grid[:, 0]))
     figure.legend(lines, names, loc="outside lower center", ncols=min(len(names), 7))
     return figure

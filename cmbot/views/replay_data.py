@@ -1,10 +1,10 @@
-"""The motions of a plan (its job and the baseline) as the pages replay them, at equal time steps."""
+"""The motions of a plan (its job, and the baseline if any) as the pages replay them, at equal time steps."""
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
@@ -65,7 +65,7 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
     if tracking is not None:
         require_type(tracking, Tracking, "tracking", "", "a Tracking, as cmbot.simulate returns it")
     begin, work_end = work_begins(plan), work_ends(plan)
-    other = plan.baseline_segment(APPROACH)
+    other = _of_baseline(plan, APPROACH)
     start = min(0.0, begin - (0.0 if other is None else other.duration))
     end = work_end if tracking is None else begin + _end(plan, tracking)
     back = _return_seconds(plan)
@@ -74,7 +74,6 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
     step = max(FRAME_STEP, (end - start) * plan.robot.dof / MOST_POSES)
     frames = Frames(plan, tracking=tracking)
     times = frame_times(0.0, work_end - begin, step)
-    planned, baseline = (None, None) if tracking is None else (tracking.planned, tracking.baseline)
     data = {
         "title": plan.scene.name,
         "robot": plan.robot.name,
@@ -98,10 +97,7 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
         "margin": plan.options.safety_margin_m,
         "links": link_names(plan.robot),
         "approach": _approach(plan, frames, start, step) if start < begin else None,
-        "planned": frames.motion(plan.samples, plan.work.figures, times, planned, _on(plan.job.segments)),
-        "baseline": frames.motion(
-            plan.baseline, _baseline_at_work(plan), times, baseline, _on(plan.baseline_segments)
-        ),
+        **_at_work(plan, frames, times, tracking),
         "return": _return(plan, frames, frame_times(0.0, back, step)) if back > 0 else None,
         "rest": None if back > 0 else _rest(plan, tracking, frames, frame_times(work_end, end, step) - begin),
     }
@@ -301,18 +297,36 @@ def _leg_times(plan: Plan) -> FloatArray:
 
 def _end(plan: Plan, tracking: Tracking) -> float:
     """When the simulation of the work ends, s; an `InputError` with the tracking errors of another plan."""
-    durations = {"planned": float(plan.samples.t[-1]), "baseline": float(plan.baseline.t[-1])}
+    durations = {"planned": float(plan.samples.t[-1])}
+    if plan.baseline is not None:
+        durations["baseline"] = float(plan.baseline.samples.t[-1])
+    names = [name for name, _ in tracking.motions]
+    if set(names) != durations.keys():
+        got, expected = " and ".join(names), f"{' and '.join(durations)}: the tracking errors of this plan"
+        raise InputError("tracking", "motions", got, expected)
     for name, motion in reversed(tracking.motions):
         duration = durations[name]
         if not np.isclose(motion.stop, duration, rtol=1e-9, atol=0.0):
             expected = f"{duration:g} s, the plan's duration: the tracking errors of this plan"
             raise InputError("tracking", f"{name}.stop", f"{motion.stop:g} s", expected)
-    return float(max(*durations.values(), tracking.planned.t[-1], tracking.baseline.t[-1]))
+    return max(*durations.values(), *(float(motion.t[-1]) for _, motion in tracking.motions))
+
+
+def _at_work(plan: Plan, frames: Frames, times: FloatArray, tracking: Tracking | None) -> dict[str, Any]:
+    """Return the motions at work; ``motions`` are named where they are not the planned one and a baseline."""
+    tracked = {} if tracking is None else dict(tracking.motions)
+    on, baseline = _on(plan.job.segments), plan.baseline
+    planned = frames.motion(plan.samples, plan.work.figures, times, tracked.get("planned"), on)
+    if baseline is None:
+        return {"planned": planned, "motions": ["planned"], "names": {}}
+    on, figures_of_work = _on(baseline.segments), job_metrics(baseline.work)
+    other = frames.motion(baseline.samples, figures_of_work, times, tracked.get("baseline"), on)
+    return {"planned": planned, "baseline": other}
 
 
 def _approach(plan: Plan, frames: Frames, start: float, step: float) -> dict[str, Any]:
-    """Return both arms' ways to the work, from `start`, s; each arrives when it begins, and rests before."""
-    planned, baseline = plan.approach, plan.baseline_segment(APPROACH)
+    """Return the arms' ways to the work, from `start`, s; each arrives when it begins, and rests before."""
+    planned, baseline = plan.approach, _of_baseline(plan, APPROACH)
     times = frame_times(start, work_begins(plan), step)
     ends = times[[0, -1]]
     along = planned is not None and planned.along_self_motion
@@ -321,32 +335,49 @@ def _approach(plan: Plan, frames: Frames, start: float, step: float) -> dict[str
         "planned": _still(plan, frames, plan.trajectory.q[0], ends)
         if planned is None
         else frames.motion(plan.segment_samples[APPROACH], planned.figures, times),
-        "baseline": _still(plan, frames, plan.baseline.q[0], ends)
-        if baseline is None
-        else frames.motion(baseline.samples, baseline.figures, times - times[-1] + baseline.duration),
-    }
+    } | _other(plan, frames, baseline, 0, ends, lambda seconds: times - times[-1] + seconds)
 
 
 def _return_seconds(plan: Plan) -> float:
     """How long the arms' returns take, the longer one, s; 0 without."""
-    planned, baseline = plan.job.segment(RETURN), plan.baseline_return
-    each = (0.0 if planned is None else planned.duration, 0.0 if baseline is None else float(baseline.t[-1]))
-    return max(each)
+    each = plan.job.segment(RETURN), _of_baseline(plan, RETURN)
+    return max(0.0 if segment is None else segment.duration for segment in each)
 
 
 def _return(plan: Plan, frames: Frames, times: FloatArray) -> dict[str, Any]:
-    """Return both arms' returns; the one that is there first rests."""
-    planned, baseline = plan.job.segment(RETURN), plan.baseline_return
-    ends, off = times[[0, -1]], plan.robot.tool_off
+    """Return the arms' returns; the one that is there first rests."""
+    planned, baseline = plan.job.segment(RETURN), _of_baseline(plan, RETURN)
+    ends = times[[0, -1]]
     return {
         "label": "return, tool off",
         "planned": _still(plan, frames, plan.trajectory.q[-1], ends)
         if planned is None
         else frames.motion(plan.segment_samples[RETURN], planned.figures, times),
-        "baseline": _still(plan, frames, plan.baseline.q[-1], ends)
-        if baseline is None
-        else frames.motion(baseline, figures(off, baseline), times),
-    }
+    } | _other(plan, frames, baseline, -1, ends, lambda seconds: times)
+
+
+def _of_baseline(plan: Plan, name: str) -> BaselineSegment | None:
+    """The segment of the baseline's job of that name; None where there is none."""
+    return None if plan.baseline is None else plan.baseline.segment(name)
+
+
+def _other(
+    plan: Plan,
+    frames: Frames,
+    move: BaselineSegment | None,
+    end: Literal[0, -1],
+    ends: FloatArray,
+    clock: Callable[[float], FloatArray],
+) -> dict[str, Any]:
+    """The baseline's free move, by the page's `clock` for its duration, s, or its rest where its work ends.
+
+    Nothing without a baseline.
+    """
+    if plan.baseline is None:
+        return {}
+    if move is None:
+        return {"baseline": _still(plan, frames, plan.baseline.samples.q[end], ends)}
+    return {"baseline": frames.motion(move.samples, move.figures, clock(move.duration))}
 
 
 def _still(plan: Plan, frames: Frames, q: FloatArray, times: FloatArray) -> dict[str, Any]:
@@ -363,20 +394,14 @@ def _knots(trajectory: QuinticTrajectory) -> dict[str, str]:
 
 
 def _rest(plan: Plan, tracking: Tracking | None, frames: Frames, times: FloatArray) -> dict[str, Any] | None:
-    """Return both arms after the stop: their joints rest while the elastic parts vibrate."""
+    """Return the arms after the stop: their joints rest while the elastic parts vibrate."""
     if tracking is None or times[-1] <= times[0]:
         return None
-    return {
-        "label": "after the stop",
-        "planned": frames.motion(plan.samples, plan.figures, times, tracking.planned, _ALWAYS),
-        "baseline": frames.motion(plan.baseline, plan.baseline_figures, times, tracking.baseline, _ALWAYS),
-    }
-
-
-def _baseline_at_work(plan: Plan) -> MotionMetrics:
-    """Return the baseline's figures from its first stroke to its last one, with free moves between them."""
-    strokes = [k for k, segment in enumerate(plan.baseline_segments) if segment.kind == "stroke"]
-    return job_metrics(plan.baseline_segments[strokes[0] : strokes[-1] + 1])
+    rest: dict[str, Any] = {"label": "after the stop"}
+    rest["planned"] = frames.motion(plan.samples, plan.figures, times, tracking.planned, _ALWAYS)
+    if (other := plan.baseline) is not None:
+        rest["baseline"] = frames.motion(other.samples, other.figures, times, tracking.baseline, _ALWAYS)
+    return rest
 
 
 def _on(segments: Sequence[Segment | BaselineSegment]) -> list[tuple[float, float]]:

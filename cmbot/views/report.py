@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from html import escape
 from math import floor, inf
@@ -17,6 +17,7 @@ from cmbot.common.validation import given_path
 from cmbot.planning import (
     LOAD_HEADINGS,
     Certificate,
+    MotionMetrics,
     Plan,
     baseline_faults,
     bound_use,
@@ -33,10 +34,10 @@ from cmbot.planning import (
 )
 from cmbot.robot import postures_in_words
 from cmbot.simulation import (
-    INTERVAL_HEADINGS,
     Tracking,
     base_movement,
     beyond_margin,
+    interval_headings,
     interval_rows,
     tracking_remarks,
     tracking_rows,
@@ -175,13 +176,13 @@ def certificates(plan: Plan) -> dict[str, Certificate]:
 
 
 def _peak_card(plan: Plan) -> Headline:
-    before, after = (
-        figures.peak_guardrail_torque for figures in (plan.baseline_job_figures, plan.job.figures)
-    )
-    other, work = plan.baseline_figures.peak_guardrail_torque, plan.figures.peak_guardrail_torque
-    if faults := baseline_faults(plan, work=True):
+    work = plan.figures.peak_guardrail_torque
+    if plan.baseline is None:
+        detail = f"at work {work:.1f} Nm"
+    elif faults := baseline_faults(plan, work=True):
         detail = f"at work {work:.1f} Nm; no gain is stated, as the baseline {faults}"
     else:
+        other = plan.baseline.figures.peak_guardrail_torque
         change = f", {100 * (work / other - 1):+.1f} %" if other else ""
         detail = f"at work {other:.1f} → {work:.1f} Nm{change}"
     for segment in plan.job.segments:
@@ -189,9 +190,9 @@ def _peak_card(plan: Plan) -> Headline:
             detail += f"; {segment.figures.peak_guardrail_torque:.1f} Nm on {segment.in_words}"
     return Headline(
         title=f"Peak {plan.scene.base_name} torque, whole job",
-        value=f"{after:.1f} Nm",
+        value=f"{plan.job.figures.peak_guardrail_torque:.1f} Nm",
         detail=detail,
-        **_against(plan, f"{before:.1f}", before, after),
+        **_against(plan, lambda figures: figures.peak_guardrail_torque, "{:.1f}"),
     )
 
 
@@ -221,18 +222,29 @@ class _Comparison(TypedDict):
 
 def _against(
     plan: Plan,
+    of: Callable[[MotionMetrics], float],
     shown: str,
-    before: float,
-    after: float,
     *,
     kept: bool = True,
     nothing: float = 0.0,
     work: bool = False,
 ) -> _Comparison:
-    """What a card says of the baseline, whose value is `shown`; nothing where that breaks a limit."""
-    if baseline_faults(plan, work=work):
-        return {"before": "", "state": "plain" if kept else "bad"}
-    return {"before": shown, "state": _compared(before, after, kept=kept, nothing=nothing)}
+    """What a card says of the baseline's figure, the less the better, written as `shown`.
+
+    Nothing without a baseline, or where that breaks a limit.
+    """
+    baseline = plan.baseline
+    if baseline is None or baseline_faults(plan, work=work):
+        return _alone(kept=kept)
+    figures = (baseline.figures, plan.figures) if work else (baseline.job_figures, plan.job.figures)
+    before, after = map(of, figures)
+    state = _compared(before, after, kept=kept, nothing=nothing)
+    return {"before": shown.format(abs(before)), "state": state}
+
+
+def _alone(*, kept: bool) -> _Comparison:
+    """What a card says of no baseline."""
+    return {"before": "", "state": "plain" if kept else "bad"}
 
 
 def _compared(before: float, after: float, *, kept: bool, nothing: float = 0.0) -> State:
@@ -281,12 +293,11 @@ def _clearance_card(plan: Plan) -> Headline:
     if value == inf:
         return Headline(title="Smallest clearance", value="–", detail="no pair of shapes can collide")
     always = floor(1e4 * plan.job.certificate.clearance_bound) / 10
-    before = plan.baseline_job_figures.min_clearance
     return Headline(
         title="Smallest clearance",
         value=f"{1e3 * value:.1f} mm",
         detail=f"rigid arm; margin {1e3 * margin:g} mm; above {always:.1f} mm at all times",
-        **_against(plan, f"{1e3 * before:.1f}", -before, -value, kept=value >= margin),
+        **_against(plan, lambda figures: -1e3 * figures.min_clearance, "{:.1f}", kept=value >= margin),
     )
 
 
@@ -338,18 +349,16 @@ def _loads_section(plan: Plan) -> str:
 def _deviation_card(plan: Plan) -> Headline:
     value, bound = plan.figures.max_tool_deviation, plan.options.max_tool_deviation_m
     arm = "with the predicted sag" if plan.options.compensate else "rigid arm"
-    before = plan.baseline_figures.max_tool_deviation
     return Headline(
         title="Tool off its path",
         value=f"{1e3 * value:.2f} mm",
         detail=f"{arm}; bound {1e3 * bound:g} mm",
         **_against(
             plan,
-            f"{1e3 * before:.2f}",
-            before,
-            value,
+            lambda figures: 1e3 * figures.max_tool_deviation,
+            "{:.2f}",
             kept=value <= bound,
-            nothing=_LITTLE * bound,
+            nothing=1e3 * _LITTLE * bound,
             work=True,
         ),
     )
@@ -358,20 +367,24 @@ def _deviation_card(plan: Plan) -> Headline:
 def _tracking_card(plan: Plan, tracking: Tracking) -> Headline:
     compensated, bound = plan.options.compensate, plan.options.max_tool_deviation_m
     # Compensation lowers the distance from the path: the arm bends as much as before.
-    motions = (tracking.baseline.metrics, tracking.planned.metrics)
-    before, after = (1e3 * (m.path if compensated else m.total).rms[3] for m in motions)
-    residuals = [m.residual for m in motions if m.residual is not None]
     off = tracking.planned.largest_off_path
+    kept, faults = off <= bound, baseline_faults(plan, work=True)
+    motions = [motion.metrics for _, motion in tracking.motions][1 if faults else 0 :]
+    *others, after = (1e3 * (each.path if compensated else each.total).rms[3] for each in motions)
+    residuals = [each.residual for each in motions if each.residual is not None]
     detail = f"elastic arm, at most {_millimetres(1e3 * off)} mm off its path; bound {1e3 * bound:g} mm"
-    if len(residuals) == 2:
-        shown = residuals[1:] if baseline_faults(plan, work=True) else residuals
-        swings = " → ".join(f"{1e3 * residual.diameter:.2f}" for residual in shown)
+    if len(residuals) == len(motions):
+        swings = " → ".join(f"{1e3 * residual.diameter:.2f}" for residual in residuals)
         detail += f"; residual vibration {swings} mm"
+    comparison = _alone(kept=kept)
+    if others:
+        state = _compared(others[0], after, kept=kept)
+        comparison = {"before": _millimetres(others[0]), "state": state}
     return Headline(
         title="Elastic tool off its path, RMS" if compensated else "Tracking error, RMS",
         value=f"{_millimetres(after)} mm",
         detail=detail,
-        **_against(plan, _millimetres(before), before, after, kept=off <= bound, work=True),
+        **comparison,
     )
 
 
@@ -384,7 +397,7 @@ def _sections(plan: Plan, tracking: Tracking | None) -> Iterator[str]:
     """Yield the sections below the plots."""
     # The verdict, which comes first of them, stands above.
     yield section("Remarks", _list(list(remarks(plan))[1:]), kind="wide")
-    yield section("Metrics", table(plan.rows(), ("", "baseline", "planned")))
+    yield section("Metrics", table(plan.rows(), plan.headings))
     yield _loads_section(plan)
     if accuracy := _accuracy_section(plan):
         yield accuracy
@@ -405,7 +418,7 @@ def _sections(plan: Plan, tracking: Tracking | None) -> Iterator[str]:
         told = (tracking_verdict(plan, tracking), base_movement(plan, tracking), *said)
         sentences = _list([sentence for sentence in told if sentence])
         interval = list(interval_rows(plan, tracking))
-        others = table(interval, INTERVAL_HEADINGS, text_columns=2) if interval else ""
+        others = table(interval, interval_headings(tracking), text_columns=2) if interval else ""
         yield section("Simulation", errors + others + sentences, kind="long")
     yield section("Scene", table(_scene(plan), text_columns=2))
     headings = _MIXED_HEADINGS if plan.robot.limits.prismatic.any() else _JOINT_HEADINGS
@@ -417,9 +430,11 @@ def _sections(plan: Plan, tracking: Tracking | None) -> Iterator[str]:
 
 
 def _key(plan: Plan) -> str:
-    motion = "the paper's motion, which" if plan.scene.on_guardrail else "a motion along the same path that"
-    words = f"baseline: {motion} is not optimised"
-    return f'<i class="swatch planned"></i>planned <i class="swatch baseline"></i>{escape(words)}'
+    key = '<i class="swatch planned"></i>planned'
+    if plan.baseline is None:
+        return key
+    motion = "the paper's motion, which is" if plan.options.baseline == "paper" else "straight steps,"
+    return f'{key} <i class="swatch baseline"></i>{escape(f"baseline: {motion} not optimised")}'
 
 
 def _verdict(plan: Plan, tracking: Tracking | None) -> str:
@@ -536,7 +551,7 @@ def _scene(plan: Plan) -> Iterator[Row]:
 
 def _legs(path: ToolPath) -> Iterator[Row]:
     for k, (by, seconds) in enumerate(zip(np.diff(path.corners, axis=0), path.seconds, strict=True)):
-        along = f", {path.lengths[k]:.3f} m along a curve" if k in path.curves else ""
+        along = f", {path.lengths[k]:.3f} m along a curve" if not path.segments[k].is_straight else ""
         yield f"leg {k + 1}", f"by ({_numbers(by, 3)}) m in {seconds:g} s{along}"
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from chang2021.experiment import Experiment, Run, axes, reduction
+from chang2021.experiment import Experiment, Run, axes, reduction, unoptimised
 from chang2021.tables import decimals
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.simulation import MotionTracking
@@ -28,7 +28,7 @@ class Finding:
 def findings(experiment: Experiment) -> Iterator[Finding]:
     """Compare our planned run with the paper, one result after the other."""
     paper, run = experiment.paper, experiment.planned
-    left, right = axes(run.equilibrium.baseline), axes(run.equilibrium.planned)
+    left, right = axes(unoptimised(run.equilibrium)), axes(run.equilibrium.planned)
     for name, key in (("absolute mean", "mean"), ("standard deviation", "standard_deviation")):
         errors = (left, right, paper.without, paper.planned)
         without, planned, their_without, their_planned = (getattr(each, key) for each in errors)
@@ -86,7 +86,7 @@ def _size(name: str, ours: FloatArray, theirs: FloatArray) -> Finding:
 
 
 def _sag(run: Run) -> str:
-    shares = [_dynamic_share(motion) for motion in (run.equilibrium.baseline, run.equilibrium.planned)]
+    shares = [_dynamic_share(motion) for motion in (unoptimised(run.equilibrium), run.equilibrium.planned)]
     text = (
         f"Of the mean square of our error {_percent(shares[0])} (baseline) and {_percent(shares[1])} "
         "(planned) is dynamic, the rest the sag of the postures"
@@ -105,7 +105,7 @@ def _release(experiment: Experiment) -> str:
     run, paper = experiment.planned, experiment.paper
     theirs = np.array([paper.without.standard_deviation, paper.planned.standard_deviation])
     before, after = (
-        np.array([axes(motion).standard_deviation for motion in (tracking.baseline, tracking.planned)])
+        np.array([axes(motion).standard_deviation for motion in (unoptimised(tracking), tracking.planned)])
         for tracking in (run.equilibrium, run.undeformed)
     )
     nearer = np.linalg.norm(after - theirs) < np.linalg.norm(before - theirs)
@@ -121,7 +121,7 @@ def _release(experiment: Experiment) -> str:
 
 def _knots(run: Run, fixed: Run) -> str:
     sliding_cut, fixed_cut = (
-        reduction(axes(each.equilibrium.baseline).mean, axes(each.equilibrium.planned).mean)
+        reduction(axes(unoptimised(each.equilibrium)).mean, axes(each.equilibrium.planned).mean)
         for each in (run, fixed)
     )
     moved = float(np.rad2deg(fixed.plan.start.moved))

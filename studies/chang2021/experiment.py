@@ -11,14 +11,28 @@ import numpy as np
 
 from chang2021.paper import PAPER, AxisErrors, PaperExperiment
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import PlanningError
-from cmbot.planning import Plan, Progress, plan
+from cmbot.common.errors import InputError, PlanningError
+from cmbot.planning import MotionMetrics, Plan, Progress, plan
 from cmbot.scene import PlannerOptions, Scene, load_scene
 from cmbot.simulation import MotionTracking, SimulationOptions, Tracking, simulate
 
 # Of the stiffness of guardrail and links, with which plans are simulated.
 FACTORS = (1.0, 0.9, 1.1, 0.8, 1.2, 0.7, 1.3)
 QUICK_FACTORS = (1.0, 0.7, 1.3)  # the modelled stiffness and the extremes
+
+
+def unoptimised(tracking: Tracking) -> MotionTracking:
+    """The motion without optimisation that was simulated; the study's scenes ask for it."""
+    if tracking.baseline is None:
+        raise InputError("tracking", "baseline", "none", "the paper's motion: planner.baseline: paper")
+    return tracking.baseline
+
+
+def unoptimised_figures(plan: Plan) -> MotionMetrics:
+    """The figures of the motion without optimisation at work; the study's scenes ask for it."""
+    if plan.baseline is None:
+        raise InputError(plan.scene.source, "planner.baseline", "none", "paper")
+    return plan.baseline.figures
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,7 +50,8 @@ class Run:
     @property
     def torque_difference(self) -> float:
         """Largest difference of the torque on the guardrail, baseline less planned, Nm."""
-        return self.plan.largest_torque_difference[0]
+        difference = self.plan.largest_torque_difference
+        return np.nan if difference is None else difference[0]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from chang2021.experiment import Experiment, Run, Variant, axes, reduction
+from chang2021.experiment import Experiment, Run, Variant, axes, reduction, unoptimised, unoptimised_figures
 from chang2021.tables import GoalRow, GoalTable, Verdict, numbers
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.planning import Plan
@@ -40,7 +40,7 @@ def goals(experiment: Experiment) -> Iterator[GoalTable]:
 
 def posture_goal(run: Run) -> GoalTable:
     """Compare the norms of the mean errors, and name the axes along which the mean grows."""
-    before, after = (axes(motion).mean for motion in (run.equilibrium.baseline, run.equilibrium.planned))
+    before, after = (axes(motion).mean for motion in (unoptimised(run.equilibrium), run.equilibrium.planned))
     norms = [float(np.linalg.norm(mean)) for mean in (before, after)]
     cut = 100 * (1 - norms[1] / norms[0])
     holds = cut > 0
@@ -70,7 +70,7 @@ def posture_goal(run: Run) -> GoalTable:
 
 
 def _growing(run: Run) -> Iterator[str]:
-    figures = [motion.metrics for motion in (run.equilibrium.baseline, run.equilibrium.planned)]
+    figures = [motion.metrics for motion in (unoptimised(run.equilibrium), run.equilibrium.planned)]
     means, sags = (
         np.array([1e3 * np.abs(getattr(found, part).mean[:3]) for found in figures])
         for part in ("total", "static")
@@ -177,7 +177,7 @@ class _Case:
 
 def _compared(tracking: Tracking, name: str, predicted: Statistics) -> _Case:
     attribute = name.replace(" ", "_")
-    baseline, planned = tracking.baseline.metrics, tracking.planned.metrics
+    baseline, planned = unoptimised(tracking).metrics, tracking.planned.metrics
     before = np.abs(getattr(baseline.total, attribute)[:3])
     return _Case(
         stiffness=tracking.options.guardrail_factor,
@@ -218,7 +218,7 @@ def _judged(cases: list[_Case]) -> Iterator[tuple[Verdict, str]]:
 def _off_path(variant: Variant) -> str:
     parts = []
     for tracking in variant.trackings:
-        left, right = (motion.metrics.path.rms[3] for motion in (tracking.baseline, tracking.planned))
+        left, right = (motion.metrics.path.rms[3] for motion in (unoptimised(tracking), tracking.planned))
         stiffness = tracking.options.guardrail_factor
         parts.append(f"{1e3 * right:.2f} instead of {1e3 * left:.2f} at stiffness times {stiffness:g}")
     return f"Distance of the elastic arm's tool from its path, RMS, mm: {', '.join(parts)}."
@@ -237,7 +237,7 @@ def rest_goal(experiment: Experiment) -> GoalTable | None:
         key=lambda each: each.options.guardrail_factor,
     ):
         factor = tracking.options.guardrail_factor
-        motions = [tracking.baseline, tracking.planned]
+        motions = [unoptimised(tracking), tracking.planned]
         if factor in unsuppressed:
             motions.insert(1, unsuppressed[factor].planned)
         rests = [motion.metrics.residual for motion in motions]
@@ -290,8 +290,8 @@ def least_sag(torque: Run, variant: Variant) -> GoalTable:
     title = "Another objective: the sag minimised in place of the torque"
     if variant.plan is None:
         return _without_plan(title, _SAG_COLUMNS, variant)
-    motions = torque.equilibrium.baseline, torque.equilibrium.planned, variant.trackings[0].planned
-    figures = torque.plan.baseline_figures, torque.plan.figures, variant.plan.figures
+    motions = unoptimised(torque.equilibrium), torque.equilibrium.planned, variant.trackings[0].planned
+    figures = unoptimised_figures(torque.plan), torque.plan.figures, variant.plan.figures
     # The sag stays constant after the stop.
     sags = 1e3 * np.array([np.linalg.norm(motion.static, axis=1).max() for motion in motions])
     torques = np.array([found.peak_guardrail_torque for found in figures])

@@ -8,7 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from chang2021.agreement import findings, reasons
-from chang2021.experiment import Experiment, Reproduction, Run, axes, reduction
+from chang2021.experiment import (
+    Experiment,
+    Reproduction,
+    Run,
+    axes,
+    reduction,
+    unoptimised,
+    unoptimised_figures,
+)
 from chang2021.goals import goals
 from chang2021.paper import PAPER, SOURCE, AxisErrors, assumption_tables
 from chang2021.tables import Row, cells, decimals, markdown_table
@@ -151,7 +159,7 @@ def as_json(reproduction: Reproduction) -> dict[str, Any]:
 
 
 def _errors(tracking: Tracking) -> tuple[AxisErrors, AxisErrors]:
-    return axes(tracking.baseline), axes(tracking.planned)
+    return axes(unoptimised(tracking)), axes(tracking.planned)
 
 
 def _experiment_lines(experiment: Experiment) -> Iterator[str]:
@@ -188,8 +196,12 @@ def _torques(experiment: Experiment) -> Iterator[Row]:
     theirs = f"{experiment.paper.torque_difference:g}"
     yield "largest difference, without less with", theirs, *differences, *missing
     for name in ("peak", "mean"):
-        for which, metrics in (("without", "baseline_figures"), ("with", "figures")):
-            values = [getattr(getattr(run.plan, metrics), f"{name}_guardrail_torque") for run in runs]
+        figures = {
+            "without": [unoptimised_figures(run.plan) for run in runs],
+            "with": [run.plan.figures for run in runs],
+        }
+        for which, each in figures.items():
+            values = [getattr(of_run, f"{name}_guardrail_torque") for of_run in each]
             yield f"{name}, {which}", "", *decimals(values, 2), *missing
 
 
@@ -224,7 +236,7 @@ def _run_json(run: Run) -> dict[str, Any]:
 def _tracking_json(tracking: Tracking) -> dict[str, Any]:
     without, planned = map(vars, _errors(tracking))
     return {
-        "without": _motion_json(tracking.baseline),
+        "without": _motion_json(unoptimised(tracking)),
         "with": _motion_json(tracking.planned),
         "reductions": {name: reduction(without[name], planned[name]).tolist() for name in without},
     }

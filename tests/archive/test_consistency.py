@@ -35,7 +35,7 @@ def folder(sliding: Path, tmp_path: Path) -> Path:
     ("change", "key"),
     [
         # Wrong by itself.
-        (lambda data: data.pop("drift"), "drift"),
+        (lambda data: data["baseline"].pop("drift"), "baseline.drift"),
         (lambda data: data.update(colour="red"), "colour"),
         (lambda data: data.update(status="hoped for"), "status"),
         (lambda data: data.update(torque_floor=1.0), "torque_floor"),
@@ -126,13 +126,13 @@ def test_strokes_that_the_scene_has_not(folder):
             "floor",
             "choice",
             "start",
-            "drift",
         )
-        stroke = {key: data[key] for key in (*entries, "smallest_singular_value", "passes", "runs")}
+        stroke = {key: data[key] for key in (*entries, "passes", "runs")}
         stroke["baseline"] = {
             key: stroke["baseline"][key] for key in stroke["baseline"].keys() - {"job", "free"}
         }
-        data["strokes"] = [stroke | {"name": "other", "baseline_begin": 0.0}]
+        stroke["baseline"]["begin"] = 0.0
+        data["strokes"] = [stroke | {"name": "other"}]
 
     edit(folder, one)
     error = refused(folder, "plan.json", "strokes")

@@ -95,8 +95,8 @@ def test_other_versions(triangle_folder, version):
 
 def test_a_plan_of_a_version_with_other_keys(triangle_folder):
     """Of the same format: what is missing is named, and what to do."""
-    edit(triangle_folder, lambda data: data.pop("drift"))
-    error = refused(triangle_folder, "plan.json", "drift")
+    edit(triangle_folder, lambda data: data["baseline"].pop("drift"))
+    error = refused(triangle_folder, "plan.json", "baseline.drift")
     assert "cmbot plan SCENE makes it anew" in str(error)
     assert len(str(error)) <= 400
 
@@ -130,7 +130,7 @@ def with_number(number, name="drift"):
         (lambda text: "", "", "breaks off"),
         (lambda text: "[1]", "", "[1]"),
         (lambda text: "[" * 100_000, "", "deeper than 50"),
-        (lambda text: text.replace('"drift"', '"status"', 1), "'status'", "the same key again"),
+        (lambda text: text.replace('"passes"', '"status"', 1), "'status'", "the same key again"),
         (lambda text: text.replace("clearance", "\udcff", 1), "", "UTF-8"),
         (with_number("NaN"), "", "NaN"),
         (with_number("-Infinity"), "", "-Infinity"),
@@ -147,7 +147,7 @@ def test_damaged_json(triangle_folder, change, key, got):
 @pytest.mark.parametrize(
     ("name", "key"),
     [
-        ("drift", "drift"),
+        ("drift", "baseline.drift"),
         ("velocity", "baseline.limit_use.velocity"),
         ("min_clearance", "baseline.min_clearance"),
     ],

@@ -45,7 +45,7 @@ def moved(lift: dict[str, Any], out: float, aside: float, turn_deg: float = 0.0)
     """Turn a lift of foot 1 into another way of it: off by `out` and aside, m, and turned."""
     climber, way = Climber(), [np.array(lift["knots"]["q"][0])]
     X_12, u = climber.poses(way[0][::-1])[0], np.linspace(0.0, 1.0, 20)
-    for share in SpeedProfile(kind="jerk_limited", ramp=0.5).share(u)[1:]:
+    for share in SpeedProfile(kind="jerk_limited", ramp=0.5).law.share(u)[1:]:
         # Foot 1 goes in its own frame; the posture is that of foot 2 in the frame of foot 1.
         X_away = np.eye(4)
         X_away[:3, :3] = Rotation.from_euler("y", share * turn_deg, degrees=True).as_matrix()

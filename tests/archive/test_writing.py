@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 from oracles.joint_trajectory_controller import refusals
-from plan_folders import FILES, changed, edit
+from plan_folders import FILES, changed, edit, with_baseline
 
 import cmbot
 from cmbot.archive import add_file, export_csv, export_ros, load_plan, require_free, save
@@ -57,11 +57,12 @@ def test_plan_json_has_the_promised_keys(saved_triangle, triangle_plan):
     data = json.loads((saved_triangle / "plan.json").read_text(encoding="utf-8"))
     assert (data["format"], data["status"]) == ("cmbot-plan/2", "certified")
     for motion in ("baseline", "planned"):
-        assert set(data[motion]) == FIGURES | {"job", "free"}
+        own = {"drift", "smallest_singular_value"} if motion == "baseline" else set()
+        assert set(data[motion]) == FIGURES | {"job", "free"} | own
         assert set(data[motion]["job"]) == FIGURES
         assert set(data[motion]["limit_use"]) == {"velocity", "acceleration", "jerk", "torque"}
     assert data["planned"]["peak_guardrail_torque"] == triangle_plan.figures.peak_guardrail_torque
-    assert data["baseline"]["min_clearance"] == triangle_plan.baseline_figures.min_clearance
+    assert data["baseline"]["min_clearance"] == triangle_plan.baseline.figures.min_clearance
     assert data["torque_floor"] == triangle_plan.lower_bound.value
     assert data["gap_to_floor"] == triangle_plan.gap_to_floor
     assert (data["torque_floor_kind"], data["torque_floor_error"]) == (
@@ -76,7 +77,7 @@ def test_plan_json_has_the_promised_keys(saved_triangle, triangle_plan):
         "own": False,
         "moment_about": "foot",
         "axis_weights": [1.0, 1.0, 1.0],
-        "baseline_peak": triangle_plan.baseline_figures.peak_guardrail_torque,
+        "baseline_peak": triangle_plan.baseline.figures.peak_guardrail_torque,
         "planned_peak": triangle_plan.figures.peak_guardrail_torque,
         "floor": triangle_plan.lower_bound.value,
         "gap": triangle_plan.gap_to_floor,
@@ -156,7 +157,9 @@ def test_tables_hold_the_samples(saved_triangle, triangle_plan, job_samples, tmp
     export_csv(triangle_plan, tmp_path / "work.csv", work=True)
     export_csv(triangle_plan, tmp_path / "job.csv")
     assert (tmp_path / "job.csv").read_bytes() == (saved_triangle / "job.csv").read_bytes()
-    samples = {"work": triangle_plan.samples, "job": job_samples, "baseline": triangle_plan.baseline}[name]
+    samples = {"work": triangle_plan.samples, "job": job_samples, "baseline": triangle_plan.baseline.samples}[
+        name
+    ]
     with ((tmp_path if name == "work" else saved_triangle) / f"{name}.csv").open(newline="") as file:
         header, *rows = csv.reader(file)
     joints = [f"{letter}{i}" for letter in ("q", "v", "a", "j", "tau") for i in range(1, 8)]
@@ -275,14 +278,15 @@ def test_only_pages_and_plots_are_written_with_a_plan(short_plan, tmp_path):
 
 
 def test_numbers_that_are_none_and_broken_promises_are_not_written(short_plan, thin_plan, tmp_path):
-    torque = short_plan.baseline.joint_torque.copy()
+    torque = short_plan.baseline.samples.joint_torque.copy()
     torque[5, 2] = math.nan
-    unmeasured = replace(short_plan, baseline=replace(short_plan.baseline, joint_torque=torque))
+    samples = replace(short_plan.baseline.samples, joint_torque=torque)
+    unmeasured = with_baseline(short_plan, samples=samples)
     check = Check(quantity="clearance", time=1.0, value=0.0, bound=0.02, unit="m", at_least=True)
     broken = replace(thin_plan.certificate, checks=(check,))
     for plan, words in (
         (unmeasured, r"baseline\.csv: line 7, tau3: got nan"),
-        (replace(short_plan, drift=math.nan), "drift"),
+        (with_baseline(short_plan, drift=math.nan), "drift"),
         (changed(short_plan, "work", certificate=broken), "status"),
         (changed(thin_plan, "approach", certificate=broken), "status"),
     ):

@@ -81,7 +81,7 @@ def test_a_campaign_plans_and_goes_on(file: Path, ran: list[str]) -> None:
     # The table has the figures of the plan directory, which is one like any other.
     plan = cmbot.load_plan(folder / rows["heavy"]["plan"], verify=True)
     assert rows["heavy"]["planned_job.peak_guardrail_torque"] == plan.job.figures.peak_guardrail_torque
-    assert rows["heavy"]["baseline_work.limit_use.torque"] == plan.baseline_figures.limit_use.torque
+    assert rows["heavy"]["baseline_work.limit_use.torque"] == plan.baseline.figures.limit_use.torque
     assert plan.robot.payload == 2.0
     # Nothing is planned again.
     again = cmbot.campaign(file, folder, progress=seen.append)

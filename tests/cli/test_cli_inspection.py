@@ -13,7 +13,7 @@ from small_scenes import SHORT
 
 import cmbot
 from cmbot.common.installation import model_folder, scene_folder
-from cmbot.planning.objectives import objective_of
+from cmbot.planning.workcell.objectives import objective_of
 from cmbot.robot import Postures
 from cmbot.scene import shipped_scenes
 

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from command_line import write_scene
 from killed_calls import dies_at
-from plan_folders import names
+from plan_folders import names, with_baseline
 from small_scenes import SHORT
 
 import cmbot
@@ -48,10 +48,10 @@ def plans(short_plan: Plan) -> tuple[Plan, Plan]:
     """Two plans that differ, with few samples of the baseline."""
 
     def decimated(step: int) -> Plan:
-        samples = short_plan.baseline
+        samples = short_plan.baseline.samples
         whole = {field.name: getattr(samples, field.name) for field in fields(samples)}
         few = {name: None if value is None else value[::step] for name, value in whole.items()}
-        return replace(short_plan, baseline=Samples(**few))
+        return with_baseline(short_plan, samples=Samples(**few))
 
     return decimated(200), decimated(100)
 

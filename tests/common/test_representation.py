@@ -30,7 +30,7 @@ def reached(of: object, name: str, depth: int, seen: set[int]) -> Iterator[tuple
         for key in kept:
             if not key.startswith("_"):
                 yield from reached(kept[key], f"{name}.{key}", depth - 1, seen)
-        for key in ("work", "figures", "certificate", "strokes", "approach", "baseline_segments"):
+        for key in ("work", "figures", "certificate", "strokes", "approach"):
             if not isinstance(of, FileModel) and hasattr(of, key):
                 yield from reached(getattr(of, key), f"{name}.{key}", depth - 1, seen)
 

@@ -37,10 +37,10 @@ def triangle_folder(saved_triangle: Path, tmp_path: Path) -> Path:
 @pytest.fixture(scope="session")
 def thin_plan(triangle_plan: Plan) -> Plan:
     """The triangle with few samples of the baseline, quick to save."""
-    samples = triangle_plan.baseline
+    samples = triangle_plan.baseline.samples
     whole = {field.name: getattr(samples, field.name) for field in fields(samples)}
     few = {name: None if value is None else value[::100] for name, value in whole.items()}
-    return replace(triangle_plan, baseline=Samples(**few))
+    return with_baseline(triangle_plan, samples=Samples(**few))
 
 
 @pytest.fixture(scope="session")
@@ -70,6 +70,11 @@ def short_tracking(short_plan: Plan) -> Tracking:
 def changed(planned: Plan, segment: str, **changes: Any) -> Plan:
     """The plan with other fields of a segment of its job."""
     return replace(planned, job=planned.job.changed(segment, **changes))
+
+
+def with_baseline(planned: Plan, **changes: Any) -> Plan:
+    """The plan beside a baseline with other fields."""
+    return replace(planned, baseline=replace(planned.baseline, **changes))
 
 
 def without_approach(planned: Plan) -> Plan:

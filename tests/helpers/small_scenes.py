@@ -29,7 +29,7 @@ SHORT: dict[str, Any] = {
         "speed_profile": {"kind": "trapezoidal"},
         "via_points": 8,
     },
-    "planner": {"knots": "fixed", "path_step_s": 0.02},
+    "planner": {"knots": "fixed", "path_step_s": 0.02, "baseline": "paper"},
 }
 
 
@@ -61,7 +61,7 @@ def strokes_scene(**planner: Any) -> Scene:
         "tool": {"process_force_n": [0, 0, -40]},
         "tool_path": {"strokes": [there, back]},
         "return": "start",
-        "planner": {"path_step_s": 0.02, **planner},
+        "planner": {"path_step_s": 0.02, "baseline": "paper", **planner},
     }
     return load_scene({**copy.deepcopy(SHORT), **changes})
 
@@ -80,7 +80,7 @@ def parts(scene: Scene) -> tuple[Robot, ToolTask, FloatArray, Clearances]:
 def path_through(corners: FloatArray, orientation: FloatArray) -> ToolPath:
     """A tool path of a second a leg."""
     seconds = np.ones(len(corners) - 1)
-    return ToolPath(corners=corners, orientation=orientation, seconds=seconds, profile=SpeedProfile())
+    return ToolPath.straight(corners, orientation, seconds, SpeedProfile().law)
 
 
 def task_at(robot: Robot, q: FloatArray, keep: Any = "pose") -> ToolTask:
@@ -139,3 +139,8 @@ def torque_problem(kind: str, least: float = 0.0) -> TorqueProblem:
     asked, via_points = short_request()
     form = parametrization_through(asked, via_points, sliding=kind != "fixed", pinned=kind == "pinned")
     return TorqueProblem(asked, form, least)
+
+
+def with_corners(path: ToolPath, corners: FloatArray) -> ToolPath:
+    """Straight legs between other corners, timed as those of a path."""
+    return ToolPath.straight(corners, path.orientation, path.seconds, path.segments[0].law)

@@ -80,7 +80,7 @@ def of_plan(plan: Plan) -> Known:
                 for each in motion
                 if each.kind in kinds
             ]
-            for motion in (plan.job.segments, plan.baseline_segments)
+            for motion in (plan.job.segments, plan.baseline.segments)
         )
         yield from (*of_figures(*ours), *of_figures(*theirs))
         for name in ("peak_guardrail_torque", "peak_static_guardrail_torque"):
@@ -92,7 +92,7 @@ def of_plan(plan: Plan) -> Known:
         ]
         yield 100 * (means[0] / means[1] - 1), "%"
     yield plan.largest_torque_difference[0], "Nm"
-    yield 1e3 * plan.drift, "mm"
+    yield 1e3 * plan.baseline.drift, "mm"
     yield 1e3 * plan.options.safety_margin_m, "mm"
     yield 1e3 * plan.options.max_tool_deviation_m, "mm"
     objective, whole = plan.objective, plan.job.certificate

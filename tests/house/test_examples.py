@@ -83,9 +83,9 @@ def test_your_own_arm(tmp_path: Path) -> None:
     text = run("03_your_own_arm.py", tmp_path)
     assert "sander: 7 joints, 21.3 kg moving" in text
     assert "Lower bound: no plan within the limits has a static peak below " in text, "the knots slide"
-    deviation = number(r"^largest tool deviation, mm +\S+ +(\S+)", text)
+    deviation = number(r"^largest tool deviation, mm +(\S+)", text)
     assert 0 < deviation <= 1.0
-    assert number(r"^smallest clearance, whole job, mm +\S+ +(\S+)", text) >= 20
+    assert number(r"^smallest clearance, whole job, mm +(\S+)", text) >= 20
     assert re.search(r"^Certified: \d+ checks hold", text, flags=re.MULTILINE)
     assert "A slip is told like this: tool_frame: got 'dsic', expected a link of the URDF" in text
 
@@ -115,7 +115,6 @@ def test_your_own_objective(tmp_path: Path) -> None:
     # Each is the better one at what it makes small, and at that only.
     assert stress[0] < torque[0]
     assert torque[1] < stress[1]
-    assert stress[0] < number(r"in the baseline +stress +(\S+)", text)
     assert stress[0] == pytest.approx(number(r"static stress below (\S+) MPa", text), rel=0.01)
 
 

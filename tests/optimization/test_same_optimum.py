@@ -19,10 +19,10 @@ from urdf_arms import arm_scene, path_of, six_joint_scene
 from cmbot.optimization.exchange import minimize_peak
 from cmbot.optimization.program import StateSamples
 from cmbot.planning.initial_guess import initial_guess
-from cmbot.planning.objectives import WrenchFunction
 from cmbot.planning.request import build_request
 from cmbot.planning.torque.decomposition import exchange_options
 from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
+from cmbot.planning.workcell.objectives import WrenchFunction
 from cmbot.scene import Scene, load_scene
 from cmbot.trajectory.quintic import QuinticTrajectory
 

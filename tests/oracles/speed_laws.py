@@ -165,10 +165,26 @@ def _travelled(profile: Any, shares: Sequence[float], u: FloatArray) -> FloatArr
             (b / 2, 0.0, -down),
             (b / 2, -2 / b, down),
         ]
+    if profile.kind == "quiet":
+        return _tents(a, cruise, b, u)
     travelled, begin, speed = np.zeros_like(u), 0.0, 0.0
     for duration, acceleration, jerk in phases:
         x = np.clip(u - begin, 0.0, duration)
         travelled += x * (speed + x * (acceleration / 2 + x * jerk / 6))
         speed += duration * (acceleration + duration * jerk / 2)
         begin += duration
+    return travelled
+
+
+def _tents(a: float, cruise: float, b: float, u: FloatArray) -> FloatArray:
+    """Length with ramps whose jerk rises and falls linearly: as powers of the time since each kink of it."""
+    slope, travelled = {}, np.zeros_like(u)
+    for begin, ramp, sign in ((0.0, a, 1.0), (a + cruise, b, -1.0)):
+        if ramp > 0:
+            # The fourth derivative of the length: J' = 32 / ramp^3, and how it changes at each quarter.
+            for quarter, change in ((0, 1), (1, -2), (3, 2), (4, -1)):
+                at = begin + quarter * ramp / 4
+                slope[at] = slope.get(at, 0.0) + sign * change * 32 / ramp**3
+    for at, change in slope.items():
+        travelled += change * np.maximum(u - at, 0.0) ** 4 / 24
     return travelled

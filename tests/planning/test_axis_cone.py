@@ -77,7 +77,7 @@ def least_at_rest(planned: Plan, *, leans: bool) -> float:
 def test_leaning_is_worth_torque(leaning: Plan) -> None:
     assert leaning.figures.peak_guardrail_torque < 0.99 * least_at_rest(leaning, leans=False)
     held = follow_path(request_of(scene_of("axis")), stop_at_obstacles=False)
-    np.testing.assert_allclose(leaning.baseline.q, held.q, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(leaning.baseline.samples.q, held.q, rtol=0, atol=1e-12)
 
 
 def test_the_axis_stays_within_the_cone(leaning: Plan) -> None:

@@ -43,7 +43,6 @@ def test_the_job_asks_no_more_than_its_hardest_posture(job: Plan) -> None:
     at_rest = np.linalg.norm(off, axis=1).max()
     assert job.torque_floor is not None
     assert job.job.figures.peak_guardrail_torque <= 1.02 * max(job.torque_floor, at_rest)
-    assert job.job.figures.peak_guardrail_torque < job.baseline_job_figures.peak_guardrail_torque
     for q, end in ((job.scene.posture, 0), (job.robot.group_states["stow"], -1)):
         np.testing.assert_allclose(job.job.trajectory.q[end], q, atol=1e-9)
 

@@ -21,7 +21,7 @@ from cmbot.planning.selfmotion.charts import GraphLayer, check_clearances
 from cmbot.planning.selfmotion.dynamic_programming import BottleneckDynamicProgram, edges, edges_along
 from cmbot.planning.selfmotion.global_search import GlobalSearch
 from cmbot.planning.torque.decomposition import optimise
-from cmbot.planning.workcell import robot_of
+from cmbot.planning.workcell.workcell import robot_of
 from cmbot.robot import Finding, Postures, Robot
 from cmbot.scene import Scene
 from cmbot.trajectory.local_basis import SparseSplines

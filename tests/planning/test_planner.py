@@ -52,15 +52,15 @@ def test_what_is_no_scene_is_refused() -> None:
 def test_triangle_with_fixed_knots(fixed_triangle_plan: Plan) -> None:
     """They gain nothing: the peak is the weight in the posture at the start, where every motion rests."""
     check_promises(fixed_triangle_plan)
-    baseline, planned = fixed_triangle_plan.baseline_figures, fixed_triangle_plan.figures
+    baseline, planned = fixed_triangle_plan.baseline.figures, fixed_triangle_plan.figures
     assert baseline.peak_static_guardrail_torque == pytest.approx(486.41, abs=0.01)
     assert planned.peak_static_guardrail_torque == pytest.approx(486.41, abs=0.01)
     assert planned.peak_guardrail_torque == pytest.approx(486.41, abs=0.01)
     assert fixed_triangle_plan.peak_static_reduction == pytest.approx(0, abs=1e-5)
     assert baseline.mean_guardrail_torque == pytest.approx(407, abs=2)
     assert fixed_triangle_plan.start.moved == 0
-    assert fixed_triangle_plan.drift < 1e-4
-    assert 0.1 < fixed_triangle_plan.smallest_singular_value < 1
+    assert fixed_triangle_plan.baseline.drift < 1e-4
+    assert 0.1 < fixed_triangle_plan.baseline.smallest_singular_value < 1
     seconds = fixed_triangle_plan.seconds
     laps = (seconds.path, seconds.optimise, seconds.certify)
     assert min(laps) > 0
@@ -70,7 +70,7 @@ def test_triangle_with_fixed_knots(fixed_triangle_plan: Plan) -> None:
 def test_line_with_fixed_knots(fixed_line_plan: Plan) -> None:
     """It has to start elsewhere, which also lowers the torque."""
     check_promises(fixed_line_plan)
-    assert fixed_line_plan.baseline_figures.peak_static_guardrail_torque == pytest.approx(577.6, abs=0.1)
+    assert fixed_line_plan.baseline.figures.peak_static_guardrail_torque == pytest.approx(577.6, abs=0.1)
     assert fixed_line_plan.peak_static_reduction > 0.1
     assert fixed_line_plan.start.moved > 0
 
@@ -79,7 +79,7 @@ def test_triangle_with_sliding_knots(triangle_plan: Plan) -> None:
     """The gain is the posture's; gravity's part hardly undercuts the floor."""
     check_promises(triangle_plan)
     assert triangle_plan.options.knots == "sliding"
-    baseline, planned = triangle_plan.baseline_figures, triangle_plan.figures
+    baseline, planned = triangle_plan.baseline.figures, triangle_plan.figures
     assert baseline.peak_static_guardrail_torque == pytest.approx(486.41, abs=0.01)
     assert planned.peak_static_guardrail_torque == pytest.approx(383.8, rel=0.01)
     assert triangle_plan.peak_static_reduction == pytest.approx(0.211, abs=0.01)
@@ -93,7 +93,9 @@ def test_two_runs_are_one(short_plan: Plan) -> None:
     assert first.certificate == second.certificate
     assert first.passes == second.passes
     for name in ("q", "v", "guardrail_torque", "clearance"):
-        np.testing.assert_array_equal(getattr(first.baseline, name), getattr(second.baseline, name))
+        np.testing.assert_array_equal(
+            getattr(first.baseline.samples, name), getattr(second.baseline.samples, name)
+        )
 
 
 def test_options_in_place_of_the_scenes() -> None:

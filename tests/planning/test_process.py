@@ -77,7 +77,7 @@ def test_the_peak_under_a_force_is_enclosed(pushed_plan: Plan) -> None:
     torque = np.linalg.norm(Dynamics(robot).efforts(*states).guardrail_torque, axis=1)
     assert torque.max() <= certificate.guardrail_torque_bound
     assert torque.max() == pytest.approx(certificate.guardrail_torque_bound, rel=1e-5)
-    assert pushed_plan.baseline_figures.peak_guardrail_torque > torque.max()
+    assert pushed_plan.baseline.figures.peak_guardrail_torque > torque.max()
     assert pushed_plan.torque_floor_kind == "proven"
     assert pushed_plan.gap_to_floor == pytest.approx(0, abs=0.01)
     assert "peak of its static part at work, Nm" in pushed_plan.summary()
@@ -108,8 +108,12 @@ def test_a_plan_under_a_force_is_read_back(pushed_plan: Plan, tmp_path: Path) ->
     again = load_plan(folder, verify=True)
     assert again.robot.tool_force == FORCE
     assert again.scene.tool == Tool(process_force_n=FORCE)
-    for name in ("samples", "approach_samples", "baseline"):
-        got, expected = (getattr(one, name).guardrail_torque for one in (again, pushed_plan))
+    for got, expected in (
+        (again.samples, pushed_plan.samples),
+        (again.approach_samples, pushed_plan.approach_samples),
+        (again.baseline.samples, pushed_plan.baseline.samples),
+    ):
+        got, expected = got.guardrail_torque, expected.guardrail_torque
         np.testing.assert_allclose(got, expected, rtol=0, atol=1e-6)
 
 

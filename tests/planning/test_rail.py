@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from finite_differences import check_derivative
 from rail_arms import POSTURE, RAIL_JOINTS, rail_data, rail_scene
-from small_scenes import off_task, problem_of
+from small_scenes import off_task, problem_of, with_corners
 
 import cmbot
 from cmbot.common.errors import SceneError
@@ -173,7 +173,7 @@ def test_nothing_is_proven_by_angles_that_slide(asked: StrokeRequest) -> None:
     assert out_of_reach(asked, 0) == ""
     path = asked.task.path
     beyond = path.corners + np.array([0.0, 0.0, asked.cell.robot.reach])
-    away = replace(asked, task=replace(asked.task, path=replace(path, corners=beyond)))
+    away = replace(asked, task=replace(asked.task, path=with_corners(path, beyond)))
     assert out_of_reach(away, 0).startswith("out of reach: the tool point is ")
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_scenes import SHORT, off_task, request_of
+from small_scenes import SHORT, off_task, request_of, with_corners
 
 from cmbot import load_plan, load_scene, plan, save
 from cmbot.common.errors import ArchiveError, LimitViolation, PathNotFound
@@ -171,7 +171,7 @@ def test_a_beginning_out_of_reach_is_no_path() -> None:
     with pytest.raises(PathNotFound, match=r"tool_path.from lies .* out of reach \(the arm"):
         plan(elsewhere({"xyz": [9, 0, 0]}))
     asked = request_of(scene_of("turning"))
-    far = replace(asked.task.path, corners=asked.task.path.corners + np.array([9.0, 0, 0]))
+    far = with_corners(asked.task.path, asked.task.path.corners + np.array([9.0, 0, 0]))
     with pytest.raises(
         PathNotFound, match=r"the path begins out of reach at \(.*\) m: no posture .* mm and .* deg off"
     ):

@@ -79,7 +79,7 @@ def test_held_joints_do_not_move() -> None:
 
 
 def test_the_baseline_keeps_its_positions_and_hardly_needs_more_acceleration(triangle_plan: Plan) -> None:
-    baseline = triangle_plan.baseline
+    baseline = triangle_plan.baseline.samples
     motion = PrescribedMotion.through(baseline.t, baseline.q)
     q, v, a = motion.states(baseline.t)
     np.testing.assert_allclose(q, baseline.q, atol=1e-14)

@@ -42,7 +42,7 @@ def planned_motion(plan: Plan, **changes: Any) -> MotionTracking:
 
 def baseline_motion(plan: Plan, **changes: Any) -> MotionTracking:
     options = replace(OPTIONS, **changes)
-    motion = PrescribedMotion.through(plan.baseline.t, plan.baseline.q)
+    motion = PrescribedMotion.through(plan.baseline.samples.t, plan.baseline.samples.q)
     return track(elastic_arm_of(plan, options), plan.task, motion, options)
 
 
@@ -134,11 +134,11 @@ def test_the_largest_rotation_of_the_base_is_an_angle(tracking: Tracking) -> Non
 
 
 def test_the_command_is_what_the_joints_do(tracking: Tracking, short_plan: Plan) -> None:
-    points, _ = Kinematics(short_plan.robot).tool_poses(short_plan.baseline.q)
-    off = points - short_plan.task.path.position(short_plan.baseline.t)
-    every = round(short_plan.baseline.t[1] / 0.005)
+    points, _ = Kinematics(short_plan.robot).tool_poses(short_plan.baseline.samples.q)
+    off = points - short_plan.task.path.position(short_plan.baseline.samples.t)
+    every = round(short_plan.baseline.samples.t[1] / 0.005)
     np.testing.assert_allclose(tracking.baseline.command[:801:every], off, atol=1e-9)
-    assert short_plan.drift == pytest.approx(np.linalg.norm(off, axis=1).max(), rel=1e-6)
+    assert short_plan.baseline.drift == pytest.approx(np.linalg.norm(off, axis=1).max(), rel=1e-6)
 
 
 def test_off_the_path_is_the_error_across_it(tracking: Tracking, short_plan: Plan) -> None:

@@ -37,7 +37,9 @@ def works(plan: Plan, tracking: Tracking) -> list[tuple[PrescribedWork, MotionTr
 def alone(plan: Plan) -> Plan:
     """A plan of the first stroke, its motion as it is in the job."""
     job = Job(segments=plan.work.segments[:1])
-    return replace(plan, **vars(plan.strokes[0]), several=(), job=job)
+    first = dict(vars(plan.strokes[0]))
+    first["baseline"] = replace(plan.baseline, **vars(first["baseline"]), segments=plan.baseline.work[:1])
+    return replace(plan, **first, several=(), job=job)
 
 
 def test_the_first_stroke_errs_as_one_alone(strokes_plan: Plan, strokes_tracking: Tracking) -> None:
@@ -50,12 +52,14 @@ def test_the_first_stroke_errs_as_one_alone(strokes_plan: Plan, strokes_tracking
 
 
 def test_both_works_are_simulated_whole(strokes_plan: Plan, strokes_tracking: Tracking) -> None:
-    ends = strokes_plan.baseline.t[-1], strokes_plan.work.duration
+    ends = strokes_plan.baseline.samples.t[-1], strokes_plan.work.duration
     for (work, motion), end in zip(works(strokes_plan, strokes_tracking), ends, strict=True):
         assert [part.path is None for part in work.parts] == [False, True, False]
         assert motion.stop == pytest.approx(end, rel=1e-12)
         assert motion.t[-1] == pytest.approx(end + OPTIONS.settle_s, abs=OPTIONS.output_step_s)
-        samples = strokes_plan.baseline if motion is strokes_tracking.baseline else strokes_plan.samples
+        samples = (
+            strokes_plan.baseline.samples if motion is strokes_tracking.baseline else strokes_plan.samples
+        )
         np.testing.assert_allclose(work.postures(samples.t), samples.q, atol=1e-9)
 
 

@@ -268,7 +268,9 @@ def test_least_sag_is_set_beside_least_torque() -> None:
     def figures(peak: float, mean: float) -> Any:
         return SimpleNamespace(peak_guardrail_torque=peak, mean_guardrail_torque=mean)
 
-    before: Any = SimpleNamespace(baseline_figures=figures(500, 400), figures=figures(300, 250))
+    before: Any = SimpleNamespace(
+        baseline=SimpleNamespace(figures=figures(500, 400)), figures=figures(300, 250)
+    )
     after: Any = SimpleNamespace(figures=figures(330, 240))
     first = tracking(sag_of(20, 10), sag_of(10, 8))
     variant = Variant(plan=after, trackings=(tracking(sag_of(20, 10), sag_of(9, 6)),), why_not="")

@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
 from cmbot.planning.certification.norm_bounds import timed_pose_bounds
-from cmbot.toolpath.curves import Arc, Blend, Curve, Rolled, Spline
+from cmbot.toolpath.curves import Arc, Blend, Curve, Line, Rolled, Spline
 from cmbot.toolpath.time_law import SpeedProfile
-from cmbot.toolpath.tool_path import ToolPath
+from cmbot.toolpath.tool_path import Segment, ToolPath
 from cmbot.trajectory import Pieces, QuinticTrajectory
 
 seeds = st.integers(0, 2**32 - 1)
@@ -58,14 +58,11 @@ def path_of(curve: Curve, kind: str = "jerk_limited", turn: FloatArray | None = 
     if given is not None:
         orientation = given[0]
         turns[0], turns[1] = 0.0, Rotation.from_matrix(given[1] @ given[0].T).as_rotvec()
-    return ToolPath(
-        corners=corners,
-        orientation=orientation,
-        seconds=np.array([1.0, 3.0, 1.5]),
-        profile=SpeedProfile(kind=kind, ramp=0.3),
-        rotations=turns,
-        curves={1: curve},
-    )
+    law = SpeedProfile(kind=kind, ramp=0.3).law
+    curves = (Line(*corners[:2]), curve, Line(*corners[2:]))
+    legs = zip(curves, turns, (1.0, 3.0, 1.5), strict=True)
+    segments = tuple(Segment(curve=c, turn=turn, seconds=seconds, law=law) for c, turn, seconds in legs)
+    return ToolPath(segments=segments, orientation=orientation)
 
 
 @given(seeds)
@@ -171,7 +168,7 @@ def test_orientations_are_continuous_and_end_where_they_should(make: type, rng: 
     assert steps.max() < 0.02
     corners = path.poses(path.leg_times).rotation
     between = Rotation.from_matrix(corners[1:] @ corners[:-1].transpose(0, 2, 1)).as_rotvec()
-    np.testing.assert_allclose(between, path.rotations, atol=1e-9)
+    np.testing.assert_allclose(between, [segment.turn for segment in path.segments], atol=1e-9)
     assert path.turns
     held = path.held()
     assert not held.turns

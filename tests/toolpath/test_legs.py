@@ -16,7 +16,7 @@ from timed_paths import SECOND, WHERE, check_path, scene_of, vectors
 from cmbot import load_scene
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError, SceneError
-from cmbot.toolpath import ArcTo, Goal, Leg, SpeedProfile, ToolPath
+from cmbot.toolpath import ArcTo, Goal, Leg, Segment, SpeedProfile, ToolPath
 from cmbot.toolpath.curves import Spline
 
 
@@ -54,7 +54,7 @@ legs = st.one_of(
     st.builds(lambda seconds: {"pause": seconds}, st.floats(0.1, 3)),
 )
 profiles = st.fixed_dictionaries(
-    {"kind": st.sampled_from(["trapezoidal", "jerk_limited"]), "ramp": st.floats(0.05, 0.5)}
+    {"kind": st.sampled_from(["trapezoidal", "jerk_limited", "quiet"]), "ramp": st.floats(0.05, 0.5)}
 )
 
 
@@ -263,7 +263,7 @@ def test_rasters_cover_their_cylinder(
         if pipe["rows"] == "around":
             steps = np.abs(np.diff(corners @ axis)[1::2])
         else:
-            steps = np.linalg.norm(path.rotations, axis=1)[1::2] * pipe["radius"]
+            steps = np.linalg.norm([segment.turn for segment in path.segments[1::2]], axis=1) * pipe["radius"]
         assert steps.max(initial=0.0) <= spacing + 1e-6
 
 
@@ -512,13 +512,8 @@ def test_tangents_stay_within_their_bound_where_a_spline_is_slow(back: tuple[flo
     """Where it turns back it nearly stops, between the points at which its rate would be sampled."""
     points = np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), back])
     spline = Spline(points)
-    path = ToolPath(
-        corners=points[[0, 2]],
-        orientation=np.eye(3),
-        seconds=np.ones(1),
-        profile=SpeedProfile(),
-        curves={0: spline},
-    )
+    leg = Segment(curve=spline, seconds=1.0, law=SpeedProfile().law)
+    path = ToolPath(segments=(leg,), orientation=np.eye(3))
     shares = np.linspace(0, 1, 20_001)
     slowest = shares[np.linalg.norm(spline.slope(shares), axis=1).argmin()]
     middle = path.times_at(0, np.array([slowest, 0.2, 0.8]))

@@ -55,7 +55,7 @@ def test_the_arms_are_drawn_where_the_kinematics_puts_them(
     shown: Chrome, triangle_plan: Plan, time: float
 ) -> None:
     shown.execute_script("cmbotReplay.seek(cmbotReplay.workStart + arguments[0])", time)
-    baseline = triangle_plan.baseline
+    baseline = triangle_plan.baseline.samples
     postures = {
         "planned": triangle_plan.trajectory.evaluate(np.array([time]), 0)[0],
         "baseline": np.array([np.interp(time, baseline.t, q) for q in baseline.q.T]),
@@ -90,7 +90,7 @@ def test_the_approach_is_before_the_work(shown: Chrome, triangle_plan: Plan, sha
     assert number(shown, "planned-clearance") == pytest.approx(1e3 * distance, abs=0.2)
     for name, figures in (
         ("planned", triangle_plan.job.figures),
-        ("baseline", triangle_plan.baseline_job_figures),
+        ("baseline", triangle_plan.baseline.job_figures),
     ):
         assert number(shown, f"{name}-peak") == pytest.approx(figures.peak_guardrail_torque, abs=0.06)
         assert number(shown, f"{name}-closest") == pytest.approx(1e3 * figures.min_clearance, abs=0.06)
@@ -162,7 +162,7 @@ def test_the_numbers_are_those_of_the_plan(shown: Chrome, triangle_plan: Plan) -
     }
     begin = triangle_plan.approach.duration
     assert shown.find_element("id", "time").text == f"{begin + 8:.2f} / {begin + 20:.2f} s"
-    peak = triangle_plan.baseline_figures.peak_guardrail_torque
+    peak = triangle_plan.baseline.figures.peak_guardrail_torque
     assert shown.find_element("id", "baseline-peak").text == f"{peak:.1f} Nm"
 
 

@@ -86,7 +86,7 @@ def test_there_is_a_plot_of_everything(shown: Chrome, triangle_plan: Plan) -> No
     ]
     assert [label.split(":")[0] for label in labels] == large + small
     peaks = [
-        figures.peak_guardrail_torque for figures in (triangle_plan.baseline_figures, triangle_plan.figures)
+        figures.peak_guardrail_torque for figures in (triangle_plan.baseline.figures, triangle_plan.figures)
     ]
     approach = triangle_plan.approach
     highest = [float(number) for number in re.findall(r"to ([\d.]+) Nm", labels[0])]
@@ -174,7 +174,7 @@ def test_the_values_are_those_of_the_plan(
         return pytest.approx([planned, baseline], abs=tolerance)
 
     k = int(np.argmin(np.abs(triangle_plan.samples.t - 8.0)))
-    motions = (triangle_plan.samples, triangle_plan.baseline)
+    motions = (triangle_plan.samples, triangle_plan.baseline.samples)
     assert values[0] == both(*(float(np.linalg.norm(m.guardrail_torque[k])) for m in motions), 0.3)
     assert values[1] == both(*(1e3 * float(m.clearance[k]) for m in motions), 0.3)
     i = int(np.argmin(np.abs(triangle_tracking.planned.t - 8.0)))

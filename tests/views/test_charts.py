@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from page_data import floats
+from plan_folders import with_baseline
 
 from cmbot.planning import Plan
 from cmbot.simulation import Tracking
@@ -20,7 +21,7 @@ def test_peaks_survive_the_thinning(triangle_plan: Plan, triangle_tracking: Trac
         # A plot without the approach says why.
         assert (min(curve.t[0] for curve in chart.curves) < approach.duration - 0.01) == (chart.free == "")
     baseline, planned = (floats(curve["y"]) for curve in torque.data()["curves"])
-    norms = np.linalg.norm(triangle_plan.baseline.guardrail_torque, axis=1)
+    norms = np.linalg.norm(triangle_plan.baseline.samples.guardrail_torque, axis=1)
     assert baseline.max() == pytest.approx(norms.max(), rel=1e-6)
     assert planned.max() == pytest.approx(approach.certificate.figures.peak_guardrail_torque, rel=1e-3)
     assert len(planned) <= MOST_POINTS
@@ -71,7 +72,7 @@ def test_tracking_errors_share_one_scale_and_say_where_they_are_measured_from(
 def test_off_the_path_has_no_points_between_strokes(strokes_plan: Plan, strokes_tracking: Tracking) -> None:
     *others, off = charts(strokes_plan, strokes_tracking)
     assert off.title == "Elastic tool's distance from its path"
-    free = strokes_plan.work.segments[1], strokes_plan.baseline_segments[1]
+    free = strokes_plan.work.segments[1], strokes_plan.baseline.segments[1]
     for segment, name in zip(free, ("planned", "baseline"), strict=True):
         (shown,) = (curve for curve in off.curves if curve.motion == name)
         times = shown.t - strokes_plan.job.strokes[0].begin
@@ -84,14 +85,13 @@ def test_off_the_path_has_no_points_between_strokes(strokes_plan: Plan, strokes_
 
 
 def test_a_curve_is_broken_where_the_faster_arm_waits_to_return(returning_plan: Plan) -> None:
-    plan = replace(returning_plan)
     hurried = [
         replace(each, samples=replace(each.samples, t=0.5 * each.samples.t))
         if each.kind == "stroke"
         else each
-        for each in plan.baseline_segments
+        for each in returning_plan.baseline.segments
     ]
-    plan.__dict__["baseline_segments"] = tuple(hurried)
+    plan = with_baseline(returning_plan, segments=tuple(hurried))
     wait = 0.5 * plan.samples.t[-1]
     for chart in joint_charts(plan):
         for curve, entry in zip(chart.curves, chart.data(50)["curves"], strict=True):

@@ -74,7 +74,7 @@ def test_the_torque_with_its_floor_and_the_approach(
 ) -> None:
     (axes,) = figures["guardrail_torque"].axes
     (baseline,), (planned,) = lines(axes, plots._BASELINE), lines(axes, plots._PLANNED)
-    samples, begin = triangle_plan.baseline, triangle_plan.approach.duration
+    samples, begin = triangle_plan.baseline.samples, triangle_plan.approach.duration
     assert_drawn(baseline, begin + samples.t, np.linalg.norm(samples.guardrail_torque, axis=1))
     assert planned.get_xdata()[0] == 0
     after = np.asarray(planned.get_ydata())[np.asarray(planned.get_xdata()) >= begin]
@@ -107,7 +107,7 @@ def test_clearance_and_deviation_are_shaded_beyond_their_bounds(
 def test_joints_are_shares_of_their_bounds(figures: dict[str, Figure], triangle_plan: Plan) -> None:
     limits, dof = triangle_plan.robot.limits, triangle_plan.robot.dof
     grid = np.reshape(figures["joints"].axes, (5, 2))
-    for column, samples in enumerate((triangle_plan.baseline, triangle_plan.samples)):
+    for column, samples in enumerate((triangle_plan.baseline.samples, triangle_plan.samples)):
         middle = 0.5 * (limits.upper + limits.lower)
         shares = (
             (samples.q - middle) / (limits.upper - middle),

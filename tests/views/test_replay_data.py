@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from page_data import floats, without_shapes
-from plan_folders import changed
+from plan_folders import changed, with_baseline
 
 from cmbot.collision import Clearances
 from cmbot.common.errors import InputError
@@ -44,7 +44,7 @@ def test_links_and_numbers_are_those_of_the_samples(data: dict[str, Any], triang
     assert data["links"] == [f"link_{number}" for number in range(1, 8)]
     assert (data["workStart"], data["workEnd"]) == (triangle_plan.approach.duration, data["segments"][-1][2])
     times = np.linspace(0, 20.0, 1001)
-    for name, samples in (("planned", triangle_plan.samples), ("baseline", triangle_plan.baseline)):
+    for name, samples in (("planned", triangle_plan.samples), ("baseline", triangle_plan.baseline.samples)):
         assert len(floats(data[name]["poses"], 7, 7)) == len(times)
         for k in range(0, len(times), 100):
             q = samples.q[np.argmin(np.abs(samples.t - times[k]))]
@@ -53,13 +53,13 @@ def test_links_and_numbers_are_those_of_the_samples(data: dict[str, Any], triang
         np.testing.assert_allclose(torque, samples.guardrail_torque[::2], rtol=1e-6, atol=1e-3)
         np.testing.assert_allclose(floats(data[name]["clearance"]), samples.clearance[::2], rtol=1e-6)
     assert data["planned"]["peakTorque"] == triangle_plan.figures.peak_guardrail_torque
-    assert data["baseline"]["minClearance"] == triangle_plan.baseline_figures.min_clearance
+    assert data["baseline"]["minClearance"] == triangle_plan.baseline.figures.min_clearance
 
 
 def test_free_moves_between_strokes_count_for_the_largest_values(strokes_plan: Plan) -> None:
     data = replay_data(without_shapes(strokes_plan))
     assert data["moves"]
-    jobs = (strokes_plan.job.figures, strokes_plan.baseline_job_figures)
+    jobs = (strokes_plan.job.figures, strokes_plan.baseline.job_figures)
     for name, job in zip(("planned", "baseline"), jobs, strict=True):
         phases = [each[name] for each in (data["approach"], data, data["return"]) if each is not None]
         assert max(each["peakTorque"] for each in phases) == pytest.approx(job.peak_guardrail_torque)
@@ -90,12 +90,14 @@ def test_the_approach_leads_to_the_work_as_certified(data: dict[str, Any], trian
     static = Dynamics(triangle_plan.robot).static_efforts(ends).guardrail_torque
     np.testing.assert_allclose(torque[[0, -1]], static, atol=0.01)
     # The baseline rests meanwhile.
-    rest, first = data["approach"]["baseline"], triangle_plan.baseline.q[:1]
+    rest, first = data["approach"]["baseline"], triangle_plan.baseline.samples.q[:1]
     for frame in (0, -1):
         np.testing.assert_allclose(shown(rest, frame), shown(data["baseline"], 0), atol=1e-6)
     static = Dynamics(robot).static_efforts(first).guardrail_torque
     np.testing.assert_allclose(floats(rest["torque"], 3), np.repeat(static, 2, axis=0), rtol=1e-5, atol=1e-3)
-    np.testing.assert_allclose(floats(rest["clearance"]), triangle_plan.baseline.clearance[0], rtol=1e-5)
+    np.testing.assert_allclose(
+        floats(rest["clearance"]), triangle_plan.baseline.samples.clearance[0], rtol=1e-5
+    )
     assert rest["peakTorque"] == pytest.approx(float(np.linalg.norm(static)))
 
 
@@ -214,22 +216,21 @@ def test_the_return_comes_after_the_work(returning_plan: Plan) -> None:
     np.testing.assert_allclose(poses[-2], poses[-1], atol=1e-6)
     assert phase["planned"]["peakTorque"] == back.figures.peak_guardrail_torque
     (torque,) = (chart for chart in charts(returning_plan, None) if chart.key == "torque")
-    ends = [data["workEnd"] + returning_plan.baseline_return.t[-1], data["end"]]
+    ends = [data["workEnd"] + returning_plan.baseline.segment("return").samples.t[-1], data["end"]]
     assert [curve.t[-1] for curve in torque.curves] == pytest.approx(ends)
     assert torque.work == (data["workStart"], data["workEnd"])
 
 
 def test_the_baseline_approaches_too_and_both_begin_to_work_at_once(strokes_plan: Plan) -> None:
-    other = dataclasses.replace(strokes_plan.baseline_segments[1], name="approach", begin=0.0)
+    other = dataclasses.replace(strokes_plan.baseline.segments[1], name="approach", begin=0.0)
     longer = (strokes_plan.job.strokes[0].begin + 2.0) / other.duration
     slow = dataclasses.replace(other, samples=dataclasses.replace(other.samples, t=longer * other.samples.t))
     for approach in (other, slow):
-        plan = dataclasses.replace(strokes_plan)
         work = [
             dataclasses.replace(each, begin=each.begin + approach.duration)
-            for each in strokes_plan.baseline_segments
+            for each in strokes_plan.baseline.segments
         ]
-        plan.__dict__["baseline_segments"] = (approach, *work)
+        plan = with_baseline(strokes_plan, segments=(approach, *work))
         data = replay_data(plan)
         begins = plan.job.strokes[0].begin
         assert data["start"] == pytest.approx(min(0.0, begins - approach.duration))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from clamped import CLAMP, MAGNET, clamped_scene
 from page_data import data_of, floats
-from plan_folders import changed, without_approach
+from plan_folders import changed, with_baseline, without_approach
 
 import cmbot
 from cmbot.common.errors import InputError
@@ -111,8 +111,11 @@ def test_nothing_to_hit_and_no_range(short_plan: Plan) -> None:
         changed(short_plan, "work", certificate=free),
         scene=short_plan.scene.changed(obstacles=(), guardrail={"bays": 0}),
         robot=replace(short_plan.robot, limits=limits, collision_model=alone),
-        baseline=replace(short_plan.baseline, clearance=np.full_like(short_plan.baseline.clearance, np.inf)),
     )
+    samples = short_plan.baseline.samples
+    samples = replace(samples, clearance=np.full_like(samples.clearance, np.inf))
+    stroke = replace(short_plan.baseline.segments[0], samples=samples)
+    plan = with_baseline(plan, samples=samples, segments=(stroke,))
     page = report_page(plan)
     data = data_of(page)
     assert data["planned"]["minClearance"] is None
@@ -154,7 +157,7 @@ def test_headlines_say_what_was_gained(triangle_plan: Plan, triangle_tracking: T
     accuracy = triangle_plan.accuracy
     assert tool.value == f"{accuracy.within_mm:.3g} mm"
     assert accuracy.parts[0].name in tool.detail
-    before, after = triangle_plan.baseline_figures, triangle_plan.figures
+    before, after = triangle_plan.baseline.figures, triangle_plan.figures
     job = triangle_plan.job.figures
     assert peak.before == f"{before.peak_guardrail_torque:.1f}"
     assert peak.value == f"{job.peak_guardrail_torque:.1f} Nm"

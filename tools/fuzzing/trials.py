@@ -194,7 +194,8 @@ class _BadMessageError(Exception):
 def _read_plan(case: Case) -> Any:
     plan = cmbot.load_plan(".", verify=case.verify)
     tracking = cmbot.load_tracking(plan, ".")
-    figures = plan.baseline_figures, plan.figures, plan.certificate, plan.objective
+    baseline = None if plan.baseline is None else plan.baseline.figures
+    figures = baseline, plan.figures, plan.certificate, plan.objective
     return plan.summary(), figures, tracking if tracking is None else tracking.planned
 
 

@@ -62,8 +62,8 @@ def unverified_files(plan: Plan, folder: Path) -> tuple[str, ...]:
 def _table(plan: Plan, path: Path) -> bool:
     """Compare a table with the job, or with the work alone; False for a table of something else."""
     content, source = read_file(path, _LARGEST_FILE), str(path)
-    if path.name == BASELINE_FILE:
-        require_table(content, samples_csv(plan.baseline, source), source)
+    if path.name == BASELINE_FILE and plan.baseline is not None:
+        require_table(content, samples_csv(plan.baseline.samples, source), source)
         return True
     if path.name in TRACKING_FILES or (path.name != JOB_FILES[0] and not content.startswith(b"t,q1,")):
         return False

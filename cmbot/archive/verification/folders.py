@@ -218,7 +218,8 @@ def _walk_files(folder: Path, walk: Walk) -> tuple[str, ...]:
 
 def _claims(plan: Plan) -> Iterator[str]:
     """The keys of plan.json whose values only planning anew could confirm."""
-    yield "baseline (that it is the motion it is compared with)"
+    if plan.baseline is not None:
+        yield "baseline (that it is the motion it is compared with)"
     if plan.torque_floor is not None:
         yield f"torque_floor ({plan.torque_floor:.6g} Nm, {plan.torque_floor_kind}), gap_to_floor"
     for name in ("lower_bound", "choice", "suppression", "compensation"):

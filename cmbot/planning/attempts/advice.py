@@ -166,7 +166,7 @@ def slower(request: StrokeRequest, factors: FloatArray) -> StrokeRequest:
         else:
             own = float(path.seconds[k] if stroke.file.legs else stroke.file.seconds or path.seconds[k])
             seconds[k] *= _rounded_up(own * factors[k]) / own
-    path = replace(path, seconds=seconds)
+    path = path.in_seconds(seconds)
     times = path.via_times(len(request.times))
     return replace(request, task=replace(request.task, path=path), times=times)
 

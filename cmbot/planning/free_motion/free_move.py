@@ -14,15 +14,15 @@ from cmbot.common.errors import LimitViolation, PathNotFound
 from cmbot.optimization import StateSamples
 from cmbot.planning.budget import MORE_TIME
 from cmbot.planning.certification.certificate import Certificate, certify
-from cmbot.planning.diagnosis import most_often_near, out_of_range, weakest_joint
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.roadmap import lower_peak
 from cmbot.planning.free_motion.rrt_connect import MOST_GROWTHS, rrt_connect
 from cmbot.planning.job import Segment
-from cmbot.planning.objectives import efforts_of
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.task import ToolTask
-from cmbot.planning.workcell import Workcell
+from cmbot.planning.workcell.diagnosis import most_often_near, out_of_range, weakest_joint
+from cmbot.planning.workcell.objectives import efforts_of
+from cmbot.planning.workcell.workcell import Workcell
 from cmbot.robot import Dynamics, Robot
 from cmbot.scene import PlannerOptions
 from cmbot.toolpath import SpeedProfile
@@ -249,7 +249,7 @@ def _timed(
     along = np.concatenate([[0.0], np.cumsum(lengths)])
     knots = max(int(np.ceil(along[-1] / spacing)) + 1, 8)
     u = np.linspace(0.0, 1.0, knots)
-    share = SpeedProfile(kind="jerk_limited", ramp=0.5).share(u)
+    share = SpeedProfile(kind="jerk_limited", ramp=0.5).law.share(u)
     q = np.stack([np.interp(share * along[-1], along, joint) for joint in path.T], axis=1)
     space = SplineSpace(u)
     trial = space.trajectory(space.least_jerk(q))

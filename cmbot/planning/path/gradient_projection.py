@@ -16,9 +16,9 @@ from scipy.linalg.lapack import dgesdd
 from cmbot.collision import Clearances, Nearest
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
-from cmbot.planning.diagnosis import no_start_left
 from cmbot.planning.path.projection import null_space, project_onto_task
 from cmbot.planning.request import StrokeRequest
+from cmbot.planning.workcell.diagnosis import no_start_left
 from cmbot.robot import Kinematics, PostureMetric, postures_in_words
 from cmbot.scene import PlannerOptions
 from cmbot.trajectory import sample_step

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.planning.diagnosis import most_often_near, weakest_joint
 from cmbot.planning.path.place_search import MissedPlace, worst_missed
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.task import ToolTask
+from cmbot.planning.workcell.diagnosis import most_often_near, weakest_joint
 from cmbot.scene import AxisCone, Keep
 
 # Distance of places along a leg, m, and the least number of steps on one; how many there are at most of a

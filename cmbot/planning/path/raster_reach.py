@@ -14,7 +14,7 @@ from cmbot.planning.path.nearest_miss import nearest_miss
 from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.request import StrokeRequest, build_request, in_cells
 from cmbot.planning.task import ToolTask
-from cmbot.planning.workcell import robot_of
+from cmbot.planning.workcell.workcell import robot_of
 from cmbot.scene import PlannerOptions, Scene, StrokeFile, rows_alone
 from cmbot.toolpath import RowPiece, ToolPath, ToolPoses, cells_of
 

@@ -105,7 +105,7 @@ def find_start(
 
 def _task(point: FloatArray, orientation: FloatArray, keep: Literal["pose", "axis", "position"]) -> ToolTask:
     corners = np.array([point, point])
-    path = ToolPath(corners=corners, orientation=orientation, seconds=np.ones(1), profile=SpeedProfile())
+    path = ToolPath.straight(corners, orientation, np.ones(1), SpeedProfile().law)
     return ToolTask(path=path, keep=keep)
 
 

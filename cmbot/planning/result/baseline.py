@@ -1,9 +1,10 @@
-"""The baseline of a job: Eq. (22) along every stroke, the quickest straight joint motions between them."""
+"""The baseline of a job: that along every stroke, the quickest straight joint motions between them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -15,7 +16,7 @@ from cmbot.planning.certification.metrics import MotionMetrics, Samples, figures
 from cmbot.planning.free_motion.return_move import SAME_POSTURE
 from cmbot.planning.free_motion.straight_move import quickest_straight
 from cmbot.planning.job import RETURN, free_move_name, job_metrics
-from cmbot.planning.result.stroke_plan import StrokePlan
+from cmbot.planning.result.stroke_plan import StrokeBaseline, StrokePlan
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Robot
 from cmbot.trajectory import SAMPLE_STEP
@@ -56,14 +57,62 @@ class BaselineSegment:
         return self.begin + self.duration
 
 
-def baseline_job(
+@dataclass(frozen=True, kw_only=True)
+class Baseline(StrokeBaseline):
+    """The baseline of a job.
+
+    What a `StrokeBaseline` says of its stroke, this says of all of them: its samples lead from the first
+    stroke to the last one, its figures are those of the strokes.
+
+    Attributes
+    ----------
+    segments : tuple of BaselineSegment
+        Of the whole job, from where the arm is to where it ends.
+    """
+
+    segments: tuple[BaselineSegment, ...]
+
+    __repr__ = short_repr
+
+    def segment(self, name: str) -> BaselineSegment | None:
+        """Return the segment of that name; None where there is none."""
+        return next((segment for segment in self.segments if segment.name == name), None)
+
+    @property
+    def duration(self) -> float:
+        """Time of the whole job, s."""
+        return self.segments[-1].end
+
+    @cached_property
+    def job_figures(self) -> MotionMetrics:
+        """Figures of the whole job."""
+        return job_metrics(self.segments)
+
+    @cached_property
+    def free_figures(self) -> MotionMetrics | None:
+        """Figures of the free moves; None without any."""
+        moves = [segment for segment in self.segments if segment.kind == "free"]
+        return job_metrics(moves) if moves else None
+
+    @property
+    def strokes(self) -> tuple[BaselineSegment, ...]:
+        """The segments with the tool on."""
+        return tuple(segment for segment in self.segments if segment.kind == "stroke")
+
+    @property
+    def work(self) -> tuple[BaselineSegment, ...]:
+        """What lies between the beginning of the first stroke and the end of the last one."""
+        return tuple(_at_work(self.segments))
+
+
+def baseline_of(
     robot: Robot,
     clearances: Clearances,
     strokes: Sequence[StrokePlan],
     start: FloatArray,
     end: FloatArray | None,
-) -> tuple[BaselineSegment, ...]:
-    """Return the baseline of a whole job, segment by segment.
+) -> Baseline | None:
+    """Return the baseline of a whole job; None where its strokes have none.
 
     Between the strokes it takes the quickest straight joint motions within the limits of velocity,
     acceleration and jerk, every 0.01 s; torques and collisions are ignored.
@@ -73,12 +122,15 @@ def baseline_job(
     robot : Robot
     clearances : Clearances
     strokes : sequence of StrokePlan
-        With the baseline along each.
+        With the baseline along each, or without any.
     start : (n,), rad, of joints that slide m
         Where the arm is before the job.
     end : (n,) or None
         Where it goes after the last stroke; None: nowhere.
     """
+    each = [stroke.baseline for stroke in strokes if stroke.baseline is not None]
+    if not each:
+        return None
     segments, at, begin = list[BaselineSegment](), start, 0.0
     off = robot.tool_off
 
@@ -94,24 +146,38 @@ def baseline_job(
         segments.append(BaselineSegment(name=name, kind=kind, begin=begin, samples=samples, figures=measured))
         begin = segments[-1].end
 
-    for number, stroke in enumerate(strokes):
-        move(free_move_name(number), stroke.baseline.q[0], stroke.task)
-        add(stroke.name, "stroke", stroke.baseline, stroke.baseline_figures)
-        at = stroke.baseline.q[-1]
+    for number, (stroke, along) in enumerate(zip(strokes, each, strict=True)):
+        move(free_move_name(number), along.samples.q[0], stroke.task)
+        add(stroke.name, "stroke", along.samples, along.figures)
+        at = along.samples.q[-1]
     if end is not None:
         move(RETURN, end, strokes[-1].task)
-    return tuple(segments)
+    return _joined(segments, each)
 
 
-def combined_baseline(
-    robot: Robot, clearances: Clearances, strokes: Sequence[StrokePlan]
-) -> tuple[Samples, MotionMetrics]:
-    """Return the baseline of several strokes from the first to the last, and the figures of the strokes."""
-    segments = baseline_job(robot, clearances, strokes, strokes[0].baseline.q[0], None)
-    samples, _ = joined_samples(
-        (segment.begin, segment.samples, segment.kind == "stroke") for segment in segments
+def _joined(segments: Sequence[BaselineSegment], each: Sequence[StrokeBaseline]) -> Baseline:
+    """The baseline of a job of these segments, from what is known along `each` of its strokes."""
+    work = _at_work(segments)
+    samples, figures_of_strokes = each[0].samples, each[0].figures
+    if len(each) > 1:
+        begin = work[0].begin
+        samples, _ = joined_samples(
+            (segment.begin - begin, segment.samples, segment.kind == "stroke") for segment in work
+        )
+        figures_of_strokes = job_metrics([part for part in work if part.kind == "stroke"], begin)
+    return Baseline(
+        samples=samples,
+        figures=figures_of_strokes,
+        drift=max(along.drift for along in each),
+        smallest_singular_value=min(along.smallest_singular_value for along in each),
+        segments=tuple(segments),
     )
-    return samples, job_metrics(segment for segment in segments if segment.kind == "stroke")
+
+
+def _at_work(segments: Sequence[BaselineSegment]) -> Sequence[BaselineSegment]:
+    """The segments from the first stroke to the last one."""
+    strokes = [number for number, segment in enumerate(segments) if segment.kind == "stroke"]
+    return segments[strokes[0] : strokes[-1] + 1]
 
 
 def joined_samples(each: Iterable[tuple[float, Samples, bool]]) -> tuple[Samples, list[int]]:

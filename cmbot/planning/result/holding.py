@@ -47,7 +47,8 @@ def holding_remarks(plan: Plan) -> Iterator[str]:
 
 
 def _adhesion(plan: Plan, holding: Holding, needed: AdhesionPeak) -> Iterator[str]:
-    foot, before = holding.feet[needed.foot - 1], plan.baseline_job_figures.adhesion_needed
+    foot = holding.feet[needed.foot - 1]
+    before = None if plan.baseline is None else plan.baseline.job_figures.adhesion_needed
     other = "" if before is None else f"; baseline {_kilonewtons(before.peak)}"
     of = f", foot {needed.foot}" if len(holding.feet) > 1 else ""
     most = f"{_kilonewtons(needed.peak)} ({needed.mode}, at {needed.time:.1f} s{of}{other})"

@@ -1,4 +1,4 @@
-"""The plan: a certified trajectory beside the baseline that it is compared with."""
+"""The plan: a certified trajectory, beside the baseline that it is compared with where one is asked for."""
 
 from __future__ import annotations
 
@@ -20,17 +20,12 @@ from cmbot.hold import CLAMP_LOAD
 from cmbot.planning.certification.certificate import Certificate
 from cmbot.planning.certification.metrics import MotionMetrics, Samples, measure
 from cmbot.planning.certification.sag_spread import across_path, spread_times
-from cmbot.planning.job import APPROACH, RETURN, Job, Segment, job_metrics
+from cmbot.planning.job import APPROACH, Job, Segment
 from cmbot.planning.request import end_posture_of, strokes_of
-from cmbot.planning.result.baseline import (
-    BaselineSegment,
-    baseline_job,
-    combined_baseline,
-    joined_samples,
-)
+from cmbot.planning.result.baseline import Baseline, baseline_of, joined_samples
 from cmbot.planning.result.stroke_plan import StrokePlan, combined
-from cmbot.planning.stiffness import covariance_of
-from cmbot.planning.workcell import bending_arm, sag_of
+from cmbot.planning.workcell.stiffness import covariance_of
+from cmbot.planning.workcell.workcell import bending_arm, sag_of
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import WORK, PlannerOptions, Scene, coverage_of, pieces_left_out, rows_alone
 from cmbot.toolpath import Coverage
@@ -49,10 +44,10 @@ class Seconds:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan(StrokePlan):
-    """A motion whose certificate holds, and the baseline.
+    """A motion whose certificate holds, and the baseline where one is asked for.
 
     What a `StrokePlan` says of its stroke, a plan says of all of them: of several strokes, the task and the
-    start of the first one, the largest peaks and bounds, and the baseline from the first one to the last.
+    start of the first one, the largest peaks and bounds.
 
     Attributes
     ----------
@@ -60,6 +55,8 @@ class Plan(StrokePlan):
     options : PlannerOptions
         What it was planned with.
     robot : Robot
+    baseline : Baseline or None
+        That of the whole job.
     job : Job
         The planned motion: strokes in their order; before each the free move that leads to it, where it
         starts elsewhere than the arm is; last the return, where the scene asks for one.
@@ -77,6 +74,7 @@ class Plan(StrokePlan):
     scene: Scene
     options: PlannerOptions
     robot: Robot
+    baseline: Baseline | None
     job: Job
     several: tuple[StrokePlan, ...] = ()
     sag: Sag | None
@@ -85,79 +83,51 @@ class Plan(StrokePlan):
     seconds: Seconds
 
     @classmethod
-    def of(cls, strokes: Sequence[StrokePlan], clearances: Clearances, *, robot: Robot, **own: Any) -> Plan:
+    def of(
+        cls,
+        strokes: Sequence[StrokePlan],
+        clearances: Clearances,
+        *,
+        scene: Scene,
+        robot: Robot,
+        **own: Any,
+    ) -> Plan:
         """Return the plan of a job from what is planned of its strokes, and the other fields by name."""
+        start, end = np.array(scene.posture), end_posture_of(scene, robot)
+        own |= {"scene": scene, "robot": robot}
+        own["baseline"] = baseline_of(robot, clearances, strokes, start, end)
         if len(strokes) == 1:
-            return cls(**vars(strokes[0]), robot=robot, **own)
-        # The baseline from the first stroke to the last is that of the job but for its ends.
-        baseline, measured = combined_baseline(robot, clearances, strokes)
-        return cls(
-            **combined(strokes),
-            name=WORK,
-            baseline=baseline,
-            baseline_figures=measured,
-            several=tuple(strokes),
-            robot=robot,
-            **own,
-        )
+            return cls(**(vars(strokes[0]) | own))
+        return cls(**combined(strokes), name=WORK, several=tuple(strokes), **own)
 
     def __repr__(self) -> str:
         return f"<Plan {self.scene.name}: {self._in_words}>"
 
     def _repr_html_(self) -> str:
         """Card in a notebook."""
-        return card(f"Plan of {self.scene.name}", self._in_words, self.rows(), ("", "baseline", "planned"))
+        return card(f"Plan of {self.scene.name}", self._in_words, self.rows(), self.headings)
+
+    @property
+    def headings(self) -> tuple[str, ...]:
+        """What the columns of `rows` are called."""
+        return ("", "planned") if self.baseline is None else ("", "baseline", "planned")
 
     @property
     def _in_words(self) -> str:
-        each = (self.job.figures, self.figures, self.baseline_figures)
-        job, work, before = (figures.peak_guardrail_torque for figures in each)
+        job, work = (figures.peak_guardrail_torque for figures in (self.job.figures, self.figures))
+        other = self.baseline
+        before = "" if other is None else f" (baseline {other.figures.peak_guardrail_torque:.1f} Nm)"
         checks = [check for segment in self.job.segments for check in segment.certificate.checks]
         held = sum(check.holds for check in checks)
         return (
             f"peak torque on the {self.scene.base_name} {job:.1f} Nm in {self.job.duration:.1f} s, at work "
-            f"{work:.1f} Nm (baseline {before:.1f} Nm); {held} of {len(checks)} checks hold"
+            f"{work:.1f} Nm{before}; {held} of {len(checks)} checks hold"
         )
 
     @property
     def strokes(self) -> tuple[StrokePlan, ...]:
         """What is planned of each stroke."""
         return self.several or (self,)
-
-    @cached_property
-    def baseline_segments(self) -> tuple[BaselineSegment, ...]:
-        """The baseline of the whole job, from where the arm is to where it ends."""
-        return baseline_job(
-            self.robot,
-            Clearances(self.robot, self.scene.all_obstacles),
-            self.strokes,
-            np.array(self.scene.posture),
-            end_posture_of(self.scene, self.robot),
-        )
-
-    def baseline_segment(self, name: str) -> BaselineSegment | None:
-        """Return the segment of the baseline's job of that name; None where there is none."""
-        return next((segment for segment in self.baseline_segments if segment.name == name), None)
-
-    @property
-    def baseline_return(self) -> Samples | None:
-        """The baseline's return every 0.01 s, from time 0: the quickest straight joint motion within limits.
-
-        It starts where the baseline ends; torques and collisions are ignored. None without a return.
-        """
-        back = self.baseline_segment(RETURN)
-        return None if back is None else back.samples
-
-    @cached_property
-    def baseline_job_figures(self) -> MotionMetrics:
-        """Figures of the baseline over the whole job."""
-        return job_metrics(self.baseline_segments)
-
-    @cached_property
-    def baseline_free_figures(self) -> MotionMetrics | None:
-        """Figures of the baseline's free moves; None without any."""
-        moves = [segment for segment in self.baseline_segments if segment.kind == "free"]
-        return job_metrics(moves) if moves else None
 
     @property
     def work(self) -> Job:
@@ -278,18 +248,21 @@ class Plan(StrokePlan):
         return self.options.deviation_sigmas or 2.0
 
     @property
-    def largest_torque_difference(self) -> tuple[float, float]:
-        """Largest value over time of baseline's less planned torque norm, Nm, and when in the job, s."""
-        largest, when = -np.inf, 0.0
+    def largest_torque_difference(self) -> tuple[float, float] | None:
+        """Largest value over time of baseline's less planned torque norm, Nm, and when in the job, s.
+
+        None without a baseline.
+        """
+        differences = []
         for stroke, segment in zip(self.strokes, self.job.strokes, strict=True):
-            samples = self.segment_samples[stroke.name]
-            baseline = np.linalg.norm(stroke.baseline.guardrail_torque, axis=1)
-            planned = np.linalg.norm(samples.guardrail_torque, axis=1)
-            difference = baseline - np.interp(stroke.baseline.t, samples.t, planned)
+            if stroke.baseline is None:
+                return None
+            samples, other = self.segment_samples[stroke.name], stroke.baseline.samples
+            baseline, planned = (np.linalg.norm(each.guardrail_torque, axis=1) for each in (other, samples))
+            difference = baseline - np.interp(other.t, samples.t, planned)
             k = int(difference.argmax())
-            if difference[k] > largest:
-                largest, when = float(difference[k]), float(segment.begin + stroke.baseline.t[k])
-        return largest, when
+            differences.append((float(difference[k]), float(segment.begin + other.t[k])))
+        return max(differences, key=lambda each: each[0])
 
     @property
     def torque_floor(self) -> float | None:
@@ -317,12 +290,14 @@ class Plan(StrokePlan):
         return self.objective.gap if self.objective.is_guardrail_torque else None
 
     @property
-    def peak_static_reduction(self) -> float:
+    def peak_static_reduction(self) -> float | None:
         """How much lower the planned motion's static torque peak is than the baseline's, as a share.
 
-        Of a baseline that breaks limits (`cmbot.planning.baseline_faults`) that is no gain.
+        None without a baseline. Of one that breaks limits (`cmbot.planning.baseline_faults`) that is no gain.
         """
-        baseline = self.baseline_figures.peak_static_guardrail_torque
+        if self.baseline is None:
+            return None
+        baseline = self.baseline.figures.peak_static_guardrail_torque
         return 1.0 - self.figures.peak_static_guardrail_torque / baseline
 
     @cached_property
@@ -346,18 +321,25 @@ class Plan(StrokePlan):
 
     def summary(self) -> str:
         """Return the figures as an aligned table of plain text."""
-        rows = [("", "baseline", "planned"), *self.rows()]
+        rows = [self.headings, *self.rows()]
         width = max(len(row[0]) for row in rows)
-        return "\n".join(f"{name:<{width}}  {left:>12}  {right:>12}" for name, left, right in rows)
+        return "\n".join("  ".join((f"{row[0]:<{width}}", *(f"{x:>12}" for x in row[1:]))) for row in rows)
 
-    def rows(self) -> Iterator[tuple[str, str, str]]:
-        """Yield the figures, each as its name and unit, the baseline's value and the planned one."""
-        work, job = (self.baseline_figures, self.figures), (self.baseline_job_figures, self.job.figures)
+    def rows(self) -> Iterator[tuple[str, ...]]:
+        """Yield the figures, each as its name and unit and the values under `headings`."""
+        for row in self._rows():
+            yield row if self.baseline is not None else (row[0], row[2])
+
+    def _rows(self) -> Iterator[tuple[str, str, str]]:
+        """The figures with those of the baseline, ``-`` without one."""
+        other = self.baseline
+        work = (None if other is None else other.figures, self.figures)
+        job = (None if other is None else other.job_figures, self.job.figures)
         for words, attribute, unit, factor, digits in _ROWS:
             part = "static" if self.robot.pushed else "gravity"
             name = words.format(base=self.scene.base_name, part=part)
             pair = job if "whole job" in name else work
-            values = [getattr(figures, attribute) for figures in pair]
+            values = [None if figures is None else getattr(figures, attribute) for figures in pair]
             left, right = ("-" if value is None else f"{factor * value:.{digits}f}" for value in values)
             yield f"{name}, {unit}", left, right
             if name == _PEAK_AT_WORK:
@@ -372,10 +354,12 @@ class Plan(StrokePlan):
             yield f"area covered of {sum(one.area for one in each):.4g} m2, m2", covered, covered
             if unreached := sum(one.unreached for one in each):
                 yield "area that is not reached, m2", *2 * (f"{unreached:.4f}",)
-        duration = self.baseline_segments[-1].end
-        yield "time of the whole job, s", f"{duration:.1f}", f"{self.job.duration:.1f}"
+        duration = "-" if other is None else f"{other.duration:.1f}"
+        yield "time of the whole job, s", duration, f"{self.job.duration:.1f}"
         for limit in ("velocity", "acceleration", "jerk", "torque"):
-            left, right = (f"{getattr(figures.limit_use, limit):.3f}" for figures in work)
+            left, right = (
+                "-" if figures is None else f"{getattr(figures.limit_use, limit):.3f}" for figures in work
+            )
             yield f"joint {limit} at work, share of its bound", left, right
 
     def _loads_of_clamps(self) -> Iterator[tuple[str, str, str]]:
@@ -383,20 +367,21 @@ class Plan(StrokePlan):
         holding = self.robot.holding
         if holding is None:
             return
+        segments = () if self.baseline is None else self.baseline.segments
+        wrenches = [
+            np.hstack([segment.samples.guardrail_force, segment.samples.guardrail_torque])
+            for segment in segments
+        ]
         for number in holding.clamps:
             quantity = holding.named(CLAMP_LOAD, number)
-            each = [
-                np.hstack([segment.samples.guardrail_force, segment.samples.guardrail_torque])
-                for segment in self.baseline_segments
-            ]
-            before = max(float(holding.use(number, wrench).max()) for wrench in each)
+            before = max((float(holding.use(number, wrench).max()) for wrench in wrenches), default=np.nan)
             after = max(check.value for _, check in self.job.checks() if check.quantity == quantity)
             yield f"{quantity} included, whole job, share of its bounds", f"{before:.3f}", f"{after:.3f}"
 
     def _peaks_of_free_moves(self) -> Iterator[tuple[str, str, str]]:
         for segment in self.job.segments:
             if segment.kind == "free":
-                other = self.baseline_segment(segment.name)
+                other = None if self.baseline is None else self.baseline.segment(segment.name)
                 baseline = "-" if other is None else f"{other.figures.peak_guardrail_torque:.2f}"
                 name = f"peak torque on {segment.in_words}, Nm"
                 yield name, baseline, f"{segment.figures.peak_guardrail_torque:.2f}"
@@ -426,9 +411,9 @@ _ROWS = (
 )
 
 
-def _adhesions(name: str, motions: Sequence[MotionMetrics]) -> Iterator[tuple[str, str, str]]:
+def _adhesions(name: str, motions: Sequence[MotionMetrics | None]) -> Iterator[tuple[str, str, str]]:
     """The adhesion that the feet need of two motions; nothing where no foot sits on flat steel."""
-    needed = [motion.adhesion_needed for motion in motions]
+    needed = [None if motion is None else motion.adhesion_needed for motion in motions]
     if any(needed):
         left, right = ("-" if each is None else f"{each.peak / 1e3:.2f} {each.mode}" for each in needed)
         yield name, left, right

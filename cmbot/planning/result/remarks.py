@@ -13,13 +13,14 @@ from cmbot.elastic.sag import Sag
 from cmbot.planning.certification.sag_spread import spread_times
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.job import RETURN
+from cmbot.planning.result.baseline import Baseline
 from cmbot.planning.result.holding import holding_remarks
 from cmbot.planning.result.plan import Plan
 from cmbot.planning.result.stroke_plan import ObjectiveMetrics
 from cmbot.planning.result.verdict import baseline_faults, further, strays, travels, verdict
-from cmbot.planning.stiffness import identified_in_words
-from cmbot.planning.units import mistaken_units
-from cmbot.planning.workcell import bending_arm, rigid_arm_remark
+from cmbot.planning.workcell.stiffness import identified_in_words
+from cmbot.planning.workcell.units import mistaken_units
+from cmbot.planning.workcell.workcell import bending_arm, rigid_arm_remark
 from cmbot.robot import Kinematics, postures_in_words
 from cmbot.scene import STOW
 
@@ -48,10 +49,8 @@ def remarks(plan: Plan) -> Iterator[str]:
     yield from _shortest_time(plan)
     yield from _process_speed(plan)
     yield from _coverage(plan)
-    yield from _baseline(plan)
-    yield _gain(plan)
-    yield from _travel(plan)
-    yield from _nothing_gained(plan)
+    if plan.baseline is not None:
+        yield from _compared(plan, plan.baseline)
     yield from _lower_bound(plan)
     yield from holding_remarks(plan)
     yield from plan.fallbacks
@@ -60,7 +59,7 @@ def remarks(plan: Plan) -> Iterator[str]:
     for key, looks, units in mistaken_units(plan.scene):
         yield f"Numbers of {key} look like {looks}; they were taken as {units}."
     objective = plan.objective
-    if objective.floor is not None and objective.floor <= _NOTHING * objective.baseline_peak:
+    if objective.floor is not None and objective.floor <= _NOTHING * objective.planned_peak:
         yield (
             "Gravity has no part in what was minimised: at rest that is 0 everywhere, so no posture was "
             "chosen by it, and only the motion's own share could be lowered. axis_weights with x or y above "
@@ -77,8 +76,8 @@ def remarks(plan: Plan) -> Iterator[str]:
     if done is not None and done.rounds:
         passes += f" in the last of {counted(done.rounds, 'round')}"
     yield (
-        f"Time: path {seconds.path:.2f} s, optimisation {seconds.optimise:.2f} s ({passes}), free moves, "
-        f"baseline and certificates {seconds.certify:.2f} s, in all {seconds.total:.2f} s."
+        f"Time: path {seconds.path:.2f} s, optimisation {seconds.optimise:.2f} s ({passes}), free moves and "
+        f"certificates {seconds.certify:.2f} s, in all {seconds.total:.2f} s."
     )
 
 
@@ -103,12 +102,6 @@ def _bending(plan: Plan) -> Iterator[str]:
             )
     yield from _sag(plan)
     if plan.suppression is not None:
-        before, after = (each.limit_use.jerk for each in (plan.baseline_figures, plan.figures))
-        if after > max(_MORE_JERK * before, _LITTLE_JERK):
-            yield (
-                f"The joints jerk {after / before:.1f} times as hard as the baseline's, {100 * after:.0f} % "
-                "of a limit: tool and base may sway more than the baseline's; cmbot simulate tells."
-            )
         yield _suppression(plan.suppression, plan.scene.base_name)
 
 
@@ -230,11 +223,6 @@ def _start(plan: Plan) -> Iterator[str]:
             f"peak torque {figures.peak_guardrail_torque:.2f} Nm, "
             f"clearance {1e3 * figures.min_clearance:.1f} mm, certified."
         )
-        worst = max(
-            plan.baseline_figures.peak_guardrail_torque, plan.certificate.figures.peak_guardrail_torque
-        )
-        if figures.peak_guardrail_torque > worst * (1 + _GAIN):
-            yield (f"The approach loads the {plan.scene.base_name} more than baseline and work do.")
 
 
 def _coverage(plan: Plan) -> Iterator[str]:
@@ -260,17 +248,37 @@ def _coverage(plan: Plan) -> Iterator[str]:
         yield ("Where no posture goes on, rows are cut; raster.cover: all refuses such a plan.")
 
 
-def _baseline(plan: Plan) -> Iterator[str]:
+def _compared(plan: Plan, baseline: Baseline) -> Iterator[str]:
+    """What the baseline is, and how the plan compares with it."""
+    yield from _baseline(plan, baseline)
+    yield _gain(plan, baseline)
+    yield from _travel(plan, baseline)
+    yield from _jerk(plan, baseline)
+    if plan.objective.baseline_peak is not None:
+        yield from _nothing_gained(plan, plan.objective.baseline_peak)
+
+
+def _jerk(plan: Plan, baseline: Baseline) -> Iterator[str]:
+    """Where something bends, whether the joints jerk much harder than the baseline's."""
+    before, after = (each.limit_use.jerk for each in (baseline.figures, plan.figures))
+    if plan.suppression is not None and after > max(_MORE_JERK * before, _LITTLE_JERK):
+        yield (
+            f"The joints jerk {after / before:.1f} times as hard as the baseline's, {100 * after:.0f} % "
+            "of a limit: tool and base may sway more than the baseline's; cmbot simulate tells."
+        )
+
+
+def _baseline(plan: Plan, baseline: Baseline) -> Iterator[str]:
     """What the baseline does that no plan may."""
-    clearance, shown = plan.baseline_job_figures.min_clearance, "it is shown for comparison and is no plan"
+    clearance, shown = baseline.job_figures.min_clearance, "it is shown for comparison and is no plan"
     if clearance < 0:
         yield f"The baseline collides (clearance {1e3 * clearance:.1f} mm): {shown}."
     elif clearance < plan.options.safety_margin_m:
         yield f"The baseline breaks the safety margin: {shown}."
     if strays(plan):
         yield (
-            f"The baseline leaves its path by up to {1e3 * plan.drift:.1f} mm, as near a singular posture it "
-            "cannot follow: its torque there is no measure."
+            f"The baseline leaves its path by up to {1e3 * baseline.drift:.1f} mm, as near a singular "
+            "posture it cannot follow: its torque there is no measure."
         )
 
 
@@ -354,14 +362,15 @@ def _furthest(plan: Plan) -> str:
     return " and ".join([*each, *([f"{slid:.3f} m"] if slid else [])])
 
 
-def _gain(plan: Plan) -> str:
-    motion = "the paper's motion" if plan.scene.on_guardrail else "a motion along the same path"
+def _gain(plan: Plan, baseline: Baseline) -> str:
+    motion = "the paper's motion" if plan.options.baseline == "paper" else "straight steps along the path"
     begin = f"Against the baseline, {motion} without optimisation"
     if faults := baseline_faults(plan, work=True):
         return f"{begin}, no gain at work is stated: it {faults}."
-    change = -100 * plan.peak_static_reduction
-    mean = plan.figures.mean_guardrail_torque / plan.baseline_figures.mean_guardrail_torque - 1
-    difference, time = plan.largest_torque_difference
+    static, before = (each.peak_static_guardrail_torque for each in (plan.figures, baseline.figures))
+    change = 100 * (static / before - 1)
+    mean = plan.figures.mean_guardrail_torque / baseline.figures.mean_guardrail_torque - 1
+    difference, time = plan.largest_torque_difference or (0.0, 0.0)
     fixed = plan.options.knots == "fixed" and plan.start.moved == 0
     why = " (fixed via-points cannot lower it)" if fixed else ""
     peak = "the static peak" if plan.robot.pushed else "the peak of the gravity torque"
@@ -372,29 +381,29 @@ def _gain(plan: Plan) -> str:
     )
 
 
-def _travel(plan: Plan) -> Iterator[str]:
+def _travel(plan: Plan, baseline: Baseline) -> Iterator[str]:
     """Where the joints travel much further than the baseline's: how far, and which one most."""
     factor = further(plan)
     if factor < _FURTHER:
         return
-    ours, theirs = travels(plan)
+    ours, theirs = travels(plan, baseline)
     joint = int(plan.robot.metric.coordinates(ours - theirs).argmax())
     units = plan.robot.limits.units(joint, shown=True)
-    far, baseline = (f"{units.factor * each[joint]:.3g} {units.position}" for each in (ours, theirs))
+    far, other = (f"{units.factor * each[joint]:.3g} {units.position}" for each in (ours, theirs))
     yield (
         f"At work the joints travel {factor:.1f} times as far as the baseline's, most of all "
-        f"{plan.robot.joints[joint]}, {far} in place of {baseline}: by self-motion, which lowers the torque; "
+        f"{plan.robot.joints[joint]}, {far} in place of {other}: by self-motion, which lowers the torque; "
         "planner.knots: fixed does without."
     )
 
 
-def _nothing_gained(plan: Plan) -> Iterator[str]:
-    """Where the objective is no better than the baseline's: that, and why."""
+def _nothing_gained(plan: Plan, before: float) -> Iterator[str]:
+    """Where the objective is no better than the baseline's, whose peak was `before`: that, and why."""
     objective = plan.objective
-    if objective.planned_peak < objective.baseline_peak * (1 - _GAIN):
+    if objective.planned_peak < before * (1 - _GAIN):
         return
-    if objective.planned_peak > objective.baseline_peak * (1 + _GAIN):
-        higher = 100 * (objective.planned_peak / objective.baseline_peak - 1)
+    if objective.planned_peak > before * (1 + _GAIN):
+        higher = 100 * (objective.planned_peak / before - 1)
         yield (
             f"The peak is {higher:.2f} % higher than the baseline's, which does not have to keep limits, "
             "clearances or rest at both ends."
@@ -402,7 +411,7 @@ def _nothing_gained(plan: Plan) -> Iterator[str]:
         return
     if baseline_faults(plan, work=True):
         return
-    near = objective.floor is not None and objective.baseline_peak < objective.floor * (1 + _NEAR_BOUND)
+    near = objective.floor is not None and before < objective.floor * (1 + _NEAR_BOUND)
     why = " The baseline is near the lower bound already: there is nothing to gain." if near else ""
     yield f"Hardly anything is gained at the peak; what the plan adds is that limits are kept.{why}"
 
@@ -410,12 +419,13 @@ def _nothing_gained(plan: Plan) -> Iterator[str]:
 def _lower_bound(plan: Plan) -> Iterator[str]:
     objective = plan.objective
     if not objective.is_guardrail_torque:
-        before, after = (
-            _value(objective, peak) for peak in (objective.baseline_peak, objective.planned_peak)
-        )
         faults = baseline_faults(plan, work=True)
         which = f", which {faults}," if faults else ""
-        yield f"Minimised: {_objective(plan)}, from a peak of {before} in the baseline{which} to {after}."
+        before, after = objective.baseline_peak, _value(objective, objective.planned_peak)
+        change = f"to a peak of {after}"
+        if before is not None:
+            change = f"from a peak of {_value(objective, before)} in the baseline{which} to {after}"
+        yield f"Minimised: {_objective(plan)}, {change}."
     bound = plan.lower_bound
     if bound is None or plan.choice is None:
         return

@@ -17,9 +17,9 @@ from cmbot.planning.certification.metrics import MotionMetrics, Samples
 from cmbot.planning.flexibility.sag_compensation import Compensation
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.initial_guess import Choice
-from cmbot.planning.objectives import Objective
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.task import ToolTask
+from cmbot.planning.workcell.objectives import Objective
 from cmbot.scene import PlannerOptions
 from cmbot.trajectory import QuinticTrajectory
 
@@ -64,7 +64,7 @@ class ObjectiveMetrics:
     axis_weights : three floats or None
         As in the options; None with another objective than torque.
     baseline_peak, planned_peak : float
-        Its largest value over each motion.
+        Its largest value over each motion; None without a baseline.
     floor : float or None
         Lower bound of its peak at rest; None with fixed knots.
     """
@@ -74,7 +74,7 @@ class ObjectiveMetrics:
     own: bool
     moment_about: str | None
     axis_weights: tuple[NonNegative, NonNegative, NonNegative] | None
-    baseline_peak: NonNegative
+    baseline_peak: NonNegative | None
     planned_peak: NonNegative
     floor: NonNegative | None
 
@@ -99,6 +99,40 @@ class ObjectiveMetrics:
 
 
 @dataclass(frozen=True, kw_only=True)
+class StrokeBaseline:
+    """The motion along a stroke that the planned one is compared with: `PlannerOptions.baseline` says which.
+
+    Eq. (22) of Chang 2021, or its part without the null space, integrated from the scene's posture, or from
+    the posture nearest to where the baseline is before. It may break limits, and collides where the planned
+    motion had to start elsewhere.
+
+    Attributes
+    ----------
+    samples : Samples
+        Acceleration and jerk are central differences of the rates, with rest before and after; the first and
+        last acceleration are those of rest.
+    figures : MotionMetrics
+    drift : float, m
+        Largest distance of its tool point from where it should be at that time.
+    smallest_singular_value : float
+        Of the task Jacobian along it.
+    """
+
+    samples: Samples
+    figures: MotionMetrics
+    drift: float
+    smallest_singular_value: float
+
+    __repr__ = short_repr
+
+    @property
+    def states(self) -> StateSamples:
+        """Its states at the times of its samples."""
+        samples = self.samples
+        return StateSamples(samples.t, samples.q, samples.v, samples.a)
+
+
+@dataclass(frozen=True, kw_only=True)
 class StrokePlan:
     """What is planned of a stroke, beside its baseline; its motion is a segment of the job.
 
@@ -108,16 +142,8 @@ class StrokePlan:
         Of the stroke, and of its segment.
     task : ToolTask
     start : Start
-    baseline : Samples
-        The paper's motion without optimisation: Chang 2021, Eq. (22) integrated from the scene's posture, or
-        from the posture nearest to where the baseline is before; its acceleration and jerk are central
-        differences of its rates, with rest before and after, and its first and last acceleration are those of
-        rest. It may break limits, and collides where the planned motion had to start elsewhere.
-    baseline_figures : MotionMetrics
-    drift : float, m
-        Largest distance of the baseline's tool point from where it should be at that time.
-    smallest_singular_value : float
-        Of the task Jacobian along the baseline.
+    baseline : StrokeBaseline or None
+        None where the options ask for none.
     passes : tuple of ExchangeReport
         Exchange iterations of the optimisation.
     objective : ObjectiveMetrics
@@ -136,10 +162,7 @@ class StrokePlan:
     name: str
     task: ToolTask
     start: Start
-    baseline: Samples
-    baseline_figures: MotionMetrics
-    drift: float
-    smallest_singular_value: float
+    baseline: StrokeBaseline | None
     passes: tuple[ExchangeReport, ...]
     objective: ObjectiveMetrics
     lower_bound: LowerBound | None
@@ -154,7 +177,7 @@ class StrokePlan:
 def combined(strokes: Sequence[StrokePlan]) -> dict[str, Any]:
     """Return what follows for a job from its strokes but the motions: fields of a `StrokePlan` by name.
 
-    The largest peaks, drifts and bounds of all strokes: no admissible plan of the job rests below the largest
+    The largest peaks and bounds of all strokes: no admissible plan of the job rests below the largest
     lower bound of a stroke.
     """
     bounds = [stroke.lower_bound for stroke in strokes if stroke.lower_bound is not None]
@@ -164,8 +187,6 @@ def combined(strokes: Sequence[StrokePlan]) -> dict[str, Any]:
     return {
         "task": strokes[0].task,
         "start": strokes[0].start,
-        "drift": max(stroke.drift for stroke in strokes),
-        "smallest_singular_value": min(stroke.smallest_singular_value for stroke in strokes),
         "passes": tuple(report for stroke in strokes for report in stroke.passes),
         "runs": sum(stroke.runs for stroke in strokes),
         "objective": _largest_objective([stroke.objective for stroke in strokes]),
@@ -222,7 +243,7 @@ def _largest_objective(each: Sequence[ObjectiveMetrics]) -> ObjectiveMetrics:
         own=first.own,
         moment_about=first.moment_about,
         axis_weights=first.axis_weights,
-        baseline_peak=max(objective.baseline_peak for objective in each),
+        baseline_peak=_largest(objective.baseline_peak for objective in each),
         planned_peak=max(objective.planned_peak for objective in each),
         floor=_largest(objective.floor for objective in each),
     )
@@ -248,11 +269,11 @@ def objective_metrics(
     options: PlannerOptions,
     *,
     own: bool,
-    baseline: tuple[MotionMetrics, Samples],
+    baseline: StrokeBaseline | None,
     planned: tuple[MotionMetrics, QuinticTrajectory],
     floor: float | None,
 ) -> ObjectiveMetrics:
-    """Evaluate an objective over both motions.
+    """Evaluate an objective over a motion, and over the baseline where there is one.
 
     Parameters
     ----------
@@ -260,19 +281,17 @@ def objective_metrics(
     options : PlannerOptions
     own : bool
         It is a custom function, not the options' objective.
-    baseline : MotionMetrics and Samples
+    baseline : StrokeBaseline or None
     planned : MotionMetrics and QuinticTrajectory
         Of what is not the torque about the foot the peak is sampled.
     floor : float or None
     """
-    (baseline_metrics, samples), (metrics, trajectory) = baseline, planned
+    metrics, trajectory = planned
     t = trajectory.t
     grid = np.append(np.linspace(t[:-1], t[1:], _PEAK_SAMPLES, endpoint=False, axis=1).ravel(), t[-1])
 
-    def peak(of: MotionMetrics, t: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray) -> float:
-        if objective.reported:
-            return of.peak_guardrail_torque
-        return float(objective.values(StateSamples(t, q, v, a)).max())
+    def peak(of: MotionMetrics, at: StateSamples) -> float:
+        return of.peak_guardrail_torque if objective.reported else float(objective.values(at).max())
 
     of_torque = not own and options.objective == "torque"
     return ObjectiveMetrics(
@@ -281,7 +300,7 @@ def objective_metrics(
         own=own,
         moment_about=options.moment_about if of_torque else None,
         axis_weights=options.axis_weights if of_torque else None,
-        baseline_peak=peak(baseline_metrics, samples.t, samples.q, samples.v, samples.a),
-        planned_peak=peak(metrics, grid, *trajectory.states(grid)),
+        baseline_peak=None if baseline is None else peak(baseline.figures, baseline.states),
+        planned_peak=peak(metrics, StateSamples(grid, *trajectory.states(grid))),
         floor=floor,
     )

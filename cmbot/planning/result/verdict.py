@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from math import inf
 
 import numpy as np
@@ -11,9 +11,9 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.limit import Limit
 from cmbot.common.validation import counted
 from cmbot.planning.certification.check import Check
-from cmbot.planning.certification.metrics import MotionMetrics
 from cmbot.planning.job import Job, Segment
 from cmbot.planning.request import end_posture_of
+from cmbot.planning.result.baseline import Baseline
 from cmbot.planning.result.plan import Plan
 from cmbot.robot import Dynamics
 
@@ -93,18 +93,20 @@ def promised(check: Check, when: str) -> str:
 
 
 def further(plan: Plan) -> float:
-    """Return how many times as far as the baseline's the joints travel along the strokes.
+    """Return how many times as far as the baseline's the joints travel along the strokes; 1 without one.
 
     Parameters
     ----------
     plan : Plan
     """
-    ours, theirs = travels(plan)
+    if plan.baseline is None:
+        return 1.0
+    ours, theirs = travels(plan, plan.baseline)
     metric = plan.robot.metric
     return float(metric.lengths(ours)) / max(float(metric.lengths(theirs)), _NO_TRAVEL)
 
 
-def travels(plan: Plan) -> tuple[FloatArray, FloatArray]:
+def travels(plan: Plan, baseline: Baseline) -> tuple[FloatArray, FloatArray]:
     """Return how far each joint travels along the strokes, (n,), rad, of joints that slide m.
 
     From knot to knot of the plan, and from sample to sample of the baseline.
@@ -112,12 +114,13 @@ def travels(plan: Plan) -> tuple[FloatArray, FloatArray]:
     Parameters
     ----------
     plan : Plan
+    baseline : Baseline
+        Of that plan.
     """
     planned = [stroke.trajectory.q for stroke in plan.job.strokes]
-    baseline = [segment.samples.q for segment in plan.baseline_segments if segment.kind == "stroke"]
     ours, theirs = (
         np.sum([np.abs(np.diff(q, axis=0)).sum(axis=0) for q in motion], axis=0)
-        for motion in (planned, baseline)
+        for motion in (planned, [segment.samples.q for segment in baseline.strokes])
     )
     return ours, theirs
 
@@ -163,7 +166,9 @@ def _room(check: Check) -> str:
 
 
 def baseline_faults(plan: Plan, *, work: bool = False) -> str:
-    """Return why no gain on the baseline is stated, in words after it; empty where it keeps the limits.
+    """Return why no gain on the baseline is stated, in words after it.
+
+    Empty where it keeps the limits, and without a baseline.
 
     A motion that collides, breaks the limits of joints, or is beside its path is none that a plan could be
     preferred to.
@@ -174,13 +179,16 @@ def baseline_faults(plan: Plan, *, work: bool = False) -> str:
     work : bool
         Of the strokes alone; else of the whole job, free moves included.
     """
-    figures = plan.baseline_figures if work else plan.baseline_job_figures
-    each = [one.samples.q for one in plan.baseline_segments if one.kind == "stroke" or not work]
-    faults = [*_faults(plan, figures, each)]
+    baseline = plan.baseline
+    if baseline is None:
+        return ""
+    faults = [*_faults(plan, baseline, work=work)]
     return " and ".join([", ".join(faults[:-1]), faults[-1]] if faults[1:] else faults)
 
 
-def _faults(plan: Plan, figures: MotionMetrics, each: Sequence[FloatArray]) -> Iterator[str]:
+def _faults(plan: Plan, baseline: Baseline, *, work: bool) -> Iterator[str]:
+    figures = baseline.figures if work else baseline.job_figures
+    each = [segment.samples.q for segment in (baseline.strokes if work else baseline.segments)]
     limits, options, use = plan.robot.limits, plan.options, figures.limit_use
     if figures.min_clearance < 0:
         yield "collides"
@@ -192,7 +200,7 @@ def _faults(plan: Plan, figures: MotionMetrics, each: Sequence[FloatArray]) -> I
         yield "breaks joint limits"
     off = figures.max_tool_deviation
     if strays(plan):
-        yield f"leaves its path by {1e3 * plan.drift:.0f} mm"
+        yield f"leaves its path by {1e3 * baseline.drift:.0f} mm"
     elif off > options.max_tool_deviation_m * (1 + _SAME):
         yield f"leaves its path by {1e3 * off:.1f} mm"
     if max(_rotations(plan)) > np.deg2rad(options.max_tool_rotation_deg) * (1 + _SAME):
@@ -203,12 +211,14 @@ def _rotations(plan: Plan) -> Iterator[float]:
     """By how much the baseline turns the tool away along each stroke, rad; within a cone it may."""
     for stroke in plan.strokes:
         most = 0.0 if stroke.task.cone is None else stroke.task.cone
-        yield max(stroke.baseline_figures.max_tool_rotation - most, 0.0)
+        if stroke.baseline is not None:
+            yield max(stroke.baseline.figures.max_tool_rotation - most, 0.0)
 
 
 def strays(plan: Plan) -> bool:
     """Whether the baseline leaves its path by so much that its figures say little."""
-    return plan.drift > _STRAYS * plan.options.max_tool_deviation_m
+    baseline = plan.baseline
+    return baseline is not None and baseline.drift > _STRAYS * plan.options.max_tool_deviation_m
 
 
 def tightest_check(job: Job, quantity: str | None = None) -> tuple[Segment, Check]:
@@ -256,8 +266,10 @@ def _where(plan: Plan) -> str:
 
 def _gain(plan: Plan) -> str:
     """How the peak over the whole job compares with the baseline's, where that keeps the limits."""
+    if plan.baseline is None:
+        return ""
     peak, before = (
-        figures.peak_guardrail_torque for figures in (plan.job.figures, plan.baseline_job_figures)
+        figures.peak_guardrail_torque for figures in (plan.job.figures, plan.baseline.job_figures)
     )
     if faults := baseline_faults(plan):
         return f"; no gain is stated, as the baseline ({before:.1f} Nm) {faults}"
@@ -270,7 +282,10 @@ def _gain(plan: Plan) -> str:
 
 
 def _at_work(plan: Plan) -> str:
-    work, before = (figures.peak_guardrail_torque for figures in (plan.figures, plan.baseline_figures))
+    work = plan.figures.peak_guardrail_torque
+    if plan.baseline is None:
+        return f"{work:.1f} Nm"
+    before = plan.baseline.figures.peak_guardrail_torque
     if baseline_faults(plan) and not baseline_faults(plan, work=True):
         # It is in its free moves that the baseline breaks a limit.
         return f"{work:.1f} Nm, {_compared(work, before)}"

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
-from cmbot.planning.workcell import Workcell
+from cmbot.planning.workcell.workcell import Workcell
 from cmbot.robot import PostureMetric
 
 # Postures within this many spacings of each other are on the same part of the self-motion.

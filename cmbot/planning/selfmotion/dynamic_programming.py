@@ -12,12 +12,12 @@ from scipy.spatial import cKDTree
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import PathNotFound
-from cmbot.planning.diagnosis import most_often_near, out_of_range, weakest_joint
 from cmbot.planning.path.projection import null_space, project_onto_task
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.charts import GraphLayer, best_nodes, charts_of, check_clearances
 from cmbot.planning.selfmotion.reachability import out_of_reach
 from cmbot.planning.selfmotion.sampler import Coverage
+from cmbot.planning.workcell.diagnosis import most_often_near, out_of_range, weakest_joint
 
 # Weight of the squared steps, in shares of what the joints may do between via-points, beside the squared
 # objective.

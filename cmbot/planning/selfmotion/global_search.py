@@ -20,7 +20,6 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import PathNotFound
-from cmbot.planning.diagnosis import no_start_left
 from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.charts import Chart, GraphLayer, LayerCache, best_nodes, connected_parts
@@ -35,6 +34,7 @@ from cmbot.planning.selfmotion.dynamic_programming import (
 from cmbot.planning.selfmotion.followed_bound import followed_bound
 from cmbot.planning.selfmotion.lower_bound import LowerBound, find_lower_bound, with_proof
 from cmbot.planning.selfmotion.sampler import sampled_charts
+from cmbot.planning.workcell.diagnosis import no_start_left
 from cmbot.toolpath import ToolPoses, shortest_turns
 
 # Two postures nearer than this in every joint are one, rad.

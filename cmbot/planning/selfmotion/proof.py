@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, cross
-from cmbot.planning.objectives import WeightedMoment, WrenchObjective
 from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.joint_boxes import (
@@ -30,7 +29,8 @@ from cmbot.planning.selfmotion.joint_boxes import (
     without_pivot,
 )
 from cmbot.planning.selfmotion.spherical_joint import WristChain, turns, wrist_chain
-from cmbot.planning.workcell import Workcell
+from cmbot.planning.workcell.objectives import WeightedMoment, WrenchObjective
+from cmbot.planning.workcell.workcell import Workcell
 from cmbot.robot import PostureBatch, Postures, ToolBatch
 
 # Boxes are dropped when they miss a condition by more than this, m, rad, or a share of Nm.

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from cmbot.planning.objectives import WeightedMoment
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.proof import TorqueFloorProof
 from cmbot.planning.selfmotion.spherical_joint import wrist_chain
+from cmbot.planning.workcell.objectives import WeightedMoment
 
 # A stretched or folded arm is not out of its own reach, m.
 _ROUNDING = 1e-9

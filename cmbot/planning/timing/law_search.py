@@ -23,7 +23,7 @@ from scipy.interpolate import PPoly
 from scipy.optimize import linprog
 
 from cmbot.common.arrays import FloatArray
-from cmbot.toolpath import PiecewiseLaw
+from cmbot.toolpath import TimeLaw
 
 # Points per phase at which rows are kept, and at which the duration is taken in the end.
 _POINTS, _FINE = 4, 12
@@ -96,13 +96,17 @@ class _Nodes:
         """Inner nodes (K - 1,) of least square: a law in the middle of all."""
         return np.asarray(np.linalg.lstsq(self.matrix, self.target, rcond=None)[0])
 
-    def law(self, nodes: FloatArray) -> PiecewiseLaw:
+    def law(self, nodes: FloatArray) -> TimeLaw:
         """The law of inner nodes."""
         coefficients = np.einsum("dkn,n->kd", self._orders[0].c[::-1, :, 1:-1], nodes)
-        return PiecewiseLaw(breaks=self._orders[0].x, coefficients=coefficients)
+        return TimeLaw(
+            breaks=self._orders[0].x,
+            coefficients=coefficients,
+            continuity=np.full(self.phases + 1, 3),
+        )
 
 
-def shortest_law(bounded: Sequence[Bounded], phases: int) -> tuple[PiecewiseLaw, FloatArray, float]:
+def shortest_law(bounded: Sequence[Bounded], phases: int) -> tuple[TimeLaw, FloatArray, float]:
     """Return the shortest law, its jerk (K + 1,) at the nodes by shares of time, and its duration, s.
 
     Parameters
@@ -113,7 +117,7 @@ def shortest_law(bounded: Sequence[Bounded], phases: int) -> tuple[PiecewiseLaw,
 
     Returns
     -------
-    PiecewiseLaw, (K + 1,), float
+    TimeLaw, (K + 1,), float
         The duration is infinite where a bound is exceeded at rest.
     """
     space = _Nodes(phases)

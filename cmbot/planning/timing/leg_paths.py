@@ -59,7 +59,7 @@ def leg_paths(
     for leg in legs:
         begin, end = path.leg_times[leg : leg + 2]
         segments = int(((times > begin + 1e-9 * path.duration) & (times <= end + 1e-9 * path.duration)).sum())
-        finer = _ON_CURVES if leg in path.curves else 1.0
+        finer = 1.0 if path.segments[leg].is_straight else _ON_CURVES
         pieces = int(np.clip(finer * segments, _FEWEST_PIECES, finer * _MOST_PIECES))
         shares = np.linspace(0.0, 1.0, _POINTS * pieces + 1)
         at = path.times_at(leg, shares)

@@ -11,8 +11,8 @@ from cmbot.common.arrays import BoolArray, FloatArray, IntArray, cross
 from cmbot.common.limit import Limit
 from cmbot.hold import Holding
 from cmbot.optimization import Linearization, StateSamples
-from cmbot.planning.objectives import efforts_of
 from cmbot.planning.task import ToolTask
+from cmbot.planning.workcell.objectives import efforts_of
 from cmbot.robot import Dynamics, Postures, ToolBatch
 from cmbot.toolpath import ToolPoses
 

@@ -19,7 +19,6 @@ from cmbot.collision import RESOLUTION
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.limit import Limit
 from cmbot.optimization import KinematicBound, Linearization, StateFunction, StateSamples
-from cmbot.planning.objectives import Objective
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.torque.constraints import (
     ClearanceMargin,
@@ -33,6 +32,7 @@ from cmbot.planning.torque.constraints import (
     ToolTilt,
 )
 from cmbot.planning.torque.task_manifold import TaskManifold
+from cmbot.planning.workcell.objectives import Objective
 from cmbot.robot import Dynamics, Robot
 from cmbot.trajectory import Parametrization, QuinticTrajectory, SparseSplines, SplineSpace
 

@@ -19,7 +19,7 @@ from cmbot.planning.verification.described_arm import pose_of
 from cmbot.scene import Scene, Stroke, StrokeFile
 from cmbot.toolpath import ArcTo, Goal, Leg, LegLaw, Raster, SpeedProfile
 
-_NO_TURN = 1e-12
+_NO_TURN, _NO_TIME = 1e-12, 1e-12
 # Samples of a path in which points are looked for: at least, and for each of them.
 _SAMPLES, _PER_POINT = 4001, 40
 # Rounded corners turn by 150 degrees at most, and pass their points within so many radii.
@@ -158,7 +158,7 @@ class _LegPath:
 
 
 def _distance(profile: SpeedProfile, law: LegLaw | None) -> BSpline:
-    """What is covered by the share of a leg's time, in any unit: accelerations or jerks, integrated."""
+    """What is covered by the share of a leg's time, in any unit: speeds or jerks, integrated."""
     if law is not None:
         ends = np.append(0.0, np.cumsum(law.seconds))
         return make_interp_spline(ends / ends[-1], law.jerk, k=1).antiderivative(3)
@@ -167,8 +167,16 @@ def _distance(profile: SpeedProfile, law: LegLaw | None) -> BSpline:
     ramped = np.minimum(u, 1 - u) / ramp
     if profile.kind == "trapezoidal":
         return make_interp_spline(u, np.minimum(ramped, 1.0), k=1).antiderivative(1)
-    pull = np.maximum(1 - np.abs(2 * ramped - 1), 0.0) * np.sign(0.5 - u)
-    return make_interp_spline(u, pull, k=1).antiderivative(2)
+    if profile.kind == "jerk_limited":
+        pull = np.maximum(1 - np.abs(2 * ramped - 1), 0.0) * np.sign(0.5 - u)
+        return make_interp_spline(u, pull, k=1).antiderivative(2)
+    quarters = ramp * np.arange(5) / 4
+    u = np.concatenate([quarters, 1 - quarters[::-1]])
+    jerk = np.array([0.0, 1.0, 0.0, -1.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0])
+    # Ramps of half the time meet in its middle.
+    apart = np.append(True, np.diff(u) > _NO_TIME)
+    u, jerk = u[apart], jerk[apart]
+    return make_interp_spline(u, jerk, k=1).antiderivative(3)
 
 
 class DescribedPath:

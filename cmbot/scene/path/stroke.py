@@ -121,7 +121,7 @@ def timed_stroke(
         path = path.timed(file.time_laws)
     number = file.via_points
     if not isinstance(number, int):
-        number = _automatic_via_points(path, deviation, file.speed_tolerance)
+        number = _automatic_via_points(path, deviation, file)
     needed = len(path.section_times)
     if number < needed:
         expected = f"at least {needed}, one for each end of a leg, row or lead, or auto"
@@ -137,7 +137,7 @@ def timed_stroke(
     )
 
 
-def _automatic_via_points(path: ToolPath, deviation: float, speed_tolerance: float | None) -> int:
+def _automatic_via_points(path: ToolPath, deviation: float, file: StrokeFile) -> int:
     """Return how many via-points a path asks for: ``via_points: auto``.
 
     Parameters
@@ -145,8 +145,8 @@ def _automatic_via_points(path: ToolPath, deviation: float, speed_tolerance: flo
     path : ToolPath
     deviation : float
         Of the tool from the path at most, m.
-    speed_tolerance : float or None
-        By what share the tool's speed may miss that of the process.
+    file : StrokeFile
+        By what share the tool's speed may miss that of the process, and how long its ramps are.
 
     Notes
     -----
@@ -156,20 +156,19 @@ def _automatic_via_points(path: ToolPath, deviation: float, speed_tolerance: flo
     the speed's tolerance below 20 %. A leg has 4 to 400 segments, a path 12 at least.
     """
     finer = min((deviation / _DEVIATION) ** 0.25, 1.0)
-    if speed_tolerance is not None:
-        finer *= min(math.sqrt(speed_tolerance / _SPEED), 1.0)
-    ramp = path.profile.ramp
+    if file.speed_tolerance is not None:
+        finer *= min(math.sqrt(file.speed_tolerance / _SPEED), 1.0)
+    timed = {law.leg for law in file.time_laws or ()}
     count = 0
-    for leg, seconds in enumerate(path.seconds):
-        length, bend = float(path.lengths[leg]), 0.0
-        if leg in path.curves:
-            bend = path.curves[leg].curvature * length
+    for leg, segment in enumerate(path.segments):
+        length = segment.curve.length
+        bend = segment.curve.curvature * length
         asked = [length / (_WAY * finer), _turned(path, leg) / (_TURN * finer), bend / (_BEND * finer)]
         moves = max(asked) > 0
-        if moves and leg in path.open_legs | path.laws.keys():
+        if moves and (segment.is_open or leg in timed or segment.process is not None):
             asked.append(_FEWEST_OPEN)
         elif moves:
-            asked += [seconds / _SECONDS, _PER_RAMP / ramp]
+            asked += [segment.seconds / _SECONDS, _PER_RAMP / file.speed_profile.ramp]
         count += int(np.clip(math.ceil(max(asked)), _FEWEST if moves else 1, _MOST))
     return max(count, _ALL, len(path.section_times) - 1) + 1
 

@@ -308,9 +308,7 @@ def _request(robot: Robot, obstacles: tuple[Obstacle, ...], options: PlannerOpti
     q = np.zeros(robot.dof)
     X_WT = Kinematics(robot).tool_pose(q)
     corners = X_WT.translation + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]])
-    path = ToolPath(
-        corners=corners, orientation=np.array(X_WT.rotation), seconds=np.ones(1), profile=SpeedProfile()
-    )
+    path = ToolPath.straight(corners, np.array(X_WT.rotation), np.ones(1), SpeedProfile().law)
     objective = objective_of(robot, options)
     cell = Workcell(
         robot=robot,

@@ -57,14 +57,16 @@ def focus_of(
     stands, the path, the workpieces beside it and the torque's arrow, in W, m; of them those that enclose the
     others along many directions. What is `around` is drawn, too, and may hide them.
     """
-    motions = [(plan.robot, plan.baseline.q)]
+    others = [] if plan.baseline is None else [plan.baseline.samples]
+    motions = [(plan.robot, samples.q) for samples in others]
     motions += [(each.robot, segment.trajectory.q) for each in plans for segment in each.job.segments]
-    torques = [plan.baseline.guardrail_torque, *(each.job_samples[0].guardrail_torque for each in plans)]
+    shown = [*others, *(each.job_samples[0] for each in plans)]
+    torques = [samples.guardrail_torque for samples in shown]
     torque = np.concatenate(torques)
     largest = max(float(np.linalg.norm(torque, axis=1).max()), 1e-9)
     feet = np.array([each.robot.foot_point for each in plans])
-    points = [feet, feet[:1] + ARROW * reach(plan.robot) * torque / largest, plan.baseline.tool_point]
-    points += [each.samples.tool_point for each in plans]
+    points = [feet, feet[:1] + ARROW * reach(plan.robot) * torque / largest]
+    points += [samples.tool_point for samples in (*others, *(each.samples for each in plans))]
     if (pole := pole_of(plan.scene)) is not None:
         away = pole.beams.reshape(-1, 3) - feet[0]
         length = np.linalg.norm(away, axis=1, keepdims=True)

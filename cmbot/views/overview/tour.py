@@ -41,7 +41,7 @@ def tour_page(tour: Tour) -> str:
         links = (f'<a href="{name}/{page}">{what}</a>' for what, page in (pages | _REPLAY).items())
         content += f"<h2>{escape(name)}: {escape(_what(part))}</h2><p>{', '.join(links)}</p>"
         if isinstance(part, Plan):
-            each = table(part.rows(), ("", "baseline", "planned"))
+            each = table(part.rows(), part.headings)
         else:
             said = "".join(f"<p>{escape(sentence)}</p>" for sentence in part.in_words())
             each = said + steps_table(part, samples[tour.walks.index(part)])

@@ -25,6 +25,9 @@ const COLUMNS = [
   { title: "motion, s", of: (k) => data.duration[k], digits: 1 },
   { title: "computed in, s", of: (k) => data.seconds[k], digits: 1 },
 ];
+// A campaign without baselines has no columns of them.
+const COMPARED = ["baseline's peak, Nm", "reduction, %", "at\u00a0work, %"];
+if (!numbers(data.baseline).length) for (const title of COMPARED) COLUMNS.splice(COLUMNS.findIndex((column) => column.title === title), 1);
 // Plans without a page of their own are named by where they are.
 if (data.plan.some((plan, k) => plan !== null && !linkOf(k))) COLUMNS.push({ title: "plan directory", of: (k) => data.plan[k] });
 const PAGE = 200;
@@ -237,6 +240,8 @@ function drawHeads() {
   }));
 }
 
+const comparedWith = (k) => (data.baseline[k] === null ? "" : `, baseline ${digits(data.baseline[k], 1)} Nm${data.faults[k] ? `, which ${data.faults[k]}` : ""}`);
+
 function nearest(event) {
   const box = element("map").getBoundingClientRect();
   const [x, y] = [event.clientX - box.left, event.clientY - box.top];
@@ -255,7 +260,7 @@ element("map").addEventListener("pointermove", (event) => {
   if (!found) return;
   const [x, y, k] = found;
   const figures = !planned(k) ? `${data.ended[k]}: ${data.reason[k]}`
-    : `${digits(data.planned[k], 1)} Nm, baseline ${digits(data.baseline[k], 1)} Nm${data.faults[k] ? `, which ${data.faults[k]}` : ""}`;
+    : `${digits(data.planned[k], 1)} Nm${comparedWith(k)}`;
   tip.textContent = `${data.name[k]}\n${figures}`;
   tip.style.left = `${Math.min(x + 10, element("map").clientWidth - 200)}px`;
   tip.style.top = `${y + 10}px`;

@@ -21,6 +21,9 @@ class Player {
     this.ui.scrub.min = data.start;
     this.ui.scrub.max = data.end;
     this.ui.bending.hidden = !data.bending;
+    // A motion alone is compared with none.
+    this.ui.compare.closest("label").hidden = MOTIONS.length === 1;
+    for (const cell of document.querySelectorAll(".of-baseline")) cell.hidden = !MOTIONS.includes("baseline");
     if (!data.bending?.simulated) this.ui.bending.title = "Arm and rails bent by their static deflection, magnified; cmbot simulate adds vibration";
     const holds = this.work.motions[MOTIONS[0]].hold, strain = Math.max(...this.phases.map((phase) => phase.strain));
     if (holds) this.ui.colours.querySelector("[value=load]").textContent = "load and hold";

@@ -20,7 +20,7 @@ const percent = (share) => `${Math.round(100 * share)} %`;
 start((data) => {
   const player = new WalkPlayer(data, () => {});
   player.stage.withArrow = false;
-  for (const id of ["compare", "arrow"]) player.ui[id].closest("label").hidden = true;
+  player.ui.arrow.closest("label").hidden = true;
   player.ui.colours.querySelector("[value=load]").textContent = "what is borne";
   player.legend.share = "share of what it can bear";
   player.colour("load");

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from oracles import chang2021_arm
-from small_scenes import short_scene
+from small_scenes import short_scene, with_corners
 
 import cmbot
 from cmbot.collision import Box, Clearances, Obstacle
@@ -211,7 +211,7 @@ def test_a_load_that_is_too_heavy(short_plan: Plan) -> None:
 def test_another_tool_path(short_plan: Plan) -> None:
     path = short_plan.task.path
     corners = path.corners + np.array([[0, 0, 0], [0, 0, 0.02]])
-    failed = broken(again(short_plan, task=replace(short_plan.task, path=replace(path, corners=corners))))
+    failed = broken(again(short_plan, task=replace(short_plan.task, path=with_corners(path, corners))))
     assert set(failed) == {"distance", "tool deviation"}
     assert failed["tool deviation"].value == pytest.approx(0.02, rel=0.1)
     assert failed["tool deviation"].time == pytest.approx(4.0, abs=0.5)
@@ -246,7 +246,7 @@ def test_numbers_that_are_none(short_plan: Plan) -> None:
     x = short_plan.trajectory
     with pytest.raises(InputError, match="finite"):
         QuinticTrajectory(t=x.t, q=np.full_like(x.q, np.nan), v=x.v, a=x.a)
-    away = replace(short_plan.task.path, corners=np.full_like(short_plan.task.path.corners, np.nan))
+    away = with_corners(short_plan.task.path, np.full_like(short_plan.task.path.corners, np.nan))
     failed = broken(again(short_plan, task=replace(short_plan.task, path=away)))
     assert {"tool deviation", "tool lag", "distance"} <= set(failed)
     nothing = Check(quantity="x", time=0.0, value=np.nan, bound=1.0, unit="")

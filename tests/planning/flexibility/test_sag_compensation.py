@@ -1,6 +1,6 @@
 """Sag compensation and sag as the objective: what is commanded, what is expected, what is said."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -95,7 +95,7 @@ def test_what_it_keeps(compensated: Plan) -> None:
     assert compensated.certificate.holds
     assert compensated.figures.min_clearance >= compensated.options.safety_margin_m
     # The baseline is what it was: rigid, uncompensated.
-    assert compensated.baseline.expected_tool_point is None
+    assert compensated.baseline.samples.expected_tool_point is None
     # The first posture is not the scene's, but near it when that is pinned.
     assert compensated.start.moved > 0
     if compensated.options.start == "pinned":
@@ -171,7 +171,7 @@ def test_a_shifted_path_is_the_path_and_the_shift(rng: np.random.Generator) -> N
     path = task_of(strokes_of(scene, robot_of(scene))[0], scene).path
     knots = np.linspace(0, path.duration, 12)
     shift = CubicSpline(knots, rng.uniform(-0.02, 0.02, (12, 3)))
-    shifted = ShiftedToolPath(**{each.name: getattr(path, each.name) for each in fields(path)}, shift=shift)
+    shifted = ShiftedToolPath.of(path, shift)
     t = rng.uniform(0, path.duration, 50)
     np.testing.assert_allclose(shifted.position(t), path.position(t) + shift(t), rtol=0, atol=1e-15)
     p = path.position(t) + rng.uniform(-0.1, 0.1, (50, 3))

@@ -173,7 +173,7 @@ def test_a_pinned_start_keeps_the_posture_and_needs_no_approach() -> None:
     torque = Dynamics(planned.robot).static_efforts(scene.posture[None]).guardrail_torque
     assert {report.stage for report in planned.passes} == {"mean square"}
     assert planned.figures.peak_guardrail_torque == pytest.approx(np.linalg.norm(torque), rel=1e-5)
-    assert planned.figures.mean_guardrail_torque < planned.baseline_figures.mean_guardrail_torque
+    assert planned.figures.mean_guardrail_torque < planned.baseline.figures.mean_guardrail_torque
 
 
 def test_its_samples_are_measured_once(triangle_plan: Plan) -> None:

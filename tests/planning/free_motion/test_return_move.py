@@ -70,17 +70,17 @@ def test_a_plan_with_a_return_is_read_back(returning_plan: Plan, saved: Path) ->
 
 
 def test_the_baseline_returns_straight_and_quickly(returning_plan: Plan) -> None:
-    back = returning_plan.baseline_return
+    back = returning_plan.baseline.segment("return").samples
     assert back is not None
-    np.testing.assert_allclose(back.q[0], returning_plan.baseline.q[-1], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(back.q[0], returning_plan.baseline.samples.q[-1], rtol=0, atol=1e-12)
     np.testing.assert_allclose(back.q[-1], returning_plan.robot.group_states["stow"], rtol=0, atol=1e-12)
     assert back.t[-1] < returning_plan.job.segments[-1].duration
-    figures = returning_plan.baseline_job_figures
-    assert figures.peak_guardrail_torque >= returning_plan.baseline_figures.peak_guardrail_torque
-    seconds = returning_plan.baseline.t[-1] + back.t[-1]
+    figures = returning_plan.baseline.job_figures
+    assert figures.peak_guardrail_torque >= returning_plan.baseline.figures.peak_guardrail_torque
+    seconds = returning_plan.baseline.samples.t[-1] + back.t[-1]
     total = sum(
         np.trapezoid(np.linalg.norm(each.guardrail_torque, axis=1), each.t)
-        for each in (returning_plan.baseline, back)
+        for each in (returning_plan.baseline.samples, back)
     )
     assert figures.mean_guardrail_torque == pytest.approx(total / seconds)
 

@@ -15,7 +15,7 @@ from cmbot.planning.free_motion import roadmap
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.roadmap import lower_peak
 from cmbot.planning.free_motion.rrt_connect import MOST_GROWTHS, _Tree, rrt_connect
-from cmbot.planning.workcell import robot_of
+from cmbot.planning.workcell.workcell import robot_of
 
 START, END = np.radians([[-10, -90, 90, -60, 10, 50, 0], [-10, -90, 90, 60, 10, 50, 40]])
 

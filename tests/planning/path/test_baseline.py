@@ -13,7 +13,7 @@ from cmbot.trajectory import quintic, sample_step
 
 def test_it_rests_before_and_after(triangle_plan: Plan) -> None:
     """The same motion with a second of rest on either side has the same differences, but for its rest."""
-    baseline = triangle_plan.baseline
+    baseline = triangle_plan.baseline.samples
     np.testing.assert_allclose(np.diff(baseline.t), 0.01, rtol=1e-9)
     rates = np.vstack([np.zeros((100, 7)), baseline.v, np.zeros((100, 7))])
     a = np.gradient(rates, 0.01, axis=0)
@@ -24,7 +24,7 @@ def test_it_rests_before_and_after(triangle_plan: Plan) -> None:
 
 def test_its_torque_at_either_end_is_that_of_rest_and_in_the_figures(triangle_plan: Plan) -> None:
     """On the triangle the weight in the scene's posture asks the most of the whole motion."""
-    baseline, figures = triangle_plan.baseline, triangle_plan.baseline_figures
+    baseline, figures = triangle_plan.baseline.samples, triangle_plan.baseline.figures
     dynamics = Dynamics(triangle_plan.robot)
     static = dynamics.static_efforts(baseline.q[[0, -1]]).guardrail_torque
     np.testing.assert_allclose(baseline.guardrail_torque[[0, -1]], static, rtol=0, atol=1e-4)
@@ -48,10 +48,10 @@ def test_what_a_long_leg_costs_does_not_grow_with_its_time(monkeypatch: pytest.M
     legs = [{"by": [0, -0.3, 0], "seconds": 4000}]
     scene = short_scene(tool_path={"legs": legs, "via_points": 12}, planner={"knots": "sliding"})
     made = plan(scene)
-    assert len(made.baseline.t) == 401
-    assert made.baseline.t[1] == pytest.approx(10.0)
-    assert made.drift < 1e-4
+    assert len(made.baseline.samples.t) == 401
+    assert made.baseline.samples.t[1] == pytest.approx(10.0)
+    assert made.baseline.drift < 1e-4
     assert len(made.job_samples[0].t) <= 403
-    assert np.abs(np.diff(made.baseline.q, axis=0)).max() < 0.05
+    assert np.abs(np.diff(made.baseline.samples.q, axis=0)).max() < 0.05
     assert made.suppression is not None and made.suppression.at_rest
     assert set(made.suppression.shares) == {0.0}

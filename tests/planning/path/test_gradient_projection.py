@@ -27,6 +27,7 @@ from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.request import StrokeRequest
 from cmbot.robot import Dynamics, Kinematics
 from cmbot.scene import PlannerOptions, Scene, load_scene
+from cmbot.toolpath import ToolPath
 
 OPTIONS = PlannerOptions(knots="fixed")
 # Beside the tool's way at first, then across it.
@@ -173,7 +174,8 @@ def self_motion(asked: StrokeRequest, q: FloatArray, **options: Any) -> FloatArr
     X_WT = Kinematics(asked.cell.robot).tool_pose(q)
     # A leg of no length to speak of.
     corners = np.array([X_WT.translation, X_WT.translation + np.array([0, 0, 1e-12])])
-    path = replace(asked.task.path, corners=corners, orientation=X_WT.rotation, seconds=np.array([0.02]))
+    law = asked.task.path.segments[0].law
+    path = ToolPath.straight(corners, np.array(X_WT.rotation), np.array([0.02]), law)
     still = replace(asked, task=replace(asked.task, path=path)).with_options(path_step_s=0.02, **options)
     return follow_path(still, q, stop_at_obstacles=False).v[0]
 
@@ -336,8 +338,8 @@ def test_the_line_starts_elsewhere(fixed_line_plan: Plan) -> None:
     assert start.moved > 0.1
     np.testing.assert_allclose(fixed_line_plan.trajectory.q[0], start.posture, rtol=0, atol=1e-9)
     # The baseline is still the paper's: from its own posture, and into itself.
-    np.testing.assert_array_equal(fixed_line_plan.baseline.q[0], load_scene("line").posture)
-    assert fixed_line_plan.baseline_figures.min_clearance < 0.02
+    np.testing.assert_array_equal(fixed_line_plan.baseline.samples.q[0], load_scene("line").posture)
+    assert fixed_line_plan.baseline.figures.min_clearance < 0.02
     assert fixed_line_plan.figures.min_clearance >= 0.02
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from page_data import data_of
+from plan_folders import with_baseline
 
 from cmbot.campaigns.overview import overview_page
 from cmbot.planning import Plan, baseline_faults, remarks, verdict
@@ -19,28 +20,27 @@ from cmbot.views.report import headlines
 GAIN = re.compile(r"[-+]\d+\.\d+ %|% (less|more) than the baseline|Nm less|hardly anything is gained", re.I)
 
 
-def with_baseline(of: Plan, **figures: float) -> Plan:
+def beside(of: Plan, **figures: float) -> Plan:
     """The plan beside a baseline with other figures."""
-    broken = replace(of, baseline_figures=replace(of.baseline_figures, **figures))
-    broken.__dict__["baseline_job_figures"] = replace(of.baseline_job_figures, **figures)
-    return broken
+    segments = [
+        replace(segment, figures=replace(segment.figures, **figures)) for segment in of.baseline.segments
+    ]
+    return with_baseline(of, figures=replace(of.baseline.figures, **figures), segments=tuple(segments))
 
 
 def turned(of: Plan) -> Plan:
     """The plan beside a baseline that breaks the limits of a velocity, as near a singular posture."""
-    use = replace(of.baseline_figures.limit_use, velocity=31.0)
-    return with_baseline(of, limit_use=use, peak_guardrail_torque=1500.0)
+    use = replace(of.baseline.figures.limit_use, velocity=31.0)
+    return beside(of, limit_use=use, peak_guardrail_torque=1500.0)
 
 
 BROKEN: dict[str, Callable[[Plan], Plan]] = {
-    "collides": lambda of: with_baseline(of, min_clearance=-0.047),
-    "breaks the safety margin": lambda of: with_baseline(of, min_clearance=0.0),
+    "collides": lambda of: beside(of, min_clearance=-0.047),
+    "breaks the safety margin": lambda of: beside(of, min_clearance=0.0),
     "breaks joint limits": turned,
-    "leaves its path by 3.0 mm": lambda of: with_baseline(of, max_tool_deviation=3e-3),
-    "leaves its path by 119 mm": lambda of: replace(of, drift=0.119),
-    "turns the tool away": lambda of: replace(
-        of, baseline_figures=replace(of.baseline_figures, max_tool_rotation=1.0)
-    ),
+    "leaves its path by 3.0 mm": lambda of: beside(of, max_tool_deviation=3e-3),
+    "leaves its path by 119 mm": lambda of: with_baseline(of, drift=0.119),
+    "turns the tool away": lambda of: beside(of, max_tool_rotation=1.0),
 }
 
 
@@ -55,7 +55,7 @@ def test_no_gain_is_stated_against_a_motion_that_breaks_a_limit(
     assert not [each for each in said if GAIN.search(each)]
     # It is said why.
     assert (
-        f"no gain is stated, as the baseline ({plan.baseline_job_figures.peak_guardrail_torque:.1f}"
+        f"no gain is stated, as the baseline ({plan.baseline.job_figures.peak_guardrail_torque:.1f}"
         in said[0]
     )
     begin = "Against the baseline, the paper's motion without optimisation"
@@ -94,15 +94,14 @@ def test_another_objective_names_what_its_baseline_breaks(triangle_plan: Plan) -
 
 
 def test_plots_are_scaled_to_the_planned_motion(triangle_plan: Plan, triangle_tracking: Tracking) -> None:
-    plan = replace(triangle_plan)
-    *others, stroke = triangle_plan.baseline_segments
+    *others, stroke = triangle_plan.baseline.segments
     wild = replace(
         stroke.samples,
         guardrail_torque=20 * stroke.samples.guardrail_torque,
         clearance=stroke.samples.clearance - 5.0,
         tool_deviation=stroke.samples.tool_deviation + 0.2,
     )
-    plan.__dict__["baseline_segments"] = (*others, replace(stroke, samples=wild))
+    plan = with_baseline(triangle_plan, segments=(*others, replace(stroke, samples=wild)))
     for before, chart in zip(charts(triangle_plan, None), charts(plan, None), strict=True):
         (planned,) = (curve for curve in chart.curves if curve.motion == "planned" and not curve.thin)
         (baseline,) = (curve for curve in chart.curves if curve.motion == "baseline")
@@ -122,9 +121,9 @@ def test_a_joint_without_range_is_scaled_to_the_planned_motion(triangle_plan: Pl
     lower, upper = limits.lower.copy(), limits.upper.copy()
     lower[0], upper[0] = -np.inf, np.inf
     plan = replace(plan, robot=replace(plan.robot, limits=replace(limits, lower=lower, upper=upper)))
-    *others, stroke = triangle_plan.baseline_segments
+    *others, stroke = triangle_plan.baseline.segments
     q = stroke.samples.q + 100.0 * np.linspace(0, 1, len(stroke.samples.t))[:, None]
-    plan.__dict__["baseline_segments"] = (*others, replace(stroke, samples=replace(stroke.samples, q=q)))
+    plan = with_baseline(plan, segments=(*others, replace(stroke, samples=replace(stroke.samples, q=q))))
     chart = next(joint_charts(plan))
     (planned,) = (curve for curve in chart.curves if curve.motion == "planned")
     assert chart.axis[0] <= planned.y.min() < planned.y.max() <= chart.axis[1]

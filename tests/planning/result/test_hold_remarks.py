@@ -93,7 +93,7 @@ def test_a_clamp_needs_no_adhesion(clamped: Plan) -> None:
     said = "\n".join([*remarks(clamped), verdict(clamped), clamped.summary(), *cards, *rows])
     assert "adhesion" not in said.lower()
     assert "adhesion" not in clamped.job.certificate.at_all_times()
-    assert clamped.figures.adhesion_needed is None and clamped.baseline_figures.adhesion_needed is None
+    assert clamped.figures.adhesion_needed is None and clamped.baseline.figures.adhesion_needed is None
 
 
 def test_a_clamp_without_figures_says_nothing_about_holding() -> None:

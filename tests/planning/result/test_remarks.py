@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plan_folders import changed
+from plan_folders import changed, with_baseline
 from small_scenes import short_scene
 
 from cmbot.common.errors import PathNotFound
@@ -61,8 +61,8 @@ def test_a_plan_that_gains_nothing_says_so(short_plan: Plan, triangle_plan: Plan
 def test_more_jerk_than_the_baselines_is_told_where_something_bends(triangle_plan: Plan) -> None:
     assert "The joints jerk" not in " ".join(remarks(triangle_plan))
     use = triangle_plan.figures.limit_use
-    calm = replace(triangle_plan.baseline_figures, limit_use=replace(use, jerk=use.jerk / 3))
-    hard = replace(triangle_plan, baseline_figures=calm)
+    calm = replace(triangle_plan.baseline.figures, limit_use=replace(use, jerk=use.jerk / 3))
+    hard = with_baseline(triangle_plan, figures=calm)
     said = line(hard, "The joints jerk 3.0 times as hard as the baseline's, ")
     assert said.endswith("may sway more than the baseline's; cmbot simulate tells.")
     assert "The joints jerk" not in " ".join(remarks(replace(hard, suppression=None)))
@@ -192,16 +192,6 @@ def test_a_plan_that_asks_more_than_the_baseline_says_so(triangle_plan: Plan) ->
     objective = replace(triangle_plan.objective, planned_peak=1.1 * triangle_plan.objective.baseline_peak)
     said = line(replace(triangle_plan, objective=objective), "The peak is 10.00 % higher than the baseline's")
     assert "Hardly" not in said
-
-
-def test_an_approach_with_a_larger_peak_than_all_that_follows_says_so(triangle_plan: Plan) -> None:
-    assert "The approach loads" not in " ".join(remarks(triangle_plan))
-    approach = triangle_plan.approach
-    figures = replace(approach.certificate.figures, peak_guardrail_torque=600.0)
-    hard = replace(approach.certificate, figures=figures)
-    loading = changed(triangle_plan, "approach", certificate=hard)
-    said = line(loading, "The approach loads the guardrail more")
-    assert said.endswith("than baseline and work do.")
 
 
 def test_a_floor_that_is_not_settled_promises_nothing(triangle_plan: Plan) -> None:

@@ -65,7 +65,7 @@ def test_figures_of_all_follow_from_those_of_each(strokes_plan: Plan) -> None:
     assert made.lower_bound.value == max(bound.value for bound in bounds)
     assert made.lower_bound.each[made.lower_bound.via_point] == made.lower_bound.value
     assert made.objective.planned_peak == max(stroke.objective.planned_peak for stroke in each)
-    assert made.drift == max(stroke.drift for stroke in each)
+    assert made.baseline.drift == max(stroke.baseline.drift for stroke in each)
     free, work, job = made.job.free_figures, made.figures, made.job.figures
     assert free is not None
     assert job.peak_guardrail_torque == max(free.peak_guardrail_torque, work.peak_guardrail_torque)
@@ -91,7 +91,7 @@ def test_the_work_reaches_from_the_first_stroke_to_the_last(strokes_plan: Plan) 
 
 
 def test_the_baseline_takes_the_strokes_in_the_same_order(strokes_plan: Plan) -> None:
-    segments = strokes_plan.baseline_segments
+    segments = strokes_plan.baseline.segments
     assert [segment.name for segment in segments if segment.kind == "stroke"] == ["there", "back"]
     for before, after in pairwise(segments):
         np.testing.assert_allclose(after.samples.q[0], before.samples.q[-1], rtol=0, atol=1e-9)
@@ -99,15 +99,15 @@ def test_the_baseline_takes_the_strokes_in_the_same_order(strokes_plan: Plan) ->
     np.testing.assert_allclose(segments[0].samples.q[0], strokes_plan.scene.posture, atol=1e-9)
     # The rows of the strokes are all there.
     for stroke in strokes_plan.strokes:
-        rows = {row.tobytes() for row in strokes_plan.baseline.q}
-        assert all(row.tobytes() in rows for row in stroke.baseline.q)
+        rows = {row.tobytes() for row in strokes_plan.baseline.samples.q}
+        assert all(row.tobytes() in rows for row in stroke.baseline.samples.q)
 
 
 def test_a_saved_job_of_strokes_is_read_and_certified_anew(folder: Path, strokes_plan: Plan) -> None:
     read = load_plan(folder, verify=True)
     assert read.figures == strokes_plan.figures
     assert [stroke.name for stroke in read.strokes] == ["there", "back"]
-    np.testing.assert_array_equal(read.baseline.q, strokes_plan.baseline.q)
+    np.testing.assert_array_equal(read.baseline.samples.q, strokes_plan.baseline.samples.q)
     np.testing.assert_allclose(read.trajectory.q, strokes_plan.trajectory.q, rtol=0, atol=0)
     assert read.job.certificate.holds
     assert len(read.job.certificate.checks) > len(strokes_plan.job.certificate.checks)
@@ -133,9 +133,9 @@ def test_a_stroke_alone_keeps_its_name(tmp_path: Path) -> None:
             lambda data: data["strokes"][1]["objective"].update(planned_peak=1.0),
             "strokes[1].objective.planned_peak",
         ),
-        (lambda data: data["strokes"][1].update(drift=1.0), "drift"),
-        (lambda data: data["strokes"][1].update(baseline_begin=1.0), ""),
-        (lambda data: data.update(drift=0.0), "drift"),
+        (lambda data: data["strokes"][1]["baseline"].update(drift=1.0), "baseline.drift"),
+        (lambda data: data["strokes"][1]["baseline"].update(begin=1.0), ""),
+        (lambda data: data["baseline"].update(drift=0.0), "baseline.drift"),
         (lambda data: data["choice"].update(free=1.0), "choice.free"),
         (lambda data: data["baseline"].update(mean_guardrail_torque=1.0), "baseline.mean_guardrail_torque"),
         (lambda data: data["planned"].update(mean_guardrail_torque=1.0), "planned.mean_guardrail_torque"),

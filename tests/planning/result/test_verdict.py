@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plan_folders import changed, without_approach
+from plan_folders import changed, with_baseline, without_approach
 
 from cmbot.common.limit import Limit
 from cmbot.planning import Check, Plan, baseline_faults, bound_use, remarks, tightest_check, verdict
@@ -13,7 +13,7 @@ from cmbot.planning.result.verdict import accuracy_in_words, further, travels
 
 def test_the_posture_in_which_the_arm_begins_decides_on_the_triangle(triangle_plan: Plan) -> None:
     work, baseline = (
-        figures.peak_guardrail_torque for figures in (triangle_plan.figures, triangle_plan.baseline_figures)
+        figures.peak_guardrail_torque for figures in (triangle_plan.figures, triangle_plan.baseline.figures)
     )
     segment, check = tightest_check(triangle_plan.job)
     # A rate of the approach and the tool's deviation at work use nearly the same share of their bounds.
@@ -56,7 +56,7 @@ def test_a_job_of_work_alone_gains(triangle_plan: Plan) -> None:
 
 def test_hardly_a_gain_is_called_so(triangle_plan: Plan) -> None:
     """Below 1 % of the peak over the whole job."""
-    before = triangle_plan.baseline_job_figures.peak_guardrail_torque
+    before = triangle_plan.baseline.job_figures.peak_guardrail_torque
     for share, hardly in ((0.995, True), (0.98, False)):
         figures = replace(triangle_plan.job.segments[-1].figures, peak_guardrail_torque=share * before)
         certificate = replace(triangle_plan.job.segments[-1].certificate, figures=figures)
@@ -72,24 +72,25 @@ def test_hardly_a_gain_is_called_so(triangle_plan: Plan) -> None:
 def test_a_small_gain_is_told_with_the_joints_that_travel_further(
     triangle_plan: Plan, share: float, little: bool
 ) -> None:
-    before = triangle_plan.baseline_job_figures.peak_guardrail_torque
+    before = triangle_plan.baseline.job_figures.peak_guardrail_torque
     figures = replace(triangle_plan.job.segments[-1].figures, peak_guardrail_torque=share * before)
     certificate = replace(triangle_plan.job.segments[-1].certificate, figures=figures)
     work = changed(without_approach(triangle_plan), "work", certificate=certificate)
     work = replace(work, scene=work.scene.with_posture(work.start.posture))
-    *others, stroke = work.baseline_segments
+    *others, stroke = work.baseline.segments
     q, once = stroke.samples.q, further(work)
     assert once == pytest.approx(
         np.linalg.norm(np.abs(np.diff(work.trajectory.q, axis=0)).sum(axis=0))
         / np.linalg.norm(np.abs(np.diff(q, axis=0)).sum(axis=0))
     )
     nearer = replace(stroke.samples, q=q[0] + 0.1 * (q - q[0]))
-    work.__dict__["baseline_segments"] = (*others, replace(stroke, samples=nearer))
+    work = with_baseline(work, segments=(*others, replace(stroke, samples=nearer)))
     assert further(work) == pytest.approx(10 * once)
     assert (f", with joints that travel {10 * once:.1f} times as far at work" in verdict(work)) == little
     (told,) = (remark for remark in remarks(work) if remark.startswith("At work the joints travel"))
-    joint = int((travels(work)[0] - travels(work)[1]).argmax())
-    far, less = np.rad2deg([way[joint] for way in travels(work)])
+    ways = travels(work, work.baseline)
+    joint = int((ways[0] - ways[1]).argmax())
+    far, less = np.rad2deg([way[joint] for way in ways])
     assert f"most of all {work.robot.joints[joint]}, {far:.3g} deg in place of {less:.3g} deg" in told
 
 
@@ -114,17 +115,18 @@ def test_a_baseline_that_cannot_be_executed_is_called_so(
     assert baseline_faults(triangle_plan) == ""
     assert "no gain" not in verdict(triangle_plan)
     plan, change = replace(triangle_plan), dict(change)
-    figures, (*others, work) = plan.baseline_job_figures, plan.baseline_segments
+    (*others, work) = plan.baseline.segments
     q = work.samples.q + change.pop("turn", 0.0)
     rates = {name: change.pop(name) for name in ("velocity", "torque") if name in change}
-    use = replace(figures.limit_use, **rates)
-    plan.__dict__["baseline_segments"] = (*others, replace(work, samples=replace(work.samples, q=q)))
-    plan.__dict__["baseline_job_figures"] = replace(figures, limit_use=use, **change)
+    use = replace(work.figures.limit_use, **rates)
+    figures = replace(work.figures, limit_use=use, **change)
+    work = replace(work, samples=replace(work.samples, q=q), figures=figures)
+    plan = with_baseline(plan, segments=(*others, work))
     said = verdict(plan)
     assert f"; no gain is stated, as the baseline (486.4 Nm) {fault}; the work alone" in said
     assert "than the baseline's 486.4 Nm over" not in said
     # At work the baseline keeps all limits.
-    work, before = (each.peak_guardrail_torque for each in (plan.figures, plan.baseline_figures))
+    work, before = (each.peak_guardrail_torque for each in (plan.figures, plan.baseline.figures))
     less = f"{work:.1f} Nm, {100 * (1 - work / before):.1f} % less than the baseline's {before:.1f} Nm"
     assert (f"the work alone {less}" in said) == (baseline_faults(plan, work=True) == "")
 

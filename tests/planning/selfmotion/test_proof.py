@@ -9,7 +9,7 @@ import pytest
 from admissible_postures import admissible, restarts, values
 from finite_differences import check_derivative
 from oracles.inverse_kinematics import postures as closed_form
-from small_scenes import request_of, short_scene
+from small_scenes import request_of, short_scene, with_corners
 from urdf_arms import arm_scene, endless_scene, panda_scene, path_of, six_joint_scene
 
 from cmbot.planning.request import StrokeRequest
@@ -139,7 +139,7 @@ def test_out_of_reach_is_said_where_it_is_proven(tmp_path: Path) -> None:
     path = asked.task.path
 
     def moved(by: list[float]) -> StrokeRequest:
-        return replace(asked, task=replace(asked.task, path=replace(path, corners=path.corners + by)))
+        return replace(asked, task=replace(asked.task, path=with_corners(path, path.corners + by)))
 
     # The stretched arm reaches further than one that holds the tool's pose.
     far = moved([1.3, 0.0, 0.0])

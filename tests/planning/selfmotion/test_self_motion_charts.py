@@ -14,7 +14,6 @@ from urdf_arms import endless_scene, panda_scene
 
 from cmbot.collision import Clearances
 from cmbot.planning import robot_of, strokes_of, task_of
-from cmbot.planning.objectives import objective_of
 from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.request import JobState, StrokeRequest
 from cmbot.planning.selfmotion.charts import Chart, charts_of
@@ -22,7 +21,8 @@ from cmbot.planning.selfmotion.dynamic_programming import nearest_turn
 from cmbot.planning.selfmotion.poisson_disk import PoissonDiskSets, without_neighbours
 from cmbot.planning.selfmotion.sampler import SelfMotionSampler
 from cmbot.planning.task import ToolTask
-from cmbot.planning.workcell import Workcell
+from cmbot.planning.workcell.objectives import objective_of
+from cmbot.planning.workcell.workcell import Workcell
 from cmbot.robot import Kinematics, PostureMetric, Postures, Robot
 from cmbot.scene import PlannerOptions, Scene, load_scene
 from cmbot.toolpath import ToolPoses

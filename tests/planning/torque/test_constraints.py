@@ -16,7 +16,6 @@ from state_samples import StateSamples as RandomStates
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.optimization.program import Linearization, StateFunction, StateSamples
-from cmbot.planning.objectives import efforts_of
 from cmbot.planning.task import ToolTask
 from cmbot.planning.torque.constraints import (
     ClearanceMargin,
@@ -27,6 +26,7 @@ from cmbot.planning.torque.constraints import (
     ToolSpeed,
     ToolTilt,
 )
+from cmbot.planning.workcell.objectives import efforts_of
 from cmbot.robot import Dynamics, Efforts, Kinematics, Postures, Robot
 from cmbot.trajectory.quintic import QuinticTrajectory
 

@@ -117,7 +117,7 @@ def straight(start: Any, end: Any, seconds: float) -> QuinticTrajectory:
     """A straight line in joint space, from rest to rest."""
     u = np.linspace(0, 1, 20)
     space = SplineSpace(u * seconds)
-    share = SpeedProfile(kind="jerk_limited", ramp=0.5).share(u)[:, None]
+    share = SpeedProfile(kind="jerk_limited", ramp=0.5).law.share(u)[:, None]
     return space.trajectory(space.least_jerk(start + share * (end - start)))
 
 

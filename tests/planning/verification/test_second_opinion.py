@@ -17,7 +17,7 @@ from oracles import chang2021_arm
 from oracles.convex_distance import smallest_distances
 from rail_arms import rail_scene
 from random_arms import random_arm
-from small_scenes import short_scene
+from small_scenes import short_scene, with_corners
 from state_samples import StateSamples
 from urdf_arms import arm_scene, endless_scene, six_joint_scene
 
@@ -128,7 +128,7 @@ def test_bodies_move_as_in_the_paper(cmbot_robot: Robot, random_states: StateSam
         np.testing.assert_allclose(got, expected, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("kind", ["trapezoidal", "jerk_limited"])
+@pytest.mark.parametrize("kind", ["trapezoidal", "jerk_limited", "quiet"])
 @pytest.mark.parametrize("ramp", [0.03, 0.2, 0.5])
 def test_the_timed_path_agrees(kind: Any, ramp: float) -> None:
     scene = load_scene("triangle").with_path(speed_profile=SpeedProfile(kind=kind, ramp=ramp), via_points=37)
@@ -223,8 +223,9 @@ def test_an_arm_with_other_joints(short_plan: Plan, tmp_path: Path) -> None:
 def test_a_planner_whose_legs_are_short(monkeypatch: pytest.MonkeyPatch) -> None:
     """The certificate of such a plan holds: planner and certificate share the path."""
 
-    def short_path(*, corners: FloatArray, **fields: Any) -> ToolPath:
-        return ToolPath(corners=corners[0] + 0.1 * (corners - corners[0]), **fields)
+    def short_path(**fields: Any) -> ToolPath:
+        path = ToolPath(**fields)
+        return with_corners(path, path.corners[0] + 0.1 * (path.corners - path.corners[0]))
 
     with monkeypatch.context() as patch:
         patch.setattr(cmbot.toolpath.builder, "ToolPath", short_path)

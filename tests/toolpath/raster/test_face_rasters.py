@@ -100,7 +100,7 @@ def test_on_a_bent_sheet_the_tool_is_square_to_it(
     stroke = stroke_of(scene)
     assert stroke.surface.area == pytest.approx(sheet.area / 2, rel=0.1)
     path = stroke.path
-    rows = [k for k in range(len(path.seconds)) if k in path.curves]
+    rows = [k for k, segment in enumerate(path.segments) if not segment.is_straight]
     times = np.concatenate([np.linspace(*path.leg_times[k : k + 2], 41) for k in rows])
     poses = path.poses(times)
     p = in_frame(scene, poses.point) + np.array([0, 0, radius])

@@ -15,9 +15,9 @@ from cmbot.common.representation import short_repr
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm
 from cmbot.elastic.sag import Sag
-from cmbot.planning.objectives import Objective, WrenchFunction, objective_of
-from cmbot.planning.stiffness import covariance_of, known_share, with_identified_stiffness
-from cmbot.planning.units import require_metres
+from cmbot.planning.workcell.objectives import Objective, WrenchFunction, objective_of
+from cmbot.planning.workcell.stiffness import covariance_of, known_share, with_identified_stiffness
+from cmbot.planning.workcell.units import require_metres
 from cmbot.robot import PostureBatch, Postures, Robot, load_robot
 from cmbot.scene import PlannerOptions, Scene
 

@@ -20,9 +20,9 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError, InputError, SceneError
 from cmbot.optimization.program import StateSamples
 from cmbot.planning import GlobalSearch, Plan, PostureObjective, WeightedMoment, remarks
-from cmbot.planning.objectives import Objective, WrenchObjective, objective_of
 from cmbot.planning.request import build_request
 from cmbot.planning.torque.problem import ScaledObjective
+from cmbot.planning.workcell.objectives import Objective, WrenchObjective, objective_of
 from cmbot.robot import Dynamics, Postures, Robot
 from cmbot.scene import PlannerOptions, Scene
 
@@ -269,7 +269,7 @@ def test_a_plan_about_the_base(about_base: Plan) -> None:
     assert figures.gap == pytest.approx(figures.planned_peak / about_base.lower_bound.value - 1)
     assert about_base.gap_to_floor is about_base.torque_floor is None
     assert default.objective.planned_peak == default.figures.peak_guardrail_torque
-    assert default.objective.baseline_peak == default.baseline_figures.peak_guardrail_torque
+    assert default.objective.baseline_peak == default.baseline.figures.peak_guardrail_torque
     assert default.objective.gap == default.gap_to_floor is not None
     text = " ".join(remarks(about_base))
     assert (

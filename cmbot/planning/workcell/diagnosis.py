@@ -9,7 +9,7 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
 from cmbot.common.validation import counted
-from cmbot.planning.workcell import Workcell
+from cmbot.planning.workcell.workcell import Workcell
 
 
 def most_often_near(cell: Workcell, q: FloatArray) -> tuple[str, str] | None:

@@ -14,7 +14,7 @@ import cmbot
 from cmbot.common.errors import SceneError
 from cmbot.common.installation import shipped_scenes
 from cmbot.planning import precheck_scene, robot_of
-from cmbot.planning.units import require_metres
+from cmbot.planning.workcell.units import require_metres
 
 TABLE = {"name": "table", "box": [1000, 800, 60], "xyz": [1800, 700, -2700]}
 WALL = {"name": "wall", "box": [20, 0.3, 5], "xyz": [0, 60, 0]}
