@@ -123,7 +123,8 @@ def _use(found: Location) -> str:
     """What to do with the blocks."""
     if found.frame == "world":
         return (
-            "with from: {frame: workpiece, ...} in the scene's strokes their path follows; obstacles do not"
+            "with from: {frame: workpiece, ...} in the scene's strokes and frame: workpiece in its obstacles"
+            " these follow it"
         )
     return "its blocks go into the scene"
 

@@ -24,6 +24,7 @@ from cmbot.common.fields import (
 )
 from cmbot.common.poses import pose
 from cmbot.common.validation import FileModel, refusal
+from cmbot.scene.robot_entry import MountFile
 
 _SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh")
 # As it is written; in metres it has the bounds of `Length`.
@@ -31,7 +32,7 @@ _Written = Annotated[float, Field(ge=0, le=LONGEST / LEAST_SCALE)]
 
 
 class ObstacleFile(FileModel):
-    """An obstacle: exactly one shape, placed in W."""
+    """An obstacle: exactly one shape, placed in W or in a workpiece's frame."""
 
     model_config = ConfigDict(json_schema_extra=one_of_schema(_SHAPES))
 
@@ -46,8 +47,10 @@ class ObstacleFile(FileModel):
     """Radius, m."""
     mesh: FilePath | None = None
     """Path of a mesh file, relative to the scene file; in metres without `scale`."""
+    frame: Slug | None = None
+    """Of a workpiece, with which it moves; left out: it is placed in W."""
     xyz: Vector
-    """Centre (of a mesh: its origin) in W, m."""
+    """Centre (of a mesh: its origin) in its frame, m."""
     rpy_deg: Angles = (0.0, 0.0, 0.0)
     """Roll, pitch, yaw as in URDF: R = Rz(yaw) Ry(pitch) Rx(roll)."""
     workpiece: bool = False
@@ -84,8 +87,11 @@ class ObstacleFile(FileModel):
 
 
 @lru_cache(maxsize=1024)
-def obstacle_from_file(file: ObstacleFile) -> Obstacle:
-    """Return the obstacle that an entry of a scene file describes; its mesh has an absolute path."""
+def obstacle_from_file(file: ObstacleFile, frame: MountFile | None = None) -> Obstacle:
+    """Return the obstacle that an entry of a scene file describes; its mesh has an absolute path.
+
+    `frame` is the pose in W of the frame that the entry names.
+    """
     shape: Shape
     match file.kind, file.in_metres:
         case "box", (x, y, z):
@@ -98,5 +104,6 @@ def obstacle_from_file(file: ObstacleFile) -> Obstacle:
             shape = Sphere(radius=radius)
         case _:
             shape = Mesh(path=Path(cast("str", file.mesh)), scale=1.0 if file.scale is None else file.scale)
-    X_WO = pose(file.xyz, np.radians(file.rpy_deg))
+    X_FO = pose(file.xyz, np.radians(file.rpy_deg))
+    X_WO = X_FO if frame is None else frame.matrix @ X_FO
     return Obstacle(name=file.name, shape=shape, X_WO=X_WO, workpiece=file.workpiece, scale=file.scale)

@@ -188,6 +188,10 @@ class Scene(FileModel):
                 expected = "a name that no other obstacle or guardrail member has"
                 raise refusal(expected, got=shown(obstacle.name), key=("obstacles", index, "name"))
             taken.add(obstacle.name)
+            if obstacle.frame is not None and obstacle.frame not in dict(self.frames):
+                named = ", ".join(dict(self.frames))
+                expected = f"one of {named}" if named else "no such key: the scene has no frames"
+                raise refusal(expected, got=shown(obstacle.frame), key=("obstacles", index, "frame"))
         self._listed = tuple(str(stroke.name) for stroke in self.strokes)
         return self
 
@@ -447,7 +451,8 @@ class Scene(FileModel):
     @property
     def all_obstacles(self) -> tuple[Obstacle, ...]:
         """The scene's own obstacles, then the members of the guardrail; in SI units."""
-        own = (obstacle_from_file(entry) for entry in self.obstacles)
+        frames = dict(self.frames)
+        own = (obstacle_from_file(entry, frames.get(entry.frame or "")) for entry in self.obstacles)
         return (*own, *guardrail_obstacles(self.elastic_guardrail))
 
     # The strokes

@@ -406,3 +406,15 @@ def test_any_mutation_is_a_scene_or_a_scene_error(path, value, action, key):
         assert "\n" not in str(error)
     else:
         assert load_scene(scene.as_data()).content_hash == scene.content_hash
+
+
+def test_an_obstacle_moves_with_its_workpiece() -> None:
+    """It is where the frame of the workpiece puts it; a frame that is not there is refused."""
+    box = {"name": "plate", "box": [0.2, 0.1, 0.02], "xyz": [0.1, 0, 0], "rpy_deg": [0, 0, 30]}
+    frame = {"xyz": [1.5, 0.5, -2], "rpy_deg": [0, 90, 0]}
+    placed = short_scene(frames={"part": frame}, obstacles=[box | {"frame": "part"}])
+    X_FO = placed.changed(obstacles=[box]).all_obstacles[0].X_WO
+    np.testing.assert_allclose(placed.all_obstacles[0].X_WO, placed.frame_poses["part"] @ X_FO, atol=1e-15)
+    for frames, expected in (({"part": frame}, "one of part"), ({}, "the scene has no frames")):
+        with pytest.raises(SceneError, match=f"obstacles\\[0\\].frame: got 'other'.*{expected}"):
+            short_scene(frames=frames, obstacles=[box | {"frame": "other"}])
