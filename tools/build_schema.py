@@ -18,6 +18,7 @@ from scene_reference import reference_text
 
 from cmbot.common.validation import FileModel
 from cmbot.scene import PlannerOptions, Scene, Tool
+from cmbot.scene.path.waypoint_file import WaypointFile
 from cmbot.scene.scene import FORMAT
 from cmbot.toolpath import (
     ArcTo,
@@ -38,6 +39,7 @@ TARGET, PAGE = _ROOT / "scenes" / "scene.schema.json", _ROOT / "docs" / "scene_f
 def schema_text() -> str:
     """Return the schema as the text of its file."""
     schema = Scene.model_json_schema()
+    schema["$defs"]["WaypointFile"] = WaypointFile.model_json_schema()
     paths = (ArcTo, CylinderPatch, FaceSelection, Goal, Leg, LegLaw, Raster, RowPiece, SpeedProfile)
     classes = (*paths, Tool, PlannerOptions)
     kinds = [*subclasses(FileModel), *classes]
@@ -53,7 +55,7 @@ def schema_text() -> str:
     # A CSV file's rows are read before a scene is checked.
     for name in ("ToolPathFile", "StrokeFile"):
         waypoints = schema["$defs"][name]["properties"]["waypoints"]
-        waypoints["anyOf"].append({"type": "string", "minLength": 1})
+        waypoints["anyOf"] += [{"type": "string", "minLength": 1}, {"$ref": "#/$defs/WaypointFile"}]
     # A file's content is read, too, and a diagonal made a matrix.
     schema["properties"]["identified"]["anyOf"].append({"type": "string", "minLength": 1})
     stiffness, entries = schema["$defs"]["GuardrailFile"]["properties"]["stiffness"], {"type": "number"}

@@ -48,6 +48,7 @@ _SECTIONS = {
     "Leg": "Legs",
     "Goal": "Poses: `to`, `from`",
     "ArcTo": "Arcs: `arc`",
+    "WaypointFile": "Tables of waypoints: `waypoints`",
     "Raster": "Rasters: `raster`",
     "CylinderPatch": "Rasters over a cylinder: `raster.cylinder`",
     "FaceSelection": "Rasters over faces of a mesh: `raster.faces`",

@@ -38,6 +38,11 @@ class Module:
     def __init__(self, path: Path, text: str) -> None:
         self.path, self.text, self.tree = path, text, ast.parse(text)
 
+    @cached_property
+    def nodes(self) -> list[ast.AST]:
+        """Its syntax tree's nodes, breadth first."""
+        return list(ast.walk(self.tree))
+
     @property
     def package(self) -> str:
         """The package below ``cmbot`` that it is in, or its own name at the top."""
@@ -46,7 +51,7 @@ class Module:
     @cached_property
     def documented(self) -> list[ast.Constant]:
         """Its docstrings, and all other text that is a statement of its own."""
-        statements = (node.value for node in ast.walk(self.tree) if isinstance(node, ast.Expr))
+        statements = (node.value for node in self.nodes if isinstance(node, ast.Expr))
         return [node for node in statements if isinstance(node, ast.Constant) and isinstance(node.value, str)]
 
     @cached_property
@@ -67,7 +72,7 @@ def modules_of(folder: str) -> list[Module]:
 
 def functions_too_long(module: Module) -> Iterator[int]:
     """Yield lines of functions of more lines of code than one may have."""
-    for node in ast.walk(module.tree):
+    for node in module.nodes:
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             own = set(range(node.lineno, (node.end_lineno or node.lineno) + 1))
             if len(own & module.code_lines) > _LONGEST_FUNCTION:
@@ -76,7 +81,7 @@ def functions_too_long(module: Module) -> Iterator[int]:
 
 def text_that_steers(module: Module) -> Iterator[int]:
     """Yield lines that decide by what an error tells people."""
-    for node in ast.walk(module.tree):
+    for node in module.nodes:
         if isinstance(node, ast.Compare):
             sides = [node.left, *node.comparators]
             text = any(isinstance(side, ast.Constant) and isinstance(side.value, str) for side in sides)
@@ -117,14 +122,14 @@ def scenes_as_data(module: Module) -> Iterator[int]:
     """Yield lines that take a scene's content as a dictionary, where scenes are neither read nor kept."""
     if module.package in ("scene", "archive"):
         return
-    for node in ast.walk(module.tree):
+    for node in module.nodes:
         if isinstance(node, ast.Attribute) and node.attr == "as_data":
             yield node.lineno
 
 
 def past_the_checks(module: Module) -> Iterator[int]:
     """Yield lines that make or change a model of a file, a scene above all, without checking it."""
-    for node in ast.walk(module.tree):
+    for node in module.nodes:
         if isinstance(node, ast.Attribute) and node.attr in ("model_copy", "model_construct"):
             yield node.lineno
         elif isinstance(node, ast.Call) and node.args and ast.unparse(node.func).endswith("replace"):
@@ -143,9 +148,10 @@ def commands_below_planning(module: Module) -> Iterator[int]:
     """Yield lines whose text names commands or options that packages below planning do not know."""
     if module.package not in _BELOW:
         return
-    for node in ast.walk(module.tree):
-        text = node.value if isinstance(node, ast.Constant) and node not in module.documented else None
-        if isinstance(text, str) and _COMMAND.search(text):
+    for node in module.nodes:
+        if not isinstance(node, ast.Constant) or not isinstance(node.value, str):
+            continue
+        if _COMMAND.search(node.value) and node not in module.documented:
             yield node.lineno
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
+from cmbot.common.validation import counted
 from cmbot.planning.attempts.motion import suppresses_vibration
 from cmbot.planning.attempts.stroke import PlannedStroke
 from cmbot.planning.certification.metrics import figures, measure
@@ -18,7 +19,8 @@ from cmbot.planning.path.gradient_projection import follow_path
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.result.plan import Plan, Seconds
 from cmbot.planning.result.stroke_plan import StrokeBaseline, StrokePlan, objective_metrics
-from cmbot.scene import SAME_PLACE, Scene
+from cmbot.scene import Scene
+from cmbot.toolpath import SAME_PLACE
 
 
 def composed(scene: Scene, made: Sequence[PlannedStroke], *, custom: bool) -> Plan:
@@ -140,6 +142,9 @@ def _fallbacks(stroke: PlannedStroke, *, stopped: bool) -> Iterator[str]:
     if merged := request.stroke.file.merged:
         is_ = "waypoint is" if merged == 1 else "waypoints are"
         yield f"{merged} {is_} merged with the one before, less than {1e3 * SAME_PLACE:g} mm away."
+    rests = len(request.stroke.path.segments) // (request.stroke.file.passes or 1) - 1
+    if request.stroke.file.waypoints and rests:
+        yield f"It rests at {counted(rests, 'waypoint')}, corners and turns in place (corner_deg)."
     limit = f"{request.cell.options.time_limit_s:g} s (planner.time_limit_s)"
     if not optimised.complete:
         why = f"Stopped after {limit}" if stopped else "The last stage of the optimisation failed"

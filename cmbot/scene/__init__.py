@@ -16,7 +16,6 @@ from cmbot.scene.options import MOST_SAMPLES, PlannerOptions
 from cmbot.scene.path.path_file import WORK, AxisCone, JobStrokes, Keep, StrokeFile
 from cmbot.scene.path.raster_parts import rows_alone
 from cmbot.scene.path.stroke import Stroke, coverage_of, pieces_left_out
-from cmbot.scene.path.waypoints import SAME_PLACE
 from cmbot.scene.robot_entry import STOW, MountFile, NamedState, PostureFile, RobotFile
 from cmbot.scene.scene import Scene
 from cmbot.scene.scene_file import load_scene, scene_from_data, scene_path
@@ -27,7 +26,6 @@ from cmbot.scene.uncertainty import JointUncertainty, Placement, Tolerance, Unce
 __all__ = [
     "FOLDER",
     "MOST_SAMPLES",
-    "SAME_PLACE",
     "SPEED_TOLERANCE",
     "STOW",
     "TRAINS",

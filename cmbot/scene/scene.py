@@ -549,6 +549,8 @@ class Scene(FileModel):
             key=self._stroke_key(number),
             frames=self.frame_poses,
             max_speed=self.tool.max_speed_m_s,
+            deviation=self.planner.max_tool_deviation_m,
+            rotation=float(np.radians(self.planner.max_tool_rotation_deg)),
         )
 
     def _timed(self, number: int, file: StrokeFile, X_WT: FloatArray) -> Stroke:

@@ -7,19 +7,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from cmbot.common.errors import SceneError
-from cmbot.common.input_files import is_file, is_folder, read_csv
+from cmbot.common.input_files import is_file, is_folder
 from cmbot.common.installation import scene_folder, shipped_scenes
-from cmbot.common.validation import counted, given_path, hint, shown
+from cmbot.common.validation import given_path, hint, shown, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml
-from cmbot.scene.path.path_file import FEWEST_WAYPOINTS
+from cmbot.scene.path.waypoint_file import WaypointFile, given_file, read_waypoints
 from cmbot.scene.scene import Scene
 
 _LONGEST_SOURCE = 300
-_LARGEST_WAYPOINTS = 1_000_000
-_WAYPOINT_COLUMNS = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
 
 def load_scene(source: str | Path | Mapping[str, object]) -> Scene:
@@ -79,42 +75,28 @@ def scene_from_data(data: Mapping[str, Any], folder: Path, source: str) -> Scene
 def _with_files(data: Mapping[str, Any], folder: Path, source: str) -> dict[str, Any]:
     """The content with that of files of waypoints and of an identified stiffness in place of their paths."""
 
-    def with_rows(entry: Any, key: str) -> Any:
-        if not isinstance(entry, dict) or not isinstance(text := entry.get("waypoints"), str):
+    def with_rows(entry: Any, key: str, timed: bool = False) -> Any:
+        if not isinstance(entry, dict) or (found := given_file(entry)) is None:
             return entry
-        return {**entry, "waypoints": _waypoints(_found(folder, source, text, f"{key}.waypoints"))}
+        try:
+            given = validated(WaypointFile, found, source, SceneError)
+        except SceneError as error:
+            where = ".".join(filter(None, (f"{key}.waypoints", error.key)))
+            raise SceneError(source, where, error.got, error.expected, error.choices) from error
+        path = _found(folder, source, given.file, f"{key}.waypoints")
+        rows, seconds = read_waypoints(path, given, entry.get("keep"))
+        timed = timed or bool({"seconds", "speed_m_s"} & entry.keys()) or seconds is None
+        return {**entry, "waypoints": rows} | ({} if timed else {"seconds": seconds})
 
     data = dict(data)
     if isinstance(text := data.get("identified"), str):
         data["identified"] = read_yaml(_found(folder, source, text, "identified"), SceneError)
     path = with_rows(data.get("tool_path"), "tool_path")
     if isinstance(path, dict) and isinstance(strokes := path.get("strokes"), list):
-        rows = [with_rows(stroke, f"tool_path.strokes[{k}]") for k, stroke in enumerate(strokes)]
+        timed = "seconds" in path
+        rows = [with_rows(each, f"tool_path.strokes[{k}]", timed) for k, each in enumerate(strokes)]
         path = {**path, "strokes": rows}
     return data if path is None else data | {"tool_path": path}
-
-
-def _waypoints(source: Path) -> list[list[float]]:
-    """The rows of a CSV file of waypoints."""
-    rows = read_csv(source, SceneError, kind="a CSV file of waypoints", largest=_LARGEST_WAYPOINTS)
-    heading = [name.strip() for name in rows[0]] if rows else []
-    if heading != list(_WAYPOINT_COLUMNS):
-        got = shown(",".join(heading))
-        raise SceneError(str(source), "line 1", got, f"the columns {','.join(_WAYPOINT_COLUMNS)}")
-    waypoints = []
-    for line, row in enumerate(rows[1:], start=2):
-        try:
-            numbers = [float(cell) for cell in row]
-        except ValueError:
-            numbers = []
-        if len(numbers) != len(_WAYPOINT_COLUMNS) or not np.isfinite(numbers).all():
-            got = shown(",".join(row))
-            raise SceneError(str(source), f"line {line}", got, f"{len(_WAYPOINT_COLUMNS)} finite numbers")
-        waypoints.append(numbers)
-    if len(waypoints) < FEWEST_WAYPOINTS:
-        got = counted(len(waypoints), "waypoint")
-        raise SceneError(str(source), "", got, f"{FEWEST_WAYPOINTS} or more below the names of the columns")
-    return waypoints
 
 
 def _found(folder: Path, source: str, text: str, key: str) -> Path:

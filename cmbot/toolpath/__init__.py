@@ -8,12 +8,14 @@ from cmbot.toolpath.raster.face_rows import FaceSurface
 from cmbot.toolpath.raster.pieces import RowPiece, cells_of, without
 from cmbot.toolpath.raster.raster import CylinderPatch, FaceSelection, Raster
 from cmbot.toolpath.raster.surface import Coverage, PlainSurface, Surface
+from cmbot.toolpath.stretches import SAME_PLACE, distinct, merged, waypoint_poses
 from cmbot.toolpath.time_law import LegLaw, SpeedProfile, TimeLaw
 from cmbot.toolpath.tool_path import Segment, ShiftedToolPath, ToolPath, share_out_segments
 from cmbot.toolpath.tool_poses import ToolPoses, shortest_turns
 
 __all__ = [
     "AUTO",
+    "SAME_PLACE",
     "Arc",
     "ArcTo",
     "Blend",
@@ -44,8 +46,11 @@ __all__ = [
     "ToolPoses",
     "ViaPoints",
     "cells_of",
+    "distinct",
+    "merged",
     "share_out_segments",
     "shortest_turns",
     "timed_path",
+    "waypoint_poses",
     "without",
 ]

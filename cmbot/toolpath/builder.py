@@ -21,12 +21,15 @@ from cmbot.toolpath.raster.pieces import RowPiece
 from cmbot.toolpath.raster.raster import CylinderPatch, Raster
 from cmbot.toolpath.raster.rows import cylinder_corners, cylinder_frame, rectangle_axes, rectangle_corners
 from cmbot.toolpath.raster.surface import Surface
+from cmbot.toolpath.stretches import Fit, stretches, waypoint_poses
 from cmbot.toolpath.time_law import ProcessPart, TimeLaw, law_with_leads
 from cmbot.toolpath.tool_path import Segment, ToolPath
 from cmbot.toolpath.tool_poses import shortest_turns
 
 # Angle below which a turn is none, rad.
 _NO_TURN = 1e-12
+# A turn in place is as quick as the tool moves at this distance from its axis, m.
+_TURNING_ARM_M = 0.1
 # First guesses of speeds where the shortest time is to be found, m/s and rad/s, and of a duration, s; as a
 # share of the tool's largest speed.
 _FIRST_SPEED, _FIRST_TURN, _FIRST_SECONDS, _FIRST_SHARE = 0.05, 0.1, 2.0, 0.5
@@ -52,8 +55,8 @@ def timed_path(
         When a leg has no length but a speed, three points are on a line, or a frame is not known.
     """
     builder = _PathBuilder(file, place, X_WT, surface)
-    if file.passed:
-        builder.spline()
+    if file.waypoints:
+        builder.waypoints()
     if file.raster is not None:
         builder.raster(file.raster)
     for k, leg in enumerate(file.legs):
@@ -93,8 +96,8 @@ class _PathBuilder:
             self._point, turn = self._at(file.start_pose, f"{place.key}.from")
             self._R = _turned(turn, self._R)
             self._X_tool = _matrix(self._point, self._R)
-        elif file.passed:
-            self._point, self._R = (each[0] for each in self._waypoints())
+        elif file.waypoints:
+            self._point, self._R = (each[0] for each in waypoint_poses(file.waypoints))
         elif file.raster is not None:
             self._point, self._R = self._raster_start(file.raster)
         self._start, self._parts = (self._point, self._R), list[_Part]()
@@ -197,15 +200,34 @@ class _PathBuilder:
         part = _Part(end=end, turn=turn, seconds=seconds, curve=curve, blends=straight, open=open_)
         self._add(replace(part, cruises=leg.speed_m_s is not None))
 
-    def spline(self) -> None:
-        """Add the spline through the scene's waypoints."""
-        points, orientations = self._waypoints()
-        curve = Spline(points, orientations)
-        turn = Rotation.from_matrix(orientations[-1] @ orientations[0].T).as_rotvec()
-        file = self._file
-        seconds = self._seconds(file.seconds, file.speed_m_s, curve.length, f"{self._place.key}.speed_m_s")
-        cruises = file.speed_m_s is not None
-        self._add(_Part(end=points[-1], turn=turn, seconds=seconds, curve=curve, cruises=cruises))
+    def waypoints(self) -> None:
+        """Add the stretches of the path through the scene's waypoints."""
+        file, place = self._file, self._place
+        fit = Fit(
+            kept=file.kept,
+            corner=float(np.radians(file.corner_deg)),
+            deviation=place.deviation,
+            rotation=place.rotation,
+        )
+        parts, lengths, turns = list[_Part](), list[float](), list[float]()
+        for stretch in stretches(*waypoint_poses(file.waypoints or ()), fit):
+            curve = None if stretch.is_straight else Spline(stretch.points, stretch.orientations)
+            way = float(np.linalg.norm(stretch.points[-1] - stretch.points[0]))
+            turn = stretch.turn if np.linalg.norm(stretch.turn) > _NO_TURN else np.zeros(3)
+            blends = curve is None and way >= SHORTEST_LEG and not turn.any()
+            part = _Part(end=stretch.points[-1], turn=turn, seconds=0.0, curve=curve, blends=blends)
+            parts.append(replace(part, cruises=file.speed_m_s is not None))
+            lengths.append(way if curve is None else curve.length)
+            turns.append(float(np.linalg.norm(turn)))
+        # By how long each would take at one speed; a turn in place as what is beside the tool point.
+        ways = np.where(np.array(lengths) >= SHORTEST_LEG, lengths, _TURNING_ARM_M * np.array(turns))
+        for k, part in enumerate(parts):
+            if file.seconds is None or file.seconds == AUTO:
+                key = f"{place.key}.speed_m_s"
+                seconds = self._seconds(file.seconds, file.speed_m_s, float(ways[k]), key, turns[k])
+            else:
+                seconds = float(file.seconds * ways[k] / ways.sum())
+            self._add(replace(part, seconds=seconds))
 
     def raster(self, raster: Raster) -> None:
         """Add the rows of a raster and the steps between them."""
@@ -409,12 +431,6 @@ class _PathBuilder:
         if curve.radius < SHORTEST_LEG:  # the tool turns on the spot
             return self._point, turn, None
         return curve.position(np.ones(1))[0], turn, curve
-
-    def _waypoints(self) -> tuple[FloatArray, FloatArray]:
-        """Points (K, 3) and orientations (K, 3, 3) in W, each quaternion of the sign nearer to the last."""
-        rows = np.array(self._file.passed, dtype=float)
-        orientations = Rotation.from_quat(rows[:, [4, 5, 6, 3]]).as_matrix()
-        return rows[:, :3], orientations
 
 
 def _axis_turn(R: FloatArray, axis: FloatArray) -> FloatArray:

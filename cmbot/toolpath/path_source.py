@@ -24,8 +24,16 @@ class PathDescription(Protocol):
         """From where the path begins, each from rest to rest."""
 
     @property
-    def passed(self) -> Sequence[Sequence[float]]:
-        """In place of legs waypoints: x, y, z, qw, qx, qy, qz in W, no two neighbours at one place."""
+    def waypoints(self) -> Sequence[Sequence[float]] | None:
+        """In place of legs waypoints: x, y, z, qw, qx, qy, qz in W."""
+
+    @property
+    def corner_deg(self) -> float:
+        """Where waypoints bend by more the tool may rest."""
+
+    @property
+    def kept(self) -> str:
+        """What of the tool's orientation counts: ``pose``, ``axis`` or ``position``."""
 
     @property
     def raster(self) -> Raster | None:
@@ -76,12 +84,16 @@ class PathSource:
         Poses in W of the frames that the scene names.
     max_speed : float or None
         Of the tool point, m/s: seconds that are to be found begin slower.
+    deviation, rotation : float, m and rad
+        Of the tool from its path at most.
     """
 
     source: str
     key: str
     frames: Mapping[str, FloatArray]
     max_speed: float | None = None
+    deviation: float = 1e-3
+    rotation: float = 1e-2
 
     def frame(self, name: str, key: str, X_WT: FloatArray) -> FloatArray:
         """Return the pose (4, 4) in W of the frame that `key` names; ``tool`` is `X_WT`.

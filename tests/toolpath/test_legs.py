@@ -163,7 +163,7 @@ def waypoint_rows(rng: np.random.Generator, number: int = 7) -> FloatArray:
 @given(st.integers(0, 2**32 - 1), durations, profiles)
 def test_waypoints_are_passed(seed: int, time: dict[str, float], profile: dict[str, Any]) -> None:
     rows = waypoint_rows(np.random.default_rng(seed))
-    scene = scene_of(waypoints=rows.tolist(), speed_profile=profile, **time)
+    scene = scene_of(waypoints=rows.tolist(), speed_profile=profile, corner_deg=180, **time)
     check_path(scene)
     path = scene.timed_strokes(np.eye(4))[0].path
     times = np.linspace(0, path.duration, 20_001)
@@ -397,11 +397,6 @@ BY = {"by": [0, 0.1, 0], "seconds": 1}
         ({"raster": {**PIPE, "spacing_m": 1e-5}, "speed_m_s": 0.1}, "tool_path.raster.spacing_m", "500"),
         ({"legs": [BY], "speed_m_s": 0.1}, "tool_path.speed_m_s", "no such key beside legs"),
         ({"legs": [BY], "seconds": 3}, "tool_path.seconds", "no such key beside legs"),
-        (
-            {"waypoints": WAYPOINTS, "seconds": 1, "blend_radius_m": 0.1},
-            "tool_path.blend_radius_m",
-            "no such key beside waypoints",
-        ),
         ({}, "tool_path.legs", "either legs, waypoints or"),
         ({"waypoints": [[0, 0, k, 1, 0, 0, 0] for k in range(3)]}, "tool_path", "exactly one of these"),
         ({"waypoints": [[0, 0, 0, 2, 0, 0, 0]] * 3}, "tool_path.waypoints[0]", "a unit quaternion"),
@@ -482,13 +477,21 @@ def test_waypoints_of_a_csv_file_are_part_of_the_scene(tmp_path: Path, rng: np.r
 @pytest.mark.parametrize(
     ("rows", "key", "expected"),
     [
-        (["x,y,z", ROW], "line 1", "the columns x,y,z,qw,qx,qy,qz"),
-        ([], "line 1", "the columns"),
-        ([HEADING, ROW, "1,2,3"], "line 3", "7 finite numbers"),
-        ([HEADING, ROW, "1,2,3,one,0,0,0"], "line 3", "7 finite numbers"),
-        ([HEADING, ROW, "1,2,nan,1,0,0,0"], "line 3", "7 finite numbers"),
-        ([HEADING], "", "3 or more below the names of the columns"),
-        (b"\xff\xfe\x00", "", "a CSV file"),
+        (
+            ["x,y,z", ROW[:11]],
+            "line 1",
+            "qw,qx,qy,qz or roll,pitch,yaw or nx,ny,nz or i,j,k, or keep: position",
+        ),
+        (["x,y", "1,2"], "line 1", "the columns x,y,z"),
+        ([], "", "a table of waypoints"),
+        ([HEADING, ROW, "1,2,3"], "line 3", "7 cells"),
+        ([HEADING, ROW, "1,2,3,one,0,0,0"], "line 3, qw", "a finite number"),
+        ([HEADING, ROW, "1,2,nan,1,0,0,0"], "line 3, z", "a finite number"),
+        ([HEADING, ROW, "1,2,3,1,1,0,0"], "line 3", "a unit one"),
+        ([HEADING], "", "a table of waypoints"),
+        (["x (furlong),y,z,qw,qx,qy,qz", ROW], "line 1", "m, mm, cm or in"),
+        (["x,y,z,nx,ny,nz", "0,0,0,0,0,1"], "line 1", "keep: axis"),
+        (b"\xff\xfe\x00", "", "a table of waypoints"),
     ],
 )
 def test_a_csv_file_that_is_none(tmp_path: Path, rows: list[str] | bytes, key: str, expected: str) -> None:
@@ -523,3 +526,53 @@ def test_tangents_stay_within_their_bound_where_a_spline_is_slow(back: tuple[flo
         for k, t in enumerate(np.linspace(start, end, 101, axis=1)):
             away = path.leg_directions(t) - path.leg_directions([0.5 * (start[k] + end[k])])
             assert np.linalg.norm(away, axis=1).max() <= bound[k] * (1 + 1e-9) + 1e-12
+
+
+PLACES = np.array([[0.1, 0.2, 0.3], [0.2, 0.2, 0.35], [0.3, 0.25, 0.3]])
+QUATERNIONS = Rotation.from_euler("xyz", [[170, 0, 10], [175, 5, 20], [178, 0, 30]], degrees=True)
+
+
+@pytest.mark.parametrize(
+    ("heading", "columns", "keep"),
+    [
+        ("qz;qy;qx;qw;x;y;z", [QUATERNIONS.as_quat()[:, [2, 1, 0, 3]], PLACES], "pose"),
+        ("index,x (mm),y (mm),z (mm),roll_deg,pitch_deg,yaw_deg", None, "pose"),
+        ("x y z roll pitch yaw", [PLACES, QUATERNIONS.as_euler("xyz")], "pose"),
+        ("x,y,z,i,j,k", [PLACES, -QUATERNIONS.as_matrix()[:, :, 2]], "axis"),
+        ("nx,ny,nz,x,y,z", [-3 * QUATERNIONS.as_matrix()[:, :, 2], PLACES], "axis"),
+        ("x,y,z", [PLACES], "position"),
+    ],
+)
+def test_columns_by_their_names(heading: str, columns: Any, keep: str, tmp_path: Path) -> None:
+    if columns is None:
+        columns = [[[0], [1], [2]], 1e3 * PLACES, QUATERNIONS.as_euler("xyz", degrees=True)]
+    separator = next(mark for mark in ";, " if mark in heading)
+    rows = [separator.join(map(repr, row)) for row in np.hstack(columns).tolist()]
+    file = written(tmp_path, [heading, *rows])
+    data = yaml.safe_load(file.read_text(encoding="utf-8"))
+    data["tool_path"]["keep"] = keep
+    file.write_text(yaml.safe_dump(data), encoding="utf-8")
+    found = np.array(load_scene(file).strokes[0].waypoints)
+    np.testing.assert_allclose(found[:, :3], PLACES, atol=1e-12)
+    R = Rotation.from_quat(found[:, 3:], scalar_first=True).as_matrix()
+    if keep == "pose":
+        np.testing.assert_allclose(R, QUATERNIONS.as_matrix(), atol=1e-9)
+    if keep == "axis":
+        np.testing.assert_allclose(R[:, :, 2], QUATERNIONS.as_matrix()[:, :, 2], atol=1e-9)
+
+
+def test_a_file_with_units_a_pose_times_and_what_is_not_read(tmp_path: Path) -> None:
+    lines = ["t,x,y,z,qw,qx,qy,qz,force", "1,100,0,0,1,0,0,0,5", "4,100,50,0,1,0,0,0,5"]
+    file = written(tmp_path, lines)
+    data = yaml.safe_load(file.read_text(encoding="utf-8"))
+    place = {"file": "way.csv", "units": "mm", "xyz": [1, 2, 3], "rpy_deg": [0, 0, 90]}
+    data["tool_path"] = {"waypoints": place}
+    file.write_text(yaml.safe_dump(data), encoding="utf-8")
+    with pytest.warns(UserWarning, match=r"1 column of way\.csv is not read: force"):
+        (stroke,) = load_scene(file).strokes
+    np.testing.assert_allclose(np.array(stroke.waypoints)[:, :3], [[1, 2.1, 3], [0.95, 2.1, 3]], atol=1e-12)
+    assert stroke.seconds == 3
+    data["tool_path"]["waypoints"]["units"] = "furlong"
+    file.write_text(yaml.safe_dump(data), encoding="utf-8")
+    with pytest.raises(SceneError, match=r"tool_path\.waypoints\.units: got 'furlong'"):
+        load_scene(file)

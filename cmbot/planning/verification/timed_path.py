@@ -24,6 +24,8 @@ _NO_TURN, _NO_TIME = 1e-12, 1e-12
 _SAMPLES, _PER_POINT = 4001, 40
 # Rounded corners turn by 150 degrees at most, and pass their points within so many radii.
 _CORNER = 3.0
+# Dense waypoints are passed within this share of the tool's tolerance.
+_WAYPOINTS_MISSED = 0.25
 # Durations whose shares agree to so many digits are the same.
 _DIGITS = 9
 
@@ -204,7 +206,7 @@ class DescribedPath:
         self._path, self._file, self._frames = stroke.path, stroke.file, frames
         self._has_leads = bool(stroke.file.lead_in_m or stroke.file.lead_out_m)
         self._legs = _LegPath(stroke.file, frames) if stroke.file.legs else None
-        self._number = stroke.via_points
+        self._number, self._deviation = stroke.via_points, scene.planner.max_tool_deviation_m
         self.is_plain = self._legs is not None and not (stroke.file.blend_radius_m or self._has_leads)
 
     def poses(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -245,8 +247,10 @@ class DescribedPath:
             times = times[self._path.process_speed(times) > 0] if self._has_leads else times
             p, R = self.poses(times)
             return _surface_misses(raster, self._frames[raster.frame], p, R[:, :, 2]).ravel()
-        points = np.array(self._file.waypoints)[:, :3] if self._legs is None else self._legs.corners
         rounded = _CORNER * (self._file.blend_radius_m or 0.0)
+        if self._legs is None:
+            rounded += _WAYPOINTS_MISSED * self._deviation
+        points = np.array(self._file.waypoints)[:, :3] if self._legs is None else self._legs.corners
         return np.maximum(self._distance(points) - rounded, 0.0)
 
     def _distance(self, points: FloatArray) -> FloatArray:

@@ -20,13 +20,25 @@ from pydantic import (
 
 from cmbot.common.fields import Slug, word_or
 from cmbot.common.validation import FileModel, counted, refusal
-from cmbot.scene.path.waypoints import SAME_PLACE, Waypoint, distinct, turned_in_place
-from cmbot.toolpath import AUTO, Goal, Leg, LegLaw, Raster, SecondsOrAuto, Speed, SpeedProfile, ViaPoints
+from cmbot.scene.path.waypoints import Waypoint
+from cmbot.toolpath import (
+    AUTO,
+    SAME_PLACE,
+    Goal,
+    Leg,
+    LegLaw,
+    Raster,
+    SecondsOrAuto,
+    Speed,
+    SpeedProfile,
+    ViaPoints,
+    distinct,
+    merged,
+    waypoint_poses,
+)
 
 LONGEST = 36_000
 """Duration of all strokes, s: motions are sampled every 0.01 s."""
-FEWEST_WAYPOINTS = 3
-"""Through which a spline leads."""
 SMOOTH = SpeedProfile(kind="jerk_limited", ramp=0.25)
 """Speed profile of new scenes that have none of their own."""
 MOST_ORDERED = 12
@@ -77,12 +89,14 @@ class PathFile(FileModel):
     """Where the path begins, in place of the tool's pose in the start posture."""
     legs: Annotated[tuple[Leg, ...], Field(max_length=2000)] = ()
     """Legs from where the path begins, each from rest to rest."""
-    waypoints: Annotated[tuple[Waypoint, ...] | None, Field(min_length=FEWEST_WAYPOINTS, max_length=2000)] = (
-        None
-    )
+    waypoints: Annotated[tuple[Waypoint, ...] | None, Field(min_length=2, max_length=2000)] = None
     """In place of `legs`, points in m and unit quaternions of the tool in W (x, y, z, qw, qx, qy, qz), which
-    it passes without a stop, from the first to the last; neighbours less than 0.1 mm apart are one; in a
-    file also the path of a CSV file with these columns, relative to it."""
+    from the first to the last; it rests at corners and where it turns in place; neighbours less than 0.1 mm
+    apart are one, and dense ones are missed by up to a quarter of the tolerance; in a file also the path of a
+    table, relative to it, or its `file` with units and pose."""
+    corner_deg: Annotated[float, Field(ge=1, le=180)] = 15.0
+    """Waypoints at which the path bends by more, and twice as much as beside, are corners; by more than 60
+    degrees they are in any case, unless this is more."""
     raster: Raster | None = None
     """In place of `legs`, rows over a surface, with `blend_radius_m` without a stop."""
     seconds: SecondsOrAuto | None = None
@@ -167,9 +181,6 @@ class PathFile(FileModel):
         if len(given) != 1:
             got = " and ".join(given) or "neither"
             raise refusal("either legs, waypoints or a raster", got=got, key=("legs",))
-        if self.waypoints is not None and self.blend_radius_m is not None:
-            expected = "no such key beside waypoints, which have no corners"
-            raise refusal(expected, got="a value", key=("blend_radius_m",))
         if not self.legs and self.start_pose is not None:
             expected = "no such key beside waypoints or a raster, where the path begins"
             raise refusal(expected, got="a pose", key=("from",))
@@ -191,28 +202,21 @@ class PathFile(FileModel):
     def _check_waypoints(self) -> None:
         if self.waypoints is None:
             return
-        if turn := turned_in_place(self.waypoints, self.keep if isinstance(self.keep, str) else "axis"):
-            number, angle = turn
-            got = f"a turn by {math.degrees(angle):.2g} deg at the place of the waypoint before"
-            expected = "a way along which it turns, or legs, of which one turns the tool where it is"
-            raise refusal(expected, got=got, key=("waypoints", number))
-        if self.merged and len(self.passed) < FEWEST_WAYPOINTS:
-            got = f"{counted(len(self.waypoints), 'waypoint')} at {counted(len(self.passed), 'place')}"
-            expected = (
-                f"{FEWEST_WAYPOINTS} places or more, {1e3 * SAME_PLACE:g} mm apart or more; a line is a leg"
-            )
+        points = waypoint_poses(self.waypoints)[0]
+        if len(distinct(points)) == 1 and self.merged == len(points) - 1:
+            got = f"{counted(len(points), 'waypoint')} at one place"
+            expected = f"places {1e3 * SAME_PLACE:g} mm apart or more, or a turn of what is kept"
             raise refusal(expected, got=got, key=("waypoints",))
 
     @property
-    def passed(self) -> tuple[Waypoint, ...]:
-        """The waypoints without those at the place of the one before."""
-        rows = self.waypoints or ()
-        return tuple(rows[k] for k in distinct(rows)) if rows else ()
+    def kept(self) -> str:
+        """What of the tool's orientation counts: ``pose``, ``axis`` or ``position``."""
+        return self.keep if isinstance(self.keep, str) else "axis"
 
     @property
     def merged(self) -> int:
-        """How many waypoints are at the place of the one before."""
-        return len(self.waypoints or ()) - len(self.passed)
+        """How many waypoints are at the place of the one before, and turned as that is."""
+        return merged(*waypoint_poses(self.waypoints), self.kept) if self.waypoints else 0
 
     def _check_leads(self) -> None:
         rests = self.raster is not None and self.blend_radius_m is None
@@ -254,7 +258,7 @@ class PathFile(FileModel):
             return f"a raster of {rows} over {area}{'' if self.raster.cylinder is None else ' of a cylinder'}"
         if self.waypoints is not None:
             merged = f" ({self.merged} more at the place of the one before)" if self.merged else ""
-            return f"a spline through {counted(len(self.passed), 'waypoint')}{merged}"
+            return f"a path through {counted(len(self.waypoints) - self.merged, 'waypoint')}{merged}"
         return counted(len(self.legs), "leg")
 
 

@@ -1,5 +1,6 @@
 """Waypoints that repeat a place, nearly do, or turn the tool where it is."""
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -8,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from small_scenes import short_scene
-from timed_paths import check_path, scene_of
+from timed_paths import check_described, check_path, scene_of
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError, SceneError
 from cmbot.planning import plan, precheck_scene, remarks, robot_of, strokes_of
 from cmbot.scene import Scene
-from cmbot.toolpath import ToolPath
+from cmbot.toolpath import Line, Spline, ToolPath
 
 DOWN = [0.0, 0, 1, 0]  # half a turn about y
 WAY: dict[str, Any] = {"speed_m_s": 0.05, "via_points": 16}
@@ -31,7 +32,8 @@ def path_of(scene: Scene) -> ToolPath:
 
 
 def way_of(rows: FloatArray | list[list[float]], **changes: Any) -> Scene:
-    return scene_of(waypoints=np.asarray(rows).tolist(), **{"seconds": 4, **changes})
+    smooth = {"seconds": 4, "corner_deg": 180}
+    return scene_of(waypoints=np.asarray(rows).tolist(), **{**smooth, **changes})
 
 
 CLOSED = [[x, y, 0.1, *DOWN] for x, y in ((0, 0), (0.3, 0), (0.3, 0.2), (0, 0.3), (0, 0))]
@@ -59,8 +61,7 @@ def test_what_repeats_a_place_changes_nothing(seed: int, exactly: bool, closed: 
     assert len(merged.strokes[0].waypoints or ()) == len(again)
     (stroke,) = merged.strokes
     assert stroke.merged == len(again) - len(rows)
-    assert stroke.passed == alone.strokes[0].waypoints
-    assert stroke.in_words.startswith("a spline through 5 waypoints")
+    assert stroke.in_words.startswith("a path through 5 waypoints")
 
 
 def test_a_path_may_come_back_to_where_it_was() -> None:
@@ -87,11 +88,17 @@ CONE = {"axis_within_deg": 10}
 
 
 @pytest.mark.parametrize(("rows", "keep"), [(TURN, "pose"), (TURN, "axis"), (TURN, CONE), (ROLL, "pose")])
-def test_a_turn_in_place_is_refused(rows: list[list[float]], keep: Any) -> None:
-    with pytest.raises(SceneError, match="got a turn by 20 deg at the place of the waypoint") as caught:
-        way_of(rows, keep=keep)
-    assert caught.value.key == "tool_path.waypoints[2]"
-    assert "legs, of which one turns the tool where it is" in caught.value.expected
+def test_a_turn_in_place_is_a_leg(rows: list[list[float]], keep: Any) -> None:
+    scene = way_of(rows, keep=keep, corner_deg=15)
+    check_described(scene, scene.timed_strokes(np.eye(4))[0], np.eye(4))
+    path = path_of(scene)
+    assert len(path.seconds) == 3 and scene.strokes[0].merged == 0
+    begin, end = path.leg_times[1:3]
+    np.testing.assert_allclose(path.position([begin, end]), np.array(rows)[[1, 2], :3], atol=1e-12)
+    R = path.rotation([begin, end])
+    angle = np.degrees(Rotation.from_matrix(R[0].T @ R[1]).magnitude())
+    assert angle == pytest.approx(20)
+    np.testing.assert_allclose(path.velocity([begin, end]), 0, atol=1e-12)
 
 
 @pytest.mark.parametrize(("rows", "keep"), [(TURN, "position"), (ROLL, "axis"), (ROLL, CONE)])
@@ -100,7 +107,6 @@ def test_a_turn_that_is_not_prescribed_is_none(rows: list[list[float]], keep: An
 
 
 def test_legs_turn_the_tool_where_it_is() -> None:
-    """What the error about waypoints says to do."""
     scene = scene_of(
         legs=[
             {"by": [0.3, 0, 0], "seconds": 2},
@@ -116,16 +122,10 @@ def test_legs_turn_the_tool_where_it_is() -> None:
     assert np.degrees(angle) == pytest.approx(20)
 
 
-@pytest.mark.parametrize(
-    ("rows", "got"),
-    [
-        ([CLOSED[0]] * 4, "4 waypoints at 1 place"),
-        ([CLOSED[0], CLOSED[1], CLOSED[1]], "3 waypoints at 2 places"),
-        ([CLOSED[0], CLOSED[0], CLOSED[1]], "3 waypoints at 2 places"),
-    ],
-)
-def test_places_that_are_too_few(rows: list[list[float]], got: str) -> None:
-    with pytest.raises(SceneError, match=f"tool_path.waypoints: got {got}, expected 3 places or more"):
+@pytest.mark.parametrize("rows", [[CLOSED[0]] * 4, [CLOSED[0], [*CLOSED[0][:2], 0.10005, *DOWN]]])
+def test_places_that_are_too_few(rows: list[list[float]]) -> None:
+    got = f"{len(rows)} waypoints at one place"
+    with pytest.raises(SceneError, match=f"tool_path.waypoints: got {got}, expected places 0.1 mm apart"):
         way_of(rows)
     scene = way_of(CLOSED)
     with pytest.raises(InputError, match=got):
@@ -137,7 +137,7 @@ def test_nothing_that_is_no_number() -> None:
         way_of([CLOSED[0], [np.nan, *CLOSED[1][1:]], CLOSED[2]])
 
 
-def test_a_plan_says_how_many_were_merged() -> None:
+def test_a_plan_says_how_many_were_merged_and_where_it_rests() -> None:
     scene = short_scene()
     pose = strokes_of(scene, robot_of(scene))[0].path.poses([0.0])
     orientation = Rotation.from_matrix(pose.rotation.reshape(3, 3)).as_quat(scalar_first=True).tolist()
@@ -146,5 +146,85 @@ def test_a_plan_says_how_many_were_merged() -> None:
     repeated = short_scene(tool_path={"legs": [], "waypoints": rows, **WAY})
     said = "2 waypoints are merged with the one before, less than 0.1 mm away."
     assert said in list(remarks(plan(repeated, progress=False)))
+    last = [*(pose.point[0] + [0, -0.1, 0.1]).tolist(), *orientation]
+    square = [rows[0], rows[2], [*(pose.point[0] + [0, -0.1, 0]).tolist(), *orientation], last]
+    cornered = short_scene(tool_path={"legs": [], "waypoints": square, "seconds": 8, "via_points": 16})
+    told = list(remarks(plan(cornered, progress=False)))
+    assert "It rests at 1 waypoint, corners and turns in place (corner_deg)." in told
     found = dict(precheck_scene(repeated).found)
-    assert found["tool path"].startswith("a spline through 3 waypoints (2 more at the place of the one")
+    assert found["tool path"].startswith("a path through 3 waypoints (2 more at the place of the one")
+
+
+# Corners
+
+
+def rounded_square(rng: np.random.Generator, noise: float) -> FloatArray:
+    """A square of dense waypoints, each off by `noise` at most."""
+    corners = np.array([[0, 0], [0.3, 0], [0.3, 0.3], [0, 0.3], [0, 0]])
+    steps = np.linspace(0, 1, 41)[:-1, None]
+    sides = [a + steps * (b - a) for a, b in pairwise(corners)]
+    xy = np.concatenate([*sides, corners[-1:]])
+    xy[1:-1] += rng.uniform(-noise, noise, xy[1:-1].shape) / np.sqrt(2)
+    rows = np.tile([0.0, 0, 0.1, *DOWN], (len(xy), 1))
+    rows[:, :2] = xy
+    return rows
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_corners_of_dense_waypoints_are_rested_at(noise: float, rng: np.random.Generator) -> None:
+    """Noise below a quarter of the tolerance, 1 mm, makes none; sides are lines."""
+    rows = rounded_square(rng, noise)
+    path = path_of(way_of(rows, corner_deg=15))
+    assert [type(segment.curve) for segment in path.segments] == [Line] * 4
+    np.testing.assert_allclose(path.corners, rows[[0, 40, 80, 120, 160], :3], atol=1e-12)
+    np.testing.assert_allclose(path.velocity(path.leg_times), 0, atol=1e-9)
+    t = np.linspace(0, path.duration, 4001)
+    away = np.linalg.norm(path.position(t)[:, None] - rows[None, :, :3], axis=2).min(axis=0)
+    assert away.max() < 0.25e-3
+
+
+def test_what_bends_evenly_is_no_corner() -> None:
+    """A circle of 12 waypoints bends by 30 degrees at each; with one that is moved it has corners."""
+    angle = np.radians(np.arange(0, 361, 30))
+    rows = np.tile([0.0, 0, 0.1, *DOWN], (len(angle), 1))
+    rows[:, 0], rows[:, 1] = 0.2 * np.cos(angle), 0.2 * np.sin(angle)
+    (segment,) = path_of(way_of(rows, corner_deg=15)).segments
+    assert isinstance(segment.curve, Spline) and len(segment.curve.points) == len(rows)
+    rows[6, :2] *= 0.2
+    assert len(path_of(way_of(rows, corner_deg=15)).seconds) > 1
+
+
+def test_corners_between_lines_are_blended(rng: np.random.Generator) -> None:
+    scene = way_of(rounded_square(rng, 0.0), corner_deg=15, blend_radius_m=0.03)
+    path = path_of(scene)
+    assert len(path.seconds) == 1
+    assert float(path.lengths[0]) == pytest.approx(1.2 - 3 * (2 - np.pi / 2) * 0.03, rel=1e-6)
+
+
+def test_of_dense_waypoints_on_a_curve_some_are_passed_and_all_are_near(rng: np.random.Generator) -> None:
+    u = np.linspace(0, 1, 400)
+    rows = np.tile([0.0, 0, 0.1, *DOWN], (len(u), 1))
+    rows[:, 0], rows[:, 1] = u, 0.1 * np.sin(2 * np.pi * u)
+    rows[1:-1, :3] += rng.uniform(-1e-4, 1e-4, (398, 3))
+    scene = way_of(rows, corner_deg=15)
+    path = path_of(scene)
+    (segment,) = path.segments
+    assert isinstance(segment.curve, Spline) and len(segment.curve.points) < 60
+    points = path.position(np.linspace(0, path.duration, 40_001))
+    for row in rows[::7]:
+        assert np.linalg.norm(points - row[:3], axis=1).min() < 0.26e-3
+    check_described(scene, scene.timed_strokes(np.eye(4))[0], np.eye(4))
+
+
+def test_turns_in_place_to_and_fro_about_two_axes() -> None:
+    """As TORM's `rot_yz`: fixed axes one after the other, each as one leg."""
+    angles = np.concatenate(
+        [np.linspace(0, 45, 10), np.linspace(45, -45, 19)[1:], np.linspace(-45, 0, 10)[1:]]
+    )
+    turns = [(0, angle, 0) for angle in angles] + [(0, 0, angle) for angle in angles[1:]]
+    rows = [[0.1, 0.2, 0.3, *turned(*turn)] for turn in turns]
+    path = path_of(way_of(rows, corner_deg=15))
+    assert len(path.seconds) == 6
+    sizes = np.degrees([np.linalg.norm(segment.turn) for segment in path.segments])
+    np.testing.assert_allclose(sizes, [45, 90, 45, 45, 90, 45], atol=1e-6)
+    np.testing.assert_allclose(path.seconds / path.seconds.sum(), np.array(sizes) / 360, atol=1e-9)

@@ -1,0 +1,164 @@
+"""Files of waypoints: columns by their names, in whatever order and with whatever else is there."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+from scipy.spatial.transform import Rotation
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import SceneError
+from cmbot.common.fields import Angles, Vector
+from cmbot.common.poses import pose
+from cmbot.common.text_table import TextTable, read_table
+from cmbot.common.validation import FileModel, counted
+from cmbot.toolpath import shortest_turns
+
+_LARGEST_TABLE = 5_000_000
+_PLACE = ("x", "y", "z")
+_QUATERNION = ("qw", "qx", "qy", "qz")
+_ANGLES = ("roll", "pitch", "yaw")
+_NORMALS = (("nx", "ny", "nz"), ("i", "j", "k"))
+_TIMES = ("seconds", "time", "t")
+_IN_METRES = {"": 1.0, "m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}
+_ORIENTATIONS = "qw,qx,qy,qz or roll,pitch,yaw or nx,ny,nz or i,j,k"
+# Names that are no columns of anything: numbers of rows.
+_ROW_NUMBERS = ("", "index", "id", "n", "#")
+# A unit quaternion up to what files round; a direction shorter than this is none.
+_LENGTH_OF_QUATERNION, _NO_NORMAL = 1e-3, 1e-9
+
+
+class WaypointFile(FileModel):
+    """A table of waypoints, and where its coordinates are."""
+
+    file: Annotated[str, Field(min_length=1, max_length=4096)]
+    """Its path, relative to the scene file."""
+    units: Literal["m", "mm", "cm", "in"] = "m"
+    """Of places whose columns name no unit."""
+    xyz: Vector = (0.0, 0.0, 0.0)
+    """Where the table's origin is in W, m."""
+    rpy_deg: Angles = (0.0, 0.0, 0.0)
+    """How its axes are turned: roll, pitch, yaw as in URDF."""
+
+
+def read_waypoints(path: Path, given: WaypointFile, keep: object) -> tuple[list[list[float]], float | None]:
+    """Read a file of waypoints.
+
+    Places are in the columns ``x,y,z``. Orientations are in ``qw,qx,qy,qz``, in any order, or in
+    ``roll,pitch,yaw``, rad, with the suffix ``_deg`` in degrees. With ``nx,ny,nz``, normals of a surface that
+    the tool's axis points against, or ``i,j,k``, the same of machine tools, only the axis is known. Times are
+    in ``seconds``, ``time`` or ``t``.
+
+    Parameters
+    ----------
+    path : Path
+    given : WaypointFile
+        Units and pose of its coordinates.
+    keep : object
+        What the scene keeps of the tool, as its file has it.
+
+    Returns
+    -------
+    rows : list of list of float
+        Point, m, and unit quaternion (w, x, y, z) of the tool in W, of each waypoint.
+    seconds : float or None
+        From the first to the last; None without times.
+
+    Raises
+    ------
+    SceneError
+        When it is no such file, or has less of the tool's pose than is kept.
+    """
+    table = read_table(path, SceneError, kind="a table of waypoints", largest=_LARGEST_TABLE)
+    places = [table.index(name) for name in _PLACE]
+    if None in places:
+        got = f"the columns {','.join(table.names)}" if table.names else "no names of columns"
+        raise SceneError(table.source, "line 1", got, f"the columns x,y,z, and {_ORIENTATIONS}")
+    used = [k for k in places if k is not None]
+    scales = [_IN_METRES.get(table.units[k].lower()) for k in used]
+    if None in scales:
+        unit = table.units[used[scales.index(None)]]
+        raise SceneError(table.source, "line 1", f"the unit {unit}", "m, mm, cm or in")
+    units = [
+        _IN_METRES[given.units] if not table.units[k] else scale
+        for k, scale in zip(used, scales, strict=True)
+    ]
+    points = table.numbers(used) * np.array(units, dtype=float)
+    quaternions = _orientations(table, keep, used)
+    time = table.index(*_TIMES)
+    seconds = None
+    if time is not None:
+        used.append(time)
+        t = table.numbers([time])[:, 0]
+        seconds = float(t[-1] - t[0]) if (np.diff(t) >= 0).all() and t[-1] > t[0] else None
+    unknown = [name for k, name in enumerate(table.names) if k not in used and name not in _ROW_NUMBERS]
+    if unknown:
+        verb = "is" if len(unknown) == 1 else "are"
+        what = f"{counted(len(unknown), 'column')} of {path.name} {verb} not read: {', '.join(unknown[:5])}"
+        warnings.warn(what, stacklevel=2)
+    if any((*given.xyz, *given.rpy_deg)):
+        X = pose(given.xyz, np.radians(given.rpy_deg))
+        points = points @ X[:3, :3].T + X[:3, 3]
+        turned = Rotation.from_matrix(X[:3, :3]) * Rotation.from_quat(quaternions, scalar_first=True)
+        quaternions = turned.as_quat(scalar_first=True)
+    return np.hstack([points, quaternions]).tolist(), seconds
+
+
+def _orientations(table: TextTable, keep: object, used: list[int]) -> FloatArray:
+    """Quaternions (N, 4), w first, in the coordinates of a table; their columns are added to those `used`."""
+    quaternion = [table.index(name) for name in _QUATERNION]
+    if None not in quaternion:
+        columns = [k for k in quaternion if k is not None]
+        used += columns
+        numbers = table.numbers(columns)
+        size = np.linalg.norm(numbers, axis=1)
+        if (wrong := np.flatnonzero(np.abs(size - 1.0) > _LENGTH_OF_QUATERNION)).size:
+            key = f"line {table.lines[wrong[0]]}"
+            raise SceneError(table.source, key, f"a quaternion of length {size[wrong[0]]:.3g}", "a unit one")
+        return numbers
+    for suffix, factor in (("", 1.0), ("_deg", np.pi / 180)):
+        angles = [table.index(f"{name}{suffix}") for name in _ANGLES]
+        if None not in angles:
+            columns = [k for k in angles if k is not None]
+            used += columns
+            in_degrees = np.pi / 180 if table.units[columns[0]].lower() in ("deg", "°") else factor
+            turns = in_degrees * table.numbers(columns)
+            return np.asarray(Rotation.from_euler("xyz", turns).as_quat(scalar_first=True))
+    for names in _NORMALS:
+        normals = [table.index(name) for name in names]
+        if None not in normals:
+            if keep in (None, "pose"):
+                got = f"the columns {','.join(names)}, which say where the tool's axis is"
+                raise SceneError(table.source, "line 1", got, "keep: axis, or another cone, in the scene")
+            columns = [k for k in normals if k is not None]
+            used += columns
+            return _against(table.numbers(columns), table, names)
+    if keep != "position":
+        raise SceneError(table.source, "line 1", "places alone", f"{_ORIENTATIONS}, or keep: position")
+    return np.tile([1.0, 0.0, 0.0, 0.0], (len(table.rows), 1))
+
+
+def _against(normals: FloatArray, table: TextTable, names: tuple[str, ...]) -> FloatArray:
+    """Quaternions (N, 4) of z axes that point against normals (N, 3), each turned least from the last."""
+    size = np.linalg.norm(normals, axis=1)
+    if (wrong := np.flatnonzero(size < _NO_NORMAL)).size:
+        key = f"line {table.lines[wrong[0]]}, {names[0]}"
+        raise SceneError(table.source, key, "a direction of no length", "a direction")
+    found, R = np.empty((len(normals), 4)), np.diag([1.0, -1.0, -1.0])
+    for k, axis in enumerate(-normals / size[:, None]):
+        R = Rotation.from_rotvec(shortest_turns(R[None, :, 2], axis[None])[0]).as_matrix() @ R
+        found[k] = Rotation.from_matrix(R).as_quat(scalar_first=True)
+    return found
+
+
+def given_file(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Return what ``waypoints`` of a path says of a file; None where it has rows, or none."""
+    given = entry.get("waypoints")
+    if isinstance(given, str):
+        return {"file": given}
+    return given if isinstance(given, Mapping) else None
