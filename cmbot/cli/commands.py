@@ -58,6 +58,7 @@ _INSTEAD = {
 }
 
 
+_NO_MEMORY = "failed to map segment"
 # What to do with a file that was given in place of another one, by what its format begins with.
 _OTHER_FILES = {
     "cmbot-scene": "cmbot plan {file} plans it",
@@ -110,6 +111,12 @@ def _run(words: Sequence[str]) -> int:
         else:
             _print_error(str(error))
         return exit_status(error)
+    except (MemoryError, ImportError) as error:
+        # Libraries are mapped when they are first used.
+        if _debugging() or not (isinstance(error, MemoryError) or _NO_MEMORY in str(error)):
+            raise
+        _print_error("there is not enough memory: close other programs, or raise the limit (ulimit -v)")
+        return ExitStatus.FAILED
 
 
 def _called(words: Sequence[str]) -> int:
