@@ -6,6 +6,7 @@ import atexit
 import gc
 import io
 import os
+import resource
 import sys
 import traceback
 import warnings
@@ -58,7 +59,6 @@ _INSTEAD = {
 }
 
 
-_NO_MEMORY = "failed to map segment"
 # What to do with a file that was given in place of another one, by what its format begins with.
 _OTHER_FILES = {
     "cmbot-scene": "cmbot plan {file} plans it",
@@ -112,8 +112,10 @@ def _run(words: Sequence[str]) -> int:
             _print_error(str(error))
         return exit_status(error)
     except (MemoryError, ImportError) as error:
-        # Libraries are mapped when they are first used.
-        if _debugging() or not (isinstance(error, MemoryError) or _NO_MEMORY in str(error)):
+        # Libraries are mapped when they are first used: under a limit that may fail.
+        limited = resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY
+        missing = isinstance(error, ModuleNotFoundError) or not limited
+        if _debugging() or (isinstance(error, ImportError) and missing):
             raise
         _print_error("there is not enough memory: close other programs, or raise the limit (ulimit -v)")
         return ExitStatus.FAILED
