@@ -27,7 +27,7 @@ from cmbot import load_scene
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import PlanningError
 from cmbot.planning import GlobalSearch, LowerBound
-from cmbot.planning.path.projection import null_space, project_onto_task
+from cmbot.planning.postures.projection import null_space, project_onto_task
 from cmbot.planning.request import StrokeRequest, build_request
 from cmbot.toolpath import ToolPoses
 
@@ -79,7 +79,7 @@ def _allowed(request: StrokeRequest, q: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def _clear(request: StrokeRequest, q: FloatArray) -> BoolArray:
-    return ~request.cell.clearances.check_collision(q, request.cell.options.safety_margin_m)
+    return request.cell.clear(q)
 
 
 def _descended(

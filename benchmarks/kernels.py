@@ -166,24 +166,28 @@ def _smallest(robot: Robot, scene: Scene, number: int) -> list[Way]:
         return least
 
     def one_by_one() -> FloatArray:
-        return np.array([clearances.smallest(q_k[None]).distance[0] for q_k in q])
+        return np.array([clearances.query(q_k[None]).distance[0] for q_k in q])
 
     return [
         ("coal on all pairs", False, all_pairs),
         ("one by one, remembering", False, one_by_one),
-        ("many in one call", True, lambda: clearances.smallest(q).distance),
+        ("many in one call", True, lambda: clearances.query(q).distance),
     ]
 
 
 def _collision_check(robot: Robot, scene: Scene, number: int) -> list[Way]:
     clearances, (q, _, _) = Clearances(robot, scene.all_obstacles), states(robot, number)
+
+    def near(some: FloatArray) -> FloatArray:
+        return (clearances.query(some, _MARGIN).distance < _MARGIN).astype(float)
+
     return [
         (
             "coal until a pair is",
             False,
-            lambda: np.hstack([clearances.check_collision(q_k[None], _MARGIN) for q_k in q]).astype(float),
+            lambda: np.hstack([near(q_k[None]) for q_k in q]),
         ),
-        ("many in one call", True, lambda: clearances.check_collision(q, _MARGIN).astype(float)),
+        ("many in one call", True, lambda: near(q)),
     ]
 
 

@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cmbot
 from cmbot.cli.command import Writing, argument, option, options_named
@@ -36,6 +36,11 @@ class IdentifyCommand(Writing):
         complete=complete_scene,
     )
     output: Path | None = option(None, "File to write; named by FILE if left out.", "--output", "-o")
+    table: Path | None = option(
+        None,
+        "With a scene: a table of deflections, a posture a row: the joints, weight_kg, dx, dy, dz (mm).",
+        metavar="FILE",
+    )
     propose: int | None = option(None, "Propose so many postures to measure in.", least=1, most=100)
     job: Path | None = option(None, "With --propose: a plan directory, whose motion counts.")
     weight: float | None = option(None, "With --propose: kg that are hung on; 5 if left out.")
@@ -48,12 +53,18 @@ class IdentifyCommand(Writing):
             self._propose(self.propose)
             return
         from cmbot.archive import write_file
-        from cmbot.identification import stiffness_text
+        from cmbot.identification import read_deflections, stiffness_text
 
-        target = self.output or Path(f"{self.sources[-1].removesuffix('.yaml')}.stiffness.yaml")
-        found = cmbot.identify(*self.sources, accept_misfit=self.accept_misfit)
+        named = self.sources if self.table is None else (str(self.table),)
+        target = self.output or Path(f"{Path(named[-1]).with_suffix('')}.stiffness.yaml")
+        sheets: Sequence[Any] = self.sources
+        if self.table is not None:
+            if len(self.sources) > 1:
+                raise InputError(self.sources[1], "", "a second file", "one scene with --table")
+            sheets = read_deflections(self.table, self.sources[0])
+        found = cmbot.identify(*sheets, accept_misfit=self.accept_misfit)
         require_new(target, self.force)
-        names = ", ".join(Path(source).name for source in self.sources)
+        names = ", ".join(Path(source).name for source in named)
         write_file(target, stiffness_text(found.stiffness, names).encode())
         self.answer(
             lambda: {"file": str(target), **_summary(found)}, lambda: _print_identification(found, target)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import MISSING, dataclass
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -16,7 +16,7 @@ from cmbot.cli.signals import interrupt_taken
 from cmbot.common.errors import PlanningError, one_line
 
 if TYPE_CHECKING:
-    from cmbot.stances import Standing
+    from cmbot.stances import Bounds, StanceRanking
     from cmbot.stances.walking import Tour, Walk
 
 _SHOWN = 10
@@ -33,11 +33,11 @@ _MEMBERS = "A post or rail that feet hold at work; may be repeated; else all."
 class StandCommand(Writing):
     """Find where the robot should stand for jobs: stances screened by bounds, the best planned.
 
-    For scenes of the shipped robot alone, an arm on a climber that holds a guardrail. Strokes that no
-    stance does together are done from several, as few as possible. Writes a ranked table, a page with a
-    map, and the scene with the best stance: best.yaml, or best_1.yaml and so on. The scene's own stance is
-    planned first: no worse one is written. Ctrl-C keeps the best so far. Exit status 3 where none was
-    planned.
+    For the shipped robot, an arm on a climber that holds a guardrail, and for any arm with mounts in its
+    scene. Strokes that no stance does together are done from several, as few as possible. A stance counts
+    only with the way from the stow posture and back. Writes a ranked table, a page with a map, and the scene
+    with the best stance: best.yaml, or best_1.yaml and so on. The scene's own stance is planned first: no
+    worse one is written. Ctrl-C keeps the best so far. Exit status 3 where none was planned.
 
     Examples: cmbot stand line --objective hold, then cmbot plan out/line_stances/best.yaml;
     cmbot stand left.yaml right.yaml -o out/both
@@ -45,20 +45,26 @@ class StandCommand(Writing):
 
     scenes: tuple[str, ...] = argument(_SCENES, "SCENE", complete=complete_scene)
     output: Path | None = option(None, "Folder to write; out/NAME_stances if left out.", "--output", "-o")
-    objective: Literal["torque", "hold"] | None = option(None, "torque or hold, in place of the scene's.")
+    objective: Literal["torque", "hold", "sag", "sway"] | None = option(
+        None, "torque, hold, sag or sway, in place of the scene's."
+    )
     plans: int = option(3, "How many of the best stances to plan.", least=0)
     spacing: float = option(0.05, "Metres between places of foot 1.", least=0.01)
     pair_spacing: float = option(0.15, "Metres between places of two feet.", least=0.05)
     one_foot: bool = option(False, "Leave foot 2 free.")
-    max_torque: float | None = option(None, "Newton metres on the guardrail at work at most.", least=0.0)
+    max_base_torque_nm: float | None = option(None, "Torque on the base over the job.", least=0.0)
+    max_adhesion_n: float | None = option(None, "Adhesion needed over the job.", least=0.0)
+    max_sag_mm: float | None = option(None, "Sag of the tool at work.", least=0.0)
+    max_sway_mm: float | None = option(None, "Sway by 1 m/s2 of the deck.", least=0.0)
+    max_travel_deg: float | None = option(None, "Travel of all joints together.", least=0.0)
+    max_seconds: float | None = option(None, "Duration of the job.", least=0.0)
+    proofs: int = option(1000, "How many bounds of other mounts to prove.", least=0)
     members: tuple[str, ...] = option((), _MEMBERS, "--on", metavar="MEMBER")
     time_limit: float | None = option(None, "Seconds after which the best so far is kept.", least=0.0)
 
     def __call__(self) -> int:
         started = time.perf_counter()
         loaded = [cmbot.load_scene(scene) for scene in self.scenes]
-        if self.objective is not None:
-            loaded = [scene.with_options(objective=self.objective) for scene in loaded]
         name = "_".join(each.name for each in loaded)
         directory = self.output or Path("out") / f"{name}_stances"
         from cmbot.archive import STANCES_FILE, require_absent, write_results
@@ -70,33 +76,42 @@ class StandCommand(Writing):
             pair_spacing=float("inf") if self.one_foot else self.pair_spacing,
             plans=self.plans,
             members=self.members,
-            max_torque=float("inf") if self.max_torque is None else self.max_torque,
+            objective=self.objective,
+            bounds=self._bounds,
+            proofs=self.proofs,
             time_limit=float("inf") if self.time_limit is None else self.time_limit,
         )
 
-        def work(progress: ConsoleProgress) -> Sequence[Standing]:
-            standings = find(loaded, options, progress.stage)
-            if _stopped(standings):
+        def work(progress: ConsoleProgress) -> Sequence[StanceRanking]:
+            rankings = find(loaded, options, progress.stage)
+            if _stopped(rankings):
                 interrupt_taken()
-            return standings
+            return rankings
 
-        def write(standings: Sequence[Standing]) -> None:
-            contents = _contents(standings, name)
-            write_results(directory, STANCES_FILE, _summary(standings), contents, force=self.force)
+        def write(rankings: Sequence[StanceRanking]) -> None:
+            contents = _contents(rankings, name)
+            write_results(directory, STANCES_FILE, _summary(rankings), contents, force=self.force)
 
         def say() -> None:
-            _print_standings(standings)
+            _print_rankings(rankings)
             _print_written(directory, started)
 
         files = (*_FILES, STANCES_FILE, "best.yaml", "best_1.yaml")
-        standings = self.work_in(
+        rankings = self.work_in(
             directory, lambda: require_absent(directory, files, force=self.force), work, write, self.scenes
         )
-        if self.plans and not _stopped(standings):
+        if self.plans and not _stopped(rankings):
             with scenes_named(*self.scenes):
-                _require_planned(standings, directory)
-        self.answer(lambda: _summary(standings), say, directory)
-        return ExitStatus.STOPPED if _stopped(standings) else ExitStatus.DONE
+                _require_planned(rankings, directory)
+        self.answer(lambda: _summary(rankings), say, directory)
+        return ExitStatus.STOPPED if _stopped(rankings) else ExitStatus.DONE
+
+    @property
+    def _bounds(self) -> Bounds:
+        from cmbot.stances import Bounds
+
+        given = {field.name: getattr(self, f"max_{field.name}") for field in fields(Bounds)}
+        return Bounds(**{name: value for name, value in given.items() if value is not None})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,7 +187,7 @@ class TourCommand(Reporting):
         from cmbot.stances.walking import WalkOptions, tour_data
         from cmbot.stances.walking import tour as find
 
-        standing = StandOptions(plans=self.plans, pair_spacing=self.spacing, members=self.members)
+        ranking = StandOptions(plans=self.plans, pair_spacing=self.spacing, members=self.members)
         walking = WalkOptions(spacing=self.spacing, speed=self.speed)
 
         def say() -> None:
@@ -187,34 +202,34 @@ class TourCommand(Reporting):
         found = self.work_in(
             directory,
             lambda: require_new_folder(directory),
-            lambda progress: find(loaded, standing, walking, progress.stage),
+            lambda progress: find(loaded, ranking, walking, progress.stage),
             lambda found: _write_tour(directory, found),
             self.scenes,
         )
         self.answer(lambda: tour_data(found), say, directory)
 
 
-def _stopped(standings: Sequence[Standing]) -> bool:
-    return any(standing.ended_by == "interrupt" for standing in standings)
+def _stopped(rankings: Sequence[StanceRanking]) -> bool:
+    return any(ranking.ended_by == "interrupt" for ranking in rankings)
 
 
-def _require_planned(standings: Sequence[Standing], directory: Path) -> None:
+def _require_planned(rankings: Sequence[StanceRanking], directory: Path) -> None:
     """Refuse a search without a plan, and say where the reasons are."""
     from cmbot.stances import require_planned
 
     try:
-        require_planned(standings)
+        require_planned(rankings)
     except PlanningError as error:
         error.add_hint(f"{one_line(directory / _FILES[0])} has the reason of each")
         raise
 
 
-def _print_standings(standings: Sequence[Standing]) -> None:
+def _print_rankings(rankings: Sequence[StanceRanking]) -> None:
     from cmbot.stances import shared_out
 
-    for number, standing in enumerate(standings, start=1):
-        _print_standing(standing, f"Stances {number}" if len(standings) > 1 else "Stances")
-    _print_lines(shared_out(standings))
+    for number, ranking in enumerate(rankings, start=1):
+        _print_ranking(ranking, f"Stances {number}" if len(rankings) > 1 else "Stances")
+    _print_lines(shared_out(rankings))
 
 
 def _print_lines(lines: Iterable[str]) -> None:
@@ -228,16 +243,16 @@ def _print_written(directory: Path, started: float) -> None:
     out.print(f"Look at it: open {one_line(directory / 'index.html')} in a browser.")
 
 
-def _print_standing(standing: Standing, title: str) -> None:
+def _print_ranking(ranking: StanceRanking, title: str) -> None:
     from cmbot.stances import bounds_table, in_words, planned_table
 
-    headings, rows = planned_table(standing)
+    headings, rows = planned_table(ranking)
     if rows:
         print_table(f"{title}, planned", headings, rows, text_columns=2)
-    headings, rows = bounds_table(standing, _SHOWN)
+    headings, rows = bounds_table(ranking, _SHOWN)
     if rows:
         print_table(f"{title}, not planned: bounds (estimates)", headings, rows, text_columns=4)
-    _print_lines(in_words(standing))
+    _print_lines(in_words(ranking))
 
 
 def _write_tour(directory: Path, found: Tour) -> None:
@@ -265,37 +280,37 @@ def _write_walk(directory: Path, walked: Walk, *, force: bool = False) -> None:
     write_results(directory, WALK_FILE, walk_data(walked), contents, force=force)
 
 
-def _contents(standings: Sequence[Standing], name: str) -> dict[str, bytes]:
+def _contents(rankings: Sequence[StanceRanking], name: str) -> dict[str, bytes]:
     from cmbot.common.validation import plain
     from cmbot.common.yaml_reader import yaml_text
     from cmbot.stances import best_scene, stances_csv
     from cmbot.views import stances_page
 
-    texts = (stances_csv(standings), stances_page(standings, name))
+    texts = (stances_csv(rankings), stances_page(rankings, name))
     contents = dict(zip(_FILES, texts, strict=True))
-    for number, each in enumerate(standings, start=1):
+    for number, each in enumerate(rankings, start=1):
         if each.plans and each.best is None:
             continue
-        file = "best.yaml" if len(standings) == 1 else f"best_{number}.yaml"
+        file = "best.yaml" if len(rankings) == 1 else f"best_{number}.yaml"
         best = yaml_text(plain(best_scene(each), each.scene.name))
         contents[file] = f"{_MARK}# Metres, seconds, degrees.\n{best}"
     return {file: text.encode() for file, text in contents.items()}
 
 
-def _summary(standings: Sequence[Standing]) -> dict[str, Any]:
+def _summary(rankings: Sequence[StanceRanking]) -> dict[str, Any]:
     from cmbot.stances import in_words, shared_out
 
     each = [
         {
-            "strokes": list(standing.strokes),
-            "candidates": len(standing.ranked),
-            **{name: standing.count(name.replace("_", " ")) for name in _STATUSES},
-            "best": standing.ranked[0].place,
-            "words": list(in_words(standing)),
+            "strokes": list(ranking.strokes),
+            "candidates": len(ranking.ranked),
+            **{name: ranking.count(name.replace("_", " ")) for name in _STATUSES},
+            "best": ranking.ranked[0].place,
+            "words": list(in_words(ranking)),
         }
-        for standing in standings
+        for ranking in rankings
     ]
-    return each[0] if len(each) == 1 else {"stances": each, "words": list(shared_out(standings))}
+    return each[0] if len(each) == 1 else {"stances": each, "words": list(shared_out(rankings))}
 
 
-_STATUSES = ("planned", "screened", "failed", "too_much_torque", "blocked", "no_posture", "out_of_reach")
+_STATUSES = ("planned", "screened", "failed", "beyond_a_bound", "blocked", "no_posture", "out_of_reach")

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -34,8 +35,7 @@ _GJK_TOLERANCE = 1e-10
 _T = TypeVar("_T")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Smallest:
+class Smallest(NamedTuple):
     """The smallest distance in each of N postures.
 
     Attributes
@@ -117,30 +117,42 @@ class Clearances:
         self._avoidable = np.array([pair.avoidable for pair in self.pairs], dtype=np.bool_)
         self._any_avoidable = bool(self._avoidable.any())
         self._margin = np.nan
+        self._all = (self._model, self._data, self._geometry, self._geometry_data)
 
-    def smallest(self, q: FloatArray, *, avoidable_only: bool = False) -> Smallest:
-        """Return the smallest distance in each of the postures `q` (N, n).
+    def query(
+        self, q: FloatArray, below: float | FloatArray | None = None, *, avoidable_only: bool = False
+    ) -> Smallest:
+        """Return the smallest distance in each of the postures `q` (N, n), and its pair.
 
         Quickest for many postures in one call, or for one that is near the last.
 
         Parameters
         ----------
         q : (N, n), rad
+        below : float or (N,), m, optional
+            Say only whether it is below this: as distances then count minus infinity, of a pair that is
+            nearer, and infinity. A posture that is not finite counts as one of overlapping shapes.
         avoidable_only : bool
             Leave out the arm with itself and the tool with a workpiece, as H of Eq. (17) does here.
         """
         left_out = ~self._avoidable & avoidable_only
         distance, pair = np.full(len(q), np.inf), np.full(len(q), -1, dtype=np.intp)
-        if not left_out.all():
-            # coal takes shapes at positions that are not finite for touching.
-            known: BoolArray = np.all(np.isfinite(q), axis=1)
+        # coal takes shapes at positions that are not finite for touching.
+        known: BoolArray = np.all(np.isfinite(q), axis=1)
+        if below is not None:
+            if isinstance(below, np.ndarray):
+                pair[known] = self._below(q[known], below[known])
+            else:
+                pair[known] = self._within_margin(q[known], below)
+            distance[(pair >= 0) | ~known] = -np.inf
+        elif not left_out.all():
             distance[~known] = np.nan
             if len(q) < _BROAD_PHASE_FROM:
                 for k in np.flatnonzero(known):
                     distance[k], pair[k] = self._smallest_at(q[k], left_out)
             else:
                 distance[known], pair[known] = self._smallest_of(q[known], left_out)
-        return Smallest(distance=distance, pair=pair)
+        return Smallest(distance, pair)
 
     def lower_bounds(self, q: FloatArray) -> FloatArray:
         """Return lower bounds (N, P), m, of the distances of all pairs in postures `q` (N, n), cheaply."""
@@ -156,55 +168,52 @@ class Clearances:
                 found[item] = self._distance(number)
         return found
 
-    def check_collision(self, q: FloatArray, margin: float) -> BoolArray:
-        """Return in which of the postures `q` (N, n) any distance is below `margin`, m."""
+    def _within_margin(self, q: FloatArray, margin: float) -> IntArray:
+        """A pair (N,) that is nearer than `margin`, m, in each of the postures `q` (N, n); -1 without."""
         if margin != self._margin:
             for request in self._geometry_data.collisionRequests:
                 request.security_margin = margin
             self._margin = margin
+        found = np.full(len(q), -1, dtype=np.intp)
         if len(q) < _BROAD_PHASE_FROM:
-            return np.array([self._collides(q_k, margin) for q_k in q], dtype=np.bool_)
-        # A posture that is not finite counts as a collision, as in coal.
-        near: BoolArray = ~np.all(np.isfinite(q), axis=1)
-        known = np.flatnonzero(~near)
-        for bounds in self._broad_phase.lower_bounds(q[known]):
+            results = self._geometry_data.collisionResults
+            for k, q_k in enumerate(q):
+                pairs = self._cache.near(q_k, margin + _SLACK)
+                if pairs is not None:
+                    self._place_shapes(q_k)
+                    found[k] = self._first_colliding(pairs)
+                elif pin.computeCollisions(*self._all, q_k, True):
+                    # It stops at the first pair: what comes after that is of another posture.
+                    found[k] = next(pair for pair, result in enumerate(results) if result.isCollision())
+            return found
+        for bounds in self._broad_phase.lower_bounds(q):
             row, pair = np.nonzero((bounds.value <= margin + _SLACK).T)
-            for k, pairs in _grouped(known[bounds.block][row], pair.tolist()):
-                self._place_shapes(q[k])
-                near[k] = any(pin.computeCollision(self._geometry, self._geometry_data, p) for p in pairs)
-        return near
+            for k, pairs in _grouped(row, pair.tolist()):
+                self._place_shapes(q[bounds.block][k])
+                found[bounds.block][k] = self._first_colliding(pairs)
+        return found
 
-    def any_below(self, q: FloatArray, least: FloatArray) -> BoolArray:
-        """Return in which of the postures `q` (N, n) any distance is below `least` (N,), m, of its own.
+    def _first_colliding(self, pairs: Iterable[int]) -> int:
+        """The first of some pairs that is nearer than the requests' margin; -1 without."""
+        collide = partial(pin.computeCollision, self._geometry, self._geometry_data)
+        return next((pair for pair in pairs if collide(pair)), -1)
 
-        That is what `smallest` tells, too, for which all distances about as small have to be computed.
-        """
-        # A posture that is not finite counts as a collision, as in coal.
-        below: BoolArray = ~np.all(np.isfinite(q), axis=1)
-        known = np.flatnonzero(~below)
-        for bounds in self._broad_phase.lower_bounds(q[known]):
-            at = known[bounds.block]
-            pair, row = np.nonzero(bounds.value <= least[at] + _SLACK)
+    def _below(self, q: FloatArray, least: FloatArray) -> IntArray:
+        """A pair (N,) that is nearer than `least` (N,), m, in each of the postures `q` (N, n); -1 without."""
+        found = np.full(len(q), -1, dtype=np.intp)
+        for bounds in self._broad_phase.lower_bounds(q):
+            most, block = least[bounds.block], found[bounds.block]
+            pair, row = np.nonzero(bounds.value <= most + _SLACK)
             lower = bounds.tightened(pair, row)
             order = np.lexsort((lower, row))
-            order = order[lower[order] <= least[at][row[order]] + _SLACK]
+            order = order[lower[order] <= most[row[order]] + _SLACK]
             for k, pairs in _grouped(row[order], pair[order].tolist()):
-                self._place_shapes(q[at[k]])
-                below[at[k]] = any(self._distance(number) < least[at[k]] for number in pairs)
-        return below
-
-    def _collides(self, q: FloatArray, margin: float) -> bool:
-        """Whether any distance is below the `margin`, which is the requests', m, in posture `q` (n,)."""
-        pairs = self._cache.near(q, margin + _SLACK) if np.isfinite(q).all() else None
-        if pairs is None:
-            # A posture that is not finite counts as a collision, as in coal.
-            arguments = (self._model, self._data, self._geometry, self._geometry_data)
-            return bool(pin.computeCollisions(*arguments, q, True))
-        self._place_shapes(q)
-        return any(pin.computeCollision(self._geometry, self._geometry_data, pair) for pair in pairs)
+                self._place_shapes(q[bounds.block][k])
+                block[k] = next((p for p in pairs if self._distance(p) < most[k]), -1)
+        return found
 
     def within(self, q: FloatArray, distance: float) -> list[Nearest]:
-        """Return every avoidable pair (see `smallest`) that is nearer than `distance` at `q`."""
+        """Return every avoidable pair (see `query`) that is nearer than `distance` at `q`."""
         if not self._any_avoidable:
             return []
         near = self._cache.lower_bounds(q) <= distance + _SLACK

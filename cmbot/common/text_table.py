@@ -8,6 +8,7 @@ for one with names of the columns before the first row. Units may follow names i
 from __future__ import annotations
 
 import csv
+import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.input_files import read_input
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import counted, shown
+from cmbot.common.validation import counted, hint, shown
 
 _NAME_AND_UNIT = re.compile(r"\s*(.*?)\s*(?:[\[(]\s*([^\])]*?)\s*[\])])?\s*")
 _SEPARATORS = (";", "\t", ",")
@@ -58,6 +59,28 @@ class TextTable:
     def index(self, *names: str) -> int | None:
         """Return the number of the column that has one of some names; None where there is none."""
         return next((self.names.index(name) for name in names if name in self.names), None)
+
+    def joints(self, names: Sequence[str]) -> tuple[FloatArray, list[int]]:
+        """Return the positions (N, n) of joints, rad and m, and the numbers of their columns.
+
+        Each has a column of its name, or ``q1``, ``q2`` and so on, with the suffix ``_deg`` in degrees.
+
+        Raises
+        ------
+        InputError
+            When one has none, or a cell is no finite number.
+        """
+        columns, factors = list[int](), list[float]()
+        for number, joint in enumerate(names, start=1):
+            called = (joint.lower(), f"q{number}")
+            at, in_degrees = self.index(*called), self.index(*(f"{name}_deg" for name in called))
+            column = in_degrees if at is None else at
+            if column is None:
+                expected = f"a column {joint}, {joint}_deg or q{number}{hint(joint.lower(), self.names)}"
+                raise self.error_type(self.source, "line 1", f"no column of joint {joint}", expected)
+            columns.append(column)
+            factors.append(math.radians(1.0) if at is None else 1.0)
+        return self.numbers(columns) * np.array(factors), columns
 
     def numbers(self, columns: Sequence[int]) -> FloatArray:
         """Return the numbers (N, k) of k columns, all finite.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
@@ -106,7 +106,7 @@ def shares(guardrail: Guardrail) -> tuple[FloatArray, ...]:
 
 
 class SharedFrame:
-    """What two feet bear wherever they hold a guardrail, from one frame for all places.
+    """What feet bear and how a guardrail bends wherever they hold it, from one frame for all places.
 
     Parameters
     ----------
@@ -116,19 +116,32 @@ class SharedFrame:
     """
 
     def __init__(self, guardrail: Guardrail, points: FloatArray) -> None:
-        self._points = points
+        self._points, self._factor = points, guardrail.stiffness_factor
         footholds = tuple(tuple(point) for point in points.tolist())
         # The static stiffness does not depend on how fine the beams are.
         made = guardrail_frame(replace(guardrail, footholds=footholds), beams=1)
         self._compliance = made.frame.compliance(*made.feet)
 
-    def shares(self, first: int, second: int, foot_point: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the shares of feet at two of the points, by their numbers: `shares`."""
-        G = _motion(self._points[[first, second]], foot_point)
-        index = np.concatenate([6 * first + np.arange(6), 6 * second + np.arange(6)])
-        borne = np.linalg.solve(self._compliance[np.ix_(index, index)], G)
+    def shares(self, numbers: Sequence[int], foot_point: FloatArray) -> tuple[FloatArray, ...]:
+        """Return the shares (6, 6) of feet at some of the points, by their numbers: `shares`."""
+        if len(numbers) == 1:
+            return (np.eye(6),)
+        G, borne = self._held(numbers, foot_point)
         borne = borne @ np.linalg.inv(G.T @ borne)
-        return np.asarray(G[:6].T @ borne[:6]), np.asarray(G[6:].T @ borne[6:])
+        parts = (slice(6 * k, 6 * k + 6) for k in range(len(numbers)))
+        return tuple(G[part].T @ borne[part] for part in parts)
+
+    def stiffness(self, numbers: Sequence[int], foot_point: FloatArray) -> FloatArray:
+        """Return the stiffness (6, 6) at `foot_point` (3,) of a robot with feet at some of the points."""
+        G, borne = self._held(numbers, foot_point)
+        K = self._factor * G.T @ borne
+        return np.asarray((K + K.T) / 2)
+
+    def _held(self, numbers: Sequence[int], foot_point: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Motion (6 k, 6) of the points by that of `foot_point`, and what they bear of it."""
+        G = _motion(self._points[list(numbers)], foot_point)
+        index = (6 * np.array(numbers)[:, None] + np.arange(6)).ravel()
+        return G, np.asarray(np.linalg.solve(self._compliance[np.ix_(index, index)], G))
 
 
 def rigid_motion(guardrail: Guardrail) -> FloatArray:

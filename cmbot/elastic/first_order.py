@@ -74,14 +74,6 @@ class FirstOrderBatch:
         v, w = self.screw[..., :3], self.screw[..., 3:]
         return np.asarray(v + cross(w, np.broadcast_to(self.tool[:, None], w.shape)))
 
-    def sag(self, gravity: FloatArray, push: FloatArray | None = None) -> FloatArray:
-        """Return the displacement of the tool (N, 3), m, under gravity (N, 3) and a force on it (N, 3)."""
-        load = np.einsum("nfi,ni->nf", self.momentum[..., :3], gravity)
-        if push is not None:
-            load = load + np.einsum("nfi,ni->nf", self.lever, push)
-        soft = self.root @ load[:, :, None]
-        return np.asarray(np.einsum("nfi,nf->ni", self.root @ self.lever, soft[:, :, 0]))
-
     @cached_property
     def _modes(self) -> tuple[FloatArray, FloatArray]:
         """Angular frequencies (N, k), rad/s, ascending, and shapes (N, f, k) of modal mass 1."""
@@ -186,21 +178,71 @@ class FirstOrder:
         )
         self._soft = np.linalg.inv(np.linalg.cholesky(K)) if order else K
 
+    def sag(
+        self, q: FloatArray, bases: Bases, gravity: FloatArray, push: FloatArray | None = None
+    ) -> FloatArray:
+        """Return the displacements of the tool (N, 3), m, under gravity (N, 3) and forces on it (N, 3)."""
+        parts = [np.empty((0, 3))]
+        for k in range(0, len(q), _AT_A_TIME):
+            some = slice(k, k + _AT_A_TIME)
+            force = np.zeros_like(gravity[some]) if push is None else push[some]
+            parts.append(self._sag(q[some], _some(bases, some), gravity[some], force))
+        return np.concatenate(parts)
+
+    def _sag(self, q: FloatArray, bases: Bases, gravity: FloatArray, push: FloatArray) -> FloatArray:
+        places, tool = self._places(q)
+        first: FloatArray = np.zeros_like(tool)
+        mass, sag = 0.0, np.zeros_like(tool)
+        loads, levers = list[FloatArray](), list[FloatArray]()
+        for owner, piece, coordinate in reversed(self._along):
+            p, turned = places[owner]
+            if piece is not None:
+                mass += piece.mass
+                first = first + piece.mass * (p + turned[:, piece.centre])
+            if coordinate is not None:
+                axis, point, slides = turned[:, coordinate[0]], p + turned[:, coordinate[1]], coordinate[2]
+                lever = axis if slides else cross(axis, tool - point)
+                weight = mass * gravity if slides else cross(first - mass * point, gravity)
+                loads.append((axis * weight).sum(axis=1) + (lever * push).sum(axis=1))
+                levers.append(lever)
+        if loads:
+            bent = np.stack(loads[::-1], axis=1) @ (self._soft.T @ self._soft)
+            sag = np.einsum("nf,fni->ni", bent, np.array(levers[::-1]))
+        if bases.stiffness is not None:
+            whole = mass + bases.carrier_mass
+            first = first + bases.carrier_mass[:, None] * bases.carrier_centre
+            away = tool - bases.foot
+            about: FloatArray = first - whole[:, None] * bases.foot
+            torque = cross(about, gravity) + cross(away, push)
+            wrench = np.hstack([whole[:, None] * gravity + push, torque])
+            moved = np.asarray(np.linalg.solve(bases.stiffness, wrench[:, :, None])[:, :, 0])
+            turn: FloatArray = moved[:, 3:]
+            sag = sag + moved[:, :3] + cross(turn, away)
+        return np.asarray(sag)
+
+    def _places(self, q: FloatArray) -> tuple[list[tuple[FloatArray, FloatArray]], FloatArray]:
+        """Origin (N, 3) and vectors (N, k, 3) of what each joint moves, and the tool (N, 3)."""
+        places = [(p.T.copy(), turned.transpose(2, 0, 1)) for p, _, turned in self._chain.walk(q.T)]
+        return places, places[-1][0] + places[-1][1][:, self._tool]
+
     def at(self, q: FloatArray, bases: Bases) -> FirstOrderBatch:
         """Evaluate postures `q` (N, n), each on its base."""
         parts = [
             self._block(q[k : k + _AT_A_TIME], _some(bases, slice(k, k + _AT_A_TIME)))
             for k in range(0, len(q), _AT_A_TIME)
         ]
-        names = ("screw", "momentum", "tool", "root")
-        if not parts:
-            parts = [self._block(q, bases)]
-        return FirstOrderBatch(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in names})
+        f = self.count + (0 if bases.stiffness is None else 6)
+        shapes = {"screw": (0, f, 6), "momentum": (0, f, 6), "tool": (0, 3), "root": (0, f, f)}
+        return FirstOrderBatch(
+            **{
+                name: np.concatenate([np.empty(shape), *(getattr(part, name) for part in parts)])
+                for name, shape in shapes.items()
+            }
+        )
 
     def _block(self, q: FloatArray, bases: Bases) -> FirstOrderBatch:
         N = len(q)
-        places = [(p.T.copy(), turned.transpose(2, 0, 1)) for p, _, turned in self._chain.walk(q.T)]
-        tool = places[-1][0] + places[-1][1][:, self._tool]
+        places, tool = self._places(q)
         mass, first, about = np.zeros(N), np.zeros((N, 3)), np.zeros((N, 3, 3))
         screws, momenta = list[FloatArray](), list[FloatArray]()
 

@@ -66,14 +66,7 @@ def _from_table(table: TextTable, robot: Robot) -> JointMotion:
     if time is None:
         got = f"the columns {','.join(table.names)}" if table.names else "no heading"
         raise InputError(table.source, "line 1", shown(got), "a column t, in s, beside those of the joints")
-    columns, factors = list[int](), list[float]()
-    for number, joint in enumerate(robot.joints, start=1):
-        at, in_degrees = table.index(joint.lower(), f"q{number}"), table.index(f"{joint.lower()}_deg")
-        if at is None and in_degrees is None:
-            expected = f"a column {joint}, {joint}_deg or q{number}{hint(joint.lower(), table.names)}"
-            raise InputError(table.source, "line 1", f"no column of joint {joint}", expected)
-        columns.append(in_degrees if at is None else at)  # type: ignore[arg-type]
-        factors.append(math.radians(1.0) if at is None else 1.0)
+    q, columns = table.joints(robot.joints)
     used = [time, *columns]
 
     def derivative(letter: str) -> FloatArray | None:
@@ -86,7 +79,7 @@ def _from_table(table: TextTable, robot: Robot) -> JointMotion:
     velocity, acceleration = derivative("v"), derivative("a")
     return JointMotion(
         t=_increasing(table.numbers([time])[:, 0], table.source),
-        q=table.numbers(columns) * factors,
+        q=q,
         v=velocity,
         a=acceleration,
         unknown=tuple(name for k, name in enumerate(table.names) if k not in used),

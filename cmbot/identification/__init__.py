@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cmbot.common.yaml_reader import lines_named
+from cmbot.identification.deflection_table import read_deflections
 from cmbot.identification.design import Proposal, job_postures, propose, require_axes
 from cmbot.identification.estimation import Identification, Weight, estimate
 from cmbot.identification.location import (
@@ -71,6 +72,7 @@ __all__ = [
     "prior_deviations",
     "proposal_remarks",
     "propose",
+    "read_deflections",
     "read_measurements",
     "read_touches",
     "remarks",

@@ -283,7 +283,7 @@ class _PostureDesign:
             torque = self._dynamics.static_efforts(q).joint_torque
             held = q[(np.abs(torque) <= limits.torque).all(axis=1)]
             if len(held):
-                distance = self._clearances.smallest(held).distance
+                distance = self._clearances.query(held).distance
                 found.append(held[distance >= self._scene.planner.safety_margin_m])
             if sum(map(len, found)) >= _CANDIDATES:
                 break

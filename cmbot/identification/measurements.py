@@ -96,8 +96,8 @@ class MeasurementFile(FileModel):
     frequencies_hz: Annotated[tuple[Frequency, ...], Field(max_length=4)] = ()
     """Natural frequencies without the weight, the slowest first."""
     record: Text | None = None
-    """In place of them a CSV file ``t,ax,ay,az``, or as Klipper writes it, of an accelerometer on the tool: a
-    tap, and its decay."""
+    """In place of them a table ``t,ax,ay,az``, or as Klipper, phones and loggers write it, of an
+    accelerometer on the tool: a tap, and its decay."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -153,8 +153,8 @@ class Measurements:
         For each posture, the slowest first.
     frequency_shares : tuple of (k,) arrays
         Their standard deviations as shares, beside the `setup`'s.
-    damping : tuple of float
-        Ratios of modes in records.
+    damping, damping_deviations : tuple of float
+        Ratios of modes in records, and their standard deviations.
     job : (M, n) or None
         Postures in which the sag is wanted.
     """
@@ -168,6 +168,7 @@ class Measurements:
     job: FloatArray | None
     frequency_shares: tuple[FloatArray, ...] = ()
     damping: tuple[float, ...] = ()
+    damping_deviations: tuple[float, ...] = ()
 
     __repr__ = short_repr
 
@@ -251,6 +252,7 @@ def _measurements(file: MeasurementsFile, folder: Path, source: str) -> Measurem
         frequencies=tuple(each.frequencies for each in rung),
         frequency_shares=tuple(each.shares for each in rung),
         damping=tuple(ratio for each in rung for ratio in each.damping.tolist()),
+        damping_deviations=tuple(each for one in rung for each in one.damping_deviations.tolist()),
         job=None if file.job is None else np.array(file.job),
     )
 
@@ -259,12 +261,18 @@ def _rung(file: MeasurementFile, folder: Path, source: str, number: int) -> Ring
     """The modes that were measured in a posture."""
     if file.record is None:
         known = np.array(file.frequencies_hz)
-        return RingDown(frequencies=known, shares=np.zeros_like(known), damping=np.zeros(0))
+        nothing = np.zeros(0)
+        shares = np.zeros_like(known)
+        return RingDown(frequencies=known, shares=shares, damping=nothing, damping_deviations=nothing)
     path = folder / file.record
     if not path.exists():
         key = f"measurements[{number}].record"
         raise InputError(source, key, file.record, "a file that exists (relative to this one)")
-    return read_record(path)
+    try:
+        return read_record(path)
+    except InputError as error:
+        # A sheet may name any file: what is in one that is no record is not told.
+        raise InputError(error.source, error.key, "something else", error.expected) from error
 
 
 def posture_of(

@@ -7,6 +7,7 @@ most of them have is a mode, one that few have is noise.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,12 +16,12 @@ from threadpoolctl import threadpool_limits
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
-from cmbot.common.input_files import read_csv
+from cmbot.common.text_table import read_table
+from cmbot.common.validation import counted
 
-_LARGEST = 20_000_000
-_COLUMNS = (("t", "ax"), ("t", "ay"), ("t", "az"), ("t", "ax", "ay", "az"))
-# How Klipper calls them.
-_KLIPPER = {"#time": "t", "accel_x": "ax", "accel_y": "ay", "accel_z": "az"}
+_TIMES = ("t", "time", "seconds", "timestamp")
+# Longer steps are in ms, s; by what share steps may differ; rows at an extreme value that are clipped.
+_NO_STEP_IN_SECONDS, _JITTER, _CLIPPED = 0.5, 0.1, 4
 # Frequencies above this, Hz, are left out; samples a period of it that are kept.
 _HIGHEST, _SAMPLES = 40.0, 6
 # Of the decay: what is left out after the tap, and its longest part that is used, s.
@@ -47,43 +48,75 @@ class RingDown:
         Their standard deviations among models of several orders, as shares.
     damping : (k,)
         Ratios.
+    damping_deviations : (k,)
+        Their standard deviations among the models.
     """
 
     frequencies: FloatArray
     shares: FloatArray
     damping: FloatArray
+    damping_deviations: FloatArray
 
 
 def read_record(path: Path) -> RingDown:
-    """Read a CSV file with the columns ``t``, s, and one or all of ``ax``, ``ay``, ``az``, in any unit.
+    """Read a table with times and one or all of the accelerations along x, y, z, in any unit.
 
-    They may also be called as Klipper does: ``#time,accel_x,accel_y,accel_z``.
+    Columns are found by their names, as Klipper (``#time,accel_x,…``), phyphox (``Time (s)``, ``Acceleration
+    x (m/s^2)``) and loggers (``t,ax,…``) call them; times are in s or ms. Steps that differ by up to 10 % are
+    made even.
 
     Raises
     ------
     InputError
-        When it is no such file, its times are no equal steps, or no mode is seen in it.
+        When it is no such file, steps differ by more, it is clipped, or no mode is seen in it.
     """
-    rows = read_csv(path, InputError, kind="a CSV file of an accelerometer's record", largest=_LARGEST)
-    heading = tuple(name.strip() for name in rows[0]) if rows else ()
-    if tuple(_KLIPPER.get(name, name) for name in heading) not in _COLUMNS:
-        expected = "the columns t,ax,ay,az, or t and one of them, or Klipper's #time,accel_x,accel_y,accel_z"
-        # Sheets name such files: what is in one that is no record is not told.
-        raise InputError(str(path), "line 1", f"other columns, {len(heading)} of them", expected)
-    try:
-        table = np.array(rows[1:], dtype=float)
-    except ValueError as error:
-        raise InputError(str(path), "", "no table of numbers", "a number in each cell") from error
-    if len(table) < _FEWEST or not np.isfinite(table).all():
-        raise InputError(str(path), "", f"{len(table)} rows", f"{_FEWEST} or more rows of finite numbers")
-    steps = np.diff(table[:, 0])
-    if not (steps > 0).all() or np.ptp(steps) > 0.01 * steps.mean():
-        raise InputError(str(path), "t", "other times", "times in equal steps")
-    found = ring_down(float(steps.mean()), table[:, 1:])
+    table = read_table(path, InputError, kind="a table of an accelerometer's record")
+    time = table.index(*_TIMES, *(f"{name}_ms" for name in _TIMES))
+    axes = [axis for axis in (table.index(*_names(axis)) for axis in "xyz") if axis is not None]
+    if time is None or not axes:
+        got = ",".join(table.names) or "no names of columns"
+        raise InputError(str(path), "line 1", got, "columns t and ax, ay, az, or one of these")
+    if len(table.rows) < _FEWEST:
+        raise InputError(str(path), "", counted(len(table.rows), "row"), f"{_FEWEST} or more rows")
+    t, a = table.numbers([time])[:, 0], table.numbers(axes)
+    steps = np.diff(t)
+    in_ms = table.units[time].lower() == "ms" or table.names[time].endswith("_ms")
+    if in_ms or (not table.units[time] and np.median(steps) > _NO_STEP_IN_SECONDS):
+        t, steps = 1e-3 * t, 1e-3 * steps
+    step = float(np.median(steps))
+    if not (steps > 0).all() or np.abs(steps / step - 1).max() > _JITTER:
+        worst = int(np.abs(steps / step - 1).argmax())
+        key, got = f"line {table.lines[worst + 1]}", f"{1e3 * steps[worst]:.3g} ms after the row before"
+        raise InputError(str(path), key, got, f"steps of {1e3 * step:.3g} ms, give or take 10 %")
+    _require_unclipped(a, [table.names[axis] for axis in axes], str(path))
+    even = np.linspace(t[0], t[-1], len(t))
+    found = ring_down(
+        float((t[-1] - t[0]) / (len(t) - 1)),
+        np.stack([np.interp(even, t, axis) for axis in a.T], axis=1),
+    )
     if not len(found.frequencies):
         expected = f"the free decay after a tap, with modes below {_HIGHEST:g} Hz"
         raise InputError(str(path), "", "a record in which no mode is seen", expected)
     return found
+
+
+def _names(axis: str) -> Iterator[str]:
+    """What loggers call an acceleration along an axis."""
+    yield from (f"a{axis}", f"accel_{axis}", f"acc_{axis}", f"acceleration {axis}")
+    yield from (f"linear acceleration {axis}", f"acceleration_{axis}", f"acc{axis}", axis)
+
+
+def _require_unclipped(a: FloatArray, names: Sequence[str], source: str) -> None:
+    """Refuse accelerations (N, m) that stay at their largest or least value, as beyond a sensor's range."""
+    for column, name in zip(a.T, names, strict=True):
+        if np.ptp(column) == 0:
+            continue
+        for extreme in (column.max(), column.min()):
+            at = np.flatnonzero(column != extreme)
+            longest = np.diff(np.concatenate([[-1], at, [len(column)]])).max() - 1
+            if longest >= _CLIPPED:
+                got = f"{longest} rows one after the other at {extreme:g}, its largest value"
+                raise InputError(source, name, got, "a record within the sensor's range: tap less hard")
 
 
 def ring_down(step: float, a: FloatArray) -> RingDown:
@@ -110,7 +143,7 @@ def ring_down(step: float, a: FloatArray) -> RingDown:
 
 def _none() -> RingDown:
     nothing = np.zeros(0)
-    return RingDown(frequencies=nothing, shares=nothing, damping=nothing)
+    return RingDown(frequencies=nothing, shares=nothing, damping=nothing, damping_deviations=nothing)
 
 
 def _poles(
@@ -134,7 +167,10 @@ def _stable(known: list[FloatArray]) -> RingDown:
     every = np.concatenate(known)
     if not len(every):
         return _none()
-    largest, found = every[:, 2].max(), list[tuple[float, float, float]]()
+    # What is slow is hardly seen in accelerations: it is a mode where its way is not small.
+    ways = every[:, 2] / every[:, 0] ** 2
+    largest, furthest = every[:, 2].max(), ways.max()
+    found = list[tuple[float, float, float, float]]()
     for order in np.argsort(every[:, 0]):
         f = every[order, 0]
         if found and f < found[-1][0] * (1 + 2 * _SAME):
@@ -143,8 +179,11 @@ def _stable(known: list[FloatArray]) -> RingDown:
         have = [each[each[:, 2].argmax()] for each in near if len(each)]
         middle = np.median(have, axis=0)
         agree = [each for each in have if abs(each[0] / middle[0] - 1) < _SAME]
-        if len(agree) >= _AGREE * len(known) and middle[2] > _SEEN * largest:
-            share = float(np.std([each[0] for each in agree]) / middle[0])
-            found.append((float(middle[0]), share, float(middle[1])))
-    table = np.array(found[:_MODES]).reshape(-1, 3)
-    return RingDown(frequencies=table[:, 0], shares=table[:, 1], damping=table[:, 2])
+        is_seen = middle[2] > _SEEN * largest or middle[2] / middle[0] ** 2 > _SEEN * furthest
+        if len(agree) >= _AGREE * len(known) and is_seen:
+            share, deviation = (float(np.std([each[k] for each in agree])) for k in (0, 1))
+            found.append((float(middle[0]), share / float(middle[0]), float(middle[1]), deviation))
+    table = np.array(found[:_MODES]).reshape(-1, 4)
+    return RingDown(
+        frequencies=table[:, 0], shares=table[:, 1], damping=table[:, 2], damping_deviations=table[:, 3]
+    )

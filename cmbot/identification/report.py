@@ -94,8 +94,16 @@ def remarks(found: Identification) -> Iterator[str]:
     if unknown:
         yield f"Not seen, nearly as they were assumed: {' and '.join(unknown)}."
     if damping := [ratio for sheet in found.measurements for ratio in sheet.damping]:
-        ratio = float(np.median(damping))
-        yield f"Damping of the modes in the records: {100 * ratio:.1f} % of critical (simulate --damping)."
+        ratio, each = (
+            float(np.median(damping)),
+            [x for one in found.measurements for x in one.damping_deviations],
+        )
+        # Of one mode, and from mode to mode.
+        deviation = float(np.hypot(np.median(each), np.std(damping)))
+        yield (
+            f"Damping of the modes in the records: {100 * ratio:.1f} % of critical, standard deviation "
+            f"{100 * deviation:.1f} % (simulate --damping)."
+        )
     for weight in found.weights:
         own = f"{weight.estimated:.3f} kg, standard deviation {1e3 * weight.deviation:.0f} g"
         yield f"Weight of {weight.stated:g} kg: {own}."

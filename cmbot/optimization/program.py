@@ -51,10 +51,10 @@ class StateSamples:
     def __getitem__(self, index: IntArray | slice) -> StateSamples:
         return StateSamples(self.t[index], self.q[index], self.v[index], self.a[index])
 
-    def computed(self, key: Hashable, compute: Callable[[StateSamples], Computed]) -> Computed:
-        """Return ``compute(self)``; functions that share a key share the result."""
+    def computed(self, key: Hashable, compute: Callable[[], Computed]) -> Computed:
+        """Return what `compute` makes of these states; functions that share a key share the result."""
         if key not in self._computed:
-            self._computed[key] = compute(self)
+            self._computed[key] = compute()
         return cast(Computed, self._computed[key])
 
 

@@ -7,7 +7,7 @@ from cmbot.optimization import ExchangeReport
 from cmbot.planning.budget import Deadline
 from cmbot.planning.certification.certificate import Certificate, certify
 from cmbot.planning.certification.check import Check
-from cmbot.planning.certification.metrics import LimitUse, MotionMetrics, Samples, figures, measure, tool_lag
+from cmbot.planning.certification.metrics import MotionMetrics, Samples, figures, measure
 from cmbot.planning.flexibility.sag_compensation import Compensation
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.free_motion.free_move import FreeMove, certify_move, free_space, plan_move
@@ -15,15 +15,15 @@ from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.initial_guess import Choice, searched
 from cmbot.planning.job import APPROACH, RETURN, Job, Segment, free_move_name, job_metrics
 from cmbot.planning.path.first_posture import starting_at_path
-from cmbot.planning.path.gradient_projection import JointPath, follow_path
-from cmbot.planning.path.projection import project_onto_task
+from cmbot.planning.path.gradient_projection import follow_path
 from cmbot.planning.path.start_posture import StartPosture, find_start
 from cmbot.planning.planner import plan
+from cmbot.planning.postures.projection import project_onto_task
 from cmbot.planning.precheck import Precheck, precheck_options, precheck_scene
 from cmbot.planning.progress import Progress, ProgressReporter
 from cmbot.planning.request import JobState, StrokeRequest, build_request, end_posture_of, strokes_of, task_of
 from cmbot.planning.result.baseline import Baseline, BaselineSegment, joined_samples
-from cmbot.planning.result.loads import LOAD_HEADINGS, Load, load_point, load_rows, loads
+from cmbot.planning.result.loads import LOAD_HEADINGS, load_point, load_rows, loads
 from cmbot.planning.result.plan import Plan, Seconds, require_plan, work_of
 from cmbot.planning.result.remarks import remarks
 from cmbot.planning.result.stroke_plan import (
@@ -44,8 +44,9 @@ from cmbot.planning.result.verdict import (
     verdict,
 )
 from cmbot.planning.selfmotion.followed_bound import quick_bound
-from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
+from cmbot.planning.selfmotion.global_search import GlobalSearch
 from cmbot.planning.selfmotion.lower_bound import LowerBound
+from cmbot.planning.selfmotion.proof import TorqueFloorProof
 from cmbot.planning.task import ToolTask
 from cmbot.planning.workcell.diagnosis import most_often_near, weakest_joint
 from cmbot.planning.workcell.objectives import (
@@ -77,12 +78,8 @@ __all__ = [
     "FreeMove",
     "FreeSpace",
     "GlobalSearch",
-    "GlobalSolution",
     "Job",
     "JobState",
-    "JointPath",
-    "LimitUse",
-    "Load",
     "LowerBound",
     "MotionMetrics",
     "Objective",
@@ -104,6 +101,7 @@ __all__ = [
     "StrokePlan",
     "StrokeRequest",
     "ToolTask",
+    "TorqueFloorProof",
     "VibrationSuppression",
     "WeightedMoment",
     "Workcell",
@@ -152,7 +150,6 @@ __all__ = [
     "strokes_of",
     "task_of",
     "tightest_check",
-    "tool_lag",
     "unit_findings",
     "verdict",
     "weakest_joint",

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import OptimisationFailed, PathNotFound
 from cmbot.common.file_types import NonNegative
 from cmbot.optimization import find_violations
 from cmbot.planning.path.gradient_projection import find_path
-from cmbot.planning.path.projection import project_onto_task
+from cmbot.planning.postures.projection import project_onto_task
+from cmbot.planning.postures.sampler import axis_leans
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
@@ -253,7 +252,7 @@ def searched(
         search = GlobalSearch(request, bounded_as=bounded_as)
         return search, solved(search, pinned=False)
     failures: list[PathNotFound] = []
-    for lean in (None, *_leans(request.task.cone)):
+    for lean in (None, *axis_leans(_LEANING * request.task.cone, _LEANS)):
         if failures and request.deadline.expired():
             break
         try:
@@ -265,17 +264,11 @@ def searched(
     raise failures[0]
 
 
-def _leans(cone: float) -> Iterator[FloatArray]:
-    """Rotations (3, 3) in the tool's frame that lean its axis in several directions."""
-    for angle in np.arange(_LEANS) * (2 * np.pi / _LEANS):
-        yield Rotation.from_rotvec(_LEANING * cone * np.array([np.cos(angle), np.sin(angle), 0])).as_matrix()
-
-
 def _require_clear_start(request: StrokeRequest) -> None:
     """Refuse a scene's posture within the safety margin: neither work nor approach can start there."""
     cell = request.cell
     margin, q = cell.options.safety_margin_m, request.first
-    smallest = cell.clearances.smallest(q[None])
+    smallest = cell.clearances.query(q[None])
     distance = float(smallest.distance[0])
     if distance >= margin:
         return
@@ -293,9 +286,7 @@ def _require_clear_start(request: StrokeRequest) -> None:
 def _are_always_near(request: StrokeRequest, pair: int) -> bool:
     """Whether two links are within the safety margin in random postures, too."""
     cell = request.cell
-    limits, rng = cell.robot.limits, np.random.default_rng(0)
-    half = limits.sampled_half
-    q = rng.uniform(limits.range_middle - half, limits.range_middle + half, (_SOME_POSTURES, len(half)))
+    q = cell.robot.limits.drawn(np.random.default_rng(0), _SOME_POSTURES)
     row = np.arange(_SOME_POSTURES)
     distance = cell.clearances.distances(q, row, np.full(_SOME_POSTURES, pair))
     return bool((distance < cell.options.safety_margin_m).all())

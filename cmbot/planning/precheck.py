@@ -122,7 +122,7 @@ def _asked(
 def _clearance_at_start(scene: Scene, robot: Robot) -> Precheck:
     """The smallest distance in the start posture."""
     clearances, margin = Clearances(robot, scene.all_obstacles), scene.planner.safety_margin_m
-    smallest = clearances.smallest(scene.posture[None])
+    smallest = clearances.query(scene.posture[None])
     if smallest.pair[0] < 0:
         return Precheck(found=(), warnings=())
     pair, distance = clearances.pairs[smallest.pair[0]], float(smallest.distance[0])

@@ -132,6 +132,15 @@ class JointLimits:
         return np.where(self.prismatic, self.range_half, np.minimum(self.range_half, 0.5 * _TURN))
 
     @property
+    def sampled(self) -> tuple[FloatArray, FloatArray]:
+        """Ends (n,) of the ranges that have all postures once, lower and upper."""
+        return self.range_middle - self.sampled_half, self.range_middle + self.sampled_half
+
+    def drawn(self, rng: np.random.Generator, number: int) -> FloatArray:
+        """Return random postures (N, n) within the ranges, each angle on one turn."""
+        return rng.uniform(*self.sampled, (number, len(self.lower)))
+
+    @property
     def within_a_turn(self) -> tuple[FloatArray, FloatArray]:
         """Ends (n,) of the ranges, lower and upper, at most half a turn from zero where joints turn."""
         half = np.where(self.prismatic, np.inf, 0.5 * _TURN)

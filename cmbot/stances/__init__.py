@@ -1,41 +1,52 @@
 """Where to stand: candidates along the guardrail, screened and ranked, the best planned."""
 
+from cmbot.stances.bounds import Bounds, StanceFigures, StanceObjective
 from cmbot.stances.candidates import (
     APART,
     REACH,
+    AnyCandidate,
     Candidate,
+    MountCandidate,
     candidate_at,
     candidates_of,
     own_candidate,
     places_of,
 )
 from cmbot.stances.footholds import bare_climber, in_the_way, lift_height, without_links
-from cmbot.stances.placed_scene import in_world, joined, scene_at
-from cmbot.stances.screening import Screening, screen
-from cmbot.stances.search import StandOptions, Stood
-from cmbot.stances.standing import (
-    Standing,
+from cmbot.stances.placed_scene import in_world, joined, put_away, scene_at
+from cmbot.stances.ranking import (
+    StanceRanking,
     best_scene,
     require_on_guardrail,
     require_planned,
     require_standing,
     stand,
 )
+from cmbot.stances.screening import Screener, Screening
+from cmbot.stances.search import Rejection, StanceResult, StandOptions, evaluate_stances
 from cmbot.stances.table import bounds_table, in_words, planned_table, shared_out, stances_csv
 
 __all__ = [
     "APART",
     "REACH",
+    "AnyCandidate",
+    "Bounds",
     "Candidate",
+    "MountCandidate",
+    "Rejection",
+    "Screener",
     "Screening",
+    "StanceFigures",
+    "StanceObjective",
+    "StanceRanking",
+    "StanceResult",
     "StandOptions",
-    "Standing",
-    "Stood",
     "bare_climber",
     "best_scene",
     "bounds_table",
     "candidate_at",
     "candidates_of",
+    "evaluate_stances",
     "in_the_way",
     "in_words",
     "in_world",
@@ -44,11 +55,11 @@ __all__ = [
     "own_candidate",
     "places_of",
     "planned_table",
+    "put_away",
     "require_on_guardrail",
     "require_planned",
     "require_standing",
     "scene_at",
-    "screen",
     "shared_out",
     "stances_csv",
     "stand",

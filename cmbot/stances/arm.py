@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.elastic.arm import elastic_arm
+from cmbot.elastic.first_order import FirstOrder
+from cmbot.excitation.response import BAND_HZ
+from cmbot.excitation.sway import DAMPING
 from cmbot.planning import ToolTask, project_onto_task
-from cmbot.robot import Postures, Robot, load_robot
+from cmbot.robot import PostureBatch, Postures, Robot, load_robot
 from cmbot.scene import Scene
 from cmbot.stances.loads import StanceLoads
 from cmbot.toolpath import ToolPoses
@@ -50,6 +54,8 @@ class Effort:
     steps: int
 
 
+FIGURES = ("bound", "torque", "adhesion", "sag_mm", "first_hz", "sway_mm")
+"""At rest in a posture: what is ranked, and by what else stances are judged; Nm, N, mm, Hz, mm per m/s2."""
 ROUGHLY = Effort(tried=30, walked=0, improved=5, steps=5)
 CLOSELY = Effort(tried=120, walked=3, improved=15, steps=6)
 
@@ -82,14 +88,18 @@ class BaseArm:
     """The arm on a base at the origin of its own frame."""
 
     def __init__(self, scene: Scene, robot: Robot) -> None:
-        source = scene.robot
-        self.robot = load_robot(mount=np.eye(4), tool_length=source.tool_length_m, payload=source.payload_kg)
+        file = scene.robot
+        own = load_robot(
+            **file.files, mount=np.eye(4), tool_length=file.tool_length_m, payload=file.payload_kg
+        )
+        self.robot = replace(
+            own, elasticity=robot.elasticity, joint_elasticity=robot.joint_elasticity, limits=robot.limits
+        )
         self.postures, self.limits = Postures(self.robot), self.robot.limits
+        self._elastic = FirstOrder(elastic_arm(self.robot, None))
         self._force, self._mass = np.array(robot.tool_force), self.robot.arm_mass
         rng = np.random.default_rng(0)
-        half = self.limits.sampled_half
-        low, high = self.limits.range_middle - half, self.limits.range_middle + half
-        self._table = rng.uniform(low, high, (_TABLE, self.robot.dof))
+        self._table = self.limits.drawn(rng, _TABLE)
         at = self.postures.tool_at(self._table)
         self._points, self._rotations = at.tool_point, at.tool_rotation
         self._trees: dict[str, cKDTree] = {}
@@ -103,34 +113,77 @@ class BaseArm:
         number: IntArray,
         effort: Effort,
     ) -> FloatArray:
-        """Smallest objective of admissible postures of C stances at a time, its torque and adhesion, (3, C).
+        """Figures of the best admissible postures of C stances at a time, as `FIGURES` has them, (6, C).
 
         `number` (C,) are those of the stances in `loads`.
         """
-        C, goals = len(bases), _Goals.of(task, time, bases)
+        goals = _Goals.of(task, time, bases)
         q, of = self._near(goals, effort.tried, steps=8)
         q, of = self._walked(goals, q, of, effort.walked)
-        value, *_ = self._judged(q, of, goals, loads, number)
-        q, of, value = self._best(q, of, value, effort.improved)
+        q, of, value = self._best(q, of, self._judged(q, of, goals, loads, number), effort.improved)
         length = np.full(len(q), _LENGTH)
         for _ in range(effort.steps):
-            slope = self._slope(q, number[of], loads)
-            slope = self._along_self_motion(task, q, slope)
+            slope = self._along_self_motion(task, q, self._slope(q, number[of], loads))
             size = np.linalg.norm(slope, axis=1)
             step = -length[:, None] * slope / np.maximum(size, 1e-12)[:, None]
             tried, good = self._placed(goals, q + step, of, steps=4)
             trial = np.full(len(q), np.inf)
             if good.any():
-                trial[good], *_ = self._judged(tried[good], of[good], goals, loads, number)
+                trial[good] = self._judged(tried[good], of[good], goals, loads, number)
             better = trial < value
             q[better], value[better] = tried[better], trial[better]
             length[~better] *= 0.4
-        least, torque, adhesion = np.full(C, np.inf), np.zeros(C), np.zeros(C)
-        _, pulls, moments = self._judged(q, of, goals, loads, number)
-        order = np.argsort(-value, kind="stable")
-        least[of[order]], torque[of[order]] = value[order], moments[order]
-        adhesion[of[order]] = pulls[order]
-        return np.array([least, torque, adhesion])
+        if loads.objective == "sway" and len(q):
+            value = self.figures(q, number[of], loads)[0]
+        q, of, value = self._best(q, of, value, 1)
+        least = np.full((len(FIGURES), len(bases)), np.nan)
+        least[0] = np.inf
+        if len(q):
+            least[:, of] = self.figures(q, number[of], loads)
+        return least
+
+    def figures(self, q: FloatArray, stance: IntArray, loads: StanceLoads) -> FloatArray:
+        """Return `FIGURES` (6, N) at rest of postures (N, n) in stances; NaN of what does not bend."""
+        at, wrench, push = self._loaded(q, stance, loads)
+        torque, adhesion = loads.torque(stance, wrench)[0], loads.adhesion(stance, wrench)[0]
+        sag = hz = sway = np.full(len(q), np.nan)
+        if loads.bends:
+            batch = self._elastic.at(at.q, loads.bases(stance))
+            sag = 1e3 * self._sag(at.q, stance, push, loads)
+            hz, sway = batch.first_hz, 1e3 * batch.shaken(DAMPING, BAND_HZ)
+        ranked = {"torque": torque, "hold": adhesion, "sag": sag, "sway": sway}[loads.objective]
+        return np.array([ranked, torque, adhesion, sag, hz, sway])
+
+    def at_rest(self, q: FloatArray, stance: int, loads: StanceLoads) -> FloatArray:
+        """Return what is ranked (N,) at rest in postures (N, n) of one stance."""
+        which = np.full(len(q), stance)
+        if loads.objective == "sway":
+            return np.asarray(self.figures(q, which, loads)[0])
+        _, wrench, push = self._loaded(q, which, loads)
+        return self._ranked(q, which, wrench, push, loads)
+
+    def _loaded(
+        self, q: FloatArray, stance: IntArray, loads: StanceLoads
+    ) -> tuple[PostureBatch, FloatArray, FloatArray]:
+        """Postures (N, n) in the base's frame, the arm's wrench (N, 6) in W, the force (N, 3) on the tool."""
+        at = self.postures.at(q)
+        push = at.tool_rotation @ self._force
+        moment = np.einsum("b,kbi->ki", at.mass, at.centre)
+        return at, loads.wrench(stance, moment, self._mass, push, at.tool_point), push
+
+    def _ranked(
+        self, q: FloatArray, stance: IntArray, wrench: FloatArray, push: FloatArray, loads: StanceLoads
+    ) -> FloatArray:
+        """What is ranked (N,); in place of the sway the sag, mm, which falls with it and costs less."""
+        if loads.objective == "torque":
+            return loads.torque(stance, wrench)[0]
+        if loads.objective == "hold":
+            return loads.adhesion(stance, wrench)[0]
+        return 1e3 * self._sag(q, stance, push, loads)
+
+    def _sag(self, q: FloatArray, stance: IntArray, push: FloatArray, loads: StanceLoads) -> FloatArray:
+        sag = self._elastic.sag(q, loads.bases(stance), loads.gravity[stance], push)
+        return np.asarray(np.linalg.norm(sag, axis=1))
 
     def _near(self, goals: _Goals, count: int, steps: int) -> tuple[FloatArray, IntArray]:
         """Postures (N, n) that hold the tool at the goals, from the nearest of the table, and whose (N,)."""
@@ -162,22 +215,23 @@ class BaseArm:
 
     def _judged(
         self, q: FloatArray, of: IntArray, goals: _Goals, loads: StanceLoads, number: IntArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Objective at rest (infinite where inadmissible), adhesion and torque in postures (N, n)."""
+    ) -> FloatArray:
+        """What is ranked (N,) at rest in postures (N, n); infinite where they are inadmissible."""
         q, stance = self.limits.turned_to_middle(q), number[of]
-        at = self.postures.at(q)
-        push = at.tool_rotation @ self._force
-        moment = np.einsum("b,kbi->ki", at.mass, at.centre)
+        at, wrench, push = self._loaded(q, stance, loads)
         carried = at.carried_moment.transpose(2, 0, 1)
-        wrench = loads.wrench(stance, moment, self._mass, push, at.tool_point)
         torque = np.einsum("kni,kni->kn", at.axis, np.cross(loads.gravity[stance][:, None], carried))
         if push.any():
             torque -= np.einsum("kij,ki->kj", at.jacobian[:, :3], push)
         good = (np.abs(torque) <= self.limits.torque).all(axis=1) & self.limits.contain(q)
         good &= loads.holds(stance, wrench)
         good[good] = ~self._too_fast(q[good], of[good], goals)
-        value = np.where(good, loads.value(stance, wrench)[0], np.inf)
-        return value, loads.adhesion(stance, wrench)[0], np.linalg.norm(wrench[:, 3:], axis=1)
+        value = np.full(len(q), np.inf)
+        value[good] = self._ranked(q[good], stance[good], wrench[good], push[good], loads)
+        if loads.sags and np.isfinite(loads.most_sag):
+            sag = self._sag(q[good], stance[good], push[good], loads)
+            value[good] = np.where(sag <= loads.most_sag, value[good], np.inf)
+        return value
 
     def _too_fast(self, q: FloatArray, of: IntArray, goals: _Goals) -> BoolArray:
         """Which of postures (N, n) no joint velocities within their bounds lead through as it goes.
@@ -209,14 +263,11 @@ class BaseArm:
         return fast
 
     def _slope(self, q: FloatArray, of: IntArray, loads: StanceLoads) -> FloatArray:
-        """Derivatives (N, n) of the objective at rest, without the force on the tool."""
-        at = self.postures.at(q)
-        push = at.tool_rotation @ self._force
-        moment = np.einsum("b,kbi->ki", at.mass, at.centre)
+        """Derivatives (N, n) of what is ranked at rest, without the force on the tool."""
+        at, wrench, _ = self._loaded(q, of, loads)
         moved = np.cross(at.axis, at.carried_moment.transpose(2, 0, 1))
-        wrench = loads.wrench(of, moment, self._mass, push, at.tool_point)
-        _, by_torque = loads.value(of, wrench)
         torques = np.cross(moved, loads.gravity[of][:, None])
+        by_torque = loads.slope(of, wrench, at.tool_point)
         return np.asarray(np.einsum("kni,ki->kn", torques, by_torque))
 
     def _along_self_motion(self, task: ToolTask, q: FloatArray, slope: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Candidates: every place where the feet could hold, with the climber's postures that reach both."""
+"""Candidates: every place where feet could hold, with the climber's postures that reach both; or mounts."""
 
 from __future__ import annotations
 
@@ -9,9 +9,12 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import short_repr
+from cmbot.elastic import elastic_base
+from cmbot.planning import robot_of
 from cmbot.robot import Climber
 from cmbot.scene import (
     FootholdFile,
+    MountFile,
     Scene,
     StanceFile,
     foothold_face,
@@ -61,6 +64,79 @@ class Candidate:
     def in_file(self) -> StanceFile | None:
         """What `guardrail.stance` of a scene file has; None: nothing."""
         return None if self.at_origin else self.stance
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MountCandidate:
+    """A mount of an arm that has no feet.
+
+    Attributes
+    ----------
+    name : str
+        Of the entry of ``mounts:``.
+    mount : MountFile or None
+        None: as the scene has it.
+    base : (4, 4)
+        Pose of the arm's base frame in W.
+    stiffness : (6, 6) or None
+        Of what it stands on, at its origin along the axes of W; None: rigid.
+    """
+
+    name: str
+    mount: MountFile | None
+    base: FloatArray
+    stiffness: FloatArray | None
+
+    __repr__ = short_repr
+
+    @property
+    def place(self) -> str:
+        """Where the base frame is, in words."""
+        x, y, z = self.base[:3, 3]
+        return f"{self.name} at ({x:.2f}, {y:.2f}, {z:.2f}) m"
+
+    @property
+    def root(self) -> FloatArray:
+        """Pose of what is loaded, (4, 4), in W: that of the base frame."""
+        return self.base
+
+
+AnyCandidate = Candidate | MountCandidate
+
+
+def mounts_of(scene: Scene) -> Iterator[MountCandidate]:
+    """Yield the mounts of a scene, that of its robot first; of several in one pose the first one counts."""
+    robot = robot_of(scene)
+    placement = robot.model.frames[robot.model.getFrameId(robot.base_frame)].placement
+    own = elastic_base(scene.elastic_guardrail)
+    stiffness = None
+    if own is not None:
+        away = _motion(np.array(robot.foot_point) - placement.translation)
+        stiffness = away.T @ own.stiffness @ away
+    yield MountCandidate(name="own", mount=None, base=placement.homogeneous, stiffness=stiffness)
+    known = {tuple(placement.homogeneous.round(9).ravel().tolist())}
+    for mounts in scene.mounts:
+        for mount in mounts.each:
+            key = tuple(mount.matrix.round(9).ravel().tolist())
+            if key not in known:
+                known.add(key)
+                rows = None if mounts.stiffness is None else np.array(mounts.stiffness)
+                yield MountCandidate(name=mounts.name, mount=mount, base=mount.matrix, stiffness=rows)
+
+
+def stiffness_in_world(candidate: MountCandidate) -> FloatArray | None:
+    """Return the stiffness (6, 6) of what a mount stands on at the origin of W; None: rigid."""
+    if candidate.stiffness is None:
+        return None
+    away = _motion(candidate.base[:3, 3])
+    return np.asarray(away.T @ candidate.stiffness @ away)
+
+
+def _motion(by: FloatArray) -> FloatArray:
+    """Motion (6, 6) of a point by that of another one, from which it is away `by` (3,)."""
+    motion = np.eye(6)
+    motion[:3, 3:] = np.cross(by, np.eye(3))
+    return motion
 
 
 def own_candidate(scene: Scene) -> Candidate | None:

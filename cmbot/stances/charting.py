@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,9 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning import (
     Deadline,
+    PostureObjective,
     StrokeRequest,
+    TorqueFloorProof,
     build_request,
     most_often_near,
     quick_bound,
@@ -21,8 +23,16 @@ from cmbot.planning import (
 )
 from cmbot.scene import Scene
 
+AtRest = Callable[[FloatArray], FloatArray]
+"""What is ranked (N,) at rest in postures (N, n); in place of the planner's objective."""
+# Share of a value by which a proof of it may be off.
+_PROVEN = 1e-4
 # Via-points of a stroke that is charted quickly.
 _VIA_POINTS = 13
+
+
+class CannotBePutAway(PathNotFound):
+    """The arm cannot be in the posture in which it starts or is put away: the reason is the same for many."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,22 +43,19 @@ class Charted:
     ----------
     bound : float
         Largest of the strokes' lower bounds at rest for sequences of postures that the joints can follow, in
-        the objective's unit: an estimate (`GlobalSearch.followed_bound`).
+        the unit of what is ranked: an estimate (`GlobalSearch.followed_bound`).
     expected : float
         Largest value, at rest, of the best sequences that were found.
-    torque : float, Nm
-        Largest torque on the guardrail, at rest, in these sequences.
-    begins : (n,), rad
-        The first posture of the first stroke's sequence.
+    postures : (K, n), rad
+        Of these sequences.
     """
 
     bound: float
     expected: float
-    torque: float
-    begins: FloatArray
+    postures: FloatArray
 
 
-def bounded_quickly(scene: Scene) -> float:
+def bounded_quickly(scene: Scene, at_rest: AtRest | None = None) -> float:
     """Return a bound as `Charted` has it, from charts at few via-points.
 
     Raises
@@ -56,10 +63,10 @@ def bounded_quickly(scene: Scene) -> float:
     PathNotFound
         When no sequence of admissible postures leads along a stroke.
     """
-    return max(quick_bound(request, _VIA_POINTS) for request in _strokes(scene))
+    return max(quick_bound(request, _VIA_POINTS) for request in _strokes(scene, at_rest))
 
 
-def chart(scene: Scene) -> Charted:
+def chart(scene: Scene, at_rest: AtRest | None = None) -> Charted:
     """Chart the strokes of a scene, each within the scene's time limit.
 
     Raises
@@ -67,44 +74,76 @@ def chart(scene: Scene) -> Charted:
     PathNotFound
         When no sequence of admissible postures leads along a stroke.
     """
-    found = list[Charted]()
-    for request in _strokes(scene):
+    bounds, peaks, postures = list[float](), list[float](), list[FloatArray]()
+    for request in _strokes(scene, at_rest):
         deadline = Deadline(scene.planner.time_limit_s)
         search, solution = searched(replace(request, deadline=deadline))
         if isinstance(solution, PathNotFound):
             raise solution
-        bound = min(search.followed_bound(), solution.peak)
-        torque = np.linalg.norm(request.cell.postures.at(solution.q).guardrail_torque, axis=1).max()
-        found.append(Charted(bound=bound, expected=solution.peak, torque=float(torque), begins=solution.q[0]))
-    return Charted(
-        bound=max(each.bound for each in found),
-        expected=max(each.expected for each in found),
-        torque=max(each.torque for each in found),
-        begins=found[0].begins,
-    )
+        bounds.append(min(search.followed_bound(), solution.peak))
+        peaks.append(solution.peak)
+        postures.append(solution.q)
+    return Charted(bound=max(bounds), expected=max(peaks), postures=np.concatenate(postures))
 
 
-def _strokes(scene: Scene) -> Iterator[StrokeRequest]:
+def proven_bound(scene: Scene, stroke: int, times: FloatArray, value: float) -> float:
+    """Return what is proven that no plan rests below, up to `value`; zero without a proof.
+
+    Parameters
+    ----------
+    scene : Scene
+        With the robot in the stance.
+    stroke : int
+    times : (K,), s
+        Of via-points of the stroke: at one of them no admissible posture undercuts it. They are tried in
+        their order until the value is proven.
+    value : float
+        What is to be proven.
+    """
+    request = replace(build_request(scene, scene.planner).at_stroke(stroke, scene), times=times)
+    proof, lowest = TorqueFloorProof.of(request), 0.0
+    for k in range(len(times) if proof is not None else 0):
+        if proof is not None and lowest < (1 - _PROVEN) * value:
+            lowest = max(lowest, proof.prove(k, value).lowest)
+    return lowest
+
+
+def _strokes(scene: Scene, at_rest: AtRest | None) -> Iterator[StrokeRequest]:
     """The strokes' requests, each from a posture that holds the tool where it begins."""
     request = build_request(scene, scene.planner)
-    if scene.return_to not in ("start", "none"):
-        _require_stow(request.tool_off)
+    if at_rest is not None:
+        objective = PostureObjective(function=_value(at_rest), name="", unit="")
+        request = replace(request, cell=replace(request.cell, objective=objective))
+    _require_put_away(scene, request.tool_off)
     for number in range(len(request.strokes)):
         yield starting_at_path(request.at_stroke(number, scene))
 
 
-def _require_stow(request: StrokeRequest) -> None:
-    """Refuse a stance in which the arm cannot be put away: its base may be tilted."""
+def _value(at_rest: AtRest) -> Callable[[FloatArray], tuple[FloatArray, FloatArray]]:
+    def function(q: FloatArray, /) -> tuple[FloatArray, FloatArray]:
+        return at_rest(q), np.zeros_like(q)  # charts need no gradient
+
+    return function
+
+
+def _require_put_away(scene: Scene, request: StrokeRequest) -> None:
+    """Refuse a stance in which the arm cannot be where it starts or is put away: its base may be tilted."""
     cell = request.cell
-    posture = request.state.posture if request.end_posture is None else request.end_posture
-    q = posture[None]
-    why, pair = "", None
-    if cell.use_at_rest(cell.postures.at(q))[0] > 1:
-        why = f"{weakest_joint(request.cell, q)} cannot hold the arm in its stow posture"
-    elif cell.clearances.check_collision(q, cell.options.safety_margin_m)[0]:
-        why, pair = (
-            "the arm in its stow posture comes too near to something",
-            most_often_near(request.cell, q),
-        )
-    if why:
-        raise request.path_not_found(why, posture, pair=pair)
+    if scene.return_to == "none" or request.end_posture is None:
+        return  # it is put away by hand
+    back = "start" if scene.return_to == "start" else str(scene.return_to)
+    stowed = scene.start is None or scene.start.stow is not None
+    ends = {back: request.end_posture, "stow" if stowed else "start": request.state.posture}
+    for name, posture in ends.items():
+        q = posture[None]
+        why, pair = "", None
+        if cell.use_at_rest(cell.postures.at(q))[0] > 1:
+            why = f"{weakest_joint(cell, q)} cannot hold the arm in its {name} posture"
+        elif not cell.clear(q)[0]:
+            why, pair = (
+                f"the arm in its {name} posture comes too near to something",
+                most_often_near(cell, q),
+            )
+        if why:
+            singular = request.task.smallest_singular_value(cell.robot, posture)
+            raise CannotBePutAway(why, time=0.0, progress=0.0, smallest_singular_value=singular, pair=pair)

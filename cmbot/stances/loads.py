@@ -1,4 +1,4 @@
-"""Loads of many stances: what each makes of the arm's wrench, objective and bounds of the feet."""
+"""Loads of many stances: what each makes of the arm's wrench, objective and bounds; how it bends."""
 
 from __future__ import annotations
 
@@ -9,41 +9,66 @@ import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.elastic import SharedFrame
-from cmbot.hold import Holding, needed_by_load
+from cmbot.elastic.first_order import Bases
+from cmbot.hold import Foot, Holding, needed_by_load
 from cmbot.robot import Climber, Robot
-from cmbot.scene import PlannerOptions, Scene, axis_point, feet_at
-from cmbot.stances.candidates import Candidate
+from cmbot.scene import FootholdFile, Scene, axis_point, feet_at
+from cmbot.stances.bounds import Bounds, StanceObjective
+from cmbot.stances.candidates import AnyCandidate, Candidate
+
+_METRE_MM = 1e3
 
 
-class _Shares:
-    """What the feet of each candidate bear of a wrench."""
+class _Support:
+    """On what each candidate stands: the shares of its feet, and its stiffness at O0 in W."""
 
-    def __init__(self, scene: Scene, candidates: Sequence[Candidate]) -> None:
+    def __init__(self, scene: Scene, candidates: Sequence[AnyCandidate], *, bends: bool) -> None:
         self._guardrail, self._number = scene.elastic_guardrail, dict[tuple[float, ...], int]()
+        self._file = scene.guardrail
+        given = self._guardrail.stiffness
+        self._bends, self._given = bends, None if given is None else np.array(given)
         points = list[FloatArray]()
         for candidate in candidates:
-            if candidate.stance.foot_2 is not None:
-                for place in (candidate.stance.foot_1, candidate.stance.foot_2):
-                    point = axis_point(scene.elastic_guardrail, place)
+            places = self._places(candidate)
+            if len(places) > 1 or (bends and given is None):
+                for place in places:
+                    point = axis_point(self._guardrail, place)
                     if self._key(point) not in self._number:
                         self._number[self._key(point)] = len(points)
                         points.append(point)
-        self._frame = SharedFrame(scene.elastic_guardrail, np.array(points)) if points else None
+        self._frame = SharedFrame(self._guardrail, np.array(points)) if points else None
+
+    @staticmethod
+    def _places(candidate: AnyCandidate) -> list[FootholdFile]:
+        if not isinstance(candidate, Candidate):
+            return []
+        stance = candidate.stance
+        return [place for place in (stance.foot_1, stance.foot_2) if place is not None]
 
     @staticmethod
     def _key(point: FloatArray) -> tuple[float, ...]:
         return tuple(np.round(point, 3).tolist())
 
-    def of(self, candidate: Candidate) -> tuple[FloatArray, ...]:
-        """The shares (6, 6) of its feet."""
-        stance = candidate.stance
-        if stance.foot_2 is None or self._frame is None:
-            return (np.eye(6),)
-        first, second = (
-            self._number[self._key(axis_point(self._guardrail, place))]
-            for place in (stance.foot_1, stance.foot_2)
-        )
-        return self._frame.shares(first, second, candidate.root[:3, 3])
+    def _numbers(self, candidate: AnyCandidate) -> list[int]:
+        points = (axis_point(self._guardrail, place) for place in self._places(candidate))
+        return [self._number[self._key(point)] for point in points]
+
+    def feet(self, candidate: AnyCandidate) -> tuple[Foot, ...]:
+        """The feet that hold; none of a mount."""
+        if not isinstance(candidate, Candidate):
+            return ()
+        shares: tuple[FloatArray, ...] = (np.eye(6),)
+        if candidate.stance.foot_2 is not None and self._frame is not None:
+            shares = self._frame.shares(self._numbers(candidate), candidate.root[:3, 3])
+        return feet_at(self._file, candidate.stance, self._guardrail, shares)
+
+    def stiffness(self, candidate: AnyCandidate) -> FloatArray | None:
+        """Its stiffness (6, 6) at O0 in W; None: rigid."""
+        if not isinstance(candidate, Candidate):
+            return candidate.stiffness
+        if self._given is not None or self._frame is None or not self._bends:
+            return self._given
+        return self._frame.stiffness(self._numbers(candidate), candidate.root[:3, 3])
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +81,30 @@ class _Contacts:
 
 
 class StanceLoads:
-    """What stances make of the arm's wrench: values and gradients in the base's frame."""
+    """What stances make of the arm's wrench: values and gradients in the base's frame.
+
+    Parameters
+    ----------
+    scene : Scene
+    candidates : sequence of Candidate or MountCandidate
+    robot : Robot
+        In the scene's stance.
+    arm : Robot
+        The arm on a base at the origin of its own frame.
+    objective : str
+        The objective.
+    bounds : Bounds
+    """
 
     def __init__(
-        self, scene: Scene, candidates: Sequence[Candidate], options: PlannerOptions, robot: Robot
+        self,
+        scene: Scene,
+        candidates: Sequence[AnyCandidate],
+        robot: Robot,
+        arm: Robot,
+        objective: StanceObjective,
+        bounds: Bounds,
     ) -> None:
-        shared, climber = _Shares(scene, candidates), Climber()
         gravity = np.array(robot.model.gravity.linear)
         base = np.array([each.base for each in candidates])
         root = np.array([each.root for each in candidates])
@@ -69,27 +112,58 @@ class StanceLoads:
         away = root[:, :3, 3] - base[:, :3, 3]
         self.foot = np.einsum("cji,cj->ci", self.rotation, away)
         self.gravity = np.einsum("cji,j->ci", self.rotation, gravity)
-        weights = [climber.weight(each.climber) for each in candidates]
-        mass, centre = (np.array(part) for part in zip(*weights, strict=True))
-        still = mass[:, None] * gravity
-        lever = np.einsum("cij,cj->ci", root[:, :3, :3], centre)
-        self._still = np.hstack([still, np.cross(lever, still)])
-        feet = [
-            feet_at(scene.guardrail, each.stance, scene.elastic_guardrail, shared.of(each))
+        climber, body = Climber(), arm.model.inertias[0]
+        weights = [
+            climber.weight(each.climber)
+            if isinstance(each, Candidate)
+            else (float(body.mass), np.array(body.lever))
             for each in candidates
         ]
-        # Where there is no second foot, the first one stands for it.
-        self._feet = [[each[min(k, len(each) - 1)] for each in feet] for k in (0, 1)]
-        self._from_wrench = [np.array([foot.from_wrench for foot in part]) for part in self._feet]
-        flat = [np.array([foot.half or (np.nan, np.nan) for foot in part]) for part in self._feet]
-        radius = [np.array([foot.radius or np.nan for foot in part]) for part in self._feet]
-        friction = [np.array([foot.friction for foot in part]) for part in self._feet]
-        self._flat = list(zip(flat, radius, friction, strict=True))
+        self._mass, centre = (np.array(part) for part in zip(*weights, strict=True))
+        lever = np.einsum("cij,cj->ci", root[:, :3, :3], centre)
+        self._centre = self.foot + np.einsum("cji,cj->ci", self.rotation, lever)
+        still = self._mass[:, None] * gravity
+        self._still = np.hstack([still, np.cross(lever, still)])
+        support = _Support(scene, candidates, bends=True)
+        self._feet(support, candidates)
+        self._stiffness = self._turned([support.stiffness(each) for each in candidates])
+        self.bends = self._stiffness is not None or bool(arm.elasticity or arm.joint_elasticity)
+        self.objective, self._bounds = objective, bounds
+        about_base = scene.planner.moment_about == "base"
+        self._point = -away if about_base else np.zeros_like(away)
+        self._weights = np.array(scene.planner.axis_weights)
+
+    def _feet(self, support: _Support, candidates: Sequence[AnyCandidate]) -> None:
+        feet = [support.feet(each) for each in candidates]
         self._holding = [Holding(each, self._still[k]) for k, each in enumerate(feet)]
         self._bounded = any(holding.bounded for holding in self._holding)
-        self._torque = options.objective == "torque"
-        self._point = -away if options.moment_about == "base" else np.zeros_like(away)
-        self._weights = np.array(options.axis_weights)
+        # Where there is no second foot, the first one stands for it.
+        parts = [[each[min(k, len(each) - 1)] for each in feet] for k in (0, 1)] if all(feet) else []
+        self._from_wrench = [np.array([foot.from_wrench for foot in part]) for part in parts]
+        flat = [np.array([foot.half or (np.nan, np.nan) for foot in part]) for part in parts]
+        radius = [np.array([foot.radius or np.nan for foot in part]) for part in parts]
+        friction = [np.array([foot.friction for foot in part]) for part in parts]
+        self._flat = list(zip(flat, radius, friction, strict=True))
+
+    def _turned(self, each: Sequence[FloatArray | None]) -> FloatArray | None:
+        """Stiffness (C, 6, 6) along the axes of the bases; what is rigid is very stiff beside what bends."""
+        known = [K for K in each if K is not None]
+        if not known:
+            return None
+        rigid = np.diag(np.max([np.diag(K) for K in known], axis=0)) * 1e4
+        K = np.array([rigid if one is None else one for one in each])
+        T = np.zeros_like(K)
+        T[:, :3, :3] = T[:, 3:, 3:] = self.rotation
+        return np.asarray(T.transpose(0, 2, 1) @ K @ T)
+
+    def bases(self, of: IntArray) -> Bases:
+        """Return on what stances stand."""
+        return Bases(
+            foot=self.foot[of],
+            stiffness=None if self._stiffness is None else self._stiffness[of],
+            carrier_mass=self._mass[of],
+            carrier_centre=self._centre[of],
+        )
 
     def wrench(
         self, of: IntArray, first_moment: FloatArray, mass: float, push: FloatArray, tool: FloatArray
@@ -116,21 +190,48 @@ class StanceLoads:
             gradient[more] = np.einsum("ki,kij->kj", by_load[more], by_wrench[of][more])
         return value, gradient
 
-    def value(self, of: IntArray, wrench: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Objective (N,) and its derivatives (N, 3) by the torque in the base's frame."""
-        if self._torque:
-            moment = self._weights * (wrench[:, 3:] - np.cross(self._point[of], wrench[:, :3]))
-            value = np.linalg.norm(moment, axis=1)
-            by_torque = self._weights * moment / np.maximum(value, 1e-9)[:, None]
+    def torque(self, of: IntArray, wrench: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Weighted moment (N,), Nm, and its gradients (N, 3) by the torque in W."""
+        moment = self._weights * (wrench[:, 3:] - np.cross(self._point[of], wrench[:, :3]))
+        value = np.linalg.norm(moment, axis=1)
+        return value, self._weights * moment / np.maximum(value, 1e-9)[:, None]
+
+    def slope(self, of: IntArray, wrench: FloatArray, tool: FloatArray) -> FloatArray:
+        """Derivatives (N, 3) of what is ranked by the torque in the base's frame; sag by that of the base."""
+        if self.objective == "torque":
+            by_torque = self.torque(of, wrench)[1]
+        elif self.objective == "hold":
+            by_torque = self.adhesion(of, wrench)[1][:, 3:]
+        elif self._stiffness is None:
+            by_torque = self.torque(of, wrench)[1]
         else:
-            value, gradient = self.adhesion(of, wrench)
-            by_torque = gradient[:, 3:]
-        return value, np.einsum("kij,ki->kj", self.rotation[of], by_torque)
+            R, lever = self.rotation[of], tool - self.foot[of]
+            whole = (wrench + self._still[of]).reshape(-1, 2, 3) @ R
+            motion = np.zeros((len(of), 3, 6))
+            motion[:, :, :3] = np.eye(3)
+            motion[:, :, 3:] = np.cross(lever[:, None], np.eye(3))
+            compliance = motion @ np.linalg.inv(self._stiffness[of])
+            sag = np.einsum("kij,kj->ki", compliance, whole.reshape(-1, 6))
+            unit = sag / np.maximum(np.linalg.norm(sag, axis=1), 1e-12)[:, None]
+            return np.asarray(np.einsum("ki,kij->kj", unit, compliance[:, :, 3:]))
+        return np.asarray(np.einsum("kij,ki->kj", self.rotation[of], by_torque))
 
     def holds(self, of: IntArray, wrench: FloatArray) -> BoolArray:
-        """Whether the feet bear it."""
-        good = np.ones(len(of), dtype=np.bool_)
+        """Whether the feet bear it, and torque and adhesion are within their bounds."""
+        good = self.torque(of, wrench)[0] <= self._bounds.base_torque_nm
+        if np.isfinite(self._bounds.adhesion_n):
+            good &= self.adhesion(of, wrench)[0] <= self._bounds.adhesion_n
         for c in np.unique(of) if self._bounded else ():
             rows = of == c
-            good[rows] = self._holding[c].share(wrench[rows])[0] <= 1.0
+            good[rows] &= self._holding[c].share(wrench[rows])[0] <= 1.0
         return good
+
+    @property
+    def sags(self) -> bool:
+        """Whether postures are judged by their sag."""
+        return self.bends and (self.objective in ("sag", "sway") or bool(np.isfinite(self._bounds.sag_mm)))
+
+    @property
+    def most_sag(self) -> float:
+        """Bound of the sag, m."""
+        return self._bounds.sag_mm / _METRE_MM

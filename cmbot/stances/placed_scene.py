@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, TypeVar
 
-import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.planning import robot_of, strokes_of
-from cmbot.scene import WORK, JobStrokes, Scene, StrokeFile
-from cmbot.stances.candidates import Candidate
+from cmbot.scene import STOW, WORK, JobStrokes, Scene, StrokeFile
+from cmbot.stances.candidates import AnyCandidate, Candidate, MountCandidate, stiffness_in_world
 from cmbot.toolpath import Goal
 
 T = TypeVar("T")
@@ -30,22 +30,45 @@ _COMMON = {
 }
 
 
-def scene_at(scene: Scene, candidate: Candidate, posture: FloatArray | None) -> Scene:
+def scene_at(scene: Scene, candidate: AnyCandidate, posture: FloatArray | None) -> Scene:
     """Return the scene with the robot in another stance.
 
     Parameters
     ----------
     scene : Scene
         As `in_world` returns it.
-    candidate : Candidate
+    candidate : Candidate or MountCandidate
+        Of a mount the torque is that about the origin of the base frame.
     posture : (n,), rad, or None
         In which the arm starts: elsewhere the scene's own, None, may be in the way of something.
     """
-    changes: dict[str, Any] = {"guardrail": scene.guardrail.changed(stance=candidate.in_file)}
+    changes: dict[str, Any] = {}
+    if isinstance(candidate, Candidate):
+        changes["guardrail"] = scene.guardrail.changed(stance=candidate.in_file)
+    elif candidate.mount is not None:
+        stiffness = stiffness_in_world(candidate)
+        rows = None if stiffness is None else [[*map(float, row)] for row in (stiffness + stiffness.T) / 2]
+        changes["robot"] = scene.robot.changed(mount=candidate.mount)
+        changes["guardrail"] = scene.guardrail.changed(bays=0, stiffness=rows, mass=None)
+        changes["base"] = None if scene.base is None else scene.base.changed(modes=None)
+    if isinstance(candidate, MountCandidate):
+        changes["planner"] = replace(scene.planner, moment_about="base")
     if posture is not None:
-        changes["start"] = {"posture_deg": np.degrees(posture)}
+        changes["start"] = {"posture": posture}
     name = scene.name if scene.name.endswith(_STANCE) else f"{scene.name}{_STANCE}"
     return scene.changed(name=name, **changes)
+
+
+def put_away(scene: Scene) -> Scene:
+    """Return the scene with an arm that comes from its stow posture, and is put away again.
+
+    An arm without one comes from where it starts, and returns there.
+    """
+    stowed = STOW in robot_of(scene).group_states
+    changes: dict[str, Any] = {"start": {"stow": True}} if stowed else {}
+    if scene.return_to == "none":
+        changes["return_to"] = "stow" if stowed else "start"
+    return scene.changed(**changes)
 
 
 def in_world(scene: Scene) -> Scene:

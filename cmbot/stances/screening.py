@@ -19,13 +19,14 @@ import numpy as np
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning import ToolTask
 from cmbot.robot import Robot
-from cmbot.scene import PlannerOptions, Scene
-from cmbot.stances.arm import CLOSELY, ROUGHLY, BaseArm, Effort
-from cmbot.stances.candidates import Candidate
+from cmbot.scene import Scene
+from cmbot.stances.arm import CLOSELY, FIGURES, ROUGHLY, BaseArm, Effort
+from cmbot.stances.bounds import Bounds, StanceObjective
+from cmbot.stances.candidates import AnyCandidate
 from cmbot.stances.loads import StanceLoads
 
-# Via-points of a stroke at which all stances are screened.
-_VIA_POINTS = 6
+VIA_POINTS = 6
+"""Of a stroke at which all stances are screened."""
 # Postures that are tried at once.
 _AT_ONCE = 12_000
 # The share of the time that the rough search takes.
@@ -40,60 +41,67 @@ class Screening:
     ----------
     within_reach : (S, C)
         Whether the tool's places are within reach of the arm's links.
-    bound : (S, C)
-        Bound of each, in the objective's unit; infinite where no posture was found.
-    torque, adhesion : (S, C), Nm and N
-        Largest torque and adhesion at rest in the postures of that bound.
+    figures : (6, S, C)
+        `FIGURES` at rest in the posture of each bound, at the via-point where it is largest; the bound is
+        infinite where no posture was found, and what was not computed is NaN.
+    via_point : (S, C)
+        Number of that via-point, of `VIA_POINTS` at equal times.
     """
 
     within_reach: BoolArray
-    bound: FloatArray
-    torque: FloatArray
-    adhesion: FloatArray
+    figures: FloatArray
+    via_point: IntArray
+
+    @property
+    def bound(self) -> FloatArray:
+        """Bound (S, C) of each, in the unit of what is ranked."""
+        return np.asarray(self.figures[0])
 
 
-def screen(
-    scene: Scene,
-    robot: Robot,
-    tasks: Sequence[ToolTask],
-    candidates: Sequence[Candidate],
-    options: PlannerOptions,
-    report: Callable[[float], None] = lambda _: None,
-) -> Screening:
-    """Screen candidates.
+class Screener:
+    """Screens candidates: what is common to all of them, and to the stages that follow.
 
     Parameters
     ----------
     scene : Scene
     robot : Robot
         In the scene's stance.
-    tasks : sequence of ToolTask
-        Of the strokes, in W.
-    candidates : sequence of Candidate
-    options : PlannerOptions
-        The objective is ``torque`` or ``hold``.
-    report : callable
-        Takes the share that is done.
+    candidates : sequence of Candidate or MountCandidate
+    objective : str
+        Of postures and stances.
+    bounds : Bounds
     """
-    arm, shape = BaseArm(scene, robot), (len(tasks), len(candidates))
-    bases = np.array([candidate.base for candidate in candidates]).reshape(-1, 4, 4)
-    within = np.array([_within_reach(task, bases, robot) for task in tasks]).reshape(shape)
-    figures = np.stack([np.full(shape, np.inf), np.zeros(shape), np.zeros(shape)])
-    near = np.flatnonzero(within.any(axis=0))
-    if not len(near):
-        return Screening(within_reach=within, bound=figures[0], torque=figures[1], adhesion=figures[2])
-    loads = StanceLoads(scene, [candidates[k] for k in near.tolist()], options, robot)
-    number = np.cumsum(within.any(axis=0)) - 1  # among those within reach
-    for s, task in enumerate(tasks):
 
-        def told(share: float, done: int = s) -> None:
-            report((done + share) / len(tasks))
+    def __init__(
+        self,
+        scene: Scene,
+        robot: Robot,
+        candidates: Sequence[AnyCandidate],
+        objective: StanceObjective = "torque",
+        bounds: Bounds | None = None,
+    ) -> None:
+        self._robot, self._bases = robot, np.array([candidate.base for candidate in candidates])
+        self.arm = BaseArm(scene, robot)
+        self.loads = StanceLoads(scene, candidates, robot, self.arm.robot, objective, bounds or Bounds())
 
-        left = np.flatnonzero(within[s])
-        stroke = _Stroke(arm=arm, task=task, bases=bases[left], loads=loads, number=number[left])
-        figures[:, s, left] = stroke.bounded(told)
-    bound, torque, adhesion = figures
-    return Screening(within_reach=within, bound=bound, torque=torque, adhesion=adhesion)
+    def screened(
+        self, tasks: Sequence[ToolTask], report: Callable[[float], None] = lambda _: None
+    ) -> Screening:
+        """Screen them for the tasks (S) of strokes, in W; `report` takes the share that is done."""
+        shape = len(tasks), len(self._bases)
+        within = np.array([_within_reach(task, self._bases, self._robot) for task in tasks]).reshape(shape)
+        figures, worst = np.full((len(FIGURES), *shape), np.nan), np.zeros(shape, dtype=np.intp)
+        figures[0] = np.inf
+        for s, task in enumerate(tasks):
+
+            def told(share: float, done: int = s) -> None:
+                report((done + share) / len(tasks))
+
+            left = np.flatnonzero(within[s])
+            stroke = _Stroke(arm=self.arm, task=task, bases=self._bases[left], loads=self.loads, number=left)
+            if len(left):
+                figures[:, s, left], worst[s, left] = stroke.bounded(told)
+        return Screening(within_reach=within, figures=figures, via_point=worst)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,11 +114,11 @@ class _Stroke:
     loads: StanceLoads
     number: IntArray
 
-    def bounded(self, report: Callable[[float], None]) -> FloatArray:
-        """Largest over the via-points of the smallest objective, its torque and its adhesion, (3, C)."""
-        K, C = _VIA_POINTS, len(self.bases)
+    def bounded(self, report: Callable[[float], None]) -> tuple[FloatArray, IntArray]:
+        """Figures (6, C) where, over the via-points, what is ranked is largest, and the via-points (C,)."""
+        K, C = VIA_POINTS, len(self.bases)
         every = np.arange(C)
-        found = np.empty((3, K, C))
+        found = np.empty((len(FIGURES), K, C))
         for k in range(K):
             found[:, k] = self._least(k, every, ROUGHLY)
             report(_ROUGH * (k + 1) / K)
@@ -120,7 +128,7 @@ class _Stroke:
             worst = found[0].argmax(axis=0)
             open_ = ~closely[worst, every]
             if not open_.any():
-                return found[:, worst, every]
+                return found[:, worst, every], worst
             for k in range(K):
                 some = np.flatnonzero(open_ & (worst == k))
                 again = self._least(k, some, CLOSELY)
@@ -130,10 +138,10 @@ class _Stroke:
             report(_ROUGH + (1 - _ROUGH) * float(1 - open_.mean()))
 
     def _least(self, via_point: int, some: IntArray, effort: Effort) -> FloatArray:
-        """Values of some of the stances at a via-point, (3, k)."""
-        time = float(_times(self.task, _VIA_POINTS)[via_point])
+        """Figures of some of the stances at a via-point, (6, k)."""
+        time = float(times_of(self.task)[via_point])
         at_once = max(_AT_ONCE // (effort.tried * (1 + 2 * effort.walked)), 1)
-        parts = [np.empty((3, 0))]
+        parts = [np.empty((len(FIGURES), 0))]
         for first in range(0, len(some), at_once):
             part = some[first : first + at_once]
             bases, number = self.bases[part], self.number[part]
@@ -143,11 +151,11 @@ class _Stroke:
 
 def _within_reach(task: ToolTask, bases: FloatArray, robot: Robot) -> BoolArray:
     """Which bases (C, 4, 4) have all places of a stroke within reach of the arm's links."""
-    points = task.path.position(_times(task, _VIA_POINTS))
+    points = task.path.position(times_of(task))
     away = np.linalg.norm(points[:, None] - bases[:, :3, 3], axis=2)
     return np.asarray(((away <= robot.reach) & (away >= robot.inner_reach)).all(axis=0))
 
 
-def _times(task: ToolTask, count: int) -> FloatArray:
-    """Times (count,) of via-points from the beginning of a stroke to its end, s."""
-    return np.linspace(0.0, task.path.duration, count)
+def times_of(task: ToolTask) -> FloatArray:
+    """Return the times of the via-points from the beginning of a stroke to its end, s."""
+    return np.linspace(0.0, task.path.duration, VIA_POINTS)

@@ -1,9 +1,13 @@
-"""The search among stances: those of the smallest bounds first, each judged by more and more costly means."""
+"""The search among stances: best first, each judged by stages that cost more and more.
+
+Each stage returns a better bound of a stance, or why it is left out. Those that wait are in a heap by what is
+expected of them; the first is judged by its next stage, until enough are planned and none can be better.
+"""
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from time import monotonic
 from typing import Literal
@@ -11,36 +15,22 @@ from typing import Literal
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import (
-    CmbotError,
-    InputError,
-    LimitViolation,
-    OptimisationFailed,
-    PathNotFound,
-)
+from cmbot.common.errors import CmbotError, InputError, LimitViolation, OptimisationFailed, PathNotFound
 from cmbot.common.representation import short_repr
-from cmbot.planning import Plan, plan
+from cmbot.planning import Plan
 from cmbot.scene import PlannerOptions, Scene
-from cmbot.stances.candidates import Candidate, climber_in_the_way
-from cmbot.stances.charting import bounded_quickly, chart
-from cmbot.stances.placed_scene import scene_at
-from cmbot.stances.screening import Screening
+from cmbot.stances.bounds import NO_BOUNDS, NO_FIGURES, Bounds, StanceFigures, StanceObjective
+from cmbot.stances.candidates import AnyCandidate
+from cmbot.stances.charting import CannotBePutAway
 
+StageName = Literal["reach", "postures", "clearance", "obstacles", "charts", "plan"]
+"""By what a stance is judged, the cheapest first."""
+RejectionKind = Literal["out of reach", "no posture", "blocked", "beyond a bound", "failed"]
+Progress = Callable[[str, float], None]
 # Bases nearer, m, to one that could not be planned or charted are tried last.
-_NEAR = {"plan": 0.3, "charts": 0.12}
-# Attempts to plan: so many times the number of plans wanted and one more.
-_TRIES = 2
-# A stance is not planned where the postures of its charts have this factor of the largest torque; a plan may
-# have a smaller one.
-_ROOM = 1.05
+_NEAR: dict[StageName, float] = {"plan": 0.3, "charts": 0.12}
 # Time that planning is given at least, s.
 _SHORTEST = 1e-3
-# Why no bound was found of stances that the arm's links do not reach, and that they do reach.
-_UNFOUND = {
-    False: "out of reach of the arm's links",
-    True: "no posture found within the bounds of joints and feet",
-}
-_TOO_MUCH = "more torque on the guardrail than is allowed"
 # Once enough are planned, only stances that may be better by more than this share are judged.
 _GAP = 0.02
 
@@ -51,6 +41,10 @@ class StandOptions:
 
     Attributes
     ----------
+    objective : str or None
+        ``torque``, ``hold``, ``sag`` or ``sway``; None: that of the scene's planner.
+    bounds : Bounds
+        Stances that exceed one are left out.
     spacing : float, m
         Between places of foot 1 with foot 2 free.
     pair_spacing : float, m
@@ -61,21 +55,23 @@ class StandOptions:
         Largest number of stances that are charted.
     checks : int
         Largest number of stances that are checked for obstacles.
+    proofs : int
+        Largest number of other mounts whose bounds are proven.
     members : tuple of str
         Posts and rails that feet hold; empty: all.
-    max_torque : float, Nm
-        Stances whose plan has a larger peak of the torque on the guardrail at work are left out.
     time_limit : float, s
         After which no stance is judged any more; what was planned until then is kept.
     """
 
+    objective: StanceObjective | None = None
+    bounds: Bounds = NO_BOUNDS
     spacing: float = 0.05
     pair_spacing: float = 0.15
     plans: int = 3
     charts: int = 40
     checks: int = 400
+    proofs: int = 1000
     members: tuple[str, ...] = ()
-    max_torque: float = np.inf
     time_limit: float = np.inf
 
 
@@ -113,292 +109,245 @@ class Ending:
         return self.limit - (monotonic() - self._began)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Stood:
-    """A candidate, how far it was judged, and with what result.
+@dataclass(frozen=True, kw_only=True)
+class Rejection:
+    """Why a stance is left out.
 
     Attributes
     ----------
-    candidate : Candidate
-    status : str
-        ``planned``, ``failed`` where planning failed, ``too much torque`` where the plan exceeds the largest
-        torque, ``screened`` where none was tried, ``blocked`` where the
-        climber or all postures that were found at some via-point come too near to something, or no sequence
-        of postures leads along a stroke, ``no posture`` where none within the bounds of joints and feet was
-        found at one, ``out of reach``.
-    judged : str
-        By what, the furthest it came: ``reach`` of the links, sampled ``postures``, ``obstacles`` with charts
-        at some via-points, ``charts`` at all of them, a ``plan``.
-    bound, torque, adhesion : float
-        As `Screening` has them; the bound that of the last judgement.
-    plan : Plan or None
+    kind : str
+        ``out of reach`` of the links, ``no posture`` within the bounds of joints and feet, ``blocked`` where
+        climber or postures come too near to something or no sequence of them leads along a stroke, ``beyond
+        a bound``, or ``failed`` where planning did.
     reason : str
-        Why there is no plan.
+        With the figures of this stance.
     cause : str
         That without what it has to do with this stance alone: the same for many.
+    """
+
+    kind: RejectionKind
+    reason: str
+    cause: str
+
+    @staticmethod
+    def of(kind: RejectionKind, error: CmbotError) -> Rejection:
+        """Return that by an error."""
+        match error:
+            case CannotBePutAway(pair=None):
+                cause = error.reason
+            case PathNotFound(pair=(link, other)):
+                cause = f"{link} and {other} too near to each other"
+            case PathNotFound() if error.pace > 1:
+                cause = "joints too slow for the path"
+            case PathNotFound():
+                cause = "no sequence of admissible postures found"
+            case OptimisationFailed():
+                cause = f"{error.constraint} beyond its bound"
+            case LimitViolation():
+                cause = f"{error.quantity} beyond its bound"
+            case InputError():
+                cause = f"{error.key}: not {error.expected}"
+            case _:
+                cause = str(error)
+        return Rejection(kind=kind, reason=str(error), cause=cause)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StanceResult:
+    """A stance, how far it was judged, and with what result.
+
+    Attributes
+    ----------
+    candidate : Candidate or MountCandidate
+    stage : str
+        By what it was judged, the furthest it came: ``reach`` of the links, sampled ``postures``,
+        ``clearance`` of what does not move, ``obstacles`` with charts at some via-points, ``charts`` at all
+        of them, a ``plan``.
+    bound : float
+        Of what is ranked, by the last stage, in its unit: an estimate; infinite where there is no posture.
+    proven : float
+        What no plan in it rests below, as is proven: infinite out of reach; zero where nothing was.
+    expected : float
+        What a plan is expected to reach.
+    at_rest : StanceFigures
+        In the sampled postures of the bound.
+    figures : StanceFigures
+        Of the plan.
+    value : float
+        Of what is ranked, of the plan; infinite without one.
+    plan : Plan or None
+    rejection : Rejection or None
     own : bool
         Whether it is that of the scene, or of one of several.
     """
 
-    candidate: Candidate
-    status: str
-    judged: str
+    candidate: AnyCandidate
+    stage: StageName
     bound: float
-    torque: float
-    adhesion: float
+    proven: float = 0.0
+    expected: float = 0.0
+    at_rest: StanceFigures = NO_FIGURES
+    figures: StanceFigures = NO_FIGURES
+    value: float = np.inf
     plan: Plan | None = None
-    reason: str = ""
-    cause: str = ""
+    rejection: Rejection | None = None
     own: bool = False
 
     __repr__ = short_repr
 
     @property
     def place(self) -> str:
-        """Where the feet hold, in words."""
+        """Where it stands, in words."""
         return self.candidate.place
 
+    @property
+    def status(self) -> str:
+        """How it ended: ``planned``, ``screened`` where no plan was tried, or the kind of its rejection."""
+        if self.rejection is not None:
+            return self.rejection.kind
+        return "screened" if self.plan is None else "planned"
 
-def judged(
-    scene: Scene,
-    candidates: Sequence[Candidate],
-    found: Screening,
-    strokes: Sequence[int],
+    @property
+    def order(self) -> tuple[int, float]:
+        """What is planned first, by its value; then what is only bounded; then the rejected."""
+        if self.plan is not None and self.rejection is None:
+            return 0, self.value
+        return (1 if self.rejection is None else 2 + _KINDS.index(self.rejection.kind)), self.bound
+
+    def rejected(self, stage: StageName, rejection: Rejection) -> StanceResult:
+        """Return it as left out by a stage."""
+        return replace(self, stage=stage, rejection=rejection)
+
+
+_KINDS: tuple[RejectionKind, ...] = ("failed", "beyond a bound", "blocked", "no posture", "out of reach")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """What judges a stance.
+
+    Attributes
+    ----------
+    name : str
+    judge : callable
+        Takes a stance, and returns it with a better bound, a plan or a rejection.
+    most : int
+        How often it does so at most.
+    step : str
+        What is said while it does.
+    """
+
+    name: StageName
+    judge: Callable[[StanceResult], StanceResult]
+    most: int
+    step: str
+
+
+def evaluate_stances(
+    results: Sequence[StanceResult],
+    stages: Sequence[Stage],
     options: StandOptions,
-    progress: Callable[[str, float], None],
-    suits: Callable[[Candidate], str | None] = lambda _: None,
-    own: Mapping[Candidate, FloatArray | None] | None = None,
-    ending: Ending | None = None,
-) -> tuple[Stood, ...]:
-    """Return the candidates for some strokes as they were judged, the best first.
+    ending: Ending,
+    progress: Progress = lambda _step, _share: None,
+) -> list[StanceResult]:
+    """Judge stances, and return them in the order in which they came.
+
+    Until enough are planned and none can be better, or the attempts or the time are used up. What was planned
+    is kept where a user stops the search; where nothing was, it is stopped.
 
     Parameters
     ----------
-    scene : Scene
-        Of these strokes, as `in_world` returns it.
-    candidates : sequence of Candidate
-    found : Screening
-        Of the candidates.
-    strokes : sequence of int
-        Numbers of the strokes in the screening.
+    results : sequence of StanceResult
+        As they were screened; own ones are planned first, whatever their bounds.
+    stages : sequence of Stage
+        In the order in which they judge a stance; the last one plans.
     options : StandOptions
+    ending : Ending
     progress : callable
         Takes what is done and the share of it.
-    suits : callable
-        Takes a candidate; why it is left out, or None.
-    own : mapping of Candidate to (n,), rad, or None, optional
-        Stances of the scenes, which are planned before all others, from these postures.
-    ending : Ending, optional
     """
-    own = own or {}
-    within = np.asarray(found.within_reach[strokes].all(axis=0))
-    each = [
-        Stood(
-            candidate=candidate,
-            status=_status(bool(within[k]), float(found.bound[strokes, k].max())),
-            judged="postures" if within[k] else "reach",
-            bound=float(found.bound[strokes, k].max()),
-            torque=float(found.torque[strokes, k].max()),
-            adhesion=float(found.adhesion[strokes, k].max()),
-            cause="" if np.isfinite(found.bound[strokes, k].max()) else _UNFOUND[bool(within[k])],
-            own=candidate in own,
-        )
-        for k, candidate in enumerate(candidates)
-    ]
-    _Search(scene, each, options, suits, own, ending or Ending(limit=options.time_limit)).run(progress)
-    return tuple(sorted(each, key=_order))
-
-
-def _status(within: bool, bound: float) -> str:
-    if not within:
-        return "out of reach"
-    return "screened" if np.isfinite(bound) else "no posture"
-
-
-def _order(each: Stood) -> tuple[int, float]:
-    if each.plan is not None:
-        return 0, each.plan.objective.planned_peak
-    order = ("screened", "failed", "too much torque", "blocked", "no posture", "out of reach")
-    return 1 + order.index(each.status), each.bound
+    search = _Search(list(results), stages, options, ending, progress)
+    if options.plans:
+        try:
+            search.plan_own()
+            search.run()
+        except KeyboardInterrupt:
+            if not ending.keeps:
+                raise
+            ending.by = "interrupt"
+    return search.results
 
 
 class _Search:
-    """Judges stances, those of the smallest bounds first, each by more and more costly means."""
+    """A heap of stances that wait for their next stages."""
 
     def __init__(
         self,
-        scene: Scene,
-        each: list[Stood],
+        results: list[StanceResult],
+        stages: Sequence[Stage],
         options: StandOptions,
-        suits: Callable[[Candidate], str | None],
-        own: Mapping[Candidate, FloatArray | None],
         ending: Ending,
+        progress: Progress,
     ) -> None:
-        self._suits, self._own, self._ending = suits, own, ending
-        self._scene = scene
-        self.each, self._options = each, options
-        self._begins, self._failures = dict[int, FloatArray | None](), list[tuple[FloatArray, float]]()
-        self._waiting = [(one.bound, k) for k, one in enumerate(each) if one.status == "screened"]
-        heapq.heapify(self._waiting)
+        self.results, self._stages, self._wanted = results, stages, options.plans
+        self._ending, self._progress = ending, progress
+        self._done = [0] * len(stages)
+        self._next = {stage.name: k + 1 for k, stage in enumerate(stages)}
+        self._failures = list[tuple[FloatArray, float]]()
+        self._waiting = [(each.bound, k) for k, each in enumerate(results) if each.status == "screened"]
         # Those near a failure, until no others wait.
         self._later = list[tuple[float, int]]()
-        self._best: int | None = None
-        self._checks = self._charts = self._tries = self._planned = 0
+        self._best, self._planned = np.inf, 0
 
-    def run(self, progress: Callable[[str, float], None]) -> None:
-        """Judge until enough are planned and none can be better, or the attempts or the time are used up.
-
-        What was planned is kept where a user stops the search; where nothing was, it is stopped.
-        """
-        if not self._options.plans:
-            return
-        try:
-            self._plan_own(progress)
-            self._judge(progress)
-        except KeyboardInterrupt:
-            if not self._ending.keeps:
-                raise
-            self._ending.by = "interrupt"
-
-    def _plan_own(self, progress: Callable[[str, float], None]) -> None:
+    def plan_own(self) -> None:
         """Plan the scenes' own stances: no other one is better than they are unless it is planned, too."""
-        for k, each in enumerate(self.each):
-            if each.own and each.status != "out of reach" and not self._ending.is_due():
-                progress("planning the scene's own stance", 0.0)
-                self._begins[k] = self._own[each.candidate]
-                if why := self._suits(each.candidate):
-                    self._reject(k, "blocked", "obstacles", why, why)
-                else:
-                    self._plan(k)
+        for k, each in enumerate(self.results):
+            if each.own and each.stage != "reach" and not self._ending.is_due():
+                self._progress("planning the scene's own stance", 0.0)
+                self._judge(k, self._stages[-1])
 
-    def _judge(self, progress: Callable[[str, float], None]) -> None:
-        options = self._options
+    def run(self) -> None:
+        """Judge the most promising by its next stage, again and again."""
+        heapq.heapify(self._waiting)
         while (self._waiting or self._later) and not self._ending.is_due():
             if not self._waiting:
                 self._waiting, self._later, self._failures = self._later, [], []
                 heapq.heapify(self._waiting)
             key, k = heapq.heappop(self._waiting)
-            if self.each[k].status != "screened" or self.each[k].bound >= self._enough:
+            each, number = self.results[k], self._next.get(self.results[k].stage, 0)
+            if each.status != "screened" or each.bound >= self._enough:
                 continue
-            if self.each[k].judged != "postures" and self._is_near_a_failure(k):
+            if number and self._is_near_a_failure(each):
                 # It most likely fails for the same reason: others come first.
                 self._later.append((key, k))
                 continue
-            match self.each[k].judged:
-                case "postures" if self._checks < options.checks:
-                    progress("checking the most promising for obstacles", self._checks / options.checks)
-                    self._check(k)
-                case "obstacles" if self._charts < options.charts:
-                    progress("charting the most promising", self._charts / options.charts)
-                    self._chart(k)
-                case "charts" if self._tries < _TRIES * (options.plans + 1):
-                    enough = self._planned >= options.plans
-                    step = f"planning stance {self._planned + 1} of {options.plans}"
-                    step = "planning one that may be better" if enough else step
-                    progress(step, min(self._planned / options.plans, 1.0))
-                    self._tries += 1
-                    self._plan(k)
+            stage = self._stages[number]
+            if self._done[number] < stage.most:
+                last = number == len(self._stages) - 1
+                share = self._planned / self._wanted if last else self._done[number] / stage.most
+                self._progress(stage.step, min(share, 1.0))
+                self._done[number] += 1
+                self._judge(k, stage)
+                if self.results[k].status == "screened":
+                    heapq.heappush(self._waiting, (max(self.results[k].expected, self.results[k].bound), k))
 
     @property
     def _enough(self) -> float:
         """Once enough are planned, only stances whose bound is below this are looked at."""
-        best = None if self._best is None else self.each[self._best].plan
-        if best is None or self._planned < self._options.plans:
-            return np.inf
-        return (1 - _GAP) * best.objective.planned_peak
+        return np.inf if self._planned < self._wanted else (1 - _GAP) * self._best
 
-    def _is_near_a_failure(self, k: int) -> bool:
-        base = self.each[k].candidate.base[:3, 3]
+    def _is_near_a_failure(self, each: StanceResult) -> bool:
+        base = each.candidate.base[:3, 3]
         return any(np.linalg.norm(base - other) < near for other, near in self._failures)
 
-    def _check(self, k: int) -> None:
-        """Leave out stances that are too near to something, or from which no postures lead along a stroke."""
-        candidate, scene = self.each[k].candidate, self._scene
-        why = climber_in_the_way(scene, candidate) or self._suits(candidate)
-        if why is not None:
-            self._reject(k, "blocked", "obstacles", why, why)
-            return
-        # The next check takes longer.
-        self._checks += 1
-        try:
-            bound = bounded_quickly(scene_at(scene, candidate, None))
-        except CmbotError as error:
-            self._reject(k, "blocked", "obstacles", str(error), _cause(error))
-            return
-        # Nothing is charted where the tool's axis may lean.
-        bound = bound or self.each[k].bound
-        self._bounded(k, "obstacles", bound, bound)
-
-    def _chart(self, k: int) -> None:
-        self._charts += 1
-        try:
-            scene = scene_at(self._scene, self.each[k].candidate, None)
-            charted = chart(scene.with_options(self._ending.within(scene)))
-        except CmbotError as error:
-            self._reject(k, "blocked", "charts", str(error), _cause(error))
-            return
-        most = self._options.max_torque
-        if charted.torque > _ROOM * most:
-            why = f"{charted.torque:.1f} Nm on the guardrail in its best postures, {most:g} Nm are allowed"
-            self._reject(k, "too much torque", "charts", why, _TOO_MUCH)
-            return
-        self._begins[k] = charted.begins
-        # With few via-points the allowance between postures is smaller, with many the bound is tighter.
-        bound = min(max(charted.bound, self.each[k].bound), charted.expected)
-        self._bounded(k, "charts", bound, charted.expected)
-
-    def _plan(self, k: int) -> None:
-        try:
-            scene = scene_at(self._scene, self.each[k].candidate, self._begins[k])
-            made = plan(scene, options=self._ending.within(scene))
-        except CmbotError as error:
-            self._reject(k, "failed", "plan", str(error), _cause(error))
-            return
-        if left_out := sum(one.unreached for one in made.coverage.values()):
-            why = "of the rasters are not reached"
-            self._reject(k, "failed", "plan", f"{left_out:.3g} m2 {why}", f"parts {why}")
-            return
-        torque = made.figures.peak_guardrail_torque
-        if torque > self._options.max_torque:
-            allowed = f"{self._options.max_torque:g} Nm are allowed"
-            why = f"{torque:.1f} Nm on the guardrail, {allowed}"
-            self._reject(k, "too much torque", "plan", why, _TOO_MUCH)
-            return
-        # No estimate is above what was found.
-        bound = min(self.each[k].bound, made.objective.planned_peak)
-        done = replace(self.each[k], status="planned", judged="plan", plan=made, bound=bound, cause="")
-        self.each[k], self._ending.keeps = done, True
-        # The scene's own is one more.
-        self._planned += not done.own
-        if self._best is None or _order(self.each[k]) < _order(self.each[self._best]):
-            self._best = k
-
-    def _bounded(self, k: int, judged: str, bound: float, expected: float) -> None:
-        """Note a bound; the stance takes its place among the others again, by what is expected of it."""
-        self.each[k] = replace(self.each[k], judged=judged, bound=bound)
-        heapq.heappush(self._waiting, (max(expected, bound), k))
-
-    def _reject(self, k: int, status: str, judged: str, why: str, cause: str) -> None:
-        self.each[k] = replace(self.each[k], status=status, judged=judged, reason=why, cause=cause)
-        # A little further on the torque may be less; and only the scene's own has its start posture.
-        if judged in _NEAR and status != "too much torque" and not self.each[k].own:
-            self._failures.append((self.each[k].candidate.base[:3, 3], _NEAR[judged]))
-
-
-def _cause(error: CmbotError) -> str:
-    """Why a stance is left out, without the figures that are its own."""
-    match error:
-        case PathNotFound(pair=(link, other)):
-            return f"{link} and {other} too near to each other"
-        case PathNotFound() if error.pace > 1:
-            return "joints too slow for the path"
-        case PathNotFound():
-            return "no sequence of admissible postures found"
-        case OptimisationFailed():
-            return f"{error.constraint} beyond its bound"
-        case LimitViolation():
-            return f"{error.quantity} beyond its bound"
-        case InputError():
-            return f"{error.key}: not {error.expected}"
-        case _:
-            return str(error)
+    def _judge(self, k: int, stage: Stage) -> None:
+        result = self.results[k] = stage.judge(self.results[k])
+        rejection = result.rejection
+        if result.status == "planned":
+            self._ending.keeps = True
+            # The scene's own is one more.
+            self._planned += not result.own
+            self._best = min(self._best, result.value)
+        elif rejection is not None and not result.own and rejection.kind != "beyond a bound":
+            # A little further on what is bounded may be less; and only the scene's own has its start posture.
+            self._failures.append((result.candidate.base[:3, 3], _NEAR.get(stage.name, 0.0)))

@@ -218,10 +218,10 @@ class Frames:
         Links that are always as near to each other tell nothing: then what can be avoided is shown, if near.
         """
         points, pairs = np.zeros((len(q), 6)), np.full(len(q), -1.0)
-        smallest = self.clearances.smallest(q)
+        smallest = self.clearances.query(q)
         nearest, distance = smallest.pair.copy(), smallest.distance.copy()
         if (fixed := np.isin(nearest, self._fixed(q, nearest))).any():
-            other = self.clearances.smallest(q, avoidable_only=True)
+            other = self.clearances.query(q, avoidable_only=True)
             instead = fixed & (other.distance < self._near)
             nearest[instead], distance[instead] = other.pair[instead], other.distance[instead]
         for k in np.flatnonzero(distance < self._near):

@@ -1,4 +1,4 @@
-"""What another stance saves: goals that follow from the figures, tables that are those of the page."""
+"""Where to stand: goals that follow from the figures, tables that are those of the page."""
 
 import json
 from typing import Any
@@ -9,45 +9,66 @@ from report.document import page
 from small_scenes import short_scene
 
 from cmbot.planning import plan
-from cmbot.stances import Standing, StandOptions, Stood
+from cmbot.stances import StanceFigures, StanceRanking, StanceResult
+from cmbot.stances.search import Rejection, RejectionKind
 from cmbot.stances.walking import stance_of
 
 
 def row(**changes: Any) -> dict[str, Any]:
-    figures = {"torque": 200.0, "own_torque": 400.0, "adhesion": 4000.0, "own_adhesion": 1e4, "peak": 200.0}
-    counts = {"stances": 1739, "planned": 3, "failed": 0, "seconds": 20.0, "processor_seconds": 10.0}
-    told = {"scene": "a", "by": "torque", "place": "post_3 at 1.00 m (outer)", "least_bound": 199.0}
-    return told | counts | figures | changes
+    figures = {"sag_mm": 2.5, "first_hz": 5.5, "job_torque": 350.0}
+    counts = {"stances": 1739, "planned": 3, "proven": 0, "failed": 0}
+    costs = {"seconds": 20.0, "processor_seconds": 10.0}
+    told = {"scene": "a", "by": "torque", "unit": "Nm", "place": "here", "value": 200.0, "own_value": 400.0}
+    both = {"figures": figures, "own_figures": figures, "least_bound": 199.0}
+    return told | counts | costs | both | changes
 
 
-def goals(*rows: dict[str, Any]) -> list[tuple[str, ...]]:
-    screened = {"scene": "a", "stances": 2400, "within_reach": 9, "bounded": 9, "processor_seconds": 30.0}
-    made = stances.sheets({"found": rows, "screened": [screened | {"seconds": 90.0}], "compared": []})
-    return [cells[1:] for sheet in made if sheet.key == "goals of stances" for cells in sheet.rows]
+def goals(*rows: dict[str, Any]) -> dict[str, tuple[str, ...]]:
+    screened = {"scene": "a", "stances": 2400, "bounded": 9, "processor_seconds": 30.0}
+    made = stances.sheets({"found": dict(enumerate(rows)), "screened": [screened]})
+    cells = [cells for sheet in made if sheet.key == "goals of stances" for cells in sheet.rows]
+    return {goal: rest for goal, *rest in cells}
 
 
 def test_goals_follow_from_the_figures() -> None:
-    assert goals(row()) == [("0.40", "met"), ("25.0 s", "met"), ("0.5 %", "met")]
-    # What asks more torque than the scene's own stance does not count, of the others the best one does.
-    heavy = row(torque=500.0, adhesion=1000.0)
-    assert goals(heavy, row(adhesion=6000.0))[0] == ("0.60", "missed")
-    assert goals(row(least_bound=190.0))[2] == ("5.0 %", "missed")
+    assert [*goals(row()).values()] == [["0.5 %", "met"], ["25.0 s", "missed"], ["10 s", "met"]]
+    (better, *_) = goals(row(least_bound=180.0)).values()
+    assert better == ["10.0 %", "missed"]
+    *_, command = goals(row(processor_seconds=61.0)).values()
+    assert command == ["61 s", "missed"]
 
 
-def test_the_search_is_measured_beside_the_scenes_own_stance(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of the others the smallest bound counts, but not of those that load the guardrail too much."""
+def test_what_is_kept_is_kept_together() -> None:
+    kept = stances._kept_in_words()
+    _, together, *_ = goals(row(by=kept)).values()
+    assert together == ["2.50 mm, 5.50 Hz, 350 Nm", "met"]
+    for name, value in (("sag_mm", 3.1), ("first_hz", 4.9), ("job_torque", 356.0)):
+        figures = row()["figures"] | {name: value}
+        _, together, *_ = goals(row(by=kept, figures=figures)).values()
+        assert together[-1] == "missed"
+
+
+def test_the_smallest_bound_that_counts() -> None:
+    """Of the others, those of which planning failed too, but not those that exceed a bound."""
     scene = short_scene()
     own, place = plan(scene), stance_of(scene)
-    peak = own.objective.planned_peak
-    figures: Any = {"torque": 1.0, "adhesion": 1.0, "judged": "plan"}
-    ranked = [Stood(candidate=place, status="planned", plan=own, bound=peak, **figures)]
-    for status, share in (("screened", 0.99), ("failed", 0.95), ("too much torque", 0.5), ("blocked", 0.1)):
-        ranked.append(Stood(candidate=place, status=status, bound=share * peak, **figures))
-    standing = Standing(scene=scene, unit="Nm", ranked=tuple(ranked))
-    monkeypatch.setattr(stances, "stand", lambda *_: (standing,))
-    found = stances.found(scene, own, "hold", StandOptions(max_torque=300.0))
-    assert found.by == "adhesion, 300 Nm at most"
-    assert found.torque == found.own_torque == own.figures.peak_guardrail_torque
+    peak, known = own.objective.planned_peak, StanceFigures(torque=1.0)
+    ranked = [
+        StanceResult(
+            candidate=place, stage="plan", bound=peak, value=peak, figures=known, plan=own, own=True
+        ),
+        StanceResult(candidate=place, stage="charts", bound=0.99 * peak),
+    ]
+    kinds: tuple[tuple[RejectionKind, float], ...] = (
+        ("failed", 0.95),
+        ("beyond a bound", 0.5),
+        ("blocked", 0.1),
+    )
+    for kind, share in kinds:
+        why = Rejection(kind=kind, reason="", cause="")
+        ranked.append(StanceResult(candidate=place, stage="plan", bound=share * peak, rejection=why))
+    found = stances.Found.of(StanceRanking(scene=scene, ranked=tuple(ranked)), "torque", 1.0, 1.0)
+    assert found.own_value == found.value == peak
     assert found.may_be_better == pytest.approx(0.05)
 
 

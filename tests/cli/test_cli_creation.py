@@ -49,7 +49,7 @@ def test_a_scene_of_the_panda(here: Path, monkeypatch: pytest.MonkeyPatch) -> No
     robot = robot_of(scene)
     point = Kinematics(robot).tool_pose(scene.posture).translation
     np.testing.assert_allclose(point, [0.5, 0, 0.4], rtol=0, atol=1e-4)
-    assert Clearances(robot, []).smallest(scene.posture[None]).distance[0] >= scene.planner.safety_margin_m
+    assert Clearances(robot, []).query(scene.posture[None]).distance[0] >= scene.planner.safety_margin_m
     robot.posture(scene.posture)
     # The limits that it was given are those that were assumed, as the robot's own file now.
     np.testing.assert_allclose(robot.limits.acceleration, 2 * robot.limits.velocity, rtol=1e-5)
@@ -96,7 +96,7 @@ def test_links_that_no_motion_parts_are_left_out_not_the_margin(here: Path) -> N
     scene = cmbot.load_scene("arm.yaml")
     assert (scene.planner.safety_margin_m, scene.robot.srdf) == (0.02, str(here / "arm.srdf"))
     parted, whole = (
-        Clearances(robot, []).smallest(scene.posture[None]).distance[0]
+        Clearances(robot, []).query(scene.posture[None]).distance[0]
         for robot in (robot_of(scene), cmbot.load_robot("ur5"))
     )
     assert parted >= 0.02 > whole

@@ -121,3 +121,54 @@ def test_what_it_cannot_use_is_refused(sheet: Path) -> None:
     light = run("identify", "triangle", "--propose", 2, "--weight", 0, "-o", sheet.with_name("x.yaml"))
     assert light.status == 2
     assert "--weight: got 0.0, expected more than 0" in light.err
+
+
+def test_a_table_of_deflections_says_what_its_sheets_do(sheet: Path, tmp_path: Path) -> None:
+    """Of two weights, in other units, with the joints in another order, and only along two axes."""
+    rows = re.findall(
+        r"posture_deg: \[([^\]]*)\][^#]*deflection_mm: [^#]*# about (.*)", sheet.read_text(encoding="utf-8")
+    )
+    assert len(rows) == 3
+    postures = [[float(x) for x in posture.split(",")] for posture, _ in rows]
+    moved = [[1.2 * float(x) for x in deflection.split(",")] for _, deflection in rows]
+    weights = [5.0, 5.0, 2.5]
+    scene, joints = str(sheet.with_name("short.yaml")), [f"q{k}_deg" for k in range(7, 0, -1)]
+    lines = [";".join(["Weight (kg)", "dz (m)", *joints, "dx (m)", "note"])]
+    sheets = []
+    for k, (posture, way, weight) in enumerate(zip(postures, moved, weights, strict=True)):
+        cells = [weight, 1e-3 * way[2], *posture[::-1], 1e-3 * way[0], k]
+        lines.append(";".join(map(repr, cells)))
+    for weight in (2.5, 5.0):
+        measurements = [
+            {"posture_deg": posture, "deflection_mm": {"x": way[0], "z": way[2]}}
+            for posture, way, own in zip(postures, moved, weights, strict=True)
+            if own == weight
+        ]
+        content = {"format": "cmbot-measurements/1", "scene": scene, "weight_kg": weight}
+        sheets.append(content | {"measurements": measurements})
+    table = tmp_path / "deflections.csv"
+    table.write_text("\n".join(lines), encoding="utf-8")
+    outcome = run("identify", scene, "--table", table, "--json", "--accept-misfit")
+    assert outcome.status == 0, outcome.err
+    found, expected = json.loads(outcome.out), cmbot.identify(*sheets, accept_misfit=True)
+    assert found["file"] == str(tmp_path / "deflections.stiffness.yaml")
+    factors = {each.name: each.factor for each in (*expected.stiffness.links, *expected.stiffness.joints)}
+    assert found["factors"] == pytest.approx(factors, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("heading", "row", "told"),
+    [
+        ("q1,q2,q3,q4,q5,q6,q7,dx", "0,0,0,0,0,0,0,1", "a column weight_kg"),
+        ("q1,q2,q3,q4,q5,q6,q7,kg", "0,0,0,0,0,0,0,1", "columns dx, dy, dz"),
+        ("q1,q2,q3,q4,q5,q6,kg,dx", "0,0,0,0,0,0,1,1", "no column of joint"),
+        ("q1,q2,q3,q4,q5,q6,q7,kg,dx", "0,0,0,0,0,0,0,0,1", "line 2, kg: got 0"),
+        ("q1,q2,q3,q4,q5,q6,q7,kg,dx (furlong)", "0,0,0,0,0,0,0,1,1", "the unit furlong"),
+        ("q1,q2,q3,q4,q5,q6,q7,kg,dx", "0,0,0,0,0,0,x,1,1", "line 2, q7"),
+    ],
+)
+def test_tables_that_say_too_little(heading: str, row: str, told: str, tmp_path: Path) -> None:
+    (tmp_path / "table.csv").write_text(f"{heading}\n{row}\n", encoding="utf-8")
+    outcome = run("identify", "triangle", "--table", tmp_path / "table.csv")
+    assert outcome.status == 2 and told in outcome.err
+    assert [path.name for path in tmp_path.iterdir()] == ["table.csv"]

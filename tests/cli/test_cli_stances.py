@@ -58,7 +58,7 @@ COARSE = ("--one-foot", "--spacing", "1.5", "--plans", "1", "--force")
 
 def test_where_nothing_is_planned_the_status_is_3_and_the_table_says_why(job: Path) -> None:
     out = job.parent / "out"
-    outcome = run("stand", job, *COARSE, "--max-torque", "1", "-o", out, "--json", "--quiet")
+    outcome = run("stand", job, *COARSE, "--max-seconds", "1", "-o", out, "--json", "--quiet")
     assert outcome.status == 3
     error = one_line(outcome)
     assert re.search(r"short.yaml: no stance of \d+ was planned, most often for: ", error)
@@ -66,8 +66,10 @@ def test_where_nothing_is_planned_the_status_is_3_and_the_table_says_why(job: Pa
     assert error.count("(") >= 3
     assert {path.name for path in out.iterdir()} == FILES - {"best.yaml"}
     rows = [*csv.DictReader((out / "stances.csv").read_text().splitlines())]
-    assert {"too much torque", "out of reach"} <= {row["status"] for row in rows}
-    assert next(row["reason"] for row in rows if row["status"] == "too much torque").endswith("are allowed")
+    assert {"beyond a bound", "out of reach"} <= {row["status"] for row in rows}
+    assert next(row["reason"] for row in rows if row["status"] == "beyond a bound").endswith(
+        "1 s are allowed"
+    )
 
 
 def test_time_that_is_over_at_once(job: Path) -> None:
@@ -78,10 +80,10 @@ def test_time_that_is_over_at_once(job: Path) -> None:
 
 STOPS = """
 import os, signal
-import cmbot.stances.search as search
-def stopped(scene):
+import cmbot.stances.stages as stages
+def stopped(scene, at_rest):
     os.kill(os.getpid(), signal.SIGINT)
-search.bounded_quickly = stopped
+stages.bounded_quickly = stopped
 from cmbot.cli import take_signals
 take_signals()
 """
@@ -104,9 +106,9 @@ def test_ctrl_c_keeps_the_best_so_far(job: Path, shown: tuple[str, ...]) -> None
 
 def test_an_objective_that_cannot_be_screened(stood: tuple[Path, Outcome]) -> None:
     folder, _ = stood
-    refused = run("stand", folder / "short.yaml", "--objective", "sag")
+    refused = run("stand", folder / "short.yaml", "--objective", "travel")
     assert refused.status == 2
-    assert "--objective: got sag, expected a known value (one of: torque, hold)" in refused.err
+    assert "--objective: got travel, expected a known value (one of: torque, hold, sag, sway)" in refused.err
 
 
 @pytest.fixture(scope="module")

@@ -183,7 +183,7 @@ def test_distances_do_not_depend_on_what_was_asked_before(
     once, again = all_distances(clearances, q), all_distances(clearances, q[::-1])
     assert once.min() < 0
     np.testing.assert_array_equal(once, again[:, ::-1])
-    np.testing.assert_array_equal(clearances.smallest(q).distance, once.min(axis=0))
+    np.testing.assert_array_equal(clearances.query(q).distance, once.min(axis=0))
 
 
 @pytest.fixture(scope="module")
@@ -227,7 +227,7 @@ def test_smallest_is_the_smallest_of_all(
     triangle: tuple[Clearances, Clearances], q: FloatArray, avoidable_only: bool
 ) -> None:
     clearances, every = triangle
-    got = clearances.smallest(q, avoidable_only=avoidable_only)
+    got = clearances.query(q, avoidable_only=avoidable_only)
     assert got.distance.shape == got.pair.shape == (len(q),)
     distances = all_distances(every, q)
     distances[[avoidable_only and not pair.avoidable for pair in every.pairs]] = np.inf
@@ -241,13 +241,14 @@ def test_a_collision_is_any_distance_below_the_margin(
     triangle: tuple[Clearances, Clearances], q: FloatArray, share: float
 ) -> None:
     clearances, every = triangle
-    smallest = every.smallest(q).distance
+    smallest = every.query(q).distance
     # Between two of the postures, so that it parts them as it should; a margin is not negative.
     margin = max(float(np.quantile(smallest, share)) + 1e-5, 0.0)
     if np.abs(smallest - margin).min() > TOLERANCE:
-        np.testing.assert_array_equal(clearances.check_collision(q, margin), smallest < margin)
+        np.testing.assert_array_equal(clearances.query(q, margin).distance < margin, smallest < margin)
         # One by one, with bounds from the postures before.
-        np.testing.assert_array_equal(clearances.check_collision(q[:20], margin), smallest[:20] < margin)
+        few = clearances.query(q[:20], margin).distance < margin
+        np.testing.assert_array_equal(few, smallest[:20] < margin)
 
 
 def test_each_posture_may_have_a_bound_of_its_own(
@@ -255,13 +256,14 @@ def test_each_posture_may_have_a_bound_of_its_own(
 ) -> None:
     clearances, every = triangle
     q = np.concatenate([smooth_path(3, 0.5, 40), rng.uniform(-3, 3, (600, 7)), np.full((1, 7), np.nan)])
-    smallest = every.smallest(q).distance
+    smallest = every.query(q).distance
     # Just below the distance, just above it, and far off; negative ones, too.
     for off in (-1e-6, 1e-6, -0.1, 0.1, -10.0):
         below = np.where(np.isnan(smallest), True, off > 0)
-        np.testing.assert_array_equal(clearances.any_below(q, np.nan_to_num(smallest) + off), below)
+        least = np.nan_to_num(smallest) + off
+        np.testing.assert_array_equal(clearances.query(q, least).distance < least, below)
     assert (smallest < 0).any() and (smallest > 0.01).any()
-    assert clearances.any_below(q[:0], np.empty(0)).shape == (0,)
+    assert clearances.query(q[:0], np.empty(0)).distance.shape == (0,)
 
 
 def test_one_by_one_and_many_in_any_order_agree(
@@ -269,14 +271,14 @@ def test_one_by_one_and_many_in_any_order_agree(
 ) -> None:
     clearances, other = triangle
     q = smooth_path(3, 0.5, BLOCKS)
-    got = clearances.smallest(q).distance
+    got = clearances.query(q).distance
     assert np.ptp(got) > 0.1
     order = rng.permutation(BLOCKS)
-    np.testing.assert_allclose(clearances.smallest(q[order]).distance, got[order], rtol=0, atol=TOLERANCE)
+    np.testing.assert_allclose(clearances.query(q[order]).distance, got[order], rtol=0, atol=TOLERANCE)
     some = order[:100]
-    alone = [float(other.smallest(q[k : k + 1]).distance[0]) for k in some]
+    alone = [float(other.query(q[k : k + 1]).distance[0]) for k in some]
     np.testing.assert_allclose(alone, got[some], rtol=0, atol=TOLERANCE)
-    none = clearances.smallest(q[:0])
+    none = clearances.query(q[:0])
     assert none.distance.shape == none.pair.shape == (0,)
 
 
@@ -287,16 +289,16 @@ def test_a_posture_that_is_not_finite_has_no_clearance(
 ) -> None:
     clearances, _ = triangle
     q = smooth_path(2, 0.02, number)
-    whole = clearances.smallest(q)
+    whole = clearances.query(q)
     q[1, 3] = nothing
-    got = clearances.smallest(q)
+    got = clearances.query(q)
     assert np.isnan(got.distance[1])
     assert got.pair[1] == -1
     known = np.arange(number) != 1
     np.testing.assert_allclose(got.distance[known], whole.distance[known], rtol=0, atol=TOLERANCE)
     # Of shapes that are nowhere coal says that they touch.
-    np.testing.assert_array_equal(clearances.check_collision(q, 0.0), ~known)
-    assert clearances.check_collision(q[1:2], 0.0).all()
+    np.testing.assert_array_equal(clearances.query(q, 0.0).distance < 0.0, ~known)
+    assert (clearances.query(q[1:2], 0.0).distance < 0.0).all()
 
 
 @settings(max_examples=30)
@@ -367,7 +369,7 @@ def test_bounds_of_all_pairs_are_never_above_their_distances(
     posture, pair = np.nonzero(np.ones_like(lower))
     distance = clearances.distances(q, posture, pair).reshape(lower.shape)
     assert (lower <= distance + TOLERANCE).all()
-    np.testing.assert_allclose(distance.min(axis=1), every.smallest(q).distance, rtol=0, atol=TOLERANCE)
+    np.testing.assert_allclose(distance.min(axis=1), every.query(q).distance, rtol=0, atol=TOLERANCE)
     # No distance changes by more than the joints' moves times the pair's reach.
     moved = np.abs(np.diff(q, axis=0)) @ clearances.pair_reach.T
     assert (np.abs(np.diff(distance, axis=0)) <= moved + TOLERANCE).all()
@@ -381,11 +383,11 @@ def test_nothing_counts_without_shapes(urdf_folder: Path) -> None:
     clearances = Clearances(load_copy(urdf_folder), [wall])
     q = smooth_path(5, 0.1, MANY)
     for avoidable_only in (False, True):
-        smallest = clearances.smallest(q, avoidable_only=avoidable_only)
+        smallest = clearances.query(q, avoidable_only=avoidable_only)
         assert np.isposinf(smallest.distance).all()
         assert (smallest.pair == -1).all()
     assert clearances.lower_bounds(q).shape == (len(q), 0)
-    assert not clearances.check_collision(q, 1.0).any()
+    assert (clearances.query(q, 1.0).distance >= 1.0).all()
     assert not clearances.pairs
     assert clearances.within(q[0], 1.0) == []
 
@@ -393,8 +395,8 @@ def test_nothing_counts_without_shapes(urdf_folder: Path) -> None:
 def test_nothing_to_avoid_without_obstacles(cmbot_robot: Robot, random_states: StateSamples) -> None:
     clearances = Clearances(cmbot_robot, [])
     q = random_states(cmbot_robot, 3)[0]
-    assert np.isfinite(clearances.smallest(q).distance).all()
-    assert np.isposinf(clearances.smallest(q, avoidable_only=True).distance).all()
+    assert np.isfinite(clearances.query(q).distance).all()
+    assert np.isposinf(clearances.query(q, avoidable_only=True).distance).all()
     assert clearances.within(q[0], 10.0) == []
 
 

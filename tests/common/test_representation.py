@@ -58,7 +58,7 @@ def test_reprs_of_what_is_asked_are_short() -> None:
 def test_what_searches_return_is_short_too(room: str) -> None:
     """Their results take minutes: at least they do not have the repr of a dataclass."""
     kinds = {
-        "stances": ("Standing", "Stood", "Candidate"),
+        "stances": ("StanceRanking", "StanceResult", "Candidate"),
         "stances.walking": ("Walk", "Step", "Move", "Tour"),
         "identification": ("Identification", "Proposal", "Measurements"),
         "campaigns": ("Campaign",),

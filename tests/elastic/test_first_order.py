@@ -56,7 +56,7 @@ class Case:
         self.gravity = np.tile(R.T @ np.array(robot.model.gravity.linear), (N, 1))
 
     def sag(self, push: FloatArray | None = None) -> FloatArray:
-        return self.first.at(self.q, self.bases).sag(self.gravity, push) @ self.R.T
+        return self.first.sag(self.q, self.bases, self.gravity, push) @ self.R.T
 
 
 @pytest.mark.parametrize("joints", ["rigid", "elastic"])
@@ -99,10 +99,18 @@ def test_sway_is_that_of_the_modal_response() -> None:
         assert value == pytest.approx(np.sqrt(np.trace(moments.value[:3, :3])), rel=0.05)
 
 
+def test_no_postures_are_none() -> None:
+    case = Case("rigid")
+    none = replace(case.bases, **{name: value[:0] for name, value in vars(case.bases).items()})
+    batch = case.first.at(case.q[:0], none)
+    assert case.first.sag(case.q[:0], none, case.gravity[:0]).shape == (0, 3)
+    assert batch.first_hz.shape == (0,)
+
+
 def test_a_rigid_arm_on_a_rigid_base_does_not_sag() -> None:
     case = Case("rigid")
     own = replace(case.arm.robot, elasticity={}, joint_elasticity={})
     bases = replace(case.bases, stiffness=None)
-    batch = FirstOrder(elastic_arm(own, None)).at(case.q, bases)
-    assert batch.screw.shape == (20, 0, 6)
-    assert not batch.sag(case.gravity).any()
+    first = FirstOrder(elastic_arm(own, None))
+    assert first.at(case.q, bases).screw.shape == (20, 0, 6)
+    assert not first.sag(case.q, bases, case.gravity).any()

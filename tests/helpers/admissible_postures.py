@@ -3,7 +3,7 @@
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray
-from cmbot.planning.path.projection import project_onto_task
+from cmbot.planning.postures.projection import project_onto_task
 from cmbot.planning.request import StrokeRequest
 
 
@@ -17,7 +17,7 @@ def admissible(asked: StrokeRequest, q: FloatArray) -> BoolArray:
     limits, at = asked.cell.robot.limits, asked.cell.postures.at(q)
     holds = ((q >= limits.lower) & (q <= limits.upper)).all(axis=1)
     holds &= (np.abs(at.joint_torque) <= limits.torque).all(axis=1)
-    holds[holds] = ~asked.cell.clearances.check_collision(q[holds], asked.cell.options.safety_margin_m)
+    holds[holds] = asked.cell.clear(q[holds])
     return holds
 
 

@@ -44,7 +44,7 @@ def proposal(triangle_plan: Plan) -> Proposal:
 def test_postures_are_clear_and_can_be_held(proposal: Proposal) -> None:
     assert proposal.q.shape == (4, 7)
     assert (
-        Clearances(measured_arm(SCENE).robot, SCENE.all_obstacles).smallest(proposal.q).distance >= 0.02
+        Clearances(measured_arm(SCENE).robot, SCENE.all_obstacles).query(proposal.q).distance >= 0.02
     ).all()
     loaded = measured_arm(SCENE, 5.0).robot
     torque = Dynamics(loaded).static_efforts(proposal.q).joint_torque

@@ -97,15 +97,43 @@ def test_the_arm_after_a_tap(tmp_path: Path, rng: np.random.Generator) -> None:
     assert any("Damping of the modes in the records: 1." in line for line in remarks(identified))
 
 
+@pytest.mark.parametrize("form", ["phyphox", "milliseconds", "uneven"])
+def test_a_record_as_phones_and_loggers_write_it(form: str, tmp_path: Path, rng: np.random.Generator) -> None:
+    """The same decay with other headings, decimal marks, units of time and uneven steps."""
+    modes = [(1.1, 0.02, [0.05, 0.01, 0.02]), (7.5, 0.01, [0.3, 1.0, 0.4])]
+    a = oscillations(modes, 1e-3, rng)
+    t = STEP * np.arange(len(a))
+    path = tmp_path / "record.csv"
+    if form == "phyphox":
+        heading = '"Time (s)";' + ";".join(f'"Linear Acceleration {axis} (m/s^2)"' for axis in "xyz")
+        rows = [";".join(f"{x:.9e}".replace(".", ",") for x in row) for row in np.column_stack([t, a])]
+    else:
+        if form == "uneven":
+            t[1:-1] += rng.uniform(-0.04, 0.04, len(t) - 2) * STEP
+        heading = "# logger 7\ntimestamp\tx\ty\tz"
+        scaled = 1e3 * t if form == "milliseconds" else t
+        rows = ["\t".join(map(repr, row)) for row in np.column_stack([scaled, a]).tolist()]
+    path.write_text("\n".join([heading, *rows]), encoding="utf-8")
+    found = read_record(path)
+    np.testing.assert_allclose(found.frequencies, [1.1, 7.5], rtol=1e-2)
+    away = np.abs(found.damping - [0.02, 0.01])
+    assert (away < 3 * found.damping_deviations + 2e-3).all()
+    assert (found.damping_deviations < 5e-3).all()
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("t,x\n0,1\n", "line 1: got other columns, 2 of them, expected the columns t,ax,ay,az"),
-        ("t,ax\n0,one\n", "expected a number in each cell"),
-        ("t,ax\n0,1\n1,2\n", "got 2 rows, expected 64 or more rows of finite numbers"),
+        ("t,b\n0,1\n", "line 1: got t,b, expected columns t and ax, ay, az, or one of these"),
+        ("t,ax\n" + 70 * "0,one\n", "line 2, ax: got 'one', expected a finite number"),
+        ("t,ax\n0,1\n1,2\n", "got 2 rows, expected 64 or more rows"),
         (
-            "t,ax\n" + "".join(f"{k**2},0\n" for k in range(70)),
-            "t: got other times, expected times in equal steps",
+            "t,ax\n" + "".join(f"{k**2},{k % 2}\n" for k in range(70)),
+            "line 3: got 1 ms after the row before, expected steps of 69 ms, give or take 10 %",
+        ),
+        (
+            "t,ax\n" + "".join(f"{k / 100},{min(k % 20, 9)}\n" for k in range(70)),
+            "ax: got 11 rows one after the other at 9, its largest value",
         ),
         ("t,ax\n" + "".join(f"{k},0\n" for k in range(70)), "got a record in which no mode is seen"),
     ],

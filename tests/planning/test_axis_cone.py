@@ -19,7 +19,7 @@ from cmbot.common.errors import PathNotFound
 from cmbot.planning import Plan, QuinticTrajectory
 from cmbot.planning import initial_guess as guess
 from cmbot.planning.path.gradient_projection import follow_path
-from cmbot.planning.path.projection import project_onto_task
+from cmbot.planning.postures.projection import project_onto_task
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.global_search import GlobalSearch
 from cmbot.planning.verification.second_opinion import second_opinion

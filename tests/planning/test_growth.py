@@ -13,7 +13,7 @@ from small_scenes import problem_of, request_of, short_scene
 from cmbot.common.errors import SceneError
 from cmbot.common.installation import install_command
 from cmbot.planning import plan, precheck
-from cmbot.planning.path.projection import TangentPredictor, project_onto_task
+from cmbot.planning.postures.projection import TangentPredictor, project_onto_task
 from cmbot.planning.precheck import MOST_UNKNOWNS, oversized, precheck_scene
 from cmbot.planning.request import StrokeRequest, strokes_of
 from cmbot.planning.selfmotion import charts as self_motion

@@ -18,7 +18,7 @@ from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.roadmap import lower_peak
 from cmbot.planning.free_motion.rrt_connect import rrt_connect
 from cmbot.planning.path.gradient_projection import follow_path, self_motion_postures
-from cmbot.planning.path.projection import null_space, project_onto_task
+from cmbot.planning.postures.projection import null_space, project_onto_task
 from cmbot.planning.request import StrokeRequest, build_request
 from cmbot.planning.result.stroke_plan import Start
 from cmbot.planning.selfmotion.reachability import out_of_reach

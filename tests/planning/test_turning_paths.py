@@ -14,7 +14,7 @@ from cmbot.planning import Plan
 from cmbot.planning.certification.certificate import certify
 from cmbot.planning.path.first_posture import starting_at_path
 from cmbot.planning.path.gradient_projection import follow_path
-from cmbot.planning.path.projection import TangentPredictor, project_onto_task
+from cmbot.planning.postures.projection import TangentPredictor, project_onto_task
 from cmbot.planning.result.remarks import remarks
 from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Kinematics

@@ -190,8 +190,8 @@ def test_no_distance_changes_faster_than_reach(tmp_path: Path, rng: np.random.Ge
         assert (change <= np.abs(moved - q) @ clearances.pair_reach.T + 2e-5).all()
         # One after the other, also beyond the ranges, they are what they are at once.
         beyond = q + 2.0 * rail.limits.prismatic
-        alone = [clearances.smallest(q_k[None]).distance[0] for q_k in beyond]
-        np.testing.assert_allclose(clearances.smallest(beyond).distance, alone, rtol=0, atol=2e-5)
+        alone = [clearances.query(q_k[None]).distance[0] for q_k in beyond]
+        np.testing.assert_allclose(clearances.query(beyond).distance, alone, rtol=0, atol=2e-5)
 
 
 def test_nothing_is_larger_on_the_ellipses(railed: Robot) -> None:

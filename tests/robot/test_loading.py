@@ -55,7 +55,7 @@ def test_the_stow_posture_is_clear_and_asks_little(cmbot_robot: Robot) -> None:
     assert np.rad2deg(ends).min() >= 10 - 1e-9
     for scene in ("triangle", "line"):
         clearances = Clearances(cmbot_robot, load_scene(scene).all_obstacles)
-        assert clearances.smallest(stow[None]).distance[0] > 0.045
+        assert clearances.query(stow[None]).distance[0] > 0.045
     efforts = Dynamics(cmbot_robot).static_efforts(stow[None])
     assert np.linalg.norm(efforts.guardrail_torque) < 170
     assert (np.abs(efforts.joint_torque[0]) < 0.85 * cmbot_robot.limits.torque).all()

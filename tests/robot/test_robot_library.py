@@ -72,7 +72,7 @@ def test_arms_have_clear_postures_without_an_srdf(
     robot = load(name, tmp_path, base, tool, *links)
     assert robot.dof == joints
     q = sampled_postures(np.maximum(robot.limits.lower, -3), np.minimum(robot.limits.upper, 3), 50)
-    assert (Clearances(robot, []).smallest(q).distance > NEAR).any()
+    assert (Clearances(robot, []).query(q).distance > NEAR).any()
     assert any(remark.startswith("No SRDF says which links may touch") for remark in robot.remarks)
 
 
@@ -115,7 +115,7 @@ def test_an_srdf_says_why_links_are_not_checked(tmp_path: Path) -> None:
     bare = load_robot(file, package_dirs=[ROBOTS.parent.parent])
     names = {frozenset((pair.link, pair.other)) for pair in Clearances(bare, []).pairs}
     assert {pair for pair, reason in reasons.items() if reason == "Never"} <= names
-    assert (Clearances(robot, []).smallest(q).distance >= Clearances(bare, []).smallest(q).distance).all()
+    assert (Clearances(robot, []).query(q).distance >= Clearances(bare, []).query(q).distance).all()
 
 
 def test_names_stand_for_urdfs_with_their_srdf() -> None:

@@ -86,7 +86,7 @@ def test_the_approach_is_before_the_work(shown: Chrome, triangle_plan: Plan, sha
     torque = np.linalg.norm(Dynamics(triangle_plan.robot).efforts(q, v, a).guardrail_torque[0])
     assert number(shown, "planned-torque") == pytest.approx(torque, abs=0.2)
     clearances = Clearances(triangle_plan.robot, triangle_plan.scene.all_obstacles)
-    distance = clearances.smallest(q).distance[0]
+    distance = clearances.query(q).distance[0]
     assert number(shown, "planned-clearance") == pytest.approx(1e3 * distance, abs=0.2)
     for name, figures in (
         ("planned", triangle_plan.job.figures),

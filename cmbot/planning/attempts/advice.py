@@ -85,7 +85,7 @@ def eased(request: StrokeRequest, failure: Failure) -> StrokeRequest | None:
         case NoTrajectory() | Uncertified():
             return _eased(request, failure.broken)
         case NoWay() if failure.is_start_near:
-            distance = float(request.cell.clearances.smallest(request.first[None]).distance[0])
+            distance = float(request.cell.clearances.query(request.first[None]).distance[0])
             margin = request.cell.options.safety_margin_m
             return _eased(request, NearObstacle(distance=distance, margin=margin))
         case NoWay() | OutOfTime():

@@ -82,10 +82,6 @@ class Trial(Generic[A, S]):
         return before + (self.remedy is remedy)
 
 
-def _nothing_told(before: Trial[A, S], after: Trial[A, S]) -> str:
-    return ""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Remedy(Generic[A, S]):
     """What to try after a trial: instead of one that failed, or better than one that succeeded.
@@ -108,7 +104,7 @@ class Remedy(Generic[A, S]):
 
     cost: int
     propose: Callable[[Trial[A, S]], Iterator[A]]
-    tell: Callable[[Trial[A, S], Trial[A, S]], str] = _nothing_told
+    tell: Callable[[Trial[A, S], Trial[A, S]], str] = lambda before, after: ""
     topic: str = ""
     most: int = 1
     replaces: bool = False

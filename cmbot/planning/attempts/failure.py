@@ -205,7 +205,7 @@ def _named(request: StrokeRequest, error: OptimisationFailed) -> tuple[str, Brok
     q, v, a = trajectory.sampled(_SAMPLES)
     match broken:
         case NearObstacle(margin=margin):
-            smallest = cell.clearances.smallest(q)
+            smallest = cell.clearances.query(q)
             worst = int(smallest.distance.argmin())
             pair = cell.clearances.pairs[int(smallest.pair[worst])]
             near = NearObstacle(distance=float(smallest.distance[worst]), margin=margin)

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import LimitViolation, OptimisationFailed
+from cmbot.common.errors import LimitViolation, OptimisationFailed, PathNotFound
 from cmbot.optimization import ExchangeReport
 from cmbot.planning.attempts.agenda import Solved
 from cmbot.planning.attempts.attempt import Attempt
-from cmbot.planning.attempts.failure import Failure, attempted, failure_of
+from cmbot.planning.attempts.failure import Failure, failure_of
 from cmbot.planning.attempts.remedies import is_little_nearer
 from cmbot.planning.certification.certificate import Certificate, certify
 from cmbot.planning.flexibility.sag_compensation import Compensation, compensate
@@ -77,7 +76,44 @@ def certified_motion(attempt: Attempt) -> Solved[StrokeMotion] | Failure:
     request, guess = attempt.request, attempt.guess
     if not isinstance(guess, InitialGuess):
         return guess
-    return attempted(request, partial(_motion, request, guess))
+    try:
+        optimised, compensation, suppression = _optimised(request, guess)
+        request.reporter.stage("certify")
+        posture = optimised.trajectory.q[0]
+        moved = float(np.abs(request.cell.robot.metric.coordinates(posture - request.state.posture)).max())
+        start = request.state.posture if moved <= SAME_POSTURE else None
+        certificate = _certified(request, optimised, start)
+        if not isinstance(certificate, Certificate):
+            return certificate
+        approach: Segment | None = None
+        if moved <= SAME_POSTURE:
+            posture, moved = request.state.posture, 0.0
+        else:
+            approach = _approach(request, guess, optimised.trajectory)
+        work = Segment(
+            name=request.stroke.name,
+            kind="stroke",
+            begin=request.state.begin if approach is None else approach.end,
+            trajectory=optimised.trajectory,
+            certificate=certificate,
+            task=request.task,
+        )
+        before = () if approach is None else (approach,)
+        back = _return(request, (*before, work))
+        job = Job(segments=(*before, work, *(() if back is None else (back,))))
+        motion = StrokeMotion(
+            request=request,
+            guess=guess,
+            optimised=optimised,
+            compensation=compensation,
+            suppression=suppression,
+            start=Start(posture=posture, moved=moved, failures=guess.failures),
+            job=job,
+            peak=peak_of(request, job.segments),
+        )
+        return Solved(result=motion)
+    except (PathNotFound, OptimisationFailed, LimitViolation) as error:
+        return failure_of(request, error)
 
 
 def is_better(request: StrokeRequest) -> Callable[[StrokeMotion, StrokeMotion], bool]:
@@ -106,45 +142,6 @@ def peak_of(request: StrokeRequest, parts: Sequence[Segment]) -> float:
 def suppresses_vibration(options: PlannerOptions) -> bool:
     """Say whether options ask for motions that leave little vibration."""
     return options.knots == "sliding" and options.quiet_modes > 0
-
-
-def _motion(request: StrokeRequest, guess: InitialGuess) -> Solved[StrokeMotion] | Failure:
-    """The motion from a guess."""
-    optimised, compensation, suppression = _optimised(request, guess)
-    request.reporter.stage("certify")
-    posture = optimised.trajectory.q[0]
-    moved = float(np.abs(request.cell.robot.metric.coordinates(posture - request.state.posture)).max())
-    start = request.state.posture if moved <= SAME_POSTURE else None
-    certificate = _certified(request, optimised, start)
-    if not isinstance(certificate, Certificate):
-        return certificate
-    approach: Segment | None = None
-    if moved <= SAME_POSTURE:
-        posture, moved = request.state.posture, 0.0
-    else:
-        approach = _approach(request, guess, optimised.trajectory)
-    work = Segment(
-        name=request.stroke.name,
-        kind="stroke",
-        begin=request.state.begin if approach is None else approach.end,
-        trajectory=optimised.trajectory,
-        certificate=certificate,
-        task=request.task,
-    )
-    before = () if approach is None else (approach,)
-    back = _return(request, (*before, work))
-    job = Job(segments=(*before, work, *(() if back is None else (back,))))
-    motion = StrokeMotion(
-        request=request,
-        guess=guess,
-        optimised=optimised,
-        compensation=compensation,
-        suppression=suppression,
-        start=Start(posture=posture, moved=moved, failures=guess.failures),
-        job=job,
-        peak=peak_of(request, job.segments),
-    )
-    return Solved(result=motion)
 
 
 def _optimised(

@@ -161,7 +161,7 @@ def measure(
         tool_deviation=np.asarray(np.linalg.norm(task.path.leg_offset(t, point), axis=1)),
         tool_lag=tool_lag(task, t, point),
         tool_rotation=task.rotation(R_WT, task.path.poses(t)),
-        clearance=clearances.smallest(q).distance if clearance is None else clearance,
+        clearance=clearances.query(q).distance if clearance is None else clearance,
         adhesion_needed=holding.each(efforts.guardrail_wrench) if holding and holding.flat else None,
     )
 

@@ -84,7 +84,7 @@ def _enclosed(trajectory: QuinticTrajectory, clearances: Clearances, resolution:
         travel = np.abs(control - q[..., None]).max(axis=-1) @ reach.T
         middle = start + 0.5 * width
         if halving == 0:
-            guide = clearances.smallest(q)
+            guide = clearances.query(q)
             smallest = _known(guide.distance)
             k = int(smallest.argmin())
             nearest = NearestApproach(

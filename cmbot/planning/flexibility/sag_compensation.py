@@ -21,7 +21,7 @@ from cmbot.common.limit import Limit
 from cmbot.elastic.sag import Sag
 from cmbot.planning.certification.sag_spread import largest_spread
 from cmbot.planning.initial_guess import InitialGuess, shifted_problem
-from cmbot.planning.path.projection import least_norm_step, task_jacobian
+from cmbot.planning.postures.projection import least_norm_step, task_jacobian
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.torque import Optimised, TorqueProblem, optimise
 from cmbot.toolpath import ShiftedToolPath, ToolPoses

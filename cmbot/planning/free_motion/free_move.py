@@ -188,7 +188,7 @@ def _space_around(request: StrokeRequest, move: FreeMove) -> FreeSpace:
     whole = free_space(request.cell)
     for place, q in ((move.start_name, move.start), (move.end_name, move.end)):
         if whole.around(q[None]) is None:
-            nearest = clearances.smallest(q[None])
+            nearest = clearances.query(q[None])
             why, pair = f"{out_of_range(request.cell, q[None])} is out of its range", None
             if nearest.distance[0] < options.safety_margin_m:
                 shapes = clearances.pairs[nearest.pair[0]]

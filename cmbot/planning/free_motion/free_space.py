@@ -56,7 +56,7 @@ class FreeSpace:
         """
         if not self.robot.limits.contain(q).all():
             return None
-        left = float(self.clearances.smallest(q).distance.min()) - self.margin
+        left = float(self.clearances.query(q).distance.min()) - self.margin
         return None if left < 0 else replace(self, spare=min(self.spare, _SHARE_TO_SPARE * left))
 
     def below(self, bound: float) -> FreeSpace:
@@ -67,7 +67,8 @@ class FreeSpace:
         """Which of the postures `q` (N, n) are free, and spare enough for their neighbours."""
         free = self.robot.limits.contain(q)
         free[free] = self.cost(q[free]) <= self.bound
-        free[free] = ~self.clearances.check_collision(q[free], self.margin + self.spare)
+        least = self.margin + self.spare
+        free[free] = self.clearances.query(q[free], least).distance >= least
         return free
 
     def straight(self, start: FloatArray, end: FloatArray) -> bool:

@@ -16,7 +16,7 @@ from scipy.linalg.lapack import dgesdd
 from cmbot.collision import Clearances, Nearest
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
-from cmbot.planning.path.projection import null_space, project_onto_task
+from cmbot.planning.postures.projection import null_space, project_onto_task
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.workcell.diagnosis import no_start_left
 from cmbot.robot import Kinematics, PostureMetric, postures_in_words
@@ -143,7 +143,7 @@ def follow_path(
             report(k + 1, steps + 1)
     if not stop_at_obstacles:
         # One batch is quicker.
-        clearance = clearances.smallest(q).distance
+        clearance = clearances.query(q).distance
     drift = np.linalg.norm(tool - goals.point, axis=1)
     return JointPath(t=t, q=q, v=v, clearance=clearance, singular_value=singular_value, drift=drift)
 
@@ -189,7 +189,7 @@ def _gradient(
 
 def _away_switched(clearances: Clearances, q: FloatArray, d_s: float, metric: PostureMetric) -> FloatArray:
     """J_C+ u of the nearest pair where it is nearer than `d_s`: Chang 2021, Eq. (17) to the letter."""
-    smallest = clearances.smallest(q[None], avoidable_only=True)
+    smallest = clearances.query(q[None], avoidable_only=True)
     if not smallest.distance[0] <= d_s:
         return np.zeros(len(q))
     return np.asarray(_away_from([clearances.nearest(q, int(smallest.pair[0]))], metric)[0])
@@ -227,7 +227,7 @@ def _require_free(request: StrokeRequest, q: FloatArray, time: float, error: Flo
     """Return the clearance of posture `q`; refuse one that is too near, out of range or off the path."""
     cell = request.cell
     robot, margin = cell.robot, cell.options.safety_margin_m
-    smallest = cell.clearances.smallest(q[None])
+    smallest = cell.clearances.query(q[None])
     clearance, lag = float(smallest.distance[0]), float(np.linalg.norm(error[:3]))
     outside = np.flatnonzero((q < robot.limits.lower) | (q > robot.limits.upper))
     pair = None

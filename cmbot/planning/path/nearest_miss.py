@@ -107,7 +107,7 @@ class NearestMiss:
         if use > 1.0:
             joint = weakest_joint(cell, best)
             return f"{joint} uses {use:.0%} of its {'torque' if joint in cell.robot.joints else 'hold'}"
-        smallest = cell.clearances.smallest(best)
+        smallest = cell.clearances.query(best)
         pair = cell.clearances.pairs[int(smallest.pair[0])]
         return pair.describe(float(smallest.distance[0]), cell.options.safety_margin_m)
 
@@ -152,7 +152,7 @@ def _worst(request: StrokeRequest, times: FloatArray, *, is_clear: bool) -> Miss
 
     def violation(q: FloatArray) -> FloatArray:
         weak = cell.use_at_rest(cell.postures.at(q)) - 1.0
-        near = (margin - cell.clearances.smallest(q).distance) / max(margin, _ROUNDING)
+        near = (margin - cell.clearances.query(q).distance) / max(margin, _ROUNDING)
         return np.asarray(np.maximum(np.maximum(weak, near), 0.0))
 
     goals = request.task.goals(times)

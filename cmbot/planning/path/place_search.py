@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
-from cmbot.planning.path.projection import gram, solve_batch, task_jacobian
+from cmbot.planning.postures.projection import gram, solve_batch, task_jacobian
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Postures, Robot
 from cmbot.toolpath import ToolPoses
@@ -125,10 +125,7 @@ class _Search:
 
     def attempt(self, places: IntArray, number: int) -> None:
         """Start at places (k,) from so many random postures, then from those of places beside them."""
-        limits = self._robot.limits
-        middle, half = limits.range_middle, limits.sampled_half
-        q = self._rng.uniform(middle - half, middle + half, (number * len(places), len(middle)))
-        self._seek(np.repeat(places, number), q)
+        self._seek(np.repeat(places, number), self._robot.limits.drawn(self._rng, number * len(places)))
         while True:
             found = self.found
             for way in (1, -1):

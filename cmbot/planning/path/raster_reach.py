@@ -6,14 +6,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.budget import Deadline
 from cmbot.planning.path.nearest_miss import nearest_miss
-from cmbot.planning.path.projection import project_onto_task
+from cmbot.planning.postures.sampler import PostureSampler
 from cmbot.planning.request import StrokeRequest, build_request, in_cells
-from cmbot.planning.task import ToolTask
 from cmbot.planning.workcell.workcell import robot_of
 from cmbot.scene import PlannerOptions, Scene, StrokeFile, rows_alone
 from cmbot.toolpath import RowPiece, ToolPath, ToolPoses, cells_of
@@ -30,8 +28,6 @@ _FEW, _MANY, _SCATTER, _FURTHEST = 12, 60, 0.15, 0.6
 _AT_START, _ANYWHERE, _STEPS, _TOLERANCE = 300, 60, 30, 1e-9
 # Random postures are sought at places of this stride: to the others they are carried.
 _STRIDE = 3
-# Directions in which the tool leans where it may, and share of its cone by which.
-_LEANING, _LEAN = 6, 0.8
 # Largest share of its bound that a joint, or a foot, uses at rest where rows are cut: motion takes some.
 _CUT_USE = 0.97
 # Pieces that are shorter than this share of the rows' distance are left out.
@@ -108,20 +104,23 @@ class _Follower:
     """Carries postures along the rows of a stroke."""
 
     def __init__(self, request: StrokeRequest, scene: Scene) -> None:
-        self._request, self._scene, self._rng = request, scene, np.random.default_rng(0)
+        self._request, self._scene = request, scene
         file = request.stroke.file
         if file.raster is None:
             raise TypeError("a stroke without a raster")
         self._raster, leads = file.raster, max(file.lead_in_m or 0.0, file.lead_out_m or 0.0)
         # Any row may become the first or the last one of a part.
         self._over = file.raster.overscan_m + leads
-        self._most_use = 1.0
+        self._sampler = PostureSampler(
+            cell=request.cell, task=request.task, steps=_STEPS, tolerance=_TOLERANCE
+        )
+        self._rng, self._known = self._sampler.rng, request.state.posture
         self._every = min(_SHARE * file.raster.spacing_m, _EVERY)
 
     def parts(self, cell: _Cell) -> list[_Cell]:
         """The parts of a cell that postures can follow."""
         found, waiting, is_trimmed = list[_Cell](), [cell], False
-        self._most_use = 1.0
+        self._sampler = replace(self._sampler, most_use=1.0)
         while waiting:
             part = waiting.pop(0)
             places = self._places(part)
@@ -131,7 +130,7 @@ class _Follower:
             if number == len(places.leg):
                 found.append(part)
             elif not is_trimmed:
-                is_trimmed, self._most_use = True, _CUT_USE
+                is_trimmed, self._sampler = True, replace(self._sampler, most_use=_CUT_USE)
                 waiting = self._trimmed(part, places)
             else:
                 done, rest = self._cut(part, places, number)
@@ -160,7 +159,7 @@ class _Follower:
 
     def _followed(self, goals: ToolPoses, width: int) -> int:
         """How many places from the first one on postures are carried to."""
-        q = self._anywhere(goals[0], _AT_START)[0]
+        q = self._sampler.at_each(goals[0], _AT_START, self._known)[0]
         q = q[self._rng.permutation(len(q))[:width]]
         for number in range(len(goals)):
             self._require_time(number, len(goals))
@@ -187,61 +186,16 @@ class _Follower:
         copied = q[self._rng.integers(len(q), size=max(width - len(q), 0))]
         around = copied + metric.positions(self._rng.normal(0.0, _SCATTER, copied.shape))
         near = np.vstack([q, copied])
-        placed, ok = self._placed(np.vstack([q, around]), goal)
+        placed, ok = self._sampler.within_cone(np.vstack([q, around]), goal, or_middle=True)
         moved = np.abs(metric.coordinates(placed - near)).max(axis=1)
-        ok &= moved <= _FURTHEST
-        return self._admissible(placed[ok])
-
-    def _placed(self, q: FloatArray, goal: ToolPoses) -> tuple[FloatArray, BoolArray]:
-        """Postures (N, n) that hold the tool, and which do, from postures near them."""
-        postures, task = self._request.cell.postures, self._request.task
-        placed, ok = project_onto_task(postures, task, q, goal, steps=_STEPS, tolerance=_TOLERANCE)
-        if task.cone is None:
-            return placed, ok
-        ok &= task.rotation(postures.tool_at(placed).tool_rotation, goal) <= task.cone
-        beyond = np.flatnonzero(~ok)
-        if len(beyond):
-            placed[beyond], ok[beyond] = project_onto_task(
-                postures, task.on_axis, q[beyond], goal, steps=_STEPS, tolerance=_TOLERANCE
-            )
-        return placed, ok
-
-    def _admissible(self, q: FloatArray) -> FloatArray:
-        request = self._request
-        q = q[request.cell.robot.limits.contain(q)]
-        q = q[request.cell.use_at_rest(request.cell.postures.at(q)) <= self._most_use]
-        return np.asarray(
-            q[~request.cell.clearances.check_collision(q, request.cell.options.safety_margin_m)]
-        )
-
-    def _anywhere(self, goals: ToolPoses, number: int) -> list[FloatArray]:
-        """Admissible postures (k, n) at each of the goals, from random ones."""
-        request, limits = self._request, self._request.cell.robot.limits
-        half = limits.sampled_half
-        low, high = limits.range_middle - half, limits.range_middle + half
-        each = [np.empty((0, len(low)))] * len(goals)
-        for lean in _leaning(request.task):
-            empty = [k for k, found in enumerate(each) if not len(found)]
-            if not empty:
-                break
-            which = np.repeat(empty, number)
-            q = self._rng.uniform(low, high, (len(which), len(low)))
-            q[::number] = request.state.posture
-            some = goals[which] if lean is None else _turned(goals[which], lean)
-            placed, ok = project_onto_task(
-                request.cell.postures, request.task.on_axis, q, some, steps=_STEPS, tolerance=_TOLERANCE
-            )
-            placed = limits.turned_to_middle(placed)
-            for k in empty:
-                each[k] = self._admissible(placed[ok & (which == k)])
-        return each
+        return self._sampler.admissible(placed[ok & (moved <= _FURTHEST)])
 
     def _trimmed(self, cell: _Cell, places: _Places) -> list[_Cell]:
         """A cell's rows at the places that some posture reaches, in cells."""
         on_rows = np.flatnonzero(places.leg % 2 == 0)
         leg, share = places.leg[on_rows], places.share[on_rows]
         each = [np.empty((0, self._request.cell.robot.dof))] * len(on_rows)
-        each[::_STRIDE] = self._anywhere(places.goals[on_rows[::_STRIDE]], _ANYWHERE)
+        each[::_STRIDE] = self._sampler.at_each(places.goals[on_rows[::_STRIDE]], _ANYWHERE, self._known)
         for order in (range(1, len(each)), range(len(each) - 2, -1, -1)):
             for k in order:
                 self._require_time(k, len(each))
@@ -301,16 +255,3 @@ def _runs(reached: BoolArray) -> Iterator[tuple[int, int]]:
     edges = np.diff(np.concatenate([[0], reached.astype(np.intp), [0]]))
     first, behind = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
     yield from zip(first.tolist(), (behind - 1).tolist(), strict=True)
-
-
-def _leaning(task: ToolTask) -> Iterator[FloatArray | None]:
-    """Rotations (3, 3) of the tool in its frame: none, then by most of its cone to all sides."""
-    yield None
-    if task.cone is not None:
-        for angle in 2 * np.pi * np.arange(_LEANING) / _LEANING:
-            axis = np.array([np.cos(angle), np.sin(angle), 0.0])
-            yield np.asarray(Rotation.from_rotvec(_LEAN * task.cone * axis).as_matrix())
-
-
-def _turned(goals: ToolPoses, lean: FloatArray) -> ToolPoses:
-    return replace(goals, rotation=goals.rotation @ lean)

@@ -9,13 +9,15 @@ from typing import Literal
 
 import numpy as np
 
-from cmbot.collision import Clearances, Obstacle
+from cmbot.collision import Obstacle
 from cmbot.common.arrays import BoolArray, FloatArray, read_only
 from cmbot.common.errors import InputError, PlanningError
 from cmbot.common.validation import counted
-from cmbot.planning.path.projection import project_onto_task
+from cmbot.planning.postures.projection import project_onto_task
+from cmbot.planning.postures.sampler import PostureSampler
 from cmbot.planning.task import ToolTask
-from cmbot.robot import Dynamics, Postures, Robot, sampled_postures
+from cmbot.planning.workcell.workcell import Workcell
+from cmbot.robot import Robot, sampled_postures
 from cmbot.scene import PlannerOptions
 from cmbot.toolpath import SpeedProfile, ToolPath, ToolPoses
 
@@ -114,8 +116,8 @@ class _Search:
 
     def __init__(self, robot: Robot, obstacles: Sequence[Obstacle]) -> None:
         self._robot, self._limits = robot, robot.limits
-        self._batch, self._dynamics = Postures(robot), Dynamics(robot)
-        self._clearances = Clearances(robot, obstacles)
+        self._cell = Workcell.of(robot, obstacles, PlannerOptions())
+        self._batch, self._clearances = self._cell.postures, self._cell.clearances
         # What is kept of the tool: less of it where an arm cannot, such as one whose last two axes are one.
         self.keeps = _KEEPS[max(0, 6 - robot.dof) :] if robot.dof >= 5 else _KEEPS[-1:]
         self.keep = self.keeps[0]
@@ -123,14 +125,14 @@ class _Search:
     def postures(self, task: ToolTask, point: FloatArray) -> FloatArray:
         """Postures (N, n) on the task within the ranges of the joints."""
         start = sampled_postures(self._limits.lower, self._limits.upper, _RESTARTS)
-        q, reached = project_onto_task(self._batch, task, start, task.path.poses([0.0]), steps=_STEPS)
-        q = self._limits.turned_to_middle(q[reached])
-        return q[self._within(q)]
+        sampler = PostureSampler(cell=self._cell, task=task, steps=_STEPS)
+        q, reached = sampler.held(start, task.path.poses([0.0]))
+        return q[reached & self._within(q)]
 
     def best(self, q: FloatArray, margin: float) -> Iterator[FloatArray]:
         """The postures that are clear and strong enough, the one furthest from all limits first."""
         q = q[self._strong(q)]
-        q = q[self._clearances.smallest(q).distance >= margin + _CLEARANCE_LEFT]
+        q = q[self._clearances.query(q).distance >= margin + _CLEARANCE_LEFT]
         # Without a range there is all the room.
         endless = np.isinf(self._limits.range_half)
         room = np.where(endless, 1.0, self._room(q) / np.where(endless, 1.0, self._limits.range_half))
@@ -154,7 +156,7 @@ class _Search:
                 by = np.round(share * longest * direction, 3) + 0.0
                 points = p + np.linspace(0.0, 1.0, _LEG_STEPS + 1)[1:, None] * by
                 q = self._followed(task, posture, points)
-                if q is None or (self._clearances.smallest(q).distance < margin + _CLEARANCE_LEFT).any():
+                if q is None or (self._clearances.query(q).distance < margin + _CLEARANCE_LEFT).any():
                     continue
                 moved = np.abs(np.diff(q, axis=0, prepend=posture[None])).sum(axis=0)
                 seconds = max(
@@ -189,7 +191,7 @@ class _Search:
         )
         if not len(strong):
             return f"{text}: {self._too_weak(q)}"
-        clear = self._clearances.smallest(strong)
+        clear = self._clearances.query(strong)
         k = int(clear.distance.argmax())
         text += f"; the clearest one keeps {1e3 * clear.distance[k]:.1f} mm"
         if clear.pair[k] >= 0:
@@ -202,7 +204,7 @@ class _Search:
 
     def _too_weak(self, q: FloatArray) -> str:
         """The joint that is too weak in the posture of `q` (N, n) that comes nearest, its need and limit."""
-        needs = np.abs(self._dynamics.static_efforts(q).joint_torque)
+        needs = np.abs(self._batch.at(q).joint_torque)
         use = needs / self._limits.torque
         k = int(use.max(axis=1).argmin())
         joint = int(use[k].argmax())
@@ -233,8 +235,7 @@ class _Search:
         return np.asarray((self._room(q) >= _RANGE_LEFT * half).all(axis=1))
 
     def _strong(self, q: FloatArray) -> BoolArray:
-        torque = np.abs(self._dynamics.static_efforts(q).joint_torque)
-        return np.asarray((torque <= _TORQUE_USE * self._limits.torque).all(axis=1))
+        return np.asarray(self._cell.use_at_rest(self._batch.at(q)) <= _TORQUE_USE)
 
     def _singular_value(self, q: FloatArray) -> float:
         at = self._batch.tool_at(q[None])

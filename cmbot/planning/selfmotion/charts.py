@@ -143,7 +143,7 @@ def check_clearances(layers: Sequence[GraphLayer], which: Sequence[BoolArray | I
         return np.zeros(len(layers), dtype=np.bool_)
     cell = layers[0].cell
     q = np.vstack([layer.chart.q[nodes] for layer, nodes in zip(layers, new, strict=True)])
-    near = cell.clearances.check_collision(q, cell.options.safety_margin_m)
+    near = ~cell.clear(q)
     each = [near[a:b] for a, b in pairwise(ends)]
     for layer, nodes, of_layer in zip(layers, new, each, strict=True):
         layer.note(nodes, of_layer)

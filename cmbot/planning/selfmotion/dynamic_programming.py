@@ -12,7 +12,8 @@ from scipy.spatial import cKDTree
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import PathNotFound
-from cmbot.planning.path.projection import null_space, project_onto_task
+from cmbot.planning.postures.projection import null_space
+from cmbot.planning.postures.sampler import PostureSampler
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.charts import GraphLayer, best_nodes, charts_of, check_clearances
 from cmbot.planning.selfmotion.reachability import out_of_reach
@@ -252,9 +253,8 @@ def _candidates(
     request: StrokeRequest, q: FloatArray, reach: float, rng: np.random.Generator
 ) -> list[FloatArray]:
     """Postures at every via-point: its own, those of its neighbours projected there, and others around."""
-    cell = request.cell
     n, d = q.shape
-    null = null_space(cell.postures, request.task, q)
+    null = null_space(request.cell.postures, request.task, q)
     directions = rng.normal(size=(n, _AROUND, null.shape[1]))
     directions /= np.linalg.norm(directions, axis=2, keepdims=True)
     # The square of the share draws more postures near by.
@@ -263,10 +263,8 @@ def _candidates(
     neighbours = np.stack([np.vstack([q[:1], q[:-1]]), np.vstack([q[1:], q[-1:]])], axis=1)
     some = np.concatenate([neighbours, around], axis=1).reshape(-1, d)
     of = np.repeat(np.arange(n), _AROUND + 2)
-    placed, reached = project_onto_task(cell.postures, request.task, some, request.goals[of])
-    if request.task.cone is not None:
-        R_WT = cell.postures.tool_at(placed).tool_rotation
-        reached &= request.task.rotation(R_WT, request.goals[of]) <= request.task.cone
+    sampler = PostureSampler(cell=request.cell, task=request.task, steps=6)
+    placed, reached = sampler.within_cone(some, request.goals[of])
     return [np.vstack([q[k : k + 1], placed[reached & (of == k)]]) for k in range(n)]
 
 

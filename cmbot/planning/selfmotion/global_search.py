@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import PathNotFound
-from cmbot.planning.path.projection import project_onto_task
+from cmbot.planning.postures.projection import project_onto_task
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.charts import Chart, GraphLayer, LayerCache, best_nodes, connected_parts
 from cmbot.planning.selfmotion.dynamic_programming import (

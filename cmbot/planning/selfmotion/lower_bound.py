@@ -19,7 +19,7 @@ import numpy as np
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.file_types import Count, NonNegative, Row, Share
 from cmbot.common.representation import short_repr
-from cmbot.planning.path.projection import null_space, project_onto_task
+from cmbot.planning.postures.projection import null_space, project_onto_task
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.charts import GraphLayer
 from cmbot.planning.selfmotion.proof import TorqueFloorProof
@@ -225,7 +225,7 @@ class _BranchAndBound:
     def __init__(self, request: StrokeRequest, layers: Sequence[GraphLayer], spacing: float) -> None:
         self._request = request
         self._layers = layers
-        self._spacing, self._margin = spacing, request.cell.options.safety_margin_m
+        self._spacing = spacing
 
     def minimise(
         self, some: IntArray, best: FloatArray, incumbent: float, postures: FloatArray
@@ -314,7 +314,7 @@ class _BranchAndBound:
         while first < len(better):
             some = better[first : first + count]
             some = some[self._admissible_but_for_clearance(q[some], np.full(len(some), k))]
-            clear = some[~self._request.cell.clearances.check_collision(q[some], self._margin)]
+            clear = some[self._request.cell.clear(q[some])]
             if len(clear):
                 # The lowest that is admissible is all that counts.
                 best[k], postures[self._some[k]] = value[clear[0]], q[clear[0]]
@@ -381,14 +381,15 @@ class _BranchAndBound:
     ) -> tuple[FloatArray, BoolArray]:
         """Compute clearances in cells: the best values then, and which cells may be clear somewhere."""
         limits, clearances = self._request.cell.robot.limits, self._request.cell.clearances
-        margin, hopeful = self._margin, value < best[cells.of]
+        hopeful = value < best[cells.of]
         hopeful[hopeful] = self._admissible_but_for_clearance(cells.q[hopeful], cells.of[hopeful])
         reach = np.einsum("kd,kdn,n->k", cells.half, np.abs(cells.edges), clearances.reach)
         # Cells that reach further are nearly always clear somewhere.
         check = np.flatnonzero(hopeful | (reach < _WIDE))
-        near = check[clearances.check_collision(cells.q[check], margin)]
+        near = check[~self._request.cell.clear(cells.q[check])]
         blocked = np.zeros(len(value), dtype=np.bool_)
-        blocked[near] = clearances.any_below(cells.q[near], margin - reach[near])
+        least = self._request.cell.options.safety_margin_m - reach[near]
+        blocked[near] = clearances.query(cells.q[near], least).distance < least
         best, hopeful[near] = best.copy(), False
         for k in np.flatnonzero(hopeful):
             if value[k] < best[cells.of[k]]:

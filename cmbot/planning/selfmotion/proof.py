@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, cross
-from cmbot.planning.path.projection import project_onto_task
+from cmbot.planning.postures.projection import project_onto_task
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.joint_boxes import (
     JointBoxes,
@@ -98,8 +98,7 @@ class TorqueFloorProof:
         cell = request.cell
         self._request, self._chain = request, chain
         limits = cell.robot.limits
-        half = limits.sampled_half
-        self._range = limits.range_middle - half, limits.range_middle + half
+        self._range = limits.sampled
         self._lever = chain.lever_bounds()
         self._goal_frame = frame_about(chain.axis[0])
         model = cell.robot.model
@@ -415,7 +414,7 @@ class TorqueFloorProof:
         # Wider ones are nearly always clear somewhere.
         check = np.flatnonzero(reach < _WIDE)
         least = margin - _DISTANCE_ROUNDING - reach[check]
-        clear[check] = ~clearances.any_below(boxes.middle[check], least)
+        clear[check] = clearances.query(boxes.middle[check], least).distance >= least
         return clear
 
     def _tried(
@@ -432,9 +431,7 @@ class TorqueFloorProof:
         found = request.cell.objective.at_rest(at)
         good = limits.contain(q) & (found < value) & (request.cell.use_at_rest(at) <= 1.0)
         for k in np.flatnonzero(good)[np.argsort(found[good], kind="stable")]:
-            if not request.cell.clearances.check_collision(
-                q[k : k + 1], request.cell.options.safety_margin_m
-            )[0]:
+            if request.cell.clear(q[k : k + 1])[0]:
                 return q[k], float(found[k])
         return None
 

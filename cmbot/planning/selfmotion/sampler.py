@@ -21,13 +21,12 @@ import numpy as np
 from scipy.special import betaincinv
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
-from cmbot.planning.path.projection import TangentPredictor, null_space, project_onto_task
+from cmbot.planning.postures.projection import TangentPredictor, null_space, project_onto_task
+from cmbot.planning.postures.sampler import PostureSampler
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.poisson_disk import PoissonDiskSets
 from cmbot.toolpath import ToolPoses
 
-# Newton steps that put random postures onto the task.
-_RANDOM_STEPS = 40
 # Accepted postures keep this share of the spacing from each other. One that is further than so many spacings
 # from all of a chart is on a part of the self-motion that the chart misses.
 _APART, _BESIDE = 0.7, 1.5
@@ -89,6 +88,7 @@ class SelfMotionSampler:
     def __init__(self, request: StrokeRequest) -> None:
         cell = request.cell
         self._postures, self._task = cell.postures, request.task
+        self._sampler = PostureSampler(cell=cell, task=request.task)
         # Every joint is charted on the circle, about the middle of its range.
         self._limits = cell.robot.limits
         # Joints that slide do so within their ranges: beyond them some could go on for ever.
@@ -215,10 +215,8 @@ class SelfMotionSampler:
     def _random(self, goals: ToolPoses, number: int) -> _Postures:
         """Random postures that hold the tool at `goals`, from `number` at each."""
         of = np.repeat(np.arange(len(goals)), number)
-        middle, half = self._limits.range_middle, self._limits.sampled_half
-        q = self._rng.uniform(middle - half, middle + half, (len(of), len(half)))
-        q, reached = project_onto_task(self._postures, self._task, q, goals[of], steps=_RANDOM_STEPS)
-        return self._on_circle(_Postures(q, of)[reached & self._slid_within(q)])
+        q, reached = self._sampler.held(self._limits.drawn(self._rng, len(of)), goals[of])
+        return _Postures(q, of)[reached & self._slid_within(q)]
 
     def _slid_within(self, q: FloatArray) -> BoolArray:
         """Which of postures (N, n) have the joints that slide within their ranges."""

@@ -10,7 +10,7 @@ from scipy.interpolate import BSpline, CubicSpline, make_lsq_spline
 
 from cmbot.common.errors import LimitViolation
 from cmbot.common.limit import Limit
-from cmbot.planning.path.projection import project_onto_task
+from cmbot.planning.postures.projection import project_onto_task
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.timing.law_search import Bounded, shortest_law
 from cmbot.robot import Dynamics, Kinematics, Robot

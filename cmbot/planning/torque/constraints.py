@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -314,7 +315,7 @@ def _directions_across(axis: FloatArray, away: FloatArray) -> FloatArray:
 
 def _tool(postures: Postures, states: StateSamples) -> ToolBatch:
     """The tool at the states: computed once, whichever constraints need it."""
-    return states.computed(id(postures), lambda s: postures.tool_at(s.q))
+    return states.computed(id(postures), partial(postures.tool_at, states.q))
 
 
 @dataclass(eq=False)
@@ -361,7 +362,7 @@ class ClearanceMargin:
         its neighbours does.
         """
         if np.isneginf(threshold):
-            smallest = self.clearances.smallest(states.q)
+            smallest = self.clearances.query(states.q)
             return ((self.margin - smallest.distance) / self.scale)[:, None], smallest.pair[:, None]
         finite: BoolArray = np.all(np.isfinite(states.q), axis=1)
         value, pair = np.where(finite, -np.inf, np.nan), np.full(len(finite), -1, dtype=np.intp)

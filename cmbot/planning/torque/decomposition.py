@@ -75,13 +75,25 @@ def optimise(problem: TorqueProblem, progress: Callable[[ExchangeReport], None] 
         When the via-points admit no trajectory within the limits, or none was found.
     """
     parts = segments(problem)
+    because = ""
     if len(parts) > 1:
         try:
             return _in_segments(problem, parts, progress)
         except OptimisationFailed as failure:
             # To rest at every end of a segment may be too much to ask; the whole path does not ask it.
-            return replace(_whole(problem, progress), whole_because=failure.reason)
-    return _whole(problem, progress)
+            because = failure.reason
+    if problem.parametrization.retraction is None:
+        check_feasible(problem)
+    result = minimize_peak(problem, exchange_options(problem), progress)
+    form = result.parametrization
+    return Optimised(
+        trajectory=form.trajectory,
+        via_points=form.via_points,
+        passes=result.passes,
+        whole_because=because,
+        complete=result.complete,
+        failure=result.failure,
+    )
 
 
 def segments(problem: TorqueProblem) -> list[tuple[int, int]]:
@@ -157,7 +169,7 @@ def _in_segments(
         if progress is not None:
             progress(passes[-1])
 
-    done = [_whole(problem.segment(first, last), report) for first, last in parts]
+    done = [optimise(problem.segment(first, last), report) for first, last in parts]
     trajectory = joined([each.trajectory for each in done])
     return Optimised(
         trajectory=trajectory,
@@ -165,19 +177,4 @@ def _in_segments(
         passes=tuple(passes),
         complete=all(each.complete for each in done),
         failure=next((each.failure for each in done if each.failure is not None), None),
-    )
-
-
-def _whole(problem: TorqueProblem, progress: Callable[[ExchangeReport], None] | None) -> Optimised:
-    """Solve a problem at once."""
-    if problem.parametrization.retraction is None:
-        check_feasible(problem)
-    result = minimize_peak(problem, exchange_options(problem), progress)
-    form = result.parametrization
-    return Optimised(
-        trajectory=form.trajectory,
-        via_points=form.via_points,
-        passes=result.passes,
-        complete=result.complete,
-        failure=result.failure,
     )

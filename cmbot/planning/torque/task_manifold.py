@@ -8,7 +8,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import OptimisationFailed
-from cmbot.planning.path.projection import null_space, project_onto_task
+from cmbot.planning.postures.projection import null_space, project_onto_task
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Postures
 from cmbot.toolpath import ToolPoses

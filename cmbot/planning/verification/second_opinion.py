@@ -210,7 +210,7 @@ def _clearance_checks(
     robot: Robot, obstacles: tuple[Obstacle, ...], margin: float, times: FloatArray, q: FloatArray
 ) -> Iterator[Check]:
     """What the package's clearances differ by, and those of coal against the margin."""
-    theirs = Clearances(robot, obstacles).smallest(q).distance
+    theirs = Clearances(robot, obstacles).query(q).distance
     own, names = PointDistances(robot, obstacles).smallest(q)
     # Of shapes that overlap only that counts; without pairs both are infinite.
     agreed = ((own < 0) & (theirs < 0)) | (own == theirs)

@@ -14,7 +14,7 @@ from cmbot.planning.workcell.workcell import Workcell
 
 def most_often_near(cell: Workcell, q: FloatArray) -> tuple[str, str] | None:
     """Return the link and the obstacle, or second link, that are nearest in most of postures (N, n)."""
-    nearest = cell.clearances.smallest(q).pair
+    nearest = cell.clearances.query(q).pair
     nearest = nearest[nearest >= 0]
     if not len(nearest):
         return None

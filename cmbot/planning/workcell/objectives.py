@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -23,7 +24,7 @@ _STEP, _GRADIENT_TOLERANCE = 1e-5, 1e-3
 
 def efforts_of(dynamics: Dynamics, states: StateSamples) -> Efforts:
     """Return what a motion asks of a robot: computed once, whichever functions of the states need it."""
-    return states.computed(id(dynamics.robot), lambda s: dynamics.efforts(s.q, s.v, s.a))
+    return states.computed(id(dynamics.robot), partial(dynamics.efforts, states.q, states.v, states.a))
 
 
 class Objective(Protocol):

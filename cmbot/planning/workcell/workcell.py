@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from cmbot.collision import Clearances
-from cmbot.common.arrays import FloatArray
+from cmbot.collision import Clearances, Obstacle
+from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import ModelError, SceneError
 from cmbot.common.representation import short_repr
 from cmbot.elastic import elastic_base
@@ -51,6 +52,18 @@ class Workcell:
 
     __repr__ = short_repr
 
+    @classmethod
+    def of(cls, robot: Robot, obstacles: Sequence[Obstacle], options: PlannerOptions) -> Workcell:
+        """Return the workcell of a robot among obstacles, on a base that does not bend."""
+        objective, clearances = objective_of(robot, options), Clearances(robot, obstacles)
+        return cls(
+            robot=robot,
+            clearances=clearances,
+            options=options,
+            objective=objective,
+            idle_objective=objective,
+        )
+
     def with_options(self, **changes: Any) -> Workcell:
         """Return the workcell with other options."""
         return replace(self, options=replace(self.options, **changes))
@@ -66,6 +79,21 @@ class Workcell:
     def postures(self) -> Postures:
         """Kinematics and statics of the robot in batches."""
         return Postures(self.robot)
+
+    def clear(self, q: FloatArray) -> BoolArray:
+        """Return which of postures (N, n) keep the safety margin, (N,)."""
+        margin = self.options.safety_margin_m
+        return np.asarray(self.clearances.query(q, margin).distance >= margin)
+
+    def admissible(self, q: FloatArray, most_use: float = 1.0) -> BoolArray:
+        """Return which of postures (N, n) are within the joint ranges, strong enough and clear, (N,).
+
+        Strong enough are those in which joints and feet use at most a share of their bounds at rest.
+        """
+        holds = self.robot.limits.contain(q)
+        holds[holds] = self.use_at_rest(self.postures.at(q[holds])) <= most_use
+        holds[holds] = self.clear(q[holds])
+        return holds
 
     def use_at_rest(self, at: PostureBatch) -> FloatArray:
         """Return the largest shares (N,) of their bounds that joints and feet use at rest in N postures."""

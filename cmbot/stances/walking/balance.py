@@ -73,11 +73,9 @@ class Balance:
         X = robot.model.frames[robot.model.getFrameId("arm_base")].placement.homogeneous
         postures = Postures(robot)
         clearances, rng = Clearances(robot, scene.all_obstacles), np.random.default_rng(0)
-        margin, half = 2 * scene.planner.safety_margin_m, robot.limits.sampled_half
-        middle = robot.limits.range_middle
-        drawn = rng.uniform(middle - half, middle + half, (_SEEDS, robot.dof))
+        margin, drawn = 2 * scene.planner.safety_margin_m, robot.limits.drawn(rng, _SEEDS)
         drawn = drawn[_held(postures, drawn, robot.limits.torque)]
-        drawn = drawn[~clearances.check_collision(drawn, margin)]
+        drawn = drawn[clearances.query(drawn, margin).distance >= margin]
         nearest = int(robot.metric.lengths(drawn - first).argmin())
         self.arms, self._parent = drawn[[nearest]], [-1]
         for _ in range(_ROUNDS):
@@ -87,7 +85,7 @@ class Balance:
             for share in (1.0, 0.5):
                 q = self.arms[origin] + share * (new - self.arms[origin])
                 good[good] = _held(postures, q[good], robot.limits.torque)
-                good[good] = ~clearances.check_collision(q[good], margin)
+                good[good] = clearances.query(q[good], margin).distance >= margin
             kept = np.flatnonzero(good)
             both = self._centres(postures, X, np.vstack([self.arms, new[kept]]))
             chosen = _furthest_apart(both, len(self.arms), len(self.arms) + _KEPT // _ROUNDS)
@@ -147,10 +145,11 @@ class Balance:
         """
         robot, margin = robot_of(scene_at(scene, node, None)), scene.planner.safety_margin_m
         climber = bare_climber(node.root, scene.all_obstacles, foot_2=node.stance.foot_2 is None)
-        if climber.check_collision(node.climber[None], margin)[0]:
+        if climber.query(node.climber[None], margin).distance[0] < margin:
             return np.ones(len(self.arms), dtype=np.bool_)
         # A step needs some room beside the margin.
-        near = Clearances(robot, scene.all_obstacles).check_collision(self.arms, 1.5 * margin)
+        least = 1.5 * margin
+        near = Clearances(robot, scene.all_obstacles).query(self.arms, least).distance < least
         torque = np.abs(Postures(robot).at(self.arms).joint_torque)
         return near | (torque > SPARE * robot.limits.torque).any(axis=1)
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import dijkstra
+from scipy.sparse.csgraph import dijkstra, minimum_spanning_tree
 
-from cmbot.common.arrays import BoolArray, IntArray
+from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.robot import Climber, Side
 from cmbot.scene import FootholdFile, Scene, foothold_face, foothold_pose
 from cmbot.stances import APART, REACH, Candidate, bare_climber, candidate_at, places_of
@@ -70,7 +71,8 @@ def nodes_between(scene: Scene, first: Candidate, last: Candidate, spacing: floa
                 if (node.base[:3, 3] - X[:3, 3]) @ X[:3, 1] > 0:
                     nodes.append(node)
     angles = np.array([node.climber for node in nodes])
-    near = bare_climber(np.eye(4)).check_collision(angles, scene.planner.safety_margin_m)
+    margin = scene.planner.safety_margin_m
+    near = bare_climber(np.eye(4)).query(angles, margin).distance < margin
     return [node for k, node in enumerate(nodes) if k < 2 or not near[k]]
 
 
@@ -160,18 +162,39 @@ class Route:
             k = before
         return edges[::-1]
 
-    def least_use(self, node: int) -> tuple[Edge, float] | None:
-        """Return the step from a node with the smallest share of a bound, and that; None without any."""
-        best: tuple[Edge, float] | None = None
+    def easiest_way(self, start: int, goal: int = 1) -> tuple[Edge, float] | None:
+        """Return the hardest step of the way whose hardest step uses least of the bounds, and its share.
+
+        Also of ways that use more than there is; None where there is none at all.
+        """
+        ends, share, foot = (np.concatenate(part) for part in zip(*self._all_steps(), strict=True))
+        closed = {tuple(pair) for pair in self._ends[self._closed].tolist()}
+        in_vain = (share <= SPARE) & [tuple(pair) in closed for pair in ends.tolist()]
+        possible = np.isfinite(share) & ~in_vain
+        ends, share, foot = ends[possible], share[possible], foot[possible]
+        N = len(self.nodes)
+        tree = minimum_spanning_tree(sparse.csr_array((share, ends.T), shape=(N, N)))
+        cost, came = dijkstra(tree, directed=False, indices=start, return_predecessors=True)
+        if np.isinf(cost[goal]):
+            return None
+        number = {tuple(pair): k for k, pair in enumerate(ends.tolist())}
+        way, k = list[tuple[int, int, int]](), goal
+        while k != start:
+            before = int(came[k])
+            way.append((number[min(before, k), max(before, k)], before, k))
+            k = before
+        hardest, before, after = max(way, key=lambda step: share[step[0]])
+        return Edge(before=before, after=after, foot=_FEET[int(foot[hardest]) - 1]), float(share[hardest])
+
+    def _all_steps(self) -> Iterator[tuple[IntArray, FloatArray, IntArray]]:
+        """Pairs (E, 2) of nodes between which a foot goes, shares (E,) of bounds, and that foot (E,)."""
         for foot in _FEET:
             goes, stays, use = self._place[foot], self._place[_other(foot)], self.use[_other(foot)]
-            beside = np.flatnonzero((stays == stays[node]) & (goes != goes[node]))
-            if stays[node] != self._free and len(beside):
-                least = np.maximum(use[node], use[beside]).min(axis=1)
-                k = int(least.argmin())
-                if np.isfinite(least[k]) and (best is None or least[k] < best[1]):
-                    best = Edge(before=node, after=int(beside[k]), foot=foot), float(least[k])
-        return best
+            for place in np.unique(stays[stays != self._free]):
+                group = np.flatnonzero(stays == place)
+                pairs = group[np.argwhere(np.triu(goes[group][:, None] != goes[group]))]
+                least = [np.maximum(use[first], use[second]).min() for first, second in pairs]
+                yield pairs.reshape(-1, 2), np.array(least), np.full(len(pairs), foot)
 
 
 _FEET: tuple[Side, Side] = (1, 2)

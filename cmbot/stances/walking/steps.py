@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from cmbot.collision import Clearances, Obstacle
+from cmbot.collision import Obstacle
 from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import short_repr
 from cmbot.planning import (
@@ -23,7 +23,6 @@ from cmbot.planning import (
     build_request,
     certify_move,
     free_space,
-    objective_of,
     plan_move,
 )
 from cmbot.robot import Climber, Kinematics, Robot, Side, load_climbing_robot
@@ -309,14 +308,7 @@ def _request(robot: Robot, obstacles: tuple[Obstacle, ...], options: PlannerOpti
     X_WT = Kinematics(robot).tool_pose(q)
     corners = X_WT.translation + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]])
     path = ToolPath.straight(corners, np.array(X_WT.rotation), np.ones(1), SpeedProfile().law)
-    objective = objective_of(robot, options)
-    cell = Workcell(
-        robot=robot,
-        clearances=Clearances(robot, obstacles),
-        options=options,
-        objective=objective,
-        idle_objective=objective,
-    )
+    cell = Workcell.of(robot, obstacles, options)
     times = np.array([0.0, 1.0])
     state = JobState(posture=q)
     return StrokeRequest(

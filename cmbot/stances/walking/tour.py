@@ -15,11 +15,13 @@ from cmbot.common.validation import counted
 from cmbot.planning import Plan
 from cmbot.scene import Scene
 from cmbot.stances import (
+    AnyCandidate,
     Candidate,
-    Standing,
+    StanceRanking,
+    StanceResult,
     StandOptions,
-    Stood,
     joined,
+    require_on_guardrail,
     require_planned,
     require_standing,
     scene_at,
@@ -39,9 +41,9 @@ class Tour:
     Attributes
     ----------
     name : str
-    standings : tuple of Standing
+    standings : tuple of StanceRanking
         Of each group of strokes, in the order in which they are done.
-    works : tuple of Stood
+    works : tuple of StanceResult
         The planned stance that was taken of each.
     walks : tuple of Walk
         From each to the next, one less.
@@ -50,8 +52,8 @@ class Tour:
     """
 
     name: str
-    standings: tuple[Standing, ...]
-    works: tuple[Stood, ...]
+    standings: tuple[StanceRanking, ...]
+    works: tuple[StanceResult, ...]
     walks: tuple[Walk, ...]
     failures: tuple[str, ...] = ()
 
@@ -139,18 +141,20 @@ def tour(
     """
     scenes = (scenes,) if isinstance(scenes, Scene) else tuple(scenes)
     for one in scenes:
+        require_on_guardrail(one)
         require_standing(one, (stand_options or StandOptions()).members)
     world = joined(scenes)
     progress("listing postures of the arm", 0.0)
     balance = Balance(world, np.array(world.posture))
 
-    def suits(candidate: Candidate) -> str | None:
-        return None if balance.leads_away(world, candidate) else "no step leads away from there"
+    def suits(candidate: AnyCandidate) -> str | None:
+        leads = isinstance(candidate, Candidate) and balance.leads_away(world, candidate)
+        return None if leads else "no step leads away from there"
 
     standings = stand(scenes, stand_options, progress, suits)
     if any(standing.ended_by == "interrupt" for standing in standings):
         raise KeyboardInterrupt  # no part of a tour is one
-    choices = [[each for each in standing.ranked if each.plan is not None] for standing in standings]
+    choices = [[each for each in standing.ranked if each.status == "planned"] for standing in standings]
     require_planned(standings)
     search = _Links(choices, walk_options, progress)
     works = search.from_here(())
@@ -169,13 +173,13 @@ class _Links:
     """Walks between planned stances of one group and the next, each sought once."""
 
     def __init__(
-        self, choices: Sequence[Sequence[Stood]], options: WalkOptions | None, progress: _Progress
+        self, choices: Sequence[Sequence[StanceResult]], options: WalkOptions | None, progress: _Progress
     ) -> None:
         self._choices, self._options, self._progress = choices, options, progress
-        self.walks, self.failures = dict[tuple[Stood, Stood], Walk](), list[str]()
-        self._tried = set[tuple[Stood, Stood]]()
+        self.walks, self.failures = dict[tuple[StanceResult, StanceResult], Walk](), list[str]()
+        self._tried = set[tuple[StanceResult, StanceResult]]()
 
-    def from_here(self, works: tuple[Stood, ...]) -> tuple[Stood, ...] | None:
+    def from_here(self, works: tuple[StanceResult, ...]) -> tuple[StanceResult, ...] | None:
         """The stances of all groups, those so far first; None where no walks lead on."""
         if len(works) == len(self._choices):
             return works
@@ -186,7 +190,7 @@ class _Links:
                     return found
         return None
 
-    def _leads(self, here: Stood, there: Stood) -> bool:
+    def _leads(self, here: StanceResult, there: StanceResult) -> bool:
         pair = here, there
         if pair not in self._tried:
             self._tried.add(pair)
@@ -196,7 +200,7 @@ class _Links:
                 self.failures.append(f"{here.place} to {there.place}: {error}")
         return pair in self.walks
 
-    def _walk(self, here: Stood, there: Stood) -> Walk:
+    def _walk(self, here: StanceResult, there: StanceResult) -> Walk:
         if here.plan is None or there.plan is None:
             raise ValueError("both stances are planned")
         start = scene_at(here.plan.scene, here.candidate, here.plan.job.trajectory.q[-1])

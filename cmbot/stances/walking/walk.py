@@ -15,10 +15,10 @@ from cmbot.common.representation import short_repr
 from cmbot.common.validation import counted, validated
 from cmbot.common.yaml_reader import read_yaml
 from cmbot.hold import AdhesionPeak
-from cmbot.robot import Climber
+from cmbot.robot import Climber, Side
 from cmbot.scene import FootholdFile, Scene, StanceFile, load_scene
 from cmbot.stances import Candidate, candidate_at, in_world, require_on_guardrail
-from cmbot.stances.walking.balance import Balance
+from cmbot.stances.walking.balance import SPARE, Balance
 from cmbot.stances.walking.route import Edge, Route, nodes_between
 from cmbot.stances.walking.steps import Move, Step, arm_move, plan_step
 
@@ -281,23 +281,26 @@ class _Search:
         self._route.leave_out(k, self._balance.impossible(self._scene, self._route.nodes[k]))
 
     def _no_way(self, here: int) -> str:
-        """Why there is no route, with the figures of the step of the smallest load."""
+        """Why there is no route, with the hardest step of the easiest way, and what would do for it."""
         begin = "no walk: no steps that joints and feet can bear at rest lead there"
         tried = ""
         if self.failures:
-            tried = f", {len(self.failures)} were tried in vain (the last: {self.failures[-1]})"
-        least = self._route.least_use(here)
-        if least is None:
-            return f"{begin}; from {_names(self._route.nodes[here])} no step leads anywhere{tried}"
-        edge, use = least
-        node = self._route.nodes[edge.after]
-        load = self._balance.step_load(node, 2 if edge.foot == 1 else 1)
-        k = int(load.use.argmin())
+            tried = f"; {len(self.failures)} were tried in vain (the last: {self.failures[-1]})"
+        hardest = self._route.easiest_way(here)
+        if hardest is None:
+            return f"{begin}, whatever these could bear{tried}"
+        edge, use = hardest
+        before, after = (self._route.nodes[k] for k in (edge.before, edge.after))
+        stays: Side = 2 if edge.foot == 1 else 1
+        loads = [self._balance.step_load(node, stays) for node in (before, after)]
+        k = int(np.maximum(loads[0].use, loads[1].use).argmin())
+        load = max(loads, key=lambda load: float(load.use[k]))
         adhesion = f", adhesion needed {load.adhesion[k] / 1e3:.2f} kN" if load.adhesion[k] > 0 else ""
         effort = f"climb_{load.joint[k]:.0f} {100 * load.effort[k]:.0f} % of its effort"
+        would = "" if use <= SPARE else f"; bounds {use / SPARE:.1f} times as large would do at rest"
         return (
-            f"{begin}; from {_names(self._route.nodes[here])} the easiest step, to {_names(node)}, uses "
-            f"{100 * use:.0f} % of what is allowed ({effort}{adhesion}){tried}"
+            f"{begin}; the hardest step of the easiest way, {_names(before)} to {_names(after)}, uses "
+            f"{100 * use:.0f} % of what is allowed ({effort}{adhesion}){would}{tried}"
         )
 
 

@@ -8,7 +8,7 @@ from html import escape
 import numpy as np
 
 from cmbot.planning import robot_of, strokes_of
-from cmbot.stances import Standing, bounds_table, in_words, planned_table, shared_out
+from cmbot.stances import Candidate, StanceRanking, bounds_table, in_words, planned_table, shared_out
 from cmbot.views.overview.guardrail_map import Stand, guardrail_map
 from cmbot.views.page import still_page, table
 
@@ -20,14 +20,19 @@ _COLOURS = {
     "planned": "#1a7f37",
     "screened": "#2f6fb7",
     "failed": "#c0392b",
-    "too much torque": "#8e44ad",
+    "beyond a bound": "#8e44ad",
     "blocked": "#b26a00",
     "no posture": "#8a8f98",
     "out of reach": "#c9ced6",
 }
 # Rows of the table, and those of them that are open.
 _ROWS, _OPEN = 60, 10
-_MEANING = {"Nm": "peak torque on the guardrail at work", "N": "adhesion needed at work"}
+_MEANING = {
+    "torque": "peak torque on the base at work",
+    "hold": "adhesion needed at work",
+    "sag": "sag of the tool at work",
+    "sway": "sway of the tool on a shaken deck",
+}
 _PLANNED = "Numbered: the peak that was planned. Others: an"
 _CAPTION = (
     " estimate of a stance's lower bound; along the upper edge those without one. Pointing at a dot tells "
@@ -35,46 +40,46 @@ _CAPTION = (
 )
 
 
-def stances_page(standings: Sequence[Standing], name: str | None = None) -> str:
+def stances_page(rankings: Sequence[StanceRanking], name: str | None = None) -> str:
     """Return an HTML page that opens no connection and runs no script.
 
     Parameters
     ----------
-    standings : sequence of Standing
+    rankings : sequence of StanceRanking
         As `cmbot.stances.stand` returns them.
     name : str, optional
         What they are for; the name of the first one's scene if left out.
     """
-    several = len(standings) > 1
+    several = len(rankings) > 1
     content = ""
-    for number, standing in enumerate(standings, start=1):
+    for number, ranking in enumerate(rankings, start=1):
         if several:
-            content += f"<h2>Stance {number}: {escape(', '.join(standing.strokes))}</h2>"
-            content += "".join(f"<p>{escape(sentence)}</p>" for sentence in in_words(standing))
-        content += _where(standing) + _map(standing) + _tables(standing)
-    said = shared_out(standings) if several else in_words(standings[0])
-    return still_page(f"Where to stand: {name or standings[0].scene.name}", said, content)
+            content += f"<h2>Stance {number}: {escape(', '.join(ranking.strokes))}</h2>"
+            content += "".join(f"<p>{escape(sentence)}</p>" for sentence in in_words(ranking))
+        content += _where(ranking) + _map(ranking) + _tables(ranking)
+    said = shared_out(rankings) if several else in_words(rankings[0])
+    return still_page(f"Where to stand: {name or rankings[0].scene.name}", said, content)
 
 
-def _where(standing: Standing) -> str:
+def _where(ranking: StanceRanking) -> str:
     """Where the feet of the first stance hold, on the guardrail."""
-    if not standing.ranked:
-        return ""
-    first, best = standing.ranked[0], standing.best
-    strokes = strokes_of(standing.scene, robot_of(standing.scene))
+    if not ranking.ranked or not isinstance(ranking.ranked[0].candidate, Candidate):
+        return ""  # mounts are on no guardrail
+    best = ranking.best
+    strokes = strokes_of(ranking.scene, robot_of(ranking.scene))
     paths = [stroke.path.outline() for stroke in strokes]
     name = "the best stance" if best is not None else "the most promising stance"
-    drawn = guardrail_map(standing.scene, [], [Stand(first.candidate, name, paths)])
+    drawn = guardrail_map(ranking.scene, [], [Stand(ranking.ranked[0].candidate, name, paths)])
     return f"<section>{drawn}</section>"
 
 
-def _tables(standing: Standing) -> str:
+def _tables(ranking: StanceRanking) -> str:
     """What was planned, and apart from it the others, of which only bounds are known."""
     content = ""
-    headings, rows = planned_table(standing)
+    headings, rows = planned_table(ranking)
     if rows:
         content += f"<h2>Planned</h2><section>{table(rows, headings, text_columns=2)}</section>"
-    headings, rows = bounds_table(standing, _ROWS)
+    headings, rows = bounds_table(ranking, _ROWS)
     if rows:
         said = "Not planned: bounds, estimates by which the search proceeds"
         shown = table(rows[:_OPEN], headings, text_columns=4)
@@ -85,28 +90,29 @@ def _tables(standing: Standing) -> str:
     return content
 
 
-def _map(standing: Standing) -> str:
+def _map(ranking: StanceRanking) -> str:
     """Position of foot 1 against what is planned or the bound; those without one along the upper edge."""
-    finite = [each.bound for each in standing.ranked if np.isfinite(each.bound)]
-    xs = [float(each.candidate.root[0, 3]) for each in standing.ranked]
+    finite = [each.bound for each in ranking.ranked if np.isfinite(each.bound)]
+    xs = [float(each.candidate.root[0, 3]) for each in ranking.ranked]
     if not finite or not xs:
         return ""
     low, high = min(xs), max(max(xs), min(xs) + 1e-3)
     top = float(np.quantile(finite, 0.98)) * 1.1
-    marks = "".join(_marks(standing, low, high, top))
+    marks = "".join(_marks(ranking, low, high, top))
     legend, x = "", _EDGE
     for name, colour in _COLOURS.items():
-        if standing.count(name):
+        if ranking.count(name):
             legend += (
                 f'<circle cx="{x}" cy="12" r="4" fill="{colour}"/><text x="{x + 8}" y="16">{name}</text>'
             )
             x += 40 + 8 * len(name)
-    drawn = f'<g font-size="13">{legend}{"".join(_axes(low, high, top, standing.unit))}</g>{marks}'
+    drawn = f'<g font-size="13">{legend}{"".join(_axes(low, high, top, ranking.unit))}</g>{marks}'
     # Where not all of it is seen, the side of the best one is.
     side = " from-right" if xs[0] > (low + high) / 2 else ""
     svg = f'<div class="wide{side}"><svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img">{drawn}</svg></div>'
-    said = f"All stances, by where foot 1 holds and by the {_MEANING[standing.unit]}"
-    caption = (_PLANNED if standing.count("planned") else "An") + _CAPTION
+    where = "foot 1 holds" if ranking.scene.on_guardrail else "the base frame is"
+    said = f"All stances, by where {where} and by the {_MEANING[ranking.objective]}"
+    caption = (_PLANNED if ranking.count("planned") else "An") + _CAPTION
     return f'<h2>{said}</h2><section>{svg}<p class="caption">{caption}</p></section>'
 
 
@@ -120,7 +126,7 @@ def _axes(low: float, high: float, top: float, unit: str) -> Iterator[str]:
     for value in _ticks(low, high, 8):
         x = _x(value, low, high)
         yield f'<text x="{x:.0f}" y="{_HEIGHT - 28}" text-anchor="middle">{value:g}</text>'
-    said = "where foot 1 holds: x along the guardrail, m"
+    said = "x, m"
     yield f'<text x="{_WIDTH // 2}" y="{_HEIGHT - 8}" text-anchor="middle">{said}</text>'
 
 
@@ -133,20 +139,20 @@ def _ticks(low: float, high: float, count: int) -> list[float]:
     return [float(f"{value:.6g}") + 0.0 for value in each * step]
 
 
-def _marks(standing: Standing, low: float, high: float, top: float) -> Iterator[str]:
+def _marks(ranking: StanceRanking, low: float, high: float, top: float) -> Iterator[str]:
     labels = list[tuple[float, float, int]]()
     # The best last, above the others.
-    for rank, each in reversed([*enumerate(standing.ranked, start=1)]):
+    for rank, each in reversed([*enumerate(ranking.ranked, start=1)]):
         x = _x(float(each.candidate.root[0, 3]), low, high)
-        value = each.bound if each.plan is None else each.plan.objective.planned_peak
+        value = each.value if each.status == "planned" else each.bound
         known = np.isfinite(value)
         y = _y(min(value, top), top) if known else _WITHOUT
-        radius = 5 if each.plan is not None else 2.5
-        figure = f", {value:.1f} {standing.unit}" if known else ""
+        radius = 5 if each.status == "planned" else 2.5
+        figure = f", {value:.4g} {ranking.unit}" if known else ""
         said = escape(f"{rank}: {each.place}, {each.status}{figure}")
         circle = f'cx="{x:.1f}" cy="{y:.1f}" r="{radius}" fill="{_COLOURS[each.status]}"'
         yield f"<circle {circle}><title>{said}</title></circle>" if known else f"<circle {circle}/>"
-        if each.plan is not None:
+        if each.status == "planned":
             labels.append((x + 8, y + 4, rank))
     for x, y, rank in _apart(labels):
         yield f'<text class="label" x="{x:.1f}" y="{y:.1f}" font-size="13">{rank}</text>'

@@ -8,6 +8,7 @@ from itertools import chain
 import numpy as np
 
 from cmbot.planning import Plan
+from cmbot.stances import Candidate
 from cmbot.stances.walking import Tour, Walk, walk_samples
 from cmbot.views.overview.guardrail_map import Stand, guardrail_map
 from cmbot.views.overview.walk import steps_table
@@ -34,6 +35,7 @@ def tour_page(tour: Tour) -> str:
     stands = [
         Stand(each.candidate, _what(plan), [stroke.task.path.outline() for stroke in plan.strokes])
         for each, plan in zip(tour.works, tour.plans, strict=True)
+        if isinstance(each.candidate, Candidate)
     ]
     content += f"<section>{guardrail_map(tour.plans[0].scene, [*chain(*samples)], stands)}</section>"
     for name, _, part in parts:

@@ -104,7 +104,7 @@ def test_seconds_are_round_and_many_legs_are_one(asked: StrokeRequest) -> None:
 def test_pairs_and_joints_of_constraints_are_named(
     asked: StrokeRequest, trajectory: QuinticTrajectory
 ) -> None:
-    smallest = asked.cell.clearances.smallest(trajectory.evaluate(np.linspace(0, 10, 2001)))
+    smallest = asked.cell.clearances.query(trajectory.evaluate(np.linspace(0, 10, 2001)))
     pair = asked.cell.clearances.pairs[int(smallest.pair[smallest.distance.argmin()])]
     for limit, expected in (
         (Limit.CLEARANCE, f"clearance of {pair.link} from {pair.other}"),
@@ -230,7 +230,7 @@ def near_start(distance: float) -> Scene:
     for _ in range(60):
         away = 0.5 * (low + high)
         ball["xyz"] = (point + away * np.array([0.0, 1.0, 0.0])).tolist()
-        other = request_of(short_scene(obstacles=[ball])).cell.clearances.smallest(scene.posture[None])
+        other = request_of(short_scene(obstacles=[ball])).cell.clearances.query(scene.posture[None])
         low, high = (away, high) if other.distance[0] < distance else (low, away)
     return short_scene(obstacles=[ball])
 

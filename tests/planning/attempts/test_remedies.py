@@ -357,7 +357,7 @@ def test_where_no_trajectory_keeps_clear_the_guess_keeps_more(
     near = unfollowed(NearObstacle(distance=0.019, margin=0.02))
     margins = list[float]()
     for attempt, sentence in tried(CLEARER_GUESS, rough, near):
-        margins.append(float(attempt.request.cell.clearances.smallest(via_points(attempt)).distance.min()))
+        margins.append(float(attempt.request.cell.clearances.query(via_points(attempt)).distance.min()))
         assert attempt.request is rough.request
         assert attempt.guess.lower_bound == rough.search.lower_bound
         assert attempt.search.halved().lower_bound == rough.search.lower_bound

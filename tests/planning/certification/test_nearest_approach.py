@@ -45,11 +45,11 @@ def test_the_bound_holds_wherever_it_is_tried(cmbot_robot: Robot, seed: int, res
     found = nearest_approach(x, clearances, resolution)
     t = np.linspace(0, x.t[-1], 801)
     near = np.clip(found.time + np.linspace(-0.02, 0.02, 101), 0, x.t[-1])
-    smallest = clearances.smallest(x.evaluate(np.append(t, near))).distance.min()
+    smallest = clearances.query(x.evaluate(np.append(t, near))).distance.min()
     assert found.bound <= smallest
     assert found.distance - found.bound <= resolution + 2e-6
     assert found.distance <= smallest + resolution
-    there = clearances.smallest(x.evaluate([found.time]))
+    there = clearances.query(x.evaluate([found.time]))
     assert there.distance[0] == pytest.approx(found.distance, abs=1e-8)
     first, second = clearances.pairs[found.pair], clearances.pairs[there.pair[0]]
     assert first == second or clearances.nearest(x.evaluate([found.time])[0], found.pair).distance == (

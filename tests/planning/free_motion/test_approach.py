@@ -158,7 +158,7 @@ def test_connected_postures_are_joined_by_free_lines(triangle_plan: Plan, rng: n
         np.testing.assert_array_equal(line[[0, -1]], [posture, goal])
         for start, end in pairwise(line):
             between = start + rng.uniform(0, 1, (50, 1)) * (end - start)
-            assert clearances.smallest(between).distance.min() >= 0.02
+            assert clearances.query(between).distance.min() >= 0.02
     length = [np.linalg.norm(np.diff(line, axis=0), axis=1).sum() for line in (path, short)]
     assert length[1] <= length[0] + 1e-12
 

@@ -93,7 +93,7 @@ def test_the_tool_follows_the_triangle(triangle_path: Followed) -> None:
     assert task.rotation(R_WT, task.path.poses([0.0])).max() < np.deg2rad(0.01)
     np.testing.assert_allclose(path.t, np.linspace(0, 20, 1001), atol=1e-12)
     np.testing.assert_allclose(path.q[1:], path.q[:-1] + path.t[1] * path.v[:-1], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(path.clearance, asked.cell.clearances.smallest(path.q).distance, atol=1e-8)
+    np.testing.assert_allclose(path.clearance, asked.cell.clearances.query(path.q).distance, atol=1e-8)
     smallest = [np.linalg.svd(kinematics.tool_jacobian(q)[1], compute_uv=False)[-1] for q in path.q]
     np.testing.assert_allclose(path.singular_value, smallest, atol=1e-12)
 
@@ -165,7 +165,7 @@ def test_carrying_on_whatever_happens() -> None:
 def near_postures(triangle_path: Followed) -> FloatArray:
     asked, path = triangle_path
     q = path.q[::20] + np.random.default_rng(3).uniform(-0.1, 0.1, path.q[::20].shape)
-    near = asked.cell.clearances.smallest(q, avoidable_only=True).distance
+    near = asked.cell.clearances.query(q, avoidable_only=True).distance
     return q[(near > 0.005) & (near < 0.14)]
 
 
@@ -198,7 +198,7 @@ def test_switch_is_equation_17_to_the_letter(triangle_path: Followed, near_postu
     asked, path = triangle_path
     kinematics, clearances = Kinematics(asked.cell.robot), asked.cell.clearances
     avoidable = [k for k, pair in enumerate(clearances.pairs) if pair.avoidable]
-    far = path.q[clearances.smallest(path.q, avoidable_only=True).distance > 0.16][:3]
+    far = path.q[clearances.query(path.q, avoidable_only=True).distance > 0.16][:3]
     assert len(far) == 3
     assert len(near_postures) > 5
     for q in (*near_postures, *far):
@@ -258,7 +258,7 @@ def test_avoidance_gains_clearance(triangle_path: Followed) -> None:
     clearances = asked.cell.clearances
     without = with_options(triangle_path, avoidance_gain=0.0)
     assert path.clearance.min() > without.clearance.min() + 0.01
-    ours, theirs = (clearances.smallest(x.q, avoidable_only=True).distance.min() for x in (path, without))
+    ours, theirs = (clearances.query(x.q, avoidable_only=True).distance.min() for x in (path, without))
     assert ours > theirs + 0.01
 
 

@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 from small_scenes import off_task, request_of, short_scene
 from urdf_arms import six_joint_scene
 
+from cmbot.collision import Smallest
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound, PlanningError
 from cmbot.planning import GlobalSearch, plan
-from cmbot.planning.path.projection import null_space, project_onto_task
+from cmbot.planning.postures.projection import null_space, project_onto_task
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion import global_search
 from cmbot.planning.selfmotion import sampler as sampling
@@ -45,7 +46,7 @@ def test_a_solution_is_admissible(asked: StrokeRequest, search: GlobalSearch, pi
     at = asked.cell.postures.at(solution.q)
     assert off_task(robot, task, solution.q, asked.goals) < 1e-9
     assert ((solution.q >= robot.limits.lower) & (solution.q <= robot.limits.upper)).all()
-    assert asked.cell.clearances.smallest(solution.q).distance.min() >= options.safety_margin_m
+    assert asked.cell.clearances.query(solution.q).distance.min() >= options.safety_margin_m
     assert (np.abs(at.joint_torque) <= robot.limits.torque).all()
     steps = options.step_share * robot.limits.velocity * np.diff(asked.times)[:, None]
     assert (np.abs(np.diff(solution.q, axis=0)) <= steps + 0.5 * options.chart_spacing).all()
@@ -210,7 +211,7 @@ def test_refining_never_raises_the_peak() -> None:
         better = refine(asked, q, steps, 0.3, 0.0, np.zeros(7, dtype=bool), start_stays=stays)
         assert off_task(robot, task, better, asked.goals) < 1e-9
         assert (np.abs(np.diff(better, axis=0)) <= steps).all()
-        assert not asked.cell.clearances.check_collision(better, asked.cell.options.safety_margin_m).any()
+        assert asked.cell.clear(better).all()
         peak = asked.cell.objective.at_rest(postures.at(better)).max()
         assert peak <= before
         assert (peak < before - 10) != stays
@@ -256,10 +257,14 @@ def test_a_way_that_is_narrower_than_the_charts_is_found(monkeypatch: pytest.Mon
     narrow, reached = project_onto_task(asked.cell.postures, asked.task, q + 0.2 * null, asked.goals)
     assert reached.all()
 
-    def near(some: FloatArray, margin: float) -> FloatArray:
-        return np.linalg.norm(some[:, None] - narrow, axis=2).min(axis=1) > 0.05
+    query = asked.cell.clearances.query
 
-    monkeypatch.setattr(asked.cell.clearances, "check_collision", near)
+    def narrowly(some: FloatArray, below: float | None = None) -> Smallest:
+        blocked = np.linalg.norm(some[:, None] - narrow, axis=2).min(axis=1) > 0.05
+        found = query(some, below)
+        return found if below is None else found._replace(distance=np.where(blocked, -np.inf, np.inf))
+
+    monkeypatch.setattr(asked.cell.clearances, "query", narrowly)
     assert GlobalSearch(asked).solve(pinned=False).peak > 0
     monkeypatch.setattr(global_search, "_REFINEMENTS", 0)
     with pytest.raises(PathNotFound, match=r"no way was found .* of \d+ postures that were tried"):
@@ -307,7 +312,7 @@ def test_denser_charts_keep_the_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [a is b for a, b in zip(layers, search._layers, strict=True)] == [
         k not in range(1, 6) for k in range(8)
     ]
-    monkeypatch.setattr(search._request.cell.clearances, "check_collision", None)
+    monkeypatch.setattr(search._request.cell.clearances, "query", None)
     anew = edges_along(search._layers, search._steps, search._winding)
     for got, expected in zip(search._edges, anew, strict=True):
         np.testing.assert_array_equal(got.before, expected.before)

@@ -14,7 +14,7 @@ from urdf_arms import endless_scene, panda_scene
 from cmbot.common.arrays import FloatArray
 from cmbot.planning import GlobalSearch, Plan, plan
 from cmbot.planning.budget import Deadline
-from cmbot.planning.path.projection import project_onto_task
+from cmbot.planning.postures.projection import project_onto_task
 from cmbot.planning.progress import Progress, ProgressReporter
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.lower_bound import LowerBound, _BranchAndBound

@@ -12,16 +12,14 @@ from scipy.spatial import cKDTree
 from small_scenes import goals_at, off_task, task_at
 from urdf_arms import endless_scene, panda_scene
 
-from cmbot.collision import Clearances
 from cmbot.planning import robot_of, strokes_of, task_of
-from cmbot.planning.path.projection import project_onto_task
+from cmbot.planning.postures.projection import project_onto_task
 from cmbot.planning.request import JobState, StrokeRequest
 from cmbot.planning.selfmotion.charts import Chart, charts_of
 from cmbot.planning.selfmotion.dynamic_programming import nearest_turn
 from cmbot.planning.selfmotion.poisson_disk import PoissonDiskSets, without_neighbours
 from cmbot.planning.selfmotion.sampler import SelfMotionSampler
 from cmbot.planning.task import ToolTask
-from cmbot.planning.workcell.objectives import objective_of
 from cmbot.planning.workcell.workcell import Workcell
 from cmbot.robot import Kinematics, PostureMetric, Postures, Robot
 from cmbot.scene import PlannerOptions, Scene, load_scene
@@ -32,15 +30,7 @@ PITCHES = np.linspace(-np.pi, np.pi, 181)
 
 
 def request_for(robot: Robot, task: ToolTask, spacing: float = SPACING, seeds: int = 300) -> StrokeRequest:
-    options = PlannerOptions(chart_spacing=spacing, chart_seeds=seeds)
-    objective = objective_of(robot, options)
-    cell = Workcell(
-        robot=robot,
-        clearances=Clearances(robot, ()),
-        options=options,
-        objective=objective,
-        idle_objective=objective,
-    )
+    cell = Workcell.of(robot, (), PlannerOptions(chart_spacing=spacing, chart_seeds=seeds))
     q = np.zeros(robot.dof)
     state = JobState(posture=q)
     return StrokeRequest(cell=cell, state=state, strokes=(), number=0, task=task, times=np.zeros(1), first=q)

@@ -218,7 +218,7 @@ def test_clearance_margin(corner: Corner, states: StateSamples) -> None:
     _, _, clearances = corner
     function = ClearanceMargin(clearances, 0.02)
     value, component = function.sample(states)
-    smallest = clearances.smallest(states.q)
+    smallest = clearances.query(states.q)
     np.testing.assert_allclose(value[:, 0], (0.02 - smallest.distance) / 0.1, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(component[:, 0], smallest.pair)
     # Violated exactly where something is nearer than the margin.

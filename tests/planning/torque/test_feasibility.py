@@ -55,7 +55,7 @@ def test_a_margin_that_the_via_points_break_is_refused_at_once() -> None:
     plate = {"name": "plate", "box": [0.5, 0.02, 0.5], "xyz": [2.3, 0.6, -2.06]}
     problem = problem_of(short_scene(obstacles=[plate]))
     asked, form = problem.request, problem.parametrization
-    distance = asked.cell.clearances.smallest(form.via_points).distance.min()
+    distance = asked.cell.clearances.query(form.via_points).distance.min()
     options = replace(asked.cell.options, safety_margin_m=float(distance) + 0.01)
     stricter = TorqueProblem(replace(asked, options=options), form, 0.0)
     failure = refused(stricter, "a via-point of the path breaks a bound")

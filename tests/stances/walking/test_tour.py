@@ -12,7 +12,7 @@ from walks import one_step
 from cmbot.archive import json_bytes
 from cmbot.common.errors import PlanningError
 from cmbot.planning import plan
-from cmbot.stances import Standing, Stood
+from cmbot.stances import StanceRanking, StanceResult
 from cmbot.stances.walking import Tour, stance_of, tour, tour_data
 from cmbot.views import tour_page
 
@@ -20,20 +20,22 @@ MODULE = importlib.import_module("cmbot.stances.walking.tour")
 
 
 @pytest.fixture(scope="module")
-def works() -> tuple[Stood, ...]:
+def works() -> tuple[StanceResult, ...]:
     """Two planned stances, the same one."""
     scene = short_scene()
-    figures: Any = {"status": "planned", "judged": "plan", "bound": 1.0, "torque": 1.0, "adhesion": 1.0}
+    figures: Any = {"stage": "plan", "bound": 1.0, "value": 1.0}
     made = plan(scene)
-    return tuple(Stood(candidate=stance_of(scene), plan=made, **figures) for _ in range(2))
+    return tuple(StanceResult(candidate=stance_of(scene), plan=made, **figures) for _ in range(2))
 
 
 @pytest.fixture(scope="module")
-def standings(works: tuple[Stood, ...]) -> tuple[Standing, ...]:
-    return tuple(Standing(scene=each.plan.scene, unit="Nm", ranked=(each,)) for each in works)
+def standings(works: tuple[StanceResult, ...]) -> tuple[StanceRanking, ...]:
+    return tuple(StanceRanking(scene=each.plan.scene, ranked=(each,)) for each in works)
 
 
-def test_work_and_walks_are_on_one_clock(works: tuple[Stood, ...], standings: tuple[Standing, ...]) -> None:
+def test_work_and_walks_are_on_one_clock(
+    works: tuple[StanceResult, ...], standings: tuple[StanceRanking, ...]
+) -> None:
     walked, job = one_step(), works[0].plan.job.duration
     made = Tour(name="both", standings=standings, works=works, walks=(walked,))
     assert [(name, begin) for name, begin, _ in made.parts] == [
@@ -57,10 +59,10 @@ def test_work_and_walks_are_on_one_clock(works: tuple[Stood, ...], standings: tu
 
 
 def test_where_no_walk_leads_on_another_stance_is_taken(
-    works: tuple[Stood, ...], standings: tuple[Standing, ...], monkeypatch: pytest.MonkeyPatch
+    works: tuple[StanceResult, ...], standings: tuple[StanceRanking, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (first, second), walked = works, one_step()
-    both = Standing(scene=standings[0].scene, unit="Nm", ranked=(first, second))
+    both = StanceRanking(scene=standings[0].scene, ranked=(first, second))
     tried = []
 
     def walk(*_: Any) -> Any:

@@ -8,7 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_scenes import goals_at, off_task, task_at
 
-from cmbot.planning.path.projection import gram, null_directions, null_space, project_onto_task, solve_batch
+from cmbot.planning.postures.projection import (
+    gram,
+    null_directions,
+    null_space,
+    project_onto_task,
+    solve_batch,
+)
 from cmbot.robot import Kinematics, Postures, Robot
 
 sizes = st.integers(1, 7)

@@ -1,0 +1,389 @@
+"""Where to stand: the fewest stances from which a job's strokes can be done, and the best ones for them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.common.errors import InputError, PlanningError, SceneError
+from cmbot.common.representation import short_repr
+from cmbot.common.validation import counted, shown
+from cmbot.planning import ToolTask, precheck_scene, robot_of, strokes_of, task_of
+from cmbot.scene import Scene
+from cmbot.stances.bounds import UNITS, StanceObjective
+from cmbot.stances.candidates import AnyCandidate, Candidate, candidates_of, mounts_of, own_candidate
+from cmbot.stances.cover import fewest_groups
+from cmbot.stances.placed_scene import joined, put_away, scene_at, with_strokes
+from cmbot.stances.screening import Screener, Screening, times_of
+from cmbot.stances.search import (
+    Ending,
+    Progress,
+    Rejection,
+    StanceResult,
+    StandOptions,
+    evaluate_stances,
+)
+from cmbot.stances.stages import PROVEN_SHARE, Judge, at_rest_of
+
+# For whose scenes alone steps are sought.
+_SHIPPED_ROBOT = "the shipped robot, an arm on a climber that holds a guardrail"
+
+_LONGEST_NAME = 90
+# Share of the best value that is proven of the others, less what a proof may be off.
+_NO_BETTER = PROVEN_SHARE - 1e-3
+# So many of the reasons for which stances are left out are named.
+_REASONS = 3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StanceRanking:
+    """Stances for strokes that are done from one, the best first.
+
+    Attributes
+    ----------
+    scene : Scene
+        Of these strokes, which begin at poses in the world.
+    objective : str
+        By what they are ranked: ``torque``, ``hold``, ``sag`` or ``sway``.
+    ranked : tuple of StanceResult
+        The planned ones by their values, then the others by their bounds.
+    plans : int
+        How many of them were to be planned.
+    ended_by : str
+        What ended the search early: the ``time``, or an ``interrupt`` by the user; else empty.
+    """
+
+    scene: Scene
+    objective: StanceObjective = "torque"
+    ranked: tuple[StanceResult, ...]
+    plans: int = StandOptions.plans
+    ended_by: Literal["", "interrupt", "time"] = ""
+
+    __repr__ = short_repr
+
+    @property
+    def unit(self) -> str:
+        """Of what is ranked."""
+        return UNITS[self.objective]
+
+    @property
+    def strokes(self) -> tuple[str, ...]:
+        """Names of the strokes."""
+        return tuple(str(stroke.name) for stroke in self.scene.strokes)
+
+    @property
+    def best(self) -> StanceResult | None:
+        """The best stance that was planned; None where none was."""
+        first = self.ranked[0] if self.ranked else None
+        return first if first is not None and first.status == "planned" else None
+
+    @property
+    def own(self) -> tuple[StanceResult, ...]:
+        """The stances of the scenes themselves, the best first."""
+        return tuple(each for each in self.ranked if each.own)
+
+    @property
+    def reasons(self) -> list[tuple[str, int]]:
+        """The reasons for which most stances are left out, and how many each."""
+        causes = (each.rejection.cause for each in self.ranked if each.rejection is not None)
+        return Counter(causes).most_common(_REASONS)
+
+    @property
+    def best_unplanned(self) -> float:
+        """The smallest bound of a stance that was not tried; infinite where all were."""
+        return min((each.bound for each in self.ranked if each.status == "screened"), default=np.inf)
+
+    @property
+    def proven(self) -> int:
+        """How many that were not planned are proven to be no better than the best one by more than 2.1 %."""
+        least = np.inf if self.best is None else _NO_BETTER * self.best.value
+        return sum(each.plan is None and each.proven >= least for each in self.ranked)
+
+    def count(self, status: str) -> int:
+        """Return how many stances ended so."""
+        return sum(each.status == status for each in self.ranked)
+
+
+def stand(
+    scenes: Scene | Sequence[Scene],
+    options: StandOptions | None = None,
+    progress: Progress = lambda _step, _share: None,
+    suits: Callable[[AnyCandidate], str | None] = lambda _: None,
+) -> tuple[StanceRanking, ...]:
+    """Find where the robot should stand for jobs on one bridge, or among the mounts of a scene.
+
+    The scene's own stance is planned first, so that none which is worse is the best one. A stance counts only
+    with the way from the arm's stow posture and back. A user who stops the search (KeyboardInterrupt), or its
+    time limit, ends it with the best stances so far; where nothing has been planned yet, it is stopped.
+
+    As few stances as possible: the strokes of all jobs are parted so that each group can be done from one
+    stance. Of partitions with as few groups that one is taken whose largest bound is the smallest. A group
+    for which no stance could be planned is parted further.
+
+    Parameters
+    ----------
+    scenes : Scene or sequence of Scene
+        Of the same robot and guardrail; of another robot than the shipped one, with ``mounts``.
+    options : StandOptions, optional
+    progress : callable
+        Takes what is done and the share of it.
+    suits : callable
+        Takes a candidate that is promising; why it is left out, or None.
+
+    Returns
+    -------
+    tuple of StanceRanking
+        One for each group, in the order of their best stances along the guardrail.
+
+    Raises
+    ------
+    SceneError
+        When there is no guardrail and no mount, nothing of what is asked can be ranked, or scenes have not
+        robot, guardrail, tool, return and planner in common.
+    InputError
+        When a member of the options is none of the guardrail.
+    PlanningError
+        When for some stroke no stance is left.
+    """
+    options = options or StandOptions()
+    scenes = (scenes,) if isinstance(scenes, Scene) else tuple(scenes)
+    for one in scenes:
+        require_standing(one, options.members)
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _Stand(scenes, options, progress, suits).ranked()
+
+
+class _Stand:
+    """One search: its candidates, how they are screened, and the groups of strokes."""
+
+    def __init__(
+        self,
+        scenes: Sequence[Scene],
+        options: StandOptions,
+        progress: Progress,
+        suits: Callable[[AnyCandidate], str | None],
+    ) -> None:
+        scene, self._options, self._progress, self._suits = joined(scenes), options, progress, suits
+        self._objective: StanceObjective = options.objective or scene.planner.objective
+        # What sways little sags little: the planner's objective nearest to it.
+        by = "sag" if self._objective == "sway" else self._objective
+        self._scene = scene = scene.with_options(objective=by)
+        progress("listing stances", 0.0)
+        self._ending = Ending(limit=options.time_limit)
+        self._own: dict[AnyCandidate, FloatArray | None]
+        if scene.on_guardrail:
+            self._own = _own(scenes)
+            first = [each for each in self._own if isinstance(each, Candidate)]
+            spacings = options.spacing, options.pair_spacing
+            self._candidates: list[AnyCandidate] = [*candidates_of(scene, *spacings, options.members, first)]
+        else:
+            self._candidates = [*mounts_of(scene)]
+            self._own = {self._candidates[0]: None}
+        if not self._candidates:
+            where = ", ".join(options.members) or "the guardrail"
+            raise PlanningError(f"no place on {where} in which a foot holds; round bars take clamps alone")
+        robot = robot_of(scene)
+        strokes = strokes_of(scene, robot)
+        # Each cell of a raster is a stroke of its own: together they are one of the scene's.
+        self._names = [str(stroke.name) for stroke in scene.strokes]
+        own = [stroke.name if stroke.name in self._names else str(stroke.file.part_of) for stroke in strokes]
+        self._of = [[k for k, name in enumerate(own) if name == each] for each in self._names]
+        self._tasks = [task_of(stroke, scene) for stroke in strokes]
+        self._screener = Screener(scene, robot, self._candidates, self._objective, options.bounds)
+        if self._objective in ("sag", "sway") and not self._screener.loads.bends:
+            expected = (
+                f"something that bends, for objective {self._objective}: guardrail, mounts or elasticity"
+            )
+            raise SceneError(scene.source, "guardrail", "nothing that bends", expected)
+
+    def ranked(self) -> tuple[StanceRanking, ...]:
+        """Screen all, part the strokes, and search for the best stance of each group."""
+        said = f"screening {len(self._candidates)} stances"
+        found = self._screener.screened(self._tasks, lambda share: self._progress(said, share))
+        bound = np.array([found.bound[each].max(axis=0, initial=-np.inf) for each in self._of])
+        for number, each in enumerate(self._of):
+            if not np.isfinite(bound[number]).any():
+                within = np.asarray(found.within_reach[each].all(axis=0))
+                tasks = [self._tasks[k] for k in each]
+                raise _unreached(self._scene, number, tasks, self._candidates, within)
+        done, excluded = dict[frozenset[int], StanceRanking](), set[frozenset[int]]()
+        while groups := fewest_groups(bound, excluded):
+            for number, group in enumerate(groups, start=1):
+                if group in done:
+                    continue
+                where = f"stance {number} of {len(groups)}: " if len(groups) > 1 else ""
+                told = partial(_told, self._progress, where)
+                done[group] = self._group(group, found, told, several=len(groups) > 1)
+                stays = done[group].best is None and self._options.plans and not self._ending.by
+                if stays and len(group) > 1:
+                    excluded.add(group)
+                    break
+            else:
+                return tuple(sorted((done[group] for group in groups), key=_along))
+        raise PlanningError(f"no stances for {counted(len(self._names), 'stroke')}")
+
+    def _group(
+        self, group: frozenset[int], found: Screening, progress: Progress, *, several: bool
+    ) -> StanceRanking:
+        """The ranked stances for some strokes."""
+        members, scene = sorted(group), self._scene
+        name = "_".join([scene.name, *(str(k + 1) for k in members)])
+        part = with_strokes(scene, group, name[:_LONGEST_NAME]) if several else scene
+        strokes = [k for each in members for k in self._of[each]]
+        numbers = {candidate: k for k, candidate in enumerate(self._candidates)}
+        judge = Judge(
+            scene=put_away(part),
+            as_it_is=part,
+            screener=self._screener,
+            numbers=numbers,
+            own=self._own,
+            options=self._options,
+            objective=self._objective,
+            ending=self._ending,
+            suits=self._suits,
+        )
+        results = [self._screened(k, found, strokes) for k in range(len(self._candidates))]
+        results = evaluate_stances(results, judge.stages(), self._options, self._ending, progress)
+        if not scene.on_guardrail:
+            times = np.array([times_of(task) for task in self._tasks])
+            results = [*judge.proven(results, found, strokes, times, progress)]
+        return StanceRanking(
+            scene=part,
+            objective=self._objective,
+            ranked=tuple(sorted(results, key=lambda each: each.order)),
+            plans=self._options.plans,
+            ended_by=self._ending.by,
+        )
+
+    def _screened(self, k: int, found: Screening, strokes: Sequence[int]) -> StanceResult:
+        """What the screening says of a candidate for some strokes."""
+        candidate, within = self._candidates[k], bool(found.within_reach[strokes, k].all())
+        rows = found.figures[:, strokes, k].max(axis=1)
+        rejection = None
+        if not within:
+            why = "out of reach of the arm's links"
+            rejection = Rejection(kind="out of reach", reason=why, cause=why)
+        elif not np.isfinite(rows[0]):
+            why = "no posture found within the bounds of joints and feet"
+            rejection = Rejection(kind="no posture", reason=why, cause=why)
+        return StanceResult(
+            candidate=candidate,
+            stage="postures" if within else "reach",
+            bound=float(rows[0]),
+            at_rest=at_rest_of(rows),
+            rejection=rejection,
+            own=candidate in self._own,
+        )
+
+
+def _own(scenes: Sequence[Scene]) -> dict[AnyCandidate, FloatArray | None]:
+    """The scenes' stances, and in which posture the arm starts there; None: in that of the first one."""
+    each = [(own_candidate(one), np.array(one.posture)) for one in scenes]
+    return {
+        candidate: None if np.array_equal(posture, each[0][1]) else posture
+        for candidate, posture in each
+        if candidate is not None
+    }
+
+
+def _unreached(
+    scene: Scene,
+    number: int,
+    tasks: Sequence[ToolTask],
+    candidates: Sequence[AnyCandidate],
+    within: BoolArray,
+) -> PlanningError:
+    """The error of a stroke that no stance reaches, with what `cmbot check` says of it in the nearest one."""
+    points = np.vstack([task.path.outline() for task in tasks])
+    bases = np.array([candidate.base[:3, 3] for candidate in candidates])
+    away = np.linalg.norm(points[:, None] - bases, axis=2).max(axis=0)
+    nearest = candidates[min(range(len(candidates)), key=lambda k: (not within[k], away[k]))]
+    name = str(scene.strokes[number].name)
+    kinds = {"out of reach": (~within).sum(), "in which no posture was found": within.sum()}
+    counts = ", ".join(f"{number} {kind}" for kind, number in kinds.items() if number)
+    error = PlanningError(f"no stance of {len(candidates)} is left for stroke {name}: {counts}")
+    checked = precheck_scene(scene_at(with_strokes(scene, {number}, scene.name), nearest, None))
+    for warning in checked.warnings:
+        if warning.key.startswith("tool_path"):
+            error.add_hint(f"in the nearest one, {nearest.place}, {warning.got}")
+            break
+    return error
+
+
+def require_planned(rankings: Sequence[StanceRanking]) -> None:
+    """Refuse a search in which no stance was planned for some strokes.
+
+    Raises
+    ------
+    PlanningError
+        With the reasons for which most stances are left out.
+    """
+    for ranking in rankings:
+        if ranking.best is None:
+            reasons = ", ".join(f"{cause} ({number})" for cause, number in ranking.reasons)
+            late = "; the time was over (--time-limit)" if ranking.ended_by == "time" else ""
+            strokes = f" for {', '.join(ranking.strokes)}" if len(rankings) > 1 else ""
+            why = f", most often for: {reasons}" if reasons else ""
+            raise PlanningError(f"no stance of {len(ranking.ranked)} was planned{strokes}{late}{why}")
+
+
+def _along(ranking: StanceRanking) -> float:
+    """Where foot 1 is in the best stance, along the guardrail, m."""
+    return float(ranking.ranked[0].candidate.root[0, 3])
+
+
+def _told(progress: Progress, where: str, step: str, share: float) -> None:
+    progress(where + step, share)
+
+
+def best_scene(ranking: StanceRanking) -> Scene:
+    """Return the scene with the best stance, or if none was planned the most promising one.
+
+    Raises
+    ------
+    PlanningError
+        When no stance is left.
+    """
+    first = ranking.ranked[0]
+    if not np.isfinite(first.bound):
+        reasons = ", ".join(f"{cause} ({number})" for cause, number in ranking.reasons)
+        raise PlanningError(f"no stance of {len(ranking.ranked)} is left: {reasons}")
+    return scene_at(ranking.scene, first.candidate, None) if first.plan is None else first.plan.scene
+
+
+def require_on_guardrail(scene: Scene) -> None:
+    """Refuse a scene whose robot holds no guardrail.
+
+    Raises
+    ------
+    SceneError
+    """
+    if not scene.on_guardrail or not scene.elastic_guardrail.post_positions:
+        key, got = ("guardrail", "none") if scene.on_guardrail else ("robot", "another robot")
+        raise SceneError(scene.source, key, got, _SHIPPED_ROBOT)
+
+
+def require_standing(scene: Scene, members: Sequence[str] = ()) -> None:
+    """Refuse a scene whose stances cannot be sought, or members that its guardrail has not.
+
+    Raises
+    ------
+    SceneError, InputError
+    """
+    if not scene.on_guardrail and not scene.mounts:
+        expected = f"where the base frame may be held; or {_SHIPPED_ROBOT}"
+        raise SceneError(scene.source, "mounts", "none", expected)
+    if scene.on_guardrail:
+        require_on_guardrail(scene)
+    known = scene.guardrail.member_names
+    for member in members:
+        if member not in known:
+            expected = f"a member of the guardrail of {scene.name}"
+            raise InputError("members (--on)", "", shown(member), expected, known)

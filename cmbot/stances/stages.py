@@ -1,0 +1,273 @@
+"""The stages that judge a stance, the cheapest first: clearance, charts, a plan; and proofs of bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import CmbotError
+from cmbot.elastic.modes import arm_modes
+from cmbot.elastic.sag import Sag, TooSoftError
+from cmbot.excitation import sway_mm_per_m_s2
+from cmbot.planning import Plan, bending_arm, plan
+from cmbot.robot import Dynamics
+from cmbot.scene import Scene
+from cmbot.stances.arm import FIGURES
+from cmbot.stances.bounds import Bounds, StanceFigures, StanceObjective
+from cmbot.stances.candidates import AnyCandidate, Candidate, climber_in_the_way
+from cmbot.stances.charting import AtRest, bounded_quickly, chart, proven_bound
+from cmbot.stances.placed_scene import scene_at
+from cmbot.stances.screening import VIA_POINTS, Screener, Screening
+from cmbot.stances.search import Ending, Rejection, Stage, StanceResult, StandOptions
+
+# Attempts to plan: so many times the number of plans wanted and one more.
+_TRIES = 2
+# A stance is not planned where the postures of its charts exceed a bound by this factor; a plan may not.
+_ROOM = 1.05
+PROVEN_SHARE = 0.98
+"""Share of the best value that others are proven not to undercut."""
+# Postures of the work in which sag and modes of a plan are computed.
+_SAGS, _MODES = 61, 5
+# Postures of a job between which the joints' travel is measured.
+_STEPS = 2000
+_WORDS = {
+    "base_torque_nm": ("torque on the base", "Nm"),
+    "adhesion_n": ("adhesion needed", "N"),
+    "sag_mm": ("sag", "mm"),
+    "sway_mm": ("sway", "mm per m/s2"),
+    "travel_deg": ("travel", "degrees"),
+    "seconds": ("duration", "s"),
+}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Judge:
+    """What judges the stances for some strokes.
+
+    Attributes
+    ----------
+    scene : Scene
+        Of these strokes, as `in_world` returns it; the arm comes from its stow posture and returns there.
+    as_it_is : Scene
+        The same, with the arm where the scene has it before and after.
+    screener : Screener
+    numbers : mapping of candidate to int
+        Of the candidates, in the screening.
+    own : mapping of candidate to (n,), rad, or None
+        The scenes' own stances, and the posture in which the arm starts there; None: that of the scene.
+    options : StandOptions
+    objective : str
+    ending : Ending
+    suits : callable
+        Takes a candidate; why it is left out, or None.
+    """
+
+    scene: Scene
+    as_it_is: Scene
+    screener: Screener
+    numbers: Mapping[AnyCandidate, int]
+    own: Mapping[AnyCandidate, FloatArray | None]
+    options: StandOptions
+    objective: StanceObjective
+    ending: Ending
+    suits: Callable[[AnyCandidate], str | None]
+
+    def stages(self) -> tuple[Stage, ...]:
+        """Return them in their order."""
+        options, tries = self.options, _TRIES * (self.options.plans + 1)
+        return (
+            Stage(
+                name="clearance",
+                judge=self.cleared,
+                most=len(self.numbers),
+                step="checking the most promising",
+            ),
+            Stage(
+                name="obstacles",
+                judge=self.checked,
+                most=options.checks,
+                step="checking the most promising for obstacles",
+            ),
+            Stage(name="charts", judge=self.charted, most=options.charts, step="charting the most promising"),
+            Stage(name="plan", judge=self.planned, most=tries, step="planning the most promising"),
+        )
+
+    def cleared(self, result: StanceResult) -> StanceResult:
+        """Leave out a stance of which what does not move is too near to something."""
+        candidate = result.candidate
+        why = climber_in_the_way(self.scene, candidate) if isinstance(candidate, Candidate) else None
+        why = why or self.suits(candidate)
+        if why is None:
+            return replace(result, stage="clearance")
+        return result.rejected("clearance", Rejection(kind="blocked", reason=why, cause=why))
+
+    def checked(self, result: StanceResult) -> StanceResult:
+        """Chart a stance at some via-points, obstacles included."""
+        try:
+            bound = bounded_quickly(scene_at(self.scene, result.candidate, None), self._at_rest(result))
+        except CmbotError as error:
+            return result.rejected("obstacles", Rejection.of("blocked", error))
+        # Nothing is charted where the tool's axis may lean.
+        bound = bound or result.bound
+        return replace(result, stage="obstacles", bound=bound, expected=bound)
+
+    def charted(self, result: StanceResult) -> StanceResult:
+        """Chart a stance at all via-points."""
+        try:
+            scene = scene_at(self.scene, result.candidate, None)
+            charted = chart(scene.with_options(self.ending.within(scene)), self._at_rest(result))
+        except CmbotError as error:
+            return result.rejected("charts", Rejection.of("blocked", error))
+        loads, number = self.screener.loads, self.numbers[result.candidate]
+        rows = self.screener.arm.figures(charted.postures, np.full(len(charted.postures), number), loads)
+        at_rest = at_rest_of(rows.max(axis=1))
+        if beyond := at_rest.beyond(_wider(self.options.bounds, _ROOM)):
+            name, value, _ = beyond
+            return result.rejected(
+                "charts", _beyond(self.options.bounds, name, value, "in its best postures")
+            )
+        # With few via-points the allowance between postures is smaller, with many the bound is tighter.
+        bound = min(max(charted.bound, result.bound), charted.expected)
+        return replace(result, stage="charts", bound=bound, expected=charted.expected, at_rest=at_rest)
+
+    def _at_rest(self, result: StanceResult) -> AtRest | None:
+        """What is ranked at rest; None: that is the objective of the planner."""
+        if self.objective in ("torque", "hold"):
+            return None
+        number = self.numbers[result.candidate]
+        return partial(self.screener.arm.at_rest, stance=number, loads=self.screener.loads)
+
+    def planned(self, result: StanceResult) -> StanceResult:
+        """Plan a stance, with the way from the stow posture and back; that of a scene as the scene has it."""
+        if result.own and result.stage == "postures" and (why := self.suits(result.candidate)):
+            return result.rejected("clearance", Rejection(kind="blocked", reason=why, cause=why))
+        try:
+            scene = self._placed(result)
+            made = plan(scene, options=self.ending.within(scene))
+        except CmbotError as error:
+            return result.rejected("plan", Rejection.of("failed", error))
+        if left_out := sum(one.unreached for one in made.coverage.values()):
+            why = "of the rasters are not reached"
+            rejection = Rejection(kind="failed", reason=f"{left_out:.3g} m2 {why}", cause=f"parts {why}")
+            return result.rejected("plan", rejection)
+        figures = figures_of(made, result.candidate)
+        result = replace(result, stage="plan", figures=figures)
+        if beyond := figures.beyond(self.options.bounds):
+            name, value, _ = beyond
+            return result.rejected("plan", _beyond(self.options.bounds, name, value, "planned"))
+        value = value_of(made, figures, self.objective)
+        # No estimate is above what was found.
+        return replace(result, value=value, plan=made, bound=min(result.bound, value))
+
+    def _placed(self, result: StanceResult) -> Scene:
+        if result.own:
+            return scene_at(self.as_it_is, result.candidate, self.own[result.candidate])
+        return scene_at(self.scene, result.candidate, None)
+
+    def proven(
+        self,
+        results: Sequence[StanceResult],
+        found: Screening,
+        strokes: Sequence[int],
+        times: FloatArray,
+        progress: Callable[[str, float], None],
+    ) -> Iterator[StanceResult]:
+        """Yield stances with what is proven not to be undercut in them, up to a share of the best value.
+
+        `times` (S, K), s, are those of the screening's via-points in the strokes (S).
+        """
+        best = min((each.value for each in results), default=np.inf)
+        left = self.options.proofs if np.isfinite(best) and self.objective == "torque" else 0
+        value = PROVEN_SHARE * best
+        for done, result in enumerate(results):
+            number = self.numbers[result.candidate]
+            if not found.within_reach[strokes, number].all():
+                yield replace(result, proven=np.inf)
+            elif result.plan is not None or left == 0 or result.own or self.ending.is_due():
+                yield result
+            else:
+                left -= 1
+                progress("proving bounds of the others", done / len(results))
+                worst = int(found.bound[strokes, number].argmax())
+                first = int(found.via_point[strokes[worst], number])
+                each = times[strokes[worst], [first, *(k for k in range(VIA_POINTS) if k != first)]]
+                scene = scene_at(self.scene, result.candidate, None)
+                yield replace(result, proven=proven_bound(scene, worst, each, value))
+
+
+def at_rest_of(rows: FloatArray) -> StanceFigures:
+    """Return the figures (6,) of the screening as such."""
+    known = {name: float(x) for name, x in zip(FIGURES, rows, strict=True) if np.isfinite(x)}
+    known.pop("bound", None)
+    return StanceFigures(**known)
+
+
+def figures_of(made: Plan, candidate: AnyCandidate) -> StanceFigures:
+    """Return the figures of a plan in a stance."""
+    work, job, needed = made.figures, made.job.figures, made.figures.adhesion_needed
+    also = job.adhesion_needed
+    torque, whole = work.peak_guardrail_torque, job.peak_guardrail_torque
+    if not isinstance(candidate, Candidate):
+        torque, whole = (_about_base(made, candidate, part) for part in (made.work, made.job))
+    t = np.linspace(0.0, made.job.duration, _STEPS)
+    turns = ~made.robot.limits.prismatic
+    travel = np.abs(np.diff(made.job.trajectory.evaluate(t)[:, turns], axis=0)).sum()
+    return StanceFigures(
+        torque=torque,
+        job_torque=whole,
+        adhesion=None if needed is None else needed.peak,
+        job_adhesion=None if also is None else also.peak,
+        **_bending(made),
+        travel_deg=float(np.degrees(travel)),
+        seconds=made.job.duration,
+        within_mm=None if made.accuracy is None else made.accuracy.within_mm,
+    )
+
+
+def _bending(made: Plan) -> dict[str, float]:
+    """Sag, slowest mode and sway at work, where something bends."""
+    arm = bending_arm(made.scene, made.robot)
+    if arm is None:
+        return {}
+    q = made.trajectory.evaluate(made.trajectory.t[0] + np.linspace(0.0, made.work.duration, _SAGS))
+    try:
+        return {
+            "sag_mm": 1e3 * float(Sag(arm).length(q)[0].max()),
+            "first_hz": min(float(arm_modes(arm, each).frequencies[0]) for each in q[:: _SAGS // _MODES]),
+            "sway_mm": sway_mm_per_m_s2(made),
+        }
+    except TooSoftError:
+        return {}  # remarks of the plan say so
+
+
+def _about_base(made: Plan, candidate: AnyCandidate, part: object) -> float:
+    """Largest moment, Nm, about the origin of the base frame, as the plan has it about O0."""
+    trajectory = made.trajectory if part is made.work else made.job.trajectory
+    t = np.linspace(trajectory.t[0], trajectory.t[-1], _STEPS)
+    q, v, a = trajectory.states(t)[:3]
+    wrench = Dynamics(made.robot).efforts(q, v, a).guardrail_wrench
+    away = candidate.base[:3, 3] - np.array(made.robot.foot_point)
+    return float(np.linalg.norm(wrench[:, 3:] - np.cross(away, wrench[:, :3]), axis=1).max())
+
+
+def value_of(made: Plan, figures: StanceFigures, objective: StanceObjective) -> float:
+    """Return what is ranked of a plan."""
+    if objective == "sag":
+        return figures.sag_mm or 0.0
+    if objective == "sway":
+        return figures.sway_mm or 0.0
+    return made.objective.planned_peak
+
+
+def _wider(bounds: Bounds, factor: float) -> Bounds:
+    return Bounds(**{name: factor * getattr(bounds, name) for name in _WORDS})
+
+
+def _beyond(bounds: Bounds, name: str, value: float, where: str) -> Rejection:
+    words, unit = _WORDS[name]
+    reason = f"{words} {value:.4g} {unit} {where}, {getattr(bounds, name):g} {unit} are allowed"
+    return Rejection(kind="beyond a bound", reason=reason, cause=f"more {words} than is allowed")

@@ -1,0 +1,129 @@
+"""Any arm among the mounts of its scene: where it stands, how that bends, what is proven of the others."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from small_scenes import short_scene
+
+import cmbot
+from cmbot.common.errors import CmbotError, SceneError
+from cmbot.elastic.sag import Sag
+from cmbot.planning import bending_arm, plan, robot_of
+from cmbot.scene import Scene
+from cmbot.stances import (
+    MountCandidate,
+    StanceRanking,
+    StandOptions,
+    best_scene,
+    in_words,
+    in_world,
+    put_away,
+    scene_at,
+    stances_csv,
+    stand,
+)
+from cmbot.stances.candidates import mounts_of
+from cmbot.views import stances_page
+
+# So stiff that what is of second order in the turn of the base, which is far from W, does not count.
+STIFFNESS = 1e4 * (np.diag([2e5, 1e5, 3e5, 2e4, 1e4, 3e4]) + 100.0 * np.ones((6, 6)))
+
+
+def panda(**changes: Any) -> Scene:
+    data = short_scene().as_data() | {
+        "robot": {"model": "panda", "base_frame": "panda_link0", "tool_frame": "panda_hand_tcp"},
+        "guardrail": {"bays": 0},
+        "start": {"posture_deg": [0, -45, 0, -135, 0, 90, 45]},
+        "return": "start",
+        "tool_path": {
+            "from": {"xyz": [0.5, -0.1, 0.4], "rpy_deg": [180, 0, 0]},
+            "legs": [{"by": [0, 0.2, 0], "speed_m_s": 0.1}],
+            "via_points": 11,
+        },
+        "planner": {"time_limit_s": 60},
+    }
+    return cmbot.load_scene(data | changes)
+
+
+@pytest.fixture(scope="module")
+def ranking() -> StanceRanking:
+    rail = {"origin": [0.2, 0, 0], "along": [0.9, 0, 0], "count": 4}
+    scene = panda(mounts=[{"name": "rail", "rail": rail}, {"name": "far", "xyz": [9, 9, 0]}])
+    (found,) = stand(scene, StandOptions(plans=1))
+    return found
+
+
+def test_the_best_mount_is_planned_there(ranking: StanceRanking) -> None:
+    best, (own,) = ranking.best, ranking.own
+    assert best.value <= own.value
+    scene = best_scene(ranking)
+    again = plan(scene)
+    assert again.objective.planned_peak == pytest.approx(best.value, rel=1e-6)
+    frame = again.robot.model.getFrameId("panda_link0")
+    placement = again.robot.model.frames[frame].placement.homogeneous
+    np.testing.assert_allclose(placement, best.candidate.base, atol=1e-12)
+    # The torque is that about the base frame.
+    force, torque = again.samples.guardrail_force, again.samples.guardrail_torque
+    about = torque - np.cross(best.candidate.base[:3, 3], force)
+    assert best.figures.torque == pytest.approx(np.linalg.norm(about, axis=1).max(), rel=1e-3)
+
+
+def test_no_plan_of_another_mount_undercuts_what_is_proven(ranking: StanceRanking) -> None:
+    others = [each for each in ranking.ranked if each.plan is None]
+    proven = [each for each in others if each.proven >= 0.979 * ranking.best.value]
+    assert len(proven) == ranking.proven > 1
+    assert sum(f"others {len(proven)} are proven to ask" in line for line in in_words(ranking)) == 1
+    scene = put_away(in_world(ranking.scene))
+    for each in others:
+        try:
+            peak = plan(scene_at(scene, each.candidate, None)).objective.planned_peak
+        except CmbotError:
+            continue
+        assert peak >= 0.999 * each.proven
+
+
+def test_what_is_far_away_is_out_of_reach(ranking: StanceRanking) -> None:
+    (far,) = [each for each in ranking.ranked if each.place.startswith("far")]
+    assert far.status == "out of reach"
+    assert np.isinf(far.proven)
+    page = stances_page([ranking])
+    assert "where the base frame is" in page
+    rows = stances_csv([ranking]).splitlines()
+    assert len(rows) == 1 + len(ranking.ranked)
+    assert {row.count(",") for row in rows} == {rows[0].count(",")}
+
+
+def test_a_mount_bends_where_it_is() -> None:
+    """The same arm in the same posture sags as much, wherever it is mounted on that stiffness."""
+    matrix = STIFFNESS.tolist()
+    scene = panda(
+        mounts=[
+            {"xyz": place, "rpy_deg": [0, 0, 0], "stiffness": matrix} for place in ([0, 0, 0.1], [2, -1, 0.5])
+        ]
+    )
+    sags = list[np.ndarray]()
+    for candidate in [*mounts_of(scene)][1:]:
+        assert isinstance(candidate, MountCandidate)
+        there = scene_at(scene, candidate, None)
+        arm = bending_arm(there, robot_of(there))
+        sags.append(Sag(arm).at(np.array([there.posture])).tool[0])
+    assert np.linalg.norm(sags[0]) > 1e-8
+    np.testing.assert_allclose(sags[0], sags[1], rtol=1e-4)
+
+
+def test_the_scenes_own_mount_comes_first_and_once() -> None:
+    mount = {"xyz": [0.1, 0.2, 0.3], "rpy_deg": [0, 0, 90]}
+    robot = panda().robot.model_dump(exclude_none=True) | {"mount": mount}
+    own, *others = mounts_of(panda(robot=robot, mounts=[mount, {"xyz": [1, 1, 1]}]))
+    np.testing.assert_allclose(own.base[:3, 3], mount["xyz"], atol=1e-12)
+    assert own.place == "own at (0.10, 0.20, 0.30) m"
+    assert [each.place for each in others] == ["mount at (1.00, 1.00, 1.00) m"]
+
+
+def test_an_arm_without_mounts() -> None:
+    with pytest.raises(SceneError, match="mounts: got none, expected where the base frame may be held"):
+        stand(panda())
+    rigid = panda(mounts=[{"xyz": [1, 1, 1]}])
+    with pytest.raises(SceneError, match="nothing that bends, expected something that bends"):
+        stand(rigid, StandOptions(objective="sag"))
