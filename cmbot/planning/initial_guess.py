@@ -226,18 +226,19 @@ def sliding_guess(
     )
 
 
-def shifted_problem(request: StrokeRequest, guess: InitialGuess, via_points: FloatArray) -> TorqueProblem:
-    """Return the problem of a guess along the shifted tool path of `request`, near `via_points` (n, d), rad.
+def problem_near(
+    request: StrokeRequest, guess: InitialGuess, via_points: FloatArray, *, stays: bool = False
+) -> TorqueProblem:
+    """Return the problem of a guess as `request` asks, near `via_points` (n, d), rad; where it `stays` there.
 
     Raises
     ------
     PathNotFound
-        When a via-point cannot be projected onto the shifted tool path.
+        When a via-point cannot be projected onto the tool path.
     """
     placed = _placed(request, via_points)
-    form = parametrization_through(
-        request, placed, sliding=guess.search is not None, pinned=guess.search is not None and guess.pinned
-    )
+    slides = guess.search is not None and not stays
+    form = parametrization_through(request, placed, sliding=slides, pinned=slides and guess.pinned)
     return TorqueProblem(request, form, guess.lower_bound.value)
 
 
@@ -304,8 +305,15 @@ def solved(
 
 def _placed(request: StrokeRequest, rough: FloatArray) -> FloatArray:
     """Project postures (n, d) near the via-points onto the tool task."""
+    bent = request.bent
     q, reached = project_onto_task(
-        request.cell.postures, request.task, rough, request.goals, steps=_MANY_STEPS, tolerance=1e-12
+        request.cell.postures,
+        request.task,
+        rough,
+        request.goals,
+        steps=_MANY_STEPS,
+        tolerance=1e-12,
+        tool_of=None if bent is None else lambda at, which: bent.at(request.times[which], at),
     )
     for k in np.flatnonzero(~reached)[:1]:
         joint = out_of_range(request.cell, rough[k : k + 1]) or nearest_to_end(request.cell, rough[k])

@@ -14,6 +14,7 @@ from cmbot.common.representation import short_repr
 from cmbot.planning.budget import Deadline
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.task import ToolTask
+from cmbot.planning.workcell.bent_tool import BentTool
 from cmbot.planning.workcell.objectives import WrenchFunction
 from cmbot.planning.workcell.workcell import Workcell, build_workcell
 from cmbot.robot import Kinematics, Robot
@@ -65,6 +66,8 @@ class StrokeRequest:
         The posture in which the work starts unless another one is better.
     end_posture : (n,), rad and m, or None
         In which the job ends; None: where the work ends.
+    bent : BentTool or None
+        Where the tool is that the task is for, where sag is compensated; None: the rigid arm's.
     spare_clearance : float, m
         Kept by what is optimised beyond the safety margin, which is certified.
     deadline : Deadline
@@ -79,6 +82,7 @@ class StrokeRequest:
     times: FloatArray
     first: FloatArray
     end_posture: FloatArray | None = None
+    bent: BentTool | None = None
     spare_clearance: float = 0.0
     deadline: Deadline = field(default_factory=Deadline)
     reporter: ProgressReporter = field(default_factory=ProgressReporter)

@@ -10,7 +10,7 @@ from cmbot.toolpath.raster.raster import CylinderPatch, FaceSelection, Raster
 from cmbot.toolpath.raster.surface import Coverage, PlainSurface, Surface
 from cmbot.toolpath.stretches import SAME_PLACE, distinct, merged, waypoint_poses
 from cmbot.toolpath.time_law import LegLaw, SpeedProfile, TimeLaw
-from cmbot.toolpath.tool_path import Segment, ShiftedToolPath, ToolPath, share_out_segments
+from cmbot.toolpath.tool_path import Segment, ToolPath, share_out_segments
 from cmbot.toolpath.tool_poses import ToolPoses, shortest_turns
 
 __all__ = [
@@ -36,7 +36,6 @@ __all__ = [
     "RowPiece",
     "SecondsOrAuto",
     "Segment",
-    "ShiftedToolPath",
     "Speed",
     "SpeedProfile",
     "Spline",

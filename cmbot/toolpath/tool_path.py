@@ -401,35 +401,6 @@ class ToolPath:
             yield which, segment, segment.law.share(now[which]), segment.law.share(u[which])
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ShiftedToolPath(ToolPath):
-    """A tool path that is displaced over time; `leg_offset` is measured from the displaced leg.
-
-    Attributes
-    ----------
-    shift : callable
-        From times (N,), s, to displacements (N, 3), m; smooth.
-    """
-
-    shift: Callable[[FloatArray], FloatArray]
-
-    @classmethod
-    def of(cls, path: ToolPath, shift: Callable[[FloatArray], FloatArray]) -> ShiftedToolPath:
-        """Return a path that is displaced."""
-        return cls(segments=path.segments, orientation=path.orientation, shift=shift)
-
-    def position(self, times: ArrayLike) -> FloatArray:
-        """Return the displaced tool point (N, 3), m, at `times` (N,)."""
-        return super().position(times) + self._shift(times)
-
-    def leg_offset(self, times: ArrayLike, p: FloatArray) -> FloatArray:
-        """Return the vector (N, 3), m, to each of `p` (N, 3) from the nearest point of the displaced leg."""
-        return super().leg_offset(times, p - self._shift(times))
-
-    def _shift(self, times: ArrayLike) -> FloatArray:
-        return np.asarray(self.shift(np.clip(np.asarray(times, dtype=np.float64), 0.0, self.duration)))
-
-
 def share_out_segments(seconds: Sequence[float] | FloatArray, segments: int) -> list[int]:
     """Distribute spline segments over legs by their durations (D'Hondt's method).
 

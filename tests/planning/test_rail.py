@@ -124,7 +124,10 @@ def test_postures_in_degrees_are_refused(tmp_path: Path) -> None:
 def test_via_points_slide_with_exact_derivatives(tmp_path: Path, rng: np.random.Generator) -> None:
     problem = problem_of(rail_scene(tmp_path))
     asked, q = problem.request, problem.parametrization.via_points
-    manifold, metric = TaskManifold(asked.cell.postures, asked.task, asked.goals), asked.cell.robot.metric
+    manifold, metric = (
+        TaskManifold(asked.cell.postures, asked.task, asked.goals, asked.times),
+        asked.cell.robot.metric,
+    )
     tangents = metric.coordinates(manifold.tangents(q))
     np.testing.assert_allclose(np.linalg.norm(tangents, axis=2), 1.0, rtol=0, atol=1e-12)
     u = 0.1 * rng.normal(size=tangents.shape[:2])

@@ -21,7 +21,7 @@ from cmbot.planning.attempts.failure import Failure, Uncertified, attempted, bri
 from cmbot.planning.attempts.motion import StrokeMotion, is_better
 from cmbot.planning.attempts.remedies import REMEDIES
 from cmbot.planning.budget import Budget
-from cmbot.planning.initial_guess import InitialGuess, initial_guess, shifted_problem
+from cmbot.planning.initial_guess import InitialGuess, initial_guess, problem_near
 from cmbot.planning.timing.leg_paths import leg_paths, shortest_laws
 from cmbot.planning.timing.timing import Timing
 from cmbot.planning.torque import Optimised, optimise
@@ -105,7 +105,7 @@ def _in(timing: Timing, before: Attempt) -> Attempt | Failure:
         guess = initial_guess(request)
         if isinstance(before.guess, InitialGuess):
             guess = replace(guess, pinned=before.guess.pinned, failures=before.guess.failures)
-        problem = shifted_problem(request, guess, timing.via_points(request))
+        problem = problem_near(request, guess, timing.via_points(request))
         return replace(
             before, guess=replace(guess, problem=problem), request=request, timing=timing, is_first=False
         )

@@ -7,11 +7,12 @@ are those of `PostureMetric`: joints that slide have coordinates in rad, too.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.task import ToolTask
 from cmbot.robot import PostureMetric, Postures, ToolBatch
 from cmbot.toolpath import ToolPoses
@@ -33,13 +34,15 @@ def project_onto_task(
     steps: int = 6,
     tolerance: float = 1e-10,
     held: FloatArray | None = None,
+    tool_of: Callable[[FloatArray, IntArray], ToolBatch] | None = None,
 ) -> tuple[FloatArray, BoolArray]:
     """Project postures `q` (N, n) onto the tool task by Newton steps of least norm.
 
     `goals` are poses of the tool, one for each posture or one for all. The default of `steps`, which it takes
     at most, suffices for postures near the task. `tolerance`, m or rad, is the largest error
     of a task coordinate of a posture on the task. Along the directions `held` (N, a, n), such as its null
-    space, each posture keeps its place.
+    space, each posture keeps its place. `tool_of` says where the tool is in some postures (k, n), with their
+    numbers (k,), where that is not the rigid arm's.
 
     Returns the postures and which of them lie on the task now, (N,).
     """
@@ -52,7 +55,8 @@ def project_onto_task(
     for _ in range(steps):
         reached[active[sure]] = True
         active = active[~sure]
-        at = postures.tool_at(metric.positions(x[:, active].T))
+        here = metric.positions(x[:, active].T)
+        at = postures.tool_at(here) if tool_of is None else tool_of(here, active)
         error = task.errors(at.tool_point, at.tool_rotation, goals if len(goals) == 1 else goals[active]).T
         J = task_jacobian(task, at, metric)
         if fixed is not None:
@@ -74,13 +78,15 @@ def project_onto_task(
     return np.ascontiguousarray(metric.positions(x.T)), reached
 
 
-def null_space(postures: Postures, task: ToolTask, q: FloatArray) -> FloatArray:
+def null_space(postures: Postures, task: ToolTask, q: FloatArray, at: ToolBatch | None = None) -> FloatArray:
     """Return bases (N, n - m, n) of the null spaces of the task at postures `q` (N, n).
 
-    They are moves, orthonormal by the metric of the postures.
+    They are moves, orthonormal by the metric of the postures. `at` is the tool where that is not the rigid
+    arm's.
     """
     metric = postures.metric
-    null = null_directions(task_jacobian(task, postures.tool_at(q), metric)).transpose(2, 0, 1)
+    at = postures.tool_at(q) if at is None else at
+    null = null_directions(task_jacobian(task, at, metric)).transpose(2, 0, 1)
     return metric.positions(null)
 
 

@@ -13,6 +13,7 @@ from cmbot.common.limit import Limit
 from cmbot.hold import Holding
 from cmbot.optimization import Linearization, StateSamples
 from cmbot.planning.task import ToolTask
+from cmbot.planning.workcell.bent_tool import BentTool
 from cmbot.planning.workcell.objectives import efforts_of
 from cmbot.robot import Dynamics, Postures, ToolBatch
 from cmbot.toolpath import ToolPoses
@@ -89,7 +90,7 @@ class ToolDeviation:
     That is never less than its distance from all the legs, and unlike that has no kink at a corner.
     """
 
-    postures: Postures
+    postures: Postures | BentTool
     task: ToolTask
     bound: float
     name: str = "tool deviation"
@@ -126,7 +127,7 @@ class ToolDeviation:
 class ToolLag:
     """Distance of the tool point along the leg from its timed place within its bound; ahead, then behind."""
 
-    postures: Postures
+    postures: Postures | BentTool
     task: ToolTask
     bound: float
     name: str = "tool lag"
@@ -155,7 +156,7 @@ class ToolLag:
 class ToolRotation:
     """Angle by which the tool misses its prescribed orientation or axis within its bound."""
 
-    postures: Postures
+    postures: Postures | BentTool
     task: ToolTask
     bound: float
     name: str = "tool rotation"
@@ -193,7 +194,7 @@ class ToolTilt:
     the axes agree.
     """
 
-    postures: Postures
+    postures: Postures | BentTool
     task: ToolTask
     bound: float  # rad
     name: str = "tool tilt"
@@ -239,7 +240,7 @@ class ToolTilt:
 class ToolSpeed:
     """Speed of the tool point within its bound."""
 
-    postures: Postures
+    postures: Postures | BentTool
     bound: float
     name: str = "tool speed"
     limit: Limit = Limit.TOOL_SPEED
@@ -268,7 +269,7 @@ class ProcessSpeed:
     Along the path it is not below, which is no weaker than that the speed is not, and linear in the rates.
     """
 
-    postures: Postures
+    postures: Postures | BentTool
     task: ToolTask
     bound: float
     name: str = "process speed"
@@ -313,8 +314,10 @@ def _directions_across(axis: FloatArray, away: FloatArray) -> FloatArray:
     return np.asarray(np.cos(angle) * u + np.sin(angle) * cross(axis, u))
 
 
-def _tool(postures: Postures, states: StateSamples) -> ToolBatch:
+def _tool(postures: Postures | BentTool, states: StateSamples) -> ToolBatch:
     """The tool at the states: computed once, whichever constraints need it."""
+    if isinstance(postures, BentTool):
+        return states.computed(id(postures), partial(postures.at, states.t, states.q))
     return states.computed(id(postures), partial(postures.tool_at, states.q))
 
 

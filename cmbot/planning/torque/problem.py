@@ -84,7 +84,7 @@ class TorqueProblem:
         self.objective: StateFunction = ScaledObjective(cell.objective, self.scale)
         self.bounds = _kinematic_bounds(robot, 1 - _EXACT_SHARE_IN_TOLERANCES * options.constraint_tolerance)
         inside = 1 - _SAMPLED_SHARE / options.samples_per_segment**2
-        postures, task = cell.postures, request.task
+        postures, task = request.bent or cell.postures, request.task
         hold = robot.holding if robot.holding and robot.holding.bounded else None
         angle = np.deg2rad(options.max_tool_rotation_deg) * inside
         self.constraints: tuple[StateFunction, ...] = (
@@ -145,7 +145,7 @@ def parametrization_through(
     jerk = np.minimum(limits.jerk, _ORDINARY_JERK * limits.velocity)
     bounds = np.stack([limits.velocity, limits.acceleration, jerk])
     splines = SparseSplines(SplineSpace(request.times), bounds)
-    manifold = TaskManifold(request.cell.postures, request.task, request.goals)
+    manifold = TaskManifold(request.cell.postures, request.task, request.goals, request.times, request.bent)
     return Parametrization(
         splines,
         via_points,

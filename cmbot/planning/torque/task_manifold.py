@@ -10,7 +10,8 @@ from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import OptimisationFailed
 from cmbot.planning.postures.projection import null_space, project_onto_task
 from cmbot.planning.task import ToolTask
-from cmbot.robot import Postures
+from cmbot.planning.workcell.bent_tool import BentTool
+from cmbot.robot import Postures, ToolBatch
 from cmbot.toolpath import ToolPoses
 
 # Newton steps that project moved via-points onto the tool task, and the error that they leave.
@@ -25,10 +26,16 @@ class TaskManifold:
     postures: Postures
     task: ToolTask
     goals: ToolPoses  # of each
+    times: FloatArray  # (n,), s
+    bent: BentTool | None = None  # None: the rigid arm's tool holds the task
 
     def tangents(self, q: FloatArray) -> FloatArray:
         """Directions (n, a, d) of the self-motion at postures `q` (n, d), orthonormal by their metric."""
-        return null_space(self.postures, self.task, q)
+        return null_space(self.postures, self.task, q, self._tool(q, np.arange(len(q))))
+
+    def _tool(self, q: FloatArray, which: IntArray) -> ToolBatch:
+        """The tool in postures `q` (k, d) of some via-points."""
+        return self.postures.tool_at(q) if self.bent is None else self.bent.at(self.times[which], q)
 
     def retract(
         self, q: FloatArray, tangents: FloatArray, u: FloatArray, which: IntArray
@@ -47,8 +54,9 @@ class TaskManifold:
             steps=_NEWTON_STEPS,
             tolerance=_ON_TASK,
             held=tangents,
+            tool_of=lambda at, some: self._tool(at, which[some]),
         )
-        at = self.postures.tool_at(q)
+        at = self._tool(q, which)
         if not reached.all():
             error = self.task.errors(at.tool_point, at.tool_rotation, self.goals[which])
             raise OptimisationFailed(
@@ -65,4 +73,5 @@ class TaskManifold:
 
     def part(self, first: int, last: int) -> TaskManifold:
         """Return the task at the via-points `first` to `last`."""
-        return TaskManifold(self.postures, self.task, self.goals[first : last + 1])
+        some = slice(first, last + 1)
+        return TaskManifold(self.postures, self.task, self.goals[some], self.times[some], self.bent)

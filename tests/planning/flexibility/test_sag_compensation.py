@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from finite_differences import check_derivative
-from scipy.interpolate import CubicSpline
 from small_scenes import problem_of, request_of, short_scene, tool_points
+from urdf_arms import arm_scene
 
 from cmbot.archive import load_plan, save
 from cmbot.common.errors import OptimisationFailed, SceneError
@@ -31,8 +31,11 @@ from cmbot.planning.flexibility.sag_compensation import compensate
 from cmbot.planning.initial_guess import InitialGuess
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.torque import Optimised
+from cmbot.planning.torque.task_manifold import TaskManifold
+from cmbot.planning.workcell.bent_tool import BentTool
+from cmbot.robot import Postures
 from cmbot.scene import Scene, load_scene
-from cmbot.toolpath import ShiftedToolPath
+from cmbot.toolpath import ToolPoses
 
 ALLOWED = 0.001
 
@@ -62,11 +65,11 @@ def test_the_bent_arm_follows_the_path(compensated: Plan) -> None:
 
 
 @pytest.mark.parametrize("knots", ["sliding", "fixed"])
-def test_a_soft_base_takes_one_round(knots: str) -> None:
+def test_a_soft_base_takes_two_rounds(knots: str) -> None:
     """The rail has a twelfth of its stiffness, and the tool sags by 7 to 9 cm: a posture's own sag counts."""
     soft = {"guardrail": {"stiffness_factor": 0.08}, "planner": {"knots": knots, "compensate": True}}
     compensated = plan(short_scene(**soft), progress=False)
-    assert compensated.compensation.rounds == 1
+    assert compensated.compensation.rounds <= 2
     assert compensated.compensation.largest_shift > 0.07
     assert compensated.figures.max_tool_deviation <= ALLOWED
     if knots == "fixed":  # no self-motion changes the sag that was foreseen
@@ -166,20 +169,70 @@ def test_derivative_of_the_sags_length(rng: np.random.Generator) -> None:
         check_derivative(lambda x: sag.length(x[None])[0], q, gradient[None], rtol=1e-6)
 
 
-def test_a_shifted_path_is_the_path_and_the_shift(rng: np.random.Generator) -> None:
+def bent_near_the_triangle() -> tuple[BentTool, Sag]:
     scene = load_scene("triangle")
-    path = task_of(strokes_of(scene, robot_of(scene))[0], scene).path
-    knots = np.linspace(0, path.duration, 12)
-    shift = CubicSpline(knots, rng.uniform(-0.02, 0.02, (12, 3)))
-    shifted = ShiftedToolPath.of(path, shift)
-    t = rng.uniform(0, path.duration, 50)
-    np.testing.assert_allclose(shifted.position(t), path.position(t) + shift(t), rtol=0, atol=1e-15)
-    p = path.position(t) + rng.uniform(-0.1, 0.1, (50, 3))
-    np.testing.assert_allclose(shifted.leg_offset(t, p + shift(t)), path.leg_offset(t, p), rtol=0, atol=1e-12)
-    # Beyond its ends it stays where it ends.
-    beyond = shifted.position([-1.0, path.duration + 1.0])
-    ends = shifted.position([0.0, path.duration])
-    np.testing.assert_array_equal(beyond, ends)
+    robot = robot_of(scene)
+    sag = Sag(bending_arm(scene, robot))
+    t = np.linspace(0, 4.0, 41)
+    q = scene.posture + 0.2 * np.sin(t)[:, None] * np.linspace(0.5, 1.0, robot.dof)
+    at = sag.at(q)
+    return BentTool(postures=Postures(robot), times=t, q=q, sag=at.tool, slope=at.d_tool), sag
+
+
+def test_the_bent_tool_is_exact_on_its_motion_and_to_first_order_beside_it(rng: np.random.Generator) -> None:
+    bent, sag = bent_near_the_triangle()
+    np.testing.assert_allclose(bent.at(bent.times, bent.q).sag, sag.at(bent.q).tool, rtol=0, atol=1e-12)
+    way = rng.uniform(-1, 1, bent.q.shape)
+
+    def missed(step: float) -> float:
+        q = bent.q + step * way
+        return float(np.abs(bent.at(bent.times, q).sag - sag.at(q).tool).max())
+
+    assert missed(0.1) < 2e-3
+    assert missed(0.01) == pytest.approx(missed(0.02) / 4, rel=0.2)
+
+
+def test_its_jacobian_is_its_derivative(rng: np.random.Generator) -> None:
+    bent, _ = bent_near_the_triangle()
+    t = rng.uniform(0, 4.0, 3)
+    for time, q in zip(t, bent.q[::15] + rng.uniform(-0.2, 0.2, (3, 7)), strict=True):
+        at = bent.at(np.array([time]), q[None])
+        check_derivative(
+            lambda x, time=time: bent.at(np.array([time]), x[None]).tool_point[0], q, at.jacobian[0, :3]
+        )
+        np.testing.assert_array_equal(at.jacobian[0, 3:], at.rigid.jacobian[0, 3:])
+
+
+def test_via_points_slide_along_the_self_motion_of_the_bent_arm(rng: np.random.Generator) -> None:
+    bent, _ = bent_near_the_triangle()
+    asked = request_of(load_scene("triangle"))
+    q, times = bent.q[::10], bent.times[::10]
+    at = bent.at(times, q)
+    goals = ToolPoses(point=at.tool_point, rotation=at.tool_rotation)
+    manifold = TaskManifold(bent.postures, asked.task, goals, times, bent)
+    tangents = manifold.tangents(q)
+    which = np.array([1, 3])
+    moved, slope = manifold.retract(q, tangents[which], np.full((2, tangents.shape[1]), 0.2), which)
+    there = bent.at(times[which], moved)
+    np.testing.assert_allclose(there.tool_point, goals.point[which], rtol=0, atol=1e-9)
+    rigid = bent.postures.tool_at(moved).tool_point
+    assert np.linalg.norm(rigid - bent.postures.tool_at(q[which]).tool_point, axis=1).max() > 1e-4
+    held = np.einsum("kij,kaj->kia", there.jacobian, slope)
+    np.testing.assert_allclose(held[:, :3], 0.0, atol=1e-9)
+
+
+def test_a_soft_base_under_another_arm_settles(tmp_path: Path) -> None:
+    """The tool of an arm on a thin mast sags by a centimetre, and elsewhere where the arm leans elsewhere."""
+    stiffness = np.diag([1.15e4, 1.15e4, 3.8e6, 1.54e4, 1.54e4, 3e3])
+    stiffness[0, 4] = stiffness[4, 0] = -1.15e4
+    stiffness[1, 3] = stiffness[3, 1] = 1.15e4
+    soft = {"bays": 0, "stiffness": stiffness.tolist()}
+    planner = {"compensate": True, "max_tool_deviation_m": 0.001}
+    scene = arm_scene(tmp_path, "panda").changed(guardrail=soft, planner=planner)
+    made = plan(scene)
+    assert made.compensation.largest_shift > 0.005
+    assert made.compensation.rounds <= 3
+    assert made.figures.max_tool_deviation <= 0.001
 
 
 def test_where_the_time_is_over_the_compensation_says_how_far_it_came() -> None:

@@ -1,5 +1,7 @@
 """Via-points that hold the tool task while they move along the self-motion."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from finite_differences import check_derivative
@@ -16,7 +18,7 @@ from cmbot.planning.torque.task_manifold import TaskManifold
 def given(request: pytest.FixtureRequest) -> tuple[StrokeRequest, TaskManifold, FloatArray]:
     problem = problem_of(short_scene(tool_path={"keep": request.param}))
     asked = problem.request
-    manifold = TaskManifold(asked.cell.postures, asked.task, asked.goals)
+    manifold = TaskManifold(asked.cell.postures, asked.task, asked.goals, asked.times)
     return asked, manifold, problem.parametrization.via_points
 
 
@@ -58,7 +60,7 @@ def test_retracted_via_points(given: Given, rng: np.random.Generator) -> None:
 
 def test_where_the_task_cannot_be_held(given: Given) -> None:
     _, manifold, q = given
-    away = TaskManifold(manifold.postures, manifold.task, goals_at(manifold.task, 9.0 + manifold.goals.point))
+    away = replace(manifold, goals=goals_at(manifold.task, 9.0 + manifold.goals.point))
     with pytest.raises(OptimisationFailed, match="where the tool task cannot be held") as caught:
         away.retract(q, manifold.tangents(q), np.zeros((len(q), 1)), np.arange(len(q)))
     assert caught.value.constraint == "tool task at a via-point"
