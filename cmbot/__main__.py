@@ -40,6 +40,7 @@ class _WhenUsed:
 
 def main() -> None:
     """Run the command line; Ctrl-C during the imports ends it as quietly as later on."""
+    signal.signal(signal.SIGINT, lambda *_: os._exit(_STOPPED))
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     if limit not in (resource.RLIM_INFINITY, max(limit, _LEAST_ADDRESS_SPACE)):
         # With less BLAS tries without end to get some when it is imported.
@@ -54,7 +55,6 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # pydantic would look for plugins through all packages that are installed.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
-    signal.signal(signal.SIGINT, lambda *_: os._exit(_STOPPED))
     from cmbot.cli import main as run
     from cmbot.cli import take_signals
 

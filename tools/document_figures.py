@@ -21,6 +21,11 @@ import cmbot
 Row = tuple[str, str, str]
 ROOT = Path(__file__).resolve().parent.parent
 SCENES = ("triangle", "line")
+FIGURES = {
+    *("peak_guardrail_torque", "mean_guardrail_torque", "rms_guardrail_torque", "min_clearance"),
+    *("peak_static_guardrail_torque", "max_tool_deviation", "max_tool_rotation", "adhesion_needed.peak"),
+    *("job.duration", "limit_use.velocity", "limit_use.acceleration", "limit_use.jerk", "limit_use.torque"),
+}
 HEADER = (
     "| | triangle, baseline | triangle, planned | line, baseline | line, planned |\n|---|---|---|---|---|"
 )
@@ -93,6 +98,13 @@ def tracking_table(plan: cmbot.Plan) -> str:
     return "\n".join(lines)
 
 
+def figures(plan: cmbot.Plan) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of a plan that both motions have, and that are determined."""
+    for row in cmbot.planning.plan_rows(plan):
+        if row.key in FIGURES and row.baseline is not None:
+            yield row.cells
+
+
 def main() -> None:
     """Write all blocks."""
     parser = argparse.ArgumentParser(description="Write the documents' figures from real runs.")
@@ -105,7 +117,7 @@ def main() -> None:
     plans = [cmbot.plan(cmbot.load_scene(name)) for name in SCENES]
     both = (operation(plan) for plan in plans)
     write_between(ROOT / "README.md", "operation", side_by_side(both))
-    write_between(docs / "results.md", "figures", side_by_side(plan.rows() for plan in plans))
+    write_between(docs / "results.md", "figures", side_by_side(map(figures, plans)))
     write_between(docs / "results.md", "tracking of the triangle", tracking_table(plans[0]))
     if not arguments.quick:
         table = run(str(ROOT / "tools" / "sensitivity.py"), "triangle")

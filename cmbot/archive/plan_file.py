@@ -272,6 +272,8 @@ class PlanFile(StrokeEntries):
     """Planned peak less its lower bound, as a share of the bound."""
     accuracy: Accuracy | None
     """Where the tool is beside its path; null where nothing bends."""
+    missing: tuple[str, ...]
+    """Strokes of what was asked that could not be planned; empty unless that was allowed."""
     fallbacks: tuple[str, ...]
     stopped: Literal["time"] | None
     """``time``: planning was stopped by its time limit; null: the plan is the same on every machine."""

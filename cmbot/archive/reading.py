@@ -166,6 +166,7 @@ def read_plan(
         robot=robot,
         job=job,
         sag=_sag(scene, robot, file.options) if file.options.compensate else None,
+        missing=file.missing,
         fallbacks=file.fallbacks,
         stopped=file.stopped,
         seconds=file.seconds,

@@ -15,18 +15,14 @@ from pathlib import Path
 from types import TracebackType
 
 import cmbot
-from cmbot.cli.campaign import CampaignCommand
 from cmbot.cli.command import Command, UsageError, parsed
 from cmbot.cli.completion import ASKED, completions, install, script
-from cmbot.cli.console import ExitStatus, LostOutputError, discard, err, out
+from cmbot.cli.console import ExitStatus, LostOutputError, discard, err, out, raised_again
 from cmbot.cli.creation import NewCommand
-from cmbot.cli.excitation import ExciteCommand
-from cmbot.cli.identify import IdentifyCommand
+from cmbot.cli.identification import IdentifyCommand, LocateCommand
 from cmbot.cli.inspection import CheckCommand, DoctorCommand, ScenesCommand, SchemaCommand, VerifyCommand
-from cmbot.cli.locate import LocateCommand
-from cmbot.cli.planning import EvaluateCommand, PlanCommand
-from cmbot.cli.signals import raised_again
-from cmbot.cli.simulation import ReproduceCommand, SimulateCommand
+from cmbot.cli.planning import CampaignCommand, EvaluateCommand, PlanCommand
+from cmbot.cli.simulation import ExciteCommand, ReproduceCommand, SimulateCommand
 from cmbot.cli.stances import StandCommand, TourCommand, WalkCommand
 from cmbot.cli.views import CompareCommand, ExportCommand, ReplayCommand, ReportCommand
 from cmbot.common.errors import (
@@ -197,7 +193,8 @@ def exit_status(error: CmbotError) -> ExitStatus:
 def _report(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
     """Report an unexpected exception."""
     if issubclass(kind, KeyboardInterrupt):
-        return
+        # A second Ctrl-C, after whatever answered the first: Python would end itself by the signal.
+        os._exit(ExitStatus.STOPPED)
     if _debugging():
         sys.__excepthook__(kind, error, trace)
     else:

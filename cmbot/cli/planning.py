@@ -1,4 +1,4 @@
-"""The command that plans: `cmbot plan`."""
+"""The commands that plan, `cmbot plan` and `cmbot campaign`, and `cmbot evaluate` of others' motions."""
 
 from __future__ import annotations
 
@@ -6,19 +6,22 @@ import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, fields
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cmbot
-from cmbot.cli.command import Writing, argument, option
+from cmbot.cli.command import Reporting, Writing, argument, option
 from cmbot.cli.completion import complete_scene
-from cmbot.cli.console import ConsoleProgress, err, out, print_table, scenes_named
+from cmbot.cli.console import ConsoleProgress, ExitStatus, err, out, print_table, scenes_named
 from cmbot.cli.views import plot_files, require_plots
 from cmbot.common.errors import InputError, SceneError, one_line
 from cmbot.common.installation import scene_folder
 
 if TYPE_CHECKING:
+    from cmbot.campaigns import Campaign, CampaignProgress
     from cmbot.planning import Plan
+
 
 # Entries of plan.json that are too long for a summary, or have another form there.
 _LEFT_OUT = ("format", "scene", "files", "content", "floor", "passes")
@@ -66,7 +69,9 @@ class PlanCommand(Writing):
         "--set",
         metavar="NAME=VALUE",
     )
+    partial: bool = option(False, "Plan the strokes that can be planned where others cannot, and say which.")
     options: bool = option(False, "List the planner's options, and stop.", instead=_print_options)
+    verbose: bool = option(False, "Print all figures, loads and remarks.")
     figures: bool = option(False, "Draw plots as PNG and SVG into the plan directory, too.")
 
     def __call__(self) -> None:
@@ -87,21 +92,22 @@ class PlanCommand(Writing):
                 err.print(one_line(f"warning: {finding.key}: got {finding.got}, expected {finding.expected}"))
 
         def planned_scene(progress: ConsoleProgress) -> Plan:
-            return cmbot.plan(loaded, options=options, progress=progress.update)
+            return cmbot.plan(loaded, options=options, partial=self.partial, progress=progress.update)
 
         def write(planned: Plan) -> None:
             drawn.update(plot_files(planned, self.figures))
             cmbot.save(planned, directory, force=self.force, added=pages(planned) | drawn)
 
         def say() -> None:
-            _print_plan(planned)
+            _print_plan(planned, verbose=self.verbose)
             seconds = time.perf_counter() - started
             out.print(
                 f"Written to {one_line(directory)}, in all {seconds:.1f} s with reading, checks and pages."
             )
             if drawn:
                 out.print(f"Figures: {', '.join(drawn)}.")
-            out.print(f"Look at it: open {one_line(directory / REPORT)} in a browser.")
+            more = "" if self.verbose else "; --verbose prints the rest"
+            out.print(f"Look at it: open {one_line(directory / REPORT)} in a browser{more}.")
 
         planned = self.work_in(directory, require, planned_scene, write, [self.scene])
         self.answer(lambda: _summary(planned, directory), say, directory)
@@ -215,20 +221,130 @@ def _with_values(scene: str, values: Mapping[str, object]) -> cmbot.Scene:
 
 def _summary(planned: Plan, directory: Path) -> dict[str, Any]:
     from cmbot.archive import plan_data
-    from cmbot.planning import baseline_faults, remarks, verdict
+    from cmbot.planning import baseline_faults, loads, notes, plan_rows, remarks, verdict
 
     entries = {name: entry for name, entry in plan_data(directory).items() if name not in _LEFT_OUT}
-    faults = {"work": baseline_faults(planned, work=True), "job": baseline_faults(planned)}
-    said = {"verdict": verdict(planned), "remarks": list(remarks(planned)), "baseline_faults": faults}
-    return {"scene": planned.scene.name, **entries, **said}
+    told: dict[str, Sequence[Any]] = {
+        "table": plan_rows(planned),
+        "notes": notes(planned),
+        "loads": loads(planned),
+    }
+    return {
+        "scene": planned.scene.name,
+        **entries,
+        "verdict": verdict(planned, area=False),
+        "remarks": list(remarks(planned)),
+        "baseline_faults": {"work": baseline_faults(planned, work=True), "job": baseline_faults(planned)},
+        **{name: [_finite(asdict(each)) for each in of] for name, of in told.items()},
+    }
 
 
-def _print_plan(planned: Plan) -> None:
-    from cmbot.planning import remarks
+def _finite(values: dict[str, Any]) -> dict[str, Any]:
+    """Values for JSON, which has no infinite numbers."""
+    plain = {name: _finite(value) if isinstance(value, dict) else value for name, value in values.items()}
+    return {
+        name: None if isinstance(value, float) and not isfinite(value) else value
+        for name, value in plain.items()
+    }
 
-    if out.is_terminal:
-        print_table(planned.scene.name, planned.headings, list(planned.rows()), text_columns=1)
+
+def _print_plan(planned: Plan, *, verbose: bool) -> None:
+    """Print at most ten lines of figures and five sentences, or all."""
+    from cmbot.planning import LOAD_HEADINGS, first_remarks, load_rows, remarks
+
+    rows = list(planned.rows(first=not verbose))
+    if out.is_terminal or verbose:
+        print_table(planned.scene.name, planned.headings, rows, text_columns=1)
     else:
         out.print(planned.summary())
-    for remark in remarks(planned):
+    if verbose:
+        print_table("Loads", LOAD_HEADINGS, list(load_rows(planned)), text_columns=1)
+    for remark in remarks(planned) if verbose else first_remarks(planned):
         out.print(remark)
+
+
+# Reasons that are printed at the end.
+_MOST_REASONS = 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class CampaignCommand(Reporting):
+    """Plan many scenes on several processes; go on where an earlier call stopped.
+
+    Exit status 3 where a job was not planned.
+
+    Example: cmbot campaign bridge.yaml --workers 2
+    """
+
+    file: Path = argument("A campaign file, a CSV table of jobs, or a folder of scenes.", "FILE")
+    output: Path | None = option(None, "Folder to write; out/NAME if left out.", "--output", "-o")
+    workers: int = option(1, "Processes on this machine.", least=1)
+    scheduler: str | None = option(None, "Use the workers of this dask scheduler.", metavar="ADDRESS")
+    pages: bool = option(False, "Write replay and report of every plan.")
+    again: bool = option(False, "Plan those again that were not planned before.")
+
+    def __call__(self) -> int:
+        from cmbot.campaigns import OVERVIEW, RESULTS
+
+        with ConsoleProgress(quiet=self.quiet) as console:
+
+            def told(progress: CampaignProgress) -> None:
+                # What was up to date took no time.
+                done, total = progress.done - progress.resumed, progress.total - progress.resumed
+                console.stage(_progress(progress), done / max(total, 1))
+
+            try:
+                done = cmbot.campaign(
+                    self.file,
+                    self.output,
+                    workers=self.workers,
+                    scheduler=self.scheduler,
+                    pages=self.pages,
+                    again=self.again,
+                    progress=told,
+                )
+            except KeyboardInterrupt:
+                if not self.quiet:
+                    err.print("stopped; the same command goes on from here")
+                raise
+        failed = [row for row in done.rows if row["ended"] != "planned"]
+
+        def data() -> dict[str, Any]:
+            return {
+                "directory": str(done.directory),
+                "files": [str(done.directory / file) for file in (RESULTS, OVERVIEW)],
+                "jobs": len(done.rows),
+                "ends": dict(done.ends),
+                "kept": dict(done.kept),
+                "failed": [{name: row[name] for name in ("name", "ended", "reason")} for row in failed],
+                "seconds": done.seconds,
+            }
+
+        self.answer(data, lambda: _print_campaign(done, failed))
+        return ExitStatus.NO_PLAN if failed else ExitStatus.DONE
+
+
+def _progress(progress: CampaignProgress) -> str:
+    others = [f"{number} {end}" for end, number in progress.ends.items() if end != "planned"]
+    before = [f"{progress.resumed} before"] if progress.resumed else []
+    return ", ".join([f"planning: {progress.done} of {progress.total}", *before, *others])
+
+
+def _print_campaign(done: Campaign, failed: Sequence[Mapping[str, Any]]) -> None:
+    from cmbot.campaigns import OVERVIEW, RESULTS
+    from cmbot.common.validation import counted
+
+    counts = ", ".join(f"{number} {end}" for end, number in done.ends.items())
+    kept, kept_failures = done.kept.total(), done.kept.total() - done.kept["planned"]
+    before = f", {kept} of them before" if kept else ""
+    out.print(
+        f"{one_line(done.name)}: {counted(len(done.rows), 'job')} in {done.seconds:.1f} s{before}: {counts}."
+    )
+    for row in failed[:_MOST_REASONS]:
+        out.print(one_line(f"{row['name']}: {row['ended']}: {row['reason']}"))
+    if len(failed) > _MOST_REASONS:
+        out.print(f"… and {len(failed) - _MOST_REASONS} more.")
+    if kept_failures:
+        out.print(f"{kept_failures} of these ended so before; --again plans them again.")
+    out.print(f"Table: {one_line(done.directory / RESULTS)}.")
+    out.print(f"Look at it: open {one_line(done.directory / OVERVIEW)} in a browser.")

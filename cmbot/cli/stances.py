@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import cmbot
 from cmbot.cli.command import Reporting, Writing, argument, option
 from cmbot.cli.completion import complete_scene
-from cmbot.cli.console import ConsoleProgress, ExitStatus, out, print_table, scenes_named
-from cmbot.cli.signals import interrupt_taken
+from cmbot.cli.console import ConsoleProgress, ExitStatus, interrupt_taken, out, print_table, scenes_named
 from cmbot.common.errors import PlanningError, one_line
 
 if TYPE_CHECKING:

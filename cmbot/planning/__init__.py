@@ -23,9 +23,11 @@ from cmbot.planning.precheck import Precheck, precheck_options, precheck_scene
 from cmbot.planning.progress import Progress, ProgressReporter
 from cmbot.planning.request import JobState, StrokeRequest, build_request, end_posture_of, strokes_of, task_of
 from cmbot.planning.result.baseline import Baseline, BaselineSegment, joined_samples
+from cmbot.planning.result.judgement import baseline_faults, bound_use, during, tightest_check
 from cmbot.planning.result.loads import LOAD_HEADINGS, load_point, load_rows, loads
+from cmbot.planning.result.notes import Note, notes
 from cmbot.planning.result.plan import Plan, Seconds, require_plan, work_of
-from cmbot.planning.result.remarks import remarks
+from cmbot.planning.result.rows import Row, plan_rows
 from cmbot.planning.result.stroke_plan import (
     ObjectiveMetrics,
     Start,
@@ -33,14 +35,13 @@ from cmbot.planning.result.stroke_plan import (
     StrokePlan,
     objective_metrics,
 )
-from cmbot.planning.result.verdict import (
-    baseline_faults,
-    bound_use,
-    during,
+from cmbot.planning.result.words import (
+    first_remarks,
     left_out,
     promised,
     promises,
-    tightest_check,
+    remarks,
+    sentence,
     verdict,
 )
 from cmbot.planning.selfmotion.followed_bound import quick_bound
@@ -82,6 +83,7 @@ __all__ = [
     "JobState",
     "LowerBound",
     "MotionMetrics",
+    "Note",
     "Objective",
     "ObjectiveMetrics",
     "Plan",
@@ -91,6 +93,7 @@ __all__ = [
     "Progress",
     "ProgressReporter",
     "QuinticTrajectory",
+    "Row",
     "Samples",
     "Seconds",
     "Segment",
@@ -118,6 +121,7 @@ __all__ = [
     "end_posture_of",
     "figures",
     "find_start",
+    "first_remarks",
     "follow_path",
     "free_move_name",
     "free_space",
@@ -130,10 +134,12 @@ __all__ = [
     "measure",
     "modelled_stiffness",
     "most_often_near",
+    "notes",
     "objective_metrics",
     "objective_of",
     "plan",
     "plan_move",
+    "plan_rows",
     "precheck_options",
     "precheck_scene",
     "project_onto_task",
@@ -146,6 +152,7 @@ __all__ = [
     "robot_of",
     "sag_of",
     "searched",
+    "sentence",
     "starting_at_path",
     "strokes_of",
     "task_of",

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Literal, NoReturn
 
+from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
-from cmbot.common.errors import InputError
+from cmbot.common.errors import InputError, PathNotFound, PlanningError
 from cmbot.common.validation import checked_options, require_type
 from cmbot.common.watching import watched
 from cmbot.planning.attempts.agenda import Agenda, Remedy, Solved
@@ -25,11 +27,13 @@ from cmbot.planning.precheck import (
 )
 from cmbot.planning.progress import Progress, ProgressReporter
 from cmbot.planning.reach import require_posture, require_postures, require_within_reach
-from cmbot.planning.request import JobState, StrokeRequest, build_request
+from cmbot.planning.request import JobState, StrokeRequest, build_request, strokes_of
 from cmbot.planning.result.plan import Plan
 from cmbot.planning.stroke_order import in_least_travel
 from cmbot.planning.workcell.objectives import WrenchFunction
-from cmbot.scene import PlannerOptions, Scene
+from cmbot.planning.workcell.workcell import robot_of
+from cmbot.scene import PlannerOptions, Scene, StrokeFile
+from cmbot.toolpath import Goal
 
 # Peaks of two orders of strokes that differ by less are the same.
 _SAME_PEAK = 1.001
@@ -40,6 +44,7 @@ def plan(
     *,
     options: PlannerOptions | None = None,
     objective: WrenchFunction | None = None,
+    partial: bool = False,
     progress: Callable[[Progress], None] | Literal[False] | None = None,
 ) -> Plan:
     """Plan the motion of a scene's arm.
@@ -58,6 +63,8 @@ def plan(
         A function of the wrench on the guardrail to minimise in place of what the options say: from
         wrenches (N, 6) to values (N,), never negative, and gradients (N, 6); see
         `cmbot.planning.WrenchFunction`. A plan directory holds its name only.
+    partial : bool
+        Plan the strokes that can be planned where others cannot: `Plan.missing` names those.
     progress : callable, optional
         Called with a `Progress` as the work goes on. Left out, that is shown on a terminal and in a notebook;
         with False nowhere.
@@ -107,6 +114,8 @@ def plan(
                 reporter=ProgressReporter(report),
                 deadline=deadline,
             )
+            if partial:
+                return planner.partial(scene)
             if scene.order == "best":
                 return planner.in_best_order(scene)
             outcome = planner.job(scene, deadline)
@@ -122,6 +131,32 @@ class _Planner:
     objective: WrenchFunction | None
     reporter: ProgressReporter
     deadline: Deadline
+
+    def partial(self, scene: Scene) -> Plan:
+        """Return the plan of the strokes that can be planned, in their order; the first error where none can.
+
+        What fails is left out, and the others are planned anew: free moves lead past it then.
+        """
+        if scene.order == "best":
+            with suppress(PlanningError):
+                return self.in_best_order(scene)
+        missing = dict[str, PlanningError]()
+        for stroke in scene.strokes if len(scene.strokes) > 1 else ():
+            try:
+                self._require_reach(_alone(scene, str(stroke.name)), self.deadline)
+            except PlanningError as error:
+                missing[str(stroke.name)] = error
+        while len(missing) < len(scene.strokes):
+            left = _without(scene, missing.keys())
+            outcome = self.job(left, self.deadline)
+            if isinstance(outcome, Plan):
+                told = (f"Not planned: {name}: {error}." for name, error in missing.items())
+                return replace(outcome, missing=tuple(missing), fallbacks=(*told, *outcome.fallbacks))
+            try:
+                _refuse(outcome)
+            except PlanningError as error:
+                missing[outcome.trial.chain[0].attempt.request.stroke.name] = error
+        raise next(iter(missing.values()))
 
     def in_best_order(self, scene: Scene) -> Plan:
         """Return the plan in the order of least travel, or in the given one where the peak of that is lower.
@@ -158,13 +193,7 @@ class _Planner:
 
     def job(self, scene: Scene, deadline: Deadline) -> Plan | PlannedStroke:
         """Return the plan of a job, or the stroke that could not be planned."""
-        self.reporter.stage("path")
-        request = build_request(scene, self.options, self.objective, self.reporter, deadline)
-        for number, stroke in enumerate(request.strokes):
-            require_reasonable_size(scene, stroke, request.cell.robot.dof, self.options)
-            require_tool_speed(scene, stroke)
-            require_within_reach(request.at_stroke(number, scene))
-        require_postures(request, scene)
+        request = self._require_reach(scene, deadline)
         made, state = list[PlannedStroke](), request.state
         for number in range(len(request.strokes)):
             made.append(plan_stroke(_at_stroke(request, scene, number, state), automatic=self.automatic))
@@ -175,6 +204,43 @@ class _Planner:
             last, reached = motion.job.segments[-1], max(state.reached, motion.peak)
             state = JobState(posture=last.trajectory.q[-1], begin=last.end, reached=reached)
         return composed(scene, made, custom=self.objective is not None)
+
+    def _require_reach(self, scene: Scene, deadline: Deadline) -> StrokeRequest:
+        """Return the request of a job whose strokes are of reasonable size and within reach."""
+        self.reporter.stage("path")
+        request = build_request(scene, self.options, self.objective, self.reporter, deadline)
+        for number, stroke in enumerate(request.strokes):
+            require_reasonable_size(scene, stroke, request.cell.robot.dof, self.options)
+            require_tool_speed(scene, stroke)
+            try:
+                require_within_reach(request.at_stroke(number, scene))
+            except PathNotFound as error:
+                if len(request.strokes) > 1:
+                    error.add_hint(f"this is stroke {stroke.name}")
+                raise
+        require_postures(request, scene)
+        return request
+
+
+def _alone(scene: Scene, name: str) -> Scene:
+    """The scene with one of its strokes."""
+    return _without(scene, [str(stroke.name) for stroke in scene.strokes if stroke.name != name])
+
+
+def _without(scene: Scene, names: Collection[str]) -> Scene:
+    """The scene without some strokes; those that begin where one of these ends say where that is."""
+    if not names:
+        return scene
+    left, timed = list[StrokeFile](), strokes_of(scene, robot_of(scene))
+    for k, file in enumerate(scene.strokes):
+        if file.name in names:
+            continue
+        if k and timed[k - 1].name in names and not file.has_own_start:
+            X = timed[k - 1].path.end_pose
+            angles = Rotation.from_matrix(X[:3, :3]).as_euler("xyz", degrees=True)
+            file = file.changed(start_pose=Goal(xyz=tuple(X[:3, 3].tolist()), rpy_deg=tuple(angles.tolist())))
+        left.append(file)
+    return scene.with_strokes(left)
 
 
 def _is_better_order(plan: Plan, best: Plan) -> bool:

@@ -279,7 +279,7 @@ def _setting(options: SimulationOptions) -> str:
     guardrail, links, joints = options.guardrail_factor, options.link_factor, options.joint_factor
     stiffness = ""
     if (guardrail, links, joints) != (1.0, 1.0, 1.0):
-        stiffness = f"stiffness times {guardrail:g} (guardrail), {links:g} (links) and {joints:g} (joints), "
+        stiffness = f"stiffness times {guardrail:g} (base), {links:g} (links) and {joints:g} (joints), "
     driven = f", {_driven(options)}" if is_executed(options) else ""
     return (
         f"Starts {start}; damping {100 * options.damping:g} % of critical for every mode in the first "

@@ -17,8 +17,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.sag import Sag
 from cmbot.elastic.stiffness_parameters import StiffnessParameters
-from cmbot.planning import Plan, bending_arm, plan
-from cmbot.planning.result.verdict import accuracy_in_words
+from cmbot.planning import Plan, bending_arm, plan, verdict
 from cmbot.robot import Kinematics
 from cmbot.scene import Placement, Tolerance, Uncertainty
 from cmbot.simulation import SimulationOptions, simulate
@@ -176,7 +175,7 @@ def test_a_tolerance_is_judged_with_its_probability(bent: Plan) -> None:
         judged = replace(bent, scene=bent.scene.changed(tool=tool))
         assert judged.accuracy.tolerance_kept is kept
         assert judged.accuracy.within_mm == radius
-        said = accuracy_in_words(judged)
+        said = verdict(judged)
         assert (": kept (within it in " in said) is kept
         assert (": not kept (within it in " in said) is not kept
 
@@ -189,12 +188,12 @@ def test_remedies_are_computed_and_the_largest_part_is_said(bent: Plan) -> None:
     assert lefts == sorted(lefts)
     assert lefts[-1] < accuracy.within_mm
     assert {"compensate: true", "cmbot locate"} <= {remedy.name for remedy in accuracy.remedies}
-    said = accuracy_in_words(bent)
+    said = verdict(bent)
     assert said.startswith(
         f"The tool is within {accuracy.within_mm:.3g} mm of its path with 95 %; most of it: "
     )
     assert accuracy.parts[0].name in said
-    assert f"it would be {lefts[0]:.3g} mm. " in said
+    assert f"the tool would be within {lefts[0]:.3g} mm." in said
     # What is promised of compensation is what a compensated plan has.
     compensated = plan(short_scene(robot={"joints": "elastic"}, planner={"compensate": True}), progress=False)
     promised = next(each.within_mm for each in accuracy.remedies if each.name == "compensate: true")

@@ -102,11 +102,14 @@ def test_plan_writes_a_directory_and_prints_plain_lines(folder: Path, planned: O
     lines, table = planned.out.splitlines(), plan.summary().splitlines()
     assert lines[0].split() == ["baseline", "planned"]
     assert lines[1 : len(table)] == table[1:]
-    assert any(line.startswith("Certified: ") for line in lines)
+    # At most ten figures and five sentences, of which the first is about the tool.
+    assert lines[len(table)].startswith("The tool is within ")
+    assert len(table) <= 11 and len(lines) - len(table) <= 5 + 2
     assert re.fullmatch(
         rf"Written to {re.escape(str(folder / 'plan'))}, in all \d+\.\d s .* pages\.", lines[-2]
     )
-    assert lines[-1] == f"Look at it: open {folder / 'plan' / 'report.html'} in a browser."
+    page = folder / "plan" / "report.html"
+    assert lines[-1] == f"Look at it: open {page} in a browser; --verbose prints the rest."
     assert "\x1b" not in planned.out + planned.err
     assert planned.err == ""
 
@@ -120,7 +123,7 @@ def test_plan_on_a_terminal_draws_a_table(folder: Path, tmp_path: Path) -> None:
     assert "\x1b[" in text
     assert "following the tool path" in text
     # A path on the last line is never broken, so that it can be copied.
-    assert f"open {tmp_path / 'out' / 'report.html'} in a browser." in text
+    assert f"open {tmp_path / 'out' / 'report.html'} in a browser; --verbose" in text
 
 
 @pytest.mark.usefixtures("known")

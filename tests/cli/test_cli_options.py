@@ -165,6 +165,7 @@ def test_json_of_a_plan_is_that_of_plan_json(folder: Path) -> None:
     assert (data["verb"], data["scene"], data["directory"]) == ("plan", "short", "out")
     assert data["files"] == sorted(path.name for path in (folder / "out").iterdir())
     own = {"format", "verb", "verdict", "scene", "directory", "files", "remarks", "baseline_faults"}
+    own |= {"table", "notes", "loads"}
     assert {name: value for name, value in data.items() if name not in own} == {
         name: kept[name] for name in data.keys() - own
     }
@@ -173,6 +174,14 @@ def test_json_of_a_plan_is_that_of_plan_json(folder: Path) -> None:
     # The baseline keeps the limits: gains are stated.
     assert data["baseline_faults"] == {"work": "", "job": ""}
     assert any(remark.startswith("Certified: ") for remark in data["remarks"])
+    assert next(row["key"] for row in data["table"] if row["first"]) == "accuracy.within_mm"
+    assert {note["level"] for note in data["notes"]} <= {"first", "fault", "warning", "note"}
+    assert {load["unit"] for load in data["loads"]} == {"N", "Nm"}
+    verbose = run("plan", "short.yaml", "-o", "out", "--force", "--verbose")
+    assert {load["name"] for load in data["loads"]} <= {
+        line.partition("  ")[0] for line in verbose.out.splitlines()
+    }
+    assert set(cmbot.planning.remarks(cmbot.load_plan(folder / "out"))) <= set(verbose.out.splitlines())
     assert outcome.err == ""
 
 

@@ -176,3 +176,11 @@ def test_a_terminal_breaks_a_message_between_words() -> None:
     )
     # Quietly nothing is shown but the error.
     assert on_a_terminal("plan", name, "--quiet", columns=50, status=2) == shown
+
+
+def test_a_ctrl_c_that_nothing_answers_any_more_is_one_all_the_same() -> None:
+    """Python would end itself by the signal; a shell would not know that the command was stopped."""
+    late = "import sys, cmbot.cli.commands as c\nsys.argv = ['cmbot', '--version']\ntry:\n    c.main()\n"
+    late += "except SystemExit:\n    pass\nraise KeyboardInterrupt\n"
+    done = subprocess.run([sys.executable, "-c", late], capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (130, b"")

@@ -7,20 +7,22 @@ from typing import Any
 
 import numpy as np
 
-from cmbot.planning import Check, MotionMetrics, Plan, baseline_faults, remarks, verdict
+from cmbot.planning import Check, MotionMetrics, Plan, baseline_faults, notes, sentence
 from cmbot.views.report import headlines
 
-# What has figures of its own: postures, areas, times, the bent arm, one stroke's speeds.
-OF_THEIR_OWN = (
-    "Starts",
-    "Coverage",
-    "Where no posture",
-    "Time",
-    "Bent by",
-    "At work the joints",
-    "Vibration",
+# What has figures of its own: postures, areas, the bent arm, the baseline's ways.
+OF_THEIR_OWN = ("unreached", "off_path", "travel", "vibration", "jerk", "seconds", "baseline")
+OF_THEIR_OWN += (
+    "other_start",
+    "sagging_start",
+    "path_start",
+    "better_start",
+    "robot",
+    "fallback",
+    "stiffness",
 )
-OF_THEIR_OWN += ("Sag compensated", "By the errors", "The joints jerk", "Shortest time", "Process speed")
+# A stop is another motion.
+STOP = re.compile(r"an emergency stop (needs )?[\d.]+ kN")
 NUMBER = re.compile(r"(?<![\w.])[-+]?(\d+(?:\.(\d+))?) (Nm|kN|mm|deg/s3|deg/s2|deg/s|deg|%)(?![\w/])")
 # Of what is shown in other units: factor and unit.
 SHOWN = {"m": (1e3, "mm"), "N": (1e-3, "kN")}
@@ -80,9 +82,12 @@ def of_plan(plan: Plan) -> Known:
                 for each in motion
                 if each.kind in kinds
             ]
-            for motion in (plan.job.segments, plan.baseline.segments)
+            for motion in (plan.job.segments, () if plan.baseline is None else plan.baseline.segments)
         )
-        yield from (*of_figures(*ours), *of_figures(*theirs))
+        yield from of_figures(*ours)
+        if not theirs:
+            continue
+        yield from of_figures(*theirs)
         for name in ("peak_guardrail_torque", "peak_static_guardrail_torque"):
             peak, before = (max(getattr(each, name) for each in motion) for motion in (ours, theirs))
             yield 100 * (peak / before - 1), "%"
@@ -91,13 +96,15 @@ def of_plan(plan: Plan) -> Known:
             for motion in (ours, theirs)
         ]
         yield 100 * (means[0] / means[1] - 1), "%"
-    yield plan.largest_torque_difference[0], "Nm"
-    yield 1e3 * plan.baseline.drift, "mm"
+    if plan.baseline is not None:
+        yield 1e3 * plan.baseline.drift, "mm"
     yield 1e3 * plan.options.safety_margin_m, "mm"
     yield 1e3 * plan.options.max_tool_deviation_m, "mm"
     objective, whole = plan.objective, plan.job.certificate
-    yield from ((value, objective.unit) for value in (objective.baseline_peak, objective.planned_peak))
-    yield 100 * (objective.planned_peak / objective.baseline_peak - 1), "%"
+    yield objective.planned_peak, objective.unit
+    if objective.baseline_peak is not None:
+        yield objective.baseline_peak, objective.unit
+        yield 100 * (objective.planned_peak / objective.baseline_peak - 1), "%"
     if plan.lower_bound is not None and plan.choice is not None:
         bound, choice = plan.lower_bound, plan.choice
         each = (objective.floor, bound.value, bound.error, choice.free, choice.pinned)
@@ -127,10 +134,6 @@ def of_named(plan: Plan, text: str) -> Known:
     for segment in moves:
         if segment.in_words in text or text.lower().startswith(f"{segment.name}:"):
             yield from of_figures(segment.figures)
-    if text.startswith("Between the"):
-        between = [move.figures for move in moves if move.name.startswith("free_")]
-        yield max(figures.peak_guardrail_torque for figures in between), "Nm"
-        yield 1e3 * min(figures.min_clearance for figures in between), "mm"
     for foot in plan.robot.feet if text.startswith("Hold:") else ():
         yield 20.0, "%"  # with so much less adhesion
         yield from ((share * (foot.adhesion or 0.0) / 1e3, "kN") for share in (1.0, 0.8))
@@ -138,10 +141,9 @@ def of_named(plan: Plan, text: str) -> Known:
 
 def texts(plan: Plan) -> Iterator[str]:
     """All that is said of a plan but what has figures of its own."""
-    yield verdict(plan)
-    # A stop is another motion.
-    said = (remark.partition(" In an emergency stop")[0] for remark in remarks(plan))
-    yield from (remark for remark in said if not remark.startswith(OF_THEIR_OWN))
+    for note in notes(plan):
+        if note.key not in OF_THEIR_OWN:
+            yield STOP.sub("", sentence(note))
     for card in headlines(plan, None):
         unit: Any = card.value.rpartition(" ")[2]
         yield f"{card.title}: {f'{card.before} {unit}, ' if card.before else ''}{card.value}; {card.detail}"

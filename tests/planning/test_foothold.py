@@ -18,7 +18,7 @@ from cmbot.archive import export_mcap, load_plan, save
 from cmbot.collision import Clearances
 from cmbot.common.errors import ArchiveError, LimitViolation, PlanningError, SceneError
 from cmbot.hold import Holding
-from cmbot.planning import Plan, certify, plan, remarks
+from cmbot.planning import Plan, certify, plan, remarks, verdict
 from cmbot.planning.result.holding import emergency_stop
 from cmbot.planning.verification.hold import hold_checks
 from cmbot.robot import Dynamics, Postures
@@ -76,16 +76,17 @@ def test_an_emergency_stop_asks_more(held: Plan) -> None:
 
 
 def test_what_is_said(held: Plan) -> None:
-    (text,) = (each for each in remarks(held) if each.startswith("Hold:"))
-    assert re.search(r"safety 2, and has 100.00 kN; with 20 % less, 80.00 kN, it holds\.", text)
-    assert "In an emergency stop" in text
+    (text,) = re.findall(r"Hold: [^.]*(?:\.\d[^.]*)*\.", verdict(held))
+    assert re.search(r"safety 2 included, uses \d+ % .* and have 100.00 kN, with 20 % less it holds; ", text)
+    stop = emergency_stop(held)
+    assert text.endswith(f"an emergency stop needs {stop.peak / 1e3:.2f} kN.")
     assert "adhesion needed, whole job, kN" in held.summary()
     assert "and the adhesion needed below" in " ".join(remarks(held))
 
 
 def test_welded_says_that_it_says_nothing(short_plan: Plan) -> None:
-    (text,) = (each for each in remarks(short_plan) if each.startswith("Hold:"))
-    assert text.startswith("Hold: welded is assumed, so nothing here says whether the feet hold.")
+    (text,) = re.findall(r"Hold: [^.]*(?:\.\d[^.]*)*\.", verdict(short_plan))
+    assert text.startswith("Hold: welded is assumed, so nothing here says whether the feet hold; ")
 
 
 def test_the_directory(held: Plan, tmp_path: Path) -> None:

@@ -91,7 +91,7 @@ def test_a_raster_round_an_obstacle_is_planned_in_two_parts(tmp_path: Path) -> N
     assert found.area == pytest.approx(0.04)
     assert 0.1 * 0.08 < found.unreached == pytest.approx(found.left_out)
     assert f"{found.unreached:.3g} of {found.area:.3g} m2 are not reached" in verdict(made)
-    assert any("NOT REACHED" in line for line in remarks(made))
+    assert any("m2 are not reached: where no posture goes on" in line for line in remarks(made))
     assert "area that is not reached, m2" in made.summary()
     # What is left out is drawn: rows about the bolt, at the stand-off.
     lines = np.array(made.rows_left_out)

@@ -10,12 +10,11 @@ from small_scenes import SHORT, off_task, request_of, with_corners
 
 from cmbot import load_plan, load_scene, plan, save
 from cmbot.common.errors import ArchiveError, LimitViolation, PathNotFound
-from cmbot.planning import Plan
+from cmbot.planning import Plan, remarks
 from cmbot.planning.certification.certificate import certify
 from cmbot.planning.path.first_posture import starting_at_path
 from cmbot.planning.path.gradient_projection import follow_path
 from cmbot.planning.postures.projection import TangentPredictor, project_onto_task
-from cmbot.planning.result.remarks import remarks
 from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Kinematics
 from cmbot.scene import Scene

@@ -14,6 +14,7 @@ from robot_files import replace
 from cmbot.collision import Clearances
 from cmbot.common.errors import ModelError
 from cmbot.robot import AttachedTool, Dynamics, Kinematics, Robot, ToolShape, load_robot
+from cmbot.robot.description.hulls import body_of
 
 FOREIGN = Path(__file__).parent / "foreign"
 BARE = FOREIGN / "no_masses" / "acme_support" / "urdf" / "acme.urdf"
@@ -261,3 +262,16 @@ def test_a_link_that_is_always_near_others_is_told(tmp_path: Path) -> None:
     ]
     assert len(warned) == 1
     assert "millimetres?" in warned[0]
+
+
+def test_a_body_is_that_of_its_shapes() -> None:
+    """A box that stands off its link, turned, against its closed form."""
+    link = ElementTree.fromstring(
+        '<link name="l"><collision><origin xyz="0 0 1" rpy="0 0 1.5707963267948966"/><geometry>'
+        '<box size="1 2 3"/></geometry></collision></link>'
+    )
+    body = body_of(link)
+    assert body.volume == pytest.approx(6.0)
+    np.testing.assert_allclose(body.centre, [0, 0, 1], atol=1e-9)
+    # Turned by a quarter about z: x and y are exchanged.
+    np.testing.assert_allclose(np.diag(body.inertia), [6 / 12 * 10, 6 / 12 * 13, 6 / 12 * 5], rtol=1e-9)

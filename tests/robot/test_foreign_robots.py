@@ -35,7 +35,7 @@ def new(case: robots.Case, scene: Path) -> str:
 @pytest.mark.parametrize("case", CASES, ids=SAMPLE)
 def test_a_sample_is_planned(case: robots.Case, tmp_path: Path) -> None:
     new(case, tmp_path / "scene.yaml")
-    told = output("plan", tmp_path / "scene.yaml", "-o", tmp_path / "plan")
+    told = output("plan", tmp_path / "scene.yaml", "-o", tmp_path / "plan", "--verbose")
     assert "Certified" in told
     plan = load_plan(tmp_path / "plan")
     # What was estimated is said again.
@@ -84,7 +84,7 @@ def test_a_job_starts_and_ends_in_named_states(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         plan.job.trajectory.evaluate([plan.job.duration])[0], [0, -0.6, 0.3, 0, 0.6, 0], atol=1e-9
     )
-    assert any("the arm goes to its state folded in" in remark for remark in cmbot.planning.remarks(plan))
+    assert any("the arm goes to its state folded." in remark for remark in cmbot.planning.remarks(plan))
     assert cmbot.load_scene(scene.as_data()) == scene
     with pytest.raises(
         SceneError, match=r"start.state: got the arm acme, whose SRDF has no group state hom "

@@ -333,7 +333,7 @@ def test_remarks_state_initial_condition_and_damping(short_plan: Plan, tracking:
     other = simulate(short_plan, options)
     text = " ".join(tracking_remarks(other))
     assert "Starts undeformed, and let go; damping 0 %" in text
-    assert "stiffness times 1 (guardrail), 0.8 (links) and 1 (joints)" in text
+    assert "stiffness times 1 (base), 0.8 (links) and 1 (joints)" in text
 
 
 def test_an_arm_too_soft_or_with_nothing_that_bends_is_refused(short_plan: Plan) -> None:

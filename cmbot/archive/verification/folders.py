@@ -228,7 +228,7 @@ def _claims(plan: Plan) -> Iterator[str]:
     for name, coverage in plan.coverage.items():
         if coverage.left_out or coverage.unreached:
             yield f"raster {name} (that nothing reaches the rows that it leaves out)"
-    yield "passes, fallbacks, seconds, versions"
+    yield "passes, missing, fallbacks, seconds, versions"
 
 
 def _motions(name: str, part: Plan | Walk) -> Iterator[VerifiedMotion]:

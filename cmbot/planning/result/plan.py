@@ -12,11 +12,11 @@ import numpy as np
 from cmbot.accuracy import Accuracy, Work, WorkPath, accuracy_of
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError
 from cmbot.common.file_types import NonNegative
 from cmbot.common.representation import card
 from cmbot.common.validation import require_type
 from cmbot.elastic.sag import Sag, TooSoftError
-from cmbot.hold import CLAMP_LOAD
 from cmbot.planning.certification.certificate import Certificate
 from cmbot.planning.certification.metrics import MotionMetrics, Samples, measure
 from cmbot.planning.certification.sag_spread import across_path, spread_times
@@ -24,6 +24,7 @@ from cmbot.planning.job import APPROACH, Job, Segment
 from cmbot.planning.request import end_posture_of, strokes_of
 from cmbot.planning.result.baseline import Baseline, baseline_of, joined_samples
 from cmbot.planning.result.stroke_plan import StrokePlan, combined
+from cmbot.planning.task import ToolTask
 from cmbot.planning.workcell.stiffness import covariance_of
 from cmbot.planning.workcell.workcell import bending_arm, sag_of
 from cmbot.robot import Kinematics, Robot
@@ -64,6 +65,8 @@ class Plan(StrokePlan):
         What is planned of each stroke; empty where there is one, which is the plan's own.
     sag : Sag or None
         The sag that was compensated.
+    missing : tuple of str
+        Names of the scene's strokes that could not be planned, where that was allowed (`plan`, partial).
     fallbacks : tuple of str
         What failed, and what was done instead, a sentence each.
     stopped : str or None
@@ -81,6 +84,7 @@ class Plan(StrokePlan):
     fallbacks: tuple[str, ...]
     stopped: Literal["time"] | None = None
     seconds: Seconds
+    missing: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -105,7 +109,7 @@ class Plan(StrokePlan):
 
     def _repr_html_(self) -> str:
         """Card in a notebook."""
-        return card(f"Plan of {self.scene.name}", self._in_words, self.rows(), self.headings)
+        return card(f"Plan of {self.scene.name}", self._in_words, self.rows(first=True), self.headings)
 
     @property
     def headings(self) -> tuple[str, ...]:
@@ -319,72 +323,56 @@ class Plan(StrokePlan):
                 lines.append(stroke.path.outline())
         return tuple(lines)
 
+    @cached_property
+    def bent_offsets(self) -> tuple[float | None, float | None]:
+        """How far the arm, bent at rest in every posture, is off its path at most, m: baseline's and planned.
+
+        What sag is compensated is counted. None where nothing bends, infinite where the arm is too soft to
+        carry itself.
+        """
+        arm = bending_arm(self.scene, self.robot)
+        if arm is None:
+            return None, None
+        sag, kinematics = Sag(arm), Kinematics(self.robot)
+        planned, baseline = list[float](), list[float]()
+
+        def offset(task: ToolTask, t: FloatArray, q: FloatArray) -> float:
+            try:
+                bent = kinematics.tool_poses(q)[0] + sag.following(q)
+            except InputError:
+                return float(np.inf)
+            return float(np.linalg.norm(task.path.leg_offset(t, bent), axis=1).max())
+
+        for stroke, segment in zip(self.strokes, self.job.strokes, strict=True):
+            t = spread_times(segment.trajectory)
+            planned.append(offset(segment.task, t, segment.trajectory.evaluate(t)))
+            if stroke.baseline is not None:
+                samples = stroke.baseline.samples
+                near = np.searchsorted(samples.t, t).clip(max=len(samples.t) - 1)
+                baseline.append(offset(segment.task, samples.t[near], samples.q[near]))
+        return max(baseline, default=None), max(planned)
+
     def summary(self) -> str:
-        """Return the figures as an aligned table of plain text."""
-        rows = [self.headings, *self.rows()]
+        """Return the figures that are shown first as an aligned table of plain text, of at most ten lines."""
+        rows = [self.headings, *self.rows(first=True)]
         width = max(len(row[0]) for row in rows)
         return "\n".join("  ".join((f"{row[0]:<{width}}", *(f"{x:>12}" for x in row[1:]))) for row in rows)
 
-    def rows(self) -> Iterator[tuple[str, ...]]:
-        """Yield the figures, each as its name and unit and the values under `headings`."""
-        for row in self._rows():
-            yield row if self.baseline is not None else (row[0], row[2])
+    def rows(self, *, first: bool = False) -> Iterator[tuple[str, ...]]:
+        """Yield the figures, each as its name and unit and the values under `headings`.
 
-    def _rows(self) -> Iterator[tuple[str, str, str]]:
-        """The figures with those of the baseline, ``-`` without one."""
-        other = self.baseline
-        work = (None if other is None else other.figures, self.figures)
-        job = (None if other is None else other.job_figures, self.job.figures)
-        for words, attribute, unit, factor, digits in _ROWS:
-            part = "static" if self.robot.pushed else "gravity"
-            name = words.format(base=self.scene.base_name, part=part)
-            pair = job if "whole job" in name else work
-            values = [None if figures is None else getattr(figures, attribute) for figures in pair]
-            left, right = ("-" if value is None else f"{factor * value:.{digits}f}" for value in values)
-            yield f"{name}, {unit}", left, right
-            if name == _PEAK_AT_WORK:
-                yield from self._peaks_of_free_moves()
-        yield from _adhesions("adhesion needed, whole job, kN", job)
-        yield from _adhesions("adhesion needed at work, kN", work)
-        yield from self._loads_of_clamps()
-        if self.coverage:
-            each = self.coverage.values()
-            # The baseline follows the same rows.
-            covered = f"{sum(one.covered for one in each):.4f}"
-            yield f"area covered of {sum(one.area for one in each):.4g} m2, m2", covered, covered
-            if unreached := sum(one.unreached for one in each):
-                yield "area that is not reached, m2", *2 * (f"{unreached:.4f}",)
-        duration = "-" if other is None else f"{other.duration:.1f}"
-        yield "time of the whole job, s", duration, f"{self.job.duration:.1f}"
-        for limit in ("velocity", "acceleration", "jerk", "torque"):
-            left, right = (
-                "-" if figures is None else f"{getattr(figures.limit_use, limit):.3f}" for figures in work
-            )
-            yield f"joint {limit} at work, share of its bound", left, right
+        Parameters
+        ----------
+        first : bool
+            Those alone that are shown first, at most ten.
+        """
+        # It is told of what is planned, so it stands above.
+        from cmbot.planning.result.rows import plan_rows
 
-    def _loads_of_clamps(self) -> Iterator[tuple[str, str, str]]:
-        """What clamps bear at most: of the baseline at its samples, of the plan as certified."""
-        holding = self.robot.holding
-        if holding is None:
-            return
-        segments = () if self.baseline is None else self.baseline.segments
-        wrenches = [
-            np.hstack([segment.samples.guardrail_force, segment.samples.guardrail_torque])
-            for segment in segments
-        ]
-        for number in holding.clamps:
-            quantity = holding.named(CLAMP_LOAD, number)
-            before = max((float(holding.use(number, wrench).max()) for wrench in wrenches), default=np.nan)
-            after = max(check.value for _, check in self.job.checks() if check.quantity == quantity)
-            yield f"{quantity} included, whole job, share of its bounds", f"{before:.3f}", f"{after:.3f}"
-
-    def _peaks_of_free_moves(self) -> Iterator[tuple[str, str, str]]:
-        for segment in self.job.segments:
-            if segment.kind == "free":
-                other = None if self.baseline is None else self.baseline.segment(segment.name)
-                baseline = "-" if other is None else f"{other.figures.peak_guardrail_torque:.2f}"
-                name = f"peak torque on {segment.in_words}, Nm"
-                yield name, baseline, f"{segment.figures.peak_guardrail_torque:.2f}"
+        for row in plan_rows(self):
+            if row.first or not first:
+                name, before, planned = row.cells
+                yield (name, planned) if self.baseline is None else (name, before, planned)
 
 
 def require_plan(value: object, source: str) -> None:
@@ -395,28 +383,6 @@ def require_plan(value: object, source: str) -> None:
     InputError
     """
     require_type(value, Plan, source, "plan", "a Plan, as cmbot.plan and cmbot.load_plan return it")
-
-
-_PEAK_AT_WORK = "peak torque at work"
-_ROWS = (
-    ("peak torque on the {base}, whole job", "peak_guardrail_torque", "Nm", 1.0, 2),
-    (_PEAK_AT_WORK, "peak_guardrail_torque", "Nm", 1.0, 2),
-    ("mean torque, whole job", "mean_guardrail_torque", "Nm", 1.0, 2),
-    ("mean torque at work", "mean_guardrail_torque", "Nm", 1.0, 2),
-    ("root mean square torque, whole job", "rms_guardrail_torque", "Nm", 1.0, 2),
-    ("peak of its {part} part at work", "peak_static_guardrail_torque", "Nm", 1.0, 2),
-    ("smallest clearance, whole job", "min_clearance", "mm", 1e3, 1),
-    ("largest tool deviation", "max_tool_deviation", "mm", 1e3, 3),
-    ("largest tool rotation", "max_tool_rotation", "deg", float(np.rad2deg(1.0)), 3),
-)
-
-
-def _adhesions(name: str, motions: Sequence[MotionMetrics | None]) -> Iterator[tuple[str, str, str]]:
-    """The adhesion that the feet need of two motions; nothing where no foot sits on flat steel."""
-    needed = [None if motion is None else motion.adhesion_needed for motion in motions]
-    if any(needed):
-        left, right = ("-" if each is None else f"{each.peak / 1e3:.2f} {each.mode}" for each in needed)
-        yield name, left, right
 
 
 def work_of(robot: Robot, trajectory: QuinticTrajectory, path: WorkPath) -> Work:

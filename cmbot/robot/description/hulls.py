@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import deepcopy
 from dataclasses import dataclass
+from io import BytesIO
 from typing import Any
 from xml.etree import ElementTree
 
 import coal
 import numpy as np
-import pinocchio as pin
 
 from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import ModelError
 from cmbot.robot.description.mesh_file import read_vertices
 
 # Smallest thickness of points relative to their extent. At about 3e-8 coal's hull crashes the process.
@@ -64,11 +66,27 @@ def body_of(link: ElementTree.Element) -> Body | None:
 
     Meshes, which have to be located before, count as their convex hulls, and what shapes share counts twice.
     """
-    # It takes a while to come, and few robots need it.
+    # They take a while to come, and few robots need them.
     import trimesh
+    from yourdfpy import URDF, filename_handler_null
 
-    for tag in ("collision", "visual"):
-        solids = list(_solids(link.findall(tag)))
+    robot = ElementTree.Element("robot", name="body")
+    robot.append(deepcopy(link))
+    for shape in [*robot.findall("*/collision"), *robot.findall("*/visual")]:
+        # What the loader cannot read is drawn as a box, and refused where it may collide.
+        if any(not len(read_vertices(mesh)) for mesh in shape.iter("mesh")):
+            robot[0].remove(shape)
+    # As one mesh a link would have one hull.
+    read = {"load_collision_meshes": True, "build_collision_scene_graph": True, "force_collision_mesh": False}
+    file = BytesIO(ElementTree.tostring(robot))
+    # The names of meshes are those of the files that the loader has found.
+    try:
+        described = URDF.load(file, filename_handler=filename_handler_null, **read)
+    except (ValueError, LookupError, TypeError, AttributeError) as error:
+        got = f"a mesh that trimesh cannot read ({' '.join(str(error).split())})"
+        raise ModelError(link.get("name", ""), "mesh", got, "a mesh file") from error
+    for scene in (described.collision_scene, described.scene):
+        solids = list(_solids(scene))
         solid: Any = trimesh.util.concatenate(solids) if solids else None
         if solids and solid.volume > 0:
             return Body(
@@ -79,33 +97,17 @@ def body_of(link: ElementTree.Element) -> Body | None:
     return None
 
 
-def _solids(shapes: list[ElementTree.Element]) -> Iterator[Any]:
-    """Yield shapes of a link in its frame, as closed triangle meshes; without those that cannot be read."""
+def _solids(scene: Any) -> Iterator[Any]:
+    """Yield the shapes of a scene in its link's frame: solids as they are, meshes as their convex hulls."""
     import trimesh
 
-    for shape in shapes:
-        for part in shape.findall("geometry/*"):
-            size, radius, length = (_numbers(part.get(name, "0")) for name in ("size", "radius", "length"))
-            match part.tag:
-                case "box":
-                    solid = trimesh.creation.box(extents=size)
-                case "cylinder":
-                    solid = trimesh.creation.cylinder(radius=radius[0], height=length[0])
-                case "sphere":
-                    solid = trimesh.creation.icosphere(radius=radius[0])
-                case _:
-                    points = read_vertices(part)
-                    if not (len(points) and np.isfinite(points).all()):
-                        continue
-                    points = points if encloses_volume(points) else thickened(points)
-                    solid = trimesh.convex.convex_hull(points)
-            origin = shape.find("origin")
-            at = {} if origin is None else origin.attrib
-            xyz, rpy = (_numbers(at.get(name, "0 0 0")) for name in ("xyz", "rpy"))
-            X = np.eye(4)
-            X[:3, :3], X[:3, 3] = pin.rpy.rpyToMatrix(rpy), xyz
-            yield solid.apply_transform(X)
-
-
-def _numbers(text: str) -> FloatArray:
-    return np.array(text.split(), dtype=float)
+    for node in scene.graph.nodes_geometry:
+        X, name = scene.graph[node]
+        shape = scene.geometry[name].copy()
+        if not isinstance(shape, trimesh.primitives.Primitive):
+            points = np.asarray(shape.vertices)
+            if not (len(points) and np.isfinite(points).all()):
+                continue
+            points = points if encloses_volume(points) else thickened(points)
+            shape = trimesh.convex.convex_hull(points)
+        yield trimesh.Trimesh(shape.vertices, shape.faces).apply_transform(X)

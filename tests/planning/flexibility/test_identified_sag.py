@@ -106,8 +106,9 @@ def test_the_arm_is_the_identified_one_also_after_reading_it_back(planned: Plan,
 def test_it_is_told(planned: Plan) -> None:
     lines = list(cmbot.planning.remarks(planned))
     assert "Stiffness as identified, not as modelled: 4 links, 7 joints, guardrail." in lines
-    (sentence,) = (line for line in lines if "identified stiffness" in line)
-    assert "1 of them are part of what is certified" in sentence
+    rows = {row[0]: row[-1] for row in planned.rows()}
+    deviation = planned.compensation.deviation
+    assert rows["standard deviation by the identified stiffness, mm"] == f"{1e3 * deviation:.2f}"
     chart = next(chart for chart in charts(planned, None) if chart.key == "deviation")
     assert "Thin: with 1 standard deviations of the identified stiffness." in chart.note
     assert sum(curve.thin for curve in chart.curves) == 1

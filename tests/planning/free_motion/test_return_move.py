@@ -50,7 +50,9 @@ def test_the_segments_join_at_rest_and_end_where_the_arm_is_stowed(returning_pla
     peaks = [each.figures.peak_guardrail_torque for each in job.segments]
     assert job.figures.peak_guardrail_torque == max(peaks)
     (said,) = (remark for remark in remarks(returning_plan) if remark.startswith("Return: "))
-    assert "to its stow posture in " in said
+    assert said.endswith("to its stow posture.")
+    rows = {row[0]: row[-1] for row in returning_plan.rows()}
+    assert rows["time of the return, s"] == f"{job.segments[-1].duration:.1f}"
 
 
 def test_the_return_asks_no_more_than_the_rest(returning_plan: Plan) -> None:

@@ -1,5 +1,6 @@
 """The sentences beside a plan's figures: grammar, and what they say of unusual plans."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ from small_scenes import short_scene
 
 from cmbot.common.errors import PathNotFound
 from cmbot.common.validation import counted
-from cmbot.planning import Plan, Start, remarks
+from cmbot.planning import Plan, Start, first_remarks, notes, remarks, sentence
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.initial_guess import Choice
 from cmbot.planning.result.stroke_plan import combined
@@ -64,7 +65,7 @@ def test_more_jerk_than_the_baselines_is_told_where_something_bends(triangle_pla
     calm = replace(triangle_plan.baseline.figures, limit_use=replace(use, jerk=use.jerk / 3))
     hard = with_baseline(triangle_plan, figures=calm)
     said = line(hard, "The joints jerk 3.0 times as hard as the baseline's, ")
-    assert said.endswith("may sway more than the baseline's; cmbot simulate tells.")
+    assert said.endswith("tool and base may sway more.")
     assert "The joints jerk" not in " ".join(remarks(replace(hard, suppression=None)))
 
 
@@ -73,12 +74,13 @@ def test_sag_beyond_the_allowed_deviation_is_told(
 ) -> None:
     said = line(triangle_plan, "Bent by its own weight the tool is up to ")
     assert said.endswith(
-        " mm off its path, more than max_tool_deviation_m (1 mm), which the rigid arm keeps; "
-        "compensate: true can make up for the sag."
+        " mm off its path, more than max_tool_deviation_m (1 mm), which the rigid arm keeps."
     )
     # The simulation sways about the sag.
     found, moved = 1e-3 * float(said.split()[10]), triangle_tracking.planned
     assert abs(found - moved.largest_off_path) <= moved.largest(moved.dynamic)
+    (row,) = (row for row in triangle_plan.rows() if row[0] == "bent arm at rest off its path, mm")
+    assert row[-1] == f"{1e3 * found:.2f}"
     for sags, expected in ((0.99 * found, True), (1.01 * found, False)):
         options = replace(triangle_plan.options, max_tool_deviation_m=sags)
         told = " ".join(remarks(replace(triangle_plan, options=options)))
@@ -105,8 +107,8 @@ def test_a_start_that_only_the_sag_moved_is_called_so(compensated_short: tuple[P
     assert line(far, "Starts in ").startswith("Starts in a better posture")
 
 
-def suppressed(of: Plan, **changes: object) -> str:
-    """Remarks on a plan whose vibration was suppressed."""
+def suppressed(of: Plan, **changes: object) -> tuple[str, dict[str, str]]:
+    """What is said of the vibration of a plan, and its rows."""
     done = {
         "modes": 2,
         "shares": (0.5, 0.7),
@@ -115,77 +117,61 @@ def suppressed(of: Plan, **changes: object) -> str:
         "swing_without": (2e-3, 1e-3),
         "swing_with": (5e-4, 1e-4),
     }
-    return " ".join(
-        remarks(replace(of, suppression=VibrationSuppression(before=1e-3, after=3e-4, **done | changes)))
-    )
+    plan = replace(of, suppression=VibrationSuppression(before=1e-3, after=3e-4, **done | changes))
+    return line(plan, "Vibration suppression: "), {row[0]: row[-1] for row in plan.rows()}
 
 
 def test_what_is_done_about_vibration_is_told(triangle_plan: Plan) -> None:
-    said = suppressed(triangle_plan)
-    assert (
-        "the 2 slowest vibrations of guardrail and links are made 60 % smaller on average at the ends of the "
-        "legs, as predicted. " in said
+    said, rows = suppressed(triangle_plan)
+    assert said.endswith(
+        "the 2 slowest vibrations of guardrail and links are made smaller at the ends of the legs, at 0.7 to "
+        "1 times the stiffness and with up to 1 kg more."
     )
-    assert (
-        "swings through 0.500 mm (without that 2.000) at most, simulated at 0.7 to 1 times the stiffness and "
-        "with up to 1 kg more."
-    ) in said
-    assert "could not be brought to rest" in suppressed(triangle_plan, shares=(0.0, 0.0))
-    assert "slowest vibration of guardrail and links is made" in suppressed(triangle_plan, modes=1)
-    in_vain = suppressed(triangle_plan, shares=(0.0, 0.0), swing_with=(1.9e-3, 1e-3))
-    assert "are left as they are: the change that was tried makes the largest swing hardly smaller" in in_vain
-    assert "swings through 2.000 mm (with that 1.900) at most" in in_vain
-    # What comes out the same is not told twice; what becomes worse as modelled is told.
-    assert "swings through 2.000 mm at most" in suppressed(triangle_plan, swing_with=(1.9999e-3, 1e-4))
-    worse = {"load_kg": (0.0, 0.0), "swing_without": (2e-3, 5e-5), "swing_with": (1e-3, 1e-4)}
-    assert "; as modelled 0.100 mm (without that 0.050)." in suppressed(triangle_plan, **worse)
-    old = dict.fromkeys(("stiffness", "load_kg", "swing_without", "swing_with"), ())
-    assert "by 1.0000 mm to either side without that, and by 0.3000 mm" in suppressed(triangle_plan, **old)
+    swing, without = "tool swings after the stop, mm", "tool would swing without suppression, mm"
+    assert (rows[swing], rows[without]) == ("0.500", "2.000")
+    assert rows["vibration less at the ends of the legs, %"] == "60"
+    bounded, rows = suppressed(triangle_plan, shares=(0.0, 0.0))
+    assert "are left at the ends of the legs: no change of the motion that was tried keeps" in bounded
+    # The change is not made.
+    assert rows[swing] == rows[without]
+    assert "the slowest vibration of guardrail and links is made" in suppressed(triangle_plan, modes=1)[0]
+    in_vain, _ = suppressed(triangle_plan, shares=(0.0, 0.0), swing_with=(1.9e-3, 1e-3))
+    assert in_vain.endswith("the change that was tried makes the largest swing hardly smaller.")
 
 
 @pytest.mark.parametrize(
     ("shares", "words"),
     [
-        ((1.0, 1.0, 1.0), "are made 100 % smaller on average at the ends of the legs, as predicted. "),
-        ((1.0, 0.5, 0.0), "at the ends of 2 of the 3 legs, and not at those of 1, where no change"),
+        ((1.0, 1.0, 1.0), "are made smaller at the ends of the legs, at "),
+        ((1.0, 0.5, 0.0), "at the ends of 2 of the 3 legs, and at the others no change keeps every bound"),
     ],
 )
 def test_one_leg_without_suppression_does_not_hide_the_others(
     triangle_plan: Plan, shares: tuple[float, ...], words: str
 ) -> None:
     tables = {"swing_with": (1e-4,), "swing_without": (1e-3,), "stiffness": (1.0,), "load_kg": (0.0,)}
-    suppression = replace(triangle_plan.suppression, shares=shares, **tables)
-    assert words in line(replace(triangle_plan, suppression=suppression), "Vibration suppression: ")
-    assert suppression.share == pytest.approx(sum(shares) / len(shares))
+    assert words in suppressed(triangle_plan, shares=shares, **tables)[0]
+    assert replace(triangle_plan.suppression, shares=shares).share == pytest.approx(sum(shares) / len(shares))
 
 
-def test_words_of_the_trade_are_explained_where_they_are_used(triangle_plan: Plan) -> None:
-    at, said = triangle_plan.lower_bound.via_point + 1, line(triangle_plan, "Lower bound: ")
-    assert f"at via-point {at} of the 50 that the motion passes through, no posture has a smaller" in said
-    approach = line(triangle_plan, "Approach: ")
-    assert approach.startswith("Approach: before the work the arm goes there from the scene's posture, in ")
-    assert approach.endswith(" mm, certified.")
-    assert line(triangle_plan, "Against the baseline, the paper's motion without optimisation: ")
-    pinned = "Had it started in the scene's posture (start: pinned)"
-    assert "the peak at rest would be " in line(triangle_plan, pinned)
-    # Where it starts there, nothing is said of what would have been.
+def row(plan: Plan, beginning: str) -> tuple[str, ...]:
+    (found,) = (row for row in plan.rows() if row[0].startswith(beginning))
+    return found
+
+
+def test_what_another_start_and_sequences_of_postures_ask_are_rows(triangle_plan: Plan) -> None:
+    pinned = "peak at rest, had it started where the arm is"
+    assert row(triangle_plan, pinned)[-1] == f"{triangle_plan.choice.pinned:.2f}"
+    # Where it starts there, nothing is said of what would have been; nor where no sequence was found.
     stays = replace(triangle_plan, start=replace(triangle_plan.start, moved=0.0))
-    assert pinned not in " ".join(remarks(stays))
     none = replace(triangle_plan, choice=Choice(free=400.0, pinned=None))
-    assert "no sequence of postures through the charts was found" in line(none, pinned)
-
-
-def test_what_sequences_of_postures_ask_is_told_where_it_is_more_than_the_bound(triangle_plan: Plan) -> None:
-    assert not any(remark.startswith("Sequences: ") for remark in remarks(triangle_plan))
+    for plan in (stays, none):
+        assert not any(name.startswith("peak at rest, had") for name, *_ in plan.rows())
     far = replace(triangle_plan, choice=Choice(free=400.0, pinned=500.0))
-    gap = 100 * (triangle_plan.objective.planned_peak / 400 - 1)
-    assert line(far, "Sequences: ") == (
-        "Sequences: no way through the charts of all via-points has a static peak below 400.00 Nm "
-        f"(estimate); the peak is {gap:+.3f} % from that."
-    )
-    pinned = replace(far, options=replace(far.options, start="pinned"))
-    said = line(pinned, "Sequences: no way from the scene's posture through the charts")
-    assert "has a static peak below 500.00 Nm" in said
+    assert row(far, "least peak of sequences of postures")[-1] == "400.00"
+    held = replace(far, options=replace(far.options, start="pinned"))
+    assert row(held, "least peak of sequences of postures")[-1] == "500.00"
+    assert row(held, "peak at rest, had it started in another posture")[-1] == "400.00"
 
 
 def test_a_plan_that_asks_more_than_the_baseline_says_so(triangle_plan: Plan) -> None:
@@ -205,17 +191,16 @@ def test_a_floor_that_is_not_settled_promises_nothing(triangle_plan: Plan) -> No
 def test_a_floor_is_called_what_it_is(triangle_plan: Plan) -> None:
     proven, error = triangle_plan.lower_bound, f"{triangle_plan.lower_bound.error:.3f} Nm"
     said = line(triangle_plan, "Lower bound: no plan within the limits has a static peak below ")
-    assert f" Nm (proven; error {error}): at via-point" in said
+    assert f" Nm (proven; error {error}); the peak is " in said
     estimate = replace(proven, kind="estimated", missed=0.0123)
     said = line(replace(triangle_plan, lower_bound=estimate), "Lower bound: ")
     assert (
         "no plan within the limits was found with a static peak below 383.79 Nm (estimate; at most 1.23 % of"
         in said
     )
-    assert f"postures are missed, with 95 % confidence; error {error}): at via-point" in said
-    assert "no posture was found with a smaller value" in said
+    assert f"postures are missed, with 95 % confidence; error {error}); the peak" in said
     unknown = line(replace(triangle_plan, lower_bound=replace(estimate, missed=None)), "Lower bound: ")
-    assert f"383.79 Nm (estimate; error {error}): at" in unknown
+    assert f"383.79 Nm (estimate; error {error});" in unknown
 
 
 def test_a_plan_that_gravity_has_no_part_in_says_so(triangle_plan: Plan) -> None:
@@ -250,7 +235,47 @@ def test_the_largest_swing_of_all_strokes_is_told(strokes_plan: Plan) -> None:
     ]
     for order in (strokes, strokes[::-1]):
         whole = combined(order)["suppression"]
-        said = line(replace(strokes_plan, suppression=whole), "Vibration suppression: ")
-        assert "swings through 1.900 mm (without that 2.000) at most" in said
-        assert "as modelled 0.800 mm (without that 1.000)" in said
-        assert "at the ends of 1 of the 2 legs" in said
+        plan = replace(strokes_plan, suppression=whole)
+        assert row(plan, "tool swings after the stop")[-1] == "1.900"
+        assert row(plan, "tool would swing without")[-1] == "2.000"
+        assert "at the ends of 1 of the 2 legs" in line(plan, "Vibration suppression: ")
+
+
+@pytest.mark.parametrize("name", ["triangle_plan", "strokes_plan", "returning_plan", "short_plan"])
+def test_what_is_shown_first_is_short_and_begins_with_the_tool(
+    request: pytest.FixtureRequest, name: str
+) -> None:
+    plan: Plan = request.getfixturevalue(name)
+    rows, sentences = list(plan.rows(first=True)), first_remarks(plan)
+    assert len(rows) <= 10 and len(sentences) <= 5
+    assert rows[0][0].startswith("tool from its path" if plan.accuracy else "largest tool deviation")
+    assert set(rows) <= set(plan.rows())
+    assert plan.summary().count("\n") == len(rows)
+    order = "The tool is", "Hold:", f"The {plan.scene.base_name} must bear", "With "
+    begun = [
+        next(k for k, said in enumerate(order) if sentence.startswith(said)) for sentence in sentences[:4]
+    ]
+    assert begun == sorted(begun)
+
+
+def test_every_note_has_a_level_values_and_one_sentence(triangle_plan: Plan) -> None:
+    found = notes(triangle_plan)
+    assert len(found) <= 15
+    assert len({note.key for note in found}) == len(found)
+    for note in found:
+        assert note.level in ("first", "fault", "warning", "note")
+        assert sentence(note).endswith(".")
+        json.dumps(note.values, allow_nan=False)
+
+
+def test_an_arm_that_bends_nowhere_has_its_tool_first_too(short_plan: Plan) -> None:
+    rigid = replace(
+        short_plan,
+        scene=short_scene(guardrail={"bays": 0}),
+        robot=replace(short_plan.robot, elasticity={}, joint_elasticity={}),
+        suppression=None,
+    )
+    off = 1e3 * short_plan.figures.max_tool_deviation
+    assert rigid.accuracy is None
+    assert first_remarks(rigid)[0] == f"The tool is within {off:.3g} mm of its path, as the rigid arm has it."
+    assert next(rigid.rows(first=True))[0] == "largest tool deviation, mm"

@@ -17,7 +17,7 @@ from small_scenes import SHORT, strokes_scene
 
 from cmbot import load_plan, load_scene, plan, save
 from cmbot.common.errors import ArchiveError, PathNotFound, PlanningError, SceneError
-from cmbot.planning import Plan, planner, remarks
+from cmbot.planning import Plan, planner
 from cmbot.planning.attempts.agenda import Solved, Trial
 from cmbot.planning.attempts.stroke import PlannedStroke
 from cmbot.planning.stroke_order import in_least_travel, least_travel
@@ -159,10 +159,10 @@ def test_what_contradicts_the_strokes_is_refused(
     assert caught.value.key == key
 
 
-def test_progress_and_remarks_name_the_strokes(strokes_plan: Plan) -> None:
-    said = " ".join(remarks(strokes_plan))
-    assert "Between the 2 strokes: 1 free move in" in said
-    assert "peak torque on free_1, Nm" in strokes_plan.summary()
+def test_the_table_has_the_free_moves_between_strokes(strokes_plan: Plan) -> None:
+    rows, move = {row[0]: row[-1] for row in strokes_plan.rows()}, strokes_plan.job.segment("free_1")
+    assert rows["time of free_1, s"] == f"{move.duration:.1f}"
+    assert rows["peak torque on free_1, Nm"] == f"{move.figures.peak_guardrail_torque:.2f}"
 
 
 def test_a_stroke_that_cannot_be_planned_is_named() -> None:

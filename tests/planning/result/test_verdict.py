@@ -8,7 +8,7 @@ from plan_folders import changed, with_baseline, without_approach
 
 from cmbot.common.limit import Limit
 from cmbot.planning import Check, Plan, baseline_faults, bound_use, remarks, tightest_check, verdict
-from cmbot.planning.result.verdict import accuracy_in_words, further, travels
+from cmbot.planning.result.judgement import further, travels
 
 
 def test_the_posture_in_which_the_arm_begins_decides_on_the_triangle(triangle_plan: Plan) -> None:
@@ -22,13 +22,13 @@ def test_the_posture_in_which_the_arm_begins_decides_on_the_triangle(triangle_pl
         "work": ("at work", 1e3, "mm"),
     }[segment.name]
     peak, use = triangle_plan.job.figures.peak_guardrail_torque, 100 * bound_use(check)
-    assert verdict(triangle_plan) == accuracy_in_words(triangle_plan) + (
-        f"The guardrail must bear {peak:.1f} Nm over the whole job "
+    assert (
+        f" The guardrail must bear {peak:.1f} Nm over the whole job "
         "(at rest in the posture in which the arm begins), as much as the baseline; "
         f"the work alone {work:.1f} Nm (baseline {baseline:.1f} Nm). Tightest promise: {check.quantity} "
         f"{where}, at {check.time:.1f} s, {use:.0f} % of its bound "
-        f"({factor * (check.bound - check.value):.3g} {unit} left)."
-    )
+        f"({factor * (check.bound - check.value):.3g} {unit} left). "
+    ) in verdict(triangle_plan)
 
 
 def test_a_joint_at_the_end_of_its_range_is_said_to_be_there(triangle_plan: Plan) -> None:
@@ -44,7 +44,7 @@ def test_a_joint_at_the_end_of_its_range_is_said_to_be_there(triangle_plan: Plan
     work = triangle_plan.job.segments[-1]
     certificate = replace(work.certificate, checks=(check,))
     said = verdict(changed(without_approach(triangle_plan), "work", certificate=certificate))
-    assert said.endswith("Tightest promise: joint_1 stays within its range at work, at 3.0 s (0.3 deg left).")
+    assert "Tightest promise: joint_1 stays within its range at work, at 3.0 s (0.3 deg left)." in said
 
 
 def test_a_job_of_work_alone_gains(triangle_plan: Plan) -> None:

@@ -1,0 +1,311 @@
+"""What should be known of a plan beside its table: notes with a level, a key and values, no sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from cmbot.common.limit import Limit
+from cmbot.planning.job import RETURN
+from cmbot.planning.request import end_posture_of
+from cmbot.planning.result.baseline import Baseline
+from cmbot.planning.result.holding import emergency_stop
+from cmbot.planning.result.judgement import (
+    SAME,
+    baseline_faults,
+    bound_use,
+    during,
+    further,
+    tightest_check,
+    travels,
+)
+from cmbot.planning.result.plan import Plan
+from cmbot.planning.workcell.stiffness import identified_in_words
+from cmbot.planning.workcell.units import mistaken_units
+from cmbot.planning.workcell.workcell import rigid_arm_remark
+from cmbot.robot import Dynamics, postures_in_words
+from cmbot.scene import STOW
+
+# A peak lower by less than this share is no gain; a baseline this near to the lower bound leaves none.
+_GAIN, _NEAR_BOUND = 1e-2, 1e-2
+# Largest error of a lower bound that the search closed, as a share of it.
+_CLOSED = 1e-2
+# More jerk than so many times the baseline's, and than that share of the limits, may well make the tool sway
+# more.
+_MORE_JERK, _LITTLE_JERK = 2.0, 1e-3
+# Joints that travel so many times as far as the baseline's are told.
+_FURTHER = 2.0
+# A lower bound below this share of the peak counts as zero.
+_NOTHING = 1e-9
+# What a magnet is thought to lose to rust, paint and gaps.
+_ADHESION_LOST = 0.2
+
+Level = Literal["first", "fault", "warning", "note"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Note:
+    """What should be known of a plan.
+
+    Attributes
+    ----------
+    level : str
+        ``first``: where the tool is, whether it holds, what the base bears, what would help; ``fault``: what
+        is missing of what was asked, ``warning``, ``note``.
+    key : str
+        What it is about.
+    values : dict
+        Numbers, names and, where other parts of the package have sentences, text.
+    """
+
+    level: Level
+    key: str
+    values: dict[str, Any]
+
+
+def notes(plan: Plan) -> tuple[Note, ...]:
+    """Return what should be known of a plan beside its table, in the order of its levels.
+
+    Parameters
+    ----------
+    plan : Plan
+    """
+    found = [*_first(plan), *_faults(plan), *_start(plan), *_told(plan), *_vibration(plan), *_objective(plan)]
+    if plan.baseline is not None:
+        found += _compared(plan, plan.baseline)
+    found += [*_return(plan), *_bound(plan), *_certified(plan)]
+    levels = ("first", "fault", "warning", "note")
+    return tuple(sorted(found, key=lambda note: levels.index(note.level)))
+
+
+def _first(plan: Plan) -> Iterator[Note]:
+    """Where the tool is, what holds, what the base bears, the tightest promise, what would help."""
+    accuracy, tolerance = plan.accuracy, plan.scene.tool.tolerance
+    if accuracy is not None:
+        most = accuracy.parts[0] if accuracy.parts else None
+        values = {
+            "within_mm": accuracy.within_mm,
+            "probability": accuracy.probability,
+            "part": most and most.name,
+            "part_mm": most and most.size_mm,
+            "kept": accuracy.tolerance_kept,
+            "share": accuracy.tolerance_share,
+            "across_mm": tolerance and tolerance.across_mm,
+            "along_axis_mm": tolerance and tolerance.along_axis_mm,
+        }
+        yield Note(level="first", key="tool", values=values)
+    else:
+        values = {"within_mm": 1e3 * plan.figures.max_tool_deviation}
+        yield Note(level="first", key="rigid_tool", values=values)
+    yield from _holds(plan)
+    yield Note(level="first", key="base", values=_base(plan))
+    segment, check = tightest_check(plan.job)
+    promise = {**vars(check), "limit": str(check.limit), "when": during(segment, plan.job)}
+    yield Note(level="first", key="promise", values=promise)
+    if accuracy is not None and accuracy.remedies:
+        best = accuracy.remedies[0]
+        yield Note(level="first", key="help", values={"remedy": best.name, "within_mm": best.within_mm})
+
+
+def _holds(plan: Plan) -> Iterator[Note]:
+    holding, needed = plan.robot.holding, plan.job.figures.adhesion_needed
+    if holding is None:
+        return
+    stop = emergency_stop(plan)
+    values: dict[str, Any] = {"stop_kn": stop and stop.peak / 1e3}
+    if needed is not None:
+        foot = holding.feet[needed.foot - 1]
+        values |= {"needed_kn": needed.peak / 1e3, "mode": needed.mode, "has_kn": None, "foot": needed.foot}
+        if foot.adhesion is not None:
+            less = (1 - _ADHESION_LOST) * foot.adhesion
+            holds = "with safety" if less >= foot.safety * needed.peak else "without safety"
+            values |= {"has_kn": foot.adhesion / 1e3, "lost": _ADHESION_LOST}
+            values["less"] = holds if less >= needed.peak else "not"
+    if any(check.limit is Limit.HOLD for _, check in plan.job.checks()):
+        segment, check = tightest_check(plan.job, limit=Limit.HOLD)
+        values |= {"quantity": check.quantity, "use": bound_use(check), "time": check.time}
+        yield Note(level="first", key="holds", values=values | {"when": during(segment, plan.job)})
+    else:
+        welded = any(foot.kind == "welded" for foot in holding.feet)
+        yield Note(level="first", key="unknown_hold", values=values | {"welded": welded})
+
+
+def _base(plan: Plan) -> dict[str, Any]:
+    """What the base must bear, and where that is: in the posture at an end, at rest, or during a segment."""
+    peak, baseline = plan.job.figures.peak_guardrail_torque, plan.baseline
+    values: dict[str, Any] = {
+        "base": plan.scene.base_name,
+        "peak_nm": peak,
+        "work_nm": plan.figures.peak_guardrail_torque if len(plan.job.segments) > 1 else None,
+        "baseline_nm": None if baseline is None else baseline.job_figures.peak_guardrail_torque,
+        "baseline_work_nm": None if baseline is None else baseline.figures.peak_guardrail_torque,
+        "faults": baseline_faults(plan),
+        "work_faults": baseline_faults(plan, work=True),
+        "further": further(plan),
+    }
+    ends = [("begins", plan.scene.posture)]
+    if (end := end_posture_of(plan.scene, plan.robot)) is not None:
+        ends.append(("ends", end))
+    for which, q in ends:
+        at_rest = Dynamics(plan.robot.tool_off).static_efforts(np.asarray(q)[None]).guardrail_torque
+        if np.linalg.norm(at_rest) >= (1 - SAME) * peak:
+            return values | {"rest": which}
+    segment = max(plan.job.segments, key=lambda each: each.figures.peak_guardrail_torque)
+    samples = plan.segment_samples[segment.name]
+    time = segment.begin + samples.t[np.linalg.norm(samples.guardrail_torque, axis=1).argmax()]
+    return values | {"rest": None, "when": during(segment, plan.job), "time": float(time)}
+
+
+def _faults(plan: Plan) -> Iterator[Note]:
+    """What is missing of what was asked."""
+    area, unreached = (
+        sum(getattr(one, name) for one in plan.coverage.values()) for name in ("area", "unreached")
+    )
+    if unreached:
+        yield Note(level="fault", key="unreached", values={"area_m2": area, "unreached_m2": unreached})
+    off, allowed = plan.bent_offsets[1], plan.options.max_tool_deviation_m
+    if off is not None and off > allowed and not plan.options.compensate:
+        values = {"off_mm": 1e3 * off, "allowed_mm": 1e3 * allowed, "pushed": plan.robot.pushed}
+        key = "off_path" if np.isfinite(off) else "too_soft"
+        yield Note(level="fault", key=key, values=values | {"base": plan.scene.base_name})
+
+
+def _start(plan: Plan) -> Iterator[Note]:
+    start, failures = plan.start, plan.start.failures
+    if start.moved == 0:
+        if failures:
+            yield Note(level="warning", key="unused_start", values={"reason": failures[0].reason})
+        return
+    moves, slides = np.abs(start.posture - plan.scene.posture), plan.robot.limits.prismatic
+    values: dict[str, Any] = {
+        "posture": postures_in_words(slides, start.posture),
+        "turned_deg": float(np.rad2deg(moves[~slides].max(initial=0.0))),
+        "slid_m": float(moves[slides].max(initial=0.0)),
+        "from": plan.scene.pinned_posture,
+    }
+    near = plan.robot.metric.lengths(start.posture - plan.scene.posture) < plan.options.chart_spacing
+    if failures:
+        values |= {"reason": failures[0].reason, "tried": len(failures)}
+        yield Note(level="warning", key="other_start", values=values)
+    elif plan.compensation is not None and near:
+        yield Note(level="note", key="sagging_start", values=values)
+    else:
+        key = "path_start" if plan.scene.begins_elsewhere else "better_start"
+        yield Note(level="note", key=key, values=values)
+
+
+def _told(plan: Plan) -> Iterator[Note]:
+    """What other parts of the package say of what was assumed, and of what failed."""
+    for text in plan.fallbacks:
+        yield Note(level="warning", key="fallback", values={"text": text})
+    for text in plan.robot.remarks:
+        yield Note(level="warning", key="robot", values={"text": text})
+    for stiffness in (rigid_arm_remark(plan.scene, plan.robot), identified_in_words(plan.scene)):
+        if stiffness:
+            yield Note(level="note", key="stiffness", values={"text": stiffness})
+    for key, looks, units in mistaken_units(plan.scene):
+        yield Note(level="warning", key="units", values={"of": key, "looks": looks, "units": units})
+
+
+def _vibration(plan: Plan) -> Iterator[Note]:
+    """What is done about vibration at the ends of the legs."""
+    done, base = plan.suppression, plan.scene.base_name
+    if done is None or done.at_rest:
+        return
+    legs, left = len(done.shares), done.shares.count(0.0)
+    tried = not done.worth_it and done.swing_with != done.swing_without
+    values = {"base": base, "modes": done.modes, "legs": legs, "left": left, "tried": tried}
+    if done.stiffness:
+        values |= {"least": min(done.stiffness), "most": max(done.stiffness), "load_kg": max(done.load_kg)}
+    yield Note(level="warning" if left else "note", key="vibration", values=values)
+
+
+def _objective(plan: Plan) -> Iterator[Note]:
+    """What was minimised, where that is not the torque on the base or gravity has no part in it."""
+    objective, holding = plan.objective, plan.robot.holding
+    if objective.floor is not None and objective.floor <= _NOTHING * objective.planned_peak:
+        yield Note(level="warning", key="no_gravity", values={})
+    if not objective.is_guardrail_torque:
+        factor, unit = (1e3, "mm") if objective.unit == "m" else (1.0, objective.unit)
+        before = objective.baseline_peak
+        values = {
+            "name": objective.name,
+            "own": objective.own,
+            "magnets": holding is not None and bool(holding.adhesive),
+            "about": objective.moment_about,
+            "weights": objective.axis_weights,
+            "unit": unit,
+            "before": None if before is None else factor * before,
+            "after": factor * objective.planned_peak,
+            "faults": baseline_faults(plan, work=True),
+        }
+        yield Note(level="note", key="objective", values=values)
+
+
+def _compared(plan: Plan, baseline: Baseline) -> Iterator[Note]:
+    """Where the plan is no better than the baseline, or that is no measure."""
+    faults = baseline_faults(plan, work=True)
+    if faults:
+        yield Note(level="warning", key="baseline", values={"faults": faults})
+    approach, work = plan.approach, max(f.peak_guardrail_torque for f in (plan.figures, baseline.figures))
+    if approach is not None and approach.figures.peak_guardrail_torque > work * (1 + _GAIN):
+        yield Note(level="warning", key="approach", values={"base": plan.scene.base_name})
+    if (factor := further(plan)) >= _FURTHER:
+        ours, theirs = travels(plan, baseline)
+        joint = int(plan.robot.metric.coordinates(ours - theirs).argmax())
+        units = plan.robot.limits.units(joint, shown=True)
+        far, other = (float(units.factor * each[joint]) for each in (ours, theirs))
+        values = {"factor": factor, "joint": plan.robot.joints[joint], "unit": units.position}
+        yield Note(level="note", key="travel", values=values | {"far": far, "other": other})
+    before, after = (each.limit_use.jerk for each in (baseline.figures, plan.figures))
+    if plan.suppression is not None and after > max(_MORE_JERK * before, _LITTLE_JERK):
+        yield Note(level="warning", key="jerk", values={"factor": after / before, "share": after})
+    peak, least, floor = plan.objective.planned_peak, plan.objective.baseline_peak, plan.objective.floor
+    if least is None or peak < least * (1 - _GAIN):
+        return
+    if peak > least * (1 + _GAIN):
+        yield Note(level="warning", key="higher", values={"share": peak / least - 1})
+    elif not faults:
+        near = floor is not None and least < floor * (1 + _NEAR_BOUND)
+        yield Note(level="note", key="no_gain", values={"near": near})
+
+
+def _return(plan: Plan) -> Iterator[Note]:
+    if plan.scene.return_to != "none":
+        to = str(plan.scene.return_to)
+        lacks = to == "stow" and STOW not in plan.robot.group_states
+        moves = plan.job.segment(RETURN) is not None
+        yield Note(level="note", key="return", values={"to": to, "lacks_stow": lacks, "moves": moves})
+
+
+def _bound(plan: Plan) -> Iterator[Note]:
+    bound, objective = plan.lower_bound, plan.objective
+    if bound is None or plan.choice is None:
+        return
+    closed = bound.kind == "proven" or bound.error <= _CLOSED * bound.value
+    factor, unit = (1e3, "mm") if objective.unit == "m" else (1.0, objective.unit)
+    values = {
+        "proven": bound.kind == "proven",
+        "closed": closed,
+        "value": factor * bound.value,
+        "error": factor * bound.error,
+        "unit": unit,
+        "basis": bound.basis,
+        "gap": objective.gap,
+        "any_start": plan.options.start == "pinned",
+        "before_sag": plan.compensation is not None,
+    }
+    yield Note(level="note" if closed else "warning", key="bound", values=values)
+
+
+def _certified(plan: Plan) -> Iterator[Note]:
+    whole, seconds = plan.job.certificate, plan.seconds
+    base = plan.scene.base_name
+    values = {"checks": len(whole.checks), "text": whole.at_all_times(base)}
+    yield Note(level="note", key="certified", values=values)
+    passes, rounds = len(plan.passes), plan.compensation.rounds if plan.compensation is not None else 0
+    each = {name: getattr(seconds, name) for name in ("path", "optimise", "certify", "total")}
+    yield Note(level="note", key="seconds", values=each | {"passes": passes, "rounds": rounds})

@@ -1,0 +1,261 @@
+"""The table of a plan: its figures beside the baseline's, the tool's first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cmbot.common.limit import Limit
+from cmbot.hold import CLAMP_LOAD
+from cmbot.planning.result.holding import clamp_in_stop, emergency_stop
+from cmbot.planning.result.judgement import baseline_faults, bound_use, further, tightest_check
+from cmbot.planning.result.plan import Plan
+
+# Areas that differ by less are the same, as a share.
+_SAME_AREA = 1e-6
+# Factors from SI to the units of the table.
+_FACTORS = {"mm": 1e3, "kN": 1e-3, "deg": float(np.rad2deg(1.0)), "%": 1e2}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """A line of a plan's table.
+
+    Attributes
+    ----------
+    label : str
+    key : str
+        Of the metric, as in ``plan.json`` where that has it.
+    unit : str
+        Empty where there is none.
+    format : str
+        Of the values.
+    baseline, planned : float or None
+        In `unit`; None where there is none.
+    modes : two of str
+        A word behind each value.
+    first : bool
+        Whether it is one of the at most ten lines that are shown first.
+    """
+
+    label: str
+    key: str
+    unit: str = ""
+    format: str = ".2f"
+    baseline: float | None = None
+    planned: float | None
+    modes: tuple[str, str] = ("", "")
+    first: bool = False
+
+    @property
+    def cells(self) -> tuple[str, str, str]:
+        """Label with unit, the baseline's value and the planned one."""
+        before, planned = (
+            "-" if value is None else f"{value:{self.format}} {mode}".rstrip()
+            for value, mode in zip((self.baseline, self.planned), self.modes, strict=True)
+        )
+        return f"{self.label}, {self.unit}".removesuffix(", "), before, planned
+
+
+def plan_rows(plan: Plan) -> tuple[Row, ...]:
+    """Return the table of a plan, the lines that are shown first at the top.
+
+    Parameters
+    ----------
+    plan : Plan
+    """
+    each = [*_tool(plan), *_holding(plan), *_base(plan), *_work(plan), *_effort(plan), *_search(plan)]
+    return tuple(sorted(each, key=lambda row: not row.first))
+
+
+def _row(
+    label: str, key: str, unit: str, format: str, planned: Any, baseline: Any = None, **more: Any
+) -> Row:
+    """A row from values in SI."""
+    factor = _FACTORS.get(unit, 1.0)
+    shown = [None if value is None else factor * float(value) for value in (baseline, planned)]
+    return Row(label=label, key=key, unit=unit, format=format, baseline=shown[0], planned=shown[1], **more)
+
+
+def _tool(plan: Plan) -> Iterator[Row]:
+    """Where the tool is."""
+    accuracy, suppression, compensation = plan.accuracy, plan.suppression, plan.compensation
+    if accuracy is not None:
+        name = f"tool from its path, with {100 * accuracy.probability:g} %"
+        yield _row(name, "accuracy.within_mm", "mm", ".3g", 1e-3 * accuracy.within_mm, first=True)
+    before, after = plan.bent_offsets
+    if after is not None and np.isfinite(after):
+        before = before if before is not None and np.isfinite(before) else None
+        yield _row("bent arm at rest off its path", "bent_offsets", "mm", ".2f", after, before, first=True)
+    if suppression is not None and suppression.swing_with:
+        swing = max(suppression.swing_with if suppression.share else suppression.swing_without)
+        yield _row("tool swings after the stop", "suppression.swing_with", "mm", ".3f", swing, first=True)
+        swing = max(suppression.swing_without)
+        name = "tool would swing without suppression"
+        yield _row(name, "suppression.swing_without", "mm", ".3f", swing)
+        share = suppression.share
+        yield _row("vibration less at the ends of the legs", "suppression.share", "%", ".0f", share)
+    if compensation is not None:
+        shift, deviation = compensation.largest_shift, compensation.deviation
+        yield _row("joints aim beside the path", "compensation.largest_shift", "mm", ".2f", shift)
+        if deviation:
+            name = "standard deviation by the identified stiffness"
+            yield _row(name, "compensation.deviation", "mm", ".2f", deviation)
+    yield from _metrics(
+        plan,
+        ("largest tool deviation", "max_tool_deviation", "mm", ".3f", accuracy is None),
+        ("largest tool rotation", "max_tool_rotation", "deg", ".3f", False),
+    )
+    for stroke, segment in zip(plan.strokes, plan.job.strokes, strict=True):
+        parts, of = stroke.task.path.process_parts, f" of {stroke.name}" if plan.several else ""
+        kept = [check for check in segment.certificate.checks if check.limit is Limit.PROCESS_SPEED]
+        if stroke.task.speed_tolerance is not None and len(parts) and kept:
+            yield _row(f"process speed{of}", "process_speed", "m/s", ".4g", parts[:, 2].max())
+            name = f"process speed{of} kept within"
+            yield _row(name, "certificate", "%", ".2f", kept[0].value)
+
+
+def _holding(plan: Plan) -> Iterator[Row]:
+    """What the feet bear: of the baseline at its samples, of the plan as certified."""
+    holding, baseline = plan.robot.holding, plan.baseline
+    if holding is None:
+        return
+    if any(check.limit is Limit.HOLD for _, check in plan.job.checks()):
+        use = bound_use(tightest_check(plan.job, limit=Limit.HOLD)[1])
+        yield _row("feet use of what their safety allows", "certificate", "%", ".0f", use, first=True)
+    motions = {
+        "whole job": (plan.job.figures, None if baseline is None else baseline.job_figures),
+        "at work": (plan.figures, None if baseline is None else baseline.figures),
+    }
+    for when, (planned, other) in motions.items():
+        needed = [None if each is None else each.adhesion_needed for each in (planned, other)]
+        if any(needed):
+            after, before = (None if each is None else each.peak for each in needed)
+            modes = tuple("" if each is None else each.mode for each in needed[::-1])
+            name = "adhesion needed, whole job" if when == "whole job" else "adhesion needed at work"
+            first = when == "whole job"
+            yield _row(name, "adhesion_needed.peak", "kN", ".2f", after, before, modes=modes, first=first)
+    if (stop := emergency_stop(plan)) is not None:
+        name, modes = "adhesion needed in an emergency stop", ("", stop.mode)
+        yield _row(name, "emergency_stop", "kN", ".2f", stop.peak, modes=modes)
+    segments = () if baseline is None else baseline.segments
+    wrenches = [np.hstack([each.samples.guardrail_force, each.samples.guardrail_torque]) for each in segments]
+    for number in holding.clamps:
+        quantity = holding.named(CLAMP_LOAD, number)
+        used = max((float(holding.use(number, wrench).max()) for wrench in wrenches), default=None)
+        worst = max(check.value for _, check in plan.job.checks() if check.quantity == quantity)
+        name = f"{quantity} included, whole job, share of its bounds"
+        yield _row(name, "certificate", "", ".3f", worst, used)
+        name = f"{quantity} included, in an emergency stop, share of its bounds"
+        yield _row(name, "emergency_stop", "", ".3f", clamp_in_stop(plan, number))
+
+
+def _base(plan: Plan) -> Iterator[Row]:
+    """What the base bears."""
+    base, part = plan.scene.base_name, "static" if plan.robot.pushed else "gravity"
+    yield from _metrics(
+        plan,
+        (f"peak torque on the {base}, whole job", "peak_guardrail_torque", "Nm", ".2f", True),
+        ("peak torque at work", "peak_guardrail_torque", "Nm", ".2f", True),
+    )
+    for segment in plan.job.segments:
+        if segment.kind == "free":
+            other = None if plan.baseline is None else plan.baseline.segment(segment.name)
+            before = None if other is None else other.figures.peak_guardrail_torque
+            after, key = segment.figures.peak_guardrail_torque, "segments.peak_guardrail_torque"
+            yield _row(f"peak torque on {segment.in_words}", key, "Nm", ".2f", after, before)
+    yield from _metrics(
+        plan,
+        ("mean torque, whole job", "mean_guardrail_torque", "Nm", ".2f", False),
+        ("mean torque at work", "mean_guardrail_torque", "Nm", ".2f", False),
+        ("root mean square torque, whole job", "rms_guardrail_torque", "Nm", ".2f", False),
+        (f"peak of its {part} part at work", "peak_static_guardrail_torque", "Nm", ".2f", False),
+    )
+    most = plan.largest_torque_difference
+    # Against a motion that breaks limits no gain is stated.
+    if most is not None and not baseline_faults(plan, work=True):
+        yield _row("most below the baseline", "largest_torque_difference", "Nm", ".1f", most[0])
+
+
+def _work(plan: Plan) -> Iterator[Row]:
+    """Clearances, places and times."""
+    yield from _metrics(plan, ("smallest clearance, whole job", "min_clearance", "mm", ".1f", True))
+    if plan.coverage:
+        area, covered, unreached = (
+            sum(getattr(one, name) for one in plan.coverage.values())
+            for name in ("area", "covered", "unreached")
+        )
+        # The baseline follows the same rows.
+        other = None if plan.baseline is None else covered
+        yield _row(f"area covered of {area:.4g} m2", "coverage.covered", "m2", ".4f", covered, other)
+        left_out = sum(one.left_out for one in plan.coverage.values()) - unreached
+        if left_out > _SAME_AREA * area:
+            yield _row("area beyond the rows' ends", "coverage.left_out", "m2", ".4f", left_out)
+        if unreached:
+            other = None if plan.baseline is None else unreached
+            name = "area that is not reached"
+            yield _row(name, "coverage.unreached", "m2", ".4f", unreached, other, first=True)
+    before = None if plan.baseline is None else plan.baseline.duration
+    yield _row("time of the whole job", "job.duration", "s", ".1f", plan.job.duration, before, first=True)
+    for segment in plan.job.segments:
+        if segment.kind == "free":
+            name = f"time of {segment.in_words}"
+            yield _row(name, "segments.seconds", "s", ".1f", segment.duration)
+    for file, stroke in zip(plan.scene.strokes, plan.job.strokes, strict=True):
+        if file.time_laws:
+            of = f" of {stroke.name}" if plan.several else ""
+            legs = "the leg" if len(file.time_laws) == 1 else f"{len(file.time_laws)} legs"
+            seconds = sum(law.duration for law in file.time_laws)
+            yield _row(f"shortest time{of}, {legs}", "segments.seconds", "s", ".4g", seconds)
+
+
+def _effort(plan: Plan) -> Iterator[Row]:
+    """What the joints do."""
+    other = None if plan.baseline is None else plan.baseline.figures.limit_use
+    for limit in ("velocity", "acceleration", "jerk", "torque"):
+        after, before = (
+            None if use is None else getattr(use, limit) for use in (plan.figures.limit_use, other)
+        )
+        name = f"joint {limit} at work, share of its bound"
+        yield _row(name, f"limit_use.{limit}", "", ".3f", after, before)
+    if plan.baseline is not None:
+        yield _row("joints travel at work, times the baseline's", "travel", "", ".2f", further(plan))
+
+
+def _search(plan: Plan) -> Iterator[Row]:
+    """What no plan can undercut, and what others would have."""
+    bound, choice, objective = plan.lower_bound, plan.choice, plan.objective
+    if not objective.is_guardrail_torque:
+        values = objective.planned_peak, objective.baseline_peak
+        yield _objective_row(plan, "peak of what was minimised", "objective.planned_peak", *values)
+    if bound is None or choice is None:
+        return
+    yield _objective_row(plan, "lower bound of the peak at rest", "torque_floor", bound.value)
+    if objective.gap is not None:
+        yield _row("peak above that", "gap_to_floor", "%", "+.3f", objective.gap)
+    pinned = plan.options.start == "pinned"
+    least = choice.pinned if pinned and choice.pinned is not None else choice.free
+    if least is not None:
+        yield _objective_row(plan, "least peak of sequences of postures (estimate)", "choice", least)
+    other, start = (choice.free, "in another posture") if pinned else (choice.pinned, "where the arm is")
+    if other is not None and not plan.several and (pinned or plan.start.moved):
+        yield _objective_row(plan, f"peak at rest, had it started {start}", "choice", other)
+
+
+def _objective_row(plan: Plan, label: str, key: str, planned: float, baseline: float | None = None) -> Row:
+    """A row of values of the objective with its unit, which custom functions lack."""
+    unit = "mm" if plan.objective.unit == "m" else plan.objective.unit
+    return _row(label, key, unit, ".2f", planned, baseline)
+
+
+def _metrics(plan: Plan, *lines: tuple[str, str, str, str, bool]) -> Iterator[Row]:
+    """Rows of metrics, of the whole job where the label says so, else of the work."""
+    for label, key, unit, format, first in lines:
+        figures, other = plan.figures, None if plan.baseline is None else plan.baseline.figures
+        if "whole job" in label:
+            figures, other = plan.job.figures, None if plan.baseline is None else plan.baseline.job_figures
+        before = None if other is None else getattr(other, key)
+        yield _row(label, key, unit, format, getattr(figures, key), before, first=first)
