@@ -69,13 +69,20 @@ class CheckCommand(Reporting):
         None, "Write an SRDF: which links of a URDF need not be checked against each other.", metavar="FILE"
     )
     xacro: tuple[str, ...] = option((), "An argument of the xacro file; repeatable.", metavar="NAME=VALUE")
+    changes: tuple[str, ...] = option(
+        (), "Of a scene, as of cmbot plan; repeatable.", "--set", metavar="NAME=VALUE"
+    )
 
     def __call__(self) -> int:
         file, is_urdf = self.file, _is_robot(self.file)
+        if self.changes and is_urdf:
+            raise InputError("--set", "", "a URDF to check", "a scene to check")
         if self.xacro and not is_urdf:
             expected = "robot.xacro in the scene, or a URDF to check"
             raise InputError("--xacro", "", "a scene to check", expected)
-        findings, found, conclusion = _check_urdf(file, self.xacro) if is_urdf else _check_scene(file)
+        findings, found, conclusion = (
+            _check_urdf(file, self.xacro) if is_urdf else _check_scene(file, self.changes)
+        )
         if self.write_srdf is not None:
             _require_new(self.write_srdf, is_urdf)
         usable = not _errors(findings)
@@ -161,12 +168,12 @@ def _check_urdf(file: str, xacro: Sequence[str]) -> tuple[Sequence[Finding], dic
     return findings, found, conclusion
 
 
-def _check_scene(file: str) -> tuple[Sequence[Finding], dict[str, str], str]:
+def _check_scene(file: str, changes: Sequence[str]) -> tuple[Sequence[Finding], dict[str, str], str]:
     from cmbot.common.validation import counted
     from cmbot.planning import precheck_scene
 
     try:
-        scene = cmbot.load_scene(file)
+        scene, options = loaded_scene(file, changes) if changes else (cmbot.load_scene(file), None)
     except SceneError as error:
         if not (is_file(file) or Path(file).suffix):
             raise _no_name(file, error) from error
@@ -175,6 +182,8 @@ def _check_scene(file: str) -> tuple[Sequence[Finding], dict[str, str], str]:
         # Nothing in it could be read as a scene's.
         expected = "a URDF (.urdf, .xml, .xacro) or a scene file (.yaml, .yml, .json)"
         raise InputError(file, "", f"a file that is neither ({error.got})", expected) from error
+    if options is not None:
+        scene = scene.with_options(options)
     precheck = precheck_scene(scene)
     warnings, plan = len(precheck.warnings), f"cmbot plan {one_line(file)}"
     conclusion = (

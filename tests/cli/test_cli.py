@@ -57,7 +57,7 @@ def directory(folder: Path, planned: Outcome, tmp_path: Path) -> Path:
 def known(directory: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> cmbot.Plan:
     """The plan that ``cmbot plan`` finds at once, so that only what is around the planning is tested."""
     known = cmbot.load_plan(directory)
-    monkeypatch.setattr(cmbot, "plan", lambda scene, options, progress: known)
+    monkeypatch.setattr(cmbot, "plan", lambda scene, options, partial, progress: known)
     monkeypatch.chdir(tmp_path)
     write_scene(Path("short.yaml"), SHORT)
     return known

@@ -314,7 +314,9 @@ def test_exit_status_of_every_error(
 
 
 def test_ctrl_c_ends_planning(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
-    monkeypatch.setattr(cmbot, "plan", lambda scene, options, progress: signal.raise_signal(signal.SIGINT))
+    monkeypatch.setattr(
+        cmbot, "plan", lambda scene, options, partial, progress: signal.raise_signal(signal.SIGINT)
+    )
     assert run("plan", "short.yaml") == Outcome(status=130, out="", err="")
     assert not (folder / "out").exists()
 

@@ -354,3 +354,15 @@ def test_the_rows_of_a_raster_out_of_reach_are_one_warning(tmp_path: Path) -> No
 
 def test_a_robots_name_that_is_nearly_right_is_suggested() -> None:
     assert "; did you mean ur5? (one of: " in refusal("check", "ur5e")
+
+
+def test_a_scene_with_other_values_is_checked(tmp_path: Path) -> None:
+    """As `cmbot plan` takes them: an option of the planner, and a key of the file."""
+    path = write_scene(tmp_path / "short.yaml", SHORT)
+    assert json.loads(output("check", path, "--json"))["findings"] == []
+    changes = ("--set", "safety_margin_m=0.5", "--set", "tool_path.legs[0].seconds=0.002")
+    told = json.loads(run("check", path, *changes, "--json").out)
+    keys = [finding["key"] for finding in told["findings"]]
+    assert "start.posture_deg" in keys and any(key.startswith("tool_path") for key in keys)
+    assert "--set: got a URDF to check" in refusal("check", "cmbot", "--set", "start=pinned")
+    assert "--set: nonsense" in refusal("check", path, "--set", "nonsense=1")

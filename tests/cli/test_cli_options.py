@@ -35,7 +35,7 @@ def known(
     """Planning and simulation take no time; the options that were planned with."""
     asked: list[cmbot.PlannerOptions] = []
 
-    def plan(scene: Any, *, options: cmbot.PlannerOptions, progress: Any) -> Plan:
+    def plan(scene: Any, *, options: cmbot.PlannerOptions, partial: bool, progress: Any) -> Plan:
         progress(Progress(stage="path"))
         asked.append(options)
         return short_plan
