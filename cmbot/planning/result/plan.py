@@ -337,6 +337,18 @@ class Plan(StrokePlan):
                 lines.append(stroke.path.outline())
         return tuple(lines)
 
+    @property
+    def holding_torque(self) -> FloatArray | None:
+        """Largest torques (k,), Nm, of `Robot.holding_joints` over the job, at its samples.
+
+        None without such joints, and where two feet hold: what each leg bears is then not known.
+        """
+        if not self.robot.holding_joints or len(self.robot.feet) > 1:
+            return None
+        samples, _ = self.job_samples
+        wrench = np.hstack([samples.guardrail_force, samples.guardrail_torque])
+        return np.asarray(np.abs(self.robot.holding_torque(wrench)).max(axis=0))
+
     @cached_property
     def bent_offsets(self) -> tuple[float | None, float | None]:
         """How far the arm, bent at rest in every posture, is off its path at most, m: baseline's and planned.
