@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import resource
 import signal
 import sys
 from collections.abc import Sequence
@@ -19,6 +20,7 @@ _BETWEEN_SEARCHES = 250_000
 # Of mallopt(3) in glibc: memory at the top beyond which it goes back to the system, and the size from which a
 # block is mapped by itself. Arrays come and go; what has gone back comes again page by page, each zeroed.
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = (-1, 2**30), (-3, 2**25)
+_LEAST_ADDRESS_SPACE = 400_000_000  # byte
 # SciPy imports all of NumPy: these parts, which nothing here uses, take half as long as NumPy itself.
 _WHEN_USED = ("numpy.f2py", "numpy.testing")
 
@@ -39,6 +41,11 @@ class _WhenUsed:
 def main() -> None:
     """Run the command line; Ctrl-C during the imports ends it as quietly as later on."""
     signal.signal(signal.SIGINT, lambda *_: os._exit(_STOPPED))
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit not in (resource.RLIM_INFINITY, max(limit, _LEAST_ADDRESS_SPACE)):
+        # With less BLAS tries without end to get some when it is imported.
+        least = f"{_LEAST_ADDRESS_SPACE / 1e6:.0f} MB or more (ulimit -v)"
+        sys.exit(f"error: memory: got a limit of {limit / 1e6:.0f} MB, expected {least}")
     gc.set_threshold(_BETWEEN_SEARCHES)
     sys.meta_path.insert(0, _WhenUsed)
     if mallopt := getattr(ctypes.CDLL(None), "mallopt", None):

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from cmbot.accuracy.budget import Accuracy, AccuracyPart, Remedy, Work, WorkPath, accuracy_of
 from cmbot.accuracy.parts import Part, parts_of
+from cmbot.accuracy.quietness import Quietness, quietness_of
 from cmbot.accuracy.sway import Sway, sway_along
 
 __all__ = [
     "Accuracy",
     "AccuracyPart",
     "Part",
+    "Quietness",
     "Remedy",
     "Sway",
     "Work",
     "WorkPath",
     "accuracy_of",
     "parts_of",
+    "quietness_of",
     "sway_along",
 ]

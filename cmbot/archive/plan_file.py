@@ -25,10 +25,11 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, core_schema
 
-from cmbot.accuracy import Accuracy
+from cmbot.accuracy import Accuracy, Quietness
 from cmbot.common.errors import PathNotFound
 from cmbot.common.file_types import Count, NonNegative, OrInfinite, Share
 from cmbot.common.validation import FileModel, refusal
+from cmbot.hold import Foot
 from cmbot.planning import (
     Certificate,
     Check,
@@ -239,6 +240,25 @@ class StrokeFile(StrokeEntries):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ContactFile:
+    """The flat contact of a foot."""
+
+    area_cm2: NonNegative
+    outline_m: tuple[tuple[tuple[float, float], ...], ...]
+    """Its parts, along and across the member from its centroid."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HoldingJointFile:
+    """A locked joint between foot 1 and the arm's base."""
+
+    peak_nm: NonNegative
+    """Largest torque that it holds over the whole job."""
+    limit_nm: OrInfinite
+    """What it holds, by the limits file or the URDF; null where neither says it."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class HashesFile:
     """SHA-256 of the inputs."""
 
@@ -271,7 +291,12 @@ class PlanFile(StrokeEntries):
     gap_to_floor: float | None
     """Planned peak less its lower bound, as a share of the bound."""
     accuracy: Accuracy | None
+    sway: Quietness | None
     """Where the tool is beside its path; null where nothing bends."""
+    contact: tuple[ContactFile | None, ...]
+    """Of each foot; null on a round bar."""
+    holding_joints: dict[str, HoldingJointFile]
+    """By their names; empty where nothing is locked there, or two feet hold."""
     missing: tuple[str, ...]
     """Strokes of what was asked that could not be planned; empty unless that was allowed."""
     fallbacks: tuple[str, ...]
@@ -295,6 +320,8 @@ class PlanFile(StrokeEntries):
             status="certified" if plan.job.certificate.holds else "a promise is broken",
             baseline=_job_baseline(plan),
             planned=planned,
+            contact=tuple(map(_contact, plan.robot.feet)),
+            holding_joints=_holding_joints(plan),
             segments=tuple(map(SegmentFile.of, plan.job.segments)),
             strokes=tuple(
                 StrokeFile.of(stroke, plan.robot, name=stroke.name, baseline=baseline)
@@ -311,6 +338,24 @@ class PlanFile(StrokeEntries):
         data: dict[str, Any] = TypeAdapter(PlanFile).dump_python(self, mode="json")
         first = {name: data[name] for name in ("format", "status", "baseline", "planned")}
         return first | data
+
+
+def _contact(foot: Foot) -> ContactFile | None:
+    """The contact of a foot."""
+    if foot.contact is None:
+        return None
+    return ContactFile(area_cm2=round(1e4 * foot.contact.area, 6), outline_m=foot.contact.outline)
+
+
+def _holding_joints(plan: Plan) -> dict[str, HoldingJointFile]:
+    """What locked joints hold, at samples of the job."""
+    joints, peaks = plan.robot.holding_joints, plan.holding_torque
+    if peaks is None:
+        return {}
+    return {
+        joint.name: HoldingJointFile(peak_nm=float(peak), limit_nm=joint.limit)
+        for joint, peak in zip(joints, peaks, strict=True)
+    }
 
 
 def _job_baseline(plan: Plan) -> JobBaselineFile | None:

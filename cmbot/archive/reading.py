@@ -172,7 +172,7 @@ def read_plan(
         seconds=file.seconds,
     )
     # It costs a third of a second, and is computed anew where the plan is verified.
-    vars(plan)["accuracy"] = file.accuracy
+    vars(plan)["accuracy"], vars(plan)["sway"] = file.accuracy, file.sway
     if plan.several and plan.baseline is not None:
         _require_straight(plan.baseline, contents[BASELINE_FILE], str(folder / BASELINE_FILE), robot.dof)
     again = PlanFile.of_plan(plan, file.hashes).as_data()
@@ -186,6 +186,8 @@ def read_plan(
         return plan, ()
     plan = _verified(plan, file.baseline, clearances, source)
     _require_accuracy(file.accuracy, plan.accuracy, source)
+    sways = [None if sway is None else asdict(sway) for sway in (file.sway, plan.sway)]
+    require_same(sways[0], sways[1], str(source), "sway", _SAME_DRAWN, _SAME_ZERO)
     return plan, unverified_files(plan, folder)
 
 

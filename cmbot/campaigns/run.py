@@ -89,6 +89,7 @@ def campaign(
     *,
     workers: int = 1,
     scheduler: str | None = None,
+    security: object | None = None,
     pages: bool = False,
     again: bool = False,
     progress: Callable[[CampaignProgress], None] | None = None,
@@ -109,6 +110,8 @@ def campaign(
         Processes on this machine.
     scheduler : str, optional
         Address of a dask scheduler, whose workers are used instead; they see the same files.
+    security : distributed.Security, optional
+        How that scheduler is spoken to; left out: as dask is configured.
     pages : bool
         Write replay and report of every plan; one without them is planned again.
     again : bool
@@ -157,6 +160,7 @@ def campaign(
             directory / _TASKS,
             workers=workers,
             scheduler=scheduler,
+            security=security,
             attempts=_ATTEMPTS,
             accept=partial(_is_whole, directory=directory, pages=pages, again=again),
         )

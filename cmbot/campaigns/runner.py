@@ -67,6 +67,7 @@ def task_results(
     *,
     workers: int = 1,
     scheduler: str | None = None,
+    security: object | None = None,
     attempts: int = 1,
     fresh: bool = False,
     accept: Callable[[TaskResult], bool] | None = None,
@@ -86,6 +87,8 @@ def task_results(
         Processes on this machine, each with one task at a time.
     scheduler : str, optional
         Address of a running dask scheduler, whose workers are used instead; they see the same files.
+    security : distributed.Security, optional
+        How that scheduler is spoken to; left out: as dask is configured.
     attempts : int
         How often a task is tried that crashes, hangs or finds no memory.
     fresh : bool
@@ -123,18 +126,20 @@ def task_results(
         else:
             yield known
     if left:
-        with closing(_run(left, workers, scheduler, attempts)) as results:
+        with closing(_run(left, workers, (scheduler, security), attempts)) as results:
             for result in results:
                 _store(directory, result, limits[result.name])
                 yield result
 
 
-def _run(left: deque[Task], workers: int, scheduler: str | None, attempts: int) -> Generator[TaskResult]:
+def _run(
+    left: deque[Task], workers: int, there: tuple[str | None, object], attempts: int
+) -> Generator[TaskResult]:
     """Yield results as the tasks end; takes them from `left`."""
     distributed = require_dask()
     workers = min(workers, len(left))
-    ahead = _AHEAD_HERE * workers if scheduler is None else _AHEAD_THERE
-    with _client(distributed, workers, scheduler) as client:
+    ahead = _AHEAD_HERE * workers if there[0] is None else _AHEAD_THERE
+    with _client(distributed, workers, *there) as client:
         futures = dict[Any, tuple[Task, int]]()
 
         def submit(task: Task, attempt: int) -> Any:
@@ -164,12 +169,12 @@ def _run(left: deque[Task], workers: int, scheduler: str | None, attempts: int) 
 
 
 @contextmanager
-def _client(distributed: Any, workers: int, scheduler: str | None) -> Iterator[Any]:
+def _client(distributed: Any, workers: int, scheduler: str | None, security: object) -> Iterator[Any]:
     if scheduler is not None:
         try:
-            client = distributed.Client(scheduler)
-        except (OSError, ValueError, TypeError) as error:
-            expected = f"the address of a dask scheduler that is running, tcp://HOST:PORT ({error})"
+            client = distributed.Client(scheduler, security=security)
+        except (OSError, RuntimeError, ValueError, TypeError) as error:
+            expected = f"the address of a dask scheduler that is running, tcp:// or tls://HOST:PORT ({error})"
             raise InputError("scheduler", "", repr(scheduler), expected) from error
         with client:
             yield client

@@ -6,6 +6,7 @@ import atexit
 import gc
 import io
 import os
+import resource
 import sys
 import traceback
 import warnings
@@ -106,6 +107,14 @@ def _run(words: Sequence[str]) -> int:
         else:
             _print_error(str(error))
         return exit_status(error)
+    except (MemoryError, ImportError) as error:
+        # Libraries are mapped when they are first used: under a limit that may fail.
+        limited = resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY
+        missing = isinstance(error, ModuleNotFoundError) or not limited
+        if _debugging() or (isinstance(error, ImportError) and missing):
+            raise
+        _print_error("there is not enough memory: close other programs, or raise the limit (ulimit -v)")
+        return ExitStatus.FAILED
 
 
 def _called(words: Sequence[str]) -> int:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len
@@ -42,6 +43,8 @@ _RECORDS, _FINENESS, _MOST_NUMBERS, _FEWEST_OUTSIDE = 2000, 2.5, 16_000_000, 20
 # Every which posture they are computed in.
 _EVERY_POSTURE = 2
 _FEWEST_RECORDS, _RECORD_SEED = 100, 2021
+# Signs of the six loads of a foot.
+_LOAD_SIGNS = np.array(list(product((-1.0, 1.0), repeat=6)))
 # Decay times after which a vibration is forgotten.
 _FORGETS = 5.0
 
@@ -288,9 +291,7 @@ def shaken_adhesion(
 ) -> float | None:
     """Return the largest adhesion that a foot needs while it is shaken, N: static, and a peak factor on top.
 
-    What a foot needs is convex and grows with the size of each of its loads, so that what two loads need
-    together is no more than the sum. All loads of the shaking are taken at their peaks at once: a bound from
-    above.
+    All loads of the shaking are taken at their peaks at once, with the signs for which a foot needs most.
 
     Parameters
     ----------
@@ -308,7 +309,7 @@ def shaken_adhesion(
         foot = holding.feet[number]
         for wrench, each in zip(planned, moments, strict=True):
             load = factor * np.sqrt(np.diag(foot.from_wrench @ each.value[3:, 3:] @ foot.from_wrench.T))
-            more = needed_by_load(foot, load[None])[0][0]
-            needed = float(holding.needed(number, wrench[None])[0] + more)
+            planned_load = holding.load(number, wrench[None])
+            needed = float(needed_by_load(foot, planned_load + _LOAD_SIGNS * load)[0].max())
             most = needed if most is None else max(most, needed)
     return most

@@ -1,15 +1,17 @@
 """How the feet hold: the contact of a foot, what it bears, the adhesion that it needs."""
 
-from cmbot.hold.adhesion import ADHESION, CLAMP_LOAD, AdhesionPeak, FlatContact, Holding, needed_by_load
-from cmbot.hold.foot import Foot, mean_distance
+from cmbot.hold.contact import MAGNET_PRESSURE, Contact, Gap
+from cmbot.hold.foot import Foot
+from cmbot.hold.holding import ADHESION, CLAMP_LOAD, AdhesionPeak, Holding, needed_by_load
 
 __all__ = [
     "ADHESION",
     "CLAMP_LOAD",
+    "MAGNET_PRESSURE",
     "AdhesionPeak",
-    "FlatContact",
+    "Contact",
     "Foot",
+    "Gap",
     "Holding",
-    "mean_distance",
     "needed_by_load",
 ]

@@ -1,4 +1,4 @@
-"""A foot on a member of the guardrail: where it holds, and what it can bear."""
+"""A foot: where it holds what it stands on, and what it can bear."""
 
 from __future__ import annotations
 
@@ -10,46 +10,33 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import short_repr
-
-
-def mean_distance(half_along: float, half_across: float) -> float:
-    """Return the mean distance of a rectangle's points from its centre, m.
-
-    Parameters
-    ----------
-    half_along, half_across : float, m
-        Half of its sides.
-
-    Notes
-    -----
-    With a and b the halves and d its half diagonal,
-    ``(d + a^2 / (2 b) ln((b + d) / a) + b^2 / (2 a) ln((a + d) / b)) / 3``.
-    """
-    a, b = half_along, half_across
-    d = float(np.hypot(a, b))
-    return float((d + a**2 / (2 * b) * np.log((b + d) / a) + b**2 / (2 * a) * np.log((a + d) / b)) / 3)
+from cmbot.hold.contact import MAGNET_PRESSURE, Contact, Gap
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Foot:
-    """A foot that holds a member.
+    """A foot that holds a member, or a link of a robot that stands on something flat.
 
     Attributes
     ----------
     kind : str
         ``magnet``, ``clamp`` or ``welded``.
     centre : (3,), m
-        Of the contact, from O0, along the axes of W.
+        The contact's centroid, from O0, along the axes of W.
     axes : (3, 3)
         Rows in W: along the member, across it, and out of the steel.
-    half : two floats or None, m
-        Half of the flat contact along and across the member; None on a round bar.
+    contact : Contact or None
+        The flat contact; None on a round bar.
     friction : float
         Between plate and steel.
     safety : float
         By which what is needed is multiplied before it is compared with what the foot can bear.
+    gap : str
+        ``allowed``: the plate may lift at one side until it tips; ``none``: it may not.
     adhesion : float or None, N
-        That a magnet has; None: not given.
+        That a magnet has on this steel; None: not given.
+    steel : float or None, m
+        Thickness of the steel under the contact, where that is known.
     force, moment : three floats or None, N and Nm
         What a clamp bears along and across the member and out of the steel; None: not given.
     share : (6, 6)
@@ -59,10 +46,12 @@ class Foot:
     kind: Literal["magnet", "clamp", "welded"]
     centre: FloatArray
     axes: FloatArray
-    half: tuple[float, float] | None
+    contact: Contact | None
     friction: float
     safety: float
+    gap: Gap = "allowed"
     adhesion: float | None = None
+    steel: float | None = None
     force: tuple[float, float, float] | None = None
     moment: tuple[float, float, float] | None = None
     share: FloatArray
@@ -74,10 +63,19 @@ class Foot:
         """Whether something is known of what it can bear."""
         return self.adhesion is not None or self.force is not None
 
-    @cached_property
-    def radius(self) -> float | None:
-        """Mean distance of the contact's points from its centre, m; None without a flat contact."""
-        return None if self.half is None else mean_distance(*self.half)
+    @property
+    def ceiling(self) -> float:
+        """What no magnet on this contact exceeds, N; infinite without a contact.
+
+        Iron is saturated at 2 T. A magnet of two poles along the member leads its flux through the steel
+        between them, so on thin steel only as much of the contact pulls as two cross sections of the steel.
+        """
+        if self.contact is None:
+            return np.inf
+        area = self.contact.area
+        if self.steel is not None:
+            area = min(area, 2 * self.steel * self.contact.size[1])
+        return MAGNET_PRESSURE * area
 
     @cached_property
     def from_wrench(self) -> FloatArray:

@@ -16,6 +16,7 @@ Deflections are along the axes of W. Differences need no calibrated arm; absolut
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -24,7 +25,7 @@ import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import InputError
+from cmbot.common.errors import InputError, SceneError
 from cmbot.common.input_files import is_file
 from cmbot.common.representation import short_repr
 from cmbot.common.validation import FileModel, given_path, plain, refusal, require_type, validated
@@ -215,8 +216,21 @@ def is_sheet(source: str | Path) -> bool:
     return str(read_yaml(source, InputError).get("format")).startswith("cmbot-measurements/")
 
 
+def scene_named(name: str, folder: Path, source: str) -> Scene:
+    """Return the scene that a sheet names, relative to its folder; of a file that is none nothing is told."""
+    if name in shipped_scenes():
+        return load_scene(name)
+    path, held = folder / name, ""
+    if is_file(path):
+        with suppress(InputError):
+            held = str(read_yaml(path, SceneError).get("format"))
+        if not held.startswith("cmbot-scene/"):
+            raise InputError(source, "scene", name, "a scene file, or the name of a shipped scene")
+    return load_scene(path)
+
+
 def _measurements(file: MeasurementsFile, folder: Path, source: str) -> Measurements:
-    scene = load_scene(file.scene if file.scene in shipped_scenes() else folder / file.scene)
+    scene = scene_named(file.scene, folder, source)
     limits = robot_of(scene).limits
     rows, n = [], len(limits.torque)
     for k, each in enumerate(file.measurements):
@@ -254,7 +268,11 @@ def _rung(file: MeasurementFile, folder: Path, source: str, number: int) -> Ring
     if not path.exists():
         key = f"measurements[{number}].record"
         raise InputError(source, key, file.record, "a file that exists (relative to this one)")
-    return read_record(path)
+    try:
+        return read_record(path)
+    except InputError as error:
+        # A sheet may name any file: what is in one that is no record is not told.
+        raise InputError(error.source, error.key, "something else", error.expected) from error
 
 
 def posture_of(

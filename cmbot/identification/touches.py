@@ -31,10 +31,10 @@ from cmbot.common.representation import short_repr
 from cmbot.common.validation import FileModel, given_path, refusal, shown, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml
 from cmbot.elastic.sag import Sag
-from cmbot.identification.measurements import Coordinate, Posture, Text, posture_of
+from cmbot.identification.measurements import Coordinate, Posture, Text, posture_of, scene_named
 from cmbot.planning import bending_arm, robot_of
 from cmbot.robot import Kinematics
-from cmbot.scene import Placement, Scene, load_scene, shipped_scenes
+from cmbot.scene import Placement, Scene, load_scene
 
 _MOST, _LARGEST_CSV = 1000, 1_000_000
 _SHAPES = ("point", "plane", "edge", "cylinder")
@@ -251,7 +251,7 @@ def _touches(file: TouchesFile, folder: Path, source: str, given: Scene | str | 
     elif given is not None:
         scene = load_scene(given)
     else:
-        scene = load_scene(file.scene if file.scene in shipped_scenes() else folder / file.scene)
+        scene = scene_named(file.scene, folder, source)
     name, X_WF = frame_of(scene)
     if file.locates is not None and file.locates != name:
         name, frames = file.locates, scene.frame_poses

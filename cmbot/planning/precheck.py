@@ -75,7 +75,11 @@ def precheck_scene(scene: Scene) -> Precheck:
         strokes = strokes_of(scene, robot)
         require_metres(scene, robot)
     task = task_of(strokes[0], scene)
-    start = (_clearance_at_start(scene, robot), _statics_at_start(scene, robot, task))
+    start = (
+        _hold_at_start(scene, robot),
+        _clearance_at_start(scene, robot),
+        _statics_at_start(scene, robot, task),
+    )
     found = [*_asked(scene, robot, strokes, task), *(pair for part in start for pair in part.found)]
     warnings = [warning for part in start for warning in part.warnings]
     warnings += _out_of_reach(strokes, robot)
@@ -154,6 +158,19 @@ def _statics_at_start(scene: Scene, robot: Robot, task: ToolTask) -> Precheck:
     )
 
 
+def _hold_at_start(scene: Scene, robot: Robot) -> Precheck:
+    """What the feet bear at rest in the start posture, where the arm begins with its tool off."""
+    holding = robot.holding
+    if holding is None or not holding.bounded:
+        return Precheck(found=(), warnings=())
+    wrench = Dynamics(robot.tool_off).static_efforts(scene.posture[None]).guardrail_wrench
+    use = float(holding.share(wrench)[0][0])
+    got = f"{100 * use:.0f} % of what the feet bear, safety included, at rest"
+    warning = _warning(scene.posture_key, got, "at most 100 %, or feet that bear more: guardrail.hold")
+    found = (("of what the feet bear there, safety included", f"{100 * use:.0f} %"),)
+    return Precheck(found=found, warnings=(warning,) if use > 1.0 else ())
+
+
 def _out_of_reach(strokes: Sequence[Stroke], robot: Robot) -> Iterator[Finding]:
     """Keys of legs that end farther from the arm's first joint than the arm is long."""
     within = f"at most {robot.reach:.3f} m, the arm with its tool stretched out (lengths are in metres)"
@@ -230,6 +247,9 @@ def failures_explained(scene: Scene) -> Iterator[None]:
         with lines_named(scene.source):
             yield
     except (PlanningError, SceneError) as error:
+        if isinstance(error, PlanningError):
+            for warning in _hold_at_start(scene, robot_of(scene)).warnings:
+                error.add_hint(f"where it begins the arm asks {warning.got}")
         if isinstance(error, PlanningError) or error.key.startswith(scene.posture_key):
             for key, looks, units in mistaken_units(scene):
                 error.add_hint(f"{key} looks like {looks}, it is in {units}")

@@ -29,6 +29,7 @@ from cmbot.robot.description.mesh_file import (
     require_near_meshes,
     vertices_of,
 )
+from cmbot.robot.holding_joints import HoldingJoint, holding_joints
 from cmbot.robot.self_collision import NEAR, near_pairs
 
 # As many as a posture in a scene file may have.
@@ -54,6 +55,7 @@ class ArmModel:
     collision: Any
     read_visual: Callable[[], tuple[Any, Any]]
     group_states: dict[str, FloatArray]
+    holding_joints: tuple[HoldingJoint, ...]
     remarks: tuple[str, ...]
 
 
@@ -98,6 +100,7 @@ def arm_model(
         collision=collision,
         read_visual=lambda: reduced(_visual_shapes(urdf, root, full)),
         group_states=_group_states(tuple(model.names)[1:], semantics),
+        holding_joints=holding_joints(full, moving, stance, base_frame),
         remarks=(*absent, *assumed, *_drawn_as_boxes(built.unusable), *_thick(built.flat)),
     )
 

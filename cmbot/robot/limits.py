@@ -279,6 +279,10 @@ def _range(
             if not prismatic[i] and _MANY_TURNS < far <= _NO_END:
                 expected = "radians (degrees?), at most four turns, or continuous as the type of the joint"
                 raise ModelError(str(urdf), where, f"{value:g} rad", expected)
+        if not lower[i] < upper[i]:
+            got = f"the range {lower[i]:g} to {upper[i]:g}"
+            expected = "lower < upper; a joint that does not move has the type fixed"
+            raise ModelError(str(urdf), f"joint[{name}].limit", got, expected)
     return lower, upper
 
 

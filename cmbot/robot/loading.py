@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 from xml.etree import ElementTree
@@ -23,9 +23,11 @@ from cmbot.robot.arm_model import arm_model, attach_payload, build_model, set_to
 from cmbot.robot.description.completion import add_masses, add_tool
 from cmbot.robot.description.files import RobotFiles, robot_files
 from cmbot.robot.description.frames import arm_frames, moving_links
+from cmbot.robot.description.limits_file import JointLimitsFile, read_joint_limits
 from cmbot.robot.description.tool import POINT, AttachedTool
 from cmbot.robot.description.xml_file import parse_urdf
 from cmbot.robot.elasticity import read_elasticity
+from cmbot.robot.holding_joints import HoldingJoint
 from cmbot.robot.inspection import Finding, default_arm, inspect_inertias, inspect_urdf
 from cmbot.robot.limits import joint_limits
 from cmbot.robot.robot import Robot
@@ -163,7 +165,8 @@ def load_robot(
         locked=locked or {},
         tool=tool_frame.removesuffix(POINT) if tool else "",
     )
-    carrier = carrier or tool_frame
+    carrier, held = carrier or tool_frame, _held(files)
+    made_at = made.model.frames[made.model.getFrameId(base_frame)].placement.copy()
     placement = _Placement(
         base_frame=base_frame,
         X_WB=None if mount is None else _pose(mount),
@@ -195,6 +198,10 @@ def load_robot(
         payload=payload,
         content_hash=_hash(files, content, completed),
         foot_point=tuple(placement.foot_point.tolist()),
+        holding_joints=tuple(
+            replace(placement.placed(joint, made_at), limit=held.get(joint.name, joint.limit))
+            for joint in made.holding_joints
+        ),
         remarks=(*_left_alone(files), *estimated, *assumed, *made.remarks),
     )
     _require_size(robot)
@@ -284,6 +291,12 @@ class _Placement:
         """O0 in W (3,), m: the origin of the URDF's root link."""
         return np.zeros(3) if self.X_WR is None else np.array(self.X_WR.translation)
 
+    def placed(self, joint: HoldingJoint, X_UB: Any) -> HoldingJoint:
+        """Return a locked joint of the URDF, whose base frame is at `X_UB` there, in W."""
+        if self.X_WB is not None:
+            joint = joint.moved(self.X_WB * X_UB.inverse())
+        return joint if self.X_WR is None else joint.moved(self.X_WR)
+
     def applied(self, model: Any, shapes: Any) -> Any:
         """Shapes on the mount and with the tool's length; the model is changed, too."""
         if self.X_WB is not None:
@@ -294,6 +307,14 @@ class _Placement:
         if self.tool_length is not None:
             set_tool_length(model, shapes, self.carrier, self.tool_length, source=self.source)
         return shapes
+
+
+def _held(files: RobotFiles) -> dict[str, float]:
+    """What joints hold while they are locked, Nm, by their names, where the limits file says it."""
+    listed = None if files.limits is None else read_joint_limits(files.limits)
+    entries = listed.joints if isinstance(listed, JointLimitsFile) else {}
+    given = {name: entry.holding_torque for name, entry in entries.items()}
+    return {name: torque for name, torque in given.items() if torque is not None}
 
 
 def _require_mass(arm: Any, urdf: Path, base_frame: str, tool_frame: str) -> None:

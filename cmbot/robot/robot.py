@@ -17,6 +17,7 @@ from cmbot.common.representation import card
 from cmbot.common.validation import counted
 from cmbot.hold import Foot, Holding
 from cmbot.robot.elasticity import JointElasticity, LinkTube
+from cmbot.robot.holding_joints import HoldingJoint
 from cmbot.robot.joint_kinds import PostureMetric, slide_axes
 from cmbot.robot.limits import JointLimits
 
@@ -72,6 +73,8 @@ class Robot:
         O0 in W: where foot 1 holds. The wrench on the guardrail is about it.
     feet : tuple of Foot
         How it holds the guardrail; empty where it stands on something else.
+    holding_joints : tuple of HoldingJoint
+        Joints that are locked between its root, which holds, and the arm's base.
     remarks : tuple of str
         What the files do not say and had to be assumed, a sentence each.
     """
@@ -95,6 +98,7 @@ class Robot:
     tool_force: tuple[float, float, float] = _NO_FORCE
     foot_point: tuple[float, float, float] = (0.0, 0.0, 0.0)
     feet: tuple[Foot, ...] = ()
+    holding_joints: tuple[HoldingJoint, ...] = ()
     remarks: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
@@ -229,10 +233,22 @@ class Robot:
         lever = inertia.lever - np.array(self.foot_point)
         return np.cross(lever, inertia.mass * self.model.gravity.linear)
 
+    def holding_torque(self, wrench: FloatArray) -> FloatArray:
+        """Return the torques (N, k), Nm, of `holding_joints`, where foot 1 alone holds.
+
+        Parameters
+        ----------
+        wrench : (N, 6), N and Nm
+            Of the moving arm on the guardrail, about O0 in W.
+        """
+        foot, gravity = np.array(self.foot_point), np.array(self.model.gravity.linear)
+        each = [joint.torque(wrench, foot, gravity) for joint in self.holding_joints]
+        return np.array(each).reshape(len(each), len(wrench)).T
+
     @cached_property
     def holding(self) -> Holding | None:
         """What its feet bear; None without a foot that has a flat contact or bounds."""
-        if not any(foot.half is not None or foot.bounded for foot in self.feet):
+        if not any(foot.contact is not None or foot.bounded for foot in self.feet):
             return None
         weight = self.carrier_mass * self.model.gravity.linear
         return Holding(self.feet, np.hstack([weight, self.carrier_torque]))

@@ -140,7 +140,7 @@ tool_path:
   # Each leg is a displacement of the tool point in W. Put your own here.
   legs:
     - {{by: {by}, seconds: {seconds}}}
-  speed_profile: {{kind: jerk_limited, ramp: 0.25}}
+  speed_profile: {{kind: quiet, ramp: 0.3}}  # the law by which the tool sways least
   via_points: auto  # by the length of the legs, or a number
 
 # Boxes, cylinders, capsules, spheres and meshes, such as

@@ -258,7 +258,7 @@ def places_of(scene: Scene, spacing: float) -> Iterator[FootholdFile]:
         for face in faces:
             probe = FootholdFile.model_validate({"member": member, "along_m": 0.0, "face": face})
             side = foothold_face(guardrail, probe)
-            if side.width is None and not clamps:
+            if side.held_by_clamps_alone and not clamps:
                 continue
             low, high = _MARGIN, side.ends[1] - side.ends[0] - _MARGIN
             if member.startswith("post_"):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -71,15 +70,6 @@ class _Support:
         return self._frame.stiffness(self._numbers(candidate), candidate.root[:3, 3])
 
 
-@dataclass(frozen=True, eq=False)
-class _Contacts:
-    """Flat contacts, one a load."""
-
-    half: tuple[FloatArray, FloatArray]
-    radius: FloatArray
-    friction: FloatArray
-
-
 class StanceLoads:
     """What stances make of the arm's wrench: values and gradients in the base's frame.
 
@@ -140,10 +130,7 @@ class StanceLoads:
         # Where there is no second foot, the first one stands for it.
         parts = [[each[min(k, len(each) - 1)] for each in feet] for k in (0, 1)] if all(feet) else []
         self._from_wrench = [np.array([foot.from_wrench for foot in part]) for part in parts]
-        flat = [np.array([foot.half or (np.nan, np.nan) for foot in part]) for part in parts]
-        radius = [np.array([foot.radius or np.nan for foot in part]) for part in parts]
-        friction = [np.array([foot.friction for foot in part]) for part in parts]
-        self._flat = list(zip(flat, radius, friction, strict=True))
+        self._parts, self._alike = parts, [_alike(part) for part in parts]
 
     def _turned(self, each: Sequence[FloatArray | None]) -> FloatArray | None:
         """Stiffness (C, 6, 6) along the axes of the bases; what is rigid is very stiff beside what bends."""
@@ -180,14 +167,17 @@ class StanceLoads:
         """Adhesion (N,) that the feet need, and its gradients (N, 6); zero where none is flat."""
         value, gradient = np.zeros(len(of)), np.zeros((len(of), 6))
         whole = wrench + self._still[of]
-        for by_wrench, (half, radius, friction) in zip(self._from_wrench, self._flat, strict=True):
-            contact = _Contacts((half[of, 0], half[of, 1]), radius[of], friction[of])
+        for by_wrench, feet, alike in zip(self._from_wrench, self._parts, self._alike, strict=True):
             load = np.einsum("kij,kj->ki", by_wrench[of], whole)
-            with np.errstate(invalid="ignore"):
-                needed, by_load = needed_by_load(contact, load)
-            more = needed > value
-            value[more] = needed[more]
-            gradient[more] = np.einsum("ki,kij->kj", by_load[more], by_wrench[of][more])
+            for kind in np.unique(alike[of]):
+                rows = np.flatnonzero(alike[of] == kind)
+                foot = feet[int(of[rows[0]])]
+                if foot.contact is None:
+                    continue
+                needed, by_load = needed_by_load(foot, load[rows])
+                more = needed > value[rows]
+                value[rows[more]] = needed[more]
+                gradient[rows[more]] = np.einsum("ki,kij->kj", by_load[more], by_wrench[of[rows[more]]])
         return value, gradient
 
     def torque(self, of: IntArray, wrench: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -235,3 +225,9 @@ class StanceLoads:
     def most_sag(self) -> float:
         """Bound of the sag, m."""
         return self._bounds.sag_mm / _METRE_MM
+
+
+def _alike(feet: Sequence[Foot]) -> IntArray:
+    """Numbers (C,) that are the same for feet that need the same adhesion for the same load."""
+    kinds = dict[object, int]()
+    return np.array([kinds.setdefault((foot.contact, foot.friction, foot.gap), len(kinds)) for foot in feet])

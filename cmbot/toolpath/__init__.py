@@ -8,6 +8,7 @@ from cmbot.toolpath.raster.face_rows import FaceSurface
 from cmbot.toolpath.raster.pieces import RowPiece, cells_of, without
 from cmbot.toolpath.raster.raster import CylinderPatch, FaceSelection, Raster
 from cmbot.toolpath.raster.surface import Coverage, PlainSurface, Surface
+from cmbot.toolpath.shaper import Shaper, extra_insensitive, two_hump
 from cmbot.toolpath.stretches import SAME_PLACE, distinct, merged, waypoint_poses
 from cmbot.toolpath.time_law import LegLaw, SpeedProfile, TimeLaw
 from cmbot.toolpath.tool_path import Segment, ToolPath, share_out_segments
@@ -36,6 +37,7 @@ __all__ = [
     "RowPiece",
     "SecondsOrAuto",
     "Segment",
+    "Shaper",
     "Speed",
     "SpeedProfile",
     "Spline",
@@ -46,10 +48,12 @@ __all__ = [
     "ViaPoints",
     "cells_of",
     "distinct",
+    "extra_insensitive",
     "merged",
     "share_out_segments",
     "shortest_turns",
     "timed_path",
+    "two_hump",
     "waypoint_poses",
     "without",
 ]

@@ -186,7 +186,8 @@ class SpeedProfile(CheckedFields):
     kind : str
         ``trapezoidal``: constant acceleration in the ramps, as in the paper.
         ``jerk_limited``: acceleration rises and falls linearly in the ramps, so jerk is bounded.
-        ``quiet``: jerk is continuous.
+        ``quiet``: jerk is continuous. Planning takes ramps and an input shaper in its place, by which the
+        tool sways and swings least as predicted, in the same seconds; laws of legs with leads stay.
     ramp : float
         Share of a leg's duration spent speeding up, and again slowing down, 0.001 to 0.5.
 

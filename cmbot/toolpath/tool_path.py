@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from heapq import heapify, heapreplace
@@ -344,6 +344,12 @@ class ToolPath:
                 segments[found.leg], seconds=found.duration, law=found.law, is_open=False
             )
         return replace(self, segments=tuple(segments))
+
+    def with_law(self, law: TimeLaw, legs: Collection[int]) -> ToolPath:
+        """Return the path with another law of some legs."""
+        segments = enumerate(self.segments)
+        changed = tuple(replace(leg, law=law) if k in legs else leg for k, leg in segments)
+        return replace(self, segments=changed)
 
     def in_seconds(self, seconds: FloatArray) -> ToolPath:
         """Return the path with other durations (L,), s, of its legs."""

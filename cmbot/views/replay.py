@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from html import escape
 from http import HTTPStatus
 from pathlib import Path
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from http.server import BaseHTTPRequestHandler
 
 LOOPBACK = "127.0.0.1"
+_HOST = re.compile(rf"({re.escape(LOOPBACK)}|localhost)(:\d{{1,5}})?")
 
 
 def replay(
@@ -172,8 +174,7 @@ def _handler(page: bytes) -> type[BaseHTTPRequestHandler]:
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:  # the base class requires this name
-            name, _, _ = self.headers.get("Host", "").partition(":")
-            if name not in (LOOPBACK, "localhost"):
+            if not _HOST.fullmatch(self.headers.get("Host", "")):
                 self.send_error(HTTPStatus.MISDIRECTED_REQUEST)
             elif self.path.partition("?")[0] != "/":
                 self.send_error(HTTPStatus.NOT_FOUND)

@@ -15,6 +15,7 @@ from small_scenes import SHORT
 
 from cmbot.campaigns import Task, TaskResult, TaskStatus, run_tasks, runner
 from cmbot.campaigns.planned import PLAN_SCENE
+from cmbot.campaigns.runner import task_results
 from cmbot.common.errors import InputError, MissingExtra
 
 CALLS = "campaign_calls"
@@ -237,3 +238,12 @@ def test_bad_tasks_and_a_missing_dask_are_named(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MissingExtra, match=r"dask.distributed is not installed; run: pip install .*campaign"):
         run_tasks(TASKS[:1], tmp_path)
+
+
+def test_security_options_reach_dask(tmp_path: Path) -> None:
+    """A scheduler without encryption is refused where that is required."""
+    distributed = pytest.importorskip("distributed")
+    security = distributed.Security(require_encryption=True)
+    task = Task(name="one", function="tests.none:none", arguments={}, time_limit=60)
+    with pytest.raises(InputError, match="encryption required"):
+        list(task_results([task], tmp_path, scheduler="tcp://127.0.0.1:9", security=security))

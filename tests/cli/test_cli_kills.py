@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import os
+import resource
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import fields, replace
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from command_line import write_scene
-from killed_calls import dies_at
+from killed_calls import dies_at, is_refused_from
 from plan_folders import names, with_baseline
 from small_scenes import SHORT
 
@@ -119,10 +124,15 @@ def whole(folder: Path) -> dict[str, bytes] | None:
     return contents
 
 
-# Killed at every other step.
+# Ended at every other step.
+@pytest.mark.parametrize("ends_at", [dies_at, is_refused_from])
 @pytest.mark.parametrize("name", CALLS)
-def test_a_kill_leaves_the_old_or_the_new(
-    folder: Path, plans: tuple[Plan, Plan], trackings: tuple[Tracking, Tracking], name: str
+def test_a_kill_or_a_full_disk_leaves_the_old_or_the_new(
+    folder: Path,
+    plans: tuple[Plan, Plan],
+    trackings: tuple[Tracking, Tracking],
+    name: str,
+    ends_at: Callable[[int, Callable[[], object]], bool],
 ) -> None:
     call, there, simulated = CALLS[name]
     before, work = folder / "before", folder / "work"
@@ -144,7 +154,7 @@ def test_a_kill_leaves_the_old_or_the_new(
     for step in count(1, APART):
         shutil.rmtree(work)
         shutil.copytree(before, work)
-        if not dies_at(step, lambda: call(False)):
+        if not ends_at(step, lambda: call(False)):
             break
         state = whole(TARGET)
         assert state in (old, new)
@@ -157,6 +167,35 @@ def test_a_kill_leaves_the_old_or_the_new(
         assert not there or (TARGET / NOTES).read_text(encoding="utf-8") == "mine"
         assert names(work) == {"plan"}
         seen.append(state)
-    assert (seen[0], seen[-1]) == (old, new)
+    assert seen[0] == old
+    # Once all is written a full disk is in nobody's way.
+    assert seen[-1] == (new if ends_at is dies_at else old)
     tracking = load_tracking(load_plan(TARGET), TARGET)
     assert (tracking is None) == ("tracking.json" not in new)
+
+
+def test_little_memory_is_told_in_one_line(tmp_path: Path) -> None:
+    """Address space between what an interpreter and what a plan takes, each in a process of its own."""
+    scene, target = write_scene(tmp_path / "short.yaml", SHORT), tmp_path / "plan"
+    words = [sys.executable, "-m", "cmbot", "plan", scene, "-o", target, "--force", "--quiet"]
+    ends = set()
+    for megabytes in np.linspace(40, 640, 41 if APART == 1 else 5).round().astype(int).tolist():
+        limit = 2 * (1_000_000 * megabytes,)
+        done = subprocess.run(
+            words,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=300,
+            preexec_fn=partial(resource.setrlimit, resource.RLIMIT_AS, limit),
+        )
+        ends.add(done.returncode)
+        assert done.returncode in (0, 1)
+        assert done.stderr.count("\n") == done.returncode, done.stderr
+        assert "a bug in cmbot" not in done.stderr
+        assert target.exists() == (done.returncode == 0)
+        if target.exists():
+            load_plan(target)
+            shutil.rmtree(target)
+        assert names(tmp_path) == {"short.yaml"}
+    assert ends == {0, 1}

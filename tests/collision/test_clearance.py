@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from state_samples import StateSamples
 
 from cmbot.collision import Box, Clearances, Obstacle, Shape, Sphere
+from cmbot.collision.motion_bounds import DistanceCache
 from cmbot.common.poses import pose
 from cmbot.robot import Robot, load_robot
 from cmbot.scene import load_scene
@@ -409,3 +410,19 @@ def test_deep_overlaps_have_a_depth(cmbot_robot: Robot) -> None:
         for pair in pairs
     ]
     assert -0.1 < min(depths) < -0.09
+
+
+def test_all_pairs_are_measured_in_the_second_of_two_near_postures(cmbot_robot: Robot) -> None:
+    """In the first, and in one far from that before, too little is known for it to be worth that."""
+    clearances = Clearances(cmbot_robot, ())
+    geometry = cmbot_robot.collision_model
+    cache = DistanceCache(cmbot_robot.model, geometry, geometry.createData(), clearances.pair_reach)
+    q = np.array([0.6, -1.2, 1.4, 0.7, 0.9, -0.8, 1.1])
+    assert cache.near(q, 0.1) is None
+    assert cache.near(-q, 0.1) is None
+    assert cache.near(q, 0.1) is None
+    found = cache.near(q + 1e-3, 0.1)
+    every = np.arange(len(clearances.pairs))
+    distance = clearances.distances((q + 1e-3)[None], np.zeros_like(every), every)
+    assert len(found or []) > 1
+    assert found == [k for k in np.argsort(distance) if distance[k] <= 0.1]

@@ -8,7 +8,7 @@ from small_scenes import SHORT
 from cmbot.scene import Scene, load_scene
 
 CLAMP = {"kind": "clamp", "force_n": [8000.0] * 3, "moment_nm": [3000.0] * 3}
-MAGNET = {"kind": "magnet", "adhesion_n": 100e3}
+MAGNET = {"kind": "magnet", "adhesion_n": 14.9e3, "friction": 10.0}
 
 
 def clamped_scene(hold: Any = None, **changes: Any) -> Scene:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import signal
 import sys
 import traceback
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import count
 from typing import Any
 
@@ -45,6 +46,39 @@ def dies_at(step: int, call: Callable[[], object]) -> bool:
     return status != 0
 
 
+def is_refused_from(step: int, call: Callable[[], object]) -> bool:
+    """Run a call in a process for which the disk is full from its step on; whether there was one.
+
+    What is written at that step, and after it, is refused; names may change. It has to raise `ArchiveError`,
+    which says why in one line.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        child = os.fork()
+    if child == 0:
+        status = 1
+        try:
+            with pytest.MonkeyPatch.context() as patch:
+                _at(patch, step, _refuse, names=("mkdir",), once=False)
+                call()
+            status = 0
+        except ArchiveError as error:
+            text = str(error)
+            if os.strerror(errno.ENOSPC) in text and "\n" not in text and len(text) <= 400:
+                status = 3
+        finally:
+            if status == 1:
+                traceback.print_exc(file=sys.__stderr__)
+            os._exit(status)
+    status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    assert status in (0, 3), f"step {step}: neither done nor refused"
+    return status != 0
+
+
+def _refuse() -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
 def fails_at(step: int, call: Callable[[], object], error: BaseException) -> bool:
     """Run a call in which step number `step`, as those of `dies_at`, raises; whether there was one."""
     raised = []
@@ -62,12 +96,20 @@ def fails_at(step: int, call: Callable[[], object], error: BaseException) -> boo
     return bool(raised)
 
 
-def _at(patch: pytest.MonkeyPatch, step: int, end: Callable[[], None]) -> None:
-    """Let the calls on the file system end at a step."""
+def _at(
+    patch: pytest.MonkeyPatch,
+    step: int,
+    end: Callable[[], None],
+    *,
+    names: Sequence[str] = STEPS,
+    once: bool = True,
+) -> None:
+    """Let the calls on the file system end at a step, or from it on; of those on names only some."""
     steps = count(1)
 
     def reach() -> None:
-        if next(steps) == step:
+        now = next(steps)
+        if now == step or (now > step and not once):
             end()
 
     def counted(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -77,7 +119,7 @@ def _at(patch: pytest.MonkeyPatch, step: int, end: Callable[[], None]) -> None:
 
         return stand_in
 
-    for name in STEPS:
+    for name in names:
         patch.setattr(os, name, counted(getattr(os, name)))
 
     class HalfWritten(io.BufferedWriter):

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from command_line import write_scene
 from small_scenes import short_scene
 
 from cmbot.common.errors import InputError
@@ -143,3 +144,26 @@ def test_a_record_that_is_none_is_refused(text: str, message: str, tmp_path: Pat
     with pytest.raises(InputError) as refused:
         read_record(path)
     assert message in str(refused.value)
+
+
+SECRETS = (
+    "12345",
+    "password: 12345\n",
+    "- 12345\n",
+    "12345,t\n1,2\n",
+    "t,ax\n12345,root\n",
+    "format: 12345\n",
+)
+
+
+@pytest.mark.parametrize("secret", SECRETS)
+def test_files_that_a_sheet_names_are_not_quoted(secret: str, tmp_path: Path) -> None:
+    """A stranger's sheet may name any file: an error tells nothing of what is in one that is no scene."""
+    (tmp_path / "secret").write_text(secret, encoding="utf-8")
+    row = {"posture_deg": [0, -90, 90, 0, 45, 45, 0], "record": "secret"}
+    sheet = {"format": "cmbot-measurements/1", "scene": "triangle", "measurements": [row]}
+    for changes in ({}, {"scene": "secret"}):
+        with pytest.raises(InputError) as refused:
+            read_measurements(write_scene(tmp_path / "sheet.yaml", sheet | changes))
+        assert "secret" in str(refused.value)
+        assert "12345" not in str(refused.value)

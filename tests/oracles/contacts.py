@@ -24,7 +24,7 @@ class Contact:
 
     centre: FloatArray
     axes: FloatArray
-    half: tuple[float, float] | None
+    half: tuple[float, float] | None  # of a closed side
 
 
 def contacts(file: Any, holds: Sequence[Any]) -> Iterator[Contact]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
+import os
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -270,6 +273,72 @@ def test_xacro_that_has_no_end_or_makes_no_xml(tmp_path: Path, content: str, sai
     # What was wrong with it is forgotten.
     good = write_xacro(tmp_path)
     assert load_robot(good, package_dirs=[tmp_path / "else"]).dof == 3
+
+
+@pytest.mark.parametrize("upper", [0.0, 1.0])
+def test_a_joint_of_an_empty_range(tmp_path: Path, upper: float) -> None:
+    still = LIMIT.replace('lower="-1" upper="2"', f'lower="{upper}" upper="{upper}"')
+    parts = [
+        joint("joint_2", "revolute", "link_1", "link_2", still) if "joint_2" in part else part for part in ARM
+    ]
+    said = rf"joint\[joint_2\].limit: got the range {upper:g} to {upper:g}, expected lower < upper"
+    with pytest.raises(ModelError, match=said):
+        load_robot(write(tmp_path, *parts))
+
+
+HEAD = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="arm">'
+PLAIN = '<xacro:property name="y" value="1"/>'
+LOAD = """<xacro:property name="x" value="${xacro.load_yaml('%s')}"/><link name="${x}"/></robot>"""
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        # 5 GB of a name, and without end.
+        (PLAIN + "<link name=\"${'x' * 10**9}\"/></robot>", "that takes more than (1 GB|20 MB)"),
+        (PLAIN + "<link name=\"${'x' * 30 * 10**6}\"/></robot>", "that takes more than 20 MB of text"),
+        (PLAIN + '<link name="${9**9**9}"/></robot>', "that takes more than 1 s"),
+        (LOAD % "/etc/passwd", "a file outside of the folder"),
+        (LOAD % "$(find etc)/passwd", "no such package"),
+        (LOAD % "$(find ..)/secret.yaml", "no such package"),
+        (LOAD % "../secret.yaml", "a file outside of the folder"),
+        (LOAD % "link.yaml", "a file outside of the folder"),
+        (LOAD % "pipe", "a file that is not regular"),
+        ('<xacro:include filename="pipe"/></robot>', "a file that is not regular"),
+        ('<xacro:include filename="../secret.yaml"/></robot>', "a file outside of the folder"),
+    ],
+)
+def test_xacro_of_a_stranger(
+    tmp_path: Path, content: str, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Time, memory and files are bounded, and what they hold is not told."""
+    pytest.importorskip("xacrodoc")
+    if "1 s" in said:
+        monkeypatch.setattr(importlib.import_module("cmbot.robot.description.xacro"), "_CPU_SECONDS", 1)
+    put(tmp_path / "secret.yaml", "password: 12345")
+    folder = tmp_path / "model"
+    folder.mkdir()
+    os.mkfifo(folder / "pipe")
+    (folder / "link.yaml").symlink_to(tmp_path / "secret.yaml")
+    put(folder / "arm.xacro", HEAD + content)
+    with pytest.raises(ModelError, match=said) as caught:
+        load_robot(folder / "arm.xacro")
+    assert str(caught.value).startswith(str(folder))
+    assert len(str(caught.value)) <= 400
+    assert not re.search("root:|12345", str(caught.value))
+
+
+def test_xacro_reads_files_of_its_own_and_no_variables(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("xacrodoc")
+    monkeypatch.setenv("CMBOT_SECRET", "12345")
+    put(tmp_path / "names.yaml", "link: arm")
+    text = """<link name="${xacro.load_yaml('names.yaml')['link']}"/>"""
+    text += '<link name="$(optenv CMBOT_SECRET none)"/>'
+    put(tmp_path / "arm.xacro", f"{HEAD}{PLAIN}{text}</robot>")
+    expanded = parse_urdf(tmp_path / "arm.xacro")
+    assert [link.get("name") for link in expanded.iter("link")] == ["arm", "none"]
 
 
 def test_xacro_is_named_as_what_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,7 +20,7 @@ def test_defaults_are_filled_in():
     assert (scene.robot.model, scene.robot.tool_length_m, scene.robot.payload_kg) == ("cmbot", None, 0)
     (work,) = scene.strokes
     assert (work.name, work.keep, work.via_points, scene.order) == ("work", "pose", 50, None)
-    assert (work.speed_profile.kind, work.speed_profile.ramp) == ("jerk_limited", 0.25)
+    assert (work.speed_profile.kind, work.speed_profile.ramp) == ("quiet", 0.3)
     assert scene.planner == PlannerOptions()
     assert [obstacle.name for obstacle in scene.all_obstacles[:3]] == ["top_rail", "bar_1", "bar_2"]
     np.testing.assert_allclose(scene.posture, [0, math.pi / 2])

@@ -27,7 +27,6 @@ _LOOSER: Mapping[str, Callable[[Any, Any], bool]] = {
     "quiet_modes": lt,
     **dict.fromkeys(("compensate", "knots", "start", "objective", "moment_about", "axis_weights"), ne),
 }
-_AUTO = "auto"
 
 
 def looser_promises(options: PlannerOptions, asked: PlannerOptions) -> tuple[str, ...]:
@@ -93,7 +92,7 @@ def require_asked(scene: Scene, asked: Scene, source: str) -> None:
 def _decided(stroke: StrokeFile, asked: StrokeFile, *, in_any_direction: bool) -> set[str]:
     """The entries of a stroke that planning decides, where it may."""
     decided = {"backwards"} if in_any_direction else set[str]()
-    if _AUTO in (asked.seconds, *(leg.seconds for leg in asked.legs)):
+    if asked.is_open or asked.speed_profile.kind == "quiet":
         decided.add("time_laws")
     segments = asked.via_points - 1 if isinstance(asked.via_points, int) else 1
     if isinstance(stroke.via_points, int) and (stroke.via_points - 1) % segments == 0:

@@ -13,7 +13,7 @@ from cmbot.planning.budget import Budget
 from cmbot.planning.initial_guess import InitialGuess, initial_guess, leap_failure
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.global_search import GlobalSearch
-from cmbot.planning.timing.timing import Timing
+from cmbot.planning.timing.timing import Timing, in_time
 
 S = TypeVar("S")
 
@@ -48,6 +48,22 @@ class Attempt:
     def of(cls, request: StrokeRequest, **own: Any) -> Attempt:
         """Return the attempt from the first guess of a request."""
         return cls(request=request, guess=attempted(request, lambda: initial_guess(request)), **own)
+
+    def quiet(self) -> Attempt:
+        """Return the attempt with the laws that a quiet stroke is to have, chosen along its guess.
+
+        It is this one where the laws are given, nothing is guessed, or nothing leads on in another law.
+        """
+        request, file = self.request, self.request.stroke.file
+        if file.speed_profile.kind != "quiet" or file.time_laws or not isinstance(self.guess, InitialGuess):
+            return self
+        # Imported where needed: SciPy's splines take a while to load.
+        from cmbot.planning.timing.quiet_laws import quiet_laws
+
+        request.reporter.step("choosing time laws by the sway that they would cause")
+        laws = quiet_laws(request, self.guess.problem.parametrization.trajectory)
+        timed = Attempt.of(in_time(request, laws), automatic=self.automatic) if laws else self
+        return timed if isinstance(timed.guess, InitialGuess) else self
 
     @property
     def search(self) -> GlobalSearch | None:

@@ -55,7 +55,8 @@ def plan_stroke(request: StrokeRequest, *, automatic: bool) -> PlannedStroke:
             return PlannedStroke(trial=Trial(attempt=attempt, outcome=begun), runs=0)
         request = begun
     budget = Budget(runs=SHORTEST_TIME_RUNS if request.task.path.open_legs else RUNS)
-    trial = searched_motion(Attempt.of(request, automatic=automatic), budget)
+    first = Attempt.of(request, automatic=automatic)
+    trial = searched_motion(first if request.task.path.open_legs else first.quiet(), budget)
     return PlannedStroke(trial=trial, runs=budget.used)
 
 

@@ -1,4 +1,4 @@
-"""What the feet bear at all times: enclosures of convex functions of the wrench."""
+"""What the feet bear at all times: enclosures of functions of the wrench."""
 
 from __future__ import annotations
 
@@ -44,7 +44,8 @@ class EnclosedHold:
         holding, peaks = self.holding, dict[int, Peak]()
         for number in holding.adhesive:
             remainder = holding.remainder(number, *self._remainders)
-            peaks[number] = self._enclosed(partial(holding.needed, number), remainder)
+            between = partial(holding.needed_between, number)
+            peaks[number] = self._enclosed(partial(holding.needed, number), remainder, between)
         return peaks
 
     @property
@@ -55,9 +56,7 @@ class EnclosedHold:
         # Of values that are no numbers the first counts as the largest.
         which = int(np.argmax([peak.value for peak in self._adhesion.values()]))
         number, peak = list(self._adhesion.items())[which]
-        wrench = self._at(peak.time)
-        mode = self.holding.mode(number, wrench)
-        return AdhesionPeak(peak=max(peak.value, 0.0), mode=mode, time=peak.time, foot=number + 1)
+        return self.holding.peak(number, peak.value, peak.time, self._at(peak.time), self.wrench)
 
     @property
     def needed_bound(self) -> float:
@@ -101,13 +100,23 @@ class EnclosedHold:
         """The wrench (6,) at a Chebyshev point near a time: where the peak is, up to the resolution."""
         return np.asarray(self.wrench[int(np.abs(self.pieces.times.ravel() - time).argmin())])
 
-    def _enclosed(self, convex: Callable[[FloatArray], FloatArray], remainder: FloatArray) -> Peak:
-        """Enclose a convex function of wrenches (N, 6)."""
+    def _enclosed(
+        self,
+        function: Callable[[FloatArray], FloatArray],
+        remainder: FloatArray,
+        between: Callable[[FloatArray], FloatArray] | None = None,
+    ) -> Peak:
+        """Enclose a function of wrenches (N, 6): a convex one, or one with bounds `between` (N, K, 6)."""
 
         def values(points: FloatArray, piece: IntArray) -> FloatArray:
             wrench = np.swapaxes(points, 1, 2)
-            return convex(wrench.reshape(-1, 6)).reshape(wrench.shape[:2])
+            return function(wrench.reshape(-1, 6)).reshape(wrench.shape[:2])
 
-        resolution = self.resolution * float(np.abs(convex(self.wrench)).max())
+        def bounds(points: FloatArray, piece: IntArray) -> FloatArray:
+            if between is None:
+                return values(points, piece)
+            return np.repeat(between(np.swapaxes(points, 1, 2))[:, None], points.shape[2], axis=1)
+
+        resolution = self.resolution * float(np.abs(function(self.wrench)).max())
         control = self.pieces.control_points(self.wrench)
-        return highest(self.pieces, control, values, remainder, resolution)
+        return highest(self.pieces, control, bounds, remainder, resolution, values)

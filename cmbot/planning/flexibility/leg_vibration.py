@@ -21,8 +21,9 @@ from cmbot.trajectory import QuinticTrajectory
 _CARRIERS = 3
 # Steps a period of the fastest mode that is suppressed; longest time with the same matrices, s.
 _STEPS_A_PERIOD, _MATRICES_EVERY = 40, 0.25
-# Damping ratio of the modes that are suppressed, as simulated by default: it hardly matters within a leg.
-_DAMPING = 0.01
+
+DAMPING = 0.01
+"""Damping ratio of the modes, as simulated by default: it hardly matters within a leg."""
 # How long the tool is watched after the stop, as simulated by default, and how often, s.
 _SETTLE, _WATCHED = 2.0, 0.01
 
@@ -188,14 +189,14 @@ def _reduced(at: _Matrices, factors: FloatArray, modes: int) -> tuple[FloatArray
     shapes of the modes: all cases have the same carriers, which the modes of each are made of.
     """
     most, last = max(_CARRIERS, modes), len(at.mass) - 1
-    shapes = [_slowest(at.mass[k], at.stiffness[k], most)[1] for k in (0, (last + 1) // 2, last)]
+    shapes = [slowest(at.mass[k], at.stiffness[k], most)[1] for k in (0, (last + 1) // 2, last)]
     V = np.linalg.qr(np.hstack(shapes))[0]
     by_case = factors[:, None, None, None]
     M, K = V.T @ at.mass @ V, V.T @ at.stiffness @ V + (by_case - 1) * (V.T @ at.arm.stiffness @ V)
-    own = [_slowest(M[-1], each, modes) for each in K[:, -1]]
+    own = [slowest(M[-1], each, modes) for each in K[:, -1]]
     r = min(len(omega) for omega, _ in own)
     omega, X = np.stack([omega[:r] for omega, _ in own]), np.stack([X[:, :r] for _, X in own])
-    D = V.T @ at.gyroscopic @ V + (2 * _DAMPING / omega[:, 0])[:, None, None, None] * K
+    D = V.T @ at.gyroscopic @ V + (2 * DAMPING / omega[:, 0])[:, None, None, None] * K
     forces = V.T @ at.coupling + V.T @ (at.mass @ at.sag_slope) / by_case
     _, J = at.arm.tool_jacobian(at.arm.configuration(at.q[-1], at.u[-1]), at.arm.model.createData())
     tool = J[:3, at.arm.elastic] @ V
@@ -204,8 +205,8 @@ def _reduced(at: _Matrices, factors: FloatArray, modes: int) -> tuple[FloatArray
     return M, D, K, np.linalg.solve(K, forces), M[:, -1] @ X, omega, to_tool, tool
 
 
-def _slowest(mass: FloatArray, stiffness: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
-    """Angular frequencies (k,), ascending, and shapes (f, k) of unit modal mass of the slowest modes."""
+def slowest(mass: FloatArray, stiffness: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
+    """Return angular frequencies (k,), ascending, and shapes (f, k) of unit modal mass of slowest modes."""
     squares, X = linalg.eigh(mass, stiffness)
     squares, X = squares[: -most - 1 : -1], X[:, : -most - 1 : -1]
     moving = squares > 0

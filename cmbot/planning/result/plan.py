@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cmbot.accuracy import Accuracy, Work, WorkPath, accuracy_of
+from cmbot.accuracy import Accuracy, Quietness, Work, WorkPath, accuracy_of, quietness_of
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
@@ -28,9 +28,9 @@ from cmbot.planning.task import ToolTask
 from cmbot.planning.workcell.stiffness import covariance_of
 from cmbot.planning.workcell.workcell import bending_arm, sag_of
 from cmbot.robot import Kinematics, Robot
-from cmbot.scene import WORK, PlannerOptions, Scene, coverage_of, pieces_left_out, rows_alone
+from cmbot.scene import WORK, PlannerOptions, Scene, StrokeFile, coverage_of, pieces_left_out, rows_alone
 from cmbot.toolpath import Coverage
-from cmbot.trajectory import QuinticTrajectory, sample_step
+from cmbot.trajectory import QuinticTrajectory, SplineSpace, sample_step
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,6 +191,20 @@ class Plan(StrokePlan):
             # Remarks say that the arm is too soft to carry itself.
             return None
 
+    @cached_property
+    def sway(self) -> Quietness | None:
+        """How far the tool sways at work and swings after it; None as of `accuracy`."""
+        arm = bending_arm(self.scene, self.robot)
+        if arm is None:
+            return None
+        files = self.scene.strokes
+        unshaped = [_unshaped(file, segment) for file, segment in zip(files, self.job.strokes, strict=True)]
+        share = self.options.quiet_stiffness_share
+        try:
+            return quietness_of(arm, share, [each.trajectory for each in self.job.strokes], unshaped)
+        except TooSoftError:
+            return None
+
     @property
     def approach_samples(self) -> Samples | None:
         """The approach every 0.01 s, from time 0; its tool deviation is that from where the work starts."""
@@ -323,6 +337,18 @@ class Plan(StrokePlan):
                 lines.append(stroke.path.outline())
         return tuple(lines)
 
+    @property
+    def holding_torque(self) -> FloatArray | None:
+        """Largest torques (k,), Nm, of `Robot.holding_joints` over the job, at its samples.
+
+        None without such joints, and where two feet hold: what each leg bears is then not known.
+        """
+        if not self.robot.holding_joints or len(self.robot.feet) > 1:
+            return None
+        samples, _ = self.job_samples
+        wrench = np.hstack([samples.guardrail_force, samples.guardrail_torque])
+        return np.asarray(np.abs(self.robot.holding_torque(wrench)).max(axis=0))
+
     @cached_property
     def bent_offsets(self) -> tuple[float | None, float | None]:
         """How far the arm, bent at rest in every posture, is off its path at most, m: baseline's and planned.
@@ -398,6 +424,18 @@ def work_of(robot: Robot, trajectory: QuinticTrajectory, path: WorkPath) -> Work
         commanded=lambda t: tool(t)[0],
         rotation=lambda t: tool(t)[1],
     )
+
+
+def _unshaped(file: StrokeFile, stroke: Segment) -> QuinticTrajectory | None:
+    """The joint path of a quiet stroke by the law of its profile alone; None where no law was chosen."""
+    if file.is_open or not file.time_laws:
+        return None
+    path, legs = stroke.task.path, {law.leg for law in file.time_laws}
+    plain = path.with_law(file.speed_profile.law, legs)
+    leg, share = path.leg_shares(stroke.trajectory.t)
+    times = np.array([plain.times_at(int(k), s[None])[0] for k, s in zip(leg, share, strict=True)])
+    space = SplineSpace(times)
+    return space.trajectory(space.least_jerk(stroke.trajectory.q))
 
 
 def _sample_times(duration: float, step: float) -> FloatArray:

@@ -96,8 +96,12 @@ def _tool(plan: Plan) -> Iterator[Row]:
         swing = max(suppression.swing_without)
         name = "tool would swing without suppression"
         yield _row(name, "suppression.swing_without", "mm", ".3f", swing)
-        share = suppression.share
-        yield _row("vibration less at the ends of the legs", "suppression.share", "%", ".0f", share)
+    if (sway := plan.sway) is not None:
+        yield _row("largest sway at work", "sway.sway_mm", "mm", ".3f", 1e-3 * sway.sway_mm)
+        if sway.unshaped_sway_mm is not None and sway.unshaped_swing_mm is not None:
+            alone, swing = 1e-3 * sway.unshaped_sway_mm, 1e-3 * sway.unshaped_swing_mm
+            yield _row("sway by speed_profile alone", "sway.unshaped_sway_mm", "mm", ".3f", alone)
+            yield _row("swing by speed_profile alone", "sway.unshaped_swing_mm", "mm", ".3f", swing)
     if compensation is not None:
         shift, deviation = compensation.largest_shift, compensation.deviation
         yield _row("joints aim beside the path", "compensation.largest_shift", "mm", ".2f", shift)

@@ -268,7 +268,7 @@ def _vibration(
     load = f" and with up to {load_kg:g} kg more" if load_kg else ""
     kept = ", and at the others no change keeps every bound" if left else ""
     return (
-        f"{what} made smaller at the ends of {where}{kept}, at {least:.3g} to {most:.3g} times the stiffness"
+        f"{what} acted on at the ends of {where}{kept}, at {least:.3g} to {most:.3g} times the stiffness"
         f"{load}."
     )
 

@@ -67,6 +67,8 @@ class JointEntry(FileModel):
     """m/s3, of a joint that slides."""
     effort: Positive | None = None
     """Nm, of a joint that slides N, in place of the URDF's."""
+    holding_torque: Positive | None = None
+    """Nm, what the brake of a joint holds while it is locked; left out: the effort."""
 
     def given(self, prismatic: bool) -> GivenLimits:
         """Return the limits that are given, in SI."""

@@ -54,7 +54,9 @@ def find_resource(rest: str, folder: Path, package_dirs: Sequence[Path] = ()) ->
 
 def _candidates(name: str, folder: Path, package_dirs: Sequence[Path]) -> Iterator[Path]:
     for place in (*package_dirs, folder, *folder.parents, *_ros_paths("ROS_PACKAGE_PATH")):
-        yield place / name
+        # What lies below the root of all folders is the system's: etc is no package.
+        if place != place.parent or place / name in folder.parents:
+            yield place / name
         if name and _declared_name(place) == name:
             yield place
     for place in (place for variable in _INSTALLED for place in _ros_paths(variable)):

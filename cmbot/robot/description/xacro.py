@@ -1,25 +1,42 @@
-"""Xacro, the macro language of URDFs: what it expands to, by the optional package xacrodoc."""
+"""Xacro, the macro language of URDFs: what it expands to, by the optional package xacrodoc.
+
+Whoever wrote a description wrote a program: it runs in a process of its own (`xacro_child`), with limits of
+time and memory, without the variables of the environment but those of ROS, and reads regular files below the
+model's folder and below packages alone.
+"""
 
 from __future__ import annotations
 
+import json
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
+from importlib.util import find_spec
 from pathlib import Path
-from xml.parsers.expat import ExpatError
+from threading import Timer
+from typing import Any
 
 from cmbot.common.errors import MissingExtra, ModelError, one_line
+from cmbot.common.input_files import LARGEST_TEXT
 from cmbot.common.validation import hint, shown
 from cmbot.robot.description.packages import find_copy, find_package
 
 _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 _ELEMENT = re.compile(rb"<xacro:\w")
 _NAME = re.compile(rb"<robot\b[^>]*?\bname\s*=\s*[\"']([^\"'$]+)[\"']")
-_MISSING = re.compile(r"Package not found: ([\w.\-]+)")
+_PACKAGE = re.compile(r"\w[\w.\-]*")
 _LACKING = re.compile(r"Undefined substitution argument (\S+)")
 _LINK, _MACRO = re.compile(r"<link\b"), re.compile(rb"<xacro:macro\b")
 # As many packages as a robot's description may name; files that are named as using macros, and their size.
 _MOST_PACKAGES, _MOST_USERS, _LARGEST_USER = 100, 3, 1_000_000
+# Processor time and memory of an expansion, s and byte; how much longer it may wait.
+_CPU_SECONDS, _MEMORY, _WAITS = 20, 1_000_000_000, 3
+# Of a line of an answer: the result, in which each byte may be written as six.
+_LONGEST_ANSWER = 6 * LARGEST_TEXT + 1_000_000
+_VARIABLES = ("HOME", "LANG", "PATH", "PYTHONHOME", "PYTHONPATH")
 
 
 def is_xacro(content: bytes) -> bool:
@@ -51,19 +68,17 @@ def expand_xacro(
         When it does not expand, such as for a package that is not found or an argument without a value, or
         has macros alone.
     """
-    try:
-        import xacrodoc  # noqa: F401
-    except ImportError as error:
+    if find_spec("xacrodoc") is None:
         missing = MissingExtra("xacrodoc", "xacro")
         missing.add_hint(
             f"{path.name} is xacro, not yet a URDF: xacro {path.name} > robot.urdf expands it too"
         )
-        raise missing from error
-    given = _Arguments(arguments or {})
-    expanded = _expanded(path, content, package_dirs, given)
+        raise missing
+    answer = _answered(path, content, package_dirs, arguments or {})
+    if (expanded := answer.get("urdf")) is None:
+        raise _refusal(path, answer, arguments or {})
     for argument in arguments or {}:
-        if argument not in given.sought:
-            choices = sorted(given.sought)
+        if argument not in (choices := answer["sought"]):
             expected = f"an argument that the file has{hint(argument, choices)}"
             raise ModelError(str(path), f"xacro.{argument}", "no argument of it", expected, choices)
     if _LINK.search(expanded) is None and _MACRO.search(content) is not None:
@@ -71,81 +86,92 @@ def expand_xacro(
         raise ModelError(
             str(path), "", "macros alone, which no one calls", f"the file that calls them: {users}"
         )
-    return expanded.encode()
+    # A half of a character, which UTF-8 cannot hold, is refused where the XML is read.
+    return str(expanded).encode(errors="surrogatepass")
 
 
-def _expanded(path: Path, content: bytes, package_dirs: Sequence[Path], given: _Arguments) -> str:
-    """What a file expands to; refused where it does not."""
-    import xacro
-    from xacrodoc import XacroDoc, packages
-
-    # xacro raises Python's own errors for what it does not check, such as a missing attribute.
-    failures = (
-        *(xacro.XacroException, packages.PackageNotFoundError, ExpatError),
-        *(OSError, ValueError, RuntimeError, AttributeError, LookupError, TypeError),
-    )
-    name = _NAME.search(content)
-    known: dict[str, str] = {}
-    for _ in range(_MOST_PACKAGES):
-        # A failure leaves behind the files that were open.
-        xacro.init_stacks(None)
-        packages.reset()
-        packages.update_package_cache(known)
+def _answered(
+    path: Path, content: bytes, package_dirs: Sequence[Path], arguments: Mapping[str, str]
+) -> dict[str, Any]:
+    """The last answer of a process that expands a file; empty where it ended without one."""
+    name, folder = _NAME.search(content), path.resolve().parent
+    task = {
+        "path": str(path.resolve()),
+        "name": name[1].decode(errors="replace") if name else path.name.partition(".")[0],
+        "arguments": dict(arguments),
+        "roots": [str(place) for place in (folder, *package_dirs)],
+        "seconds": _CPU_SECONDS,
+        "memory": _MEMORY,
+        "largest": LARGEST_TEXT,
+    }
+    own = {key: value for key, value in os.environ.items() if key in _VARIABLES or key.startswith("ROS_")}
+    # Without -P its folder would come first, and xacro.py there.
+    words = [sys.executable, "-P", str(Path(__file__).with_name("xacro_child.py"))]
+    pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
+    with subprocess.Popen(words, stdin=pipe, stdout=pipe, stderr=nowhere, env=own) as process:
+        timer = Timer(_CPU_SECONDS * _WAITS, process.kill)
+        timer.start()
         try:
-            document = XacroDoc.from_includes(
-                [str(path.resolve())],
-                name=name[1].decode(errors="replace") if name else path.name.partition(".")[0],
-                resolve_packages=False,
-                subargs=given,
-            )
-            # What xacro makes need not be XML.
-            return str(document.to_urdf_string())
-        except RecursionError as error:
-            included = next((file for file in xacro.filestack if xacro.filestack.count(file) > 1), None)
+            return _conversation(process, task, path, package_dirs)
+        finally:
+            timer.cancel()
+            process.kill()
+
+
+def _conversation(
+    process: subprocess.Popen[bytes], task: dict[str, Any], path: Path, package_dirs: Sequence[Path]
+) -> dict[str, Any]:
+    """Tell a process its task, then where packages are, until it has an answer."""
+    if process.stdin is None or process.stdout is None:
+        return {}
+    say: object = task
+    for _ in range(_MOST_PACKAGES + 1):
+        try:
+            process.stdin.write(json.dumps(say).encode() + b"\n")
+            process.stdin.flush()
+            answer = json.loads(process.stdout.readline(_LONGEST_ANSWER))
+        except (BrokenPipeError, ValueError):  # it was ended
+            return {}
+        if "find" not in answer:
+            return dict(answer)
+        files = [path, *map(Path, answer["files"])]
+        say = str(_package(answer["find"], path, files, package_dirs))
+    raise ModelError(str(path), "", "xacro of too many packages", f"at most {_MOST_PACKAGES}")
+
+
+def _refusal(path: Path, answer: Mapping[str, Any], arguments: Mapping[str, str]) -> ModelError:
+    """Why a file does not expand."""
+    files = [str(path), *answer.get("files", ())]
+    if "failed" not in answer:
+        got = f"xacro that takes more than {_CPU_SECONDS} s"
+        expected = "a description that needs no more"
+        if "nested" in answer:
+            included = next((file for file in files[1:] if files[1:].count(file) > 1), None)
             got = "xacro that is nested too deep, such as a macro that calls itself"
             if included is not None:
                 got = f"xacro in which {Path(included).name} includes itself, perhaps through other files"
             expected = "files and macros that do not lead back to themselves"
-            raise ModelError(str(path), "", got, expected) from error
-        except failures as error:
-            text, open_files = one_line(error), [path, *map(Path, filter(None, xacro.filestack))]
-            if lacking := _LACKING.search(text):
-                expected = "a value of this argument of xacro, which has no default"
-                if near := get_close_matches(lacking[1], list(given), n=1):
-                    expected = f"{expected}; given is {near[0]}"
-                raise ModelError(str(path), f"xacro.{lacking[1]}", "nothing", expected) from error
-            wanted = _MISSING.search(text)
-            place = _package(wanted[1], path, open_files, package_dirs) if wanted else None
-            if wanted is None or place is None or wanted[1] in known:
-                where = f" in {open_files[-1].name}" if open_files[-1].name != path.name else ""
-                got = f"xacro that does not expand{where} ({shown(text)[1:-1]})"
-                expected = "xacro that expands, its arguments given where they have no defaults, or a URDF"
-                raise ModelError(str(path), "", got, expected) from error
-            known[wanted[1]] = str(place)
-    raise ModelError(str(path), "", "xacro of too many packages", f"at most {_MOST_PACKAGES}")
-
-
-class _Arguments(dict[str, str]):
-    """Values of arguments; keeps the names that xacro looks up, to declare an argument or for its value."""
-
-    def __init__(self, values: Mapping[str, str]) -> None:
-        super().__init__(values)
-        self.sought = set[str]()
-
-    def __contains__(self, name: object) -> bool:
-        self.sought.add(str(name))
-        return super().__contains__(name)
-
-    def __getitem__(self, name: str) -> str:
-        self.sought.add(name)
-        return super().__getitem__(name)
+        elif "large" in answer:
+            got = f"xacro that takes more than {answer['large']}"
+        return ModelError(str(path), "", got, expected)
+    text = one_line(answer["failed"])
+    if lacking := _LACKING.search(text):
+        expected = "a value of this argument of xacro, which has no default"
+        if near := get_close_matches(lacking[1], list(arguments), n=1):
+            expected = f"{expected}; given is {near[0]}"
+        return ModelError(str(path), f"xacro.{lacking[1]}", "nothing", expected)
+    last = Path(files[-1]).name
+    where = f" in {last}" if last != path.name else ""
+    got = f"xacro that does not expand{where} ({shown(text)[1:-1]})"
+    expected = "xacro that expands, its arguments given where they have no defaults, or a URDF"
+    return ModelError(str(path), "", got, expected)
 
 
 def _package(name: str, path: Path, files: Iterable[Path], package_dirs: Sequence[Path]) -> Path:
     """The folder of a package that one of `files` names; refused where there is none."""
     folder = path.resolve().parent
-    place = find_package(name, folder, package_dirs)
-    if place is None:
+    place = find_package(name, folder, package_dirs) if _PACKAGE.fullmatch(name) else None
+    if place is None and _PACKAGE.fullmatch(name):
         inside = re.compile(rb"\$\(find\s+" + re.escape(name.encode()) + rb"\s*\)/([^\s\"'$<>]+)")
         contents = (file.read_bytes() for file in dict.fromkeys(files) if file.is_file())
         named = [found.decode(errors="replace") for content in contents for found in inside.findall(content)]

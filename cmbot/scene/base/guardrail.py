@@ -29,7 +29,7 @@ from cmbot.elastic import (
     Section,
     shares,
 )
-from cmbot.hold import Foot
+from cmbot.hold import MAGNET_PRESSURE, Foot
 from cmbot.scene.base.hold import Face, HoldFile, Holds, face_of, foot_on, held_member
 from cmbot.scene.base.identified import IdentifiedBase
 from cmbot.scene.base.matrices import Matrix6, check_positive_definite, six_rows
@@ -66,8 +66,9 @@ class PostFile(FileModel):
     """Every post; its axis runs along z."""
 
     section: SectionFile = SectionFile(angle=(0.075, 0.008))
-    roll_deg: Angle = 0.0
-    """Turn of the section about z; at 0 the legs of an angle point along +x and +y."""
+    roll_deg: Angle = 180.0
+    """Turn of the section about z; at 0 the legs of an angle point along +x and +y, at 180 its closed sides
+    are the outer and the right one."""
     bottom_m: Coordinate = -1.10
     """z of the lower end."""
     clamp_m: Coordinate = -1.05
@@ -122,7 +123,7 @@ _RAILS = (
     RailFile(
         name="top_rail",
         section=SectionFile(angle=(0.063, 0.006)),
-        roll_deg=-90.0,
+        roll_deg=180.0,
         height_m=0.0,
         box_m=(0.06, 0.06),
     ),
@@ -250,9 +251,19 @@ class GuardrailFile(FileModel):
             if hold.kind != "welded" and held is None:
                 expected = "welded, as there is no member to hold"
                 raise refusal(expected, got=hold.kind, key=("hold", "kind"))
-            if hold.kind == "magnet" and held is not None and held[0].width is None:
-                expected = "clamp or welded, as the foot holds a round bar"
-                raise refusal(expected, got=hold.kind, key=("hold", "kind"))
+            if hold.kind == "magnet" and held is not None:
+                self._check_magnet(hold, *held)
+
+    def _check_magnet(self, hold: HoldFile, face: Face, at: FloatArray) -> None:
+        if alone := face.held_by_clamps_alone:
+            expected = f"clamp or welded, as the foot holds {alone} (another face or roll_deg?)"
+            raise refusal(expected, got=hold.kind, key=("hold", "kind"))
+        contact = foot_on(face, at, hold, np.zeros(3), np.eye(6)).contact
+        if contact is not None and hold.adhesion_n is not None:
+            most = MAGNET_PRESSURE * contact.area
+            if hold.adhesion_n > most:
+                expected = f"at most {most:.0f} N, 1.6 MPa on the contact of {1e4 * contact.area:.0f} cm2"
+                raise refusal(expected, got=f"{hold.adhesion_n:g} N", key=("hold", "adhesion_n"))
 
 
 def _held_faces(file: GuardrailFile) -> list[tuple[Face, FloatArray]]:

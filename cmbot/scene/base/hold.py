@@ -1,19 +1,21 @@
-"""How the feet hold: the ``guardrail.hold:`` block, and the flat faces of members on which plates sit."""
+"""How the feet hold: the ``guardrail.hold:`` block, and the steel of members on which plates sit."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
+import shapely
 from pydantic import Field, GetPydanticSchema, PlainSerializer, WrapValidator, model_validator
 
 from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.fields import Length
 from cmbot.common.validation import FileModel, refusal, shown
-from cmbot.elastic import AngleSection, Guardrail, Section
-from cmbot.hold import Foot
+from cmbot.elastic import AngleSection, BarSection, Guardrail
+from cmbot.hold import Contact, Foot, Gap
 
 Load = Annotated[float, Field(ge=1e-3, le=1e9)]
 FACES = {
@@ -24,6 +26,9 @@ FACES = {
 
 # Members closer than this to the foot are those that it holds, m.
 _SAME_PLACE = 1e-3
+# A side of a section is flat where corners are less than this below its highest one, m.
+_FLAT_WITHIN = 1e-6
+Derated = Annotated[tuple[Length, Annotated[float, Field(gt=0, le=1)]], Field(strict=False)]
 
 
 class HoldFile(FileModel):
@@ -38,7 +43,13 @@ class HoldFile(FileModel):
     safety: Annotated[float, Field(ge=1, le=100)] = 2.0
     """Safety factor on the load of the foot, or on the adhesion that it needs."""
     adhesion_n: Load | None = None
-    """Of a magnet: the pull that takes it off, N, on this steel and with this paint; see docs/hold.md."""
+    """Of a magnet: the pull that takes it off, N, with this paint, on thick steel or, without `derating`, on
+    this one; see docs/hold.md."""
+    gap: Gap = "allowed"
+    """Whether a plate may lift at one side, until it tips, or no gap may open, as a magnet may need it."""
+    derating: Annotated[tuple[Derated, ...], Field(min_length=1, max_length=100)] | None = None
+    """Of a magnet: what share of `adhesion_n` is left on steel so many millimetres thick, ascending, from
+    its data sheet; between two, in proportion."""
     force_n: tuple[Load, Load, Load] | None = None
     """Of a clamp: the forces that it bears along the member, across it and out of the steel, N."""
     moment_nm: tuple[Load, Load, Load] | None = None
@@ -46,14 +57,27 @@ class HoldFile(FileModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        of = {"adhesion_n": "magnet", "force_n": "clamp", "moment_nm": "clamp"}
+        of = {"adhesion_n": "magnet", "derating": "magnet", "force_n": "clamp", "moment_nm": "clamp"}
         for name, kind in of.items():
             if getattr(self, name) is not None and self.kind != kind:
                 raise refusal(f"no such key beside kind: {self.kind}", got=name, key=(name,))
         if (self.force_n is None) != (self.moment_nm is None):
             missing = "force_n" if self.force_n is None else "moment_nm"
             raise refusal("three numbers beside the other bound", got="nothing", key=(missing,))
+        if self.derating is not None:
+            thicknesses = [thickness for thickness, _ in self.derating]
+            if any(after <= before for before, after in pairwise(thicknesses)):
+                raise refusal("ascending thicknesses, mm", got=shown(thicknesses), key=("derating",))
+            if self.adhesion_n is None:
+                raise refusal("the adhesion that it is a share of", got="nothing", key=("adhesion_n",))
         return self
+
+    def adhesion_on(self, steel: float | None) -> float | None:
+        """Return the adhesion, N, on steel so thick, m; None: not known how thick."""
+        if self.adhesion_n is None or self.derating is None or steel is None:
+            return self.adhesion_n
+        thickness, share = zip(*self.derating, strict=True)
+        return self.adhesion_n * float(np.interp(1e3 * steel, thickness, share))
 
 
 def _one_or_more(value: Any, one: Any) -> tuple[HoldFile, ...]:
@@ -97,7 +121,7 @@ Holds = Annotated[
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Face:
-    """A side of a member, taken as flat where the member is an angle.
+    """A side of a member.
 
     Attributes
     ----------
@@ -105,16 +129,33 @@ class Face:
         Rows in W: along the member, across it, out of the steel.
     depth : float, m
         From the member's axis to the face.
-    width : float or None, m
-        Of the flat part; None: a round bar.
+    steel : tuple of two floats, m
+        Where across the member there is steel on that face, from its axis: from and to; none on a round bar
+        and on a corner.
+    thickness : float or None, m
+        Of the steel below; None without a flat face.
     ends : two floats, m
         Along the member, as its coordinate in W.
     """
 
     axes: FloatArray
     depth: float
-    width: float | None
+    steel: tuple[tuple[float, float], ...]
+    thickness: float | None
     ends: tuple[float, float]
+
+    @property
+    def edge(self) -> bool:
+        """Whether the steel is no wider than it is thick: the edge of a leg."""
+        width = max((high - low for low, high in self.steel), default=0.0)
+        return self.thickness is not None and width <= self.thickness + _FLAT_WITHIN
+
+    @property
+    def held_by_clamps_alone(self) -> str:
+        """What of it takes clamps only, as words; empty where a magnet has a face."""
+        if self.edge:
+            return f"the edge of a leg, {1e3 * (self.thickness or 0.0):g} mm wide"
+        return "" if self.steel else "a round bar or a corner"
 
 
 def face_of(guardrail: Guardrail, member: str, face: str) -> Face:
@@ -128,14 +169,41 @@ def face_of(guardrail: Guardrail, member: str, face: str) -> Face:
     """
     posts = {f"post_{number}": x for number, x in enumerate(guardrail.post_positions, start=1)}
     if member in posts:
-        section, along = guardrail.post.section, (0, 0, 1)
+        section, roll, along = guardrail.post.section, guardrail.post.roll, (0, 0, 1)
         ends = (guardrail.post.bottom, guardrail.post.top)
     else:
-        (section,) = (rail.section for rail in guardrail.rails if rail.name == member)
+        ((section, roll),) = ((each.section, each.roll) for each in guardrail.rails if each.name == member)
         along, ends = (1, 0, 0), (guardrail.post_positions[0], guardrail.post_positions[-1])
     normal = FACES["post" if member in posts else "rail"][face]
-    depth, width = _half_and_width(section)
-    return Face(axes=_axes(along, normal), depth=depth, width=width, ends=ends)
+    axes = _axes(along, normal)
+    if isinstance(section, BarSection):
+        return Face(axes=axes, depth=section.diameter / 2, steel=(), thickness=None, ends=ends)
+    # A section lies in the plane of x and y of a post, of y and z of a rail.
+    plane = np.array([[1, 0, 0], [0, 1, 0]] if member in posts else [[0, 1, 0], [0, 0, 1]])
+    depth, steel = _flat_side(section, roll, tuple(plane @ axes[1]), tuple(plane @ axes[2]))
+    thickness = section.thickness if steel else None
+    return Face(axes=axes, depth=depth, steel=steel, thickness=thickness, ends=ends)
+
+
+def section_outline(section: AngleSection) -> shapely.Polygon:
+    """Return the outline of an angle: the middle of its box at the origin, its legs along both axes."""
+    low, high, inner = -section.leg / 2, section.leg / 2, -section.leg / 2 + section.thickness
+    return shapely.Polygon(
+        [(low, low), (high, low), (high, inner), (inner, inner), (inner, high), (low, high)]
+    )
+
+
+@cache
+def _flat_side(
+    section: AngleSection, roll: float, across: tuple[float, float], out: tuple[float, float]
+) -> tuple[float, tuple[tuple[float, float], ...]]:
+    """How far a turned section reaches `out`, m, and from where to where, `across`, it is flat there."""
+    c, s = np.cos(roll), np.sin(roll)
+    corners = np.array(section_outline(section).exterior.coords) @ np.array([[c, s], [-s, c]])
+    height, place = corners @ out, corners @ across
+    on = height >= height.max() - _FLAT_WITHIN
+    sides = sorted(tuple(sorted(place[[k, k + 1]].tolist())) for k in np.flatnonzero(on[:-1] & on[1:]))
+    return float(height.max()), tuple((low, high) for low, high in sides if high - low > _FLAT_WITHIN)
 
 
 @cache
@@ -143,14 +211,8 @@ def _axes(along: tuple[int, int, int], normal: tuple[int, int, int]) -> FloatArr
     return read_only(np.array([along, np.cross(normal, along), normal], dtype=float))
 
 
-def _half_and_width(section: Section) -> tuple[float, float | None]:
-    if isinstance(section, AngleSection):
-        return section.leg / 2, section.leg
-    return section.diameter / 2, None
-
-
 def foot_on(face: Face, at: FloatArray, hold: HoldFile, foot_point: FloatArray, share: FloatArray) -> Foot:
-    """Return the foot whose plate is centred on a face; its contact is what lies on the face.
+    """Return the foot whose plate is centred on a face; its contact is the steel that lies under the plate.
 
     Parameters
     ----------
@@ -163,22 +225,23 @@ def foot_on(face: Face, at: FloatArray, hold: HoldFile, foot_point: FloatArray, 
     share : (6, 6)
         Of the whole wrench about O0.
     """
-    along, _, out = face.axes
+    along, across, out = face.axes
     place = float(along @ at)
-    low, high = (np.clip(place + side * hold.plate_m[0] / 2, *face.ends) - place for side in (-1, 1))
-    half = None
-    if face.width is not None:
-        half = (float(high - low) / 2, min(hold.plate_m[1], face.width) / 2)
-    else:
-        low = high = 0.0
+    low, high = (end - place for end in face.ends)
+    plate = shapely.box(*(-side / 2 for side in hold.plate_m), *(side / 2 for side in hold.plate_m))
+    strips = [shapely.box(low, first, high, last) for first, last in face.steel]
+    region = shapely.intersection(plate, shapely.union_all(strips))
+    contact, centre = (None, np.zeros(2)) if region.is_empty else Contact.of(region)
     return Foot(
         kind=hold.kind,
-        centre=read_only(at - foot_point + face.depth * out + float(low + high) / 2 * along),
+        centre=read_only(at - foot_point + face.depth * out + centre[0] * along + centre[1] * across),
         axes=face.axes,
-        half=half,
+        contact=contact,
         friction=hold.friction,
         safety=hold.safety,
-        adhesion=hold.adhesion_n,
+        gap=hold.gap,
+        adhesion=hold.adhesion_on(face.thickness),
+        steel=face.thickness,
         force=hold.force_n,
         moment=hold.moment_nm,
         share=read_only(share),

@@ -39,7 +39,7 @@ from cmbot.toolpath import (
 
 LONGEST = 36_000
 """Duration of all strokes, s: motions are sampled every 0.01 s."""
-SMOOTH = SpeedProfile(kind="jerk_limited", ramp=0.25)
+QUIET = SpeedProfile(kind="quiet", ramp=0.3)
 """Speed profile of new scenes that have none of their own."""
 MOST_ORDERED = 12
 """Strokes whose best order is sought, at most."""
@@ -106,8 +106,8 @@ class PathFile(FileModel):
     max_base_torque_nm: Annotated[float, Field(gt=0, le=1e6)] | None = None
     """With ``seconds: auto``: the largest torque on the base, Nm, with the tool on; left out: any."""
     time_laws: Annotated[tuple[LegLaw, ...], Field(max_length=2000)] | None = None
-    """How legs with ``seconds: auto`` are covered, as planning found it: in the scenes of plans. Left out: it
-    is searched."""
+    """How legs with ``seconds: auto``, or of a ``quiet`` path, are covered, as planning found it: in the
+    scenes of plans. Left out: it is searched."""
     speed_m_s: Speed | None = None
     """In place of `seconds` the speed at which the tool cruises along `waypoints` or `raster`, m/s."""
     speed_tolerance: Annotated[float, Field(ge=1e-4, le=0.5)] | None = None
@@ -124,8 +124,8 @@ class PathFile(FileModel):
     blend_radius_m: Annotated[float | None, Field(ge=1e-4, le=100)] = None
     """Radius by which corners between straight legs, and between the rows of a raster, are rounded, m; left
     out, and where the way turns by more than 150 degrees, the tool rests there."""
-    speed_profile: SpeedProfile = SMOOTH
-    """Left out: jerk_limited with a ramp of 0.25, which leaves less vibration than the paper's trapezoid."""
+    speed_profile: SpeedProfile = QUIET
+    """Left out: quiet with a ramp of 0.3, in place of which planning chooses ramps and input shapers."""
     passes: Annotated[int, Field(ge=1, le=100)] | None = None
     """How often the path is followed, to and fro, without leaving it; left out: once."""
     via_points: ViaPoints = 50
@@ -158,9 +158,12 @@ class PathFile(FileModel):
             legs = (leg if leg.is_timed else replace(leg, seconds=AUTO) for leg in self.legs)
             object.__setattr__(self, "legs", tuple(legs))
             object.__setattr__(self, "seconds", None)
-        for name in ("max_base_torque_nm", "time_laws"):
-            if not self.is_open and getattr(self, name) is not None:
-                raise refusal("no such key without seconds: auto", got="a value", key=(*at, name))
+        if not self.is_open and self.max_base_torque_nm is not None:
+            expected = "no such key without seconds: auto"
+            raise refusal(expected, got="a value", key=(*at, "max_base_torque_nm"))
+        if not (self.is_open or self.speed_profile.kind == "quiet") and self.time_laws is not None:
+            expected = "no such key without seconds: auto or speed_profile: {kind: quiet}"
+            raise refusal(expected, got="a value", key=(*at, "time_laws"))
         for name in ("speed_tolerance", "lead_in_m", "lead_out_m"):
             if self.is_open and getattr(self, name) is not None:
                 expected = "no such key beside seconds: auto, which has no constant speed"

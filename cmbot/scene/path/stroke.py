@@ -23,6 +23,8 @@ _DEVIATION, _SPEED = 1e-3, 0.2
 # Segments of a leg at least and at most, and of one whose shortest time is sought at least.
 _FEWEST, _MOST, _FEWEST_OPEN = 4, 400, 30
 _ALL = 12
+# Durations that differ by less are the same, as a share.
+_SAME_SECONDS = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -114,10 +116,7 @@ def timed_stroke(
     path = path.reversed() if file.backwards else path
     path = path.repeated(file.passes or 1)
     if file.time_laws is not None:
-        found = sorted(law.leg for law in file.time_laws)
-        if found != sorted(path.open_legs):
-            expected = f"one for each leg with seconds: auto: {sorted(path.open_legs)}"
-            raise SceneError(place.source, f"{place.key}.time_laws", f"laws of legs {found}", expected)
+        _check_laws(file, path, place)
         path = path.timed(file.time_laws)
     number = file.via_points
     if not isinstance(number, int):
@@ -135,6 +134,21 @@ def timed_stroke(
         begins_elsewhere=begins_elsewhere,
         surface=surface,
     )
+
+
+def _check_laws(file: StrokeFile, path: ToolPath, place: PathSource) -> None:
+    """Refuse laws of other legs than those whose laws are to be found, or in other seconds than are given."""
+    laws = file.time_laws or ()
+    legs, key = sorted(law.leg for law in laws), f"{place.key}.time_laws"
+    free = set(range(len(path.segments))) if file.speed_profile.kind == "quiet" else path.open_legs
+    if len(set(legs)) < len(legs) or not path.open_legs <= set(legs) <= free:
+        expected = f"one for each leg with seconds: auto: {sorted(path.open_legs)}"
+        raise SceneError(place.source, key, f"laws of legs {legs}", expected)
+    for law in laws:
+        seconds = path.segments[law.leg].seconds
+        if law.leg not in path.open_legs and abs(law.duration - seconds) > _SAME_SECONDS * seconds:
+            got = f"{law.duration:g} s on leg {law.leg}"
+            raise SceneError(place.source, key, got, f"the {seconds:g} s of that leg")
 
 
 def _automatic_via_points(path: ToolPath, deviation: float, file: StrokeFile) -> int:
@@ -158,7 +172,7 @@ def _automatic_via_points(path: ToolPath, deviation: float, file: StrokeFile) ->
     finer = min((deviation / _DEVIATION) ** 0.25, 1.0)
     if file.speed_tolerance is not None:
         finer *= min(math.sqrt(file.speed_tolerance / _SPEED), 1.0)
-    timed = {law.leg for law in file.time_laws or ()}
+    timed = {law.leg for law in file.time_laws or ()} if file.is_open else set[int]()
     count = 0
     for leg, segment in enumerate(path.segments):
         length = segment.curve.length

@@ -56,7 +56,7 @@ def nodes_between(scene: Scene, first: Candidate, last: Candidate, spacing: floa
     for place in (*ends, *places_of(scene, spacing)):
         x = float(foothold_pose(scene.elastic_guardrail, place)[0, 3])
         # On round bars a foot holds only where a scene wants it to.
-        flat = place in ends or foothold_face(scene.elastic_guardrail, place).width is not None
+        flat = place in ends or not foothold_face(scene.elastic_guardrail, place).held_by_clamps_alone
         if flat and min(xs) - _BEYOND <= x <= max(xs) + _BEYOND and place not in places:
             places.append(place)
     poses = [foothold_pose(scene.elastic_guardrail, place) for place in places]

@@ -9,7 +9,7 @@ from small_scenes import parts, short_scene
 
 from cmbot.planning.certification.enclosed_motion import EnclosedMotion
 from cmbot.planning.certification.joint_checks import range_check
-from cmbot.robot import Robot
+from cmbot.robot import Dynamics, Robot
 from cmbot.trajectory import QuinticTrajectory
 
 SECONDS = 4.0
@@ -48,6 +48,25 @@ def test_the_lag_behind_a_bend_is_enclosed_closely() -> None:
     lag = np.abs(np.einsum("nd,nd->n", goals.point[0] - goals.point, along)).max()
     peak = motion.tool_lag()
     assert lag - 1e-6 <= peak.bound <= 1.1 * lag
+
+
+@pytest.mark.parametrize("place", [0.0, 1e4])
+@pytest.mark.parametrize("moved", [1e-6, 6.0])
+@pytest.mark.parametrize("seconds", [1e-5, 1e5])
+def test_enclosures_hold_at_the_ends_of_their_range(place: float, moved: float, seconds: float) -> None:
+    """Where joints are, how far they move in a segment, and how long that lasts, as docs/method.md says."""
+    robot, task, *_ = parts(short_scene())
+    rng, n = np.random.default_rng(int(place + moved + seconds)), 7
+    knots = [moved * rng.uniform(-1, 1, (3, n)) / seconds**order for order in range(3)]
+    q, v, a = place + knots[0], *knots[1:]
+    motion = QuinticTrajectory(t=seconds * np.arange(3), q=q, v=v, a=a)
+    found = EnclosedMotion(robot, task, motion, None)
+    efforts = Dynamics(robot).efforts(*motion.states(np.linspace(0, 2 * seconds, 4001))[:3])
+    use = np.abs(efforts.joint_torque) / robot.limits.torque
+    check, (peak, *_) = found.joint_torque(), found.guardrail_torque()
+    assert use.max() <= check.value / check.bound <= (1 + 1e-3) * use.max()
+    torque = np.linalg.norm(efforts.guardrail_torque, axis=1).max()
+    assert torque <= peak.bound <= (1 + 1e-3) * torque
 
 
 def test_the_middle_of_a_range_need_not_be_zero(cmbot_robot: Robot) -> None:

@@ -30,7 +30,7 @@ def magnet_and_clamp() -> Plan:
     rail = {"member": "top_rail", "turn_deg": 180}
     feet = {"foot_1": {**rail, "along_m": 3.5}, "foot_2": {**rail, "along_m": 3.665}}
     path = {"legs": [{"by": [0, -0.05, 0], "seconds": 2}], "via_points": 6}
-    hold = [MAGNET, {**CLAMP, "force_n": [80e3] * 3, "moment_nm": [30e3] * 3}]
+    hold = [MAGNET | {"safety": 1}, {**CLAMP, "force_n": [80e3] * 3, "moment_nm": [30e3] * 3}]
     return plan(clamped_scene(guardrail={"hold": hold, "stance": feet}, tool_path=path))
 
 

@@ -27,17 +27,17 @@ def test_the_contact_is_the_plate_cut_with_the_face() -> None:
     (foot,) = scene({"kind": "magnet", "plate_m": [0.10, 0.05], "adhesion_n": 5000}).feet
     np.testing.assert_allclose(foot.centre, [0, 0.0375, 0])
     np.testing.assert_array_equal(foot.axes, [[0, 0, 1], [1, 0, 0], [0, 1, 0]])
-    assert foot.half == pytest.approx((0.05, 0.025))
+    assert foot.contact.size == pytest.approx((0.10, 0.05))
     # The post is 75 mm wide and ends 50 mm above the foot.
     (foot,) = scene({"kind": "magnet", "plate_m": [0.2, 0.2]}).feet
-    assert foot.half == pytest.approx((0.075, 0.0375))
-    np.testing.assert_allclose(foot.centre, [0, 0.0375, -0.025])
+    assert foot.contact.size == pytest.approx((0.15, 0.075))
+    np.testing.assert_allclose(foot.centre, [0, 0.0375, -0.025], atol=1e-12)
 
 
 def test_a_foot_on_the_rail() -> None:
     (foot,) = scene({"kind": "magnet", "plate_m": [0.2, 0.2]}, foot={"offset_m": 0.5}).feet
     np.testing.assert_array_equal(foot.axes, [[1, 0, 0], [0, 0, -1], [0, 1, 0]])
-    assert foot.half == pytest.approx((0.1, 0.0315))
+    assert foot.contact.size == pytest.approx((0.2, 0.063))
 
 
 def test_a_list_and_what_is_written_back() -> None:
@@ -45,7 +45,7 @@ def test_a_list_and_what_is_written_back() -> None:
     assert one.as_data()["guardrail"]["hold"]["kind"] == "welded"
     clamp = {"kind": "clamp", "force_n": [1e4, 1e4, 1e4], "moment_nm": [500, 500, 500]}
     (foot,) = scene(clamp, rails=[BAR], foot={"offset_m": 0.5}).feet
-    assert (foot.half, foot.moment) == (None, (500, 500, 500))
+    assert (foot.contact, foot.moment) == (None, (500, 500, 500))
 
 
 @pytest.mark.parametrize(
@@ -74,6 +74,39 @@ def test_a_round_bar_takes_no_magnet() -> None:
         SceneError, match=r"guardrail.hold.kind: got magnet, expected clamp or welded, as the"
     ):
         scene({"kind": "magnet"}, rails=[BAR], foot={"offset_m": 0.5})
+
+
+def test_on_the_open_side_of_an_angle_there_is_an_edge() -> None:
+    open_side = {"post": {"roll_deg": 0}}
+    (foot,) = scene({"kind": "clamp", "force_n": [1e4] * 3, "moment_nm": [500] * 3}, **open_side).feet
+    assert foot.contact.size == pytest.approx((0.125, 0.008))
+    # Its steel is that of the leg along y, at the side of x below the axis.
+    np.testing.assert_allclose(foot.centre, [-0.0375 + 0.004, 0.0375, -0.0125])
+    with pytest.raises(
+        SceneError, match=r"got magnet, expected clamp or welded, .* edge of a leg, 8 mm wide"
+    ):
+        scene({"kind": "magnet"}, **open_side)
+    with pytest.raises(SceneError, match=r"got magnet, expected clamp or welded, .* round bar or a corner"):
+        scene({"kind": "magnet"}, post={"roll_deg": 30})
+
+
+def test_a_magnet_pulls_no_more_than_saturated_iron() -> None:
+    assert scene({"kind": "magnet", "adhesion_n": 14_000}).feet[0].adhesion == 14_000
+    with pytest.raises(SceneError, match=r"adhesion_n: got 23000 N, expected at most 14921 N, 1.6 MPa on"):
+        scene({"kind": "magnet", "adhesion_n": 23_000})
+    # Two poles along the member lead their flux through 8 mm of steel, 75 mm wide.
+    (foot,) = scene({"kind": "magnet"}).feet
+    assert foot.ceiling == pytest.approx(2 * 0.008 * 0.075 * 1.5915e6, rel=1e-3)
+
+
+def test_thin_steel_takes_a_share_of_a_magnets_pull() -> None:
+    curve = {"kind": "magnet", "adhesion_n": 5000, "derating": [[2, 0.2], [6, 0.5], [10, 1.0]]}
+    assert scene(curve).feet[0].adhesion == pytest.approx(0.75 * 5000)
+    assert scene(curve, foot={"offset_m": 0.5}).feet[0].adhesion == pytest.approx(0.5 * 5000)
+    with pytest.raises(SceneError, match=r"guardrail.hold.derating: got .*, expected ascending thick"):
+        scene(curve | {"derating": [[6, 0.2], [2, 0.5]]})
+    with pytest.raises(SceneError, match=r"guardrail.hold.adhesion_n: got nothing, expected the adhesion"):
+        scene({"kind": "magnet", "derating": [[6, 0.2]]})
 
 
 def test_without_a_member_nothing_is_held() -> None:

@@ -1,54 +1,28 @@
-"""The adhesion that a foot needs so that it is not pulled off, does not tip and does not slip.
+"""What the feet of a robot bear: the adhesion that they need, the shares of their bounds.
 
 With the load of a foot (forces T_u, T_w along and across the member and N out of the steel, moments M_u, M_w,
-M_n about the same axes through the contact's centre), half sides l_u, l_w, mean distance r and friction mu:
-
-    pull  A = N
-    tip   A = N + max(|M_u| / l_w, |M_w| / l_u)
-    slip  A = N + ((T / mu + H)^p + (|M_n| / (mu r))^p)^(1/p),    H^2 = (M_u / l_w)^2 + (M_w / l_u)^2
-
-with T = |(T_u, T_w)| and p = 1.25. With p = 2 and without H that would be the ellipse of friction and torsion
-under uniform pressure, which is not on the safe side: a rectangle slips at 0.89 of it, and at half of it
-where tipping moments move the pressure to one side. The power and H make up for both: tests compare the
-formula with slipping under a pressure that is linear over the contact, without tension. All are convex
-functions of the load.
+M_n about the same axes through the contact's centroid), an adhesion A presses the contact with P = A - N at
+the centre of pressure (M_w, -M_u) / P. It has to be so large that the foot is not pulled off (P >= 0), does
+not tip, opens no gap where none is allowed, and does not slip: see `Contact`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.file_types import Count, NonNegative
+from cmbot.hold.contact import Contact
 from cmbot.hold.foot import Foot
 
-MODES = ("pull", "tip", "slip")
+MODES = ("pull", "tip", "gap", "slip")
 """What the adhesion is needed against."""
 
 ADHESION, CLAMP_LOAD = "adhesion needed", "load of the clamp"
 """What is judged of a magnet and of a clamp: see `Holding.named`."""
-
-_POWER = 1.25
-
-
-class FlatContact(Protocol):
-    """What the formulas take of a foot: numbers, or arrays (N,) of one for each load."""
-
-    @property
-    def half(self) -> Any:
-        """Half of the sides along and across the member, m."""
-
-    @property
-    def radius(self) -> Any:
-        """Mean distance of the points from the centre, m."""
-
-    @property
-    def friction(self) -> Any:
-        """Between plate and steel."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +34,9 @@ class AdhesionPeak:
     peak : float, N
         Without a safety factor.
     mode : str
-        What would happen with less: ``pull``, ``tip`` or ``slip``; ``none`` where nothing would.
+        What would happen with less: ``pull``, ``tip``, ``gap`` or ``slip``; ``none`` where nothing would.
+    tip, gap : float, N
+        What the motion needs of any foot so that none tips, and so that no gap opens.
     time : float, s
     foot : int
         Which foot, from 1.
@@ -68,6 +44,8 @@ class AdhesionPeak:
 
     peak: NonNegative
     mode: str
+    tip: NonNegative
+    gap: NonNegative
     time: NonNegative
     foot: Count = 1
 
@@ -89,7 +67,7 @@ class Holding:
     @property
     def flat(self) -> tuple[int, ...]:
         """Numbers, from 0, of the feet with a flat contact."""
-        return tuple(k for k, foot in enumerate(self.feet) if foot.half is not None)
+        return tuple(k for k, foot in enumerate(self.feet) if foot.contact is not None)
 
     @property
     def adhesive(self) -> tuple[int, ...]:
@@ -136,20 +114,46 @@ class Holding:
         return np.maximum(np.array(needs).T.reshape(len(wrench), -1), 0.0)
 
     def modes(self, number: int, wrench: FloatArray) -> FloatArray:
-        """Return what a foot with a flat contact needs by `MODES`, (N, 3), N."""
-        return _modes(self.feet[number], self.load(number, wrench))
+        """Return what a foot with a flat contact needs by `MODES`, (N, 4), N."""
+        return _modes(self.feet[number], self.load(number, wrench))[0]
 
     def needed(self, number: int, wrench: FloatArray) -> FloatArray:
         """Return the adhesion (N,), N, that a foot with a flat contact needs; below zero it is pressed on."""
-        return np.asarray(self.modes(number, wrench).max(axis=1))
+        return needed_by_load(self.feet[number], self.load(number, wrench))[0]
+
+    def needed_between(self, number: int, wrench: FloatArray) -> FloatArray:
+        """Return an adhesion (N,), N, that suffices a foot for all wrenches between points (N, K, 6)."""
+        foot = self.feet[number]
+        load = self.load(number, wrench.reshape(-1, 6)).reshape(wrench.shape)
+        if foot.gap == "none":
+            # Then it is convex.
+            needed = needed_by_load(foot, load.reshape(-1, 6))[0]
+            return np.asarray(needed.reshape(wrench.shape[:2]).max(axis=1))
+        middle = load.mean(axis=1)
+        away = _growth(foot, np.abs(load - middle[:, None]).reshape(-1, 6)).reshape(wrench.shape[:2])
+        return np.asarray(needed_by_load(foot, middle)[0] + away.max(axis=1))
 
     def worst(self, wrench: FloatArray, time: FloatArray) -> AdhesionPeak:
         """Return the largest adhesion that wrenches (N, 6) at times (N,), s, need of a foot but a clamp."""
         each = self.each(wrench)[:, [self.flat.index(number) for number in self.adhesive]]
         k, column = np.unravel_index(int(each.argmax()), each.shape)
-        number = self.adhesive[int(column)]
-        mode = self.mode(number, wrench[k])
-        return AdhesionPeak(peak=float(each[k, column]), mode=mode, time=float(time[k]), foot=number + 1)
+        return self.peak(
+            self.adhesive[int(column)], float(each[k, column]), float(time[k]), wrench[k], wrench
+        )
+
+    def peak(
+        self, number: int, value: float, time: float, at: FloatArray, wrench: FloatArray
+    ) -> AdhesionPeak:
+        """Return the peak of foot `number`, at a wrench (6,) of a motion with wrenches (N, 6)."""
+        loads = [(self.feet[k], self.load(k, wrench)) for k in self.adhesive]
+        tip, gap = (
+            max(float((load[:, 2] + _pressed(foot, load, which)[0]).max()) for foot, load in loads)
+            for which in (Contact.tip, Contact.gap)
+        )
+        mode = self.mode(number, at)
+        return AdhesionPeak(
+            peak=max(value, 0.0), mode=mode, tip=max(tip, 0.0), gap=max(gap, 0.0), time=time, foot=number + 1
+        )
 
     def mode(self, number: int, wrench: FloatArray) -> str:
         """Return what a foot with a flat contact needs adhesion against at a wrench (6,): `AdhesionPeak`."""
@@ -160,13 +164,10 @@ class Holding:
         """Return the largest adhesion that a foot needs (N,), N, and its gradients (N, 6)."""
         value, gradient = np.zeros(len(wrench)), np.zeros((len(wrench), 6))
         for number in self.flat:
-            foot, load = self.feet[number], self.load(number, wrench)
-            modes = _modes(foot, load)
-            which = modes.argmax(axis=1)
-            rows = np.arange(len(wrench))
-            more = modes[rows, which] > value
-            value[more] = modes[rows, which][more]
-            by_load = _gradients(foot, load)[rows, which]
+            foot = self.feet[number]
+            needed, by_load = needed_by_load(foot, self.load(number, wrench))
+            more = needed > value
+            value[more] = needed[more]
             gradient[more] = (by_load @ foot.from_wrench)[more]
         return value, gradient
 
@@ -180,15 +181,11 @@ class Holding:
         force, torque : (K,), N and Nm
             By which the wrench is off at most.
         """
-        foot, size = self.feet[number], self._load_bounds(number, force, torque)
-        if foot.half is None or foot.radius is None:
+        foot = self.feet[number]
+        if foot.contact is None:
             return np.zeros_like(force)
-        along, across = foot.half
-        pull = size[:, 2]
         with np.errstate(over="ignore"):  # damaged files ask forces without end; an infinite bound is refused
-            slide = np.hypot(size[:, 0], size[:, 1]) / foot.friction
-            tip = size[:, 3] / across + size[:, 4] / along
-            return np.asarray(pull + slide + tip + size[:, 5] / (foot.friction * foot.radius))
+            return _growth(foot, self._load_bounds(number, force, torque))
 
     @property
     def bounded(self) -> bool:
@@ -209,7 +206,8 @@ class Holding:
             shares, by_load = np.abs(load) / self._clamp(number), np.sign(load)[:, :, None] * np.eye(6)
             by_load = by_load / self._clamp(number)
             if foot.adhesion is not None:
-                shares, by_load = _modes(foot, load) / foot.adhesion, _gradients(foot, load) / foot.adhesion
+                needed, by_one = needed_by_load(foot, load)
+                shares, by_load = needed[:, None] / foot.adhesion, by_one[:, None] / foot.adhesion
             which = shares.argmax(axis=1)
             found = foot.safety * shares[rows, which]
             more = found > value
@@ -242,59 +240,60 @@ class Holding:
         return np.where(np.isnan(loads), np.inf, loads)
 
 
-def needed_by_load(contact: FlatContact, load: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the adhesion (N,), N, that flat contacts need under loads (N, 6), and its gradients (N, 6).
+def needed_by_load(foot: Foot, load: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the adhesion (N,), N, that a foot needs under loads (N, 6), and its gradients (N, 6).
 
     Parameters
     ----------
-    contact : FlatContact
-        One for all loads, or one for each.
+    foot : Foot
+        With a flat contact.
     load : (N, 6), N and Nm
         As `Foot.from_wrench` gives them.
     """
-    modes = _modes(contact, load)
+    modes, gradients = _modes(foot, load)
     which, rows = modes.argmax(axis=1), np.arange(len(load))
-    return modes[rows, which], _gradients(contact, load)[rows, which]
+    return modes[rows, which], gradients[rows, which]
 
 
-def _parts(foot: FlatContact, load: FloatArray) -> tuple[FloatArray, ...]:
-    """Friction, tipping and torsion of loads (N, 6) as forces (N,) on the contact; the tips' components."""
-    if foot.half is None or foot.radius is None:
-        raise ValueError("a foot without a flat contact")
-    along, across = foot.half
-    about_member, about_across = load[:, 3] / across, load[:, 4] / along
-    slide = np.hypot(load[:, 0], load[:, 1]) / foot.friction
-    both = np.hypot(about_member, about_across)
-    return slide, both, np.abs(load[:, 5]) / (foot.friction * foot.radius), about_member, about_across
-
-
-def _modes(foot: FlatContact, load: FloatArray) -> FloatArray:
-    slide, both, torsion, about_member, about_across = _parts(foot, load)
-    tip = np.maximum(np.abs(about_member), np.abs(about_across))
-    slip = ((slide + both) ** _POWER + torsion**_POWER) ** (1 / _POWER)
-    return np.asarray(load[:, 2, None] + np.stack([np.zeros_like(tip), tip, slip], axis=1))
-
-
-def _gradients(foot: FlatContact, load: FloatArray) -> FloatArray:
-    """Derivatives (N, 3, 6) of `_modes` by the load; zero where there is none."""
-    slide, both, torsion, about_member, about_across = _parts(foot, load)
-    along, across = foot.half or (1.0, 1.0)
-    gradient = np.zeros((len(load), len(MODES), 6))
+def _modes(foot: Foot, load: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What a foot needs by `MODES` (N, 4), N, and the gradients (N, 4, 6); of tip and gap one counts."""
+    N = len(load)
+    pressed, gradient = np.zeros((N, len(MODES))), np.zeros((N, len(MODES), 6))
     gradient[:, :, 2] = 1.0
-    rolls = np.abs(about_member) >= np.abs(about_across)
-    gradient[:, 1, 3] = np.where(rolls, np.sign(about_member) / across, 0.0)
-    gradient[:, 1, 4] = np.where(rolls, 0.0, np.sign(about_across) / along)
-    slip = ((slide + both) ** _POWER + torsion**_POWER) ** (1 / _POWER)
-    by_rest, by_torsion = (_ratio(x, slip) ** (_POWER - 1) for x in (slide + both, torsion))
-    gradient[:, 2, 0] = by_rest * _ratio(load[:, 0], slide * foot.friction) / foot.friction
-    gradient[:, 2, 1] = by_rest * _ratio(load[:, 1], slide * foot.friction) / foot.friction
-    gradient[:, 2, 3] = by_rest * _ratio(about_member, both) / across
-    gradient[:, 2, 4] = by_rest * _ratio(about_across, both) / along
-    radius = 1.0 if foot.radius is None else foot.radius
-    gradient[:, 2, 5] = by_torsion * np.sign(load[:, 5]) / (foot.friction * radius)
-    return gradient
+    judged, function = (1, Contact.tip) if foot.gap == "allowed" else (2, Contact.gap)
+    pressed[:, judged], by_moment = _pressed(foot, load, function)
+    gradient[:, judged, 4], gradient[:, judged, 3] = by_moment[:, 0], -by_moment[:, 1]
+    part = np.column_stack([load[:, :2], _moment(load), load[:, 5]])
+    # What is beyond all bounds needs an adhesion beyond all bounds.
+    good = np.isfinite(part).all(axis=1)
+    pressed[~good, 3] = np.inf
+    pressed[good, 3], by = _flat(foot).slip(part[good], foot.friction, foot.gap)
+    slip = np.column_stack([by[:, :2], np.zeros(len(by)), -by[:, 3], by[:, 2], by[:, 4]])
+    gradient[good, 3] += slip
+    return load[:, 2, None] + pressed, gradient
 
 
-def _ratio(value: FloatArray, size: FloatArray) -> FloatArray:
-    """Value over size, zero where there is no size."""
-    return np.divide(value, size, out=np.zeros_like(value), where=size > 0)
+def _flat(foot: Foot) -> Contact:
+    if foot.contact is None:
+        raise ValueError("a foot without a flat contact")
+    return foot.contact
+
+
+def _moment(load: FloatArray) -> FloatArray:
+    """The centre of pressure times the pressing force (N, 2), Nm."""
+    return np.column_stack([load[:, 4], -load[:, 3]])
+
+
+def _pressed(
+    foot: Foot, load: FloatArray, function: Callable[[Contact, FloatArray], tuple[FloatArray, FloatArray]]
+) -> tuple[FloatArray, FloatArray]:
+    """By how much a contact has to be pressed under loads (N, 6), and the gradients (N, 2)."""
+    value, by_moment = function(_flat(foot), _moment(load))
+    return value, by_moment
+
+
+def _growth(foot: Foot, size: FloatArray) -> FloatArray:
+    """By how much the adhesion (N,), N, may change where loads change by up to `size` (N, 6)."""
+    by_friction, by_moment, by_torsion = _flat(foot).steepness(foot.friction)
+    slide, moment = np.hypot(size[:, 0], size[:, 1]), np.hypot(size[:, 3], size[:, 4])
+    return np.asarray(size[:, 2] + by_friction * slide + by_moment * moment + by_torsion * size[:, 5])

@@ -1,0 +1,106 @@
+"""When a plate slips, by a linear program: what the package's formula of holding is compared with.
+
+The pressure is linear over the contact and nowhere a tension: where the load asks for one a gap opens. It
+balances the normal force and both tipping moments. Friction is one force a cell, within a cone of 32 sides
+around the circle of friction times pressure, so that no cone is smaller than the circle. The cells are those
+of Gauss-Lobatto quadrature, whose outermost points lie on the edges. Nothing here is shared with the package.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.optimize import linprog
+
+FloatArray = NDArray[np.float64]
+
+POINTS, SIDES = 15, 32
+"""Cells along each side, and sides of the cones."""
+# Newton's steps for the pressure, bisections of the adhesion at most, and where they end, as shares.
+_STEPS, _BISECTIONS, _CLOSE = 100, 40, 1e-3
+
+
+class Plate:
+    """A rectangular plate with sides along and across, m, and its friction."""
+
+    def __init__(self, along: float, across: float, friction: float) -> None:
+        self.half = np.array([along, across]) / 2
+        # Nodes of Gauss-Lobatto: the ends, and the roots of the derivative of Legendre's polynomial.
+        legendre = np.polynomial.legendre.Legendre.basis(POINTS - 1)
+        nodes = np.concatenate([[-1.0], np.sort(legendre.deriv().roots().real), [1.0]])
+        weights = 1 / (POINTS * (POINTS - 1)) / legendre(nodes) ** 2
+        self.points = np.array(np.meshgrid(nodes, nodes, indexing="ij")).reshape(2, -1).T
+        self.weights = 2 * np.outer(weights, weights).ravel() * 2
+        self.weights = self.weights / self.weights.sum()
+        angle = 2 * np.pi * np.arange(SIDES) / SIDES
+        corner = friction / np.cos(np.pi / SIDES)
+        u, w = (corner * np.kron(np.ones(len(self.points)), part) for part in (np.cos(angle), np.sin(angle)))
+        x, y = (np.repeat(part, SIDES) for part in (self.points * self.half).T)
+        self._rows = np.array([u, w, x * w - y * u])
+        self._cells = sparse.kron(sparse.eye(len(self.points)), np.ones((1, SIDES)), format="csr")
+
+    def pressure(self, centre: FloatArray) -> FloatArray | None:
+        """Return the shares (K,) of the normal force on the cells; None where the plate tilts.
+
+        Its resultant is at `centre` (2,), in half sides.
+        """
+        if np.abs(centre).max() >= 1:
+            return None
+        X = np.column_stack([np.ones(len(self.points)), self.points])
+        goal = np.array([1.0, *centre])
+        c = np.linalg.solve(X.T @ (self.weights[:, None] * X), goal)
+
+        def energy(c: FloatArray) -> float:
+            return float(0.5 * self.weights @ np.maximum(X @ c, 0.0) ** 2 - goal @ c)
+
+        # The pressure minimises a convex function: Newton's steps, halved until they lower it.
+        for _ in range(_STEPS):
+            pressure = X @ c
+            on = np.where(pressure > 0, self.weights, 0.0)
+            lack = X.T @ (on * pressure) - goal
+            if np.abs(lack).max() < 1e-9:
+                break
+            step = np.linalg.solve(X.T @ (on[:, None] * X) + 1e-12 * np.eye(3), lack)
+            share = 1.0
+            while energy(c - share * step) > energy(c) - 1e-4 * share * (lack @ step) and share > 1e-9:
+                share *= 0.5
+            c = c - share * step
+        return np.asarray(self.weights * np.maximum(X @ c, 0.0))
+
+    def factor(self, load: FloatArray, pressed: float) -> float:
+        """Return by how much friction and torsion of a load may grow until the plate slips.
+
+        It is pressed by `pressed`, N; zero where it tilts.
+        """
+        pressure = self.pressure(np.array([load[4], -load[3]]) / pressed / self.half)
+        if pressure is None:
+            return 0.0
+        goal, scale = load[[0, 1, 5]], np.array([1.0, 1.0, 1 / self.half.max()])
+        columns = np.column_stack([self._rows, -goal / pressed]) * scale[:, None]
+        cells = sparse.hstack([self._cells, sparse.csr_array((len(pressure), 1))])
+        cost = np.zeros(columns.shape[1])
+        cost[-1] = -1.0
+        found = linprog(cost, A_ub=cells, b_ub=pressure, A_eq=columns, b_eq=np.zeros(3), method="highs")
+        if found.status == 3:
+            return np.inf
+        if not found.success:
+            raise RuntimeError(found.message)
+        return float(found.x[-1])
+
+    def needed(self, load: FloatArray, guess: float) -> float:
+        """The adhesion, N, with which a load (6,), as `Foot.from_wrench` has it, makes it slip or tilt."""
+        pressed = max(guess - load[2], 1e-9)
+        low, high = 0.0, np.inf
+        for _ in range(_BISECTIONS):
+            factor = self.factor(load, pressed)
+            low, high = (low, pressed) if factor >= 1 else (pressed, high)
+            if high < np.inf and high - low <= _CLOSE * high:
+                break
+            # With a pressure that keeps its shape the factor grows with the force; a little beyond it, so
+            # that both ends come nearer.
+            beyond = 1 - 0.4 * _CLOSE if factor >= 1 else 1 + 0.4 * _CLOSE
+            secant = beyond * pressed / factor if 0 < factor < np.inf else 0.0
+            half = 0.5 * (low + high) if high < np.inf else 2 * pressed
+            pressed = secant if low < secant < high else half
+        return float(low + load[2])

@@ -1,0 +1,61 @@
+"""How far the formula of holding is on the safe side of a linear program of contact.
+
+    python benchmarks/holding.py                # 1,000 loads, half without torsion; prints the table
+    python benchmarks/holding.py --loads 100
+
+Loads of a plate of 0.15 x 0.075 m with a friction of 0.4: every component is uniform within its range, forces
+of 1,000 N along and across and 300 N out of the steel, moments of 100, 200 and 100 Nm; of half of them the
+moment about the normal is zero. What presses the plate, the adhesion less the pull, is compared with that of
+`contact_lp`.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+from contact_lp import FloatArray, Plate
+
+from cmbot.hold import Contact, Foot, Holding
+
+__all__ = ["SIZE", "random_loads", "ratios"]
+
+SIZE, FRICTION, SEED = (0.15, 0.075), 0.4, 2021
+# Largest forces, N, and moments, Nm, of `SIZE`.
+_RANGES = np.array([1000.0, 1000.0, 300.0, 100.0, 200.0, 100.0])
+
+
+def random_loads(size: tuple[float, float], number: int, seed: int) -> FloatArray:
+    """Loads (number, 6), the first half without torsion; moments in proportion to the plate's sides."""
+    along, across = np.array(size) / SIZE
+    ranges = _RANGES * [1, 1, 1, across, along, 0.5 * (along + across)]
+    loads = np.random.default_rng(seed).uniform(-1, 1, (number, 6)) * ranges
+    loads[: number // 2, 5] = 0.0
+    return np.asarray(loads)
+
+
+def ratios(loads: FloatArray) -> FloatArray:
+    """What presses the plate by the package over that by the linear program, (N,)."""
+    flat = {"centre": np.zeros(3), "axes": np.eye(3), "share": np.eye(6)}
+    contact = Contact.rectangle(*SIZE)
+    foot = Foot(kind="magnet", contact=contact, friction=FRICTION, safety=1.0, **flat)
+    plate, values = Plate(*SIZE, FRICTION), Holding([foot], np.zeros(6)).needed(0, loads)
+    exact = np.array([plate.needed(load, value) for load, value in zip(loads, values, strict=True)])
+    return np.asarray((values - loads[:, 2]) / (exact - loads[:, 2]))
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--loads", type=int, default=1000)
+    number = parser.parse_args().loads
+    found = ratios(random_loads(SIZE, number, SEED))
+    print(f"{number} loads, seed {SEED}: adhesion less pull over that of the linear program")
+    print("| | loads | least | median | 90 % | largest |")
+    for name, part in (("without torsion", found[: number // 2]), ("with torsion", found[number // 2 :])):
+        figures = [part.min(), *np.quantile(part, [0.5, 0.9]), part.max()]
+        print(f"| {name} | {len(part)} | " + " | ".join(f"{figure:.4f}" for figure in figures) + " |")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,98 @@
+"""How quiet a work is: how far the tool sways at work, and swings after the stop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.distance import pdist
+
+from cmbot.accuracy.sway import sway_along
+from cmbot.common.arrays import FloatArray
+from cmbot.common.file_types import NonNegative
+from cmbot.elastic.arm import ElasticArm
+from cmbot.trajectory import QuinticTrajectory
+
+# Damping ratio of every mode, and how long the tool is watched after the stop, s: as simulated by default.
+_DAMPING, _SETTLE = 0.01, 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quietness:
+    """Sway at work and swing after the stop: the largest over the interval of the stiffness, and of strokes.
+
+    Attributes
+    ----------
+    stiffness_share : float
+        By which all stiffness may differ from the modelled one.
+    sway_mm : float
+        Largest distance of the tool from its place at rest, at work.
+    swing_mm : float
+        Largest distance between two positions of the tool in the 2 s after a stroke.
+    unshaped_sway_mm, unshaped_swing_mm : float or None
+        Of the same joint path in the same time by the law of the speed profile alone, without an input shaper
+        and a ramp of its own; None where no law was chosen.
+    """
+
+    stiffness_share: NonNegative
+    sway_mm: NonNegative
+    swing_mm: NonNegative
+    unshaped_sway_mm: NonNegative | None
+    unshaped_swing_mm: NonNegative | None
+
+
+def quietness_of(
+    arm: ElasticArm,
+    share: float,
+    planned: Sequence[QuinticTrajectory],
+    unshaped: Sequence[QuinticTrajectory | None],
+) -> Quietness:
+    """Return how quiet strokes are.
+
+    Parameters
+    ----------
+    arm : ElasticArm
+    share : float
+        By which all stiffness may differ.
+    planned, unshaped : sequences of QuinticTrajectory
+        Of each stroke what was planned, and the same without a law that was chosen; None where none was.
+    """
+    factors = sorted({1 - share, 1.0, 1 + share})
+    own = np.array([_sway_and_swing(arm, stroke, factors) for stroke in planned])
+    chosen = any(stroke is not None for stroke in unshaped)
+    plain = np.array(
+        [
+            known if stroke is None else _sway_and_swing(arm, stroke, factors)
+            for known, stroke in zip(own, unshaped, strict=True)
+        ]
+        if chosen
+        else own
+    )
+    (sway, swing), (plain_sway, plain_swing) = own.max(axis=0).tolist(), plain.max(axis=0).tolist()
+    return Quietness(
+        stiffness_share=share,
+        sway_mm=1e3 * sway,
+        swing_mm=1e3 * swing,
+        unshaped_sway_mm=1e3 * plain_sway if chosen else None,
+        unshaped_swing_mm=1e3 * plain_swing if chosen else None,
+    )
+
+
+def _sway_and_swing(
+    arm: ElasticArm, trajectory: QuinticTrajectory, factors: Sequence[float]
+) -> tuple[float, float]:
+    """Largest sway at work and swing after it, m."""
+    begin, end = trajectory.t[0], trajectory.t[-1]
+
+    def motion(t: FloatArray, order: int) -> FloatArray:
+        x = trajectory.evaluate(np.minimum(begin + t, end), order)
+        if order:
+            x[begin + t > end] = 0.0
+        return x
+
+    duration = float(end - begin)
+    found = sway_along(arm, motion, duration + _SETTLE, _DAMPING, factors)
+    after = found.t >= duration
+    sway = float(np.linalg.norm(found.tool[:, ~after], axis=2).max())
+    return sway, max(float(pdist(tool[after]).max()) for tool in found.tool)

@@ -1,0 +1,73 @@
+"""A contact: its figures, and when it slips, by a linear program of its own."""
+
+import numpy as np
+import pytest
+import shapely
+from contact_lp import Plate
+from holding import random_loads
+
+from cmbot.hold import MAGNET_PRESSURE, Contact, Foot, Gap, Holding
+
+
+def foot(contact: Contact, gap: Gap = "allowed") -> Foot:
+    flat = {"centre": np.zeros(3), "axes": np.eye(3), "share": np.eye(6)}
+    return Foot(kind="magnet", contact=contact, friction=0.4, safety=1.0, gap=gap, **flat)
+
+
+def needed(contact: Contact, load: np.ndarray, gap: Gap = "allowed") -> np.ndarray:
+    return Holding([foot(contact, gap)], np.zeros(6)).needed(0, load)
+
+
+def test_area_and_outline_are_about_the_centroid() -> None:
+    region = shapely.union_all([shapely.box(0, 0, 0.1, 0.02), shapely.box(0, 0, 0.02, 0.1)])
+    contact, centroid = Contact.of(region)
+    assert contact.area == pytest.approx(0.1 * 0.02 + 0.08 * 0.02)
+    np.testing.assert_allclose(centroid, region.centroid.coords[0])
+    np.testing.assert_allclose(contact.region.centroid.coords[0], 0, atol=1e-8)
+    assert contact.size == pytest.approx((0.1, 0.1))
+
+
+def test_no_magnet_exceeds_what_saturated_iron_pulls() -> None:
+    assert pytest.approx(1.59e6, rel=2e-3) == MAGNET_PRESSURE
+    wide = foot(Contact.rectangle(0.15, 0.075))
+    assert wide.ceiling == pytest.approx(MAGNET_PRESSURE * 0.01125)
+
+
+@pytest.mark.parametrize("size", [(0.15, 0.075), (0.13, 0.15), (0.05, 0.05)])
+def test_no_plate_slips_or_tips_with_what_it_needs(size: tuple[float, float]) -> None:
+    plate, loads = Plate(*size, 0.4), random_loads(size, 6, seed=7)
+    for load, value in zip(loads, needed(Contact.rectangle(*size), loads), strict=True):
+        exact = plate.needed(load, float(value))
+        most = 1.10 if load[5] == 0 else 1.25
+        assert exact <= value, load
+        assert value - load[2] <= most * (exact - load[2]), load
+
+
+def test_turning_a_contact_turns_what_it_needs(rng: np.random.Generator) -> None:
+    loads = random_loads((0.15, 0.075), 50, seed=3)
+    turned = loads @ np.kron(np.eye(2), np.array([[0, 1.0, 0], [-1, 0, 0], [0, 0, 1]]))
+    value = needed(Contact.rectangle(0.075, 0.15), turned)
+    np.testing.assert_allclose(value, needed(Contact.rectangle(0.15, 0.075), loads), rtol=0.02)
+
+
+def test_several_pads_tip_about_their_hull_and_turn_about_all() -> None:
+    """Three small pads at the corners of a triangle hold more than one of their area in the middle."""
+    places = 0.1 * np.array([[np.cos(a), np.sin(a)] for a in 2 * np.pi * np.arange(3) / 3])
+    pads = shapely.union_all([shapely.Point(*place).buffer(0.01) for place in places])
+    contact, centroid = Contact.of(pads)
+    np.testing.assert_allclose(centroid, 0, atol=1e-6)
+    assert contact.area == pytest.approx(3 * np.pi * 0.01**2, rel=0.01)
+    turning = needed(contact, np.array([[0, 0, 0, 0, 0, 20.0]]))
+    assert 1.0 < turning[0] / (20 / (0.4 * 0.1)) < 1.08
+    # Every edge of the hull is 50 mm and a pad's radius away.
+    tipping = needed(contact, np.array([[0, 0, 0, 0, -30.0, 0]]))
+    assert tipping == pytest.approx(30 / 0.06, rel=0.02)
+
+
+@pytest.mark.parametrize("gap", ["none", "allowed"])
+def test_what_is_needed_grows_with_the_load(gap: Gap, rng: np.random.Generator) -> None:
+    contact, loads = Contact.rectangle(0.15, 0.075), random_loads((0.15, 0.075), 40, seed=5)
+    factor = rng.uniform(0.1, 10, (40, 1))
+    np.testing.assert_allclose(
+        needed(contact, factor * loads, gap), factor[:, 0] * needed(contact, loads, gap), rtol=1e-9
+    )

@@ -1,0 +1,78 @@
+"""The predicted sway of laws along a leg, against the integrator of the accuracy budget."""
+
+import numpy as np
+import pytest
+from small_scenes import SHORT
+
+from cmbot import Plan, load_scene, plan
+from cmbot.accuracy import sway_along
+from cmbot.common.arrays import FloatArray
+from cmbot.planning import bending_arm
+from cmbot.planning.flexibility.leg_response import LegResponse
+from cmbot.robot import load_robot
+from cmbot.toolpath import SpeedProfile, TimeLaw, extra_insensitive
+
+SECONDS = 3.0
+
+
+@pytest.mark.parametrize("kind", ["trapezoidal", "jerk_limited", "quiet"])
+def test_the_sway_of_a_law_is_that_of_the_whole_model(kind: str) -> None:
+    scene = load_scene("triangle")
+    robot = load_robot("cmbot")
+    arm = bending_arm(scene, robot)
+    assert arm is not None
+    begin = np.array(scene.posture)
+    way = np.array([0.3, -0.2, 0.2, 0.1, 0.3, -0.1, 0.2])
+
+    def q(share: FloatArray, order: int) -> FloatArray:
+        return begin + share[:, None] * way if order == 0 else np.tile((order == 1) * way, (len(share), 1))
+
+    law = SpeedProfile(kind=kind, ramp=0.3).law
+
+    def motion(t: FloatArray, order: int) -> FloatArray:
+        u = np.minimum(t / SECONDS, 1.0)
+        if order == 0:
+            return q(law.share(u), 0)
+        rate = law.rate(u, order) / SECONDS**order * (t < SECONDS)
+        return rate[:, None] * way
+
+    factors = [0.7, 1.0, 1.3]
+    whole = sway_along(arm, motion, SECONDS, 0.01, factors)
+    found = LegResponse(arm, q).of([law], SECONDS, factors)
+    np.testing.assert_allclose(found.sway[0], np.linalg.norm(whole.tool, axis=2).max(axis=1), rtol=0.1)
+
+
+def test_a_shaper_lessens_the_swing_that_is_predicted() -> None:
+    scene, robot = load_scene("triangle"), load_robot("cmbot")
+    arm = bending_arm(scene, robot)
+    assert arm is not None
+    begin, way = np.array(scene.posture), np.full(7, 0.2)
+    response = LegResponse(
+        arm, lambda s, k: begin + s[:, None] * way if k == 0 else np.tile((k == 1) * way, (len(s), 1))
+    )
+    plain = TimeLaw.ramped("trapezoidal", 0.2, 0.6, 0.2)
+    shaped = TimeLaw.ramped("quiet", 0.3, 0.4, 0.3).shaped(extra_insensitive(response.omega[0], 0.01), 5.0)
+    found = response.of([plain, shaped], 5.0, [0.7, 1.0, 1.3])
+    assert (found.swing[1] < 0.2 * found.swing[0]).all()
+    assert (found.sway[1] < found.sway[0]).all()
+
+
+@pytest.fixture(scope="module")
+def quiet_plan() -> Plan:
+    data = {**SHORT, "tool_path": {**SHORT["tool_path"], "speed_profile": {"kind": "quiet", "ramp": 0.3}}}
+    return plan(load_scene(data))
+
+
+def test_a_quiet_plan_sways_no_more_than_by_its_profile_alone(quiet_plan: Plan) -> None:
+    sway = quiet_plan.sway
+    assert sway is not None
+    assert sway.unshaped_sway_mm is not None
+    assert sway.sway_mm <= 1.02 * sway.unshaped_sway_mm
+
+
+def test_laws_of_a_quiet_plan_take_the_seconds_of_the_scene(quiet_plan: Plan) -> None:
+    (stroke,) = quiet_plan.scene.strokes
+    assert stroke.time_laws
+    for law in stroke.time_laws:
+        assert law.duration == pytest.approx(stroke.legs[law.leg].given_seconds, rel=1e-9)
+        assert (law.law.continuity == 3).all()
