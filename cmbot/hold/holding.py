@@ -9,7 +9,7 @@ not tip, opens no gap where none is allowed, and does not slip: see `Contact`.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -120,6 +120,11 @@ class Holding:
     def needed(self, number: int, wrench: FloatArray) -> FloatArray:
         """Return the adhesion (N,), N, that a foot with a flat contact needs; below zero it is pressed on."""
         return needed_by_load(self.feet[number], self.load(number, wrench))[0]
+
+    def pressed_without_gap(self, wrench: FloatArray) -> FloatArray:
+        """Return the adhesion (N,), N, that a foot but a clamp would need most if no gap might open."""
+        feet = [(replace(self.feet[k], gap="none"), self.load(k, wrench)) for k in self.adhesive]
+        return np.asarray(np.max([needed_by_load(foot, load)[0] for foot, load in feet], axis=0))
 
     def needed_between(self, number: int, wrench: FloatArray) -> FloatArray:
         """Return an adhesion (N,), N, that suffices a foot for all wrenches between points (N, K, 6)."""

@@ -19,7 +19,6 @@ from cmbot.collision import Clearances
 from cmbot.common.errors import ArchiveError, LimitViolation, PlanningError, SceneError
 from cmbot.hold import Holding
 from cmbot.planning import Plan, certify, plan, precheck_scene, remarks, verdict
-from cmbot.planning.result.holding import emergency_stop
 from cmbot.planning.verification.hold import hold_checks
 from cmbot.robot import Dynamics, Postures
 
@@ -74,14 +73,14 @@ def test_by_hand_at_rest(held: Plan) -> None:
 
 
 def test_an_emergency_stop_asks_more(held: Plan) -> None:
-    stop = emergency_stop(held)
+    stop = held.emergency_stop
     assert stop.peak > held.job.figures.adhesion_needed.peak
 
 
 def test_what_is_said(held: Plan) -> None:
     (text,) = re.findall(r"Hold: [^.]*(?:\.\d[^.]*)*\.", verdict(held))
     assert re.search(r"safety 2 included, uses \d+ % .* and have 14.90 kN, with 20 % less it holds; ", text)
-    stop = emergency_stop(held)
+    stop = held.emergency_stop
     assert text.endswith(f"an emergency stop needs {stop.peak / 1e3:.2f} kN.")
     assert "adhesion needed, whole job, kN" in held.summary()
     assert "and the adhesion needed below" in " ".join(remarks(held))

@@ -7,13 +7,14 @@ from itertools import product
 
 import numpy as np
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.sag import TooSoftError
-from cmbot.hold import AdhesionPeak
-from cmbot.planning.result.plan import Plan
+from cmbot.hold import AdhesionPeak, Holding
+from cmbot.planning.job import Job
 from cmbot.planning.workcell.workcell import bending_arm
 from cmbot.robot import Dynamics, Robot
+from cmbot.scene import Scene
 
 # States of a segment in which a stop is looked at.
 _STATES = 200
@@ -21,9 +22,12 @@ _STATES = 200
 _MOST_JOINTS = 8
 # Of the slowest modes the quickest one of so many decides how much of a short stop reaches the feet.
 _SLOW_MODES = 4
+# Stops of a segment whose adhesion is computed with gaps: those that need most if no gap may open, in all
+# states and in each.
+_CANDIDATES, _IN_EACH_STATE = 500, 2
 
 
-def emergency_stop(plan: Plan) -> AdhesionPeak | None:
+def emergency_stop(scene: Scene, robot: Robot, job: Job) -> AdhesionPeak | None:
     """Return the largest adhesion needed where joints stop with their largest accelerations.
 
     At states along the job, whichever of the moving joints stop at that moment; the tool's force acts on
@@ -32,25 +36,42 @@ def emergency_stop(plan: Plan) -> AdhesionPeak | None:
 
     Parameters
     ----------
-    plan : Plan
+    scene : Scene
+    robot : Robot
+    job : Job
     """
-    holding = plan.robot.holding
+    holding = robot.holding
     if holding is None or not holding.adhesive:
         return None
-    return max((holding.worst(*stops) for stops in _stops(plan)), key=lambda peak: peak.peak)
+    peaks = list[AdhesionPeak]()
+    for wrench, t in _stops(scene, robot, job):
+        worst = _worst(holding, wrench)
+        peaks.append(holding.worst(wrench.reshape(-1, 6)[worst], np.repeat(t, wrench.shape[1])[worst]))
+    return max(peaks, key=lambda peak: peak.peak)
 
 
-def clamp_in_stop(plan: Plan, number: int) -> float:
+def clamp_in_stop(scene: Scene, robot: Robot, job: Job, number: int) -> float:
     """Return the share of its bounds that a clamp would use in such a stop; `number` counts feet from 0."""
-    holding = plan.robot.holding
-    return max(float(holding.use(number, wrench).max()) for wrench, _ in _stops(plan)) if holding else 0.0
+    holding = robot.holding
+    if holding is None:
+        return 0.0
+    stops = _stops(scene, robot, job)
+    return max(float(holding.use(number, wrench.reshape(-1, 6)).max()) for wrench, _ in stops)
 
 
-def _stops(plan: Plan) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """The wrenches (N, 6) of stops along each segment of the job, and when on its clock, (N,), s."""
-    frequency = _frequency(plan)
-    for segment in plan.job.segments:
-        robot: Robot = plan.robot if segment.kind == "stroke" else plan.robot.tool_off
+def _worst(holding: Holding, wrench: FloatArray) -> IntArray:
+    """The numbers of the stops (N K) of wrenches (N, K, 6) that may need most: see `_CANDIDATES`."""
+    pressed = holding.pressed_without_gap(wrench.reshape(-1, 6)).reshape(wrench.shape[:2])
+    rows = np.arange(wrench.shape[0])[:, None] * wrench.shape[1]
+    in_state = rows + np.argsort(pressed, axis=1)[:, -_IN_EACH_STATE:]
+    return np.union1d(in_state.ravel(), np.argsort(pressed, axis=None)[-_CANDIDATES:])
+
+
+def _stops(scene: Scene, robot_at_work: Robot, job: Job) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Wrenches (N, K, 6) of stops in N states of each segment, and when on the job's clock, (N,), s."""
+    frequency = _frequency(scene, robot_at_work, job)
+    for segment in job.segments:
+        robot = robot_at_work if segment.kind == "stroke" else robot_at_work.tool_off
         t = np.linspace(segment.trajectory.t[0], segment.trajectory.t[-1], _STATES)
         q, v, _ = segment.trajectory.states(t)
         at = Dynamics(robot).wrench_derivatives(q, v, np.zeros_like(q))
@@ -58,17 +79,16 @@ def _stops(plan: Plan) -> Iterator[tuple[FloatArray, FloatArray]]:
         felt = np.where(6 * frequency * lasts < 1, 2 * np.sin(np.pi * frequency * lasts), 1.0)
         stops = -np.sign(v) * robot.limits.acceleration * felt
         each = np.einsum("kin,kn->kni", at.d_a, stops)
-        wrench = at.value[:, None] + _which(robot.dof) @ each
-        yield wrench.reshape(-1, 6), np.repeat(segment.begin + t, wrench.shape[1])
+        yield at.value[:, None] + _which(robot.dof) @ each, segment.begin + t
 
 
-def _frequency(plan: Plan) -> float:
+def _frequency(scene: Scene, robot: Robot, job: Job) -> float:
     """Of the modes that a stop moves, Hz, where the arm begins; 1 THz where nothing bends."""
-    arm = bending_arm(plan.scene, plan.robot)
+    arm = bending_arm(scene, robot)
     if arm is None:
         return 1e12
     try:
-        frequencies = arm_modes(arm, plan.job.segments[0].trajectory.q[0]).frequencies
+        frequencies = arm_modes(arm, job.segments[0].trajectory.q[0]).frequencies
     except TooSoftError:  # it topples: then nothing is told of its modes
         return 1e12
     return float(frequencies[:_SLOW_MODES].max(initial=0.0)) or 1e12

@@ -12,7 +12,6 @@ from cmbot.common.limit import Limit
 from cmbot.planning.job import RETURN
 from cmbot.planning.request import end_posture_of
 from cmbot.planning.result.baseline import Baseline
-from cmbot.planning.result.holding import emergency_stop
 from cmbot.planning.result.judgement import (
     SAME,
     baseline_faults,
@@ -114,7 +113,7 @@ def _holds(plan: Plan) -> Iterator[Note]:
     holding, needed = plan.robot.holding, plan.job.figures.adhesion_needed
     if holding is None:
         return
-    stop = emergency_stop(plan)
+    stop = plan.emergency_stop
     values: dict[str, Any] = {"stop_kn": stop and stop.peak / 1e3}
     if needed is not None:
         foot = holding.feet[needed.foot - 1]

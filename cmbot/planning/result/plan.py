@@ -17,12 +17,14 @@ from cmbot.common.file_types import NonNegative
 from cmbot.common.representation import card
 from cmbot.common.validation import require_type
 from cmbot.elastic.sag import Sag, TooSoftError
+from cmbot.hold import AdhesionPeak
 from cmbot.planning.certification.certificate import Certificate
 from cmbot.planning.certification.metrics import MotionMetrics, Samples, measure
 from cmbot.planning.certification.sag_spread import across_path, spread_times
 from cmbot.planning.job import APPROACH, Job, Segment
 from cmbot.planning.request import end_posture_of, strokes_of
 from cmbot.planning.result.baseline import Baseline, baseline_of, joined_samples
+from cmbot.planning.result.holding import emergency_stop
 from cmbot.planning.result.stroke_plan import StrokePlan, combined
 from cmbot.planning.task import ToolTask
 from cmbot.planning.workcell.stiffness import covariance_of
@@ -337,7 +339,12 @@ class Plan(StrokePlan):
                 lines.append(stroke.path.outline())
         return tuple(lines)
 
-    @property
+    @cached_property
+    def emergency_stop(self) -> AdhesionPeak | None:
+        """Largest adhesion needed in an emergency stop; None where no foot holds by adhesion."""
+        return emergency_stop(self.scene, self.robot, self.job)
+
+    @cached_property
     def holding_torque(self) -> FloatArray | None:
         """Largest torques (k,), Nm, of `Robot.holding_joints` over the job, at its samples.
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from cmbot.common.limit import Limit
 from cmbot.hold import CLAMP_LOAD
-from cmbot.planning.result.holding import clamp_in_stop, emergency_stop
+from cmbot.planning.result.holding import clamp_in_stop
 from cmbot.planning.result.judgement import baseline_faults, bound_use, further, tightest_check
 from cmbot.planning.result.plan import Plan
 
@@ -142,7 +142,7 @@ def _holding(plan: Plan) -> Iterator[Row]:
             name = "adhesion needed, whole job" if when == "whole job" else "adhesion needed at work"
             first = when == "whole job"
             yield _row(name, "adhesion_needed.peak", "kN", ".2f", after, before, modes=modes, first=first)
-    if (stop := emergency_stop(plan)) is not None:
+    if (stop := plan.emergency_stop) is not None:
         name, modes = "adhesion needed in an emergency stop", ("", stop.mode)
         yield _row(name, "emergency_stop", "kN", ".2f", stop.peak, modes=modes)
     segments = () if baseline is None else baseline.segments
@@ -154,7 +154,7 @@ def _holding(plan: Plan) -> Iterator[Row]:
         name = f"{quantity} included, whole job, share of its bounds"
         yield _row(name, "certificate", "", ".3f", worst, used)
         name = f"{quantity} included, in an emergency stop, share of its bounds"
-        yield _row(name, "emergency_stop", "", ".3f", clamp_in_stop(plan, number))
+        yield _row(name, "emergency_stop", "", ".3f", clamp_in_stop(plan.scene, plan.robot, plan.job, number))
 
 
 def _base(plan: Plan) -> Iterator[Row]:
