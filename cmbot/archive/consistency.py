@@ -92,7 +92,7 @@ def _require_floor(
     for name, block, other in (("floor", entry.floor, entry.choice), ("choice", entry.choice, entry.floor)):
         if block is not None and options.knots == "fixed":
             raise ArchiveError(source, f"{prefix}{name}", "a block", "null: the knots are fixed")
-        if block is None and other is not None:
+        if block is None and other is not None and options.knots == "sliding":
             # Without charts, as near an earlier plan, there is neither.
             raise ArchiveError(source, f"{prefix}{name}", "null", "floor and choice, or neither")
     floor = entry.floor
