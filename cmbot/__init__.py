@@ -6,6 +6,7 @@ The reading order::
     load_robot     a URDF, checked, its limits            cmbot.robot
     plan           path, trajectory, certificate          cmbot.planning
     Plan           what came out, with its figures
+    replan         the same after frames moved a little, in a fraction of the time
     save, load_plan   a plan directory                    cmbot.archive
     evaluate       what a motion planned elsewhere does   cmbot.evaluation
     simulate       what bends on the way                  cmbot.simulation
@@ -53,7 +54,7 @@ if TYPE_CHECKING:
     from cmbot.evaluation import Evaluation, evaluate
     from cmbot.excitation import Excitation, excite
     from cmbot.identification import Identification, Location, identify, locate
-    from cmbot.planning import Plan, QuinticTrajectory, plan
+    from cmbot.planning import Plan, QuinticTrajectory, plan, replan
     from cmbot.robot import Robot, load_robot
     from cmbot.scene import PlannerOptions, Scene, load_scene
     from cmbot.simulation import SimulationOptions, Tracking, simulate
@@ -100,6 +101,7 @@ __all__ = [
     "locate",
     "plan",
     "plot",
+    "replan",
     "replay",
     "report",
     "save",
@@ -125,7 +127,7 @@ _ROOMS = {
     "cmbot.evaluation": ("Evaluation", "evaluate"),
     "cmbot.excitation": ("Excitation", "excite"),
     "cmbot.identification": ("Identification", "Location", "identify", "locate"),
-    "cmbot.planning": ("Plan", "QuinticTrajectory", "plan"),
+    "cmbot.planning": ("Plan", "QuinticTrajectory", "plan", "replan"),
     "cmbot.robot": ("Robot", "load_robot"),
     "cmbot.scene": ("PlannerOptions", "Scene", "load_scene"),
     "cmbot.simulation": ("SimulationOptions", "Tracking", "simulate"),

@@ -89,12 +89,12 @@ def _require_floor(
     entry: StrokeEntries, via_points: int, options: PlannerOptions, source: str, prefix: str
 ) -> None:
     """Refuse a bound or a choice that the options exclude, and a bound of other via-points."""
-    sliding = options.knots == "sliding"
-    for name, block in (("floor", entry.floor), ("choice", entry.choice)):
-        if sliding != (block is not None):
-            got, expected = ("a block", "null") if block else ("null", "a block")
-            why = "the knots slide" if sliding else "the knots are fixed"
-            raise ArchiveError(source, f"{prefix}{name}", got, f"{expected}: {why}")
+    for name, block, other in (("floor", entry.floor, entry.choice), ("choice", entry.choice, entry.floor)):
+        if block is not None and options.knots == "fixed":
+            raise ArchiveError(source, f"{prefix}{name}", "a block", "null: the knots are fixed")
+        if block is None and other is not None and options.knots == "sliding":
+            # Without charts, as near an earlier plan, there is neither.
+            raise ArchiveError(source, f"{prefix}{name}", "null", "floor and choice, or neither")
     floor = entry.floor
     require_same(entry.objective.floor, floor and floor.value, source, f"{prefix}objective.floor")
     if floor is None:

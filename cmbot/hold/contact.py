@@ -116,8 +116,9 @@ class Contact:
         slide = np.hypot(load[:, 0], load[:, 1])
         straight = np.zeros((len(load), 5))
         straight[:, :2] = load[:, :2] / (friction * np.maximum(slide, 1e-300)[:, None])
-        turning, slope = tables.turning_without_gap(load, friction)
-        if gap == "allowed":
+        if gap == "none":
+            turning, slope = tables.turning_without_gap(load, friction)
+        else:
             least = np.maximum(slide / friction, self.tip(load[:, 2:4])[0])
             turning, slope = tables.turning_with_gap(load, friction, least)
         turns = turning > slide / friction

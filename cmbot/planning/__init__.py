@@ -17,7 +17,7 @@ from cmbot.planning.job import APPROACH, RETURN, Job, Segment, free_move_name, j
 from cmbot.planning.path.first_posture import starting_at_path
 from cmbot.planning.path.gradient_projection import follow_path
 from cmbot.planning.path.start_posture import StartPosture, find_start
-from cmbot.planning.planner import plan
+from cmbot.planning.planner import plan, replan
 from cmbot.planning.postures.projection import project_onto_task
 from cmbot.planning.precheck import Precheck, precheck_options, precheck_scene
 from cmbot.planning.progress import Progress, ProgressReporter
@@ -147,6 +147,7 @@ __all__ = [
     "promises",
     "quick_bound",
     "remarks",
+    "replan",
     "require_plan",
     "rigid_arm_remark",
     "robot_of",

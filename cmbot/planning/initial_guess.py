@@ -18,6 +18,7 @@ from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.torque import TorqueProblem, parametrization_through
 from cmbot.planning.workcell.diagnosis import nearest_to_end, out_of_range
+from cmbot.trajectory import QuinticTrajectory
 
 SMOOTHER = 0.9
 """A guess with shorter steps is worth it when its roughness is at most this share of that before."""
@@ -29,6 +30,8 @@ _HOPELESS, _HALVINGS, _NEXT_TO_NOTHING, _MOST_HALVINGS = 4.0, 3, 1e-3, 6
 # rad, and the posture with the tool on its path that is nearest to its middle is further from there than this
 # share of it.
 _LONG, _OFF_THE_MIDDLE = 0.3, 0.3
+# Two postures nearer than this in every joint are one, rad.
+_SAME_POSTURE = 1e-9
 # Random postures in which links are sought that are always near each other.
 _SOME_POSTURES = 200
 # Newton steps at most from postures that may be far from the task.
@@ -58,10 +61,10 @@ class InitialGuess:
 
     problem: TorqueProblem
     pinned: bool  # the first via-point does not slide
-    lower_bound: LowerBound  # of the peak at rest; with fixed knots that of these via-points
+    lower_bound: LowerBound  # of the peak at rest; without a search that of these via-points
     failures: tuple[PathNotFound, ...] = ()  # of the starts before this one, the scene's posture first
     choice: Choice | None = None  # with sliding knots only
-    search: GlobalSearch | None = None  # with sliding knots only
+    search: GlobalSearch | None = None  # with sliding knots only; None from an earlier plan
     unreached: PathNotFound | None = None  # why no approach leads where ``start: free`` would start
     way: FloatArray | None = (
         None  # a free broken line (k, d), rad, to the part of the self-motion it starts in
@@ -226,6 +229,31 @@ def sliding_guess(
     )
 
 
+def guess_near(request: StrokeRequest, earlier: QuinticTrajectory) -> InitialGuess:
+    """Take via-points from the postures of an earlier motion along the stroke, projected onto its task now.
+
+    Without charts nothing is known of the least peak: the largest value at rest in these postures stands for
+    it, and what is optimised need not undercut that. They slide as the option ``knots`` says; the first one
+    stays where the motion began in the posture in which the work starts now, or has to.
+
+    Raises
+    ------
+    PathNotFound
+        When a posture cannot be projected onto the tool path.
+    """
+    options, sliding = request.cell.options, request.cell.options.knots == "sliding"
+    q = earlier.evaluate(request.times * (earlier.duration / request.times[-1]))
+    begins_there = float(np.abs(q[0] - request.first).max()) <= _SAME_POSTURE
+    pinned = not sliding or options.start == "pinned" or begins_there
+    placed = _placed(request if sliding else request.on_axis, q)
+    if pinned:
+        placed[0] = request.first
+    each = request.cell.objective.at_rest(request.cell.postures.at(placed))
+    bound = LowerBound(value=float(each.max()), error=0.0, via_point=int(each.argmax()), each=each)
+    form = parametrization_through(request, placed, sliding=sliding, pinned=sliding and pinned)
+    return InitialGuess(problem=TorqueProblem(request, form, bound.value), pinned=pinned, lower_bound=bound)
+
+
 def problem_near(
     request: StrokeRequest, guess: InitialGuess, via_points: FloatArray, *, stays: bool = False
 ) -> TorqueProblem:
@@ -237,7 +265,7 @@ def problem_near(
         When a via-point cannot be projected onto the tool path.
     """
     placed = _placed(request, via_points)
-    slides = guess.search is not None and not stays
+    slides = guess.problem.parametrization.retraction is not None and not stays
     form = parametrization_through(request, placed, sliding=slides, pinned=slides and guess.pinned)
     return TorqueProblem(request, form, guess.lower_bound.value)
 

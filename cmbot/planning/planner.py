@@ -14,7 +14,7 @@ from cmbot.common.errors import InputError, PathNotFound, PlanningError
 from cmbot.common.validation import checked_options, require_type
 from cmbot.common.watching import watched
 from cmbot.planning.attempts.agenda import Agenda, Remedy, Solved
-from cmbot.planning.attempts.failure import Failure, NoWay, OutOfTime, error_of
+from cmbot.planning.attempts.failure import Failure, NoWay, OutOfTime, error_of, in_words
 from cmbot.planning.attempts.stroke import PlannedStroke, advice, plan_stroke
 from cmbot.planning.budget import Budget, Deadline
 from cmbot.planning.composition import composed
@@ -28,7 +28,7 @@ from cmbot.planning.precheck import (
 from cmbot.planning.progress import Progress, ProgressReporter
 from cmbot.planning.reach import require_posture, require_postures, require_within_reach
 from cmbot.planning.request import JobState, StrokeRequest, build_request, strokes_of
-from cmbot.planning.result.plan import Plan
+from cmbot.planning.result.plan import Plan, require_plan
 from cmbot.planning.stroke_order import in_least_travel
 from cmbot.planning.workcell.objectives import WrenchFunction
 from cmbot.planning.workcell.workcell import robot_of
@@ -122,6 +122,94 @@ def plan(
             return outcome if isinstance(outcome, Plan) else _refuse(outcome)
 
 
+def replan(
+    plan: Plan, scene: Scene, *, progress: Callable[[Progress], None] | Literal[False] | None = None
+) -> Plan:
+    """Plan a scene from the postures of an earlier plan, where frames moved or loads changed a little.
+
+    The earlier postures are put onto the tool path as it is now, optimised once, and certified as any plan.
+    The self-motion is not charted, so nothing is known of the least peak: `Plan.lower_bound`,
+    `Plan.torque_floor` and `Plan.choice` are None, and the peak may be larger than that of `cmbot.plan`.
+    The order, the times and the laws that the earlier plan found are kept; else the scene's options count.
+
+    Where no certified plan comes of it, as behind a new obstacle, the scene is planned as `cmbot.plan` does,
+    and the first of `Plan.fallbacks` says why.
+
+    Parameters
+    ----------
+    plan : Plan
+        Of a scene with the same arm and the same strokes.
+    scene : Scene
+        Its frames may have moved by about 20 mm and 1 degree.
+    progress : callable, optional
+        As of `cmbot.plan`.
+
+    Raises
+    ------
+    InputError
+        When the arm or the names of the strokes are others than in the plan.
+    CmbotError
+        As `cmbot.plan` does, where it is planned anew.
+
+    Examples
+    --------
+    >>> heavier = cmbot.replan(plan, plan.scene.with_payload(0.5), progress=False)
+    >>> heavier.certificate.holds, heavier.torque_floor
+    (True, None)
+    """
+    require_plan(plan, "cmbot.replan")
+    require_type(scene, Scene, "cmbot.replan", "scene", "a Scene, as cmbot.load_scene returns it")
+    given, deadline = scene.planner, Deadline(scene.planner.time_limit_s)
+    # As in `plan`.
+    with threadpool_limits(limits=1, user_api="blas"), failures_explained(scene):
+        near = _timed_as(plan, reached_scene(scene, given, deadline))
+        with watched(progress) as report:
+            planner = _Planner(
+                options=replace(given, solver=solver_of(given)),
+                automatic=given.solver == "auto",
+                objective=None,
+                reporter=ProgressReporter(report),
+                deadline=deadline,
+            )
+            outcome = planner.job(near, deadline, plan)
+    if isinstance(outcome, Plan):
+        told = "Planned near an earlier plan: how far its peak is from the least one is not known."
+        return replace(outcome, fallbacks=(told, *outcome.fallbacks))
+    anew = _plan(scene, progress=progress)
+    told = f"Planned anew, as near the earlier plan none was found: {in_words(outcome.trial.failure)}."
+    return replace(anew, fallbacks=(told, *anew.fallbacks))
+
+
+# Where a parameter has its name.
+_plan = plan
+
+
+def _timed_as(plan: Plan, scene: Scene) -> Scene:
+    """The scene with the order, via-points and laws that an earlier plan found; an error where it is another.
+
+    Raises
+    ------
+    InputError
+    """
+    arms = [robot_of(scene), plan.robot]
+    joints, before = ((arm.joints, tuple(arm.limits.velocity)) for arm in arms)
+    files, earlier = ({stroke.name: stroke for stroke in each.strokes} for each in (scene, plan.scene))
+    for key, got, expected in (("robot", joints, before), ("tool_path", set(files), set(earlier))):
+        if got != expected:
+            what = "arm" if key == "robot" else "strokes"
+            raise InputError("cmbot.replan", f"scene.{key}", f"another {what}", f"that of the plan: {what}")
+    best = scene.order == "best"
+    timed = [
+        files[name].changed(
+            via_points=earlier[name].via_points,
+            time_laws=files[name].time_laws or earlier[name].time_laws,
+            backwards=(earlier if best else files)[name].backwards,
+        )
+        for name in (earlier if best else files)
+    ]
+    return scene.with_strokes(timed)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Planner:
     """How the jobs of one call of `plan` are planned."""
@@ -191,12 +279,15 @@ class _Planner:
         chosen = f"Order of the strokes: {names}."
         return replace(plan, fallbacks=(chosen, *plan.fallbacks), stopped=self.deadline.mark)
 
-    def job(self, scene: Scene, deadline: Deadline) -> Plan | PlannedStroke:
-        """Return the plan of a job, or the stroke that could not be planned."""
+    def job(self, scene: Scene, deadline: Deadline, earlier: Plan | None = None) -> Plan | PlannedStroke:
+        """Return the plan of a job, or the stroke that could not be planned; by an earlier plan if given."""
         request = self._require_reach(scene, deadline)
+        before = {} if earlier is None else {part.name: part.trajectory for part in earlier.job.strokes}
         made, state = list[PlannedStroke](), request.state
         for number in range(len(request.strokes)):
-            made.append(plan_stroke(_at_stroke(request, number, state), automatic=self.automatic))
+            stroke = _at_stroke(request, number, state)
+            near = before.get(stroke.stroke.name)
+            made.append(plan_stroke(stroke, automatic=self.automatic, earlier=near))
             outcome = made[-1].trial.outcome
             if not isinstance(outcome, Solved):
                 return made[-1]

@@ -275,9 +275,11 @@ def highest(
     remainder = np.where(np.isnan(remainder), np.inf, remainder)
     start, width = pieces.start.copy(), pieces.end - pieces.start
     value, time, bound = -np.inf, float(pieces.start[0]), -np.inf
+    ends = None if exact is None else exact(control[:, :, [0, -1]], piece)
     for halving in range(_HALVINGS + 1):
         at = convex(control, piece)
-        ends = at[:, [0, -1]] if exact is None else exact(control[:, :, [0, -1]], piece)
+        if exact is None or ends is None:
+            ends = at[:, [0, -1]]
         if not (np.isfinite(at).all() and np.isfinite(ends).all()):
             return Peak(time=time, value=np.nan, bound=np.nan)
         k, side = np.unravel_index(ends.argmax(), ends.shape)
@@ -293,7 +295,13 @@ def highest(
             break
         control, piece, start = control[open_], piece[open_], start[open_]
         width = 0.5 * width[open_]
-        control = np.concatenate(halves(control))
+        first, second = halves(control)
+        if exact is not None:
+            # Halves share the middle; the other ends are known.
+            middle = exact(second[:, :, :1], piece)
+            left, right = ends[open_, :1], ends[open_, 1:]
+            ends = np.concatenate([np.hstack([left, middle]), np.hstack([middle, right])])
+        control = np.concatenate([first, second])
         piece, start = np.concatenate([piece, piece]), np.concatenate([start, start + width])
         width = np.concatenate([width, width])
     return Peak(time=time, value=value, bound=max(bound, value))

@@ -264,7 +264,11 @@ def _lower_bound_card(plan: Plan) -> Headline:
     bound, gap = plan.torque_floor, plan.gap_to_floor
     if bound is None or gap is None:
         why = (
-            "not computed for fixed knots" if plan.lower_bound is None else "another objective was minimised"
+            "another objective was minimised"
+            if plan.lower_bound is not None
+            else "not computed for fixed knots"
+            if plan.options.knots == "fixed"
+            else "not computed near an earlier plan"
         )
         return Headline(title="Above the lower bound", value="–", detail=why)
     return Headline(

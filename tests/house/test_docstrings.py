@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 NAMES = (
     *("load_scene", "load_robot", "plan", "save", "load_plan", "simulate", "save_tracking", "load_tracking"),
     *("evaluate", "excite", "save_excitation"),
-    *("replay", "report", "show", "plot", "identify", "locate", "walk", "load_walk"),
+    *("replay", "report", "show", "plot", "replan", "identify", "locate", "walk", "load_walk"),
     *("load_tour", "tour", "campaign"),
 )
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE

@@ -14,10 +14,11 @@ from cmbot.planning.attempts.failure import Failure, attempted
 from cmbot.planning.attempts.motion import StrokeMotion, certified_motion, is_better, peak_of
 from cmbot.planning.attempts.remedies import REMEDIES
 from cmbot.planning.budget import ADVICE_RUNS, RUNS, SHORTEST_TIME_RUNS, Budget
-from cmbot.planning.initial_guess import InitialGuess, sliding_guess
+from cmbot.planning.initial_guess import InitialGuess, guess_near, sliding_guess
 from cmbot.planning.path.first_posture import starting_at_path
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.request import StrokeRequest
+from cmbot.trajectory import QuinticTrajectory
 
 # The scene's posture is planned from, too, where that may lower the peak of the job by more than this share.
 _WORTH_PLANNING = 1e-2
@@ -39,7 +40,9 @@ class PlannedStroke:
     runs: int
 
 
-def plan_stroke(request: StrokeRequest, *, automatic: bool) -> PlannedStroke:
+def plan_stroke(
+    request: StrokeRequest, *, automatic: bool, earlier: QuinticTrajectory | None = None
+) -> PlannedStroke:
     """Plan a stroke and the free moves that go with it.
 
     Parameters
@@ -47,6 +50,8 @@ def plan_stroke(request: StrokeRequest, *, automatic: bool) -> PlannedStroke:
     request : StrokeRequest
     automatic : bool
         The solver was chosen by ``auto``.
+    earlier : QuinticTrajectory, optional
+        A motion along the stroke where its frame was before: planned once, from its postures.
     """
     if request.stroke.begins_elsewhere:
         begun = attempted(request, lambda: starting_at_path(request))
@@ -54,6 +59,11 @@ def plan_stroke(request: StrokeRequest, *, automatic: bool) -> PlannedStroke:
             attempt = Attempt(request=request, guess=begun, automatic=automatic)
             return PlannedStroke(trial=Trial(attempt=attempt, outcome=begun), runs=0)
         request = begun
+    if earlier is not None:
+        near = attempted(request, lambda: guess_near(request, earlier))
+        attempt = Attempt(request=request, guess=near, automatic=automatic, is_first=False)
+        trial = agenda_of(request, certified_motion, (), Budget(runs=1)).search(attempt)
+        return PlannedStroke(trial=trial, runs=1)
     budget = Budget(runs=SHORTEST_TIME_RUNS if request.task.path.open_legs else RUNS)
     first = Attempt.of(request, automatic=automatic)
     trial = searched_motion(first if request.task.path.open_legs else first.quiet(), budget)

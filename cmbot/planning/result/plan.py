@@ -286,7 +286,7 @@ class Plan(StrokePlan):
 
     @property
     def torque_floor(self) -> float | None:
-        """Lower bound of the torque on the guardrail, Nm; None with fixed knots or another objective."""
+        """Lower bound of the torque on the guardrail, Nm; None without one, or of another objective."""
         return self.objective.floor if self.objective.is_guardrail_torque else None
 
     @property

@@ -66,7 +66,7 @@ class ObjectiveMetrics:
     baseline_peak, planned_peak : float
         Its largest value over each motion; None without a baseline.
     floor : float or None
-        Lower bound of its peak at rest; None with fixed knots.
+        Lower bound of its peak at rest; None with fixed knots, and near an earlier plan.
     """
 
     name: str
@@ -148,9 +148,9 @@ class StrokePlan:
         Exchange iterations of the optimisation.
     objective : ObjectiveMetrics
     lower_bound : LowerBound or None
-        None with fixed knots.
+        None with fixed knots, and near an earlier plan.
     choice : Choice or None
-        Peaks of the global search for both choices of the start; None with fixed knots.
+        Peaks of the global search for both choices of the start; None as `lower_bound`.
     compensation : Compensation or None
         Of the predicted sag.
     suppression : VibrationSuppression or None

@@ -1,0 +1,107 @@
+"""Plans near earlier plans: a frame that moved, a load, and what is no such scene."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from scipy.spatial.transform import Rotation
+from small_scenes import strokes_scene
+
+import cmbot
+from cmbot.common.errors import InputError
+from cmbot.planning import Plan
+from cmbot.robot import Kinematics
+from cmbot.scene import Scene
+
+_TRIANGLE = Path(cmbot.__file__).parents[1] / "scenes" / "triangle.yaml"
+# Where the tool is in the triangle's posture.
+_A, _TOOL_RPY_DEG = np.array([1.81535382, 0.77957357, -2.06283628]), [180.0, -50.0, 0.0]
+_AXIS = np.ones(3) / np.sqrt(3)
+
+
+def triangle(moved: float = 0.0, turned_deg: float = 0.0, **more: Any) -> Scene:
+    """The triangle, by corners in a frame that is moved along a diagonal, m, and turned about it."""
+    data = yaml.safe_load(_TRIANGLE.read_text())
+    turn = Rotation.from_rotvec(np.deg2rad(turned_deg) * _AXIS)
+    rpy = turn.as_euler("xyz", degrees=True).tolist()
+    data["frames"] = {"bracket": {"xyz": (_A + moved * _AXIS).tolist(), "rpy_deg": rpy}}
+    path = data["tool_path"]
+    corners = np.cumsum([leg["by"] for leg in path["legs"]], axis=0).tolist()
+    path["from"] = {"frame": "bracket", "xyz": [0.0, 0.0, 0.0], "rpy_deg": _TOOL_RPY_DEG}
+    path["legs"] = [
+        {"to": {"frame": "bracket", "xyz": corner}, "seconds": leg["seconds"]}
+        for corner, leg in zip(corners, path["legs"], strict=True)
+    ]
+    data["planner"] = {"baseline": "none"}
+    return cmbot.load_scene(data | more)
+
+
+@pytest.fixture(scope="module")
+def earlier() -> Plan:
+    return cmbot.plan(triangle(), progress=False)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_moved_frame_is_followed_and_certified(earlier: Plan, sign: int, tmp_path: Path) -> None:
+    scene = triangle(sign * 0.02, sign * 1.0)
+    plan = cmbot.replan(earlier, scene, progress=False)
+    assert plan.certificate.holds and plan.job.certificate.holds
+    assert "Planned near an earlier plan" in plan.fallbacks[0]
+    # Nothing is said of a least peak that nothing was sought of.
+    assert (plan.lower_bound, plan.choice, plan.torque_floor, plan.torque_floor_kind) == (None,) * 4
+    folder = cmbot.save(plan, tmp_path / "plan")
+    read = cmbot.load_plan(folder, verify=True, scene=scene)
+    # The corners as the scene has them, not as the planner's path does.
+    turn = Rotation.from_rotvec(np.deg2rad(sign) * _AXIS)
+    corners = np.array([[0, 0, 0], [0, -1.0, 0], [0, -0.8244, 0.0958], [0, 0, 0]])
+    tool, turned = Kinematics(read.robot).tool_poses(read.trajectory.evaluate(np.array([0.0, 10, 12, 20])))
+    np.testing.assert_allclose(tool, _A + sign * 0.02 * _AXIS + turn.apply(corners), atol=2e-5)
+    asked = turn * Rotation.from_euler("xyz", _TOOL_RPY_DEG, degrees=True)
+    off = (asked.inv() * Rotation.from_matrix(turned)).magnitude()
+    assert float(off.max()) < 1e-4
+    # It stays near the earlier postures: no other branch of the self-motion.
+    times = np.linspace(0.0, 20.0, 101)
+    assert np.abs(read.trajectory.evaluate(times) - earlier.trajectory.evaluate(times)).max() < 0.2
+
+
+def test_the_same_scene_is_planned_as_well_again(earlier: Plan) -> None:
+    plan = cmbot.replan(earlier, earlier.scene, progress=False)
+    assert earlier.lower_bound is not None
+    peak = plan.figures.peak_guardrail_torque
+    assert peak <= earlier.figures.peak_guardrail_torque * (1 + earlier.options.peak_tolerance)
+    assert peak >= earlier.lower_bound.value * (1 - 1e-3)
+
+
+def test_another_payload_and_several_strokes() -> None:
+    scene = strokes_scene()
+    heavier = scene.with_payload(scene.robot.payload_kg + 0.3)
+    plan = cmbot.replan(cmbot.plan(scene, progress=False), heavier, progress=False)
+    assert "Planned near an earlier plan" in plan.fallbacks[0]
+    assert plan.job.certificate.holds and plan.scene.robot.payload_kg == heavier.robot.payload_kg
+    assert [part.name for part in plan.job.strokes] == [stroke.name for stroke in scene.strokes]
+
+
+def test_where_nothing_leads_on_from_the_earlier_postures_it_is_planned_anew(earlier: Plan) -> None:
+    # It began after an approach; now it has to begin in the scene's posture, far from there.
+    scene = earlier.scene.with_options(start="pinned")
+    plan = cmbot.replan(earlier, scene, progress=False)
+    assert plan.start.moved < 1e-3 < earlier.start.moved
+    assert plan.fallbacks[0].startswith("Planned anew, as near the earlier plan none was found: ")
+    assert plan.job.certificate.holds and plan.lower_bound is not None
+
+
+def test_another_arm_or_other_strokes_are_refused(earlier: Plan) -> None:
+    with pytest.raises(InputError, match=r"scene\.robot"):
+        cmbot.replan(earlier, cmbot.load_scene("panda_sanding"), progress=False)
+    with pytest.raises(InputError, match=r"scene\.tool_path"):
+        cmbot.replan(earlier, strokes_scene(), progress=False)
+
+
+def test_arguments_of_another_kind_are_refused(earlier: Plan) -> None:
+    scene: Any = _TRIANGLE
+    with pytest.raises(InputError, match="scene"):
+        cmbot.replan(earlier, scene, progress=False)
+    with pytest.raises(InputError, match="plan"):
+        cmbot.replan(scene, earlier.scene, progress=False)
