@@ -13,14 +13,15 @@ from cmbot.planning.certification.check import Check, largest_check
 from cmbot.robot import Robot
 
 # What two computations may differ by, as a share of the largest, below and above, and N; by what share a
-# bound may be missed: this one has fewer centres of turning, the other one is on the safe side.
-_MORE_THAN_FOUND, _LESS_THAN_FOUND, _LEAST_DIFFERENCE, _OF_BOUND = 0.005, 0.06, 1e-6, 1e-9
+# bound may be missed. This one has fewer centres of turning; the other one is on the safe side, with torsion by
+# 6 % (benchmarks/holding.py).
+_MORE_THAN_FOUND, _LESS_THAN_FOUND, _LEAST_DIFFERENCE, _OF_BOUND = 0.005, 0.08, 1e-6, 1e-9
 # Cells along each side of the contact's box, centres of turning on a circle, the share of the way to its edge
 # up to which cells have a centre of pressure, and circles in half sides of the box.
-_SECOND_CELLS, _ON_CIRCLE, _INNER_WAY = 28, 24, 0.94
+_SECOND_CELLS, _ON_CIRCLE, _INNER_WAY = 16, 24, 0.94
 _SECOND_CIRCLES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.5, 2.5, 5.0)
-# Steps of Newton's method for the pressure, and of the search for the adhesion.
-_SECOND_STEPS, _SECOND_HALVINGS = 40, 12
+# Steps of Newton's method for the pressure, where it ends, and steps of the search for the adhesion.
+_SECOND_STEPS, _SECOND_CLOSE, _SECOND_HALVINGS = 40, 1e-8, 12
 
 
 def hold_checks(robot: Robot, times: FloatArray, wrench: FloatArray) -> Iterator[Check]:
@@ -120,6 +121,8 @@ class _Plate:
         for step in range(_SECOND_STEPS):
             on = (c @ X.T > 0).astype(float)
             lack = (on * (c @ X.T)) @ X - goal
+            if np.abs(lack).max() < _SECOND_CLOSE:
+                break
             slope = (on @ pairs).reshape(-1, 3, 3) + 1e-9 * np.eye(3)
             c -= (1.0 if step < _SECOND_STEPS // 2 else 0.3) * np.linalg.solve(slope, lack[:, :, None])[
                 :, :, 0
