@@ -13,8 +13,8 @@ from cmbot.planning.certification.check import Check, largest_check
 from cmbot.robot import Robot
 
 # What two computations may differ by, as a share of the largest, below and above, and N; by what share a
-# bound may be missed. This one has fewer centres of turning; the other one is on the safe side, with torsion by
-# 6 % (benchmarks/holding.py).
+# bound may be missed. This one has fewer centres of turning; the other one is on the safe side, with torsion
+# by 6 % (benchmarks/holding.py).
 _MORE_THAN_FOUND, _LESS_THAN_FOUND, _LEAST_DIFFERENCE, _OF_BOUND = 0.005, 0.08, 1e-6, 1e-9
 # Cells along each side of the contact's box, centres of turning on a circle, the share of the way to its edge
 # up to which cells have a centre of pressure, and circles in half sides of the box.
