@@ -173,6 +173,8 @@ def read_plan(
     )
     # It costs a third of a second, and is computed anew where the plan is verified.
     vars(plan)["accuracy"], vars(plan)["sway"] = file.accuracy, file.sway
+    peaks = [joint.peak_nm for joint in file.holding_joints.values()]
+    vars(plan)["holding_torque"] = np.array(peaks) if peaks else None
     if plan.several and plan.baseline is not None:
         _require_straight(plan.baseline, contents[BASELINE_FILE], str(folder / BASELINE_FILE), robot.dof)
     again = PlanFile.of_plan(plan, file.hashes).as_data()
@@ -188,6 +190,8 @@ def read_plan(
     _require_accuracy(file.accuracy, plan.accuracy, source)
     sways = [None if sway is None else asdict(sway) for sway in (file.sway, plan.sway)]
     require_same(sways[0], sways[1], str(source), "sway", _SAME_DRAWN, _SAME_ZERO)
+    held = PlanFile.of_plan(plan, file.hashes).as_data()["holding_joints"]
+    require_same(data["holding_joints"], held, str(source), "holding_joints", _SAME, _SAME_ZERO)
     return plan, unverified_files(plan, folder)
 
 
