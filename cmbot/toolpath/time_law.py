@@ -11,6 +11,7 @@ from pydantic import Field
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import InputError
+from cmbot.common.representation import short_repr
 from cmbot.common.validation import CheckedFields
 from cmbot.toolpath.shaper import Shaper
 
@@ -57,6 +58,8 @@ class TimeLaw:
     breaks: FloatArray
     coefficients: FloatArray
     continuity: IntArray
+
+    __repr__ = short_repr
 
     @staticmethod
     def ramped(kind: Kind, up: float, cruise: float, down: float) -> TimeLaw:

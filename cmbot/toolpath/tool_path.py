@@ -53,6 +53,8 @@ class Segment:
     process: ProcessPart | None = None
     is_open: bool = False
 
+    __repr__ = short_repr
+
     @property
     def is_straight(self) -> bool:
         """Whether the tool point moves along a line, or stays."""

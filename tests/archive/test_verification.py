@@ -58,7 +58,7 @@ def test_forgeries_end_in_one_line(forgery: Forgery, short_folder: Path) -> None
             "guardrail force",
         ),
         (Kinematics, "tool_poses", lambda x: (x[0] + [0, 0, 1e-6], x[1]), "tool point"),
-        (Clearances, "smallest", lambda x: replace(x, distance=x.distance + 1e-3), "clearance"),
+        (Clearances, "query", lambda x: x._replace(distance=x.distance + 1e-3), "clearance"),
     ],
 )
 def test_mistakes_of_the_package_are_found(

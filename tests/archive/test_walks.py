@@ -105,7 +105,9 @@ CHANGES: list[tuple[Callable[[dict[str, Any]], object], str]] = [
     (lambda d: lamp(d["scene"], one_step().steps[0].after), ".foot_1: got a place beside lamp"),
     (lambda d: d.update(effort_used=0.1), "effort_used: got 0.1"),
     (
-        lambda d: d.update(adhesion_needed={"peak": 1.0, "mode": "pull", "time": 0.0, "foot": 1}),
+        lambda d: d.update(
+            adhesion_needed={"peak": 1.0, "mode": "pull", "tip": 1.0, "gap": 1.0, "time": 0.0, "foot": 1}
+        ),
         "adhesion_needed: got {",
     ),
 ]

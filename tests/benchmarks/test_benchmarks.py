@@ -121,7 +121,7 @@ def test_the_random_problem_is_as_large_as_the_papers_and_peaks_on_the_way() -> 
     assert len(problem.rows(problem.start)[0]) == 491 * (7 * 8 + 2)
     given = case.problem()
     trajectory = given.parametrization.trajectory
-    torque = Dynamics(case.request.robot).efforts(*trajectory.states(trajectory.t[[0, -1]])).guardrail_torque
+    torque = Dynamics(case.request.cell.robot).efforts(*trajectory.states(trajectory.t[[0, -1]])).guardrail_torque
     assert given.scale > 1.01 * np.linalg.norm(torque, axis=1).max()
 
 

@@ -5,7 +5,7 @@ import io
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -128,6 +128,13 @@ def refused(folder: Path, file: str, key: str, load: Callable[[Path], object] = 
 
 
 def same_arrays(left: Any, right: Any) -> None:
-    """Require two dataclasses to hold the same arrays."""
-    for field in fields(left):
-        np.testing.assert_array_equal(getattr(left, field.name), getattr(right, field.name))
+    """Require two dataclasses to hold the same arrays, those of their parts as well."""
+    assert type(left) is type(right)
+    if is_dataclass(left):
+        for field in fields(left):
+            same_arrays(getattr(left, field.name), getattr(right, field.name))
+    elif isinstance(left, tuple):
+        for one, other in zip(left, right, strict=True):
+            same_arrays(one, other)
+    else:
+        np.testing.assert_array_equal(left, right)

@@ -56,10 +56,10 @@ def require_asked(scene: Scene, asked: Scene, source: str) -> None:
     """Refuse the scene of a plan that is not what was asked, but for what planning decides.
 
     That are numbers of via-points and durations that are ``auto``, a multiple of the segments between
-    via-points or fewer of them, where accelerations or jerks cannot be kept with more, the order of strokes where it is ``best``, and which rows of a raster are in which part, or
-    left out as nothing reaches them. Between via-points the tool keeps its bounds, however many there
-    are. The files that both name have to be the
-    same ones; their contents are hashed on reading.
+    via-points, or fewer of them where accelerations or jerks cannot be kept with more, the order of strokes
+    where it is ``best``, and which rows of a raster are in which part, or left out as nothing reaches them.
+    Between via-points the tool keeps its bounds, however many there are. The files that both name have to be
+    the same ones; their contents are hashed on reading.
 
     Parameters
     ----------
