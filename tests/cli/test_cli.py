@@ -86,7 +86,7 @@ def test_help_breaks_lines_where_the_terminal_does_and_gives_flags_no_value(
 ) -> None:
     monkeypatch.setattr("cmbot.cli.console.out.width", 60)
     text = output("stand", "--help")
-    assert "\nFor scenes of the shipped robot alone, an arm on a climber\nthat holds a guardrail." in text
+    assert "\nFor the shipped robot, an arm on a climber that holds a\nguardrail, and for any arm" in text
     assert max(map(len, text.splitlines())) <= 60
     assert "  --one-foot  " in text
     assert "[default: 0.15]" in " ".join(text.split())

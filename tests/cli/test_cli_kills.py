@@ -102,7 +102,7 @@ def folder(
     pages = {f"{name}.html": f"<p>new {name}</p>".encode() for name in ("replay", "report")}
     for module, name, value in (
         (cmbot, "load_scene", lambda path: scene),
-        (cmbot, "plan", lambda scene, options, progress: plans[1]),
+        (cmbot, "plan", lambda scene, options, partial, progress: plans[1]),
         (cmbot, "simulate", lambda plan, options, progress: trackings[1]),
         (cmbot, "load_plan", lambda directory: plans[0]),
         (cmbot, "load_tracking", lambda plan, directory: trackings[0]),

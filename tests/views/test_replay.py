@@ -137,14 +137,14 @@ def test_the_server_serves_this_computer_alone(triangle_plan: Plan, text: str) -
         socket.create_connection(("127.0.0.1", server.port), timeout=60)
 
 
-EVIL = ("evil.example", "127.0.0.1:1@evil.example", "localhost.evil.example", "127.0.0.1:80:1", "")
+FOREIGN_HOSTS = ("evil.example", "127.0.0.1:1@evil.example", "localhost.evil.example", "127.0.0.1:80:1", "")
 
 
 def test_the_server_refuses_other_paths_hosts_and_ports() -> None:
     with ReplayServer("<p>page</p>") as server:
         for url, host, status in (
             (f"{server.url}x", "localhost", 404),
-            *((server.url, host, 421) for host in EVIL),
+            *((server.url, host, 421) for host in FOREIGN_HOSTS),
         ):
             request = urllib.request.Request(url, headers={"Host": host})
             with pytest.raises(urllib.error.HTTPError) as caught:
