@@ -48,6 +48,8 @@ _ROWS_AT_ONCE = 1024
 _STEADY = 0.3
 # Newton's steps at most for pressures, and where they end, as a share.
 _PRESSURE_STEPS, _PRESSURE_CLOSE = 60, 1e-9
+# Loads whose work about all centres is in memory at once.
+_LOADS_AT_ONCE = 1000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,6 +116,10 @@ class Contact:
         gap : str
             Whether the pressure is linear throughout, or a gap may be open.
         """
+        if len(load) > _LOADS_AT_ONCE:
+            parts = np.split(load, range(_LOADS_AT_ONCE, len(load), _LOADS_AT_ONCE))
+            values, slopes = zip(*(self.slip(part, friction, gap) for part in parts), strict=True)
+            return np.concatenate(values), np.concatenate(slopes)
         tables = _tables(self)
         slide = np.hypot(load[:, 0], load[:, 1])
         straight = np.zeros((len(load), 5))

@@ -121,7 +121,8 @@ def test_the_random_problem_is_as_large_as_the_papers_and_peaks_on_the_way() -> 
     assert len(problem.rows(problem.start)[0]) == 491 * (7 * 8 + 2)
     given = case.problem()
     trajectory = given.parametrization.trajectory
-    torque = Dynamics(case.request.cell.robot).efforts(*trajectory.states(trajectory.t[[0, -1]])).guardrail_torque
+    ends = trajectory.states(trajectory.t[[0, -1]])
+    torque = Dynamics(case.request.cell.robot).efforts(*ends).guardrail_torque
     assert given.scale > 1.01 * np.linalg.norm(torque, axis=1).max()
 
 
