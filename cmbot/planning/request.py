@@ -121,7 +121,8 @@ class StrokeRequest:
     @property
     def tool_off(self) -> StrokeRequest:
         """The request in the workcell of motions with the tool off."""
-        return replace(self, cell=self.cell.tool_off)
+        idle = self.cell.tool_off
+        return self if idle is self.cell else replace(self, cell=idle)
 
     @cached_property
     def on_axis(self) -> StrokeRequest:

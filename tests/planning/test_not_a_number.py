@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from clamped import MAGNET
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_motions import wild
@@ -23,12 +24,11 @@ from cmbot.robot import Dynamics, Kinematics
 from cmbot.trajectory import Extrema, Pieces, QuinticTrajectory
 
 SEEDS = st.integers(min_value=0, max_value=2**32 - 1)
-MAGNET = {"kind": "magnet", "adhesion_n": 1e4, "friction": 0.3, "plate_m": [0.2, 0.2]}
 CERTIFIED_WITH: tuple[tuple[type, str], ...] = (
     (Dynamics, "efforts"),
     (Kinematics, "tool_poses"),
     (Kinematics, "tool_point_jacobians"),
-    (Clearances, "smallest"),
+    (Clearances, "query"),
     (Clearances, "distances"),
     (QuinticTrajectory, "jumps"),
     (QuinticTrajectory, "extrema"),
@@ -40,7 +40,7 @@ READ = {"tool_point_jacobians": slice(1, None)}
 JUDGED_WITH: tuple[tuple[type, str], ...] = (
     (Dynamics, "efforts"),
     (Kinematics, "tool_poses"),
-    (Clearances, "smallest"),
+    (Clearances, "query"),
 )
 
 

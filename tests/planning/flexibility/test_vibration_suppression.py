@@ -221,7 +221,7 @@ def spaced(segments: int) -> SplineSpace:
 
 def torque_problem(segments: int) -> Any:
     robot = SimpleNamespace(limits=SimpleNamespace(jerk=np.array([1.0, 2.0])))
-    return SimpleNamespace(space=spaced(segments), asked=SimpleNamespace(robot=robot))
+    return SimpleNamespace(space=spaced(segments), request=SimpleNamespace(cell=SimpleNamespace(robot=robot)))
 
 
 @pytest.mark.parametrize("legs", [10, 40, 160])
@@ -255,7 +255,7 @@ def test_short_legs_find_company() -> None:
 def test_a_window_takes_its_vibration_away(rng: np.random.Generator) -> None:
     """Within bounds, and with no more jerk than there was."""
     problem = torque_problem(20)
-    space, d, limits = problem.space, 2, problem.request.robot.limits.jerk
+    space, d, limits = problem.space, 2, problem.request.cell.robot.limits.jerk
     given = space.trajectory(1e-4 * rng.normal(size=(3 * len(space.t), d)))
     times = np.linspace(0.01, space.t[-1] - 0.01, 200)
     weights = rng.normal(size=(len(times), 2, d))

@@ -159,7 +159,7 @@ PARTS = [
     (Dynamics, "efforts", lambda found: replace(found, joint_torque=0.5 * found.joint_torque)),
     (Dynamics, "efforts", lambda found: replace(found, guardrail_torque=0.5 * found.guardrail_torque)),
     (Dynamics, "efforts", lambda found: replace(found, guardrail_force=0.5 * found.guardrail_force)),
-    (Clearances, "smallest", lambda found: replace(found, distance=found.distance + 0.1)),
+    (Clearances, "query", lambda found: found._replace(distance=found.distance + 0.1)),
     (Kinematics, "tool_poses", lambda found: (found[0] + [0, 0, 1e-6], found[1])),
     (Kinematics, "tool_poses", lambda found: (found[0], found[1] @ pose([0] * 3, [0, 0, 1e-6])[:3, :3])),
     (ToolPath, "position", lambda found: found[:1] + 0.1 * (found - found[:1])),
@@ -186,7 +186,7 @@ def test_a_part_with_a_mistake(
 ) -> None:
     kind, name, mistake = part
     right = getattr(kind, name)
-    monkeypatch.setattr(kind, name, lambda self, *given: mistake(right(self, *given)))
+    monkeypatch.setattr(kind, name, lambda self, *given, **named: mistake(right(self, *given, **named)))
     assert broken(short_plan) == {quantity}
 
 
