@@ -143,7 +143,7 @@ BARE = """<robot name="bare">
   </inertial></link>
   <link name="wheel"/><link name="plate"/>
   <joint name="a" type="prismatic"><parent link="floor"/><child link="slide"/>
-    <limit velocity="0" effort="3"/></joint>
+    <limit lower="0" upper="0.0001" velocity="0" effort="3"/></joint>
   <joint name="b" type="continuous"><parent link="slide"/><child link="wheel"/></joint>
   <joint name="c" type="fixed"><parent link="slide"/><child link="plate"/></joint>
 </robot>"""
