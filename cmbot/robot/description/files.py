@@ -25,7 +25,7 @@ _SHIPPED = "cmbot"
 # A file of joint limits of ours that lacks its format is known by its keys.
 _OUR_LIMITS = re.compile(
     r"""^\ufeff?(?:\{\s*)?["']?format["']?\s*:\s*["']?cmbot-"""
-    r"""|\b(?:velocity_deg|acceleration_deg|jerk_deg|\w+_m_s[23]?|masses_kg)\b""",
+    r"""|\b(?:velocity_deg|acceleration_deg|jerk_deg|\w+_m_s[23]?|masses_kg|holding_torque)\b""",
     re.M,
 )
 # Where ROS packages have files of joint limits, from the URDF's folder, and SRDFs.

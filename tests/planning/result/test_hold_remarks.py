@@ -111,7 +111,7 @@ def test_of_a_magnet_and_a_clamp_each_has_its_own(magnet_and_clamp: Plan) -> Non
     share = float(rows["load of the clamp of foot 2, safety 2 included, whole job, share of its bounds"])
     assert share == pytest.approx(max(used(magnet_and_clamp, 1).values()), abs=1e-3)
     use = 0.01 * float(rows["feet use of what their safety allows, %"])
-    assert use == pytest.approx(max(share, needed.peak * 2 / 100e3), abs=0.006)
+    assert use == pytest.approx(max(share, needed.peak * 2 / MAGNET["adhesion_n"]), abs=0.006)
 
 
 @given(st.lists(st.floats(0.01, 0.99), min_size=4, max_size=4))

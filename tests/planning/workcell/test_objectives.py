@@ -129,7 +129,9 @@ def test_values_and_derivatives(objective: Objective, states: StateSamples) -> N
         gradient = sum(part.value[:, None] * getattr(part, name) for part in parts)
         expected = got.value[:, None] * getattr(got, name)
         np.testing.assert_allclose(gradient, expected, atol=1e-9 * np.abs(expected).max(initial=1.0))
-    check_state_derivatives(objective.values, states, got, step=1e-3, rtol=1e-7, atol=1e-8)
+    # The adhesion needed is the largest of several: of longer steps some lead to where another one is.
+    step = 1e-4 if objective.name == "hold" else 1e-3
+    check_state_derivatives(objective.values, states, got, step=step, rtol=1e-7, atol=1e-8)
 
 
 def test_at_rest_nothing_moves(objective: Objective, states: StateSamples, cmbot_robot: Robot) -> None:

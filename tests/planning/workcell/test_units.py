@@ -65,7 +65,7 @@ def test_what_is_long_is_warned_of_until_its_scale_is_given(
     warning = "obstacle deck: got numbers that look like millimetres, expected metres (scale: 1 says that"
     for scale, number in (({}, 1), ({"scale": 1}, 0)):
         path = write_scene(tmp_path / "deck.yaml", with_obstacle(**DECK, **scale))
-        outcome = run("plan", path, "--force")
+        outcome = run("plan", path, "--force", "--verbose")
         assert outcome.err.count(warning) == number
         assert outcome.out.count("Numbers of obstacle deck look like millimetres; ") == number
         assert run("check", path).out.count(warning) == number
