@@ -204,6 +204,9 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
     ("locate nosuch", ("nosuch: no such file, expected a file of touches",)),
     ("locate short.yaml --propose 0", ("--propose: got 0, expected a whole number of at least 1 and",)),
     ("locate x.csv --propose 2", ("x.csv: --propose: got a CSV file, expected a scene",)),
+    ("evaluate nosuch --motion m.csv", ("nosuch: no such file, expected a scene",)),
+    ("evaluate triangle", ("the following arguments are required: --motion",)),
+    ("evaluate triangle --motion nosuch.csv", ("nosuch.csv: no such file, expected a table with t and",)),
     ("reproduce now", ("unexpected argument: ",)),
     ("reproduce --runs 3", ("no such option: --runs",)),
 ]

@@ -143,7 +143,7 @@ BARE = """<robot name="bare">
   </inertial></link>
   <link name="wheel"/><link name="plate"/>
   <joint name="a" type="prismatic"><parent link="floor"/><child link="slide"/>
-    <limit velocity="0" effort="3"/></joint>
+    <limit lower="0" upper="0.0001" velocity="0" effort="3"/></joint>
   <joint name="b" type="continuous"><parent link="slide"/><child link="wheel"/></joint>
   <joint name="c" type="fixed"><parent link="slide"/><child link="plate"/></joint>
 </robot>"""
@@ -170,7 +170,7 @@ def test_a_urdf_that_lacks_limits_is_described_and_one_that_is_doubtful_is_usabl
         "links": "4, 2.50 kg in all",
         "movable joints": "2 (1 prismatic, 1 continuous)",
         "prismatic joints": "1, in m and N; the others in rad and Nm",
-        "limits in the URDF": "of 2 movable joints: position 1, velocity 0, effort 1",
+        "limits in the URDF": "of 2 movable joints: position 2, velocity 0, effort 1",
         "joint_limits.yaml beside it": "none: acceleration and jerk limits are assumed where the scene names "
         "none",
         "SRDF": "none: links that are neighbours or nearly always near may touch",
@@ -179,7 +179,7 @@ def test_a_urdf_that_lacks_limits_is_described_and_one_that_is_doubtful_is_usabl
         "tool frame": "any link that joints move below it; at the ends: wheel, plate",
         "arm where no frames are given": "from floor to wheel",
     }
-    limited = BARE.replace('velocity="0"', 'velocity="1" upper="1"')
+    limited = BARE.replace('upper="0.0001" velocity="0"', 'upper="1" velocity="1"')
     limited = limited.replace('"wheel"/></joint>', '"wheel"/><limit velocity="1" effort="3"/></joint>')
     path.write_text(limited.replace('izz="1"', 'izz="5"'), encoding="utf-8")
     outcome = run("check", path)

@@ -260,18 +260,20 @@ def test_causes_are_short_within_what_is_said_of_a_walk() -> None:
 
 
 def test_a_step_that_does_not_hold_is_refused_with_its_figures() -> None:
-    weak = scene_at(4.04, 4.44, {"kind": "magnet", "adhesion_n": 300})
+    magnet = {"kind": "magnet", "adhesion_n": 9000, "safety": 1, "friction": 0.7}
+    weak = scene_at(4.04, 4.44, magnet)
     there, options = StanceFile.model_validate(feet(4.34, 4.74)), WalkOptions(spacing=0.8)
     figures = r"easiest way.*% of its effort, adhesion needed \d+\.\d+ kN\).*"
     with pytest.raises(PlanningError, match=figures) as refused:
         cmbot.walk(weak, there, options)
     times = float(re.search(r"bounds (\d+\.\d) times as large would do at rest", str(refused.value))[1])
     assert times > 1
-    # With a magnet that is as much stronger there is a way at rest, with one that is less there is none.
+    # With magnets and joints that are as much stronger there is a way at rest, with less there is none.
     for share, found in ((1.1, True), (0.9, False)):
-        strong = scene_at(4.04, 4.44, {"kind": "magnet", "adhesion_n": 300 * share * times})
+        strong = scene_at(4.04, 4.44, magnet | {"adhesion_n": 9000 * share * times})
         first, last = stance_of(strong), goal_stance(there, strong)
         balance = Balance(strong, np.array(strong.posture))
+        balance._climber.effort = share * times * balance._climber.effort
         route = Route(nodes_between(strong, first, last, options.spacing), balance)
         assert (route.shortest(0) is not None) == found
 
