@@ -42,8 +42,6 @@ _RIM_POINTS, _WAYS_OUT = 72, (0.0, 0.2, 0.34, 0.45, 0.55, 0.65, 0.74, 0.82, 0.88
 # turning and of pressure between those above, and the cells; by more near the edge, where pressures are on
 # few cells. Against a contact model with finer cells.
 _TABLE_MARGIN, _NEAR_EDGE, _EDGE_FROM = 0.07, 0.25, 0.9
-# Loads whose torques about all centres of turning are in memory at once.
-_ROWS_AT_ONCE = 1024
 # Share of the mean distance without a gap by which P h grows with P at least.
 _STEADY = 0.3
 # Newton's steps at most for pressures, and where they end, as a share.
@@ -264,13 +262,11 @@ class _Tables:
 
     def turning_without_gap(self, load: FloatArray, friction: float) -> tuple[FloatArray, FloatArray]:
         """Return P (N,) for turning about any centre, and gradients (N, 5): see `Contact.slip`."""
-        value, which = np.zeros(len(load)), np.zeros(len(load), dtype=np.int64)
-        for rows in np.array_split(np.arange(len(load)), len(load) // _ROWS_AT_ONCE + 1):
-            work = np.abs(self._torsion(load[rows], self.centres)) / friction
-            values = (work - load[rows, 2:4] @ self.by_pressure.T) / self.mean
-            which[rows], value[rows] = values.argmax(axis=1), values.max(axis=1)
+        work = np.abs(self._torsion(load, self.centres)) / friction
+        values = (work - load[:, 2:4] @ self.by_pressure.T) / self.mean
+        which = values.argmax(axis=1)
         slope = self._slope(load, which, friction, -self.by_pressure[which])
-        return value, slope / self.mean[which, None]
+        return values[np.arange(len(load)), which], slope / self.mean[which, None]
 
     def turning_with_gap(
         self, load: FloatArray, friction: float, least: FloatArray
