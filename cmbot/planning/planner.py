@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Literal, NoReturn
+from typing import Literal, NoReturn, Self
 
 from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
@@ -104,16 +104,8 @@ def plan(
     # The matrices are small: more threads of linear algebra than one only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"), failures_explained(scene):
         scene = reached_scene(scene, given, deadline)
-        # The plan holds the solver that it was made with.
-        solved_with = replace(given, solver=solver_of(given))
         with watched(progress) as report:
-            planner = _Planner(
-                options=solved_with,
-                automatic=given.solver == "auto",
-                objective=objective,
-                reporter=ProgressReporter(report),
-                deadline=deadline,
-            )
+            planner = _Planner.of(given, report, deadline, objective)
             if partial:
                 return planner.partial(scene)
             if scene.order == "best":
@@ -164,14 +156,7 @@ def replan(
     with threadpool_limits(limits=1, user_api="blas"), failures_explained(scene):
         near = _timed_as(plan, reached_scene(scene, given, deadline))
         with watched(progress) as report:
-            planner = _Planner(
-                options=replace(given, solver=solver_of(given)),
-                automatic=given.solver == "auto",
-                objective=None,
-                reporter=ProgressReporter(report),
-                deadline=deadline,
-            )
-            outcome = planner.job(near, deadline, plan)
+            outcome = _Planner.of(given, report, deadline).job(near, deadline, plan)
     if isinstance(outcome, Plan):
         told = "Planned near an earlier plan: how far its peak is from the least one is not known."
         return replace(outcome, fallbacks=(told, *outcome.fallbacks))
@@ -219,6 +204,23 @@ class _Planner:
     objective: WrenchFunction | None
     reporter: ProgressReporter
     deadline: Deadline
+
+    @classmethod
+    def of(
+        cls,
+        given: PlannerOptions,
+        report: Callable[[Progress], None] | None,
+        deadline: Deadline,
+        objective: WrenchFunction | None = None,
+    ) -> Self:
+        """Return the planner by options as they are given: a plan holds the solver that it was made with."""
+        return cls(
+            options=replace(given, solver=solver_of(given)),
+            automatic=given.solver == "auto",
+            objective=objective,
+            reporter=ProgressReporter(report),
+            deadline=deadline,
+        )
 
     def partial(self, scene: Scene) -> Plan:
         """Return the plan of the strokes that can be planned, in their order; the first error where none can.
