@@ -187,17 +187,21 @@ def read_plan(
     if not verify:
         return plan, ()
     plan = _verified(plan, file.baseline, clearances, source)
-    _require_told(file, data, plan, source)
+    _require_told(file, plan, source)
     return plan, unverified_files(plan, folder)
 
 
-def _require_told(file: PlanFile, data: Mapping[str, Any], plan: Plan, source: Path) -> None:
+def _require_told(file: PlanFile, plan: Plan, source: Path) -> None:
     """Refuse what a file tells of accuracy, sway and locked joints if a verified plan has it otherwise."""
     _require_accuracy(file.accuracy, plan.accuracy, source)
     sways = [None if sway is None else asdict(sway) for sway in (file.sway, plan.sway)]
     require_same(sways[0], sways[1], str(source), "sway", _SAME_DRAWN, _SAME_ZERO)
-    held = PlanFile.of_plan(plan, file.hashes).as_data()["holding_joints"]
-    require_same(data["holding_joints"], held, str(source), "holding_joints", _SAME, _SAME_ZERO)
+    peaks = [] if plan.holding_torque is None else plan.holding_torque.tolist()
+    told, held = (
+        {name: {"peak_nm": peak} for name, peak in zip(file.holding_joints, values, strict=True)}
+        for values in ([joint.peak_nm for joint in file.holding_joints.values()], peaks)
+    )
+    require_same(told, held, str(source), "holding_joints", _SAME, _SAME_ZERO)
 
 
 def plan_data(directory: Path) -> dict[str, Any]:
