@@ -48,6 +48,12 @@ def fields_repr(name: str, values: Mapping[str, object]) -> str:
     return f"{name}({', '.join(shown)})"
 
 
+def aligned(rows: Sequence[Sequence[str]]) -> str:
+    """Return rows of a name and values as an aligned table of plain text."""
+    width = max(len(row[0]) for row in rows)
+    return "\n".join("  ".join((f"{row[0]:<{width}}", *(f"{x:>12}" for x in row[1:]))) for row in rows)
+
+
 def card(
     title: str, sentence: str = "", rows: Iterable[Sequence[str]] = (), headings: Sequence[str] = ()
 ) -> str:

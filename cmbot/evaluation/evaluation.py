@@ -15,6 +15,7 @@ from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.limit import Limit
+from cmbot.common.representation import aligned
 from cmbot.common.validation import counted, require_type
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.sag import Sag, TooSoftError
@@ -163,9 +164,7 @@ class Evaluation:
 
     def summary(self) -> str:
         """Return the figures as an aligned table of plain text."""
-        rows = [("", "motion", "planned"), *self.rows()]
-        width = max(len(row[0]) for row in rows)
-        return "\n".join(f"{name:<{width}}  {left:>12}  {right:>12}" for name, left, right in rows)
+        return aligned([("", "motion", "planned"), *self.rows()])
 
     def remarks(self) -> Iterator[str]:
         """Yield what is to be said of how it was judged, and which checks do not hold."""

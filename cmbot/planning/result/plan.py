@@ -14,7 +14,7 @@ from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.file_types import NonNegative
-from cmbot.common.representation import card
+from cmbot.common.representation import aligned, card
 from cmbot.common.validation import require_type
 from cmbot.elastic.sag import Sag, TooSoftError
 from cmbot.hold import AdhesionPeak
@@ -387,9 +387,7 @@ class Plan(StrokePlan):
 
     def summary(self) -> str:
         """Return the figures that are shown first as an aligned table of plain text, of at most ten lines."""
-        rows = [self.headings, *self.rows(first=True)]
-        width = max(len(row[0]) for row in rows)
-        return "\n".join("  ".join((f"{row[0]:<{width}}", *(f"{x:>12}" for x in row[1:]))) for row in rows)
+        return aligned([self.headings, *self.rows(first=True)])
 
     def rows(self, *, first: bool = False) -> Iterator[tuple[str, ...]]:
         """Yield the figures, each as its name and unit and the values under `headings`.
