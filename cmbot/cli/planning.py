@@ -221,11 +221,11 @@ def _with_values(scene: str, values: Mapping[str, object]) -> cmbot.Scene:
 
 def _summary(planned: Plan, directory: Path) -> dict[str, Any]:
     from cmbot.archive import plan_data
-    from cmbot.planning import baseline_faults, loads, notes, plan_rows, remarks, verdict
+    from cmbot.planning import baseline_faults, loads, notes, remarks, verdict
 
     entries = {name: entry for name, entry in plan_data(directory).items() if name not in _LEFT_OUT}
     told: dict[str, Sequence[Any]] = {
-        "table": plan_rows(planned),
+        "table": planned.table,
         "notes": notes(planned),
         "loads": loads(planned),
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -33,6 +33,9 @@ from cmbot.robot import Kinematics, Robot
 from cmbot.scene import WORK, PlannerOptions, Scene, StrokeFile, coverage_of, pieces_left_out, rows_alone
 from cmbot.toolpath import Coverage
 from cmbot.trajectory import QuinticTrajectory, SplineSpace, sample_step
+
+if TYPE_CHECKING:
+    from cmbot.planning.result.rows import Row
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -389,6 +392,14 @@ class Plan(StrokePlan):
         """Return the figures that are shown first as an aligned table of plain text, of at most ten lines."""
         return aligned([self.headings, *self.rows(first=True)])
 
+    @cached_property
+    def table(self) -> tuple[Row, ...]:
+        """The figures beside the baseline's, those that are shown first at the top."""
+        # It is told of what is planned, so it stands above.
+        from cmbot.planning.result.rows import plan_rows
+
+        return plan_rows(self)
+
     def rows(self, *, first: bool = False) -> Iterator[tuple[str, ...]]:
         """Yield the figures, each as its name and unit and the values under `headings`.
 
@@ -397,10 +408,7 @@ class Plan(StrokePlan):
         first : bool
             Those alone that are shown first, at most ten.
         """
-        # It is told of what is planned, so it stands above.
-        from cmbot.planning.result.rows import plan_rows
-
-        for row in plan_rows(self):
+        for row in self.table:
             if row.first or not first:
                 name, before, planned = row.cells
                 yield (name, planned) if self.baseline is None else (name, before, planned)
