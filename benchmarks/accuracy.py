@@ -19,7 +19,7 @@ import pinocchio as pin
 import cmbot
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
-from cmbot.elastic.modes import arm_modes
+from cmbot.elastic.modes import DAMPING, arm_modes
 from cmbot.elastic.sag import Sag
 from cmbot.planning import Plan, bending_arm
 from cmbot.robot import Kinematics
@@ -29,7 +29,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "helpe
 from elastic_in_mujoco import Twin
 
 HEADINGS = ("scene", "told, mm", "Monte Carlo, mm", "ratio", "sway, mm", "by MuJoCo, mm")
-DAMPING = 0.01
 # Between postures at which statics are computed, s; of MuJoCo's steps and of the points that are compared, s.
 BETWEEN, STEP, EVERY = 0.25, 2e-4, 50
 LEAST_CHORD = 1e-4

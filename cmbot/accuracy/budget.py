@@ -21,6 +21,7 @@ from cmbot.accuracy.sway import sway_along
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.file_types import NonNegative, Share
 from cmbot.elastic.arm import ElasticArm
+from cmbot.elastic.modes import DAMPING
 from cmbot.scene import Placement, Tolerance, Uncertainty
 
 # Draws; postures of a stroke at most, and the time between them, s.
@@ -28,8 +29,6 @@ _DRAWS, _MOST_POSTURES, _BETWEEN_POSTURES = 2048, 80, 0.25
 _SEED = 0
 # Slower than this, m/s, the tool is taken to rest: then no direction is along its path.
 _AT_REST = 1e-4
-# Ratio of damping of every mode, as `SimulationOptions` has it.
-_DAMPING = 0.01
 # What remedies promise: stiffness identified within this share, places located by touched points.
 _IDENTIFIED, _LOCATED = 0.03, Placement(mm=0.3, deg=0.03)
 # A remedy that leaves more than this share is none.
@@ -366,7 +365,7 @@ def _sampled(
     along = np.where(speed > _AT_REST, velocity / np.maximum(speed, _AT_REST), 0.0)
     axis = np.broadcast_to(work.rotation(t)[:, :, 2], place.shape)
     factors = (1 - share, 1.0, 1 + share)
-    sway = sway_along(arm, work.motion, duration, _DAMPING, factors)
+    sway = sway_along(arm, work.motion, duration, DAMPING, factors)
     # At each time the largest sway until the next one.
     cell = np.clip(np.searchsorted(t, sway.t, side="right") - 1, 0, count)
     largest = np.zeros((len(factors), count + 1, 3))

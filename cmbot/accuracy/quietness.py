@@ -12,10 +12,11 @@ from cmbot.accuracy.sway import sway_along
 from cmbot.common.arrays import FloatArray
 from cmbot.common.file_types import NonNegative
 from cmbot.elastic.arm import ElasticArm
+from cmbot.elastic.modes import DAMPING
 from cmbot.trajectory import QuinticTrajectory
 
-# Damping ratio of every mode, and how long the tool is watched after the stop, s: as simulated by default.
-_DAMPING, _SETTLE = 0.01, 2.0
+# How long the tool is watched after the stop, as simulated by default, s.
+_SETTLE = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +93,7 @@ def _sway_and_swing(
         return x
 
     duration = float(end - begin)
-    found = sway_along(arm, motion, duration + _SETTLE, _DAMPING, factors)
+    found = sway_along(arm, motion, duration + _SETTLE, DAMPING, factors)
     after = found.t >= duration
     sway = float(np.linalg.norm(found.tool[:, ~after], axis=2).max())
     return sway, max(float(pdist(tool[after]).max()) for tool in found.tool)

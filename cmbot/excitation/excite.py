@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import short_repr
 from cmbot.elastic.arm import ElasticArm
+from cmbot.elastic.modes import DAMPING
 from cmbot.excitation.damper import DamperGain, best_damper
 from cmbot.excitation.ground import Record, axles_of, read_record
 from cmbot.excitation.passages import (
@@ -32,7 +33,7 @@ from cmbot.excitation.response import (
     linear_spectrum,
     modal_response,
 )
-from cmbot.excitation.sway import DAMPING, RandomSway, require_bending, shaken_adhesion, sway_of
+from cmbot.excitation.sway import RandomSway, require_bending, shaken_adhesion, sway_of
 from cmbot.excitation.trains import Span, passing_pressure
 from cmbot.excitation.wind import AIR_KG_M3, DRAG, gust_spectrum, link_loads
 from cmbot.planning import Plan, require_plan

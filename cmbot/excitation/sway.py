@@ -19,6 +19,7 @@ from cmbot.common.errors import InputError
 from cmbot.common.representation import short_repr
 from cmbot.elastic import Guardrail, elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm
+from cmbot.elastic.modes import DAMPING
 from cmbot.excitation.peaks import davenport_factor, departure_rate, probability_of_leaving
 from cmbot.excitation.response import (
     AXES,
@@ -33,9 +34,6 @@ from cmbot.hold import needed_by_load
 from cmbot.planning import Plan
 from cmbot.robot import Robot
 from cmbot.scene import Tolerance
-
-DAMPING = 0.01
-"""Ratio of every mode where nothing else is said: measured arms of aluminium tubes have 0.5 to 2 %."""
 
 # Simulated records: how many, their steps a second over the highest frequency, and how many numbers at most;
 # from so many of them that leave the tolerance their share is taken, else the bound by crossings.

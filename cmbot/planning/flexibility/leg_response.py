@@ -19,8 +19,8 @@ from scipy import linalg
 
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
-from cmbot.elastic.modes import linearised
-from cmbot.planning.flexibility.leg_vibration import DAMPING, slowest
+from cmbot.elastic.modes import DAMPING, linearised
+from cmbot.planning.flexibility.leg_vibration import slowest
 from cmbot.toolpath import TimeLaw
 
 # Postures of a leg less one; modes of three of them that carry the motion.

@@ -14,7 +14,7 @@ from scipy.spatial.distance import pdist
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.elastic.arm import ElasticArm
-from cmbot.elastic.modes import linearised
+from cmbot.elastic.modes import DAMPING, linearised
 from cmbot.trajectory import QuinticTrajectory
 
 # Modes at the start, the middle and the end that together carry the motion in between.
@@ -22,8 +22,6 @@ _CARRIERS = 3
 # Steps a period of the fastest mode that is suppressed; longest time with the same matrices, s.
 _STEPS_A_PERIOD, _MATRICES_EVERY = 40, 0.25
 
-DAMPING = 0.01
-"""Damping ratio of the modes, as simulated by default: it hardly matters within a leg."""
 # How long the tool is watched after the stop, as simulated by default, and how often, s.
 _SETTLE, _WATCHED = 2.0, 0.01
 

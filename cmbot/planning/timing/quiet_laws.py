@@ -14,8 +14,8 @@ from functools import partial
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
+from cmbot.elastic.modes import DAMPING
 from cmbot.planning.flexibility.leg_response import LegResponse
-from cmbot.planning.flexibility.leg_vibration import DAMPING
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.timing.leg_paths import LegPath, leg_paths
 from cmbot.toolpath import LegLaw, Segment, Shaper, TimeLaw, extra_insensitive, two_hump
