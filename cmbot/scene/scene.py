@@ -182,15 +182,14 @@ class Scene(FileModel):
         if self.guardrail.mass is not None and self.guardrail.stiffness is None and not measured:
             expected = "no mass where no stiffness is given"
             raise refusal(expected, got="a mass alone", key=("guardrail", "mass"))
-        taken = set(self.guardrail.member_names)
+        taken, frames = set(self.guardrail.member_names), [name for name, _ in self.frames]
         for index, obstacle in enumerate(self.obstacles):
             if obstacle.name in taken:
                 expected = "a name that no other obstacle or guardrail member has"
                 raise refusal(expected, got=shown(obstacle.name), key=("obstacles", index, "name"))
             taken.add(obstacle.name)
-            if obstacle.frame is not None and obstacle.frame not in dict(self.frames):
-                named = ", ".join(dict(self.frames))
-                expected = f"one of {named}" if named else "no such key: the scene has no frames"
+            if obstacle.frame is not None and obstacle.frame not in frames:
+                expected = f"one of {', '.join(frames)}" if frames else "no such key: the scene has no frames"
                 raise refusal(expected, got=shown(obstacle.frame), key=("obstacles", index, "frame"))
         self._listed = tuple(str(stroke.name) for stroke in self.strokes)
         return self
