@@ -56,10 +56,9 @@ def require_asked(scene: Scene, asked: Scene, source: str) -> None:
     """Refuse the scene of a plan that is not what was asked, but for what planning decides.
 
     That are numbers of via-points and durations that are ``auto``, a multiple of the segments between
-    via-points, or fewer of them where accelerations or jerks cannot be kept with more, the order of strokes
-    where it is ``best``, and which rows of a raster are in which part, or left out as nothing reaches them.
-    Between via-points the tool keeps its bounds, however many there are. The files that both name have to be
-    the same ones; their contents are hashed on reading.
+    via-points, the order of strokes where it is ``best``, and which rows of a raster are in which part, or
+    left out as nothing reaches them. Fewer via-points promise less. The files that both name have to be the
+    same ones; their contents are hashed on reading.
 
     Parameters
     ----------
@@ -96,8 +95,7 @@ def _decided(stroke: StrokeFile, asked: StrokeFile, *, in_any_direction: bool) -
     if asked.is_open or asked.speed_profile.kind == "quiet":
         decided.add("time_laws")
     segments = asked.via_points - 1 if isinstance(asked.via_points, int) else 1
-    own = stroke.via_points - 1 if isinstance(stroke.via_points, int) else 0
-    if own and (own < segments or own % segments == 0):
+    if isinstance(stroke.via_points, int) and (stroke.via_points - 1) % segments == 0:
         decided.add("via_points")
     return decided
 
