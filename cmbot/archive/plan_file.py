@@ -250,7 +250,7 @@ class ContactFile:
 
 @dataclass(frozen=True, kw_only=True)
 class HoldingJointFile:
-    """A locked joint between foot 1 and the arm's base."""
+    """A locked joint between a foot and the arm's base."""
 
     peak_nm: NonNegative
     """Largest torque that it holds over the whole job."""
@@ -296,7 +296,7 @@ class PlanFile(StrokeEntries):
     contact: tuple[ContactFile | None, ...]
     """Of each foot; null on a round bar."""
     holding_joints: dict[str, HoldingJointFile]
-    """By their names; empty where nothing is locked there, or two feet hold."""
+    """By their names; empty where nothing is locked there."""
     missing: tuple[str, ...]
     """Strokes of what was asked that could not be planned; empty unless that was allowed."""
     fallbacks: tuple[str, ...]
@@ -348,12 +348,10 @@ def _contact(foot: Foot) -> ContactFile | None:
 
 
 def _holding_joints(plan: Plan) -> dict[str, HoldingJointFile]:
-    """What locked joints hold, at samples of the job."""
-    joints, peaks = plan.robot.holding_joints, plan.holding_torque
-    if peaks is None:
-        return {}
+    """What locked joints hold over the job."""
+    joints, peaks = plan.robot.holding_joints, plan.holding_torque.tolist()
     return {
-        joint.name: HoldingJointFile(peak_nm=float(peak), limit_nm=joint.limit)
+        joint.name: HoldingJointFile(peak_nm=peak, limit_nm=joint.limit)
         for joint, peak in zip(joints, peaks, strict=True)
     }
 

@@ -173,8 +173,6 @@ def read_plan(
     )
     # It costs a third of a second, and is computed anew where the plan is verified.
     vars(plan)["accuracy"], vars(plan)["sway"] = file.accuracy, file.sway
-    peaks = [joint.peak_nm for joint in file.holding_joints.values()]
-    vars(plan)["holding_torque"] = np.array(peaks) if peaks else None
     if plan.several and plan.baseline is not None:
         _require_straight(plan.baseline, contents[BASELINE_FILE], str(folder / BASELINE_FILE), robot.dof)
     again = PlanFile.of_plan(plan, file.hashes).as_data()
@@ -192,16 +190,10 @@ def read_plan(
 
 
 def _require_told(file: PlanFile, plan: Plan, source: Path) -> None:
-    """Refuse what a file tells of accuracy, sway and locked joints if a verified plan has it otherwise."""
+    """Refuse what a file tells of accuracy and sway if a verified plan has it otherwise."""
     _require_accuracy(file.accuracy, plan.accuracy, source)
     sways = [None if sway is None else asdict(sway) for sway in (file.sway, plan.sway)]
     require_same(sways[0], sways[1], str(source), "sway", _SAME_DRAWN, _SAME_ZERO)
-    peaks = [] if plan.holding_torque is None else plan.holding_torque.tolist()
-    told, held = (
-        {name: {"peak_nm": peak} for name, peak in zip(file.holding_joints, values, strict=True)}
-        for values in ([joint.peak_nm for joint in file.holding_joints.values()], peaks)
-    )
-    require_same(told, held, str(source), "holding_joints", _SAME, _SAME_ZERO)
 
 
 def plan_data(directory: Path) -> dict[str, Any]:
