@@ -90,7 +90,7 @@ class PathFile(FileModel):
     legs: Annotated[tuple[Leg, ...], Field(max_length=2000)] = ()
     """Legs from where the path begins, each from rest to rest."""
     waypoints: Annotated[tuple[Waypoint, ...] | None, Field(min_length=2, max_length=2000)] = None
-    """In place of `legs`, points in m and unit quaternions of the tool in W (x, y, z, qw, qx, qy, qz); in a
+    """In place of `legs`, points in m and unit quaternions of the tool in W (x, y, z, qw, qx, qy, qz). In a
     scene file also the path of a table, or its `file` with units and pose. The tool rests at corners and
     where it turns in place. Neighbours less than 0.1 mm apart are one, and dense ones are missed by up to a
     quarter of the tolerance."""
