@@ -369,7 +369,7 @@ class Plan(StrokePlan):
         """Largest torques (k,), Nm, of `Robot.holding_joints` over the job, as certified."""
         held = [check for _, check in self.job.checks() if check.limit is Limit.HOLDING_TORQUE]
         peaks = (
-            max(check.value for check in held if check.joint == joint.name)
+            max((check.value for check in held if check.joint == joint.name), default=0.0)
             for joint in self.robot.holding_joints
         )
         return np.array(list(peaks))
