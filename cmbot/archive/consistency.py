@@ -4,11 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from pydantic import ConfigDict
+
 from cmbot.common.errors import ArchiveError
-from cmbot.common.validation import shown
+from cmbot.common.validation import FileModel, shown
 
 # By how much numbers may differ, as a share and at least.
 _SAME = 1e-9
+
+
+class Entry(FileModel):
+    """What is read of an entry; all else in it is computed again."""
+
+    model_config = ConfigDict(extra="ignore")
 
 
 def require_same(

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from cmbot.archive.consistency import require_same
-from cmbot.archive.folder import read_folder, without_hashes
+from cmbot.archive.folder import read_folder
 from cmbot.archive.knots import require_times, segment_trajectories
 from cmbot.archive.names import BASELINE_FILE, JOB_FILES, PLAN_FILE, PLAN_FILES
 from cmbot.archive.places import plans_nearby
@@ -130,8 +130,7 @@ def read_plan(
         shown_files = sorted(hashes.keys() - {*PLAN_FILES}) if verify else ()
         return (*own, *(name for name in shown_files if (folder / name).exists()))
 
-    record, contents = _read(folder, listed)
-    data = without_hashes(record)
+    data, contents = _read(folder, listed)
     try:
         file = validated(PlanFile, data, str(source), ArchiveError)
     except ArchiveError as error:
