@@ -341,7 +341,10 @@ def _baselines(
     """The baseline along each stroke, from the content of its table; none where the options ask for none."""
     if file.options.baseline == "none":
         return [None] * len(entries)
-    source = str(folder / BASELINE_FILE)
+    source, stored = str(folder / BASELINE_FILE), [entry.baseline for entry in entries]
+    if None in stored or file.baseline is None:
+        expected = "one of the job and of every stroke, by options.baseline"
+        raise ArchiveError(str(folder / PLAN_FILE), "baseline", "null", expected)
     if content is None:
         expected = f"the file that was saved with {PLAN_FILE}"
         raise ArchiveError(str(folder / PLAN_FILE), "files", f"no {BASELINE_FILE}", expected)
@@ -349,14 +352,11 @@ def _baselines(
     if not file.strokes:
         require_times(t, job.strokes[0].task.path.duration, source, "the scene")
     baselines = list[StrokeBaseline | None]()
-    for entry, segment in zip(entries, job.strokes, strict=True):
-        stored, task = entry.baseline, segment.task
-        if stored is None:
-            expected = "one of every stroke, by options.baseline"
-            raise ArchiveError(str(folder / PLAN_FILE), "baseline", "null", expected)
-        rows = _rows(t, stored.begin, stored.begin + task.path.duration, source)
+    for entry, segment in zip(filter(None, stored), job.strokes, strict=True):
+        task = segment.task
+        rows = _rows(t, entry.begin, entry.begin + task.path.duration, source)
         samples = measure(robot, task, clearances, t[rows] - t[rows[0]], [array[rows] for array in motion])
-        baselines.append(made(StrokeBaseline, stored, samples=samples, figures=made(MotionMetrics, stored)))
+        baselines.append(made(StrokeBaseline, entry, samples=samples, figures=made(MotionMetrics, entry)))
     return baselines
 
 
