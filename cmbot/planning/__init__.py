@@ -61,7 +61,14 @@ from cmbot.planning.workcell.objectives import (
 )
 from cmbot.planning.workcell.stiffness import covariance_of, modelled_stiffness
 from cmbot.planning.workcell.units import unit_findings
-from cmbot.planning.workcell.workcell import Workcell, bending_arm, rigid_arm_remark, robot_of, sag_of
+from cmbot.planning.workcell.workcell import (
+    Workcell,
+    bending_arm,
+    held_guardrail,
+    rigid_arm_remark,
+    robot_of,
+    sag_of,
+)
 from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
 __all__ = [
@@ -125,6 +132,7 @@ __all__ = [
     "follow_path",
     "free_move_name",
     "free_space",
+    "held_guardrail",
     "job_metrics",
     "joined_samples",
     "left_out",
