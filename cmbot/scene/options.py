@@ -39,8 +39,8 @@ class PlannerOptions(CheckedFields):
         that of the whole job from the scene's posture. ``pinned``: the arm begins in the scene's posture, as
         long as a path leads on from there.
     objective : str
-        What is minimised. ``torque``: the norm of the torque on the base, Eq. (12); ``sag``: the tool's at
-        rest; ``hold``: the largest adhesion that a foot needs.
+        What is minimised. ``torque``: the norm of the torque on the base, Eq. (12); ``sag``: the tool's
+        sag at rest; ``hold``: the largest adhesion that a foot needs.
     moment_about : str
         The point about which the torque is taken. ``foot``: O0, n_0. ``base``: the origin of the arm's base
         frame, n_1 without the lever of Eq. (12).
@@ -100,8 +100,8 @@ class PlannerOptions(CheckedFields):
         Largest distance of the tool point from its timed place along the leg, between via-points.
     solver : str
         ``sqp``: sequential quadratic programming on sparse matrices; needs the extra ``fast``.
-        ``slsqp``: SciPy's, on dense ones. ``auto``: ``sqp`` where PIQP is installed, and ``slsqp`` where it is
-        not or fails.
+        ``slsqp``: SciPy's, on dense ones. ``auto``: ``sqp``, and ``slsqp`` where PIQP is not installed or
+        ``sqp`` fails.
     samples_per_segment : int
         Samples per spline segment at which nonlinear constraints are checked for violations.
     smoothing_weight : float
