@@ -15,7 +15,7 @@ _HEAD = """# Scene file
 
 A scene is one YAML file: the robot, where its arm starts, the tool's path, obstacles and base.
 Lengths are metres, angles degrees, times seconds. A key that is not *required* may be left out.
-Largest and smallest values are in the schema.
+Largest and smallest values, and the blocks that only cmbot writes, are in the schema.
 
 Editors check a scene while it is typed if its first line is `# yaml-language-server: $schema=FILE`.
 `cmbot new` writes that line; `cmbot schema` prints the schema, to go with a scene to other machines.
@@ -58,7 +58,6 @@ _SECTIONS = {
     "FaceSelection": "Rasters over faces of a mesh: `raster.faces`",
     "RowPiece": "Pieces of rows: `raster.pieces`",
     "SpeedProfile": "`speed_profile`",
-    "LegLaw": "Laws of legs with `seconds: auto`: `time_laws`",
     "ObstacleFile": "`obstacles`",
     "GuardrailFile": "`guardrail`",
     "PostFile": "`guardrail.post`",
@@ -69,9 +68,6 @@ _SECTIONS = {
     "HoldFile": "`guardrail.hold`",
     "StanceFile": "`guardrail.stance`",
     "FootholdFile": "`guardrail.stance.foot_1`, `foot_2`",
-    "IdentifiedStiffness": "`identified`",
-    "IdentifiedSpring": "`identified.links`, `identified.joints`",
-    "IdentifiedBase": "`identified.base`",
     "ExcitationFile": "`excitation`",
     "DeckFile": "`excitation.deck`",
     "TrainsFile": "`excitation.deck.trains`",
@@ -81,12 +77,19 @@ _SECTIONS = {
     "DamperFile": "`damper`",
     "PlannerOptions": "`planner`",
 }
+# Blocks that planning and identification write: their keys are in the schema.
+_WRITTEN = {
+    "LegLaw": "laws of legs",
+    "IdentifiedStiffness": "an identified stiffness",
+    "IdentifiedSpring": "",
+    "IdentifiedBase": "",
+}
 
 
 def reference_text(schema: dict[str, Any], example: str) -> str:
     """Return the page as Markdown."""
     definitions = {**schema["$defs"], "Scene": schema}
-    if missing := definitions.keys() ^ _SECTIONS.keys():
+    if missing := definitions.keys() ^ (_SECTIONS | _WRITTEN).keys():
         raise ValueError(f"sections and definitions differ: {', '.join(sorted(missing))}")
     parts = [_HEAD.replace("{example}", example.strip())]
     for name, title in _SECTIONS.items():
@@ -120,6 +123,8 @@ def _kind(value: dict[str, Any]) -> str:
     """What a value may be, in words."""
     if "$ref" in value:
         name = value["$ref"].rsplit("/", 1)[-1]
+        if name in _WRITTEN:
+            return _WRITTEN[name]
         title = _SECTIONS[name]
         return f"[{title.replace('`', '')}](#{_anchor(title)})"
     for several in ("anyOf", "oneOf"):
