@@ -59,7 +59,7 @@ def test_what_is_there_is_kept(excited: tuple[Path, str], tmp_path: Path, short_
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     assert "--force" in refusal("excite", folder)
     excitation = cmbot.excite(short_plan)
-    with pytest.raises(ArchiveError, match="already there"):
+    with pytest.raises(ArchiveError, match=r"got excitation\.json"):
         save_excitation(excitation, folder)
     with pytest.raises(ArchiveError):
         save_excitation(excitation, tmp_path / "none")
