@@ -28,9 +28,6 @@ AxisWeights = Annotated[tuple[AxisWeight, AxisWeight, AxisWeight], AfterValidato
 class PlannerOptions(CheckedFields):
     """How a motion is planned; every option has a default.
 
-    The bounds in the annotations are checked where a scene file is read and where options are made. They are
-    wide: they exclude what has no meaning or cannot be computed, not what is unusual.
-
     Attributes
     ----------
     knots : str
