@@ -53,6 +53,7 @@ from cmbot.planning import (
     measure,
     objective_metrics,
     objective_of,
+    resolved_options,
     robot_of,
     sag_of,
     strokes_of,
@@ -151,7 +152,7 @@ def read_plan(
     if asked is not None:
         require_asked(scene, asked, str(source))
     promised = options or (asked.planner if asked is not None else file.options)
-    require_promised(file.options, promised, str(source), "options")
+    require_promised(file.options, resolved_options(scene, robot, promised), str(source), "options")
     require_segments(file, str(source), scene, returns=end is not None)
     knots = str(folder / JOB_FILES[1])
     trajectories = segment_trajectories(file, contents[JOB_FILES[1]], knots, robot.dof, strokes)
