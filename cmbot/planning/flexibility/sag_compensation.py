@@ -28,7 +28,7 @@ from cmbot.trajectory import QuinticTrajectory
 
 # Newton steps from the guess; and linearizations at solutions at most, in the first of which via-points
 # slide: after them they stay, so that what follows is near what is known.
-_NEWTON_STEPS, _LINEARIZATIONS, _SLIDING = 2, 8, 3
+_STEPS_FROM_GUESS, _LINEARIZATIONS, _SLIDING = 2, 8, 3
 # The change of the sag, as a share of the tool deviation allowed, that ends them.
 _SETTLED = 0.04
 # Share of the tool deviation that is left to the optimiser; the rest is for what the sag misses.
@@ -112,7 +112,7 @@ class _Bending:
         )
         self._passes: list[ExchangeReport] = []
         self._least = guess.lower_bound.value
-        for _ in range(_NEWTON_STEPS):
+        for _ in range(_STEPS_FROM_GUESS):
             problem = self._problem(self._linearized(near), near.q)
             near = problem.parametrization.trajectory
             # What bending changes at rest in the postures of the guess it changes of the least value, too.

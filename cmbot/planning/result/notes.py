@@ -166,7 +166,7 @@ def _faults(plan: Plan) -> Iterator[Note]:
     if unreached:
         yield Note(level="fault", key="unreached", values={"area_m2": area, "unreached_m2": unreached})
     off, allowed = plan.bent_offsets[1], plan.options.max_tool_deviation_m
-    if off is not None and off > allowed and plan.compensation is None:
+    if off is not None and off > allowed:
         values = {"off_mm": 1e3 * off, "allowed_mm": 1e3 * allowed, "pushed": plan.robot.pushed}
         key = "off_path" if np.isfinite(off) else "too_soft"
         yield Note(level="fault", key=key, values=values | {"base": plan.scene.base_name})
