@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from cmbot.archive.names import EXCITATION_FILE
-from cmbot.archive.places import add_results, require_no_results, shown_files
+from cmbot.archive.places import add_results
 from cmbot.archive.strict_json import json_bytes
 from cmbot.common.validation import given_path, plain, require_type
 from cmbot.excitation import Excitation
@@ -57,20 +56,8 @@ def save_excitation(
     expected = "an Excitation, as cmbot.excite returns it"
     require_type(excitation, Excitation, "cmbot.save_excitation", "excitation", expected)
     folder = given_path(directory, "cmbot.save_excitation", "directory", "the path of a plan directory")
-    files = {EXCITATION_FILE: json_bytes(excitation_json(excitation), indent=2)} | shown_files(added)
-    return add_results(folder, files, partial(require_no_excitation, force=force))
-
-
-def require_no_excitation(directory: str | Path, *, force: bool = False) -> None:
-    """Refuse a directory that `save_excitation` would refuse, before anything is computed.
-
-    Raises
-    ------
-    ArchiveError
-        When an excitation is there and is not to be replaced.
-    """
-    expected = "a plan without an excitation; --force (in Python force=True) replaces it"
-    require_no_results(directory, (EXCITATION_FILE,), expected, force=force)
+    contents = {EXCITATION_FILE: json_bytes(excitation_json(excitation), indent=2)}
+    return add_results(folder, contents, added, force=force)
 
 
 def excitation_json(excitation: Excitation) -> dict[str, Any]:

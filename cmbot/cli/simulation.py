@@ -65,9 +65,9 @@ class SimulateCommand(Writing):
         with claimed_plan(directory) as loaded:
             if self.stiffness_share is None:
                 options = replace(options, stiffness_share=loaded.options.quiet_stiffness_share)
-            from cmbot.archive import require_no_tracking
+            from cmbot.archive import TRACKING_FILES, require_absent
 
-            require_no_tracking(directory, force=self.force)
+            require_absent(directory, TRACKING_FILES, force=self.force)
             require_plots(self.figures)
             with ConsoleProgress(quiet=self.quiet) as progress:
                 progress.stage("simulating", 0.0)
@@ -254,12 +254,12 @@ class ExciteCommand(Writing):
     directory: Path = argument("A plan directory.", "DIR")
 
     def __call__(self) -> None:
-        from cmbot.archive import excitation_json, require_no_excitation
+        from cmbot.archive import EXCITATION_FILE, excitation_json, require_absent
         from cmbot.excitation import PASSAGE_HEADINGS, excitation_rows, excitation_sentences, passage_rows
 
         directory = self.directory
         with claimed_plan(directory) as plan:
-            require_no_excitation(directory, force=self.force)
+            require_absent(directory, [EXCITATION_FILE], force=self.force)
             if not self.quiet:
                 err.show_sign("shaking …")
             excitation = cmbot.excite(plan)

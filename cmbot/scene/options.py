@@ -47,10 +47,10 @@ class PlannerOptions(CheckedFields):
         ``sliding``: the via-points move in the null space of the task to where the objective is least.
         ``fixed``: they stay on the gradient-projection path (Chang 2021, Eq. (30) to the letter).
     start : str
-        With sliding knots: ``free`` lets the arm first go to a better posture with the same tool pose, where
-        that lowers the peak by more than `gap_target` and the peak of the approach is at most 1 % above that
-        of the whole job from the scene's posture; ``pinned`` keeps that posture as long as a path leads on
-        from there.
+        With sliding knots. ``free``: the arm first goes to a better posture with the same tool pose, where
+        that lowers the peak by more than `gap_target`. The peak of that approach may be at most 1 % above
+        that of the whole job from the scene's posture. ``pinned``: the arm begins in the scene's posture, as
+        long as a path leads on from there.
     objective : str
         What is minimised; ``torque``: the norm of the torque on the guardrail (Chang 2021, Eq. (12));
         ``sag``: the tool's displacement at rest by the elasticity of guardrail and links; ``hold``: the
@@ -121,9 +121,9 @@ class PlannerOptions(CheckedFields):
     samples_per_segment : int
         Samples per spline segment at which nonlinear constraints are checked for violations.
     smoothing_weight : float
-        Weight rho of half the mean squared jerk (in units of its bounds, or of 20 /s2 times the velocity's
-        where that is less) beside half the mean square of the objective (in units of its peak at the initial
-        guess): decides between motions of nearly equal torque.
+        Weight of half the mean squared jerk beside half the mean square of the objective; decides between
+        motions of nearly equal torque. Jerk is in units of its bounds, or of 20 /s2 times the velocity's
+        where that is less, the objective in units of its peak at the initial guess.
     peak_tolerance : float
         The peak may exceed its lower bound by this share; the mean square is minimised below that.
     least_peak_tolerance : float

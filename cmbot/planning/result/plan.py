@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from cmbot.accuracy import Accuracy, Quietness, Work, WorkPath, accuracy_of, quietness_of
+from cmbot.accuracy import Accuracy, Quietness, Shaking, Work, WorkPath, accuracy_of, quietness_of
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
@@ -178,10 +178,26 @@ class Plan(StrokePlan):
 
         None where nothing bends, or where the arm is too soft to carry itself.
         """
+        return self.accuracy_while(None)
+
+    def accuracy_while(self, shaking: Shaking | None) -> Accuracy | None:
+        """Return `accuracy` while something shakes the base; None as there.
+
+        Parameters
+        ----------
+        shaking : Shaking or None
+            On the clock of the work.
+        """
         arm = bending_arm(self.scene, self.robot)
         if arm is None:
             return None
         works = [work_of(self.robot, each.trajectory, each.task.path) for each in self.job.strokes]
+        if shaking is not None:
+            begin = self.job.strokes[0].begin
+            works = [
+                replace(work, shaking=replace(shaking, t=shaking.t - (stroke.begin - begin)))
+                for work, stroke in zip(works, self.job.strokes, strict=True)
+            ]
         covariance = covariance_of(self.scene, arm)
         try:
             return accuracy_of(
