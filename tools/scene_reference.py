@@ -14,7 +14,8 @@ __all__ = ["reference_text"]
 _HEAD = """# Scene file
 
 A scene is one YAML file: the robot, where its arm starts, the tool's path, obstacles and base.
-Lengths are metres, angles degrees, times seconds. A key that is not *required* may be left out.
+Lengths are metres, angles degrees, times seconds; `rpy_deg` is Rz(yaw) Ry(pitch) Rx(roll), as in URDF.
+A key that is not *required* may be left out.
 Largest and smallest values, and the blocks that only cmbot writes, are in the schema.
 
 Editors check a scene while it is typed if its first line is `# yaml-language-server: $schema=FILE`.
@@ -31,11 +32,11 @@ A whole job, from the stowed arm and back to it (`cmbot plan gusset_plate`):
 _SECTIONS = {
     "Scene": "The scene",
     "PostureFile": "`start`",
-    "NamedState": "Named states: `return`",
+    "NamedState": "`return`",
     "RobotFile": "`robot`",
     "AttachedToolFile": "`robot.tool`",
     "ToolShapeFile": "`robot.tool.shapes`",
-    "MountFile": "`robot.mount`, `frames`",
+    "MountFile": "`frames`",
     "MountsFile": "`mounts`",
     "MountGridFile": "`mounts.grid`",
     "MountRailFile": "`mounts.rail`",
@@ -44,30 +45,30 @@ _SECTIONS = {
     "Tool": "`tool`",
     "Tolerance": "`tool.tolerance`",
     "Uncertainty": "`uncertainty`",
-    "Placement": "`uncertainty.foot`, `uncertainty.workpiece`",
+    "Placement": "`uncertainty.foot`",
     "JointUncertainty": "`uncertainty.joints`",
     "ToolPathFile": "`tool_path`",
     "StrokeFile": "`tool_path.strokes`",
-    "AxisCone": "Cones: `keep`",
-    "Leg": "Legs",
-    "Goal": "Poses: `to`, `from`",
-    "ArcTo": "Arcs: `arc`",
-    "WaypointFile": "Tables of waypoints: `waypoints`",
-    "Raster": "Rasters: `raster`",
-    "CylinderPatch": "Rasters over a cylinder: `raster.cylinder`",
-    "FaceSelection": "Rasters over faces of a mesh: `raster.faces`",
-    "RowPiece": "Pieces of rows: `raster.pieces`",
+    "AxisCone": "`keep`",
+    "Leg": "`legs`",
+    "Goal": "`to`, `from`",
+    "ArcTo": "`arc`",
+    "WaypointFile": "`waypoints`",
+    "Raster": "`raster`",
+    "CylinderPatch": "`raster.cylinder`",
+    "FaceSelection": "`raster.faces`",
+    "RowPiece": "`raster.pieces`",
     "SpeedProfile": "`speed_profile`",
     "ObstacleFile": "`obstacles`",
     "GuardrailFile": "`guardrail`",
     "PostFile": "`guardrail.post`",
     "RailFile": "`guardrail.rails`",
-    "SectionFile": "Sections of posts and rails",
+    "SectionFile": "`section`",
     "MaterialFile": "`guardrail.material`",
     "FootFile": "`guardrail.foot`",
     "HoldFile": "`guardrail.hold`",
     "StanceFile": "`guardrail.stance`",
-    "FootholdFile": "`guardrail.stance.foot_1`, `foot_2`",
+    "FootholdFile": "`guardrail.stance.foot_1`",
     "ExcitationFile": "`excitation`",
     "DeckFile": "`excitation.deck`",
     "TrainsFile": "`excitation.deck.trains`",

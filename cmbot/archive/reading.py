@@ -166,8 +166,6 @@ def read_plan(
     )
     # It costs a third of a second, and is computed anew where the plan is verified.
     vars(plan)["accuracy"], vars(plan)["sway"] = file.accuracy, file.sway
-    peaks = [joint.peak_nm for joint in file.holding_joints.values()]
-    vars(plan)["holding_torque"] = np.array(peaks) if peaks else None
     if plan.several and plan.baseline is not None:
         _require_straight(plan.baseline, contents[BASELINE_FILE], str(folder / BASELINE_FILE), robot.dof)
     again = plan_record(plan, file.hashes)

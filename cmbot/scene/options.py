@@ -38,9 +38,6 @@ AutoOrBool = Annotated[Literal["auto"] | bool, BeforeValidator(_auto_or_bool)]
 class PlannerOptions(CheckedFields):
     """How a motion is planned; every option has a default.
 
-    The bounds in the annotations are checked where a scene file is read and where options are made. They are
-    wide: they exclude what has no meaning or cannot be computed, not what is unusual.
-
     Attributes
     ----------
     knots : str

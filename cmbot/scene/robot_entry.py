@@ -49,7 +49,7 @@ class MountFile(FileModel):
     xyz: Vector
     """Position, m."""
     rpy_deg: Angles
-    """Roll, pitch, yaw as in URDF: R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Roll, pitch, yaw as in URDF."""
 
     @property
     def matrix(self) -> FloatArray:

@@ -23,6 +23,7 @@ from cmbot.planning.request import StrokeRequest
 from cmbot.planning.torque.constraints import (
     ClearanceMargin,
     FootHold,
+    HoldingTorque,
     JointTorque,
     ProcessSpeed,
     ToolDeviation,
@@ -95,6 +96,11 @@ class TorqueProblem:
             ),
             ToolLag(postures, task, options.max_tool_lag_m * inside),
             *([] if hold is None else [FootHold(Dynamics(robot), hold, inside)]),
+            *(
+                [HoldingTorque(Dynamics(robot), robot.holding_limits * inside)]
+                if np.isfinite(robot.holding_limits).any()
+                else []
+            ),
             *([] if task.keep == "position" else [ToolRotation(postures, task, angle)]),
             *([] if task.cone is None else [ToolTilt(postures, task, task.cone * inside)]),
             *([] if task.max_speed is None else [ToolSpeed(postures, task.max_speed * inside)]),

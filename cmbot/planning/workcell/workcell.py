@@ -98,11 +98,12 @@ class Workcell:
 
     def use_at_rest(self, at: PostureBatch) -> FloatArray:
         """Return the largest shares (N,) of their bounds that joints and feet use at rest in N postures."""
-        use = (np.abs(at.joint_torque) / self.robot.limits.torque).max(axis=1)
-        holding = self.robot.holding
+        robot, wrench = self.robot, np.hstack([at.guardrail_force, at.guardrail_torque])
+        use = (np.abs(at.joint_torque) / robot.limits.torque).max(axis=1)
+        use = np.maximum(use, robot.holding_use(wrench).max(axis=1, initial=0.0))
+        holding = robot.holding
         if holding is None or not holding.bounded:
             return np.asarray(use)
-        wrench = np.hstack([at.guardrail_force, at.guardrail_torque])
         return np.asarray(np.maximum(use, holding.share(wrench)[0]))
 
 

@@ -37,7 +37,7 @@ def test_passes_are_counted(short_plan: Plan, number: int, passes: str) -> None:
 
 
 def test_checks_are_counted(short_plan: Plan) -> None:
-    assert line(short_plan, "Certified: ").startswith("Certified: 14 checks hold, computed again ")
+    assert line(short_plan, "Certified: ").startswith("Certified: 16 checks hold, computed again ")
     certificate = replace(short_plan.certificate, checks=short_plan.certificate.checks[:1])
     one = changed(short_plan, "work", certificate=certificate)
     assert line(one, "Certified: ").startswith("Certified: 1 check holds, computed again ")
