@@ -78,7 +78,8 @@ class SimulateCommand(Writing):
                 err.show_sign("writing …")
             from cmbot.views import REPORT, pages
 
-            added = pages(loaded, tracking) | plot_files(tracking, self.figures)
+            excitation = cmbot.load_excitation(directory)
+            added = pages(loaded, tracking, excitation) | plot_files(tracking, self.figures)
             written = cmbot.save_tracking(tracking, directory, force=self.force, added=added)
 
         def say() -> None:
@@ -248,6 +249,8 @@ def _print_tracking(plan: Plan, tracking: Tracking) -> None:
 class ExciteCommand(Writing):
     """Shake a plan's arm by trains, records or wind, as its scene says; add how its tool sways, and a page.
 
+    The plan's report is written anew, with these figures in it.
+
     Example: cmbot excite out/triangle
     """
 
@@ -263,9 +266,10 @@ class ExciteCommand(Writing):
             if not self.quiet:
                 err.show_sign("shaking …")
             excitation = cmbot.excite(plan)
-            from cmbot.views import EXCITATION, excitation_page
+            from cmbot.views import EXCITATION, REPORT, excitation_page, report_page
 
-            added = {EXCITATION: excitation_page(plan, excitation)}
+            report = report_page(plan, cmbot.load_tracking(plan, directory), excitation)
+            added = {EXCITATION: excitation_page(plan, excitation), REPORT: report}
             written = cmbot.save_excitation(excitation, directory, force=self.force, added=added)
 
         def say() -> None:
