@@ -177,7 +177,7 @@ def _summary(plan: Plan, tracking: Tracking) -> dict[str, Any]:
     return {
         "scene": plan.scene.name,
         **_without(tracking_json(tracking), _LEFT_OUT),
-        "remarks": [*tracking_remarks(tracking, compensated=plan.options.compensate), *_rigid(plan)],
+        "remarks": [*tracking_remarks(tracking, compensated=plan.compensation is not None), *_rigid(plan)],
     }
 
 
@@ -225,7 +225,7 @@ def _print_summary(plan: Plan, tracking: Tracking) -> None:
         tracking_verdict,
     )
 
-    rows = list(tracking_summary(tracking, compensated=plan.options.compensate))
+    rows = list(tracking_summary(tracking, compensated=plan.compensation is not None))
     print_table(f"{plan.scene.name}, mm", tracking.headings, rows, text_columns=1)
     if others := list(interval_rows(plan, tracking)):
         print_table("With another stiffness", interval_headings(tracking), others, text_columns=2)
@@ -241,7 +241,7 @@ def _print_tracking(plan: Plan, tracking: Tracking) -> None:
 
     headings = ("", "", "x", "y", "z", "norm")
     print_table(f"{plan.scene.name}, mm", headings, list(tracking_rows(tracking)), text_columns=2)
-    for remark in tracking_remarks(tracking, compensated=plan.options.compensate):
+    for remark in tracking_remarks(tracking, compensated=plan.compensation is not None):
         out.print(remark)
 
 

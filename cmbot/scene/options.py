@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import CheckedFields, refusal
+from cmbot.common.validation import CheckedFields, refusal, shown
+from cmbot.toolpath import AUTO
 
 MOST_SAMPLES = 400
 """Samples per segment at most."""
@@ -22,6 +23,15 @@ def _not_all_zero(weights: tuple[float, ...]) -> tuple[float, ...]:
 
 AxisWeight = Annotated[float, Field(ge=0, le=1e6)]
 AxisWeights = Annotated[tuple[AxisWeight, AxisWeight, AxisWeight], AfterValidator(_not_all_zero)]
+
+
+def _auto_or_bool(value: object) -> object:
+    if value == AUTO or isinstance(value, bool):
+        return value
+    raise refusal("auto, true or false", got=shown(value))
+
+
+AutoOrBool = Annotated[Literal["auto"] | bool, BeforeValidator(_auto_or_bool)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,8 +56,9 @@ class PlannerOptions(CheckedFields):
         frame, n_1 without the lever of Eq. (12).
     axis_weights : three floats
         Factors of the torque's components along x, y and z of W in its norm.
-    compensate : bool
-        Shift the via-points by the tool's predicted sag, so that the bent arm follows the path.
+    compensate : bool or str
+        The tool that is held to the path is the bent arm's, by its predicted sag. ``auto``: wherever
+        something bends. A plan's options name what was used.
     deviation_sigmas : float
         With `compensate` and an identified stiffness: the bent tool keeps its deviation even if its sag is
         off by this many standard deviations.
@@ -133,7 +144,7 @@ class PlannerOptions(CheckedFields):
     objective: Literal["torque", "sag", "hold"] = "torque"
     moment_about: Literal["foot", "base"] = "foot"
     axis_weights: AxisWeights = (1.0, 1.0, 1.0)
-    compensate: bool = False
+    compensate: AutoOrBool = "auto"
     deviation_sigmas: Annotated[float, Field(ge=0, le=10)] = 0.0
     quiet_modes: Annotated[int, Field(ge=0, le=10)] = 2
     quiet_stiffness_share: Annotated[float, Field(ge=0, le=0.9)] = 0.3

@@ -330,7 +330,7 @@ def _accuracy_card(plan: Plan) -> Headline | None:
         most = accuracy.parts[0]
         detail += f"; most of it: {most.name} ({most.size_mm:.3g} mm)"
     planned, bound = plan.figures.max_tool_deviation, plan.options.max_tool_deviation_m
-    arm = "with the predicted sag" if plan.options.compensate else "rigid arm"
+    arm = "with the predicted sag" if plan.compensation is not None else "rigid arm"
     detail += f"; {arm}, as planned, {1e3 * planned:.2f} of {1e3 * bound:g} mm"
     kept = accuracy.tolerance_kept
     return Headline(
@@ -367,7 +367,7 @@ def _loads_section(plan: Plan) -> str:
 
 def _deviation_card(plan: Plan) -> Headline:
     value, bound = plan.figures.max_tool_deviation, plan.options.max_tool_deviation_m
-    arm = "with the predicted sag" if plan.options.compensate else "rigid arm"
+    arm = "with the predicted sag" if plan.compensation is not None else "rigid arm"
     return Headline(
         title="Tool off its path",
         value=f"{1e3 * value:.2f} mm",
@@ -384,7 +384,7 @@ def _deviation_card(plan: Plan) -> Headline:
 
 
 def _tracking_card(plan: Plan, tracking: Tracking) -> Headline:
-    compensated, bound = plan.options.compensate, plan.options.max_tool_deviation_m
+    compensated, bound = plan.compensation is not None, plan.options.max_tool_deviation_m
     # Compensation lowers the distance from the path: the arm bends as much as before.
     off = tracking.planned.largest_off_path
     kept, faults = off <= bound, baseline_faults(plan, work=True)
@@ -443,7 +443,7 @@ def _sections(plan: Plan, tracking: Tracking | None, excitation: Excitation | No
         yield section(f"Certificate of {the}{name}", checks)
     if tracking is not None:
         errors = table(tracking_rows(tracking), ("mm", "", "x", "y", "z", "norm"), text_columns=2)
-        said = tracking_remarks(tracking, compensated=plan.options.compensate)
+        said = tracking_remarks(tracking, compensated=plan.compensation is not None)
         told = (tracking_verdict(plan, tracking), base_movement(plan, tracking), *said)
         sentences = _list([sentence for sentence in told if sentence])
         interval = list(interval_rows(plan, tracking))
@@ -506,9 +506,8 @@ def _elastic(plan: Plan) -> Iterator[Row]:
     """Yield sag compensation and vibration suppression, where they were asked for."""
     compensation, suppression = plan.compensation, plan.suppression
     if compensation is not None:
-        yield "sag compensation, rounds", str(compensation.rounds)
         yield "largest shift of the tool from its path, mm", f"{1e3 * compensation.largest_shift:.3f}"
-        yield "change of the shift in the last round, mm", f"{1e3 * compensation.last_change:.3f}"
+        yield "sag beside what it was planned for, mm", f"{1e3 * compensation.last_change:.3f}"
         if compensation.deviation:
             yield (
                 "standard deviation of the tool across its path, at most, mm",
