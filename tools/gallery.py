@@ -41,7 +41,6 @@ def figures(plan: cmbot.Plan, planning: float) -> Iterator[tuple[str, str]]:
         probability = 100 * accuracy.probability
         yield f"tool from its path, with {probability:g} %, mm", f"{accuracy.within_mm:.3g}"
     yield "peak torque, whole job, Nm", f"{job.peak_guardrail_torque:.1f}"
-    yield "mean torque, whole job, Nm", f"{job.mean_guardrail_torque:.1f}"
     yield "smallest clearance, whole job, mm", f"{1e3 * job.min_clearance:.1f}"
     yield "time of the whole job, s", f"{plan.job.duration:.1f}"
     if plan.coverage:

@@ -31,7 +31,7 @@ from cmbot.archive.writing import export_csv, save
 from cmbot.common.lazy_imports import on_first_use
 
 if TYPE_CHECKING:
-    from cmbot.archive.excitation import excitation_json, save_excitation
+    from cmbot.archive.excitation import excitation_json, load_excitation, save_excitation
     from cmbot.archive.reading import load_plan, plan_data
     from cmbot.archive.ros import export_mcap, export_ros, export_ros_package
     from cmbot.archive.tours import TourPart, load_tour
@@ -60,6 +60,7 @@ __all__ = [
     "export_ros",
     "export_ros_package",
     "json_bytes",
+    "load_excitation",
     "load_plan",
     "load_tour",
     "load_tracking",
@@ -80,7 +81,7 @@ __all__ = [
 ]
 
 _LATER = {
-    "cmbot.archive.excitation": ("excitation_json", "save_excitation"),
+    "cmbot.archive.excitation": ("excitation_json", "load_excitation", "save_excitation"),
     "cmbot.archive.reading": ("load_plan", "plan_data"),
     "cmbot.archive.ros": ("export_mcap", "export_ros", "export_ros_package"),
     "cmbot.archive.tours": ("TourPart", "load_tour"),

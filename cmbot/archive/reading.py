@@ -49,6 +49,7 @@ from cmbot.planning import (
     measure,
     objective_metrics,
     objective_of,
+    resolved_options,
     robot_of,
     sag_of,
     strokes_of,
@@ -148,7 +149,7 @@ def read_plan(
     if asked is not None:
         require_asked(scene, asked, str(source))
     promised = options or (asked.planner if asked is not None else file.options)
-    require_promised(file.options, promised, str(source), "options")
+    require_promised(file.options, resolved_options(scene, robot, promised), str(source), "options")
     job = _job(file, contents[JOB_FILES[1]], folder, scene, robot, tasks, end)
     plan = Plan.of(
         _strokes(file, folder, contents, job, robot, scene, clearances),

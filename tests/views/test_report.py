@@ -135,7 +135,6 @@ def test_sag_compensation_and_vibration_suppression_are_in_tables(
     done, quiet = compensated_short[0].compensation, triangle_plan.suppression
     assert done.largest_shift > 1e-3
     sag = {
-        "sag compensation, rounds": f"{done.rounds}",
         "largest shift of the tool from its path, mm": f"{1e3 * done.largest_shift:.3f}",
     }
     vibration = {

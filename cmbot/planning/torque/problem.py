@@ -133,7 +133,12 @@ class TorqueProblem:
 
 
 def parametrization_through(
-    request: StrokeRequest, via_points: FloatArray, *, sliding: bool, pinned: bool = False
+    request: StrokeRequest,
+    via_points: FloatArray,
+    *,
+    sliding: bool,
+    pinned: bool = False,
+    near: QuinticTrajectory | None = None,
 ) -> Parametrization:
     """Return the splines around those of least jerk through `via_points`.
 
@@ -145,6 +150,8 @@ def parametrization_through(
         They may move along the self-motion.
     pinned : bool
         All but the first.
+    near : QuinticTrajectory, optional
+        Around this one instead, as far as it does not miss them; a spline on the same times.
     """
     limits = request.cell.robot.limits
     # Jerk bounds far above what the work asks would leave smoothing without weight: splines would swing.
@@ -152,10 +159,13 @@ def parametrization_through(
     bounds = np.stack([limits.velocity, limits.acceleration, jerk])
     splines = SparseSplines(SplineSpace(request.times), bounds)
     manifold = TaskManifold(request.cell.postures, request.task, request.goals, request.times, request.bent)
+    coefficients = splines.least_jerk(via_points)
+    if near is not None:
+        coefficients = splines.coefficients(near) + splines.least_jerk(via_points - near.q)
     return Parametrization(
         splines,
         via_points,
-        splines.least_jerk(via_points),
+        coefficients,
         retraction=manifold if sliding else None,
         movable=np.arange(1 if pinned else 0, len(via_points)) if sliding else None,
     )
