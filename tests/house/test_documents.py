@@ -73,6 +73,35 @@ def test_the_documents_are_there_their_links_lead_somewhere_and_the_readme_is_sh
                 assert (document.parent / target.split("#")[0]).exists(), f"{target} in {name_of(document)}"
 
 
+# Words of all pages, of the method alone, and of a sentence; entries of the glossary; characters of a line.
+MOST_WORDS, MOST_OF_METHOD, MOST_IN_A_SENTENCE, MOST_TERMS, LONGEST_LINE = 32_000, 7_000, 40, 40, 200
+
+
+def sentences(text: str) -> Iterator[str]:
+    """The sentences of a page's own prose: without code, formulas, tables, headings and generated blocks."""
+    text = FENCE.sub("", text)
+    text = re.sub(r"<!-- ([^>]*) -->\n.*?<!-- end of \1 -->", "", text, flags=re.DOTALL)
+    text = re.sub(r"^\$\$\n.*?^\$\$", "", text, flags=re.MULTILINE | re.DOTALL)
+    text = re.sub(r"\]\([^)]*\)", "]", re.sub(r"\$?`[^`]*`\$?", "X", text))
+    lines = (line for line in text.splitlines() if not line.startswith(("|", "#", ":::", "    ", "!")))
+    for paragraph in re.split(r"\n\s*\n|\n\s*(?:[-*]|\d+\.) ", "\n".join(lines)):
+        yield from re.split(r"(?<=[.!?])[)*]*\s+(?=[A-Z`*(\[0-9]|cmbot)", " ".join(paragraph.split()))
+
+
+def test_pages_their_sentences_and_their_lines_are_short() -> None:
+    pages = {path: path.read_text("utf-8") for path in (*sorted(DOCS.glob("*.md")), README)}
+    words = {path.name: len(text.split()) for path, text in pages.items() if path != README}
+    assert sum(words.values()) <= MOST_WORDS, words
+    assert words["method.md"] <= MOST_OF_METHOD
+    assert len(re.findall(r"\*\*[^*]+\*\*", pages[DOCS / "glossary.md"])) <= MOST_TERMS
+    counted = [(path.name, each) for path, text in pages.items() for each in sentences(text)]
+    assert len(counted) > 500
+    assert [each for each in counted if len(each[1].split()) > MOST_IN_A_SENTENCE] == []
+    for path, text in pages.items():
+        lines = [line for line in text.splitlines() if len(line) > LONGEST_LINE]
+        assert all(line.startswith("|") for line in lines), (path.name, lines)
+
+
 def test_readme_and_the_sites_first_page_lead_to_every_page() -> None:
     others = {path.name for path in DOCS.glob("*.md")} - {"index.md"}
     for document, folder in ((README, "docs/"), (DOCS / "index.md", "")):
