@@ -25,7 +25,6 @@ from cmbot.elastic.beam import beam_mass, beam_stiffness
 from cmbot.planning import Plan, first_remarks
 from cmbot.robot import Kinematics
 from cmbot.scene import Scene, shipped_scenes
-from cmbot.simulation import Tracking
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 IGNORED = {".git", ".venv", "out", "dist", "build", "__pycache__"}
@@ -295,9 +294,9 @@ def test_quoted_output_is_the_commands(triangle_plan: Plan) -> None:
     assert [line.split()[0] for line in quoted[len(table) + len(printed) :]] == ["Written", "Look"]
 
 
-def test_table_of_tracking_is_the_simulations(triangle_plan: Plan, triangle_tracking: Tracking) -> None:
+def test_table_of_tracking_is_the_simulations(triangle_plan: Plan) -> None:
     quoted = cells(DOCS / "results.md", "tracking of the triangle")
-    made = document_figures.tracking(triangle_plan, triangle_tracking)
+    made = document_figures.tracking(triangle_plan)
     for left, (name, values) in zip(quoted, made, strict=True):
         assert left[0] == name
         # The baseline exactly; what is left of a vibration that is brought to rest is next to nothing.
