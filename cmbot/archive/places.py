@@ -22,7 +22,7 @@ from cmbot.archive.folder import (
     writable,
 )
 from cmbot.archive.names import FORMATS, OWN_FILES, PLAN_FILE, PLAN_FILES, SHOWN_FILES, WALK_FILE
-from cmbot.archive.strict_json import read_json
+from cmbot.archive.records import read_json
 from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import shown
 

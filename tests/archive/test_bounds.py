@@ -13,7 +13,7 @@ from plan_folders import FILES, edit, refused, rewrite
 
 from cmbot.archive import load_plan
 from cmbot.archive.knots import read_knots
-from cmbot.archive.strict_json import read_json
+from cmbot.archive.records import read_json
 from cmbot.common.errors import ArchiveError
 
 MEGABYTE = 2**20
