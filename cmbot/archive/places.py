@@ -143,7 +143,7 @@ def require_absent(directory: str | Path, names: Collection[str], *, force: bool
         there = [name for name in names if (target / name).exists()]
         if there and not force:
             expected = "a folder without these files, or --force (in Python force=True)"
-            raise ArchiveError(str(directory), "", ", ".join(there), expected)
+            raise ArchiveError(str(directory), "", f"{', '.join(there)}, already there", expected)
 
 
 def write_results(

@@ -66,10 +66,13 @@ class Command(ABC):
         """Return what the command is called."""
         return cls.__name__.removesuffix("Command").lower()
 
-    def made(self, kind: type[T], prefix: str = "", **given: object) -> T:
+    def made(
+        self, kind: type[T], prefix: str = "", called: Mapping[str, str] | None = None, **given: object
+    ) -> T:
         """Return options whose fields are those of this command of the same names, and what is `given`.
 
-        What is None is left as it is by default. Errors name the flags of this command.
+        What is None is left as it is by default. Errors name the flags of this command, and those that are
+        `called` otherwise.
         """
         from cmbot.common.validation import validated
 
@@ -80,7 +83,7 @@ class Command(ABC):
         if not hasattr(kind, "__pydantic_config__"):
             return kind(**values)
         flags = {names[each.name]: _flags(each)[0] for each in fields(self) if _flags(each)}
-        with options_named(flags):
+        with options_named(flags | dict(called or {})):
             return validated(kind, values, f"cmbot {self.verb()}", InputError)
 
     @abstractmethod

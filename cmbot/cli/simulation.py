@@ -65,8 +65,8 @@ class SimulateCommand(Writing):
     def __call__(self) -> None:
         servo = None if self.servo is None else [self.servo]
         given: dict[str, Any] = {"servo_bandwidth_hz": servo, **dict.fromkeys(_FACTORS, self.stiffness)}
-        with options_named({"servo_bandwidth_hz": "--servo", **dict.fromkeys(_FACTORS, "--stiffness")}):
-            options = self.made(cmbot.SimulationOptions, **given)
+        called = {"servo_bandwidth_hz": "--servo", **dict.fromkeys(_FACTORS, "--stiffness")}
+        options = self.made(cmbot.SimulationOptions, called=called, **given)
         directory = self.directory
         with claimed_plan(directory) as loaded:
             if self.stiffness_share is None:

@@ -122,12 +122,6 @@ def test_pipes_in_place_of_files(short_folder: Path, name: str) -> None:
     assert "not a regular file" in str(refused(short_folder, name, ""))
 
 
-def test_a_plan_file_that_is_too_large(short_folder: Path) -> None:
-    path = short_folder / "plan.json"
-    path.write_bytes(path.read_bytes() + b" " * 20_000_000)
-    assert "a larger file, expected at most 20 MB" in str(refused(short_folder, "plan.json", ""))
-
-
 @pytest.mark.parametrize("key", ["passes", "fallbacks", "strange"])
 def test_a_plan_file_of_many_zeros(short_folder: Path, key: str) -> None:
     edit(short_folder, lambda data: data.update({key: [0] * 250_000}))
