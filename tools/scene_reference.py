@@ -14,7 +14,8 @@ __all__ = ["reference_text"]
 _HEAD = """# Scene file
 
 A scene is one YAML file: the robot, where its arm starts, the tool's path, obstacles and base.
-Lengths are metres, angles degrees, times seconds. A key that is not *required* may be left out.
+Lengths are metres, angles degrees, times seconds; `rpy_deg` is Rz(yaw) Ry(pitch) Rx(roll), as in URDF.
+A key that is not *required* may be left out; its value is a number where nothing else is said.
 Largest and smallest values, and the blocks that only cmbot writes, are in the schema.
 
 Editors check a scene while it is typed if its first line is `# yaml-language-server: $schema=FILE`.
@@ -31,11 +32,11 @@ A whole job, from the stowed arm and back to it (`cmbot plan gusset_plate`):
 _SECTIONS = {
     "Scene": "The scene",
     "PostureFile": "`start`",
-    "NamedState": "Named states: `return`",
+    "NamedState": "`return`",
     "RobotFile": "`robot`",
     "AttachedToolFile": "`robot.tool`",
     "ToolShapeFile": "`robot.tool.shapes`",
-    "MountFile": "`robot.mount`, `frames`",
+    "MountFile": "`frames`",
     "MountsFile": "`mounts`",
     "MountGridFile": "`mounts.grid`",
     "MountRailFile": "`mounts.rail`",
@@ -44,30 +45,30 @@ _SECTIONS = {
     "Tool": "`tool`",
     "Tolerance": "`tool.tolerance`",
     "Uncertainty": "`uncertainty`",
-    "Placement": "`uncertainty.foot`, `uncertainty.workpiece`",
+    "Placement": "`uncertainty.foot`",
     "JointUncertainty": "`uncertainty.joints`",
     "ToolPathFile": "`tool_path`",
     "StrokeFile": "`tool_path.strokes`",
-    "AxisCone": "Cones: `keep`",
-    "Leg": "Legs",
-    "Goal": "Poses: `to`, `from`",
-    "ArcTo": "Arcs: `arc`",
-    "WaypointFile": "Tables of waypoints: `waypoints`",
-    "Raster": "Rasters: `raster`",
-    "CylinderPatch": "Rasters over a cylinder: `raster.cylinder`",
-    "FaceSelection": "Rasters over faces of a mesh: `raster.faces`",
-    "RowPiece": "Pieces of rows: `raster.pieces`",
+    "AxisCone": "`keep`",
+    "Leg": "`legs`",
+    "Goal": "`to`, `from`",
+    "ArcTo": "`arc`",
+    "WaypointFile": "`waypoints`",
+    "Raster": "`raster`",
+    "CylinderPatch": "`raster.cylinder`",
+    "FaceSelection": "`raster.faces`",
+    "RowPiece": "`raster.pieces`",
     "SpeedProfile": "`speed_profile`",
     "ObstacleFile": "`obstacles`",
     "GuardrailFile": "`guardrail`",
     "PostFile": "`guardrail.post`",
     "RailFile": "`guardrail.rails`",
-    "SectionFile": "Sections of posts and rails",
+    "SectionFile": "`section`",
     "MaterialFile": "`guardrail.material`",
     "FootFile": "`guardrail.foot`",
     "HoldFile": "`guardrail.hold`",
     "StanceFile": "`guardrail.stance`",
-    "FootholdFile": "`guardrail.stance.foot_1`, `foot_2`",
+    "FootholdFile": "`guardrail.stance.foot_1`",
     "ExcitationFile": "`excitation`",
     "DeckFile": "`excitation.deck`",
     "TrainsFile": "`excitation.deck.trains`",
@@ -94,7 +95,7 @@ def reference_text(schema: dict[str, Any], example: str) -> str:
     parts = [_HEAD.replace("{example}", example.strip())]
     for name, title in _SECTIONS.items():
         definition = definitions[name]
-        parts.append(f"## {title}\n\n{textwrap.fill(_prose(definition['description']), 118)}\n")
+        parts.append(f"## {title}\n\n{_filled(_prose(definition['description']))}\n")
         above = definitions["ToolPathFile"]["properties"] if name == "StrokeFile" else {}
         parts.append("\n".join(_entries(definition, above)) + "\n")
     return "\n".join(parts)
@@ -106,17 +107,25 @@ def _entries(definition: dict[str, Any], known: Container[str] = ()) -> Iterator
     for key, value in definition["properties"].items():
         if key in known:
             continue
-        kind = _kind(value)
+        name, kind = f"`{key}`", [_kind(value)]
+        if kind[0].startswith(f"[{key}](") and kind[0].endswith(")"):
+            name, kind = kind[0].replace(key, name, 1), []
+        elif kind == ["number"]:
+            kind = []
         if key in required:
-            kind += ", required"
+            kind.append("required")
         elif not isinstance(value.get("default"), dict | list | None):
-            kind += f", default `{json.dumps(value['default'])}`"
-        entries[kind, _prose(value.get("description", ""))].append(f"`{key}`")
+            kind.append(f"default `{json.dumps(value['default'])}`")
+        entries[", ".join(kind), _prose(value.get("description", ""))].append(name)
     for (kind, text), keys in entries.items():
-        entry = f"- {', '.join(keys)} ({kind})" + (f": {text}" if text else ".")
-        yield textwrap.fill(
-            entry, 118, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
-        )
+        said = f" ({kind})" if kind else ""
+        entry = f"- {', '.join(keys)}{said}" + (f": {text}" if text else ".")
+        yield _filled(entry, "  ")
+
+
+def _filled(text: str, indent: str = "") -> str:
+    """A paragraph in lines that can be compared."""
+    return textwrap.fill(text, 118, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 def _kind(value: dict[str, Any]) -> str:
@@ -144,7 +153,7 @@ def _kind(value: dict[str, Any]) -> str:
     if value.get("type") == "object":
         (of,) = value.get("patternProperties", {"": value.get("additionalProperties")}).values()
         return f"{_kind(of)} by name"
-    words = {"number": "number", "integer": "whole number", "string": "text", "boolean": "true or false"}
+    words = {"number": "number", "integer": "integer", "string": "text", "boolean": "boolean"}
     return words[value["type"]]
 
 

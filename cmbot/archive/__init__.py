@@ -31,15 +31,10 @@ from cmbot.archive.writing import export_csv, save
 from cmbot.common.lazy_imports import on_first_use
 
 if TYPE_CHECKING:
+    from cmbot.archive.excitation import excitation_json, load_excitation, save_excitation
     from cmbot.archive.reading import load_plan, plan_data
-    from cmbot.archive.results import (
-        excitation_json,
-        load_tracking,
-        save_excitation,
-        save_tracking,
-        tracking_json,
-    )
     from cmbot.archive.ros import export_mcap, export_ros, export_ros_package
+    from cmbot.archive.tracking import load_tracking, save_tracking, tracking_json
     from cmbot.archive.verification.folders import Asked, Verdict, VerifiedMotion, verified_motions
     from cmbot.archive.walks import TourPart, load_tour, load_walk
 
@@ -64,6 +59,7 @@ __all__ = [
     "export_ros",
     "export_ros_package",
     "json_bytes",
+    "load_excitation",
     "load_plan",
     "load_tour",
     "load_tracking",
@@ -84,11 +80,9 @@ __all__ = [
 ]
 
 _LATER = {
+    "cmbot.archive.excitation": ("excitation_json", "load_excitation", "save_excitation"),
     "cmbot.archive.reading": ("load_plan", "plan_data"),
-    "cmbot.archive.results": (
-        *("excitation_json", "save_excitation"),
-        *("load_tracking", "save_tracking", "tracking_json"),
-    ),
+    "cmbot.archive.tracking": ("load_tracking", "save_tracking", "tracking_json"),
     "cmbot.archive.ros": ("export_mcap", "export_ros", "export_ros_package"),
     "cmbot.archive.verification.folders": ("Asked", "Verdict", "VerifiedMotion", "verified_motions"),
     "cmbot.archive.walks": ("TourPart", "load_tour", "load_walk"),

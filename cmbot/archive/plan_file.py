@@ -119,14 +119,6 @@ class StrokeFile(StrokeEntries):
 
 
 @dataclass(frozen=True, kw_only=True)
-class HoldingJointFile:
-    """A locked joint between foot 1 and the arm's base."""
-
-    peak_nm: NonNegative
-    """Largest torque that it holds over the whole job."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class HashesFile:
     """SHA-256 of the inputs: `Robot.content_hash` and `Scene.content_hash`."""
 
@@ -146,7 +138,6 @@ class PlanFile(StrokeEntries):
     """Empty where there is one: the plan's entries are its own."""
     accuracy: Accuracy | None
     sway: Quietness | None
-    holding_joints: dict[str, HoldingJointFile]
     missing: tuple[str, ...]
     fallbacks: tuple[str, ...]
     stopped: Literal["time"] | None
@@ -193,7 +184,7 @@ def plan_record(plan: Plan, hashes: HashesFile) -> dict[str, Any]:
     ]
     data["holding_joints"] = {
         joint.name: {"peak_nm": float(peak), "limit_nm": joint.limit if math.isfinite(joint.limit) else None}
-        for joint, peak in zip(joints, () if peaks is None else peaks, strict=False)
+        for joint, peak in zip(joints, peaks, strict=True)
     }
     return data | {"scene": plan.scene.as_data(), "versions": versions(), "hashes": _data(hashes)}
 

@@ -47,6 +47,7 @@ from cmbot.planning import (
     measure,
     objective_metrics,
     objective_of,
+    resolved_options,
     robot_of,
     sag_of,
     strokes_of,
@@ -143,7 +144,7 @@ def read_plan(
     if asked is not None:
         require_asked(scene, asked, str(source))
     promised = options or (asked.planner if asked is not None else file.options)
-    require_promised(file.options, promised, str(source), "options")
+    require_promised(file.options, resolved_options(scene, robot, promised), str(source), "options")
     job = parts.job(end)
     plan = Plan.of(
         parts.strokes(job, clearances),
@@ -160,8 +161,6 @@ def read_plan(
     )
     # It costs a third of a second, and is computed anew where the plan is verified.
     vars(plan)["accuracy"], vars(plan)["sway"] = file.accuracy, file.sway
-    peaks = [joint.peak_nm for joint in file.holding_joints.values()]
-    vars(plan)["holding_torque"] = np.array(peaks) if peaks else None
     again = plan_record(plan, file.hashes)
     if file.baseline is not None:
         # Its free moves are not in the table but measured again, which is compared where it is verified.

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cmbot
-from cmbot.cli.command import Writing, argument, option, options_named
+from cmbot.cli.command import Writing, argument, option
 from cmbot.cli.console import ConsoleProgress, err, out, print_lines, print_table
 from cmbot.cli.views import claimed_plan, plot_files, require_plots
 from cmbot.common.errors import one_line
@@ -84,7 +84,8 @@ class SimulateCommand(Writing):
                 err.show_sign("writing …")
             from cmbot.views import REPORT, pages
 
-            added = pages(loaded, tracking) | plot_files(tracking, self.figures)
+            excitation = cmbot.load_excitation(directory)
+            added = pages(loaded, tracking, excitation) | plot_files(tracking, self.figures)
             written = cmbot.save_tracking(tracking, directory, force=self.force, added=added)
 
         def say() -> None:
@@ -154,7 +155,7 @@ def _summary(plan: Plan, tracking: Tracking) -> dict[str, Any]:
     return {
         "scene": plan.scene.name,
         **_without(tracking_json(tracking), _LEFT_OUT),
-        "remarks": [*tracking_remarks(tracking, compensated=plan.options.compensate), *_rigid(plan)],
+        "remarks": [*tracking_remarks(tracking, compensated=plan.compensation is not None), *_rigid(plan)],
     }
 
 
@@ -200,7 +201,7 @@ def _print_summary(plan: Plan, tracking: Tracking) -> None:
         tracking_verdict,
     )
 
-    rows = list(tracking_summary(tracking, compensated=plan.options.compensate))
+    rows = list(tracking_summary(tracking, compensated=plan.compensation is not None))
     print_table(f"{plan.scene.name}, mm", tracking.headings, rows, text_columns=1)
     if others := list(interval_rows(plan, tracking)):
         print_table("With another stiffness", interval_headings(tracking), others, text_columns=2)
@@ -215,12 +216,14 @@ def _print_tracking(plan: Plan, tracking: Tracking) -> None:
 
     headings = ("", "", "x", "y", "z", "norm")
     print_table(f"{plan.scene.name}, mm", headings, list(tracking_rows(tracking)), text_columns=2)
-    print_lines(tracking_remarks(tracking, compensated=plan.options.compensate))
+    print_lines(tracking_remarks(tracking, compensated=plan.compensation is not None))
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExciteCommand(Writing):
     """Shake a plan's arm by trains, records or wind, as its scene says; add how its tool sways, and a page.
+
+    The plan's report is written anew, with these figures in it.
 
     Example: cmbot excite out/triangle
     """
@@ -237,9 +240,10 @@ class ExciteCommand(Writing):
             if not self.quiet:
                 err.show_sign("shaking …")
             excitation = cmbot.excite(plan)
-            from cmbot.views import EXCITATION, excitation_page
+            from cmbot.views import EXCITATION, REPORT, excitation_page, report_page
 
-            added = {EXCITATION: excitation_page(plan, excitation)}
+            report = report_page(plan, cmbot.load_tracking(plan, directory), excitation)
+            added = {EXCITATION: excitation_page(plan, excitation), REPORT: report}
             written = cmbot.save_excitation(excitation, directory, force=self.force, added=added)
 
         def say() -> None:

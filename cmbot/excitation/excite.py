@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from cmbot.accuracy import Accuracy, Shaking
 from cmbot.common.arrays import FloatArray
+from cmbot.common.file_types import Row
 from cmbot.common.representation import short_repr
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.modes import DAMPING
@@ -117,8 +118,8 @@ class Excitation:
     adhesion: float | None
     adhesion_factor: float
     damper: DamperGain | None
-    curve_hz: FloatArray
-    curve: FloatArray
+    curve_hz: Row
+    curve: Row
     seconds: float
 
     def __repr__(self) -> str:

@@ -16,6 +16,7 @@ from scipy.fft import irfft, next_fast_len
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
+from cmbot.common.file_types import Matrices, Row
 from cmbot.common.representation import short_repr
 from cmbot.elastic import Guardrail, elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm
@@ -69,11 +70,11 @@ class RandomSway:
         How it was found: ``records``, the share of simulated ones, or ``crossings``, a bound from above.
     """
 
-    t: FloatArray
-    covariance: FloatArray
-    across: FloatArray
-    along: FloatArray
-    first_hz: FloatArray
+    t: Row
+    covariance: Matrices
+    across: Row
+    along: Row
+    first_hz: Row
     peak: float
     peak_factor: float
     leaves: float | None

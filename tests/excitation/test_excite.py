@@ -60,6 +60,19 @@ def test_a_train_moves_the_tool_and_the_base(trains: cmbot.Excitation) -> None:
     assert trains.adhesion >= fast.adhesion
 
 
+def test_it_is_read_as_it_was_written(trains: cmbot.Excitation, short_plan: Plan, tmp_path: Path) -> None:
+    cmbot.save(short_plan, tmp_path / "plan")
+    cmbot.save_excitation(trains, tmp_path / "plan")
+    read = cmbot.load_excitation(tmp_path / "plan")
+    assert read is not None
+    assert read.passages == trains.passages
+    assert (read.timetable, read.accuracy, read.simulated) == (
+        *(trains.timetable, trains.accuracy),
+        trains.simulated,
+    )
+    assert np.array_equal(read.reference.covariance, trains.reference.covariance)
+
+
 def test_the_budget_counts_what_shakes(short_plan: Plan, trains: cmbot.Excitation) -> None:
     """By the train as simulated; by gusts and by wind; by nothing where nothing is said of them."""
     assert trains.accuracy is not None

@@ -1,22 +1,22 @@
-"""What is added to the directory of a plan: tracking errors, a table for each motion, and excitations."""
+"""Tracking errors in the directory of their plan: a table for each motion, and their metrics."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from cmbot.archive.folder import read_folder
-from cmbot.archive.names import EXCITATION_FILE, PLAN_FILE, TRACKING_FILES
+from cmbot.archive.names import PLAN_FILE, TRACKING_FILES
 from cmbot.archive.places import add_results
 from cmbot.archive.records import Entry, json_bytes, read_json
 from cmbot.archive.tables import read_table, table_csv
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError
-from cmbot.common.validation import given_path, plain, require_type, shown, validated
+from cmbot.common.validation import given_path, require_type, shown, validated
 from cmbot.planning import Plan, require_plan
 from cmbot.simulation import (
     MotionTracking,
@@ -30,10 +30,7 @@ from cmbot.simulation import (
 )
 from cmbot.version import __version__
 
-if TYPE_CHECKING:
-    from cmbot.excitation import Excitation
-
-_FORMAT, _EXCITATION_FORMAT = "cmbot-tracking/1", "cmbot-excitation/1"
+_FORMAT = "cmbot-tracking/1"
 _PLANNED, _BASELINE, _METRICS = TRACKING_FILES
 _TABLES = {_PLANNED: "planned", _BASELINE: "baseline"}
 _COLUMNS = ("t", *(f"{part}_{axis}" for part in ("error", "static") for axis in "xyz"))
@@ -223,56 +220,3 @@ def _largest(vectors: FloatArray) -> float:
 def _by_axis(values: FloatArray) -> dict[str, float]:
     """Numbers of x, y, z and, if there is a fourth, the norm."""
     return dict(zip(("x", "y", "z", "norm"), values.tolist(), strict=False))
-
-
-def save_excitation(
-    excitation: Excitation,
-    directory: str | Path,
-    *,
-    force: bool = False,
-    added: Mapping[str, bytes | str] | None = None,
-) -> tuple[Path, ...]:
-    """Add an excitation to a plan directory, all files or none; ``plan.json`` takes their hashes.
-
-    Parameters
-    ----------
-    excitation : Excitation
-        Of the plan that was saved there.
-    directory : str or Path
-    force : bool
-        Replace one that is there.
-    added : mapping from str to bytes or str, optional
-        Pages and plots that are added with it, by their names.
-
-    Returns
-    -------
-    tuple of Path
-        Of the files.
-
-    Raises
-    ------
-    InputError
-        When `excitation` is no Excitation, or `directory` no path.
-    ArchiveError
-        When `directory` is no plan directory, holds one already, a number is not finite, another process is
-        writing there, or the system refuses.
-
-    Examples
-    --------
-    >>> [path.name for path in cmbot.save_excitation(excitation, "out/triangle")]
-    ['excitation.json']
-    """
-    # Its import takes half a second, and tracking errors do without it.
-    from cmbot.excitation import Excitation
-
-    expected = "an Excitation, as cmbot.excite returns it"
-    require_type(excitation, Excitation, "cmbot.save_excitation", "excitation", expected)
-    folder = given_path(directory, "cmbot.save_excitation", "directory", "the path of a plan directory")
-    contents = {EXCITATION_FILE: json_bytes(excitation_json(excitation), indent=2)}
-    return add_results(folder, contents, added, force=force)
-
-
-def excitation_json(excitation: Excitation) -> dict[str, Any]:
-    """Return an excitation ready for JSON, SI units but where a key says otherwise."""
-    content = plain(excitation, "cmbot.save_excitation")
-    return {"format": _EXCITATION_FORMAT, "cmbot": __version__, "rms_mm": excitation.rms_mm, **content}
