@@ -66,6 +66,8 @@ def read_problem(file: Path, folder: Path) -> Problem:
     if not own.exists():
         offset = re.search(r"path_xyz_offset:\s*\[([^\]]*)\]", text)[1]  # type: ignore[index]
         points = points + _TORSO + np.array([float(x) for x in offset.split(",")])
+    shift = re.search(r"obstacle_xyz_offset:\s*\[([^\]]*)\]", text)
+    moved = np.zeros(3) if shift is None else np.array([float(x) for x in shift[1].split(",")])
     boxes = []
     for number, entry in enumerate(re.findall(r"\[\s*((?:\w+: *[-\d.]+,?\s*)+)\]", text)):
         values = {key: float(value) for key, value in re.findall(r"(\w+): *([-\d.]+)", entry)}
@@ -74,7 +76,7 @@ def read_problem(file: Path, folder: Path) -> Problem:
             {
                 "name": f"box_{number}",
                 "box": [values[f"size_{axis}"] for axis in "xyz"],
-                "xyz": [values[axis] for axis in "xyz"],
+                "xyz": (moved + [values[axis] for axis in "xyz"]).tolist(),
                 "rpy_deg": angles.tolist(),
             }
         )
