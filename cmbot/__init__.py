@@ -42,6 +42,7 @@ from cmbot.version import __version__
 
 if TYPE_CHECKING:
     from cmbot.archive import (
+        load_excitation,
         load_plan,
         load_tour,
         load_tracking,
@@ -92,6 +93,7 @@ __all__ = [
     "evaluate",
     "excite",
     "identify",
+    "load_excitation",
     "load_plan",
     "load_robot",
     "load_scene",
@@ -115,6 +117,7 @@ __all__ = [
 
 _ROOMS = {
     "cmbot.archive": (
+        "load_excitation",
         "load_plan",
         "load_tour",
         "load_tracking",

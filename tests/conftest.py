@@ -119,7 +119,7 @@ def strokes_tracking(strokes_plan: Plan) -> Tracking:
 
 def _with_fixed_knots(name: str) -> Plan:
     scene = load_scene(name)
-    return plan(scene, options=replace(scene.planner, knots="fixed"))
+    return plan(scene, options=replace(scene.planner, knots="fixed", compensate=False))
 
 
 @pytest.fixture(scope="session")

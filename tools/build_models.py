@@ -257,6 +257,8 @@ def joint_limits() -> str:
     limits = zip(tables.ACCELERATION_DEG, tables.JERK_DEG, strict=True)
     for number, (acceleration, jerk) in enumerate(limits, start=1):
         lines.append(f"  joint_{number}: {{acceleration_deg: {acceleration}, jerk_deg: {jerk}}}")
+    # Locked, they bear what the paper's baselines load them with: docs/assumptions.md.
+    lines += [f"  {name}: {{holding_torque: {tables.CLIMB_HOLDING}}}" for name in tables.STANCE_DEG]
     return "\n".join(lines) + "\n"
 
 

@@ -63,6 +63,8 @@ STOW_DEG = {
     **{"joint_5": -90, "joint_6": -90, "joint_7": -30},
 }
 CLIMB_VELOCITY, CLIMB_EFFORT = 0.2, 200
+# What the brakes of the climbing joints hold, Nm: tools/holding_torque.py.
+CLIMB_HOLDING = 460
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import cmbot
 
-Row = tuple[str, str, str]
+Row = tuple[str, ...]
 ROOT = Path(__file__).resolve().parent.parent
 SCENES = ("triangle", "line")
 FIGURES = {
@@ -26,9 +26,7 @@ FIGURES = {
     *("peak_static_guardrail_torque", "max_tool_deviation", "max_tool_rotation", "adhesion_needed.peak"),
     *("job.duration", "limit_use.velocity", "limit_use.acceleration", "limit_use.jerk", "limit_use.torque"),
 }
-HEADER = (
-    "| | triangle, baseline | triangle, planned | line, baseline | line, planned |\n|---|---|---|---|---|"
-)
+JOBS = ("gusset_plate", "bracket_faces")
 
 
 def write_between(path: Path, marker: str, text: str) -> None:
@@ -49,37 +47,43 @@ def run(*words: str) -> str:
         return subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True).stdout
 
 
-def operation(plan: cmbot.Plan) -> Iterator[Row]:
-    """Yield the figures of the whole job, and of its work alone: name and unit, baseline, planned."""
-    baseline = plan.baseline
-    if baseline is None:
-        sys.exit(f"{plan.scene.name} has no baseline (planner.baseline)")
-    work, job = (baseline.figures, plan.figures), (baseline.job_figures, plan.job.figures)
-    for name, pair in (("over the whole job, with the approach", job), ("while working", work)):
-        yield f"peak torque {name}, Nm", *(f"{each.peak_guardrail_torque:.2f}" for each in pair)
-    bound = plan.lower_bound
-    yield "lower bound of that peak, Nm", "-", "-" if bound is None else f"{bound.value:.2f}"
-    for name, pair in (("over the whole job", job), ("while working", work)):
-        yield f"mean torque {name}, Nm", *(f"{each.mean_guardrail_torque:.2f}" for each in pair)
-    yield "smallest clearance over the whole job, mm", *(f"{1e3 * each.min_clearance:.1f}" for each in job)
-    seconds = plan.trajectory.duration
-    yield "time of the work, s", f"{seconds:.1f}", f"{seconds:.1f}"
-    yield "time of the approach, s", "-", f"{plan.job.duration - seconds:.1f}"
+def gains(name: str) -> Iterator[Row]:
+    """Yield the figures of a shipped job: name and unit, without what cmbot does, planned.
+
+    Without: straight motion with neither compensation nor suppression, and its own plan's accuracy budget.
+    """
+    scene = cmbot.load_scene(name).with_options(baseline="straight")
+    plan = cmbot.plan(scene.with_options(compensate=True))
+    baseline, suppression, sag = plan.baseline, plan.suppression, plan.bent_offsets
+    budgets = [each.accuracy for each in (cmbot.plan(scene.with_options(compensate=False)), plan)]
+    if baseline is None or suppression is None or None in (*budgets, *sag):
+        sys.exit(f"{name}: nothing bends there")
+    yield "tool within, with 95 %, mm", *(f"{budget.within_mm:.1f}" for budget in budgets if budget)
+    yield "sag of the tool off its path, mm", *(f"{1e3 * x:.1f}" for x in sag if x is not None)
+    swings = (suppression.swing_without, suppression.swing_with)
+    yield "swing after a stop, mm", *(f"{1e3 * max(each):.2f}" for each in swings)
+    both = baseline.job_figures, plan.job.figures
+    needed = (each.adhesion_needed for each in both)
+    yield "adhesion needed, kN", *(f"{1e-3 * each.peak:.1f}" for each in needed if each)
+    yield "peak torque on the base, Nm", *(f"{each.peak_guardrail_torque:.0f}" for each in both)
+    yield "smallest clearance, mm", *(f"{1e3 * each.min_clearance:.0f}" for each in both)
+    yield "time, s", *(f"{x:.1f}" for x in (baseline.duration, plan.job.duration))
 
 
-def side_by_side(both: Iterable[Iterable[Row]]) -> str:
-    """Return the rows of both scenes as one table."""
-    lines = [HEADER]
-    for triangle, line in zip(*both, strict=True):
-        lines.append(f"| {' | '.join((*triangle, *line[1:]))} |")
+def side_by_side(names: tuple[str, str], before: str, both: Iterable[Iterable[Row]]) -> str:
+    """Return the rows of two scenes as one table."""
+    cells = (f"{name}, {column}" for name in names for column in (before, "planned"))
+    lines = [f"| | {' | '.join(cells)} |", "|---|---|---|---|---|"]
+    for first, second in zip(*both, strict=True):
+        lines.append(f"| {' | '.join((*first, *second[1:]))} |")
     return "\n".join(lines)
 
 
-def tracking(plan: cmbot.Plan, plain: cmbot.Tracking) -> Iterator[tuple[str, list[float]]]:
-    """Yield tracking errors, mm: of the baseline, of the plan, of a plan with compensation."""
-    options = replace(plan.scene.planner, compensate=True)
-    compensated = cmbot.simulate(cmbot.plan(plan.scene, options=options))
-    motions = [*(motion for _, motion in plain.motions), compensated.planned]
+def tracking(plan: cmbot.Plan) -> Iterator[tuple[str, list[float]]]:
+    """Yield tracking errors, mm: of the baseline, of a plan without compensation, of the plan."""
+    options = replace(plan.scene.planner, compensate=False)
+    plain = cmbot.simulate(cmbot.plan(plan.scene, options=options))
+    motions = [*(motion for _, motion in plain.motions), cmbot.simulate(plan).planned]
     figures = [motion.metrics for motion in motions]
     for name, part in (
         ("error, RMS", "total"),
@@ -92,13 +96,12 @@ def tracking(plan: cmbot.Plan, plain: cmbot.Tracking) -> Iterator[tuple[str, lis
 
 def tracking_table(plan: cmbot.Plan) -> str:
     """Return the tracking errors as a table."""
-    lines = ["| mm | baseline | planned | planned, compensated |", "|---|---|---|---|"]
-    rows = tracking(plan, cmbot.simulate(plan))
-    lines += [f"| {name} | {' | '.join(f'{x:.3f}' for x in row)} |" for name, row in rows]
+    lines = ["| mm | baseline | planned, not compensated | planned |", "|---|---|---|---|"]
+    lines += [f"| {name} | {' | '.join(f'{x:.3f}' for x in row)} |" for name, row in tracking(plan)]
     return "\n".join(lines)
 
 
-def figures(plan: cmbot.Plan) -> Iterator[tuple[str, ...]]:
+def figures(plan: cmbot.Plan) -> Iterator[Row]:
     """Yield the rows of a plan that both motions have, and that are determined."""
     for row in cmbot.planning.plan_rows(plan):
         if row.key in FIGURES and row.baseline is not None:
@@ -115,9 +118,10 @@ def main() -> None:
     # Its first line is the table's header, which begins with blanks.
     write_between(docs / "command_line.md", "output of cmbot plan triangle", f"```text\n{printed}\n```")
     plans = [cmbot.plan(cmbot.load_scene(name)) for name in SCENES]
-    both = (operation(plan) for plan in plans)
-    write_between(ROOT / "README.md", "operation", side_by_side(both))
-    write_between(docs / "results.md", "figures", side_by_side(map(figures, plans)))
+    jobs = map(gains, JOBS)
+    write_between(ROOT / "README.md", "jobs", side_by_side(JOBS, "without", jobs))
+    experiments = map(figures, plans)
+    write_between(docs / "results.md", "figures", side_by_side(SCENES, "baseline", experiments))
     write_between(docs / "results.md", "tracking of the triangle", tracking_table(plans[0]))
     if not arguments.quick:
         table = run(str(ROOT / "tools" / "sensitivity.py"), "triangle")

@@ -10,6 +10,7 @@ import argparse
 import shutil
 import sys
 import tempfile
+import textwrap
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -36,8 +37,10 @@ _SIZE, _COLOURS = (800, 450), (256, 128, 64)
 def figures(plan: cmbot.Plan, planning: float) -> Iterator[tuple[str, str]]:
     """Yield what a job asks, each as its name and unit, and the number."""
     job = plan.job.figures
+    if (accuracy := plan.accuracy) is not None:
+        probability = 100 * accuracy.probability
+        yield f"tool from its path, with {probability:g} %, mm", f"{accuracy.within_mm:.3g}"
     yield "peak torque, whole job, Nm", f"{job.peak_guardrail_torque:.1f}"
-    yield "mean torque, whole job, Nm", f"{job.mean_guardrail_torque:.1f}"
     yield "smallest clearance, whole job, mm", f"{1e3 * job.min_clearance:.1f}"
     yield "time of the whole job, s", f"{plan.job.duration:.1f}"
     if plan.coverage:
@@ -52,10 +55,9 @@ def figures(plan: cmbot.Plan, planning: float) -> Iterator[tuple[str, str]]:
 
 def section(name: str, plan: cmbot.Plan, planning: float) -> str:
     """Return the section of a job."""
-    verdict = next(iter(cmbot.planning.remarks(plan)))
     rows = [f"| {' | '.join(row)} |" for row in figures(plan, planning)]
     picture = f"![{name}: the arm at work](gallery/{name}.png)"
-    return "\n".join([picture, "", verdict, "", "| | |", "|---|---|", *rows])
+    return "\n".join([picture, "", "| | |", "|---|---|", *rows])
 
 
 def tour_section(name: str, tour: cmbot.Tour) -> str:
@@ -67,7 +69,8 @@ def tour_section(name: str, tour: cmbot.Tour) -> str:
         f"| time of the whole job, s | {tour.seconds:.0f} |",
     ]
     shown = f"![{name}: on the way from one bracket to the other](gallery/{name}.png)"
-    return "\n".join([shown, "", " ".join([said[0], *said[2:]]), "", "| | planned |", "|---|---|", *rows])
+    text = textwrap.fill(" ".join([said[0], *said[2:]]), 118)
+    return "\n".join([shown, "", text, "", "| | planned |", "|---|---|", *rows])
 
 
 def picture(page_text: str, time_of_it: float, path: Path, browser: str) -> None:
@@ -90,7 +93,9 @@ def main() -> None:
     """Plan the jobs, write page and pictures."""
     parser = argparse.ArgumentParser(description="Write the gallery of the shipped jobs.")
     parser.add_argument("names", nargs="*", help="default: all")
-    names = parser.parse_args().names or shipped_scenes()
+    parser.add_argument("--figures", action="store_true", help="leave the pictures as they are")
+    arguments = parser.parse_args()
+    names = arguments.names or shipped_scenes()
     browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if browser is None:
         sys.exit("no Chromium on the PATH")
@@ -106,7 +111,8 @@ def main() -> None:
         begin = time.process_time()
         plan = cmbot.plan(scene)
         planning = time.process_time() - begin
-        picture(replay_page(plan), time_shown(plan), PICTURES / f"{name}.png", browser)
+        if not arguments.figures:
+            picture(replay_page(plan), time_shown(plan), PICTURES / f"{name}.png", browser)
         write_between(PAGE, name, section(name, plan, planning))
         print(f"{name}: {(PICTURES / f'{name}.png').stat().st_size / 1000:.0f} kB")
 

@@ -24,8 +24,11 @@ def main() -> None:
     largest = 0.0
     for name in ("chang2021_triangle", "chang2021_line"):
         made = plan(load_scene(SCENES / f"{name}.yaml"))
-        for what, segments in (("baseline", made.baseline.segments), ("planned", made.job.segments)):
-            samples = [segment.samples for segment in segments]
+        planned = list(made.segment_samples.values())
+        for what, samples in (
+            ("baseline", [segment.samples for segment in made.baseline.segments]),
+            ("planned", planned),
+        ):
             wrench = np.vstack([np.hstack([each.guardrail_force, each.guardrail_torque]) for each in samples])
             torque = np.abs(made.robot.holding_torque(wrench)).max(axis=0)
             largest = max(largest, float(torque.max())) if what == "baseline" else largest

@@ -20,6 +20,7 @@ from pathlib import Path
 
 import cmbot
 import cmbot.archive
+from cmbot.archive.folder import read_record
 
 SCENE = {
     "format": "cmbot-scene/2",
@@ -110,7 +111,7 @@ def _state(folder: Path) -> tuple[frozenset[str], str] | None:
         tracking = cmbot.load_tracking(plan, folder)
     except cmbot.InputError:
         return None
-    data = cmbot.archive.plan_data(folder)
+    data = read_record(folder, "plan.json")
     report = data["files"].get("report.html") == hashlib.sha256(b"old").hexdigest()
     said = (plan.figures, None if tracking is None else tracking.options, report)
     return frozenset(data["files"]), repr(said)

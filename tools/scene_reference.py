@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import textwrap
+from collections import defaultdict
 from collections.abc import Container, Iterator
 from typing import Any
 
@@ -11,11 +13,14 @@ __all__ = ["reference_text"]
 
 _HEAD = """# Scene file
 
-A scene is one YAML file: the robot, where its arm starts, the tool's path, obstacles and guardrail. This page
-is written from the JSON Schema `scenes/scene.schema.json` by `tools/build_schema.py`; editors that read the
-first line `# yaml-language-server: $schema=…` check a scene while it is typed; `cmbot new`
-names the schema of the installation there, or `scene.schema.json` beside the scene where `cmbot schema` has
-written it, which goes with the scene to other machines. Lengths are metres, angles degrees, times seconds.
+A scene is one YAML file: the robot, where its arm starts, the tool's path, obstacles and base.
+Lengths are metres, angles degrees, times seconds; `rpy_deg` is Rz(yaw) Ry(pitch) Rx(roll), as in URDF.
+A key that is not *required* may be left out; its value is a number where nothing else is said.
+Largest and smallest values, and the blocks that only cmbot writes, are in the schema.
+
+Editors check a scene while it is typed if its first line is `# yaml-language-server: $schema=FILE`.
+`cmbot new` writes that line; `cmbot schema` prints the schema, to go with a scene to other machines.
+This page is written from the schema by `tools/build_schema.py`.
 
 A whole job, from the stowed arm and back to it (`cmbot plan gusset_plate`):
 
@@ -27,11 +32,11 @@ A whole job, from the stowed arm and back to it (`cmbot plan gusset_plate`):
 _SECTIONS = {
     "Scene": "The scene",
     "PostureFile": "`start`",
-    "NamedState": "Named states: `return`",
+    "NamedState": "`return`",
     "RobotFile": "`robot`",
     "AttachedToolFile": "`robot.tool`",
     "ToolShapeFile": "`robot.tool.shapes`",
-    "MountFile": "`robot.mount`, `frames`",
+    "MountFile": "`frames`",
     "MountsFile": "`mounts`",
     "MountGridFile": "`mounts.grid`",
     "MountRailFile": "`mounts.rail`",
@@ -40,34 +45,30 @@ _SECTIONS = {
     "Tool": "`tool`",
     "Tolerance": "`tool.tolerance`",
     "Uncertainty": "`uncertainty`",
-    "Placement": "`uncertainty.foot`, `uncertainty.workpiece`",
+    "Placement": "`uncertainty.foot`",
     "JointUncertainty": "`uncertainty.joints`",
     "ToolPathFile": "`tool_path`",
     "StrokeFile": "`tool_path.strokes`",
-    "AxisCone": "Cones: `keep`",
-    "Leg": "Legs",
-    "Goal": "Poses: `to`, `from`",
-    "ArcTo": "Arcs: `arc`",
-    "WaypointFile": "Tables of waypoints: `waypoints`",
-    "Raster": "Rasters: `raster`",
-    "CylinderPatch": "Rasters over a cylinder: `raster.cylinder`",
-    "FaceSelection": "Rasters over faces of a mesh: `raster.faces`",
-    "RowPiece": "Pieces of rows: `raster.pieces`",
+    "AxisCone": "`keep`",
+    "Leg": "`legs`",
+    "Goal": "`to`, `from`",
+    "ArcTo": "`arc`",
+    "WaypointFile": "`waypoints`",
+    "Raster": "`raster`",
+    "CylinderPatch": "`raster.cylinder`",
+    "FaceSelection": "`raster.faces`",
+    "RowPiece": "`raster.pieces`",
     "SpeedProfile": "`speed_profile`",
-    "LegLaw": "Laws of legs with `seconds: auto`: `time_laws`",
     "ObstacleFile": "`obstacles`",
     "GuardrailFile": "`guardrail`",
     "PostFile": "`guardrail.post`",
     "RailFile": "`guardrail.rails`",
-    "SectionFile": "Sections of posts and rails",
+    "SectionFile": "`section`",
     "MaterialFile": "`guardrail.material`",
     "FootFile": "`guardrail.foot`",
     "HoldFile": "`guardrail.hold`",
     "StanceFile": "`guardrail.stance`",
-    "FootholdFile": "`guardrail.stance.foot_1`, `foot_2`",
-    "IdentifiedStiffness": "`identified`",
-    "IdentifiedSpring": "`identified.links`, `identified.joints`",
-    "IdentifiedBase": "`identified.base`",
+    "FootholdFile": "`guardrail.stance.foot_1`",
     "ExcitationFile": "`excitation`",
     "DeckFile": "`excitation.deck`",
     "TrainsFile": "`excitation.deck.trains`",
@@ -77,41 +78,62 @@ _SECTIONS = {
     "DamperFile": "`damper`",
     "PlannerOptions": "`planner`",
 }
+# Blocks that planning and identification write: their keys are in the schema.
+_WRITTEN = {
+    "LegLaw": "laws of legs",
+    "IdentifiedStiffness": "an identified stiffness",
+    "IdentifiedSpring": "",
+    "IdentifiedBase": "",
+}
 
 
 def reference_text(schema: dict[str, Any], example: str) -> str:
     """Return the page as Markdown."""
     definitions = {**schema["$defs"], "Scene": schema}
-    if missing := definitions.keys() ^ _SECTIONS.keys():
+    if missing := definitions.keys() ^ (_SECTIONS | _WRITTEN).keys():
         raise ValueError(f"sections and definitions differ: {', '.join(sorted(missing))}")
     parts = [_HEAD.replace("{example}", example.strip())]
     for name, title in _SECTIONS.items():
         definition = definitions[name]
-        parts.append(f"## {title}\n\n{_prose(definition['description'])}\n")
+        parts.append(f"## {title}\n\n{_filled(_prose(definition['description']))}\n")
         above = definitions["ToolPathFile"]["properties"] if name == "StrokeFile" else {}
-        rows = _rows(definition, above)
-        parts.append("| key | value | |\n|---|---|---|\n" + "\n".join(rows) + "\n")
+        parts.append("\n".join(_entries(definition, above)) + "\n")
     return "\n".join(parts)
 
 
-def _rows(definition: dict[str, Any], known: Container[str] = ()) -> Iterator[str]:
-    """A row for each key that is not known from another section."""
-    required = definition.get("required", ())
+def _entries(definition: dict[str, Any], known: Container[str] = ()) -> Iterator[str]:
+    """Yield an entry of a list for the keys that say the same, without those known from another section."""
+    required, entries = definition.get("required", ()), defaultdict[tuple[str, str], list[str]](list)
     for key, value in definition["properties"].items():
         if key in known:
             continue
-        text = _prose(value.get("description", ""))
+        name, kind = f"`{key}`", [_kind(value)]
+        if kind[0].startswith(f"[{key}](") and kind[0].endswith(")"):
+            name, kind = kind[0].replace(key, name, 1), []
+        elif kind == ["number"]:
+            kind = []
         if key in required:
-            text = f"Required. {text}"
+            kind.append("required")
         elif not isinstance(value.get("default"), dict | list | None):
-            text = f"{text} Default: `{json.dumps(value['default'])}`."
-        yield f"| `{key}` | {_kind(value)} | {text.strip()} |"
+            kind.append(f"default `{json.dumps(value['default'])}`")
+        entries[", ".join(kind), _prose(value.get("description", ""))].append(name)
+    for (kind, text), keys in entries.items():
+        said = f" ({kind})" if kind else ""
+        entry = f"- {', '.join(keys)}{said}" + (f": {text}" if text else ".")
+        yield _filled(entry, "  ")
+
+
+def _filled(text: str, indent: str = "") -> str:
+    """A paragraph in lines that can be compared."""
+    return textwrap.fill(text, 118, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 def _kind(value: dict[str, Any]) -> str:
     """What a value may be, in words."""
     if "$ref" in value:
         name = value["$ref"].rsplit("/", 1)[-1]
+        if name in _WRITTEN:
+            return _WRITTEN[name]
         title = _SECTIONS[name]
         return f"[{title.replace('`', '')}](#{_anchor(title)})"
     for several in ("anyOf", "oneOf"):
@@ -131,13 +153,8 @@ def _kind(value: dict[str, Any]) -> str:
     if value.get("type") == "object":
         (of,) = value.get("patternProperties", {"": value.get("additionalProperties")}).values()
         return f"{_kind(of)} by name"
-    words = {"number": "number", "integer": "whole number", "string": "text", "boolean": "true or false"}
-    kind = words[value["type"]]
-    low = value.get("minimum", value.get("exclusiveMinimum"))
-    high = value.get("maximum", value.get("exclusiveMaximum"))
-    if low is not None and high is not None:
-        return f"{kind}, {low:g} to {high:g}"
-    return kind
+    words = {"number": "number", "integer": "integer", "string": "text", "boolean": "boolean"}
+    return words[value["type"]]
 
 
 def _anchor(title: str) -> str:
@@ -148,4 +165,4 @@ def _anchor(title: str) -> str:
 def _prose(text: str) -> str:
     """A docstring on one line of Markdown."""
     line = " ".join(text.split()).replace("``", "`")
-    return re.sub(r"`cmbot\.([\w.]+)`", r"`cmbot.\1`", line).replace("|", "\\|")
+    return re.sub(r"`cmbot\.([\w.]+)`", r"`cmbot.\1`", line)

@@ -22,8 +22,8 @@ from report.tables import KEYS, goal_sheet, markdown, sheets
 ROOT = Path(__file__).resolve().parent.parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
 LATEST, REFERENCE = RESULTS / "latest.json", RESULTS / "reference.json"
-# Tables too long for a page.
-PRINTED_ALONE = frozenset({"programs-each"})
+# Tables that a page does not need.
+PRINTED_ALONE = frozenset({"programs-each", "solvers", "formulations", "kernels"})
 PAGE, FIGURE = ROOT / "docs" / "performance.md", ROOT / "docs" / "images" / "performance.png"
 
 

@@ -24,7 +24,7 @@ PAGE, REFERENCE = ROOT / "docs" / "reliability.md", RESULTS / "soak.json"
 _ENDS = ("planned", "no plan", "refused", "raised", "crashed", "timed out")
 # Numbers, and names of joints and links: what reasons of one kind differ in.
 _PARTICULAR = re.compile(r"[-+]?\d[\d.,e+-]*|\b(?!tool_path\b)\w*_\w+")
-_LONGEST_REASON = 220
+_LONGEST_REASON = 115
 
 
 def sheets(results: Mapping[str, Any]) -> list[Sheet]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cmbot.accuracy.budget import Accuracy, AccuracyPart, Remedy, Work, WorkPath, accuracy_of
+from cmbot.accuracy.budget import Accuracy, AccuracyPart, Remedy, Shaking, Work, WorkPath, accuracy_of
 from cmbot.accuracy.parts import Part, parts_of
 from cmbot.accuracy.quietness import Quietness, quietness_of
 from cmbot.accuracy.sway import Sway, sway_along
@@ -13,6 +13,7 @@ __all__ = [
     "Part",
     "Quietness",
     "Remedy",
+    "Shaking",
     "Sway",
     "Work",
     "WorkPath",

@@ -113,6 +113,22 @@ class WorkPath(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Shaking:
+    """How what shakes the base moves the tool, in R records of it, of which draws take each in turn.
+
+    Attributes
+    ----------
+    t : (S,), s
+        From the begin of the stroke.
+    tool : (S, R, 3), m
+        Displacements in W.
+    """
+
+    t: FloatArray
+    tool: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Work:
     """A stroke, and how it is moved along.
 
@@ -125,12 +141,15 @@ class Work:
         From times to the places (N, 3), m, where the rigid arm's tool is.
     rotation : callable
         From times to the orientations (N, 3, 3) of the rigid arm's tool.
+    shaking : Shaking or None
+        Of all strokes or of none, with as many records each.
     """
 
     path: WorkPath
     motion: Callable[[FloatArray, int], FloatArray]
     commanded: Callable[[FloatArray], FloatArray]
     rotation: Callable[[FloatArray], FloatArray]
+    shaking: Shaking | None = None
 
 
 def accuracy_of(
@@ -204,6 +223,8 @@ def _remedies(
     if uncertainty.foot.mm > _LOCATED.mm or uncertainty.foot.deg > _LOCATED.deg:
         tried.append(("cmbot locate", lambda other: other.located(uncertainty.foot)))
     tried.append(("half the speed", lambda other: other.scaled({"sway": _SLOWED})))
+    if budget.shaking is not None:
+        tried.append(("work while the base is still", lambda other: replace(other, shaking=None)))
     found, all_together = list[Remedy](), budget
     for name, remedy in tried:
         left = _within(remedy(budget).distances(), probability)
@@ -227,6 +248,7 @@ class _Budget:
     along: FloatArray  # (N, 3), unit vectors along the path, or zero at rest
     axis: FloatArray  # (N, 3), of the tool
     share: float  # of the stiffness
+    shaking: FloatArray | None  # (R, N, 3), m
 
     @classmethod
     def of(
@@ -242,8 +264,16 @@ class _Budget:
         each = [_sampled(arm, work, share, compensated=compensated) for work in strokes]
         q, planned, along, axis = (np.concatenate([one[k] for one in each]) for k in range(4))
         sway = np.concatenate([one[4] for one in each], axis=1)
-        parts = parts_of(arm, q, uncertainty, compensated=compensated, covariance=covariance)
-        return cls(parts=tuple(parts), planned=planned, sway=sway, along=along, axis=axis, share=share)
+        shaken = [one[5] for one in each if one[5] is not None]
+        return cls(
+            parts=tuple(parts_of(arm, q, uncertainty, compensated=compensated, covariance=covariance)),
+            planned=planned,
+            sway=sway,
+            along=along,
+            axis=axis,
+            share=share,
+            shaking=np.concatenate(shaken, axis=1) if shaken else None,
+        )
 
     def scaled(self, factors: dict[str, float]) -> _Budget:
         """Return the budget with the parts of these names multiplied."""
@@ -276,6 +306,17 @@ class _Budget:
         found.append(self._told("planned deviation", self.planned, np.zeros((len(self.along), 3, 0))))
         size = max(float(np.linalg.norm(self._across(sway), axis=1).max()) for sway in self.sway)
         found.append(AccuracyPart(name="sway", bias_mm=1e3 * size, sigma_mm=0.0))
+        if self.shaking is not None:
+            squares = (self._across(self.shaking) ** 2).sum(axis=2)
+            size = 1e3 * float(np.sqrt(squares.mean(axis=0).max()))
+            known = len(squares) == 1
+            found.append(
+                AccuracyPart(
+                    name="shaking of the base",
+                    bias_mm=size if known else 0.0,
+                    sigma_mm=0.0 if known else size,
+                )
+            )
         return tuple(sorted((part for part in found if part.size_mm), key=lambda part: -part.size_mm))
 
     def _told(self, name: str, bias: FloatArray, maps: FloatArray) -> AccuracyPart:
@@ -309,7 +350,10 @@ class _Budget:
         maps = np.concatenate([part.maps for part in once], axis=2).astype(np.float32)
         known = self.planned + sum((part.bias for part in self.parts), np.zeros_like(self.planned))
         drawn = (draws @ maps.reshape(-1, maps.shape[2]).T).reshape(len(draws), *known.shape)
-        return self._across(drawn + (known + sway).astype(np.float32) + self._changing())
+        errors = drawn + (known + sway).astype(np.float32) + self._changing()
+        if self.shaking is not None:
+            errors += self.shaking[np.arange(len(errors)) % len(self.shaking)].astype(np.float32)
+        return self._across(errors)
 
     def _changing(self) -> FloatArray:
         """What changes from posture to posture (D, N, 3): the sum of many small parts, taken to be normal."""
@@ -352,8 +396,8 @@ class _Budget:
 
 def _sampled(
     arm: ElasticArm, work: Work, share: float, *, compensated: bool
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Postures, planned errors, directions along the path, axes of the tool, and sway, of a stroke."""
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray | None]:
+    """Postures, planned errors, directions along the path, tool axes, sway and shaking, of a stroke."""
     duration = work.path.duration
     count = int(np.clip(np.ceil(duration / _BETWEEN_POSTURES), 8, _MOST_POSTURES))
     t = np.linspace(0.0, duration, count + 1)
@@ -366,13 +410,24 @@ def _sampled(
     axis = np.broadcast_to(work.rotation(t)[:, :, 2], place.shape)
     factors = (1 - share, 1.0, 1 + share)
     sway = sway_along(arm, work.motion, duration, DAMPING, factors)
-    # At each time the largest sway until the next one.
-    cell = np.clip(np.searchsorted(t, sway.t, side="right") - 1, 0, count)
-    largest = np.zeros((len(factors), count + 1, 3))
-    for number, tool in enumerate(sway.tool):
-        order = np.argsort((tool**2).sum(axis=1), kind="stable")
-        largest[number, cell[order]] = tool[order]
-    return q, offset, along, axis, largest
+    shaking = work.shaking
+    return (
+        *(q, offset, along, axis, _largest(t, sway.t, sway.tool.transpose(1, 0, 2))),
+        None if shaking is None else _largest(t, shaking.t, shaking.tool),
+    )
+
+
+def _largest(t: FloatArray, times: FloatArray, tool: FloatArray) -> FloatArray:
+    """Largest (R, N, 3) of displacements (S, R, 3) at `times` (S,), from each of `t` (N,) to the next."""
+    cell = np.searchsorted(t, times, side="right") - 1
+    cell[times > t[-1]] = len(t)
+    largest = np.zeros((tool.shape[1], len(t), 3))
+    for k in range(len(t)):
+        inside = tool[cell == k]
+        if len(inside):
+            at = (inside**2).sum(axis=2).argmax(axis=0)
+            largest[:, k] = inside[at, np.arange(len(at))]
+    return largest
 
 
 @lru_cache(maxsize=4)

@@ -7,16 +7,22 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cmbot.archive.folder import write_file
-from cmbot.archive.names import EVALUATION_FILE, PLAN_FILE, STANCES_FILE, TOUR_FILE, WALK_FILE
+from cmbot.archive.folder import claim, write_file
+from cmbot.archive.names import (
+    EVALUATION_FILE,
+    EXCITATION_FILE,
+    PLAN_FILE,
+    STANCES_FILE,
+    TOUR_FILE,
+    TRACKING_FILES,
+    WALK_FILE,
+)
 from cmbot.archive.places import (
     add_file,
-    claim,
     new_folder,
     record_of,
     require_absent,
     require_free,
-    require_new_folder,
     write_results,
 )
 from cmbot.archive.strict_json import json_bytes
@@ -25,19 +31,21 @@ from cmbot.archive.writing import export_csv, save
 from cmbot.common.lazy_imports import on_first_use
 
 if TYPE_CHECKING:
-    from cmbot.archive.excitation import excitation_json, require_no_excitation, save_excitation
+    from cmbot.archive.excitation import excitation_json, load_excitation, save_excitation
     from cmbot.archive.reading import load_plan, plan_data
     from cmbot.archive.ros import export_mcap, export_ros, export_ros_package
     from cmbot.archive.tours import TourPart, load_tour
-    from cmbot.archive.tracking import load_tracking, require_no_tracking, save_tracking, tracking_json
+    from cmbot.archive.tracking import load_tracking, save_tracking, tracking_json
     from cmbot.archive.verification.folders import Asked, Verdict, VerifiedMotion, verified_motions
     from cmbot.archive.walks import load_walk
 
 __all__ = [
     "EVALUATION_FILE",
+    "EXCITATION_FILE",
     "PLAN_FILE",
     "STANCES_FILE",
     "TOUR_FILE",
+    "TRACKING_FILES",
     "WALK_FILE",
     "Asked",
     "TourPart",
@@ -52,6 +60,7 @@ __all__ = [
     "export_ros",
     "export_ros_package",
     "json_bytes",
+    "load_excitation",
     "load_plan",
     "load_tour",
     "load_tracking",
@@ -61,9 +70,6 @@ __all__ = [
     "record_of",
     "require_absent",
     "require_free",
-    "require_new_folder",
-    "require_no_excitation",
-    "require_no_tracking",
     "samples_csv",
     "save",
     "save_excitation",
@@ -75,11 +81,11 @@ __all__ = [
 ]
 
 _LATER = {
-    "cmbot.archive.excitation": ("excitation_json", "require_no_excitation", "save_excitation"),
+    "cmbot.archive.excitation": ("excitation_json", "load_excitation", "save_excitation"),
     "cmbot.archive.reading": ("load_plan", "plan_data"),
     "cmbot.archive.ros": ("export_mcap", "export_ros", "export_ros_package"),
     "cmbot.archive.tours": ("TourPart", "load_tour"),
-    "cmbot.archive.tracking": ("load_tracking", "require_no_tracking", "save_tracking", "tracking_json"),
+    "cmbot.archive.tracking": ("load_tracking", "save_tracking", "tracking_json"),
     "cmbot.archive.verification.folders": ("Asked", "Verdict", "VerifiedMotion", "verified_motions"),
     "cmbot.archive.walks": ("load_walk",),
 }

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cmbot.archive.names import EXCITATION_FILE
-from cmbot.archive.places import add_results, require_no_results, shown_files
-from cmbot.archive.strict_json import json_bytes
-from cmbot.common.validation import given_path, plain, require_type
+from pydantic import TypeAdapter
+
+from cmbot.archive.folder import read_folder
+from cmbot.archive.names import EXCITATION_FILE, PLAN_FILE
+from cmbot.archive.places import add_results
+from cmbot.archive.strict_json import json_bytes, read_json
+from cmbot.common.errors import ArchiveError
+from cmbot.common.validation import given_path, require_type, shown, validated
 from cmbot.excitation import Excitation
 from cmbot.version import __version__
 
@@ -57,23 +60,45 @@ def save_excitation(
     expected = "an Excitation, as cmbot.excite returns it"
     require_type(excitation, Excitation, "cmbot.save_excitation", "excitation", expected)
     folder = given_path(directory, "cmbot.save_excitation", "directory", "the path of a plan directory")
-    files = {EXCITATION_FILE: json_bytes(excitation_json(excitation), indent=2)} | shown_files(added)
-    return add_results(folder, files, partial(require_no_excitation, force=force))
+    contents = {EXCITATION_FILE: json_bytes(excitation_json(excitation), indent=2)}
+    return add_results(folder, contents, added, force=force)
 
 
-def require_no_excitation(directory: str | Path, *, force: bool = False) -> None:
-    """Refuse a directory that `save_excitation` would refuse, before anything is computed.
+def load_excitation(directory: str | Path) -> Excitation | None:
+    """Read the excitation beside a plan.
+
+    Parameters
+    ----------
+    directory : str or Path
+
+    Returns
+    -------
+    Excitation or None
+        None where there is none.
 
     Raises
     ------
+    InputError
+        When `directory` is no path.
     ArchiveError
-        When an excitation is there and is not to be replaced.
+        When a file is missing, damaged or of another version.
+
+    Examples
+    --------
+    >>> excitation = cmbot.load_excitation("out/triangle")
     """
-    expected = "a plan without an excitation; --force (in Python force=True) replaces it"
-    require_no_results(directory, (EXCITATION_FILE,), expected, force=force)
+    folder = given_path(directory, "cmbot.load_excitation", "directory", "the path of a plan directory")
+    _, contents = read_folder(folder, PLAN_FILE, lambda hashes: {EXCITATION_FILE} & hashes.keys())
+    if not contents:
+        return None
+    source = str(folder / EXCITATION_FILE)
+    data = read_json(contents[EXCITATION_FILE], source)
+    if data.get("format") != _FORMAT:
+        raise ArchiveError(source, "format", shown(data.get("format")), repr(_FORMAT))
+    return validated(Excitation, data, source, ArchiveError)
 
 
 def excitation_json(excitation: Excitation) -> dict[str, Any]:
     """Return an excitation ready for JSON, SI units but where a key says otherwise."""
-    content = plain(excitation, "cmbot.save_excitation")
+    content = TypeAdapter(Excitation).dump_python(excitation, mode="json")
     return {"format": _FORMAT, "cmbot": __version__, "rms_mm": excitation.rms_mm, **content}

@@ -2,7 +2,7 @@
 
 Who writes to the folder NAME holds a lock, ``.NAME.lock`` beside it. The parts of what is new are written as
 ``.FILE.part``; the part of the record is the last. From then on the new content counts: what the new record
-lacks is removed, each part gets its name, the record the last. `exclusive` goes on with what a call that was
+lacks is removed, each part gets its name, the record the last. `claim` goes on with what a call that was
 killed has begun, or, where the record's part is missing or incomplete, removes the other parts. Readers take
 no lock: `read_folder` reads each file from its part or its name, whichever has the hash in the record.
 """
@@ -45,24 +45,30 @@ _held: ContextVar[frozenset[Path]] = ContextVar("held", default=frozenset())
 
 
 @contextmanager
-def exclusive(target: Path) -> Iterator[None]:
-    """Keep other processes and threads from writing to a target, and finish or undo what one has left there.
+def claim(directory: str | Path) -> Iterator[Path]:
+    """Keep other processes and threads from writing to a place, and finish or undo what one has left there.
 
-    Folders above the target are made as needed, and removed again if nothing is in them at the end. Inside
-    another `exclusive` of the same target this does nothing.
+    Folders above it are made as needed, and removed again if nothing is in them at the end. Inside another
+    `claim` of the same place this does nothing.
 
     Parameters
     ----------
-    target : Path
-        Absolute and without links: a folder with a record, or a file. It need not exist.
+    directory : str or Path
+        A folder with a record, or a file. It need not exist.
+
+    Yields
+    ------
+    Path
+        The absolute path, without links.
 
     Raises
     ------
     ArchiveError
-        When another process has the target, or the system refuses.
+        When another process has the place, nothing can be written there, or the system refuses.
     """
+    target = writable(Path(directory))
     if target in _held.get():
-        yield
+        yield target
         return
     lock = target.with_name(f".{target.name}.lock")
     with ExitStack() as cleanup:
@@ -73,7 +79,7 @@ def exclusive(target: Path) -> Iterator[None]:
             cleanup.callback(_remove, lock)
             _settle(target)
         cleanup.callback(_held.reset, _held.set(_held.get() | {target}))
-        yield
+        yield target
 
 
 def _locked(lock: Path, target: Path) -> BufferedWriter:
@@ -133,7 +139,7 @@ def replace_folder(
     contents: Mapping[str, bytes],
     kept: Collection[str] = (),
 ) -> None:
-    """Make a folder hold the files `contents` and a record of them, all at once; to be called in `exclusive`.
+    """Make a folder hold the files `contents` and a record of them, all at once.
 
     What an earlier record there names is removed, but for the files `kept`, whose hashes the new one takes
     over. What no record names stays.
@@ -149,7 +155,7 @@ def replace_folder(
         By the names of the files.
     kept : collection of str
     """
-    with exclusive(target), refusals(target):
+    with claim(target), refusals(target):
         target.mkdir(exist_ok=True)
         earlier = _files(_whole(target / name))
         for file in (*contents, name, *earlier):
@@ -165,7 +171,7 @@ def replace_folder(
 
 def add_files(target: Path, name: str, contents: Mapping[str, bytes]) -> None:
     """Add files to a folder and its record, all or none; earlier ones of their names are replaced."""
-    with exclusive(target):
+    with claim(target):
         record = read_record(target, name)
         kept = record[_FILES].keys() - contents.keys()
         replace_folder(target, name, record, contents, kept)
@@ -179,8 +185,7 @@ def write_file(path: Path, content: bytes) -> None:
     ArchiveError
         When the system refuses, or another process is writing it.
     """
-    target = resolved(path)
-    with exclusive(target), refusals(path.parent):
+    with claim(path) as target, refusals(path.parent):
         require_replaceable(target, ArchiveError)
         try:
             _write(_part(target), content)
@@ -214,15 +219,31 @@ def resolved(directory: Path) -> Path:
     return target
 
 
+def writable(directory: Path) -> Path:
+    """Return the absolute path of a place; refuse one that cannot be written to, or be made."""
+    expected = "a place that can be written to"
+    with refusals(directory):
+        target = resolved(directory)
+        above = next(parent for parent in target.parents if parent.exists())
+        if not above.is_dir():
+            raise ArchiveError(str(directory), "", f"a place below {above}, which is a file", expected)
+        if not os.access(above, os.W_OK | os.X_OK):
+            got = f"a place in {above}, where this user may not write"
+            raise ArchiveError(str(directory), "", got, expected)
+        if target.is_dir() and not os.access(target, os.W_OK | os.X_OK):
+            raise ArchiveError(str(directory), "", "a folder in which this user may not write", expected)
+    return target
+
+
 @contextmanager
 def drafted(target: Path) -> Iterator[Path]:
     """Give a draft of a folder that appears whole under its name, or, after an error, not at all.
 
-    To be called inside `exclusive`; an empty folder of that name is replaced.
+    An empty folder of that name is replaced.
     """
-    draft = _part(target)
-    with exclusive(target):
-        # Nobody else knows it: it needs no lock of its own.
+    with claim(target):
+        # Nobody else knows the draft: it needs no lock of its own.
+        draft = _part(target)
         token = _held.set(_held.get() | {draft})
         try:
             with refusals(target):
@@ -314,7 +335,7 @@ def read_folder(
     Returns
     -------
     tuple of dict
-        The record, and the files' contents by their names.
+        The record without the hashes, and the files' contents by their names.
 
     Raises
     ------
@@ -327,7 +348,8 @@ def read_folder(
         try:
             record = read_record(folder, name)
             hashes = _files(record)
-            return record, {file: _read(folder / file, hashes, name) for file in wanted(hashes)}
+            contents = {file: _read(folder / file, hashes, name) for file in wanted(hashes)}
+            return without_hashes(record), contents
         except ArchiveError:
             # A writer was between two files, or there is one.
             between = _part(folder / name).exists() or _version(folder / name) != version

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from cmbot.archive.names import PLAN_FILE
-from cmbot.archive.plan_file import PlanFile
+from cmbot.archive.plan_file import SegmentFile
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError, InputError
 from cmbot.common.validation import counted, shown
@@ -55,20 +55,27 @@ def knots_npz(trajectory: QuinticTrajectory) -> bytes:
 
 
 def segment_trajectories(
-    file: PlanFile, content: bytes, source: str, dof: int, strokes: Sequence[Stroke]
+    segments: Sequence[SegmentFile],
+    times: FloatArray,
+    content: bytes,
+    source: str,
+    dof: int,
+    strokes: Sequence[Stroke],
 ) -> tuple[QuinticTrajectory, ...]:
     """Return the trajectory of each segment of a job, on its own clock, from the `content` of ``job.npz``.
+
+    Segments begin and end at `times`, s, one more than there are segments.
 
     Raises
     ------
     ArchiveError
         When it is damaged, or its times are not those of the segments and of the strokes' via-points.
     """
-    whole, last = read_knots(content, source, dof), file.segments[-1]
-    require_times(whole.t, last.begin + last.seconds, source, PLAN_FILE)
+    whole = read_knots(content, source, dof)
+    require_times(whole.t, times[-1], source, PLAN_FILE)
     trajectories, remaining = [], iter(strokes)
-    for segment in file.segments:
-        ends = np.array([segment.begin, segment.begin + segment.seconds])
+    for segment, *pair in zip(segments, times, times[1:], strict=False):
+        ends = np.array(pair)
         first, end = (int(np.abs(whole.t - each).argmin()) for each in ends)
         if end <= first or (np.abs(whole.t[[first, end]] - ends) > _SAME * np.maximum(ends, 1.0)).any():
             expected = f"knots at {ends[0]:g} and {ends[1]:g} s ({segment.name})"

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from difflib import get_close_matches
 from itertools import islice
 from pathlib import Path
@@ -13,13 +12,14 @@ from typing import Any
 from cmbot.archive.folder import (
     FILE_NAME,
     add_files,
+    claim,
     drafted,
-    exclusive,
     read_file,
     read_record,
     refusals,
     replace_folder,
     resolved,
+    writable,
 )
 from cmbot.archive.names import FORMATS, OWN_FILES, PLAN_FILE, PLAN_FILES, SHOWN_FILES, WALK_FILE
 from cmbot.archive.strict_json import read_json
@@ -29,22 +29,6 @@ from cmbot.common.validation import shown
 # Where the command line puts plans by default.
 _DEFAULT_PLACE = Path("out")
 _MOST_SUGGESTED = 3
-
-
-@contextmanager
-def claim(directory: str | Path) -> Iterator[None]:
-    """Keep other processes from writing to a folder, or to where one is to be, in the meantime.
-
-    What a call that was killed has begun there is finished or removed first.
-
-    Raises
-    ------
-    ArchiveError
-        When another process has claimed it, or nothing can be written there.
-    """
-    with ExitStack() as claimed:
-        claimed.enter_context(exclusive(_writable(Path(directory))))
-        yield
 
 
 def require_free(directory: str | Path, *, force: bool = False) -> None:
@@ -61,32 +45,20 @@ def require_free(directory: str | Path, *, force: bool = False) -> None:
     ArchiveError
         When something is in the way, or no folder can be made there.
     """
-    directory = Path(directory)
-    target = _writable(directory)
-    with refusals(directory):
-        if not target.exists():
-            return
-        if not target.is_dir():
+    target = writable(Path(directory))
+    with refusals(target):
+        if target.exists() and not target.is_dir():
             raise ArchiveError(str(directory), "", "a file of that name", "the name of a new folder")
-        if not any(target.iterdir()):
+        if not target.exists() or not any(target.iterdir()):
             return
         if not force:
-            expected = "a new folder; --force (in Python force=True) replaces a plan"
+            expected = "a new or empty folder; --force (in Python force=True) replaces a plan"
             raise ArchiveError(str(directory), "", "a folder that is already there", expected)
         if not _is_plan_directory(target):
             got = "a folder with something other than a plan in it"
             expected = "a plan directory or an empty folder: nothing else is replaced, not even with --force"
             raise ArchiveError(str(directory), "", got, expected)
         _require_no_folder(OWN_FILES, target)
-
-
-def write_plan_files(
-    directory: Path, record: Mapping[str, Any], contents: Mapping[str, bytes], *, force: bool
-) -> None:
-    """Write a plan directory: it appears whole or not at all; errors are those of `require_free`."""
-    with claim(directory):
-        require_free(directory, force=force)
-        replace_folder(resolved(directory), PLAN_FILE, record, contents)
 
 
 def add_file(directory: str | Path, name: str, content: bytes | str) -> Path:
@@ -117,44 +89,35 @@ def add_file(directory: str | Path, name: str, content: bytes | str) -> Path:
         raise ArchiveError("add_file", "name", shown(name), expected)
     if name in (*FORMATS, *PLAN_FILES):
         raise ArchiveError("add_file", "name", name, "a name that is not one of the plan's own files")
-    data = in_bytes(content)
     record = record_of(directory)
     if record is None:
         raise ArchiveError(str(directory), "", "no plan directory", "a folder that a plan was saved in")
-    add_files(resolved(directory), record, {name: data})
+    add_files(resolved(directory), record, {name: in_bytes(content)})
     return directory / name
 
 
 def add_results(
-    folder: Path, contents: Mapping[str, bytes], require: Callable[[Path], object]
+    folder: Path,
+    results: Mapping[str, bytes],
+    shown: Mapping[str, bytes | str] | None,
+    *,
+    force: bool,
 ) -> tuple[Path, ...]:
-    """Add results to a plan directory that `require` takes, all files or none; return their paths.
+    """Add results to a plan directory with pages and plots that show them, all or none; return their paths.
 
     Raises
     ------
     ArchiveError
-        When `folder` is no plan directory, `require` refuses it, another process is writing there, or the
-        system refuses.
+        When `folder` is no plan directory, it has such results that may not be replaced, another process is
+        writing there, or the system refuses.
     """
-    target = require_plan_directory(folder)
-    with claim(folder):
-        require(folder)
+    contents = {**results, **shown_files(shown)}
+    if record_of(resolved(folder)) != PLAN_FILE:
+        raise ArchiveError(str(folder), "", "no plan directory", "a folder that a plan was saved in")
+    with claim(folder) as target:
+        require_absent(folder, results, force=force)
         add_files(target, PLAN_FILE, contents)
         return tuple(folder / name for name in contents)
-
-
-def require_no_results(directory: str | Path, names: Collection[str], expected: str, *, force: bool) -> None:
-    """Refuse a plan directory that has results of some names, unless they may be replaced.
-
-    Raises
-    ------
-    ArchiveError
-        That says what is `expected`.
-    """
-    for name in () if force else names:
-        path = Path(directory) / name
-        if path.exists():
-            raise ArchiveError(str(path), "", "a file that is already there", expected)
 
 
 def require_absent(directory: str | Path, names: Collection[str], *, force: bool = False) -> None:
@@ -172,15 +135,14 @@ def require_absent(directory: str | Path, names: Collection[str], *, force: bool
     ArchiveError
         When one is there, or nothing can be written there.
     """
-    directory = Path(directory)
-    target = _writable(directory)
-    with refusals(directory):
+    target = writable(Path(directory))
+    with refusals(target):
         if target.exists() and not target.is_dir():
             raise ArchiveError(str(directory), "", "a file of that name", "the name of a folder")
         _require_no_folder(names, target)
         there = [name for name in names if (target / name).exists()]
         if there and not force:
-            expected = "a folder without these files, or --force"
+            expected = "a folder without these files, or --force (in Python force=True)"
             raise ArchiveError(str(directory), "", ", ".join(there), expected)
 
 
@@ -212,9 +174,9 @@ def write_results(
     ArchiveError
         As by `require_absent`, and when another process is writing there.
     """
-    with claim(directory):
+    with claim(directory) as target:
         require_absent(directory, (*contents, name), force=force)
-        replace_folder(resolved(Path(directory)), name, {"format": FORMATS[name], **record}, contents)
+        replace_folder(target, name, {"format": FORMATS[name], **record}, contents)
 
 
 @contextmanager
@@ -224,25 +186,11 @@ def new_folder(directory: str | Path) -> Iterator[Path]:
     Raises
     ------
     ArchiveError
-        As by `require_new_folder`, and when the system refuses.
+        As by `require_free`, and when the system refuses.
     """
-    require_new_folder(directory)
+    require_free(directory)
     with drafted(resolved(Path(directory))) as draft:
         yield draft
-
-
-def require_new_folder(directory: str | Path) -> None:
-    """Refuse a folder that is there and not empty, before a long computation.
-
-    Raises
-    ------
-    ArchiveError
-        When one is there, or no folder can be made there.
-    """
-    target = _writable(Path(directory))
-    with refusals(Path(directory)):
-        if target.exists() and (not target.is_dir() or any(target.iterdir())):
-            raise ArchiveError(str(directory), "", "something that is already there", "a new or empty folder")
 
 
 def record_of(directory: Path) -> str | None:
@@ -254,14 +202,6 @@ def record_of(directory: Path) -> str | None:
             continue
         return name
     return None
-
-
-def require_plan_directory(directory: Path) -> Path:
-    """Return the absolute path of a plan directory; refuse any other folder."""
-    target = resolved(directory)
-    if record_of(target) != PLAN_FILE:
-        raise ArchiveError(str(directory), "", "no plan directory", "a folder that a plan was saved in")
-    return target
 
 
 def plans_nearby(folder: Path) -> str:
@@ -313,30 +253,8 @@ def shown_files(contents: Mapping[str, bytes | str] | None) -> dict[str, bytes]:
 
 
 def in_bytes(content: bytes | str) -> bytes:
-    """Return a file's content, text in UTF-8."""
-    if isinstance(content, bytes):
-        return content
-    try:
-        return content.encode()
-    except UnicodeEncodeError as error:
-        got = f"a character that is none (at position {error.start})"
-        raise ArchiveError("add_file", "content", got, "text that UTF-8 can hold") from error
-
-
-def _writable(directory: Path) -> Path:
-    """The absolute path of a directory; refuse one that cannot be written to, or be made."""
-    expected = "a place that can be written to"
-    with refusals(directory):
-        target = resolved(directory)
-        above = next(parent for parent in target.parents if parent.exists())
-        if not above.is_dir():
-            raise ArchiveError(str(directory), "", f"a place below {above}, which is a file", expected)
-        if not os.access(above, os.W_OK | os.X_OK):
-            got = f"a place in {above}, where this user may not write"
-            raise ArchiveError(str(directory), "", got, expected)
-        if target.is_dir() and not os.access(target, os.W_OK | os.X_OK):
-            raise ArchiveError(str(directory), "", "a folder in which this user may not write", expected)
-    return target
+    """Return a file's content, text in UTF-8; characters that are none become question marks."""
+    return content if isinstance(content, bytes) else content.encode("utf-8", "replace")
 
 
 def _is_plan_directory(folder: Path) -> bool:

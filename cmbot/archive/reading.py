@@ -5,26 +5,18 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cmbot.accuracy import Accuracy
-from cmbot.archive.consistency import require_fit, require_same, require_segments
-from cmbot.archive.folder import read_folder, without_hashes
+from cmbot.archive.consistency import require_same
+from cmbot.archive.folder import read_folder
 from cmbot.archive.knots import require_times, segment_trajectories
 from cmbot.archive.names import BASELINE_FILE, JOB_FILES, PLAN_FILE, PLAN_FILES
 from cmbot.archive.places import plans_nearby
-from cmbot.archive.plan_file import (
-    BaselineFile,
-    JobBaselineFile,
-    PlanFile,
-    SegmentFile,
-    StrokeEntries,
-    made,
-)
+from cmbot.archive.plan_file import HashesFile, PlanFile, StrokeEntries, made, plan_record
 from cmbot.archive.tables import read_motion
 from cmbot.archive.verification.asked import require_asked, require_promised
 from cmbot.archive.verification.exported import unverified_files
@@ -34,14 +26,17 @@ from cmbot.common.errors import ArchiveError, InputError
 from cmbot.common.validation import given_path, require_type, shown, validated
 from cmbot.elastic.sag import Sag
 from cmbot.planning import (
+    RETURN,
     Baseline,
     Certificate,
+    Check,
     Job,
+    LowerBound,
     MotionMetrics,
+    ObjectiveMetrics,
     Plan,
-    QuinticTrajectory,
-    Samples,
     Segment,
+    Start,
     StrokeBaseline,
     StrokePlan,
     ToolTask,
@@ -50,9 +45,11 @@ from cmbot.planning import (
     certify_move,
     end_posture_of,
     figures,
+    free_move_name,
     measure,
     objective_metrics,
     objective_of,
+    resolved_options,
     robot_of,
     sag_of,
     strokes_of,
@@ -66,6 +63,7 @@ from cmbot.scene import PlannerOptions, Scene
 _SAME, _SAME_ZERO = 1e-6, 1e-9
 # The same of what is drawn in single precision.
 _SAME_DRAWN = 1e-4
+_SAME_ANGLE = 1e-9  # rad
 
 
 def load_plan(
@@ -135,7 +133,7 @@ def read_plan(
 
     data, contents = _read(folder, listed)
     try:
-        file = validated(PlanFile, without_hashes(data), str(source), ArchiveError)
+        file = validated(PlanFile, data, str(source), ArchiveError)
     except ArchiveError as error:
         # Its content is as it was written: most likely by a version with other keys.
         expected = f"{error.expected}; of a plan of another version: cmbot plan SCENE makes it anew"
@@ -145,21 +143,16 @@ def read_plan(
         robot = _robot(scene, file, source)
         what = "the scene in this file or the meshes that it names have changed since"
         _require_hash(scene.content_hash, file.hashes.scene, source, "hashes.scene", what)
-        strokes = strokes_of(scene, robot)
-        end = end_posture_of(scene, robot)
         clearances = Clearances(robot, scene.all_obstacles)
+        end = end_posture_of(scene, robot)
+        tasks = [task_of(stroke, scene) for stroke in strokes_of(scene, robot)]
     if asked is not None:
         require_asked(scene, asked, str(source))
     promised = options or (asked.planner if asked is not None else file.options)
-    require_promised(file.options, promised, str(source), "options")
-    require_segments(file, str(source), scene, returns=end is not None)
-    knots = str(folder / JOB_FILES[1])
-    trajectories = segment_trajectories(file, contents[JOB_FILES[1]], knots, robot.dof, strokes)
-    tasks = [task_of(stroke, scene) for stroke in strokes]
-    job = _job(file, trajectories, tasks, source)
-    require_fit(file, np.array(scene.posture), end, job, str(source), knots)
+    require_promised(file.options, resolved_options(scene, robot, promised), str(source), "options")
+    job = _job(file, contents[JOB_FILES[1]], folder, scene, robot, tasks, end)
     plan = Plan.of(
-        _stroke_plans(file, folder, contents, [stroke.name for stroke in strokes], tasks, robot, clearances),
+        _strokes(file, folder, contents, job, robot, scene, clearances),
         clearances,
         scene=scene,
         options=file.options,
@@ -173,35 +166,19 @@ def read_plan(
     )
     # It costs a third of a second, and is computed anew where the plan is verified.
     vars(plan)["accuracy"], vars(plan)["sway"] = file.accuracy, file.sway
-    peaks = [joint.peak_nm for joint in file.holding_joints.values()]
-    vars(plan)["holding_torque"] = np.array(peaks) if peaks else None
     if plan.several and plan.baseline is not None:
         _require_straight(plan.baseline, contents[BASELINE_FILE], str(folder / BASELINE_FILE), robot.dof)
-    again = PlanFile.of_plan(plan, file.hashes).as_data()
+    again = plan_record(plan, file.hashes)
     if file.baseline is not None:
         # Its free moves are not in the table but measured again, which is compared where it is verified.
-        again["baseline"] |= {name: data["baseline"][name] for name in ("free", "job")}
+        again["baseline"] |= {name: data["baseline"].get(name) for name in ("free", "job")}
     # What it was made of, and by what, is not computed.
-    given = {name: data[name] for name in ("scene", "versions")}
-    require_same(without_hashes(data), again | given, str(source), "")
+    again |= {name: data.get(name) for name in ("scene", "versions")}
+    require_same(data, again, str(source), "")
     if not verify:
         return plan, ()
-    plan = _verified(plan, file.baseline, clearances, source)
-    _require_told(file, plan, source)
+    plan = _verified(plan, clearances, again, str(source))
     return plan, unverified_files(plan, folder)
-
-
-def _require_told(file: PlanFile, plan: Plan, source: Path) -> None:
-    """Refuse what a file tells of accuracy, sway and locked joints if a verified plan has it otherwise."""
-    _require_accuracy(file.accuracy, plan.accuracy, source)
-    sways = [None if sway is None else asdict(sway) for sway in (file.sway, plan.sway)]
-    require_same(sways[0], sways[1], str(source), "sway", _SAME_DRAWN, _SAME_ZERO)
-    peaks = [] if plan.holding_torque is None else plan.holding_torque.tolist()
-    told, held = (
-        {name: {"peak_nm": peak} for name, peak in zip(file.holding_joints, values, strict=True)}
-        for values in ([joint.peak_nm for joint in file.holding_joints.values()], peaks)
-    )
-    require_same(told, held, str(source), "holding_joints", _SAME, _SAME_ZERO)
 
 
 def plan_data(directory: Path) -> dict[str, Any]:
@@ -248,74 +225,137 @@ def _require_hash(got: str, expected: str, source: Path, key: str, what: str) ->
 
 
 def _job(
-    file: PlanFile, trajectories: Sequence[QuinticTrajectory], tasks: Sequence[ToolTask], source: Path
+    file: PlanFile,
+    knots: bytes,
+    folder: Path,
+    scene: Scene,
+    robot: Robot,
+    tasks: Sequence[ToolTask],
+    end: FloatArray | None,
 ) -> Job:
+    """The job of the scene's strokes and the free moves around them, from the content of its knots."""
+    source, names = str(folder / PLAN_FILE), [str(stroke.name) for stroke in scene.strokes]
+    got, expected = [(segment.name, segment.kind) for segment in file.segments], list[tuple[str, str]]()
+    for number, name in enumerate(names):
+        move = (free_move_name(number), "free")
+        expected += [move, (name, "stroke")] if move in got else [(name, "stroke")]
+    if end is not None and got[-1] == (RETURN, "free"):
+        expected.append((RETURN, "free"))
+    if got != expected:
+        shown_got, wanted = (", ".join(name for name, _ in each) for each in (got, expected))
+        raise ArchiveError(source, "segments", shown(shown_got), f"{wanted}, by the scene")
+    seconds = [segment.seconds for segment in file.segments]
+    begins = np.cumsum([0.0, *seconds])
+    trajectories = segment_trajectories(
+        file.segments, begins, knots, str(folder / JOB_FILES[1]), robot.dof, strokes_of(scene, robot)
+    )
     segments, number = [], 0
     for k, (entry, trajectory) in enumerate(zip(file.segments, trajectories, strict=True)):
         # A free move belongs to the stroke that it leads to, the return to the last one.
         task = tasks[min(number, len(tasks) - 1)]
         own = task if entry.kind == "stroke" else task.held_at_start()
         number += entry.kind == "stroke"
-        certificate = _certificate(entry, str(source), f"segments[{k}].certificate")
-        segments.append(made(Segment, entry, trajectory=trajectory, certificate=certificate, task=own))
+        integral = entry.mean_guardrail_torque * entry.seconds
+        measured = made(MotionMetrics, entry, duration=entry.seconds, guardrail_torque_integral=integral)
+        certificate = made(Certificate, entry.certificate, figures=measured)
+        for index, check in enumerate(certificate.checks):
+            if not check.holds:
+                key, broken = f"segments[{k}].certificate.checks[{index}]", check.quantity
+                raise ArchiveError(source, key, f"a broken promise ({broken})", "kept ones")
+        given = {"begin": float(begins[k]), "trajectory": trajectory, "task": own, "certificate": certificate}
+        segments.append(made(Segment, entry, **given))
+    ends = {0: ("the scene's posture at first", np.array(scene.posture))}
+    if end is not None:
+        ends[-1] = ("where the job is to end at last", end)
+    for k, (what, posture) in ends.items():
+        if np.abs(found := segments[k].trajectory.q[k] - posture).max() > _SAME_ANGLE:
+            got_there = f"another posture, off by {np.abs(found).max():.3g}"
+            raise ArchiveError(str(folder / JOB_FILES[1]), "q", got_there, what)
     return Job(segments=tuple(segments))
 
 
-def _certificate(entry: SegmentFile, source: str, key: str) -> Certificate:
-    certificate = entry.certificate.made(made(MotionMetrics, entry))
-    for index, check in enumerate(certificate.checks):
-        if not check.holds:
-            got = f"a broken promise ({check.quantity})"
-            raise ArchiveError(source, f"{key}.checks[{index}]", got, "kept ones")
-    return certificate
-
-
-def _stroke_plans(
+def _strokes(
     file: PlanFile,
     folder: Path,
     contents: Mapping[str, bytes],
-    names: Sequence[str],
-    tasks: Sequence[ToolTask],
+    job: Job,
     robot: Robot,
+    scene: Scene,
     clearances: Clearances,
 ) -> list[StrokePlan]:
-    """What is planned of each stroke, beside its baseline."""
+    """What is planned of each stroke."""
+    source, names = str(folder / PLAN_FILE), [segment.name for segment in job.strokes]
+    several = [stroke.name for stroke in file.strokes]
+    require_same(several, names if len(names) > 1 else [], source, "strokes", why="the scene has them")
     entries: tuple[StrokeEntries, ...] = file.strokes or (file,)
-    baselines: Sequence[StrokeBaseline | None] = [None] * len(entries)
-    if file.baseline is not None:
-        baselines = _baselines(file, folder, contents.get(BASELINE_FILE), tasks, robot, clearances)
-    strokes = []
-    for entry, name, task, baseline in zip(entries, names, tasks, baselines, strict=True):
-        own = {"start": entry.start.made(), "lower_bound": entry.floor, "baseline": baseline}
-        strokes.append(made(StrokePlan, entry, name=name, task=task, **own))
+    baselines = _baselines(file, entries, folder, contents.get(BASELINE_FILE), job, robot, clearances)
+    strokes, before = [], np.array(scene.posture)
+    for k, (entry, segment, baseline) in enumerate(zip(entries, job.strokes, baselines, strict=True)):
+        posture, key = segment.trajectory.q[0], f"strokes[{k}]." if file.strokes else ""
+        moved = float(np.abs(robot.metric.coordinates(posture - before)).max())
+        failures = tuple(failure.made() for failure in entry.start.failures)
+        start = Start(posture=posture, moved=moved * (moved > _SAME_ANGLE), failures=failures)
+        if (floor := entry.floor) is not None:
+            require_same(len(floor.each), len(segment.trajectory.t), source, f"{key}floor.each")
+            lowest = dict(enumerate(floor.each.tolist())).get(floor.via_point)
+            require_same(floor.value, lowest, source, f"{key}floor.value")
+        objective = _objective(entry.objective, file.options, baseline, segment, floor)
+        given = {"name": segment.name, "task": segment.task, "start": start, "lower_bound": floor}
+        strokes.append(made(StrokePlan, entry, **given, baseline=baseline, objective=objective))
+        before = segment.trajectory.q[-1]
     return strokes
+
+
+def _objective(
+    stored: ObjectiveMetrics,
+    options: PlannerOptions,
+    baseline: StrokeBaseline | None,
+    planned: Segment,
+    floor: LowerBound | None,
+) -> ObjectiveMetrics:
+    """An objective as what else is known has it; of a custom one, and of its peaks, it is the file's word."""
+    of_torque = not stored.own and options.objective == "torque"
+    objective = replace(
+        stored,
+        name=stored.name if stored.own else options.objective,
+        moment_about=options.moment_about if of_torque else None,
+        axis_weights=options.axis_weights if of_torque else None,
+        floor=None if floor is None else floor.value,
+    )
+    if not objective.is_guardrail_torque:
+        return objective
+    before = None if baseline is None else baseline.figures.peak_guardrail_torque
+    return replace(objective, baseline_peak=before, planned_peak=planned.figures.peak_guardrail_torque)
 
 
 def _baselines(
     file: PlanFile,
+    entries: Sequence[StrokeEntries],
     folder: Path,
     content: bytes | None,
-    tasks: Sequence[ToolTask],
+    job: Job,
     robot: Robot,
     clearances: Clearances,
-) -> list[StrokeBaseline]:
-    """The baseline along each stroke, from the content of its table."""
-    source = str(folder / BASELINE_FILE)
+) -> list[StrokeBaseline | None]:
+    """The baseline along each stroke, from the content of its table; none where the options ask for none."""
+    if file.options.baseline == "none":
+        return [None] * len(entries)
+    source, stored = str(folder / BASELINE_FILE), [entry.baseline for entry in entries]
+    if None in stored or file.baseline is None:
+        expected = "one of the job and of every stroke, by options.baseline"
+        raise ArchiveError(str(folder / PLAN_FILE), "baseline", "null", expected)
     if content is None:
         expected = f"the file that was saved with {PLAN_FILE}"
         raise ArchiveError(str(folder / PLAN_FILE), "files", f"no {BASELINE_FILE}", expected)
     t, motion = read_motion(content, source, robot.dof)
     if not file.strokes:
-        require_times(t, tasks[0].path.duration, source, "the scene")
-    baselines = []
-    for entry, task in zip(file.strokes or (file,), tasks, strict=True):
-        stored: BaselineFile | None = entry.baseline
-        if stored is None:  # where one of several strokes lacks it
-            raise ArchiveError(str(folder / PLAN_FILE), "strokes", "baseline: null", "one of every stroke")
-        begin = getattr(stored, "begin", 0.0)
-        rows = _rows(t, begin, begin + task.path.duration, source)
+        require_times(t, job.strokes[0].task.path.duration, source, "the scene")
+    baselines = list[StrokeBaseline | None]()
+    for entry, segment in zip(filter(None, stored), job.strokes, strict=True):
+        task = segment.task
+        rows = _rows(t, entry.begin, entry.begin + task.path.duration, source)
         samples = measure(robot, task, clearances, t[rows] - t[rows[0]], [array[rows] for array in motion])
-        baselines.append(made(StrokeBaseline, stored, samples=samples, figures=made(MotionMetrics, stored)))
+        baselines.append(made(StrokeBaseline, entry, samples=samples, figures=made(MotionMetrics, entry)))
     return baselines
 
 
@@ -347,52 +387,71 @@ def _sag(scene: Scene, robot: Robot, options: PlannerOptions) -> Sag | None:
 # Certified again
 
 
-def _require_accuracy(stored: Accuracy | None, computed: Accuracy | None, source: Path) -> None:
-    """Refuse another accuracy budget than that of the motion; its draws are in single precision."""
-
-    def by_name(accuracy: Accuracy | None) -> object:
-        """Its entries, in an order that does not depend on their sizes."""
-        if accuracy is None:
-            return None
-        listed = ("parts", "remedies")
-        named = {name: {each.name: asdict(each) for each in getattr(accuracy, name)} for name in listed}
-        return asdict(accuracy) | named
-
-    given, again = by_name(stored), by_name(computed)
-    require_same(given, again, str(source), "accuracy", _SAME_DRAWN, _SAME_ZERO)
-
-
-def _verified(plan: Plan, stored: JobBaselineFile | None, clearances: Clearances, source: Path) -> Plan:
-    """Return the plan with new certificates; their metrics must be those in the file."""
-    job = plan.job
-    for k, segment in enumerate(plan.job.segments):
-        certificate = _certified(plan, k, clearances)
+def _verified(plan: Plan, clearances: Clearances, data: dict[str, Any], source: str) -> Plan:
+    """Return the plan certified and measured anew: the record of that has to be `data`."""
+    certified = [_certified(plan, k, clearances) for k in range(len(plan.job.segments))]
+    for certificate, _ in certified:
         certificate.require()
-        key = "planned" if segment.kind == "stroke" and not plan.several else f"segments[{k}]"
-        _require_again(segment.figures, certificate.figures, source, key)
-        job = job.changed(segment.name, certificate=certificate)
-    prefixes = [f"strokes[{k}]." for k in range(len(plan.several))] or [""]
-    for prefix, stroke in zip(prefixes, plan.strokes, strict=True):
-        if stroke.baseline is not None:
-            _verify_baseline(plan.robot, stroke.task, stroke.baseline, source, f"{prefix}baseline")
-        if not plan.objective.own:
-            _verify_objective(plan, stroke, source, f"{prefix}objective")
-    if stored is not None and plan.baseline is not None:
-        _require_again(stored.job, plan.baseline.job_figures, source, "baseline.job")
-        if stored.free is not None and plan.baseline.free_figures is not None:
-            _require_again(stored.free, plan.baseline.free_figures, source, "baseline.free")
-    return replace(plan, job=job)
+    segments = tuple(
+        replace(segment, certificate=certificate)
+        for segment, (certificate, _) in zip(plan.job.segments, certified, strict=True)
+    )
+    strokes = [
+        _measured(plan, stroke, segment)
+        for stroke, segment in zip(plan.strokes, Job(segments=segments).strokes, strict=True)
+    ]
+    own = ("scene", "options", "robot", "sag", "missing", "fallbacks", "stopped", "seconds")
+    given = {name: getattr(plan, name) for name in own}
+    again = Plan.of(strokes, clearances, job=Job(segments=segments), **given)
+    hashes = HashesFile(**data["hashes"])
+    record = plan_record(again, hashes)
+    given_again = ("certificate", "scene", "versions", "accuracy", "sway")
+    expected = record | {name: data[name] for name in given_again}
+    for stored, entry in zip(data["segments"], record["segments"], strict=True):
+        entry["certificate"] = stored["certificate"]
+    require_same(data, expected, source, "", _SAME, _SAME_ZERO)
+    require_same(_drawn(data), _drawn(record), source, "", _SAME_DRAWN, _SAME_ZERO)
+    seconds = [
+        replace(segment, certificate=replace(certificate, checks=(*certificate.checks, *checks)))
+        for segment, (certificate, checks) in zip(segments, certified, strict=True)
+    ]
+    for segment in seconds:
+        segment.certificate.require()
+    return replace(plan, job=Job(segments=tuple(seconds)))
 
 
-def _verify_baseline(robot: Robot, task: ToolTask, baseline: StrokeBaseline, source: Path, key: str) -> None:
-    """Refuse figures of a baseline that are not those of its motion."""
-    _require_again(baseline.figures, figures(robot, baseline.samples), source, key)
-    for name, value in _along_baseline(robot, task, baseline.samples).items():
-        require_same(getattr(baseline, name), value, str(source), f"{key}.{name}", _SAME, _SAME_ZERO)
+def _drawn(data: Mapping[str, Any]) -> dict[str, Any]:
+    """What is drawn in single precision; by names, since the order is that of the sizes."""
+    accuracy = data["accuracy"] and dict(data["accuracy"])
+    for listed in ("parts", "remedies") if accuracy else ():
+        accuracy[listed] = sorted(accuracy[listed], key=lambda entry: entry["name"])
+    return {"accuracy": accuracy, "sway": data["sway"]}
 
 
-def _certified(plan: Plan, number: int, clearances: Clearances) -> Certificate:
-    """Return a new certificate of a segment, by the scene and its neighbours, and by a second opinion."""
+def _measured(plan: Plan, stroke: StrokePlan, segment: Segment) -> StrokePlan:
+    """A stroke with figures of its baseline and peaks of its objective that are measured again."""
+    baseline = stroke.baseline
+    if baseline is not None:
+        measured, beside = (
+            figures(plan.robot, baseline.samples),
+            _along_baseline(plan.robot, stroke, baseline),
+        )
+        baseline = replace(baseline, figures=measured, **beside)
+    if stroke.objective.own:
+        return replace(stroke, baseline=baseline)
+    objective = objective_metrics(
+        objective_of(plan.robot, plan.options, sag=_sag(plan.scene, plan.robot, plan.options)),
+        plan.options,
+        own=False,
+        baseline=baseline,
+        planned=(segment.figures, segment.trajectory),
+        floor=stroke.objective.floor,
+    )
+    return replace(stroke, baseline=baseline, objective=objective)
+
+
+def _certified(plan: Plan, number: int, clearances: Clearances) -> tuple[Certificate, tuple[Check, ...]]:
+    """Return a new certificate of a segment, by the scene and its neighbours, and a second opinion."""
     robot, options, segments = plan.robot, plan.options, plan.job.segments
     segment = segments[number]
     at_work, trajectory = segment.kind == "stroke", segment.trajectory
@@ -422,40 +481,20 @@ def _certified(plan: Plan, number: int, clearances: Clearances) -> Certificate:
         last = number + 1 == len(segments)
         after = np.array(end_posture_of(plan.scene, robot)) if last else segments[number + 1].trajectory.q[0]
         certificate = certify_move(robot, segment.task, trajectory, clearances, options, before, after)
-    checks = second_opinion(plan.scene, options, trajectory, robot=robot, stroke=stroke, sag=sag)
-    return replace(certificate, checks=(*certificate.checks, *checks))
+    return certificate, second_opinion(plan.scene, options, trajectory, robot=robot, stroke=stroke, sag=sag)
 
 
-def _along_baseline(robot: Robot, task: ToolTask, baseline: Samples) -> dict[str, float]:
+def _along_baseline(robot: Robot, stroke: StrokePlan, baseline: StrokeBaseline) -> dict[str, Any]:
     """What a stroke has of its baseline beside the figures: `drift` and `smallest_singular_value`."""
-    kinematics, task = Kinematics(robot), task.on_axis
+    kinematics, samples, task = Kinematics(robot), baseline.samples, stroke.task.on_axis
     smallest = np.inf
-    for q in baseline.q:
+    for q in samples.q:
         X_WT, J = kinematics.tool_jacobian(q)
         J = task.jacobian(X_WT.rotation, robot.metric.positions(J))
         smallest = min(smallest, float(np.linalg.svd(J, compute_uv=False)[-1]))
-    away = baseline.tool_point - task.path.poses(baseline.t).point
+    away = samples.tool_point - task.path.poses(samples.t).point
     drift = float(np.linalg.norm(away, axis=1).max())
     return {"drift": drift, "smallest_singular_value": smallest}
-
-
-def _verify_objective(plan: Plan, stroke: StrokePlan, source: Path, key: str) -> None:
-    """Refuse peaks of the objective that are not those of the motions."""
-    (segment,) = (each for each in plan.job.strokes if each.name == stroke.name)
-    fresh = objective_metrics(
-        objective_of(plan.robot, plan.options, sag=_sag(plan.scene, plan.robot, plan.options)),
-        plan.options,
-        own=False,
-        baseline=stroke.baseline,
-        planned=(segment.figures, segment.trajectory),
-        floor=stroke.objective.floor,
-    )
-    _require_again(stroke.objective, fresh, source, key)
-
-
-def _require_again(stored: Any, fresh: Any, source: Path, key: str) -> None:
-    """Refuse figures that differ from those that are measured again."""
-    require_same(asdict(stored), asdict(fresh), str(source), key, _SAME, _SAME_ZERO)
 
 
 @contextmanager

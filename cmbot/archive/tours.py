@@ -5,20 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
 
-from cmbot.archive.consistency import require_same
-from cmbot.archive.folder import read_folder, without_hashes
+from cmbot.archive.consistency import Entry, require_same
+from cmbot.archive.folder import read_folder
 from cmbot.archive.names import PLAN_FILE, TOUR_FILE, WALK_FILE
 from cmbot.archive.reading import load_plan
 from cmbot.archive.walks import load_walk
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import FileModel, given_path, validated
+from cmbot.common.validation import given_path, validated
 from cmbot.planning import Plan
 from cmbot.scene import Scene
 from cmbot.stances import Candidate
@@ -50,24 +50,13 @@ class TourPart:
     __repr__ = short_repr
 
 
-class _PartFile(FileModel):
+class _PartFile(Entry):
     name: Annotated[str, Field(pattern=r"^(work|walk)_[1-9]\d{0,3}$")]
-    kind: Literal["work", "walk"]
-    begin: float
-    seconds: float
-    adhesion_needed: float | None
-    strokes: tuple[str, ...] | None = None
-    peak_torque: float | None = None
-    peak_torque_at_work: float | None = None
-    steps: int | None = None
 
 
-class _TourFile(FileModel):
-    format: Literal["cmbot-tour/1"]
-    cmbot: str
+class _TourFile(Entry):
     seconds: float
     parts: Annotated[tuple[_PartFile, ...], Field(min_length=1, max_length=1000)]
-    words: tuple[str, ...]
 
 
 def load_tour(directory: str | Path, *, verify: bool = False) -> tuple[TourPart, ...]:
@@ -111,7 +100,7 @@ def read_tour(folder: Path, read: Callable[[Path], Plan | Walk]) -> tuple[TourPa
     data, _ = read_folder(
         folder, TOUR_FILE, lambda hashes: [name for name in hashes if (folder / name).exists()]
     )
-    file = validated(_TourFile, without_hashes(data), source, ArchiveError)
+    file = validated(_TourFile, data, source, ArchiveError)
     clock, here, parts = 0.0, None, list[TourPart]()
     for k, entry in enumerate(file.parts):
         part, key = TourPart(name=entry.name, begin=clock, motion=read(folder / entry.name)), f"parts[{k}]"
@@ -122,10 +111,9 @@ def read_tour(folder: Path, read: Callable[[Path], Plan | Walk]) -> tuple[TourPa
             got = f"{entry.name}: another stance or posture"
             raise ArchiveError(source, f"{key}.name", got, "that in which the part before ends")
         parts.append(part)
-        record = WALK_FILE if entry.kind == "walk" else PLAN_FILE
-        first, file_of_part = parts[0], str(folder / entry.name / record)
+        first, record = parts[0], PLAN_FILE if isinstance(part.motion, Plan) else WALK_FILE
         own, common = bridge_of(part.motion.scene), bridge_of(first.motion.scene)
-        require_same(own, common, file_of_part, "scene", why=f"in {first.name}")
+        require_same(own, common, str(folder / entry.name / record), "scene", why=f"in {first.name}")
         clock, here = clock + found["seconds"], ends
     require_same(file.seconds, clock, source, "seconds", _SAME, _SAME, "its parts say")
     return tuple(parts)

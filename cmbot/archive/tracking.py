@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ConfigDict
 
+from cmbot.archive.consistency import Entry
 from cmbot.archive.folder import read_folder
 from cmbot.archive.names import PLAN_FILE, TRACKING_FILES
-from cmbot.archive.places import add_results, require_no_results, shown_files
+from cmbot.archive.places import add_results
 from cmbot.archive.strict_json import json_bytes, read_json
 from cmbot.archive.tables import read_table, table_csv
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError
-from cmbot.common.validation import FileModel, given_path, require_type, shown, validated
+from cmbot.common.validation import given_path, require_type, shown, validated
 from cmbot.planning import Plan, require_plan
 from cmbot.simulation import (
     MotionTracking,
@@ -40,21 +39,15 @@ _COLUMNS = ("t", *(f"{part}_{axis}" for part in ("error", "static") for axis in 
 _BASE = tuple(f"{part}_{axis}" for part in ("base", "base_rotation") for axis in "xyz")
 
 
-class _Entry(FileModel):
-    """What is read of an entry; all else is computed again."""
-
-    model_config = ConfigDict(extra="ignore")
-
-
-class _Mode(_Entry):
+class _Mode(Entry):
     frequency: float
 
 
-class _Motion(_Entry):
+class _Motion(Entry):
     modes: tuple[_Mode, ...]
 
 
-class _TrackingFile(_Entry):
+class _TrackingFile(Entry):
     options: SimulationOptions
     seconds: float
     interval: tuple[StiffnessCase, ...] = ()
@@ -113,21 +106,8 @@ def save_tracking(
         if motion.base is not None:
             table, columns = np.column_stack([table, motion.base]), _COLUMNS + _BASE
         contents[name] = table_csv(columns, table, name)
-    pages = shown_files(added)
     contents[_METRICS] = json_bytes(tracking_json(tracking), indent=2)
-    return add_results(folder, contents | pages, partial(require_no_tracking, force=force))
-
-
-def require_no_tracking(directory: str | Path, *, force: bool = False) -> None:
-    """Refuse a directory that `save_tracking` would refuse, before the simulation.
-
-    Raises
-    ------
-    ArchiveError
-        When tracking errors are there and are not to be replaced.
-    """
-    expected = "a plan without tracking errors; --force (in Python force=True) replaces them"
-    require_no_results(directory, TRACKING_FILES, expected, force=force)
+    return add_results(folder, contents, added, force=force)
 
 
 def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:

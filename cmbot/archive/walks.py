@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
-from cmbot.archive.consistency import require_same
-from cmbot.archive.folder import read_folder, without_hashes
+from cmbot.archive.consistency import Entry, require_same
+from cmbot.archive.folder import read_folder
 from cmbot.archive.names import WALK_FILE
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError
-from cmbot.common.validation import FileModel, given_path, shown, validated
-from cmbot.hold import AdhesionPeak
-from cmbot.planning import Check
+from cmbot.common.validation import given_path, shown, validated
 from cmbot.robot import ARM_JOINTS, Climber, Side
 from cmbot.scene import Scene, StanceFile, foothold_pose
 from cmbot.stances import Candidate, candidate_at, in_the_way, in_world, lift_height
@@ -31,43 +29,28 @@ _ASIDE, _ASLANT, _SAMPLES = 1e-4, 0.05, 300
 # Points of a foot in its frame, m: the middle of its plate, and about its corners.
 _PLATE = np.array([[0.0, 0.0, 0.0], *([x, 0.0, z] for x in (-0.065, 0.065) for z in (-0.075, 0.075))])
 
-_Row = tuple[float, ...]
-_Seconds = Annotated[float, Field(ge=0)]
 
-
-class _MoveFile(FileModel):
+class _MoveFile(Entry):
     kind: Kind
-    begin: _Seconds
-    seconds: _Seconds
     holds: tuple[Side, ...]
-    joints: tuple[str, ...]
-    arm: Annotated[_Row, Field(min_length=len(ARM_JOINTS), max_length=len(ARM_JOINTS))]
+    arm: Annotated[tuple[float, ...], Field(min_length=len(ARM_JOINTS), max_length=len(ARM_JOINTS))]
     knots: QuinticTrajectory
-    checks: tuple[Check, ...]
 
 
-class _StepFile(FileModel):
+class _StepFile(Entry):
     foot: Side
-    start: Annotated[str, Field(alias="from")]
-    to: str
     before: StanceFile
     after: StanceFile
     moves: Annotated[tuple[_MoveFile, ...], Field(min_length=1)]
 
 
-class _WalkFile(FileModel):
-    format: Literal["cmbot-walk/1"]
-    cmbot: str
+class _WalkFile(Entry):
     scene: Scene
     goal: StanceFile
-    seconds: _Seconds
     max_foot_speed: Annotated[float, Field(gt=0)]
-    adhesion_needed: AdhesionPeak | None
-    effort_used: float
     steps: Annotated[tuple[_StepFile, ...], Field(min_length=1)]
     last: _MoveFile | None
     failures: tuple[str, ...]
-    words: tuple[str, ...]
 
 
 def load_walk(directory: str | Path) -> Walk:
@@ -98,7 +81,7 @@ def load_walk(directory: str | Path) -> Walk:
     """
     folder = given_path(directory, "cmbot.load_walk", "directory", "the path of a folder")
     path, (data, _) = folder / WALK_FILE, read_folder(folder, WALK_FILE, lambda hashes: ())
-    file = validated(_WalkFile, without_hashes(data), str(path), ArchiveError)
+    file = validated(_WalkFile, data, str(path), ArchiveError)
     scene = file.scene.with_source(str(path))
     reader = _Reader(str(path), scene, file.max_foot_speed)
     steps = tuple(reader.step(step, f"steps[{k}]") for k, step in enumerate(file.steps))
@@ -107,8 +90,8 @@ def load_walk(directory: str | Path) -> Walk:
     last = None if file.last is None else reader.move(file.last, "last", "arm")
     failures, speed = file.failures, file.max_foot_speed
     walk = Walk(scene=scene, goal=goal, steps=steps, last=last, failures=failures, speed=speed)
-    again = walk_data(walk) | {"scene": data["scene"], "cmbot": file.cmbot}
-    require_same(without_hashes(data), again, str(path), "", _SAME, _SAME_ZERO)
+    again = walk_data(walk) | {name: data.get(name) for name in ("scene", "cmbot")}
+    require_same(data, again, str(path), "", _SAME, _SAME_ZERO)
     return walk
 
 
@@ -124,7 +107,6 @@ class _Reader:
         self._world, self._climber = in_world(self.scene), Climber()
         self._here = stance_of(self.scene)
         self._arm, self._angles = np.array(self.scene.posture), self._here.climber
-        self._clock = 0.0
 
     def node(self, file: StanceFile, key: str) -> Candidate:
         """The stance of an entry; the climber has to reach both feet."""
@@ -209,10 +191,6 @@ class _Reader:
         """A move from where the walk is, which goes on where it ends."""
         if kind is not None and file.kind != kind:
             raise self._error(f"{key}.kind", file.kind, kind)
-        if abs(file.begin - self._clock) > _SAME * max(self._clock, 1.0):
-            raise self._error(
-                f"{key}.begin", f"{file.begin:g}", f"{self._clock:g}, where the one before ends"
-            )
         arm, trajectory = np.array(file.arm), file.knots
         self._require_posture(arm, self._arm, f"{key}.arm")
         both: tuple[Side, ...] = (1,) if self._here.stance.foot_2 is None else (1, 2)
@@ -222,8 +200,6 @@ class _Reader:
         if trajectory.q.shape[1] != number:
             raise self._error(f"{key}.knots.q", f"{trajectory.q.shape[1]} columns", f"{number}")
         move = certified_move(self._world, self._here, file.kind, file.holds, arm, trajectory, self.speed)
-        if move.robot.joints != file.joints:
-            raise self._error(f"{key}.joints", shown(list(file.joints)), shown(list(move.robot.joints)))
         # On foot 2 the joints are in the other order.
         turn = -1 if file.holds == (2,) else 1
         first, end = trajectory.q[0][::turn], trajectory.q[-1][::turn]
@@ -232,7 +208,6 @@ class _Reader:
             self._arm = end
         else:
             self._angles = end
-        self._clock += trajectory.duration
         return move
 
     def _require_posture(self, found: FloatArray, expected: FloatArray, key: str) -> None:

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from cmbot.archive.folder import write_file
+from cmbot.archive.folder import claim, replace_folder, write_file
 from cmbot.archive.knots import knots_npz
 from cmbot.archive.names import BASELINE_FILE, JOB_FILES, PLAN_FILE
-from cmbot.archive.places import shown_files, write_plan_files
-from cmbot.archive.plan_file import PlanFile, hashes_of
+from cmbot.archive.places import require_free, shown_files
+from cmbot.archive.plan_file import PlanFile, hashes_of, plan_record
 from cmbot.archive.tables import samples_csv
 from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import given_path, validated
@@ -69,10 +69,12 @@ def save(
     }
     if plan.baseline is not None:
         contents[BASELINE_FILE] = samples_csv(plan.baseline.samples, BASELINE_FILE)
-    record = PlanFile.of_plan(plan, hashes_of(plan)).as_data()
+    record = plan_record(plan, hashes_of(plan))
     # What could not be read back is not written.
     validated(PlanFile, record, PLAN_FILE, ArchiveError)
-    write_plan_files(directory, record, contents | shown, force=force)
+    with claim(directory) as target:
+        require_free(directory, force=force)
+        replace_folder(target, PLAN_FILE, record, contents | shown)
     return directory
 
 

@@ -6,9 +6,9 @@ import json
 from dataclasses import asdict
 from typing import Any
 
-from cmbot.archive import save
+from cmbot.archive import save, save_excitation
 from cmbot.common.errors import CmbotError, PlanningError
-from cmbot.planning import baseline_faults, plan, remarks, verdict
+from cmbot.planning import Plan, baseline_faults, plan, remarks, verdict
 from cmbot.scene import load_scene
 
 PLAN_SCENE = f"{__name__}:plan_scene"
@@ -44,6 +44,7 @@ def plan_scene(scene: str, directory: str, *, pages: bool = False) -> dict[str, 
 
         added = pages_of(planned)
     save(planned, directory, force=True, added=added)
+    shaken = _shaken(planned, directory) if planned.scene.excitation is not None else {}
     figures = {"planned_work": planned.figures, "planned_job": planned.job.figures}
     if (baseline := planned.baseline) is not None:
         figures |= {"baseline_work": baseline.figures, "baseline_job": baseline.job_figures}
@@ -56,8 +57,26 @@ def plan_scene(scene: str, directory: str, *, pages: bool = False) -> dict[str, 
         "torque_floor_kind": planned.torque_floor_kind,
         "gap_to_floor": planned.gap_to_floor,
         "planning_seconds": planned.seconds.total,
+        **shaken,
         **{name: asdict(each) for name, each in figures.items()},
         # Where a baseline breaks a limit, no gain on it is one.
         "baseline_work_faults": baseline_faults(planned, work=True),
         "baseline_job_faults": baseline_faults(planned),
+    }
+
+
+def _shaken(planned: Plan, directory: str) -> dict[str, Any]:
+    """Shake the arm of a plan, as its scene says; write what comes of it, and return its figures."""
+    from cmbot.excitation import excite
+
+    excitation = excite(planned)
+    save_excitation(excitation, directory, force=True)
+    accuracy, times = excitation.accuracy, excitation.timetable
+    return {
+        "excitation": {
+            "rms_mm": excitation.rms_mm,
+            "within_mm": None if accuracy is None else accuracy.within_mm,
+            "tolerance_share": None if accuracy is None else accuracy.tolerance_share,
+            "work_s_per_hour": None if times is None else times.work_s,
+        }
     }

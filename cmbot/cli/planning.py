@@ -45,6 +45,8 @@ def _allowed(option: Mapping[str, Any]) -> str:
     """What an option may be, from its JSON Schema."""
     if "enum" in option:
         return ", ".join(option["enum"])
+    if "anyOf" in option:
+        return ", ".join(kind.get("const") or _allowed(kind) for kind in option["anyOf"])
     if "prefixItems" in option:
         return f"a list of {option['minItems']} numbers, each {_allowed(option['prefixItems'][0])}"
     kind = {"boolean": "true or false", "integer": "whole, "}.get(option["type"], "")
@@ -57,7 +59,7 @@ def _allowed(option: Mapping[str, Any]) -> str:
 class PlanCommand(Writing):
     """Plan a scene, print what was gained, write a plan directory with a replay and a report.
 
-    Examples: cmbot plan triangle -o out/triangle, cmbot plan triangle --set compensate=true --set
+    Examples: cmbot plan triangle -o out/triangle, cmbot plan triangle --set compensate=false --set
     robot.payload_kg=2
     """
 

@@ -65,9 +65,9 @@ class SimulateCommand(Writing):
         with claimed_plan(directory) as loaded:
             if self.stiffness_share is None:
                 options = replace(options, stiffness_share=loaded.options.quiet_stiffness_share)
-            from cmbot.archive import require_no_tracking
+            from cmbot.archive import TRACKING_FILES, require_absent
 
-            require_no_tracking(directory, force=self.force)
+            require_absent(directory, TRACKING_FILES, force=self.force)
             require_plots(self.figures)
             with ConsoleProgress(quiet=self.quiet) as progress:
                 progress.stage("simulating", 0.0)
@@ -78,7 +78,8 @@ class SimulateCommand(Writing):
                 err.show_sign("writing …")
             from cmbot.views import REPORT, pages
 
-            added = pages(loaded, tracking) | plot_files(tracking, self.figures)
+            excitation = cmbot.load_excitation(directory)
+            added = pages(loaded, tracking, excitation) | plot_files(tracking, self.figures)
             written = cmbot.save_tracking(tracking, directory, force=self.force, added=added)
 
         def say() -> None:
@@ -176,7 +177,7 @@ def _summary(plan: Plan, tracking: Tracking) -> dict[str, Any]:
     return {
         "scene": plan.scene.name,
         **_without(tracking_json(tracking), _LEFT_OUT),
-        "remarks": [*tracking_remarks(tracking, compensated=plan.options.compensate), *_rigid(plan)],
+        "remarks": [*tracking_remarks(tracking, compensated=plan.compensation is not None), *_rigid(plan)],
     }
 
 
@@ -224,7 +225,7 @@ def _print_summary(plan: Plan, tracking: Tracking) -> None:
         tracking_verdict,
     )
 
-    rows = list(tracking_summary(tracking, compensated=plan.options.compensate))
+    rows = list(tracking_summary(tracking, compensated=plan.compensation is not None))
     print_table(f"{plan.scene.name}, mm", tracking.headings, rows, text_columns=1)
     if others := list(interval_rows(plan, tracking)):
         print_table("With another stiffness", interval_headings(tracking), others, text_columns=2)
@@ -240,7 +241,7 @@ def _print_tracking(plan: Plan, tracking: Tracking) -> None:
 
     headings = ("", "", "x", "y", "z", "norm")
     print_table(f"{plan.scene.name}, mm", headings, list(tracking_rows(tracking)), text_columns=2)
-    for remark in tracking_remarks(tracking, compensated=plan.options.compensate):
+    for remark in tracking_remarks(tracking, compensated=plan.compensation is not None):
         out.print(remark)
 
 
@@ -248,24 +249,27 @@ def _print_tracking(plan: Plan, tracking: Tracking) -> None:
 class ExciteCommand(Writing):
     """Shake a plan's arm by trains, records or wind, as its scene says; add how its tool sways, and a page.
 
+    The plan's report is written anew, with these figures in it.
+
     Example: cmbot excite out/triangle
     """
 
     directory: Path = argument("A plan directory.", "DIR")
 
     def __call__(self) -> None:
-        from cmbot.archive import excitation_json, require_no_excitation
+        from cmbot.archive import EXCITATION_FILE, excitation_json, require_absent
         from cmbot.excitation import PASSAGE_HEADINGS, excitation_rows, excitation_sentences, passage_rows
 
         directory = self.directory
         with claimed_plan(directory) as plan:
-            require_no_excitation(directory, force=self.force)
+            require_absent(directory, [EXCITATION_FILE], force=self.force)
             if not self.quiet:
                 err.show_sign("shaking …")
             excitation = cmbot.excite(plan)
-            from cmbot.views import EXCITATION, excitation_page
+            from cmbot.views import EXCITATION, REPORT, excitation_page, report_page
 
-            added = {EXCITATION: excitation_page(plan, excitation)}
+            report = report_page(plan, cmbot.load_tracking(plan, directory), excitation)
+            added = {EXCITATION: excitation_page(plan, excitation), REPORT: report}
             written = cmbot.save_excitation(excitation, directory, force=self.force, added=added)
 
         def say() -> None:

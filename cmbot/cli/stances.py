@@ -181,7 +181,7 @@ class TourCommand(Reporting):
         loaded = [cmbot.load_scene(scene) for scene in self.scenes]
         name = "_".join(each.name for each in loaded)
         directory = self.output or Path("out") / f"{name}_tour"
-        from cmbot.archive import require_new_folder
+        from cmbot.archive import require_free
         from cmbot.stances import StandOptions
         from cmbot.stances.walking import WalkOptions, tour_data
         from cmbot.stances.walking import tour as find
@@ -200,7 +200,7 @@ class TourCommand(Reporting):
 
         found = self.work_in(
             directory,
-            lambda: require_new_folder(directory),
+            lambda: require_free(directory),
             lambda progress: find(loaded, ranking, walking, progress.stage),
             lambda found: _write_tour(directory, found),
             self.scenes,

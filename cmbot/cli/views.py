@@ -149,7 +149,7 @@ def _size(text: str) -> tuple[int, int]:
 class ReportCommand(Command):
     """Write a page that says what a plan gains and what it keeps: replay, plots and tables.
 
-    Tracking errors are in it when the plan has been simulated.
+    Tracking errors are in it when the plan has been simulated, and what shakes it after `cmbot excite`.
 
     Example: cmbot report out/triangle
     """
@@ -163,13 +163,15 @@ class ReportCommand(Command):
         if html is not None:
             loaded = cmbot.load_plan(directory)
             require_new(html, self.force)
-            cmbot.report(loaded, html=html, tracking=cmbot.load_tracking(loaded, directory))
+            tracking, excitation = cmbot.load_tracking(loaded, directory), cmbot.load_excitation(directory)
+            cmbot.report(loaded, html=html, tracking=tracking, excitation=excitation)
             out.print(f"Written to {one_line(html)}.")
             return
         from cmbot.views import REPORT, report_page
 
         with claimed_plan(directory) as loaded:
-            page = report_page(loaded, cmbot.load_tracking(loaded, directory))
+            tracking = cmbot.load_tracking(loaded, directory)
+            page = report_page(loaded, tracking, cmbot.load_excitation(directory))
             written = _add(directory, REPORT, page)
         out.print(f"Written to {one_line(written)}.")
 

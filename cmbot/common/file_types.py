@@ -58,3 +58,5 @@ Row = Annotated[FloatArray, _Listed(tuple[float, ...])]
 """An array (n,), as a list."""
 Rows = Annotated[FloatArray, _Listed(tuple[tuple[float, ...], ...])]
 """An array (m, n), as a list of lists."""
+Matrices = Annotated[FloatArray, _Listed(tuple[tuple[tuple[float, ...], ...], ...])]
+"""An array (k, m, n), as lists of lists of lists."""

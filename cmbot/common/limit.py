@@ -15,6 +15,8 @@ class Limit(StrEnum):
     RATES = "rates"
     """Velocity, acceleration and jerk of a joint together."""
     JOINT_TORQUE = "joint torque"
+    HOLDING_TORQUE = "holding torque"
+    """What a locked joint between a foot and the arm holds."""
     HOLD = "hold"
     BASE_TORQUE = "base torque"
     CLEARANCE = "clearance"

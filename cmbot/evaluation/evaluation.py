@@ -42,9 +42,11 @@ from cmbot.planning import (
     task_of,
     work_of,
 )
-from cmbot.robot import Robot
+from cmbot.robot import Kinematics, Robot
 from cmbot.scene import PlannerOptions, Scene
 from cmbot.simulation import SimulationOptions
+from cmbot.toolpath import AUTO
+from cmbot.trajectory import QuinticTrajectory
 
 # Between two postures whose sag is computed, s, and postures of a segment at most.
 _SAG_INTERVAL, _POSTURES_OF_SEGMENT = 0.05, 400
@@ -229,7 +231,8 @@ def evaluate(
     v, a : (N, n), optional
         Velocities and accelerations.
     options : PlannerOptions, optional
-        In place of the scene's own.
+        In place of the scene's own. With ``compensate: auto`` the tool that is held to the path is the bent
+        arm's where that is nearer to it than the rigid arm's.
     plan : Plan, optional
         Of the same scene, beside which it is told; strokes then have the timing that was planned.
 
@@ -261,7 +264,11 @@ def evaluate(
         names = [segment.name for segment in plan.job.strokes]
         tasks = [segment.task for segment in plan.job.strokes]
     parts = parts_of_motion(robot, motion.trajectory, tasks, options)
-    sag = sag_of(scene, bending_arm(scene, robot), options) if options.compensate else None
+    compensated = options.compensate
+    if compensated == AUTO:
+        compensated = _follows_bent(bending_arm(scene, robot), motion.trajectory, parts, tasks)
+    options = replace(options, compensate=compensated)
+    sag = sag_of(scene, bending_arm(scene, robot), options) if compensated else None
     judge = _Judge(scene=scene, robot=robot, options=options, names=names, tasks=tasks, sag=sag)
     job = Job(segments=tuple(judge.segments(motion, parts)))
     untimed = {names[part.number] for part in parts if part.number is not None and not part.is_timed}
@@ -274,7 +281,7 @@ def evaluate(
         job=job,
         untimed=tuple(name for name in names if name in untimed),
         missing=tuple(name for name in names if name not in found),
-        bending=_bending(scene, robot, job, untimed, compensated=options.compensate),
+        bending=_bending(scene, robot, job, untimed, compensated=compensated),
         plan=plan,
         planned_bending=None if plan is None else _planned_bending(plan),
     )
@@ -376,6 +383,26 @@ def _bending(scene: Scene, robot: Robot, job: Job, untimed: set[str], *, compens
         return None
     sag, sway = np.max(moved, axis=0)
     return Bending(sag_mm=1e3 * float(sag), sway_mm=1e3 * float(sway), accuracy=accuracy)
+
+
+def _follows_bent(
+    arm: ElasticArm | None, trajectory: QuinticTrajectory, parts: Sequence[Part], tasks: Sequence[ToolTask]
+) -> bool:
+    """Whether a motion leads the bent arm's tool nearer to its timed path than the rigid one's."""
+    rigid = bent = 0.0
+    for part in parts:
+        if arm is None or part.number is None or not part.is_timed:
+            continue
+        path, share = tasks[part.number].path, np.linspace(0.0, 1.0, _POSTURES_OF_SEGMENT)
+        q = trajectory.evaluate(part.begin + share * (part.end - part.begin))
+        point = Kinematics(arm.robot).tool_poses(q)[0]
+        try:
+            sag = Sag(arm).following(q)
+        except TooSoftError:
+            return False
+        off = (path.leg_offset(share * path.duration, each) for each in (point, point + sag))
+        rigid, bent = np.add((rigid, bent), [float(np.linalg.norm(each, axis=1).sum()) for each in off])
+    return bool(bent < rigid)
 
 
 def _moved(arm: ElasticArm, segment: Segment) -> tuple[float, float]:

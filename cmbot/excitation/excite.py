@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from cmbot.accuracy import Accuracy, Shaking
 from cmbot.common.arrays import FloatArray
+from cmbot.common.file_types import Row
 from cmbot.common.representation import short_repr
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.modes import DAMPING
@@ -33,12 +35,12 @@ from cmbot.excitation.response import (
     linear_spectrum,
     modal_response,
 )
-from cmbot.excitation.sway import RandomSway, require_bending, shaken_adhesion, sway_of
+from cmbot.excitation.sway import RandomSway, require_bending, sampled_tool, shaken_adhesion, sway_of
 from cmbot.excitation.trains import Span, passing_pressure
 from cmbot.excitation.wind import AIR_KG_M3, DRAG, gust_spectrum, link_loads
 from cmbot.planning import Plan, require_plan
 from cmbot.scene import DamperFile, ExcitationFile, TrainsFile
-from cmbot.simulation import PrescribedWork, SimulationOptions, elastic_arm_of, track_work
+from cmbot.simulation import MotionTracking, PrescribedWork, SimulationOptions, elastic_arm_of, track_work
 
 # Postures in which the response is computed along the work; those in which trains pass and dampers are tuned.
 _POSTURES, _SOME = 13, slice(None, None, 4)
@@ -58,6 +60,13 @@ class Shaken:
 
     __repr__ = short_repr
 
+    @classmethod
+    def of(cls, tracking: MotionTracking) -> Shaken:
+        """Return the figures of a simulated work."""
+        size = np.linalg.norm(tracking.dynamic, axis=1)
+        k = int(size.argmax())
+        return cls(rms=float(np.sqrt(np.mean(size**2))), peak=float(size[k]), peak_time=float(tracking.t[k]))
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Excitation:
@@ -76,6 +85,8 @@ class Excitation:
         Under the scene's spectrum and gusts; None where nothing is random.
     simulated : Shaken or None
         Under the record from the begin of the work, or the train at the worst of its speeds.
+    accuracy : Accuracy or None
+        The plan's budget with what shakes and leans the arm; None without an excitation in the scene.
     passages : tuple of Passage
     timetable : Timetable or None
     resonances_km_h : tuple of float
@@ -99,6 +110,7 @@ class Excitation:
     reference: RandomSway
     sway: RandomSway | None
     simulated: Shaken | None
+    accuracy: Accuracy | None
     passages: tuple[Passage, ...]
     timetable: Timetable | None
     resonances_km_h: tuple[float, ...]
@@ -106,8 +118,8 @@ class Excitation:
     adhesion: float | None
     adhesion_factor: float
     damper: DamperGain | None
-    curve_hz: FloatArray
-    curve: FloatArray
+    curve_hz: Row
+    curve: Row
     seconds: float
 
     def __repr__(self) -> str:
@@ -183,17 +195,19 @@ class _Excited:
         flat = _with_loads(flat_band())
         moments = [response.moments(flat, BAND_HZ) for response in responses]
         asked = tolerance if self.given is None else None
-        reference = sway_of(self.t, responses, moments, flat, BAND_HZ, asked)
+        drawn = None if asked is None else sampled_tool(self.t, responses, flat, BAND_HZ)
+        reference = sway_of(self.t, responses, moments, asked, drawn)
         spectrum, band = self.random()
         # Against trains and records all frequencies of the band count alike.
         at_random = spectrum is not None and self.kind in ("spectrum", "still")
         damper = self.tuned(spectrum, band) if at_random and spectrum else self.tuned(flat, BAND_HZ)
         if damper is not None:
             responses = [replace(response, damper=damper.damper) for response in responses]
-        sway = None
+        sway, drawn = None, None
         if spectrum is not None:
             moments = [response.moments(spectrum, band) for response in responses]
-            sway = sway_of(self.t, responses, moments, spectrum, band, tolerance)
+            drawn = sampled_tool(self.t, responses, spectrum, band)
+            sway = sway_of(self.t, responses, moments, tolerance, drawn)
         factor, steady = (sway or reference).peak_factor, self.mean_wind()
         still = np.array([response.static(steady) for response in responses])
         needed = list[float | None]()
@@ -201,13 +215,15 @@ class _Excited:
             needed.append(shaken_adhesion(plan.robot, self.wrench + still[:, AXES:], moments, factor))
         passages, times, resonances = self.trains(responses)
         needed += [each.adhesion for each in passages]
+        simulated = self.simulated(passages)
         tool = [response.transfer(_CURVE_HZ)[:, :AXES, :AXES] for response in responses]
         return Excitation(
             kind=self.kind,
             damping=self.damping,
             reference=reference,
             sway=sway,
-            simulated=self.simulated(passages),
+            simulated=None if simulated is None else Shaken.of(simulated),
+            accuracy=None if self.given is None else self.accuracy(drawn, simulated, still[:, :AXES]),
             passages=passages,
             timetable=times,
             resonances_km_h=resonances,
@@ -294,7 +310,24 @@ class _Excited:
         pressure = 0.0 if passing is None else passing_pressure(speed, passing.distance_m, passing.shape)
         return PassageLoad(span=span, train=train, speed=speed, pressure=pressure)
 
-    def simulated(self, passages: Sequence[Passage]) -> Shaken | None:
+    def accuracy(
+        self, drawn: FloatArray | None, simulated: MotionTracking | None, leaning: FloatArray
+    ) -> Accuracy | None:
+        """The plan's budget with random records (N, R, 3), a simulated work, and the mean wind (K, 3)."""
+        t = self.t if simulated is None else simulated.t
+        if drawn is not None:
+            t = np.linspace(0.0, self.work.duration, len(drawn))
+
+        def at_times(times: FloatArray, vectors: FloatArray) -> FloatArray:
+            return np.stack([np.interp(t, times, column) for column in vectors.T], axis=1)
+
+        known = at_times(self.t, leaning)
+        if simulated is not None:
+            known += at_times(simulated.t, simulated.dynamic)
+        tool = known[:, None] if drawn is None else known[:, None] + drawn
+        return self.plan.accuracy_while(Shaking(t=t, tool=tool))
+
+    def simulated(self, passages: Sequence[Passage]) -> MotionTracking | None:
         """The whole work under the record, or under the train at its worst speed, from time 0."""
         deck = None if self.given is None else self.given.deck
         if deck is None:
@@ -308,12 +341,7 @@ class _Excited:
             record = Record(t=t, a=load.inputs(t, AXES))
         else:
             return None
-        tracking = track_work(self.arm, self.work, self.options, sag=self.plan.sag, ground=record.at)
-        size = np.linalg.norm(tracking.dynamic, axis=1)
-        k = int(size.argmax())
-        return Shaken(
-            rms=float(np.sqrt(np.mean(size**2))), peak=float(size[k]), peak_time=float(tracking.t[k])
-        )
+        return track_work(self.arm, self.work, self.options, sag=self.plan.sag, ground=record.at)
 
 
 def _span(trains: TrainsFile) -> Span:

@@ -27,6 +27,11 @@ def excitation_rows(excitation: Excitation) -> Iterator[tuple[str, str]]:
     if shaken is not None:
         value = f"{1e3 * shaken.rms:.2f}, {1e3 * shaken.peak:.2f}"
         yield "by the deck alone, simulated whole: tool, RMS and largest, mm", value
+    if (accuracy := excitation.accuracy) is not None:
+        name = f"tool from its path with {100 * accuracy.probability:g} %, all counted, at most, mm"
+        yield name, f"{accuracy.within_mm:.2f}"
+        if accuracy.tolerance_share is not None:
+            yield "probability of keeping the tolerance, all counted", f"{accuracy.tolerance_share:.3g}"
     if excitation.wind:
         yield "tool under the mean wind, mm", f"{1e3 * excitation.wind:.2f}"
     if excitation.adhesion is not None:

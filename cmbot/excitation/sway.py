@@ -16,6 +16,7 @@ from scipy.fft import irfft, next_fast_len
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
+from cmbot.common.file_types import Matrices, Row
 from cmbot.common.representation import short_repr
 from cmbot.elastic import Guardrail, elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm
@@ -38,8 +39,6 @@ from cmbot.scene import Tolerance
 # Simulated records: how many, their steps a second over the highest frequency, and how many numbers at most;
 # from so many of them that leave the tolerance their share is taken, else the bound by crossings.
 _RECORDS, _FINENESS, _MOST_NUMBERS, _FEWEST_OUTSIDE = 2000, 2.5, 16_000_000, 20
-# Every which posture they are computed in.
-_EVERY_POSTURE = 2
 _FEWEST_RECORDS, _RECORD_SEED = 100, 2021
 # Signs of the six loads of a foot.
 _LOAD_SIGNS = np.array(list(product((-1.0, 1.0), repeat=6)))
@@ -71,11 +70,11 @@ class RandomSway:
         How it was found: ``records``, the share of simulated ones, or ``crossings``, a bound from above.
     """
 
-    t: FloatArray
-    covariance: FloatArray
-    across: FloatArray
-    along: FloatArray
-    first_hz: FloatArray
+    t: Row
+    covariance: Matrices
+    across: Row
+    along: Row
+    first_hz: Row
     peak: float
     peak_factor: float
     leaves: float | None
@@ -152,9 +151,8 @@ def sway_of(
     t: FloatArray,
     responses: Sequence[ModalResponse],
     moments: Sequence[Moments],
-    spectrum: Spectrum,
-    band: tuple[float, float],
-    tolerance: Tolerance | None,
+    tolerance: Tolerance | None = None,
+    records: FloatArray | None = None,
 ) -> RandomSway:
     """Return the sway over a work in K postures.
 
@@ -164,10 +162,9 @@ def sway_of(
     responses : K ModalResponse
     moments : K Moments
         Of all outputs.
-    spectrum : callable
-        Of the inputs.
-    band : (float, float), Hz
-    tolerance : Tolerance or None
+    tolerance : Tolerance, optional
+    records : (N, R, 3), m, optional
+        Simulated ones, `sampled_tool`; they are needed where there is a tolerance.
     """
     covariance = np.array([each.value[:3, :3] for each in moments])
     frames = [_frame(response.axis) for response in responses]
@@ -180,8 +177,8 @@ def sway_of(
     rate = np.sqrt(float(main[worst].rate[0, 0])) / (2 * np.pi * max(sigma[worst], 1e-300))
     factor = davenport_factor(rate, float(t[-1] - t[0]) or 1.0)
     leaves, by = None, None
-    if tolerance is not None:
-        leaves, by = _leaving(t, responses, turned, spectrum, band, tolerance)
+    if tolerance is not None and records is not None:
+        leaves, by = _leaving(t, responses, turned, records, tolerance)
     return RandomSway(
         t=t,
         covariance=covariance,
@@ -199,8 +196,7 @@ def _leaving(
     t: FloatArray,
     responses: Sequence[ModalResponse],
     turned: Sequence[Moments],
-    spectrum: Spectrum,
-    band: tuple[float, float],
+    tool: FloatArray,
     tolerance: Tolerance,
 ) -> tuple[float, str]:
     """Probability that the tool leaves its tolerance in the work, and how it was found."""
@@ -213,8 +209,6 @@ def _leaving(
     for bound, rows in bounds:
         each = np.array([departure_rate(some.along(rows), bound) for some in turned])
         stays *= 1 - probability_of_leaving(t, each[:, 0], each[:, 1])
-    some = slice(None, None, _EVERY_POSTURE) if len(t) % _EVERY_POSTURE == 1 else slice(None)
-    tool = sampled_tool(t[some], responses[some], spectrum, band)
     axes = np.einsum("kn,ki->ni", _shares(t, len(tool)), [response.axis for response in responses])
     along = np.einsum("nri,ni->nr", tool, axes)
     across = np.sqrt(np.maximum(np.einsum("nri,nri->nr", tool, tool) - along**2, 0.0))
@@ -238,7 +232,7 @@ def sampled_tool(
     """Return displacements of the tool (N, R, 3), m, in W, at N equal steps of the work.
 
     They are those under simulated records, which are Gaussian, with random phases and amplitudes, the same
-    in every run. Between postures the responses to the same record are mixed.
+    in every run. Every second posture is taken; between them the responses to the same record are mixed.
 
     Parameters
     ----------
@@ -249,6 +243,8 @@ def sampled_tool(
     records : int
         Fewer where they are long.
     """
+    if len(t) % 2:
+        t, responses = t[::2], responses[::2]
     duration = float(t[-1] - t[0])
     # A record is cut from a periodic one, longer by the time in which the slowest decay forgets.
     N = max(int(_FINENESS * band[1] * duration), 2)

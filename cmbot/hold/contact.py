@@ -22,6 +22,7 @@ from typing import Literal
 
 import numpy as np
 import shapely
+from scipy.spatial.distance import cdist
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.representation import short_repr
@@ -46,8 +47,12 @@ _TABLE_MARGIN, _NEAR_EDGE, _EDGE_FROM = 0.07, 0.25, 0.9
 _STEADY = 0.3
 # Newton's steps at most for pressures, and where they end, as a share.
 _PRESSURE_STEPS, _PRESSURE_CLOSE = 60, 1e-9
-# Loads whose work about all centres is in memory at once.
-_LOADS_AT_ONCE = 1000
+# Centres of turning that are tried of each load before all are: the second is mostly the one that decides.
+_LIKELY_CENTRES = 2
+# Share that rounding to single precision takes from a force at most.
+_SINGLE = 1 - 1e-5
+# Loads whose work about all centres is in memory at once: as many as a processor's cache holds.
+_LOADS_AT_ONCE = 256
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,6 +158,12 @@ def _largest(moment: FloatArray, rows: FloatArray) -> tuple[FloatArray, FloatArr
     return values[np.arange(len(moment)), which], rows[which]
 
 
+def _largest_of_rows(row: IntArray, value: FloatArray) -> IntArray:
+    """The numbers of the largest values of each row, for M values of which each belongs to a row."""
+    order = np.lexsort((-value, row))
+    return np.asarray(order[np.concatenate([[True], np.diff(row[order]) > 0])])
+
+
 @lru_cache(maxsize=64)
 def _tables(contact: Contact) -> _Tables:
     return _Tables(contact)
@@ -193,7 +204,7 @@ class _Tables:
         along = np.sin(np.linspace(-np.pi / 2, np.pi / 2, _TURNING_CENTRES))
         inside = np.array(np.meshgrid(along, along)).reshape(2, -1).T
         self.centres = np.vstack([inside, *circles]) * half
-        away = np.linalg.norm(self._points[:, None] - self.centres, axis=2)
+        away = cdist(self._points, self.centres)
         share = self._areas / self._areas.sum()
         self.mean = self._lowered(share @ away, np.zeros((1, 2)))
         self.by_pressure = (np.linalg.inv(second) @ (self._points.T * share) @ away).T
@@ -211,7 +222,8 @@ class _Tables:
             most = (outer * self.distance[k] - _STEADY * self.mean * (outer - inner)) / inner
             self.distance[k + 1] = np.minimum(self.distance[k + 1], most)
         ring = np.minimum(self.distance[:-1], self.distance[1:])
-        self._least_of_cell = np.minimum(ring[:, :-1], ring[:, 1:])
+        self._most_by_cell = (1 / np.minimum(ring[:, :-1], ring[:, 1:])).astype(np.float32)
+        self._levers = np.array([np.ones(len(self.centres)), self.centres[:, 1], -self.centres[:, 0]])
         self._bounds()
 
     def _lay_bearings(self, hull: FloatArray) -> None:
@@ -226,7 +238,7 @@ class _Tables:
 
     def _lowered(self, distance: FloatArray, e: FloatArray) -> FloatArray:
         """Distances (…, C) less a share of what they have beside that of the centre of pressure."""
-        plain = np.linalg.norm(e[:, None] - self.centres, axis=2).reshape(distance.shape)
+        plain = cdist(e, self.centres).reshape(distance.shape)
         way = _largest(e, self.edges)[0]
         lower = np.interp(way, [_EDGE_FROM, 1.0], [_TABLE_MARGIN, _NEAR_EDGE])
         return np.asarray(distance - lower.reshape(-1, *(1,) * (distance.ndim - 1)) * (distance - plain))
@@ -249,9 +261,10 @@ class _Tables:
         self.by_friction = float((np.linalg.norm(self.centres, axis=1) / least).max())
         self.by_moment = float((slope / least).max())
 
-    def _torsion(self, load: FloatArray, centres: FloatArray) -> FloatArray:
-        """Moment (N, C) about centres of turning (C, 2)."""
-        return np.asarray(load[:, 4:] + load[:, :1] * centres[:, 1] - load[:, 1:2] * centres[:, 0])
+    def _work(self, load: FloatArray, which: IntArray, friction: float) -> FloatArray:
+        """|Moment about a centre each| / friction, (N,)."""
+        c = self.centres[which]
+        return np.asarray(np.abs(load[:, 4] + load[:, 0] * c[:, 1] - load[:, 1] * c[:, 0]) / friction)
 
     def _slope(self, load: FloatArray, which: IntArray, friction: float, by_moment: FloatArray) -> FloatArray:
         """Gradients (N, 5) of |moment about a centre| / friction, and of E by what is given (N, 2)."""
@@ -262,41 +275,58 @@ class _Tables:
 
     def turning_without_gap(self, load: FloatArray, friction: float) -> tuple[FloatArray, FloatArray]:
         """Return P (N,) for turning about any centre, and gradients (N, 5): see `Contact.slip`."""
-        work = np.abs(self._torsion(load, self.centres)) / friction
-        values = (work - load[:, 2:4] @ self.by_pressure.T) / self.mean
-        which = values.argmax(axis=1)
-        slope = self._slope(load, which, friction, -self.by_pressure[which])
-        return values[np.arange(len(load)), which], slope / self.mean[which, None]
+        lever, pressure = (
+            (rows / self.mean).astype(np.float32) for rows in (self._levers, self.by_pressure.T)
+        )
+        # In single precision: it says which centres may decide.
+        turned, pressed = (load[:, [4, 0, 1]] / friction).astype(np.float32), load[:, 2:4].astype(np.float32)
+        rough = np.abs(turned @ lever)
+        rough -= pressed @ pressure
+        size = np.abs(turned) @ np.abs(lever).max(axis=1) + np.abs(pressed) @ np.abs(pressure).max(axis=1)
+        likely = np.flatnonzero(rough >= (rough.max(axis=1) - (1 - _SINGLE) * size)[:, None])
+        row, centre = np.divmod(likely, len(self.centres))
+        by_pressure = self.by_pressure[centre]
+        work = self._work(load[row], centre, friction) - (load[row, 2:4] * by_pressure).sum(axis=1)
+        values = work / self.mean[centre]
+        first = _largest_of_rows(row, values)
+        which = centre[first]
+        slope = self._slope(load, which, friction, -by_pressure[first])
+        return values[first], slope / self.mean[which, None]
 
     def turning_with_gap(
         self, load: FloatArray, friction: float, least: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return P (N,) for turning about any centre, and gradients (N, 5); zero where `least` suffices."""
-        work = np.abs(self._torsion(load, self.centres)) / friction
-        place = self._place(load[:, 2:4])
+        place, rows = self._place(load[:, 2:4]), np.arange(len(load))
         value, slope = np.zeros(len(load)), np.zeros((len(load), 5))
-        first, rows = np.maximum(least, 1e-12), np.arange(len(load))
-        likely = (work / self._least_of_cell[self._between(place, first), place.bearing]).argmax(axis=1)
-        start, _ = self._roots(work[rows, likely], place, first, likely)
+        # In single precision: it says about which centres friction may be too little.
+        work = np.abs((load[:, [4, 0, 1]] / friction).astype(np.float32) @ self._levers.astype(np.float32))
+        start, likely = np.maximum(least, 1e-12), np.zeros(len(load), dtype=np.intp)
+        for _ in range(_LIKELY_CENTRES):
+            best = (work * self._most_by_cell[self._between(place, start), place.bearing]).argmax(axis=1)
+            force, _ = self._roots(self._work(load, best, friction), place, start, best)
+            likely, start = np.where(force > start, best, likely), force
         # Centres about which friction is enough with that are so with more.
-        row, centre = np.nonzero(
-            work >= start[:, None] * self._least_of_cell[self._between(place, start), place.bearing]
-        )
+        most = self._most_by_cell[self._between(place, start), place.bearing]
+        open_ = np.flatnonzero(work * most >= (_SINGLE * start[:, None]).astype(np.float32))
+        row, centre = np.divmod(open_, len(self.centres))
         if not len(row):
             return value, slope
         pair = place[row]
-        force, k = self._roots(work[row, centre], pair, start[row], centre)
+        force, k = self._roots(self._work(load[row], centre, friction), pair, start[row], centre)
         # Of those with which nothing grew, the likely one alone is at its root.
         force[(force <= start[row]) & (centre != likely[row])] = -np.inf
-        order = np.lexsort((-force, row))
-        first = order[np.concatenate([[True], np.diff(row[order]) > 0])]
+        first = _largest_of_rows(row, force)
         first = first[force[first] > np.maximum(least[row[first]], 1e-12)]
         rows, c, pair, k, force = row[first], centre[first], pair[first], k[first], force[first]
         value[rows] = force
-        h, by_way, by_bearing = self._at(pair, force, k, c)
-        by_force = h - pair.tip / force * by_way
+        inner, width = self._ways[k], self._ways[k + 1] - self._ways[k]
+        ends = [[self.distance[a, b, c] for b in (pair.bearing, pair.bearing + 1)] for a in (k, k + 1)]
+        low, high = ((1 - pair.share) * one + pair.share * next_ for one, next_ in ends)
+        by_way, share = (high - low) / width, (pair.tip / force - inner) / width
+        by_bearing = (1 - share) * (ends[0][1] - ends[0][0]) + share * (ends[1][1] - ends[1][0])
         by_moment = -(by_way[:, None] * pair.by_tip + (force * by_bearing)[:, None] * pair.by_bearing)
-        slope[rows] = self._slope(load[rows], c, friction, by_moment) / by_force[:, None]
+        slope[rows] = self._slope(load[rows], c, friction, by_moment) / (low - inner * by_way)[:, None]
         return value, slope
 
     def _place(self, moment: FloatArray) -> _Place:
@@ -322,38 +352,20 @@ class _Tables:
     ) -> tuple[FloatArray, IntArray]:
         """P (M,), from `least` on, with which friction is enough about a centre, and between which ways.
 
-        Between two ways P h is linear in P.
+        Between two ways P h is linear in P, and it grows with P.
         """
-        force, k, rows = least.copy(), self._between(place, least), np.arange(len(work))
-        while len(rows):
-            part, at = place[rows], force[rows]
-            h, by_way, _ = self._at(part, at, k[rows], centre[rows])
-            lack = work[rows] - at * h
-            step = np.maximum(lack / (h - part.tip / at * by_way), 0.0)
-            inner = self._ways[k[rows]]
-            end = np.divide(part.tip, inner, out=np.full(len(rows), np.inf), where=inner > 0)
-            beyond = at + step > end
-            force[rows] = np.where(beyond, end, at + step)
-            rows = rows[beyond]
-            k[rows] -= 1
-        return force, k
+        y, j = place.share, place.bearing
+        h = (1 - y) * self.distance[:, j, centre] + y * self.distance[:, j + 1, centre]
+        enough = place.tip * h[1:] >= work * self._ways[1:, None]
+        k, rows = np.minimum(enough.sum(axis=0), self._between(place, least)), np.arange(len(work))
+        inner, low = self._ways[k], h[k, rows]
+        by_way = (h[k + 1, rows] - low) / (self._ways[k + 1] - inner)
+        return np.maximum((work - place.tip * by_way) / (low - inner * by_way), least), k
 
     def _between(self, place: _Place, force: FloatArray) -> IntArray:
         """The numbers (N,) of the last of the ways that are not beyond places, with a force (N,)."""
         k = np.searchsorted(self._ways, place.tip / force, side="right") - 1
         return np.asarray(np.clip(k, 0, len(self._ways) - 2))
-
-    def _at(
-        self, place: _Place, force: FloatArray, k: IntArray, centre: IntArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Mean distances (M,) from a centre each, and their derivatives by the way and by the bearing."""
-        way = np.minimum(place.tip / force, 1.0)
-        width = self._ways[k + 1] - self._ways[k]
-        x, y, j = (way - self._ways[k]) / width, place.share, place.bearing
-        ends = [[self.distance[a, b, centre] for b in (j, j + 1)] for a in (k, k + 1)]
-        low, high = ((1 - y) * first + y * second for first, second in ends)
-        turned = (1 - x) * (ends[0][1] - ends[0][0]) + x * (ends[1][1] - ends[1][0])
-        return (1 - x) * low + x * high, (high - low) / width, turned
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ not tip, opens no gap where none is allowed, and does not slip: see `Contact`.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -123,8 +123,14 @@ class Holding:
 
     def pressed_without_gap(self, wrench: FloatArray) -> FloatArray:
         """Return the adhesion (N,), N, that a foot but a clamp would need most if no gap might open."""
-        feet = [(replace(self.feet[k], gap="none"), self.load(k, wrench)) for k in self.adhesive]
-        return np.asarray(np.max([needed_by_load(foot, load)[0] for foot, load in feet], axis=0))
+        needed = list[FloatArray]()
+        for number in self.adhesive:
+            foot, load = self.feet[number], self.load(number, wrench)
+            slip = _flat(foot).slip(_turning(load), foot.friction, "none")[0]
+            needed.append(
+                load[:, 2] + np.maximum(np.maximum(_pressed(foot, load, Contact.gap)[0], slip), 0.0)
+            )
+        return np.asarray(np.max(needed, axis=0))
 
     def needed_between(self, number: int, wrench: FloatArray) -> FloatArray:
         """Return an adhesion (N,), N, that suffices a foot for all wrenches between points (N, K, 6)."""
@@ -138,12 +144,21 @@ class Holding:
         away = _growth(foot, np.abs(load - middle[:, None]).reshape(-1, 6)).reshape(wrench.shape[:2])
         return np.asarray(needed_by_load(foot, middle)[0] + away.max(axis=1))
 
-    def worst(self, wrench: FloatArray, time: FloatArray) -> AdhesionPeak:
-        """Return the largest adhesion that wrenches (N, 6) at times (N,), s, need of a foot but a clamp."""
-        each = self.each(wrench)[:, [self.flat.index(number) for number in self.adhesive]]
-        k, column = np.unravel_index(int(each.argmax()), each.shape)
+    def worst(self, wrench: FloatArray, time: FloatArray, needed: FloatArray | None = None) -> AdhesionPeak:
+        """Return the largest adhesion that wrenches need of a foot but a clamp.
+
+        Parameters
+        ----------
+        wrench : (N, 6), N and Nm
+        time : (N,), s
+        needed : (N, k), N, optional
+            What `each` returns of them, where it is known.
+        """
+        columns = [self.flat.index(number) for number in self.adhesive]
+        needed = (self.each(wrench) if needed is None else needed)[:, columns]
+        k, column = np.unravel_index(int(needed.argmax()), needed.shape)
         return self.peak(
-            self.adhesive[int(column)], float(each[k, column]), float(time[k]), wrench[k], wrench
+            self.adhesive[int(column)], float(needed[k, column]), float(time[k]), wrench[k], wrench
         )
 
     def peak(
@@ -268,7 +283,7 @@ def _modes(foot: Foot, load: FloatArray) -> tuple[FloatArray, FloatArray]:
     judged, function = (1, Contact.tip) if foot.gap == "allowed" else (2, Contact.gap)
     pressed[:, judged], by_moment = _pressed(foot, load, function)
     gradient[:, judged, 4], gradient[:, judged, 3] = by_moment[:, 0], -by_moment[:, 1]
-    part = np.column_stack([load[:, :2], _moment(load), load[:, 5]])
+    part = _turning(load)
     # What is beyond all bounds needs an adhesion beyond all bounds.
     good = np.isfinite(part).all(axis=1)
     pressed[~good, 3] = np.inf
@@ -287,6 +302,11 @@ def _flat(foot: Foot) -> Contact:
 def _moment(load: FloatArray) -> FloatArray:
     """The centre of pressure times the pressing force (N, 2), Nm."""
     return np.column_stack([load[:, 4], -load[:, 3]])
+
+
+def _turning(load: FloatArray) -> FloatArray:
+    """Of loads (N, 6) what `Contact.slip` takes, (N, 5)."""
+    return np.column_stack([load[:, :2], _moment(load), load[:, 5]])
 
 
 def _pressed(

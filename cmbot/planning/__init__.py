@@ -61,7 +61,14 @@ from cmbot.planning.workcell.objectives import (
 )
 from cmbot.planning.workcell.stiffness import covariance_of, modelled_stiffness
 from cmbot.planning.workcell.units import unit_findings
-from cmbot.planning.workcell.workcell import Workcell, bending_arm, rigid_arm_remark, robot_of, sag_of
+from cmbot.planning.workcell.workcell import (
+    Workcell,
+    bending_arm,
+    resolved_options,
+    rigid_arm_remark,
+    robot_of,
+    sag_of,
+)
 from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
 __all__ = [
@@ -149,6 +156,7 @@ __all__ = [
     "remarks",
     "replan",
     "require_plan",
+    "resolved_options",
     "rigid_arm_remark",
     "robot_of",
     "sag_of",

@@ -255,9 +255,18 @@ def guess_near(request: StrokeRequest, earlier: QuinticTrajectory) -> InitialGue
 
 
 def problem_near(
-    request: StrokeRequest, guess: InitialGuess, via_points: FloatArray, *, stays: bool = False
+    request: StrokeRequest,
+    guess: InitialGuess,
+    via_points: FloatArray,
+    *,
+    least: float | None = None,
+    near: QuinticTrajectory | None = None,
+    stays: bool = False,
 ) -> TorqueProblem:
     """Return the problem of a guess as `request` asks, near `via_points` (n, d), rad; where it `stays` there.
+
+    Its splines are around those of least jerk, or around the trajectory `near`, whose via-points they are.
+    `least` is what the peak cannot fall below; left out, the guess's.
 
     Raises
     ------
@@ -266,8 +275,8 @@ def problem_near(
     """
     placed = _placed(request, via_points)
     slides = guess.problem.parametrization.retraction is not None and not stays
-    form = parametrization_through(request, placed, sliding=slides, pinned=slides and guess.pinned)
-    return TorqueProblem(request, form, guess.lower_bound.value)
+    form = parametrization_through(request, placed, sliding=slides, pinned=slides and guess.pinned, near=near)
+    return TorqueProblem(request, form, guess.lower_bound.value if least is None else least)
 
 
 def searched(

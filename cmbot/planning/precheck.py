@@ -159,16 +159,27 @@ def _statics_at_start(scene: Scene, robot: Robot, task: ToolTask) -> Precheck:
 
 
 def _hold_at_start(scene: Scene, robot: Robot) -> Precheck:
-    """What the feet bear at rest in the start posture, where the arm begins with its tool off."""
-    holding = robot.holding
-    if holding is None or not holding.bounded:
-        return Precheck(found=(), warnings=())
+    """What feet and locked joints bear at rest in the start posture, with the tool off."""
+    holding, found, warnings = robot.holding, list[tuple[str, str]](), list[Finding]()
     wrench = Dynamics(robot.tool_off).static_efforts(scene.posture[None]).guardrail_wrench
-    use = float(holding.share(wrench)[0][0])
-    got = f"{100 * use:.0f} % of what the feet bear, safety included, at rest"
-    warning = _warning(scene.posture_key, got, "at most 100 %, or feet that bear more: guardrail.hold")
-    found = (("of what the feet bear there, safety included", f"{100 * use:.0f} %"),)
-    return Precheck(found=found, warnings=(warning,) if use > 1.0 else ())
+    if holding is not None and holding.bounded:
+        use = float(holding.share(wrench)[0][0])
+        found.append(("of what the feet bear there, safety included", f"{100 * use:.0f} %"))
+        if use > 1.0:
+            got = f"{100 * use:.0f} % of what the feet bear, safety included, at rest"
+            expected = "at most 100 %, or feet that bear more: guardrail.hold"
+            warnings.append(_warning(scene.posture_key, got, expected))
+    if robot.holding_joints:
+        uses = robot.holding_use(wrench)[0]
+        use, joint = float(uses.max()), robot.holding_joints[int(uses.argmax())]
+        found.append(
+            ("locked joint that bears most there", f"{joint.name}, {100 * use:.0f} % of {joint.limit:g} Nm")
+        )
+        if use > 1.0:
+            got = f"{100 * use:.0f} % of what the locked {joint.name} holds, {joint.limit:g} Nm, at rest"
+            expected = "at most 100 %, or more of holding_torque in the limits file"
+            warnings.append(_warning(scene.posture_key, got, expected))
+    return Precheck(found=tuple(found), warnings=tuple(warnings))
 
 
 def _out_of_reach(strokes: Sequence[Stroke], robot: Robot) -> Iterator[Finding]:

@@ -36,8 +36,6 @@ class Progress:
         After each exchange iteration.
     unit : str
         Of its peak.
-    rounds : int
-        Of the compensation of the sag, this one included; 0 before it.
     step : str
         Of the stage, in words; may be empty.
     share : float or None
@@ -49,7 +47,6 @@ class Progress:
     failed_starts: int = 0
     report: ExchangeReport | None = None
     unit: str = "Nm"
-    rounds: int = 0
     step: str = ""
     share: float | None = None
 
@@ -67,8 +64,6 @@ class Progress:
         report = self.report
         if report is None:
             return text
-        if self.rounds:
-            text = f"compensating the sag, round {self.rounds}"
         # What would print as 0.00 % is within the optimiser's tolerance.
         met = report.worst.value < 5e-5
         worst = f"{report.worst.name} {beyond(report.worst.value)}"
@@ -136,9 +131,9 @@ class ProgressReporter:
             yield thing
         self.part(step, 1, 1)
 
-    def passed(self, report: ExchangeReport, unit: str, rounds: int = 0) -> None:
-        """Report an exchange iteration; `unit` is that of its peak, `rounds` the round of compensation."""
-        self._begin(Progress(stage="optimise", stroke=self._stroke, report=report, unit=unit, rounds=rounds))
+    def passed(self, report: ExchangeReport, unit: str) -> None:
+        """Report an exchange iteration; `unit` is that of its peak."""
+        self._begin(Progress(stage="optimise", stroke=self._stroke, report=report, unit=unit))
 
     def _begin(self, progress: Progress) -> None:
         self._now = progress
@@ -146,4 +141,4 @@ class ProgressReporter:
 
     def _fresh(self, step: str, share: float | None = None) -> Progress:
         """Progress of a step of the present stage."""
-        return replace(self._now, report=None, rounds=0, step=step, share=share)
+        return replace(self._now, report=None, step=step, share=share)

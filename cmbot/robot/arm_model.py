@@ -55,7 +55,7 @@ class ArmModel:
     collision: Any
     read_visual: Callable[[], tuple[Any, Any]]
     group_states: dict[str, FloatArray]
-    holding_joints: tuple[HoldingJoint, ...]
+    locked_joints: tuple[HoldingJoint, ...]
     remarks: tuple[str, ...]
 
 
@@ -100,7 +100,7 @@ def arm_model(
         collision=collision,
         read_visual=lambda: reduced(_visual_shapes(urdf, root, full)),
         group_states=_group_states(tuple(model.names)[1:], semantics),
-        holding_joints=holding_joints(full, moving, stance, base_frame),
+        locked_joints=holding_joints(full, moving, stance, base_frame),
         remarks=(*absent, *assumed, *_drawn_as_boxes(built.unusable), *_thick(built.flat)),
     )
 

@@ -12,18 +12,23 @@ import pinocchio as pin
 from cmbot.common.arrays import FloatArray
 from cmbot.robot.joint_kinds import prismatic_joints, turn_axis
 
+FOOT_2 = "foot_2"
+"""The link of a robot's second foot; its root is the first one."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HoldingJoint:
-    """A locked joint between the root of a robot and the base of its arm.
+    """A locked joint between a foot of a robot and the base of its arm.
 
     Attributes
     ----------
     name : str
+    foot : int
+        Which foot it leads to, from 0, the root.
     point, axis : (3,), m
         Of the joint, in W.
     mass : float, kg
-        Of what does not move beyond it.
+        Of what does not move on the foot's side of it.
     centre : (3,), m
         Centre of that mass, in W.
     limit : float, Nm
@@ -31,6 +36,7 @@ class HoldingJoint:
     """
 
     name: str
+    foot: int
     point: FloatArray
     axis: FloatArray
     mass: float
@@ -42,24 +48,24 @@ class HoldingJoint:
         point, centre = X.act(self.point), X.act(self.centre)
         return replace(self, point=point, axis=X.rotation @ self.axis, centre=centre)
 
-    def torque(self, wrench: FloatArray, foot_point: FloatArray, gravity: FloatArray) -> FloatArray:
-        """Return the torques (N,), Nm, that it holds.
+    def motion(self, about: FloatArray) -> FloatArray:
+        """Return how a point (3,) in W moves as the joint turns by 1 rad: (6,), linear, then angular.
 
-        Parameters
-        ----------
-        wrench : (N, 6), N and Nm
-            Of the moving arm on the base, about `foot_point` in W.
-        foot_point, gravity : (3,), m and m/s2
+        With the wrench on the joint's foot about that point it is also what gives the joint's torque.
         """
-        moment = wrench[:, 3:] - np.cross(self.point - foot_point, wrench[:, :3])
-        still = np.cross(self.centre - self.point, self.mass * gravity)
-        return np.asarray((moment + still) @ self.axis)
+        return np.hstack([np.cross(self.axis, about - self.point), self.axis])
+
+    def own_torque(self, gravity: FloatArray) -> float:
+        """Return the torque, Nm, by the weight on the foot's side of it, which it does not bear."""
+        return float(np.cross(self.centre - self.point, self.mass * gravity) @ self.axis)
 
 
 def holding_joints(
     model: Any, moving: Collection[int], stance: FloatArray, base_frame: str
 ) -> tuple[HoldingJoint, ...]:
     """Return the locked joints between the root and the arm's base, root first; they hold their efforts.
+
+    Then those from there to the second foot of a robot that has one.
 
     Parameters
     ----------
@@ -73,17 +79,24 @@ def holding_joints(
     """
     data, base = model.createData(), model.frames[model.getFrameId(base_frame)].parentJoint
     pin.forwardKinematics(model, data, stance)
-    slides, found = prismatic_joints(model), list[HoldingJoint]()
-    for k in list(model.supports[base])[1:]:
+    bodies = {k for k in range(model.njoints) if k not in moving}
+    to_root, to_foot = list(model.supports[base])[1:], list[int]()
+    if model.existFrame(FOOT_2, pin.FrameType.BODY):
+        foot = model.frames[model.getFrameId(FOOT_2)].parentJoint
+        to_foot = [k for k in list(model.supports[foot])[1:] if k not in to_root and k in bodies]
+    slides, joints = prismatic_joints(model), list[HoldingJoint]()
+    for k in (*to_root, *to_foot):
         if slides[k - 1]:
             continue
-        beyond = [j for j in model.subtrees[k] if j not in moving]
-        masses = np.array([model.inertias[j].mass for j in beyond])
-        centres = np.array([data.oMi[j].act(model.inertias[j].lever) for j in beyond])
+        beyond = set(model.subtrees[k])
+        side = sorted(bodies - beyond if k in to_root else bodies & beyond)
+        masses = np.array([model.inertias[j].mass for j in side])
+        centres = np.array([data.oMi[j].act(model.inertias[j].lever) for j in side])
         effort = float(model.effortLimit[model.joints[k].idx_v])
-        found.append(
+        joints.append(
             HoldingJoint(
                 name=model.names[k],
+                foot=0 if k in to_root else 1,
                 point=np.array(data.oMi[k].translation),
                 axis=np.asarray(data.oMi[k].rotation @ turn_axis(model.joints[k])),
                 mass=float(masses.sum()),
@@ -91,4 +104,4 @@ def holding_joints(
                 limit=effort if effort > 0 else np.inf,
             )
         )
-    return tuple(found)
+    return tuple(joints)

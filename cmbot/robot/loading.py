@@ -198,9 +198,9 @@ def load_robot(
         payload=payload,
         content_hash=_hash(files, content, completed),
         foot_point=tuple(placement.foot_point.tolist()),
-        holding_joints=tuple(
+        locked_joints=tuple(
             replace(placement.placed(joint, made_at), limit=held.get(joint.name, joint.limit))
-            for joint in made.holding_joints
+            for joint in made.locked_joints
         ),
         remarks=(*_left_alone(files), *estimated, *assumed, *made.remarks),
     )

@@ -73,8 +73,8 @@ class Robot:
         O0 in W: where foot 1 holds. The wrench on the guardrail is about it.
     feet : tuple of Foot
         How it holds the guardrail; empty where it stands on something else.
-    holding_joints : tuple of HoldingJoint
-        Joints that are locked between its root, which holds, and the arm's base.
+    locked_joints : tuple of HoldingJoint
+        Those between its root, which holds, and the arm's base, and those from there to a second foot.
     remarks : tuple of str
         What the files do not say and had to be assumed, a sentence each.
     """
@@ -98,7 +98,7 @@ class Robot:
     tool_force: tuple[float, float, float] = _NO_FORCE
     foot_point: tuple[float, float, float] = (0.0, 0.0, 0.0)
     feet: tuple[Foot, ...] = ()
-    holding_joints: tuple[HoldingJoint, ...] = ()
+    locked_joints: tuple[HoldingJoint, ...] = ()
     remarks: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
@@ -233,25 +233,52 @@ class Robot:
         lever = inertia.lever - np.array(self.foot_point)
         return np.cross(lever, inertia.mass * self.model.gravity.linear)
 
+    @property
+    def holding_joints(self) -> tuple[HoldingJoint, ...]:
+        """The locked joints between the arm's base and where it holds: a second foot may be free."""
+        return tuple(joint for joint in self.locked_joints if joint.foot < max(len(self.feet), 1))
+
+    @cached_property
+    def holding_rows(self) -> tuple[FloatArray, FloatArray]:
+        """Rows (k, 6) and constants (k,), Nm, that make torques of `holding_joints` of the arm's wrench."""
+        foot, gravity = np.array(self.foot_point), np.array(self.model.gravity.linear)
+        shares = [each.share for each in self.feet] or [np.eye(6)]
+        rows = [joint.motion(foot) @ shares[joint.foot] for joint in self.holding_joints]
+        borne = np.array(rows).reshape(-1, 6)
+        own = np.array([joint.own_torque(gravity) for joint in self.holding_joints])
+        return borne, borne @ self._carrier_wrench - own
+
     def holding_torque(self, wrench: FloatArray) -> FloatArray:
-        """Return the torques (N, k), Nm, of `holding_joints`, where foot 1 alone holds.
+        """Return the torques (N, k), Nm, of `holding_joints`.
 
         Parameters
         ----------
         wrench : (N, 6), N and Nm
             Of the moving arm on the guardrail, about O0 in W.
         """
-        foot, gravity = np.array(self.foot_point), np.array(self.model.gravity.linear)
-        each = [joint.torque(wrench, foot, gravity) for joint in self.holding_joints]
-        return np.array(each).reshape(len(each), len(wrench)).T
+        rows, constant = self.holding_rows
+        return np.asarray(wrench @ rows.T + constant)
+
+    def holding_use(self, wrench: FloatArray) -> FloatArray:
+        """Return the shares (N, k) of what `holding_joints` hold; `wrench` as of `holding_torque`."""
+        return np.asarray(np.abs(self.holding_torque(wrench)) / self.holding_limits)
+
+    @property
+    def holding_limits(self) -> FloatArray:
+        """What `holding_joints` hold, (k,), Nm; infinite where nothing says it."""
+        return np.array([joint.limit for joint in self.holding_joints])
+
+    @property
+    def _carrier_wrench(self) -> FloatArray:
+        """Wrench (6,) of `carrier_mass` on the guardrail, about O0."""
+        return np.hstack([self.carrier_mass * self.model.gravity.linear, self.carrier_torque])
 
     @cached_property
     def holding(self) -> Holding | None:
         """What its feet bear; None without a foot that has a flat contact or bounds."""
         if not any(foot.contact is not None or foot.bounded for foot in self.feet):
             return None
-        weight = self.carrier_mass * self.model.gravity.linear
-        return Holding(self.feet, np.hstack([weight, self.carrier_torque]))
+        return Holding(self.feet, self._carrier_wrench)
 
     def posture(
         self,

@@ -38,7 +38,7 @@ class ToolShapeFile(FileModel):
     xyz: Vector = (0.0, 0.0, 0.0)
     """Centre (of a mesh: its origin), m."""
     rpy_deg: Angles = _NOT_TURNED
-    """Roll, pitch, yaw as in URDF: R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Roll, pitch, yaw as in URDF."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -68,7 +68,7 @@ class AttachedToolFile(FileModel):
     xyz: Vector
     """The tool point, m."""
     rpy_deg: Angles = _NOT_TURNED
-    """How the tool's frame is turned, whose z axis is the tool's: R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    """How the tool's frame is turned, whose z axis is the tool's."""
     mass_kg: Mass = 0.0
     """Mass, kg."""
     com: Vector | None = None

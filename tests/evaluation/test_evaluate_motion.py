@@ -186,7 +186,7 @@ def test_arguments_that_are_no_motion(t: object, q: object, told: str) -> None:
 
 def test_the_command_tells_motion_and_plan(tmp_path: Path) -> None:
     told = output("evaluate", "line", "--motion", TOPPRA, "-o", tmp_path / "out")
-    assert "peak torque on the guardrail, whole job, Nm" in told and "Certified: 6 checks hold" in told
+    assert "peak torque on the guardrail, whole job, Nm" in told and "Certified: 8 checks hold" in told
     record = json.loads((tmp_path / "out" / "evaluation.json").read_text(encoding="utf-8"))
     assert record["format"] == "cmbot-evaluation/1" and record["untimed"] == ["work"]
     assert (

@@ -60,6 +60,32 @@ def test_a_train_moves_the_tool_and_the_base(trains: cmbot.Excitation) -> None:
     assert trains.adhesion >= fast.adhesion
 
 
+def test_it_is_read_as_it_was_written(trains: cmbot.Excitation, short_plan: Plan, tmp_path: Path) -> None:
+    cmbot.save(short_plan, tmp_path / "plan")
+    cmbot.save_excitation(trains, tmp_path / "plan")
+    read = cmbot.load_excitation(tmp_path / "plan")
+    assert read is not None
+    assert read.passages == trains.passages
+    assert (read.timetable, read.accuracy, read.simulated) == (
+        *(trains.timetable, trains.accuracy),
+        trains.simulated,
+    )
+    assert np.array_equal(read.reference.covariance, trains.reference.covariance)
+
+
+def test_the_budget_counts_what_shakes(short_plan: Plan, trains: cmbot.Excitation) -> None:
+    """By the train as simulated; by gusts and by wind; by nothing where nothing is said of them."""
+    assert trains.accuracy is not None
+    part = next(part for part in trains.accuracy.parts if part.name == "shaking of the base")
+    assert part.sigma_mm == 0
+    assert part.bias_mm <= 1e3 * trains.simulated.peak * (1 + 1e-9)
+    assert trains.accuracy.within_mm > short_plan.accuracy.within_mm + 0.3 * part.bias_mm
+    windy = cmbot.excite(shaken(short_plan, excitation={"wind": {"mean_m_s": 16}}))
+    part = next(part for part in windy.accuracy.parts if part.name == "shaking of the base")
+    assert 0 < part.bias_mm <= 1e3 * windy.wind * (1 + 1e-9)
+    assert cmbot.excite(short_plan).accuracy is None
+
+
 def test_the_hour_is_what_trains_leave(trains: cmbot.Excitation) -> None:
     times = trains.timetable
     assert times is not None

@@ -73,7 +73,8 @@ def swayed(tolerance: Tolerance | None) -> RandomSway:
     response, spectrum = two_modes(), flat_band()
     t = np.linspace(0.0, SECONDS, 3)
     moments = [response.moments(spectrum, BAND)] * 3
-    return sway_of(t, [response] * 3, moments, spectrum, BAND, tolerance)
+    records = sampled_tool(t, [response] * 3, spectrum, BAND)
+    return sway_of(t, [response] * 3, moments, tolerance, records)
 
 
 @pytest.mark.parametrize("share", [0.03, 0.1, 0.25, 0.45])

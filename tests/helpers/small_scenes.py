@@ -29,7 +29,7 @@ SHORT: dict[str, Any] = {
         "speed_profile": {"kind": "trapezoidal"},
         "via_points": 8,
     },
-    "planner": {"knots": "fixed", "path_step_s": 0.02, "baseline": "paper"},
+    "planner": {"knots": "fixed", "path_step_s": 0.02, "baseline": "paper", "compensate": False},
 }
 
 
@@ -61,7 +61,7 @@ def strokes_scene(**planner: Any) -> Scene:
         "tool": {"process_force_n": [0, 0, -40]},
         "tool_path": {"strokes": [there, back]},
         "return": "start",
-        "planner": {"path_step_s": 0.02, "baseline": "paper", **planner},
+        "planner": {"path_step_s": 0.02, "baseline": "paper", "compensate": False, **planner},
     }
     return load_scene({**copy.deepcopy(SHORT), **changes})
 

@@ -117,7 +117,7 @@ def scene_data(
         "robot": robot,
         "start": {"posture_deg": posture},
         "tool_path": tool_path,
-        "planner": planner,
+        "planner": {"compensate": False, **planner},
     }
 
 

@@ -27,8 +27,13 @@ def check_promises(planned: Plan) -> None:
     trajectory, task, kinematics = planned.trajectory, planned.task, Kinematics(planned.robot)
     assert len(trajectory.t) == planned.scene.strokes[0].via_points
     assert trajectory.duration == pytest.approx(sum(leg.seconds for leg in planned.scene.strokes[0].legs))
+    # Where sag is compensated the bent arm's tool is at its place, to a share of what it may deviate.
+    on_place = 1e-9 if planned.sag is None else 0.05 * planned.options.max_tool_deviation_m
     for q, goal in zip(trajectory.q, task.path.poses(trajectory.t), strict=True):
-        assert np.abs(task.error(kinematics.tool_pose(q), goal)).max() < 1e-9
+        tool = kinematics.tool_pose(q)
+        if planned.sag is not None:
+            tool.translation = tool.translation + planned.sag.at(q[None]).tool[0]
+        assert np.abs(task.error(tool, goal)).max() < on_place
     # Sampled again at other times, apart from the certificate.
     samples = planned.samples
     assert samples.t[-1] == pytest.approx(trajectory.duration)

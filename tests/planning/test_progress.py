@@ -1,6 +1,5 @@
 """What the planner tells while it plans: shares that never fall, and no figure that is below zero."""
 
-import re
 from itertools import pairwise
 
 import pytest
@@ -10,7 +9,7 @@ from small_scenes import short_scene
 
 import cmbot
 from cmbot.optimization.constraint_set import Violation
-from cmbot.planning import Deadline, ExchangeReport, Plan, Progress, remarks
+from cmbot.planning import Deadline, ExchangeReport, Progress
 from cmbot.planning.progress import ProgressReporter
 
 
@@ -26,7 +25,7 @@ class Listener:
         self.reporter.part(step, done, of)
         return self.told[-1]
 
-    def passed(self, number: int, rounds: int = 0) -> Progress:
+    def passed(self, number: int) -> Progress:
         """Tell of a pass of the exchange."""
         worst = Violation("jerk of joint_1", 0.5)
         report = ExchangeReport(
@@ -38,7 +37,7 @@ class Listener:
             peak_torque=380.0,
             worst=worst,
         )
-        self.reporter.passed(report, "Nm", rounds)
+        self.reporter.passed(report, "Nm")
         return self.told[-1]
 
 
@@ -64,9 +63,8 @@ def test_while_a_scene_is_planned(options: dict[str, object]) -> None:
     stages = [progress.stage for progress in told]
     assert (stages[0], stages[-1]) == ("path", "certify")
     assert stages == sorted(stages, key=["path", "optimise", "certify"].index)
-    # Of the rounds of compensation the plan keeps the last one's passes.
-    reports = tuple(progress.report for progress in told if progress.report)
-    assert made.passes == (reports[-len(made.passes) :] if "compensate" in options else reports)
+    assert made.passes == tuple(progress.report for progress in told if progress.report)
+    assert [report.number for report in made.passes] == list(range(1, len(made.passes) + 1))
     timed = {progress.step for progress in told if progress.share}
     assert "following the tool path as the baseline does" in timed
     if "knots" in options:
@@ -76,23 +74,6 @@ def test_while_a_scene_is_planned(options: dict[str, object]) -> None:
         assert "finding the least torque at rest" in {progress.step for progress in told}
     else:
         assert "following the tool path" in timed
-    if "compensate" in options:
-        check_rounds(made, told)
-    else:
-        assert not any(progress.rounds for progress in told)
-
-
-def check_rounds(made: Plan, told: list[Progress]) -> None:
-    """Of the compensation of the sag: which round it is, and how many are left at most."""
-    passed = [progress for progress in told if progress.report]
-    last, rounds = passed[-1], [progress.rounds for progress in passed]
-    assert rounds == sorted(rounds)
-    assert set(rounds) == set(range(made.compensation.rounds + 1))
-    assert last.sentence().startswith(f"compensating the sag, round {last.rounds}, pass ")
-    assert sum(progress.rounds == last.rounds for progress in told) == len(made.passes)
-    (time,) = (remark for remark in remarks(made) if remark.startswith("Time: "))
-    words = rf"\({len(made.passes)} pass(es)? in the last of {made.compensation.rounds} rounds?\)"
-    assert re.search(words, time)
 
 
 def test_a_wide_self_motion_is_charted_twice() -> None:
@@ -146,7 +127,6 @@ def test_a_pass_is_told_in_words(listener: Listener) -> None:
     listener.reporter.stage("optimise")
     said = listener.passed(2).sentence()
     assert said == "optimising, pass 2 (peak): peak 380.00 Nm, jerk of joint_1 50.00% beyond its bound"
-    assert listener.passed(1, rounds=2).sentence().startswith("compensating the sag, round 2, pass 1 (peak)")
 
 
 def test_nobody_has_to_listen() -> None:

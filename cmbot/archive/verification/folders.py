@@ -19,7 +19,7 @@ from cmbot.archive.verification.asked import looser_promises, require_asked, req
 from cmbot.archive.walks import load_walk
 from cmbot.common.errors import ArchiveError, InputError, LimitViolation
 from cmbot.common.validation import counted, given_path
-from cmbot.planning import Check, Plan
+from cmbot.planning import Check, Plan, resolved_options
 from cmbot.scene import PlannerOptions, Scene, StanceFile
 from cmbot.stances import in_world, joined
 from cmbot.stances.walking import Walk, WalkOptions, goal_stance, second_opinion_of, walk_csv
@@ -175,7 +175,9 @@ def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdi
         else:
             scene = asked.scenes[0] if asked.scenes else None
             part, skipped = read_plan(folder, verify=True, asked=scene, options=asked.options)
-            looser = looser_promises(part.options, part.scene.planner)
+            looser = looser_promises(
+                part.options, resolved_options(part.scene, part.robot, part.scene.planner)
+            )
             skipped = (*_claims(part), *skipped)
         motions = tuple(_motions(name, part))
     except LimitViolation as error:

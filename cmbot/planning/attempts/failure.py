@@ -231,7 +231,15 @@ def _broken(limit: Limit, value: float, bound: float) -> Broken:
             return ToolOff(what=limit, ratio=ratio)
         case Limit.TOOL_SPEED | Limit.PROCESS_SPEED | Limit.SHIFT:
             return ToolOff(what=limit, ratio=ratio)
-        case Limit.POSITION | Limit.HOLD | Limit.BASE_TORQUE | Limit.CONTINUITY | Limit.PEAK | Limit.OTHER:
+        case (
+            Limit.POSITION
+            | Limit.HOLD
+            | Limit.HOLDING_TORQUE
+            | Limit.BASE_TORQUE
+            | Limit.CONTINUITY
+            | Limit.PEAK
+            | Limit.OTHER
+        ):
             return OtherLimit(what=limit)
         case _:
             assert_never(limit)

@@ -15,7 +15,7 @@ from cmbot.planning.attempts.attempt import Attempt
 from cmbot.planning.attempts.failure import Failure, failure_of
 from cmbot.planning.attempts.remedies import is_little_nearer
 from cmbot.planning.certification.certificate import Certificate, certify
-from cmbot.planning.flexibility.sag_compensation import Compensation, compensate
+from cmbot.planning.flexibility.sag_compensation import Compensation, optimise_bent
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression, suppress_vibration
 from cmbot.planning.free_motion.approach import plan_approach
 from cmbot.planning.free_motion.free_move import largest_objective
@@ -151,20 +151,21 @@ def _optimised(
     cell = request.cell
     request.reporter.stage("optimise")
 
-    def each_pass(report: ExchangeReport, rounds: int = 0) -> None:
-        request.reporter.passed(report, cell.objective.unit, rounds)
+    def each_pass(report: ExchangeReport) -> None:
+        request.reporter.passed(report, cell.objective.unit)
 
     compensation = suppression = None
     problem = guess.problem
     try:
-        optimised = optimise(problem, each_pass)
+        if cell.sag is None:
+            optimised = optimise(problem, each_pass)
+        else:
+            optimised, compensation, problem = optimise_bent(request, guess, cell.sag, each_pass)
     except OptimisationFailed as failure:
-        leaps = leap_failure(problem)
+        leaps = leap_failure(guess.problem)
         if leaps is None:
             raise
         raise leaps from failure
-    if cell.sag is not None:
-        optimised, compensation, problem = compensate(request, guess, optimised, cell.sag, each_pass)
     if cell.arm is not None and suppresses_vibration(cell.options):
         optimised, suppression = suppress_vibration(cell.arm, problem, optimised)
     return optimised, compensation, suppression

@@ -148,6 +148,7 @@ def certify(
         checks += _path_checks(task, trajectory, motion, options, via_points, sag, deviation, rotation, lag)
     checks += _speed_checks(task, motion, sag)
     checks += () if hold is None else hold.checks()
+    checks += motion.holding_torque()
     guardrail, mean, rms, static = motion.guardrail_torque()
     if task.max_base_torque is not None:
         checks.append(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -116,6 +116,29 @@ class EnclosedMotion:
             limit=Limit.JOINT_TORQUE,
             joint=robot.joints[joint],
         )
+
+    def holding_torque(self) -> Iterator[Check]:
+        """Yield what each locked joint between the feet and the arm holds."""
+        robot, wrench = self._robot, self._efforts.guardrail_wrench
+        force, torque = (
+            self._pieces.remainder(of) for of in (self._bounds.guardrail_force, self._bounds.guardrail_torque)
+        )
+        held, (rows, _) = robot.holding_torque(wrench), robot.holding_rows
+        for k, joint in enumerate(robot.holding_joints):
+            size = np.linalg.norm(rows[k, :3]) * force + np.linalg.norm(rows[k, 3:]) * torque
+            resolution = _TORQUE_RESOLUTION * float(np.abs(held[:, k]).max())
+            peak = self._highest(
+                held[:, k : k + 1], lambda values, piece: np.abs(values).max(axis=1), size, resolution
+            )
+            yield Check(
+                quantity=f"torque that {joint.name} holds",
+                time=peak.time,
+                value=peak.bound,
+                bound=joint.limit,
+                unit="Nm",
+                limit=Limit.HOLDING_TORQUE,
+                joint=joint.name,
+            )
 
     def guardrail_torque(self) -> tuple[Peak, float, float, float]:
         """Peak, time mean and root mean square of the norm of the torque, and its peak at rest, Nm."""

@@ -187,8 +187,7 @@ def figures(robot: Robot, samples: Samples) -> MotionMetrics:
 
     torque = np.linalg.norm(samples.guardrail_torque, axis=1)
     static = Postures(robot).at(samples.q).guardrail_torque
-    duration, holding = float(samples.t[-1] - samples.t[0]), robot.holding
-    wrench = np.hstack([samples.guardrail_force, samples.guardrail_torque])
+    duration = float(samples.t[-1] - samples.t[0])
     integral = float(np.trapezoid(torque, samples.t))
     return MotionMetrics(
         peak_guardrail_torque=float(torque.max()),
@@ -205,7 +204,14 @@ def figures(robot: Robot, samples: Samples) -> MotionMetrics:
             jerk=use(samples.j, limits.jerk),
             torque=use(samples.joint_torque, limits.torque),
         ),
-        adhesion_needed=holding.worst(wrench, samples.t) if holding and holding.adhesive else None,
+        adhesion_needed=_worst_adhesion(robot, samples),
         duration=duration,
         guardrail_torque_integral=integral,
     )
+
+
+def _worst_adhesion(robot: Robot, samples: Samples) -> AdhesionPeak | None:
+    if robot.holding is None or not robot.holding.adhesive:
+        return None
+    wrench = np.hstack([samples.guardrail_force, samples.guardrail_torque])
+    return robot.holding.worst(wrench, samples.t, samples.adhesion_needed)

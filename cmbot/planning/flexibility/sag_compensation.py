@@ -1,40 +1,40 @@
 """Sag compensation: the tool that is held to the path is the bent arm's.
 
-Near a motion the sag is known to first order in the joints. With it Newton's method finds via-points whose
-bent tool is on the path, and the program of the motion has the bent tool as its task: via-points slide along
-its self-motion, and between them it is its deviation that is bounded. Where the motion leads so
-far away that the sag is another one, it is linearized again there; at last with via-points that stay.
+Near a motion the sag is known to first order in the joints. With it Newton's method finds postures whose bent
+tool is on the path from those of the guess, and the program of the motion has the bent tool as its task:
+via-points slide along its self-motion, and between them it is its deviation that is bounded. Where the
+solution is so far away that the sag is another one, it is linearized there, and the solution is the guess.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import OptimisationFailed
-from cmbot.common.file_types import Count, NonNegative
+from cmbot.common.file_types import NonNegative
 from cmbot.common.limit import Limit
-from cmbot.elastic.sag import Sag
+from cmbot.elastic.sag import Sag, TooSoftError
+from cmbot.optimization import ExchangeReport
 from cmbot.planning.certification.sag_spread import largest_spread
 from cmbot.planning.initial_guess import InitialGuess, problem_near
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.torque import Optimised, TorqueProblem, optimise
 from cmbot.planning.workcell.bent_tool import BentTool
+from cmbot.trajectory import QuinticTrajectory
 
-MOST_ROUNDS = 8
-"""Rounds at most."""
-
-# Rounds in which via-points slide; after them they stay, so that what follows is near what is known.
-_SLIDING_ROUNDS = 2
-
-# The change of the shift, as a share of the tool deviation allowed, that ends them.
+# Newton steps from the guess; and linearizations at solutions at most, in the first of which via-points
+# slide: after them they stay, so that what follows is near what is known.
+_STEPS_FROM_GUESS, _LINEARIZATIONS, _SLIDING = 2, 8, 3
+# The change of the sag, as a share of the tool deviation allowed, that ends them.
 _SETTLED = 0.04
-# Share of the tool deviation that is left to the optimiser; the rest is for what the shift misses.
+# Share of the tool deviation that is left to the optimiser; the rest is for what the sag misses.
 _LEFT = 0.95
+# What the peak may exceed its least value by, as a share: that is known to first order.
+_FIRST_ORDER = 5e-4
 # By how much the standard deviation may grow while the trajectory changes, and the least share of the tool
 # deviation beside it.
 _GROWS, _LEAST = 1.05, 0.2
@@ -48,94 +48,144 @@ class Compensation:
 
     Attributes
     ----------
-    rounds : int
-        Trajectories that were optimised for it.
     largest_shift : float, m
         Of a commanded tool point from where the path has it.
     last_change : float, m
-        By how much the sag along the motion differs from what it was taken for in the last round.
+        By how much the sag along the motion differs from what it was taken for.
     deviation : float, m
         Largest standard deviation of the tool's place across its path, by that of an identified stiffness; 0
         where none is known.
     """
 
-    rounds: Count
     largest_shift: NonNegative
     last_change: NonNegative
     deviation: NonNegative = 0.0
 
 
-def compensate(
+def optimise_bent(
     request: StrokeRequest,
     guess: InitialGuess,
-    optimised: Optimised,
     sag: Sag,
-    progress: Callable[..., None] | None = None,
+    progress: Callable[[ExchangeReport], None] | None = None,
 ) -> tuple[Optimised, Compensation, TorqueProblem]:
-    """Optimise the motion of the bent tool, its sag linearized near the trajectory before.
+    """Optimise the motion of the bent arm, whose tool is the task.
 
-    `optimised` came from `guess`; `progress` is called with the number of the round, from 1, after every
-    exchange iteration. Returns the last trajectory and the problem whose solution it is.
+    `progress` is called after every exchange iteration. Returns the trajectory and the problem whose
+    solution it is.
 
     Raises
     ------
     PathNotFound
         When a via-point of the bent arm is out of reach.
     OptimisationFailed
-        When a round finds no trajectory, or the shift does not settle.
+        When there is no trajectory, the sag along it is not what it was taken for, or the arm topples.
     """
-    allowed = request.cell.options.max_tool_deviation_m
-    settled = _SETTLED * allowed
-    room = _LEFT * (allowed - _uncertain(request, optimised, sag))
-    narrower = request.with_options(max_tool_deviation_m=room)
-    times = np.linspace(request.times[:-1], request.times[1:], _PER_SEGMENT, endpoint=False, axis=1)
-    times = np.append(times.ravel(), request.times[-1])
-    change = np.inf
-    for rounds in range(1, MOST_ROUNDS + 1):
-        if request.deadline.expired():
-            tried = f"{rounds - 1} of at most {MOST_ROUNDS} rounds"
-            raise OptimisationFailed(
-                f"{request.deadline.over_in_words} after {tried} of the compensation of the sag",
-                constraint="change of the shift",
-                violation=change / settled - 1,
-                limit=Limit.SHIFT,
-                stopped=True,
-            )
-        bent = _bent_near(request, sag, times, optimised.trajectory.evaluate(times))
-        problem = problem_near(
-            replace(narrower, bent=bent), guess, bent.q[::_PER_SEGMENT], stays=rounds > _SLIDING_ROUNDS
+    try:
+        return _Bending(request, guess, sag, progress).solved()
+    except TooSoftError as error:
+        raise OptimisationFailed(
+            f"the arm on its base is too soft: {error.got} is on the way",
+            constraint="change of the sag",
+            violation=np.inf,
+            limit=Limit.SHIFT,
+        ) from error
+
+
+class _Bending:
+    """The program of a bent arm's motion, its sag linearized along ever nearer ones."""
+
+    def __init__(
+        self,
+        request: StrokeRequest,
+        guess: InitialGuess,
+        sag: Sag,
+        progress: Callable[[ExchangeReport], None] | None,
+    ) -> None:
+        self._guess, self._sag, self._progress = guess, sag, progress
+        near = guess.problem.parametrization.trajectory
+        allowed = request.cell.options.max_tool_deviation_m - _uncertain(request, near, sag)
+        self._request = request.with_options(max_tool_deviation_m=_LEFT * allowed)
+        self._settled = _SETTLED * allowed
+        t = request.times
+        self._times = np.append(
+            np.linspace(t[:-1], t[1:], _PER_SEGMENT, endpoint=False, axis=1).ravel(), t[-1]
         )
-        optimised = optimise(problem, None if progress is None else partial(progress, rounds=rounds))
-        q = optimised.trajectory.evaluate(times)
-        actual = sag.following(q)
-        change = float(np.linalg.norm(actual - bent.at(times, q).sag, axis=1).max())
-        if change < settled:
-            largest = float(np.linalg.norm(actual, axis=1).max())
-            spread = 0.0
-            if sag.covariance is not None:
-                spread, _ = largest_spread(request.task.path, sag, optimised.trajectory)
-            done = Compensation(rounds=rounds, largest_shift=largest, last_change=change, deviation=spread)
-            return optimised, done, problem
-    raise OptimisationFailed(
-        f"the compensation of the sag did not settle in {MOST_ROUNDS} rounds",
-        constraint="change of the shift",
-        violation=change / settled - 1,
-        limit=Limit.SHIFT,
-    )
+        self._passes: list[ExchangeReport] = []
+        self._least = guess.lower_bound.value
+        for _ in range(_STEPS_FROM_GUESS):
+            problem = self._problem(self._linearized(near), near.q)
+            near = problem.parametrization.trajectory
+            # What bending changes at rest in the postures of the guess it changes of the least value, too.
+            shifted = guess.lower_bound.each + problem.at_via_points - guess.problem.at_via_points
+            self._least = float(shifted.max()) * (1 + _FIRST_ORDER)
+        self._first = near
+
+    def solved(self) -> tuple[Optimised, Compensation, TorqueProblem]:
+        """Solve and linearize until the sag of the solution is what it was taken for."""
+        bent, near = self._linearized(self._first), None
+        for number in range(_LINEARIZATIONS):
+            via_points = self._first.q if near is None else near.q
+            problem = self._problem(bent, via_points, near=near, stays=number >= _SLIDING)
+            optimised = optimise(problem, self._passed)
+            near = optimised.trajectory
+            after = self._linearized(near)
+            change = float(np.linalg.norm(after.sag - bent.at(self._times, after.q).sag, axis=1).max())
+            if change < self._settled:
+                done = self._done(optimised.trajectory, after.sag, change)
+                return replace(optimised, passes=tuple(self._passes)), done, problem
+            if self._request.deadline.expired():
+                reason = f"{self._request.deadline.over_in_words} before the sag along the motion was settled"
+                raise self._failure(reason, change, stopped=True)
+            bent = after
+        raise self._failure(f"the sag did not settle, linearized {_LINEARIZATIONS} times", change)
+
+    def _linearized(self, near: QuinticTrajectory) -> BentTool:
+        """The bent tool near a trajectory."""
+        q = near.evaluate(self._times)
+        at = self._sag.at(q)
+        postures = self._request.cell.postures
+        return BentTool(postures=postures, times=self._times, q=q, sag=at.tool, slope=at.d_tool)
+
+    def _problem(
+        self,
+        bent: BentTool,
+        via_points: FloatArray,
+        *,
+        near: QuinticTrajectory | None = None,
+        stays: bool = False,
+    ) -> TorqueProblem:
+        request = replace(self._request, bent=bent)
+        return problem_near(request, self._guess, via_points, least=self._least, near=near, stays=stays)
+
+    def _passed(self, report: ExchangeReport) -> None:
+        """Count exchange iterations through."""
+        self._passes.append(replace(report, number=len(self._passes) + 1))
+        if self._progress is not None:
+            self._progress(self._passes[-1])
+
+    def _done(self, trajectory: QuinticTrajectory, sag: FloatArray, change: float) -> Compensation:
+        spread = 0.0
+        if self._sag.covariance is not None:
+            spread, _ = largest_spread(self._request.task.path, self._sag, trajectory)
+        largest = float(np.linalg.norm(sag, axis=1).max())
+        return Compensation(largest_shift=largest, last_change=change, deviation=spread)
+
+    def _failure(self, reason: str, change: float, *, stopped: bool = False) -> OptimisationFailed:
+        return OptimisationFailed(
+            reason,
+            constraint="change of the sag",
+            violation=change / self._settled - 1,
+            limit=Limit.SHIFT,
+            stopped=stopped,
+        )
 
 
-def _bent_near(request: StrokeRequest, sag: Sag, times: FloatArray, q: FloatArray) -> BentTool:
-    """The bent tool near a motion `q` (N, n) at `times` (N,)."""
-    at = sag.at(q)
-    return BentTool(postures=request.cell.postures, times=times, q=q, sag=at.tool, slope=at.d_tool)
-
-
-def _uncertain(request: StrokeRequest, optimised: Optimised, sag: Sag) -> float:
+def _uncertain(request: StrokeRequest, near: QuinticTrajectory, sag: Sag) -> float:
     """What of the allowed deviation is for the errors of an identified stiffness, m."""
     sigmas, allowed = request.cell.options.deviation_sigmas, request.cell.options.max_tool_deviation_m
     if sag.covariance is None or not sigmas:
         return 0.0
-    spread, _ = largest_spread(request.task.path, sag, optimised.trajectory)
+    spread, _ = largest_spread(request.task.path, sag, near)
     uncertain = _GROWS * sigmas * spread
     if uncertain > (1 - _LEAST) * allowed:
         raise OptimisationFailed(

@@ -282,6 +282,7 @@ def _asked(request: StrokeRequest, states: StateSamples, allowed: float) -> floa
     cell = request.cell
     efforts, holding = efforts_of(Dynamics(cell.robot), states), cell.robot.holding
     use = float((np.abs(efforts.joint_torque) / cell.robot.limits.torque).max())
+    use = max(use, float(cell.robot.holding_use(efforts.guardrail_wrench).max(initial=0.0)))
     if holding is not None and holding.bounded:
         use = max(use, float(holding.share(efforts.guardrail_wrench)[0].max()))
     use /= _LIMIT_SHARE

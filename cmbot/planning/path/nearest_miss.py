@@ -11,7 +11,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.planning.path.place_search import MissedPlace, worst_missed
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.task import ToolTask
-from cmbot.planning.workcell.diagnosis import most_often_near, weakest_joint
+from cmbot.planning.workcell.diagnosis import FEET, most_often_near, weakest_joint
 from cmbot.scene import AxisCone, Keep
 
 # Distance of places along a leg, m, and the least number of steps on one; how many there are at most of a
@@ -106,7 +106,7 @@ class NearestMiss:
         cell, best, use = self.request.cell, self.missed.best[None], self._use
         if use > 1.0:
             joint = weakest_joint(cell, best)
-            return f"{joint} uses {use:.0%} of its {'torque' if joint in cell.robot.joints else 'hold'}"
+            return f"{joint} uses {use:.0%} of its {'hold' if joint == FEET else 'torque'}"
         smallest = cell.clearances.query(best)
         pair = cell.clearances.pairs[int(smallest.pair[0])]
         return pair.describe(float(smallest.distance[0]), cell.options.safety_margin_m)

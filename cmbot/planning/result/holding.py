@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from itertools import product
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.elastic.modes import arm_modes
@@ -44,9 +45,10 @@ def emergency_stop(scene: Scene, robot: Robot, job: Job) -> AdhesionPeak | None:
     if holding is None or not holding.adhesive:
         return None
     peaks = list[AdhesionPeak]()
-    for wrench, t in _stops(scene, robot, job):
-        worst = _worst(holding, wrench)
-        peaks.append(holding.worst(wrench.reshape(-1, 6)[worst], np.repeat(t, wrench.shape[1])[worst]))
+    with threadpool_limits(limits=1, user_api="blas"):
+        for wrench, t in _stops(scene, robot, job):
+            worst = _worst(holding, wrench)
+            peaks.append(holding.worst(wrench.reshape(-1, 6)[worst], np.repeat(t, wrench.shape[1])[worst]))
     return max(peaks, key=lambda peak: peak.peak)
 
 

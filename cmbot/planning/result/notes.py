@@ -166,7 +166,7 @@ def _faults(plan: Plan) -> Iterator[Note]:
     if unreached:
         yield Note(level="fault", key="unreached", values={"area_m2": area, "unreached_m2": unreached})
     off, allowed = plan.bent_offsets[1], plan.options.max_tool_deviation_m
-    if off is not None and off > allowed and not plan.options.compensate:
+    if off is not None and off > allowed:
         values = {"off_mm": 1e3 * off, "allowed_mm": 1e3 * allowed, "pushed": plan.robot.pushed}
         key = "off_path" if np.isfinite(off) else "too_soft"
         yield Note(level="fault", key=key, values=values | {"base": plan.scene.base_name})
@@ -305,6 +305,5 @@ def _certified(plan: Plan) -> Iterator[Note]:
     base = plan.scene.base_name
     values = {"checks": len(whole.checks), "text": whole.at_all_times(base)}
     yield Note(level="note", key="certified", values=values)
-    passes, rounds = len(plan.passes), plan.compensation.rounds if plan.compensation is not None else 0
     each = {name: getattr(seconds, name) for name in ("path", "optimise", "certify", "total")}
-    yield Note(level="note", key="seconds", values=each | {"passes": passes, "rounds": rounds})
+    yield Note(level="note", key="seconds", values=each | {"passes": len(plan.passes)})

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from cmbot.accuracy import Accuracy, Quietness, Work, WorkPath, accuracy_of, quietness_of
+from cmbot.accuracy import Accuracy, Quietness, Shaking, Work, WorkPath, accuracy_of, quietness_of
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.file_types import NonNegative
+from cmbot.common.limit import Limit
 from cmbot.common.representation import aligned, card
 from cmbot.common.validation import require_type
 from cmbot.elastic.sag import Sag, TooSoftError
@@ -178,10 +179,26 @@ class Plan(StrokePlan):
 
         None where nothing bends, or where the arm is too soft to carry itself.
         """
+        return self.accuracy_while(None)
+
+    def accuracy_while(self, shaking: Shaking | None) -> Accuracy | None:
+        """Return `accuracy` while something shakes the base; None as there.
+
+        Parameters
+        ----------
+        shaking : Shaking or None
+            On the clock of the work.
+        """
         arm = bending_arm(self.scene, self.robot)
         if arm is None:
             return None
         works = [work_of(self.robot, each.trajectory, each.task.path) for each in self.job.strokes]
+        if shaking is not None:
+            begin = self.job.strokes[0].begin
+            works = [
+                replace(work, shaking=replace(shaking, t=shaking.t - (stroke.begin - begin)))
+                for work, stroke in zip(works, self.job.strokes, strict=True)
+            ]
         covariance = covariance_of(self.scene, arm)
         try:
             return accuracy_of(
@@ -347,17 +364,15 @@ class Plan(StrokePlan):
         """Largest adhesion needed in an emergency stop; None where no foot holds by adhesion."""
         return emergency_stop(self.scene, self.robot, self.job)
 
-    @cached_property
-    def holding_torque(self) -> FloatArray | None:
-        """Largest torques (k,), Nm, of `Robot.holding_joints` over the job, at its samples.
-
-        None without such joints, and where two feet hold: what each leg bears is then not known.
-        """
-        if not self.robot.holding_joints or len(self.robot.feet) > 1:
-            return None
-        samples, _ = self.job_samples
-        wrench = np.hstack([samples.guardrail_force, samples.guardrail_torque])
-        return np.asarray(np.abs(self.robot.holding_torque(wrench)).max(axis=0))
+    @property
+    def holding_torque(self) -> FloatArray:
+        """Largest torques (k,), Nm, of `Robot.holding_joints` over the job, as certified."""
+        held = [check for _, check in self.job.checks() if check.limit is Limit.HOLDING_TORQUE]
+        peaks = (
+            max((check.value for check in held if check.joint == joint.name), default=0.0)
+            for joint in self.robot.holding_joints
+        )
+        return np.array(list(peaks))
 
     @cached_property
     def bent_offsets(self) -> tuple[float | None, float | None]:

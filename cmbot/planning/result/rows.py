@@ -124,7 +124,14 @@ def _tool(plan: Plan) -> Iterator[Row]:
 
 def _holding(plan: Plan) -> Iterator[Row]:
     """What the feet bear: of the baseline at its samples, of the plan as certified."""
-    holding, baseline = plan.robot.holding, plan.baseline
+    robot, holding, baseline = plan.robot, plan.robot.holding, plan.baseline
+    segments = () if baseline is None else baseline.segments
+    wrenches = [np.hstack([each.samples.guardrail_force, each.samples.guardrail_torque]) for each in segments]
+    each_held = [np.abs(robot.holding_torque(wrench)).max(axis=0) for wrench in wrenches]
+    for number, (joint, peak) in enumerate(zip(robot.holding_joints, plan.holding_torque, strict=True)):
+        before = max((float(held[number]) for held in each_held), default=None)
+        name = f"torque that the locked {joint.name} holds, whole job"
+        yield _row(name, "holding_joints", "Nm", ".1f", float(peak), before)
     if holding is None:
         return
     if any(check.limit is Limit.HOLD for _, check in plan.job.checks()):
@@ -145,8 +152,6 @@ def _holding(plan: Plan) -> Iterator[Row]:
     if (stop := plan.emergency_stop) is not None:
         name, modes = "adhesion needed in an emergency stop", ("", stop.mode)
         yield _row(name, "emergency_stop", "kN", ".2f", stop.peak, modes=modes)
-    segments = () if baseline is None else baseline.segments
-    wrenches = [np.hstack([each.samples.guardrail_force, each.samples.guardrail_torque]) for each in segments]
     for number in holding.clamps:
         quantity = holding.named(CLAMP_LOAD, number)
         used = max((float(holding.use(number, wrench).max()) for wrench in wrenches), default=None)

@@ -198,7 +198,6 @@ def combined(strokes: Sequence[StrokePlan]) -> dict[str, Any]:
         if choices
         else None,
         "compensation": Compensation(
-            rounds=max(each.rounds for each in compensations),
             largest_shift=max(each.largest_shift for each in compensations),
             last_change=max(each.last_change for each in compensations),
             deviation=max(each.deviation for each in compensations),

@@ -345,11 +345,10 @@ def _certified(checks: int, text: str) -> str:
     )
 
 
-def _seconds(path: float, optimise: float, certify: float, total: float, passes: int, rounds: int) -> str:
-    last = f" in the last of {counted(rounds, 'round')}" if rounds else ""
+def _seconds(path: float, optimise: float, certify: float, total: float, passes: int) -> str:
     return (
-        f"Time: path {path:.2f} s, optimisation {optimise:.2f} s ({counted(passes, 'pass', 'passes')}{last}"
-        f"), free moves and certificates {certify:.2f} s, in all {total:.2f} s."
+        f"Time: path {path:.2f} s, optimisation {optimise:.2f} s ({counted(passes, 'pass', 'passes')}), "
+        f"free moves and certificates {certify:.2f} s, in all {total:.2f} s."
     )
 
 

@@ -83,6 +83,39 @@ class FootHold:
         return Linearization(share / self.inside - 1, *by)
 
 
+@dataclass(frozen=True, eq=False)
+class HoldingTorque:
+    """Torques of the locked joints between feet and arm within their bounds; components: +1..+k, -1..-k."""
+
+    dynamics: Dynamics
+    bound: FloatArray
+    name: str = "torque that locked joints hold"
+    limit: Limit = Limit.HOLDING_TORQUE
+
+    @property
+    def components(self) -> int:
+        """Two a joint."""
+        return 2 * len(self.bound)
+
+    def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
+        """Return torque/bound - 1 and -torque/bound - 1, (N, 2k)."""
+        wrench = efforts_of(self.dynamics, states).guardrail_wrench
+        share = self.dynamics.robot.holding_torque(wrench) / self.bound
+        value = np.hstack([share - 1, -share - 1])
+        return value, np.broadcast_to(np.arange(value.shape[1]), value.shape)
+
+    def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
+        """Linearize one signed torque at each state."""
+        k, robot = len(self.bound), self.dynamics.robot
+        at = self.dynamics.wrench_derivatives(states.q, states.v, states.a)
+        joint = component % k
+        factor = np.where(component < k, 1.0, -1.0) / self.bound[joint]
+        rows = factor[:, None] * robot.holding_rows[0][joint]
+        share = factor * robot.holding_torque(at.value)[np.arange(len(joint)), joint]
+        by = (np.einsum("ki,kij->kj", rows, d) for d in (at.d_q, at.d_v, at.d_a))
+        return Linearization(share - 1, *by)
+
+
 @dataclass(frozen=True)
 class ToolDeviation:
     """Distance of the tool point from the leg of its time within its bound.

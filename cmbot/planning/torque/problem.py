@@ -23,6 +23,7 @@ from cmbot.planning.request import StrokeRequest
 from cmbot.planning.torque.constraints import (
     ClearanceMargin,
     FootHold,
+    HoldingTorque,
     JointTorque,
     ProcessSpeed,
     ToolDeviation,
@@ -95,6 +96,11 @@ class TorqueProblem:
             ),
             ToolLag(postures, task, options.max_tool_lag_m * inside),
             *([] if hold is None else [FootHold(Dynamics(robot), hold, inside)]),
+            *(
+                [HoldingTorque(Dynamics(robot), robot.holding_limits * inside)]
+                if np.isfinite(robot.holding_limits).any()
+                else []
+            ),
             *([] if task.keep == "position" else [ToolRotation(postures, task, angle)]),
             *([] if task.cone is None else [ToolTilt(postures, task, task.cone * inside)]),
             *([] if task.max_speed is None else [ToolSpeed(postures, task.max_speed * inside)]),
@@ -127,7 +133,12 @@ class TorqueProblem:
 
 
 def parametrization_through(
-    request: StrokeRequest, via_points: FloatArray, *, sliding: bool, pinned: bool = False
+    request: StrokeRequest,
+    via_points: FloatArray,
+    *,
+    sliding: bool,
+    pinned: bool = False,
+    near: QuinticTrajectory | None = None,
 ) -> Parametrization:
     """Return the splines around those of least jerk through `via_points`.
 
@@ -139,6 +150,8 @@ def parametrization_through(
         They may move along the self-motion.
     pinned : bool
         All but the first.
+    near : QuinticTrajectory, optional
+        Around this one instead, as far as it does not miss them; a spline on the same times.
     """
     limits = request.cell.robot.limits
     # Jerk bounds far above what the work asks would leave smoothing without weight: splines would swing.
@@ -146,10 +159,13 @@ def parametrization_through(
     bounds = np.stack([limits.velocity, limits.acceleration, jerk])
     splines = SparseSplines(SplineSpace(request.times), bounds)
     manifold = TaskManifold(request.cell.postures, request.task, request.goals, request.times, request.bent)
+    coefficients = splines.least_jerk(via_points)
+    if near is not None:
+        coefficients = splines.coefficients(near) + splines.least_jerk(via_points - near.q)
     return Parametrization(
         splines,
         via_points,
-        splines.least_jerk(via_points),
+        coefficients,
         retraction=manifold if sliding else None,
         movable=np.arange(1 if pinned else 0, len(via_points)) if sliding else None,
     )

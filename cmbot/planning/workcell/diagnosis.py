@@ -11,6 +11,9 @@ from cmbot.common.errors import PathNotFound
 from cmbot.common.validation import counted
 from cmbot.planning.workcell.workcell import Workcell
 
+FEET = "a foot"
+"""What `weakest_joint` returns where no joint is weakest."""
+
 
 def most_often_near(cell: Workcell, q: FloatArray) -> tuple[str, str] | None:
     """Return the link and the obstacle, or second link, that are nearest in most of postures (N, n)."""
@@ -23,12 +26,17 @@ def most_often_near(cell: Workcell, q: FloatArray) -> tuple[str, str] | None:
 
 
 def weakest_joint(cell: Workcell, q: FloatArray) -> str:
-    """Return the joint that at rest uses most of its torque in most of postures (N, n), or the feet."""
-    at = cell.postures.at(q)
-    use = np.abs(at.joint_torque) / cell.robot.limits.torque
+    """Return the joint that at rest uses most of its torque in most of postures (N, n), or the feet.
+
+    Joints that are locked below the arm are among them.
+    """
+    at, robot = cell.postures.at(q), cell.robot
+    held = robot.holding_use(np.hstack([at.guardrail_force, at.guardrail_torque]))
+    use = np.hstack([np.abs(at.joint_torque) / robot.limits.torque, held])
     if (cell.use_at_rest(at) > use.max(axis=1)).mean() > 0.5:
-        return "a foot"
-    return cell.robot.joints[int(np.bincount(use.argmax(axis=1)).argmax())]
+        return FEET
+    joints = [*robot.joints, *(f"the locked {joint.name}" for joint in robot.holding_joints)]
+    return joints[int(np.bincount(use.argmax(axis=1)).argmax())]
 
 
 def out_of_range(cell: Workcell, q: FloatArray) -> str:

@@ -15,12 +15,13 @@ from cmbot.common.errors import ModelError, SceneError
 from cmbot.common.representation import short_repr
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm
-from cmbot.elastic.sag import Sag
+from cmbot.elastic.sag import Sag, TooSoftError
 from cmbot.planning.workcell.objectives import Objective, WrenchFunction, objective_of
 from cmbot.planning.workcell.stiffness import covariance_of, known_share, with_identified_stiffness
 from cmbot.planning.workcell.units import require_metres
 from cmbot.robot import PostureBatch, Postures, Robot, load_robot
 from cmbot.scene import PlannerOptions, Scene
+from cmbot.toolpath import AUTO
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,11 +98,12 @@ class Workcell:
 
     def use_at_rest(self, at: PostureBatch) -> FloatArray:
         """Return the largest shares (N,) of their bounds that joints and feet use at rest in N postures."""
-        use = (np.abs(at.joint_torque) / self.robot.limits.torque).max(axis=1)
-        holding = self.robot.holding
+        robot, wrench = self.robot, np.hstack([at.guardrail_force, at.guardrail_torque])
+        use = (np.abs(at.joint_torque) / robot.limits.torque).max(axis=1)
+        use = np.maximum(use, robot.holding_use(wrench).max(axis=1, initial=0.0))
+        holding = robot.holding
         if holding is None or not holding.bounded:
             return np.asarray(use)
-        wrench = np.hstack([at.guardrail_force, at.guardrail_torque])
         return np.asarray(np.maximum(use, holding.share(wrench)[0]))
 
 
@@ -124,6 +126,7 @@ def build_workcell(scene: Scene, options: PlannerOptions, own: WrenchFunction | 
         )
         raise SceneError(scene.source, "guardrail", "none", expected)
     arm = bending_arm(scene, robot)
+    options = resolved_options(scene, robot, options)
     if arm is not None:
         options = known_share(scene, arm, options)
     sag = sag_of(scene, arm, options)
@@ -138,7 +141,7 @@ def build_workcell(scene: Scene, options: PlannerOptions, own: WrenchFunction | 
         objective=objective,
         idle_objective=idle,
         arm=arm,
-        sag=sag if options.compensate else None,
+        sag=sag if options.compensate is True else None,
     )
 
 
@@ -156,6 +159,21 @@ def bending_arm(scene: Scene, robot: Robot) -> ElasticArm | None:
     return arm if len(arm.elastic) else None
 
 
+def resolved_options(scene: Scene, robot: Robot, options: PlannerOptions) -> PlannerOptions:
+    """Return options with `compensate` decided: where it is ``auto``, wherever something bends.
+
+    An arm that is too soft to carry itself where it starts has no sag; its plan says so.
+    """
+    if options.compensate != AUTO:
+        return options
+    arm = bending_arm(scene, robot)
+    try:
+        bends = arm is not None and len(Sag(arm).at(np.array([scene.posture])).u) > 0
+    except TooSoftError:
+        bends = False
+    return replace(options, compensate=bends)
+
+
 def sag_of(scene: Scene, arm: ElasticArm | None, options: PlannerOptions) -> Sag | None:
     """Return the predicted sag of the tool where the options need it.
 
@@ -165,13 +183,14 @@ def sag_of(scene: Scene, arm: ElasticArm | None, options: PlannerOptions) -> Sag
     arm : ElasticArm or None
         From `bending_arm`.
     options : PlannerOptions
+        From `resolved_options`; ``compensate: auto`` asks for none.
 
     Raises
     ------
     SceneError
         When they need it, and nothing bends.
     """
-    if not (options.compensate or options.objective == "sag"):
+    if not (options.compensate is True or options.objective == "sag"):
         return None
     if arm is None:
         raise SceneError(

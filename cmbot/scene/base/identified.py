@@ -47,9 +47,9 @@ class IdentifiedBase(FileModel):
 class IdentifiedStiffness(FileModel):
     """Stiffness in place of the model's, and how well it is known.
 
-    The covariance is of the logarithms of the compliances of links and joints, in the order given here, and
-    of the 21 entries on and above the diagonal, row by row, of a symmetric X: the base's compliance is
-    ``L exp(X) L'`` with the lower Cholesky factor L of the identified one.
+    The covariance is of the logarithms of the compliances of links and joints, in the order given here, then
+    of 21 numbers of the base. These are the entries on and above the diagonal, row by row, of a symmetric X.
+    The base's compliance is ``L exp(X) L'``, with the lower Cholesky factor L of the identified one.
     """
 
     format: Literal["cmbot-stiffness/1"] = "cmbot-stiffness/1"

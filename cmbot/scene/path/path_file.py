@@ -90,19 +90,18 @@ class PathFile(FileModel):
     legs: Annotated[tuple[Leg, ...], Field(max_length=2000)] = ()
     """Legs from where the path begins, each from rest to rest."""
     waypoints: Annotated[tuple[Waypoint, ...] | None, Field(min_length=2, max_length=2000)] = None
-    """In place of `legs`, points in m and unit quaternions of the tool in W (x, y, z, qw, qx, qy, qz), which
-    from the first to the last; it rests at corners and where it turns in place; neighbours less than 0.1 mm
-    apart are one, and dense ones are missed by up to a quarter of the tolerance; in a file also the path of a
-    table, relative to it, or its `file` with units and pose."""
+    """In place of `legs`, points in m and unit quaternions of the tool in W (x, y, z, qw, qx, qy, qz). In a
+    scene file also the path of a table, or its `file` with units and pose. The tool rests at corners and
+    where it turns in place. Neighbours less than 0.1 mm apart are one, and dense ones are missed by up to a
+    quarter of the tolerance."""
     corner_deg: Annotated[float, Field(ge=1, le=180)] = 15.0
     """Waypoints at which the path bends by more, and twice as much as beside, are corners; by more than 60
     degrees they are in any case, unless this is more."""
     raster: Raster | None = None
     """In place of `legs`, rows over a surface, with `blend_radius_m` without a stop."""
     seconds: SecondsOrAuto | None = None
-    """Duration of the path through `waypoints` or of `raster`, s; ``auto``: the shortest within the limits of
-    joints and tool, also for all legs that have no time of their own, and beside
-    `strokes` for all strokes."""
+    """Duration of the path through `waypoints` or of `raster`, s. ``auto``: the shortest within the limits of
+    joints and tool; also for legs without a time of their own, and beside `strokes` for all strokes."""
     max_base_torque_nm: Annotated[float, Field(gt=0, le=1e6)] | None = None
     """With ``seconds: auto``: the largest torque on the base, Nm, with the tool on; left out: any."""
     time_laws: Annotated[tuple[LegLaw, ...], Field(max_length=2000)] | None = None
@@ -111,10 +110,10 @@ class PathFile(FileModel):
     speed_m_s: Speed | None = None
     """In place of `seconds` the speed at which the tool cruises along `waypoints` or `raster`, m/s."""
     speed_tolerance: Annotated[float, Field(ge=1e-4, le=0.5)] | None = None
-    """By what share the tool's speed may miss the process speed, certified for all times between `lead_in_m`
-    and `lead_out_m`, on a path without a stop; in a raster whose rows are not blended on every row, where
-    `overscan_m` is the lead. The process speed is `speed_m_s`, or that at which the path is covered in its
-    seconds. Left out: any speed."""
+    """By what share the tool's speed may miss the process speed, on a path without a stop. It is certified at
+    all times between `lead_in_m` and `lead_out_m`; on each row of a raster that is not blended, `overscan_m`
+    is the lead. The process speed is `speed_m_s`, or that at which the path is covered in its seconds. Left
+    out: any speed."""
     lead_in_m: Annotated[float, Field(ge=1e-4, le=100)] | None = None
     """Length, m, of a straight way before the path, along its tangent, on which the tool speeds up and turns
     as at the path's start; its time comes on top. The tool is on there, too. Left out: it speeds up on the

@@ -120,9 +120,8 @@ class Raster(CheckedFields):
     That is a rectangle, a part of a cylinder or faces of a mesh. The first and the last row over faces lie
     half a spacing inside of their ends; rows follow smoothed normals, and what is flat to 0.1 mm is a plane.
     From row to row the tool goes straight. Gaps in a plane up to the spacing are passed with the tool on.
-    Where rows are in several pieces, at holes and notches, the raster is planned as several strokes, one for
-    each part whose rows follow on each other, with free moves between them; so it is where the arm cannot
-    reach some places.
+    Where rows are in several pieces, at holes, notches or places that the arm cannot reach, the raster is
+    planned as several strokes with free moves between them, one for each part whose rows follow each other.
 
     Attributes
     ----------

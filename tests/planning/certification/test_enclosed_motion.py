@@ -65,6 +65,9 @@ def test_enclosures_hold_at_the_ends_of_their_range(place: float, moved: float, 
     use = np.abs(efforts.joint_torque) / robot.limits.torque
     check, (peak, *_) = found.joint_torque(), found.guardrail_torque()
     assert use.max() <= check.value / check.bound <= (1 + 1e-3) * use.max()
+    held = np.abs(robot.holding_torque(efforts.guardrail_wrench)).max(axis=0)
+    for most, brake in zip(held, found.holding_torque(), strict=True):
+        assert most <= brake.value <= (1 + 1e-3) * most
     torque = np.linalg.norm(efforts.guardrail_torque, axis=1).max()
     assert torque <= peak.bound <= (1 + 1e-3) * torque
 

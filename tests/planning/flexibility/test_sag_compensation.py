@@ -6,14 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from finite_differences import check_derivative
-from small_scenes import problem_of, request_of, short_scene, tool_points
+from small_scenes import request_of, short_scene, tool_points
 from urdf_arms import arm_scene
 
 from cmbot.archive import load_plan, save
-from cmbot.common.errors import OptimisationFailed, SceneError
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import ArchiveError, OptimisationFailed, SceneError
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import elastic_arm
-from cmbot.elastic.sag import Sag
+from cmbot.elastic.sag import Sag, SagStates, TooSoftError
 from cmbot.planning import (
     GlobalSearch,
     Plan,
@@ -27,14 +28,13 @@ from cmbot.planning import (
 )
 from cmbot.planning.attempts import motion
 from cmbot.planning.budget import Deadline
-from cmbot.planning.flexibility.sag_compensation import compensate
-from cmbot.planning.initial_guess import InitialGuess
-from cmbot.planning.request import StrokeRequest
-from cmbot.planning.torque import Optimised
+from cmbot.planning.flexibility.sag_compensation import optimise_bent
+from cmbot.planning.initial_guess import initial_guess
+from cmbot.planning.request import StrokeRequest, build_request
 from cmbot.planning.torque.task_manifold import TaskManifold
 from cmbot.planning.workcell.bent_tool import BentTool
 from cmbot.robot import Postures
-from cmbot.scene import Scene, load_scene
+from cmbot.scene import PlannerOptions, Scene, load_scene
 from cmbot.toolpath import ToolPoses
 
 ALLOWED = 0.001
@@ -65,15 +65,12 @@ def test_the_bent_arm_follows_the_path(compensated: Plan) -> None:
 
 
 @pytest.mark.parametrize("knots", ["sliding", "fixed"])
-def test_a_soft_base_takes_two_rounds(knots: str) -> None:
+def test_a_soft_base_settles(knots: str) -> None:
     """The rail has a twelfth of its stiffness, and the tool sags by 7 to 9 cm: a posture's own sag counts."""
     soft = {"guardrail": {"stiffness_factor": 0.08}, "planner": {"knots": knots, "compensate": True}}
     compensated = plan(short_scene(**soft), progress=False)
-    assert compensated.compensation.rounds <= 2
     assert compensated.compensation.largest_shift > 0.07
     assert compensated.figures.max_tool_deviation <= ALLOWED
-    if knots == "fixed":  # no self-motion changes the sag that was foreseen
-        assert compensated.compensation.last_change < 1e-6
     bounds = [line for line in remarks(compensated) if line.startswith("Lower bound")]
     assert all(line.startswith("Lower bound, of the path before the sag is compensated: ") for line in bounds)
     assert len(bounds) == (knots == "sliding")
@@ -88,7 +85,6 @@ def test_commanded_and_expected_path_are_in_the_plan(compensated: Plan) -> None:
     names = [check.quantity for check in compensated.certificate.checks]
     assert "expected tool deviation" in names
     assert "tool deviation" not in names
-    assert compensated.compensation.rounds >= 1
     shift = np.linalg.norm(exact, axis=1).max()
     assert compensated.compensation.largest_shift == pytest.approx(shift, rel=0.05)
     assert compensated.compensation.last_change < 0.02 * ALLOWED
@@ -231,24 +227,67 @@ def test_a_soft_base_under_another_arm_settles(tmp_path: Path) -> None:
     scene = arm_scene(tmp_path, "panda").changed(guardrail=soft, planner=planner)
     made = plan(scene)
     assert made.compensation.largest_shift > 0.005
-    assert made.compensation.rounds <= 3
     assert made.figures.max_tool_deviation <= 0.001
 
 
-def test_where_the_time_is_over_the_compensation_says_how_far_it_came() -> None:
+@pytest.mark.parametrize(
+    ("late", "words"),
+    [
+        (False, "the sag did not settle, linearized 8 times"),
+        (True, "was over .* before the sag along the motion"),
+    ],
+)
+def test_a_sag_that_is_never_what_it_was_taken_for_is_told(late: bool, words: str) -> None:
+    """One that grows by a millimetre whenever it is computed; the time is over after the motion is solved."""
+
+    class Growing(Sag):
+        calls = 0
+
+        def at(self, q: FloatArray) -> SagStates:
+            self.calls += 1
+            states = super().at(q)
+            return replace(states, tool=states.tool + 0.001 * self.calls)
+
     asked = request_of(short_scene(), compensate=True)
-    over = Deadline(-1.0, lambda: 2.0)
-    problem = problem_of(short_scene())
-    optimised = Optimised(
-        trajectory=problem.parametrization.trajectory,
-        via_points=problem.parametrization.via_points,
-        passes=(),
-    )
-    late = replace(asked, deadline=over)
-    guess = InitialGuess(problem=problem, pinned=True, lower_bound=None)  # type: ignore[arg-type]
-    words = r"time_limit_s\), .*was over after .* after 0 of at most 8 rounds of the compensation"
-    with pytest.raises(OptimisationFailed, match=words):
-        compensate(late, guess, optimised, asked.cell.sag)
+    sag = Growing(asked.cell.sag.arm)
+    clock = Deadline(-1.0, lambda: 2.0) if late else Deadline()
+    with pytest.raises(OptimisationFailed, match=words) as caught:
+        optimise_bent(replace(asked, deadline=clock), initial_guess(asked), sag)
+    assert caught.value.stopped == late
+
+
+def test_an_arm_that_topples_on_its_way_has_no_compensated_plan() -> None:
+    """It stands where it starts; the reason says that it is too soft."""
+    asked = request_of(short_scene(), compensate=True)
+
+    class Toppling(Sag):
+        def at(self, q: FloatArray) -> SagStates:
+            raise TooSoftError("Sag.at", "q[3]", "a posture from which the arm topples", "a stiffer one")
+
+    with pytest.raises(OptimisationFailed, match="too soft: a posture from which the arm topples"):
+        optimise_bent(asked, initial_guess(asked), Toppling(asked.cell.sag.arm))
+
+
+def test_compensation_is_the_default_wherever_something_bends(tmp_path: Path) -> None:
+    """Left out it is on; on a rigid base off; where the arm topples at the start off, too."""
+    assert PlannerOptions().compensate == "auto"
+    auto = {"compensate": "auto"}
+    for scene, expected in (
+        (short_scene(planner=auto), True),
+        (arm_scene(tmp_path, "panda", compensate="auto").changed(guardrail={"bays": 0}), False),
+        (short_scene(planner=auto, guardrail={"stiffness_factor": 1e-3}), False),
+    ):
+        assert build_request(scene, scene.planner).cell.options.compensate is expected
+    short = short_scene(planner=auto)
+    made = plan(short, progress=False)
+    assert (made.options.compensate, made.scene.planner.compensate) == (True, "auto")
+    assert made.figures.max_tool_deviation <= ALLOWED
+    save(made, tmp_path / "plan")
+    load_plan(tmp_path / "plan", verify=True, scene=short)
+    without = plan(short, options=replace(short.planner, compensate=False), progress=False)
+    save(without, tmp_path / "without")
+    with pytest.raises(ArchiveError, match=r"compensate False \(asked True\)"):
+        load_plan(tmp_path / "without", scene=short)
 
 
 def test_a_better_start_that_no_approach_leads_to_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:

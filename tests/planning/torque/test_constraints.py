@@ -19,6 +19,7 @@ from cmbot.optimization.program import Linearization, StateFunction, StateSample
 from cmbot.planning.task import ToolTask
 from cmbot.planning.torque.constraints import (
     ClearanceMargin,
+    HoldingTorque,
     JointTorque,
     ToolDeviation,
     ToolLag,
@@ -85,6 +86,20 @@ def test_derivatives_of_a_joint_torque(
     expected = function.sample(states)[0][np.arange(N), component]
     np.testing.assert_allclose(function.linearize(states, component).value, expected, rtol=0, atol=1e-12)
     check_linearization(function, states, component, 1e-3, 1e-8)
+
+
+@pytest.mark.parametrize("chosen", range(4))
+def test_torque_that_locked_joints_hold(cmbot_robot: Robot, states: StateSamples, chosen: int) -> None:
+    dynamics, bound = Dynamics(cmbot_robot), np.array([300.0, 200.0])
+    function = HoldingTorque(dynamics, bound)
+    value, component = function.sample(states)
+    assert value.shape == component.shape == (N, function.components) == (N, 4)
+    wrench = dynamics.efforts(states.q, states.v, states.a).guardrail_wrench
+    torque = cmbot_robot.holding_torque(wrench)
+    np.testing.assert_array_equal(value > 0, np.hstack([torque > bound, torque < -bound]))
+    component = np.full(N, chosen)
+    np.testing.assert_allclose(function.linearize(states, component).value, value[:, chosen], atol=1e-12)
+    check_linearization(function, states, component, 1e-3, 1e-7)
 
 
 def test_tool_deviation(corner: Corner, states: StateSamples) -> None:

@@ -142,7 +142,7 @@ def test_the_timed_path_agrees(kind: Any, ramp: float) -> None:
 @pytest.mark.parametrize("name", ["short_plan", "triangle_plan", "fixed_line_plan"])
 def test_plans_hold(name: str, request: pytest.FixtureRequest) -> None:
     planned: Plan = request.getfixturevalue(name)
-    assert not broken(planned)
+    assert not broken(planned, sag=planned.sag)
     if planned.approach is not None:
         assert not broken(planned, trajectory=planned.approach.trajectory, stroke=None)
 
