@@ -68,7 +68,10 @@ class Attempt:
 
     @cached_property
     def search(self) -> GlobalSearch | None:
-        """The global search of its via-points, made where its guess has that of others; None with fixed knots."""
+        """The global search of its via-points, made where its guess has that of others.
+
+        None with fixed knots.
+        """
         known = self.guess.search if isinstance(self.guess, InitialGuess) else None
         if known is None or known.is_of(self.request.times):
             return known
