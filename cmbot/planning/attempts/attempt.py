@@ -93,7 +93,8 @@ class Attempt:
         chart = None if guess.search is None else guess.search.first_chart.q
         arrays: tuple[FloatArray | None, ...] = (form.space.t, form.via_points, chart, guess.way)
         numbers = tuple(None if array is None else array.tobytes() for array in arrays)
-        return options, guess.pinned, self.request.spare_clearance, numbers
+        kept = self.request.spare_clearance, self.request.tool_share
+        return options, guess.pinned, kept, numbers
 
     @property
     def refused(self) -> Failure | None:
