@@ -37,7 +37,7 @@ FloatArray = NDArray[np.float64]
 POSITION, TURN = 1e-4, np.radians(0.1)
 _DEVIATION, _ROTATION_DEG = 7e-5, 0.07
 # On sharp bends a tool that lags is off its path.
-_LAG = 2e-4
+_LAG = 1e-4
 # Where the Fetch's torso is in the frame of its base, m.
 _TORSO = np.array([-0.086875, 0.0, 0.37743])
 _ROBOTS = {"fetch_arm": ("base_link", "gripper_link"), "panda": ("panda_link0", "panda_hand")}
