@@ -218,7 +218,7 @@ def _holds_card(plan: Plan) -> Headline:
     if not held:
         asked = "" if needed is None else f"; as magnets the feet would need {needed.peak / 1e3:.1f} kN"
         return Headline(title="Holds", value="–", detail=f"what the feet bear is not given{asked}")
-    worst = max(held, key=bound_use)
+    _, worst = tightest_check(plan.job, limit=Limit.HOLD)
     shown = f", {worst.value / 1e3:.2f} of {worst.bound / 1e3:.2f} kN" if worst.unit == "N" else ""
     return Headline(
         title="Holds",

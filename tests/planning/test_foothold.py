@@ -17,10 +17,11 @@ import cmbot
 from cmbot.archive import export_mcap, load_plan, save
 from cmbot.collision import Clearances
 from cmbot.common.errors import ArchiveError, LimitViolation, PlanningError, SceneError
-from cmbot.hold import Holding
+from cmbot.hold import MAGNET_PRESSURE, Holding
 from cmbot.planning import Plan, certify, plan, precheck_scene, remarks, verdict
 from cmbot.planning.verification.hold import hold_checks
 from cmbot.robot import Dynamics, Postures
+from cmbot.views.report import headlines
 
 # As much as a magnet can have on the default contact; with less friction no magnet holds this arm.
 ADHESION, FRICTION = 14.9e3, 10.0
@@ -237,3 +238,33 @@ def test_a_scene_whose_feet_do_not_hold_at_the_start_is_told_so() -> None:
     assert not precheck_scene(magnet_scene()).warnings
     with pytest.raises(PlanningError, match=r"^the start asks [0-9]+ % of what the feet bear"):
         plan(magnet_scene(1000.0))
+
+
+@pytest.mark.parametrize(("name", "use"), [("triangle", 0.69), ("line", 0.86)])
+def test_a_clamp_holds_the_shipped_jobs(name: str, use: float, tmp_path: Path) -> None:
+    """As docs/assumptions.md says: no magnet does, and a clamp of 4 kN and 1,200 Nm with a safety of 2."""
+    clamp = {"kind": "clamp", "force_n": [4000.0] * 3, "moment_nm": [1200.0] * 3}
+    scene = cmbot.load_scene(name)
+    made = plan(scene.changed(guardrail={"hold": clamp}))
+    checks = [check for _, check in made.job.checks() if check.quantity.startswith("load of the clamp")]
+    worst = max(check.value for check in checks)
+    assert worst == pytest.approx(use, abs=0.005)
+    # Table, verdict, page and plan.json say that one figure, over all segments and with the safety.
+    said = f"{100 * worst:.0f}"
+    assert dict(row[::2] for row in made.rows())["feet use of what their safety allows, %"].strip() == said
+    assert f"uses {said} % of what that allows" in verdict(made)
+    (card,) = (card for card in headlines(made, None) if card.title == "Holds")
+    assert card.value == f"{said} %"
+    told = json.loads((save(made, tmp_path / name) / "plan.json").read_text())
+    kept = [
+        check["value"]
+        for part in told["segments"]
+        for check in part["certificate"]["checks"]
+        if check["quantity"] == checks[0].quantity
+    ]
+    assert max(kept) == worst
+    samples = made.job_samples[0]
+    wrench = np.hstack([samples.guardrail_force, samples.guardrail_torque])
+    # What its plate would need as a magnet is beyond what any on that contact pulls.
+    needed = made.robot.holding.needed(0, wrench).max()
+    assert needed > MAGNET_PRESSURE * made.robot.feet[0].contact.area > made.robot.feet[0].ceiling
