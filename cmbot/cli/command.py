@@ -66,6 +66,26 @@ class Command(ABC):
         """Return what the command is called."""
         return cls.__name__.removesuffix("Command").lower()
 
+    def made(
+        self, kind: type[T], prefix: str = "", called: Mapping[str, str] | None = None, **given: object
+    ) -> T:
+        """Return options whose fields are those of this command of the same names, and what is `given`.
+
+        What is None is left as it is by default. Errors name the flags of this command, and those that are
+        `called` otherwise.
+        """
+        from cmbot.common.validation import validated
+
+        names = {each.name: each.name.removeprefix(prefix) for each in fields(self)}
+        known = {each.name for each in fields(kind)}  # type: ignore[arg-type]
+        own = {name: getattr(self, field) for field, name in names.items() if name in known}
+        values = {name: value for name, value in (own | given).items() if value is not None}
+        if not hasattr(kind, "__pydantic_config__"):
+            return kind(**values)
+        flags = {names[each.name]: _flags(each)[0] for each in fields(self) if _flags(each)}
+        with options_named(flags | dict(called or {})):
+            return validated(kind, values, f"cmbot {self.verb()}", InputError)
+
     @abstractmethod
     def __call__(self) -> int | None:
         """Do what is asked; return the exit status, or None for 0."""

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cmbot.cli.command import Writing, option
-from cmbot.cli.console import out
+from cmbot.cli.console import out, print_lines
 from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError, ModelError, one_line
 from cmbot.common.installation import scene_folder
@@ -151,13 +151,9 @@ def _print_new(made: _Made, remarks: Sequence[str], written: Sequence[Path], *, 
     out.print(f"A first leg takes the tool by ({by}) m in {start.seconds:g} s: put your own into tool_path.")
     if not shipped:
         out.print("The base is rigid: guardrail.stiffness says how it bends, base.name what it is.")
-    for remark in remarks:
-        out.print(one_line(remark))
-    for limits in written[1:]:
-        if limits.suffix == ".yaml":
-            out.print(
-                one_line(f"The assumed limits are in {limits}: put those of your robot's data sheet there.")
-            )
+    sheets = [limits for limits in written[1:] if limits.suffix == ".yaml"]
+    yours = "put those of your robot's data sheet there"
+    print_lines([*remarks, *(f"The assumed limits are in {limits}: {yours}." for limits in sheets)])
     out.print(one_line(f"Written: {', '.join(map(str, written))}. Plan it: cmbot plan {written[0]}"))
 
 

@@ -260,7 +260,8 @@ def failures_explained(scene: Scene) -> Iterator[None]:
     except (PlanningError, SceneError) as error:
         if isinstance(error, PlanningError):
             for warning in _hold_at_start(scene, robot_of(scene)).warnings:
-                error.add_hint(f"where it begins the arm asks {warning.got}")
+                # What does not even hold at rest comes first.
+                error.add_source(f"the start asks {warning.got}")
         if isinstance(error, PlanningError) or error.key.startswith(scene.posture_key):
             for key, looks, units in mistaken_units(scene):
                 error.add_hint(f"{key} looks like {looks}, it is in {units}")

@@ -13,7 +13,7 @@ from cmbot.collision import Clearances, Obstacle
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import ModelError, SceneError
 from cmbot.common.representation import short_repr
-from cmbot.elastic import elastic_base
+from cmbot.elastic import Guardrail, elastic_base, shares
 from cmbot.elastic.arm import ElasticArm, elastic_arm
 from cmbot.elastic.sag import Sag, TooSoftError
 from cmbot.planning.workcell.objectives import Objective, WrenchFunction, objective_of
@@ -155,8 +155,15 @@ def rigid_arm_remark(scene: Scene, robot: Robot) -> str:
 
 def bending_arm(scene: Scene, robot: Robot) -> ElasticArm | None:
     """Return a scene's elastic arm on its guardrail; None where both are rigid."""
-    arm = elastic_arm(robot, elastic_base(scene.elastic_guardrail))
+    arm = elastic_arm(robot, elastic_base(held_guardrail(scene, robot)))
     return arm if len(arm.elastic) else None
+
+
+def held_guardrail(scene: Scene, robot: Robot) -> Guardrail:
+    """Return a scene's guardrail with the legs of its robot, between the feet and the arm's base."""
+    # An identified base is what the arm stood on, legs included.
+    legs = None if scene.identified and scene.identified.base else robot.leg_compliance
+    return replace(scene.elastic_guardrail, leg_compliance=legs)
 
 
 def resolved_options(scene: Scene, robot: Robot, options: PlannerOptions) -> PlannerOptions:
@@ -230,4 +237,10 @@ def robot_of(scene: Scene) -> Robot:
         raise SceneError(scene.source, key, error.got, error.expected, error.choices) from error
     robot = robot if file.joints == "elastic" else robot.with_rigid_joints
     robot = with_identified_stiffness(robot, scene)
-    return replace(robot, tool_force=scene.tool.process_force_n, feet=scene.feet)
+    robot = replace(robot, tool_force=scene.tool.process_force_n, feet=scene.feet)
+    if len(robot.feet) < 2 or robot.leg_compliance is None:
+        return robot
+    # How far the legs give way says what of the wrench each foot bears.
+    held = replace(scene.elastic_guardrail, leg_compliance=robot.leg_compliance)
+    feet = zip(robot.feet, shares(held), strict=True)
+    return replace(robot, feet=tuple(replace(foot, share=share) for foot, share in feet))
