@@ -240,7 +240,7 @@ def test_what_is_refused(
     assert "already there" in refusal("export", saved_short, "--ros", path)
     folder = tmp_path / "description"
     told = refusal("export", saved_short, "--ros-package", folder, "--effort")
-    assert "--effort: got no trajectory to write" in told and not folder.exists()
+    assert "--effort: got nothing beside it" in told and not folder.exists()
     with pytest.raises(InputError, match=r"cmbot\.export_ros: plan"):
         export_ros(str(saved_short), path)  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"cmbot\.export_mcap: plan"):
