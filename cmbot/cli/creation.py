@@ -106,7 +106,8 @@ class NewCommand(Writing):
 
     def _require_applicable(self, source: str) -> None:
         """Refuse options that the shipped robot does not need, and folders that are not there."""
-        foreign = {"--base": self.base, "--tool": self.tool, "--package-dir": self.package_dir}
+        foreign: dict[str, object] = {"--base": self.base, "--tool": self.tool}
+        foreign["--package-dir"] = self.package_dir
         foreign |= {"--xacro": self.xacro, "--total-mass": self.total_mass}
         if source == _SHIPPED and (given := [flag for flag, value in foreign.items() if value]):
             raise InputError(", ".join(given), "", "an option", "none with --from cmbot, which is known")
