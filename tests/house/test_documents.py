@@ -330,7 +330,7 @@ def test_the_gallery_shows_every_shipped_scene() -> None:
     page = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
     for name in shipped_scenes():
         section = page.split(f"<!-- {name} -->")[1].split(f"<!-- end of {name} -->")[0]
-        assert "| peak torque, whole job, Nm |" in section
+        assert re.search(r"[Tt]orque .*\d Nm", " ".join(section.split()))
         assert f"(gallery/{name}.png)" in section
         assert (ROOT / "docs" / "gallery" / f"{name}.png").stat().st_size <= gallery.LARGEST
     pictures = {path.stem for path in (ROOT / "docs" / "gallery").iterdir()}
