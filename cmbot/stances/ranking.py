@@ -171,7 +171,8 @@ class _Stand:
         suits: Callable[[AnyCandidate], str | None],
     ) -> None:
         scene, self._options, self._progress, self._suits = joined(scenes), options, progress, suits
-        self._objective: StanceObjective = options.objective or scene.planner.objective
+        planned = scene.planner.objective
+        self._objective: StanceObjective = options.objective or ("torque" if planned == "travel" else planned)
         # What sways little sags little: the planner's objective nearest to it.
         by = "sag" if self._objective == "sway" else self._objective
         self._scene = scene = scene.with_options(objective=by)
