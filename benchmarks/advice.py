@@ -27,8 +27,8 @@ from suite.scenes import make_scene
 import cmbot
 from cmbot.common.errors import CmbotError
 
-# Shares of the suite's seconds; longest time for a plan, s; scenes that are drawn, times those that are wanted.
-SHARES, LONGEST_S, DRAWN = (0.15, 0.6), 60.0, 10
+# Shares of the suite's seconds; longest time for a plan, s; scenes that are drawn for each that is wanted.
+SHARES, LONGEST_S, DRAWN = (0.15, 0.6), 200.0, 10
 _VALUE = re.compile(r"([\w.\[\]]+) ([\d.e+-]+) instead of [\d.e+-]+")
 
 
