@@ -167,7 +167,8 @@ def _hold_at_start(scene: Scene, robot: Robot) -> Precheck:
         found.append(("of what the feet bear there, safety included", f"{100 * use:.0f} %"))
         if use > 1.0:
             got = f"{100 * use:.0f} % of what the feet bear, safety included, at rest"
-            expected = "at most 100 %, or feet that bear more: guardrail.hold"
+            key = "base.hold" if scene.base is not None and scene.base.hold else "guardrail.hold"
+            expected = f"at most 100 %, or feet that bear more: {key}"
             warnings.append(_warning(scene.posture_key, got, expected))
     if robot.holding_joints:
         uses = robot.holding_use(wrench)[0]

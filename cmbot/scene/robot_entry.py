@@ -34,6 +34,7 @@ from cmbot.common.fields import (
 from cmbot.common.poses import pose
 from cmbot.common.validation import FileModel, refusal, shown
 from cmbot.scene.attached_tool import AttachedToolFile
+from cmbot.scene.base.hold import LinkHoldFile
 from cmbot.scene.excitation import ModesFile
 from cmbot.scene.files import RobotModel
 
@@ -64,6 +65,8 @@ class BaseFile(FileModel):
     """What messages and pages call it; left out with its block: guardrail for ``cmbot``, base for others."""
     modes: ModesFile | None = None
     """How it bends, by its natural modes; left out: as the guardrail says."""
+    hold: LinkHoldFile | None = None
+    """How a robot that holds no guardrail is held; left out: nothing is said about holding."""
 
 
 class NamedState(FileModel):
