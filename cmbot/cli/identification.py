@@ -42,10 +42,10 @@ class IdentifyCommand(Writing):
         metavar="FILE",
     )
     propose: int | None = option(None, "Propose so many postures to measure in.", least=1, most=100)
-    job: Path | None = option(None, "With --propose: a plan directory, whose motion counts.")
-    weight: float | None = option(None, "With --propose: kg that are hung on; 5 if left out.")
-    gauge: float | None = option(None, "With --propose: error of the gauge, mm; 0.1 if left out.")
-    axes: str = option("xyz", "With --propose: components that are measured, such as z.")
+    job: Path | None = option(None, "a plan directory, whose motion counts.", needs=["--propose"])
+    weight: float | None = option(None, "kg that are hung on; 5 if left out.", needs=["--propose"])
+    gauge: float | None = option(None, "error of the gauge, mm; 0.1 if left out.", needs=["--propose"])
+    axes: str = option("xyz", "components that are measured, such as z.", needs=["--propose"])
     accept_misfit: bool = option(False, "Use measurements that plainly do not fit, with larger errors.")
 
     def __call__(self) -> None:
