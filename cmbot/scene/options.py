@@ -51,7 +51,8 @@ class PlannerOptions(CheckedFields):
     objective : str
         What is minimised; ``torque``: the norm of the torque on the guardrail (Chang 2021, Eq. (12));
         ``sag``: the tool's displacement at rest by the elasticity of guardrail and links; ``hold``: the
-        adhesion that the feet need, the largest of them.
+        adhesion that the feet need, the largest of them; ``sway``: the tool's RMS by 1 m/s2 of the deck
+        (`cmbot.excitation.sway_mm_per_m_s2`).
     moment_about : str
         The point about which the torque is taken. ``foot``: O0, n_0. ``base``: the origin of the arm's base
         frame, n_1 without the lever of Eq. (12).
@@ -146,7 +147,7 @@ class PlannerOptions(CheckedFields):
 
     knots: Literal["sliding", "fixed"] = "sliding"
     start: Literal["free", "pinned"] = "free"
-    objective: Literal["torque", "sag", "hold"] = "torque"
+    objective: Literal["torque", "sag", "hold", "sway"] = "torque"
     moment_about: Literal["foot", "base"] = "foot"
     axis_weights: AxisWeights = (1.0, 1.0, 1.0)
     compensate: AutoOrBool = "auto"

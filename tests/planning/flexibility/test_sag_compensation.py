@@ -119,7 +119,7 @@ def test_without_compensation_nothing_is_expected(short_plan: Plan) -> None:
     assert short_plan.samples.expected_tool_point is None
 
 
-@pytest.mark.parametrize("options", [{"compensate": True}, {"objective": "sag"}])
+@pytest.mark.parametrize("options", [{"compensate": True}, {"objective": "sag"}, {"objective": "sway"}])
 def test_nothing_bends(options: dict[str, object], tmp_path: Path) -> None:
     """A rigid hold and an arm without link tubes."""
     scene = short_scene(guardrail={"bays": 0}, planner=options)
