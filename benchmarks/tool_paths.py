@@ -36,6 +36,8 @@ FloatArray = NDArray[np.float64]
 # dense poses are approximated, these are kept.
 POSITION, TURN = 1e-4, np.radians(0.1)
 _DEVIATION, _ROTATION_DEG = 7e-5, 0.07
+# On sharp bends a tool that lags is off its path.
+_LAG = 1e-4
 # Where the Fetch's torso is in the frame of its base, m.
 _TORSO = np.array([-0.086875, 0.0, 0.37743])
 _ROBOTS = {"fetch_arm": ("base_link", "gripper_link"), "panda": ("panda_link0", "panda_hand")}
@@ -66,6 +68,8 @@ def read_problem(file: Path, folder: Path) -> Problem:
     if not own.exists():
         offset = re.search(r"path_xyz_offset:\s*\[([^\]]*)\]", text)[1]  # type: ignore[index]
         points = points + _TORSO + np.array([float(x) for x in offset.split(",")])
+    shift = re.search(r"obstacle_xyz_offset:\s*\[([^\]]*)\]", text)
+    moved = np.zeros(3) if shift is None else np.array([float(x) for x in shift[1].split(",")])
     boxes = []
     for number, entry in enumerate(re.findall(r"\[\s*((?:\w+: *[-\d.]+,?\s*)+)\]", text)):
         values = {key: float(value) for key, value in re.findall(r"(\w+): *([-\d.]+)", entry)}
@@ -74,7 +78,7 @@ def read_problem(file: Path, folder: Path) -> Problem:
             {
                 "name": f"box_{number}",
                 "box": [values[f"size_{axis}"] for axis in "xyz"],
-                "xyz": [values[axis] for axis in "xyz"],
+                "xyz": (moved + [values[axis] for axis in "xyz"]).tolist(),
                 "rpy_deg": angles.tolist(),
             }
         )
@@ -101,6 +105,9 @@ def scene_of(problem: Problem, folder: Path) -> cmbot.Scene:
         "planner": {
             "max_tool_deviation_m": _DEVIATION,
             "max_tool_rotation_deg": _ROTATION_DEG,
+            "max_tool_lag_m": _LAG,
+            # Nothing of these bases bends.
+            "objective": "travel",
             "safety_margin_m": 0.002,
             "time_limit_s": 600,
         },
@@ -169,15 +176,22 @@ def errors(
     between = 0.0
     for k in range(len(reached) - 1):
         part = points[reached[k] : reached[k + 1] + 1]
-        edge = problem.points[k + 1] - problem.points[k]
-        share = np.clip((part - problem.points[k]) @ edge / max(float(edge @ edge), 1e-18), 0.0, 1.0)
-        line = problem.points[k] + share[:, None] * edge
-        between = max(between, float(np.linalg.norm(part - line, axis=1).max(initial=0.0)))
+        # A pose is passed between two samples, so the first and the last may be on the lines beside this one.
+        beside = range(max(k - 1, 0), min(k + 2, len(reached) - 1))
+        away = [_off_line(part, *problem.points[j : j + 2]) for j in beside]
+        between = max(between, float(np.min(away, axis=0).max(initial=0.0)))
     return at, turn, between, reached
 
 
 # Of the pieces between samples.
 _BOTH_ENDS = (slice(None, -1), slice(1, None))
+
+
+def _off_line(points: FloatArray, begin: FloatArray, end: FloatArray) -> FloatArray:
+    """Distances (N,) of points (N, 3) from the line between two places."""
+    edge = end - begin
+    share = np.clip((points - begin) @ edge / max(float(edge @ edge), 1e-18), 0.0, 1.0)
+    return np.asarray(np.linalg.norm(points - begin - share[:, None] * edge, axis=1))
 
 
 def _off_lines(points: FloatArray, place: FloatArray) -> FloatArray:

@@ -285,6 +285,7 @@ def elasticity() -> str:
     lines.append("joints:")
     for number, stiffness in enumerate(tables.JOINT_STIFFNESS, start=1):
         lines.append(f"  joint_{number}: {{stiffness_nm_rad: {stiffness}}}")
+    lines += [f"  {name}: {{stiffness_nm_rad: {tables.CLIMB_STIFFNESS}}}" for name in tables.STANCE_DEG]
     return "\n".join(lines) + "\n"
 
 

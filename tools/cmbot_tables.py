@@ -133,6 +133,7 @@ TUBES = {
 
 # Torsional stiffness of the drives, Nm/rad: harmonic drives of these sizes have 2e4 to 1e5.
 JOINT_STIFFNESS = (1e5, 1e5, 1e5, 5e4, 5e4, 2e4, 2e4)
+CLIMB_STIFFNESS = 1e5  # as the arm's largest drives
 
 # Bodies of the climber in their link frames; ankle_1, with the battery and the cabinet, is solved for.
 FOOT = solid_box(1.8, (0, 0.065, 0), (0.13, 0.05, 0.15))

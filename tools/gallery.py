@@ -12,7 +12,7 @@ import sys
 import tempfile
 import textwrap
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from document_figures import ROOT, write_between
@@ -34,44 +34,32 @@ LARGEST = 150_000
 _SIZE, _COLOURS = (800, 450), (256, 128, 64)
 
 
-def figures(plan: cmbot.Plan, planning: float) -> Iterator[tuple[str, str]]:
-    """Yield what a job asks, each as its name and unit, and the number."""
+def figures(plan: cmbot.Plan, planning: float) -> Iterator[str]:
+    """Yield what a job asks, each figure with its name and unit."""
     job = plan.job.figures
     if (accuracy := plan.accuracy) is not None:
         probability = 100 * accuracy.probability
-        yield f"tool from its path, with {probability:g} %, mm", f"{accuracy.within_mm:.3g}"
-    yield "peak torque, whole job, Nm", f"{job.peak_guardrail_torque:.1f}"
-    yield "mean torque, whole job, Nm", f"{job.mean_guardrail_torque:.1f}"
-    yield "smallest clearance, whole job, mm", f"{1e3 * job.min_clearance:.1f}"
-    yield "time of the whole job, s", f"{plan.job.duration:.1f}"
+        yield f"tool within {accuracy.within_mm:.3g} mm of its path with {probability:g} %"
+    yield f"peak torque {job.peak_guardrail_torque:.1f} Nm"
+    yield f"clearance {1e3 * job.min_clearance:.1f} mm"
     if plan.coverage:
-        area, covered = (
-            sum(getattr(one, name) for one in plan.coverage.values()) for name in ("area", "covered")
+        area, covered, unreached = (
+            sum(getattr(one, name) for one in plan.coverage.values())
+            for name in ("area", "covered", "unreached")
         )
-        yield f"area covered of {area:.4g} m2, m2", f"{covered:.4g}"
-        if unreached := sum(one.unreached for one in plan.coverage.values()):
-            yield "area that is not reached, m2", f"{unreached:.4g}"
-    yield "processor time to plan, s", f"{planning:.0f}"
+        yield f"{covered:.4g} of {area:.4g} m2 covered" + (f", {unreached:.4g} not reached" * (unreached > 0))
+    yield f"{plan.job.duration:.1f} s, planned in {planning:.0f} s of processor time"
 
 
-def section(name: str, plan: cmbot.Plan, planning: float) -> str:
-    """Return the section of a job."""
-    rows = [f"| {' | '.join(row)} |" for row in figures(plan, planning)]
-    picture = f"![{name}: the arm at work](gallery/{name}.png)"
-    return "\n".join([picture, "", "| | |", "|---|---|", *rows])
+def section(name: str, shown: str, sentences: Iterable[str]) -> str:
+    """Return the section of a job: its picture, and what it asks."""
+    return f"![{name}: {shown}](gallery/{name}.png)\n\n{textwrap.fill(' '.join(sentences), 118)}"
 
 
-def tour_section(name: str, tour: cmbot.Tour) -> str:
-    """Return the section of a tour."""
-    peak = max(plan.job.figures.peak_guardrail_torque for plan in tour.plans)
-    said = list(tour.in_words())
-    rows = [
-        f"| peak torque, whole job, Nm | {peak:.1f} |",
-        f"| time of the whole job, s | {tour.seconds:.0f} |",
-    ]
-    shown = f"![{name}: on the way from one bracket to the other](gallery/{name}.png)"
-    text = textwrap.fill(" ".join([said[0], *said[2:]]), 118)
-    return "\n".join([shown, "", text, "", "| | planned |", "|---|---|", *rows])
+def tour_sentences(tour: cmbot.Tour) -> list[str]:
+    """Return what is said of a tour, without where its feet hold."""
+    first, _, *others = tour.in_words()
+    return [first, *others]
 
 
 def picture(page_text: str, time_of_it: float, path: Path, browser: str) -> None:
@@ -107,14 +95,16 @@ def main() -> None:
             tour = cmbot.tour(scene, TOURS[name])
             (walk,) = tour.walks
             picture(walk_replay_page(walk), 0.4 * walk.seconds, PICTURES / f"{name}.png", browser)
-            write_between(PAGE, name, tour_section(name, tour))
+            write_between(PAGE, name, section(name, "on the way", tour_sentences(tour)))
             continue
         begin = time.process_time()
         plan = cmbot.plan(scene)
         planning = time.process_time() - begin
         if not arguments.figures:
             picture(replay_page(plan), time_shown(plan), PICTURES / f"{name}.png", browser)
-        write_between(PAGE, name, section(name, plan, planning))
+        said = "; ".join(figures(plan, planning))
+        said = f"{said[0].upper()}{said[1:]}."
+        write_between(PAGE, name, section(name, "the arm at work", [said]))
         print(f"{name}: {(PICTURES / f'{name}.png').stat().st_size / 1000:.0f} kB")
 
 

@@ -15,7 +15,7 @@ _HEAD = """# Scene file
 
 A scene is one YAML file: the robot, where its arm starts, the tool's path, obstacles and base.
 Lengths are metres, angles degrees, times seconds; `rpy_deg` is Rz(yaw) Ry(pitch) Rx(roll), as in URDF.
-A key that is not *required* may be left out.
+A key that is not *required* may be left out; its value is a number where nothing else is said.
 Largest and smallest values, and the blocks that only cmbot writes, are in the schema.
 
 Editors check a scene while it is typed if its first line is `# yaml-language-server: $schema=FILE`.
@@ -42,6 +42,7 @@ _SECTIONS = {
     "MountRailFile": "`mounts.rail`",
     "BaseFile": "`base`",
     "ModesFile": "`base.modes`",
+    "LinkHoldFile": "`base.hold`",
     "Tool": "`tool`",
     "Tolerance": "`tool.tolerance`",
     "Uncertainty": "`uncertainty`",
@@ -67,6 +68,7 @@ _SECTIONS = {
     "MaterialFile": "`guardrail.material`",
     "FootFile": "`guardrail.foot`",
     "HoldFile": "`guardrail.hold`",
+    "PadFile": "`guardrail.hold.pads`",
     "StanceFile": "`guardrail.stance`",
     "FootholdFile": "`guardrail.stance.foot_1`",
     "ExcitationFile": "`excitation`",
@@ -95,7 +97,7 @@ def reference_text(schema: dict[str, Any], example: str) -> str:
     parts = [_HEAD.replace("{example}", example.strip())]
     for name, title in _SECTIONS.items():
         definition = definitions[name]
-        parts.append(f"## {title}\n\n{textwrap.fill(_prose(definition['description']), 118)}\n")
+        parts.append(f"## {title}\n\n{_filled(_prose(definition['description']))}\n")
         above = definitions["ToolPathFile"]["properties"] if name == "StrokeFile" else {}
         parts.append("\n".join(_entries(definition, above)) + "\n")
     return "\n".join(parts)
@@ -107,17 +109,25 @@ def _entries(definition: dict[str, Any], known: Container[str] = ()) -> Iterator
     for key, value in definition["properties"].items():
         if key in known:
             continue
-        kind = _kind(value)
+        name, kind = f"`{key}`", [_kind(value)]
+        if kind[0].startswith(f"[{key}](") and kind[0].endswith(")"):
+            name, kind = kind[0].replace(key, name, 1), []
+        elif kind == ["number"]:
+            kind = []
         if key in required:
-            kind += ", required"
+            kind.append("required")
         elif not isinstance(value.get("default"), dict | list | None):
-            kind += f", default `{json.dumps(value['default'])}`"
-        entries[kind, _prose(value.get("description", ""))].append(f"`{key}`")
+            kind.append(f"default `{json.dumps(value['default'])}`")
+        entries[", ".join(kind), _prose(value.get("description", ""))].append(name)
     for (kind, text), keys in entries.items():
-        entry = f"- {', '.join(keys)} ({kind})" + (f": {text}" if text else ".")
-        yield textwrap.fill(
-            entry, 118, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
-        )
+        said = f" ({kind})" if kind else ""
+        entry = f"- {', '.join(keys)}{said}" + (f": {text}" if text else ".")
+        yield _filled(entry, "  ")
+
+
+def _filled(text: str, indent: str = "") -> str:
+    """A paragraph in lines that can be compared."""
+    return textwrap.fill(text, 118, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 def _kind(value: dict[str, Any]) -> str:
@@ -145,7 +155,7 @@ def _kind(value: dict[str, Any]) -> str:
     if value.get("type") == "object":
         (of,) = value.get("patternProperties", {"": value.get("additionalProperties")}).values()
         return f"{_kind(of)} by name"
-    words = {"number": "number", "integer": "whole number", "string": "text", "boolean": "true or false"}
+    words = {"number": "number", "integer": "integer", "string": "text", "boolean": "boolean"}
     return words[value["type"]]
 
 

@@ -23,12 +23,7 @@ CHANGES: list[dict[str, object]] = [
     {"robot.payload_kg": 5.0},
     {"tool_path.via_points": 30},
     {"planner.knots": "fixed"},
-    {"planner.knots": "fixed", "planner.avoidance": "switch"},
     {"planner.knots": "fixed", "planner.avoidance_gain": 0.0},
-    {"planner.knots": "fixed", "planner.avoidance_gain": 4.0},
-    {"planner.knots": "fixed", "planner.avoidance_distance_m": 0.2},
-    {"planner.knots": "fixed", "planner.centre_of_gravity_weight": 1.0},
-    {"planner.knots": "fixed", "tool_path.speed_profile.ramp": 0.1},
 ]
 HEADER = "| changed | gravity's peak, baseline, Nm | planned, Nm | its clearance, mm | start moved, deg |"
 

@@ -24,7 +24,9 @@ PAGE, REFERENCE = ROOT / "docs" / "reliability.md", RESULTS / "soak.json"
 _ENDS = ("planned", "no plan", "refused", "raised", "crashed", "timed out")
 # Numbers, and names of joints and links: what reasons of one kind differ in.
 _PARTICULAR = re.compile(r"[-+]?\d[\d.,e+-]*|\b(?!tool_path\b)\w*_\w+")
-_LONGEST_REASON = 115
+# How far planning came, with which most reasons begin.
+_SO_FAR = re.compile(r"^no path beyond [^:]*: ")
+_LONGEST_REASON = 80
 
 
 def sheets(results: Mapping[str, Any]) -> list[Sheet]:
@@ -85,8 +87,8 @@ def _failures(failures: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str
 
 
 def _kind_of(text: str) -> str:
-    """A reason without its numbers and names, and without what follows on from it; cut between words."""
-    kind = _PARTICULAR.sub("…", text.split(";")[0].replace("|", "/"))
+    """A reason without its place, numbers and names, and what follows on from it; cut between words."""
+    kind = _PARTICULAR.sub("…", _SO_FAR.sub("", text).split(";")[0].replace("|", "/"))
     return textwrap.shorten(kind, _LONGEST_REASON, placeholder=" …")
 
 

@@ -25,7 +25,7 @@ from cmbot.archive.places import (
     require_free,
     write_results,
 )
-from cmbot.archive.strict_json import json_bytes
+from cmbot.archive.records import json_bytes
 from cmbot.archive.tables import columns, samples_csv
 from cmbot.archive.writing import export_csv, save
 from cmbot.common.lazy_imports import on_first_use
@@ -34,10 +34,9 @@ if TYPE_CHECKING:
     from cmbot.archive.excitation import excitation_json, load_excitation, save_excitation
     from cmbot.archive.reading import load_plan, plan_data
     from cmbot.archive.ros import export_mcap, export_ros, export_ros_package
-    from cmbot.archive.tours import TourPart, load_tour
     from cmbot.archive.tracking import load_tracking, save_tracking, tracking_json
     from cmbot.archive.verification.folders import Asked, Verdict, VerifiedMotion, verified_motions
-    from cmbot.archive.walks import load_walk
+    from cmbot.archive.walks import TourPart, load_tour, load_walk
 
 __all__ = [
     "EVALUATION_FILE",
@@ -83,10 +82,9 @@ __all__ = [
 _LATER = {
     "cmbot.archive.excitation": ("excitation_json", "load_excitation", "save_excitation"),
     "cmbot.archive.reading": ("load_plan", "plan_data"),
-    "cmbot.archive.ros": ("export_mcap", "export_ros", "export_ros_package"),
-    "cmbot.archive.tours": ("TourPart", "load_tour"),
     "cmbot.archive.tracking": ("load_tracking", "save_tracking", "tracking_json"),
+    "cmbot.archive.ros": ("export_mcap", "export_ros", "export_ros_package"),
     "cmbot.archive.verification.folders": ("Asked", "Verdict", "VerifiedMotion", "verified_motions"),
-    "cmbot.archive.walks": ("load_walk",),
+    "cmbot.archive.walks": ("TourPart", "load_tour", "load_walk"),
 }
 __getattr__ = on_first_use(__name__, _LATER)

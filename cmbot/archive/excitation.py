@@ -11,7 +11,7 @@ from pydantic import TypeAdapter
 from cmbot.archive.folder import read_folder
 from cmbot.archive.names import EXCITATION_FILE, PLAN_FILE
 from cmbot.archive.places import add_results
-from cmbot.archive.strict_json import json_bytes, read_json
+from cmbot.archive.records import json_bytes, read_json
 from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import given_path, require_type, shown, validated
 from cmbot.excitation import Excitation

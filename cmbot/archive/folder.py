@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from cmbot.archive.names import FORMATS
-from cmbot.archive.strict_json import json_bytes, read_json
+from cmbot.archive.records import json_bytes, read_json
 from cmbot.common.errors import ArchiveError
 from cmbot.common.input_files import LARGEST_TEXT, read_input, require_replaceable
 from cmbot.common.validation import shown

@@ -22,7 +22,7 @@ from cmbot.archive.folder import (
     writable,
 )
 from cmbot.archive.names import FORMATS, OWN_FILES, PLAN_FILE, PLAN_FILES, SHOWN_FILES, WALK_FILE
-from cmbot.archive.strict_json import read_json
+from cmbot.archive.records import read_json
 from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import shown
 
@@ -143,7 +143,7 @@ def require_absent(directory: str | Path, names: Collection[str], *, force: bool
         there = [name for name in names if (target / name).exists()]
         if there and not force:
             expected = "a folder without these files, or --force (in Python force=True)"
-            raise ArchiveError(str(directory), "", ", ".join(there), expected)
+            raise ArchiveError(str(directory), "", f"{', '.join(there)}, already there", expected)
 
 
 def write_results(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -11,27 +12,25 @@ from typing import Any
 
 import numpy as np
 
-from cmbot.archive.consistency import require_same
 from cmbot.archive.folder import read_folder
 from cmbot.archive.knots import require_times, segment_trajectories
 from cmbot.archive.names import BASELINE_FILE, JOB_FILES, PLAN_FILE, PLAN_FILES
 from cmbot.archive.places import plans_nearby
 from cmbot.archive.plan_file import HashesFile, PlanFile, StrokeEntries, made, plan_record
+from cmbot.archive.records import require_same
 from cmbot.archive.tables import read_motion
 from cmbot.archive.verification.asked import require_asked, require_promised
 from cmbot.archive.verification.exported import unverified_files
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import ArchiveError, InputError
-from cmbot.common.validation import given_path, require_type, shown, validated
+from cmbot.common.validation import counted, given_path, require_type, shown, validated
 from cmbot.elastic.sag import Sag
 from cmbot.planning import (
     RETURN,
-    Baseline,
     Certificate,
     Check,
     Job,
-    LowerBound,
     MotionMetrics,
     ObjectiveMetrics,
     Plan,
@@ -39,7 +38,6 @@ from cmbot.planning import (
     Start,
     StrokeBaseline,
     StrokePlan,
-    ToolTask,
     bending_arm,
     certify,
     certify_move,
@@ -139,20 +137,17 @@ def read_plan(
         expected = f"{error.expected}; of a plan of another version: cmbot plan SCENE makes it anew"
         raise ArchiveError(error.source, error.key, error.got, expected, error.choices) from error
     with _as_archive_error(str(source)):
-        scene = file.scene.with_source(str(source))
-        robot = _robot(scene, file, source)
-        what = "the scene in this file or the meshes that it names have changed since"
-        _require_hash(scene.content_hash, file.hashes.scene, source, "hashes.scene", what)
+        parts = _Parts(file, folder, contents)
+        scene, robot = parts.scene, parts.robot
         clearances = Clearances(robot, scene.all_obstacles)
         end = end_posture_of(scene, robot)
-        tasks = [task_of(stroke, scene) for stroke in strokes_of(scene, robot)]
     if asked is not None:
         require_asked(scene, asked, str(source))
     promised = options or (asked.planner if asked is not None else file.options)
     require_promised(file.options, resolved_options(scene, robot, promised), str(source), "options")
-    job = _job(file, contents[JOB_FILES[1]], folder, scene, robot, tasks, end)
+    job = parts.job(end)
     plan = Plan.of(
-        _strokes(file, folder, contents, job, robot, scene, clearances),
+        parts.strokes(job, clearances),
         clearances,
         scene=scene,
         options=file.options,
@@ -166,8 +161,6 @@ def read_plan(
     )
     # It costs a third of a second, and is computed anew where the plan is verified.
     vars(plan)["accuracy"], vars(plan)["sway"] = file.accuracy, file.sway
-    if plan.several and plan.baseline is not None:
-        _require_straight(plan.baseline, contents[BASELINE_FILE], str(folder / BASELINE_FILE), robot.dof)
     again = plan_record(plan, file.hashes)
     if file.baseline is not None:
         # Its free moves are not in the table but measured again, which is compared where it is verified.
@@ -212,151 +205,132 @@ def _read(folder: Path, wanted: Any) -> tuple[dict[str, Any], dict[str, bytes]]:
         raise ArchiveError(source, "", "no such file", f"{expected}{plans_nearby(folder)}") from error
 
 
-def _robot(scene: Scene, file: PlanFile, source: Path) -> Robot:
-    robot = robot_of(scene)
-    what = f"the robot's files have changed since ({robot.urdf}, SRDF, joint limits or elasticity)"
-    _require_hash(robot.content_hash, file.hashes.robot, source, "hashes.robot", what)
-    return robot
+class _Parts:
+    """What a plan directory holds, as the planner has it."""
 
+    def __init__(self, file: PlanFile, folder: Path, contents: Mapping[str, bytes]) -> None:
+        self._file, self._contents = file, contents
+        self._source, self._knots, self._table = (
+            str(folder / name) for name in (PLAN_FILE, JOB_FILES[1], BASELINE_FILE)
+        )
+        self.scene = file.scene.with_source(self._source)
+        self.robot = robot = robot_of(self.scene)
+        what = f"the robot's files have changed since ({robot.urdf}, SRDF, joint limits or elasticity)"
+        self._require_hash("robot", robot.content_hash, what)
+        what = "the scene in this file or the meshes that it names have changed since"
+        self._require_hash("scene", self.scene.content_hash, what)
+        self._strokes = strokes_of(self.scene, robot)
+        self._tasks = [task_of(stroke, self.scene) for stroke in self._strokes]
 
-def _require_hash(got: str, expected: str, source: Path, key: str, what: str) -> None:
-    if got != expected:
-        raise ArchiveError(str(source), key, f"{got[:16]}… now", f"{expected[:16]}…: {what}; plan again")
+    def _require_hash(self, name: str, got: str, what: str) -> None:
+        if got != (expected := getattr(self._file.hashes, name)):
+            told = f"{expected[:16]}…: {what}; plan again"
+            raise ArchiveError(self._source, f"hashes.{name}", f"{got[:16]}… now", told)
 
+    def job(self, end: FloatArray | None) -> Job:
+        """The scene's strokes and the free moves around them; it ends in a posture (n,), or at the work."""
+        entries, tasks = self._file.segments, self._tasks
+        order = "".join(segment.kind[0] for segment in entries)  # f: free, s: stroke
+        if not re.fullmatch(f"(f?s){{{len(tasks)}}}{'' if end is None else 'f?'}", order):
+            expected = f"{counted(len(tasks), 'stroke')}, by the scene, free moves around them"
+            got = ", ".join(segment.name for segment in entries)
+            raise ArchiveError(self._source, "segments", shown(got), expected)
+        begins = np.cumsum([0.0, *(segment.seconds for segment in entries)])
+        content, dof = self._contents[JOB_FILES[1]], self.robot.dof
+        trajectories = segment_trajectories(entries, begins, content, self._knots, dof, self._strokes)
+        segments = list[Segment]()
+        number = 0
+        for k, (entry, trajectory) in enumerate(zip(entries, trajectories, strict=True)):
+            # A free move belongs to the stroke that it leads to, the return to the last one.
+            task = tasks[min(number, len(tasks) - 1)]
+            if entry.kind == "stroke":
+                name, number = str(self._strokes[number].name), number + 1
+            else:
+                task, name = task.held_at_start(), free_move_name(number) if number < len(tasks) else RETURN
+            given = {"name": name, "begin": float(begins[k]), "trajectory": trajectory, "task": task}
+            segments.append(made(Segment, entry, **given, certificate=self._certificate(k)))
+        ends = {0: ("the scene's posture at first", np.array(self.scene.posture))}
+        if end is not None:
+            ends[-1] = ("where the job is to end at last", end)
+        for k, (what, posture) in ends.items():
+            if (off := np.abs(segments[k].trajectory.q[k] - posture).max()) > _SAME_ANGLE:
+                raise ArchiveError(self._knots, "q", f"another posture, off by {off:.3g}", what)
+        return Job(segments=tuple(segments))
 
-def _job(
-    file: PlanFile,
-    knots: bytes,
-    folder: Path,
-    scene: Scene,
-    robot: Robot,
-    tasks: Sequence[ToolTask],
-    end: FloatArray | None,
-) -> Job:
-    """The job of the scene's strokes and the free moves around them, from the content of its knots."""
-    source, names = str(folder / PLAN_FILE), [str(stroke.name) for stroke in scene.strokes]
-    got, expected = [(segment.name, segment.kind) for segment in file.segments], list[tuple[str, str]]()
-    for number, name in enumerate(names):
-        move = (free_move_name(number), "free")
-        expected += [move, (name, "stroke")] if move in got else [(name, "stroke")]
-    if end is not None and got[-1] == (RETURN, "free"):
-        expected.append((RETURN, "free"))
-    if got != expected:
-        shown_got, wanted = (", ".join(name for name, _ in each) for each in (got, expected))
-        raise ArchiveError(source, "segments", shown(shown_got), f"{wanted}, by the scene")
-    seconds = [segment.seconds for segment in file.segments]
-    begins = np.cumsum([0.0, *seconds])
-    trajectories = segment_trajectories(
-        file.segments, begins, knots, str(folder / JOB_FILES[1]), robot.dof, strokes_of(scene, robot)
-    )
-    segments, number = [], 0
-    for k, (entry, trajectory) in enumerate(zip(file.segments, trajectories, strict=True)):
-        # A free move belongs to the stroke that it leads to, the return to the last one.
-        task = tasks[min(number, len(tasks) - 1)]
-        own = task if entry.kind == "stroke" else task.held_at_start()
-        number += entry.kind == "stroke"
+    def _certificate(self, number: int) -> Certificate:
+        entry = self._file.segments[number]
         integral = entry.mean_guardrail_torque * entry.seconds
         measured = made(MotionMetrics, entry, duration=entry.seconds, guardrail_torque_integral=integral)
         certificate = made(Certificate, entry.certificate, figures=measured)
         for index, check in enumerate(certificate.checks):
             if not check.holds:
-                key, broken = f"segments[{k}].certificate.checks[{index}]", check.quantity
-                raise ArchiveError(source, key, f"a broken promise ({broken})", "kept ones")
-        given = {"begin": float(begins[k]), "trajectory": trajectory, "task": own, "certificate": certificate}
-        segments.append(made(Segment, entry, **given))
-    ends = {0: ("the scene's posture at first", np.array(scene.posture))}
-    if end is not None:
-        ends[-1] = ("where the job is to end at last", end)
-    for k, (what, posture) in ends.items():
-        if np.abs(found := segments[k].trajectory.q[k] - posture).max() > _SAME_ANGLE:
-            got_there = f"another posture, off by {np.abs(found).max():.3g}"
-            raise ArchiveError(str(folder / JOB_FILES[1]), "q", got_there, what)
-    return Job(segments=tuple(segments))
+                key, broken = f"segments[{number}].certificate.checks[{index}]", check.quantity
+                raise ArchiveError(self._source, key, f"a broken promise ({broken})", "kept ones")
+        return certificate
 
+    def strokes(self, job: Job, clearances: Clearances) -> list[StrokePlan]:
+        """What is planned of each stroke."""
+        several = [segment.name for segment in job.strokes] if len(job.strokes) > 1 else []
+        given = [stroke.name for stroke in self._file.strokes]
+        require_same(given, several, self._source, "strokes", why="the scene has them")
+        entries: tuple[StrokeEntries, ...] = self._file.strokes or (self._file,)
+        baselines = self._baselines(entries, clearances)
+        strokes, before = [], np.array(self.scene.posture)
+        for k, (entry, segment, baseline) in enumerate(zip(entries, job.strokes, baselines, strict=True)):
+            posture, key = segment.trajectory.q[0], f"strokes[{k}]." if several else ""
+            moved = float(np.abs(self.robot.metric.coordinates(posture - before)).max())
+            failures = tuple(failure.made() for failure in entry.start.failures)
+            start = Start(posture=posture, moved=moved * (moved > _SAME_ANGLE), failures=failures)
+            if (floor := entry.floor) is not None:
+                require_same(len(floor.each), len(segment.trajectory.t), self._source, f"{key}floor.each")
+                lowest = dict(enumerate(floor.each.tolist())).get(floor.via_point)
+                require_same(floor.value, lowest, self._source, f"{key}floor.value")
+            own = {"name": segment.name, "task": segment.task, "start": start, "lower_bound": floor}
+            objective = self._objective(entry, segment)
+            strokes.append(made(StrokePlan, entry, **own, baseline=baseline, objective=objective))
+            before = segment.trajectory.q[-1]
+        return strokes
 
-def _strokes(
-    file: PlanFile,
-    folder: Path,
-    contents: Mapping[str, bytes],
-    job: Job,
-    robot: Robot,
-    scene: Scene,
-    clearances: Clearances,
-) -> list[StrokePlan]:
-    """What is planned of each stroke."""
-    source, names = str(folder / PLAN_FILE), [segment.name for segment in job.strokes]
-    several = [stroke.name for stroke in file.strokes]
-    require_same(several, names if len(names) > 1 else [], source, "strokes", why="the scene has them")
-    entries: tuple[StrokeEntries, ...] = file.strokes or (file,)
-    baselines = _baselines(file, entries, folder, contents.get(BASELINE_FILE), job, robot, clearances)
-    strokes, before = [], np.array(scene.posture)
-    for k, (entry, segment, baseline) in enumerate(zip(entries, job.strokes, baselines, strict=True)):
-        posture, key = segment.trajectory.q[0], f"strokes[{k}]." if file.strokes else ""
-        moved = float(np.abs(robot.metric.coordinates(posture - before)).max())
-        failures = tuple(failure.made() for failure in entry.start.failures)
-        start = Start(posture=posture, moved=moved * (moved > _SAME_ANGLE), failures=failures)
-        if (floor := entry.floor) is not None:
-            require_same(len(floor.each), len(segment.trajectory.t), source, f"{key}floor.each")
-            lowest = dict(enumerate(floor.each.tolist())).get(floor.via_point)
-            require_same(floor.value, lowest, source, f"{key}floor.value")
-        objective = _objective(entry.objective, file.options, baseline, segment, floor)
-        given = {"name": segment.name, "task": segment.task, "start": start, "lower_bound": floor}
-        strokes.append(made(StrokePlan, entry, **given, baseline=baseline, objective=objective))
-        before = segment.trajectory.q[-1]
-    return strokes
+    def _objective(self, entry: StrokeEntries, planned: Segment) -> ObjectiveMetrics:
+        """An objective as what else is known has it; its peaks, and a custom one, are the file's word."""
+        stored, options = entry.objective, self._file.options
+        of_torque = not stored.own and options.objective == "torque"
+        objective = replace(
+            stored,
+            name=stored.name if stored.own else options.objective,
+            moment_about=options.moment_about if of_torque else None,
+            axis_weights=options.axis_weights if of_torque else None,
+            floor=None if entry.floor is None else entry.floor.value,
+        )
+        if not objective.is_guardrail_torque:
+            return objective
+        before = None if entry.baseline is None else entry.baseline.peak_guardrail_torque
+        return replace(objective, baseline_peak=before, planned_peak=planned.figures.peak_guardrail_torque)
 
-
-def _objective(
-    stored: ObjectiveMetrics,
-    options: PlannerOptions,
-    baseline: StrokeBaseline | None,
-    planned: Segment,
-    floor: LowerBound | None,
-) -> ObjectiveMetrics:
-    """An objective as what else is known has it; of a custom one, and of its peaks, it is the file's word."""
-    of_torque = not stored.own and options.objective == "torque"
-    objective = replace(
-        stored,
-        name=stored.name if stored.own else options.objective,
-        moment_about=options.moment_about if of_torque else None,
-        axis_weights=options.axis_weights if of_torque else None,
-        floor=None if floor is None else floor.value,
-    )
-    if not objective.is_guardrail_torque:
-        return objective
-    before = None if baseline is None else baseline.figures.peak_guardrail_torque
-    return replace(objective, baseline_peak=before, planned_peak=planned.figures.peak_guardrail_torque)
-
-
-def _baselines(
-    file: PlanFile,
-    entries: Sequence[StrokeEntries],
-    folder: Path,
-    content: bytes | None,
-    job: Job,
-    robot: Robot,
-    clearances: Clearances,
-) -> list[StrokeBaseline | None]:
-    """The baseline along each stroke, from the content of its table; none where the options ask for none."""
-    if file.options.baseline == "none":
-        return [None] * len(entries)
-    source, stored = str(folder / BASELINE_FILE), [entry.baseline for entry in entries]
-    if None in stored or file.baseline is None:
-        expected = "one of the job and of every stroke, by options.baseline"
-        raise ArchiveError(str(folder / PLAN_FILE), "baseline", "null", expected)
-    if content is None:
-        expected = f"the file that was saved with {PLAN_FILE}"
-        raise ArchiveError(str(folder / PLAN_FILE), "files", f"no {BASELINE_FILE}", expected)
-    t, motion = read_motion(content, source, robot.dof)
-    if not file.strokes:
-        require_times(t, job.strokes[0].task.path.duration, source, "the scene")
-    baselines = list[StrokeBaseline | None]()
-    for entry, segment in zip(filter(None, stored), job.strokes, strict=True):
-        task = segment.task
-        rows = _rows(t, entry.begin, entry.begin + task.path.duration, source)
-        samples = measure(robot, task, clearances, t[rows] - t[rows[0]], [array[rows] for array in motion])
-        baselines.append(made(StrokeBaseline, entry, samples=samples, figures=made(MotionMetrics, entry)))
-    return baselines
+    def _baselines(
+        self, entries: Sequence[StrokeEntries], clearances: Clearances
+    ) -> list[StrokeBaseline | None]:
+        """The baseline along each stroke, from its table; none where the options ask for none."""
+        if self._file.options.baseline == "none":
+            return [None] * len(entries)
+        stored = [entry.baseline for entry in entries]
+        if None in stored or self._file.baseline is None:
+            expected = "one of the job and of every stroke, by options.baseline"
+            raise ArchiveError(self._source, "baseline", "null", expected)
+        if BASELINE_FILE not in self._contents:
+            expected = f"the file that was saved with {PLAN_FILE}"
+            raise ArchiveError(self._source, "files", f"no {BASELINE_FILE}", expected)
+        t, motion = read_motion(self._contents[BASELINE_FILE], self._table, self.robot.dof)
+        if len(entries) == 1:
+            require_times(t, self._tasks[0].path.duration, self._table, "the scene")
+        baselines = list[StrokeBaseline | None]()
+        for entry, task in zip(filter(None, stored), self._tasks, strict=True):
+            rows = _rows(t, entry.begin, entry.begin + task.path.duration, self._table)
+            part = [array[rows] for array in motion]
+            samples = measure(self.robot, task, clearances, t[rows] - t[rows[0]], part)
+            along = made(MotionMetrics, entry)
+            baselines.append(made(StrokeBaseline, entry, samples=samples, figures=along))
+        return baselines
 
 
 def _rows(t: FloatArray, begin: float, end: float, source: str) -> IntArray:
@@ -367,17 +341,6 @@ def _rows(t: FloatArray, begin: float, end: float, source: str) -> IntArray:
         expected = f"rows from {begin:g} to {end:g} s"
         raise ArchiveError(source, "t", "no row where a stroke begins or ends", expected)
     return rows
-
-
-def _require_straight(baseline: Baseline, content: bytes, source: str, dof: int) -> None:
-    """Refuse a table of a baseline with other motions between its strokes than the quickest straight ones."""
-    t, motion = read_motion(content, source, dof)
-    if not (_agree(baseline.samples.t, t) and _agree(baseline.samples.q, motion[0])):
-        raise ArchiveError(source, "", "other motions between the strokes", "the quickest straight ones")
-
-
-def _agree(got: FloatArray, expected: FloatArray) -> bool:
-    return got.shape == expected.shape and np.allclose(got, expected, rtol=_SAME_ZERO, atol=_SAME_ZERO)
 
 
 def _sag(scene: Scene, robot: Robot, options: PlannerOptions) -> Sag | None:

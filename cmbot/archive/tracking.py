@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from cmbot.archive.consistency import Entry
 from cmbot.archive.folder import read_folder
 from cmbot.archive.names import PLAN_FILE, TRACKING_FILES
 from cmbot.archive.places import add_results
-from cmbot.archive.strict_json import json_bytes, read_json
+from cmbot.archive.records import Entry, json_bytes, read_json
 from cmbot.archive.tables import read_table, table_csv
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError
@@ -207,21 +206,15 @@ def _motion(motion: MotionTracking) -> dict[str, Any]:
         if residual is None
         else {**vars(residual), "peak_to_peak": _by_axis(residual.peak_to_peak)},
         "modes": [{"frequency": frequency, "power": power} for frequency, power in modes],
-        "largest_command_error": float(np.nanmax(np.linalg.norm(motion.command, axis=1))),
-        **(
-            {}
-            if motion.execution is None
-            else {"largest_execution_error": float(np.linalg.norm(motion.execution, axis=1).max())}
-        ),
-        **(
-            {}
-            if motion.base is None
-            else {
-                "largest_base_displacement": motion.largest_base_displacement,
-                "largest_base_rotation": motion.largest_base_rotation,
-            }
-        ),
+        "largest_command_error": _largest(motion.command),
+        "largest_execution_error": None if motion.execution is None else _largest(motion.execution),
+        "largest_base_displacement": motion.largest_base_displacement,
+        "largest_base_rotation": motion.largest_base_rotation,
     }
+
+
+def _largest(vectors: FloatArray) -> float:
+    return float(np.nanmax(np.linalg.norm(vectors, axis=1)))
 
 
 def _by_axis(values: FloatArray) -> dict[str, float]:

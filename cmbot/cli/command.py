@@ -45,13 +45,18 @@ def option(
     least: float | None = None,
     most: float | None = None,
     instead: Callable[[], None] | None = None,
+    needs: Sequence[str] = (),
+    alone: str = "",
 ) -> Any:
     """Declare an option, called as its field is; without a default, `MISSING`, it is needed.
 
     A number has to be from `least` to `most`. Where it is given, `instead` is called in place of the command.
+    It `needs` one of some other flags beside it, and of those that are `alone` by the same word one is given.
     """
+    if needs:
+        help = f"With {' or '.join(needs)}: {help}"
     told = {"help": help, "metavar": metavar, "least": least, "most": most, "instead": instead}
-    return field(default=default, metadata={"flags": flags, **told})
+    return field(default=default, metadata={"flags": flags, "needs": needs, "alone": alone, **told})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,6 +70,26 @@ class Command(ABC):
     def verb(cls) -> str:
         """Return what the command is called."""
         return cls.__name__.removesuffix("Command").lower()
+
+    def made(
+        self, kind: type[T], prefix: str = "", called: Mapping[str, str] | None = None, **given: object
+    ) -> T:
+        """Return options whose fields are those of this command of the same names, and what is `given`.
+
+        What is None is left as it is by default. Errors name the flags of this command, and those that are
+        `called` otherwise.
+        """
+        from cmbot.common.validation import validated
+
+        names = {each.name: each.name.removeprefix(prefix) for each in fields(self)}
+        known = {each.name for each in fields(kind)}  # type: ignore[arg-type]
+        own = {name: getattr(self, field) for field, name in names.items() if name in known}
+        values = {name: value for name, value in (own | given).items() if value is not None}
+        if not hasattr(kind, "__pydantic_config__"):
+            return kind(**values)
+        flags = {names[each.name]: _flags(each)[0] for each in fields(self) if _flags(each)}
+        with options_named(flags | dict(called or {})):
+            return validated(kind, values, f"cmbot {self.verb()}", InputError)
 
     @abstractmethod
     def __call__(self) -> int | None:
@@ -190,6 +215,8 @@ def parsed(kind: type[C], words: Sequence[str]) -> C:
     ------
     UsageError
         When the words do not fit.
+    InputError
+        When options do not go together.
     SystemExit
         After an option in whose place something else was done, such as the help.
     """
@@ -198,7 +225,24 @@ def parsed(kind: type[C], words: Sequence[str]) -> C:
     if others:
         parser.error(_unknown(others[0], flags_of(kind)))
     values = {name: tuple(value) if isinstance(value, list) else value for name, value in vars(given).items()}
+    _require_fitting(kind, values)
     return kind(**values)
+
+
+def _require_fitting(kind: type[Command], given: Mapping[str, Any]) -> None:
+    """Refuse options that do not go together: an `InputError` names them."""
+    options = {_flags(each)[0]: each for each in fields(kind) if each.name in given and _flags(each)}
+    alone: dict[str, list[str]] = {}
+    for flag, declared in options.items():
+        needs, value = declared.metadata["needs"], given[declared.name]
+        if needs and not options.keys() & set(needs):
+            got = "nothing beside it" if value is True else str(value)
+            raise InputError(f"cmbot {kind.verb()}", flag, got, f"it with {' or '.join(needs)}")
+        alone.setdefault(declared.metadata["alone"], []).append(flag)
+    for word, flags in alone.items():
+        if word and len(flags) > 1:
+            got = "both" if len(flags) == 2 else "all"
+            raise InputError(f"cmbot {kind.verb()}", ", ".join(flags), got, "one of them")
 
 
 def _unknown(word: str, flags: Sequence[str]) -> str:

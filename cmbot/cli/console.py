@@ -6,9 +6,10 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from enum import IntEnum
+from math import isfinite
 from types import FrameType
 from typing import Any, Self, TextIO
 
@@ -92,8 +93,25 @@ class ExitStatus(IntEnum):
 
 
 def print_json(data: Mapping[str, Any]) -> None:
-    """Print one JSON object; it is plain ASCII, so nothing in it can drive a terminal."""
-    out.print(json.dumps({"format": "cmbot-summary/1", **data}, indent=2, allow_nan=False))
+    """Print one JSON object; it is plain ASCII, so nothing in it can drive a terminal.
+
+    JSON has no infinite numbers, such as the clearance without shapes: they are null.
+    """
+    out.print(json.dumps(_finite({"format": "cmbot-summary/1", **data}), indent=2, allow_nan=False))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _finite(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not isfinite(value) else value
+
+
+def print_lines(lines: Iterable[str]) -> None:
+    """Print sentences, each in a line."""
+    for line in lines:
+        out.print(one_line(line))
 
 
 def print_pairs(pairs: Mapping[str, str]) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cmbot.cli.command import Writing, option
-from cmbot.cli.console import out
+from cmbot.cli.console import out, print_lines
 from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError, ModelError, one_line
 from cmbot.common.installation import scene_folder
@@ -84,7 +84,7 @@ class NewCommand(Writing):
             missing = "--from" if source is None else "--tool-at"
             raise InputError(missing, "", "nothing", "--from URDF and --tool-at X Y Z")
         path = self.output or Path(f"{_slug(Path(source).name.partition('.')[0])}.yaml")
-        _require_applicable(source, self.base, self.tool, self.package_dir)
+        self._require_applicable(source)
         asked = self._asked(source)
         robot = _loaded(asked)
         require_new(path, self.force)
@@ -104,6 +104,17 @@ class NewCommand(Writing):
             lambda: _print_new(made, remarks, written, shipped=source == _SHIPPED),
         )
 
+    def _require_applicable(self, source: str) -> None:
+        """Refuse options that the shipped robot does not need, and folders that are not there."""
+        foreign: dict[str, object] = {"--base": self.base, "--tool": self.tool}
+        foreign["--package-dir"] = self.package_dir
+        foreign |= {"--xacro": self.xacro, "--total-mass": self.total_mass}
+        if source == _SHIPPED and (given := [flag for flag, value in foreign.items() if value]):
+            raise InputError(", ".join(given), "", "an option", "none with --from cmbot, which is known")
+        for place in self.package_dir:
+            if not place.is_dir():
+                raise InputError("--package-dir", "", str(place), "a folder that exists")
+
     def _asked(self, source: str) -> NewRobot:
         """The robot that the options describe; ``--tool`` is a frame, or a tool as the scene file has it."""
         from cmbot.common.validation import shown, validated
@@ -118,8 +129,6 @@ class NewCommand(Writing):
             tool_frame = self.flange
         elif self.flange is not None:
             raise InputError("--flange", "", shown(self.flange), "a tool on it: --tool '{xyz: [0, 0, 0.2]}'")
-        if source == _SHIPPED and (tool, self.xacro, self.total_mass) != (None, (), None):
-            raise InputError("--tool, --xacro, --total-mass", "", "one of them", "none with --from cmbot")
         return NewRobot(
             source=source,
             base_frame=self.base,
@@ -131,17 +140,6 @@ class NewCommand(Writing):
         )
 
 
-def _require_applicable(source: str, base: str | None, tool: str | None, packages: tuple[Path, ...]) -> None:
-    """Refuse frames and folders that the shipped robot does not need, and folders that are not there."""
-    if source == _SHIPPED and (base, tool) != (None, None):
-        raise InputError("--base, --tool", "", "frames", "none with --from cmbot: its frames are known")
-    if packages and source == _SHIPPED:
-        raise InputError("--package-dir", "", "a folder", "none with --from cmbot: its files are known")
-    for place in packages:
-        if not place.is_dir():
-            raise InputError("--package-dir", "", str(place), "a folder that exists")
-
-
 def _print_new(made: _Made, remarks: Sequence[str], written: Sequence[Path], *, shipped: bool) -> None:
     """Print what was written of a scene: the file and those beside it."""
     robot, start = made.robot, made.start
@@ -151,13 +149,9 @@ def _print_new(made: _Made, remarks: Sequence[str], written: Sequence[Path], *, 
     out.print(f"A first leg takes the tool by ({by}) m in {start.seconds:g} s: put your own into tool_path.")
     if not shipped:
         out.print("The base is rigid: guardrail.stiffness says how it bends, base.name what it is.")
-    for remark in remarks:
-        out.print(one_line(remark))
-    for limits in written[1:]:
-        if limits.suffix == ".yaml":
-            out.print(
-                one_line(f"The assumed limits are in {limits}: put those of your robot's data sheet there.")
-            )
+    sheets = [limits for limits in written[1:] if limits.suffix == ".yaml"]
+    yours = "put those of your robot's data sheet there"
+    print_lines([*remarks, *(f"The assumed limits are in {limits}: {yours}." for limits in sheets)])
     out.print(one_line(f"Written: {', '.join(map(str, written))}. Plan it: cmbot plan {written[0]}"))
 
 

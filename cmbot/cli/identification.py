@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import cmbot
 from cmbot.cli.command import Writing, argument, option, options_named
 from cmbot.cli.completion import complete_scene
-from cmbot.cli.console import out, print_table
+from cmbot.cli.console import out, print_lines, print_table
 from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError, one_line
 from cmbot.common.installation import scene_folder
@@ -42,10 +42,10 @@ class IdentifyCommand(Writing):
         metavar="FILE",
     )
     propose: int | None = option(None, "Propose so many postures to measure in.", least=1, most=100)
-    job: Path | None = option(None, "With --propose: a plan directory, whose motion counts.")
-    weight: float | None = option(None, "With --propose: kg that are hung on; 5 if left out.")
-    gauge: float | None = option(None, "With --propose: error of the gauge, mm; 0.1 if left out.")
-    axes: str = option("xyz", "With --propose: components that are measured, such as z.")
+    job: Path | None = option(None, "a plan directory, whose motion counts.", needs=["--propose"])
+    weight: float | None = option(None, "kg that are hung on; 5 if left out.", needs=["--propose"])
+    gauge: float | None = option(None, "error of the gauge, mm; 0.1 if left out.", needs=["--propose"])
+    axes: str = option("xyz", "components that are measured, such as z.", needs=["--propose"])
     accept_misfit: bool = option(False, "Use measurements that plainly do not fit, with larger errors.")
 
     def __call__(self) -> None:
@@ -106,8 +106,7 @@ class IdentifyCommand(Writing):
 def _print_proposal(made: Proposal, sheet: Path, sources: Sequence[str]) -> None:
     from cmbot.identification import proposal_remarks
 
-    for line in proposal_remarks(made):
-        out.print(one_line(line))
+    print_lines(proposal_remarks(made))
     all_sheets = (*(sources if made.measured else ()), str(sheet))
     out.print(f"Sheet to fill in: {one_line(sheet)}; then: cmbot identify {one_line(' '.join(all_sheets))}")
 
@@ -116,8 +115,7 @@ def _print_identification(found: Identification, target: Path) -> None:
     from cmbot.identification import HEADINGS, identified_rows, remarks
 
     print_table("Stiffness", HEADINGS, list(identified_rows(found)), text_columns=1)
-    for line in remarks(found):
-        out.print(one_line(line))
+    print_lines(remarks(found))
     out.print(f"Written to {one_line(target)}; in a scene: identified: {one_line(target)}")
 
 
@@ -215,8 +213,7 @@ class LocateCommand(Writing):
         write_file(target, _blocks(found, remarks).encode())
 
         def say() -> None:
-            for line in remarks:
-                out.print(one_line(line))
+            print_lines(remarks)
             out.print(f"Written to {one_line(str(target))}: {_use(found)}.")
 
         self.answer(lambda: {"file": str(target), **_located(found), "remarks": remarks}, say)

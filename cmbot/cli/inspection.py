@@ -7,14 +7,13 @@ import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from itertools import takewhile
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import cmbot
 from cmbot.cli.command import Command, Reporting, argument, option
 from cmbot.cli.completion import complete_scene
-from cmbot.cli.console import ExitStatus, out, print_json, print_pairs, print_table
+from cmbot.cli.console import ExitStatus, out, print_json, print_lines, print_pairs, print_table
 from cmbot.cli.creation import xacro_arguments
 from cmbot.cli.planning import loaded_scene
 from cmbot.cli.views import require_new
@@ -24,7 +23,6 @@ from cmbot.common.installation import install_command, model_folder, scene_folde
 from cmbot.version import __version__
 
 if TYPE_CHECKING:
-    from cmbot.planning import Check
     from cmbot.robot import Finding
 
 _ROBOT_SUFFIXES = (".urdf", ".xml", ".xacro")
@@ -272,7 +270,7 @@ class VerifyCommand(Reporting):
 
         def data() -> dict[str, Any]:
             entries = [
-                {"part": each.part, "name": each.name, "checks": [_entry(check) for check in each.checks]}
+                {"part": each.part, "name": each.name, "checks": list(map(asdict, each.checks))}
                 for each in verdict.motions
             ]
             return {
@@ -290,25 +288,22 @@ class VerifyCommand(Reporting):
                 for each in verdict.motions
             ]
             print_table("Verified", ("part", "motion", "seconds", "checks that hold"), rows, text_columns=2)
-            out.print(one_line("Certified anew, and computed a second time at 300 states of each motion."))
-            if not self.scenes:
-                out.print("Judged by what the folder says that was asked: --scene SCENE names the scene.")
-            out.print(one_line(f"Not verified: {'; '.join(verdict.not_verified) or 'nothing'}."))
+            told = "Judged by what the folder says that was asked: --scene SCENE names the scene."
             second = f"The second engine, {ENGINE}, was asked."
             missing = f"The second engine was not asked: {MissingExtra(ENGINE, 'verify')}."
-            out.print(one_line(second if asked else missing))
+            print_lines(
+                [
+                    "Certified anew, and computed a second time at 300 states of each motion.",
+                    *([] if self.scenes else [told]),
+                    f"Not verified: {'; '.join(verdict.not_verified) or 'nothing'}.",
+                    second if asked else missing,
+                ]
+            )
 
-        for text in () if self.json else verdict.looser:
-            out.print(one_line(f"Promised otherwise than the scene in the folder asks: {text}."))
+        if not self.json:
+            looser = "Promised otherwise than the scene in the folder asks"
+            print_lines(f"{looser}: {text}." for text in verdict.looser)
         self.answer(data, say)
-
-
-def _entry(check: Check) -> dict[str, Any]:
-    """A check for JSON, which has no infinite numbers: without shapes a clearance is one."""
-    return {
-        name: None if isinstance(value, float) and not isfinite(value) else value
-        for name, value in asdict(check).items()
-    }
 
 
 @dataclass(frozen=True, kw_only=True)

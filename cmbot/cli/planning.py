@@ -6,14 +6,13 @@ import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, fields
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cmbot
 from cmbot.cli.command import Reporting, Writing, argument, option
 from cmbot.cli.completion import complete_scene
-from cmbot.cli.console import ConsoleProgress, ExitStatus, err, out, print_table, scenes_named
+from cmbot.cli.console import ConsoleProgress, ExitStatus, err, out, print_lines, print_table, scenes_named
 from cmbot.cli.views import plot_files, require_plots
 from cmbot.common.errors import InputError, SceneError, one_line
 from cmbot.common.installation import scene_folder
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
 
 
 # Entries of plan.json that are too long for a summary, or have another form there.
-_LEFT_OUT = ("format", "scene", "files", "content", "floor", "passes")
+_LEFT_OUT = ("format", "scene", "floor", "passes")
 
 
 def _print_options() -> None:
@@ -156,8 +155,7 @@ class EvaluateCommand(Writing):
 
         def say() -> None:
             print_table(loaded.name, ("", "motion", "planned"), list(found.rows()), text_columns=1)
-            for remark in remarks:
-                out.print(one_line(remark))
+            print_lines(remarks)
             if self.output is not None:
                 out.print(f"Written to {one_line(self.output)}.")
 
@@ -226,27 +224,15 @@ def _summary(planned: Plan, directory: Path) -> dict[str, Any]:
     from cmbot.planning import baseline_faults, loads, notes, remarks, verdict
 
     entries = {name: entry for name, entry in plan_data(directory).items() if name not in _LEFT_OUT}
-    told: dict[str, Sequence[Any]] = {
-        "table": planned.table,
-        "notes": notes(planned),
-        "loads": loads(planned),
-    }
     return {
         "scene": planned.scene.name,
         **entries,
         "verdict": verdict(planned, area=False),
         "remarks": list(remarks(planned)),
         "baseline_faults": {"work": baseline_faults(planned, work=True), "job": baseline_faults(planned)},
-        **{name: [_finite(asdict(each)) for each in of] for name, of in told.items()},
-    }
-
-
-def _finite(values: dict[str, Any]) -> dict[str, Any]:
-    """Values for JSON, which has no infinite numbers."""
-    plain = {name: _finite(value) if isinstance(value, dict) else value for name, value in values.items()}
-    return {
-        name: None if isinstance(value, float) and not isfinite(value) else value
-        for name, value in plain.items()
+        "table": list(map(asdict, planned.table)),
+        "notes": list(map(asdict, notes(planned))),
+        "loads": list(map(asdict, loads(planned))),
     }
 
 
@@ -261,8 +247,7 @@ def _print_plan(planned: Plan, *, verbose: bool) -> None:
         out.print(planned.summary())
     if verbose:
         print_table("Loads", LOAD_HEADINGS, list(load_rows(planned)), text_columns=1)
-    for remark in remarks(planned) if verbose else first_remarks(planned):
-        out.print(remark)
+    print_lines(remarks(planned) if verbose else first_remarks(planned))
 
 
 # Reasons that are printed at the end.
@@ -342,8 +327,7 @@ def _print_campaign(done: Campaign, failed: Sequence[Mapping[str, Any]]) -> None
     out.print(
         f"{one_line(done.name)}: {counted(len(done.rows), 'job')} in {done.seconds:.1f} s{before}: {counts}."
     )
-    for row in failed[:_MOST_REASONS]:
-        out.print(one_line(f"{row['name']}: {row['ended']}: {row['reason']}"))
+    print_lines(f"{row['name']}: {row['ended']}: {row['reason']}" for row in failed[:_MOST_REASONS])
     if len(failed) > _MOST_REASONS:
         out.print(f"… and {len(failed) - _MOST_REASONS} more.")
     if kept_failures:

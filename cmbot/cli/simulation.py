@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cmbot
-from cmbot.cli.command import Writing, argument, option, options_named
-from cmbot.cli.console import ConsoleProgress, err, out, print_table
+from cmbot.cli.command import Writing, argument, option
+from cmbot.cli.console import ConsoleProgress, err, out, print_lines, print_table
 from cmbot.cli.views import claimed_plan, plot_files, require_plots
-from cmbot.common.errors import InputError, one_line
+from cmbot.common.errors import one_line
 
 if TYPE_CHECKING:
     from chang2021 import Reproduction
     from cmbot.planning import Plan
-    from cmbot.simulation import SimulationOptions, Tracking
+    from cmbot.simulation import Tracking
 
 
 # Entries of the files that --json does not print.
@@ -42,10 +42,12 @@ class SimulateCommand(Writing):
         "0 neither. Left out: what the plan allows for (quiet_stiffness_share).",
     )
     segments: int = option(1, "Elastic segments of each link.")
-    rate: float | None = option(
+    set_point_rate_hz: float | None = option(
         None,
         "Positions a second that the controller is sent, such as 125; needs --servo. Left out: the whole "
         "motion is known to it.",
+        "--rate",
+        metavar="RATE",
     )
     set_points: str = option(
         "interpolated",
@@ -56,12 +58,16 @@ class SimulateCommand(Writing):
         "How quickly joints follow: the bandwidth of their position control, Hz, such as 10. Left out: they "
         "follow exactly.",
     )
-    delay: float = option(0.0, "Seconds by which the joints follow late.")
+    delay_s: float = option(0.0, "Seconds by which the joints follow late.", "--delay", metavar="DELAY")
     figures: bool = option(False, "Draw plots as PNG and SVG into the plan directory, too.")
     details: bool = option(False, "Print all figures, not only the answer.")
 
     def __call__(self) -> None:
-        directory, options = self.directory, self._options()
+        servo = None if self.servo is None else [self.servo]
+        given: dict[str, Any] = {"servo_bandwidth_hz": servo, **dict.fromkeys(_FACTORS, self.stiffness)}
+        called = {"servo_bandwidth_hz": "--servo", **dict.fromkeys(_FACTORS, "--stiffness")}
+        options = self.made(cmbot.SimulationOptions, called=called, **given)
+        directory = self.directory
         with claimed_plan(directory) as loaded:
             if self.stiffness_share is None:
                 options = replace(options, stiffness_share=loaded.options.quiet_stiffness_share)
@@ -92,25 +98,6 @@ class SimulateCommand(Writing):
                 out.print(f"All figures: {one_line(page)}, under Simulation; --details --force prints them.")
 
         self.answer(lambda: _summary(loaded, tracking), say, directory)
-
-    def _options(self) -> SimulationOptions:
-        """The options of the simulation; errors name them as the command line does."""
-        from cmbot.common.validation import validated
-
-        given = {
-            "damping": self.damping,
-            "initial": self.initial,
-            "segments": self.segments,
-            **dict.fromkeys(_FACTORS, self.stiffness),
-            "set_point_rate_hz": self.rate,
-            "set_points": self.set_points,
-            "servo_bandwidth_hz": None if self.servo is None else [self.servo],
-            "delay_s": self.delay,
-        }
-        if self.stiffness_share is not None:
-            given["stiffness_share"] = self.stiffness_share
-        with options_named(_CALLED):
-            return validated(cmbot.SimulationOptions, given, "cmbot simulate", InputError)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,17 +140,8 @@ class ReproduceCommand(Writing):
         self.answer(lambda: _without(as_json(found), _LEFT_OUT), say, self.output)
 
 
-# What options of the command line are called in `SimulationOptions`.
+# Options of the simulation that one of the command line sets.
 _FACTORS = ("guardrail_factor", "link_factor", "joint_factor")
-_CALLED = {
-    **{name: f"--{name}" for name in ("damping", "initial", "segments")},
-    **dict.fromkeys(_FACTORS, "--stiffness"),
-    "stiffness_share": "--stiffness-share",
-    "set_point_rate_hz": "--rate",
-    "set_points": "--set-points",
-    "servo_bandwidth_hz": "--servo",
-    "delay_s": "--delay",
-}
 
 
 def _without(entries: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
@@ -201,10 +179,9 @@ def _print_reproduction(found: Reproduction, *, details: bool) -> None:
     for experiment in found.experiments if details else ():
         headings, *rows = comparison(experiment)
         print_table(experiment.paper.title, headings, rows, text_columns=2)
-        for finding in findings(experiment):
-            out.print(f"{'agrees' if finding.agrees else 'does not agree'}: {finding.text}")
-        for reason in reasons(experiment):
-            out.print(f"why: {reason}")
+        agrees = ("does not agree", "agrees")
+        print_lines(f"{agrees[finding.agrees]}: {finding.text}" for finding in findings(experiment))
+        print_lines(f"why: {reason}" for reason in reasons(experiment))
         for goal in goals(experiment):
             headings, *rows = cells(goal)
             title = f"{experiment.paper.scene}: {goal.title[0].lower()}{goal.title[1:]}"
@@ -212,8 +189,7 @@ def _print_reproduction(found: Reproduction, *, details: bool) -> None:
                 print_table(title, headings, rows, text_columns=2)
             else:
                 out.print(title)
-            for remark in goal.remarks:
-                out.print(f"goal: {remark}")
+            print_lines(f"goal: {remark}" for remark in goal.remarks)
 
 
 def _print_summary(plan: Plan, tracking: Tracking) -> None:
@@ -232,8 +208,7 @@ def _print_summary(plan: Plan, tracking: Tracking) -> None:
     out.print(tracking_verdict(plan, tracking))
     if moved := base_movement(plan, tracking):
         out.print(moved)
-    for said in _rigid(plan):
-        out.print(said)
+    print_lines(_rigid(plan))
 
 
 def _print_tracking(plan: Plan, tracking: Tracking) -> None:
@@ -241,8 +216,7 @@ def _print_tracking(plan: Plan, tracking: Tracking) -> None:
 
     headings = ("", "", "x", "y", "z", "norm")
     print_table(f"{plan.scene.name}, mm", headings, list(tracking_rows(tracking)), text_columns=2)
-    for remark in tracking_remarks(tracking, compensated=plan.compensation is not None):
-        out.print(remark)
+    print_lines(tracking_remarks(tracking, compensated=plan.compensation is not None))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -276,8 +250,7 @@ class ExciteCommand(Writing):
             print_table(plan.scene.name, ("", ""), list(excitation_rows(excitation)), text_columns=1)
             if passages := list(passage_rows(excitation)):
                 print_table("Trains", PASSAGE_HEADINGS, passages, text_columns=0)
-            for sentence in excitation_sentences(excitation):
-                out.print(sentence)
+            print_lines(excitation_sentences(excitation))
             out.print(f"Written to {', '.join(map(one_line, written))}.")
 
         self.answer(lambda: excitation_json(excitation), say, directory)

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
-from dataclasses import MISSING, dataclass, fields
+from collections.abc import Sequence
+from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import cmbot
 from cmbot.cli.command import Reporting, Writing, argument, option
 from cmbot.cli.completion import complete_scene
-from cmbot.cli.console import ConsoleProgress, ExitStatus, interrupt_taken, out, print_table, scenes_named
+from cmbot.cli.console import (
+    ConsoleProgress,
+    ExitStatus,
+    interrupt_taken,
+    out,
+    print_lines,
+    print_table,
+    scenes_named,
+)
 from cmbot.common.errors import PlanningError, one_line
 
 if TYPE_CHECKING:
-    from cmbot.stances import Bounds, StanceRanking
+    from cmbot.stances import StanceRanking
     from cmbot.stances.walking import Tour, Walk
 
 _SHOWN = 10
@@ -67,18 +75,13 @@ class StandCommand(Writing):
         name = "_".join(each.name for each in loaded)
         directory = self.output or Path("out") / f"{name}_stances"
         from cmbot.archive import STANCES_FILE, require_absent, write_results
-        from cmbot.stances import StandOptions
+        from cmbot.stances import Bounds, StandOptions
         from cmbot.stances import stand as find
 
-        options = StandOptions(
-            spacing=self.spacing,
+        options = self.made(
+            StandOptions,
             pair_spacing=float("inf") if self.one_foot else self.pair_spacing,
-            plans=self.plans,
-            members=self.members,
-            objective=self.objective,
-            bounds=self._bounds,
-            proofs=self.proofs,
-            time_limit=float("inf") if self.time_limit is None else self.time_limit,
+            bounds=self.made(Bounds, "max_"),
         )
 
         def work(progress: ConsoleProgress) -> Sequence[StanceRanking]:
@@ -105,13 +108,6 @@ class StandCommand(Writing):
         self.answer(lambda: _summary(rankings), say, directory)
         return ExitStatus.STOPPED if _stopped(rankings) else ExitStatus.DONE
 
-    @property
-    def _bounds(self) -> Bounds:
-        from cmbot.stances import Bounds
-
-        given = {field.name: getattr(self, f"max_{field.name}") for field in fields(Bounds)}
-        return Bounds(**{name: value for name, value in given.items() if value is not None})
-
 
 @dataclass(frozen=True, kw_only=True)
 class WalkCommand(Writing):
@@ -137,7 +133,7 @@ class WalkCommand(Writing):
         from cmbot.stances.walking import WalkOptions, load_goal
         from cmbot.stances.walking import walk as find
 
-        goal, options = load_goal(self.to), WalkOptions(spacing=self.spacing, speed=self.speed)
+        goal, options = load_goal(self.to), self.made(WalkOptions)
 
         def say() -> None:
             rows = [
@@ -145,7 +141,7 @@ class WalkCommand(Writing):
                 for number, step in enumerate(walked.steps, start=1)
             ]
             print_table("Steps", ("", "moves", "from", "to", "seconds"), rows, text_columns=4)
-            _print_lines(walked.in_words())
+            print_lines(walked.in_words())
             _print_written(directory, started)
 
         walked = self.work_in(
@@ -187,7 +183,7 @@ class TourCommand(Reporting):
         from cmbot.stances.walking import tour as find
 
         ranking = StandOptions(plans=self.plans, pair_spacing=self.spacing, members=self.members)
-        walking = WalkOptions(spacing=self.spacing, speed=self.speed)
+        walking = self.made(WalkOptions)
 
         def say() -> None:
             rows = [
@@ -195,7 +191,7 @@ class TourCommand(Reporting):
                 for part in tour_data(found)["parts"]
             ]
             print_table("Tour", ("", "what", "begins, s", "seconds"), rows, text_columns=2)
-            _print_lines(found.in_words())
+            print_lines(found.in_words())
             _print_written(directory, started)
 
         found = self.work_in(
@@ -228,12 +224,7 @@ def _print_rankings(rankings: Sequence[StanceRanking]) -> None:
 
     for number, ranking in enumerate(rankings, start=1):
         _print_ranking(ranking, f"Stances {number}" if len(rankings) > 1 else "Stances")
-    _print_lines(shared_out(rankings))
-
-
-def _print_lines(lines: Iterable[str]) -> None:
-    for line in lines:
-        out.print(one_line(line))
+    print_lines(shared_out(rankings))
 
 
 def _print_written(directory: Path, started: float) -> None:
@@ -251,7 +242,7 @@ def _print_ranking(ranking: StanceRanking, title: str) -> None:
     headings, rows = bounds_table(ranking, _SHOWN)
     if rows:
         print_table(f"{title}, not planned: bounds (estimates)", headings, rows, text_columns=4)
-    _print_lines(in_words(ranking))
+    print_lines(in_words(ranking))
 
 
 def _write_tour(directory: Path, found: Tour) -> None:

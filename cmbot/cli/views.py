@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 # Seconds of motion in a second of a GIF.
 _GIF_SPEED = 4.0
 _LONGEST_SIZE = 12
+_FILMS = ("--video", "--gif")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,21 +37,20 @@ class ReplayCommand(Command):
     """
 
     directory: Path = argument("A plan directory, or a walk's folder.", "DIR")
-    html: Path | None = option(None, "Page to write; DIR/replay.html if left out.")
-    serve: bool = option(False, "Serve the page on 127.0.0.1 instead.")
-    video: Path | None = option(None, "Film it instead, such as FILE.mp4; takes minutes.")
-    gif: Path | None = option(None, "Film it as a small GIF instead, four times as fast.")
-    fps: int | None = option(None, "Frames a second of a film; left out: 30, of a GIF 10.")
+    html: Path | None = option(None, "Page to write; DIR/replay.html if left out.", alone="output")
+    serve: bool = option(False, "Serve the page on 127.0.0.1 instead.", alone="output")
+    video: Path | None = option(None, "Film it instead, such as FILE.mp4; takes minutes.", alone="output")
+    gif: Path | None = option(None, "Film it as a small GIF instead, four times as fast.", alone="output")
+    fps: int | None = option(None, "Frames a second; left out: 30, of a GIF 10.", needs=_FILMS)
     size: str | None = option(
-        None, "Size of a film, px; left out: 1280x720, of a GIF 640x360.", metavar="WxH"
+        None, "Size, px; left out: 1280x720, of a GIF 640x360.", metavar="WxH", needs=_FILMS
     )
     bending: float | None = option(
-        None, "Times by which a film magnifies deflections; left out: as the page."
+        None, "Times by which deflections are magnified; left out: as the page.", needs=_FILMS
     )
-    colours: str | None = option(None, "Of the arm in a film: own, load or strain; left out: own.")
+    colours: str | None = option(None, "Of the arm: own, load or strain; left out: own.", needs=_FILMS)
 
     def __call__(self) -> None:
-        self._require_fitting_options()
         shape = _size(self.size or ("640x360" if self.gif else "1280x720"))
         from cmbot.archive import WALK_FILE, claim, plan_data, record_of
         from cmbot.views import REPLAY, write_page
@@ -72,18 +72,6 @@ class ReplayCommand(Command):
             out.print(f"Written to {one_line(html)}.")
         else:
             _serve(page, name)
-
-    def _require_fitting_options(self) -> None:
-        """Refuse options that do not go together."""
-        kinds = {"--html": self.html, "--serve": self.serve, "--video": self.video, "--gif": self.gif}
-        given = [name for name, value in kinds.items() if value]
-        if len(given) > 1:
-            got = "both" if len(given) == 2 else "all"
-            raise InputError("cmbot replay", ", ".join(given), got, "one of them")
-        of_films = {"fps": self.fps, "size": self.size, "bending": self.bending, "colours": self.colours}
-        for name, value in of_films.items():
-            if value is not None and not (self.video or self.gif):
-                raise InputError("cmbot replay", f"--{name}", str(value), "it with --video or --gif")
 
     def _film(self, page: str, file: Path, size: tuple[int, int]) -> None:
         """Film a replay page, and print how long that took."""
@@ -221,33 +209,27 @@ class ExportCommand(Command):
     directory: Path = argument("A plan directory.", "DIR")
     mcap: Path | None = option(None, "MCAP file of ROS 2 messages to write.", metavar="FILE")
     csv: Path | None = option(None, "Table to write, as job.csv; see --work.", metavar="FILE")
-    work: bool = option(False, "In the table the work alone, on its own clock.")
+    work: bool = option(False, "The work alone, on its own clock.", needs=["--csv"])
     ros: Path | None = option(
         None, "JSON of a ROS JointTrajectory of the whole job to write.", metavar="FILE"
     )
     ros_package: Path | None = option(None, "Description package to write; a new folder.", metavar="FOLDER")
     force: bool = option(False, "Replace files with these names that are there.")
-    max_points: int | None = option(None, "With --ros: points at most; left out: 200.", least=2, most=100_000)
-    rate: float | None = option(None, "With --ros: points a second, in place of --max-points.", metavar="HZ")
-    joints: str | None = option(
-        None, "With --ros: these joints alone, for one of several controllers.", metavar="A,B,…"
+    max_points: int | None = option(
+        None, "points at most; left out: 200.", least=2, most=100_000, needs=["--ros"], alone="points"
     )
-    effort: bool = option(False, "With --mcap and --ros: torques, too, for controllers that take them.")
+    rate: float | None = option(
+        None, "points a second, in place of --max-points.", metavar="HZ", needs=["--ros"], alone="points"
+    )
+    joints: str | None = option(
+        None, "these joints alone, for one of several controllers.", metavar="A,B,…", needs=["--ros"]
+    )
+    effort: bool = option(False, "torques, too, for controllers that take them.", needs=["--mcap", "--ros"])
 
     def __call__(self) -> None:
         if not (self.mcap or self.csv or self.ros or self.ros_package):
             expected = "--csv, --ros, --mcap or --ros-package"
             raise InputError("cmbot export", "", "nothing to write", expected)
-        if self.work and self.csv is None:
-            raise InputError("cmbot export", "--work", "no table", "it with --csv FILE")
-        if self.effort and self.mcap is None and self.ros is None:
-            raise InputError("cmbot export", "--effort", "no trajectory to write", "it with --mcap or --ros")
-        of_messages = {"--max-points": self.max_points, "--rate": self.rate, "--joints": self.joints}
-        given = [name for name, value in of_messages.items() if value is not None]
-        if given and self.ros is None:
-            raise InputError("cmbot export", given[0], "no message to write", "it with --ros FILE")
-        if self.max_points is not None and self.rate is not None:
-            raise InputError("cmbot export", "--max-points, --rate", "both", "one of them")
         from cmbot.archive import export_csv, export_mcap, export_ros_package
 
         loaded = cmbot.load_plan(self.directory)

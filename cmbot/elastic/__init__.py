@@ -4,7 +4,7 @@ The arm's elasticity needs the robot, and pinocchio with it: it is imported from
 `cmbot.elastic.arm`, `cmbot.elastic.sag` and `cmbot.elastic.modes`, so that a scene is read without them.
 """
 
-from cmbot.elastic.base import ElasticBase, SharedFrame, elastic_base, shares
+from cmbot.elastic.base import ElasticBase, SharedFrame, elastic_base, shares, with_legs
 from cmbot.elastic.guardrail import (
     AngleSection,
     BarSection,
@@ -27,4 +27,5 @@ __all__ = [
     "SharedFrame",
     "elastic_base",
     "shares",
+    "with_legs",
 ]

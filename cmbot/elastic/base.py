@@ -1,4 +1,4 @@
-"""The elastic base: the guardrail's frame of beams, condensed to the feet, which the robot joins rigidly."""
+"""The elastic base: the guardrail's frame of beams, condensed to the feet, and the robot's legs on it."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.errors import InputError
@@ -23,6 +24,8 @@ from cmbot.elastic.guardrail import Guardrail
 _SAME_PLACE = 1e-3
 # The first six modes of the default guardrail are then within 0.01 % of those of a fine mesh.
 _BEAMS_PER_SEGMENT = 8
+# Compliance of what is rigid where legs alone bend, m/N and rad/Nm.
+_RIGID = 1e-12 * np.eye(6)
 # Number of natural frequencies of the frame that are computed.
 _MODES = 6
 
@@ -67,24 +70,26 @@ def elastic_base(guardrail: Guardrail) -> ElasticBase | None:
     InputError
         When there is no frame for the guardrail, or its stiffness is ill-conditioned.
     """
+    legs = guardrail.leg_compliance
     if guardrail.stiffness is not None:
-        none = np.zeros((6, 6))
+        none, own = np.zeros((6, 6)), np.array(guardrail.stiffness)
         mass, damping = (none if part is None else part for part in (guardrail.mass, guardrail.damping))
-        return _base(guardrail.stiffness, mass, np.zeros(0), damping)
+        K, moved = _with_legs(own, np.eye(6), legs)
+        return _base(K, moved.T @ mass @ moved, np.zeros(0), moved.T @ damping @ moved)
     if not guardrail.post_positions:
-        return None
-    made = guardrail_frame(guardrail)
-    condensed, G = made.frame.condense(*made.feet), rigid_motion(guardrail)
-    K, M = (G.T @ matrix @ G for matrix in condensed)
-    factor = guardrail.stiffness_factor
-    return _base(factor * K, M, np.sqrt(factor) * made.frame.frequencies(_MODES))
+        return None if legs is None else _base(np.linalg.inv(legs[0] + _RIGID), np.zeros((6, 6)), np.zeros(0))
+    made, factor = guardrail_frame(guardrail), guardrail.stiffness_factor
+    condensed = made.frame.condense(*made.feet)
+    K, moved = _with_legs(factor * condensed.stiffness, _motion_of_feet(guardrail), legs)
+    M = moved.T @ condensed.mass @ moved
+    return _base(K, M, np.sqrt(factor) * made.frame.frequencies(_MODES))
 
 
 def shares(guardrail: Guardrail) -> tuple[FloatArray, ...]:
     """Return what of a wrench of the robot each foot bears: (6, 6) each, both wrenches about O0 in W.
 
-    The robot is rigid between its feet and was put there without preload. Its rigid motion minimises the
-    elastic energy of the frame; what the feet bear is linear in the wrench, and adds up to it.
+    The robot was put there without preload. The motion of the arm's base minimises the elastic energy of
+    frame and legs; what the feet bear is linear in the wrench, and adds up to it.
 
     Parameters
     ----------
@@ -98,9 +103,10 @@ def shares(guardrail: Guardrail) -> tuple[FloatArray, ...]:
     """
     if len(guardrail.footholds) == 1:
         return (np.eye(6),)
-    made, G = guardrail_frame(guardrail), rigid_motion(guardrail)
-    K = made.frame.condense(*made.feet).stiffness
-    borne = K @ G @ np.linalg.inv(G.T @ K @ G)
+    made, G = guardrail_frame(guardrail), _motion_of_feet(guardrail)
+    own = guardrail.stiffness_factor * made.frame.condense(*made.feet).stiffness
+    K, moved = _with_legs(own, G, guardrail.leg_compliance)
+    borne = own @ moved @ np.linalg.inv(K)
     parts = (slice(6 * k, 6 * k + 6) for k in range(len(guardrail.footholds)))
     return tuple(G[part].T @ borne[part] for part in parts)
 
@@ -116,37 +122,90 @@ class SharedFrame:
     """
 
     def __init__(self, guardrail: Guardrail, points: FloatArray) -> None:
-        self._points, self._factor = points, guardrail.stiffness_factor
+        self._points = points
         footholds = tuple(tuple(point) for point in points.tolist())
         # The static stiffness does not depend on how fine the beams are.
         made = guardrail_frame(replace(guardrail, footholds=footholds), beams=1)
-        self._compliance = made.frame.compliance(*made.feet)
+        self._compliance = made.frame.compliance(*made.feet) / guardrail.stiffness_factor
 
-    def shares(self, numbers: Sequence[int], foot_point: FloatArray) -> tuple[FloatArray, ...]:
-        """Return the shares (6, 6) of feet at some of the points, by their numbers: `shares`."""
+    def shares(
+        self, numbers: Sequence[int], foot_point: FloatArray, legs: FloatArray | None = None
+    ) -> tuple[FloatArray, ...]:
+        """Return the shares (6, 6) of feet at some of the points, by their numbers: `shares`.
+
+        Parameters
+        ----------
+        numbers : sequence of int
+        foot_point : (3,), m
+            O0 in W.
+        legs : (k, 6, 6), optional
+            `Guardrail.leg_compliance`.
+        """
         if len(numbers) == 1:
             return (np.eye(6),)
-        G, borne = self._held(numbers, foot_point)
+        G, borne = self._held(numbers, foot_point, legs)
         borne = borne @ np.linalg.inv(G.T @ borne)
         parts = (slice(6 * k, 6 * k + 6) for k in range(len(numbers)))
         return tuple(G[part].T @ borne[part] for part in parts)
 
-    def stiffness(self, numbers: Sequence[int], foot_point: FloatArray) -> FloatArray:
-        """Return the stiffness (6, 6) at `foot_point` (3,) of a robot with feet at some of the points."""
-        G, borne = self._held(numbers, foot_point)
-        K = self._factor * G.T @ borne
+    def stiffness(
+        self, numbers: Sequence[int], foot_point: FloatArray, legs: FloatArray | None = None
+    ) -> FloatArray:
+        """Return the stiffness (6, 6) at O0 of a robot with feet at some of the points: as `shares`."""
+        G, borne = self._held(numbers, foot_point, legs)
+        K = G.T @ borne
         return np.asarray((K + K.T) / 2)
 
-    def _held(self, numbers: Sequence[int], foot_point: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _held(
+        self, numbers: Sequence[int], foot_point: FloatArray, legs: FloatArray | None
+    ) -> tuple[FloatArray, FloatArray]:
         """Motion (6 k, 6) of the points by that of `foot_point`, and what they bear of it."""
         G = _motion(self._points[list(numbers)], foot_point)
         index = (6 * np.array(numbers)[:, None] + np.arange(6)).ravel()
-        return G, np.asarray(np.linalg.solve(self._compliance[np.ix_(index, index)], G))
+        compliance = self._compliance[np.ix_(index, index)]
+        if legs is not None:
+            compliance = compliance + _at_feet(legs, G)
+        return G, np.asarray(np.linalg.solve(compliance, G))
 
 
-def rigid_motion(guardrail: Guardrail) -> FloatArray:
-    """Return the displacements (6 k, 6) of the feet's nodes by the rigid motion of the robot, that of O0."""
+def with_legs(stiffness: FloatArray, legs: FloatArray | None) -> FloatArray:
+    """Return a stiffness (6, 6) at O0 with the leg (1, 6, 6) between it and the arm's base."""
+    return _with_legs(stiffness, np.eye(6), legs)[0]
+
+
+def motion_of_feet(guardrail: Guardrail) -> FloatArray:
+    """Return the displacements (6 k, 6) of the feet's nodes by the motion of the arm's base at O0."""
+    made, G = guardrail_frame(guardrail), _motion_of_feet(guardrail)
+    if guardrail.leg_compliance is None:
+        return G
+    own = guardrail.stiffness_factor * made.frame.condense(*made.feet).stiffness
+    return _with_legs(own, G, guardrail.leg_compliance)[1]
+
+
+def _motion_of_feet(guardrail: Guardrail) -> FloatArray:
+    """As `motion_of_feet`, of a rigid robot."""
     return _motion(np.array(guardrail.footholds), np.array(guardrail.foot_point))
+
+
+def _with_legs(
+    stiffness: FloatArray, G: FloatArray, legs: FloatArray | None
+) -> tuple[FloatArray, FloatArray]:
+    """Stiffness (6, 6) of the arm's base at O0, and motion (6 k, 6) of the feet by its.
+
+    Feet and legs are springs in a row: what one bears the other does. Without legs the feet move with the
+    base, by `G`.
+    """
+    if legs is None:
+        return G.T @ stiffness @ G, G
+    compliance = np.linalg.inv(stiffness)
+    borne = np.linalg.solve(compliance + _at_feet(legs, G), G)
+    return G.T @ borne, compliance @ borne
+
+
+def _at_feet(legs: FloatArray, G: FloatArray) -> FloatArray:
+    """Compliance (6 k, 6 k) of legs (k, 6, 6) about O0, by wrenches at the feet that `G` moves."""
+    blocks = (part @ leg @ part.T for part, leg in zip(G.reshape(-1, 6, 6), legs, strict=True))
+    return np.asarray(block_diag(*blocks))
 
 
 def _motion(points: FloatArray, foot_point: FloatArray) -> FloatArray:

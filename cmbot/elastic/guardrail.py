@@ -111,6 +111,8 @@ class Guardrail:
         O0 in W, the origin of foot 1.
     footholds : tuple of three floats, m
         Points in W on the axes of the members that the feet hold, foot 1 first.
+    leg_compliance : array or None
+        (k, 6, 6), of the robot's legs between each foot and the arm's base, about O0; None: they are rigid.
     """
 
     post_positions: tuple[float, ...]
@@ -123,6 +125,7 @@ class Guardrail:
     footholds: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0),)
     stiffness_factor: float = 1.0
     damping: FloatArray | None = None
+    leg_compliance: FloatArray | None = None
 
     __repr__ = short_repr
 

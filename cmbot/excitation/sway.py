@@ -32,7 +32,7 @@ from cmbot.excitation.response import (
     modal_response,
 )
 from cmbot.hold import needed_by_load
-from cmbot.planning import Plan
+from cmbot.planning import Plan, held_guardrail
 from cmbot.robot import Robot
 from cmbot.scene import Tolerance
 
@@ -122,7 +122,7 @@ def sway_mm_per_m_s2(
         When nothing bends, or it is too soft to carry itself.
     """
     if isinstance(work, Plan):
-        arm = elastic_arm(work.robot, elastic_base(work.scene.elastic_guardrail))
+        arm = elastic_arm(work.robot, elastic_base(held_guardrail(work.scene, work.robot)))
         t = np.linspace(0.0, work.work.duration, 13)
         postures = work.trajectory.evaluate(work.trajectory.t[0] + t)
     else:

@@ -14,7 +14,7 @@ from cmbot.elastic.arm import ElasticArm, elastic_arm
 from cmbot.elastic.sag import Sag
 from cmbot.elastic.stiffness_parameters import StiffnessParameters
 from cmbot.identification.measurements import MeasuringSetup, Prior
-from cmbot.planning import robot_of
+from cmbot.planning import held_guardrail, robot_of
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import Scene
 
@@ -42,7 +42,7 @@ def measured_arm(scene: Scene, load: float = 0.0) -> ElasticArm:
         raise SceneError(scene.source, "identified", "an identified stiffness", expected)
     loaded = scene.with_joints("elastic").with_payload(scene.robot.payload_kg + load)
     robot: Robot = robot_of(loaded).tool_off
-    arm = elastic_arm(robot, elastic_base(scene.elastic_guardrail))
+    arm = elastic_arm(robot, elastic_base(held_guardrail(scene, robot)))
     if not len(arm.elastic):
         expected = "something that bends: guardrail.bays, guardrail.stiffness or robot.elasticity"
         raise SceneError(scene.source, "guardrail", "nothing that bends", expected)

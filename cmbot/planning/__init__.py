@@ -64,6 +64,7 @@ from cmbot.planning.workcell.units import unit_findings
 from cmbot.planning.workcell.workcell import (
     Workcell,
     bending_arm,
+    held_guardrail,
     resolved_options,
     rigid_arm_remark,
     robot_of,
@@ -132,6 +133,7 @@ __all__ = [
     "follow_path",
     "free_move_name",
     "free_space",
+    "held_guardrail",
     "job_metrics",
     "joined_samples",
     "left_out",

@@ -70,7 +70,9 @@ def _stroke_plan(stroke: PlannedStroke, at: FloatArray | None, *, custom: bool) 
     baseline = None
     if options.baseline != "none":
         baseline = _baseline(request if at is None else _starting_near(request, at))
-    bound = guess.lower_bound if guess.search is not None else None
+    # Of travel no peak is sought.
+    is_bounded = guess.search is not None and options.objective != "travel"
+    bound = guess.lower_bound if is_bounded else None
     if bound is not None and request.cell.sag is None:
         at_rest = request.cell.objective.at_rest(request.cell.postures.at(motion.optimised.via_points))
         bound = bound.met(at_rest)
@@ -90,7 +92,7 @@ def _stroke_plan(stroke: PlannedStroke, at: FloatArray | None, *, custom: bool) 
         passes=motion.optimised.passes,
         objective=objective,
         lower_bound=bound,
-        choice=guess.choice,
+        choice=guess.choice if is_bounded else None,
         compensation=motion.compensation,
         suppression=motion.suppression,
         runs=stroke.runs,

@@ -167,7 +167,8 @@ def _hold_at_start(scene: Scene, robot: Robot) -> Precheck:
         found.append(("of what the feet bear there, safety included", f"{100 * use:.0f} %"))
         if use > 1.0:
             got = f"{100 * use:.0f} % of what the feet bear, safety included, at rest"
-            expected = "at most 100 %, or feet that bear more: guardrail.hold"
+            key = "base.hold" if scene.base is not None and scene.base.hold else "guardrail.hold"
+            expected = f"at most 100 %, or feet that bear more: {key}"
             warnings.append(_warning(scene.posture_key, got, expected))
     if robot.holding_joints:
         uses = robot.holding_use(wrench)[0]
@@ -260,7 +261,8 @@ def failures_explained(scene: Scene) -> Iterator[None]:
     except (PlanningError, SceneError) as error:
         if isinstance(error, PlanningError):
             for warning in _hold_at_start(scene, robot_of(scene)).warnings:
-                error.add_hint(f"where it begins the arm asks {warning.got}")
+                # What does not even hold at rest comes first.
+                error.add_source(f"the start asks {warning.got}")
         if isinstance(error, PlanningError) or error.key.startswith(scene.posture_key):
             for key, looks, units in mistaken_units(scene):
                 error.add_hint(f"{key} looks like {looks}, it is in {units}")

@@ -72,6 +72,8 @@ class StrokeRequest:
         Where the tool is that the task is for, where sag is compensated; None: the rigid arm's.
     spare_clearance : float, m
         Kept by what is optimised beyond the safety margin, which is certified.
+    tool_share : float
+        Of the bounds on the tool's deviation, rotation and lag that what is optimised keeps.
     deadline : Deadline
     reporter : ProgressReporter
     """
@@ -87,6 +89,7 @@ class StrokeRequest:
     tasks: tuple[ToolTask, ...] = ()
     bent: BentTool | None = None
     spare_clearance: float = 0.0
+    tool_share: float = 1.0
     deadline: Deadline = field(default_factory=Deadline)
     reporter: ProgressReporter = field(default_factory=ProgressReporter)
 

@@ -9,6 +9,7 @@ from cmbot.robot.description.tool import AttachedTool, ToolShape
 from cmbot.robot.description.xml_file import parse_urdf, urdf_content
 from cmbot.robot.dynamics import Dynamics, Efforts, external_forces
 from cmbot.robot.elasticity import JointElasticity, LinkTube
+from cmbot.robot.holding_joints import HoldingJoint, holding_rows, leg_compliance
 from cmbot.robot.inspection import Finding, inspect_robot, inspect_urdf, overview
 from cmbot.robot.joint_kinds import (
     JointUnits,
@@ -37,6 +38,7 @@ __all__ = [
     "Dynamics",
     "Efforts",
     "Finding",
+    "HoldingJoint",
     "JointElasticity",
     "JointLimits",
     "JointUnits",
@@ -55,11 +57,13 @@ __all__ = [
     "encloses_volume",
     "external_forces",
     "faces_of",
+    "holding_rows",
     "inspect_loaded",
     "inspect_robot",
     "inspect_urdf",
     "is_mesh",
     "joint_units",
+    "leg_compliance",
     "link_poses",
     "load_climbing_robot",
     "load_robot",

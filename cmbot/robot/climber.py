@@ -12,6 +12,7 @@ import pinocchio as pin
 from cmbot.common.arrays import FloatArray
 from cmbot.common.installation import model_folder
 from cmbot.robot.description.xml_file import parse_urdf
+from cmbot.robot.holding_joints import HoldingJoint, holding_joints
 
 CLIMBING_JOINTS = ("climb_1", "climb_2", "climb_3", "climb_4", "climb_5")
 # Feet are where they should be when they miss it by less, m and rad.
@@ -98,6 +99,14 @@ class Climber:
             foot_2=foot,
             base=base,
         )
+
+    def holding_joints(self, angles: FloatArray) -> tuple[HoldingJoint, ...]:
+        """Return the joints (5,) locked in a posture, in the frame of foot 1, with their efforts."""
+        q = np.array(self._locked)
+        q[self._index] = angles
+        climbing = {self._model.getJointId(name) for name in CLIMBING_JOINTS}
+        moving = set(range(1, self._model.njoints)) - climbing
+        return holding_joints(self._model, moving, q, "arm_base")
 
     def hanging(self, R_WF: FloatArray) -> FloatArray | None:
         """The working stance with foot 1 turned about its normal so that the base hangs as there.

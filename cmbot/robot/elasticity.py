@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import pinocchio as pin
 from pydantic import ConfigDict, Field, model_validator
@@ -119,14 +119,24 @@ class _ElasticityFile(FileModel):
         return self
 
 
-def read_elasticity(path: Path, model: Any) -> tuple[dict[str, LinkTube], dict[str, JointElasticity]]:
-    """Read the tubes of the links and the springs of the joints that move, by name, in the joints' order.
+class Elasticity(NamedTuple):
+    """What bends: tubes of links and springs of joints, by name, in the joints' order; springs of others."""
 
-    What belongs to a link or a joint that does not move with the arm is checked and left out.
+    tubes: dict[str, LinkTube]
+    springs: dict[str, JointElasticity]
+    locked: dict[str, JointElasticity]
+
+
+def read_elasticity(path: Path, model: Any) -> Elasticity:
+    """Read what bends of an arm and of the joints that are locked beside it.
+
+    What belongs to a link that does not move with the arm is checked and left out.
     """
     with lines_named(path):
         data = validated(_ElasticityFile, read_yaml(path, ModelError), str(path), ModelError)
-        return _tubes(data, path, model), _joints(data, path, model)
+        springs, given = _joints(data, path, model), data.joints or {}
+        locked = {name: given[name] for name in given if name not in springs}
+        return Elasticity(_tubes(data, path, model), springs, locked)
 
 
 def _joints(data: _ElasticityFile, path: Path, model: Any) -> dict[str, JointElasticity]:

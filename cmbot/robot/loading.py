@@ -26,7 +26,7 @@ from cmbot.robot.description.frames import arm_frames, moving_links
 from cmbot.robot.description.limits_file import JointLimitsFile, read_joint_limits
 from cmbot.robot.description.tool import POINT, AttachedTool
 from cmbot.robot.description.xml_file import parse_urdf
-from cmbot.robot.elasticity import read_elasticity
+from cmbot.robot.elasticity import Elasticity, read_elasticity
 from cmbot.robot.holding_joints import HoldingJoint
 from cmbot.robot.inspection import Finding, default_arm, inspect_inertias, inspect_urdf
 from cmbot.robot.limits import joint_limits
@@ -179,7 +179,7 @@ def load_robot(
     attach_payload(arm, carrier, payload)
     _require_mass(arm, urdf, base_frame, tool_frame)
     limited, assumed = joint_limits(arm, urdf, files.limits)
-    tubes, springs = ({}, {}) if files.elasticity is None else read_elasticity(files.elasticity, arm)
+    bends = Elasticity({}, {}, {}) if files.elasticity is None else read_elasticity(files.elasticity, arm)
     robot = Robot(
         name=described.get("name", urdf.stem),
         urdf=urdf.resolve(),
@@ -190,8 +190,8 @@ def load_robot(
         read_visual_model=lambda: placement.applied(*made.read_visual()),
         limits=limited,
         group_states=made.group_states,
-        elasticity=tubes,
-        joint_elasticity=springs,
+        elasticity=bends.tubes,
+        joint_elasticity=bends.springs,
         base_frame=base_frame,
         tool_frame=tool_frame,
         flange=flange,
@@ -199,7 +199,11 @@ def load_robot(
         content_hash=_hash(files, content, completed),
         foot_point=tuple(placement.foot_point.tolist()),
         locked_joints=tuple(
-            replace(placement.placed(joint, made_at), limit=held.get(joint.name, joint.limit))
+            replace(
+                placement.placed(joint, made_at),
+                limit=held.get(joint.name, joint.limit),
+                spring=bends.locked.get(joint.name),
+            )
             for joint in made.locked_joints
         ),
         remarks=(*_left_alone(files), *estimated, *assumed, *made.remarks),

@@ -17,7 +17,7 @@ from cmbot.common.representation import card
 from cmbot.common.validation import counted
 from cmbot.hold import Foot, Holding
 from cmbot.robot.elasticity import JointElasticity, LinkTube
-from cmbot.robot.holding_joints import HoldingJoint
+from cmbot.robot.holding_joints import HoldingJoint, holding_rows, leg_compliance
 from cmbot.robot.joint_kinds import PostureMetric, slide_axes
 from cmbot.robot.limits import JointLimits
 
@@ -145,7 +145,8 @@ class Robot:
     @property
     def with_rigid_joints(self) -> Robot:
         """The same robot with joints that do not give way."""
-        return replace(self, joint_elasticity={}) if self.joint_elasticity else self
+        locked = tuple(replace(joint, spring=None) for joint in self.locked_joints)
+        return replace(self, joint_elasticity={}, locked_joints=locked)
 
     @property
     def pushed(self) -> bool:
@@ -243,10 +244,7 @@ class Robot:
         """Rows (k, 6) and constants (k,), Nm, that make torques of `holding_joints` of the arm's wrench."""
         foot, gravity = np.array(self.foot_point), np.array(self.model.gravity.linear)
         shares = [each.share for each in self.feet] or [np.eye(6)]
-        rows = [joint.motion(foot) @ shares[joint.foot] for joint in self.holding_joints]
-        borne = np.array(rows).reshape(-1, 6)
-        own = np.array([joint.own_torque(gravity) for joint in self.holding_joints])
-        return borne, borne @ self._carrier_wrench - own
+        return holding_rows(self.holding_joints, shares, foot, gravity, self._carrier_wrench)
 
     def holding_torque(self, wrench: FloatArray) -> FloatArray:
         """Return the torques (N, k), Nm, of `holding_joints`.
@@ -262,6 +260,11 @@ class Robot:
     def holding_use(self, wrench: FloatArray) -> FloatArray:
         """Return the shares (N, k) of what `holding_joints` hold; `wrench` as of `holding_torque`."""
         return np.asarray(np.abs(self.holding_torque(wrench)) / self.holding_limits)
+
+    @property
+    def leg_compliance(self) -> FloatArray | None:
+        """Compliance (k, 6, 6) about O0 of `holding_joints`, for each foot; None: they are rigid."""
+        return leg_compliance(self.holding_joints, max(len(self.feet), 1), np.array(self.foot_point))
 
     @property
     def holding_limits(self) -> FloatArray:

@@ -49,10 +49,10 @@ class PlannerOptions(CheckedFields):
         that of the whole job from the scene's posture. ``pinned``: the arm begins in the scene's posture, as
         long as a path leads on from there.
     objective : str
-        What is minimised; ``torque``: the norm of the torque on the guardrail (Chang 2021, Eq. (12));
-        ``sag``: the tool's displacement at rest by the elasticity of guardrail and links; ``hold``: the
-        adhesion that the feet need, the largest of them; ``sway``: the tool's RMS by 1 m/s2 of the deck
-        (`cmbot.excitation.sway_mm_per_m_s2`).
+        What is minimised. ``torque``: the norm of the torque on the base, Eq. (12); ``sag``: the tool's
+        sag at rest; ``hold``: the largest adhesion that a foot needs; ``sway``: the tool's RMS by 1 m/s2 of
+        the deck (`cmbot.excitation.sway_mm_per_m_s2`); ``travel``: nothing of the base, but
+        how far the joints travel between via-points, and their jerk.
     moment_about : str
         The point about which the torque is taken. ``foot``: O0, n_0. ``base``: the origin of the arm's base
         frame, n_1 without the lever of Eq. (12).
@@ -62,14 +62,14 @@ class PlannerOptions(CheckedFields):
         The tool that is held to the path is the bent arm's, by its predicted sag. ``auto``: wherever
         something bends. A plan's options name what was used.
     deviation_sigmas : float
-        With `compensate` and an identified stiffness: the bent tool stays within the allowed deviation even
-        if its sag is off by this many standard deviations; 0: that holds for the expected tool alone.
+        With `compensate` and an identified stiffness: the bent tool keeps its deviation even if its sag is
+        off by this many standard deviations.
     quiet_modes : int
         With sliding knots: number of elastic modes, the slowest first, that are brought to rest at the ends
-        of the legs. Splines cannot follow modes much faster than their segments.
+        of legs.
     quiet_stiffness_share : float
-        Share by which all stiffness may differ from the modelled one: the largest amplitude in that range is
-        minimised. With an identified stiffness it is at most two standard deviations.
+        Share by which all stiffness may differ from the modelled one there. With an identified stiffness it
+        is at most two standard deviations.
     quiet_payload_kg : float
         By how much the payload may differ from the modelled one, kg.
     baseline : str
@@ -77,15 +77,14 @@ class PlannerOptions(CheckedFields):
         the scene's posture. ``straight``: least-norm steps along the same path, which is Eq. (22) without its
         part in the null space. ``none``: none is computed, and the figures stand alone.
     avoidance : str
-        ``smooth``: the clearance gradient is multiplied by ``1 - d/d_s``, so it fades in, and blends from one
-        near pair to the next. ``switch``: Chang 2021, Eq. (17) to the letter; joint rates jump.
+        ``smooth``: the clearance gradient fades in, and blends from one near pair to the next. ``switch``:
+        Eq. (17) to the letter; joint rates jump.
     avoidance_distance_m : float
         d_s of Eq. (17), m.
     avoidance_gain : float
         beta of Eqs. (16) and (22), rad/s.
     centre_of_gravity_weight : float
-        Weight of the second term of H, which pulls the arm's centre of mass towards the foot; 0 is the
-        paper's "without" case.
+        Weight of the second term of H, which pulls the arm's centre of mass towards the foot.
     damping_max : float
         lambda_0 of Eq. (21).
     damping_threshold : float
@@ -95,15 +94,15 @@ class PlannerOptions(CheckedFields):
     path_step_s : float
         Step at which Eq. (22) is integrated, s.
     other_starts : int
-        When no path leads on from the scene's posture: most other postures with the same tool pose, reached
-        by self-motion, that are tried, the nearest first; 0 keeps the scene's posture.
+        Where no path leads on from the scene's posture: most other postures with the same tool pose that are
+        tried; 0 keeps the scene's.
     chart_spacing : float
         Distance between neighbouring postures of a chart of self-motion, rad.
     chart_seeds : int
         Random postures from which the first chart is grown.
     step_share : float
-        Share of the velocity bounds that the global search lets joints use between via-points. Where no
-        trajectory follows its path, smaller ones are tried: a plan's options name the one that was used.
+        Share of the velocity bounds that the global search lets joints use between via-points; smaller ones
+        are tried where no trajectory follows.
     safety_margin_m : float
         Smallest clearance that a plan may have, m.
     max_tool_deviation_m : float
@@ -114,26 +113,23 @@ class PlannerOptions(CheckedFields):
         Largest distance of the tool point from its timed place along the leg, between via-points.
     solver : str
         ``sqp``: sequential quadratic programming on sparse matrices; needs the extra ``fast``.
-        ``slsqp``: SciPy's, on dense ones. ``auto``: ``sqp`` where PIQP is installed, otherwise ``slsqp``, and
-        also where ``sqp`` fails. A plan's options name the one that was used.
+        ``slsqp``: SciPy's, on dense ones. ``auto``: ``sqp``, and ``slsqp`` where PIQP is not installed or
+        ``sqp`` fails.
     samples_per_segment : int
         Samples per spline segment at which nonlinear constraints are checked for violations.
     smoothing_weight : float
-        Weight of half the mean squared jerk beside half the mean square of the objective; decides between
-        motions of nearly equal torque. Jerk is in units of its bounds, or of 20 /s2 times the velocity's
-        where that is less, the objective in units of its peak at the initial guess.
+        Weight of half the mean squared jerk beside half the mean square of the objective, both relative;
+        decides between motions of nearly equal torque.
     peak_tolerance : float
         The peak may exceed its lower bound by this share; the mean square is minimised below that.
     least_peak_tolerance : float
-        Where the lower bound is missed the peak may exceed the least that was found by this share. The last
-        thousandths of a peak cost much jerk.
+        Where the lower bound is missed the peak may exceed the least that was found by this share.
     gap_target : float
         The arm leaves the scene's posture only where that lowers the peak by more than this share.
     constraint_tolerance : float
         Relative violation below which the optimiser takes a constraint for met.
     time_limit_s : float
-        Time after which nothing new is begun: the best motion so far is certified and returned. Where there
-        is none, the error states the cause.
+        Time after which nothing new is begun; the best motion so far is returned.
     max_passes : int
         Most exchange iterations.
     max_iterations : int
@@ -147,7 +143,7 @@ class PlannerOptions(CheckedFields):
 
     knots: Literal["sliding", "fixed"] = "sliding"
     start: Literal["free", "pinned"] = "free"
-    objective: Literal["torque", "sag", "hold", "sway"] = "torque"
+    objective: Literal["torque", "sag", "hold", "sway", "travel"] = "torque"
     moment_about: Literal["foot", "base"] = "foot"
     axis_weights: AxisWeights = (1.0, 1.0, 1.0)
     compensate: AutoOrBool = "auto"

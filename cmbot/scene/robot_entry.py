@@ -34,6 +34,7 @@ from cmbot.common.fields import (
 from cmbot.common.poses import pose
 from cmbot.common.validation import FileModel, refusal, shown
 from cmbot.scene.attached_tool import AttachedToolFile
+from cmbot.scene.base.hold import LinkHoldFile
 from cmbot.scene.excitation import ModesFile
 from cmbot.scene.files import RobotModel
 
@@ -64,6 +65,8 @@ class BaseFile(FileModel):
     """What messages and pages call it; left out with its block: guardrail for ``cmbot``, base for others."""
     modes: ModesFile | None = None
     """How it bends, by its natural modes; left out: as the guardrail says."""
+    hold: LinkHoldFile | None = None
+    """How a robot that holds no guardrail is held; left out: nothing is said about holding."""
 
 
 class NamedState(FileModel):
@@ -129,36 +132,36 @@ _OF_A_URDF = (
 
 
 class RobotFile(FileModel):
-    """Which robot: the shipped ``cmbot``, or any URDF with its frames, limits and mount."""
+    """Which robot: the shipped ``cmbot``, or any URDF; frames, files, mount and tool are for another one."""
 
     model: RobotModel = "cmbot"
     """``cmbot``, a URDF's path relative to the scene file, or the name of a robot of example-robot-data."""
     base_frame: Text | None = None
-    """Of another URDF: the frame that is mounted; left out: the only choice, as `cmbot.load_robot` says."""
+    """The frame that is mounted; left out: the only choice, as `cmbot.load_robot` says."""
     tool_frame: Text | None = None
-    """Of another URDF: the frame that follows the tool path; left out: the only choice."""
+    """The frame that follows the tool path; left out: the only choice."""
     limits: FilePath | None = None
-    """Of another URDF: path of its joint-limits file; left out: as beside the URDF, else assumed."""
+    """Path of its joint-limits file; left out: as beside the URDF, else assumed."""
     srdf: FilePath | None = None
-    """Of another URDF: path of its SRDF, if there is one."""
+    """Path of its SRDF, if there is one."""
     elasticity: FilePath | None = None
-    """Of another URDF: path of its elasticity file; left out: as beside the URDF."""
+    """Path of its elasticity file; left out: as beside the URDF."""
     joints: Joints = "elastic"
     """Whether joints bend as the elasticity file says."""
     package_dirs: Annotated[tuple[FolderPath, ...], Field(max_length=100)] | None = None
-    """Of another URDF: folders in which ``package://`` is sought first, relative to the scene file."""
+    """Folders in which ``package://`` is sought first, relative to the scene file."""
     mount: MountFile | None = None
-    """Of another URDF: where its base frame is held; left out: its root link is at the origin of W."""
+    """Where its base frame is held; left out: its root link is at the origin of W."""
     tool_length_m: Length | None = None
     """Length of the tool, m; left out: as in the model."""
     tool: AttachedToolFile | None = None
-    """Of another URDF, in place of `tool_length_m`: the tool that is fixed to the tool frame."""
+    """In place of `tool_length_m`: the tool that is fixed to the tool frame."""
     payload_kg: Mass = 0.0
     """Point mass at the tool, kg."""
     xacro: _Arguments | None = None
-    """Of another URDF that is written in xacro: values of its arguments, by their names."""
+    """Of a URDF in xacro: values of its arguments, by their names."""
     total_mass_kg: Annotated[float, Field(gt=0, le=1e5)] | None = None
-    """Of another URDF without masses: that of the whole robot, kg, which is spread over the links without one
+    """Of a URDF without masses: that of the whole robot, kg, which is spread over the links without one
     by the volumes of their shapes. Every torque is then an estimate."""
 
     @model_validator(mode="after")

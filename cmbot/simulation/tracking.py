@@ -23,7 +23,7 @@ from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
 from cmbot.elastic.generalized_alpha import DrivenMotion, ElasticMotion, ElasticSystem, GeneralizedAlpha
 from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.sag import Sag
-from cmbot.planning import Plan, ToolTask, require_plan, robot_of
+from cmbot.planning import Plan, ToolTask, held_guardrail, require_plan, robot_of
 from cmbot.robot import Kinematics, Robot
 from cmbot.simulation.accelerated_base import GroundAcceleration, on_accelerated_base
 from cmbot.simulation.execution import executed, is_executed
@@ -277,7 +277,7 @@ def elastic_arm_of(plan: Plan, options: SimulationOptions) -> ElasticArm:
         robot = robot_of(plan.scene.with_payload(options.payload_kg))
     shared = ("segments", "guardrail_factor", "link_factor", "joint_factor")
     elastic = ElasticOptions(**{name: getattr(options, name) for name in shared})
-    arm = elastic_arm(robot, elastic_base(plan.scene.elastic_guardrail), elastic)
+    arm = elastic_arm(robot, elastic_base(held_guardrail(plan.scene, robot)), elastic)
     if not len(arm.elastic):
         expected = (
             "guardrail.bays, guardrail.stiffness (6 x 6) or robot.elasticity in the scene that is planned"

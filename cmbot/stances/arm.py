@@ -53,8 +53,8 @@ class Effort:
     steps: int
 
 
-FIGURES = ("bound", "torque", "adhesion", "sag_mm", "first_hz", "sway_mm")
-"""At rest in a posture: what is ranked, and by what else stances are judged; Nm, N, mm, Hz, mm per m/s2."""
+FIGURES = ("bound", "torque", "adhesion", "sag_mm", "first_hz", "sway_mm", "holding_nm", "holding_of_effort")
+"""At rest in a posture: what is ranked, and by what else stances are judged; see `StanceFigures`."""
 ROUGHLY = Effort(tried=30, walked=0, improved=5, steps=5)
 CLOSELY = Effort(tried=120, walked=3, improved=15, steps=6)
 
@@ -112,7 +112,7 @@ class BaseArm:
         number: IntArray,
         effort: Effort,
     ) -> FloatArray:
-        """Figures of the best admissible postures of C stances at a time, as `FIGURES` has them, (6, C).
+        """Figures of the best admissible postures of C stances at a time, as `FIGURES` has them, (8, C).
 
         `number` (C,) are those of the stances in `loads`.
         """
@@ -142,7 +142,7 @@ class BaseArm:
         return least
 
     def figures(self, q: FloatArray, stance: IntArray, loads: StanceLoads) -> FloatArray:
-        """Return `FIGURES` (6, N) at rest of postures (N, n) in stances; NaN of what does not bend."""
+        """Return `FIGURES` (8, N) at rest of postures (N, n) in stances; NaN of what does not bend."""
         at, wrench, push = self._loaded(q, stance, loads)
         torque, adhesion = loads.torque(stance, wrench)[0], loads.adhesion(stance, wrench)[0]
         sag = hz = sway = np.full(len(q), np.nan)
@@ -150,8 +150,9 @@ class BaseArm:
             batch = self._elastic.at(at.q, loads.bases(stance))
             sag = 1e3 * self._sag(at.q, stance, push, loads)
             hz, sway = batch.first_hz, 1e3 * batch.shaken(DAMPING, BAND_HZ)
+        held, _, of_effort = loads.held(stance, wrench)
         ranked = {"torque": torque, "hold": adhesion, "sag": sag, "sway": sway}[loads.objective]
-        return np.array([ranked, torque, adhesion, sag, hz, sway])
+        return np.array([ranked, torque, adhesion, sag, hz, sway, held, of_effort])
 
     def at_rest(self, q: FloatArray, stance: int, loads: StanceLoads) -> FloatArray:
         """Return what is ranked (N,) at rest in postures (N, n) of one stance."""

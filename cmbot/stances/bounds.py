@@ -58,6 +58,9 @@ class StanceFigures:
         The slowest mode at work.
     sway_mm : float
         As `Bounds` has it.
+    holding_nm, holding_of_effort : float
+        Largest torque that a locked joint below the arm holds over the job, and the largest share of what
+        such a joint drives: beyond 1 its brake holds more than its drive.
     travel_deg, seconds : float
         Over the job.
     within_mm : float
@@ -71,6 +74,8 @@ class StanceFigures:
     sag_mm: float | None = None
     first_hz: float | None = None
     sway_mm: float | None = None
+    holding_nm: float | None = None
+    holding_of_effort: float | None = None
     travel_deg: float | None = None
     seconds: float | None = None
     within_mm: float | None = None

@@ -10,7 +10,7 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import short_repr
 from cmbot.elastic import elastic_base
-from cmbot.planning import robot_of
+from cmbot.planning import held_guardrail, robot_of
 from cmbot.robot import Climber
 from cmbot.scene import (
     FootholdFile,
@@ -108,7 +108,7 @@ def mounts_of(scene: Scene) -> Iterator[MountCandidate]:
     """Yield the mounts of a scene, that of its robot first; of several in one pose the first one counts."""
     robot = robot_of(scene)
     placement = robot.model.frames[robot.model.getFrameId(robot.base_frame)].placement
-    own = elastic_base(scene.elastic_guardrail)
+    own = elastic_base(held_guardrail(scene, robot))
     stiffness = None
     if own is not None:
         away = _motion(np.array(robot.foot_point) - placement.translation)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
-from cmbot.elastic import SharedFrame
+from cmbot.elastic import SharedFrame, with_legs
 from cmbot.elastic.first_order import Bases
 from cmbot.hold import Foot, Holding, needed_by_load
-from cmbot.robot import Climber, Robot
+from cmbot.robot import Climber, HoldingJoint, Robot, holding_rows, leg_compliance
 from cmbot.scene import FootholdFile, Scene, axis_point, feet_at
 from cmbot.stances.bounds import Bounds, StanceObjective
 from cmbot.stances.candidates import AnyCandidate, Candidate
@@ -26,6 +28,8 @@ class _Support:
         self._file = scene.guardrail
         given = self._guardrail.stiffness
         self._bends, self._given = bends, None if given is None else np.array(given)
+        # An identified base is what the arm stood on, legs included.
+        self._identified = bool(scene.identified and scene.identified.base)
         points = list[FloatArray]()
         for candidate in candidates:
             places = self._places(candidate)
@@ -52,22 +56,24 @@ class _Support:
         points = (axis_point(self._guardrail, place) for place in self._places(candidate))
         return [self._number[self._key(point)] for point in points]
 
-    def feet(self, candidate: AnyCandidate) -> tuple[Foot, ...]:
-        """The feet that hold; none of a mount."""
+    def feet(self, candidate: AnyCandidate, legs: FloatArray | None) -> tuple[Foot, ...]:
+        """The feet that hold, with `SharedFrame.shares` by the legs; none of a mount."""
         if not isinstance(candidate, Candidate):
             return ()
         shares: tuple[FloatArray, ...] = (np.eye(6),)
         if candidate.stance.foot_2 is not None and self._frame is not None:
-            shares = self._frame.shares(self._numbers(candidate), candidate.root[:3, 3])
+            shares = self._frame.shares(self._numbers(candidate), candidate.root[:3, 3], legs)
         return feet_at(self._file, candidate.stance, self._guardrail, shares)
 
-    def stiffness(self, candidate: AnyCandidate) -> FloatArray | None:
-        """Its stiffness (6, 6) at O0 in W; None: rigid."""
+    def stiffness(self, candidate: AnyCandidate, legs: FloatArray | None) -> FloatArray | None:
+        """Its stiffness (6, 6) at O0 in W, legs included; None: rigid."""
         if not isinstance(candidate, Candidate):
             return candidate.stiffness
-        if self._given is not None or self._frame is None or not self._bends:
-            return self._given
-        return self._frame.stiffness(self._numbers(candidate), candidate.root[:3, 3])
+        if self._given is not None:
+            return self._given if self._identified else with_legs(self._given, legs)
+        if self._frame is None or not self._bends:
+            return None
+        return self._frame.stiffness(self._numbers(candidate), candidate.root[:3, 3], legs)
 
 
 class StanceLoads:
@@ -115,16 +121,52 @@ class StanceLoads:
         still = self._mass[:, None] * gravity
         self._still = np.hstack([still, np.cross(lever, still)])
         support = _Support(scene, candidates, bends=True)
-        self._feet(support, candidates)
-        self._stiffness = self._turned([support.stiffness(each) for each in candidates])
+        joints = [_locked(each, robot, arm, climber) for each in candidates]
+        legs = [
+            leg_compliance(part, _feet_of(each), each.root[:3, 3])
+            for part, each in zip(joints, candidates, strict=True)
+        ]
+        each_leg = [*zip(candidates, legs, strict=True)]
+        feet = [support.feet(each, leg) for each, leg in each_leg]
+        self._feet(feet)
+        self._lock(joints, feet, root[:, :3, 3], gravity)
+        self._stiffness = self._turned([support.stiffness(each, leg) for each, leg in each_leg])
         self.bends = self._stiffness is not None or bool(arm.elasticity or arm.joint_elasticity)
         self.objective, self._bounds = objective, bounds
         about_base = scene.planner.moment_about == "base"
         self._point = -away if about_base else np.zeros_like(away)
         self._weights = np.array(scene.planner.axis_weights)
 
-    def _feet(self, support: _Support, candidates: Sequence[AnyCandidate]) -> None:
-        feet = [support.feet(each) for each in candidates]
+    def _lock(
+        self,
+        joints: Sequence[Sequence[HoldingJoint]],
+        feet: Sequence[Sequence[Foot]],
+        foot_points: FloatArray,
+        gravity: FloatArray,
+    ) -> None:
+        """What the locked joints of C stances hold: rows, constants, limits and efforts of J at most."""
+        C, J = len(joints), max((len(part) for part in joints), default=0)
+        self._rows, self._own = np.zeros((C, J, 6)), np.zeros((C, J))
+        self._limits, self._efforts = np.full((C, J), np.inf), np.full((C, J), np.inf)
+        for c, part in enumerate(joints):
+            shares = [foot.share for foot in feet[c]] or [np.eye(6)]
+            rows, own = holding_rows(part, shares, foot_points[c], gravity, self._still[c])
+            self._rows[c, : len(part)], self._own[c, : len(part)] = rows, own
+            self._limits[c, : len(part)] = [joint.limit for joint in part]
+            self._efforts[c, : len(part)] = [joint.effort for joint in part]
+
+    def held(self, of: IntArray, wrench: FloatArray) -> FloatArray:
+        """Largest torque (N,), Nm, of a locked joint, and largest shares of limits and efforts: (3, N).
+
+        NaN where no joint is locked.
+        """
+        if not self._rows.shape[1]:
+            return np.full((3, len(of)), np.nan)
+        torque = np.abs(np.einsum("kji,ki->kj", self._rows[of], wrench) + self._own[of])
+        parts = (torque, torque / self._limits[of], torque / self._efforts[of])
+        return np.array([part.max(axis=1, initial=0.0) for part in parts])
+
+    def _feet(self, feet: Sequence[tuple[Foot, ...]]) -> None:
         self._holding = [Holding(each, self._still[k]) for k, each in enumerate(feet)]
         self._bounded = any(holding.bounded for holding in self._holding)
         # Where there is no second foot, the first one stands for it.
@@ -207,10 +249,11 @@ class StanceLoads:
         return np.asarray(np.einsum("kij,ki->kj", self.rotation[of], by_torque))
 
     def holds(self, of: IntArray, wrench: FloatArray) -> BoolArray:
-        """Whether the feet bear it, and torque and adhesion are within their bounds."""
+        """Whether feet and locked joints bear it, and torque and adhesion are within their bounds."""
         good = self.torque(of, wrench)[0] <= self._bounds.base_torque_nm
         if np.isfinite(self._bounds.adhesion_n):
             good &= self.adhesion(of, wrench)[0] <= self._bounds.adhesion_n
+        good &= ~(self.held(of, wrench)[1] > 1.0)
         for c in np.unique(of) if self._bounded else ():
             rows = of == c
             good[rows] &= self._holding[c].share(wrench[rows])[0] <= 1.0
@@ -225,6 +268,25 @@ class StanceLoads:
     def most_sag(self) -> float:
         """Bound of the sag, m."""
         return self._bounds.sag_mm / _METRE_MM
+
+
+def _feet_of(candidate: AnyCandidate) -> int:
+    """On how many feet a robot stands; what a mount holds is one."""
+    return 2 if isinstance(candidate, Candidate) and candidate.stance.foot_2 is not None else 1
+
+
+def _locked(candidate: AnyCandidate, robot: Robot, arm: Robot, climber: Climber) -> list[HoldingJoint]:
+    """The locked joints of a stance, with limits and springs of those of the robot."""
+    if not isinstance(candidate, Candidate):
+        return [joint.moved(pin.SE3(candidate.base)) for joint in arm.holding_joints]
+    known = {joint.name: joint for joint in robot.locked_joints}
+    return [
+        replace(joint, limit=known[joint.name].limit, spring=known[joint.name].spring).moved(
+            pin.SE3(candidate.root)
+        )
+        for joint in climber.holding_joints(candidate.climber)
+        if joint.foot < _feet_of(candidate)
+    ]
 
 
 def _alike(feet: Sequence[Foot]) -> IntArray:

@@ -171,7 +171,8 @@ class _Stand:
         suits: Callable[[AnyCandidate], str | None],
     ) -> None:
         scene, self._options, self._progress, self._suits = joined(scenes), options, progress, suits
-        self._objective: StanceObjective = options.objective or scene.planner.objective
+        planned = scene.planner.objective
+        self._objective: StanceObjective = options.objective or ("torque" if planned == "travel" else planned)
         self._scene = scene = scene.with_options(objective=self._objective)
         progress("listing stances", 0.0)
         self._ending = Ending(limit=options.time_limit)

@@ -41,7 +41,7 @@ class Screening:
     ----------
     within_reach : (S, C)
         Whether the tool's places are within reach of the arm's links.
-    figures : (6, S, C)
+    figures : (8, S, C)
         `FIGURES` at rest in the posture of each bound, at the via-point where it is largest; the bound is
         infinite where no posture was found, and what was not computed is NaN.
     via_point : (S, C)
@@ -115,7 +115,7 @@ class _Stroke:
     number: IntArray
 
     def bounded(self, report: Callable[[float], None]) -> tuple[FloatArray, IntArray]:
-        """Figures (6, C) where, over the via-points, what is ranked is largest, and the via-points (C,)."""
+        """Figures (8, C) where, over the via-points, what is ranked is largest, and the via-points (C,)."""
         K, C = VIA_POINTS, len(self.bases)
         every = np.arange(C)
         found = np.empty((len(FIGURES), K, C))
@@ -138,7 +138,7 @@ class _Stroke:
             report(_ROUGH + (1 - _ROUGH) * float(1 - open_.mean()))
 
     def _least(self, via_point: int, some: IntArray, effort: Effort) -> FloatArray:
-        """Figures of some of the stances at a via-point, (6, k)."""
+        """Figures of some of the stances at a via-point, (8, k)."""
         time = float(times_of(self.task)[via_point])
         at_once = max(_AT_ONCE // (effort.tried * (1 + 2 * effort.walked)), 1)
         parts = [np.empty((len(FIGURES), 0))]

@@ -200,7 +200,7 @@ class Judge:
 
 
 def at_rest_of(rows: FloatArray) -> StanceFigures:
-    """Return the figures (6,) of the screening as such."""
+    """Return the figures (8,) of the screening as such."""
     known = {name: float(x) for name, x in zip(FIGURES, rows, strict=True) if np.isfinite(x)}
     known.pop("bound", None)
     return StanceFigures(**known)
@@ -216,7 +216,11 @@ def figures_of(made: Plan, candidate: AnyCandidate) -> StanceFigures:
     t = np.linspace(0.0, made.job.duration, _STEPS)
     turns = ~made.robot.limits.prismatic
     travel = np.abs(np.diff(made.job.trajectory.evaluate(t)[:, turns], axis=0)).sum()
+    held = made.holding_torque
+    efforts = np.array([joint.effort for joint in made.robot.holding_joints])
     return StanceFigures(
+        holding_nm=float(held.max()) if len(held) else None,
+        holding_of_effort=float((held / efforts).max()) if len(held) else None,
         torque=torque,
         job_torque=whole,
         adhesion=None if needed is None else needed.peak,

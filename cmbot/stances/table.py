@@ -23,7 +23,16 @@ _PLACES = (
 _COLUMNS = (
     *("group", "strokes", "rank", "status", "judged_by", "bound", "proven_bound", "planned"),
     *("torque_at_rest", "adhesion_at_rest", "planned_torque", "job_torque", "planned_adhesion"),
-    *("sag_mm", "first_hz", "sway_mm_per_m_s2", "travel_deg", "seconds", "within_mm"),
+    *(
+        "sag_mm",
+        "first_hz",
+        "sway_mm_per_m_s2",
+        "holding_nm",
+        "holding_of_effort",
+        "travel_deg",
+        "seconds",
+        "within_mm",
+    ),
     *_PLACES,
 )
 _ENDED = {
@@ -154,6 +163,8 @@ def planned_table(ranking: StanceRanking) -> _Table:
         ("sag, mm", lambda f: f.sag_mm, ".2f"),
         ("first mode, Hz", lambda f: f.first_hz, ".2f"),
         ("sway, mm per m/s2", lambda f: f.sway_mm, ".2f"),
+        ("locked joints hold, Nm", lambda f: f.holding_nm, ".0f"),
+        ("of what they drive, %", lambda f: f.holding_of_effort and 100 * f.holding_of_effort, ".0f"),
         ("tool within, mm", lambda f: f.within_mm, ".1f"),
     )
     planned = [(k, one) for k, one in enumerate(ranking.ranked, start=1) if one.status == "planned"]
@@ -208,7 +219,7 @@ def _cells(each: StanceResult) -> Iterator[object]:
     yield _number(each.value if np.isfinite(each.value) else None)
     yield from (_number(x) for x in (rest.torque, rest.adhesion))
     yield from (_number(x) for x in (planned.torque, planned.job_torque, planned.adhesion))
-    for name in ("sag_mm", "first_hz", "sway_mm"):
+    for name in ("sag_mm", "first_hz", "sway_mm", "holding_nm", "holding_of_effort"):
         value = getattr(planned, name)
         yield _number(getattr(rest, name) if value is None else value)
     yield from (_number(x) for x in (planned.travel_deg, planned.seconds, planned.within_mm))

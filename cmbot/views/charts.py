@@ -235,34 +235,34 @@ def floor_meaning(plan: Plan) -> str:
     return f"{meaning}; moving, the arm has less" if _undercuts(plan) else meaning
 
 
-def _torque(plan: Plan) -> Chart:
-    curves = _curves(plan, lambda samples: np.linalg.norm(samples.guardrail_torque, axis=1))
-    bound = plan.torque_floor
-    chart = Chart(
-        key="torque",
-        work=_work(plan),
-        title=f"Torque on the {plan.scene.base_name}",
-        unit="Nm",
-        digits=1,
-        curves=curves,
-        axis=(0.0, ROOM * _highest(curves)),
-        marks=() if bound is None else ((bound, f"{floor_name(plan)} {bound:.1f} Nm"),),
-        note="" if bound is None else f"{floor_name(plan).capitalize()} of the peak: {floor_meaning(plan)}.",
-    )
-    return chart.scaled_to_plan(0.0 if bound is None else bound)
+def torque_of(samples: Samples) -> FloatArray:
+    """Return the torque on the base, Nm."""
+    return np.asarray(np.linalg.norm(samples.guardrail_torque, axis=1))
 
 
-def _clearance(plan: Plan) -> Chart:
+def clearance_of(samples: Samples) -> FloatArray:
+    """Return the clearance, mm."""
+    return 1e3 * samples.clearance
+
+
+def deviation_of(samples: Samples) -> FloatArray:
+    """Return the tool's distance from its path, mm."""
+    return 1e3 * samples.tool_deviation
+
+
+def torque_chart(plan: Plan, curves: tuple[Curve, ...]) -> Chart:
+    """Return the torque on the base that is a plan's."""
+    title, axis = f"Torque on the {plan.scene.base_name}", (0.0, ROOM * _highest(curves))
+    return Chart(key="torque", title=title, unit="Nm", digits=1, curves=curves, axis=axis)
+
+
+def clearance_chart(plan: Plan, curves: tuple[Curve, ...]) -> Chart:
+    """Return clearances beside a plan's margin; those that are infinite, as nothing can collide, are none."""
     margin = 1e3 * plan.options.safety_margin_m
-    curves = tuple(
-        curve
-        for curve in _curves(plan, lambda samples: 1e3 * samples.clearance)
-        if np.isfinite(curve.y).all()  # infinite without a pair of shapes that can collide
-    )
+    curves = tuple(curve for curve in curves if np.isfinite(curve.y).all())
     lowest = min((float(curve.y.min()) for curve in curves), default=0.0)
-    chart = Chart(
+    return Chart(
         key="clearance",
-        work=_work(plan),
         title="Clearance",
         unit="mm",
         digits=1,
@@ -270,32 +270,45 @@ def _clearance(plan: Plan) -> Chart:
         axis=(min(ROOM * lowest, 0.0), ROOM * max(_highest(curves), 2 * margin)),
         bounds=(margin, None),
         marks=((margin, f"margin {margin:g} mm"),),
-        note="The smallest distance of the arm to obstacles and to itself.",
     )
-    return chart.scaled_to_plan(2 * margin)
 
 
-def _tool_deviation(plan: Plan) -> Chart:
+def deviation_chart(plan: Plan, curves: tuple[Curve, ...]) -> Chart:
+    """Return distances from the tool path beside a plan's bound."""
     bound = 1e3 * plan.options.max_tool_deviation_m
-    chart = Chart(
+    return Chart(
         key="deviation",
         title="Tool's distance from its path",
         unit="mm",
         digits=3,
-        curves=(
-            *_curves(plan, lambda samples: 1e3 * samples.tool_deviation, free=False),
-            *(
-                Curve(motion="planned", t=t, y=1e3 * largest, thin=True)
-                for t, largest in plan.deviation_with_spread
-            ),
-        ),
+        curves=curves,
         axis=(0.0, 1.15 * bound),
         bounds=(None, bound),
         marks=((bound, f"bound {bound:g} mm"),),
-        note=_expected(plan),
-        free="no tool path",
     )
-    return chart.with_clipped()
+
+
+def _torque(plan: Plan) -> Chart:
+    bound, chart = plan.torque_floor, replace(torque_chart(plan, _curves(plan, torque_of)), work=_work(plan))
+    if bound is None:
+        return chart.scaled_to_plan()
+    marks = ((bound, f"{floor_name(plan)} {bound:.1f} Nm"),)
+    note = f"{floor_name(plan).capitalize()} of the peak: {floor_meaning(plan)}."
+    return replace(chart, marks=marks, note=note).scaled_to_plan(bound)
+
+
+def _clearance(plan: Plan) -> Chart:
+    note = "The smallest distance of the arm to obstacles and to itself."
+    chart = replace(clearance_chart(plan, _curves(plan, clearance_of)), work=_work(plan), note=note)
+    return chart.scaled_to_plan(2e3 * plan.options.safety_margin_m)
+
+
+def _tool_deviation(plan: Plan) -> Chart:
+    thin = (
+        Curve(motion="planned", t=t, y=1e3 * largest, thin=True) for t, largest in plan.deviation_with_spread
+    )
+    chart = deviation_chart(plan, (*_curves(plan, deviation_of, free=False), *thin))
+    return replace(chart, note=_expected(plan), free="no tool path").with_clipped()
 
 
 def _expected(plan: Plan) -> str:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from html import escape
 from typing import Any
 
@@ -15,29 +15,21 @@ from cmbot.common.validation import counted
 from cmbot.planning import Plan, Samples, verdict
 from cmbot.simulation import Tracking
 from cmbot.version import __version__
-from cmbot.views.charts import MOST_SMALL_POINTS, ROOM, Chart, Curve, joint_axes
-from cmbot.views.drawing import (
-    ARROW,
-    bridge_commands,
-    bridge_of,
-    carrier_commands,
-    focus_of,
-    jobs_of,
-    obstacle_commands,
-    path_commands,
-    reach,
-    scene_commands,
+from cmbot.views.charts import (
+    MOST_SMALL_POINTS,
+    Chart,
+    Curve,
+    clearance_chart,
+    clearance_of,
+    deviation_chart,
+    deviation_of,
+    joint_axes,
+    torque_chart,
+    torque_of,
 )
+from cmbot.views.drawing import carrier_commands, obstacle_commands, path_commands
 from cmbot.views.page import STAGE_SCRIPTS, assemble, table
-from cmbot.views.replay_data import (
-    FRAME_STEP,
-    MOST_POSES,
-    Frames,
-    bending_of,
-    frame_times,
-    link_names,
-    pair_joints,
-)
+from cmbot.views.replay_data import FRAME_STEP, MOST_POSES, Frames, frame_times, link_names, stage_data
 from cmbot.views.report import SHARES, judged, section
 
 MOST_PLANS = 6
@@ -116,46 +108,26 @@ def _data(first: Plan, plans: Mapping[str, Plan], names: Mapping[str, str]) -> d
         key: frames[key].motion(plan.job_samples[0], plan.job.figures, times, on=_strokes(plan))
         for key, plan in plans.items()
     }
-    each = list(frames.values())
-    small = [chart.data(MOST_SMALL_POINTS) for chart in _joint_charts(first, plans)]
-    margin = min(plan.options.safety_margin_m for plan in plans.values())
-    bridge = bridge_of(first.scene, jobs_of(plans.values()), margin)
     # Arms that stand elsewhere, or on something else, bring along what carries them.
     carrier = _carrier(first)
     owners = [key for key, plan in plans.items() if _carrier(plan) != carrier]
-    drawn = [*scene_commands(first), *bridge_commands(bridge)]
-    for key in owners:
-        drawn += carrier_commands(plans[key], key)
+    drawn = [command for key in owners for command in carrier_commands(plans[key], key)]
     paths = path_commands(first)
     for key, plan in plans.items():
         if path_commands(plan) != paths:
             drawn += path_commands(plan, f"/others/{key}")
-    bending, bent = bending_of(each, reach(first.robot))
     return motions | {
         "motions": list(motions),
         "names": dict(names),
         "title": "Plans compared",
-        "robot": first.robot.name,
-        "base": first.scene.base_name,
-        "foot": list(first.robot.foot_point),
         "feet": {key: list(plan.robot.foot_point) for key, plan in plans.items()},
         "owners": owners,
         **{"start": 0.0, "workStart": 0.0, "workEnd": end, "end": end},
         **{"legTimes": [], "moves": [], "floor": None, "floorName": ""},
         **{"approach": None, "return": None, "rest": None},
-        "margin": margin,
-        "links": link_names(first.robot),
-        "joints": list(first.robot.joints),
-        "bending": bending,
-        "pairs": list(pairs),
-        "pairJoints": pair_joints(first, pairs),
-        "focus": focus_of(first, list(plans.values()), bent, bridge),
-        "reach": reach(first.robot),
-        "arrow": ARROW * reach(first.robot),
-        "around": bool(bridge),
-        "commands": [base64.b64encode(command).decode("ascii") for command in drawn],
         "charts": [chart.data() for chart in _charts(first, plans)],
-        "jointCharts": small,
+        "jointCharts": [chart.data(MOST_SMALL_POINTS) for chart in _joint_charts(first, plans)],
+        **stage_data(list(plans.values()), list(frames.values()), drawn),
     }
 
 
@@ -168,41 +140,10 @@ def _strokes(plan: Plan) -> list[tuple[float, float]]:
 
 
 def _charts(first: Plan, plans: Mapping[str, Plan]) -> Iterator[Chart]:
-    torque = _curves(plans, lambda samples: np.linalg.norm(samples.guardrail_torque, axis=1))
-    clearance = _curves(plans, lambda samples: 1e3 * samples.clearance)
-    shown = tuple(curve for curve in clearance if np.isfinite(curve.y).all())
-    margin, bound = 1e3 * first.options.safety_margin_m, 1e3 * first.options.max_tool_deviation_m
-    yield Chart(
-        key="torque",
-        title=f"Torque on the {first.scene.base_name}",
-        unit="Nm",
-        digits=1,
-        curves=torque,
-        axis=(0.0, ROOM * max(float(curve.y.max()) for curve in torque)),
-    )
-    yield Chart(
-        key="clearance",
-        title="Clearance",
-        unit="mm",
-        digits=1,
-        curves=shown,
-        axis=(
-            min([0.0, *(float(curve.y.min()) for curve in shown)]),
-            ROOM * max([2 * margin, *(float(curve.y.max()) for curve in shown)]),
-        ),
-        bounds=(margin, None),
-        marks=((margin, f"margin {margin:g} mm"),),
-    )
-    yield Chart(
-        key="deviation",
-        title="Tool's distance from its path, along the strokes",
-        unit="mm",
-        digits=3,
-        curves=_curves(plans, lambda samples: 1e3 * samples.tool_deviation, strokes=True),
-        axis=(0.0, 1.15 * bound),
-        bounds=(None, bound),
-        marks=((bound, f"bound {bound:g} mm"),),
-    )
+    yield torque_chart(first, _curves(plans, torque_of))
+    yield clearance_chart(first, _curves(plans, clearance_of))
+    along = _curves(plans, deviation_of, strokes=True)
+    yield replace(deviation_chart(first, along), title="Tool's distance from its path, along the strokes")
 
 
 def _joint_charts(first: Plan, plans: Mapping[str, Plan]) -> Iterator[Chart]:

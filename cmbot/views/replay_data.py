@@ -74,15 +74,12 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
     step = max(FRAME_STEP, (end - start) * plan.robot.dof / MOST_POSES)
     frames = Frames(plan, tracking=tracking)
     times = frame_times(0.0, work_end - begin, step)
-    data = {
+    motions = {
         "title": plan.scene.name,
-        "robot": plan.robot.name,
         "start": start,
         "workStart": begin,
         "workEnd": work_end,
         "end": end,
-        "base": plan.scene.base_name,
-        "foot": list(plan.robot.foot_point),
         "legTimes": _leg_times(plan).tolist(),
         "moves": [
             [each.name, each.begin, each.end]
@@ -90,28 +87,42 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
             if each.kind == "free" and each.name not in (APPROACH, RETURN)
         ],
         "segments": [[each.name, each.begin, each.end] for each in plan.job.segments],
-        "joints": list(plan.robot.joints),
         "knots": _knots(plan.job.trajectory),
         "floor": plan.torque_floor,
         "floorName": floor_name(plan),
-        "margin": plan.options.safety_margin_m,
-        "links": link_names(plan.robot),
         "approach": _approach(plan, frames, start, step) if start < begin else None,
         **_at_work(plan, frames, times, tracking),
         "return": _return(plan, frames, frame_times(0.0, back, step)) if back > 0 else None,
         "rest": None if back > 0 else _rest(plan, tracking, frames, frame_times(work_end, end, step) - begin),
     }
-    bridge = bridge_of(plan.scene, jobs_of([plan]), plan.options.safety_margin_m)
-    drawn = [*scene_commands(plan), *bridge_commands(bridge)]
-    # With all motions it is known how far the arm bends and what is near it.
-    bending, bent = bending_of([frames], reach(plan.robot))
-    return data | {
+    return motions | stage_data([plan], [frames])
+
+
+def stage_data(
+    plans: Sequence[Plan], frames: Sequence[Frames], others: Sequence[bytes] = ()
+) -> dict[str, Any]:
+    """Return the data of the 3-D view: what is drawn around the first of some plans, and `others` commands.
+
+    It is asked for with all motions: then it is known how far the arms bend and what is near them.
+    """
+    first, pairs = plans[0], frames[0].pairs
+    length, margin = reach(first.robot), min(plan.options.safety_margin_m for plan in plans)
+    bridge = bridge_of(first.scene, jobs_of(plans), margin)
+    bending, bent = bending_of(frames, length)
+    drawn = [*scene_commands(first), *bridge_commands(bridge), *others]
+    return {
+        "robot": first.robot.name,
+        "base": first.scene.base_name,
+        "foot": list(first.robot.foot_point),
+        "links": link_names(first.robot),
+        "joints": list(first.robot.joints),
+        "margin": margin,
         "bending": bending,
-        "pairs": list(frames.pairs),
-        "pairJoints": pair_joints(plan, frames.pairs),
-        "focus": focus_of(plan, [plan], bent, bridge),
-        "reach": reach(plan.robot),
-        "arrow": ARROW * reach(plan.robot),
+        "pairs": list(pairs),
+        "pairJoints": pair_joints(first, pairs),
+        "focus": focus_of(first, plans, bent, bridge),
+        "reach": length,
+        "arrow": ARROW * length,
         "around": bool(bridge),
         "commands": [base64.b64encode(command).decode("ascii") for command in drawn],
     }

@@ -13,7 +13,7 @@ from plan_folders import FILES, edit, refused, rewrite
 
 from cmbot.archive import load_plan
 from cmbot.archive.knots import read_knots
-from cmbot.archive.strict_json import read_json
+from cmbot.archive.records import read_json
 from cmbot.common.errors import ArchiveError
 
 MEGABYTE = 2**20
@@ -120,12 +120,6 @@ def test_pipes_in_place_of_files(short_folder: Path, name: str) -> None:
     (short_folder / name).unlink()
     os.mkfifo(short_folder / name)
     assert "not a regular file" in str(refused(short_folder, name, ""))
-
-
-def test_a_plan_file_that_is_too_large(short_folder: Path) -> None:
-    path = short_folder / "plan.json"
-    path.write_bytes(path.read_bytes() + b" " * 20_000_000)
-    assert "a larger file, expected at most 20 MB" in str(refused(short_folder, "plan.json", ""))
 
 
 @pytest.mark.parametrize("key", ["passes", "fallbacks", "strange"])

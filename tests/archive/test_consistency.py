@@ -93,15 +93,6 @@ def test_an_approach_that_is_denied(folder):
     refused(folder, "job.npz", "t")
 
 
-@pytest.mark.parametrize("name", ["job.csv", "job.npz", "baseline.csv"])
-def test_missing_and_changed_files_of_the_job(folder, name):
-    content = (folder / name).read_bytes()
-    (folder / name).write_bytes(content + b" ")
-    assert refused(folder, name, "").got == "other content"
-    (folder / name).unlink()
-    assert "no such file" in refused(folder, name, "").got
-
-
 def knots_of(trajectory: QuinticTrajectory, **changes: np.ndarray) -> bytes:
     return npz(**{name: changes.get(name, getattr(trajectory, name)) for name in "tqva"})
 

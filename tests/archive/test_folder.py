@@ -254,7 +254,7 @@ def test_a_record_whose_hashes_are_none_is_replaced(folder: Path) -> None:
 def test_names_that_are_there_are_refused_without_force(folder: Path) -> None:
     with pytest.raises(ArchiveError, match="a folder without these files, or --force") as caught:
         write(folder, NEW)
-    assert caught.value.got == "stances.csv, index.html, stances.json"
+    assert caught.value.got == "stances.csv, index.html, stances.json, already there"
     with pytest.raises(ArchiveError):
         require_absent(folder, ["index.html"])
     require_absent(folder, ["best.yaml"])

@@ -139,7 +139,7 @@ def test_messages_that_cannot_be_written(
     assert told in refusal("export", saved_short, "--ros", tmp_path / "job.json", *words)
     assert not (tmp_path / "job.json").exists()
     alone = refusal("export", saved_short, "--csv", tmp_path / "job.csv", *words[:2])
-    assert "with --ros FILE" in alone
+    assert "with --ros" in alone
 
 
 def test_the_oracle_refuses_what_controllers_do(short_plan: Plan, saved_short: Path, tmp_path: Path) -> None:
@@ -240,7 +240,7 @@ def test_what_is_refused(
     assert "already there" in refusal("export", saved_short, "--ros", path)
     folder = tmp_path / "description"
     told = refusal("export", saved_short, "--ros-package", folder, "--effort")
-    assert "--effort: got no trajectory to write" in told and not folder.exists()
+    assert "--effort: got nothing beside it" in told and not folder.exists()
     with pytest.raises(InputError, match=r"cmbot\.export_ros: plan"):
         export_ros(str(saved_short), path)  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"cmbot\.export_mcap: plan"):

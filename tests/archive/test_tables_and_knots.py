@@ -11,7 +11,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from plan_folders import npz, refused, rewrite
+from plan_folders import npz
 
 from cmbot.archive.knots import read_knots
 from cmbot.archive.tables import columns, read_motion, table_csv
@@ -72,16 +72,6 @@ def test_damaged_knots(saved_triangle, content, key):
     with pytest.raises(ArchiveError) as caught:
         read_knots(damaged, "FILE", 7)
     assert (caught.value.source, caught.value.key) == ("FILE", key)
-
-
-@pytest.mark.parametrize(
-    "content", [knots_with(t=lambda t: t + 1), knots_with(t=lambda t: 2 * t), lambda knots: b""]
-)
-def test_knots_of_another_scene(triangle_folder, content):
-    with np.load(triangle_folder / "job.npz") as knots:
-        other = content(knots)
-    rewrite(triangle_folder, "job.npz", other)
-    refused(triangle_folder, "job.npz", "t" if other else "")
 
 
 def test_lone_arrays_and_pickles_are_not_opened(saved_triangle, tmp_path):

@@ -73,19 +73,6 @@ def refused(plan: Plan, folder: Path, file: str, key: str) -> ArchiveError:
 TABLES = ("tracking.csv", "tracking_baseline.csv")
 
 
-@pytest.mark.parametrize("name", [*TABLES, "tracking.json"])
-def test_a_missing_file_is_an_error(folder: Path, short_plan: Plan, name: str) -> None:
-    (folder / name).unlink()
-    assert "no such file" in str(refused(short_plan, folder, name, ""))
-
-
-@pytest.mark.parametrize("name", [*TABLES, "tracking.json"])
-def test_a_changed_file_is_an_error(folder: Path, short_plan: Plan, name: str) -> None:
-    with (folder / name).open("a", encoding="utf-8") as file:
-        file.write("\n")
-    assert refused(short_plan, folder, name, "").got == "other content"
-
-
 def test_what_the_plan_does_not_name_is_not_read(
     saved: Path, saved_short: Path, short_plan: Plan, tmp_path: Path
 ) -> None:

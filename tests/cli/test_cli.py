@@ -179,26 +179,6 @@ def test_report_replaces_no_file_elsewhere_unasked(directory: Path, tmp_path: Pa
     assert page.stat().st_size > 100_000
 
 
-@pytest.mark.usefixtures("known")
-def test_pages_are_added_by_the_archive(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """So that they come whole, and into nothing but a plan directory; those of a plan together with it."""
-    added: list[tuple[Path, str]] = []
-    monkeypatch.setattr(
-        cmbot.archive, "add_file", lambda folder, name, _: added.append((folder, name)) or folder / name
-    )
-    save = Mock()
-    monkeypatch.setattr(cmbot, "save", save)
-    for words in (
-        ("plan", "short.yaml", "-o", directory, "--force"),
-        ("replay", directory),
-        ("report", directory),
-    ):
-        assert run(*words).status == 0
-    pages = ("replay.html", "report.html")
-    assert added == [(directory, name) for name in pages]
-    assert tuple(save.call_args.kwargs["added"]) == pages
-
-
 def test_what_a_killed_call_left_is_removed(directory: Path) -> None:
     for part in (directory / ".report.html.part", directory / ".plan.json.part"):
         part.write_bytes(b"half of")

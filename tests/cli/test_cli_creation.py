@@ -181,7 +181,7 @@ def test_a_scene_of_the_shipped_robot(here: Path) -> None:
         (("panda", "--tool-at", "1", "0", "0", "--rpy-deg", "0", "0", "999"), "--rpy-deg: got 999", 2),
         (
             ("cmbot", "--tool-at", "1", "0", "0", "--base", "x"),
-            "--base, --tool: got frames, expected none",
+            "--base: got an option, expected none with --from cmbot",
             2,
         ),
         (

@@ -196,7 +196,7 @@ def test_it_replaces_nothing_without_force(
     monkeypatch.setattr(cmbot, "simulate", lambda plan, options, progress: short_tracking)
     (short_folder / name).write_text("mine", encoding="utf-8")
     line = refusal("simulate", short_folder)
-    assert line.startswith(f"error: {short_folder / name}: got a file that is already there")
+    assert line.startswith(f"error: {short_folder}: got {name}, already there")
     assert "--force" in line
     assert (short_folder / name).read_text(encoding="utf-8") == "mine"
     assert not (FILES - {name}) & {path.name for path in short_folder.iterdir()}

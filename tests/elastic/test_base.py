@@ -16,8 +16,8 @@ from oracles.beams import angle_cantilever, angle_outline, polygon
 from scipy import linalg, sparse
 
 from cmbot.common.errors import InputError
-from cmbot.elastic import ElasticBase, Guardrail, elastic_base
-from cmbot.elastic.base import guardrail_frame, shares
+from cmbot.elastic import ElasticBase, Guardrail, SharedFrame, elastic_base
+from cmbot.elastic.base import guardrail_frame, motion_of_feet, shares
 from cmbot.elastic.beam import section_constants
 from cmbot.elastic.frame import Condensed, natural_frequencies
 from cmbot.scene import load_scene
@@ -271,6 +271,51 @@ def test_two_alike_feet_share_alike(lever: float) -> None:
     # Far apart they bear a moment about y as a couple of vertical forces; a post is stiff along itself.
     couple = first[2, 4] * -lever * -2
     assert 0.9 < couple < 1.0 + 1e-9
+
+
+@pytest.mark.parametrize("factor", [1.0, 2.5])
+def test_legs_give_way_between_feet_and_the_arm(rng: np.random.Generator, factor: float) -> None:
+    """Two feet, with unknowns of their own: feet, turns of two joints each, and what joins both sides."""
+    feet = ((-0.3, 0.0, 0.0), (0.35, 0.0, 0.0))
+    found = replace(guardrail(stiffness_factor=factor), footholds=feet)
+    joints = [rng.normal(size=(6, 2)) for _ in feet]  # motions about O0 by a turn of each joint
+    k = rng.uniform(1e4, 1e5, (2, 2))
+    legs = np.array([T @ np.diag(1 / each) @ T.T for T, each in zip(joints, k, strict=True)])
+    held = replace(found, leg_compliance=legs)
+    made = guardrail_frame(found)
+    K, M = made.frame.condense(*made.feet)
+    G = [np.eye(6), np.eye(6)]
+    for part, (x, y, z) in zip(G, feet, strict=True):
+        part[:3, 3:] = np.cross([x, y, z], np.eye(3))
+    # Least energy of feet d (12) and turns (4), with d_i + G_i T_i turn_i = G_i x for motions x of the arm.
+    H = linalg.block_diag(factor * K, np.diag(k.ravel()))
+    A = np.hstack([np.eye(12), linalg.block_diag(*(part @ T for part, T in zip(G, joints, strict=True)))])
+    kkt = np.block([[H, A.T], [A, np.zeros((12, 12))]])
+    right = np.vstack([np.zeros((16, 6)), np.vstack(G)])
+    answer = np.linalg.solve(kkt, right)
+    d, borne = answer[:12], -answer[16:]
+    base = elastic_base(held)
+    np.testing.assert_allclose(base.stiffness, np.vstack(G).T @ borne, rtol=1e-6, atol=1e-6 * K.max())
+    np.testing.assert_allclose(motion_of_feet(held), d, atol=1e-6)
+    np.testing.assert_allclose(base.mass, d.T @ M @ d, atol=1e-6)
+    per_wrench = borne @ np.linalg.inv(np.vstack(G).T @ borne)
+    for k, share in enumerate(shares(held)):
+        np.testing.assert_allclose(share, G[k].T @ per_wrench[6 * k : 6 * k + 6], atol=1e-6)
+    with_frame = SharedFrame(found, np.array(feet))
+    np.testing.assert_allclose(
+        with_frame.stiffness([0, 1], np.zeros(3), legs), base.stiffness, rtol=1e-6, atol=1
+    )
+    np.testing.assert_allclose(with_frame.shares([0, 1], np.zeros(3), legs), shares(held), atol=1e-6)
+
+
+def test_a_given_stiffness_and_legs_are_springs_in_a_row() -> None:
+    K, M, C = positive_definite(1), positive_definite(2), positive_definite(3)
+    base = elastic_base(replace(guardrail(stiffness=rows(K), mass=rows(M)), leg_compliance=C[None]))
+    np.testing.assert_allclose(np.linalg.inv(base.stiffness), np.linalg.inv(K) + C, rtol=1e-9)
+    moved = np.linalg.inv(K) @ base.stiffness
+    np.testing.assert_allclose(base.mass, moved.T @ M @ moved, rtol=1e-9, atol=1e-12)
+    alone = elastic_base(replace(guardrail(bays=0), leg_compliance=C[None]))
+    np.testing.assert_allclose(alone.stiffness, np.linalg.inv(C), rtol=1e-6)
 
 
 def test_a_foot_on_next_to_nothing_bears_nothing() -> None:

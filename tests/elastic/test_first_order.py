@@ -16,7 +16,7 @@ from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.sag import Sag
 from cmbot.excitation import sway_mm_per_m_s2
 from cmbot.excitation.response import BAND_HZ, flat_band, modal_response
-from cmbot.planning import bending_arm, robot_of
+from cmbot.planning import bending_arm, held_guardrail, robot_of
 from cmbot.robot import Postures, load_robot
 
 PUSH = (3.0, -20.0, 8.0)
@@ -35,7 +35,7 @@ class Case:
         model = robot.model.copy()
         model.inertias[0].inertia = np.zeros((3, 3))  # what does not move is a point mass here
         robot = replace(robot, model=model)
-        arm, base = bending_arm(scene, robot), elastic_base(scene.elastic_guardrail)
+        arm, base = bending_arm(scene, robot), elastic_base(held_guardrail(scene, robot))
         assert arm is not None
         assert base is not None
         self.arm = without_added_mass(arm)

@@ -12,7 +12,7 @@ from guardrails import guardrail
 from oracles.beams import angle_outline, polygon
 from scipy.spatial.transform import Rotation
 
-from cmbot.elastic.base import guardrail_frame, rigid_motion
+from cmbot.elastic.base import guardrail_frame, motion_of_feet
 from cmbot.elastic.beam import beam_stiffness, beam_strain
 from cmbot.elastic.strain import frame_strains, tube_strains
 
@@ -37,7 +37,7 @@ def test_a_loaded_post_is_a_cantilever(roll: float) -> None:
     """Of angle steel, so it bends aside from its load: the strain at each corner from Navier's formula."""
     rail = guardrail(rails=(), post={"roll_deg": roll, "top_m": 0.3})
     frame, (foot,) = guardrail_frame(rail)
-    strains = frame_strains(frame, frame.shapes(foot) @ rigid_motion(rail))
+    strains = frame_strains(frame, frame.shapes(foot) @ motion_of_feet(rail))
     wrench = np.array([300.0, -200.0, -900.0, 150.0, 80.0, 0.0])
     u = frame.compliance(foot) @ wrench
 

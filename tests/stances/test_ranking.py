@@ -13,10 +13,11 @@ from small_scenes import short_scene
 
 import cmbot
 from cmbot.common.errors import PlanningError, SceneError
+from cmbot.elastic import elastic_base
 from cmbot.elastic.sag import Sag
 from cmbot.excitation import sway_mm_per_m_s2
-from cmbot.planning import bending_arm, plan, robot_of, strokes_of, task_of
-from cmbot.robot import Climber
+from cmbot.planning import bending_arm, held_guardrail, plan, robot_of, strokes_of, task_of
+from cmbot.robot import Climber, Dynamics
 from cmbot.scene import FootholdFile, Scene, StanceFile, foothold_pose
 from cmbot.stances import (
     Bounds,
@@ -93,6 +94,30 @@ def test_the_climber_weighs_what_does_not_move(scene: Scene, candidates: list[Ca
     assert mass == pytest.approx(robot.carrier_mass)
     whole = candidate.root[:3, :3] @ centre + candidate.root[:3, 3]
     np.testing.assert_allclose(whole, robot.model.inertias[0].lever, atol=1e-9)
+
+
+@pytest.mark.parametrize("joints", ["rigid", "elastic"])
+def test_loads_are_those_of_the_robot_there(scene: Scene, candidates: list[Candidate], joints: Any) -> None:
+    """Of one foot and of two: what locked joints hold and feet need, and how the base bends."""
+    scene = scene.with_joints(joints)
+    two = [each for each in candidates if each.stance.foot_2 is not None]
+    some = [candidates[0], two[0], two[-1]]
+    loads = Screener(scene, robot_of(scene), some).loads
+    for k, candidate in enumerate(some):
+        there = scene_at(scene, candidate, None)
+        robot = robot_of(there)
+        wrench = Dynamics(robot).static_efforts(scene.posture[None]).guardrail_wrench
+        of = np.array([k])
+        torque, limit, effort = loads.held(of, wrench)[:, 0]
+        held = np.abs(robot.holding_torque(wrench)).max()
+        assert torque == pytest.approx(held)
+        assert (limit, effort) == (pytest.approx(held / 460), pytest.approx(held / 200))
+        assert loads.adhesion(of, wrench)[0] == pytest.approx(robot.holding.each(wrench).max())
+        R = np.kron(np.eye(2), candidate.base[:3, :3])
+        K = elastic_base(held_guardrail(there, robot)).stiffness
+        np.testing.assert_allclose(
+            loads.bases(of).stiffness[0], R.T @ K @ R, rtol=1e-4, atol=1e-4 * np.abs(K).max()
+        )
 
 
 @pytest.mark.parametrize("objective", ["torque", "hold"])

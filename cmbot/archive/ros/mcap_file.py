@@ -178,7 +178,7 @@ def _quaternion(values: Any) -> Message:
 
 
 def _schemas() -> dict[str, str]:
-    """Return the definition of each type that is written, those of its parts after it."""
+    """Return the definition of each type that is written, then all others, which may be its parts."""
     text = (files("cmbot.archive.ros") / "ros_messages.txt").read_text(encoding="utf-8")
     parts = dict(part.split("\n", 1) for part in text.split("MSG: ")[1:])
     kinds = (
@@ -188,19 +188,9 @@ def _schemas() -> dict[str, str]:
         "trajectory_msgs/JointTrajectory",
         "visualization_msgs/MarkerArray",
     )
-    return {kind.replace("/", "/msg/"): _with_parts(kind, parts) for kind in kinds}
-
-
-def _with_parts(kind: str, parts: dict[str, str]) -> str:
-    found: dict[str, None] = {}
-
-    def add(name: str) -> None:
-        for line in parts[name].splitlines():
-            used = line.split()[0].removesuffix("[]")
-            if used in parts and used not in found:
-                found[used] = None
-                add(used)
-
-    add(kind)
-    texts = [parts[kind], *(f"MSG: {name}\n{parts[name]}" for name in found)]
-    return f"{_SEPARATOR}\n".join(texts)
+    return {
+        kind.replace("/", "/msg/"): f"{_SEPARATOR}\n".join(
+            [parts[kind], *(f"MSG: {name}\n{part}" for name, part in parts.items() if name != kind)]
+        )
+        for kind in kinds
+    }

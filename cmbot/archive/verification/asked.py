@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cmbot.archive.consistency import require_same
+from cmbot.archive.records import require_same
 from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import counted, plain, shown
 from cmbot.planning import robot_of

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from pydantic_core import from_json
 
-from cmbot.archive.consistency import require_same
 from cmbot.archive.folder import read_file
 from cmbot.archive.names import BASELINE_FILE, JOB_FILES, PLAN_FILE, TRACKING_FILES
+from cmbot.archive.records import require_same
 from cmbot.archive.ros.mcap_file import messages
 from cmbot.archive.ros.trajectory_file import trajectory_message
 from cmbot.archive.tables import require_table, samples_csv

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, TypeVar
 
 from cmbot.common.arrays import FloatArray
 from cmbot.planning.attempts.agenda import Agenda, Remedy, Solved
 from cmbot.planning.attempts.failure import Failure, attempted, failure_of
 from cmbot.planning.budget import Budget
-from cmbot.planning.initial_guess import InitialGuess, initial_guess, leap_failure
+from cmbot.planning.initial_guess import InitialGuess, initial_guess, leap_failure, searched
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.global_search import GlobalSearch
 from cmbot.planning.timing.timing import Timing, in_time
@@ -65,10 +66,17 @@ class Attempt:
         timed = Attempt.of(in_time(request, laws), automatic=self.automatic) if laws else self
         return timed if isinstance(timed.guess, InitialGuess) else self
 
-    @property
+    @cached_property
     def search(self) -> GlobalSearch | None:
-        """The global search of its guess; None with fixed knots."""
-        return self.guess.search if isinstance(self.guess, InitialGuess) else None
+        """The global search of its via-points, made where its guess has that of others.
+
+        None with fixed knots.
+        """
+        known = self.guess.search if isinstance(self.guess, InitialGuess) else None
+        if known is None or known.is_of(self.request.times):
+            return known
+        made = attempted(self.request, lambda: searched(self.request)[0])
+        return made if isinstance(made, GlobalSearch) else None
 
     @property
     def is_pinned(self) -> bool:
@@ -85,7 +93,8 @@ class Attempt:
         chart = None if guess.search is None else guess.search.first_chart.q
         arrays: tuple[FloatArray | None, ...] = (form.space.t, form.via_points, chart, guess.way)
         numbers = tuple(None if array is None else array.tobytes() for array in arrays)
-        return options, guess.pinned, self.request.spare_clearance, numbers
+        kept = self.request.spare_clearance, self.request.tool_share
+        return options, guess.pinned, kept, numbers
 
     @property
     def refused(self) -> Failure | None:

@@ -56,6 +56,9 @@ _NARROWLY = 0.01
 # The certificate may find so much less clearance than the safety margin, m, for spare clearance to help, of
 # which there is what is missing and so much more.
 _LITTLE_NEARER, _SPARE = 1e-3, 1.5e-4
+# The certificate may find the tool so many times as far off as it may be for a smaller bound to help, and how
+# much smaller that is than in proportion.
+_NEARLY_ON, _NEARER = 2.0, 0.98
 # Via-points at most for which SLSQP is tried: its time grows with the cube of their number.
 _FEW_VIA_POINTS = 100
 # Least and largest factor by which there are more via-points, and how many at most: all takes longer in
@@ -98,6 +101,24 @@ def _tell_spare(before: AnyTrial, after: AnyTrial) -> str:
         f"The safety margin was missed by {1e3 * missing:.2g} mm ({in_words(failure)}): planned with "
         f"{1e3 * spare:.2g} mm more than it instead."
     )
+
+
+def _nearer_tool(trial: AnyTrial) -> Iterator[Attempt]:
+    """Smaller bounds on the tool in what is optimised, where what encloses it for all times exceeds them."""
+    attempt = trial.attempt
+    match trial.outcome, attempt.guess:
+        case Uncertified(broken=ToolOff(ratio=ratio)), InitialGuess() as guess if 1.0 < ratio < _NEARLY_ON:
+            share = attempt.request.tool_share * _NEARER / ratio
+            request = replace(attempt.request, tool_share=share)
+            request.reporter.stage("path")
+            request.reporter.step(f"the tool is off by {ratio:.3g} times its bound; planning nearer")
+            problem = TorqueProblem(request, guess.problem.parametrization, guess.lower_bound.value)
+            yield from _changed(attempt, replace(guess, problem=problem), request=request)
+
+
+def _tell_nearer(before: AnyTrial, after: AnyTrial) -> str:
+    share = after.attempt.request.tool_share
+    return f"A bound was missed ({in_words(before.failure)}): planned within {share:.0%} of it instead."
 
 
 def _finer_samples(trial: AnyTrial) -> Iterator[Attempt]:
@@ -331,6 +352,7 @@ def _tell(words: str, before: AnyTrial, after: AnyTrial) -> str:
 
 
 SPARE_CLEARANCE = Remedy(cost=1, propose=_spare_clearance, tell=_tell_spare, most=2)
+NEARER_TOOL = Remedy(cost=1, propose=_nearer_tool, tell=_tell_nearer, topic="nearer", most=2)
 FINER_SAMPLES = Remedy(
     cost=2,
     propose=_finer_samples,
@@ -360,6 +382,14 @@ DENSE_SOLVER = Remedy(
 )
 
 REMEDIES = (
-    *(SPARE_CLEARANCE, FINER_SAMPLES, SHORTER_STEPS, CLEARER_GUESS, MORE_VIA_POINTS, FEWER_VIA_POINTS),
+    *(
+        SPARE_CLEARANCE,
+        NEARER_TOOL,
+        FINER_SAMPLES,
+        SHORTER_STEPS,
+        CLEARER_GUESS,
+        MORE_VIA_POINTS,
+        FEWER_VIA_POINTS,
+    ),
     *(ANOTHER_START, REACHABLE_START, JOINED_START, SCENE_START, DENSE_SOLVER),
 )

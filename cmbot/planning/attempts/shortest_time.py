@@ -24,7 +24,7 @@ from cmbot.planning.budget import Budget
 from cmbot.planning.initial_guess import InitialGuess, initial_guess, problem_near
 from cmbot.planning.timing.leg_paths import leg_paths, shortest_laws
 from cmbot.planning.timing.timing import Timing
-from cmbot.planning.torque import Optimised, optimise
+from cmbot.planning.torque import Optimised, TorqueProblem, optimise
 from cmbot.trajectory import QuinticTrajectory
 
 # Factors by which laws are stretched while no motion is certified.
@@ -61,11 +61,13 @@ def in_shortest_time(
     budget.used += half.used
     if not isinstance(slow.outcome, Solved):
         return Trial(attempt=slow.attempt, outcome=slow.outcome, parent=slow.parent, remedy=slow.remedy)
-    timed = _timed(slow.attempt, slow.outcome.result.trajectory)
+    timing = _timing(slow.attempt, slow.outcome.result.trajectory)
+    timed = _in(timing, slow.attempt) if isinstance(timing, Timing) else timing
     if not isinstance(timed, Attempt):
         return Trial(attempt=slow.attempt, outcome=timed, parent=slow)
     remedies = (*REMEDIES, STRETCHED_LAWS, FEWER_STRETCHED_LEGS, FASTER_ROUND, better)
-    return agenda_of(first.request, work, remedies, budget, is_better(first.request)).search(timed, slow)
+    agenda = agenda_of(first.request, work, remedies, budget, is_better(first.request))
+    return _bounded(agenda.search(timed, slow))
 
 
 def _slow_motion(attempt: Attempt) -> Solved[Optimised] | Failure:
@@ -76,8 +78,8 @@ def _slow_motion(attempt: Attempt) -> Solved[Optimised] | Failure:
     return attempted(attempt.request, lambda: Solved(result=optimise(guess.problem)))
 
 
-def _timed(before: Attempt, trajectory: QuinticTrajectory) -> Attempt | Failure:
-    """The attempt in the shortest time along the joint path of a motion."""
+def _timing(before: Attempt, trajectory: QuinticTrajectory) -> Timing | Failure:
+    """The shortest time along the joint path of a motion."""
     request = before.request
     request.reporter.stage("path")
     request.reporter.step("seeking the shortest time within the limits")
@@ -86,7 +88,7 @@ def _timed(before: Attempt, trajectory: QuinticTrajectory) -> Attempt | Failure:
     laws = attempted(request, lambda: tuple(shortest_laws(request, paths)))
     if not isinstance(laws, tuple):
         return laws
-    timing = Timing(
+    return Timing(
         request=request,
         trajectory=trajectory,
         paths=paths,
@@ -94,23 +96,35 @@ def _timed(before: Attempt, trajectory: QuinticTrajectory) -> Attempt | Failure:
         factors=np.ones(len(laws)),
         at_fault=np.zeros(len(laws), dtype=np.bool_),
     )
-    return _in(timing, before)
 
 
 def _in(timing: Timing, before: Attempt) -> Attempt | Failure:
-    """The attempt in a timing, from the start of the one before."""
+    """The attempt in a timing, from the via-points of its joint path.
 
-    def make() -> Attempt:
-        request = timing.timed
-        guess = initial_guess(request)
-        if isinstance(before.guess, InitialGuess):
-            guess = replace(guess, pinned=before.guess.pinned, failures=before.guess.failures)
-        problem = problem_near(request, guess, timing.via_points(request))
-        return replace(
-            before, guess=replace(guess, problem=problem), request=request, timing=timing, is_first=False
-        )
+    Nothing is charted for it: that joints get from one via-point to the next is what its laws are made for.
+    """
+    request, guess = timing.timed, before.guess
+    if not isinstance(guess, InitialGuess):
+        return guess
+    problem = attempted(request, lambda: problem_near(request, guess, timing.via_points(request)))
+    if not isinstance(problem, TorqueProblem):
+        return problem
+    changed = replace(guess, problem=problem)
+    return replace(before, guess=changed, request=request, timing=timing, is_first=False)
 
-    return attempted(timing.request, make)
+
+def _bounded(trial: Trial[Attempt, StrokeMotion]) -> Trial[Attempt, StrokeMotion]:
+    """The trial with the lower bound of its own via-points; with that of the slow ones where charts fail."""
+    if not isinstance(trial.outcome, Solved) or trial.result.guess.search is None:
+        return trial
+    motion = trial.result
+    if motion.request.cell.options.objective == "travel":
+        return trial
+    own = attempted(motion.request, lambda: initial_guess(motion.request, trial.attempt.search))
+    if not isinstance(own, InitialGuess):
+        return trial
+    guess = replace(motion.guess, lower_bound=own.lower_bound, choice=own.choice, search=own.search)
+    return replace(trial, outcome=Solved(result=replace(motion, guess=guess)))
 
 
 def _stretched_laws(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
@@ -146,14 +160,12 @@ def _faster_round(trial: Trial[Attempt, StrokeMotion]) -> Iterator[Attempt]:
     timing, solved = trial.attempt.timing, trial.outcome
     if timing is None or not isinstance(solved, Solved):
         return
-    attempt = _timed(trial.attempt, solved.result.work.trajectory)
-    if isinstance(attempt, Attempt) and attempt.timing is not None:
-        known = sum(law.duration for law in trial.attempt.request.stroke.file.time_laws or ())
-        if attempt.timing.seconds <= _WORTH * known:
-            yield attempt
-            # A little longer than the shortest is shorter than before.
-            factors = np.full(len(attempt.timing.laws), _STRETCHED[0])
-            yield from _stretched(trial, replace(attempt.timing, factors=factors))
+    known = sum(law.duration for law in trial.attempt.request.stroke.file.time_laws or ())
+    shorter = _timing(trial.attempt, solved.result.work.trajectory)
+    if isinstance(shorter, Timing) and shorter.seconds <= _WORTH * known:
+        yield from _stretched(trial, shorter)
+        # A little longer than the shortest is shorter than before.
+        yield from _stretched(trial, replace(shorter, factors=np.full(len(shorter.laws), _STRETCHED[0])))
 
 
 def _at_fault(attempt: Attempt, timing: Timing, failure: Failure) -> BoolArray:

@@ -219,6 +219,10 @@ class GlobalSearch:
         half._allow(0.5 * min(self.step_share, share))
         return half
 
+    def is_of(self, times: FloatArray) -> bool:
+        """Whether these are the times (n,) of its via-points."""
+        return np.array_equal(self._request.times, times)
+
     def solve(self, *, pinned: bool, starts: BoolArray | None = None) -> GlobalSolution:
         """Find the sequence with the smallest peak, then mean square, of the objective at rest.
 

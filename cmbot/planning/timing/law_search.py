@@ -29,6 +29,8 @@ from cmbot.toolpath import TimeLaw
 _POINTS, _FINE = 4, 12
 # Programs at most, least gain of one, and the box at first and at last, as a share of the largest node.
 _ROUNDS, _LEAST_GAIN, _BOX, _SMALLEST_BOX = 60, 1e-4, 0.5, 1e-3
+# Shares of a smooth law that are mixed in until a law leads forward everywhere.
+_SMOOTHED = (0.0, 0.01, 0.1, 0.5, 1.0)
 # Rows below this share of their bounds are left to the next program; few get beyond them in one step.
 _NEAR = 0.7
 
@@ -139,8 +141,14 @@ def shortest_law(bounded: Sequence[Bounded], phases: int) -> tuple[TimeLaw, Floa
         box /= 4
         if box < _SMALLEST_BOX:
             break
-    fine = _Points(space, phases * _FINE, bounded)
-    return space.law(nodes), np.concatenate([[0.0], nodes, [0.0]]), fine.seconds(nodes)
+    fine, smooth = _Points(space, phases * _FINE, bounded), space.smooth()
+    # Between the coarse points a law may lead back a little: the smooth one does not.
+    for share in _SMOOTHED if np.isfinite(seconds) else _SMOOTHED[:1]:
+        law = nodes + share * (smooth - nodes)
+        seconds = fine.seconds(law)
+        if np.isfinite(seconds):
+            break
+    return space.law(law), np.concatenate([[0.0], law, [0.0]]), seconds
 
 
 class _Points:

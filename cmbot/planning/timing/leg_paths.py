@@ -19,7 +19,7 @@ from cmbot.toolpath import LegLaw
 from cmbot.trajectory import QuinticTrajectory
 
 # Pieces of the spline that a joint path is, one a segment, and points of each that are put onto the task.
-_FEWEST_PIECES, _MOST_PIECES, _POINTS = 12, 40, 3
+_FEWEST_PIECES, _MOST_PIECES, _POINTS = 12, 200, 3
 # More of them on curves, whose curvature jumps where lines and arcs meet; on straight legs more of them show
 # self-motion that has nothing to do with the path.
 _ON_CURVES = 1.6

@@ -87,14 +87,15 @@ class TorqueProblem:
         inside = 1 - _SAMPLED_SHARE / options.samples_per_segment**2
         postures, task = request.bent or cell.postures, request.task
         hold = robot.holding if robot.holding and robot.holding.bounded else None
-        angle = np.deg2rad(options.max_tool_rotation_deg) * inside
+        near = inside * request.tool_share
+        angle = np.deg2rad(options.max_tool_rotation_deg) * near
         self.constraints: tuple[StateFunction, ...] = (
             JointTorque(Dynamics(robot), robot.limits.torque * inside),
-            ToolDeviation(postures, task, options.max_tool_deviation_m * inside),
+            ToolDeviation(postures, task, options.max_tool_deviation_m * near),
             ClearanceMargin(
                 cell.clearances, options.safety_margin_m + request.spare_clearance + _CLEARANCE_ROOM
             ),
-            ToolLag(postures, task, options.max_tool_lag_m * inside),
+            ToolLag(postures, task, options.max_tool_lag_m * near),
             *([] if hold is None else [FootHold(Dynamics(robot), hold, inside)]),
             *(
                 [HoldingTorque(Dynamics(robot), robot.holding_limits * inside)]

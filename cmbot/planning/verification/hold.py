@@ -16,9 +16,10 @@ from cmbot.robot import Robot
 # bound may be missed. This one has fewer centres of turning; the other one is on the safe side, with torsion
 # by 6 % (benchmarks/holding.py).
 _MORE_THAN_FOUND, _LESS_THAN_FOUND, _LEAST_DIFFERENCE, _OF_BOUND = 0.005, 0.08, 1e-6, 1e-9
-# Cells along each side of the contact's box, centres of turning on a circle, the share of the way to its edge
-# up to which cells have a centre of pressure, and circles in half sides of the box.
-_SECOND_CELLS, _ON_CIRCLE, _INNER_WAY = 16, 24, 0.94
+# Cells along each side of the contact's box, and at least of its smallest part's; centres of turning on a
+# circle, the share of the way to its edge up to which cells have a centre of pressure, and circles in half
+# sides of the box.
+_SECOND_CELLS, _CELLS_OF_PART, _ON_CIRCLE, _INNER_WAY = 16, 6, 24, 0.94
 _SECOND_CIRCLES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.5, 2.5, 5.0)
 # Steps of Newton's method for the pressure, where it ends, and steps of the search for the adhesion.
 _SECOND_STEPS, _SECOND_CLOSE, _SECOND_HALVINGS = 40, 1e-8, 12
@@ -77,9 +78,10 @@ class _Plate:
         rings = [np.array(ring) for ring in foot.contact.outline]
         corners = np.vstack(rings)
         low, high = corners.min(axis=0), corners.max(axis=0)
-        share = (np.arange(_SECOND_CELLS) + 0.5) / _SECOND_CELLS
-        points = np.array(np.meshgrid(share, share)).reshape(2, -1).T * (high - low) + low
-        self.points = points[np.any([_inside(ring, points) for ring in rings], axis=0)]
+        # Cells of one size, so that all weigh the same.
+        smallest = np.min([np.ptp(ring, axis=0) for ring in rings], axis=0)
+        size = np.minimum((high - low) / _SECOND_CELLS, smallest / _CELLS_OF_PART)
+        self.points = np.vstack([_cells(ring, size) for ring in rings])
         self.foot = foot
         side = ConvexHull(corners).equations
         self.edges = -side[:, :2] / side[:, 2:]
@@ -129,6 +131,15 @@ class _Plate:
             ]
         pressure = np.maximum(c @ X.T, 0.0)
         return np.asarray(pressure / pressure.sum(axis=1, keepdims=True))
+
+
+def _cells(ring: FloatArray, size: FloatArray) -> FloatArray:
+    """Middles (K, 2) of the cells of about a size (2,), m, within a ring; they fill its box evenly."""
+    low, sides = ring.min(axis=0), np.ptp(ring, axis=0)
+    counts = np.rint(sides / size).astype(int)
+    u, w = (low[k] + sides[k] * (np.arange(counts[k]) + 0.5) / counts[k] for k in (0, 1))
+    points = np.array(np.meshgrid(u, w)).reshape(2, -1).T
+    return np.asarray(points[_inside(ring, points)])
 
 
 def _inside(ring: FloatArray, points: FloatArray) -> BoolArray:

@@ -241,6 +241,8 @@ def objective_of(
         if robot.holding is None or not robot.holding.flat:
             raise InputError("objective_of", "robot.feet", "none on flat steel", "feet, for objective: hold")
         return WrenchObjective(robot, robot.holding, name="hold", unit="N")
+    if options.objective == "travel":
+        return PostureObjective(function=_nothing, name="travel", unit="")
     point = np.zeros(3)
     if options.moment_about == "base":
         model = robot.model
@@ -248,6 +250,11 @@ def objective_of(
         point = base - np.array(robot.foot_point)
     moment = WeightedMoment(point, np.array(options.axis_weights))
     return WrenchObjective(robot, moment, name=options.objective, unit="Nm")
+
+
+def _nothing(q: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """One in all postures (N, n): what is left to minimise is the joints' travel and their jerk."""
+    return np.ones(len(q)), np.zeros_like(q)
 
 
 class _FailuresNamed:

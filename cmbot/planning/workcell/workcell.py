@@ -13,9 +13,10 @@ from cmbot.collision import Clearances, Obstacle
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import ModelError, SceneError
 from cmbot.common.representation import short_repr
-from cmbot.elastic import elastic_base
+from cmbot.elastic import Guardrail, elastic_base, shares
 from cmbot.elastic.arm import ElasticArm, elastic_arm
 from cmbot.elastic.sag import Sag, TooSoftError
+from cmbot.hold import Foot
 from cmbot.planning.workcell.objectives import Objective, WrenchFunction, objective_of
 from cmbot.planning.workcell.stiffness import covariance_of, known_share, with_identified_stiffness
 from cmbot.planning.workcell.units import require_metres
@@ -121,9 +122,7 @@ def build_workcell(scene: Scene, options: PlannerOptions, own: WrenchFunction | 
     require_metres(scene, robot)
     posture = np.array(scene.posture)
     if options.objective == "hold" and not (robot.holding and robot.holding.flat):
-        expected = (
-            "a foot on flat steel, for objective: hold: guardrail.bays and a member that is no round bar"
-        )
+        expected = "a foot on flat steel, for objective: hold: base.hold, or guardrail.bays and no round bar"
         raise SceneError(scene.source, "guardrail", "none", expected)
     arm = bending_arm(scene, robot)
     options = resolved_options(scene, robot, options)
@@ -155,8 +154,15 @@ def rigid_arm_remark(scene: Scene, robot: Robot) -> str:
 
 def bending_arm(scene: Scene, robot: Robot) -> ElasticArm | None:
     """Return a scene's elastic arm on its guardrail; None where both are rigid."""
-    arm = elastic_arm(robot, elastic_base(scene.elastic_guardrail))
+    arm = elastic_arm(robot, elastic_base(held_guardrail(scene, robot)))
     return arm if len(arm.elastic) else None
+
+
+def held_guardrail(scene: Scene, robot: Robot) -> Guardrail:
+    """Return a scene's guardrail with the legs of its robot, between the feet and the arm's base."""
+    # An identified base is what the arm stood on, legs included.
+    legs = None if scene.identified and scene.identified.base else robot.leg_compliance
+    return replace(scene.elastic_guardrail, leg_compliance=legs)
 
 
 def resolved_options(scene: Scene, robot: Robot, options: PlannerOptions) -> PlannerOptions:
@@ -230,4 +236,27 @@ def robot_of(scene: Scene) -> Robot:
         raise SceneError(scene.source, key, error.got, error.expected, error.choices) from error
     robot = robot if file.joints == "elastic" else robot.with_rigid_joints
     robot = with_identified_stiffness(robot, scene)
-    return replace(robot, tool_force=scene.tool.process_force_n, feet=scene.feet)
+    robot = replace(robot, tool_force=scene.tool.process_force_n, feet=_feet_of(scene, robot))
+    if len(robot.feet) < 2 or robot.leg_compliance is None:
+        return robot
+    # How far the legs give way says what of the wrench each foot bears.
+    held = replace(scene.elastic_guardrail, leg_compliance=robot.leg_compliance)
+    feet = zip(robot.feet, shares(held), strict=True)
+    return replace(robot, feet=tuple(replace(foot, share=share) for foot, share in feet))
+
+
+def _feet_of(scene: Scene, robot: Robot) -> tuple[Foot, ...]:
+    """Its feet: those on the guardrail, or the link that is held."""
+    hold = None if scene.base is None else scene.base.hold
+    if hold is None:
+        return scene.feet
+    links = {
+        frame.name: frame
+        for frame in robot.model.frames
+        if frame.parentJoint == 0 and frame.name != "universe"
+    }
+    link = links.get(robot.base_frame if hold.link is None else hold.link)
+    if link is None:
+        expected = "a link that the arm's joints do not move"
+        raise SceneError(scene.source, "base.hold.link", hold.link, expected, tuple(links))
+    return (hold.foot(link.placement.homogeneous, np.array(robot.foot_point)),)

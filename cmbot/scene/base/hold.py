@@ -5,17 +5,28 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, cast
 
 import numpy as np
 import shapely
-from pydantic import Field, GetPydanticSchema, PlainSerializer, WrapValidator, model_validator
+from pydantic import ConfigDict, Field, GetPydanticSchema, PlainSerializer, WrapValidator, model_validator
+from shapely.affinity import rotate, translate
 
 from cmbot.common.arrays import FloatArray, read_only
-from cmbot.common.fields import Length
+from cmbot.common.fields import (
+    Angle,
+    Angles,
+    Coordinate,
+    Length,
+    Text,
+    Vector,
+    exactly_one,
+    one_of_schema,
+)
+from cmbot.common.poses import pose
 from cmbot.common.validation import FileModel, refusal, shown
 from cmbot.elastic import AngleSection, BarSection, Guardrail
-from cmbot.hold import Contact, Foot, Gap
+from cmbot.hold import MAGNET_PRESSURE, Contact, Foot, Gap
 
 Load = Annotated[float, Field(ge=1e-3, le=1e9)]
 FACES = {
@@ -31,6 +42,38 @@ _FLAT_WITHIN = 1e-6
 Derated = Annotated[tuple[Length, Annotated[float, Field(gt=0, le=1)]], Field(strict=False)]
 
 
+_PADS = ("rectangle_m", "disc_m")
+
+
+class PadFile(FileModel):
+    """A part of a foot's contact, in the frame of its plate."""
+
+    model_config = ConfigDict(json_schema_extra=one_of_schema(_PADS))
+
+    rectangle_m: tuple[Length, Length] | None = None
+    """Sides along and across, m."""
+    disc_m: Length | None = None
+    """Diameter, m."""
+    at_m: tuple[Coordinate, Coordinate] = (0.0, 0.0)
+    """Its centre along and across, m."""
+    turn_deg: Angle = 0.0
+    """By which it is turned about its centre."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        exactly_one(self, _PADS)
+        return self
+
+    @property
+    def region(self) -> shapely.Geometry:
+        """Its outline; that of a disc lies within it."""
+        if self.disc_m is not None:
+            return shapely.Point(*self.at_m).buffer(self.disc_m / 2)
+        along, across = (side / 2 for side in cast("tuple[float, float]", self.rectangle_m))
+        turned = rotate(shapely.box(-along, -across, along, across), self.turn_deg, origin=(0, 0))
+        return translate(turned, *self.at_m)
+
+
 class HoldFile(FileModel):
     """How a foot holds; what is left out of its bounds is not checked."""
 
@@ -38,6 +81,8 @@ class HoldFile(FileModel):
     """``welded`` says nothing about whether it holds."""
     plate_m: tuple[Length, Length] = (0.15, 0.13)
     """Sides of the plate along the member and across it, m."""
+    pads: Annotated[tuple[PadFile, ...], Field(min_length=1, max_length=50)] | None = None
+    """What is in contact, such as the three toes of a foot, in place of one plate."""
     friction: Annotated[float, Field(ge=1e-3, le=10)] = 0.4
     """Between plate and steel."""
     safety: Annotated[float, Field(ge=1, le=100)] = 2.0
@@ -71,6 +116,13 @@ class HoldFile(FileModel):
             if self.adhesion_n is None:
                 raise refusal("the adhesion that it is a share of", got="nothing", key=("adhesion_n",))
         return self
+
+    @property
+    def plate(self) -> shapely.Geometry:
+        """What is in contact where there is steel all over."""
+        if self.pads is not None:
+            return shapely.union_all([pad.region for pad in self.pads])
+        return shapely.box(*(-side / 2 for side in self.plate_m), *(side / 2 for side in self.plate_m))
 
     def adhesion_on(self, steel: float | None) -> float | None:
         """Return the adhesion, N, on steel so thick, m; None: not known how thick."""
@@ -225,27 +277,73 @@ def foot_on(face: Face, at: FloatArray, hold: HoldFile, foot_point: FloatArray, 
     share : (6, 6)
         Of the whole wrench about O0.
     """
-    along, across, out = face.axes
+    along, _, out = face.axes
     place = float(along @ at)
     low, high = (end - place for end in face.ends)
-    plate = shapely.box(*(-side / 2 for side in hold.plate_m), *(side / 2 for side in hold.plate_m))
     strips = [shapely.box(low, first, high, last) for first, last in face.steel]
-    region = shapely.intersection(plate, shapely.union_all(strips))
+    region = shapely.intersection(hold.plate, shapely.union_all(strips))
+    return _foot(hold, region, face.axes, at - foot_point + face.depth * out, share, face.thickness)
+
+
+def _foot(
+    hold: HoldFile,
+    region: shapely.Geometry,
+    axes: FloatArray,
+    origin: FloatArray,
+    share: FloatArray,
+    steel: float | None,
+) -> Foot:
+    """The foot whose contact is a region about an origin (3,), m, from O0; `axes` are those of `Foot`."""
     contact, centre = (None, np.zeros(2)) if region.is_empty else Contact.of(region)
     return Foot(
         kind=hold.kind,
-        centre=read_only(at - foot_point + face.depth * out + centre[0] * along + centre[1] * across),
-        axes=face.axes,
+        centre=read_only(origin + centre @ axes[:2]),
+        axes=axes,
         contact=contact,
         friction=hold.friction,
         safety=hold.safety,
         gap=hold.gap,
-        adhesion=hold.adhesion_on(face.thickness),
-        steel=face.thickness,
+        adhesion=hold.adhesion_on(steel),
+        steel=steel,
         force=hold.force_n,
         moment=hold.moment_nm,
         share=read_only(share),
     )
+
+
+class LinkHoldFile(HoldFile):
+    """How a link of a robot that holds no guardrail is held: a flat contact with what it stands on."""
+
+    link: Text | None = None
+    """The link, which the arm's joints do not move; left out: the arm's base frame."""
+    xyz: Vector = (0.0, 0.0, 0.0)
+    """Centre of the plate in the link's frame, m."""
+    rpy_deg: Angles = (0.0, 0.0, 0.0)
+    """Its turn in the link's frame: x along, y across, z away from what the plate holds."""
+    steel_mm: Annotated[float, Field(ge=0.01, le=1e4)] | None = None
+    """Thickness of the steel that a magnet holds, for `derating`; left out: thick."""
+
+    @model_validator(mode="after")
+    def _check_pull(self) -> Self:
+        most = MAGNET_PRESSURE * self.plate.area
+        if self.adhesion_n is not None and self.adhesion_n > most:
+            expected = f"at most {most:.0f} N, 1.6 MPa on the contact of {1e4 * self.plate.area:.0f} cm2"
+            raise refusal(expected, got=f"{self.adhesion_n:g} N", key=("adhesion_n",))
+        return self
+
+    def foot(self, X_WL: FloatArray, foot_point: FloatArray) -> Foot:
+        """Return the foot.
+
+        Parameters
+        ----------
+        X_WL : (4, 4)
+            Pose of the link in W.
+        foot_point : (3,), m
+            O0 in W.
+        """
+        X = X_WL @ pose(self.xyz, np.radians(self.rpy_deg))
+        steel = None if self.steel_mm is None else 1e-3 * self.steel_mm
+        return _foot(self, self.plate, read_only(X[:3, :3].T.copy()), X[:3, 3] - foot_point, np.eye(6), steel)
 
 
 def held_member(guardrail: Guardrail) -> str | None:

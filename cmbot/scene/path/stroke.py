@@ -20,8 +20,8 @@ from cmbot.toolpath import Coverage, PathSource, RowPiece, Surface, ToolPath, ti
 _WAY, _TURN, _BEND, _SECONDS, _PER_RAMP = 0.05, np.radians(15), np.radians(36), 1.0, 3
 # Splines miss a smooth path by the fourth power of their segments' length; a speed is missed by the second.
 _DEVIATION, _SPEED = 1e-3, 0.2
-# Segments of a leg at least and at most, and of one whose shortest time is sought at least.
-_FEWEST, _MOST, _FEWEST_OPEN = 4, 400, 30
+# Segments of a leg at least and at most, and of one whose shortest time is sought at least: legs share these.
+_FEWEST, _MOST, _FEWEST_OPEN, _OPEN_IN_ALL = 4, 600, (12, 30), 90
 _ALL = 12
 # Durations that differ by less are the same, as a share.
 _SAME_SECONDS = 1e-6
@@ -165,22 +165,26 @@ def _automatic_via_points(path: ToolPath, deviation: float, file: StrokeFile) ->
     Notes
     -----
     Each leg asks for a segment for every 50 mm, 15 degrees of the tool's turn, 36 degrees of the path's bend
-    where it is sharpest, and second; for three a ramp; and where its shortest time is sought for thirty. The
-    way and the angles shrink with the fourth root of the deviation, from 1 mm on, and with the square root of
-    the speed's tolerance below 20 %. A leg has 4 to 400 segments, a path 12 at least.
+    where it is sharpest, and second; for three a ramp; and where its shortest time is sought for its share of
+    ninety, 12 to 30. The way and the angles shrink with the fourth root of the deviation, from 1 mm on, and
+    with the square root of the speed's tolerance below 20 %. A leg has 4 to 600 segments, a path 12 at least.
     """
     finer = min((deviation / _DEVIATION) ** 0.25, 1.0)
     if file.speed_tolerance is not None:
         finer *= min(math.sqrt(file.speed_tolerance / _SPEED), 1.0)
     timed = {law.leg for law in file.time_laws or ()} if file.is_open else set[int]()
+    open_legs = len(timed | path.open_legs)
+    few = int(np.clip(math.ceil(_OPEN_IN_ALL / max(open_legs, 1)), *_FEWEST_OPEN))
     count = 0
     for leg, segment in enumerate(path.segments):
         length = segment.curve.length
         bend = segment.curve.curvature * length
         asked = [length / (_WAY * finer), _turned(path, leg) / (_TURN * finer), bend / (_BEND * finer)]
         moves = max(asked) > 0
-        if moves and (segment.is_open or leg in timed or segment.process is not None):
-            asked.append(_FEWEST_OPEN)
+        if moves and (segment.is_open or leg in timed):
+            asked.append(few)
+        elif moves and segment.process is not None:
+            asked.append(_FEWEST_OPEN[1])
         elif moves:
             asked += [segment.seconds / _SECONDS, _PER_RAMP / file.speed_profile.ramp]
         count += int(np.clip(math.ceil(max(asked)), _FEWEST if moves else 1, _MOST))

@@ -13,7 +13,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.sag import Sag
 from cmbot.elastic.strain import tube_strains
-from cmbot.planning import Plan, bending_arm
+from cmbot.planning import Plan, bending_arm, held_guardrail
 from cmbot.simulation import Tracking, elastic_arm_of
 from cmbot.views.drawing.support import Rails, packed_strains, pole_of
 
@@ -192,7 +192,7 @@ class Bending:
     @cached_property
     def _rails(self) -> Rails | None:
         elastic = self._arm.base is not None and bool(self._plan.scene.elastic_guardrail.post_positions)
-        return Rails(self._plan.scene) if elastic else None
+        return Rails(held_guardrail(self._plan.scene, self._plan.robot)) if elastic else None
 
 
 def _between(t: FloatArray, at: FloatArray, values: FloatArray) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -9,7 +10,8 @@ import numpy as np
 
 from cmbot.collision import Box, Capsule, Cylinder, Mesh, Obstacle, load_mesh
 from cmbot.common.arrays import FloatArray
-from cmbot.elastic.base import guardrail_frame, rigid_motion
+from cmbot.elastic import Guardrail
+from cmbot.elastic.base import guardrail_frame, motion_of_feet
 from cmbot.elastic.frame import Frame
 from cmbot.elastic.strain import BeamStrains, frame_strains
 from cmbot.scene import Scene, guardrail_obstacles
@@ -110,10 +112,14 @@ def _beams(ends: FloatArray, share: float) -> FloatArray:
 class Rails:
     """The guardrail's beams: how their nodes move with the feet, and their strains."""
 
-    def __init__(self, scene: Scene) -> None:
-        self._guardrail = scene.elastic_guardrail
-        self._frame, self._feet = guardrail_frame(scene.elastic_guardrail)
-        self._shapes = self._frame.shapes(*self._feet)
+    def __init__(self, guardrail: Guardrail) -> None:
+        self._guardrail = guardrail
+        self._frame, self._feet = guardrail_frame(guardrail)
+        self._shapes, self._rigid = self._frame.shapes(*self._feet), motion_of_feet(guardrail)
+        if guardrail.leg_compliance is not None:
+            # The page moves the feet with the arm's base; legs that give way move them less.
+            moved, self._rigid = self._rigid, motion_of_feet(replace(guardrail, leg_compliance=None))
+            self._shapes = self._shapes @ moved @ np.linalg.pinv(self._rigid)
 
     @property
     def frame(self) -> Frame:
@@ -125,7 +131,7 @@ class Rails:
         """By the displacement of O0; None where the scene gives the stiffness, not what bends."""
         if self._guardrail.stiffness is not None:
             return None
-        return frame_strains(self._frame, self._shapes @ rigid_motion(self._guardrail))
+        return frame_strains(self._frame, self._shapes @ self._rigid)
 
     def data(self) -> dict[str, Any]:
         """Return them, ready for JSON: ``shapes`` (k, 6, 6 m) by the motion of the m ``feet``."""

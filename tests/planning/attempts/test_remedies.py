@@ -43,6 +43,7 @@ from cmbot.planning.attempts.remedies import (
     FEWER_VIA_POINTS,
     FINER_SAMPLES,
     MORE_VIA_POINTS,
+    NEARER_TOOL,
     REMEDIES,
     SCENE_START,
     SHORTER_STEPS,
@@ -53,7 +54,7 @@ from cmbot.planning.free_motion.approach import reachable
 from cmbot.planning.initial_guess import initial_guess, leap, roughness, sliding_guess
 from cmbot.planning.precheck import solver_of
 from cmbot.planning.selfmotion import global_search
-from cmbot.planning.torque.constraints import ClearanceMargin
+from cmbot.planning.torque.constraints import ClearanceMargin, ToolDeviation, ToolLag
 from cmbot.planning.torque.decomposition import Optimised, optimise
 from cmbot.scene import PlannerOptions, Scene
 
@@ -159,7 +160,7 @@ def test_failures_have_the_remedies_that_are_theirs() -> None:
 
 def test_remedies_are_tried_alone_before_two_of_them() -> None:
     """Near misses are mended at once, all else costs more than any of these."""
-    mends = [SPARE_CLEARANCE, FINER_SAMPLES]
+    mends = [SPARE_CLEARANCE, NEARER_TOOL, FINER_SAMPLES]
     others = [remedy for remedy in REMEDIES if remedy not in mends]
     assert sum(remedy.most * remedy.cost for remedy in mends) < min(remedy.cost for remedy in others)
     assert 2 * min(remedy.cost for remedy in others) > max(remedy.cost for remedy in others)
@@ -301,6 +302,25 @@ def test_where_a_clearance_is_missed_by_less_than_a_millimetre_there_is_some_to_
     assert len(found.told) == 2
     for missing in (-1e-4, 1.1e-3):
         assert not tried(SPARE_CLEARANCE, rough, nearer(missing, margin))
+
+
+@pytest.mark.parametrize(("ratio", "helps"), [(0.9, False), (1.03, True), (1.8, True), (2.1, False)])
+def test_where_the_certificate_finds_the_tool_off_it_is_planned_nearer(
+    rough: Attempt, ratio: float, helps: bool
+) -> None:
+    strays = missed(ToolOff(what=Limit.TOOL_DEVIATION, ratio=ratio), ratio * 1e-3, 1e-3)
+    found = tried(NEARER_TOOL, rough, strays)
+    assert bool(found) == helps
+    bounds = {part.name: part for part in rough.guess.problem.constraints}
+    for attempt, sentence in found:
+        assert attempt.key != rough.key
+        # What is promised stays.
+        assert attempt.request.cell.options == rough.request.cell.options
+        for part in attempt.guess.problem.constraints:
+            if isinstance(part, (ToolDeviation, ToolLag)):
+                before = bounds[part.name]
+                assert part.bound < before.bound / ratio
+        assert "was missed" in sentence
 
 
 @pytest.mark.parametrize(("value", "helps"), [(1.00008e-3, True), (1.2e-3, False)])

@@ -1,0 +1,89 @@
+"""Robots that hold no guardrail: a link on pads, such as a cart on three toes or a plate on a wall."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import cmbot
+from cmbot.common.errors import SceneError
+from cmbot.planning import precheck_scene, robot_of
+from cmbot.planning.verification.hold import hold_checks
+from cmbot.robot import Dynamics
+from cmbot.scene import Scene
+
+ANGLES = np.radians([90.0, 210.0, 330.0])
+TOES = np.column_stack([np.cos(ANGLES), np.sin(ANGLES)]) * 0.2
+PADS = [{"disc_m": 0.04, "at_m": toe} for toe in TOES.tolist()]
+
+
+def held(**hold: Any) -> Scene:
+    data = cmbot.load_scene("panda_sanding").as_data()
+    return cmbot.load_scene(data | {"base": {"name": "cart", "hold": {"kind": "magnet"} | hold}})
+
+
+def postures(scene: Scene, rng: np.random.Generator) -> Any:
+    robot = robot_of(scene).tool_off
+    q = rng.uniform(robot.limits.lower, robot.limits.upper, (20, robot.dof))
+    return robot, Dynamics(robot).static_efforts(q).guardrail_wrench
+
+
+def test_the_load_is_that_of_the_whole_robot_about_the_pads(rng: np.random.Generator) -> None:
+    robot, wrench = postures(held(pads=PADS, xyz=[0.05, 0.0, -0.1]), rng)
+    weight = robot.mass * 9.81
+    load = robot.holding.load(0, wrench)
+    np.testing.assert_allclose(load[:, :3], np.tile([0, 0, -weight], (20, 1)), atol=1e-6)
+    about_base = wrench[:, 3:] + robot.carrier_torque
+    np.testing.assert_allclose(
+        load[:, 3:], about_base - np.cross([0.05, 0, -0.1], [0, 0, -weight]), atol=1e-6
+    )
+
+
+def test_three_toes_tip_about_the_lines_between_them(rng: np.random.Generator) -> None:
+    """As three points, with a little more for their size: the pressing force so that none lifts."""
+    robot, wrench = postures(held(pads=PADS), rng)
+    load = robot.holding.load(0, wrench)
+    shares = np.linalg.inv(np.vstack([np.ones(3), TOES.T]))  # of force and its moments on the toes
+    E = np.column_stack([np.zeros(20), load[:, 4], -load[:, 3]])
+    points = 3 * -(E @ shares.T).min(axis=1)
+    tip = robot.holding.modes(0, wrench)[:, 1] - load[:, 2]
+    assert (tip <= points + 1e-9).all()
+    assert (tip >= 0.8 * points).all()
+
+
+@pytest.mark.parametrize("pads", [PADS, [{"rectangle_m": [0.3, 0.1], "turn_deg": 30}]])
+def test_a_second_computation_agrees(pads: Any, rng: np.random.Generator) -> None:
+    robot, wrench = postures(held(pads=pads, adhesion_n=500, rpy_deg=[90, 0, 0]), rng)
+    for check in hold_checks(robot, np.arange(20.0), wrench):
+        if check.quantity.startswith("difference"):
+            assert check.holds, check
+
+
+def test_check_says_what_the_pads_bear() -> None:
+    assert (
+        "what the feet bear"
+        in precheck_scene(held(pads=PADS, adhesion_n=1, friction=0.01, rpy_deg=[90, 0, 0])).warnings[0].got
+    )
+    assert any("feet bear" in name for name, _ in precheck_scene(held(pads=PADS, adhesion_n=3000)).found)
+
+
+@pytest.mark.parametrize(
+    ("hold", "said"),
+    [
+        (
+            {"link": "panda_link3"},
+            r"base.hold.link: got panda_link3, expected a link that the arm's joints do",
+        ),
+        ({"pads": [{"disc_m": 0.1, "rectangle_m": [1, 1]}]}, r"base.hold.pads\[0\]: .*exactly one"),
+        ({"pads": [{"disc_m": 0.01}], "adhesion_n": 5000}, r"base.hold.adhesion_n: .*1.6 MPa on the contact"),
+    ],
+)
+def test_what_cannot_be_held_so(hold: dict[str, Any], said: str) -> None:
+    with pytest.raises(SceneError, match=said):
+        robot_of(held(**hold))
+
+
+def test_beside_a_guardrail_the_feet_are_its_own() -> None:
+    data = cmbot.load_scene("triangle").as_data()
+    with pytest.raises(SceneError, match=r"base.hold: .*expected no such key beside guardrail.hold"):
+        cmbot.load_scene(data | {"base": {"name": "rail", "hold": {"kind": "clamp"}}})
