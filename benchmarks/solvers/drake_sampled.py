@@ -47,7 +47,7 @@ def drake_program(sampled: SampledProblem, *, peak_alone: bool) -> DrakeProgram:
     blocks = [_segment(sampled, k, fixed, peak_alone) for k in range(len(sampled.splines.support))]
     if sampled.case.sliding:
         blocks += [_via_point(sampled, k) for k in range(len(sampled.case.via_points))]
-    unit, curvature = sparse.diags_array(sampled.unit), sampled.splines.jerk_curvature
+    unit, curvature = sparse.diags_array(sampled.unit), sampled.splines.smoothing_curvature
     linear = []
     for bound in () if peak_alone else problem.bounds:
         W = sampled.weights[bound.order]

@@ -93,7 +93,9 @@ class LiteralProblem:
         self._bounds = list(zip((1, 2, 3), bounds, strict=True))
         # Eqs. (34) and (37): jerk just after and just before each knot, zero outside.
         self._jumps = _jerk_jumps(problem)
-        self._energy = space.jerk_products(sparse.eye_array(3 * n)).toarray()
+        every = sparse.eye_array(3 * n)
+        products = (space.speed_products(every), space.jerk_products(every))
+        self._energies = tuple(energy.toarray() for energy in products)
         linear = [np.kron(self._by_unknowns[order], np.diag(1 / bound)) for order, bound in self._bounds]
         both = np.vstack([sign * rows for rows in linear for sign in (1.0, -1.0)])
         self._linear = np.hstack([both, np.zeros((len(both), 1))])
@@ -113,8 +115,9 @@ class LiteralProblem:
     def objective(self, x: FloatArray) -> tuple[float, FloatArray]:
         """Return b and the smoothing, and the gradient."""
         z, limits = self.knots(x), self._limits
-        weight = self._case.smoothing / len(limits.jerk) / limits.jerk**2
-        pull = self._energy @ z * weight
+        bounds = (limits.velocity, limits.jerk)
+        parts = (energy @ z / bound**2 for energy, bound in zip(self._energies, bounds, strict=True))
+        pull = self._case.smoothing / len(limits.jerk) * sum(parts)
         gradient = np.append(pull[self._free].ravel(), 1.0)
         return float(x[-1]) + 0.5 * float(np.sum(z * pull)), gradient
 

@@ -113,14 +113,14 @@ class SampledProblem:
     def objective(self, x: FloatArray) -> tuple[float, FloatArray]:
         """Bound and smoothing, and the gradient (D,)."""
         u = self.u(x)
-        slope = self.case.smoothing * (self.splines.jerk_curvature @ u.ravel())
+        slope = self.case.smoothing * (self.splines.smoothing_curvature @ u.ravel())
         return float(x[-1]) + 0.5 * float(u.ravel() @ slope), np.append(slope[: self.size] * self.unit, 1.0)
 
     @cached_property
     def smoothing_curvature(self) -> sparse.csr_array:
         """Hessian (D - 1, D - 1) of the smoothing by the unknowns but b."""
         unit = sparse.diags_array(self.unit)
-        curvature = self.splines.jerk_curvature[: self.size, : self.size]
+        curvature = self.splines.smoothing_curvature[: self.size, : self.size]
         return sparse.csr_array(self.case.smoothing * (unit @ curvature @ unit))
 
     def values(self, x: FloatArray) -> FloatArray:

@@ -138,7 +138,7 @@ class NlpEvaluation:
     def hessian(self, multipliers: FloatArray) -> sparse.csr_array:
         """Positive definite Hessian (n, n) of the Lagrangian, with multipliers (K,) of the constraints."""
         form = self.parametrization
-        H = self.stage.smoothing * form.jerk_hessian
+        H = self.stage.smoothing * form.smoothing_hessian
         if self.stage.bound is not None:
             H = H + self._mean_jacobian.T @ self._mean_jacobian
         if multipliers.any():
@@ -193,7 +193,7 @@ class NlpEvaluation:
 
     @cached_property
     def _jerk(self) -> tuple[float, FloatArray]:
-        return self.parametrization.mean_squared_jerk()
+        return self.parametrization.smoothing()
 
     @cached_property
     def _rows(self) -> LocalRows:

@@ -40,7 +40,7 @@ class ExchangeOptions:
     solver : str or callable
         ``sqp`` or ``slsqp``; or what takes the place of `solve_slsqp`, as benchmarks do.
     smoothing : float
-        Weight of half the mean squared jerk, in units of its bounds, beside the objective.
+        Weight of half the mean squared jerk and velocity, in units of their bounds, beside the objective.
     peak_tolerance : float
         The peak is low enough within this share of its lower bound.
     least_peak_tolerance : float
@@ -207,7 +207,7 @@ def minimize_peak(
                     raise
                 exchange.end_attempt()
         least = exchange.lowest_peak(bound)
-        if least > bound or program.lower_bound <= 0:
+        if least > bound * (1 + options.feasibility_tolerance) or program.lower_bound <= 0:
             bound = least * (1 + options.least_peak_tolerance)
         exchange.run(options.smoothing, bound=bound)
     except OptimisationFailed as failure:
@@ -310,13 +310,13 @@ class _Exchange:
             if np.isfinite(lowest):
                 promise = (lowest - peak) / (before - factor)
             lowest = peak
-            if peak <= target:
+            if peak <= target * (1 + o.feasibility_tolerance):
                 break
         return lowest
 
     def _smoothing(self, factor: float) -> float:
         """What the smoothing with that factor is at the present trajectory."""
-        return factor * self._options.smoothing * self.form.mean_squared_jerk()[0]
+        return factor * self._options.smoothing * self.form.smoothing()[0]
 
     def run(
         self, smoothing: float, *, bound: float | None = None, target: float = 0.0, attempt: bool = False

@@ -93,7 +93,7 @@ class DenseProgram:
         """Steps (n, n) in which the Hessian of smoothing and mean square is the identity."""
         start, form = self._start, self._start.parametrization
         residuals = start.dense(form.map.toarray())[2]
-        H = start.stage.smoothing * form.jerk_hessian.toarray() + residuals.T @ residuals
+        H = start.stage.smoothing * form.smoothing_hessian.toarray() + residuals.T @ residuals
         L = np.linalg.cholesky(H + _LEAST_CURVATURE * np.eye(self.n))
         return np.asarray(linalg.solve_triangular(L, np.eye(self.n), lower=True).T)
 

@@ -210,8 +210,8 @@ def sliding_guess(
     if unfollowed is not None:
         solution, failures = free, (unfollowed,)
     elif isinstance(pinned, GlobalSolution):
-        worth_leaving = pinned.peak > free.peak * (1 + options.gap_target)
-        solution = free if may_leave and worth_leaving else pinned
+        gain = max(pinned.peak / free.peak, pinned.mean(request.times) / free.mean(request.times)) - 1
+        solution = free if may_leave and gain >= options.min_gain else pinned
     elif may_leave:
         solution = free
     else:

@@ -45,9 +45,9 @@ class PlannerOptions(CheckedFields):
         ``fixed``: they stay on the gradient-projection path (Chang 2021, Eq. (30) to the letter).
     start : str
         With sliding knots. ``free``: the arm first goes to a better posture with the same tool pose, where
-        that lowers the peak by more than `gap_target`. The peak of that approach may be at most 1 % above
-        that of the whole job from the scene's posture. ``pinned``: the arm begins in the scene's posture, as
-        long as a path leads on from there.
+        that gains `min_gain`. The peak of that approach may be at most as much above that of the whole job
+        from the scene's posture. ``pinned``: the arm begins in the scene's posture, as long as a path leads
+        on from there.
     objective : str
         What is minimised. ``torque``: the norm of the torque on the base, Eq. (12); ``sag``: the tool's
         sag at rest; ``hold``: the largest adhesion that a foot needs; ``travel``: nothing of the base, but
@@ -117,14 +117,15 @@ class PlannerOptions(CheckedFields):
     samples_per_segment : int
         Samples per spline segment at which nonlinear constraints are checked for violations.
     smoothing_weight : float
-        Weight of half the mean squared jerk beside half the mean square of the objective, both relative;
-        decides between motions of nearly equal torque.
+        Weight of half the mean squared jerk and velocity beside half the mean square of the objective, all
+        relative; decides between motions of nearly equal torque.
     peak_tolerance : float
         The peak may exceed its lower bound by this share; the mean square is minimised below that.
     least_peak_tolerance : float
         Where the lower bound is missed the peak may exceed the least that was found by this share.
-    gap_target : float
-        The arm leaves the scene's posture only where that lowers the peak by more than this share.
+    min_gain : float
+        The arm leaves the scene's posture only where that lowers the peak or the mean along the path, at
+        rest, by this share.
     constraint_tolerance : float
         Relative violation below which the optimiser takes a constraint for met.
     time_limit_s : float
@@ -172,7 +173,7 @@ class PlannerOptions(CheckedFields):
     smoothing_weight: Annotated[float, Field(ge=1e-9, le=100)] = 0.1
     peak_tolerance: Annotated[float, Field(ge=1e-9, le=0.1)] = 1e-4
     least_peak_tolerance: Annotated[float, Field(ge=1e-9, le=0.1)] = 2e-3
-    gap_target: Annotated[float, Field(ge=0, le=100)] = 2e-3
+    min_gain: Annotated[float, Field(ge=0, le=100)] = 0.02
     constraint_tolerance: Annotated[float, Field(ge=1e-9, le=1e-4)] = 1e-5
     time_limit_s: Annotated[float, Field(ge=1e-3, le=1e6)] = 60.0
     max_passes: Annotated[int, Field(ge=1, le=10_000)] = 80

@@ -84,11 +84,15 @@ class SparseSplines:
         return np.asarray((bounds[:, None, :] / largest[:, :, None]).min(axis=0))
 
     @cached_property
-    def jerk_curvature(self) -> sparse.csr_array:
-        """Hessian (size of u, size of u) of half the time mean of squared jerk, joints' bounds as units."""
-        jerk = self.bounds[2]
-        weights = 1.0 / (len(jerk) * jerk**2)
-        return sparse.csr_array(sparse.kron(self.gram, sparse.diags_array(weights), format="csr"))
+    def smoothing_curvature(self) -> sparse.csr_array:
+        """Hessian (size of u, size of u) of half the time mean of squared jerk and velocity, in their bounds.
+
+        The velocity keeps joints from travelling where nothing else counts.
+        """
+        speed, _, jerk = self.bounds
+        parts = (self.space.speed_products(self.columns), speed), (self.gram, jerk)
+        each = (sparse.kron(gram, sparse.diags_array(1.0 / (len(x) * x**2))) for gram, x in parts)
+        return sparse.csr_array(sum(each))
 
     def least_jerk(self, q: FloatArray) -> FloatArray:
         """Multiples (n - 4, d) of the basis splines in the splines of least jerk through `q` (n, d)."""

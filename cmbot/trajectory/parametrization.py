@@ -187,16 +187,16 @@ class Parametrization:
         np.add.at(gradient, support[support >= 0], by_spline[support >= 0])
         return gradient.ravel()
 
-    def mean_squared_jerk(self) -> tuple[float, FloatArray]:
-        """Half the mean over time and joints of (jerk/bound)^2, and its gradient (size of u,) by u."""
+    def smoothing(self) -> tuple[float, FloatArray]:
+        """Half the mean of (jerk/bound)^2 + (velocity/bound)^2, and its gradient (size of u,) by u."""
         u = np.vstack([self.coefficients, self.via_points]).ravel()
-        gradient = self.splines.jerk_curvature @ u
+        gradient = self.splines.smoothing_curvature @ u
         return 0.5 * float(u @ gradient), np.asarray(gradient)
 
     @cached_property
-    def jerk_hessian(self) -> sparse.csr_array:
-        """Hessian (dimension, dimension) of `mean_squared_jerk` along the tangents."""
-        return sparse.csr_array(self._transposed_map @ self.splines.jerk_curvature @ self.map)
+    def smoothing_hessian(self) -> sparse.csr_array:
+        """Hessian (dimension, dimension) of `smoothing` along the tangents."""
+        return sparse.csr_array(self._transposed_map @ self.splines.smoothing_curvature @ self.map)
 
     def bend_hessian(self, gradient: FloatArray) -> sparse.csr_array:
         """Hessian (dimension, dimension) of a function with `gradient` by u, as far as it is due to bends.

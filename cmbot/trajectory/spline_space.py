@@ -187,13 +187,20 @@ class SplineSpace:
 
     @cached_property
     def _jerk_energy(self) -> sparse.csr_array:
-        """Matrix (3n, 3n) of the time mean of squared jerk as a quadratic form of the knot vector."""
+        return self._energy(3)
+
+    def speed_products(self, columns: sparse.csr_array) -> sparse.csr_array:
+        """Time means of the products of the velocities of all pairs of knot vectors `columns` (3n, a)."""
+        return sparse.csr_array(columns.T @ self._energy(1) @ columns)
+
+    def _energy(self, order: int) -> sparse.csr_array:
+        """Matrix (3n, 3n) of the time mean of a squared derivative as a quadratic form of the knot vector."""
         n, h = len(self.t), np.diff(self.t)
-        c = derivative(self._hermite, 3)
+        c = derivative(self._hermite, order)
         powers = np.arange(c.shape[-1])
         moments = 1.0 / (powers[:, None] + powers + 1)
         local = np.einsum("mai,ij,mbj->mab", c, moments, c) / (
-            h[:, None, None] ** 5 * (self.t[-1] - self.t[0])
+            h[:, None, None] ** (2 * order - 1) * (self.t[-1] - self.t[0])
         )
         index = 3 * np.arange(n - 1)[:, None] + np.arange(6)
         rows, columns = np.repeat(index, 6, axis=1).ravel(), np.tile(index, 6).ravel()

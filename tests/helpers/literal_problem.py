@@ -86,12 +86,15 @@ class Literal:
         return 0.5 * float(self._weights @ (self._torques(z, self._at_gauss)[0] ** 2).sum(axis=1))
 
     def smoothing(self, z: FloatArray) -> tuple[float, FloatArray]:
-        """Half the weight times the mean over joints and time of (jerk/J_C)^2, with its gradient."""
-        offset, A = self._at_gauss[3]
-        share = (offset + A @ z) / self.robot.limits.jerk
+        """Half the weight times the mean of (velocity/V_C)^2 + (jerk/J_C)^2, with its gradient."""
         factor = self.smoothing_weight / 7 * self._weights[:, None]
-        gradient = np.einsum("ki,kij->j", factor * share / self.robot.limits.jerk, A)
-        return 0.5 * float((factor * share**2).sum()), gradient
+        value, gradient = 0.0, np.zeros_like(z)
+        for order, bound in ((1, self.robot.limits.velocity), (3, self.robot.limits.jerk)):
+            offset, A = self._at_gauss[order]
+            share = (offset + A @ z) / bound
+            value += 0.5 * float((factor * share**2).sum())
+            gradient += np.einsum("ki,kij->j", factor * share / bound, A)
+        return value, gradient
 
     def spline(self, z: FloatArray) -> BPoly:
         """The spline of the variables, over all joints."""

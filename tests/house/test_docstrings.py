@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 # In the order in which a reader would use them: what one makes the next ones take.
 NAMES = (
     *("load_scene", "load_robot", "plan", "save", "load_plan", "simulate", "save_tracking", "load_tracking"),
-    *("evaluate", "excite", "save_excitation"),
+    *("evaluate", "excite", "save_excitation", "load_excitation"),
     *("replay", "report", "show", "plot", "replan", "identify", "locate", "walk", "load_walk"),
     *("load_tour", "tour", "campaign"),
 )

@@ -24,7 +24,7 @@ HEAVY = {"pinocchio", "coal", "numpy", "scipy", "meshcat", "trimesh", "yourdfpy"
 NOT_TO_PLAN = {"IPython", "matplotlib", "meshcat", "networkx", "requests", "selenium", "ssl", "tornado"}
 NOT_TO_PLAN |= {"trimesh", "yourdfpy", "zmq"}
 NOT_TO_PLAN |= {f"cmbot.{name}" for name in ("campaigns", "identification", "stances")}
-NOT_TO_PLAN |= {f"scipy.{name}" for name in ("integrate", "interpolate", "ndimage", "signal", "stats")}
+NOT_TO_PLAN |= {f"scipy.{name}" for name in ("integrate", "ndimage", "signal", "stats")}
 
 
 def printed_by(code: str) -> list[str]:

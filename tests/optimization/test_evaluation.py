@@ -89,7 +89,7 @@ def test_values_are_those_of_their_definitions(problem: TorqueProblem, rng: np.r
     times, share = gauss_points(problem.space.t, 3)
     np.testing.assert_allclose(problem.mean_times, times, rtol=1e-14)
     f = problem.request.cell.objective.values(StateSamples.along(trajectory, times)) / problem.scale
-    smoothing = 0.1 * peak.parametrization.mean_squared_jerk()[0]
+    smoothing = 0.1 * peak.parametrization.smoothing()[0]
     assert peak.values.objective == pytest.approx(smoothing)
     assert mean.values.objective == pytest.approx(smoothing + 0.5 * share @ f**2)
     target = Stage(smoothing=0.1, target=5.0, tolerance=1e-5)

@@ -142,7 +142,7 @@ def test_the_last_thousandths_of_a_peak_are_left_for_less_jerk() -> None:
     rise = found.peak_bound / lowest.peak_bound - 1
     # A quarter of it is what lighter smoothing has to be worth.
     assert 1e-4 < rise < 1.25 * options.least_peak_tolerance + options.peak_tolerance
-    jerks = [each.parametrization.mean_squared_jerk()[0] for each in (found, lowest)]
+    jerks = [each.parametrization.smoothing()[0] for each in (found, lowest)]
     assert jerks[0] < 0.97 * jerks[1]
 
 

@@ -71,10 +71,10 @@ def test_a_free_start_stays_where_nothing_is_gained_by_leaving() -> None:
     moved = plan(scene)
     assert moved.start.moved > 0
     gain = moved.choice.pinned / moved.choice.free - 1
-    stays = plan(scene, options=replace(scene.planner, gap_target=1.01 * gain))
+    stays = plan(scene, options=replace(scene.planner, min_gain=1.01 * gain))
     assert stays.start.moved == 0
     assert stays.approach is None
-    leaves = plan(scene, options=replace(scene.planner, gap_target=0.99 * gain))
+    leaves = plan(scene, options=replace(scene.planner, min_gain=0.99 * gain))
     assert leaves.start.moved > 0
 
 

@@ -57,7 +57,7 @@ def test_an_ill_typed_field_of_a_scene_is_named(edit: Callable[[Scene], object],
     [
         ("knots", 3, "knots: got 3, expected a known value"),
         ("max_passes", 2.5, "max_passes: got 2.5, expected a whole number"),
-        ("gap_target", "small", "gap_target: got 'small', expected a number"),
+        ("min_gain", "small", "min_gain: got 'small', expected a number"),
         ("axis_weights", None, "axis_weights: got None, expected a list"),
         ("safety_margin_m", np.nan, "safety_margin_m: got nan, expected a finite number"),
         ("avoidance_gain", object(), "avoidance_gain: got <object"),

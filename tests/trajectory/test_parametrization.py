@@ -223,21 +223,21 @@ def test_unknowns_are_sorted_along_the_path(form: Parametrization) -> None:
     assert form.block_ends[-1] == form.dimension
     number = np.broadcast_to(np.arange(N - 4)[:, None], form.coefficient_index.shape)
     np.testing.assert_array_equal(block[form.coefficient_index], number)
-    H = form.jerk_hessian.tocoo()
+    H = form.smoothing_hessian.tocoo()
     assert np.abs(block[H.coords[0]] - block[H.coords[1]]).max() <= 3
 
 
-def test_mean_squared_jerk(form: Parametrization, rng: np.random.Generator) -> None:
+def test_smoothing(form: Parametrization, rng: np.random.Generator) -> None:
     def smoothing(x: FloatArray) -> float:
-        return form.step(x).mean_squared_jerk()[0]
+        return form.step(x).smoothing()[0]
 
-    value, gradient = form.mean_squared_jerk()
+    value, gradient = form.smoothing()
     check_derivative(smoothing, np.zeros(form.dimension), form.map.T @ gradient, step=1e-2, rtol=1e-6)
-    H = form.jerk_hessian + form.bend_hessian(gradient)
+    H = form.smoothing_hessian + form.bend_hessian(gradient)
     check_curvature(smoothing, H, rng.normal(size=(3, form.dimension)), step=1e-2, rtol=1e-4)
-    times, share = gauss_points(form.space.t, 4)
-    jerk = form.trajectory.evaluate(times, 3) / BOUNDS[2]
-    assert value == pytest.approx(0.5 * share @ (jerk**2).mean(axis=1), rel=1e-10)
+    times, share = gauss_points(form.space.t, 5)
+    speed, jerk = (form.trajectory.evaluate(times, order) / BOUNDS[order - 1] for order in (1, 3))
+    assert value == pytest.approx(0.5 * share @ (jerk**2 + speed**2).mean(axis=1), rel=1e-10)
 
 
 def test_hessian_of_a_function_of_the_states(form: Parametrization, rng: np.random.Generator) -> None:

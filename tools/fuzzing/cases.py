@@ -339,7 +339,7 @@ def _plannable_scene(rng: Random, scene: dict[str, Any]) -> dict[str, Any]:
         "smoothing_weight": rng.choice((1e-6, 0.1, 100)),
         "peak_tolerance": rng.choice((1e-6, 1e-4, 0.1)),
         "least_peak_tolerance": rng.choice((1e-6, 2e-3, 0.1)),
-        "gap_target": rng.choice((0, 2e-3, 1)),
+        "min_gain": rng.choice((0, 2e-3, 1)),
         "max_passes": rng.choice((1, 5, 20)),
         "max_iterations": rng.choice((1, 20, 100)),
     }

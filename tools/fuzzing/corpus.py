@@ -41,7 +41,7 @@ _QUICK = {
     "chart_seeds": 30,
     "peak_tolerance": 0.05,
     "samples_per_segment": 10,
-    "gap_target": 0.0,
+    "min_gain": 0.0,
 }
 
 

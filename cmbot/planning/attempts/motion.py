@@ -118,7 +118,7 @@ def certified_motion(attempt: Attempt) -> Solved[StrokeMotion] | Failure:
 
 def is_better(request: StrokeRequest) -> Callable[[StrokeMotion, StrokeMotion], bool]:
     """Return how motions of a stroke compare: the shorter one is better, then that of the smaller peak."""
-    margin = 1 + request.cell.options.gap_target
+    margin = 1 + request.cell.options.min_gain
 
     def better(motion: StrokeMotion, best: StrokeMotion) -> bool:
         seconds, most = motion.work.duration, best.work.duration

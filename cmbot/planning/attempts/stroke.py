@@ -20,9 +20,6 @@ from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.request import StrokeRequest
 from cmbot.trajectory import QuinticTrajectory
 
-# The scene's posture is planned from, too, where that may lower the peak of the job by more than this share.
-_WORTH_PLANNING = 1e-2
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlannedStroke:
@@ -118,13 +115,12 @@ def _lighter_start(trial: Trial[Attempt, StrokeMotion]) -> Iterator[Attempt]:
     pinned = None if guess.choice is None else guess.choice.pinned
     if motion.approach is None or pinned is None or guess.failures:
         return
-    highest, margin = motion.peak, 1 + request.cell.options.gap_target
     rest = peak_of(request, [segment for segment in motion.job.segments if segment is not motion.approach])
     off = request.cell.tool_off
     idle = off.objective.at_rest(off.postures.at(np.stack([request.state.posture, request.first])))
     # No job from the scene's posture has a smaller peak than at rest there, with the tool off or on.
     least = max(pinned, rest, float(idle.max()), request.state.reached)
-    if highest <= max(margin, 1 + _WORTH_PLANNING) * least:
+    if motion.peak <= (1 + request.cell.options.min_gain) * least:
         return
     request.reporter.stage("path")
     request.reporter.step("the peak is on the approach; trying the scene's posture")

@@ -70,6 +70,10 @@ class GlobalSolution:
         """Largest value."""
         return float(self.value.max())
 
+    def mean(self, times: FloatArray) -> float:
+        """Return the mean over the `times` (n,) of the via-points."""
+        return float(np.trapezoid(self.value, times) / (times[-1] - times[0]))
+
 
 class GlobalSearch:
     """Charts of self-motion at all via-points, and the best sequences of their postures.

@@ -3,7 +3,9 @@
 The objective f is the torque on the guardrail, |n_0|, or another one, in units of its peak at the initial
 guess. With p the least peak,
 
-    min (1/2) mean_t f(t)^2 + (rho/2) mean (jerk/J_C)^2,    f(t) <= p (1 + epsilon) at all times
+    min (1/2) mean_t f(t)^2 + (rho/2) mean [(jerk/J_C)^2 + (velocity/V_C)^2]
+
+    f(t) <= p (1 + epsilon) at all times
 
 subject to the bounds of Eqs. (31)-(32), the tool's deviation and the clearance. epsilon is the option
 `peak_tolerance` where p is its lower bound, and `least_peak_tolerance` where that is missed.

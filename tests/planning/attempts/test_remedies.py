@@ -96,7 +96,7 @@ def rough() -> Attempt:
 
 @pytest.fixture(scope="module")
 def elsewhere() -> Attempt:
-    attempt = attempt_at(rough_scene("free"), gap_target=0.0)
+    attempt = attempt_at(rough_scene("free"), min_gain=0.0)
     assert not attempt.is_pinned
     return attempt
 
@@ -200,7 +200,7 @@ def test_what_tells_attempts_apart(rough: Attempt) -> None:
     guess, asked = rough.guess, rough.request
     same = [replace(rough, kept=1.1, is_first=False), replace(rough, guess=sliding_guess(asked))]
     other = [
-        replace(rough, request=asked.with_options(gap_target=0.0)),
+        replace(rough, request=asked.with_options(min_gain=0.0)),
         replace(rough, request=replace(asked, spare_clearance=1e-3)),
         replace(rough, guess=replace(guess, pinned=not guess.pinned)),
         replace(rough, guess=replace(guess, way=np.zeros((2, 7)))),
