@@ -289,6 +289,8 @@ def _objective(
         return "Minimised: the travel of the joints and their jerk, nothing of the base."
     if own:
         what = name
+    elif name == "sway":
+        what = "the tool's sway by 1 m/s2 of the deck"
     elif name == "hold":
         what = "the adhesion that the feet need" if magnets else "the pull of magnets in place of the clamps"
     elif weights is not None:
