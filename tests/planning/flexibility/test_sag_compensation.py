@@ -275,7 +275,7 @@ def test_compensation_is_the_default_wherever_something_bends(tmp_path: Path) ->
     for scene, expected in (
         (short_scene(planner=auto), True),
         (arm_scene(tmp_path, "panda", compensate="auto").changed(guardrail={"bays": 0}), False),
-        (short_scene(planner=auto, guardrail={"stiffness_factor": 1e-3}), False),
+        (short_scene(planner=auto, guardrail={"bays": 0, "stiffness": [1e4] * 3 + [100.0] * 3}), False),
     ):
         assert build_request(scene, scene.planner).cell.options.compensate is expected
     short = short_scene(planner=auto)
