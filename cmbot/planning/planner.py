@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 from cmbot.common.errors import InputError, PathNotFound, PlanningError
 from cmbot.common.validation import checked_options, require_type
 from cmbot.common.watching import watched
+from cmbot.planning.attempts.advice import slower_legs
 from cmbot.planning.attempts.agenda import Agenda, Remedy, Solved
 from cmbot.planning.attempts.failure import Failure, NoWay, OutOfTime, error_of, in_words
 from cmbot.planning.attempts.stroke import PlannedStroke, advice, plan_stroke
@@ -111,7 +112,7 @@ def plan(
             if scene.order == "best":
                 return planner.in_best_order(scene)
             outcome = planner.job(scene, deadline)
-            return outcome if isinstance(outcome, Plan) else _refuse(outcome)
+            return outcome if isinstance(outcome, Plan) else planner.refuse(scene, outcome)
 
 
 def replan(
@@ -243,7 +244,7 @@ class _Planner:
                 told = (f"Not planned: {name}: {error}." for name, error in missing.items())
                 return replace(outcome, missing=tuple(missing), fallbacks=(*told, *outcome.fallbacks))
             try:
-                _refuse(outcome)
+                self.refuse(left, outcome)
             except PlanningError as error:
                 missing[outcome.trial.chain[0].attempt.request.stroke.name] = error
         raise next(iter(missing.values()))
@@ -273,7 +274,7 @@ class _Planner:
             better=_is_better_order,
         ).search(0)
         if not isinstance(best.outcome, Solved):
-            return _refuse(refused[-1])
+            return self.refuse(orders[len(refused) - 1], refused[-1])
         plan = best.outcome.result
         names = ", ".join(
             f"{stroke.name}{' backwards' if stroke.backwards else ''}" for stroke in plan.scene.strokes
@@ -297,6 +298,39 @@ class _Planner:
             last, reached = motion.job.segments[-1], max(state.reached, motion.peak)
             state = JobState(posture=last.trajectory.q[-1], begin=last.end, reached=reached)
         return composed(scene, made, custom=self.objective is not None)
+
+    def refuse(self, scene: Scene, stroke: PlannedStroke) -> NoReturn:
+        """Raise why a stroke of a scene is not planned, with what would do."""
+        request, failure = stroke.trial.chain[0].attempt.request, stroke.trial.failure
+        if not (isinstance(failure, NoWay) and failure.is_start_near):
+            # Before anything else is advised; and it says by how much a place is missed.
+            require_posture(request, is_clear=True)
+        error = error_of(failure)
+        if len(request.strokes) > 1:
+            error.add_hint(f"this is stroke {request.stroke.name}")
+        if request.deadline.expired():
+            if not isinstance(failure, OutOfTime):
+                limit = f"{request.cell.options.time_limit_s:g} s (planner.time_limit_s)"
+                error.add_hint(f"then the time, {limit}, was over")
+        elif words := self._in_shortest_time(scene, request, failure) or advice(stroke.trial):
+            error.add_hint(words)
+        raise error
+
+    def _in_shortest_time(self, scene: Scene, request: StrokeRequest, failure: Failure) -> str:
+        """Say that ``seconds: auto`` would do where it does, of a stroke whose time is too short."""
+        shortest = scene.strokes[request.number].in_shortest_time()
+        if shortest is None or request.task.path.open_legs or slower_legs(request, failure) is None:
+            return ""
+        self.reporter.step("trying seconds: auto")
+        files = (*scene.strokes[: request.number], shortest, *scene.strokes[request.number + 1 :])
+        with suppress(PlanningError):
+            silent = replace(self, reporter=ProgressReporter())
+            outcome = silent.job(scene.with_strokes(files), self.deadline)
+            if isinstance(outcome, Plan):
+                seconds = outcome.job.strokes[request.number].duration
+                where = f"the legs of {request.stroke.key}" if shortest.legs else request.stroke.key
+                return f"seconds: auto on {where} would do, and takes {seconds:.3g} s"
+        return ""
 
     def _require_reach(self, scene: Scene, deadline: Deadline) -> StrokeRequest:
         """Return the request of a job whose strokes are of reasonable size and within reach."""
@@ -354,21 +388,3 @@ def _at_stroke(request: StrokeRequest, number: int, state: JobState) -> StrokeRe
         request.reporter.begin_stroke(name)
         request = replace(request, deadline=request.deadline.part(left, name))
     return request.at_stroke(number, state)
-
-
-def _refuse(stroke: PlannedStroke) -> NoReturn:
-    """Raise why a stroke is not planned, with what would do."""
-    request, failure = stroke.trial.chain[0].attempt.request, stroke.trial.failure
-    if not (isinstance(failure, NoWay) and failure.is_start_near):
-        # Before anything else is advised; and it says by how much a place is missed.
-        require_posture(request, is_clear=True)
-    error = error_of(failure)
-    if len(request.strokes) > 1:
-        error.add_hint(f"this is stroke {request.stroke.name}")
-    if request.deadline.expired():
-        if not isinstance(failure, OutOfTime):
-            limit = f"{request.cell.options.time_limit_s:g} s (planner.time_limit_s)"
-            error.add_hint(f"then the time, {limit}, was over")
-    elif words := advice(stroke.trial):
-        error.add_hint(words)
-    raise error

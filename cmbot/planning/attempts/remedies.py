@@ -64,6 +64,8 @@ _FEW_VIA_POINTS = 100
 # Least and largest factor by which there are more via-points, and how many at most: all takes longer in
 # proportion.
 _FINER, _MOST_VIA_POINTS = (2, 4), 300
+# Where a bound is missed by less than this share there are a quarter more, up to so many.
+_MISSED, _MORE, _MOST_OF_THEM = 0.05, 1.25, 1200
 # Shares of the via-points that are left where fewer are tried, and how few there may be in a leg.
 _COARSER, _FEWEST_IN_A_LEG = (0.7, 0.5), 4
 # Factors on the safety margin that guesses keep where trajectories cannot keep it.
@@ -217,6 +219,10 @@ def _more_via_points(trial: AnyTrial) -> Iterator[Attempt]:
             form = guess.problem.parametrization if isinstance(guess, InitialGuess) else None
             if ratio <= 1.0 or (form is not None and leap(request, form.via_points)):
                 return
+            count = len(request.times) - 1
+            if ratio <= 1.0 + _MISSED and _MORE * count < _MOST_OF_THEM:
+                number = int(np.ceil(_MORE * count)) + 1
+                yield from _with_via_points(trial, number, "the tool strays a little")
             most = int(np.clip(np.ceil(np.sqrt(ratio)), *_FINER))
             for factor in sorted({_FINER[0], most}):
                 number = factor * (len(request.times) - 1) + 1

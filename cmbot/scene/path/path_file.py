@@ -285,6 +285,15 @@ class StrokeFile(PathFile):
         """Whether it begins elsewhere than where the tool was before."""
         return self.backwards or super().has_start
 
+    def in_shortest_time(self) -> Self | None:
+        """Return the stroke with ``seconds: auto``; None where a speed is asked of its process."""
+        if self.speed_tolerance is not None or self.lead_in_m or self.lead_out_m:
+            return None
+        legs = tuple(
+            leg if leg.pause is not None else replace(leg, seconds=AUTO, speed_m_s=None) for leg in self.legs
+        )
+        return self.changed(legs=legs, seconds=None if legs else AUTO, speed_m_s=None, time_laws=None)
+
 
 @dataclass(frozen=True, kw_only=True)
 class JobStrokes:
