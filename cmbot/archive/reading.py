@@ -162,7 +162,7 @@ def read_plan(
     # It costs a third of a second, and is computed anew where the plan is verified.
     vars(plan)["accuracy"], vars(plan)["sway"] = file.accuracy, file.sway
     again = plan_record(plan, file.hashes)
-    if file.baseline is not None:
+    if plan.baseline is not None:
         # Its free moves are not in the table but measured again, which is compared where it is verified.
         again["baseline"] |= {name: data["baseline"].get(name) for name in ("free", "job")}
     # What it was made of, and by what, is not computed.

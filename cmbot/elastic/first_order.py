@@ -17,12 +17,19 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from cmbot.common.arrays import FloatArray, cross
-from cmbot.elastic.arm import ElasticArm
+from cmbot.common.arrays import FloatArray, IntArray, cross
+from cmbot.elastic.arm import ElasticArm, elastic_arm
+from cmbot.elastic.modes import DAMPING
 from cmbot.robot import Chain
+
+BAND_HZ = (0.5, 30.0)
+"""In which a response to a flat spectrum is stated, Hz: from 2 Hz on, a stance with a lower mode would
+shine."""
 
 # Postures at once, whose arrays fit into memory.
 _AT_A_TIME = 2000
+# Step of a joint for the gradient of sway, rad or m: where rounding and what is of second order are alike.
+_GRADIENT_STEP = 1e-7
 # A squared period, s2, below which a coordinate is taken to move no mass.
 _LEAST_SQUARED_PERIOD = 1e-12
 
@@ -98,7 +105,8 @@ class FirstOrderBatch:
     def shaken(self, damping: float, band: tuple[float, float]) -> FloatArray:
         """Return root mean squares (N,), m, of the tool in space by 1 m/s2 of the deck along each axis.
 
-        Flat in a band, Hz: the modes in it answer as to white noise of that density.
+        Flat in a band, Hz: the modes answer as to white noise of that density. Those outside of the band
+        count as well, so that the values are smooth; above it they add hardly anything.
 
         Parameters
         ----------
@@ -109,12 +117,10 @@ class FirstOrderBatch:
         omega, shapes = self._modes
         c = self.lever.transpose(0, 2, 1) @ shapes
         gain = self.momentum[..., :3].transpose(0, 2, 1) @ shapes
-        inside = (omega >= 2 * np.pi * band[0]) & (omega <= 2 * np.pi * band[1])
         a, b = omega[:, :, None], omega[:, None, :]
         # The integral over all frequencies of two modes' responses to white noise (Der Kiureghian, 1981).
         both = 4 * np.pi * damping * (a + b)
         both = both / ((a**2 - b**2) ** 2 + 4 * damping**2 * a * b * (a + b) ** 2)
-        both = both * (inside[:, :, None] & inside[:, None, :])
         pairs = (c.transpose(0, 2, 1) @ c) * (gain.transpose(0, 2, 1) @ gain)
         density = 1 / (band[1] - band[0])
         return np.asarray(np.sqrt(np.maximum((pairs * both).sum(axis=(1, 2)), 0.0) * density / (4 * np.pi)))
@@ -289,7 +295,39 @@ class FirstOrder:
         )
 
 
-def _some(bases: Bases, which: slice) -> Bases:
+class DeckSway:
+    """How far an arm's tool sways by 1 m/s2 of its deck: a function of the posture alone.
+
+    Parameters
+    ----------
+    arm : ElasticArm
+        Where it stands; mass of the guardrail that moves with the foot is left out.
+    """
+
+    def __init__(self, arm: ElasticArm) -> None:
+        robot = arm.robot
+        carrier = robot.model.inertias[0]
+        self._first = FirstOrder(elastic_arm(robot, None, arm.options))
+        self._base = Bases(
+            foot=np.array(robot.foot_point)[None],
+            stiffness=None if arm.base is None else arm.base.stiffness[None],
+            carrier_mass=np.array([carrier.mass]),
+            carrier_centre=np.array(carrier.lever)[None],
+        )
+
+    def values(self, q: FloatArray) -> FloatArray:
+        """Return root mean squares (N,), m, in postures (N, n), as `FirstOrderBatch.shaken` has them."""
+        return self._first.at(q, _some(self._base, np.zeros(len(q), dtype=int))).shaken(DAMPING, BAND_HZ)
+
+    def __call__(self, q: FloatArray, /) -> tuple[FloatArray, FloatArray]:
+        """Return them, and their gradients (N, n), by differences."""
+        N, n = q.shape
+        steps = _GRADIENT_STEP * np.vstack([np.zeros(n), np.eye(n)])
+        value = self.values((q[:, None] + steps).reshape(-1, n)).reshape(N, n + 1)
+        return value[:, 0], (value[:, 1:] - value[:, :1]) / _GRADIENT_STEP
+
+
+def _some(bases: Bases, which: slice | IntArray) -> Bases:
     return Bases(
         foot=bases.foot[which],
         stiffness=None if bases.stiffness is None else bases.stiffness[which],

@@ -15,6 +15,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.file_types import Row
 from cmbot.common.representation import short_repr
 from cmbot.elastic.arm import ElasticArm
+from cmbot.elastic.first_order import BAND_HZ
 from cmbot.elastic.modes import DAMPING
 from cmbot.excitation.damper import DamperGain, best_damper
 from cmbot.excitation.ground import Record, axles_of, read_record
@@ -28,7 +29,6 @@ from cmbot.excitation.passages import (
 )
 from cmbot.excitation.response import (
     AXES,
-    BAND_HZ,
     ModalResponse,
     Spectrum,
     flat_band,

@@ -28,13 +28,11 @@ from cmbot.common.errors import InputError
 from cmbot.common.representation import short_repr
 from cmbot.common.validation import shown
 from cmbot.elastic.arm import ElasticArm
+from cmbot.elastic.first_order import BAND_HZ
 from cmbot.elastic.modes import arm_modes
 
 AXES = 3
 """Inputs of every response: the deck's acceleration along x, y and z."""
-BAND_HZ = (0.5, 30.0)
-"""In which a response to a flat spectrum is stated, Hz: from 2 Hz on a stance with a lower mode would
-shine."""
 
 # Points of the quadrature over frequency on either side of a mode, and how far the densest lie from it at
 # most, as a share of its half-power bandwidth; points over the whole band. Variances are then within 2e-3.

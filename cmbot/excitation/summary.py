@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from cmbot.elastic.first_order import BAND_HZ
 from cmbot.excitation.damper import DamperGain
 from cmbot.excitation.excite import Excitation
-from cmbot.excitation.response import BAND_HZ
 from cmbot.excitation.sway import RandomSway
 
 PASSAGE_HEADINGS = (

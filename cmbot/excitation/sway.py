@@ -20,11 +20,11 @@ from cmbot.common.file_types import Matrices, Row
 from cmbot.common.representation import short_repr
 from cmbot.elastic import Guardrail, elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm
+from cmbot.elastic.first_order import BAND_HZ
 from cmbot.elastic.modes import DAMPING
 from cmbot.excitation.peaks import davenport_factor, departure_rate, probability_of_leaving
 from cmbot.excitation.response import (
     AXES,
-    BAND_HZ,
     ModalResponse,
     Moments,
     Spectrum,

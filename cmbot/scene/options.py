@@ -50,7 +50,8 @@ class PlannerOptions(CheckedFields):
         on from there.
     objective : str
         What is minimised. ``torque``: the norm of the torque on the base, Eq. (12); ``sag``: the tool's
-        sag at rest; ``hold``: the largest adhesion that a foot needs; ``travel``: nothing of the base, but
+        sag at rest; ``hold``: the largest adhesion that a foot needs; ``sway``: the tool's RMS by 1 m/s2 of
+        the deck (`cmbot.excitation.sway_mm_per_m_s2`); ``travel``: nothing of the base, but
         how far the joints travel between via-points, and their jerk.
     moment_about : str
         The point about which the torque is taken. ``foot``: O0, n_0. ``base``: the origin of the arm's base
@@ -143,7 +144,7 @@ class PlannerOptions(CheckedFields):
 
     knots: Literal["sliding", "fixed"] = "sliding"
     start: Literal["free", "pinned"] = "free"
-    objective: Literal["torque", "sag", "hold", "travel"] = "torque"
+    objective: Literal["torque", "sag", "hold", "sway", "travel"] = "torque"
     moment_about: Literal["foot", "base"] = "foot"
     axis_weights: AxisWeights = (1.0, 1.0, 1.0)
     compensate: AutoOrBool = "auto"

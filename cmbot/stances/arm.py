@@ -9,9 +9,8 @@ from scipy.spatial import cKDTree
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.elastic.arm import elastic_arm
-from cmbot.elastic.first_order import FirstOrder
+from cmbot.elastic.first_order import BAND_HZ, FirstOrder
 from cmbot.elastic.modes import DAMPING
-from cmbot.excitation.response import BAND_HZ
 from cmbot.planning import ToolTask, project_onto_task
 from cmbot.robot import PostureBatch, Postures, Robot, load_robot
 from cmbot.scene import Scene

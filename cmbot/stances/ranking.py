@@ -173,9 +173,7 @@ class _Stand:
         scene, self._options, self._progress, self._suits = joined(scenes), options, progress, suits
         planned = scene.planner.objective
         self._objective: StanceObjective = options.objective or ("torque" if planned == "travel" else planned)
-        # What sways little sags little: the planner's objective nearest to it.
-        by = "sag" if self._objective == "sway" else self._objective
-        self._scene = scene = scene.with_options(objective=by)
+        self._scene = scene = scene.with_options(objective=self._objective)
         progress("listing stances", 0.0)
         self._ending = Ending(limit=options.time_limit)
         self._own: dict[AnyCandidate, FloatArray | None]

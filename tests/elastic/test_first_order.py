@@ -5,14 +5,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from finite_differences import finite_difference
 
 import cmbot
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm
-from cmbot.elastic.first_order import Bases, FirstOrder
+from cmbot.elastic.first_order import Bases, DeckSway, FirstOrder
 from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.sag import Sag
+from cmbot.excitation import sway_mm_per_m_s2
 from cmbot.excitation.response import BAND_HZ, flat_band, modal_response
 from cmbot.planning import bending_arm, held_guardrail, robot_of
 from cmbot.robot import Postures, load_robot
@@ -57,6 +59,22 @@ class Case:
 
     def sag(self, push: FloatArray | None = None) -> FloatArray:
         return self.first.sag(self.q, self.bases, self.gravity, push) @ self.R.T
+
+
+def test_sway_on_a_deck_is_that_of_the_modes_with_its_gradient() -> None:
+    """Against the bent arm's own modes, and against central differences."""
+    scene = cmbot.load_scene("line")
+    robot = robot_of(scene)
+    arm = bending_arm(scene, robot)
+    assert arm is not None
+    sway = DeckSway(arm)
+    q = np.array(scene.posture) + np.random.default_rng(5).normal(0.0, 0.3, (4, 7))
+    value, gradient = sway(q)
+    for k, posture in enumerate(q):
+        exact = sway_mm_per_m_s2(posture, robot, scene.elastic_guardrail)
+        assert 1e3 * value[k] == pytest.approx(exact, rel=0.03)
+        found = finite_difference(lambda x: sway.values(x[None]), posture)[0]
+        assert gradient[k] == pytest.approx(found, abs=2e-5 * np.abs(found).max())
 
 
 @pytest.mark.parametrize("joints", ["rigid", "elastic"])

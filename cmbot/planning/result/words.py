@@ -287,6 +287,8 @@ def _objective(
     what = f"the tool's {name}"
     if own:
         what = name
+    elif name == "sway":
+        what = "the tool's sway by 1 m/s2 of the deck"
     elif name == "hold":
         what = "the adhesion that the feet need" if magnets else "the pull of magnets in place of the clamps"
     elif weights is not None:

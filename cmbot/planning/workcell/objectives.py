@@ -11,6 +11,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import CmbotError, InputError
+from cmbot.elastic.first_order import DeckSway
 from cmbot.elastic.sag import Sag
 from cmbot.optimization import Linearization, StateSamples
 from cmbot.robot import Dynamics, Efforts, PostureBatch, Postures, Robot
@@ -165,20 +166,24 @@ class PostureFunction(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class PostureObjective:
-    """A function of the posture alone, moving or at rest."""
+    """A function of the posture alone, moving or at rest; `value`: the same without its gradient."""
 
     function: PostureFunction
     name: str
     unit: str
+    value: Callable[[FloatArray], FloatArray] | None = None
     reported: bool = False
+
+    def _value(self, q: FloatArray) -> FloatArray:
+        return self.function(q)[0] if self.value is None else self.value(q)
 
     def at_rest(self, postures: PostureBatch) -> FloatArray:
         """Return its values (N,) in N postures."""
-        return self.function(postures.q)[0]
+        return self._value(postures.q)
 
     def values(self, states: StateSamples) -> FloatArray:
         """Return its values (N,) at N states."""
-        return self.function(states.q)[0]
+        return self._value(states.q)
 
     def linearize(self, states: StateSamples) -> Linearization:
         """Return its values and derivatives at N states."""
@@ -208,7 +213,7 @@ def objective_of(
     posture : (n,), rad, optional
         Where `own` is tried.
     sag : Sag, optional
-        Needed for ``objective: sag``.
+        Needed for ``objective: sag`` and ``sway``.
 
     Raises
     ------
@@ -224,10 +229,14 @@ def objective_of(
         # A moment is known to be fine, and its components are used.
         function = own if isinstance(own, WeightedMoment) else checked
         return WrenchObjective(robot, function, name=name, unit="")
-    if options.objective == "sag":
+    if options.objective in ("sag", "sway"):
         if sag is None:
-            raise InputError("objective_of", "sag", "nothing", "the predicted sag, for objective: sag")
-        return PostureObjective(function=sag.length, name="sag", unit="m")
+            expected = f"the predicted sag, for objective: {options.objective}"
+            raise InputError("objective_of", "sag", "nothing", expected)
+        if options.objective == "sag":
+            return PostureObjective(function=sag.length, name="sag", unit="m")
+        sway = DeckSway(sag.arm)
+        return PostureObjective(function=sway, value=sway.values, name="sway", unit="m")
     if options.objective == "hold":
         if robot.holding is None or not robot.holding.flat:
             raise InputError("objective_of", "robot.feet", "none on flat steel", "feet, for objective: hold")

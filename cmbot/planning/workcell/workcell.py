@@ -196,7 +196,7 @@ def sag_of(scene: Scene, arm: ElasticArm | None, options: PlannerOptions) -> Sag
     SceneError
         When they need it, and nothing bends.
     """
-    if not (options.compensate is True or options.objective == "sag"):
+    if not (options.compensate is True or options.objective in ("sag", "sway")):
         return None
     if arm is None:
         raise SceneError(

@@ -93,6 +93,9 @@ def test_a_file_that_contradicts_its_options_is_refused(
     without, with_it = save(alone, tmp_path / "without"), save(strokes_plan, tmp_path / "with")
     edit(without, lambda data: data["options"].update(baseline="paper"))
     refused(without, "plan.json", "baseline")
+    other = save(strokes_plan, tmp_path / "other")
+    edit(other, lambda data: data["options"].update(baseline="none"))
+    refused(other, "plan.json", "baseline")
     edit(with_it, lambda data: data["files"].pop("baseline.csv"))
     refused(with_it, "plan.json", "files")
 

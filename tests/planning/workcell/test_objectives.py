@@ -309,7 +309,7 @@ def test_round_trip(about_base: Plan, with_own: Plan, tmp_path: Path) -> None:
     ):
         cmbot.load_plan(changed, verify=True)
     edit(changed, lambda data: data["objective"].update(axis_weights=[1.0, 1.0, 0.0]))
-    refused(changed, "plan.json", "objective.axis_weights")
+    refused(changed, "plan.json", "objective.axis_weights[0]")
 
 
 def test_an_objective_that_rests_at_zero(short_plan: Plan) -> None:
