@@ -303,7 +303,7 @@ def test_compensation_is_the_default_wherever_something_bends(tmp_path: Path) ->
     without = plan(short, options=replace(short.planner, compensate=False), progress=False)
     save(without, tmp_path / "without")
     with pytest.raises(ArchiveError, match=r"compensate False \(asked True\)"):
-        load_plan(tmp_path / "without", scene=short)
+        load_plan(tmp_path / "without", verify=True, scene=short)
 
 
 def test_a_better_start_that_no_approach_leads_to_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
