@@ -263,7 +263,8 @@ def _compared(plan: Plan, baseline: Baseline) -> Iterator[Note]:
     if plan.suppression is not None and after > max(_MORE_JERK * before, _LITTLE_JERK):
         yield Note(level="warning", key="jerk", values={"factor": after / before, "share": after})
     peak, least, floor = plan.objective.planned_peak, plan.objective.baseline_peak, plan.objective.floor
-    if least is None or peak < least * (1 - _GAIN):
+    sought = plan.options.objective != "travel"
+    if least is None or not sought or peak < least * (1 - _GAIN):
         return
     if peak > least * (1 + _GAIN):
         yield Note(level="warning", key="higher", values={"share": peak / least - 1})

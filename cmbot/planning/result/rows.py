@@ -237,7 +237,7 @@ def _effort(plan: Plan) -> Iterator[Row]:
 def _search(plan: Plan) -> Iterator[Row]:
     """What no plan can undercut, and what others would have."""
     bound, choice, objective = plan.lower_bound, plan.choice, plan.objective
-    if not objective.is_guardrail_torque:
+    if not objective.is_guardrail_torque and plan.options.objective != "travel":
         values = objective.planned_peak, objective.baseline_peak
         yield _objective_row(plan, "peak of what was minimised", "objective.planned_peak", *values)
     if bound is None or choice is None:

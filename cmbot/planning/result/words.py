@@ -285,6 +285,8 @@ def _objective(
     faults: str,
 ) -> str:
     what = f"the tool's {name}"
+    if name == "travel" and not own:
+        return "Minimised: the travel of the joints and their jerk, nothing of the base."
     if own:
         what = name
     elif name == "sway":

@@ -330,3 +330,12 @@ def test_an_objective_of_the_posture_has_a_floor() -> None:
     solution = stage.solve(pinned=False)
     np.testing.assert_allclose(solution.value, 1 - np.cos(solution.q[:, 2]), rtol=1e-12)
     assert stage.lower_bound.value <= solution.peak + 1e-12
+
+
+def test_travel_is_planned_without_a_bound_of_the_base(tmp_path: Path) -> None:
+    made = cmbot.plan(short_scene().with_options(objective="travel"), progress=False)
+    assert made.certificate.holds
+    assert made.lower_bound is made.choice is made.torque_floor is None
+    assert "Minimised: the travel of the joints and their jerk, nothing of the base." in remarks(made)
+    read = cmbot.load_plan(cmbot.save(made, tmp_path / "travel"), verify=True)
+    assert read.objective == made.objective
