@@ -22,7 +22,7 @@ from suite import judge
 from suite.arms import ARMS
 from suite.oracle import Oracle
 from suite.scenes import make_scene, start_posture
-from suite.task import TimedPath, read_scene, world_of
+from suite.task import TimedPath, read_scene, rigid, world_of
 from suite.world import FloatArray, World
 
 __all__ = ["CPU_LIMIT", "connected", "find_way", "job_name", "make_job", "plan_job"]
@@ -78,7 +78,7 @@ def make_job(seed: int, number: int, folder: str) -> dict[str, Any]:
 
 def _strokes(folder: str) -> tuple[Any, World, list[TimedPath], FloatArray]:
     """The job of a folder as scene, world, the timed path of each stroke, and the tool's orientation."""
-    scene = load_scene(Path(folder, "job.yaml"))
+    scene = rigid(load_scene(Path(folder, "job.yaml")))
     _, _, _, R = read_scene(folder)
     paths = []
     for stroke in scene.strokes:

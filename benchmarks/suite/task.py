@@ -78,9 +78,14 @@ def world_of(scene: Scene) -> World:
     return world
 
 
+def rigid(scene: Scene) -> Scene:
+    """A scene whose rigid arm follows the path, as the oracle's does."""
+    return scene.with_options(compensate=False)
+
+
 def read_scene(folder: str | Path) -> tuple[Scene, World, TimedPath, FloatArray]:
     """A scene's folder as scene, world, timed path and the tool's orientation (3, 3) at the start."""
-    scene = load_scene(Path(folder, "scene.yaml"))
+    scene = rigid(load_scene(Path(folder, "scene.yaml")))
     world = world_of(scene)
     p, R = world.pose(np.array(scene.posture))
     legs = [(np.array(leg.by), leg.seconds) for leg in scene.strokes[0].legs]

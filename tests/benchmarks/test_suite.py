@@ -13,13 +13,13 @@ from plan_folders import changed
 from report.document import PAGE, page
 from rich.console import Console
 from suite import jobs, judge, oracle, scenes, tables
-from suite.task import TimedPath, read_scene, world_of
+from suite.task import TimedPath, read_scene, rigid, world_of
 from suite.world import World
 
 from cmbot.campaigns import Task, TaskResult, TaskStatus
 from cmbot.collision import Clearances
 from cmbot.common.errors import PathNotFound
-from cmbot.planning import Plan, robot_of, strokes_of, task_of
+from cmbot.planning import Plan, plan, robot_of, strokes_of, task_of
 from cmbot.robot import Dynamics, Kinematics, Postures
 from cmbot.scene import Scene, load_scene
 
@@ -119,8 +119,9 @@ def test_the_oracle_finds_a_path_and_none_through_a_wall(tmp_path: Path) -> None
     assert 0 < found["any_until"] < 2
 
 
-def test_a_plan_is_judged_right_and_a_forged_one_wrong(triangle_plan: Plan) -> None:
-    scene = triangle_plan.scene
+def test_a_plan_is_judged_right_and_a_forged_one_wrong() -> None:
+    scene = rigid(load_scene("triangle"))
+    triangle_plan = plan(scene)
     world = world_of(scene)
     path, R = timed(scene, world)
     assert judge.violations(triangle_plan, world, path, R) == []
