@@ -336,7 +336,7 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "file").touch()
     for path in (tmp_path / "page.md" / "page.md", tmp_path / "taken"):
-        with pytest.raises(ArchiveError, match="a place below|refusal of the system"):
+        with pytest.raises(ArchiveError, match=r"a place below|refusal of the system"):
             write_file(path, b"text")
     assert names(tmp_path) == {"page.md", "taken"}
 
