@@ -106,8 +106,8 @@ def folder(
         (cmbot, "simulate", lambda plan, options, progress: trackings[1]),
         (cmbot, "load_plan", lambda directory: plans[0]),
         (cmbot, "load_tracking", lambda plan, directory: trackings[0]),
-        (cmbot.views, "pages", lambda plan, tracking=None: pages),
-        (cmbot.views, "report_page", lambda plan, tracking: "<p>new</p>"),
+        (cmbot.views, "pages", lambda *_: pages),
+        (cmbot.views, "report_page", lambda *_: "<p>new</p>"),
         (writing, "hashes_of", remembered(writing.hashes_of)),
         (writing, "samples_csv", remembered(writing.samples_csv)),
     ):

@@ -181,7 +181,7 @@ def test_every_option_is_listed_with_default_bounds_and_meaning() -> None:
     assert list(listed) == [field.name for field in fields(PlannerOptions)]
     assert listed["start"] == "free  (free, pinned)"
     assert listed["chart_seeds"] == f"{defaults.chart_seeds}  (whole, 1 to 10000)"
-    assert listed["compensate"] == "false  (true or false)"
+    assert listed["compensate"] == "auto  (auto, true or false)"
     assert listed["safety_margin_m"] == "0.02  (0 to 10)"
     assert listed["axis_weights"].endswith("(a list of 3 numbers, each 0 to 1e+06)")
     assert (scene_folder() / "scene.schema.json").is_file()

@@ -140,7 +140,7 @@ def test_what_was_set_is_planned_and_kept(folder: Path) -> None:
         (("tool_path.via=3",), "tool_path.via: got an unknown key, expected a known key"),
         (("name=other",), "name: got no key, expected a key of the scene file"),
         (("start=free", "planner.start=free"), "start: got the same option again"),
-        (("compensate=yes",), "compensate: got 'yes', expected true or false"),
+        (("compensate=yes",), "compensate: got 'yes', expected auto, true or false"),
         (("max_passes=many",), "max_passes: got 'many', expected a whole number"),
         (("max_passes=0",), "max_passes: got 0, expected at least 1"),
         (("path_step_s=.inf",), "path_step_s: got '.inf', expected a finite number"),
