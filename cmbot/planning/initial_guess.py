@@ -273,9 +273,10 @@ def problem_near(
     PathNotFound
         When a via-point cannot be projected onto the tool path.
     """
-    placed = _placed(request, via_points)
-    slides = guess.problem.parametrization.retraction is not None and not stays
-    form = parametrization_through(request, placed, sliding=slides, pinned=slides and guess.pinned, near=near)
+    placed, before = _placed(request, via_points), guess.problem.parametrization
+    slides = before.retraction is not None and not stays
+    pinned, splines = slides and guess.pinned, before.splines
+    form = parametrization_through(request, placed, sliding=slides, pinned=pinned, near=near, splines=splines)
     return TorqueProblem(request, form, guess.lower_bound.value if least is None else least)
 
 

@@ -18,7 +18,7 @@ from cmbot.common.errors import OptimisationFailed
 from cmbot.common.file_types import NonNegative
 from cmbot.common.limit import Limit
 from cmbot.elastic.sag import Sag, TooSoftError
-from cmbot.optimization import ExchangeReport
+from cmbot.optimization import ExchangeReport, find_violations
 from cmbot.planning.certification.sag_spread import largest_spread
 from cmbot.planning.initial_guess import InitialGuess, problem_near
 from cmbot.planning.request import StrokeRequest
@@ -113,31 +113,39 @@ class _Bending:
         self._passes: list[ExchangeReport] = []
         self._least = guess.lower_bound.value
         for _ in range(_STEPS_FROM_GUESS):
-            problem = self._problem(self._linearized(near), near.q)
-            near = problem.parametrization.trajectory
+            self._bent = self._linearized(near)
+            self._problem = self._placed(near.q)
+            near = self._problem.parametrization.trajectory
             # What bending changes at rest in the postures of the guess it changes of the least value, too.
-            shifted = guess.lower_bound.each + problem.at_via_points - guess.problem.at_via_points
+            shifted = guess.lower_bound.each + self._problem.at_via_points - guess.problem.at_via_points
             self._least = float(shifted.max()) * (1 + _FIRST_ORDER)
-        self._first = near
 
     def solved(self) -> tuple[Optimised, Compensation, TorqueProblem]:
         """Solve and linearize until the sag of the solution is what it was taken for."""
-        bent, near = self._linearized(self._first), None
+        optimised: Optimised | None = None
         for number in range(_LINEARIZATIONS):
-            via_points = self._first.q if near is None else near.q
-            problem = self._problem(bent, via_points, near=near, stays=number >= _SLIDING)
-            optimised = optimise(problem, self._passed)
+            corrected = None if optimised is None else self._corrected(optimised)
+            optimised = corrected or optimise(self._problem, self._passed)
             near = optimised.trajectory
             after = self._linearized(near)
-            change = float(np.linalg.norm(after.sag - bent.at(self._times, after.q).sag, axis=1).max())
+            change = float(np.linalg.norm(after.sag - self._bent.at(self._times, after.q).sag, axis=1).max())
             if change < self._settled:
-                done = self._done(optimised.trajectory, after.sag, change)
-                return replace(optimised, passes=tuple(self._passes)), done, problem
+                done = self._done(near, after.sag, change)
+                return replace(optimised, passes=tuple(self._passes)), done, self._problem
             if self._request.deadline.expired():
                 reason = f"{self._request.deadline.over_in_words} before the sag along the motion was settled"
                 raise self._failure(reason, change, stopped=True)
-            bent = after
+            self._bent = after
+            self._problem = self._placed(near.q, near=near, stays=number >= _SLIDING)
         raise self._failure(f"the sag did not settle, linearized {_LINEARIZATIONS} times", change)
+
+    def _corrected(self, optimised: Optimised) -> Optimised | None:
+        """The solution put onto the task as it is linearized now, where that breaks no constraint."""
+        form = self._problem.parametrization
+        worst = find_violations(self._problem, form.trajectory, np.inf, 0.0, 1).worst
+        if worst.value > self._request.cell.options.constraint_tolerance:
+            return None
+        return replace(optimised, trajectory=form.trajectory, via_points=form.via_points)
 
     def _linearized(self, near: QuinticTrajectory) -> BentTool:
         """The bent tool near a trajectory."""
@@ -146,15 +154,11 @@ class _Bending:
         postures = self._request.cell.postures
         return BentTool(postures=postures, times=self._times, q=q, sag=at.tool, slope=at.d_tool)
 
-    def _problem(
-        self,
-        bent: BentTool,
-        via_points: FloatArray,
-        *,
-        near: QuinticTrajectory | None = None,
-        stays: bool = False,
+    def _placed(
+        self, via_points: FloatArray, *, near: QuinticTrajectory | None = None, stays: bool = False
     ) -> TorqueProblem:
-        request = replace(self._request, bent=bent)
+        """The program with via-points put onto the bent arm's task."""
+        request = replace(self._request, bent=self._bent)
         return problem_near(request, self._guess, via_points, least=self._least, near=near, stays=stays)
 
     def _passed(self, report: ExchangeReport) -> None:

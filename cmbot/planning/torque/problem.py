@@ -142,6 +142,7 @@ def parametrization_through(
     sliding: bool,
     pinned: bool = False,
     near: QuinticTrajectory | None = None,
+    splines: SparseSplines | None = None,
 ) -> Parametrization:
     """Return the splines around those of least jerk through `via_points`.
 
@@ -155,12 +156,14 @@ def parametrization_through(
         All but the first.
     near : QuinticTrajectory, optional
         Around this one instead, as far as it does not miss them; a spline on the same times.
+    splines : SparseSplines, optional
+        Those of another parametrization of the same request.
     """
     limits = request.cell.robot.limits
     # Jerk bounds far above what the work asks would leave smoothing without weight: splines would swing.
     jerk = np.minimum(limits.jerk, _ORDINARY_JERK * limits.velocity)
     bounds = np.stack([limits.velocity, limits.acceleration, jerk])
-    splines = SparseSplines(SplineSpace(request.times), bounds)
+    splines = splines or SparseSplines(SplineSpace(request.times), bounds)
     manifold = TaskManifold(request.cell.postures, request.task, request.goals, request.times, request.bent)
     coefficients = splines.least_jerk(via_points)
     if near is not None:
