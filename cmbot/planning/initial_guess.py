@@ -92,7 +92,8 @@ def initial_guess(
         # Where there is much time, half of what joints could do is no less than a leap.
         shorter = shorter.halved(leaping or np.inf)
         try:
-            other = sliding_guess(request, search=shorter, stay=stay)
+            # Shorter steps are no reason to leave a posture in which the arm was to stay.
+            other = sliding_guess(request, search=shorter, stay=stay or guess.pinned)
         except PathNotFound:
             break
         if leaping:

@@ -64,11 +64,12 @@ def test_from_a_sheet_to_a_scene_that_knows_its_stiffness(sheet: Path) -> None:
 
 def test_a_misfit_is_refused_with_its_row_unless_it_is_accepted(sheet: Path) -> None:
     text, target = filled(sheet).read_text(encoding="utf-8"), sheet.with_name("wrong.stiffness.yaml")
-    # A wrong sign in the last row.
-    at = text.rindex("deflection_mm: [") + len("deflection_mm: [")
-    x, rest = text[at:].split(",", 1)
+    # A wrong sign of the last row's z.
+    before, rest = text.rsplit("deflection_mm: [", 1)
+    x, y, z = rest.split("]", 1)[0].split(",")
     wrong = sheet.with_name("wrong.yaml")
-    wrong.write_text(f"{text[:at]}{-float(x)},{rest}", encoding="utf-8")
+    row = f"deflection_mm: [{x},{y}, {-float(z)}]"
+    wrong.write_text(f"{before}{row}{rest.split(']', 1)[1]}", encoding="utf-8")
     refused = run("identify", wrong)
     assert refused.status == 2
     assert "measurements[" in refused.err

@@ -159,7 +159,7 @@ def test_a_missing_urdf_is_said_before_what_goes_with_it(tmp_path: Path) -> None
 
 
 def test_the_obstacle_in_the_way_is_named() -> None:
-    wall = {"name": "wall", "box": [0.02, 3, 3], "xyz": [1.9, 0.6, -2.0]}
+    wall = {"name": "wall", "box": [0.02, 3, 3], "xyz": [2.0, 0.7, -2.0]}
     for knots in ("fixed", "sliding"):
         scene = {
             **SHORT,

@@ -33,6 +33,7 @@ from cmbot.archive import write_file
 from cmbot.common.errors import ArchiveError, OptimisationFailed
 from cmbot.common.installation import assumptions_file
 from cmbot.planning import Plan
+from cmbot.scene import load_scene
 from cmbot.simulation import SimulationOptions, Tracking, simulate
 
 TRIANGLE, LINE = PAPER
@@ -72,6 +73,13 @@ def planner(
     monkeypatch.setattr(experiment, "plan", known)
     monkeypatch.setattr(experiment, "simulate", simulated)
     return asked
+
+
+@pytest.mark.parametrize("paper", PAPER, ids=lambda paper: paper.scene)
+def test_the_papers_comparison_leaves_the_sag(paper: PaperExperiment) -> None:
+    """The paper's arm sags, and its errors are those of the sag; plans compensate it by default."""
+    planner = load_scene(paper.scene_file).planner
+    assert (planner.compensate, planner.baseline) == (False, "paper")
 
 
 @pytest.mark.parametrize("paper", PAPER, ids=lambda paper: paper.scene)
