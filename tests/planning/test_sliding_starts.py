@@ -1,12 +1,10 @@
 """Where sliding knots start: in the scene's posture as long as that leads on, or is as good as another."""
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import robot_files
 from small_scenes import parts, request_of, short_scene
 
 from cmbot.common.errors import PathNotFound
@@ -20,11 +18,10 @@ BALL = {"name": "ball", "sphere": 0.0555, "xyz": [0.95, 0.52, -1.0]}
 PINNED = {"knots": "sliding", "start": "pinned"}
 
 
-def test_a_pinned_start_that_leads_nowhere_is_left_for_the_nearest_that_does(urdf_folder: Path) -> None:
-    limits = urdf_folder / "joint_limits.yaml"
-    # The brakes of the locked joints would forbid what is near.
-    robot_files.replace(limits, "holding_torque: 460", "holding_torque: 600")
-    scene = short_scene(robot={"limits": str(limits)}, obstacles=[BALL], planner=PINNED)
+def test_a_pinned_start_that_leads_nowhere_is_left_for_the_nearest_that_does() -> None:
+    # Towards the foot, so that the locked joints hold what is near.
+    legs = [{"by": [-0.08, -0.3, 0.08], "seconds": 4}]
+    scene = short_scene(obstacles=[BALL], planner=PINNED, tool_path={"legs": legs})
     planned = plan(scene)
     assert planned.certificate.holds
     first = planned.start.failures[0]
