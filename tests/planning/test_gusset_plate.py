@@ -20,7 +20,10 @@ def job() -> Plan:
 def test_the_tool_covers_the_plate_square_to_it(job: Plan) -> None:
     raster, path = job.scene.strokes[0].raster, job.task.path
     t = np.linspace(0, path.duration, 4001)
-    p, R = Kinematics(job.robot).tool_poses(job.trajectory.evaluate(t))
+    q = job.trajectory.evaluate(t)
+    p, R = Kinematics(job.robot).tool_poses(q)
+    # The tool that is held to the path is the bent arm's.
+    p += job.sag.along(t, q)
     # The face is in a plane across x, which the nozzle looks along.
     face = job.scene.frame_poses["plate"][0, 3]
     np.testing.assert_allclose(p[:, 0], face - raster.stand_off_m, atol=1e-3)

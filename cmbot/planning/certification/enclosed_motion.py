@@ -120,12 +120,14 @@ class EnclosedMotion:
     def holding_torque(self) -> Iterator[Check]:
         """Yield what each locked joint between the feet and the arm holds."""
         robot, wrench = self._robot, self._efforts.guardrail_wrench
-        force, torque = (
+        parts = [
             self._pieces.remainder(of) for of in (self._bounds.guardrail_force, self._bounds.guardrail_torque)
-        )
+        ]
         held, (rows, _) = robot.holding_torque(wrench), robot.holding_rows
         for k, joint in enumerate(robot.holding_joints):
-            size = np.linalg.norm(rows[k, :3]) * force + np.linalg.norm(rows[k, 3:]) * torque
+            sizes = np.linalg.norm(rows[k].reshape(2, 3), axis=1)
+            # A part that the joint does not feel may be without end.
+            size = np.sum([of * part for of, part in zip(sizes, parts, strict=True) if of > 0], axis=0)
             resolution = _TORQUE_RESOLUTION * float(np.abs(held[:, k]).max())
             peak = self._highest(
                 held[:, k : k + 1], lambda values, piece: np.abs(values).max(axis=1), size, resolution

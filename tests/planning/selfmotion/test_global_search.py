@@ -120,7 +120,7 @@ def test_no_plan_rests_below_the_bound(by: tuple[float, float, float]) -> None:
 
 
 WALL = {"name": "wall", "box": [2.5, 0.1, 2.5], "xyz": [1.85, 0.5, -2.06]}
-FAR = {"legs": [{"by": [0, 2.5, 0], "seconds": 60}]}
+FAR = {"legs": [{"by": [0, 0, -2.5], "seconds": 60}]}
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,10 @@ def check_chart(robot: Robot, task: ToolTask, chart: Chart, goal: ToolPoses, spa
     assert cKDTree(chart.q).query(chart.q, k=2)[0][:, 1].min() > 0.69 * spacing
     np.testing.assert_array_equal(chart.within, within(robot, chart.q))
     np.testing.assert_allclose(chart.value, np.linalg.norm(at.guardrail_torque, axis=1))
-    np.testing.assert_allclose(chart.joint_use, (np.abs(at.joint_torque) / robot.limits.torque).max(axis=1))
+    held = robot.holding_torque(np.hstack([at.guardrail_force, at.guardrail_torque]))
+    torque = np.hstack([at.joint_torque, held])
+    bounds = np.hstack([robot.limits.torque, [joint.limit for joint in robot.holding_joints]])
+    np.testing.assert_allclose(chart.joint_use, (np.abs(torque) / bounds).max(axis=1))
 
 
 def all_postures(robot: Robot, task: ToolTask, goal: ToolPoses) -> np.ndarray:

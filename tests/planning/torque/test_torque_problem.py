@@ -113,15 +113,16 @@ def test_endless_joints_have_no_ends(tmp_path: Path) -> None:
 def test_sampled_constraints_are_kept_a_little_inside(fixed: TorqueProblem) -> None:
     """For what is not seen between samples, the less the more there are."""
     asked, options = fixed.request, fixed.request.cell.options
-    torque, deviation, clearance, lag, rotation = fixed.constraints
+    torque, deviation, clearance, lag, held, rotation = fixed.constraints
     inside = 1 - 0.5 / options.samples_per_segment**2
     np.testing.assert_allclose(torque.bound, asked.cell.robot.limits.torque * inside, rtol=1e-14)
+    np.testing.assert_allclose(held.bound, asked.cell.robot.holding_limits * inside, rtol=1e-14)
     assert deviation.bound == pytest.approx(options.max_tool_deviation_m * inside)
     assert lag.bound == pytest.approx(options.max_tool_lag_m * inside)
     assert rotation.bound == pytest.approx(np.deg2rad(options.max_tool_rotation_deg) * inside)
     # The clearance's bound falls short of the distance by up to its resolution.
     assert clearance.margin == pytest.approx(options.safety_margin_m + 1e-5 + RESOLUTION)
-    assert [each.components for each in fixed.constraints] == [14, 1, None, 2, 1]
+    assert [each.components for each in fixed.constraints] == [14, 1, None, 2, 4, 1]
     assert fixed.joints == asked.cell.robot.joints
 
 
