@@ -115,10 +115,10 @@ def test_a_campaign_plans_and_goes_on(file: Path, ran: list[str]) -> None:
     assert ran == ["first"]
     # It does not matter what a process has planned before.
     assert (folder / rows["first"]["plan"] / "job.csv").read_bytes() == motion
-    file.write_text(TEXT.replace("2.0}}", "3.0}}"), encoding="utf-8")
+    file.write_text(TEXT.replace("2.0}}", "2.5}}"), encoding="utf-8")
     cmbot.campaign(file, folder)
     assert ran == ["first", "heavy"]
-    assert table(folder)["heavy"]["set.robot.payload_kg"] == 3.0
+    assert table(folder)["heavy"]["set.robot.payload_kg"] == 2.5
     cmbot.campaign(file, folder, again=True)
     assert ran == ["first", "heavy", "far"]
     # Pages are added where they are missing, and stay.

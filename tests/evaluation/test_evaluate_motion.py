@@ -1,7 +1,7 @@
 """Motions planned elsewhere: judged as plans are, where they follow the scene and where they do not."""
 
 import json
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +11,10 @@ from command_line import output, refusal
 from cmbot.archive import export_ros
 from cmbot.common.errors import InputError
 from cmbot.evaluation import JointMotion, evaluate, evaluation_json, read_motion
-from cmbot.planning import MotionMetrics, Plan
+from cmbot.planning import MotionMetrics, Plan, plan
 from cmbot.robot import Robot
 from cmbot.scene import load_scene
+from cmbot.simulation import Tracking
 
 TOPPRA = Path(__file__).with_name("line_toppra.csv")
 
@@ -28,22 +29,27 @@ def _require_same(figures: MotionMetrics, expected: MotionMetrics, to: float = 1
         assert getattr(figures.limit_use, field.name) == pytest.approx(wanted, rel=to), field.name
 
 
-@pytest.mark.parametrize("name", ["strokes_plan", "returning_plan", "rail_plan"])
+@pytest.fixture
+def compensated_plan(compensated_short: tuple[Plan, Tracking]) -> Plan:
+    return compensated_short[0]
+
+
+@pytest.mark.parametrize("name", ["strokes_plan", "returning_plan", "rail_plan", "compensated_plan"])
 def test_a_plans_own_message_has_its_figures(
     name: str, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
-    plan: Plan = request.getfixturevalue(name)
-    export_ros(plan, tmp_path / "job.json")
-    found = evaluate(plan.scene, read_motion(tmp_path / "job.json", plan.robot), options=plan.options)
-    assert [segment.name for segment in found.job.segments] == [each.name for each in plan.job.segments]
-    assert not found.untimed and not found.missing and not found.broken
-    _require_same(found.job.figures, plan.job.figures)
-    _require_same(found.job.stroke_figures, plan.job.stroke_figures)
-    bounds = found.job.certificate
-    assert bounds.clearance_bound == pytest.approx(plan.job.certificate.clearance_bound, abs=1e-6)
-    assert bounds.guardrail_torque_bound == pytest.approx(
-        plan.job.certificate.guardrail_torque_bound, rel=1e-6
+    planned: Plan = request.getfixturevalue(name)
+    export_ros(planned, tmp_path / "job.json")
+    found = evaluate(
+        planned.scene, read_motion(tmp_path / "job.json", planned.robot), options=planned.options
     )
+    assert [segment.name for segment in found.job.segments] == [each.name for each in planned.job.segments]
+    assert not found.untimed and not found.missing and not found.broken
+    _require_same(found.job.figures, planned.job.figures)
+    _require_same(found.job.stroke_figures, planned.job.stroke_figures)
+    bounds, expected = found.job.certificate, planned.job.certificate
+    assert bounds.clearance_bound == pytest.approx(expected.clearance_bound, abs=1e-6)
+    assert bounds.guardrail_torque_bound == pytest.approx(expected.guardrail_torque_bound, rel=1e-6)
 
 
 def test_a_plan_directory_and_its_table_have_the_same_motion(short_plan: Plan, saved_short: Path) -> None:
@@ -54,13 +60,15 @@ def test_a_plan_directory_and_its_table_have_the_same_motion(short_plan: Plan, s
     _require_same(evaluate(short_plan.scene, knots).job.figures, short_plan.job.figures)
 
 
-def test_a_motion_of_toppra_in_another_timing(line_plan: Plan) -> None:
-    """It takes the planned path in other times: rests as deep, other accelerations, no timed pose."""
-    motion = read_motion(TOPPRA, line_plan.robot)
-    found = evaluate(line_plan.scene, motion)
+def test_a_motion_of_toppra_in_another_timing() -> None:
+    """It takes the rigid arm's path in other times: rests as deep, other accelerations, no timed pose."""
+    scene = load_scene("line")
+    rigid_plan = plan(scene, options=replace(scene.planner, compensate=False))
+    motion = read_motion(TOPPRA, rigid_plan.robot)
+    found = evaluate(scene, motion)
     assert found.untimed == ("work",) and not found.missing
     assert "another timing" in " ".join(found.remarks())
-    figures, planned = found.job.figures, line_plan.figures
+    figures, planned = found.job.figures, rigid_plan.figures
     static = planned.peak_static_guardrail_torque
     assert figures.peak_static_guardrail_torque == pytest.approx(static, rel=1e-3)
     assert figures.max_tool_deviation == pytest.approx(planned.max_tool_deviation, abs=2e-5)
