@@ -6,6 +6,7 @@ The table of docs/assumptions.md is its output. Run it with ``python tools/sensi
 from __future__ import annotations
 
 import math
+import re
 import sys
 from copy import deepcopy
 from typing import Any
@@ -15,9 +16,6 @@ import cmbot
 # Keys of the scene file and the values that replace theirs.
 CHANGES: list[dict[str, object]] = [
     {"planner.start": "pinned"},
-    {"planner.step_share": 0.3},
-    {"planner.chart_spacing": 0.05},
-    {"planner.safety_margin_m": 0.05},
     {"robot.tool_length_m": 0.25},
     {"robot.tool_length_m": 0.35},
     {"robot.payload_kg": 5.0},
@@ -44,7 +42,7 @@ def row(name: str, content: dict[str, Any]) -> str:
     try:
         plan = cmbot.plan(cmbot.load_scene(content))
     except cmbot.PlanningError as error:
-        return f"| {name} | no plan: {str(error).split(';')[0]} | | | |"
+        return f"| {name} | no plan: {re.split('[;:]', str(error))[0]} | | | |"
     figures = (
         "-" if plan.baseline is None else f"{plan.baseline.figures.peak_static_guardrail_torque:.2f}",
         f"{plan.figures.peak_static_guardrail_torque:.2f}",

@@ -137,8 +137,7 @@ class ModesFile(FileModel):
     """What the robot stands on, by six natural modes without the robot.
 
     They are those of a modal test, or of a finite-element model, and take the place of the guardrail's
-    stiffness and mass: with the shapes Psi, of modal mass 1 kg,
-    ``M = Psi^-T Psi^-1``, ``K = Psi^-T diag(w^2) Psi^-1``.
+    stiffness and mass.
     """
 
     frequencies_hz: tuple[Hertz, Hertz, Hertz, Hertz, Hertz, Hertz]

@@ -51,7 +51,7 @@ class PlannerOptions(CheckedFields):
     objective : str
         What is minimised. ``torque``: the norm of the torque on the base, Eq. (12); ``sag``: the tool's
         sag at rest; ``hold``: the largest adhesion that a foot needs; ``sway``: the tool's RMS by 1 m/s2 of
-        the deck (`cmbot.excitation.sway_mm_per_m_s2`); ``travel``: nothing of the base, but
+        the deck. ``travel``: nothing of the base, but
         how far the joints travel between via-points, and their jerk.
     moment_about : str
         The point about which the torque is taken. ``foot``: O0, n_0. ``base``: the origin of the arm's base

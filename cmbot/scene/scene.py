@@ -180,7 +180,8 @@ class Scene(FileModel):
             expected = "no such key beside a stiffness: one of them says how the base bends"
             raise refusal(expected, got="modes", key=("base", "modes"))
         if self.base is not None and self.base.hold and (self.on_guardrail or self.guardrail.hold):
-            raise refusal("no such key beside guardrail.hold", got="hold", key=("base", "hold"))
+            expected = "guardrail.hold: base.hold is for robots that hold no guardrail"
+            raise refusal(expected, got="hold", key=("base", "hold"))
         if self.guardrail.mass is not None and self.guardrail.stiffness is None and not measured:
             expected = "no mass where no stiffness is given"
             raise refusal(expected, got="a mass alone", key=("guardrail", "mass"))

@@ -276,6 +276,9 @@ def test_what_the_readme_says_is_gained_is_the_planners() -> None:
     for quoted, made in zip(cells(README, "jobs"), document_figures.gains("gusset_plate"), strict=True):
         assert quoted[0] == made[0]
         for old, new in zip(quoted[1:3], made[1:], strict=True):
+            if "-" in (old, new):
+                assert old == new, made[0]
+                continue
             last_digit = 10.0 ** -len(old.partition(".")[2])
             close = pytest.approx(float(new), rel=SAME_APPROACH, abs=1.01 * last_digit)
             assert float(old) == close or "swing" in made[0], made[0]
@@ -353,7 +356,9 @@ def test_parts_of_scenes_that_documents_show_are_read() -> None:
                 continue
             if re.search(r"\b(identified|mesh|limits):", block):
                 continue
-            cmbot.load_scene({**SHORT, **data})
+            # A robot that holds something else holds no guardrail.
+            held = {"robot": {"model": "panda"}} if "hold" in data.get("base", {}) else {}
+            cmbot.load_scene({**SHORT, **held, **data})
             read += 1
     assert read >= 9
 
