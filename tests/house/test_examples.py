@@ -67,7 +67,7 @@ def test_load_robot(tmp_path: Path) -> None:
 def test_plan_a_scene(tmp_path: Path) -> None:
     text = run("02_plan_a_scene.py", tmp_path)
     checks = text.split("check by check:\n")[1].split("\n\n")[0].splitlines()
-    assert len(checks) == 13
+    assert len(checks) == 15
     # What it is there to show: knot derivatives cannot undercut gravity at the via-points, slides can.
     baseline = number(r"baseline, from the scene's posture: +(\S+)", text)
     at_via_points = number(r"fixed knots, at the via-points: +(\S+)", text)
@@ -132,8 +132,9 @@ def test_send_to_a_robot(tmp_path: Path) -> None:
     assert numbers(r"^starts in: (.+) rad$", text.replace(",", ""))[:2] == pytest.approx(
         [math.radians(-10), math.radians(-90)], abs=1e-4
     )
-    # The knots of the plan: as many as via-points.
-    assert re.search(r"^8 points in 4\.00 s$", text, flags=re.MULTILINE)
+    # The knots of the plan: as many as via-points, after those of the approach to where the bent arm begins.
+    points, seconds = (number(pattern, text) for pattern in (r"^(\d+) points", r"points in (\S+) s$"))
+    assert points > 8 and seconds > 4
     assert text.endswith("nothing is sent\n")
 
 
