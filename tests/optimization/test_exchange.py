@@ -195,7 +195,7 @@ def solved(request: pytest.FixtureRequest) -> Solved:
     changes: dict[str, Any] = {
         "there": {},
         "there and back": {"tool_path": {"legs": OUT_AND_BACK, "via_points": 9}},
-        "payload": {"robot": {"payload_kg": 3.0}},
+        "payload": {"robot": {"payload_kg": 2.0}},
     }[request.param]
     problem = problem_of(short_scene(**changes))
     reports: list[ExchangeReport] = []

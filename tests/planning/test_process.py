@@ -45,7 +45,7 @@ def pushed_plan() -> Plan:
             {"process_force_n": list(FORCE)},
             posture_deg=[26, -146, 43, 161, -84, -112, -55],
             tool_path={"from": begin},
-            planner={"knots": "sliding"},
+            planner={"knots": "sliding", "min_gain": 1e-3},
         )
     )
 

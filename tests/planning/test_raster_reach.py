@@ -44,11 +44,11 @@ def test_rows_end_where_the_arm_does() -> None:
     (stroke,) = strokes_of(far, robot_of(far))
     (found,) = coverage_of([stroke]).values()
     assert found.area == pytest.approx(0.52)
-    # A joint's torque ends it before the arm is stretched.
+    # Torques of joints and of locked ones end it before the arm is stretched.
     robot = robot_of(far)
     away = np.linalg.norm(stroke.path.corners - robot.base_point, axis=1)
     assert 0.6 * robot.reach < away.max() < robot.reach
-    assert 0.1 * found.area < found.unreached < 0.3 * found.area
+    assert 0.1 * found.area < found.unreached < 0.4 * found.area
 
 
 def test_all_or_nothing_is_asked_for() -> None:

@@ -56,7 +56,10 @@ def test_a_moved_frame_is_followed_and_certified(earlier: Plan, sign: int, tmp_p
     # The corners as the scene has them, not as the planner's path does.
     turn = Rotation.from_rotvec(np.deg2rad(sign) * _AXIS)
     corners = np.array([[0, 0, 0], [0, -1.0, 0], [0, -0.8244, 0.0958], [0, 0, 0]])
-    tool, turned = Kinematics(read.robot).tool_poses(read.trajectory.evaluate(np.array([0.0, 10, 12, 20])))
+    q = read.trajectory.evaluate(np.array([0.0, 10, 12, 20]))
+    tool, turned = Kinematics(read.robot).tool_poses(q)
+    # The tool that is held to the path is the bent arm's.
+    tool += read.sag.at(q).tool
     np.testing.assert_allclose(tool, _A + sign * 0.02 * _AXIS + turn.apply(corners), atol=2e-5)
     asked = turn * Rotation.from_euler("xyz", _TOOL_RPY_DEG, degrees=True)
     off = (asked.inv() * Rotation.from_matrix(turned)).magnitude()
@@ -87,7 +90,8 @@ def test_where_nothing_leads_on_from_the_earlier_postures_it_is_planned_anew(ear
     # It began after an approach; now it has to begin in the scene's posture, far from there.
     scene = earlier.scene.with_options(start="pinned")
     plan = cmbot.replan(earlier, scene, progress=False)
-    assert plan.start.moved < 1e-3 < earlier.start.moved
+    # The scene's posture, but for the sag that is compensated.
+    assert plan.start.moved < np.deg2rad(1) < earlier.start.moved
     assert plan.fallbacks[0].startswith("Planned anew, as near the earlier plan none was found: ")
     assert plan.job.certificate.holds and plan.lower_bound is not None
 

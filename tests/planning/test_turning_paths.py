@@ -9,7 +9,7 @@ import pytest
 from small_scenes import SHORT, off_task, request_of, with_corners
 
 from cmbot import load_plan, load_scene, plan, save
-from cmbot.common.errors import ArchiveError, LimitViolation, PathNotFound
+from cmbot.common.errors import LimitViolation, PathNotFound
 from cmbot.planning import Plan, remarks
 from cmbot.planning.certification.certificate import certify
 from cmbot.planning.path.first_posture import starting_at_path
@@ -182,5 +182,5 @@ def test_a_stored_plan_of_another_beginning_is_refused(tmp_path_factory: pytest.
     moved = elsewhere({**BEGIN, "xyz": [1.75, 0.71, -2.0]}, knots="fixed")
     folder = tmp_path_factory.mktemp("forged") / "plan"
     save(replace(made, scene=moved), folder)
-    with pytest.raises(ArchiveError, match="as computed again"):
+    with pytest.raises(LimitViolation, match=r"of the tool from its place at a via-point is 0\.01 m"):
         load_plan(folder, verify=True)

@@ -309,14 +309,20 @@ def test_the_picture_changes_with_time_and_side_by_side_each_half_has_its_arm(sh
         np.testing.assert_allclose(tool_of(shown, arm), before, atol=1e-9)
 
 
-def test_marks_go_with_the_bent_arm(shown: Chrome) -> None:
+@pytest.mark.parametrize("arm", ["planned", "baseline"])
+def test_marks_go_with_the_bent_arm(shown: Chrome, triangle_plan: Plan, arm: str) -> None:
+    """The mark of the bent tool ends where the bent arm carries the rigid arm's tool."""
+    robot = triangle_plan.robot
     slide(shown, "deflection", 1)
     shown.execute_script("cmbotReplay.seek(cmbotReplay.workStart + 5)")
-    rigid, bent, carried = ask(
-        shown,
-        """(({ marks: { bent: { planned: stick } }, bending }, joint) => [
-            stick.from, stick.to, bending.carried("planned", joint, stick.from.clone())
-        ].map((point) => point.toArray()))(cmbotReplay.stage, cmbotReplay.links.length)""",
+    rigid, carried, bent = shown.execute_script(
+        """const [arm, tool] = arguments, { marks, bending } = cmbotReplay.stage;
+        const stick = marks.bent[arm], rigid = stick.to.clone().set(...tool);
+        rigid.applyMatrix4(bending.drawn[arm].rigid.at(-1));
+        const carried = bending.carried(arm, cmbotReplay.links.length, rigid.clone());
+        return [rigid, carried, stick.to].map((point) => point.toArray());""",
+        arm,
+        robot.model.frames[robot.tool_frame_id].placement.translation.tolist(),
     )
     assert np.linalg.norm(np.subtract(bent, rigid)) > 5e-3
     np.testing.assert_allclose(carried, bent, atol=3e-4)

@@ -339,6 +339,8 @@ class ProcessSpeed:
 
 def _directions_across(axis: FloatArray, away: FloatArray) -> FloatArray:
     """Unit vectors (8, N, 3) across unit vectors `axis` (N, 3), all round; the first along `away` (N, 3)."""
+    # A leg of no length has no direction.
+    axis = np.where(axis.any(axis=1, keepdims=True), axis, np.eye(3)[np.abs(away).argmin(axis=1)])
     across = cross(axis, np.eye(3)[np.abs(axis).argmin(axis=1)])
     own = away - np.einsum("ki,ki->k", away, axis)[:, None] * axis
     u = np.where(np.linalg.norm(own, axis=1, keepdims=True) > _FLAT, own, across)

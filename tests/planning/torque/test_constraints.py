@@ -10,7 +10,7 @@ from finite_differences import check_derivative, check_state_derivatives
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from small_scenes import parts, short_request, short_scene
+from small_scenes import parts, short_request, short_scene, with_corners
 from state_samples import StateSamples as RandomStates
 
 from cmbot.collision import Clearances
@@ -215,10 +215,15 @@ def test_direction_cuts_of_the_tool_deviation(corner: Corner, rng: np.random.Gen
             assert not (cut.d_v.any() or cut.d_a.any())
 
 
-def test_tool_deviation_on_the_path_is_flat(corner: Corner) -> None:
-    """A distance has no derivative at zero: none is made up, and nothing is divided by."""
+@pytest.mark.parametrize("rests", [False, True])
+def test_tool_deviation_on_the_path_is_flat(corner: Corner, rests: bool) -> None:
+    """A distance has no derivative at zero: none is made up, and nothing is divided by, nor in a pause."""
     robot, task, _ = corner
     q = np.deg2rad([[-10.0, -90, 90, 0, 10, 50, 0]])
+    if rests:
+        (start,) = Kinematics(robot).tool_poses(q)[0]
+        corners = np.array([start, start, *task.path.corners[2:]])
+        task = replace(task, path=with_corners(task.path, corners))
     got = ToolDeviation(Postures(robot), task, 1e-3).linearize(
         StateSamples.at_rest(np.zeros(1), q), np.zeros(1, dtype=np.intp)
     )
