@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -15,7 +16,7 @@ from cmbot.optimization import Linearization, StateSamples
 from cmbot.planning.task import ToolTask
 from cmbot.planning.workcell.bent_tool import BentTool
 from cmbot.planning.workcell.objectives import efforts_of
-from cmbot.robot import Dynamics, Postures, ToolBatch
+from cmbot.robot import Dynamics, Efforts, Postures, ToolBatch
 from cmbot.toolpath import ToolPoses
 
 # A norm has no derivative at zero; below this share of its bound it is taken as flat.
@@ -29,31 +30,48 @@ _FEW = 8
 
 
 @dataclass(frozen=True, eq=False)
-class JointTorque:
-    """Joint torques within their bounds (Chang 2021, Eq. (32)); components: +1..+n, then -1..-n."""
+class _SignedTorque(ABC):
+    """Torques of n joints within bounds of both signs; components: +1..+n, then -1..-n."""
 
     dynamics: Dynamics
     bound: FloatArray
-    name: str = "joint torque"
-    limit: Limit = Limit.JOINT_TORQUE
 
     @property
     def components(self) -> int:
         """Two a joint."""
         return 2 * len(self.bound)
 
+    @abstractmethod
+    def _torque(self, efforts: Efforts) -> FloatArray:
+        """The torques (N, n)."""
+
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
-        """Return tau/tau_C - 1 and -tau/tau_C - 1, (N, 2n)."""
-        share = efforts_of(self.dynamics, states).joint_torque / self.bound
+        """Return torque/bound - 1 and -torque/bound - 1, (N, 2n)."""
+        share = self._torque(efforts_of(self.dynamics, states)) / self.bound
         value = np.hstack([share - 1, -share - 1])
         return value, np.broadcast_to(np.arange(value.shape[1]), value.shape)
 
+    def _signed(self, component: IntArray) -> tuple[IntArray, FloatArray]:
+        """The joints of components, and the factors that make shares of their torques."""
+        n = len(self.bound)
+        joint = component % n
+        return joint, np.where(component < n, 1.0, -1.0) / self.bound[joint]
+
+
+@dataclass(frozen=True, eq=False)
+class JointTorque(_SignedTorque):
+    """Joint torques within their bounds (Chang 2021, Eq. (32))."""
+
+    name: str = "joint torque"
+    limit: Limit = Limit.JOINT_TORQUE
+
+    def _torque(self, efforts: Efforts) -> FloatArray:
+        return efforts.joint_torque
+
     def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
         """Linearize one signed joint torque at each state."""
-        n = len(self.bound)
         rows = self.dynamics.derivatives(states.q, states.v, states.a)
-        joint, k = component % n, np.arange(len(component))
-        factor = np.where(component < n, 1.0, -1.0) / self.bound[joint]
+        (joint, factor), k = self._signed(component), np.arange(len(component))
         d_q, d_v, d_a = (factor[:, None] * d[k, 3 + joint] for d in (rows.d_q, rows.d_v, rows.d_a))
         return Linearization(factor * rows.value[k, 3 + joint] - 1, d_q, d_v, d_a)
 
@@ -84,32 +102,19 @@ class FootHold:
 
 
 @dataclass(frozen=True, eq=False)
-class HoldingTorque:
-    """Torques of the locked joints between feet and arm within their bounds; components: +1..+k, -1..-k."""
+class HoldingTorque(_SignedTorque):
+    """Torques of the locked joints between feet and arm within their bounds."""
 
-    dynamics: Dynamics
-    bound: FloatArray
     name: str = "torque that locked joints hold"
     limit: Limit = Limit.HOLDING_TORQUE
 
-    @property
-    def components(self) -> int:
-        """Two a joint."""
-        return 2 * len(self.bound)
-
-    def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
-        """Return torque/bound - 1 and -torque/bound - 1, (N, 2k)."""
-        wrench = efforts_of(self.dynamics, states).guardrail_wrench
-        share = self.dynamics.robot.holding_torque(wrench) / self.bound
-        value = np.hstack([share - 1, -share - 1])
-        return value, np.broadcast_to(np.arange(value.shape[1]), value.shape)
+    def _torque(self, efforts: Efforts) -> FloatArray:
+        return self.dynamics.robot.holding_torque(efforts.guardrail_wrench)
 
     def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
         """Linearize one signed torque at each state."""
-        k, robot = len(self.bound), self.dynamics.robot
+        robot, (joint, factor) = self.dynamics.robot, self._signed(component)
         at = self.dynamics.wrench_derivatives(states.q, states.v, states.a)
-        joint = component % k
-        factor = np.where(component < k, 1.0, -1.0) / self.bound[joint]
         rows = factor[:, None] * robot.holding_rows[0][joint]
         share = factor * robot.holding_torque(at.value)[np.arange(len(joint)), joint]
         by = (np.einsum("ki,kij->kj", rows, d) for d in (at.d_q, at.d_v, at.d_a))
