@@ -144,7 +144,8 @@ def read_plan(
     if asked is not None:
         require_asked(scene, asked, str(source))
     promised = options or (asked.planner if asked is not None else file.options)
-    require_promised(file.options, resolved_options(scene, robot, promised), str(source), "options")
+    resolved = resolved_options(scene, bending_arm(scene, robot), promised)
+    require_promised(file.options, resolved, str(source), "options")
     job = parts.job(end)
     plan = Plan.of(
         parts.strokes(job, clearances),

@@ -18,7 +18,7 @@ from cmbot.archive.verification.asked import looser_promises, require_asked, req
 from cmbot.archive.walks import TourPart, bridge_of, ends_of, load_walk, place, read_tour
 from cmbot.common.errors import ArchiveError, InputError, LimitViolation
 from cmbot.common.validation import counted, given_path
-from cmbot.planning import Check, Plan, resolved_options
+from cmbot.planning import Check, Plan, bending_arm, resolved_options
 from cmbot.scene import PlannerOptions, Scene, StanceFile
 from cmbot.stances import in_world, joined
 from cmbot.stances.walking import Walk, WalkOptions, goal_stance, second_opinion_of, walk_csv
@@ -174,9 +174,9 @@ def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdi
         else:
             scene = asked.scenes[0] if asked.scenes else None
             part, skipped = read_plan(folder, verify=True, asked=scene, options=asked.options)
-            looser = looser_promises(
-                part.options, resolved_options(part.scene, part.robot, part.scene.planner)
-            )
+            arm = bending_arm(part.scene, part.robot)
+            own = resolved_options(part.scene, arm, part.scene.planner)
+            looser = looser_promises(part.options, own)
             skipped = (*_claims(part), *skipped)
         motions = tuple(_motions(name, part))
     except LimitViolation as error:

@@ -125,7 +125,7 @@ def build_workcell(scene: Scene, options: PlannerOptions, own: WrenchFunction | 
         expected = "a foot on flat steel, for objective: hold: base.hold, or guardrail.bays and no round bar"
         raise SceneError(scene.source, "guardrail", "none", expected)
     arm = bending_arm(scene, robot)
-    options = resolved_options(scene, robot, options)
+    options = resolved_options(scene, arm, options)
     if arm is not None:
         options = known_share(scene, arm, options)
     sag = sag_of(scene, arm, options)
@@ -165,14 +165,14 @@ def held_guardrail(scene: Scene, robot: Robot) -> Guardrail:
     return replace(scene.elastic_guardrail, leg_compliance=legs)
 
 
-def resolved_options(scene: Scene, robot: Robot, options: PlannerOptions) -> PlannerOptions:
+def resolved_options(scene: Scene, arm: ElasticArm | None, options: PlannerOptions) -> PlannerOptions:
     """Return options with `compensate` decided: where it is ``auto``, wherever something bends.
 
-    An arm that is too soft to carry itself where it starts has no sag; its plan says so.
+    The arm is that of `bending_arm`. One that is too soft to carry itself where it starts has no sag; its
+    plan says so.
     """
     if options.compensate != AUTO:
         return options
-    arm = bending_arm(scene, robot)
     try:
         bends = arm is not None and len(Sag(arm).at(np.array([scene.posture])).u) > 0
     except TooSoftError:
