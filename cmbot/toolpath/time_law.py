@@ -21,21 +21,8 @@ _Jerk = Annotated[float, Field(ge=-1e9, le=1e9)]
 _SHARE_HALVINGS = 60
 # Shares of a duration that are nearer to each other are one break.
 _BREAK_TOLERANCE = 1e-12
-# Speed in a ramp from 0 to 1, over shares of the ramp: pieces of equal length, each by powers of what of the
-# ramp is behind since the piece began. The order of the derivative of the share covered that is continuous.
-_RAMPS: dict[str, tuple[int, tuple[tuple[float, ...], ...]]] = {
-    "trapezoidal": (1, ((0.0, 1.0),)),
-    "jerk_limited": (2, ((0.0, 0.0, 2.0), (1 / 2, 2.0, -2.0))),
-    "quiet": (
-        3,
-        (
-            (0.0, 0.0, 0.0, 16 / 3),
-            (1 / 12, 1.0, 4.0, -16 / 3),
-            (1 / 2, 2.0, 0.0, -16 / 3),
-            (11 / 12, 1.0, -4.0, 16 / 3),
-        ),
-    ),
-}
+# The order of the derivative of the share covered that is continuous.
+_CONTINUITY = {"trapezoidal": 1, "jerk_limited": 2, "quiet": 3}
 
 Kind = Literal["trapezoidal", "jerk_limited", "quiet"]
 """How the speed rises and falls."""
@@ -62,7 +49,7 @@ class TimeLaw:
     __repr__ = short_repr
 
     @staticmethod
-    def ramped(kind: Kind, up: float, cruise: float, down: float) -> TimeLaw:
+    def ramped(kind: Kind, up: float, cruise: float, down: float, *, flat: float = 0.0) -> TimeLaw:
         """Return a law with a ramp up, a constant speed and a ramp down, of so long durations.
 
         Parameters
@@ -73,19 +60,21 @@ class TimeLaw:
             ramp, -J at three quarters.
         up, cruise, down : float
             In any unit.
+        flat : float
+            Share of a quiet ramp with its largest acceleration, between tents that are the shorter for it:
+            0 to less than 1. The acceleration is 2 / (1 + flat) times the mean.
         """
-        order, shapes = _RAMPS[kind]
         whole = up + cruise + down
         up, cruise, down = up / whole, cruise / whole, down / whole
         speed = 1 / (cruise + 0.5 * (up + down))
-        phases = [(length, speed * terms) for length, terms in _ramp(shapes, up)]
+        phases = [(length, speed * terms) for length, terms in _ramp(kind, flat, up)]
         if cruise > 0:
             phases.append((cruise, np.array([speed])))
-        for length, terms in _ramp(shapes, down):
+        for length, terms in _ramp(kind, flat, down):
             falling = -speed * terms
             falling[0] += speed
             phases.append((length, falling))
-        return TimeLaw._of_speeds(phases, order)
+        return TimeLaw._of_speeds(phases, _CONTINUITY[kind])
 
     @staticmethod
     def _of_speeds(phases: Sequence[tuple[float, FloatArray]], order: int) -> TimeLaw:
@@ -173,11 +162,34 @@ class TimeLaw:
         return value
 
 
-def _ramp(shapes: Sequence[Sequence[float]], length: float) -> list[tuple[float, FloatArray]]:
+def _ramp(kind: Kind, flat: float, length: float) -> list[tuple[float, FloatArray]]:
     """The phases of a ramp of some `length`: their durations, and the speed from 0 to 1 by powers of time."""
     if not length > 0:
         return []
-    return [(length / len(shapes), np.array(shape) / length ** np.arange(len(shape))) for shape in shapes]
+    return [
+        (length * part, np.array(terms) / length ** np.arange(len(terms)))
+        for part, terms in _unit_ramp(kind, flat)
+        if part > 0
+    ]
+
+
+def _unit_ramp(kind: Kind, flat: float) -> list[tuple[float, tuple[float, ...]]]:
+    """The phases of a ramp of length 1, the speed in each by powers of what is behind since it began."""
+    if kind == "trapezoidal":
+        return [(1.0, (0.0, 1.0))]
+    if kind == "jerk_limited":
+        return [(0.5, (0.0, 0.0, 2.0)), (0.5, (0.5, 2.0, -2.0))]
+    # Tents of jerk of the length `tent`, between which the acceleration `a` is constant.
+    tent = 0.5 * (1 - flat)
+    a = 1 / (1 - tent)
+    bend, cube = a / tent, 2 * a / (3 * tent**2)
+    return [
+        (0.5 * tent, (0.0, 0.0, 0.0, cube)),
+        (0.5 * tent, (a * tent / 12, a / 2, bend, -cube)),
+        (flat, (a * tent / 2, a)),
+        (0.5 * tent, (1 - a * tent / 2, a, 0.0, -cube)),
+        (0.5 * tent, (1 - a * tent / 12, a / 2, -bend, cube)),
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -26,11 +26,12 @@ shapers = st.one_of(
     ),
 )
 ramped = st.builds(
-    lambda kind, up, cruise, down: TimeLaw.ramped(kind, up, cruise, down),
+    lambda kind, up, cruise, down, flat: TimeLaw.ramped(kind, up, cruise, down, flat=flat),
     st.sampled_from(KINDS),
     st.floats(0.05, 1.0),
     st.floats(0.0, 1.0),
     st.floats(0.05, 1.0),
+    st.floats(0.0, 0.9),
 )
 laws = st.one_of(ramped, st.builds(lambda law, shaper: law.shaped(shaper, SECONDS), ramped, shapers))
 
@@ -155,3 +156,15 @@ def test_a_law_is_recorded_by_its_jerk(law: TimeLaw, shaper: Shaper) -> None:
     shaped = law.shaped(shaper, SECONDS)
     u = np.linspace(0.0, 1.0, 301)
     np.testing.assert_allclose(LegLaw.of(0, shaped, SECONDS).law.share(u), shaped.share(u), rtol=0, atol=1e-9)
+
+
+@given(st.floats(0.05, 0.5), st.floats(0.0, 0.9))
+@settings(max_examples=40, deadline=None)
+def test_a_flat_ramp_has_the_smaller_acceleration(ramp: float, flat: float) -> None:
+    law = TimeLaw.ramped("quiet", ramp, 1 - 2 * ramp, ramp, flat=flat)
+    u = np.linspace(0.0, ramp, 4001)
+    acceleration = law.rate(u, 2)
+    mean = law.rate(np.array([ramp]))[0] / ramp
+    assert acceleration.max() == pytest.approx(2 * mean / (1 + flat), rel=1e-9)
+    # Over that share of the ramp it is as large as that.
+    assert np.mean(acceleration > acceleration.max() * (1 - 1e-9)) == pytest.approx(flat, abs=0.02)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -11,10 +11,11 @@ from cmbot.common.arrays import FloatArray
 from cmbot.planning.attempts.agenda import Agenda, Remedy, Solved
 from cmbot.planning.attempts.failure import Failure, attempted, failure_of
 from cmbot.planning.budget import Budget
-from cmbot.planning.initial_guess import InitialGuess, initial_guess, leap_failure, searched
+from cmbot.planning.initial_guess import InitialGuess, initial_guess, leap_failure, problem_near, searched
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.global_search import GlobalSearch
-from cmbot.planning.timing.timing import Timing, in_time
+from cmbot.planning.timing.timing import Timing
+from cmbot.planning.torque import Optimised, TorqueProblem, optimise
 
 S = TypeVar("S")
 
@@ -35,7 +36,7 @@ class Attempt:
     kept : float
         Factor on the safety margin that the guess keeps.
     timing : Timing, optional
-        Of legs whose shortest time is sought.
+        Of legs whose shortest time is sought, or whose laws were chosen.
     """
 
     request: StrokeRequest
@@ -51,20 +52,39 @@ class Attempt:
         return cls(request=request, guess=attempted(request, lambda: initial_guess(request)), **own)
 
     def quiet(self) -> Attempt:
-        """Return the attempt with the laws that a quiet stroke is to have, chosen along its guess.
+        """Return the attempt with the laws that a quiet stroke is to have, chosen along its optimised path.
 
-        It is this one where the laws are given, nothing is guessed, or nothing leads on in another law.
+        What the joints' path bends by counts as much as the law, and the guess bends otherwise. The attempt
+        is this one where the laws are given, nothing is guessed, or nothing leads on in another law.
         """
-        request, file = self.request, self.request.stroke.file
-        if file.speed_profile.kind != "quiet" or file.time_laws or not isinstance(self.guess, InitialGuess):
+        request, file, guess = self.request, self.request.stroke.file, self.guess
+        if file.speed_profile.kind != "quiet" or file.time_laws or not isinstance(guess, InitialGuess):
             return self
         # Imported where needed: SciPy's splines take a while to load.
         from cmbot.planning.timing.quiet_laws import quiet_laws
 
         request.reporter.step("choosing time laws by the sway that they would cause")
-        laws = quiet_laws(request, self.guess.problem.parametrization.trajectory)
-        timed = Attempt.of(in_time(request, laws), automatic=self.automatic) if laws else self
-        return timed if isinstance(timed.guess, InitialGuess) else self
+        optimised = attempted(request, lambda: optimise(guess.problem))
+        if not isinstance(optimised, Optimised):
+            return self
+        laws = quiet_laws(request, optimised.trajectory)
+        timing = Timing.along(request, optimised.trajectory, (), laws)
+        timed = self.in_timing(timing) if laws else self
+        return timed if isinstance(timed, Attempt) else self
+
+    def in_timing(self, timing: Timing) -> Attempt | Failure:
+        """Return the attempt in a timing, from the via-points of its joint path.
+
+        Nothing is charted for it: that joints get from one via-point to the next is what its laws are made
+        for, or what an optimised path does.
+        """
+        request, guess = timing.timed, self.guess
+        if not isinstance(guess, InitialGuess):
+            return guess
+        problem = attempted(request, lambda: problem_near(request, guess, timing.via_points(request)))
+        if not isinstance(problem, TorqueProblem):
+            return problem
+        return replace(self, guess=replace(guess, problem=problem), request=request, timing=timing)
 
     @cached_property
     def search(self) -> GlobalSearch | None:

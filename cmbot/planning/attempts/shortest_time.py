@@ -21,10 +21,10 @@ from cmbot.planning.attempts.failure import Failure, Uncertified, attempted, bri
 from cmbot.planning.attempts.motion import StrokeMotion, is_better
 from cmbot.planning.attempts.remedies import REMEDIES
 from cmbot.planning.budget import Budget
-from cmbot.planning.initial_guess import InitialGuess, initial_guess, problem_near
+from cmbot.planning.initial_guess import InitialGuess
 from cmbot.planning.timing.leg_paths import leg_paths, shortest_laws
 from cmbot.planning.timing.timing import Timing
-from cmbot.planning.torque import Optimised, TorqueProblem, optimise
+from cmbot.planning.torque import Optimised, optimise
 from cmbot.trajectory import QuinticTrajectory
 
 # Factors by which laws are stretched while no motion is certified.
@@ -62,12 +62,12 @@ def in_shortest_time(
     if not isinstance(slow.outcome, Solved):
         return Trial(attempt=slow.attempt, outcome=slow.outcome, parent=slow.parent, remedy=slow.remedy)
     timing = _timing(slow.attempt, slow.outcome.result.trajectory)
-    timed = _in(timing, slow.attempt) if isinstance(timing, Timing) else timing
+    timed = slow.attempt.in_timing(timing) if isinstance(timing, Timing) else timing
     if not isinstance(timed, Attempt):
         return Trial(attempt=slow.attempt, outcome=timed, parent=slow)
     remedies = (*REMEDIES, STRETCHED_LAWS, FEWER_STRETCHED_LEGS, FASTER_ROUND, better)
     agenda = agenda_of(first.request, work, remedies, budget, is_better(first.request))
-    return _bounded(agenda.search(timed, slow))
+    return agenda.search(replace(timed, is_first=False), slow)
 
 
 def _slow_motion(attempt: Attempt) -> Solved[Optimised] | Failure:
@@ -88,43 +88,7 @@ def _timing(before: Attempt, trajectory: QuinticTrajectory) -> Timing | Failure:
     laws = attempted(request, lambda: tuple(shortest_laws(request, paths)))
     if not isinstance(laws, tuple):
         return laws
-    return Timing(
-        request=request,
-        trajectory=trajectory,
-        paths=paths,
-        laws=laws,
-        factors=np.ones(len(laws)),
-        at_fault=np.zeros(len(laws), dtype=np.bool_),
-    )
-
-
-def _in(timing: Timing, before: Attempt) -> Attempt | Failure:
-    """The attempt in a timing, from the via-points of its joint path.
-
-    Nothing is charted for it: that joints get from one via-point to the next is what its laws are made for.
-    """
-    request, guess = timing.timed, before.guess
-    if not isinstance(guess, InitialGuess):
-        return guess
-    problem = attempted(request, lambda: problem_near(request, guess, timing.via_points(request)))
-    if not isinstance(problem, TorqueProblem):
-        return problem
-    changed = replace(guess, problem=problem)
-    return replace(before, guess=changed, request=request, timing=timing, is_first=False)
-
-
-def _bounded(trial: Trial[Attempt, StrokeMotion]) -> Trial[Attempt, StrokeMotion]:
-    """The trial with the lower bound of its own via-points; with that of the slow ones where charts fail."""
-    if not isinstance(trial.outcome, Solved) or trial.result.guess.search is None:
-        return trial
-    motion = trial.result
-    if motion.request.cell.options.objective == "travel":
-        return trial
-    own = attempted(motion.request, lambda: initial_guess(motion.request, trial.attempt.search))
-    if not isinstance(own, InitialGuess):
-        return trial
-    guess = replace(motion.guess, lower_bound=own.lower_bound, choice=own.choice, search=own.search)
-    return replace(trial, outcome=Solved(result=replace(motion, guess=guess)))
+    return Timing.along(request, trajectory, paths, laws)
 
 
 def _stretched_laws(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
@@ -150,9 +114,9 @@ def _fewer_stretched_legs(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
 
 
 def _stretched(trial: Trial[Attempt, Any], timing: Timing) -> Iterator[Attempt]:
-    attempt = _in(timing, trial.attempt)
+    attempt = trial.attempt.in_timing(timing)
     if isinstance(attempt, Attempt):
-        yield attempt
+        yield replace(attempt, is_first=False)
 
 
 def _faster_round(trial: Trial[Attempt, StrokeMotion]) -> Iterator[Attempt]:

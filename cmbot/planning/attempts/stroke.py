@@ -14,7 +14,7 @@ from cmbot.planning.attempts.failure import Failure, attempted
 from cmbot.planning.attempts.motion import StrokeMotion, certified_motion, is_better, peak_of
 from cmbot.planning.attempts.remedies import REMEDIES
 from cmbot.planning.budget import ADVICE_RUNS, RUNS, SHORTEST_TIME_RUNS, Budget
-from cmbot.planning.initial_guess import InitialGuess, guess_near, sliding_guess
+from cmbot.planning.initial_guess import InitialGuess, guess_near, initial_guess, sliding_guess
 from cmbot.planning.path.first_posture import starting_at_path
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.request import StrokeRequest
@@ -63,7 +63,10 @@ def plan_stroke(
         return PlannedStroke(trial=trial, runs=1)
     budget = Budget(runs=SHORTEST_TIME_RUNS if request.task.path.open_legs else RUNS)
     first = Attempt.of(request, automatic=automatic)
-    trial = searched_motion(first if request.task.path.open_legs else first.quiet(), budget)
+    quiet = first if request.task.path.open_legs else first.quiet()
+    trial = searched_motion(quiet, budget)
+    if quiet is not first and not isinstance(trial.outcome, Solved) and budget.left > 0:
+        trial = searched_motion(first, budget)
     return PlannedStroke(trial=trial, runs=budget.used)
 
 
@@ -73,9 +76,23 @@ def searched_motion(first: Attempt, budget: Budget) -> Trial[Attempt, StrokeMoti
         # Imported where needed: SciPy's splines and linear programs take a while to load.
         from cmbot.planning.attempts.shortest_time import in_shortest_time
 
-        return in_shortest_time(first, budget, certified_motion, LIGHTER_START)
+        return _bounded(in_shortest_time(first, budget, certified_motion, LIGHTER_START))
     remedies, better = (*REMEDIES, LIGHTER_START), is_better(first.request)
-    return agenda_of(first.request, certified_motion, remedies, budget, better).search(first)
+    return _bounded(agenda_of(first.request, certified_motion, remedies, budget, better).search(first))
+
+
+def _bounded(trial: Trial[Attempt, StrokeMotion]) -> Trial[Attempt, StrokeMotion]:
+    """The trial with the lower bound of its own via-points; with that of others where charts fail."""
+    if trial.attempt.timing is None or not isinstance(trial.outcome, Solved):
+        return trial
+    motion = trial.result
+    if motion.guess.search is None or motion.request.cell.options.objective == "travel":
+        return trial
+    own = attempted(motion.request, lambda: initial_guess(motion.request, trial.attempt.search))
+    if not isinstance(own, InitialGuess):
+        return trial
+    guess = replace(motion.guess, lower_bound=own.lower_bound, choice=own.choice, search=own.search)
+    return replace(trial, outcome=Solved(result=replace(motion, guess=guess)))
 
 
 def advice(refused: Trial[Attempt, StrokeMotion]) -> str:

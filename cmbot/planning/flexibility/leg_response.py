@@ -1,7 +1,7 @@
 """How an arm sways along a leg, and how it swings after it, for many time laws and stiffnesses at once.
 
-Along a joint path q(s) the loads on the elastic coordinates are ``A(s) s.. + B(s) s.^2`` beside those at
-rest. Among the slowest modes of a few postures
+Along a joint path q(s), s from 0 to 1, the loads on the elastic coordinates are ``A(s) s.. + B(s) s.^2``
+beside those at rest. Among the slowest modes of a few postures
 
     M(s) w'' + D w' + K(s) w = -(A(s) s.. + B(s) s.^2)
 
@@ -21,10 +21,9 @@ from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.modes import DAMPING, linearised
 from cmbot.planning.flexibility.leg_vibration import slowest
-from cmbot.toolpath import TimeLaw
 
 # Postures of a leg less one; modes of three of them that carry the motion.
-_INTERVALS, _CARRIERS = 12, 3
+_INTERVALS, _CARRIERS = 48, 3
 # Steps in a period of the slowest mode, and in a leg at least and at most.
 _STEPS_A_PERIOD, _LEAST_STEPS, _LIMIT_STEPS = 40, 120, 1500
 
@@ -52,7 +51,7 @@ class LegResponse:
     ----------
     arm : ElasticArm
     q : callable
-        Postures by the share of the leg's length, (N, n), and their derivatives by it.
+        Postures (N, n) at values (N,) of s, and their derivatives by it.
 
     Attributes
     ----------
@@ -87,13 +86,20 @@ class LegResponse:
         self._mass, self._stiffness = (V.T @ each @ V for each in (at.mass, at.stiffness))
         self._springs = V.T @ arm.stiffness @ V
 
-    def of(self, laws: Sequence[TimeLaw], seconds: float, factors: Sequence[float]) -> Response:
-        """Return the response to C laws that take `seconds`, s, with F factors on the stiffness."""
+    def of(
+        self,
+        laws: Sequence[Callable[[FloatArray, int], FloatArray]],
+        seconds: float,
+        factors: Sequence[float],
+    ) -> Response:
+        """Return the response to C laws that take `seconds`, s, with F factors on the stiffness.
+
+        A law is s, or a derivative of it, by the share of the time.
+        """
         period = 2 * np.pi / self.omega[0]
         steps = int(np.clip(np.ceil(seconds / period * _STEPS_A_PERIOD), _LEAST_STEPS, _LIMIT_STEPS))
         u, h = np.linspace(0.0, 1.0, steps + 1), seconds / steps
-        share = np.array([law.share(u) for law in laws])
-        rate, bend = (np.array([law.rate(u, k) for law in laws]) / seconds**k for k in (1, 2))
+        share, rate, bend = (np.array([law(u, k) for law in laws]) / seconds**k for k in range(3))
         place = np.clip((share * _INTERVALS).astype(int), 0, _INTERVALS - 1)
         within = (share * _INTERVALS - place)[..., None]
         A, B = ((1 - within) * of[place] + within * of[place + 1] for of in self._loads)

@@ -1,8 +1,9 @@
 """The time laws of a quiet stroke: of ramps and input shapers those by which the tool sways least.
 
 Each law takes the seconds of its leg and keeps a speed that is asked for. What a law makes of the arm is
-predicted along the joint path of the initial guess, for the stiffness as modelled and at both ends of its
-interval.
+predicted along the joint path of a motion by the scene's own law, for the stiffness as modelled and at both
+ends of its interval. That path is taken by the time of the motion, not by the share of the leg: at the ends
+of a leg joints move while the tool hardly does, so derivatives by the share have no bound there.
 """
 
 from __future__ import annotations
@@ -10,34 +11,63 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.modes import DAMPING
 from cmbot.planning.flexibility.leg_response import LegResponse
 from cmbot.planning.request import StrokeRequest
-from cmbot.planning.timing.leg_paths import LegPath, leg_paths
 from cmbot.toolpath import LegLaw, Segment, Shaper, TimeLaw, extra_insensitive, two_hump
 from cmbot.trajectory import QuinticTrajectory
 
-_RAMP_SHARES = (0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5)
+# Ramps, as shares of what a shaper leaves of a leg's time, and their shares of constant acceleration: the
+# larger these, the smaller the acceleration and the larger the jerk.
+_RAMP_SHARES, _FLAT_SHARES = (0.2, 0.3, 0.4, 0.5), (0.0, 0.25, 0.5, 0.75)
 # A shaper takes this share of a leg's time at most; ramps beside a speed that is asked for are no shorter.
 _LONGEST_SHAPER, _SHORTEST_RAMP = 0.4, 0.08
-# Share of the joints' bounds that a law may use along the guess: splines through its points swing about it.
-_MAX_JOINT_USE = 0.9
+# Share of the joints' bounds that a law may use along the path: splines through its points swing about it.
+# Where every law is beyond it, those are tried that use so many times what the least one does.
+_MAX_JOINT_USE, _MAX_USE_RATIO = 0.9, 1.1
 # What swings after the stop counts so much beside what sways at work: the next leg inherits it.
-_SWING_WEIGHT = 2.0
+_SWING_WEIGHT = 1.0
 # Legs whose response is predicted; others have the ramp and shaper of the one that is most like them.
 _MAX_LEGS = 8
-_LAW_TIMES = 241
+# Times of a leg at which laws are compared, but for the bounds within this share of its ends: self-motion there
+# goes by the time of the motion that is known, and is another one in a law that is planned.
+_LAW_TIMES, _LEAVING = 241, 0.1
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Leg:
+    """The motion of a leg by the scene's law."""
+
+    number: int
+    trajectory: QuinticTrajectory
+    begin: float
+    seconds: float
+    law: TimeLaw
+
+    def q(self, w: FloatArray, order: int) -> FloatArray:
+        """Postures (N, n), or a derivative of them, by the share of the time."""
+        return self.trajectory.evaluate(self.begin + w * self.seconds, order) * self.seconds**order
+
+    def when(self, laws: Sequence[TimeLaw]) -> list[CubicSpline]:
+        """Of each law, by the share of its time, that at which the leg's own law is as far."""
+        u = np.linspace(0.0, 1.0, _LAW_TIMES)
+        same = self.law.time_share(np.concatenate([law.share(u) for law in laws])).reshape(len(laws), -1)
+        same[:, [0, -1]] = 0.0, 1.0
+        return [CubicSpline(u, row) for row in same]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Candidate:
-    """A ramp, as a share of what a shaper leaves of a leg's time, and the number of the shaper."""
+    """A ramp, as a share of what a shaper leaves of a leg's time, its flat share, and the shaper's number."""
 
     ramp: float
+    flat: float
     shaper: int
     law: TimeLaw
 
@@ -52,19 +82,22 @@ def quiet_laws(request: StrokeRequest, trajectory: QuinticTrajectory) -> tuple[L
     request : StrokeRequest
         Its profile is ``quiet``.
     trajectory : QuinticTrajectory
-        Along which the laws are chosen: the initial guess's.
+        A motion along the stroke by the laws of the scene.
     """
-    segments, arm = request.task.path.segments, request.cell.arm
+    path, arm = request.task.path, request.cell.arm
+    segments = path.segments
     moving = [k for k, leg in enumerate(segments) if _moves(leg) and leg.process is None]
     if not moving:
         return ()
     places = np.unique(np.linspace(0, len(moving) - 1, min(len(moving), _MAX_LEGS)).round().astype(int))
-    paths = leg_paths(request, [moving[k] for k in places], trajectory)
     chosen = dict[int, tuple[_Candidate, FloatArray]]()
-    for path in paths:
-        response = None if arm is None else LegResponse(arm, path.q)
+    for number in (moving[k] for k in places):
+        begin, end = path.leg_times[number : number + 2].tolist()
+        law = segments[number].law
+        motion = _Leg(number=number, trajectory=trajectory, begin=begin, seconds=end - begin, law=law)
+        response = None if arm is None else LegResponse(arm, motion.q)
         omega = np.empty(0) if response is None else response.omega
-        chosen[path.leg] = _best(request, path, response, list(_candidates(request, path.leg, omega))), omega
+        chosen[number] = _best(request, motion, response, list(_candidates(request, number, omega))), omega
     if all(best.law is segments[leg].law for leg, (best, _) in chosen.items()):
         return ()
     laws = []
@@ -82,7 +115,8 @@ def _unlikeness(segments: Sequence[Segment], leg: int, other: int) -> tuple[floa
 
 def _alike(best: _Candidate, candidates: list[_Candidate]) -> TimeLaw:
     """The law with the ramp and the shaper of another leg's; where it does not fit, the scene's."""
-    same = [each for each in candidates if (each.ramp, each.shaper) == (best.ramp, best.shaper)]
+    kind = (best.ramp, best.flat, best.shaper)
+    same = [each for each in candidates if (each.ramp, each.flat, each.shaper) == kind]
     return (same or candidates)[0].law
 
 
@@ -92,9 +126,8 @@ def _moves(leg: Segment) -> bool:
 
 def _plain(request: StrokeRequest, leg: int) -> _Candidate:
     """The law as the scene has it."""
-    return _Candidate(
-        ramp=request.stroke.file.speed_profile.ramp, shaper=0, law=request.task.path.segments[leg].law
-    )
+    ramp, law = request.stroke.file.speed_profile.ramp, request.task.path.segments[leg].law
+    return _Candidate(ramp=ramp, flat=0.0, shaper=0, law=law)
 
 
 def _shapers(omega: FloatArray) -> list[Shaper | None]:
@@ -120,37 +153,38 @@ def _candidates(request: StrokeRequest, leg: int, omega: FloatArray) -> Iterator
             continue
         # The speed between ramps is that of the scene's law: (1 - share) (1 - ramp) is what it was.
         ramps = (1 - (1 - own) / (1 - share),) if asked else _RAMP_SHARES
-        for ramp in ramps:
-            if ramp < _SHORTEST_RAMP or (shaper is None and ramp == own):
+        for ramp, flat in product(ramps, _FLAT_SHARES):
+            if ramp < _SHORTEST_RAMP or (shaper is None and (ramp, flat) == (own, 0.0)):
                 continue
-            law = TimeLaw.ramped("quiet", ramp, 1 - 2 * ramp, ramp)
-            yield _Candidate(
-                ramp=ramp, shaper=number, law=law if shaper is None else law.shaped(shaper, seconds)
-            )
+            law = TimeLaw.ramped("quiet", ramp, 1 - 2 * ramp, ramp, flat=flat)
+            law = law if shaper is None else law.shaped(shaper, seconds)
+            yield _Candidate(ramp=ramp, flat=flat, shaper=number, law=law)
 
 
 def _best(
-    request: StrokeRequest, path: LegPath, response: LegResponse | None, candidates: list[_Candidate]
+    request: StrokeRequest, leg: _Leg, response: LegResponse | None, candidates: list[_Candidate]
 ) -> _Candidate:
     """The candidate with the least sway and swing of those within the joints' bounds."""
-    seconds, share = request.task.path.segments[path.leg].seconds, request.cell.options.quiet_stiffness_share
-    use = np.array([_use(request, path, candidate.law, seconds) for candidate in candidates])
-    allowed = max(_MAX_JOINT_USE, use.min())
-    fitting = [candidate for candidate, part in zip(candidates, use, strict=True) if part <= allowed]
+    share = request.cell.options.quiet_stiffness_share
+    when = leg.when([candidate.law for candidate in candidates])
+    use = np.array([_use(request, leg, *pair) for pair in zip(candidates, when, strict=True)])
+    allowed = max(_MAX_JOINT_USE, _MAX_USE_RATIO * use.min())
+    fitting = np.flatnonzero(use <= allowed).tolist()
     if response is None:
-        return fitting[0]
+        return candidates[fitting[0]]
     factors = sorted({1 - share, 1.0, 1 + share})
-    found = response.of([candidate.law for candidate in fitting], seconds, factors)
+    found = response.of([when[k] for k in fitting], leg.seconds, factors)
     merit = (found.sway + _SWING_WEIGHT * found.swing).max(axis=1)
-    return fitting[int(merit.argmin())]
+    return candidates[fitting[int(merit.argmin())]]
 
 
-def _use(request: StrokeRequest, path: LegPath, law: TimeLaw, seconds: float) -> float:
-    """Largest share of the joints' and the tool's bounds that a law asks for along a joint path."""
-    u, limits = np.linspace(0.0, 1.0, _LAW_TIMES), request.cell.robot.limits
-    s = law.share(u)
-    d, dd, ddd = ((law.rate(u, k) / seconds**k)[:, None] for k in (1, 2, 3))
-    q1, q2, q3 = (path.q(s, k) for k in (1, 2, 3))
+def _use(request: StrokeRequest, leg: _Leg, candidate: _Candidate, when: CubicSpline) -> float:
+    """Largest share of the joints' and the tool's bounds that a law asks for."""
+    limits, seconds = request.cell.robot.limits, leg.seconds
+    u = np.linspace(_LEAVING, 1.0 - _LEAVING, _LAW_TIMES)
+    w = np.clip(when(u), 0.0, 1.0)
+    d, dd, ddd = (when(u, k)[:, None] / seconds**k for k in (1, 2, 3))
+    q1, q2, q3 = (leg.q(w, k) for k in (1, 2, 3))
     asked = (
         np.abs(q1 * d) / limits.velocity,
         np.abs(q2 * d**2 + q1 * dd) / limits.acceleration,
@@ -158,7 +192,8 @@ def _use(request: StrokeRequest, path: LegPath, law: TimeLaw, seconds: float) ->
     )
     use = max(float(part.max()) for part in asked)
     if request.task.max_speed is not None:
-        length = request.task.path.segments[path.leg].curve.length
+        length = request.task.path.segments[leg.number].curve.length
+        speed = float(candidate.law.rate(u).max()) * length / seconds
         # A tool at its largest speed all along is what it is allowed.
-        use = max(use, _MAX_JOINT_USE * float(d.max()) * length / request.task.max_speed)
+        use = max(use, _MAX_JOINT_USE * speed / request.task.max_speed)
     return use

@@ -47,6 +47,23 @@ class Timing:
     at_fault: BoolArray
     reason: str = ""
 
+    @staticmethod
+    def along(
+        request: StrokeRequest,
+        trajectory: QuinticTrajectory,
+        paths: Sequence[LegPath],
+        laws: tuple[LegLaw, ...],
+    ) -> Timing:
+        """Return laws as they are, along a trajectory's joint path; `paths` stand for it on their legs."""
+        return Timing(
+            request=request,
+            trajectory=trajectory,
+            paths=paths,
+            laws=laws,
+            factors=np.ones(len(laws)),
+            at_fault=np.zeros(len(laws), dtype=np.bool_),
+        )
+
     @property
     def seconds(self) -> float:
         """Of the laws together, as they are before they are stretched."""
