@@ -25,7 +25,7 @@ from cmbot.trajectory import QuinticTrajectory
 
 # Ramps, as shares of what a shaper leaves of a leg's time, and their shares of constant acceleration: the
 # larger these, the smaller the acceleration and the larger the jerk.
-_RAMP_SHARES, _FLAT_SHARES = (0.2, 0.3, 0.4, 0.5), (0.0, 0.25, 0.5, 0.75)
+_RAMP_SHARES, _FLAT_SHARES = (0.15, 0.2, 0.3, 0.4, 0.5), (0.0, 0.25, 0.5, 0.75)
 # A shaper takes this share of a leg's time at most; ramps beside a speed that is asked for are no shorter.
 _LONGEST_SHAPER, _SHORTEST_RAMP = 0.4, 0.08
 # Share of the joints' bounds that a law may use along the path: splines through its points swing about it.
