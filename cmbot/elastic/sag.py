@@ -18,14 +18,14 @@ from cmbot.robot import Kinematics
 
 # Newton's method: most iterations, and the step, m and rad, at which it ends; the remaining error is about
 # the step's square.
-_ITERATIONS = 30
-_CONVERGED = 1e-8
+_MAX_NEWTON_STEPS = 30
+_NEWTON_TOLERANCE = 1e-8
 # Iterations at most with the stiffness of another posture.
-_QUICK = 12
+_MAX_FIXED_STIFFNESS_STEPS = 12
 # Longest interval, s, between computed postures of a smooth motion; a spline interpolates between them.
-_INTERVAL = 0.02
+_MAX_POSTURE_INTERVAL_S = 0.02
 # Below this length, m, the gradient of a length is taken as zero.
-_NO_DIRECTION = 1e-12
+_ZERO_LENGTH_M = 1e-12
 
 
 class TooSoftError(InputError):
@@ -82,7 +82,7 @@ class Sag:
 
     def along(self, t: FloatArray, q: FloatArray) -> FloatArray:
         """Return the tool's displacements (N, 3), m, on a smooth motion `q` (N, n) at times `t` (N,)."""
-        every = max(1, int(_INTERVAL / max(float(np.diff(t).max(initial=0.0)), 1e-9)))
+        every = max(1, int(_MAX_POSTURE_INTERVAL_S / max(float(np.diff(t).max(initial=0.0)), 1e-9)))
         some = np.unique(np.append(np.arange(0, len(t), every), len(t) - 1))
         if every == 1 or len(some) < 4:
             return self.following(q)
@@ -135,14 +135,14 @@ class Sag:
             tangent, _ = self._solve(q[:1], u[:1])
             chord = np.linalg.inv(0.5 * (tangent[0] + tangent[0].T))
             u[1:], left = u[0], np.arange(1, len(q))
-            for _ in range(_QUICK):
+            for _ in range(_MAX_FIXED_STIFFNESS_STEPS):
                 loads = np.empty((len(left), u.shape[1]))
                 for k, configuration in enumerate(arm.configuration(q[left], u[left])):
                     torque = pin.computeStaticTorque(model, data, configuration, arm.external_forces)
                     loads[k] = torque[arm.elastic]
                 step = (chord @ ((arm.stiffness @ u[left, :, None])[:, :, 0] + loads)[:, :, None])[:, :, 0]
                 u[left] -= step
-                left = left[~(np.abs(step).max(axis=1) < _CONVERGED)]
+                left = left[~(np.abs(step).max(axis=1) < _NEWTON_TOLERANCE)]
                 if not len(left):
                     break
             u[left] = 0.0
@@ -158,7 +158,7 @@ class Sag:
         """Return the tool's distances (N,), m, at postures `q` (N, n), and their gradients (N, n), m/rad."""
         at = self.at(q)
         length = np.linalg.norm(at.tool, axis=1)
-        unit = at.tool / np.maximum(length, _NO_DIRECTION)[:, None]
+        unit = at.tool / np.maximum(length, _ZERO_LENGTH_M)[:, None]
         return np.asarray(length), np.einsum("ki,kij->kj", unit, at.d_tool)
 
     def distance(self, q: FloatArray) -> FloatArray:
@@ -212,7 +212,7 @@ class Sag:
             return TooSoftError("Sag.at", f"q[{first + index}]", f"a posture {why}", expected)
 
         left = np.arange(len(q))
-        for _ in range(_ITERATIONS):
+        for _ in range(_MAX_NEWTON_STEPS):
             balance, tangent, _by_joints = self._balance(q[left], u[left])
             try:
                 step = np.linalg.solve(tangent, balance[:, :, None])[:, :, 0]
@@ -220,7 +220,7 @@ class Sag:
                 singular = int(np.abs(np.linalg.det(tangent)).argmin())
                 raise refused(int(left[singular]), "without equilibrium") from error
             u[left] -= step
-            left = left[~(np.abs(step).max(axis=1, initial=0.0) < _CONVERGED)]
+            left = left[~(np.abs(step).max(axis=1, initial=0.0) < _NEWTON_TOLERANCE)]
             if not len(left):
                 break
         else:
