@@ -155,7 +155,7 @@ class BaseArm:
         return np.array([ranked, torque, adhesion, sag, hz, sway, held, of_effort])
 
     def at_rest(self, q: FloatArray, stance: int, loads: StanceLoads) -> FloatArray:
-        """Return what is ranked (N,) at rest in postures (N, n) of one stance; in place of the sway the sag."""
+        """Return what is ranked (N,) at rest in postures (N, n) of one stance; as `_ranked` has it."""
         which = np.full(len(q), stance)
         _, wrench, push = self._loaded(q, which, loads)
         return self._ranked(q, which, wrench, push, loads)

@@ -62,8 +62,8 @@ class StanceRanking:
         What ended the search early: the ``time``, or an ``interrupt`` by the user; else empty.
     sag_limit : SagLimit or None
         What others than the own stance may sag, where that was not asked for: the scene's tolerance where it
-        has one and its sag is not compensated, else what the own stance sags, at least 5 mm. None where any sag is allowed,
-        nothing bends or the sag is ranked.
+        has one and its sag is not compensated, else what the own stance sags, at least 5 mm. None where any
+        sag is allowed, nothing bends or the sag is ranked.
     """
 
     scene: Scene

@@ -97,10 +97,12 @@ def _best_in_words(ranking: StanceRanking, best: StanceResult) -> Iterator[str]:
     if np.isfinite(least):
         first = min((each for each in ranked if each.status == "screened"), key=lambda each: each.bound)
         more = 1 - least / peak if peak > 0 else 0.0
+        # Charts are by the sag then.
+        stage = "postures" if ranking.objective == "sway" else first.stage
         by = f"by more than {100 * more:.1f} %" if more > 0 else "than the best one"
         yield (
             f"No stance that was not planned has a bound below {least:.4g} {unit} (estimate, "
-            f"{_LEFT_OUT_BY['postures' if ranking.objective == 'sway' else first.stage]}): none may be better {by}."
+            f"{_LEFT_OUT_BY[stage]}): none may be better {by}."
         )
     if ranking.proven > ranking.count("out of reach"):
         others = len(ranked) - ranking.count("planned")
