@@ -62,6 +62,7 @@ class StandCommand(Writing):
     max_base_torque_nm: float | None = option(None, "Torque on the base over the job.", least=0.0)
     max_adhesion_n: float | None = option(None, "Adhesion needed over the job.", least=0.0)
     max_sag_mm: float | None = option(None, "Sag of the tool at work.", least=0.0)
+    any_sag: bool = option(False, "Without --max-sag-mm, leave no stance out by its sag.")
     max_sway_mm: float | None = option(None, "Sway by 1 m/s2 of the deck.", least=0.0)
     max_travel_deg: float | None = option(None, "Travel of all joints together.", least=0.0)
     max_seconds: float | None = option(None, "Duration of the job.", least=0.0)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from scipy.linalg.lapack import dpotrf, dpotrs
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
@@ -21,8 +20,8 @@ from cmbot.robot import Kinematics
 # the step's square.
 _MAX_NEWTON_STEPS = 30
 _NEWTON_TOLERANCE = 1e-8
-# Iterations at most with the stiffness of a posture before.
-_MAX_FIXED_STIFFNESS_STEPS = 4
+# Iterations at most with the stiffness of another posture.
+_MAX_FIXED_STIFFNESS_STEPS = 12
 # Longest interval, s, between computed postures of a smooth motion; a spline interpolates between them.
 _MAX_POSTURE_INTERVAL_S = 0.02
 # Below this length, m, the gradient of a length is taken as zero.
@@ -128,25 +127,32 @@ class Sag:
     def following(self, q: FloatArray) -> FloatArray:
         """Return the tool's displacements (N, 3), m, in postures `q` (N, n), each close to the one before.
 
-        The same as `at` finds, quicker: each equilibrium is sought from the one before, with its stiffness.
+        The same as `at` finds, quicker: all equilibria are sought with the stiffness of the first one's.
         """
-        arm, model, data, tool = self.arm, self.arm.model, self._data, np.empty((len(q), 3))
-        rigid = Kinematics(arm.robot).tool_poses(q)[0]
-        u, factor = np.zeros(len(arm.elastic)), None
-        for k, angles in enumerate(q):
-            for _ in range(_MAX_FIXED_STIFFNESS_STEPS if factor is not None else 0):
-                configuration = arm.configuration(angles, u)
-                loads = pin.computeStaticTorque(model, data, configuration, arm.external_forces)
-                step = dpotrs(factor, arm.stiffness @ u + loads[arm.elastic])[0]
-                u = u - step
-                if np.abs(step).max(initial=0.0) < _NEWTON_TOLERANCE:
+        arm, model, data = self.arm, self.arm.model, self._data
+        tool, u = np.empty((len(q), 3)), np.zeros((len(q), len(arm.elastic)))
+        if u.size:
+            tangent, _ = self._solve(q[:1], u[:1])
+            chord = np.linalg.inv(0.5 * (tangent[0] + tangent[0].T))
+            u[1:], left = u[0], np.arange(1, len(q))
+            for _ in range(_MAX_FIXED_STIFFNESS_STEPS):
+                loads = np.empty((len(left), u.shape[1]))
+                for k, configuration in enumerate(arm.configuration(q[left], u[left])):
+                    torque = pin.computeStaticTorque(model, data, configuration, arm.external_forces)
+                    loads[k] = torque[arm.elastic]
+                step = (chord @ ((arm.stiffness @ u[left, :, None])[:, :, 0] + loads)[:, :, None])[:, :, 0]
+                u[left] -= step
+                left = left[~(np.abs(step).max(axis=1) < _NEWTON_TOLERANCE)]
+                if not len(left):
                     break
-            else:
-                tangent, _ = self._solve(angles[None], u[None], first=k)
-                factor = dpotrf(0.5 * (tangent[0] + tangent[0].T))[0] if len(u) else None
-            pin.forwardKinematics(model, data, arm.configuration(angles, u))
+            u[left] = 0.0
+            for number in left.tolist():
+                alone = slice(number, number + 1)
+                self._solve(q[alone], u[alone], first=number)
+        for k, configuration in enumerate(arm.configuration(q, u)):
+            pin.forwardKinematics(model, data, configuration)
             tool[k] = pin.updateFramePlacement(model, data, arm.tool_frame_id).translation
-        return tool - rigid
+        return tool - Kinematics(arm.robot).tool_poses(q)[0]
 
     def length(self, q: FloatArray, /) -> tuple[FloatArray, FloatArray]:
         """Return the tool's distances (N,), m, at postures `q` (N, n), and their gradients (N, n), m/rad."""
@@ -154,6 +160,10 @@ class Sag:
         length = np.linalg.norm(at.tool, axis=1)
         unit = at.tool / np.maximum(length, _ZERO_LENGTH_M)[:, None]
         return np.asarray(length), np.einsum("ki,kij->kj", unit, at.d_tool)
+
+    def distance(self, q: FloatArray) -> FloatArray:
+        """Return the distances (N,), m, of `length`, without gradients: quicker."""
+        return np.asarray(np.linalg.norm(self.following(q), axis=1))
 
     def equilibria(
         self, q: FloatArray, start: FloatArray | None = None

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +18,13 @@ from cmbot.common.representation import short_repr
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.first_order import BAND_HZ
 from cmbot.elastic.modes import DAMPING
-from cmbot.excitation.damper import DamperGain, best_damper
-from cmbot.excitation.ground import Record, axles_of, read_record
+from cmbot.excitation.damper import STIFFNESS_FACTORS, DamperGain, best_damper, den_hartog
+from cmbot.excitation.ground import axles_of, read_record
 from cmbot.excitation.passages import (
     Passage,
     PassageLoad,
     Timetable,
+    adhesion_of,
     passage,
     resonance_speeds,
     timetable,
@@ -35,16 +37,23 @@ from cmbot.excitation.response import (
     linear_spectrum,
     modal_response,
 )
-from cmbot.excitation.sway import RandomSway, require_bending, sampled_tool, shaken_adhesion, sway_of
+from cmbot.excitation.sway import (
+    RandomSway,
+    posture_shares,
+    require_bending,
+    sampled_tool,
+    shaken_adhesion,
+    sway_of,
+)
 from cmbot.excitation.trains import Span, passing_pressure
 from cmbot.excitation.wind import AIR_KG_M3, DRAG, gust_spectrum, link_loads
 from cmbot.planning import Plan, require_plan
 from cmbot.scene import DamperFile, ExcitationFile, TrainsFile
-from cmbot.simulation import MotionTracking, PrescribedWork, SimulationOptions, elastic_arm_of, track_work
+from cmbot.simulation import PrescribedWork, SimulationOptions, elastic_arm_of, track_work
 
 # Postures in which the response is computed along the work; those in which trains pass and dampers are tuned.
 _POSTURES, _SOME = 13, slice(None, None, 4)
-_STIFFNESSES = (0.7, 1.0, 1.3)
+_TRAINS_PER_HOUR = 4.0
 # Of records and trains, s.
 _STEP = 0.002
 _CURVE_HZ = np.geomspace(*BAND_HZ, 400)
@@ -52,20 +61,41 @@ _CURVE_HZ = np.geomspace(*BAND_HZ, 400)
 
 @dataclass(frozen=True, kw_only=True)
 class Shaken:
-    """A work that was simulated whole on a shaken base: what moved the tool beside its sag, m."""
+    """A work under a record or a train from its begin: what moved the tool beside its sag, m.
+
+    Attributes
+    ----------
+    rms, peak : float, m
+    peak_time : float, s
+    by : str
+        ``simulation`` of the whole elastic arm with all that is not linear, or, where a damper or the
+        pressure of trains acts, ``modes`` along the work.
+    """
 
     rms: float
     peak: float
     peak_time: float
+    by: str
 
     __repr__ = short_repr
 
-    @classmethod
-    def of(cls, tracking: MotionTracking) -> Shaken:
-        """Return the figures of a simulated work."""
-        size = np.linalg.norm(tracking.dynamic, axis=1)
-        k = int(size.argmax())
-        return cls(rms=float(np.sqrt(np.mean(size**2))), peak=float(size[k]), peak_time=float(tracking.t[k]))
+
+@dataclass(frozen=True, eq=False)
+class _AlongWork:
+    """Displacements of the tool (N, 3), m, at times `t` (N,), s, and by what they were found."""
+
+    t: FloatArray
+    tool: FloatArray
+    by: str
+
+    def at(self, times: FloatArray) -> FloatArray:
+        return np.stack([np.interp(times, self.t, column) for column in self.tool.T], axis=1)
+
+    @property
+    def figures(self) -> Shaken:
+        size = np.linalg.norm(self.tool, axis=1)
+        k, rms = int(size.argmax()), float(np.sqrt(np.mean(size**2)))
+        return Shaken(rms=rms, peak=float(size[k]), peak_time=float(self.t[k]), by=self.by)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,7 +114,7 @@ class Excitation:
     sway : RandomSway or None
         Under the scene's spectrum and gusts; None where nothing is random.
     simulated : Shaken or None
-        Under the record from the begin of the work, or the train at the worst of its speeds.
+        Under the record, or the train at the worst of its speeds, from the begin of the work.
     accuracy : Accuracy or None
         The plan's budget with what shakes and leans the arm; None without an excitation in the scene.
     passages : tuple of Passage
@@ -169,13 +199,14 @@ class _Excited:
     def __init__(self, plan: Plan, given: ExcitationFile | None) -> None:
         self.plan, self.given = plan, given
         self.damping = DAMPING if given is None else given.damping
-        self.damper = DamperFile() if plan.scene.damper == "auto" else plan.scene.damper
         self.options = SimulationOptions(damping=self.damping, step_s=_STEP, output_step_s=_STEP)
         self.arm = elastic_arm_of(plan, self.options)
         require_bending(self.arm, plan.scene.source)
         self.work = PrescribedWork.planned(plan)
         self.t = np.linspace(0.0, self.work.duration, _POSTURES)
         self.postures = self.work.postures(self.t)
+        given_damper = plan.scene.damper
+        self.damper = self.best_place() if given_damper == "auto" else given_damper
         samples = plan.samples
         wrench = np.hstack([samples.guardrail_force, samples.guardrail_torque])
         self.wrench = np.stack([np.interp(self.t, samples.t, column) for column in wrench.T], axis=1)
@@ -194,9 +225,9 @@ class _Excited:
         responses = self.responses(self.arm, self.postures, self.damper)
         flat = _with_loads(flat_band())
         moments = [response.moments(flat, BAND_HZ) for response in responses]
+        draw = partial(sampled_tool, self.t, responses, flat, BAND_HZ)
         asked = tolerance if self.given is None else None
-        drawn = None if asked is None else sampled_tool(self.t, responses, flat, BAND_HZ)
-        reference = sway_of(self.t, responses, moments, asked, drawn)
+        reference = sway_of(self.t, responses, moments, asked, draw)
         spectrum, band = self.random()
         # Against trains and records all frequencies of the band count alike.
         at_random = spectrum is not None and self.kind in ("spectrum", "still")
@@ -206,24 +237,30 @@ class _Excited:
         sway, drawn = None, None
         if spectrum is not None:
             moments = [response.moments(spectrum, band) for response in responses]
-            drawn = sampled_tool(self.t, responses, spectrum, band)
-            sway = sway_of(self.t, responses, moments, tolerance, drawn)
+            draw = partial(sampled_tool, self.t, responses, spectrum, band)
+            drawn = first = draw(0)
+            sway = sway_of(self.t, responses, moments, tolerance, lambda k: draw(k) if k else first)
         factor, steady = (sway or reference).peak_factor, self.mean_wind()
         still = np.array([response.static(steady) for response in responses])
+        self.wrench += still[:, AXES:]
         needed = list[float | None]()
         if sway is not None or self.given is None:
-            needed.append(shaken_adhesion(plan.robot, self.wrench + still[:, AXES:], moments, factor))
+            needed.append(shaken_adhesion(plan.robot, self.wrench, moments, factor))
         passages, times, resonances = self.trains(responses)
         needed += [each.adhesion for each in passages]
-        simulated = self.simulated(passages)
+        inputs = self.deck(passages)
+        known = None if inputs is None else self.along_work(inputs, responses)
+        if inputs is not None and known is not None and not passages:
+            added = [each.history(inputs(known.t), _STEP)[:, AXES:] for each in responses[_SOME]]
+            needed.append(adhesion_of(plan.robot, added, self.wrench[_SOME], known.t))
         tool = [response.transfer(_CURVE_HZ)[:, :AXES, :AXES] for response in responses]
         return Excitation(
             kind=self.kind,
             damping=self.damping,
             reference=reference,
             sway=sway,
-            simulated=None if simulated is None else Shaken.of(simulated),
-            accuracy=None if self.given is None else self.accuracy(drawn, simulated, still[:, :AXES]),
+            simulated=None if known is None else known.figures,
+            accuracy=None if self.given is None else self.accuracy(drawn, known, still[:, :AXES]),
             passages=passages,
             timetable=times,
             resonances_km_h=resonances,
@@ -270,6 +307,17 @@ class _Excited:
 
         return spectrum, (low, high)
 
+    def best_place(self) -> DamperFile:
+        """A kilogram where Den Hartog's tuning of it leaves the least of the flat spectrum."""
+        places = [DamperFile(at=at) for at in ("tool", *self.plan.robot.joints)]
+
+        def left(damper: DamperFile) -> float:
+            each = self.responses(self.arm, self.postures[_SOME], damper)
+            tuned = [replace(some, damper=den_hartog(some, damper.mass_kg)) for some in each]
+            return max(some.tool_variance(_with_loads(flat_band()), BAND_HZ) for some in tuned)
+
+        return min(places, key=left)
+
     def mean_wind(self) -> FloatArray:
         steady = np.zeros(AXES + 2)
         if self.given is not None and self.given.wind is not None:
@@ -281,7 +329,7 @@ class _Excited:
         wanted = self.damper
         if wanted is None:
             return None
-        arms = [self.arm if factor == 1 else self.arm.softened(factor) for factor in _STIFFNESSES]
+        arms = [self.arm if factor == 1 else self.arm.softened(factor) for factor in STIFFNESS_FACTORS]
         responses = [each for arm in arms for each in self.responses(arm, self.postures[_SOME], wanted)]
         given = {"frequency": wanted.frequency_hz, "damping": wanted.damping}
         return best_damper(responses, spectrum, band, wanted.mass_kg, wanted.at, **given)
@@ -301,7 +349,8 @@ class _Excited:
         strokes = np.array([(part.begin, part.begin + part.motion.duration) for part in parts])
         speeds = [load.speed for load in loads]
         met = resonance_speeds(loads[0].train, loads[0].span.first, min(speeds), max(speeds))
-        times = timetable(trains.per_hour, passages, strokes)
+        per_hour = _TRAINS_PER_HOUR if trains.per_hour is None else trains.per_hour
+        times = timetable(per_hour, passages, strokes, [60 * minute for minute in trains.minutes or ()])
         return passages, times, tuple(3.6 * speed for speed in met)
 
     def load(self, trains: TrainsFile, speed_km_h: float) -> PassageLoad:
@@ -311,37 +360,39 @@ class _Excited:
         return PassageLoad(span=span, train=train, speed=speed, pressure=pressure)
 
     def accuracy(
-        self, drawn: FloatArray | None, simulated: MotionTracking | None, leaning: FloatArray
+        self, drawn: FloatArray | None, known: _AlongWork | None, leaning: FloatArray
     ) -> Accuracy | None:
-        """The plan's budget with random records (N, R, 3), a simulated work, and the mean wind (K, 3)."""
-        t = self.t if simulated is None else simulated.t
+        """The plan's budget with random records (N, R, 3), what is known, and the mean wind (K, 3)."""
+        t = self.t if known is None else known.t
         if drawn is not None:
             t = np.linspace(0.0, self.work.duration, len(drawn))
+        steady = [_AlongWork(self.t, leaning, "")] + ([] if known is None else [known])
+        tool = sum((each.at(t) for each in steady), np.zeros((len(t), AXES)))[:, None]
+        return self.plan.accuracy_while(Shaking(t=t, tool=tool if drawn is None else tool + drawn))
 
-        def at_times(times: FloatArray, vectors: FloatArray) -> FloatArray:
-            return np.stack([np.interp(t, times, column) for column in vectors.T], axis=1)
-
-        known = at_times(self.t, leaning)
-        if simulated is not None:
-            known += at_times(simulated.t, simulated.dynamic)
-        tool = known[:, None] if drawn is None else known[:, None] + drawn
-        return self.plan.accuracy_while(Shaking(t=t, tool=tool))
-
-    def simulated(self, passages: Sequence[Passage]) -> MotionTracking | None:
-        """The whole work under the record, or under the train at its worst speed, from time 0."""
+    def deck(self, passages: Sequence[Passage]) -> Callable[[FloatArray], FloatArray] | None:
+        """The inputs (N, 5) at times (N,) by a record or the worst train; None where there is neither."""
         deck = None if self.given is None else self.given.deck
-        if deck is None:
-            return None
-        if deck.record is not None:
+        if deck is not None and deck.record is not None:
             record = read_record(Path(deck.record), "excitation.deck.record")
-        elif deck.trains is not None:
+            return lambda t: np.hstack([record.at(t), np.zeros((len(t), 2))])
+        if deck is not None and deck.trains is not None:
             worst = max(passages, key=lambda each: each.tool)
             load = self.load(deck.trains, worst.speed_km_h)
-            t = np.arange(0.0, self.work.duration + self.options.settle_s + _STEP, _STEP / 2)
-            record = Record(t=t, a=load.inputs(t, AXES))
-        else:
-            return None
-        return track_work(self.arm, self.work, self.options, sag=self.plan.sag, ground=record.at)
+            return lambda t: load.inputs(t, AXES + 2)
+        return None
+
+    def along_work(
+        self, inputs: Callable[[FloatArray], FloatArray], responses: Sequence[ModalResponse]
+    ) -> _AlongWork:
+        """The tool along the work: simulated whole, where nothing but the deck acts, else by modes."""
+        t = np.arange(0.0, self.work.duration + self.options.settle_s, _STEP)
+        if self.damper is None and not inputs(t)[:, AXES:].any():
+            ground = lambda t: inputs(t)[:, :AXES]  # noqa: E731
+            found = track_work(self.arm, self.work, self.options, sag=self.plan.sag, ground=ground)
+            return _AlongWork(found.t, found.dynamic, "simulation")
+        each = [response.history(inputs(t), _STEP)[:, :AXES] for response in responses]
+        return _AlongWork(t, np.einsum("kn,kni->ni", posture_shares(self.t, t), each), "modes")
 
 
 def _span(trains: TrainsFile) -> Span:

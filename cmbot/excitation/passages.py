@@ -97,9 +97,8 @@ def passage(
     t = np.arange(0.0, passes + tail, _STEP)
     inputs = load.inputs(t, responses[0].gain.shape[1])
     tool = torque = still = pause = 0.0
-    adhesion: float | None = None
-    kept = True
-    for response, wrench in zip(responses, planned, strict=True):
+    kept, wrenches = True, list[FloatArray]()
+    for response in responses:
         y = response.history(inputs, _STEP)
         size = np.linalg.norm(y[:, :AXES], axis=1)
         off = _off(y[:, :AXES], response.axis, tolerance, size)
@@ -107,20 +106,38 @@ def passage(
         torque = max(torque, float(np.linalg.norm(y[:, 6:], axis=1).max()))
         still, pause = max(still, _last(t, size > STILL_M) - passes), max(pause, _last(t, off))
         kept = kept and not off.any()
-        if robot.holding is not None and robot.holding.adhesive:
-            peak = robot.holding.worst(y[:, 3:] + wrench, t).peak
-            adhesion = peak if adhesion is None else max(adhesion, peak)
+        wrenches.append(y[:, AXES:])
     return Passage(
         speed_km_h=3.6 * load.speed,
         passes_s=passes,
         deck=float(np.abs(inputs[:, :AXES]).max()),
         tool=tool,
         torque=torque,
-        adhesion=adhesion,
+        adhesion=adhesion_of(robot, wrenches, planned, t),
         still_s=max(still, 0.0),
         pause_s=pause,
         kept=None if tolerance is None else kept,
     )
+
+
+def adhesion_of(
+    robot: Robot, added: Sequence[FloatArray], planned: FloatArray, t: FloatArray
+) -> float | None:
+    """Return the largest adhesion that a foot needs, N; None where none holds by it.
+
+    Parameters
+    ----------
+    robot : Robot
+    added : K of (N, 6), N and Nm
+        In some postures, at times `t` (N,).
+    planned : (K, 6), N and Nm
+        The wrench of the planned motion there.
+    t : (N,), s
+    """
+    holding = robot.holding
+    if holding is None or not holding.adhesive:
+        return None
+    return max(holding.worst(y + wrench, t).peak for y, wrench in zip(added, planned, strict=True))
 
 
 def _off(y: FloatArray, axis: FloatArray, tolerance: Tolerance | None, size: FloatArray) -> FloatArray:
@@ -166,6 +183,8 @@ class Timetable:
         Left of an hour.
     pauses_at_s : tuple of float
         When the work can pause, s on its clock: at the ends of strokes.
+    rests_s : tuple of (float, float)
+        Where the minutes of trains are known: from when to when the arm rests, s of an hour.
     """
 
     per_hour: float
@@ -173,21 +192,57 @@ class Timetable:
     waits_s: float
     work_s: float
     pauses_at_s: tuple[float, ...]
+    rests_s: tuple[tuple[float, float], ...] = ()
 
     __repr__ = short_repr
 
 
-def timetable(per_hour: float, passages: Sequence[Passage], strokes: FloatArray) -> Timetable:
-    """Return what trains leave of an hour; `strokes` (S, 2) are begins and ends on the work's clock, s."""
+def timetable(
+    per_hour: float, passages: Sequence[Passage], strokes: FloatArray, comes_s: Sequence[float] = ()
+) -> Timetable:
+    """Return what trains leave of an hour.
+
+    Parameters
+    ----------
+    per_hour : float
+        Trains, at any time alike.
+    passages : sequence of Passage
+    strokes : (S, 2), s
+        Begins and ends on the work's clock; the work is done again and again.
+    comes_s : sequence of float, s
+        When trains come, of every hour, in place of `per_hour`.
+    """
     pause = max(each.pause_s for each in passages)
-    durations = strokes[:, 1] - strokes[:, 0]
+    durations, count = strokes[:, 1] - strokes[:, 0], len(comes_s) or per_hour
     # A train comes at any time alike: within a stroke in proportion to its length, half of which is then
     # lost.
     waits = float((durations**2).sum() / (2 * (strokes[-1, 1] - strokes[0, 0]))) if pause else 0.0
+    rests = _rests(sorted(comes_s), pause, strokes) if pause else ()
+    work = 3600.0 - sum(end - begin for begin, end in rests) if comes_s else 3600.0 - count * (pause + waits)
     return Timetable(
-        per_hour=per_hour,
+        per_hour=count,
         pause_s=pause,
-        waits_s=waits,
-        work_s=max(0.0, 3600.0 - per_hour * (pause + waits)),
+        waits_s=(3600.0 - work) / count - pause if rests else waits,
+        work_s=max(0.0, work),
         pauses_at_s=tuple(strokes[:, 1].tolist()),
+        rests_s=rests,
     )
+
+
+def _rests(comes: Sequence[float], pause: float, strokes: FloatArray) -> tuple[tuple[float, float], ...]:
+    """From when to when an arm rests in an hour, s, which it does before a stroke that would not end in time.
+
+    The hour before is gone through, too: its last train may end in this one.
+    """
+    # Each stroke with the move to it.
+    needs = np.diff(strokes[:, 1], prepend=strokes[0, 0])
+    rests = list[tuple[float, float]]()
+    trains, clock, number = [hour + each for hour in (-3600.0, 0.0, 3600.0) for each in comes], -3600.0, 0
+    for train in trains:
+        while clock + needs[number % len(needs)] <= train:
+            clock, number = clock + float(needs[number % len(needs)]), number + 1
+        begin, clock = clock, max(clock, train + pause)
+        if rests and begin == rests[-1][1]:
+            begin = rests.pop()[0]
+        rests.append((begin, clock))
+    return tuple((max(begin, 0.0), min(end, 3600.0)) for begin, end in rests if end > 0.0 and begin < 3600.0)

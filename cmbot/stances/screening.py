@@ -29,6 +29,9 @@ VIA_POINTS = 6
 """Of a stroke at which all stances are screened."""
 # Postures that are tried at once.
 _AT_ONCE = 12_000
+_SAG = FIGURES.index("sag_mm")
+# Stances whose rough bounds are not above that of so many others by this factor are looked at closely.
+_PROMISING_STANCES, _PROMISING_RATIO = 20, 1.5
 # The share of the time that the rough search takes.
 _ROUGH = 0.3
 
@@ -84,6 +87,20 @@ class Screener:
         self.arm = BaseArm(scene, robot)
         self.loads = StanceLoads(scene, candidates, robot, self.arm.robot, objective, bounds or Bounds())
 
+    def sag_mm(self, tasks: Sequence[ToolTask], numbers: Sequence[int]) -> float:
+        """Largest sag, mm, over the via-points of the strokes' tasks in the stance that sags least there.
+
+        In the best postures of the candidates of these numbers; NaN where none is found.
+        """
+        number = np.array(numbers, dtype=np.intp)
+        each = [
+            self.arm.least(task, time, self._bases[number], self.loads, number, CLOSELY)[_SAG]
+            for task in tasks
+            for time in (times_of(task) if len(number) else ())
+        ]
+        least = [float(np.nanmin(sag)) for sag in each if np.isfinite(sag).any()]
+        return max(least, default=np.nan)
+
     def screened(
         self, tasks: Sequence[ToolTask], report: Callable[[float], None] = lambda _: None
     ) -> Screening:
@@ -122,11 +139,15 @@ class _Stroke:
         for k in range(K):
             found[:, k] = self._least(k, every, ROUGHLY)
             report(_ROUGH * (k + 1) / K)
-        # What is not the largest may be as large as it is: only where most is asked it pays to look closely.
-        closely = np.zeros((K, C), dtype=np.bool_)
+        # Without a posture at half of the via-points it is left at that.
+        closely = np.tile(2 * np.isinf(found[0]).sum(axis=0) >= K, (K, 1))
         while True:
+            # What is not the largest may be as large as it is: only where most is asked it pays to look
+            # closely, and only in a stance that may be among the best, or that has no posture there yet.
             worst = found[0].argmax(axis=0)
-            open_ = ~closely[worst, every]
+            value = found[0, worst, every]
+            least = np.sort(value)[:_PROMISING_STANCES][-1]
+            open_ = ~closely[worst, every] & ((value <= _PROMISING_RATIO * least) | np.isinf(value))
             if not open_.any():
                 return found[:, worst, every], worst
             for k in range(K):

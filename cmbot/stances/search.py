@@ -45,6 +45,8 @@ class StandOptions:
         ``torque``, ``hold``, ``sag`` or ``sway``; None: that of the scene's planner.
     bounds : Bounds
         Stances that exceed one are left out.
+    any_sag : bool
+        Without a bound of the sag, leave no stance out by it; else see `StanceRanking.sag_limit`.
     spacing : float, m
         Between places of foot 1 with foot 2 free.
     pair_spacing : float, m
@@ -65,6 +67,7 @@ class StandOptions:
 
     objective: StanceObjective | None = None
     bounds: Bounds = NO_BOUNDS
+    any_sag: bool = False
     spacing: float = 0.05
     pair_spacing: float = 0.15
     plans: int = 3
@@ -123,11 +126,14 @@ class Rejection:
         With the figures of this stance.
     cause : str
         That without what it has to do with this stance alone: the same for many.
+    excess : float
+        By what factor a bound is exceeded; infinite where it is none.
     """
 
     kind: RejectionKind
     reason: str
     cause: str
+    excess: float = np.inf
 
     @staticmethod
     def of(kind: RejectionKind, error: CmbotError) -> Rejection:

@@ -34,6 +34,8 @@ PROVEN_SHARE = 0.98
 _SAGS, _MODES = 61, 5
 # Postures of a job between which the joints' travel is measured.
 _STEPS = 2000
+# Bounds of what is charted.
+_BOUNDED = {"torque": "base_torque_nm", "hold": "adhesion_n", "sag": "sag_mm"}
 _WORDS = {
     "base_torque_nm": ("torque on the base", "Nm"),
     "adhesion_n": ("adhesion needed", "N"),
@@ -60,6 +62,8 @@ class Judge:
     own : mapping of candidate to (n,), rad, or None
         The scenes' own stances, and the posture in which the arm starts there; None: that of the scene.
     options : StandOptions
+    bounds : Bounds
+        Of all stances but the scenes' own, for which those of the options count.
     objective : str
     ending : Ending
     suits : callable
@@ -72,6 +76,7 @@ class Judge:
     numbers: Mapping[AnyCandidate, int]
     own: Mapping[AnyCandidate, FloatArray | None]
     options: StandOptions
+    bounds: Bounds
     objective: StanceObjective
     ending: Ending
     suits: Callable[[AnyCandidate], str | None]
@@ -101,9 +106,15 @@ class Judge:
         candidate = result.candidate
         why = climber_in_the_way(self.scene, candidate) if isinstance(candidate, Candidate) else None
         why = why or self.suits(candidate)
-        if why is None:
-            return replace(result, stage="clearance")
-        return result.rejected("clearance", Rejection(kind="blocked", reason=why, cause=why))
+        if why is not None:
+            return result.rejected("clearance", Rejection(kind="blocked", reason=why, cause=why))
+        # The job's bounds count where the arm is put away, too.
+        posture, number = np.array(self.scene.posture)[None], np.array([self.numbers[candidate]])
+        away = at_rest_of(self.screener.arm.figures(posture, number, self.screener.loads)[:, 0])
+        if beyond := StanceFigures(torque=away.torque, adhesion=away.adhesion).beyond(self.bounds):
+            name, value, _ = beyond
+            return result.rejected("clearance", _beyond(self.bounds, name, value, "where it is put away"))
+        return replace(result, stage="clearance")
 
     def checked(self, result: StanceResult) -> StanceResult:
         """Chart a stance at some via-points, obstacles included."""
@@ -111,8 +122,12 @@ class Judge:
             bound = bounded_quickly(scene_at(self.scene, result.candidate, None), self._at_rest(result))
         except CmbotError as error:
             return result.rejected("obstacles", Rejection.of("blocked", error))
-        # Nothing is charted where the tool's axis may lean.
-        bound = bound or result.bound
+        if bound == 0 or self.objective == "sway":
+            # Nothing is charted where the tool's axis may lean; for the sway it is by the sag.
+            bound = result.bound
+        name = _BOUNDED.get(self.objective)
+        if name is not None and bound > _ROOM * getattr(self.bounds, name):
+            return result.rejected("obstacles", _beyond(self.bounds, name, bound, "in its best postures"))
         return replace(result, stage="obstacles", bound=bound, expected=bound)
 
     def charted(self, result: StanceResult) -> StanceResult:
@@ -125,14 +140,15 @@ class Judge:
         loads, number = self.screener.loads, self.numbers[result.candidate]
         rows = self.screener.arm.figures(charted.postures, np.full(len(charted.postures), number), loads)
         at_rest = at_rest_of(rows.max(axis=1))
-        if beyond := at_rest.beyond(_wider(self.options.bounds, _ROOM)):
+        if beyond := at_rest.beyond(_wider(self.bounds, _ROOM)):
             name, value, _ = beyond
-            return result.rejected(
-                "charts", _beyond(self.options.bounds, name, value, "in its best postures")
-            )
+            return result.rejected("charts", _beyond(self.bounds, name, value, "in its best postures"))
         # With few via-points the allowance between postures is smaller, with many the bound is tighter.
-        bound = min(max(charted.bound, result.bound), charted.expected)
-        return replace(result, stage="charts", bound=bound, expected=charted.expected, at_rest=at_rest)
+        bound, expected = max(charted.bound, result.bound), charted.expected
+        if self.objective == "sway":
+            bound, expected = result.bound, float(rows[0].max())
+        bound = min(bound, expected)
+        return replace(result, stage="charts", bound=bound, expected=expected, at_rest=at_rest)
 
     def _at_rest(self, result: StanceResult) -> AtRest | None:
         """What is ranked at rest; None: that is the objective of the planner."""
@@ -155,10 +171,11 @@ class Judge:
             rejection = Rejection(kind="failed", reason=f"{left_out:.3g} m2 {why}", cause=f"parts {why}")
             return result.rejected("plan", rejection)
         figures = figures_of(made, result.candidate)
-        result = replace(result, stage="plan", figures=figures)
-        if beyond := figures.beyond(self.options.bounds):
+        result = replace(result, stage="plan", figures=figures, rejection=None)
+        bounds = self.options.bounds if result.own else self.bounds
+        if beyond := figures.beyond(bounds):
             name, value, _ = beyond
-            return result.rejected("plan", _beyond(self.options.bounds, name, value, "planned"))
+            return result.rejected("plan", _beyond(bounds, name, value, "planned"))
         value = value_of(made, figures, self.objective)
         # No estimate is above what was found.
         return replace(result, value=value, plan=made, bound=min(result.bound, value))
@@ -274,4 +291,7 @@ def _wider(bounds: Bounds, factor: float) -> Bounds:
 def _beyond(bounds: Bounds, name: str, value: float, where: str) -> Rejection:
     words, unit = _WORDS[name]
     reason = f"{words} {value:.4g} {unit} {where}, {getattr(bounds, name):g} {unit} are allowed"
-    return Rejection(kind="beyond a bound", reason=reason, cause=f"more {words} than is allowed")
+    cause, most = f"more {words} than is allowed", getattr(bounds, name)
+    return Rejection(
+        kind="beyond a bound", reason=reason, cause=cause, excess=value / most if most else np.inf
+    )

@@ -374,6 +374,10 @@ def test_no_stance_beyond_a_bound_is_the_best(scene: Scene, ranking: StanceRanki
     assert all(each.figures.job_torque <= most for each in bounded.ranked if each.status == "planned")
     assert bounded.count("planned") + bounded.count("beyond a bound") > 1
     assert left_out is not bounded.best
+    # It is in the table, and the stance that exceeds a bound least is known.
+    assert planned_table(bounded)[1][0][:2] == ("-", f"{left_out.place}, its own")
+    beyond = [each for each in bounded.ranked if each.status == "beyond a bound"]
+    assert bounded.nearest.rejection.excess == min(each.rejection.excess for each in beyond) > 1
     assert all(each.at_rest.torque <= most for each in bounded.ranked if each.status == "screened")
 
 
@@ -394,6 +398,34 @@ def test_what_bends_is_ranked_by_its_sag_and_its_sway(objective: Any) -> None:
             assert each.figures.sway_mm == pytest.approx(sway_mm_per_m_s2(each.plan))
     rows = [*csv.DictReader(stances_csv([found]).splitlines())]
     assert all(row["sag_mm"] and row["first_hz"] for row in rows if row["status"] == "screened")
+
+
+def test_others_sag_no_more_than_the_scenes_own_unless_any_sag_is_allowed() -> None:
+    bending = scene_of("torque")
+    (found,) = stand(bending, WIDE)
+    (own,), most = found.own, found.sag_limit.most_mm
+    assert "own stance sags" in found.sag_limit.source
+    assert own.figures.sag_mm == pytest.approx(most, rel=0.1)
+    others = [each for each in found.ranked if not each.own and each.status in ("planned", "screened")]
+    assert others
+    assert all((each.figures.sag_mm or each.at_rest.sag_mm) <= 1.05 * most for each in others)
+    said = f"Other stances that sag by more than {most:.3g} mm, what the scene's own stance sags (estimate),"
+    assert any(said in sentence for sentence in in_words(found))
+    for lifted in (replace(WIDE, any_sag=True), replace(WIDE, bounds=Bounds(sag_mm=900.0))):
+        (anywhere,) = stand(bending, lifted)
+        assert anywhere.sag_limit is None
+        assert not any("sag by more than" in sentence for sentence in in_words(anywhere))
+    sags = [each.at_rest.sag_mm for each in anywhere.ranked if np.isfinite(each.bound)]
+    assert max(sags) > most
+
+
+def test_a_tolerance_bounds_the_sag_that_is_not_compensated() -> None:
+    tool = {"tolerance": {"across_mm": 4.0, "along_axis_mm": 9.0}}
+    planner = {"objective": "torque", "knots": "sliding"}
+    for compensate, most in ((False, 4.0), (True, None)):
+        asked = short_scene(planner=planner | {"compensate": compensate}, tool=tool)
+        (found,) = stand(asked, replace(WIDE, plans=0))
+        assert (found.sag_limit.most_mm == most) == (most is not None)
 
 
 def test_a_stance_counts_with_the_way_from_the_stow_posture_and_back(ranking: StanceRanking) -> None:
@@ -430,15 +462,17 @@ def test_what_is_planned_is_apart_from_what_is_bounded(ranking: StanceRanking) -
     """A bound in a column of planned values reads like one."""
     figures, best = ranking.best.figures, ranking.best.place
     headings, rows = planned_table(ranking)
-    first = dict(zip(headings, rows[0], strict=True))
-    assert first["stance"] == best
+    (own,) = ranking.own
+    assert rows[0][1] == f"{own.place}, its own"
+    first = dict(zip(headings, rows[1], strict=True))
+    assert (first[""], first["stance"]) == ("1", best)
     assert first["torque, Nm"] == f"{figures.torque:.1f}"
     assert first["adhesion needed, kN"] == f"{figures.adhesion / 1e3:.2f}"
     planned = ranking.count("planned")
     assert len(rows) == planned < 12
     # Clamps need no adhesion, and have no column of it.
     alone: Any = SimpleNamespace(
-        ranked=[SimpleNamespace(place=best, status="planned", figures=StanceFigures(torque=1.0))]
+        ranked=[SimpleNamespace(place=best, status="planned", own=False, figures=StanceFigures(torque=1.0))]
     )
     assert planned_table(alone) == (("", "stance", "torque, Nm"), [("1", best, "1.0")])
     headings, rows = bounds_table(ranking, 12)

@@ -234,7 +234,7 @@ def objective_of(
             expected = f"the predicted sag, for objective: {options.objective}"
             raise InputError("objective_of", "sag", "nothing", expected)
         if options.objective == "sag":
-            return PostureObjective(function=sag.length, name="sag", unit="m")
+            return PostureObjective(function=sag.length, value=sag.distance, name="sag", unit="m")
         sway = DeckSway(sag.arm)
         return PostureObjective(function=sway, value=sway.values, name="sway", unit="m")
     if options.objective == "hold":
