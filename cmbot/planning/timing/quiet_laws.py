@@ -35,8 +35,8 @@ _MAX_JOINT_USE, _MAX_USE_RATIO = 0.9, 1.1
 _SWING_WEIGHT = 1.0
 # Legs whose response is predicted; others have the ramp and shaper of the one that is most like them.
 _MAX_LEGS = 8
-# Times of a leg at which laws are compared, but for the bounds within this share of its ends: self-motion there
-# goes by the time of the motion that is known, and is another one in a law that is planned.
+# Times of a leg at which laws are compared, but for the bounds within this share of its ends: self-motion
+# there goes by the time of the motion that is known, and is another one in a law that is planned.
 _LAW_TIMES, _LEAVING = 241, 0.1
 
 
