@@ -10,9 +10,9 @@ from small_motions import wild
 
 from cmbot.common.arrays import FloatArray
 from cmbot.planning.certification.norm_bounds import norm_bounds
-from cmbot.robot import Robot
+from cmbot.robot import Dynamics, Robot
 from cmbot.trajectory import Pieces, QuinticTrajectory
-from cmbot.trajectory.enclosure import _RHO
+from cmbot.trajectory.enclosure import _RHO, Ellipses
 
 # Beyond this imaginary part of an angle, rad, norms overflow, and no remainder comes from there.
 LARGEST_TURN = 12.0
@@ -80,3 +80,19 @@ def test_at_rest_only_gravity_and_the_stretched_arm_are_left(cmbot_robot: Robot)
     # The weights' torques about O0 cannot be larger than with every link stretched out sideways.
     weight, levers = cmbot_robot.arm_mass * 9.81, base + cmbot_robot.reach
     assert (of.guardrail_torque[:, 0] <= weight * levers).all()
+
+
+def test_nothing_is_larger_where_joints_turn_alike(cmbot_robot: Robot, rng: np.random.Generator) -> None:
+    """At constant rates in postures of right angles, where the joints' turns add up, the bounds are close."""
+    dynamics, closest = Dynamics(cmbot_robot), 0.0
+    for _ in range(400):
+        q = rng.choice([-np.pi / 2, 0.0, np.pi / 2], (1, 1, 7))
+        v, rest = 100.0 * rng.choice([0.0, 1.0], (1, 1, 7)), np.zeros((1, 1, 7))
+        of = norm_bounds(cmbot_robot, Ellipses(turn=rest, q=np.abs(q), v=v, a=rest))
+        true = dynamics.efforts(q[0], v[0], rest[0])
+        assert (np.abs(true.joint_torque) <= of.joint_torque[0] * (1 + 1e-9)).all()
+        for name in ("guardrail_force", "guardrail_torque"):
+            share = np.linalg.norm(getattr(true, name)) / getattr(of, name)[0, 0]
+            assert share <= 1 + 1e-9
+            closest = max(closest, share)
+    assert closest > 0.9
