@@ -5,9 +5,12 @@
 
 from __future__ import annotations
 
+import argparse
+import sys
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,8 +19,13 @@ import cmbot
 from cmbot.common.errors import CmbotError
 from cmbot.excitation import PASSAGE_HEADINGS, passage_rows, sway_mm_per_m_s2
 from cmbot.excitation.damper import best_damper
+from cmbot.excitation.passages import PassageLoad, passage
 from cmbot.excitation.response import BAND_HZ, flat_band, modal_response
+from cmbot.excitation.trains import Span, train_of
 from cmbot.planning import Plan, bending_arm
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "helpers"))
+from trains_in_mujoco import passed
 
 SPAN = {"length_m": 24, "first_hz": 5.5, "mass_t_m": 3.5, "damping": 0.005, "at_m": 12}
 TRAINS = {"freight": [40, 60, 80, 100, 120], "emu": [80, 120, 160]}
@@ -30,6 +38,7 @@ DAMPING = (0.005, 0.01, 0.02, 0.04, 0.08)
 PLACES = ("tool", "joint_4", "arm_base")
 MASSES = (0.5, 1.0, 2.0)
 STIFFNESS = (0.7, 1.0, 1.3)
+TIMESTEP = 4e-4
 
 
 def planned(**keys: Any) -> Plan:
@@ -95,9 +104,33 @@ def trains(plan: Plan) -> Iterator[tuple[str, ...]]:
         yield from ((name, *row) for row in passage_rows(excitation))
 
 
+def against_mujoco(plan: Plan) -> Iterator[tuple[str, ...]]:
+    """The table of trains beside axles over an integrated beam and the same arm in MuJoCo on it."""
+    names = {"length_m": "length", "first_hz": "first", "damping": "damping", "at_m": "at"}
+    span = Span(mass=1e3 * SPAN["mass_t_m"], **{name: SPAN[key] for key, name in names.items()})
+    arm, t = bending_arm(plan.scene, plan.robot), plan.trajectory.t
+    postures = plan.trajectory.evaluate(np.linspace(t[0], t[-1], 4))
+    responses = [modal_response(arm, q, 0.01) for q in postures]
+    for name, speeds in TRAINS.items():
+        train = train_of(name)
+        for speed in speeds:
+            load = PassageLoad(span=span, train=train, speed=speed / 3.6)
+            ours = passage(load, responses, None, plan.robot, np.zeros((4, 6)))
+            each = [passed(arm, q, 0.01, span, train, speed / 3.6, TIMESTEP) for q in postures]
+            tool, torque = np.max(each, axis=0)
+            off = f"{100 * (ours.tool / tool - 1):+.1f} %", f"{100 * (ours.torque / torque - 1):+.1f} %"
+            yield name, f"{speed}", f"{1e3 * ours.tool:.2f}", f"{1e3 * tool:.2f}", *off
+
+
 def main() -> None:
     """Print all tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--mujoco", action="store_true", help="only the trains, beside MuJoCo")
     plan = planned()
+    if parser.parse_args().mujoco:
+        headings = ("train", "km/h", "tool, mm", "in MuJoCo, mm", "tool off by", "torque off by")
+        _print(headings, against_mujoco(plan))
+        return
     begun = time.perf_counter()
     reference = cmbot.excite(plan)
     print(f"triangle: {reference.rms_mm:.2f} mm RMS by 1 m/s2, {time.perf_counter() - begun:.1f} s")

@@ -60,7 +60,7 @@ def _without_the_default_time_limit() -> Iterator[None]:
 @pytest.fixture(autouse=True)
 def _without_charts_of_other_tests() -> None:
     """What a test finds does not depend on those before it."""
-    sampler._CHARTED.clear()
+    sampler._SAMPLER_CACHE.clear()
 
 
 @pytest.fixture(scope="session")

@@ -79,7 +79,7 @@ __all__ = [
     "write_results",
 ]
 
-_LATER = {
+_LAZY_ARCHIVE = {
     "cmbot.archive.excitation": ("excitation_json", "load_excitation", "save_excitation"),
     "cmbot.archive.reading": ("load_plan", "plan_data"),
     "cmbot.archive.tracking": ("load_tracking", "save_tracking", "tracking_json"),
@@ -87,4 +87,4 @@ _LATER = {
     "cmbot.archive.verification.folders": ("Asked", "Verdict", "VerifiedMotion", "verified_motions"),
     "cmbot.archive.walks": ("TourPart", "load_tour", "load_walk"),
 }
-__getattr__ = on_first_use(__name__, _LATER)
+__getattr__ = on_first_use(__name__, _LAZY_ARCHIVE)

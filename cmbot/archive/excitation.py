@@ -17,7 +17,7 @@ from cmbot.common.validation import given_path, require_type, shown, validated
 from cmbot.excitation import Excitation
 from cmbot.version import __version__
 
-_FORMAT = "cmbot-excitation/1"
+_EXCITATION_FORMAT = "cmbot-excitation/1"
 
 
 def save_excitation(
@@ -93,12 +93,12 @@ def load_excitation(directory: str | Path) -> Excitation | None:
         return None
     source = str(folder / EXCITATION_FILE)
     data = read_json(contents[EXCITATION_FILE], source)
-    if data.get("format") != _FORMAT:
-        raise ArchiveError(source, "format", shown(data.get("format")), repr(_FORMAT))
+    if data.get("format") != _EXCITATION_FORMAT:
+        raise ArchiveError(source, "format", shown(data.get("format")), repr(_EXCITATION_FORMAT))
     return validated(Excitation, data, source, ArchiveError)
 
 
 def excitation_json(excitation: Excitation) -> dict[str, Any]:
     """Return an excitation ready for JSON, SI units but where a key says otherwise."""
     content = TypeAdapter(Excitation).dump_python(excitation, mode="json")
-    return {"format": _FORMAT, "cmbot": __version__, "rms_mm": excitation.rms_mm, **content}
+    return {"format": _EXCITATION_FORMAT, "cmbot": __version__, "rms_mm": excitation.rms_mm, **content}

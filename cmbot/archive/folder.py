@@ -30,12 +30,12 @@ from cmbot.common.input_files import LARGEST_TEXT, read_input, require_replaceab
 from cmbot.common.validation import shown
 
 FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._\-]{0,199}")
-_PART = re.compile(r"\.([A-Za-z0-9][A-Za-z0-9._\-]{0,199})\.part")
+_PART_NAME = re.compile(r"\.([A-Za-z0-9][A-Za-z0-9._\-]{0,199})\.part")
 _FILES, _CONTENT = "files", "content"
 # How often a lock is tried, and how long to wait in between, s.
 _ATTEMPTS, _PAUSE = 20, 0.02
 # How long a reader waits for a writer that is between two files, s.
-_PATIENCE = 1.0
+_WRITER_WAIT_S = 1.0
 _LARGEST_FILE = 500_000_000
 
 _held: ContextVar[frozenset[Path]] = ContextVar("held", default=frozenset())
@@ -282,7 +282,7 @@ def _settle(target: Path) -> None:
                     _part(target / file).replace(target / file)
             _part(target / name).replace(target / name)
     for path in target.iterdir():
-        if _PART.fullmatch(path.name) and not path.is_dir():
+        if _PART_NAME.fullmatch(path.name) and not path.is_dir():
             path.unlink()
 
 
@@ -342,7 +342,7 @@ def read_folder(
     ArchiveError
         As by `read_record`; also for a file that is missing, or of another hash than the record has.
     """
-    deadline = time.monotonic() + _PATIENCE
+    deadline = time.monotonic() + _WRITER_WAIT_S
     while True:
         version = _version(folder / name)
         try:

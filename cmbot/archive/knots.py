@@ -22,8 +22,8 @@ from cmbot.planning import QuinticTrajectory
 from cmbot.scene import Stroke
 
 # Relative tolerance of times.
-_SAME = 1e-9
-_KNOTS = ("t", "q", "v", "a")
+_SAME_T = 1e-9
+_KNOT_ARRAYS = ("t", "q", "v", "a")
 # Several times as many as a scene may have via-points.
 _MOST_KNOTS = 100_000
 # Begins an entry of the directory at a zip file's end; few numbers contain it by chance.
@@ -35,7 +35,7 @@ _NPY_HEADER = re.compile(
     rb"'shape': \((?P<rows>\d{1,9}),(?: (?P<columns>\d{1,9}))?\), \} *\n"
 )
 # What zipfile raises for a file that is damaged or no .zip at all.
-_DAMAGED = (
+_ZIP_ERRORS = (
     EOFError,
     KeyError,
     NotImplementedError,
@@ -77,7 +77,7 @@ def segment_trajectories(
     for segment, *pair in zip(segments, times, times[1:], strict=False):
         ends = np.array(pair)
         first, end = (int(np.abs(whole.t - each).argmin()) for each in ends)
-        if end <= first or (np.abs(whole.t[[first, end]] - ends) > _SAME * np.maximum(ends, 1.0)).any():
+        if end <= first or (np.abs(whole.t[[first, end]] - ends) > _SAME_T * np.maximum(ends, 1.0)).any():
             expected = f"knots at {ends[0]:g} and {ends[1]:g} s ({segment.name})"
             raise ArchiveError(source, "t", "no knot where a segment begins or ends", expected)
         part = slice(first, end + 1)
@@ -87,7 +87,9 @@ def segment_trajectories(
         if segment.kind == "stroke":
             stroke = next(remaining)
             require_times(own.t, stroke.path.duration, source, "the scene")
-            if own.t.shape == stroke.via_times.shape and np.allclose(own.t, stroke.via_times, _SAME, _SAME):
+            if own.t.shape == stroke.via_times.shape and np.allclose(
+                own.t, stroke.via_times, _SAME_T, _SAME_T
+            ):
                 # The sums on the job's clock are rounded.
                 own = replace(own, t=stroke.via_times)
         trajectories.append(own)
@@ -96,7 +98,7 @@ def segment_trajectories(
 
 def require_times(t: FloatArray, duration: float, source: str, whose: str) -> None:
     """Refuse times `t` (N,) of the file `source` that do not run from 0 to `duration`, s, as `whose` do."""
-    if t[0] != 0.0 or abs(t[-1] - duration) > _SAME * duration:
+    if t[0] != 0.0 or abs(t[-1] - duration) > _SAME_T * duration:
         raise ArchiveError(source, "t", f"{t[0]:g} to {t[-1]:g} s", f"0 to {duration:g} s, as in {whose}")
 
 
@@ -107,14 +109,14 @@ def read_knots(content: bytes, source: str, dof: int) -> QuinticTrajectory:
     types and shapes are checked before numbers are unpacked.
     """
     if content.count(_ZIP_ENTRY) > _MOST_ENTRIES:  # zipfile makes an object of each
-        raise ArchiveError(source, "", "many members", f"the arrays {', '.join(_KNOTS)}")
+        raise ArchiveError(source, "", "many members", f"the arrays {', '.join(_KNOT_ARRAYS)}")
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             _require_members(archive, source)
-            knots = {name: _array(archive, name, source, dof) for name in _KNOTS}
+            knots = {name: _array(archive, name, source, dof) for name in _KNOT_ARRAYS}
     except ArchiveError:
         raise
-    except _DAMAGED as error:
+    except _ZIP_ERRORS as error:
         got = f"a damaged file ({shown(str(error))})"
         raise ArchiveError(source, "", got, "a NumPy .npz file") from error
     try:
@@ -125,9 +127,9 @@ def read_knots(content: bytes, source: str, dof: int) -> QuinticTrajectory:
 
 def _require_members(archive: zipfile.ZipFile, source: str) -> None:
     names = archive.namelist()
-    if sorted(names) != sorted(f"{name}.npy" for name in _KNOTS):
-        got = shown(", ".join(names[: len(_KNOTS) + 1]))
-        raise ArchiveError(source, "", f"the members {got}", f"the arrays {', '.join(_KNOTS)}")
+    if sorted(names) != sorted(f"{name}.npy" for name in _KNOT_ARRAYS):
+        got = shown(", ".join(names[: len(_KNOT_ARRAYS) + 1]))
+        raise ArchiveError(source, "", f"the members {got}", f"the arrays {', '.join(_KNOT_ARRAYS)}")
 
 
 def _array(archive: zipfile.ZipFile, name: str, source: str, dof: int) -> FloatArray:

@@ -23,7 +23,7 @@ TRACKING_FILES = ("tracking.csv", "tracking_baseline.csv", "tracking.json")
 EXCITATION_FILE = "excitation.json"
 """That of a plan that has been shaken."""
 
-_PLOTS = (
+_PLOT_FILES = (
     *("guardrail_torque", "joints", "clearance", "tool_deviation"),
     *("tracking_error", "tracking_dynamic", "tracking_residual"),
 )
@@ -31,7 +31,7 @@ SHOWN_FILES = (
     "replay.html",
     "report.html",
     "excitation.html",
-    *(f"{plot}.{kind}" for plot in _PLOTS for kind in ("png", "svg")),
+    *(f"{plot}.{kind}" for plot in _PLOT_FILES for kind in ("png", "svg")),
 )
 """Pages and plots."""
 OWN_FILES = frozenset({PLAN_FILE, *PLAN_FILES, *TRACKING_FILES, EXCITATION_FILE, *SHOWN_FILES})

@@ -27,8 +27,8 @@ from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import shown
 
 # Where the command line puts plans by default.
-_DEFAULT_PLACE = Path("out")
-_MOST_SUGGESTED = 3
+_DEFAULT_PARENT = Path("out")
+_MAX_SUGGESTIONS = 3
 
 
 def require_free(directory: str | Path, *, force: bool = False) -> None:
@@ -217,15 +217,15 @@ def plans_nearby(folder: Path) -> str:
             return "; this folder is a walk's, which cmbot replay shows"
         if folder.is_file() and (folder.parent / PLAN_FILE).is_file():
             return f"; did you mean {folder.parent}?"
-        default = _DEFAULT_PLACE / folder
+        default = _DEFAULT_PARENT / folder
         found = _inside(folder) or ([default] if (default / PLAN_FILE).is_file() else _inside(default))
         found = found or [*_similar(folder), *_similar(default)]
     except OSError:  # a folder without permission, a name that is too long
         return ""
     if not found:
         return ""
-    more = " or another one there" if len(found) > _MOST_SUGGESTED else ""
-    return f"; did you mean {' or '.join(map(str, found[:_MOST_SUGGESTED]))}{more}?"
+    more = " or another one there" if len(found) > _MAX_SUGGESTIONS else ""
+    return f"; did you mean {' or '.join(map(str, found[:_MAX_SUGGESTIONS]))}{more}?"
 
 
 def _inside(folder: Path) -> list[Path]:
@@ -233,7 +233,7 @@ def _inside(folder: Path) -> list[Path]:
     if found := sorted(path.parent for path in folder.glob(f"*/{PLAN_FILE}")):
         return found
     below = (path.parent for place in sorted(folder.glob("plans/*")) for path in place.glob(f"*/{PLAN_FILE}"))
-    return list(islice(below, _MOST_SUGGESTED + 1))
+    return list(islice(below, _MAX_SUGGESTIONS + 1))
 
 
 def _similar(folder: Path) -> list[Path]:

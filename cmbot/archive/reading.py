@@ -60,8 +60,8 @@ from cmbot.scene import PlannerOptions, Scene
 # Relative and absolute tolerance of metrics computed again: processors round differently.
 _SAME, _SAME_ZERO = 1e-6, 1e-9
 # The same of what is drawn in single precision.
-_SAME_DRAWN = 1e-4
-_SAME_ANGLE = 1e-9  # rad
+_SINGLE_PRECISION_TOLERANCE = 1e-4
+_ANGLE_TOLERANCE = 1e-9  # rad
 
 
 def load_plan(
@@ -254,7 +254,7 @@ class _Parts:
         if end is not None:
             ends[-1] = ("where the job is to end at last", end)
         for k, (what, posture) in ends.items():
-            if (off := np.abs(segments[k].trajectory.q[k] - posture).max()) > _SAME_ANGLE:
+            if (off := np.abs(segments[k].trajectory.q[k] - posture).max()) > _ANGLE_TOLERANCE:
                 raise ArchiveError(self._knots, "q", f"another posture, off by {off:.3g}", what)
         return Job(segments=tuple(segments))
 
@@ -281,7 +281,7 @@ class _Parts:
             posture, key = segment.trajectory.q[0], f"strokes[{k}]." if several else ""
             moved = float(np.abs(self.robot.metric.coordinates(posture - before)).max())
             failures = tuple(failure.made() for failure in entry.start.failures)
-            start = Start(posture=posture, moved=moved * (moved > _SAME_ANGLE), failures=failures)
+            start = Start(posture=posture, moved=moved * (moved > _ANGLE_TOLERANCE), failures=failures)
             if (floor := entry.floor) is not None:
                 require_same(len(floor.each), len(segment.trajectory.t), self._source, f"{key}floor.each")
                 lowest = dict(enumerate(floor.each.tolist())).get(floor.via_point)
@@ -374,7 +374,7 @@ def _verified(plan: Plan, clearances: Clearances, data: dict[str, Any], source: 
     for stored, entry in zip(data["segments"], record["segments"], strict=True):
         entry["certificate"] = stored["certificate"]
     require_same(data, expected, source, "", _SAME, _SAME_ZERO)
-    require_same(_drawn(data), _drawn(record), source, "", _SAME_DRAWN, _SAME_ZERO)
+    require_same(_drawn(data), _drawn(record), source, "", _SINGLE_PRECISION_TOLERANCE, _SAME_ZERO)
     seconds = [
         replace(segment, certificate=replace(certificate, checks=(*certificate.checks, *checks)))
         for segment, (certificate, checks) in zip(segments, certified, strict=True)

@@ -13,9 +13,9 @@ from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import FileModel, shown
 
 # By how much numbers may differ, as a share and at least.
-_SAME = 1e-9
+_RECORD_TOLERANCE = 1e-9
 # No plan has as many: 20,000 via-points make 20,000 numbers, 2,000 legs and 1,000 obstacles some ten each.
-_MOST_VALUES = 200_000
+_MAX_RECORD_VALUES = 200_000
 
 
 def read_json(content: bytes, source: str) -> dict[str, Any]:
@@ -25,8 +25,8 @@ def read_json(content: bytes, source: str) -> dict[str, Any]:
     So is JSON of more than 200,000 values, which are counted before anything is made of the text.
     """
     # Each value comes after a comma or an opening bracket.
-    if sum(map(content.count, (b",", b"[", b"{"))) > _MOST_VALUES:
-        raise ArchiveError(source, "", "more values", f"at most {_MOST_VALUES}")
+    if sum(map(content.count, (b",", b"[", b"{"))) > _MAX_RECORD_VALUES:
+        raise ArchiveError(source, "", "more values", f"at most {_MAX_RECORD_VALUES}")
     try:
         data = from_json(content, allow_inf_nan=False)
     except ValueError as error:
@@ -53,8 +53,8 @@ def require_same(
     expected: object,
     source: str,
     key: str,
-    tolerance: float = _SAME,
-    zero: float = _SAME,
+    tolerance: float = _RECORD_TOLERANCE,
+    zero: float = _RECORD_TOLERANCE,
     why: str = "computed again",
 ) -> None:
     """Refuse an entry that differs from what the other entries, or what is computed again, make of it.

@@ -14,12 +14,12 @@ from cmbot.planning import Samples
 from cmbot.trajectory import LARGEST
 
 _JOINT_COLUMNS = ("q", "v", "a", "j", "tau")
-_VECTORS = ("guardrail_torque", "guardrail_force", "tool")
+_VECTOR_COLUMNS = ("guardrail_torque", "guardrail_force", "tool")
 _CLEARANCE, _SEGMENT, _ADHESION = "clearance", "segment", "adhesion_needed"
 # Digits in all, and after the point; the baseline's motion is read back, and figures computed from it.
 _DIGITS, _READ_BACK = 9, 12
 # What cells that are computed again may differ by, as a share and in the unit of the column.
-_ROUNDED = 1e-6
+_CELL_TOLERANCE = 1e-6
 
 
 def columns(dof: int, *, compensated: bool = False) -> tuple[str, ...]:
@@ -28,7 +28,7 @@ def columns(dof: int, *, compensated: bool = False) -> tuple[str, ...]:
     With compensated sag, ``tool`` is the commanded point and ``expected_tool``, at the end, the one with sag.
     """
     joints = (f"{letter}{i}" for letter in _JOINT_COLUMNS for i in range(1, dof + 1))
-    vectors = (f"{vector}_{axis}" for vector in _VECTORS for axis in "xyz")
+    vectors = (f"{vector}_{axis}" for vector in _VECTOR_COLUMNS for axis in "xyz")
     expected = (f"expected_tool_{axis}" for axis in ("xyz" if compensated else ""))
     return ("t", *joints, *vectors, _CLEARANCE, *expected)
 
@@ -144,7 +144,7 @@ def require_table(content: bytes, expected: bytes, source: str) -> None:
 
 def _is_near(cell: str, other: str) -> bool:
     try:
-        return math.isclose(float(cell), float(other), rel_tol=_ROUNDED, abs_tol=_ROUNDED)
+        return math.isclose(float(cell), float(other), rel_tol=_CELL_TOLERANCE, abs_tol=_CELL_TOLERANCE)
     except ValueError:
         return False
 

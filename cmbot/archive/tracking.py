@@ -30,7 +30,7 @@ from cmbot.simulation import (
 )
 from cmbot.version import __version__
 
-_FORMAT = "cmbot-tracking/1"
+_TRACKING_FORMAT = "cmbot-tracking/1"
 _PLANNED, _BASELINE, _METRICS = TRACKING_FILES
 _TABLES = {_PLANNED: "planned", _BASELINE: "baseline"}
 _COLUMNS = ("t", *(f"{part}_{axis}" for part in ("error", "static") for axis in "xyz"))
@@ -143,8 +143,8 @@ def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
     if not contents:
         return None
     data = read_json(contents[_METRICS], source)
-    if data.get("format") != _FORMAT:
-        raise ArchiveError(source, "format", shown(data.get("format")), repr(_FORMAT))
+    if data.get("format") != _TRACKING_FORMAT:
+        raise ArchiveError(source, "format", shown(data.get("format")), repr(_TRACKING_FORMAT))
     file = validated(_TrackingFile, data, source, ArchiveError)
     works = [(_PLANNED, PrescribedWork.planned(plan), plan.sag)]
     if (other := PrescribedWork.baseline(plan)) is not None:
@@ -183,7 +183,7 @@ def _wanted(hashes: Mapping[str, str]) -> tuple[str, ...]:
 def tracking_json(tracking: Tracking) -> dict[str, Any]:
     """Return the metrics of tracking errors ready for JSON, SI units."""
     return {
-        "format": _FORMAT,
+        "format": _TRACKING_FORMAT,
         "cmbot": __version__,
         "options": asdict(tracking.options),
         "seconds": tracking.seconds,

@@ -223,7 +223,7 @@ class _Reader:
 
 
 # What scenes of one bridge differ in: the work in each stance.
-_OWN = ("name", "start", "tool_path")
+_KEYS_OF_ONE_STANCE = ("name", "start", "tool_path")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -317,7 +317,7 @@ def read_tour(folder: Path, read: Callable[[Path], Plan | Walk]) -> tuple[TourPa
 
 def bridge_of(scene: Scene) -> dict[str, Any]:
     """Return what a scene says beside its work and where the robot is, ready for JSON."""
-    data = {name: value for name, value in scene.as_data().items() if name not in _OWN}
+    data = {name: value for name, value in scene.as_data().items() if name not in _KEYS_OF_ONE_STANCE}
     if "guardrail" in data:
         data["guardrail"] = {name: value for name, value in data["guardrail"].items() if name != "stance"}
     return data

@@ -30,8 +30,8 @@ __all__ = [
     "run_tasks",
 ]
 
-_LATER = {
+_LAZY_CAMPAIGNS = {
     "cmbot.campaigns.campaign_file": ("CampaignFile", "Entry", "read_campaign"),
     "cmbot.campaigns.run": ("OVERVIEW", "RESULTS", "Campaign", "CampaignProgress", "campaign"),
 }
-__getattr__ = on_first_use(__name__, _LATER)
+__getattr__ = on_first_use(__name__, _LAZY_CAMPAIGNS)

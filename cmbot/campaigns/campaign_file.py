@@ -16,8 +16,8 @@ from cmbot.common.validation import FileModel, counted, given_path, hint, refusa
 from cmbot.common.yaml_reader import lines_named, read_yaml, yaml_value
 from cmbot.scene import Scene, changed_content, is_within, scene_from_data, scene_path, shipped_scenes
 
-_LARGEST_TABLE = 100_000_000
-_MOST_ENTRIES = 1_000_000
+_MAX_TABLE_BYTES = 100_000_000
+_MAX_ENTRIES = 1_000_000
 # Columns of a table that are no keys of a scene.
 _OWN_COLUMNS = ("name", "at_m", "scene")
 
@@ -134,8 +134,8 @@ def _entries(file: CampaignFile, path: Path) -> Iterator[Entry]:
     seen = set[str]()
     with lines_named(path):
         for given, source in _given(file, path, folder):
-            if len(seen) == _MOST_ENTRIES:
-                raise InputError(str(path), "", "more jobs", f"at most {_MOST_ENTRIES:,} of them")
+            if len(seen) == _MAX_ENTRIES:
+                raise InputError(str(path), "", "more jobs", f"at most {_MAX_ENTRIES:,} of them")
             try:
                 _require_name(given.name, seen)
             except InputError as error:
@@ -173,7 +173,7 @@ def _given(file: CampaignFile, path: Path, folder: Path) -> Iterator[tuple[Entry
 
 
 def _rows(table: Path, scene: str | None) -> Iterator[tuple[EntryFile, _Source]]:
-    rows = read_csv(table, InputError, kind="a CSV table of jobs", largest=_LARGEST_TABLE)
+    rows = read_csv(table, InputError, kind="a CSV table of jobs", largest=_MAX_TABLE_BYTES)
     heading = [name.strip() for name in rows[0]] if rows else []
     if "name" not in heading or len(set(heading)) < len(heading) or "" in heading:
         expected = "a line of different columns with commas between them, among them name"

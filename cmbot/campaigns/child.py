@@ -22,7 +22,7 @@ from threading import Thread
 from typing import Any, TextIO
 
 # Objects that are made between two searches for reference cycles.
-_BETWEEN_SEARCHES = 50_000
+_CHILD_OBJECTS_PER_COLLECTION = 50_000
 
 
 def main() -> None:
@@ -30,7 +30,7 @@ def main() -> None:
     # What a task prints is lost; what it says of errors is kept by whoever started this process.
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-    gc.set_threshold(_BETWEEN_SEARCHES)
+    gc.set_threshold(_CHILD_OBJECTS_PER_COLLECTION)
     lines = SimpleQueue[str]()
     Thread(target=_read, args=(lines,), daemon=True).start()
     while True:

@@ -13,9 +13,9 @@ from cmbot.version import __version__
 from cmbot.views import REPORT, assemble_plain
 
 # Of a reason of more characters the first sentences are shown; the table of results has it whole.
-_LONGEST_REASON = 600
+_MAX_REASON_CHARACTERS = 600
 # Significant digits of a figure.
-_DIGITS = 6
+_FIGURE_DIGITS = 6
 
 
 def overview_page(name: str, rows: Sequence[Mapping[str, Any]], directory: Path) -> str:
@@ -52,7 +52,7 @@ def _columns(rows: Sequence[Mapping[str, Any]], directory: Path) -> dict[str, li
         "name": [row["name"] for row in rows],
         "at": [_short(row["at_m"]) for row in rows],
         "ended": [row["ended"] for row in rows],
-        "reason": [whole_sentences(str(row["reason"]), _LONGEST_REASON) for row in rows],
+        "reason": [whole_sentences(str(row["reason"]), _MAX_REASON_CHARACTERS) for row in rows],
         "baseline": [_short(row.get("baseline_job.peak_guardrail_torque")) for row in rows],
         "planned": [_short(row.get("planned_job.peak_guardrail_torque")) for row in rows],
         "workBaseline": [_short(row.get("baseline_work.peak_guardrail_torque")) for row in rows],
@@ -73,4 +73,4 @@ def _report(place: str | None, directory: Path) -> str | None:
 
 
 def _short(value: float | None) -> float | None:
-    return None if value is None else float(f"{value:.{_DIGITS}g}")
+    return None if value is None else float(f"{value:.{_FIGURE_DIGITS}g}")

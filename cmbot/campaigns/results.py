@@ -17,9 +17,9 @@ PLANS = "plans"
 """Folder of the plan directories: in 256 folders, so that none has too many."""
 
 # Of entries of a result: texts that the table has whole, or that are no figures.
-_LEFT_OUT = ("ended", "reason", "remarks")
+_ENTRIES_NOT_SHOWN = ("ended", "reason", "remarks")
 # The keys of limits, by how jobs end that would need more.
-_LIMITS = {"timed out": "time_limit_s", "out of memory": "memory_limit_mb"}
+_LIMIT_KEYS = {"timed out": "time_limit_s", "out of memory": "memory_limit_mb"}
 
 
 def plan_place(name: str) -> str:
@@ -57,12 +57,12 @@ def result_row(given: Mapping[str, Any], result: TaskResult, place: str) -> dict
         "attempts": result.attempts,
         "seconds": result.seconds,
         "cpu_seconds": result.cpu_seconds,
-        **_flat({name: each for name, each in value.items() if name not in _LEFT_OUT}),
+        **_flat({name: each for name, each in value.items() if name not in _ENTRIES_NOT_SHOWN}),
     }
 
 
 def _reason(result: TaskResult) -> str:
-    key = _LIMITS.get(_end(result))
+    key = _LIMIT_KEYS.get(_end(result))
     return f"{result.error} ({key})" if key else result.error
 
 

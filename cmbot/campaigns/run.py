@@ -29,7 +29,7 @@ from cmbot.views import REPORT
 
 OVERVIEW, RESULTS, _MARK, _TASKS = "index.html", "results.parquet", "campaign.json", "jobs"
 _RESULT_FORMAT = "cmbot-campaign-result/1"
-_ATTEMPTS = 2
+_MAX_ATTEMPTS = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,7 +161,7 @@ def campaign(
             workers=workers,
             scheduler=scheduler,
             security=security,
-            attempts=_ATTEMPTS,
+            attempts=_MAX_ATTEMPTS,
             accept=partial(_is_whole, directory=directory, pages=pages, again=again),
         )
         try:

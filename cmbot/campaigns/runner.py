@@ -24,11 +24,11 @@ from typing import Any
 from cmbot.campaigns.task import Task, TaskResult, TaskStatus
 from cmbot.common.errors import InputError, MissingExtra
 
-_FORMAT = "cmbot-task/1"
+_TASK_FORMAT = "cmbot-task/1"
 # Tasks that dask has at a time; each takes tens of kilobytes there. For each worker of this process; and for
 # a scheduler, whose workers may be many, or become more as its queue grows.
 _AHEAD_HERE, _AHEAD_THERE = 4, 5000
-_SETTINGS = {
+_DASK_SETTINGS = {
     "distributed.scheduler.worker-saturation": 1.0,
     # It looks at every worker a hundred times a second, which only waits for its child.
     "distributed.worker.profile.enabled": False,
@@ -36,9 +36,9 @@ _SETTINGS = {
 # Tasks that a child runs at most, and what its memory may grow by after the first of them, byte.
 MOST_TASKS, MOST_GROWTH = 50, 200_000_000
 # Characters of standard error that are kept.
-_DETAILS = 4000
+_KEPT_STDERR_CHARACTERS = 4000
 # Matrices are small, and there is a child for every processor: more threads only wait for each other.
-_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+_BLAS_THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 def run_tasks(
@@ -186,7 +186,7 @@ def _client(distributed: Any, workers: int, scheduler: str | None, security: obj
     options = {"n_workers": workers, "threads_per_worker": 1, "processes": False, "memory_limit": 0}
     local = dict.fromkeys(("dashboard_address", "worker_dashboard_address"), "127.0.0.1:0")
     with (
-        importlib.import_module("dask").config.set(_SETTINGS),
+        importlib.import_module("dask").config.set(_DASK_SETTINGS),
         distributed.LocalCluster(**local, **options) as cluster,
     ):
         try:
@@ -208,7 +208,7 @@ class _Child:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,
-            env=os.environ | _ONE_THREAD | {"PYTHONPATH": os.pathsep.join(sys.path)},
+            env=os.environ | _BLAS_THREADS | {"PYTHONPATH": os.pathsep.join(sys.path)},
             # Ctrl-C of a terminal is for those who wait for it.
             start_new_session=True,
         )
@@ -258,7 +258,7 @@ class _Child:
     def _said(self) -> str:
         """The end of what the process wrote to standard error."""
         self._log.seek(0)
-        return self._log.read().decode("utf-8", errors="replace")[-_DETAILS:]
+        return self._log.read().decode("utf-8", errors="replace")[-_KEPT_STDERR_CHARACTERS:]
 
 
 # By the thread that has it: of a worker, which has one task at a time.
@@ -313,7 +313,7 @@ def _known(directory: Path, task: Task) -> TaskResult | None:
     try:
         data = json.loads((directory / f"{task.name}.json").read_text(encoding="utf-8"))
         limits = {name: data.pop(name, None) for name in _limits(task)}
-        if data.pop("format") != _FORMAT or data["key"] != task.key:
+        if data.pop("format") != _TASK_FORMAT or data["key"] != task.key:
             return None
         result = replace(TaskResult(**data), resumed=True)
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
@@ -325,6 +325,6 @@ def _store(directory: Path, result: TaskResult, limits: Mapping[str, float | Non
     # It brings the planner with it, which the tasks' processes may not need.
     from cmbot.archive import json_bytes, write_file
 
-    data = {"format": _FORMAT, **asdict(result), **limits}
+    data = {"format": _TASK_FORMAT, **asdict(result), **limits}
     del data["resumed"]
     write_file(directory / f"{result.name}.json", json_bytes(data, indent=1))

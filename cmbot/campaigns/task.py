@@ -12,13 +12,13 @@ from typing import Any
 
 from cmbot.common.errors import InputError, one_line
 
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._\-]{0,99}")
-_FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+_TASK_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._\-]{0,99}")
+_FUNCTION_NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 
 def require_task_name(name: str, source: str, key: str) -> None:
     """Refuse, with an `InputError`, a name that no task's file can have."""
-    if not _NAME.fullmatch(name):
+    if not _TASK_NAME.fullmatch(name):
         expected = "1 to 100 letters, digits, ., - and _, beginning with a letter or digit"
         raise InputError(source, key, repr(name), expected)
 
@@ -74,7 +74,7 @@ class Task:
 
     def __post_init__(self) -> None:
         require_task_name(self.name, "Task", "name")
-        if not _FUNCTION.fullmatch(self.function):
+        if not _FUNCTION_NAME.fullmatch(self.function):
             raise InputError("Task", "function", repr(self.function), "package.module:name")
         if not self.time_limit > 0:
             raise InputError("Task", "time_limit", self.time_limit, "a positive number of seconds")

@@ -21,7 +21,7 @@ from cmbot.common.errors import InputError, one_line
 T = TypeVar("T")
 C = TypeVar("C", bound="Command")
 
-_KINDS: dict[type, str] = {int: "a whole number", float: "a number", Path: "a path", str: "text"}
+_TYPE_PHRASES: dict[type, str] = {int: "a whole number", float: "a number", Path: "a path", str: "text"}
 
 
 class UsageError(Exception):
@@ -338,7 +338,7 @@ def _converter(kind: type, least: float | None, most: float | None) -> Callable[
     """What makes a value of a word."""
     bounds = [f"at least {least:g}"] if least is not None else []
     bounds += [f"at most {most:g}"] if most is not None else []
-    expected = " of ".join(filter(None, (_KINDS[kind], " and ".join(bounds))))
+    expected = " of ".join(filter(None, (_TYPE_PHRASES[kind], " and ".join(bounds))))
 
     def converted(word: str) -> Any:
         try:

@@ -46,7 +46,7 @@ COMMANDS: dict[str, type[Command]] = {
 """The commands by what they are called."""
 
 # What is given in place of a command.
-_INSTEAD = {
+_COMMAND_SYNONYMS = {
     "--help": "Show this help, or with a command before it that of the command.",
     "--version": "Print the version.",
     "--debug": "With a command: show the traceback of an error.",
@@ -138,7 +138,7 @@ def _called(words: Sequence[str]) -> int:
             from cmbot.common.validation import hint
 
             kind = "option" if word.startswith("-") else "command"
-            raise UsageError(f"no such {kind}: {one_line(word)}{hint(word, [*COMMANDS, *_INSTEAD])}")
+            raise UsageError(f"no such {kind}: {one_line(word)}{hint(word, [*COMMANDS, *_COMMAND_SYNONYMS])}")
     return ExitStatus.DONE
 
 
@@ -154,12 +154,12 @@ def _with_sign(command: Command) -> int:
 
 def _print_help() -> None:
     about = {verb: (kind.__doc__ or "").partition("\n")[0] for verb, kind in COMMANDS.items()}
-    width = max(map(len, _INSTEAD)) + 2
+    width = max(map(len, _COMMAND_SYNONYMS)) + 2
     out.print(
         "Usage: cmbot COMMAND ...\n\nPlan the motion of a robot arm that works from a base that bends.\n"
     )
     out.print("Example: cmbot plan triangle, then open out/triangle/report.html in a browser.")
-    for title, told in (("Options", _INSTEAD), ("Commands", about)):
+    for title, told in (("Options", _COMMAND_SYNONYMS), ("Commands", about)):
         out.print(f"\n{title}:")
         for name, text in told.items():
             out.print(f"  {name:<{width}}{text}")

@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from cmbot.robot import Robot
     from cmbot.scene import NewRobot
 
-_SHIPPED = "cmbot"
-_NO_SLUG = re.compile(r"[^A-Za-z0-9_\-]+")
+_SHIPPED_ROBOT = "cmbot"
+_NOT_IN_SLUG = re.compile(r"[^A-Za-z0-9_\-]+")
 # Numbers of the command line are bounded as those of a scene file.
 _LARGEST, _LARGEST_ANGLE, _LEAST_MASS_KG, _MOST_MASS_KG = 1e4, 360.0, 1e-3, 1e5
 # Options that mend an error of a robot's files, by its key.
-_OPTIONS = {"base_frame": "--base", "tool_frame": "--tool", "total_mass_kg": "--total-mass"}
+_REMEDY_OPTIONS = {"base_frame": "--base", "tool_frame": "--tool", "total_mass_kg": "--total-mass"}
 
 
 Numbers = tuple[float, float, float]
@@ -101,7 +101,7 @@ class NewCommand(Writing):
         remarks = [*made.robot.remarks, *made.remarks]
         self.answer(
             lambda: {"files": [str(file) for file in written], "remarks": remarks},
-            lambda: _print_new(made, remarks, written, shipped=source == _SHIPPED),
+            lambda: _print_new(made, remarks, written, shipped=source == _SHIPPED_ROBOT),
         )
 
     def _require_applicable(self, source: str) -> None:
@@ -109,7 +109,7 @@ class NewCommand(Writing):
         foreign: dict[str, object] = {"--base": self.base, "--tool": self.tool}
         foreign["--package-dir"] = self.package_dir
         foreign |= {"--xacro": self.xacro, "--total-mass": self.total_mass}
-        if source == _SHIPPED and (given := [flag for flag, value in foreign.items() if value]):
+        if source == _SHIPPED_ROBOT and (given := [flag for flag, value in foreign.items() if value]):
             raise InputError(", ".join(given), "", "an option", "none with --from cmbot, which is known")
         for place in self.package_dir:
             if not place.is_dir():
@@ -174,7 +174,7 @@ def _composed(robot: Robot, asked: NewRobot, tool_at: Numbers, rpy_deg: Numbers 
     from cmbot.robot import Kinematics
     from cmbot.scene import PlannerOptions, limits_text, scene_text
 
-    shipped = asked.source == _SHIPPED
+    shipped = asked.source == _SHIPPED_ROBOT
 
     def start_of(robot: Robot) -> StartPosture:
         return find_start(robot, _obstacles(asked.source), np.array(tool_at), orientation)
@@ -252,7 +252,7 @@ def xacro_arguments(given: Sequence[str]) -> dict[str, str]:
 def _named_as_option(error: ModelError) -> InputError:
     """Return an error of a robot's files that an option mends with that option as its source."""
     argument = error.key.partition("xacro.")[2]
-    option = f"--xacro {argument}=VALUE" if argument else _OPTIONS.get(error.key)
+    option = f"--xacro {argument}=VALUE" if argument else _REMEDY_OPTIONS.get(error.key)
     return error if option is None else InputError(option, "", error.got, error.expected, error.choices)
 
 
@@ -260,7 +260,7 @@ def _obstacles(source: str) -> tuple[Obstacle, ...]:
     """What a scene without obstacles of its own has: the default guardrail, for the robot that holds it."""
     from cmbot.scene import GuardrailFile, elastic_guardrail, guardrail_obstacles
 
-    return guardrail_obstacles(elastic_guardrail(GuardrailFile())) if source == _SHIPPED else ()
+    return guardrail_obstacles(elastic_guardrail(GuardrailFile())) if source == _SHIPPED_ROBOT else ()
 
 
 def _schema(path: Path) -> str:
@@ -272,4 +272,4 @@ def _schema(path: Path) -> str:
 
 
 def _slug(text: str) -> str:
-    return _NO_SLUG.sub("_", text).strip("_-")[:100] or "scene"
+    return _NOT_IN_SLUG.sub("_", text).strip("_-")[:100] or "scene"

@@ -28,18 +28,18 @@ if TYPE_CHECKING:
 _ROBOT_SUFFIXES = (".urdf", ".xml", ".xacro")
 _SCENE_SUFFIXES = (".yaml", ".yml", ".json")
 # Required packages, and the modules of those that are called otherwise.
-_REQUIRED = (
+_REQUIRED_PACKAGES = (
     *("pin", "coal", "numpy", "scipy", "annotated-types", "pydantic", "ruamel.yaml", "meshcat", "yourdfpy"),
     *("u-msgpack-python", "trimesh", "fast-simplification", "threadpoolctl", "rich"),
 )
 _MODULES = {"pin": "pinocchio", "u-msgpack-python": "umsgpack"}
 # Programs that `cmbot replay --video` needs: the names that they have, and what installs them.
-_PROGRAMS = (
+_VIDEO_PROGRAMS = (
     ("chromium", ("chromium", "chromium-browser", "google-chrome"), "apt-get install chromium"),
     ("chromedriver", ("chromedriver",), "apt-get install chromium-driver"),
     ("ffmpeg", ("ffmpeg",), "apt-get install ffmpeg"),
 )
-_OPTIONAL = (
+_OPTIONAL_PACKAGES = (
     ("piqp", "fast"),
     ("matplotlib", "plots"),
     ("selenium", "video"),
@@ -395,9 +395,9 @@ def examine() -> list[Symptom]:
     symptoms = [
         Symptom("cmbot", f"{__version__} from {Path(__file__).parent.parent}"),
         Symptom("python", f"{platform.python_version()} on {platform.platform()}"),
-        *(_package(name, _MODULES.get(name, name.replace("-", "_"))) for name in _REQUIRED),
+        *(_package(name, _MODULES.get(name, name.replace("-", "_"))) for name in _REQUIRED_PACKAGES),
     ]
-    for name, extra in _OPTIONAL:
+    for name, extra in _OPTIONAL_PACKAGES:
         version = _version(name)
         missing = f"not installed (optional: {install_command(extra)})"
         symptoms.append(Symptom(name, missing if version is None else f"{version}, of the extra {extra}"))
@@ -408,7 +408,7 @@ def examine() -> list[Symptom]:
     ):
         found = str(path) if path.exists() else f"missing: {path}"
         symptoms.append(Symptom(name, found, healthy=path.exists()))
-    for name, programs, command in _PROGRAMS:
+    for name, programs, command in _VIDEO_PROGRAMS:
         missing = f"not found (optional, for cmbot replay --video: {command})"
         symptoms.append(Symptom(name, next(filter(None, map(shutil.which, programs)), missing)))
     return symptoms

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 # Entries of plan.json that are too long for a summary, or have another form there.
-_LEFT_OUT = ("format", "scene", "floor", "passes")
+_NOT_PRINTED = ("format", "scene", "floor", "passes")
 
 
 def _print_options() -> None:
@@ -223,7 +223,7 @@ def _summary(planned: Plan, directory: Path) -> dict[str, Any]:
     from cmbot.archive import plan_data
     from cmbot.planning import baseline_faults, loads, notes, remarks, verdict
 
-    entries = {name: entry for name, entry in plan_data(directory).items() if name not in _LEFT_OUT}
+    entries = {name: entry for name, entry in plan_data(directory).items() if name not in _NOT_PRINTED}
     return {
         "scene": planned.scene.name,
         **entries,
@@ -251,7 +251,7 @@ def _print_plan(planned: Plan, *, verbose: bool) -> None:
 
 
 # Reasons that are printed at the end.
-_MOST_REASONS = 5
+_MAX_REASONS = 5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -327,9 +327,9 @@ def _print_campaign(done: Campaign, failed: Sequence[Mapping[str, Any]]) -> None
     out.print(
         f"{one_line(done.name)}: {counted(len(done.rows), 'job')} in {done.seconds:.1f} s{before}: {counts}."
     )
-    print_lines(f"{row['name']}: {row['ended']}: {row['reason']}" for row in failed[:_MOST_REASONS])
-    if len(failed) > _MOST_REASONS:
-        out.print(f"… and {len(failed) - _MOST_REASONS} more.")
+    print_lines(f"{row['name']}: {row['ended']}: {row['reason']}" for row in failed[:_MAX_REASONS])
+    if len(failed) > _MAX_REASONS:
+        out.print(f"… and {len(failed) - _MAX_REASONS} more.")
     if kept_failures:
         out.print(f"{kept_failures} of these ended so before; --again plans them again.")
     out.print(f"Table: {one_line(done.directory / RESULTS)}.")

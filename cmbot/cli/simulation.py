@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 # Entries of the files that --json does not print.
-_LEFT_OUT = ("format", "assumptions")
+_NOT_IN_JSON = ("format", "assumptions")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +137,7 @@ class ReproduceCommand(Writing):
             work,
             lambda found: written.extend(save_reproduction(found, self.output, force=self.force)),
         )
-        self.answer(lambda: _without(as_json(found), _LEFT_OUT), say, self.output)
+        self.answer(lambda: _without(as_json(found), _NOT_IN_JSON), say, self.output)
 
 
 # Options of the simulation that one of the command line sets.
@@ -154,7 +154,7 @@ def _summary(plan: Plan, tracking: Tracking) -> dict[str, Any]:
 
     return {
         "scene": plan.scene.name,
-        **_without(tracking_json(tracking), _LEFT_OUT),
+        **_without(tracking_json(tracking), _NOT_IN_JSON),
         "remarks": [*tracking_remarks(tracking, compensated=plan.compensation is not None), *_rigid(plan)],
     }
 

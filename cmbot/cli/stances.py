@@ -26,14 +26,14 @@ if TYPE_CHECKING:
     from cmbot.stances import StanceRanking
     from cmbot.stances.walking import Tour, Walk
 
-_SHOWN = 10
-_FILES = ("stances.csv", "index.html")
-_MARK = "# Written by cmbot stand: the scene in its best stance.\n"
+_MAX_ROWS = 10
+_STANCE_FILES = ("stances.csv", "index.html")
+_HEADER_LINE = "# Written by cmbot stand: the scene in its best stance.\n"
 _WALK_FILES = ("walk.csv", "index.html", "replay.html")
 
 
-_SCENES = "Scene files, or names of shipped scenes, of jobs on one bridge."
-_MEMBERS = "A post or rail that feet hold at work; may be repeated; else all."
+_SCENES_HELP = "Scene files, or names of shipped scenes, of jobs on one bridge."
+_MEMBERS_HELP = "A post or rail that feet hold at work; may be repeated; else all."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +50,7 @@ class StandCommand(Writing):
     cmbot stand left.yaml right.yaml -o out/both
     """
 
-    scenes: tuple[str, ...] = argument(_SCENES, "SCENE", complete=complete_scene)
+    scenes: tuple[str, ...] = argument(_SCENES_HELP, "SCENE", complete=complete_scene)
     output: Path | None = option(None, "Folder to write; out/NAME_stances if left out.", "--output", "-o")
     objective: Literal["torque", "hold", "sag", "sway"] | None = option(
         None, "torque, hold, sag or sway, in place of the scene's."
@@ -62,11 +62,12 @@ class StandCommand(Writing):
     max_base_torque_nm: float | None = option(None, "Torque on the base over the job.", least=0.0)
     max_adhesion_n: float | None = option(None, "Adhesion needed over the job.", least=0.0)
     max_sag_mm: float | None = option(None, "Sag of the tool at work.", least=0.0)
+    any_sag: bool = option(False, "Without --max-sag-mm, leave no stance out by its sag.")
     max_sway_mm: float | None = option(None, "Sway by 1 m/s2 of the deck.", least=0.0)
     max_travel_deg: float | None = option(None, "Travel of all joints together.", least=0.0)
     max_seconds: float | None = option(None, "Duration of the job.", least=0.0)
     proofs: int = option(1000, "How many bounds of other mounts to prove.", least=0)
-    members: tuple[str, ...] = option((), _MEMBERS, "--on", metavar="MEMBER")
+    members: tuple[str, ...] = option((), _MEMBERS_HELP, "--on", metavar="MEMBER")
     time_limit: float | None = option(None, "Seconds after which the best so far is kept.", least=0.0)
 
     def __call__(self) -> int:
@@ -98,7 +99,7 @@ class StandCommand(Writing):
             _print_rankings(rankings)
             _print_written(directory, started)
 
-        files = (*_FILES, STANCES_FILE, "best.yaml", "best_1.yaml")
+        files = (*_STANCE_FILES, STANCES_FILE, "best.yaml", "best_1.yaml")
         rankings = self.work_in(
             directory, lambda: require_absent(directory, files, force=self.force), work, write, self.scenes
         )
@@ -165,12 +166,12 @@ class TourCommand(Reporting):
     Example: cmbot tour two_brackets --on top_rail, then open out/two_brackets_tour/index.html in a browser.
     """
 
-    scenes: tuple[str, ...] = argument(_SCENES, "SCENE", complete=complete_scene)
+    scenes: tuple[str, ...] = argument(_SCENES_HELP, "SCENE", complete=complete_scene)
     output: Path | None = option(None, "New folder to write; out/NAME_tour if left out.", "--output", "-o")
     plans: int = option(3, "How many of the best stances to plan for each group.", least=1)
     spacing: float = option(0.15, "Metres between places of the feet.", least=0.05)
     speed: float = option(0.03, "Metres a second of a foot at most.", least=1e-3, most=1.0)
-    members: tuple[str, ...] = option((), _MEMBERS, "--on", metavar="MEMBER")
+    members: tuple[str, ...] = option((), _MEMBERS_HELP, "--on", metavar="MEMBER")
 
     def __call__(self) -> None:
         started = time.perf_counter()
@@ -215,7 +216,7 @@ def _require_planned(rankings: Sequence[StanceRanking], directory: Path) -> None
     try:
         require_planned(rankings)
     except PlanningError as error:
-        error.add_hint(f"{one_line(directory / _FILES[0])} has the reason of each")
+        error.add_hint(f"{one_line(directory / _STANCE_FILES[0])} has the reason of each")
         raise
 
 
@@ -239,7 +240,7 @@ def _print_ranking(ranking: StanceRanking, title: str) -> None:
     headings, rows = planned_table(ranking)
     if rows:
         print_table(f"{title}, planned", headings, rows, text_columns=2)
-    headings, rows = bounds_table(ranking, _SHOWN)
+    headings, rows = bounds_table(ranking, _MAX_ROWS)
     if rows:
         print_table(f"{title}, not planned: bounds (estimates)", headings, rows, text_columns=4)
     print_lines(in_words(ranking))
@@ -277,13 +278,13 @@ def _contents(rankings: Sequence[StanceRanking], name: str) -> dict[str, bytes]:
     from cmbot.views import stances_page
 
     texts = (stances_csv(rankings), stances_page(rankings, name))
-    contents = dict(zip(_FILES, texts, strict=True))
+    contents = dict(zip(_STANCE_FILES, texts, strict=True))
     for number, each in enumerate(rankings, start=1):
         if each.plans and each.best is None:
             continue
         file = "best.yaml" if len(rankings) == 1 else f"best_{number}.yaml"
         best = yaml_text(plain(best_scene(each), each.scene.name))
-        contents[file] = f"{_MARK}# Metres, seconds, degrees.\n{best}"
+        contents[file] = f"{_HEADER_LINE}# Metres, seconds, degrees.\n{best}"
     return {file: text.encode() for file, text in contents.items()}
 
 

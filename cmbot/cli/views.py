@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 # Seconds of motion in a second of a GIF.
 _GIF_SPEED = 4.0
-_LONGEST_SIZE = 12
-_FILMS = ("--video", "--gif")
+_MAX_SIZE_CHARACTERS = 12
+_FILM_OPTIONS = ("--video", "--gif")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,14 +41,14 @@ class ReplayCommand(Command):
     serve: bool = option(False, "Serve the page on 127.0.0.1 instead.", alone="output")
     video: Path | None = option(None, "Film it instead, such as FILE.mp4; takes minutes.", alone="output")
     gif: Path | None = option(None, "Film it as a small GIF instead, four times as fast.", alone="output")
-    fps: int | None = option(None, "Frames a second; left out: 30, of a GIF 10.", needs=_FILMS)
+    fps: int | None = option(None, "Frames a second; left out: 30, of a GIF 10.", needs=_FILM_OPTIONS)
     size: str | None = option(
-        None, "Size, px; left out: 1280x720, of a GIF 640x360.", metavar="WxH", needs=_FILMS
+        None, "Size, px; left out: 1280x720, of a GIF 640x360.", metavar="WxH", needs=_FILM_OPTIONS
     )
     bending: float | None = option(
-        None, "Times by which deflections are magnified; left out: as the page.", needs=_FILMS
+        None, "Times by which deflections are magnified; left out: as the page.", needs=_FILM_OPTIONS
     )
-    colours: str | None = option(None, "Of the arm: own, load or strain; left out: own.", needs=_FILMS)
+    colours: str | None = option(None, "Of the arm: own, load or strain; left out: own.", needs=_FILM_OPTIONS)
 
     def __call__(self) -> None:
         shape = _size(self.size or ("640x360" if self.gif else "1280x720"))
@@ -128,7 +128,7 @@ def _walk_page(directory: Path) -> tuple[str, str]:
 def _size(text: str) -> tuple[int, int]:
     """Width and height from text such as 1280x720."""
     width, times, height = text.partition("x")
-    if not (times and width.isdecimal() and height.isdecimal() and len(text) < _LONGEST_SIZE):
+    if not (times and width.isdecimal() and height.isdecimal() and len(text) < _MAX_SIZE_CHARACTERS):
         raise InputError("cmbot replay", "--size", one_line(text), "width and height, such as 1280x720")
     return int(width), int(height)
 

@@ -37,10 +37,10 @@ __all__ = [
     "travel",
 ]
 
-_MODULES = {
+_LAZY_COLLISION = {
     "cmbot.collision.clearance": ("RESOLUTION", "Clearances", "Nearest", "Smallest"),
     "cmbot.collision.motion_bounds": ("raise_bounds", "travel"),
     "cmbot.collision.point_distances": ("PointDistances",),
     "cmbot.collision.shapes": ("PairedShapes", "ShapePair", "extent_of", "touched_by"),
 }
-__getattr__ = on_first_use(__name__, _MODULES)
+__getattr__ = on_first_use(__name__, _LAZY_COLLISION)

@@ -19,9 +19,9 @@ from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.robot import Chain, Robot
 
 # Postures are treated in blocks of this many, whose arrays fit the processor's cache.
-_BLOCK = 512
+_POSTURES_PER_BLOCK = 512
 # How often points of two boxes are projected onto each other's box: a direction need not be the best one.
-_PROJECTIONS = 4
+_PROJECTION_STEPS = 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -138,8 +138,8 @@ class BroadPhase:
 
     def lower_bounds(self, q: FloatArray) -> Iterator[LowerBounds]:
         """Yield the bounds in postures `q` (N, n), rad, block by block."""
-        for start in range(0, len(q), _BLOCK):
-            block = slice(start, min(start + _BLOCK, len(q)))
+        for start in range(0, len(q), _POSTURES_PER_BLOCK):
+            block = slice(start, min(start + _POSTURES_PER_BLOCK, len(q)))
             yield self._bounds(q[block].T, block)
 
     def _group(self, shape: int, others: list[tuple[int, int]]) -> _Group:
@@ -212,7 +212,7 @@ def _separation(centre: FloatArray, edges: Sequence[FloatArray], half: FloatArra
     """Bound on the distance of two boxes, as in `_gap`, by one direction; -inf where none is found."""
     squares = [(edge * edge).sum(axis=0) for edge in edges]
     point = centre
-    for _ in range(_PROJECTIONS):
+    for _ in range(_PROJECTION_STEPS):
         away = np.clip(point, -half, half) - centre
         point = centre
         for edge, square in zip(edges, squares, strict=True):

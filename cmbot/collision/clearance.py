@@ -23,11 +23,11 @@ RESOLUTION = 1e-4
 """To which the smallest distance of a motion is known, m: what lies so near a margin may count as below."""
 
 # From this number of postures on the broad phase is worth its calls: benchmarks/kernels.py.
-_BROAD_PHASE_FROM = 24
+_MIN_BROAD_PHASE_POSTURES = 24
 # One of this many neighbouring postures is measured first: its nearest pair often is that of the others.
 _GUIDE_STRIDE = 8
 # Rounding that the choice of near pairs allows for, m.
-_SLACK = 1e-9
+_NEAR_PAIR_TOLERANCE = 1e-9
 # GJK's default of 1e-6 m would blur the derivatives; this costs nothing that can be measured. EPA, which
 # takes over in deep overlaps, keeps its default: with a smaller tolerance it fails now and then.
 _GJK_TOLERANCE = 1e-10
@@ -147,7 +147,7 @@ class Clearances:
             distance[(pair >= 0) | ~known] = -np.inf
         elif not left_out.all():
             distance[~known] = np.nan
-            if len(q) < _BROAD_PHASE_FROM:
+            if len(q) < _MIN_BROAD_PHASE_POSTURES:
                 for k in np.flatnonzero(known):
                     distance[k], pair[k] = self._smallest_at(q[k], left_out)
             else:
@@ -175,10 +175,10 @@ class Clearances:
                 request.security_margin = margin
             self._margin = margin
         found = np.full(len(q), -1, dtype=np.intp)
-        if len(q) < _BROAD_PHASE_FROM:
+        if len(q) < _MIN_BROAD_PHASE_POSTURES:
             results = self._geometry_data.collisionResults
             for k, q_k in enumerate(q):
-                pairs = self._cache.near(q_k, margin + _SLACK)
+                pairs = self._cache.near(q_k, margin + _NEAR_PAIR_TOLERANCE)
                 if pairs is not None:
                     self._place_shapes(q_k)
                     found[k] = self._first_colliding(pairs)
@@ -187,7 +187,7 @@ class Clearances:
                     found[k] = next(pair for pair, result in enumerate(results) if result.isCollision())
             return found
         for bounds in self._broad_phase.lower_bounds(q):
-            row, pair = np.nonzero((bounds.value <= margin + _SLACK).T)
+            row, pair = np.nonzero((bounds.value <= margin + _NEAR_PAIR_TOLERANCE).T)
             for k, pairs in _grouped(row, pair.tolist()):
                 self._place_shapes(q[bounds.block][k])
                 found[bounds.block][k] = self._first_colliding(pairs)
@@ -203,10 +203,10 @@ class Clearances:
         found = np.full(len(q), -1, dtype=np.intp)
         for bounds in self._broad_phase.lower_bounds(q):
             most, block = least[bounds.block], found[bounds.block]
-            pair, row = np.nonzero(bounds.value <= most + _SLACK)
+            pair, row = np.nonzero(bounds.value <= most + _NEAR_PAIR_TOLERANCE)
             lower = bounds.tightened(pair, row)
             order = np.lexsort((lower, row))
-            order = order[lower[order] <= most[row[order]] + _SLACK]
+            order = order[lower[order] <= most[row[order]] + _NEAR_PAIR_TOLERANCE]
             for k, pairs in _grouped(row[order], pair[order].tolist()):
                 self._place_shapes(q[bounds.block][k])
                 block[k] = next((p for p in pairs if self._distance(p) < most[k]), -1)
@@ -216,7 +216,7 @@ class Clearances:
         """Return every avoidable pair (see `query`) that is nearer than `distance` at `q`."""
         if not self._any_avoidable:
             return []
-        near = self._cache.lower_bounds(q) <= distance + _SLACK
+        near = self._cache.lower_bounds(q) <= distance + _NEAR_PAIR_TOLERANCE
         candidates = (near & self._avoidable).nonzero()[0].tolist()
         if not candidates:
             return []
@@ -262,7 +262,7 @@ class Clearances:
         first = int(lower.argmin())
         least = self._distance(first)
         lower[first] = np.inf
-        near = np.flatnonzero(lower <= least + _SLACK)
+        near = np.flatnonzero(lower <= least + _NEAR_PAIR_TOLERANCE)
         near = near[lower[near].argsort()]
         return self._least((least, first), list(zip(near.tolist(), lower[near].tolist(), strict=True)))
 
@@ -272,7 +272,7 @@ class Clearances:
         if self._cache.suits(q):
             for some, lower, upper in self._cache.segments(q):
                 lower[:, left_out] = upper[:, left_out] = np.inf
-                row, near = np.nonzero(lower <= upper.min(axis=1, keepdims=True) + _SLACK)
+                row, near = np.nonzero(lower <= upper.min(axis=1, keepdims=True) + _NEAR_PAIR_TOLERANCE)
                 self._lower(q[some], row, near, lower[row, near], distance[some], pair[some])
             return distance, pair
         for bounds in self._broad_phase.lower_bounds(q):
@@ -294,9 +294,9 @@ class Clearances:
         for k, (at, p) in enumerate(zip(which.tolist(), first.tolist(), strict=True)):
             self._place_shapes(q[at])
             least[k] = self._distance(p)
-        row, near = np.nonzero((bounds.value[:, which] <= least + _SLACK).T)
+        row, near = np.nonzero((bounds.value[:, which] <= least + _NEAR_PAIR_TOLERANCE).T)
         lower = bounds.tightened(near, which[row])
-        doubtful = (lower <= least[row] + _SLACK) & (near != first[row])
+        doubtful = (lower <= least[row] + _NEAR_PAIR_TOLERANCE) & (near != first[row])
         self._lower(q[which], row[doubtful], near[doubtful], lower[doubtful], least, pair)
         return least, pair
 
@@ -319,7 +319,7 @@ class Clearances:
     def _least(self, best: tuple[float, int], candidates: list[tuple[int, float]]) -> tuple[float, int]:
         """Smallest distance and its pair among `best` and candidates, sorted by their lower bounds."""
         for pair, lower in candidates:
-            if lower > best[0] + _SLACK:
+            if lower > best[0] + _NEAR_PAIR_TOLERANCE:
                 break
             best = min(best, (self._distance(pair), pair))
         return best

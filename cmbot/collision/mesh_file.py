@@ -17,11 +17,11 @@ from cmbot.common.validation import shown
 if TYPE_CHECKING:
     import trimesh
 
-_FARTHEST = 1e4  # m, as of any coordinate in a scene
+_MAX_COORDINATE_M = 1e4  # m, as of any coordinate in a scene
 # Files that were read last and are kept: planning and pages ask for the same ones several times.
-_KEPT = 8
+_CACHED_FILES = 8
 # The errors that its readers raise when a file is damaged.
-_DAMAGED = (
+_READER_ERRORS = (
     OSError,
     ValueError,
     LookupError,
@@ -53,12 +53,12 @@ def load_mesh(path: Path, name: str = "", *, key: str = "", scale: float = 1.0) 
     try:
         mesh = _parsed(content, suffix, scale)
         vertices = np.asarray(mesh.vertices, dtype=float)
-    except _DAMAGED as error:
+    except _READER_ERRORS as error:
         raise SceneError(str(path), key, f"unreadable ({shown(str(error))})", "a mesh file") from error
     if vertices.shape[1:] != (3,):
         raise SceneError(str(path), key, f"vertices of shape {vertices.shape}", "three coordinates each")
-    if not (np.abs(vertices) <= _FARTHEST).all():
-        got, expected = "a mesh that is larger or not finite", f"vertices within {_FARTHEST:g} m"
+    if not (np.abs(vertices) <= _MAX_COORDINATE_M).all():
+        got, expected = "a mesh that is larger or not finite", f"vertices within {_MAX_COORDINATE_M:g} m"
         raise SceneError(str(path), key, got, expected)
     # It takes a while to come, and few scenes have a mesh.
     from cmbot.robot import encloses_volume
@@ -68,7 +68,7 @@ def load_mesh(path: Path, name: str = "", *, key: str = "", scale: float = 1.0) 
     return mesh
 
 
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=_CACHED_FILES)
 def _parsed(content: bytes, suffix: str, scale: float) -> trimesh.Trimesh:
     # It takes a while to come, too.
     import trimesh

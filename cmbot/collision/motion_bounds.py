@@ -15,7 +15,7 @@ from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.robot import prismatic_joints, slide_axes
 
 # When some point of the arm may have moved further than this, m, all pairs are measured again.
-_LARGEST_MOVE = 0.1
+_MAX_MOVE_M = 0.1
 # In postures nearer than this to the one before, m, it is worth measuring all pairs where the bounds leave
 # more than this share of them.
 _NEIGHBOUR, _FEW = 0.3, 0.3
@@ -108,7 +108,7 @@ class DistanceCache:
     def lower_bounds(self, q: FloatArray) -> FloatArray:
         """Return lower bounds of all distances, (P,), m, in posture `q` (n,), rad."""
         move = np.abs(q - self._q)
-        if self._drawn_out(q, self._q) or not move @ self._furthest <= _LARGEST_MOVE:
+        if self._drawn_out(q, self._q) or not move @ self._furthest <= _MAX_MOVE_M:
             self._measure(q)
             return self._distance.copy()
         return np.asarray(self._distance - self._reach @ move)
@@ -137,7 +137,7 @@ class DistanceCache:
     def suits(self, q: FloatArray) -> bool:
         """Whether postures `q` (N, n) follow each other so closely that measuring a few bounds all."""
         moved = float((np.abs(np.diff(q, axis=0)) @ self._furthest).sum())
-        return not self._drawn_out(q) and moved * _FEWEST <= _LARGEST_MOVE * len(q)
+        return not self._drawn_out(q) and moved * _FEWEST <= _MAX_MOVE_M * len(q)
 
     def _drawn_out(self, *q: FloatArray) -> bool:
         """Whether a joint slides further than its range in any of postures (..., n): reaches hold no more."""
@@ -149,7 +149,7 @@ class DistanceCache:
         while first < len(q):
             self.lower_bounds(q[first])
             move = np.abs(q[first : first + _SEGMENT] - self._q)
-            far = np.flatnonzero(move @ self._furthest > _LARGEST_MOVE)
+            far = np.flatnonzero(move @ self._furthest > _MAX_MOVE_M)
             last = first + (int(far[0]) if len(far) else len(move))
             moved = move[: last - first] @ self._reach.T
             yield slice(first, last), self._distance - moved, self._distance + moved

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import trimesh
 
 # Meshes whose hulls are kept.
-_KEPT = 8
+_CACHED_HULLS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,7 +173,7 @@ def extent_of(obstacle: Obstacle) -> FloatArray:
     return np.array([np.min(corners, axis=0), np.max(corners, axis=0)])
 
 
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=_CACHED_HULLS)
 def _hulls(mesh: trimesh.Trimesh, path: Path, name: str) -> tuple[Any, ...]:
     """Convex hulls of the connected parts of a mesh, which clearances of every stroke and page ask for."""
     return tuple(_hull(part, path, name) for part in mesh.split(only_watertight=False))

@@ -31,12 +31,12 @@ FAR_BEYOND = 10.0
 """A violation, as a share of the bound, beyond which its size says nothing."""
 
 # A posture whose smallest singular value is larger is not near a singular one.
-_SINGULAR = 0.05
+_NEAR_SINGULAR_VALUE = 0.05
 # Characters of a value, of a file's path and of what happened that are kept at least where a message has to
 # be shortened.
 _SHORT_VALUE, _SHORT_SOURCE, _SHORT_TEXT = 60, 80, 160
 # What is said as one: in brackets and quotes no sentence ends. An apostrophe is no quote.
-_GROUP = re.compile(r"\([^()]*\)|\[[^][]*\]|(?<!\w)'[^']*'(?!\w)|(?<!\w)\"[^\"]*\"(?!\w)")
+_BRACKETED = re.compile(r"\([^()]*\)|\[[^][]*\]|(?<!\w)'[^']*'(?!\w)|(?<!\w)\"[^\"]*\"(?!\w)")
 _SENTENCE_ENDS = re.compile(r";(?= )|(?<=[.!?])(?= [A-Z])")
 
 
@@ -60,13 +60,13 @@ def whole_sentences(text: str, length: int) -> str:
         return text
     masked = text
     # From the innermost groups outwards.
-    while (once := _GROUP.sub(lambda group: "_" * len(group[0]), masked)) != masked:
+    while (once := _BRACKETED.sub(lambda group: "_" * len(group[0]), masked)) != masked:
         masked = once
     ends = [found.start() for found in _SENTENCE_ENDS.finditer(masked)]
     if fitting := [end for end in ends if 0 < end <= length]:
         return text[: fitting[-1]]
     first = text[: ends[0]] if ends and ends[0] > 0 else text
-    for value in sorted((*_GROUP.findall(first), *first.split()), key=len, reverse=True):
+    for value in sorted((*_BRACKETED.findall(first), *first.split()), key=len, reverse=True):
         if len(first) <= length or len(value) <= _SHORT_VALUE:
             break
         first = first.replace(value, _cut_within(value, max(len(value) - len(first) + length, _SHORT_VALUE)))
@@ -274,7 +274,7 @@ class PathNotFound(PlanningError):
         self.pair = pair
         text = f"no path beyond t = {time:.2f} s ({progress:.0%} of the tool path): {reason}"
         near = ""
-        if 0 < smallest_singular_value < _SINGULAR:
+        if 0 < smallest_singular_value < _NEAR_SINGULAR_VALUE:
             near = f"; near a singular posture (smallest singular value {smallest_singular_value:.3g})"
         super().__init__(text, near)
 

@@ -35,9 +35,9 @@ MESH_FORMATS = ("glb", "obj", "off", "ply", "stl")
 """Of mesh files: those that trimesh reads without further packages."""
 
 # Axes are unit vectors up to what people round.
-_LENGTH_OF_AXIS = 1e-2
+_UNIT_LENGTH_TOLERANCE = 1e-2
 _SLUG = re.compile(r"[A-Za-z0-9][A-Za-z0-9_\-]{0,99}")
-_UNIT = re.compile("_(deg|kg_m3|kg|m|pa)$")
+_UNIT_SUFFIX = re.compile("_(deg|kg_m3|kg|m|pa)$")
 
 
 def _slug(text: str) -> str:
@@ -54,7 +54,7 @@ def _long_enough(by: Vector) -> Vector:
 
 
 def _unit_vector(axis: Vector) -> Vector:
-    if abs(math.hypot(*axis) - 1.0) > _LENGTH_OF_AXIS:
+    if abs(math.hypot(*axis) - 1.0) > _UNIT_LENGTH_TOLERANCE:
         raise refusal("a unit vector", got=axis)
     return axis
 
@@ -166,5 +166,5 @@ def si_fields(model: BaseModel) -> dict[str, Any]:
         value = getattr(model, name)
         if name.endswith("_deg"):
             value = tuple(map(math.radians, value)) if isinstance(value, tuple) else math.radians(value)
-        values[_UNIT.sub("", name)] = value
+        values[_UNIT_SUFFIX.sub("", name)] = value
     return values

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pydantic_core import CoreSchema
 
 # Larger numbers could not be printed in other units.
-_LARGEST = 1e12
+_MAX_NUMBER = 1e12
 
 
 class _NullIfInfinite:
@@ -48,12 +48,12 @@ class _Listed:
         )
 
 
-NonNegative = Annotated[float, Ge(0), Le(_LARGEST)]
+NonNegative = Annotated[float, Ge(0), Le(_MAX_NUMBER)]
 Share = Annotated[float, Ge(0), Le(1)]
 Count = Annotated[int, Ge(0)]
 OrInfinite = Annotated[float, _NullIfInfinite()]
 """null: infinite."""
-ModerateOrInfinite = Annotated[float, Ge(-_LARGEST), Le(_LARGEST), _NullIfInfinite()]
+ModerateOrInfinite = Annotated[float, Ge(-_MAX_NUMBER), Le(_MAX_NUMBER), _NullIfInfinite()]
 Row = Annotated[FloatArray, _Listed(tuple[float, ...])]
 """An array (n,), as a list."""
 Rows = Annotated[FloatArray, _Listed(tuple[tuple[float, ...], ...])]

@@ -11,10 +11,10 @@ LONGEST_REPR = 300
 """Characters of a short repr at most."""
 
 # Characters of a field's value at most.
-_LONGEST_VALUE = 60
+_MAX_VALUE_CHARACTERS = 60
 # Readable on light and on dark ground: no colours but the text's own.
-_BOX = "border:1px solid rgba(128,128,128,.5);border-radius:8px;padding:8px 14px;display:inline-block"
-_CELL = "padding:1px 14px 1px 0;border:0"
+_BOX_STYLE = "border:1px solid rgba(128,128,128,.5);border-radius:8px;padding:8px 14px;display:inline-block"
+_CELL_STYLE = "padding:1px 14px 1px 0;border:0"
 
 
 def short_repr(self: Any) -> str:
@@ -70,7 +70,7 @@ def card(
     body = "".join(_row("td", row) for row in rows)
     table = f'<table style="margin:6px 0 0;border-collapse:collapse">{head}{body}</table>'
     return (
-        f'<div style="{_BOX}"><strong>{escape(title)}</strong>'
+        f'<div style="{_BOX_STYLE}"><strong>{escape(title)}</strong>'
         f"{f'<div>{escape(sentence)}</div>' if sentence else ''}{table if body else ''}</div>"
     )
 
@@ -92,17 +92,17 @@ def _short(value: object) -> str:
     elif isinstance(value, (tuple, list, set, frozenset, dict)):
         plain = all(each is None or isinstance(each, (str, bool, int, float)) for each in value)
         text = repr(value) if plain and not isinstance(value, dict) else ""
-        return text if text and len(text) <= _LONGEST_VALUE else f"<{len(value)} items>"
+        return text if text and len(text) <= _MAX_VALUE_CHARACTERS else f"<{len(value)} items>"
     else:
         return f"<{type(value).__name__}>"
-    return text if len(text) <= _LONGEST_VALUE else f"{text[: _LONGEST_VALUE - 1]}…"
+    return text if len(text) <= _MAX_VALUE_CHARACTERS else f"{text[: _MAX_VALUE_CHARACTERS - 1]}…"
 
 
 def _row(tag: str, texts: Sequence[str]) -> str:
     # A single column beside the names has words, several have numbers.
     side = "right" if len(texts) > 2 else "left"
     cells = (
-        f'<{tag} style="{_CELL};text-align:{side if number else "left"}">{escape(text)}</{tag}>'
+        f'<{tag} style="{_CELL_STYLE};text-align:{side if number else "left"}">{escape(text)}</{tag}>'
         for number, text in enumerate(texts)
     )
     return f"<tr>{''.join(cells)}</tr>" if texts else ""

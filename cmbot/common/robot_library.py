@@ -10,10 +10,10 @@ from importlib import metadata
 from pathlib import Path
 
 LIBRARY, LIBRARY_EXTRA = "example-robot-data", "robots"
-_PLACE = Path("share", "example-robot-data", "robots")
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_\-]{0,99}")
+_LIBRARY_FOLDER = Path("share", "example-robot-data", "robots")
+_LIBRARY_ROBOT_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_\-]{0,99}")
 # That package's own short names, where its URDF files are named otherwise.
-_SHORT = {
+_FILE_OF_SHORT_NAME = {
     "anymal_b": "anymal",
     "g1": "g1_29dof_rev_1_0",
     "hyq": "hyq_no_sensors",
@@ -28,7 +28,7 @@ _SHORT = {
 
 def is_robot_name(text: str) -> bool:
     """Whether `text` could name a robot of the library: letters, digits, - and _ alone."""
-    return _NAME.fullmatch(text) is not None
+    return _LIBRARY_ROBOT_NAME.fullmatch(text) is not None
 
 
 def library_robots() -> dict[str, Path] | None:
@@ -47,15 +47,15 @@ def _robots_in(folder: Path) -> Mapping[str, Path]:
     robots: dict[str, Path] = {}
     for path in sorted(folder.glob("*/*/*.urdf")):
         robots.setdefault(path.stem, path)
-    return robots | {name: robots[stem] for name, stem in _SHORT.items() if stem in robots}
+    return robots | {name: robots[stem] for name, stem in _FILE_OF_SHORT_NAME.items() if stem in robots}
 
 
 def _folder() -> Path | None:
-    places = [Path(sys.prefix) / _PLACE]
+    places = [Path(sys.prefix) / _LIBRARY_FOLDER]
     try:
         package = metadata.distribution(LIBRARY)
     except metadata.PackageNotFoundError:
         pass
     else:
-        places.insert(0, Path(str(package.locate_file("cmeel.prefix"))) / _PLACE)
+        places.insert(0, Path(str(package.locate_file("cmeel.prefix"))) / _LIBRARY_FOLDER)
     return next((place for place in places if place.is_dir()), None)

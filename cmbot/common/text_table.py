@@ -24,7 +24,7 @@ from cmbot.common.validation import counted, hint, shown
 
 _NAME_AND_UNIT = re.compile(r"\s*(.*?)\s*(?:[\[(]\s*([^\])]*?)\s*[\])])?\s*")
 _SEPARATORS = (";", "\t", ",")
-_COMMENT = "#"
+_COMMENT_MARK = "#"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -141,7 +141,7 @@ def read_table(
         for (number, line), row in zip(
             given[first:], _cells((line for _, line in given[first:]), separator), strict=True
         )
-        if not line.lstrip().startswith(_COMMENT)
+        if not line.lstrip().startswith(_COMMENT_MARK)
     ]
     width = len(rows[0][1])
     for number, row in rows:
@@ -171,7 +171,7 @@ def _cells(lines: Iterable[str], separator: str) -> list[list[str]]:
 
 def _begins_with_number(line: str) -> bool:
     cell = _cells([line], _separator(line))[0][0]
-    return not cell.startswith(_COMMENT) and bool(np.isfinite(_number(cell)))
+    return not cell.startswith(_COMMENT_MARK) and bool(np.isfinite(_number(cell)))
 
 
 def _number(cell: str) -> float:
@@ -185,7 +185,7 @@ def _number(cell: str) -> float:
 def _heading(lines: Sequence[str], separator: str, width: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names and units of the columns, from the last line before the rows that has as many cells."""
     for line in reversed(lines):
-        cells = _cells([line.lstrip().lstrip(_COMMENT).strip()], separator)[0]
+        cells = _cells([line.lstrip().lstrip(_COMMENT_MARK).strip()], separator)[0]
         if len(cells) == width:
             found = [_NAME_AND_UNIT.fullmatch(cell) for cell in cells]
             names = tuple(match[1].lower() if match else "" for match in found)

@@ -20,11 +20,11 @@ from cmbot.common.representation import fields_repr
 
 T = TypeVar("T")
 
-_LONGEST_SHOWN = 60
+_MAX_SHOWN_CHARACTERS = 60
 _PLAIN_KEY = re.compile(r"[\w.\-]{1,60}")
-_REFUSAL = "refusal"
-_UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
-_LENGTHS = ("missing", "too_long", "too_short")
+_REFUSAL_TYPE = "refusal"
+_UNKNOWN_KEY_TYPES = ("extra_forbidden", "unexpected_keyword_argument")
+_LENGTH_TYPES = ("missing", "too_long", "too_short")
 _PHRASES = {
     "missing": "a value, this key is required",
     "bool_type": "true or false",
@@ -49,7 +49,7 @@ _PHRASES = {
     "json_invalid": "valid text and a depth that a file of this format can have ({error})",
 }
 # What files of cmbot are, by what their formats begin with.
-_KINDS = {
+_FORMATS = {
     "cmbot-scene": "a scene",
     "cmbot-campaign": "a campaign",
     "cmbot-measurements": "a sheet of measurements",
@@ -248,7 +248,7 @@ def input_error(source: str, error: ValidationError, error_type: type[InputError
     kind, context, schema = detail["type"], detail.get("ctx", {}), _schema(model)
     # Without the models that pydantic names between alternatives.
     loc = tuple(step for step in detail["loc"] if step not in schema.get("$defs", ()))
-    if kind == _REFUSAL:
+    if kind == _REFUSAL_TYPE:
         key = key_path((*loc, *context["key"]))
         return error_type(source, key, context["got"], context["expected"], context["choices"])
     if kind == "value_error" and isinstance(context.get("error"), InputError):
@@ -256,7 +256,7 @@ def input_error(source: str, error: ValidationError, error_type: type[InputError
         found = context["error"]
         key = ".".join(filter(None, (key_path(loc), found.key)))
         return error_type(source, key, found.got, found.expected, found.choices)
-    if kind in _UNKNOWN_KEY:
+    if kind in _UNKNOWN_KEY_TYPES:
         keys = tuple(_schema_at(schema, loc[:-1]).get("properties", {}))
         expected = f"a known key{hint(loc[-1], keys)}"
         return error_type(source, key_path(loc), "an unknown key", expected, keys)
@@ -272,9 +272,9 @@ def input_error(source: str, error: ValidationError, error_type: type[InputError
         known = f"a known value{hint(detail['input'], choices)}"
         expected = known if choices else repr(node.get("const"))
         if loc == ("format",) and (other := _other_kind(detail["input"], choices or (node.get("const"),))):
-            got = f"{_KINDS[other]} ({detail['input']})"
+            got = f"{_FORMATS[other]} ({detail['input']})"
             expected, choices = " or ".join(choices) or str(node.get("const")), ()
-    elif kind in _LENGTHS and node.get("minItems", 0) == node.get("maxItems"):
+    elif kind in _LENGTH_TYPES and node.get("minItems", 0) == node.get("maxItems"):
         expected = f"a list of {node['maxItems']} items"
     elif kind in _PHRASES:
         expected = _PHRASES[kind].format(**context)
@@ -311,7 +311,7 @@ def refusal(
         "key": tuple(key),
         "choices": tuple(choices),
     }
-    return PydanticCustomError(_REFUSAL, "expected {expected}", context)
+    return PydanticCustomError(_REFUSAL_TYPE, "expected {expected}", context)
 
 
 def key_path(steps: Sequence[str | int]) -> str:
@@ -329,7 +329,7 @@ def key_path(steps: Sequence[str | int]) -> str:
 def shown(value: object) -> str:
     """Return a value as one short line."""
     text = repr(value)
-    return text if len(text) <= _LONGEST_SHOWN else f"{text[: _LONGEST_SHOWN - 2]}…{text[-1]}"
+    return text if len(text) <= _MAX_SHOWN_CHARACTERS else f"{text[: _MAX_SHOWN_CHARACTERS - 2]}…{text[-1]}"
 
 
 def counted(number: int, noun: str, plural: str = "") -> str:
@@ -346,7 +346,7 @@ def hint(word: object, choices: Sequence[str]) -> str:
 def _other_kind(format_: object, known: Sequence[object]) -> str:
     """What the format of a file begins with that is another than the known ones; empty where it is none."""
     kind = str(format_).partition("/")[0]
-    return kind if kind in _KINDS and not any(str(each).startswith(f"{kind}/") for each in known) else ""
+    return kind if kind in _FORMATS and not any(str(each).startswith(f"{kind}/") for each in known) else ""
 
 
 def _most_telling(errors: list[ErrorDetails]) -> ErrorDetails:
@@ -354,7 +354,7 @@ def _most_telling(errors: list[ErrorDetails]) -> ErrorDetails:
     first = errors[0]
     if first["type"] == "missing":
         for other in errors:
-            if other["type"] in _UNKNOWN_KEY and other["loc"][:-1] == first["loc"][:-1]:
+            if other["type"] in _UNKNOWN_KEY_TYPES and other["loc"][:-1] == first["loc"][:-1]:
                 return other
     return first
 

@@ -35,18 +35,18 @@ LARGEST_FILE = 2_000_000
 """Size in bytes above which a file is refused."""
 
 _DEEPEST, _WIDTH = 50, 120
-_WORD = re.compile(r"[A-Za-z][A-Za-z0-9_./\-]*")
+_PLAIN_WORD = re.compile(r"[A-Za-z][A-Za-z0-9_./\-]*")
 # How ruamel.yaml says what it misses, with tokens of its own; messages of cmbot have these words elsewhere.
-_MISSED = re.compile(r"expected (.+?),? but (?:got|found) (.+)|could not find expected (.+)")
+_RUAMEL_EXPECTED = re.compile(r"expected (.+?),? but (?:got|found) (.+)|could not find expected (.+)")
 _TOKENS = {
     "<block end>": "the end of the block above",
     "'?'": "a key",
     "'<block mapping start>'": "a key that is indented otherwise",
 }
-_XML = re.compile(r"\s*<[?!A-Za-z]")
+_XML_START = re.compile(r"\s*<[?!A-Za-z]")
 # 2,000 legs and 1,000 obstacles have half as many; each takes some 50 microseconds.
-_MOST_VALUES = 100_000
-_TEXT = "tag:yaml.org,2002:str"
+_MAX_YAML_VALUES = 100_000
+_STRING_TAG = "tag:yaml.org,2002:str"
 _PLAIN_TYPES = (str, int, float, type(None))  # bool is an int
 
 _Path = tuple[str | int, ...]
@@ -74,7 +74,7 @@ def read_yaml(path: str | Path, error_type: type[InputError], kind: str = "a fil
     """
     source = str(path)
     text = _read_text(Path(path), source, error_type, kind)
-    if _XML.match(text):
+    if _XML_START.match(text):
         error = error_type(source, "", "XML, such as a URDF", "a YAML file of keys and values")
         error.holds = "xml"
         raise error
@@ -116,7 +116,7 @@ class _Representer(SafeRepresenter):
     """Writes text that is more than a word in quotes: not all that is written plain is read as it was."""
 
     def represent_str(self, data: str) -> Any:
-        return self.represent_scalar(_TEXT, data, style=None if _WORD.fullmatch(data) else '"')
+        return self.represent_scalar(_STRING_TAG, data, style=None if _PLAIN_WORD.fullmatch(data) else '"')
 
 
 _Representer.add_representer(str, _Representer.represent_str)
@@ -228,7 +228,7 @@ class _Document:
             if not isinstance(event, ScalarEvent):
                 raise self._refused(path, "a list or mapping as key", "a key that is text", event.start_mark)
             key = event.value
-            if str(self._node(event).tag) != _TEXT:
+            if str(self._node(event).tag) != _STRING_TAG:
                 raise self._refused(path, f"the key {shown(key)}", "a key that is text", event.start_mark)
             if key in mapping:
                 raise self._refused((*path, key), "the same key again", "each key once", event.start_mark)
@@ -256,8 +256,8 @@ class _Document:
     def _check(self, event: Any, path: _Path) -> None:
         mark = event.start_mark
         self._values += 1
-        if self._values > _MOST_VALUES:
-            raise self._refused(path[:3], "more values", f"at most {_MOST_VALUES} in a file", mark)
+        if self._values > _MAX_YAML_VALUES:
+            raise self._refused(path[:3], "more values", f"at most {_MAX_YAML_VALUES} in a file", mark)
         if len(path) > _DEEPEST:
             raise self._refused(path[:3], "nesting too deep", f"at most {_DEEPEST} levels", mark)
         if isinstance(event, AliasEvent):
@@ -273,7 +273,7 @@ class _Document:
 
 def _syntax_problem(error: MarkedYAMLError) -> str:
     context, problem = (" ".join(str(part or "").split()) for part in (error.context, error.problem))
-    if missed := _MISSED.fullmatch(problem):
+    if missed := _RUAMEL_EXPECTED.fullmatch(problem):
         expected, got, alone = missed.groups()
         where = f"{_TOKENS.get(got, got)} where {_TOKENS.get(expected, expected)} should be"
         problem = f"no {alone}" if alone else where

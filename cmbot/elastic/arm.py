@@ -19,12 +19,12 @@ from cmbot.elastic.base import ElasticBase
 from cmbot.robot import Robot, external_forces, turn_axis
 
 # Bodies that are lighter are there for their frames only, kg; no radius of gyration is made of their mass.
-_NO_MASS = 1e-12
+_NEGLIGIBLE_MASS_KG = 1e-12
 # A body thinner than this share of the axis' length lies in a plane across it.
-_FLAT = 1e-9
+_PLANAR_BODY_SHARE = 1e-9
 # Share of a piece's own second moment along the axis that is kept: about what the consistent mass matrix of a
 # beam has at its end. With none the pieces of a flat body would have no inertia about an axis.
-_KEPT = 0.25
+_AXIAL_INERTIA_SHARE = 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -290,7 +290,7 @@ def cut_inertia(inertia: Any, start: FloatArray, end: FloatArray, cuts: FloatArr
     k + 1 pieces follow in that order. Points and pieces are in the frame of `inertia`.
     """
     pieces = [pin.Inertia.Zero() for _ in range(len(cuts) + 1)]
-    if inertia.mass < _NO_MASS:
+    if inertia.mass < _NEGLIGIBLE_MASS_KG:
         return pieces
     length = np.linalg.norm(end - start)
     u = (end - start) / length
@@ -299,7 +299,7 @@ def cut_inertia(inertia: Any, start: FloatArray, end: FloatArray, cuts: FloatArr
     variance = max(float(u @ covariance @ u), 0.0)
     half = np.sqrt(3 * variance)
     cut_at = cuts * length - u @ (inertia.lever - start)
-    if half <= _FLAT * length or np.all(np.abs(cut_at) >= half):
+    if half <= _PLANAR_BODY_SHARE * length or np.all(np.abs(cut_at) >= half):
         pieces[int(np.searchsorted(cut_at, 0.0))] = inertia  # nothing to cut
         return pieces
     # The outer pieces end with the rod, however far that is from the axis' points.
@@ -307,7 +307,7 @@ def cut_inertia(inertia: Any, start: FloatArray, end: FloatArray, cuts: FloatArr
     share, mean = np.diff(at) / (2 * half), (at[:-1] + at[1:]) / 2
     held = share > 0
     between = float(share @ mean**2)
-    stretched = variance - _KEPT * (variance - between)
+    stretched = variance - _AXIAL_INERTIA_SHARE * (variance - between)
     stretch = min(np.sqrt(stretched / between), half / np.abs(mean[held]).max())
     kept = (variance - stretch**2 * between) / (variance - between)
     lean = covariance @ u / variance

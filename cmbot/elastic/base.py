@@ -21,13 +21,13 @@ from cmbot.elastic.guardrail import Guardrail
 
 # Joints closer than this are merged, m: far below a section's width, and a beam much shorter than its
 # neighbours would cost digits, as stiffness grows with the inverse third power of length.
-_SAME_PLACE = 1e-3
+_MERGE_DISTANCE_M = 1e-3
 # The first six modes of the default guardrail are then within 0.01 % of those of a fine mesh.
 _BEAMS_PER_SEGMENT = 8
 # Compliance of what is rigid where legs alone bend, m/N and rad/Nm.
 _RIGID = 1e-12 * np.eye(6)
 # Number of natural frequencies of the frame that are computed.
-_MODES = 6
+_MODE_COUNT = 6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,7 +82,7 @@ def elastic_base(guardrail: Guardrail) -> ElasticBase | None:
     condensed = made.frame.condense(*made.feet)
     K, moved = _with_legs(factor * condensed.stiffness, _motion_of_feet(guardrail), legs)
     M = moved.T @ condensed.mass @ moved
-    return _base(K, M, np.sqrt(factor) * made.frame.frequencies(_MODES))
+    return _base(K, M, np.sqrt(factor) * made.frame.frequencies(_MODE_COUNT))
 
 
 def shares(guardrail: Guardrail) -> tuple[FloatArray, ...]:
@@ -295,13 +295,13 @@ def guardrail_frame(guardrail: Guardrail, *, beams: int = _BEAMS_PER_SEGMENT) ->
 def _places_along(guardrail: Guardrail) -> tuple[tuple[float, bool], ...]:
     """The x of posts and foot, ascending, each with whether a post stands there."""
     posts = guardrail.post_positions
-    if not posts or any(not after - before > _SAME_PLACE for before, after in pairwise(posts)):
+    if not posts or any(not after - before > _MERGE_DISTANCE_M for before, after in pairwise(posts)):
         expected = "one or more, ascending, more than a millimetre apart"
         raise _refusal("post_positions", posts, expected)
     held = [x for x, _, _ in guardrail.footholds]
-    if not all(posts[0] - _SAME_PLACE <= x <= posts[-1] + _SAME_PLACE for x in held):
+    if not all(posts[0] - _MERGE_DISTANCE_M <= x <= posts[-1] + _MERGE_DISTANCE_M for x in held):
         raise _refusal("post_positions", posts, "posts on both sides of the foot, or one at it")
-    places = {next((h for h in held if abs(x - h) <= _SAME_PLACE), x): True for x in posts}
+    places = {next((h for h in held if abs(x - h) <= _MERGE_DISTANCE_M), x): True for x in posts}
     for x in held:
         places.setdefault(x, False)
     if guardrail.rails:
@@ -314,23 +314,23 @@ def _levels(guardrail: Guardrail) -> tuple[float, ...]:
     post, rails = guardrail.post, guardrail.rails
     low, high = post.clamp, post.top
     for index, rail in enumerate(rails):
-        if not low - _SAME_PLACE <= rail.height <= high + _SAME_PLACE:
+        if not low - _MERGE_DISTANCE_M <= rail.height <= high + _MERGE_DISTANCE_M:
             expected = f"a height from {low} to {high}, on the posts"
             raise _refusal(f"rails[{index}].height", rail.height, expected)
     for x, _, z in guardrail.footholds:
-        if not low + _SAME_PLACE < z <= high + _SAME_PLACE:
+        if not low + _MERGE_DISTANCE_M < z <= high + _MERGE_DISTANCE_M:
             raise _refusal("post", f"{low} to {high}", f"posts that pass height {z:g}, where the foot holds")
-        at_post = any(abs(x - post) <= _SAME_PLACE for post in guardrail.post_positions)
+        at_post = any(abs(x - post) <= _MERGE_DISTANCE_M for post in guardrail.post_positions)
         heights = [rail.height for rail in rails]
-        if not at_post and all(abs(height - z) > _SAME_PLACE for height in heights):
+        if not at_post and all(abs(height - z) > _MERGE_DISTANCE_M for height in heights):
             expected = f"a rail at height {z:g}, or the foot at a post"
             raise _refusal("rails", heights, expected)
     levels = [low]
     for z in (z for _, _, z in guardrail.footholds):
-        if all(abs(z - level) > _SAME_PLACE for level in levels):
+        if all(abs(z - level) > _MERGE_DISTANCE_M for level in levels):
             levels.append(z)
     for height in (*(rail.height for rail in rails), high):
-        if all(abs(height - level) > _SAME_PLACE for level in levels):
+        if all(abs(height - level) > _MERGE_DISTANCE_M for level in levels):
             levels.append(height)
     return tuple(sorted(levels))
 

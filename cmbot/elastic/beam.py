@@ -58,7 +58,7 @@ class Outline(NamedTuple):
     radius: float = 0.0
 
 
-_AXIS = Outline()
+_AXIS_OUTLINE = Outline()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +75,7 @@ class SectionConstants:
     minor: float
     torsion: float
     tilt: float
-    outline: Outline = _AXIS
+    outline: Outline = _AXIS_OUTLINE
 
 
 def section_constants(section: Section) -> SectionConstants:

@@ -19,11 +19,11 @@ from cmbot.elastic.beam import SectionConstants, beam_mass, beam_stiffness
 from cmbot.elastic.guardrail import GuardrailMaterial
 
 # Sine of the angle to the member's axis below which a first axis does not define the section's orientation.
-_PARALLEL = 1e-6
+_PARALLEL_SINE = 1e-6
 # Largest asymmetry of a compliance, relative to its diagonal, that is accepted as rounding.
-_ASYMMETRY = 1e-6
+_MAX_ASYMMETRY = 1e-6
 # Up to this many coordinates all modes are computed: ARPACK needs more vectors than the modes asked for.
-_SMALL = 60
+_MAX_DENSE_COORDINATES = 60
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,7 +135,7 @@ class Frame:
         a, b, c = member.first_axis
         across = math.hypot(y * c - z * b, z * a - x * c, x * b - y * a)
         # Negated so that NaN is refused.
-        if not across > _PARALLEL * length * math.hypot(a, b, c):
+        if not across > _PARALLEL_SINE * length * math.hypot(a, b, c):
             expected = "a direction that is not along the member"
             raise _refusal(f"{key}.first_axis", member.first_axis, expected)
         section, steel = member.section, member.material
@@ -219,7 +219,7 @@ def natural_frequencies(
     size = stiffness.shape[0]
     if count < 1 or mass.count_nonzero() == 0:
         return np.zeros(0)
-    if size <= max(_SMALL, 4 * count):
+    if size <= max(_MAX_DENSE_COORDINATES, 4 * count):
         # The roles of mass and stiffness are exchanged because the mass may be singular.
         try:
             squares = linalg.eigh(mass.toarray(), stiffness.toarray(), eigvals_only=True)[::-1][:count]
@@ -261,7 +261,7 @@ def _inverse(compliance: FloatArray) -> FloatArray:
     scale = np.sqrt(np.diag(compliance))
     scaled = compliance / scale[:, None] / scale  # metres and radians on one scale
     # Symmetric by Maxwell and Betti's theorem: any asymmetry is rounding.
-    if not np.abs(scaled - scaled.T).max() < _ASYMMETRY:
+    if not np.abs(scaled - scaled.T).max() < _MAX_ASYMMETRY:
         raise _ill_conditioned()
     try:
         factor = linalg.cho_factor((scaled + scaled.T) / 2, lower=True)

@@ -19,7 +19,7 @@ DAMPING = 0.01
 """Ratio of every mode where nothing else is said, as simulated: arms of aluminium tubes have 0.5 to 2 %."""
 
 # Share of the largest squared period below which a squared period is rounding: its coordinate has no mass.
-_MASSLESS = 1e-13
+_MASSLESS_SHARE = 1e-13
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,7 +78,7 @@ def arm_modes(arm: ElasticArm, q: FloatArray) -> ArmModes:
     # The roles of mass and stiffness are exchanged because the mass may be singular: eigenvalues 1/omega^2.
     squares, X = linalg.eigh(M, K)
     squares, X = squares[::-1], X[:, ::-1]
-    moving = squares > _MASSLESS * squares.max(initial=0.0)
+    moving = squares > _MASSLESS_SHARE * squares.max(initial=0.0)
     squares, X = squares[moving], X[:, moving]
     return ArmModes(
         frequencies=1 / (2 * np.pi * np.sqrt(squares)),

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from scipy.linalg.lapack import dpotrf, dpotrs
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
@@ -19,14 +18,14 @@ from cmbot.robot import Kinematics
 
 # Newton's method: most iterations, and the step, m and rad, at which it ends; the remaining error is about
 # the step's square.
-_ITERATIONS = 30
-_CONVERGED = 1e-8
-# Iterations at most with the stiffness of a posture before.
-_QUICK = 4
+_MAX_NEWTON_STEPS = 30
+_NEWTON_TOLERANCE = 1e-8
+# Iterations at most with the stiffness of another posture.
+_MAX_FIXED_STIFFNESS_STEPS = 12
 # Longest interval, s, between computed postures of a smooth motion; a spline interpolates between them.
-_INTERVAL = 0.02
+_MAX_POSTURE_INTERVAL_S = 0.02
 # Below this length, m, the gradient of a length is taken as zero.
-_NO_DIRECTION = 1e-12
+_ZERO_LENGTH_M = 1e-12
 
 
 class TooSoftError(InputError):
@@ -83,7 +82,7 @@ class Sag:
 
     def along(self, t: FloatArray, q: FloatArray) -> FloatArray:
         """Return the tool's displacements (N, 3), m, on a smooth motion `q` (N, n) at times `t` (N,)."""
-        every = max(1, int(_INTERVAL / max(float(np.diff(t).max(initial=0.0)), 1e-9)))
+        every = max(1, int(_MAX_POSTURE_INTERVAL_S / max(float(np.diff(t).max(initial=0.0)), 1e-9)))
         some = np.unique(np.append(np.arange(0, len(t), every), len(t) - 1))
         if every == 1 or len(some) < 4:
             return self.following(q)
@@ -128,32 +127,43 @@ class Sag:
     def following(self, q: FloatArray) -> FloatArray:
         """Return the tool's displacements (N, 3), m, in postures `q` (N, n), each close to the one before.
 
-        The same as `at` finds, quicker: each equilibrium is sought from the one before, with its stiffness.
+        The same as `at` finds, quicker: all equilibria are sought with the stiffness of the first one's.
         """
-        arm, model, data, tool = self.arm, self.arm.model, self._data, np.empty((len(q), 3))
-        rigid = Kinematics(arm.robot).tool_poses(q)[0]
-        u, factor = np.zeros(len(arm.elastic)), None
-        for k, angles in enumerate(q):
-            for _ in range(_QUICK if factor is not None else 0):
-                configuration = arm.configuration(angles, u)
-                loads = pin.computeStaticTorque(model, data, configuration, arm.external_forces)
-                step = dpotrs(factor, arm.stiffness @ u + loads[arm.elastic])[0]
-                u = u - step
-                if np.abs(step).max(initial=0.0) < _CONVERGED:
+        arm, model, data = self.arm, self.arm.model, self._data
+        tool, u = np.empty((len(q), 3)), np.zeros((len(q), len(arm.elastic)))
+        if u.size:
+            tangent, _ = self._solve(q[:1], u[:1])
+            chord = np.linalg.inv(0.5 * (tangent[0] + tangent[0].T))
+            u[1:], left = u[0], np.arange(1, len(q))
+            for _ in range(_MAX_FIXED_STIFFNESS_STEPS):
+                loads = np.empty((len(left), u.shape[1]))
+                for k, configuration in enumerate(arm.configuration(q[left], u[left])):
+                    torque = pin.computeStaticTorque(model, data, configuration, arm.external_forces)
+                    loads[k] = torque[arm.elastic]
+                step = (chord @ ((arm.stiffness @ u[left, :, None])[:, :, 0] + loads)[:, :, None])[:, :, 0]
+                u[left] -= step
+                left = left[~(np.abs(step).max(axis=1) < _NEWTON_TOLERANCE)]
+                if not len(left):
                     break
-            else:
-                tangent, _ = self._solve(angles[None], u[None], first=k)
-                factor = dpotrf(0.5 * (tangent[0] + tangent[0].T))[0] if len(u) else None
-            pin.forwardKinematics(model, data, arm.configuration(angles, u))
+            u[left] = 0.0
+            for number in left.tolist():
+                alone = slice(number, number + 1)
+                self._solve(q[alone], u[alone], first=number)
+        for k, configuration in enumerate(arm.configuration(q, u)):
+            pin.forwardKinematics(model, data, configuration)
             tool[k] = pin.updateFramePlacement(model, data, arm.tool_frame_id).translation
-        return tool - rigid
+        return tool - Kinematics(arm.robot).tool_poses(q)[0]
 
     def length(self, q: FloatArray, /) -> tuple[FloatArray, FloatArray]:
         """Return the tool's distances (N,), m, at postures `q` (N, n), and their gradients (N, n), m/rad."""
         at = self.at(q)
         length = np.linalg.norm(at.tool, axis=1)
-        unit = at.tool / np.maximum(length, _NO_DIRECTION)[:, None]
+        unit = at.tool / np.maximum(length, _ZERO_LENGTH_M)[:, None]
         return np.asarray(length), np.einsum("ki,kij->kj", unit, at.d_tool)
+
+    def distance(self, q: FloatArray) -> FloatArray:
+        """Return the distances (N,), m, of `length`, without gradients: quicker."""
+        return np.asarray(np.linalg.norm(self.following(q), axis=1))
 
     def equilibria(
         self, q: FloatArray, start: FloatArray | None = None
@@ -202,7 +212,7 @@ class Sag:
             return TooSoftError("Sag.at", f"q[{first + index}]", f"a posture {why}", expected)
 
         left = np.arange(len(q))
-        for _ in range(_ITERATIONS):
+        for _ in range(_MAX_NEWTON_STEPS):
             balance, tangent, _by_joints = self._balance(q[left], u[left])
             try:
                 step = np.linalg.solve(tangent, balance[:, :, None])[:, :, 0]
@@ -210,7 +220,7 @@ class Sag:
                 singular = int(np.abs(np.linalg.det(tangent)).argmin())
                 raise refused(int(left[singular]), "without equilibrium") from error
             u[left] -= step
-            left = left[~(np.abs(step).max(axis=1, initial=0.0) < _CONVERGED)]
+            left = left[~(np.abs(step).max(axis=1, initial=0.0) < _NEWTON_TOLERANCE)]
             if not len(left):
                 break
         else:

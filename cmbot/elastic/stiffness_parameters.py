@@ -17,10 +17,10 @@ from cmbot.elastic.arm import ElasticArm
 
 # Entries on and above the diagonal of a symmetric matrix (6, 6), row by row.
 _ROW, _COLUMN = np.triu_indices(6)
-_BASIS = np.zeros((21, 6, 6))
-_BASIS[np.arange(21), _ROW, _COLUMN] = _BASIS[np.arange(21), _COLUMN, _ROW] = 1.0
+_SYMMETRIC_BASIS = np.zeros((21, 6, 6))
+_SYMMETRIC_BASIS[np.arange(21), _ROW, _COLUMN] = _SYMMETRIC_BASIS[np.arange(21), _COLUMN, _ROW] = 1.0
 # Eigenvalues closer than this are one in the derivative of the exponential.
-_SAME = 1e-9
+_EQUAL_EIGENVALUES = 1e-9
 
 
 class StiffnessParameters:
@@ -53,7 +53,7 @@ class StiffnessParameters:
     @property
     def count(self) -> int:
         """The number p."""
-        return len(self.springs) + (len(_BASIS) if self.has_base else 0)
+        return len(self.springs) + (len(_SYMMETRIC_BASIS) if self.has_base else 0)
 
     def stiffness(self, parameters: FloatArray) -> FloatArray:
         """Return the stiffness (f, f) of the elastic coordinates at parameters (p,)."""
@@ -74,7 +74,7 @@ class StiffnessParameters:
             own = self._own[np.ix_(at, at)] * np.exp(-parameters[k])
             lost[:, at, k] = u[:, at] @ own
         if self.has_base:
-            D = -exponential_slopes(-self._of_base(parameters), -_BASIS)
+            D = -exponential_slopes(-self._of_base(parameters), -_SYMMETRIC_BASIS)
             strained = (D @ (u[:, self._at_base] @ self._inverse.T).T).transpose(2, 0, 1)
             lost[:, self._at_base, len(self.springs) :] = (strained @ self._inverse).transpose(0, 2, 1)
         return lost
@@ -85,7 +85,7 @@ class StiffnessParameters:
 
 def symmetric(entries: FloatArray) -> FloatArray:
     """Return the symmetric matrix (6, 6) of the entries (21,) on and above its diagonal, row by row."""
-    return np.asarray(np.tensordot(entries, _BASIS, axes=1))
+    return np.asarray(np.tensordot(entries, _SYMMETRIC_BASIS, axes=1))
 
 
 def entries_of(matrix: FloatArray) -> FloatArray:
@@ -97,7 +97,7 @@ def exponential_slopes(Y: FloatArray, directions: FloatArray) -> FloatArray:
     """Return the derivatives (k, 6, 6) of exp(Y) along symmetric directions (k, 6, 6) (Daleckii, Krein)."""
     values, V = np.linalg.eigh(Y)
     grown, apart = np.exp(values), values[:, None] - values
-    same = np.abs(apart) < _SAME
+    same = np.abs(apart) < _EQUAL_EIGENVALUES
     quotient = (grown[:, None] - grown) / np.where(same, 1.0, apart)
     weight = np.where(same, np.sqrt(np.outer(grown, grown)), quotient)
     return np.asarray(V @ (weight * (V.T @ directions @ V)) @ V.T)

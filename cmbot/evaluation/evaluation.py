@@ -51,11 +51,11 @@ from cmbot.trajectory import QuinticTrajectory
 # Between two postures whose sag is computed, s, and postures of a segment at most.
 _SAG_INTERVAL, _POSTURES_OF_SEGMENT = 0.05, 400
 # Between two samples of a table, s.
-_SAMPLE_STEP = 0.01
+_TABLE_STEP_S = 0.01
 # Columns that are named.
-_NAMED_COLUMNS = 5
+_MAX_NAMED_COLUMNS = 5
 # What counts as the scene's start, rad and m.
-_START_KEPT = 1e-6
+_START_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,7 +134,7 @@ class Evaluation:
         each = list[tuple[float, Samples, bool]]()
         for segment in self.job.segments:
             robot = self.robot if segment.kind == "stroke" else self.robot.tool_off
-            t = np.linspace(0.0, segment.duration, int(np.ceil(segment.duration / _SAMPLE_STEP)) + 1)
+            t = np.linspace(0.0, segment.duration, int(np.ceil(segment.duration / _TABLE_STEP_S)) + 1)
             motion = [segment.trajectory.evaluate(t, order) for order in range(4)]
             held = segment.task.held_at_start()
             each.append((segment.begin, measure(robot, held, clearances, t, motion), False))
@@ -145,7 +145,7 @@ class Evaluation:
     def rows(self) -> Iterator[tuple[str, str, str]]:
         """Yield the figures, each as its name and unit, the motion's value and the planned one."""
         jobs = (self.job, None if self.plan is None else self.plan.job)
-        for name, attribute, factor, digits, at_work in _ROWS:
+        for name, attribute, factor, digits, at_work in _FIGURE_ROWS:
             values = [_figure(job, attribute, at_work=at_work) for job in jobs]
             if values[0] is not None:
                 yield _row(name.format(base=self.scene.base_name), values, factor, digits)
@@ -194,15 +194,15 @@ class Evaluation:
         if self.missing:
             yield f"Not followed: {', '.join(self.missing)}; what is no stroke is taken with the tool off."
         start = float(np.abs(motion.q[0] - self.scene.posture).max())
-        if start > _START_KEPT:
+        if start > _START_TOLERANCE:
             yield f"It starts up to {start:.4g} rad (or m) a joint from the scene's posture."
         rates = np.abs(job.trajectory.v[[0, -1]]) / self.robot.limits.velocity
-        if rates.max() > _START_KEPT:
-            which = "begin" if rates[0].max() > _START_KEPT else "end"
+        if rates.max() > _START_TOLERANCE:
+            which = "begin" if rates[0].max() > _START_TOLERANCE else "end"
             yield f"It does not {which} at rest."
         if motion.unknown:
-            more = "" if len(motion.unknown) <= _NAMED_COLUMNS else " and so on"
-            yield f"Not read: {', '.join(motion.unknown[:_NAMED_COLUMNS])}{more}."
+            more = "" if len(motion.unknown) <= _MAX_NAMED_COLUMNS else " and so on"
+            yield f"Not read: {', '.join(motion.unknown[:_MAX_NAMED_COLUMNS])}{more}."
 
 
 def evaluate(
@@ -462,7 +462,7 @@ def _given(t: ArrayLike, q: ArrayLike | None, v: ArrayLike | None, a: ArrayLike 
     return JointMotion(t=times, q=arrays["q"], v=arrays.get("v"), a=arrays.get("a"))
 
 
-_ROWS: tuple[tuple[str, str, float, int, bool], ...] = (
+_FIGURE_ROWS: tuple[tuple[str, str, float, int, bool], ...] = (
     ("peak torque on the {base}, whole job, Nm", "peak_guardrail_torque", 1.0, 2, False),
     ("peak torque at work, Nm", "peak_guardrail_torque", 1.0, 2, True),
     ("mean torque, whole job, Nm", "mean_guardrail_torque", 1.0, 2, False),

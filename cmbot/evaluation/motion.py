@@ -13,7 +13,7 @@ from cmbot.common.representation import short_repr
 from cmbot.trajectory import QuinticTrajectory
 
 # Times in each interval at which two curves are compared.
-_TIMES_BETWEEN_POINTS = 16
+_COMPARED_TIMES_PER_INTERVAL = 16
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,7 +74,7 @@ class JointMotion:
         if self.v is None:
             return 0.0
         t = self.t - self.t[0]
-        shares = np.arange(_TIMES_BETWEEN_POINTS) / _TIMES_BETWEEN_POINTS
+        shares = np.arange(_COMPARED_TIMES_PER_INTERVAL) / _COMPARED_TIMES_PER_INTERVAL
         every = np.append((t[:-1, None] + shares * np.diff(t)[:, None]).ravel(), t[-1])
         other = CubicHermiteSpline(t, self.q, self.v)(every)
         if self.is_quintic:

@@ -20,10 +20,10 @@ from cmbot.common.yaml_reader import read_yaml
 from cmbot.evaluation.motion import JointMotion
 from cmbot.robot import Robot
 
-_TIMES = ("t", "time", "seconds", "time_from_start")
+_MOTION_TIME_COLUMNS = ("t", "time", "seconds", "time_from_start")
 # Where messages have their trajectory: goals of actions, RobotTrajectory, DisplayTrajectory.
-_WRAPPED = ("trajectory", "joint_trajectory", "goal")
-_KINDS = "a table with t and the joints, a JointTrajectory (.json, .yaml), or a plan directory"
+_TRAJECTORY_KEYS = ("trajectory", "joint_trajectory", "goal")
+_EXPECTED_FILES = "a table with t and the joints, a JointTrajectory (.json, .yaml), or a plan directory"
 _NANO = 1e-9
 
 
@@ -57,12 +57,12 @@ def read_motion(path: str | Path, robot: Robot) -> JointMotion:
     if path.suffix.lower() == ".json":
         return _from_message(_json(path), str(path), robot)
     if path.suffix.lower() in (".yaml", ".yml"):
-        return _from_message(read_yaml(path, InputError, _KINDS), str(path), robot)
-    return _from_table(read_table(path, InputError, kind=_KINDS), robot)
+        return _from_message(read_yaml(path, InputError, _EXPECTED_FILES), str(path), robot)
+    return _from_table(read_table(path, InputError, kind=_EXPECTED_FILES), robot)
 
 
 def _from_table(table: TextTable, robot: Robot) -> JointMotion:
-    time = table.index(*_TIMES)
+    time = table.index(*_MOTION_TIME_COLUMNS)
     if time is None:
         got = f"the columns {','.join(table.names)}" if table.names else "no heading"
         raise InputError(table.source, "line 1", shown(got), "a column t, in s, beside those of the joints")
@@ -89,11 +89,11 @@ def _from_table(table: TextTable, robot: Robot) -> JointMotion:
 def _json(path: Path) -> dict[str, Any]:
     """The object in a JSON file, which may be longer than YAML of cmbot is."""
     try:
-        data = json.loads(read_input(path, InputError, kind=_KINDS))
+        data = json.loads(read_input(path, InputError, kind=_EXPECTED_FILES))
     except (ValueError, RecursionError) as error:
-        raise InputError(str(path), "", f"no JSON ({error})", _KINDS) from error
+        raise InputError(str(path), "", f"no JSON ({error})", _EXPECTED_FILES) from error
     if not isinstance(data, dict):
-        raise InputError(str(path), "", shown(data), _KINDS)
+        raise InputError(str(path), "", shown(data), _EXPECTED_FILES)
     return data
 
 
@@ -134,7 +134,7 @@ def _unwrapped(data: Mapping[str, Any]) -> tuple[Mapping[str, Any], str]:
     """The trajectory in a message, and where in it that is."""
     message, key = data, ""
     while "points" not in message:
-        name = next((each for each in _WRAPPED if each in message), None)
+        name = next((each for each in _TRAJECTORY_KEYS if each in message), None)
         inner = message[name] if name else None
         if isinstance(inner, list) and inner:
             name, inner = f"{name}[0]", inner[0]

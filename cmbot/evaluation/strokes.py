@@ -16,16 +16,16 @@ from cmbot.toolpath import ToolPath
 from cmbot.trajectory import QuinticTrajectory
 
 # A joint that uses less of its bound of velocity rests.
-_RESTS = 1e-3
+_RESTING_VELOCITY_SHARE = 1e-3
 # Times of a stroke at which the tool is compared with its timed place, and by what share of the path's length
 # it may miss it, beside what the options allow: more is another timing.
 _TIMES_OF_STROKE, _OTHER_TIMING = 200, 0.02
 # A stroke in another timing covers so much of its path at least.
-_COVERED = 0.9
+_MIN_PATH_SHARE = 0.9
 # Points of a path, and of a motion, between which lines are drawn.
 _PATH_POINTS, _MOTION_POINTS = 2000, 1000
 # Times that differ by less, s, are the same: messages have whole nanoseconds.
-_ROUNDED_TIME = 1e-6
+_SAME_TIME_S = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,7 +76,7 @@ def parts_of_motion(
 
 def cut(trajectory: QuinticTrajectory, begin: float, end: float, duration: float) -> QuinticTrajectory:
     """Return a part of a trajectory on a clock of its own, of `duration` s, as far as rounding goes."""
-    inside = trajectory.t[(trajectory.t > begin + _ROUNDED_TIME) & (trajectory.t < end - _ROUNDED_TIME)]
+    inside = trajectory.t[(trajectory.t > begin + _SAME_TIME_S) & (trajectory.t < end - _SAME_TIME_S)]
     t = np.concatenate([[begin], inside, [end]])
     q, v, a = trajectory.states(t)
     own = (t - begin) * (duration / (end - begin))
@@ -86,7 +86,7 @@ def cut(trajectory: QuinticTrajectory, begin: float, end: float, duration: float
 
 def _rests(robot: Robot, trajectory: QuinticTrajectory) -> FloatArray:
     """Times of the knots at which all joints rest; both ends count."""
-    still = np.asarray((np.abs(trajectory.v) <= _RESTS * robot.limits.velocity).all(axis=1))
+    still = np.asarray((np.abs(trajectory.v) <= _RESTING_VELOCITY_SHARE * robot.limits.velocity).all(axis=1))
     still[[0, -1]] = True
     return np.asarray(trajectory.t[still])
 
@@ -97,7 +97,7 @@ def _timed_part(
     """Where a motion follows a timed path."""
     path, kinematics = task.path, Kinematics(robot)
     share, end = np.linspace(0.0, 1.0, _TIMES_OF_STROKE), float(trajectory.t[-1])
-    begins = rests[rests + path.duration <= end + _ROUNDED_TIME]
+    begins = rests[rests + path.duration <= end + _SAME_TIME_S]
     if not len(begins):
         return None
     places = path.position(share * path.duration)
@@ -116,7 +116,7 @@ def _timed_part(
         return None
     finish = begin + path.duration
     knot = float(rests[np.abs(rests - finish).argmin()])
-    return Part(begin=begin, end=knot if abs(knot - finish) <= _ROUNDED_TIME else min(finish, end))
+    return Part(begin=begin, end=knot if abs(knot - finish) <= _SAME_TIME_S else min(finish, end))
 
 
 def _nearest_part(
@@ -131,13 +131,13 @@ def _nearest_part(
     places, resting = task.path.position([0.0, task.path.duration]), np.flatnonzero(np.isin(t, rests))
     away = np.linalg.norm(points[resting, None] - places, axis=2)
     first = int(away[:, 0].argmin())
-    far = travelled[resting] - travelled[resting[first]] >= _COVERED * float(task.path.lengths.sum())
+    far = travelled[resting] - travelled[resting[first]] >= _MIN_PATH_SHARE * float(task.path.lengths.sum())
     ends = np.flatnonzero(far & (np.arange(len(resting)) > first))
     if not len(ends):
         return None
     nearest = away[ends, 1]
     # A path that ends where it begins is passed to its last visit there.
-    among = ends[nearest <= nearest.min() + _ROUNDED_TIME]
+    among = ends[nearest <= nearest.min() + _SAME_TIME_S]
     end = int(among[-1 if last else 0])
     return Part(begin=float(t[resting[first]]), end=float(t[resting[end]]), is_timed=False)
 

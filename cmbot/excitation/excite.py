@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,11 +18,12 @@ from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.first_order import BAND_HZ
 from cmbot.elastic.modes import DAMPING
 from cmbot.excitation.damper import DamperGain, best_damper
-from cmbot.excitation.ground import Record, axles_of, read_record
+from cmbot.excitation.ground import axles_of, read_record
 from cmbot.excitation.passages import (
     Passage,
     PassageLoad,
     Timetable,
+    adhesion_of,
     passage,
     resonance_speeds,
     timetable,
@@ -35,12 +36,19 @@ from cmbot.excitation.response import (
     linear_spectrum,
     modal_response,
 )
-from cmbot.excitation.sway import RandomSway, require_bending, sampled_tool, shaken_adhesion, sway_of
+from cmbot.excitation.sway import (
+    RandomSway,
+    posture_shares,
+    require_bending,
+    sampled_tool,
+    shaken_adhesion,
+    sway_of,
+)
 from cmbot.excitation.trains import Span, passing_pressure
 from cmbot.excitation.wind import AIR_KG_M3, DRAG, gust_spectrum, link_loads
 from cmbot.planning import Plan, require_plan
 from cmbot.scene import DamperFile, ExcitationFile, TrainsFile
-from cmbot.simulation import MotionTracking, PrescribedWork, SimulationOptions, elastic_arm_of, track_work
+from cmbot.simulation import PrescribedWork, SimulationOptions, elastic_arm_of, track_work
 
 # Postures in which the response is computed along the work; those in which trains pass and dampers are tuned.
 _POSTURES, _SOME = 13, slice(None, None, 4)
@@ -52,20 +60,41 @@ _CURVE_HZ = np.geomspace(*BAND_HZ, 400)
 
 @dataclass(frozen=True, kw_only=True)
 class Shaken:
-    """A work that was simulated whole on a shaken base: what moved the tool beside its sag, m."""
+    """A work under a record or a train from its begin: what moved the tool beside its sag, m.
+
+    Attributes
+    ----------
+    rms, peak : float, m
+    peak_time : float, s
+    by : str
+        ``simulation`` of the whole elastic arm with all that is not linear, or, where a damper or the
+        pressure of trains acts, ``modes`` along the work.
+    """
 
     rms: float
     peak: float
     peak_time: float
+    by: str
 
     __repr__ = short_repr
 
-    @classmethod
-    def of(cls, tracking: MotionTracking) -> Shaken:
-        """Return the figures of a simulated work."""
-        size = np.linalg.norm(tracking.dynamic, axis=1)
-        k = int(size.argmax())
-        return cls(rms=float(np.sqrt(np.mean(size**2))), peak=float(size[k]), peak_time=float(tracking.t[k]))
+
+@dataclass(frozen=True, eq=False)
+class _AlongWork:
+    """Displacements of the tool (N, 3), m, at times `t` (N,), s, and by what they were found."""
+
+    t: FloatArray
+    tool: FloatArray
+    by: str
+
+    def at(self, times: FloatArray) -> FloatArray:
+        return np.stack([np.interp(times, self.t, column) for column in self.tool.T], axis=1)
+
+    @property
+    def figures(self) -> Shaken:
+        size = np.linalg.norm(self.tool, axis=1)
+        k, rms = int(size.argmax()), float(np.sqrt(np.mean(size**2)))
+        return Shaken(rms=rms, peak=float(size[k]), peak_time=float(self.t[k]), by=self.by)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,7 +113,7 @@ class Excitation:
     sway : RandomSway or None
         Under the scene's spectrum and gusts; None where nothing is random.
     simulated : Shaken or None
-        Under the record from the begin of the work, or the train at the worst of its speeds.
+        Under the record, or the train at the worst of its speeds, from the begin of the work.
     accuracy : Accuracy or None
         The plan's budget with what shakes and leans the arm; None without an excitation in the scene.
     passages : tuple of Passage
@@ -210,20 +239,25 @@ class _Excited:
             sway = sway_of(self.t, responses, moments, tolerance, drawn)
         factor, steady = (sway or reference).peak_factor, self.mean_wind()
         still = np.array([response.static(steady) for response in responses])
+        self.wrench += still[:, AXES:]
         needed = list[float | None]()
         if sway is not None or self.given is None:
-            needed.append(shaken_adhesion(plan.robot, self.wrench + still[:, AXES:], moments, factor))
+            needed.append(shaken_adhesion(plan.robot, self.wrench, moments, factor))
         passages, times, resonances = self.trains(responses)
         needed += [each.adhesion for each in passages]
-        simulated = self.simulated(passages)
+        inputs = self.deck(passages)
+        known = None if inputs is None else self.along_work(inputs, responses)
+        if inputs is not None and known is not None and not passages:
+            added = [each.history(inputs(known.t), _STEP)[:, AXES:] for each in responses[_SOME]]
+            needed.append(adhesion_of(plan.robot, added, self.wrench[_SOME], known.t))
         tool = [response.transfer(_CURVE_HZ)[:, :AXES, :AXES] for response in responses]
         return Excitation(
             kind=self.kind,
             damping=self.damping,
             reference=reference,
             sway=sway,
-            simulated=None if simulated is None else Shaken.of(simulated),
-            accuracy=None if self.given is None else self.accuracy(drawn, simulated, still[:, :AXES]),
+            simulated=None if known is None else known.figures,
+            accuracy=None if self.given is None else self.accuracy(drawn, known, still[:, :AXES]),
             passages=passages,
             timetable=times,
             resonances_km_h=resonances,
@@ -311,37 +345,39 @@ class _Excited:
         return PassageLoad(span=span, train=train, speed=speed, pressure=pressure)
 
     def accuracy(
-        self, drawn: FloatArray | None, simulated: MotionTracking | None, leaning: FloatArray
+        self, drawn: FloatArray | None, known: _AlongWork | None, leaning: FloatArray
     ) -> Accuracy | None:
-        """The plan's budget with random records (N, R, 3), a simulated work, and the mean wind (K, 3)."""
-        t = self.t if simulated is None else simulated.t
+        """The plan's budget with random records (N, R, 3), what is known, and the mean wind (K, 3)."""
+        t = self.t if known is None else known.t
         if drawn is not None:
             t = np.linspace(0.0, self.work.duration, len(drawn))
+        steady = [_AlongWork(self.t, leaning, "")] + ([] if known is None else [known])
+        tool = sum((each.at(t) for each in steady), np.zeros((len(t), AXES)))[:, None]
+        return self.plan.accuracy_while(Shaking(t=t, tool=tool if drawn is None else tool + drawn))
 
-        def at_times(times: FloatArray, vectors: FloatArray) -> FloatArray:
-            return np.stack([np.interp(t, times, column) for column in vectors.T], axis=1)
-
-        known = at_times(self.t, leaning)
-        if simulated is not None:
-            known += at_times(simulated.t, simulated.dynamic)
-        tool = known[:, None] if drawn is None else known[:, None] + drawn
-        return self.plan.accuracy_while(Shaking(t=t, tool=tool))
-
-    def simulated(self, passages: Sequence[Passage]) -> MotionTracking | None:
-        """The whole work under the record, or under the train at its worst speed, from time 0."""
+    def deck(self, passages: Sequence[Passage]) -> Callable[[FloatArray], FloatArray] | None:
+        """The inputs (N, 5) at times (N,) by a record or the worst train; None where there is neither."""
         deck = None if self.given is None else self.given.deck
-        if deck is None:
-            return None
-        if deck.record is not None:
+        if deck is not None and deck.record is not None:
             record = read_record(Path(deck.record), "excitation.deck.record")
-        elif deck.trains is not None:
+            return lambda t: np.hstack([record.at(t), np.zeros((len(t), 2))])
+        if deck is not None and deck.trains is not None:
             worst = max(passages, key=lambda each: each.tool)
             load = self.load(deck.trains, worst.speed_km_h)
-            t = np.arange(0.0, self.work.duration + self.options.settle_s + _STEP, _STEP / 2)
-            record = Record(t=t, a=load.inputs(t, AXES))
-        else:
-            return None
-        return track_work(self.arm, self.work, self.options, sag=self.plan.sag, ground=record.at)
+            return lambda t: load.inputs(t, AXES + 2)
+        return None
+
+    def along_work(
+        self, inputs: Callable[[FloatArray], FloatArray], responses: Sequence[ModalResponse]
+    ) -> _AlongWork:
+        """The tool along the work: simulated whole, where nothing but the deck acts, else by modes."""
+        t = np.arange(0.0, self.work.duration + self.options.settle_s, _STEP)
+        if self.damper is None and not inputs(t)[:, AXES:].any():
+            ground = lambda t: inputs(t)[:, :AXES]  # noqa: E731
+            found = track_work(self.arm, self.work, self.options, sag=self.plan.sag, ground=ground)
+            return _AlongWork(found.t, found.dynamic, "simulation")
+        each = [response.history(inputs(t), _STEP)[:, :AXES] for response in responses]
+        return _AlongWork(t, np.einsum("kn,kni->ni", posture_shares(self.t, t), each), "modes")
 
 
 def _span(trains: TrainsFile) -> Span:

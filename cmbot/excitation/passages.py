@@ -97,9 +97,8 @@ def passage(
     t = np.arange(0.0, passes + tail, _STEP)
     inputs = load.inputs(t, responses[0].gain.shape[1])
     tool = torque = still = pause = 0.0
-    adhesion: float | None = None
-    kept = True
-    for response, wrench in zip(responses, planned, strict=True):
+    kept, wrenches = True, list[FloatArray]()
+    for response in responses:
         y = response.history(inputs, _STEP)
         size = np.linalg.norm(y[:, :AXES], axis=1)
         off = _off(y[:, :AXES], response.axis, tolerance, size)
@@ -107,20 +106,38 @@ def passage(
         torque = max(torque, float(np.linalg.norm(y[:, 6:], axis=1).max()))
         still, pause = max(still, _last(t, size > STILL_M) - passes), max(pause, _last(t, off))
         kept = kept and not off.any()
-        if robot.holding is not None and robot.holding.adhesive:
-            peak = robot.holding.worst(y[:, 3:] + wrench, t).peak
-            adhesion = peak if adhesion is None else max(adhesion, peak)
+        wrenches.append(y[:, AXES:])
     return Passage(
         speed_km_h=3.6 * load.speed,
         passes_s=passes,
         deck=float(np.abs(inputs[:, :AXES]).max()),
         tool=tool,
         torque=torque,
-        adhesion=adhesion,
+        adhesion=adhesion_of(robot, wrenches, planned, t),
         still_s=max(still, 0.0),
         pause_s=pause,
         kept=None if tolerance is None else kept,
     )
+
+
+def adhesion_of(
+    robot: Robot, added: Sequence[FloatArray], planned: FloatArray, t: FloatArray
+) -> float | None:
+    """Return the largest adhesion that a foot needs, N; None where none holds by it.
+
+    Parameters
+    ----------
+    robot : Robot
+    added : K of (N, 6), N and Nm
+        In some postures, at times `t` (N,).
+    planned : (K, 6), N and Nm
+        The wrench of the planned motion there.
+    t : (N,), s
+    """
+    holding = robot.holding
+    if holding is None or not holding.adhesive:
+        return None
+    return max(holding.worst(y + wrench, t).peak for y, wrench in zip(added, planned, strict=True))
 
 
 def _off(y: FloatArray, axis: FloatArray, tolerance: Tolerance | None, size: FloatArray) -> FloatArray:

@@ -26,7 +26,9 @@ def excitation_rows(excitation: Excitation) -> Iterator[tuple[str, str]]:
         yield from _sway(excitation.sway, trains=bool(excitation.passages))
     if shaken is not None:
         value = f"{1e3 * shaken.rms:.2f}, {1e3 * shaken.peak:.2f}"
-        yield "by the deck alone, simulated whole: tool, RMS and largest, mm", value
+        by = {"simulation": "simulated whole", "modes": "by its modes along the work"}[shaken.by]
+        what = "worst train" if excitation.passages else "record"
+        yield f"tool under the {what}, {by}, RMS and largest, mm", value
     if (accuracy := excitation.accuracy) is not None:
         name = f"tool from its path with {100 * accuracy.probability:g} %, all counted, at most, mm"
         yield name, f"{accuracy.within_mm:.2f}"

@@ -209,7 +209,8 @@ def _leaving(
     for bound, rows in bounds:
         each = np.array([departure_rate(some.along(rows), bound) for some in turned])
         stays *= 1 - probability_of_leaving(t, each[:, 0], each[:, 1])
-    axes = np.einsum("kn,ki->ni", _shares(t, len(tool)), [response.axis for response in responses])
+    at = np.linspace(t[0], t[-1], len(tool))
+    axes = np.einsum("kn,ki->ni", posture_shares(t, at), [response.axis for response in responses])
     along = np.einsum("nri,ni->nr", tool, axes)
     across = np.sqrt(np.maximum(np.einsum("nri,nri->nr", tool, tool) - along**2, 0.0))
     outside = np.zeros(tool.shape[1], dtype=bool)
@@ -258,7 +259,7 @@ def sampled_tool(
     scale = np.sqrt(S / (count * step)) * count / 2
     X = random.standard_normal((len(f), records, S.shape[1], 2), dtype=np.float32)
     spectra = (X[..., 0] + 1j * X[..., 1]) * scale[:, None].astype(np.float32)
-    share, y = _shares(t, N), np.zeros((N, records, AXES))
+    share, y = posture_shares(t, np.linspace(t[0], t[-1], N)), np.zeros((N, records, AXES))
     for k, response in enumerate(responses):
         Y = response.transfer(f)[:, :AXES].astype(np.complex64)
         series = irfft(spectra @ Y.transpose(0, 2, 1), count, axis=0)
@@ -267,9 +268,8 @@ def sampled_tool(
     return y
 
 
-def _shares(t: FloatArray, N: int) -> FloatArray:
-    """How much of each posture (K, N) counts at N equal steps from the first time to the last."""
-    at = np.linspace(t[0], t[-1], N)
+def posture_shares(t: FloatArray, at: FloatArray) -> FloatArray:
+    """Return how much of each posture, at times `t` (K,), counts at other times (N,): (K, N)."""
     return np.array([np.interp(at, t, unit) for unit in np.eye(len(t))])
 
 

@@ -1,7 +1,7 @@
 """Trains over a span: axle loads, the deck's acceleration, and the pressure of their passing.
 
-The span is a simply supported Euler-Bernoulli beam with two modes; axles are constant forces that move at one
-speed. For each mode n::
+The span is a simply supported Euler-Bernoulli beam with three modes; axles are constant forces that move at
+one speed. For each mode n::
 
     q_n'' + 2 zeta w_n q_n' + w_n^2 q_n = 2 / (m L) sum_i P_i sin(n pi s_i / L),    s_i = v (t - t_i) in 0 … L
 
@@ -18,7 +18,8 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import short_repr
 
-_SPAN_MODES = 2
+# With three the deflection under a load is within 0.3 % of that of all modes.
+_SPAN_MODES = 3
 # EN 1991-2, Table 6.3: intermediate coaches, their length D, axle spacing d of a bogie, m, axle load P, kN.
 _HSLM_A = (
     *((18, 18.0, 2.0, 170.0), (17, 19.0, 3.5, 200.0), (16, 20.0, 2.0, 180.0), (15, 21.0, 3.0, 190.0)),

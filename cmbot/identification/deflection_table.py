@@ -13,10 +13,10 @@ from cmbot.common.validation import counted
 from cmbot.planning import robot_of
 from cmbot.scene import load_scene
 
-_WEIGHTS = ("weight_kg", "weight", "load_kg", "load", "mass_kg", "mass", "kg")
+_WEIGHT_COLUMNS = ("weight_kg", "weight", "load_kg", "load", "mass_kg", "mass", "kg")
 _IN_MILLIMETRES = {"": 1.0, "mm": 1.0, "m": 1e3, "um": 1e-3, "µm": 1e-3}
 # Weights that differ by less, kg, are one.
-_SAME_WEIGHT_KG = 1e-3
+_WEIGHT_TOLERANCE_KG = 1e-3
 
 
 def read_deflections(path: str | Path, scene: str) -> list[dict[str, Any]]:
@@ -38,7 +38,7 @@ def read_deflections(path: str | Path, scene: str) -> list[dict[str, Any]]:
     """
     table = read_table(Path(path), InputError, kind="a table of deflections")
     postures, _ = table.joints(robot_of(load_scene(scene)).joints)
-    weight = table.index(*_WEIGHTS)
+    weight = table.index(*_WEIGHT_COLUMNS)
     axes = {axis: table.index(f"d{axis}", f"d{axis}_mm") for axis in "xyz"}
     measured = {axis: column for axis, column in axes.items() if column is not None}
     if weight is None or not measured:
@@ -53,8 +53,8 @@ def read_deflections(path: str | Path, scene: str) -> list[dict[str, Any]]:
         key = f"line {table.lines[wrong[0]]}, {table.names[weight]}"
         raise InputError(table.source, key, f"{kilograms[wrong[0]]:g}", "the weight that was hung on, kg")
     sheets = list[dict[str, Any]]()
-    for load in np.unique(np.round(kilograms / _SAME_WEIGHT_KG)) * _SAME_WEIGHT_KG:
-        rows = np.flatnonzero(np.abs(kilograms - load) <= _SAME_WEIGHT_KG)
+    for load in np.unique(np.round(kilograms / _WEIGHT_TOLERANCE_KG)) * _WEIGHT_TOLERANCE_KG:
+        rows = np.flatnonzero(np.abs(kilograms - load) <= _WEIGHT_TOLERANCE_KG)
         measurements = [
             {
                 "posture": postures[row].tolist(),

@@ -30,12 +30,12 @@ from cmbot.scene import Scene
 # Postures that are chosen from, random ones that are tried for them, and how many at a time.
 _CANDIDATES, _MOST_TRIED, _AT_ONCE = 800, 40_000, 2000
 # Postures of a job.
-_OF_JOB = 25
+_JOB_POSTURES = 25
 # Lag of the tool behind its path, m, beyond which a joint path does not follow it.
-_LOST = 0.01
+_MAX_PATH_LAG_M = 0.01
 # Rounds of exchanges at most, and the least share by which one lowers the variance.
 _ROUNDS, _GAIN = 20, 1e-4
-_FULL_TURN = np.pi
+_HALF_TURN = np.pi
 # Postures that are tried about each that was chosen, and how far away, rad, round by round.
 _NEAR, _REFINED = 30, (0.5, 0.3, 0.15, 0.1)
 
@@ -122,11 +122,11 @@ def job_postures(job: Scene | Plan) -> FloatArray:
     else:
         each = list(_followed(job))
     q = np.concatenate(each)
-    return np.asarray(q[np.unique(np.linspace(0, len(q) - 1, _OF_JOB).round().astype(int))])
+    return np.asarray(q[np.unique(np.linspace(0, len(q) - 1, _JOB_POSTURES).round().astype(int))])
 
 
 def _spread(trajectory: QuinticTrajectory) -> FloatArray:
-    return np.linspace(trajectory.t[0], trajectory.t[-1], _OF_JOB)
+    return np.linspace(trajectory.t[0], trajectory.t[-1], _JOB_POSTURES)
 
 
 def _followed(scene: Scene) -> Iterator[FloatArray]:
@@ -138,7 +138,7 @@ def _followed(scene: Scene) -> Iterator[FloatArray]:
         if request.stroke.begins_elsewhere:
             request = starting_at_path(request)
         found = follow_path(request, stop_at_obstacles=False)
-        if not (off := float(found.drift.max())) <= _LOST:
+        if not (off := float(found.drift.max())) <= _MAX_PATH_LAG_M:
             got = f"a path that gradient projection leaves by {off:.2f} m"
             raise InputError(scene.source, request.stroke.key, got, "a plan of it in its place: --job DIR")
         state = JobState(posture=found.q[-1])
@@ -265,7 +265,7 @@ class _PostureDesign:
     def random(self, rng: np.random.Generator) -> Iterator[FloatArray]:
         """Random postures within the joint ranges, a few at a time."""
         limits = self._robot.limits
-        half = np.where(limits.prismatic, limits.range_half, np.minimum(limits.range_half, _FULL_TURN))
+        half = np.where(limits.prismatic, limits.range_half, np.minimum(limits.range_half, _HALF_TURN))
         for _ in range(_MOST_TRIED // _AT_ONCE):
             yield limits.range_middle + half * rng.uniform(-1, 1, (_AT_ONCE, self._robot.dof))
 

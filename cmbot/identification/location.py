@@ -33,12 +33,12 @@ from cmbot.scene import Placement, Scene
 # Probability by chance of the residual of a touch that is left out, and the share that may go.
 _CHANCE, _MOST_LEFT_OUT = 1e-3, 1 / 3
 # A place further from the prior's, in its standard deviations, is a mistake.
-_FARTHEST = 6.0
+_MAX_PRIOR_SIGMAS = 6.0
 # A direction whose variance is more than this share of the prior's is not fixed by the touches.
-_NOT_FIXED = 0.8
+_UNOBSERVED_VARIANCE_SHARE = 0.8
 # Residual, in standard deviations, beyond which the first estimate counts touches linearly.
-_ROBUST = 2.0
-_AXES = ("along x", "along y", "along z", "about x", "about y", "about z")
+_HUBER_SIGMAS = 2.0
+_POSE_DIRECTIONS = ("along x", "along y", "along z", "about x", "about y", "about z")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -139,15 +139,15 @@ def located(touches: Touches) -> Location:
                 f"{1e3 * float(np.linalg.norm(problem.residual(xi, worst))):.1f} mm from its feature",
                 "touches that fit each other: more than a third does not; look at features and units",
             )
-    if (off := float(np.abs(xi / problem.prior).max())) > _FARTHEST:
+    if (off := float(np.abs(xi / problem.prior).max())) > _MAX_PRIOR_SIGMAS:
         shift, turned = 1e3 * np.linalg.norm(xi[:3]), np.degrees(np.linalg.norm(xi[3:]))
         prior, frame = touches.setup.prior, touches.frame
         raise InputError(
             touches.source,
             "prior",
             f"{frame} {shift:.0f} mm and {turned:.1f} deg from where the scene has it, {off:.0f} deviations",
-            f"a place within {_FARTHEST:g} of prior: {{mm: {prior.mm:g}, deg: {prior.deg:g}}}; look at the "
-            "units and at the frame that the points are given in (locates), or widen prior",
+            f"a place within {_MAX_PRIOR_SIGMAS:g} of prior: {{mm: {prior.mm:g}, deg: {prior.deg:g}}}; "
+            "look at the units and the frame that the points are given in (locates), or widen prior",
         )
     X, turn = touches.X_WF.copy(), pin.exp3(xi[3:])
     X[:3, 3] = problem.middle + xi[:3] + turn @ (X[:3, 3] - problem.middle)
@@ -196,7 +196,7 @@ class _Problem:
             jac="3-point",
             x_scale=self.prior,
             loss="soft_l1" if robust else "linear",
-            f_scale=_ROBUST,
+            f_scale=_HUBER_SIGMAS,
             xtol=1e-12,
             ftol=1e-12,
             gtol=1e-12,
@@ -224,9 +224,9 @@ def _not_fixed(covariance: FloatArray, prior: FloatArray) -> Iterator[str]:
     """Name the directions in which the place is known hardly better than before."""
     values, vectors = np.linalg.eigh(covariance / np.outer(prior, prior))
     for value, direction in zip(values, vectors.T, strict=True):
-        if value > _NOT_FIXED:
+        if value > _UNOBSERVED_VARIANCE_SHARE:
             large = np.flatnonzero(np.abs(direction) > 0.4)
-            yield " and ".join(_AXES[k] for k in large)
+            yield " and ".join(_POSE_DIRECTIONS[k] for k in large)
 
 
 def location_remarks(found: Location, touches: Touches) -> Iterator[str]:

@@ -35,7 +35,7 @@ from cmbot.planning import robot_of
 from cmbot.robot import JointLimits
 from cmbot.scene import Scene, load_scene, shipped_scenes
 
-_MOST = 1000
+_MAX_MEASUREMENTS = 1000
 
 Share = Annotated[float, Field(ge=1e-3, le=3)]
 Text = Annotated[str, Field(min_length=1, max_length=4096)]
@@ -119,8 +119,8 @@ class MeasurementsFile(MeasuringSetup):
     format: Literal["cmbot-measurements/1"]
     scene: Text
     """A scene file, or the name of a shipped scene: robot, payload, base and where the feet hold."""
-    measurements: Annotated[tuple[MeasurementFile, ...], Field(min_length=1, max_length=_MOST)]
-    job: Annotated[tuple[Posture, ...] | None, Field(min_length=1, max_length=_MOST)] = None
+    measurements: Annotated[tuple[MeasurementFile, ...], Field(min_length=1, max_length=_MAX_MEASUREMENTS)]
+    job: Annotated[tuple[Posture, ...] | None, Field(min_length=1, max_length=_MAX_MEASUREMENTS)] = None
     """Postures, rad and m, in which the sag is wanted; left out: nothing is told of it."""
 
     @model_validator(mode="after")

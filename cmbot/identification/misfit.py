@@ -25,11 +25,11 @@ from cmbot.common.arrays import FloatArray
 from cmbot.identification.problem import Block, Kind, Label, Problem
 
 # Probability of a larger misfit below which a part is doubted.
-_DOUBTED = 0.01
+_DOUBT_LEVEL = 0.01
 # That of a row, among all of them, below which it is wrong.
-_SIGNIFICANT = 1e-5
+_OUTLIER_LEVEL = 1e-5
 # Share of the rows that may be wrong ones.
-_FEW = 1 / 3
+_MAX_OUTLIER_SHARE = 1 / 3
 # Rounds in which scales are found, and by what share a part may still be off.
 _ROUNDS, _CLOSE = 20, 0.02
 
@@ -82,7 +82,7 @@ class Slip:
     @property
     def significant(self) -> bool:
         """Whether it is too improbable to be noise."""
-        return self.probability < _SIGNIFICANT
+        return self.probability < _OUTLIER_LEVEL
 
 
 def parts(problem: Problem, x: FloatArray) -> tuple[Part, ...]:
@@ -116,7 +116,7 @@ def rescaled(problem: Problem, x: FloatArray, *, only_prior: bool = False) -> Fl
     for _ in range(_ROUNDS):
         now = parts(problem, x)
         ratio = {part.kind: part.square / part.redundancy for part in now}
-        new = [part.kind for part in now if part.kind not in doubted and part.probability < _DOUBTED]
+        new = [part.kind for part in now if part.kind not in doubted and part.probability < _DOUBT_LEVEL]
         worst = max(new, key=ratio.__getitem__, default=None)
         if worst is not None and not (only_prior and worst != "prior"):
             doubted.add(worst)
@@ -132,10 +132,10 @@ def slips(problem: Problem, x: FloatArray) -> tuple[Slip, ...]:
     """Return the rows that do not fit the others, where few do not; of rows that all scatter the farthest."""
     rows = sum(block.label.kind != "prior" for block in problem.blocks(x))
     found, left_out = list[Label](), problem.left_out
-    while len(found) <= max(1, int(_FEW * rows)):
+    while len(found) <= max(1, int(_MAX_OUTLIER_SHARE * rows)):
         blocks = problem.blocks(x)
         now = _parts(problem, blocks)
-        doubted = {part.kind for part in now if part.kind != "prior" and part.probability < _DOUBTED}
+        doubted = {part.kind for part in now if part.kind != "prior" and part.probability < _DOUBT_LEVEL}
         if not doubted:
             break
         blocks = problem.blocks(problem.first(robust=True))
@@ -177,7 +177,7 @@ def _compared(problem: Problem, x: FloatArray, left: Sequence[Label], rows: int)
         k, rest = len(block.residual), of.get(block.label.kind)
         apart = np.eye(k) + block.slope @ A @ block.slope.T
         square = float(block.residual @ np.linalg.solve(apart, block.residual))
-        if rest is None or rest.probability >= _DOUBTED:
+        if rest is None or rest.probability >= _DOUBT_LEVEL:
             probability = chi2.sf(square, k)
         else:
             square *= rest.redundancy / rest.square

@@ -22,7 +22,7 @@ _ARC_MINUTE = np.pi / (180 * 60)
 # Draws of the error along a job, and the share of them of which the bound is told.
 _DRAWS, _CONFIDENCE = 4000, 0.95
 # Below this length, m, a sag has no direction.
-_NO_SAG = 1e-12
+_ZERO_SAG_M = 1e-12
 
 
 def measured_arm(scene: Scene, load: float = 0.0) -> ElasticArm:
@@ -129,7 +129,7 @@ def sag_along(arm: ElasticArm, covariance: FloatArray, q: FloatArray) -> SagAlon
     slope = lever @ StiffnessParameters(arm).relaxation(u)
     square = float((tool**2).sum(axis=1).mean())
     weight = np.einsum("kip,kir->pr", slope, slope) / len(q) / square
-    unit = tool / np.maximum(np.linalg.norm(tool, axis=1), _NO_SAG)[:, None]
+    unit = tool / np.maximum(np.linalg.norm(tool, axis=1), _ZERO_SAG_M)[:, None]
     longer = np.einsum("ki,kip->kp", unit, slope)
     deviation = np.sqrt(np.einsum("kip,pr,kir->k", slope, covariance, slope))
     values, V = np.linalg.eigh(covariance)

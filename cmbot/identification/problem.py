@@ -20,13 +20,13 @@ from cmbot.identification.measurements import Measurements
 from cmbot.identification.model import DeflectionModel, prior_deviations
 
 # Residual where the arm is too soft to carry itself: such a step is not taken.
-_TOO_SOFT = 1e6
+_UNSTABLE_RESIDUAL = 1e6
 # Modes that a measured frequency may be of; the largest difference of its logarithm from theirs, and that of
 # two modes that a record may not tell apart.
 _MODES, _NEAR, _CLOSE = 16, 0.3, 0.08
 _TOLERANCE, _EVALUATIONS = 1e-7, 100
 # Residual beyond which the robust loss is linear.
-_ROBUST = 2.0
+_HUBER_SIGMAS = 2.0
 
 Kind = Literal["deflection_mm", "frequencies_hz", "prior"]
 
@@ -109,14 +109,14 @@ class Problem:
             except InputError:
                 for sheet in self._sheets:
                     sheet.model.forget()
-                return np.full(size, _TOO_SOFT)
+                return np.full(size, _UNSTABLE_RESIDUAL)
 
         found = least_squares(
             residual,
             start,
             jac=lambda x: at(x)[1],
             loss="soft_l1" if robust else "linear",
-            f_scale=_ROBUST,
+            f_scale=_HUBER_SIGMAS,
             xtol=_TOLERANCE,
             ftol=_TOLERANCE,
             gtol=_TOLERANCE,

@@ -19,7 +19,7 @@ from cmbot.common.errors import InputError
 from cmbot.common.text_table import read_table
 from cmbot.common.validation import counted
 
-_TIMES = ("t", "time", "seconds", "timestamp")
+_RECORD_TIME_COLUMNS = ("t", "time", "seconds", "timestamp")
 # Longer steps are in ms, s; by what share steps may differ; rows at an extreme value that are clipped.
 _NO_STEP_IN_SECONDS, _JITTER, _CLIPPED = 0.5, 0.1, 4
 # Frequencies above this, Hz, are left out; samples a period of it that are kept.
@@ -30,10 +30,10 @@ _AFTER_TAP, _LONGEST = 0.03, 4.0
 _ORDERS, _AGREE, _SAME = range(4, 31, 2), 0.5, 0.01
 # Largest damping ratio of a mode, and the least share of the largest amplitude that it has.
 _DAMPED, _SEEN = 0.15, 0.03
-_FEWEST = 64
+_MIN_SAMPLES = 64
 # Samples of a window of the Hankel matrix: more than a period of the slowest mode.
-_ROWS = 100
-_MODES = 6
+_HANKEL_SAMPLES = 100
+_MAX_MODES = 6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,13 +71,13 @@ def read_record(path: Path) -> RingDown:
         When it is no such file, steps differ by more, it is clipped, or no mode is seen in it.
     """
     table = read_table(path, InputError, kind="a table of an accelerometer's record")
-    time = table.index(*_TIMES, *(f"{name}_ms" for name in _TIMES))
+    time = table.index(*_RECORD_TIME_COLUMNS, *(f"{name}_ms" for name in _RECORD_TIME_COLUMNS))
     axes = [axis for axis in (table.index(*_names(axis)) for axis in "xyz") if axis is not None]
     if time is None or not axes:
         got = ",".join(table.names) or "no names of columns"
         raise InputError(str(path), "line 1", got, "columns t and ax, ay, az, or one of these")
-    if len(table.rows) < _FEWEST:
-        raise InputError(str(path), "", counted(len(table.rows), "row"), f"{_FEWEST} or more rows")
+    if len(table.rows) < _MIN_SAMPLES:
+        raise InputError(str(path), "", counted(len(table.rows), "row"), f"{_MIN_SAMPLES} or more rows")
     t, a = table.numbers([time])[:, 0], table.numbers(axes)
     steps = np.diff(t)
     in_ms = table.units[time].lower() == "ms" or table.names[time].endswith("_ms")
@@ -130,9 +130,9 @@ def ring_down(step: float, a: FloatArray) -> RingDown:
     coarser = int(1 / (step * _HIGHEST * _SAMPLES))
     if coarser > 1 and len(y) > 60 * coarser:
         y, step = decimate(y, coarser, ftype="fir", axis=0), coarser * step
-    if len(y) < _FEWEST:
+    if len(y) < _MIN_SAMPLES:
         return _none()
-    rows = min(len(y) // 2, _ROWS)
+    rows = min(len(y) // 2, _HANKEL_SAMPLES)
     windows = np.lib.stride_tricks.sliding_window_view(y, rows, axis=0)  # (N - rows + 1, m, rows)
     H = windows.transpose(2, 1, 0).reshape(rows * y.shape[1], -1)
     with threadpool_limits(limits=1, user_api="blas"):
@@ -183,7 +183,7 @@ def _stable(known: list[FloatArray]) -> RingDown:
         if len(agree) >= _AGREE * len(known) and is_seen:
             share, deviation = (float(np.std([each[k] for each in agree])) for k in (0, 1))
             found.append((float(middle[0]), share / float(middle[0]), float(middle[1]), deviation))
-    table = np.array(found[:_MODES]).reshape(-1, 4)
+    table = np.array(found[:_MAX_MODES]).reshape(-1, 4)
     return RingDown(
         frequencies=table[:, 0], shares=table[:, 1], damping=table[:, 2], damping_deviations=table[:, 3]
     )

@@ -21,13 +21,13 @@ HEADINGS = ("", "modelled", "identified", "factor", "sd, %", "before, %", "")
 """Of the columns of `identified_rows`."""
 
 # Share of the prior's standard deviation above which nothing was told.
-_UNSEEN = 0.9
+_UNSEEN_SHARE = 0.9
 # By how much errors may be larger than stated.
-_FAR = 5.0
+_MAX_ERROR_RATIO = 5.0
 _ACCEPT = "--accept-misfit (in Python accept_misfit=True)"
 # The smallest probability that is told, per cent.
 _LEAST_SHARE = 0.01
-_BASE = ("along x", "along y", "along z", "about x", "about y", "about z")
+_BASE_DIRECTIONS = ("along x", "along y", "along z", "about x", "about y", "about z")
 
 
 def identified_rows(found: Identification) -> Iterator[tuple[str, ...]]:
@@ -51,14 +51,14 @@ def identified_rows(found: Identification) -> Iterator[tuple[str, ...]]:
     # To first order about the modelled one: d C_ii = (L dX L')_ii.
     slopes = np.einsum("ia,pab,ib->ip", L, basis, L) / np.diag(L @ L.T)[:, None]
     Sigma = found.covariance[first:, first:]
-    for i, name in enumerate(_BASE):
+    for i, name in enumerate(_BASE_DIRECTIONS):
         now, was = np.sqrt(slopes[i] @ Sigma @ slopes[i]), np.sqrt(slopes[i] ** 2 @ before**2)
         unit = "N/m" if i < 3 else "Nm/rad"
         yield _row(f"base {name}, {unit}", 1 / (L @ L.T)[i, i], 1 / C[i, i], now, was)
 
 
 def _row(name: str, modelled: float, identified: float, now: float, before: float) -> tuple[str, ...]:
-    told = "" if now <= _UNSEEN * before else "not seen"
+    told = "" if now <= _UNSEEN_SHARE * before else "not seen"
     factor = identified / modelled
     shares = f"{100 * now:.1f}", f"{100 * before:.1f}"
     return name, f"{modelled:.4g}", f"{identified:.4g}", f"{factor:.3f}", *shares, told
@@ -69,12 +69,12 @@ def unseen(found: Identification) -> tuple[tuple[str, ...], int]:
     share = np.sqrt(np.diag(found.covariance)) / found.prior
     names = [name for _, name in found.parameters.springs]
     first = len(names)
-    kept = tuple(name for name, each in zip(names, share[:first], strict=True) if each > _UNSEEN)
+    kept = tuple(name for name, each in zip(names, share[:first], strict=True) if each > _UNSEEN_SHARE)
     if not found.parameters.has_base:
         return kept, 0
     scale = found.prior[first:]
     values = np.linalg.eigvalsh(found.covariance[first:, first:] / np.outer(scale, scale))
-    return kept, int((values > _UNSEEN**2).sum())
+    return kept, int((values > _UNSEEN_SHARE**2).sum())
 
 
 def remarks(found: Identification) -> Iterator[str]:
@@ -174,7 +174,7 @@ def require_fit(found: Identification) -> None:
         todo = "a slip, a wrong sign or axis? Measure again or write null"
         raise InputError(source, key, got, f"{expected}{also}: {todo}; or {_ACCEPT}")
     for part in found.parts:
-        if part.scale <= _FAR:
+        if part.scale <= _MAX_ERROR_RATIO:
             continue
         if part.kind == "prior":
             got = f"an arm {part.scale:.0f} times farther from its model than the prior says"

@@ -37,8 +37,8 @@ from cmbot.robot import Kinematics
 from cmbot.scene import Placement, Scene, load_scene
 
 _MOST, _LARGEST_CSV = 1000, 1_000_000
-_SHAPES = ("point", "plane", "edge", "cylinder")
-_PLACES = ("posture_deg", "posture", "place")
+_TOUCH_SHAPES = ("point", "plane", "edge", "cylinder")
+_PLACE_KEYS = ("posture_deg", "posture", "place")
 
 Vector = tuple[Coordinate, Coordinate, Coordinate]
 
@@ -89,7 +89,7 @@ class TouchFile(FileModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        for names in (_PLACES, _SHAPES):
+        for names in (_PLACE_KEYS, _TOUCH_SHAPES):
             given = [name for name in names if getattr(self, name) is not None]
             if len(given) != 1:
                 raise refusal(f"exactly one of {', '.join(names)}", got=" and ".join(given) or "none")
@@ -309,7 +309,7 @@ def _feature(touch: TouchFile, source: str, number: int) -> Feature:
             axis = _unit(edge.direction, source, f"touches[{number}].edge.direction")
             return Feature(kind="edge", point=np.array(edge.point), axis=axis)
         case _:
-            raise InputError(source, f"touches[{number}]", "no feature", "one", _SHAPES)
+            raise InputError(source, f"touches[{number}]", "no feature", "one", _TOUCH_SHAPES)
 
 
 def _unit(direction: Vector, source: str, key: str) -> FloatArray:

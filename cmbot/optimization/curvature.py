@@ -11,13 +11,13 @@ from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.optimization.program import StateFunction, StateSamples
 
 # Sites whose multiplier is below this share of all do not bend anything.
-_NEGLIGIBLE = 1e-5
+_NEGLIGIBLE_MULTIPLIER_SHARE = 1e-5
 # Step of the forward differences of exact first derivatives, for states in units of about 1.
-_STEP = 1e-8
+_FORWARD_STEP = 1e-8
 # What is coupled is at most so many blocks apart.
 _BANDWIDTH = 3
 # Least curvature of a convexified model.
-_LEAST = 1e-9
+_MIN_CURVATURE = 1e-9
 
 
 def state_curvature(
@@ -33,7 +33,7 @@ def state_curvature(
     Returns which of the states bend anything, (A,), and their curvatures by position, velocity and
     acceleration, (A, 3 d, 3 d).
     """
-    active = np.flatnonzero(multipliers > _NEGLIGIBLE * total)
+    active = np.flatnonzero(multipliers > _NEGLIGIBLE_MULTIPLIER_SHARE * total)
     states, component, multipliers = states[active], component[active], multipliers[active]
     N, d = states.q.shape
     M = np.zeros((N, 3 * d, 3 * d))
@@ -43,11 +43,11 @@ def state_curvature(
     if N and len(columns):
         x = np.hstack([states.q, states.v, states.a])
         ahead = np.repeat(x[None], len(columns), axis=0)
-        ahead[np.arange(len(columns)), :, columns] += _STEP
+        ahead[np.arange(len(columns)), :, columns] += _FORWARD_STEP
         q, v, a = (ahead[:, :, part * d : (part + 1) * d].reshape(-1, d) for part in range(3))
         there = StateSamples(np.tile(states.t, len(columns)), q, v, a)
         gradients = _gradients(function, there, np.tile(component, len(columns)))
-        M[:, columns] = ((gradients.reshape(len(columns), N, -1) - here) / _STEP).transpose(1, 0, 2)
+        M[:, columns] = ((gradients.reshape(len(columns), N, -1) - here) / _FORWARD_STEP).transpose(1, 0, 2)
         M = 0.5 * multipliers[:, None, None] * (M + M.transpose(0, 2, 1))
     return active, M
 
@@ -94,9 +94,9 @@ def _corrections(band: FloatArray, starts: IntArray) -> sparse.csr_array:
         m = end - start
         A = padded[start + row, beyond] - schur
         L, failed = linalg.lapack.dpotrf(A[:m, :m], lower=1)
-        if failed or L.diagonal().min() ** 2 < _LEAST:
+        if failed or L.diagonal().min() ** 2 < _MIN_CURVATURE:
             eigenvalues, V = np.linalg.eigh(A[:m, :m])
-            wanted = np.maximum(np.abs(eigenvalues), _LEAST)
+            wanted = np.maximum(np.abs(eigenvalues), _MIN_CURVATURE)
             index = np.arange(start, end)
             rows.append(np.repeat(index, m))
             columns.append(np.tile(index, m))

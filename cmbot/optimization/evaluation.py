@@ -18,7 +18,7 @@ from cmbot.optimization.separation import find_violations
 from cmbot.trajectory import LocalRows, Parametrization
 
 # At most so many constraints of a family are added for a step: the worst, which usually hold the others.
-_MOST = 40
+_MAX_ADDED_CONSTRAINTS = 40
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +70,7 @@ class NlpEvaluation:
         """Return the same point with what is violated there among its constraints."""
         limit = self.values.peak if self.stage.bound is None else self.stage.bound
         trajectory, tolerance = self.parametrization.trajectory, self.stage.tolerance
-        found = find_violations(self.program, trajectory, limit, tolerance, _MOST)
+        found = find_violations(self.program, trajectory, limit, tolerance, _MAX_ADDED_CONSTRAINTS)
         return self._with(found.added_to(self.constraints))
 
     def refresh(self, other: NlpEvaluation) -> NlpEvaluation:

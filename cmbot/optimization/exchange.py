@@ -28,7 +28,7 @@ from cmbot.trajectory import Parametrization
 DenseSolver = Callable[[NlpEvaluation, float, int], tuple[NlpEvaluation, int]]
 
 # A smoothing of less than so many tolerances of the peak is not worth a lighter one.
-_LITTLE = 2.0
+_SMALL_RATIO = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -295,7 +295,7 @@ class _Exchange:
         for before, factor in pairwise([factors[0], *factors]):
             if promise * before < (1 - worthwhile) * lowest:
                 break
-            if np.isfinite(lowest) and self._smoothing(before) < _LITTLE * (1 - worthwhile) * lowest:
+            if np.isfinite(lowest) and self._smoothing(before) < _SMALL_RATIO * (1 - worthwhile) * lowest:
                 break
             kept = self.form, self._constraints, self._warm
             try:

@@ -13,7 +13,7 @@ from scipy import linalg
 from cmbot.common.arrays import FloatArray
 
 # A row that is smaller than this share of the largest bounds no unknown; a slope that is smaller is none.
-_NOTHING = 1e-12
+_ZERO_ROW_SHARE = 1e-12
 # A distance this much larger than the given point's own length is none, and neither is a point that is beyond
 # an inequality by so much of that length: where they contradict each other narrowly, round-off decides.
 _FAR, _BEYOND = 1e4, 1e-6
@@ -40,7 +40,7 @@ def nearest(point: FloatArray, factor: FloatArray, C: FloatArray, room: FloatArr
     from scipy.optimize import nnls
 
     width = np.linalg.norm(C, axis=1)
-    there = width > _NOTHING * width.max(initial=0.0)
+    there = width > _ZERO_ROW_SHARE * width.max(initial=0.0)
     D, left = C[there] / width[there, None], (C[there] @ point - room[there]) / width[there]
     if left.max(initial=0.0) <= 0:
         return point

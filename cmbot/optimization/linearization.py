@@ -12,7 +12,7 @@ from cmbot.optimization.program import KinematicBound, Linearization, Program, S
 from cmbot.trajectory import QuinticTrajectory
 
 # Position, velocity, acceleration and jerk.
-_ORDERS = (0, 1, 2, 3)
+_DERIVATIVE_ORDERS = (0, 1, 2, 3)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,7 +64,7 @@ def linearize(
     first = 0 if known is None else len(known.value)
     family, component = constraints.family[first:], constraints.component[first:]
     times = constraints.time[first:]
-    orders = trajectory.derivatives(times, _ORDERS)
+    orders = trajectory.derivatives(times, _DERIVATIVE_ORDERS)
     K, d = len(times), trajectory.q.shape[1]
     value, derivative = np.empty(K), np.zeros((4, K, d))
     cut_of, cut_value, cut_derivative = [_NO_INDEX], [np.empty(0)], [np.empty((4, 0, d))]

@@ -18,7 +18,7 @@ from cmbot.common.limit import Limit
 from cmbot.trajectory import Parametrization, QuinticTrajectory
 
 Computed = TypeVar("Computed")
-_ALL = slice(None)
+_ALL_UNKNOWNS = slice(None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,11 +127,11 @@ class KinematicBound:
         """What is bounded, by the order of the derivative."""
         return (Limit.POSITION, Limit.VELOCITY, Limit.ACCELERATION, Limit.JERK)[self.order]
 
-    def above(self, value: FloatArray, joint: IntArray | slice = _ALL) -> FloatArray:
+    def above(self, value: FloatArray, joint: IntArray | slice = _ALL_UNKNOWNS) -> FloatArray:
         """How far values (..., n), or those of some joints, exceed the upper bound, as shares."""
         return np.asarray((value - self.high[joint]) / self.scale[joint])
 
-    def below(self, value: FloatArray, joint: IntArray | slice = _ALL) -> FloatArray:
+    def below(self, value: FloatArray, joint: IntArray | slice = _ALL_UNKNOWNS) -> FloatArray:
         """How far values (..., n), or those of some joints, fall short of the lower bound, as shares."""
         return np.asarray((self.low[joint] - value) / self.scale[joint])
 

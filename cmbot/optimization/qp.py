@@ -14,7 +14,7 @@ from cmbot.common.errors import MissingExtra
 from cmbot.optimization.constraint_set import OBJECTIVE
 
 # What PIQP is asked for, and what is still good enough to step by: the step is judged by what it brings.
-_ACCURACY = 1e-8
+_QP_TOLERANCE = 1e-8
 
 
 def piqp_module() -> Any:
@@ -125,11 +125,11 @@ def solve_qp(
     low = np.concatenate([np.full(n, -radius), [max(-10 * highest, model.least)], np.zeros(families)])
     high = np.concatenate([np.full(n, radius), [10 * highest], np.full(families, np.inf)])
     solver = piqp.SparseSolver()
-    solver.settings.eps_abs = _ACCURACY
-    solver.settings.eps_rel = _ACCURACY
+    solver.settings.eps_abs = _QP_TOLERANCE
+    solver.settings.eps_rel = _QP_TOLERANCE
     solver.settings.check_duality_gap = close_gap
-    solver.settings.eps_duality_gap_abs = _ACCURACY
-    solver.settings.eps_duality_gap_rel = _ACCURACY
+    solver.settings.eps_duality_gap_abs = _QP_TOLERANCE
+    solver.settings.eps_duality_gap_rel = _QP_TOLERANCE
     solver.settings.kkt_solver = piqp.KKTSolver.sparse_multistage
     P, G = _damped(model.hessian, damping, 1 + families), _relaxed(model, families)
     solver.setup(P, c, None, None, G, np.full(len(value), -np.inf), -value, low, high)

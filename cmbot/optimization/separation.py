@@ -17,11 +17,11 @@ from cmbot.optimization.program import KinematicBound, Program, StateFunction, S
 from cmbot.trajectory import QuinticTrajectory
 
 # Sampled functions within this of their bound are evaluated between the samples, too.
-_NEAR = 0.02
+_NEAR_BOUND = 0.02
 # So many states are evaluated at once: more only ask for memory, and lose its nearness.
-_BLOCK = 4096
+_STATES_PER_BLOCK = 4096
 # The peak is the objective: what exceeds it counts at this share of the constraints' tolerance.
-_PEAK = 0.1
+_PEAK_TOLERANCE_SHARE = 0.1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,7 +89,7 @@ def find_violations(
     for number, (sampled, function, limit) in enumerate(
         zip(_sampled(functions, states, limits), functions, limits, strict=True)
     ):
-        room = _PEAK * tolerance if number == OBJECTIVE else tolerance
+        room = _PEAK_TOLERANCE_SHARE * tolerance if number == OBJECTIVE else tolerance
         found.append(violated_function(trajectory, states.t, sampled, function, limit, room))
         if number != OBJECTIVE:
             worst = max(
@@ -119,14 +119,14 @@ def _sampled(
     What is skipped below a threshold depends on its neighbours, so such functions get all states at once.
     """
     each: list[list[tuple[FloatArray, IntArray]]] = [[] for _ in functions]
-    for first in range(0, len(states.t), _BLOCK):
-        block = states[first : first + _BLOCK]
+    for first in range(0, len(states.t), _STATES_PER_BLOCK):
+        block = states[first : first + _STATES_PER_BLOCK]
         for parts, function in zip(each, functions, strict=True):
             if function.components is not None:
                 parts.append(function.sample(block))
     for parts, function, limit in zip(each, functions, limits, strict=True):
         if function.components is None:
-            parts.append(function.sample(states, limit - _NEAR))
+            parts.append(function.sample(states, limit - _NEAR_BOUND))
     return [(np.concatenate([v for v, _ in parts]), np.concatenate([c for _, c in parts])) for parts in each]
 
 
@@ -144,7 +144,7 @@ def violated_function(
     `limit` less 0.02, and beside.
     """
     value, component = sampled
-    row, column = np.nonzero(_local_maxima(value) & (value > limit - _NEAR))
+    row, column = np.nonzero(_local_maxima(value) & (value > limit - _NEAR_BOUND))
     if len(row) == 0:
         return WorstViolations(
             times=np.empty(0), component=np.empty(0, dtype=np.intp), largest=float(value.max())

@@ -15,7 +15,7 @@ from cmbot.optimization.evaluation import NlpEvaluation
 # Unknowns without any effect keep the Hessian regular by this.
 _LEAST_CURVATURE = 1e-6
 # What a point costs that cannot be evaluated: the line search turns back from it.
-_NOWHERE = 1e6
+_UNDEFINED_POINT_COST = 1e6
 
 
 def solve_slsqp(start: NlpEvaluation, accuracy: float, max_iterations: int) -> tuple[NlpEvaluation, int]:
@@ -124,7 +124,7 @@ class DenseProgram:
             by = self._start.parametrization.step_jacobian(x) @ self.whitening
         except OptimisationFailed:
             before = self.at(np.append(np.zeros(self.n), y[self.n :]))
-            return DenseValues(y, _NOWHERE, before.gradient, before.constraints, before.jacobian)
+            return DenseValues(y, _UNDEFINED_POINT_COST, before.gradient, before.constraints, before.jacobian)
         objective, value = here.values.objective, here.values.value
         gradient, jacobian, _ = here.dense(by)
         if bound is None:

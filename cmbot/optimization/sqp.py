@@ -26,7 +26,7 @@ from cmbot.common.errors import OptimisationFailed
 from cmbot.optimization.qp import NlpModel, NlpValues, QpStep, solve_qp
 
 # Predictions are no smaller than this, so that ratios exist.
-_LEAST_PREDICTION = 1e-15
+_MIN_PREDICTION = 1e-15
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -318,7 +318,7 @@ class _SqpState(Generic[AnyIterate]):
 
     def predicted(self, model: NlpModel, p: FloatArray) -> float:
         """Decrease of the merit by the step `p` (n,) if the model is right."""
-        return max(model.merit(self.penalty) - model.after(p, self.penalty), _LEAST_PREDICTION)
+        return max(model.merit(self.penalty) - model.after(p, self.penalty), _MIN_PREDICTION)
 
     def ends(self, model: NlpModel, step: QpStep) -> bool:
         """Whether a step of little predicted decrease is refused, with the status or penalties set."""
@@ -354,7 +354,7 @@ class _SqpState(Generic[AnyIterate]):
         # Where little is to be gained only violations are left, and the shorter the steps, the fewer.
         stalling = self._is_stalling and self.iterate.values.violation > o.feasibility_tolerance
         if (gained < o.shrink * predicted and not self._excused) or stalling:
-            square = max(float(step.p @ step.p), _LEAST_PREDICTION)
+            square = max(float(step.p @ step.p), _MIN_PREDICTION)
             self.damping = max(o.damping_growth * self.damping, o.damping_share * predicted / square)
             self._radius = o.contraction * min(self._radius, float(np.abs(step.p).max()))
         elif gained > o.expand * predicted:
@@ -407,7 +407,7 @@ class _SqpState(Generic[AnyIterate]):
         others: what they break of the known constraints is enough to correct them.
         """
         o, length = self._options, float(np.abs(p).max())
-        stiffness = o.correction_damping * predicted / max(length**2, _LEAST_PREDICTION)
+        stiffness = o.correction_damping * predicted / max(length**2, _MIN_PREDICTION)
         trial = _displaced(self.iterate, p)
         best: AnyIterate | None = None
         most = -np.inf

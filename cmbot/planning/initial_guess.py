@@ -31,9 +31,9 @@ _HOPELESS, _HALVINGS, _NEXT_TO_NOTHING, _MOST_HALVINGS = 4.0, 3, 1e-3, 6
 # share of it.
 _LONG, _OFF_THE_MIDDLE = 0.3, 0.3
 # Two postures nearer than this in every joint are one, rad.
-_SAME_POSTURE = 1e-9
+_POSTURE_TOLERANCE = 1e-9
 # Random postures in which links are sought that are always near each other.
-_SOME_POSTURES = 200
+_SAMPLE_SIZE = 200
 # Newton steps at most from postures that may be far from the task.
 _MANY_STEPS = 50
 # Directions in which the tool's axis leans where nothing is found in the middle of its cone, and how far, as
@@ -244,7 +244,7 @@ def guess_near(request: StrokeRequest, earlier: QuinticTrajectory) -> InitialGue
     """
     options, sliding = request.cell.options, request.cell.options.knots == "sliding"
     q = earlier.evaluate(request.times * (earlier.duration / request.times[-1]))
-    begins_there = float(np.abs(q[0] - request.first).max()) <= _SAME_POSTURE
+    begins_there = float(np.abs(q[0] - request.first).max()) <= _POSTURE_TOLERANCE
     pinned = not sliding or options.start == "pinned" or begins_there
     placed = _placed(request if sliding else request.on_axis, q)
     if pinned:
@@ -315,7 +315,7 @@ def _require_clear_start(request: StrokeRequest) -> None:
     shapes = cell.clearances.pairs[smallest.pair[0]]
     always = ""
     if shapes.self_collision and _are_always_near(request, int(smallest.pair[0])):
-        always = f"; in all of {_SOME_POSTURES} random postures they do, and robot.srdf can disable the pair"
+        always = f"; in all of {_SAMPLE_SIZE} random postures they do, and robot.srdf can disable the pair"
     raise request.path_not_found(
         f"in the scene's posture {shapes.describe(distance, margin)}{always}",
         q,
@@ -326,9 +326,9 @@ def _require_clear_start(request: StrokeRequest) -> None:
 def _are_always_near(request: StrokeRequest, pair: int) -> bool:
     """Whether two links are within the safety margin in random postures, too."""
     cell = request.cell
-    q = cell.robot.limits.drawn(np.random.default_rng(0), _SOME_POSTURES)
-    row = np.arange(_SOME_POSTURES)
-    distance = cell.clearances.distances(q, row, np.full(_SOME_POSTURES, pair))
+    q = cell.robot.limits.drawn(np.random.default_rng(0), _SAMPLE_SIZE)
+    row = np.arange(_SAMPLE_SIZE)
+    distance = cell.clearances.distances(q, row, np.full(_SAMPLE_SIZE, pair))
     return bool((distance < cell.options.safety_margin_m).all())
 
 

@@ -37,7 +37,7 @@ from cmbot.scene import PlannerOptions, Scene, StrokeFile
 from cmbot.toolpath import Goal
 
 # Peaks of two orders of strokes that differ by less are the same.
-_SAME_PEAK = 1.001
+_PEAK_TOLERANCE_FACTOR = 1.001
 
 
 def plan(
@@ -373,7 +373,7 @@ def _without(scene: Scene, names: Collection[str]) -> Scene:
 def _is_better_order(plan: Plan, best: Plan) -> bool:
     """Whether the peak of a job is lower than that of another one, or about the same in less time."""
     peak, lowest = (each.job.figures.peak_guardrail_torque for each in (plan, best))
-    if max(peak, lowest) <= _SAME_PEAK * min(peak, lowest):
+    if max(peak, lowest) <= _PEAK_TOLERANCE_FACTOR * min(peak, lowest):
         return plan.job.duration < best.job.duration
     return peak < lowest
 

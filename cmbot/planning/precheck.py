@@ -35,7 +35,7 @@ MOST_UNKNOWNS = 3000
 two minutes, at 4,000 more than three."""
 
 # A stretched arm is not out of its own reach.
-_ROUNDING = 1e-9
+_ROUNDING_SHARE = 1e-9
 # Odd, so that the middle of a leg's time is among them.
 _SPEED_SAMPLES = 201
 
@@ -281,7 +281,7 @@ def _too_fast(tool: Tool, stroke: Stroke) -> Iterator[Finding]:
     if most is None:
         return
     speeds = _speeds(path)
-    for k in np.flatnonzero(speeds > most * (1 + _ROUNDING)):
+    for k in np.flatnonzero(speeds > most * (1 + _ROUNDING_SHARE)):
         key = stroke.leg_key(int(k)) if stroke.file.legs else stroke.key
         if stroke.asked_speed(int(k)) is not None:
             yield _warning(
@@ -307,7 +307,7 @@ def _speeds(path: ToolPath) -> FloatArray:
 def _rounded_up(seconds: float) -> str:
     """To three digits."""
     digit = 10.0 ** (np.floor(np.log10(seconds)) - 2)
-    return f"{np.ceil(seconds / digit - _ROUNDING) * digit:g}"
+    return f"{np.ceil(seconds / digit - _ROUNDING_SHARE) * digit:g}"
 
 
 def solver_of(options: PlannerOptions) -> Literal["sqp", "slsqp"]:

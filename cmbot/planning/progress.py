@@ -13,9 +13,9 @@ from cmbot.common.representation import short_repr
 if TYPE_CHECKING:
     from cmbot.optimization.exchange import ExchangeReport
 
-_STAGES = {"path": "following the tool path", "optimise": "optimising", "certify": "certifying"}
+_STAGE_PHRASES = {"path": "following the tool path", "optimise": "optimising", "certify": "certifying"}
 # A step's share is reported when it has risen by this.
-_SHARE_STEP = 0.01
+_REPORTED_SHARE_STEP = 0.01
 
 T = TypeVar("T")
 
@@ -58,7 +58,7 @@ class Progress:
         return of + self._sentence()
 
     def _sentence(self) -> str:
-        text = _STAGES[self.stage]
+        text = _STAGE_PHRASES[self.stage]
         if self.failed_starts:
             text += f" from another start ({self.failed_starts} failed)"
         report = self.report
@@ -92,7 +92,7 @@ class ProgressReporter:
         self._clock = clock
         self._stroke = ""
         self._now = Progress(stage="path")
-        self._seconds = dict.fromkeys(_STAGES, 0.0)
+        self._seconds = dict.fromkeys(_STAGE_PHRASES, 0.0)
         self._stage_began = clock()
 
     def begin_stroke(self, name: str) -> None:
@@ -121,7 +121,7 @@ class ProgressReporter:
     def part(self, step: str, done: float, total: float) -> None:
         """Report how much of a step is done, in parts of about the same cost; its first part begins it."""
         share, told = min(max(done / total, 0.0), 1.0), self._now.share or 0.0
-        if step != self._now.step or share >= told + _SHARE_STEP or told < share == 1.0:
+        if step != self._now.step or share >= told + _REPORTED_SHARE_STEP or told < share == 1.0:
             self._begin(self._fresh(step=step, share=share))
 
     def each(self, step: str, things: Sequence[T]) -> Iterator[T]:

@@ -20,7 +20,7 @@ from cmbot.robot import Finding, Robot
 from cmbot.scene import Scene, Stroke
 
 # A stretched arm is not out of its own reach.
-_ROUNDING = 1e-9
+_REACH_TOLERANCE = 1e-9
 
 
 def beyond_reach(stroke: Stroke, robot: Robot) -> Iterator[tuple[str, float]]:
@@ -30,9 +30,9 @@ def beyond_reach(stroke: Stroke, robot: Robot) -> Iterator[tuple[str, float]]:
     """
     distances = np.linalg.norm(stroke.path.corners[1:] - robot.base_point, axis=1)
     start = float(np.linalg.norm(stroke.path.corners[0] - robot.base_point))
-    if stroke.file.start_pose is not None and start > robot.reach * (1 + _ROUNDING):
+    if stroke.file.start_pose is not None and start > robot.reach * (1 + _REACH_TOLERANCE):
         yield f"{stroke.key}.from", start
-    for k in np.flatnonzero(distances > robot.reach * (1 + _ROUNDING)):
+    for k in np.flatnonzero(distances > robot.reach * (1 + _REACH_TOLERANCE)):
         yield stroke.leg_key(int(k)), float(distances[k])
 
 
@@ -41,7 +41,7 @@ def require_within_reach(request: StrokeRequest) -> None:
     path, robot = request.task.path, request.cell.robot
     for key, distance in beyond_reach(request.stroke, robot):
         away = np.linalg.norm(request.goals.point - robot.base_point, axis=1)
-        time = float(request.times[np.argmax(away > robot.reach * (1 + _ROUNDING))])
+        time = float(request.times[np.argmax(away > robot.reach * (1 + _REACH_TOLERANCE))])
         what = "lies" if key.endswith(".from") else "ends"
         raise PathNotFound(
             f"{key} {what} {distance:.3f} m from the arm's first joint, {distance - robot.reach:.3f} m out "

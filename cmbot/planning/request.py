@@ -22,7 +22,7 @@ from cmbot.scene import SPEED_TOLERANCE, STOW, NamedState, PlannerOptions, Scene
 from cmbot.toolpath import ToolPoses
 
 # Beside what the arm asks anyway this share of it is nothing.
-_NEGLIGIBLE = 1e-2
+_NEGLIGIBLE_LOAD_SHARE = 1e-2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -119,7 +119,7 @@ class StrokeRequest:
         """
         off = self.cell.tool_off
         before = float(off.objective.at_rest(off.postures.at(self.state.posture[None]))[0])
-        return _NEGLIGIBLE * max(self.state.reached, before)
+        return _NEGLIGIBLE_LOAD_SHARE * max(self.state.reached, before)
 
     @property
     def tool_off(self) -> StrokeRequest:

@@ -14,7 +14,7 @@ from cmbot.robot import Kinematics, Robot
 from cmbot.scene import Scene, Stroke, StrokeFile
 
 # Share of the arm's length that the tool travels as a turn by one radian does.
-_LEVER = 0.25
+_TURN_LENGTH_SHARE = 0.25
 
 
 def in_least_travel(scene: Scene) -> Scene:
@@ -90,7 +90,7 @@ def _travel(robot: Robot, start: FloatArray, end: FloatArray) -> FloatArray:
     away = np.linalg.norm(start[:, None, :3, 3] - end[None, :, :3, 3], axis=2)
     turns = np.einsum("nki,mkj->nmij", start[:, :3, :3], end[:, :3, :3])
     angle = Rotation.from_matrix(turns.reshape(-1, 3, 3)).magnitude().reshape(away.shape)
-    return np.asarray(away + _LEVER * robot.reach * angle)
+    return np.asarray(away + _TURN_LENGTH_SHARE * robot.reach * angle)
 
 
 def _ordered(strokes: Sequence[Stroke], nodes: Sequence[int]) -> tuple[StrokeFile, ...]:

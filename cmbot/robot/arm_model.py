@@ -33,14 +33,14 @@ from cmbot.robot.holding_joints import HoldingJoint, holding_joints
 from cmbot.robot.self_collision import NEAR, near_pairs
 
 # As many as a posture in a scene file may have.
-_MOST_JOINTS = 100
+_MAX_JOINTS = 100
 # Joint angles and distances at which other joints are locked, rad or m.
-_LARGEST_STANCE = 1e4
-_LARGEST_PAYLOAD = 1e4  # kg
+_MAX_LOCKED_POSITION = 1e4
+_MAX_PAYLOAD_KG = 1e4  # kg
 # Names that a remark lists.
-_MOST_NAMED = 6
+_MAX_LISTED_NAMES = 6
 # Pairs of a link that are always near, from which on it may be too large: a wrist's short links have one.
-_FEW_PAIRS = 2
+_MIN_SUSPECT_PAIRS = 2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -269,9 +269,9 @@ def _chain(model: Any, source: str, base_frame: str, tool_frame: str) -> list[in
         expected = f"a link that joints move below {base_frame!r}"
         raise ModelError(source, "tool_frame", repr(tool_frame), expected)
     chain = supports[supports.index(base) + 1 :]
-    if len(chain) > _MOST_JOINTS:
+    if len(chain) > _MAX_JOINTS:
         got = f"{tool_frame!r}, {len(chain)} joints above {base_frame!r}"
-        raise ModelError(source, "tool_frame", got, f"an arm of at most {_MOST_JOINTS} joints")
+        raise ModelError(source, "tool_frame", got, f"an arm of at most {_MAX_JOINTS} joints")
     return chain
 
 
@@ -291,8 +291,8 @@ def _stance(
             value = float(text)
         except ValueError:
             value = np.nan
-        if not abs(value) <= _LARGEST_STANCE:
-            expected = f"an angle, rad, or a distance, m, of at most {_LARGEST_STANCE:g}"
+        if not abs(value) <= _MAX_LOCKED_POSITION:
+            expected = f"an angle, rad, or a distance, m, of at most {_MAX_LOCKED_POSITION:g}"
             raise ModelError(source, f"group_state.{name}", shown(text), expected)
         q[model.joints[joints[name]].idx_q] = value
     if not absent:
@@ -304,7 +304,7 @@ def _stance(
 def _listed(names: Sequence[str]) -> str:
     """Some of the names, and whether there are more."""
     names = list(dict.fromkeys(names))
-    return f"{', '.join(names[:_MOST_NAMED])}{', …' if len(names) > _MOST_NAMED else ''}"
+    return f"{', '.join(names[:_MAX_LISTED_NAMES])}{', …' if len(names) > _MAX_LISTED_NAMES else ''}"
 
 
 def _group_states(joints: Sequence[str], semantics: ElementTree.Element | None) -> dict[str, FloatArray]:
@@ -360,8 +360,8 @@ def _near_remarks(
     near: Mapping[tuple[str, str], object], looked_at: BoolArray, names: Sequence[str], tool: str
 ) -> Iterator[str]:
     """Say which pairs of links are not checked, for want of an SRDF, or which of the `tool` beside one."""
-    pairs = ", ".join(f"{one} and {other}" for one, other in list(near)[:_MOST_NAMED])
-    if (more := len(near) - _MOST_NAMED) > 0:
+    pairs = ", ".join(f"{one} and {other}" for one, other in list(near)[:_MAX_LISTED_NAMES])
+    if (more := len(near) - _MAX_LISTED_NAMES) > 0:
         pairs += f" and {more} more"
     if tool:
         if near:
@@ -377,7 +377,7 @@ def _near_remarks(
         others.setdefault(names[first], set()).add(names[second])
     for link, each in others.items():
         count = sum(link in pair for pair in near)
-        if count >= _FEW_PAIRS and count * 3 >= len(each):
+        if count >= _MIN_SUSPECT_PAIRS and count * 3 >= len(each):
             yield (
                 f"Warning: {link} is nearly always near {count} of the {len(each)} links that it is checked "
                 "against, and these pairs are not checked: its shapes may be too large (millimetres?)."
@@ -427,8 +427,8 @@ def set_tool_length(model: Any, shapes: Any, tool_frame: str, length: float, *, 
 
 def attach_payload(model: Any, tool_frame: str, mass: float) -> None:
     """Add a point mass, kg, at the tool point, in place."""
-    if not (isinstance(mass, int | float | np.number) and 0 <= mass <= _LARGEST_PAYLOAD):
-        expected = f"a mass in kg that is not negative, at most {_LARGEST_PAYLOAD:g}"
+    if not (isinstance(mass, int | float | np.number) and 0 <= mass <= _MAX_PAYLOAD_KG):
+        expected = f"a mass in kg that is not negative, at most {_MAX_PAYLOAD_KG:g}"
         raise ModelError("load_robot", "payload", mass, expected)
     if mass > 0:
         frame = model.frames[model.getFrameId(tool_frame)]

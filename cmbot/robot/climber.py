@@ -16,7 +16,7 @@ from cmbot.robot.holding_joints import HoldingJoint, holding_joints
 
 CLIMBING_JOINTS = ("climb_1", "climb_2", "climb_3", "climb_4", "climb_5")
 # Feet are where they should be when they miss it by less, m and rad.
-_REACHED = 1e-6
+_FOOT_MISS = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -122,7 +122,7 @@ class Climber:
         # The turn about the normal by which the foot's z axis is off the vertical.
         angles[0] -= np.arctan2(R_WF[2, 0], R_WF[2, 2]) * -1.0
         angles[0] = (angles[0] + np.pi) % (2 * np.pi) - np.pi
-        level = abs(R_WF[2, 1]) < _REACHED
+        level = abs(R_WF[2, 1]) < _FOOT_MISS
         return angles if level and self.lower[0] <= angles[0] <= self.upper[0] else None
 
     def reaching(self, X_12: FloatArray) -> list[FloatArray]:
@@ -136,7 +136,7 @@ class Climber:
         X_12 : (4, 4)
             Pose of foot 2, whose y axis is that of foot 1.
         """
-        if X_12[1, 1] < 1 - _REACHED:
+        if X_12[1, 1] < 1 - _FOOT_MISS:
             return []
         side, ankle, hip, leg = self._plane
         x, height, z = X_12[:3, 3]
@@ -181,7 +181,7 @@ class Climber:
         angles[4] = np.arctan2(turned[0, 2], turned[2, 2])
         X, _ = self.poses(angles)
         good = (angles >= self.lower).all() and (angles <= self.upper).all()
-        return [angles] if good and np.abs(X - X_12).max() < _REACHED else []
+        return [angles] if good and np.abs(X - X_12).max() < _FOOT_MISS else []
 
 
 @cache

@@ -35,7 +35,7 @@ Modulus = Annotated[float, Field(ge=1e3, le=1e13)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 TurningStiffness = Annotated[float, Field(ge=1e-3, le=1e13)]
 
-_SHORTEST = 1e-3  # m
+_MIN_LENGTH_M = 1e-3  # m
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +76,7 @@ class LinkTube:
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if math.dist(self.start, self.end) < _SHORTEST:
+        if math.dist(self.start, self.end) < _MIN_LENGTH_M:
             raise refusal("an end a millimetre or more apart from start_m", got=self.end, key=("end_m",))
         if 2 * self.wall > self.outer_diameter:
             raise refusal("at most half of outer_diameter_m", got=self.wall, key=("wall_m",))

@@ -27,14 +27,14 @@ from cmbot.robot.description.xml_file import parse_urdf
 _JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
 # Of joints of several coordinates: they are locked, and no arm may have one.
 _LOCKED_TYPES = ("floating", "planar")
-_SHAPES = ("box", "cylinder", "sphere", "mesh")
-_INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+_SHAPE_TAGS = ("box", "cylinder", "sphere", "mesh")
+_MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 # Number of values of each attribute and the largest magnitude of one, by element, in URDF's units: far beyond
 # any robot, but small enough that nothing made of them overflows. A range of positions may be "endless".
-_NUMBERS = {
+_ATTRIBUTE_BOUNDS = {
     "origin": {"xyz": (3, 1e4), "rpy": (3, 1e3)},
     "mass": {"value": (1, 1e5)},
-    "inertia": dict.fromkeys(_INERTIA, (1, 1e9)),
+    "inertia": dict.fromkeys(_MOMENTS, (1, 1e9)),
     "box": {"size": (3, 1e4)},
     "cylinder": {"radius": (1, 1e4), "length": (1, 1e4)},
     "sphere": {"radius": (1, 1e4)},
@@ -46,9 +46,9 @@ _NUMBERS = {
     "dynamics": {"damping": (1, 1e9), "friction": (1, 1e9)},
 }
 # Attributes without which the URDF reader drops the element or refuses the file.
-_REQUIRED = {
+_REQUIRED_ATTRIBUTES = {
     "mass": ("value",),
-    "inertia": _INERTIA,
+    "inertia": _MOMENTS,
     "box": ("size",),
     "cylinder": ("radius", "length"),
     "sphere": ("radius",),
@@ -58,18 +58,18 @@ _REQUIRED = {
     "mimic": ("joint",),
 }
 # Narrower than Python's: the URDF reader refuses 1_000 and digits of other scripts.
-_NUMBER = re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?", re.ASCII)
-_LONGEST_TEXT = 1000
+_URDF_NUMBER = re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?", re.ASCII)
+_MAX_TEXT_CHARACTERS = 1000
 # A scale or a direction that is smaller is taken for zero.
-_ZERO = 1e-9
+_ZERO_LENGTH = 1e-9
 # Pinocchio calls itself for each link in a row, and its time grows with the square of links and joints.
-_MOST_IN_A_ROW = 1000
-_MOST = {"link": 5000, "joint": 5000, "movable joint": 500, "collision shape": 1000, "visual shape": 1000}
+_MAX_CHAIN_LINKS = 1000
+_MAXIMA = {"link": 5000, "joint": 5000, "movable joint": 500, "collision shape": 1000, "visual shape": 1000}
 _PLAIN_NAME = re.compile(r"[\w.\- /:]{0,60}")
 # Tables are rounded: tolerance, relative, for inertias at the boundary of the physically possible.
-_ROUNDING = 1e-6
+_INERTIA_TOLERANCE = 1e-6
 # A moment of inertia, kg m2, too small to be felt: that of 0.1 g at 3 cm.
-_NO_INERTIA = 1e-7
+_NEGLIGIBLE_INERTIA = 1e-7
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,8 +167,8 @@ def _float(element: ElementTree.Element, attribute: str, default: float) -> floa
 
 def _floats(text: str) -> list[float]:
     """The numbers in a text; none where one is no number, which `_attributes` reports."""
-    words = text.split() if len(text) <= _LONGEST_TEXT else []
-    return [float(word) for word in words] if all(map(_NUMBER.fullmatch, words)) else []
+    words = text.split() if len(text) <= _MAX_TEXT_CHARACTERS else []
+    return [float(word) for word in words] if all(map(_URDF_NUMBER.fullmatch, words)) else []
 
 
 def _header(root: ElementTree.Element) -> Iterator[Finding]:
@@ -185,10 +185,10 @@ def _attributes(root: ElementTree.Element) -> Iterator[Finding]:
     for parent in (child for tag in ("material", "link", "joint") for child in root.findall(tag)):
         for element in parent.iter():
             key = f"{_name(parent)}.{element.tag}"
-            for attribute in _REQUIRED.get(element.tag, ()):
+            for attribute in _REQUIRED_ATTRIBUTES.get(element.tag, ()):
                 if not element.get(attribute):
                     yield _error(f"{key}.{attribute}", repr(element.get(attribute)), "a value")
-            for attribute, (count, most) in _NUMBERS.get(element.tag, {}).items():
+            for attribute, (count, most) in _ATTRIBUTE_BOUNDS.get(element.tag, {}).items():
                 if element.get(attribute) is not None:
                     yield from _numbers(f"{key}.{attribute}", element.get(attribute, ""), count, most)
             if element.get("quat_xyzw") is not None:
@@ -196,8 +196,8 @@ def _attributes(root: ElementTree.Element) -> Iterator[Finding]:
 
 
 def _numbers(key: str, text: str, count: int, most: float) -> Iterator[Finding]:
-    words = [word for word in text.split(" ") if word] if len(text) <= _LONGEST_TEXT else []
-    well_formed = len(words) == count and all(map(_NUMBER.fullmatch, words))
+    words = [word for word in text.split(" ") if word] if len(text) <= _MAX_TEXT_CHARACTERS else []
+    well_formed = len(words) == count and all(map(_URDF_NUMBER.fullmatch, words))
     if not well_formed or not all(math.isfinite(float(word)) for word in words):
         yield _error(key, shown(text), counted(count, "finite number"))
     elif key.endswith("rgba"):
@@ -279,8 +279,8 @@ def _rows(links: set[str], parents: Mapping[str, str]) -> Iterator[Finding]:
             depths[name] = depth + number
     for link in sorted(cyclic):
         yield _error(f"link[{_plain(link)}]", "a cycle of joints", "a tree")
-    if not cyclic and depths and (longest := max(depths.values())) > _MOST_IN_A_ROW:
-        yield _error("robot", f"{longest} joints in a row", f"at most {_MOST_IN_A_ROW}")
+    if not cyclic and depths and (longest := max(depths.values())) > _MAX_CHAIN_LINKS:
+        yield _error("robot", f"{longest} joints in a row", f"at most {_MAX_CHAIN_LINKS}")
 
 
 def _sizes(root: ElementTree.Element) -> Iterator[Finding]:
@@ -294,8 +294,8 @@ def _sizes(root: ElementTree.Element) -> Iterator[Finding]:
         "visual shape": len(root.findall("link/visual")),
     }
     for part, number in numbers.items():
-        if number > _MOST[part]:
-            yield _error("robot", counted(number, part), f"at most {_MOST[part]}")
+        if number > _MAXIMA[part]:
+            yield _error("robot", counted(number, part), f"at most {_MAXIMA[part]}")
 
 
 def _inertial(link: ElementTree.Element, moves: bool) -> Iterator[Finding]:
@@ -310,16 +310,16 @@ def _inertial(link: ElementTree.Element, moves: bool) -> Iterator[Finding]:
     m = _float(mass, "value", math.nan)
     if m < 0:
         yield _error(f"{_name(link)}.inertial.mass", m, "a mass that is not negative")
-    xx, yy, zz, xy, xz, yz = (_float(tensor, name, 0.0) for name in _INERTIA)
+    xx, yy, zz, xy, xz, yz = (_float(tensor, name, 0.0) for name in _MOMENTS)
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     if not np.isfinite(inertia).all():
         return
     moments = np.linalg.eigvalsh(inertia)
     listed = "principal moments " + ", ".join(f"{moment:.4g}" for moment in moments)
-    if moments[0] < -_ROUNDING * max(moments[2], 0.0) or moments[2] < 0:
-        felt = moves and moments[0] < -_NO_INERTIA
+    if moments[0] < -_INERTIA_TOLERANCE * max(moments[2], 0.0) or moments[2] < 0:
+        felt = moves and moments[0] < -_NEGLIGIBLE_INERTIA
         yield (_error if felt else _warning)(f"{_name(link)}.inertial.inertia", listed, "none negative")
-    elif moments[2] > (moments[0] + moments[1]) * (1 + _ROUNDING):
+    elif moments[2] > (moments[0] + moments[1]) * (1 + _INERTIA_TOLERANCE):
         expected = "the largest at most the sum of the others, as for any rigid body"
         yield _warning(f"{_name(link)}.inertial.inertia", listed, expected)
 
@@ -329,16 +329,16 @@ def _shapes(link: ElementTree.Element) -> Iterator[Finding]:
     for element in (*link.findall("collision"), *link.findall("visual")):
         key = f"{_name(link)}.{element.tag}.geometry"
         shapes = [shape for geometry in element.findall("geometry") for shape in geometry]
-        if len(shapes) != 1 or shapes[0].tag not in _SHAPES:
+        if len(shapes) != 1 or shapes[0].tag not in _SHAPE_TAGS:
             listed = shown(", ".join(f"<{shape.tag}>" for shape in shapes))[1:-1] or "nothing"
-            yield _error(key, listed, "one of " + ", ".join(_SHAPES))
+            yield _error(key, listed, "one of " + ", ".join(_SHAPE_TAGS))
             continue
         for attribute in ("size", "radius", "length"):
             text = shapes[0].get(attribute, "")
             if any(word.startswith("-") for word in text.split()):
                 yield _error(f"{key}.{shapes[0].tag}.{attribute}", shown(text), "no negative size")
         scale = shapes[0].get("scale", "1")
-        if any(abs(number) < _ZERO for number in _floats(scale)):
+        if any(abs(number) < _ZERO_LENGTH for number in _floats(scale)):
             yield _error(f"{key}.mesh.scale", shown(scale), "no scale of zero")
 
 
@@ -358,7 +358,7 @@ def _joint(joint: ElementTree.Element) -> Iterator[Finding]:
         text = axis.get("xyz")
         # Without <axis> it is x; without its xyz readers take zero.
         numbers = [0.0] if text is None else _floats(text)
-        if numbers and math.hypot(*numbers) < _ZERO:
+        if numbers and math.hypot(*numbers) < _ZERO_LENGTH:
             got = "no xyz" if text is None else shown(text)
             yield _error(f"{_name(joint)}.axis", got, "a direction, not zero")
     limit = joint.find("limit")

@@ -19,11 +19,11 @@ from cmbot.robot.joint_kinds import prismatic_joints
 from cmbot.robot.robot import Robot
 
 # Postures are evaluated in blocks of this size, whose arrays fit the processor's cache.
-_BLOCK = 512
+_POSTURES_PER_BLOCK = 512
 # Bound of the second derivative of the tool's orientation, where the reach is that of its point.
-_ROTATION_BEND = 2.0
+_ROTATION_CURVATURE = 2.0
 # From this number of postures on a batch is quicker than one call each: benchmarks/kernels.py.
-_MANY = 64
+_MIN_BATCH_POSTURES = 64
 
 
 class Chain:
@@ -252,7 +252,7 @@ class Postures:
         self._gravity = np.array(robot.model.gravity.linear)
         self._tool_force = np.array(robot.tool_force)
         self._foot_point = np.array(robot.foot_point)
-        self.bend = 0.5 * max(robot.reach, _ROTATION_BEND)
+        self.bend = 0.5 * max(robot.reach, _ROTATION_CURVATURE)
         self.metric = robot.metric
 
     @cached_property
@@ -290,8 +290,8 @@ class Postures:
         """The fields of a `ToolBatch`; the centres of mass (n, 3, N) are written to `centre`."""
         N, n = q.shape
         tool, axis, origin = np.empty((4, 3, N)), np.empty((n, 3, N)), np.empty((n, 3, N))
-        for start in range(0, N, _BLOCK):
-            block = slice(start, start + _BLOCK)
+        for start in range(0, N, _POSTURES_PER_BLOCK):
+            block = slice(start, start + _POSTURES_PER_BLOCK)
             for i, (p, along, turned) in enumerate(chain.walk(q[block].T)):
                 axis[i, :, block], origin[i, :, block] = along, p
                 if centre is not None:
@@ -336,7 +336,7 @@ class Kinematics:
 
     def tool_poses(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Tool points p_WT (N, 3), m, and orientations R_WT (N, 3, 3) at postures `q` (N, n)."""
-        if len(q) >= _MANY:
+        if len(q) >= _MIN_BATCH_POSTURES:
             at = self._postures.tool_at(q)
             return at.tool_point, at.tool_rotation
         poses = [self.tool_pose(q_k) for q_k in q]
@@ -355,7 +355,7 @@ class Kinematics:
 
     def tool_point_jacobians(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Tool points p_WT (N, 3), m, and their Jacobians (N, 3, n), m/rad, at postures `q` (N, n)."""
-        if len(q) >= _MANY:
+        if len(q) >= _MIN_BATCH_POSTURES:
             at = self._postures.tool_at(q)
             return at.tool_point, at.jacobian[:, :3]
         p, J = np.empty((len(q), 3)), np.empty((len(q), 3, q.shape[1]))

@@ -43,13 +43,13 @@ _ASSUMED_TURNING, _ASSUMED_SLIDING, _ASSUMED_EFFORT, _EFFORT_FLOOR = 1.0, 0.1, 2
 _MANY_TURNS, _NO_END = 8 * np.pi, 1e3
 _TURN = 2 * np.pi
 # The range of a joint that slides ends somewhere, m.
-_FURTHEST = 1e3
+_MAX_RANGE_M = 1e3
 # Fields of `JointLimits` that say yes or no of each joint.
 # Keys of a limits file for joints that turn and for those that slide.
 _ABOUT = ("velocity_deg", "acceleration_deg", "jerk_deg")
 _ALONG = ("velocity_m_s", "acceleration_m_s2", "jerk_m_s3")
 _RATES = ("velocity", "acceleration", "jerk", "torque")
-_KINDS = ("prismatic", *(f"assumed_{name}" for name in _RATES))
+_FLAG_FIELDS = ("prismatic", *(f"assumed_{name}" for name in _RATES))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,11 +90,11 @@ class JointLimits:
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        for name in _KINDS:
+        for name in _FLAG_FIELDS:
             if np.size(getattr(self, name)) == 0:
                 object.__setattr__(self, name, np.zeros(np.shape(self.lower), dtype=np.bool_))
         for each in fields(self):
-            array = np.array(getattr(self, each.name), dtype=bool if each.name in _KINDS else float)
+            array = np.array(getattr(self, each.name), dtype=bool if each.name in _FLAG_FIELDS else float)
             if array.shape != np.shape(self.lower) or np.isnan(array).any():
                 expected = f"numbers, shape {np.shape(self.lower)}"
                 raise InputError("JointLimits", each.name, array.tolist(), expected)
@@ -273,9 +273,9 @@ def _range(
     for i, name in enumerate(list(model.names)[1:]):
         for key, value in (("lower", lower[i]), ("upper", upper[i])):
             where, far = f"joint[{name}].limit.{key}", abs(value)
-            if prismatic[i] and not far <= _FURTHEST:
+            if prismatic[i] and not far <= _MAX_RANGE_M:
                 got = f"{getattr(model, f'{key}PositionLimit')[i]:g}"
-                raise ModelError(str(urdf), where, got, f"of a joint that slides, at most {_FURTHEST:g} m")
+                raise ModelError(str(urdf), where, got, f"of a joint that slides, at most {_MAX_RANGE_M:g} m")
             if not prismatic[i] and _MANY_TURNS < far <= _NO_END:
                 expected = "radians (degrees?), at most four turns, or continuous as the type of the joint"
                 raise ModelError(str(urdf), where, f"{value:g} rad", expected)

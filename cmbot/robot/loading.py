@@ -39,15 +39,15 @@ Side = Literal[1, 2]
 """Number of a foot."""
 
 # Fields of `RobotFiles` that are arguments of `load_robot`.
-_LOADED = ("srdf", "limits", "elasticity", "package_dirs", "xacro", "base_frame", "tool_frame")
+_LOADER_FIELDS = ("srdf", "limits", "elasticity", "package_dirs", "xacro", "base_frame", "tool_frame")
 # An arm that weighs less is one without masses, kg.
-_LIGHTEST = 1e-3
+_MIN_ARM_MASS_KG = 1e-3
 # Shapes that extend further, as a multiple of the reach, are in millimetres; of what does not move, meshes
 # that also extend further than so many metres. What is smaller than the last, m, is none of these.
 _LARGEST_SHAPE, _LARGEST_FIXED, _SMALL_M = 4.0, 20.0, 2.0
 # One that weighs more than water in a cube as long as its reach has wrong masses, kg/m3: the heaviest
 # industrial arms have a sixth of that.
-_DENSEST = 1000.0
+_MAX_DENSITY_KG_M3 = 1000.0
 
 
 def load_robot(
@@ -322,7 +322,7 @@ def _held(files: RobotFiles) -> dict[str, float]:
 
 
 def _require_mass(arm: Any, urdf: Path, base_frame: str, tool_frame: str) -> None:
-    if not (mass := sum(inertia.mass for inertia in list(arm.inertias)[1:])) >= _LIGHTEST:
+    if not (mass := sum(inertia.mass for inertia in list(arm.inertias)[1:])) >= _MIN_ARM_MASS_KG:
         got = f"{mass:g} kg from {base_frame!r} to {tool_frame!r}"
         expected = "the mass of all of the robot, which is spread over its shapes; or masses of its links"
         raise ModelError(str(urdf), "total_mass_kg", got, expected)
@@ -386,7 +386,7 @@ def inspect_loaded(files: RobotFiles) -> list[Finding]:
         ]
         if arm is None:
             return found
-        given = {name: getattr(files, name) for name in _LOADED}
+        given = {name: getattr(files, name) for name in _LOADER_FIELDS}
         robot = load_robot(files.urdf, **given)
         return [*found, *_assumed_limits(robot), *_questionable_masses(robot)]
     except ModelError as error:
@@ -411,7 +411,7 @@ def _assumed_limits(robot: Robot) -> Iterator[Finding]:
 def _questionable_masses(robot: Robot) -> Iterator[Finding]:
     """Warn of links that joints move without mass, and of an arm too heavy for its size."""
     for number, inertia in enumerate(list(robot.model.inertias)[1:], start=1):
-        if inertia.mass < _LIGHTEST:
+        if inertia.mass < _MIN_ARM_MASS_KG:
             body = next(
                 frame.name
                 for frame in robot.model.frames
@@ -422,7 +422,7 @@ def _questionable_masses(robot: Robot) -> Iterator[Finding]:
                 "<inertial>, as a joint moves it",
             )
             yield Finding(severity="warning", key=f"link[{body}].inertial.mass", got=got, expected=expected)
-    if robot.arm_mass > (most := _DENSEST * robot.reach**3):
+    if robot.arm_mass > (most := _MAX_DENSITY_KG_M3 * robot.reach**3):
         yield Finding(
             severity="warning",
             key="link.inertial.mass",

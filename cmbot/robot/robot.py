@@ -22,8 +22,8 @@ from cmbot.robot.joint_kinds import PostureMetric, slide_axes
 from cmbot.robot.limits import JointLimits
 
 # Least length, m, by which moves of joints that slide are measured.
-_SHORTEST = 0.1
-_NO_FORCE = (0.0, 0.0, 0.0)
+_MIN_PRISMATIC_SCALE_M = 0.1
+_ZERO_FORCE = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -95,7 +95,7 @@ class Robot:
     flange: str
     payload: float
     content_hash: str
-    tool_force: tuple[float, float, float] = _NO_FORCE
+    tool_force: tuple[float, float, float] = _ZERO_FORCE
     foot_point: tuple[float, float, float] = (0.0, 0.0, 0.0)
     feet: tuple[Foot, ...] = ()
     locked_joints: tuple[HoldingJoint, ...] = ()
@@ -140,7 +140,7 @@ class Robot:
     @cached_property
     def tool_off(self) -> Robot:
         """The same robot with its tool off: no force acts on it."""
-        return replace(self, tool_force=_NO_FORCE) if self.pushed else self
+        return replace(self, tool_force=_ZERO_FORCE) if self.pushed else self
 
     @property
     def with_rigid_joints(self) -> Robot:
@@ -205,7 +205,7 @@ class Robot:
     def metric(self) -> PostureMetric:
         """How far postures are apart, where joints slide in units of the links' lengths."""
         length = float(np.linalg.norm(self._steps(), axis=1).sum())
-        return PostureMetric(prismatic=self.limits.prismatic, length=max(length, _SHORTEST))
+        return PostureMetric(prismatic=self.limits.prismatic, length=max(length, _MIN_PRISMATIC_SCALE_M))
 
     def _steps(self) -> FloatArray:
         """From each joint of the arm, at zero, to the next (n + 1, 3), m: first nothing, last to the tool."""

@@ -13,15 +13,15 @@ from cmbot.common.validation import FileModel, refusal
 if TYPE_CHECKING:
     from cmbot.robot import AttachedTool, ToolShape
 
-_SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh")
-_NOT_TURNED = (0.0, 0.0, 0.0)
+_TOOL_SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh")
+_ZERO_ROTATION = (0.0, 0.0, 0.0)
 Scale = Annotated[float, Field(ge=1e-6, le=1e3)]
 
 
 class ToolShapeFile(FileModel):
     """A shape of a tool: exactly one, placed in the flange's frame."""
 
-    model_config = ConfigDict(json_schema_extra=one_of_schema(_SHAPES))
+    model_config = ConfigDict(json_schema_extra=one_of_schema(_TOOL_SHAPES))
 
     box: tuple[Length, Length, Length] | None = None
     """Edge lengths along its x, y, z, m."""
@@ -37,12 +37,12 @@ class ToolShapeFile(FileModel):
     """Of a mesh: what makes metres of its numbers, 0.001 where they are millimetres."""
     xyz: Vector = (0.0, 0.0, 0.0)
     """Centre (of a mesh: its origin), m."""
-    rpy_deg: Angles = _NOT_TURNED
+    rpy_deg: Angles = _ZERO_ROTATION
     """Roll, pitch, yaw as in URDF."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        exactly_one(self, _SHAPES)
+        exactly_one(self, _TOOL_SHAPES)
         return self
 
     @property
@@ -50,7 +50,7 @@ class ToolShapeFile(FileModel):
         """The shape, in SI."""
         from cmbot.robot import ToolShape
 
-        (kind,) = given_of(self, _SHAPES)
+        (kind,) = given_of(self, _TOOL_SHAPES)
         numbers = (self.scale,) if kind == "mesh" else np.atleast_1d(getattr(self, kind)).tolist()
         roll, pitch, yaw = np.radians(self.rpy_deg).tolist()
         return ToolShape(
@@ -67,7 +67,7 @@ class AttachedToolFile(FileModel):
 
     xyz: Vector
     """The tool point, m."""
-    rpy_deg: Angles = _NOT_TURNED
+    rpy_deg: Angles = _ZERO_ROTATION
     """How the tool's frame is turned, whose z axis is the tool's."""
     mass_kg: Mass = 0.0
     """Mass, kg."""

@@ -12,9 +12,9 @@ from cmbot.common.errors import SceneError
 from cmbot.common.installation import scene_folder
 
 # A step of a key such as tool_path.legs[0].by[2].
-_STEP = re.compile(r"\.?([A-Za-z_]\w*)|\[(\d{1,4})\]")
+_KEY_STEP = re.compile(r"\.?([A-Za-z_]\w*)|\[(\d{1,4})\]")
 # Blocks in blocks, beyond which no key is looked for.
-_DEEPEST = 3
+_MAX_NESTING = 3
 
 
 def changed_content(data: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
@@ -67,7 +67,7 @@ def _schema_key(name: str) -> str | None:
     """The shortest key of any scene file that ends in `name`."""
     schema = json.loads((scene_folder() / "scene.schema.json").read_text(encoding="utf-8"))
     level = [("", schema)]
-    for _ in range(_DEEPEST):
+    for _ in range(_MAX_NESTING):
         deeper = []
         for prefix, block in level:
             for step, node in block.get("properties", {}).items():
@@ -116,7 +116,7 @@ def _put(content: dict[str, Any], key: str, value: Any) -> None:
 
 def _steps(key: str) -> list[str | int]:
     steps, end = list[str | int](), 0
-    for found in _STEP.finditer(key):
+    for found in _KEY_STEP.finditer(key):
         if found.start() != end:
             break
         steps.append(found[1] if found[1] is not None else int(found[2]))

@@ -14,7 +14,7 @@ from cmbot.common.validation import FileModel
 from cmbot.scene.base.matrices import Matrix6, check_positive_definite, six_rows
 from cmbot.scene.robot_entry import MountFile
 
-_KINDS = ("xyz", "grid", "rail")
+_MOUNT_KINDS = ("xyz", "grid", "rail")
 _Count = Annotated[int, Field(ge=1, le=1000)]
 
 
@@ -59,7 +59,7 @@ class MountRailFile(FileModel):
 class MountsFile(FileModel):
     """One pose of the base frame, or several by a grid or a rail, and how what it stands on bends."""
 
-    model_config = ConfigDict(json_schema_extra=one_of_schema(_KINDS))
+    model_config = ConfigDict(json_schema_extra=one_of_schema(_MOUNT_KINDS))
 
     name: Slug = "mount"
     """What messages and tables call it."""
@@ -82,7 +82,7 @@ class MountsFile(FileModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        exactly_one(self, _KINDS)
+        exactly_one(self, _MOUNT_KINDS)
         if self.stiffness is not None:
             check_positive_definite(self.stiffness, "stiffness")
         return self

@@ -26,7 +26,7 @@ from cmbot.common.poses import pose
 from cmbot.common.validation import FileModel, refusal
 from cmbot.scene.robot_entry import MountFile
 
-_SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh")
+_OBSTACLE_SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh")
 # As it is written; in metres it has the bounds of `Length`.
 _Written = Annotated[float, Field(ge=0, le=LONGEST / LEAST_SCALE)]
 
@@ -34,7 +34,7 @@ _Written = Annotated[float, Field(ge=0, le=LONGEST / LEAST_SCALE)]
 class ObstacleFile(FileModel):
     """An obstacle: exactly one shape, placed in W or in a workpiece's frame."""
 
-    model_config = ConfigDict(json_schema_extra=one_of_schema(_SHAPES))
+    model_config = ConfigDict(json_schema_extra=one_of_schema(_OBSTACLE_SHAPES))
 
     name: Slug
     box: tuple[_Written, _Written, _Written] | None = None
@@ -62,7 +62,7 @@ class ObstacleFile(FileModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        exactly_one(self, _SHAPES)
+        exactly_one(self, _OBSTACLE_SHAPES)
         for index, number in enumerate(self.in_metres):
             if not SHORTEST <= number <= LONGEST:
                 written = np.atleast_1d(getattr(self, self.kind)).tolist()[index]
@@ -75,7 +75,7 @@ class ObstacleFile(FileModel):
     @property
     def kind(self) -> str:
         """The key that has its shape."""
-        return given_of(self, _SHAPES)[0]
+        return given_of(self, _OBSTACLE_SHAPES)[0]
 
     @property
     def in_metres(self) -> list[float]:

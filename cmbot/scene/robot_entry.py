@@ -84,13 +84,13 @@ ReturnTo = Annotated[
     word_or(("stow", "start", "none"), NamedState, "{state: NAME}"),
 ]
 """Where an arm goes after the work."""
-_POSTURES = ("posture_deg", "posture", "stow", "state")
+_POSTURE_KEYS = ("posture_deg", "posture", "stow", "state")
 
 
 class PostureFile(FileModel):
     """Where the arm is at the start: a state of its SRDF, or one posture, from the base to the tool."""
 
-    model_config = ConfigDict(json_schema_extra=one_of_schema(_POSTURES))
+    model_config = ConfigDict(json_schema_extra=one_of_schema(_POSTURE_KEYS))
 
     posture_deg: Posture | None = None
     """Joint angles, for arms whose joints all turn."""
@@ -103,7 +103,7 @@ class PostureFile(FileModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        exactly_one(self, _POSTURES)
+        exactly_one(self, _POSTURE_KEYS)
         return self
 
 
@@ -125,7 +125,7 @@ _Arguments = Annotated[
         )
     ),
 ]
-_OF_A_URDF = (
+_URDF_KEYS = (
     *("base_frame", "tool_frame", "limits", "package_dirs", "mount", "srdf", "elasticity"),
     *("tool", "xacro", "total_mass_kg"),
 )
@@ -168,7 +168,7 @@ class RobotFile(FileModel):
     def _check(self) -> Self:
         if self.tool is not None and self.tool_length_m is not None:
             raise refusal("tool or tool_length_m, not both", got="both", key=("tool_length_m",))
-        for name in _OF_A_URDF:
+        for name in _URDF_KEYS:
             if self.model == "cmbot" and getattr(self, name) is not None:
                 got = shown(self.model_dump(mode="json")[name])
                 expected = "no such key beside model: cmbot: it goes with a URDF of one's own as robot.model"

@@ -61,8 +61,8 @@ Cells = Sequence[Sequence[RowPiece]]
 """Pieces of rows that follow on each other, of several strokes."""
 FORMAT = "cmbot-scene/2"
 # Feet hold where they did when the stiffness was measured, m.
-_SAME_PLACE = 0.01
-_NO_FRAMES = ("world", "tool")
+_FOOTHOLD_TOLERANCE_M = 0.01
+_RESERVED_FRAMES = ("world", "tool")
 
 
 def _released(value: object) -> object:
@@ -76,7 +76,7 @@ def _released(value: object) -> object:
 
 def _in_order(frames: dict[str, MountFile]) -> Any:
     for name in frames:
-        if name in _NO_FRAMES:
+        if name in _RESERVED_FRAMES:
             raise refusal("a name that no frame has", got=name)
     return tuple(sorted(frames.items()))
 
@@ -209,7 +209,7 @@ class Scene(FileModel):
         if identified.base is None:
             return
         now, then = self.elastic_guardrail.footholds, identified.base.footholds
-        if not np.allclose(then, now, rtol=0, atol=_SAME_PLACE):
+        if not np.allclose(then, now, rtol=0, atol=_FOOTHOLD_TOLERANCE_M):
             at, held = (", ".join(f"({x:g}, {y:g}, {z:g})" for x, y, z in points) for points in (now, then))
             expected = f"a stiffness measured where the feet hold now, {at}"
             raise refusal(expected, got=held, key=("identified", "base", "footholds"))

@@ -15,7 +15,7 @@ from cmbot.common.yaml_reader import lines_named, read_yaml
 from cmbot.scene.path.waypoint_file import WaypointFile, given_file, read_waypoints
 from cmbot.scene.scene import Scene
 
-_LONGEST_SOURCE = 300
+_MAX_SOURCE_CHARACTERS = 300
 
 
 def load_scene(source: str | Path | Mapping[str, object]) -> Scene:
@@ -118,7 +118,7 @@ def scene_path(source: str | Path) -> Path:
         raise SceneError("load_scene", "source", "nothing", expected, names)
     if not os.path.exists(path):  # noqa: PTH110  Path.exists raises for names that no file can have
         text = str(path)
-        where = text if text.isprintable() and len(text) <= _LONGEST_SOURCE else shown(text)
+        where = text if text.isprintable() and len(text) <= _MAX_SOURCE_CHARACTERS else shown(text)
         beside = f"{text}.yaml"
         tip = f"; did you mean {beside}?" if is_file(beside) else hint(path.stem, names)
         raise SceneError(where, "", "no such file", f"{expected}{tip}", names)

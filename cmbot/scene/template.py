@@ -18,7 +18,7 @@ from cmbot.scene.attached_tool import AttachedToolFile
 if TYPE_CHECKING:
     from cmbot.robot import JointLimits, Robot, RobotFiles
 
-_SHIPPED = "cmbot"
+_SHIPPED_ROBOT = "cmbot"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +91,7 @@ class NewRobot:
         def from_scene(place: str | Path) -> str:
             return os.path.relpath(Path(place).resolve(), folder)
 
-        if self.source == _SHIPPED:
+        if self.source == _SHIPPED_ROBOT:
             return {"model": (self.source, ""), "payload_kg": (0.0, "point mass at the tool")}
         model = from_scene(self.source) if Path(self.source).exists() else self.source
         entry: dict[str, tuple[object, str]] = {"model": (model, "")}
@@ -124,7 +124,7 @@ class NewRobot:
         return entry | {"payload_kg": (0.0, "point mass at the tool")}
 
 
-_SCENE = """\
+_SCENE_TEMPLATE = """\
 # yaml-language-server: $schema={schema}
 # Metres, seconds, degrees. W is the world frame{world}.
 format: cmbot-scene/2
@@ -150,7 +150,7 @@ obstacles: []
 guardrail: {guardrail}
 planner: {planner}
 """
-_LIMITS = """\
+_LIMITS_TEMPLATE = """\
 # Joint limits that a URDF does not have, {units}.
 # An acceleration of 2 /s times the velocity limit,
 # a jerk of 10 /s times the acceleration.{what}
@@ -206,7 +206,7 @@ def scene_text(
             f"{{safety_margin_m: {safety_margin_m:g}}}  # less than the default: as convex hulls, the arm's "
             "own links are always near"
         )
-    return _SCENE.format(
+    return _SCENE_TEMPLATE.format(
         schema=schema,
         world="" if on_guardrail else ": that of the robot's root link",
         name=name,
@@ -216,12 +216,12 @@ def scene_text(
         keep=keep,
         by=_flow(list(by)),
         seconds=f"{seconds:g}",
-        guardrail="{}  # the default one" if on_guardrail else _RIGID,
+        guardrail="{}  # the default one" if on_guardrail else _RIGID_BASE,
         planner=planner,
     )
 
 
-_RIGID = "{bays: 0}  # none: a rigid base; {bays: 0, stiffness: [3 in N/m, 3 in Nm/rad]} bends"
+_RIGID_BASE = "{bays: 0}  # none: a rigid base; {bays: 0, stiffness: [3 in N/m, 3 in Nm/rad]} bends"
 
 
 def _posture(q: FloatArray, prismatic: BoolArray) -> str:
@@ -261,7 +261,7 @@ def limits_text(joints: Sequence[str], limits: JointLimits) -> str:
         what += (
             "\n# Efforts, Nm or N: twice what the arm beyond the joint, stretched out, asks of it at rest."
         )
-    return _LIMITS.format(units=", or ".join(powers), joints="".join(entries), what=what)
+    return _LIMITS_TEMPLATE.format(units=", or ".join(powers), joints="".join(entries), what=what)
 
 
 def _units(prismatic: BoolArray) -> list[str]:
@@ -272,10 +272,10 @@ def _units(prismatic: BoolArray) -> list[str]:
 def _flow(value: object) -> str:
     """A value as YAML on one line: JSON, without the quotes of plain words."""
     text = json.dumps(value, ensure_ascii=False)
-    plain = isinstance(value, str) and _PLAIN.fullmatch(value) and value.lower() not in _WORDS
+    plain = isinstance(value, str) and _UNQUOTED_TEXT.fullmatch(value) and value.lower() not in _YAML_WORDS
     return str(value) if plain else text
 
 
-_PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_./\-]*")
+_UNQUOTED_TEXT = re.compile(r"[A-Za-z][A-Za-z0-9_./\-]*")
 # Words that YAML may take for something else.
-_WORDS = ("null", "true", "false", "yes", "no", "on", "off", "y", "n", "inf", "nan")
+_YAML_WORDS = ("null", "true", "false", "yes", "no", "on", "off", "y", "n", "inf", "nan")

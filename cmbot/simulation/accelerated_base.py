@@ -20,7 +20,7 @@ from cmbot.elastic.generalized_alpha import DrivenMotion, ElasticSystem
 GroundAcceleration = Callable[[FloatArray], FloatArray]
 """The acceleration (N, 3), m/s2, in W, of what an arm stands on, at times (N,), s."""
 
-_AXES = 3
+_AXIS_COUNT = 3
 
 
 def on_accelerated_base(
@@ -47,13 +47,13 @@ def on_accelerated_base(
     frame = model.addFrame(pin.Frame("ground", last, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
     model = pin.appendModel(model, system.model, frame, pin.SE3.Identity())
     model.gravity = system.model.gravity
-    coupling = np.zeros((len(system.elastic), _AXES + len(system.driven)))
-    coupling[:, :_AXES] = system.added_mass[:, :_AXES]
+    coupling = np.zeros((len(system.elastic), _AXIS_COUNT + len(system.driven)))
+    coupling[:, :_AXIS_COUNT] = system.added_mass[:, :_AXIS_COUNT]
     shaken = replace(
         system,
         model=model,
-        driven=np.concatenate([np.arange(_AXES), system.driven + _AXES]),
-        elastic=system.elastic + _AXES,
+        driven=np.concatenate([np.arange(_AXIS_COUNT), system.driven + _AXIS_COUNT]),
+        elastic=system.elastic + _AXIS_COUNT,
         added_coupling=coupling,
         external_forces=_shifted(system.external_forces),
     )
@@ -74,7 +74,7 @@ class _OnGround:
 
     def states(self, times: FloatArray, /) -> tuple[FloatArray, FloatArray, FloatArray]:
         q, v, a = self.motion.states(times)
-        still = np.zeros((len(q), _AXES))
+        still = np.zeros((len(q), _AXIS_COUNT))
         moved = np.asarray(self.ground(self.begin + np.asarray(times)))
         return np.hstack([still, q]), np.hstack([still, v]), np.hstack([moved, a])
 
@@ -84,5 +84,5 @@ def _shifted(forces: Any) -> Any:
     if forces is None:
         return None
     shifted = pin.StdVec_Force()
-    shifted.extend([pin.Force.Zero()] * _AXES + list(forces))
+    shifted.extend([pin.Force.Zero()] * _AXIS_COUNT + list(forces))
     return shifted

@@ -11,10 +11,10 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import short_repr
 
 # Half-width of a mode's band, as a share of its frequency: the frequency changes with the posture.
-_BAND = 0.2
-_MODES = 4
+_MODE_BAND_SHARE = 0.2
+_SHOWN_MODES = 4
 # Samples of a segment of Welch's method: at 5 ms a resolution of 0.1 Hz.
-_SEGMENT = 2048
+_WELCH_SAMPLES = 2048
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -100,8 +100,8 @@ def error_metrics(
     ascending.
     """
     dynamic, step = error - static, float(t[1] - t[0])
-    modes = frequencies[:_MODES]
-    modes = modes[(1 + _BAND) * modes < 0.5 / step]
+    modes = frequencies[:_SHOWN_MODES]
+    modes = modes[(1 + _MODE_BAND_SHARE) * modes < 0.5 / step]
     parts = {"total": error, "static": static, "dynamic": dynamic, "path": path_error}
     after = slice(moving - 1, None)
     return ErrorMetrics(
@@ -150,10 +150,10 @@ def mode_power(step: float, dynamic: FloatArray, frequencies: FloatArray) -> Flo
     fifth of its frequency away. The frequencies ascend, below half the sampling rate; samples are `step`, s,
     apart.
     """
-    at, total = power_density(step, dynamic, min(_SEGMENT, len(dynamic)))
+    at, total = power_density(step, dynamic, min(_WELCH_SAMPLES, len(dynamic)))
     middles = 0.5 * (frequencies[1:] + frequencies[:-1])
-    low = np.maximum(np.concatenate([[0.0], middles]), (1 - _BAND) * frequencies)
-    high = np.minimum(np.concatenate([middles, [np.inf]]), (1 + _BAND) * frequencies)
+    low = np.maximum(np.concatenate([[0.0], middles]), (1 - _MODE_BAND_SHARE) * frequencies)
+    high = np.minimum(np.concatenate([middles, [np.inf]]), (1 + _MODE_BAND_SHARE) * frequencies)
     sums = [total[(at >= a) & (at < b)].sum() for a, b in zip(low, high, strict=True)]
     return np.asarray(np.array(sums) * (at[1] - at[0]))
 

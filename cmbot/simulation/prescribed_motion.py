@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from scipy.interpolate import PPoly
 
 # Share of a time by which it may be off, by rounding.
-_SAME_TIME = 1e-12
+_TIME_ROUNDING_SHARE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,7 +179,8 @@ class PrescribedWork:
         A join belongs to the stroke, all after the stop to the last part.
         """
         joins = [
-            part.begin * (1 + _SAME_TIME if part.path is None else 1 - _SAME_TIME) for part in self.parts[1:]
+            part.begin * (1 + _TIME_ROUNDING_SHARE if part.path is None else 1 - _TIME_ROUNDING_SHARE)
+            for part in self.parts[1:]
         ]
         number = np.searchsorted(joins, times, side="right")
         for k, part in enumerate(self.parts):

@@ -15,13 +15,13 @@ from cmbot.simulation.metrics import statistics
 from cmbot.simulation.options import SimulationOptions
 from cmbot.simulation.tracking import MotionTracking, Tracking
 
-_QUANTITIES = (
+_QUANTITY_NAMES = (
     ("mean", "mean"),
     ("standard deviation", "standard_deviation"),
     ("RMS", "rms"),
     ("peak to peak", "peak_to_peak"),
 )
-_PARTS = (
+_PART_NAMES = (
     ("error", "total"),
     ("static part", "static"),
     ("dynamic part", "dynamic"),
@@ -33,7 +33,7 @@ _PARTS = (
 # A tool sways more than another's beyond this factor, and is still below the second number, m.
 _MORE, _STILL = 1.05, 1e-5
 # Options that change what is simulated, not how.
-_MODEL = (
+_MODEL_OPTIONS = (
     "guardrail_factor",
     "link_factor",
     "joint_factor",
@@ -185,7 +185,7 @@ def interval_rows(plan: Plan, tracking: Tracking) -> Iterator[tuple[str, ...]]:
     done, options = plan.suppression, tracking.options
     without = {}
     if done is not None and all(
-        getattr(options, name) == getattr(SimulationOptions, name) for name in _MODEL
+        getattr(options, name) == getattr(SimulationOptions, name) for name in _MODEL_OPTIONS
     ):
         cases = zip(done.stiffness, done.load_kg, done.swing_without, strict=True)
         without = {factor: swing for factor, load, swing in cases if not load}
@@ -204,12 +204,12 @@ def tracking_rows(tracking: Tracking) -> Iterator[tuple[str, ...]]:
 
     The norm after the stop is the largest distance between two places of the tool.
     """
-    for part, attribute in _PARTS:
-        for quantity, field in _QUANTITIES:
+    for part, attribute in _PART_NAMES:
+        for quantity, field in _QUANTITY_NAMES:
             for name, motion in tracking.motions:
                 found = getattr(motion.metrics, attribute)
                 yield f"{part}, {quantity}", name, *_numbers(getattr(found, field))
-    for quantity, field in _QUANTITIES:
+    for quantity, field in _QUANTITY_NAMES:
         for name, motion in tracking.motions:
             if motion.execution is not None:
                 moving = motion.t <= motion.stop * (1 + 1e-12)

@@ -1,6 +1,6 @@
 """Where to stand: candidates along the guardrail, screened and ranked, the best planned."""
 
-from cmbot.stances.bounds import Bounds, StanceFigures, StanceObjective
+from cmbot.stances.bounds import Bounds, SagLimit, StanceFigures, StanceObjective
 from cmbot.stances.candidates import (
     APART,
     REACH,
@@ -34,6 +34,7 @@ __all__ = [
     "Candidate",
     "MountCandidate",
     "Rejection",
+    "SagLimit",
     "Screener",
     "Screening",
     "StanceFigures",

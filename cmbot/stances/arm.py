@@ -155,10 +155,8 @@ class BaseArm:
         return np.array([ranked, torque, adhesion, sag, hz, sway, held, of_effort])
 
     def at_rest(self, q: FloatArray, stance: int, loads: StanceLoads) -> FloatArray:
-        """Return what is ranked (N,) at rest in postures (N, n) of one stance."""
+        """Return what is ranked (N,) at rest in postures (N, n) of one stance; as `_ranked` has it."""
         which = np.full(len(q), stance)
-        if loads.objective == "sway":
-            return np.asarray(self.figures(q, which, loads)[0])
         _, wrench, push = self._loaded(q, which, loads)
         return self._ranked(q, which, wrench, push, loads)
 

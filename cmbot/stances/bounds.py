@@ -43,6 +43,21 @@ class Bounds:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SagLimit:
+    """What other stances than the scene's own may sag where the user says nothing.
+
+    Attributes
+    ----------
+    most_mm : float
+    source : str
+        Where the figure is from, in words.
+    """
+
+    most_mm: float
+    source: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class StanceFigures:
     """What is known of a stance; None where it was not computed.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -136,6 +137,12 @@ class StanceLoads:
         about_base = scene.planner.moment_about == "base"
         self._point = -away if about_base else np.zeros_like(away)
         self._weights = np.array(scene.planner.axis_weights)
+
+    def bounded(self, bounds: Bounds) -> StanceLoads:
+        """Return the same with other bounds."""
+        loads = copy(self)
+        loads._bounds = bounds
+        return loads
 
     def _lock(
         self,

@@ -29,6 +29,7 @@ VIA_POINTS = 6
 """Of a stroke at which all stances are screened."""
 # Postures that are tried at once.
 _AT_ONCE = 12_000
+_SAG = FIGURES.index("sag_mm")
 # The share of the time that the rough search takes.
 _ROUGH = 0.3
 
@@ -83,6 +84,20 @@ class Screener:
         self._robot, self._bases = robot, np.array([candidate.base for candidate in candidates])
         self.arm = BaseArm(scene, robot)
         self.loads = StanceLoads(scene, candidates, robot, self.arm.robot, objective, bounds or Bounds())
+
+    def sag_mm(self, tasks: Sequence[ToolTask], numbers: Sequence[int]) -> float:
+        """Largest sag, mm, over the via-points of the strokes' tasks in the stance that sags least there.
+
+        In the best postures of the candidates of these numbers; NaN where none is found.
+        """
+        number = np.array(numbers, dtype=np.intp)
+        each = [
+            self.arm.least(task, time, self._bases[number], self.loads, number, CLOSELY)[_SAG]
+            for task in tasks
+            for time in (times_of(task) if len(number) else ())
+        ]
+        least = [float(np.nanmin(sag)) for sag in each if np.isfinite(sag).any()]
+        return max(least, default=np.nan)
 
     def screened(
         self, tasks: Sequence[ToolTask], report: Callable[[float], None] = lambda _: None

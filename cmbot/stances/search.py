@@ -45,6 +45,8 @@ class StandOptions:
         ``torque``, ``hold``, ``sag`` or ``sway``; None: that of the scene's planner.
     bounds : Bounds
         Stances that exceed one are left out.
+    any_sag : bool
+        Without a bound of the sag, leave no stance out by it; else see `StanceRanking.sag_limit`.
     spacing : float, m
         Between places of foot 1 with foot 2 free.
     pair_spacing : float, m
@@ -65,6 +67,7 @@ class StandOptions:
 
     objective: StanceObjective | None = None
     bounds: Bounds = NO_BOUNDS
+    any_sag: bool = False
     spacing: float = 0.05
     pair_spacing: float = 0.15
     plans: int = 3

@@ -60,6 +60,8 @@ class Judge:
     own : mapping of candidate to (n,), rad, or None
         The scenes' own stances, and the posture in which the arm starts there; None: that of the scene.
     options : StandOptions
+    bounds : Bounds
+        Of all stances but the scenes' own, for which those of the options count.
     objective : str
     ending : Ending
     suits : callable
@@ -72,6 +74,7 @@ class Judge:
     numbers: Mapping[AnyCandidate, int]
     own: Mapping[AnyCandidate, FloatArray | None]
     options: StandOptions
+    bounds: Bounds
     objective: StanceObjective
     ending: Ending
     suits: Callable[[AnyCandidate], str | None]
@@ -111,8 +114,9 @@ class Judge:
             bound = bounded_quickly(scene_at(self.scene, result.candidate, None), self._at_rest(result))
         except CmbotError as error:
             return result.rejected("obstacles", Rejection.of("blocked", error))
-        # Nothing is charted where the tool's axis may lean.
-        bound = bound or result.bound
+        if bound == 0 or self.objective == "sway":
+            # Nothing is charted where the tool's axis may lean; for the sway it is by the sag.
+            bound = result.bound
         return replace(result, stage="obstacles", bound=bound, expected=bound)
 
     def charted(self, result: StanceResult) -> StanceResult:
@@ -125,14 +129,15 @@ class Judge:
         loads, number = self.screener.loads, self.numbers[result.candidate]
         rows = self.screener.arm.figures(charted.postures, np.full(len(charted.postures), number), loads)
         at_rest = at_rest_of(rows.max(axis=1))
-        if beyond := at_rest.beyond(_wider(self.options.bounds, _ROOM)):
+        if beyond := at_rest.beyond(_wider(self.bounds, _ROOM)):
             name, value, _ = beyond
-            return result.rejected(
-                "charts", _beyond(self.options.bounds, name, value, "in its best postures")
-            )
+            return result.rejected("charts", _beyond(self.bounds, name, value, "in its best postures"))
         # With few via-points the allowance between postures is smaller, with many the bound is tighter.
-        bound = min(max(charted.bound, result.bound), charted.expected)
-        return replace(result, stage="charts", bound=bound, expected=charted.expected, at_rest=at_rest)
+        bound, expected = max(charted.bound, result.bound), charted.expected
+        if self.objective == "sway":
+            bound, expected = result.bound, float(rows[0].max())
+        bound = min(bound, expected)
+        return replace(result, stage="charts", bound=bound, expected=expected, at_rest=at_rest)
 
     def _at_rest(self, result: StanceResult) -> AtRest | None:
         """What is ranked at rest; None: that is the objective of the planner."""
@@ -155,10 +160,11 @@ class Judge:
             rejection = Rejection(kind="failed", reason=f"{left_out:.3g} m2 {why}", cause=f"parts {why}")
             return result.rejected("plan", rejection)
         figures = figures_of(made, result.candidate)
-        result = replace(result, stage="plan", figures=figures)
-        if beyond := figures.beyond(self.options.bounds):
+        result = replace(result, stage="plan", figures=figures, rejection=None)
+        bounds = self.options.bounds if result.own else self.bounds
+        if beyond := figures.beyond(bounds):
             name, value, _ = beyond
-            return result.rejected("plan", _beyond(self.options.bounds, name, value, "planned"))
+            return result.rejected("plan", _beyond(bounds, name, value, "planned"))
         value = value_of(made, figures, self.objective)
         # No estimate is above what was found.
         return replace(result, value=value, plan=made, bound=min(result.bound, value))

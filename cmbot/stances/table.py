@@ -69,6 +69,9 @@ def in_words(ranking: StanceRanking) -> Iterator[str]:
     else:
         yield from _best_in_words(ranking, best)
     yield from _own_in_words(ranking)
+    if limit := ranking.sag_limit:
+        most = f"{limit.most_mm:.3g} mm, {limit.source}"
+        yield f"Other stances that sag by more than {most}, are left out (--any-sag: none is)."
     if ranking.ended_by:
         by = {"time": "its time was over (--time-limit)", "interrupt": "it was stopped"}[ranking.ended_by]
         kept = "what was planned until then is kept, and others may be better" if best is not None else ""
@@ -94,10 +97,12 @@ def _best_in_words(ranking: StanceRanking, best: StanceResult) -> Iterator[str]:
     if np.isfinite(least):
         first = min((each for each in ranked if each.status == "screened"), key=lambda each: each.bound)
         more = 1 - least / peak if peak > 0 else 0.0
+        # Charts are by the sag then.
+        stage = "postures" if ranking.objective == "sway" else first.stage
         by = f"by more than {100 * more:.1f} %" if more > 0 else "than the best one"
         yield (
             f"No stance that was not planned has a bound below {least:.4g} {unit} (estimate, "
-            f"{_LEFT_OUT_BY[first.stage]}): none may be better {by}."
+            f"{_LEFT_OUT_BY[stage]}): none may be better {by}."
         )
     if ranking.proven > ranking.count("out of reach"):
         others = len(ranked) - ranking.count("planned")

@@ -27,9 +27,9 @@ from cmbot.toolpath.tool_path import Segment, ToolPath
 from cmbot.toolpath.tool_poses import shortest_turns
 
 # Angle below which a turn is none, rad.
-_NO_TURN = 1e-12
+_ZERO_ANGLE = 1e-12
 # A turn in place is as quick as the tool moves at this distance from its axis, m.
-_TURNING_ARM_M = 0.1
+_TURN_LEVER_M = 0.1
 # First guesses of speeds where the shortest time is to be found, m/s and rad/s, and of a duration, s; as a
 # share of the tool's largest speed.
 _FIRST_SPEED, _FIRST_TURN, _FIRST_SECONDS, _FIRST_SHARE = 0.05, 0.1, 2.0, 0.5
@@ -213,14 +213,14 @@ class _PathBuilder:
         for stretch in stretches(*waypoint_poses(file.waypoints or ()), fit):
             curve = None if stretch.is_straight else Spline(stretch.points, stretch.orientations)
             way = float(np.linalg.norm(stretch.points[-1] - stretch.points[0]))
-            turn = stretch.turn if np.linalg.norm(stretch.turn) > _NO_TURN else np.zeros(3)
+            turn = stretch.turn if np.linalg.norm(stretch.turn) > _ZERO_ANGLE else np.zeros(3)
             blends = curve is None and way >= SHORTEST_LEG and not turn.any()
             part = _Part(end=stretch.points[-1], turn=turn, seconds=0.0, curve=curve, blends=blends)
             parts.append(replace(part, cruises=file.speed_m_s is not None))
             lengths.append(way if curve is None else curve.length)
             turns.append(float(np.linalg.norm(turn)))
         # By how long each would take at one speed; a turn in place as what is beside the tool point.
-        ways = np.where(np.array(lengths) >= SHORTEST_LEG, lengths, _TURNING_ARM_M * np.array(turns))
+        ways = np.where(np.array(lengths) >= SHORTEST_LEG, lengths, _TURN_LEVER_M * np.array(turns))
         for k, part in enumerate(parts):
             if file.seconds is None or file.seconds == AUTO:
                 key = f"{place.key}.speed_m_s"
@@ -411,7 +411,7 @@ class _PathBuilder:
             axis = X[:3, :3] @ (np.array(goal.axis) / np.linalg.norm(goal.axis))
             turn = _axis_turn(self._R, axis)
         # The same orientation again is no turn, whatever rounding says.
-        return point, turn if np.linalg.norm(turn) > _NO_TURN else np.zeros(3)
+        return point, turn if np.linalg.norm(turn) > _ZERO_ANGLE else np.zeros(3)
 
     def _arc(self, arc: ArcTo, key: str) -> tuple[FloatArray, FloatArray, Curve | None]:
         """End, rotation vector and curve of an arc."""
@@ -436,7 +436,7 @@ class _PathBuilder:
 def _axis_turn(R: FloatArray, axis: FloatArray) -> FloatArray:
     """The shortest rotation vector that leads the z axis of an orientation to another."""
     turn = shortest_turns(R[None, :, 2], axis[None])[0]
-    return turn if np.linalg.norm(turn) > _NO_TURN else np.zeros(3)
+    return turn if np.linalg.norm(turn) > _ZERO_ANGLE else np.zeros(3)
 
 
 def _matrix(point: FloatArray, R: FloatArray) -> FloatArray:

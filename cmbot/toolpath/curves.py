@@ -21,15 +21,15 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import RotationSpline
 
 # Points of the Gauss rule that measures the length of a spline's piece.
-_GAUSS = 12
+_GAUSS_POINTS = 12
 # Cosine of the largest angle, 150 deg, by which a rounded corner turns.
-_BACK = -0.866
+_MIN_CORNER_COSINE = -0.866
 # Share of its mean below which the rate of a spline counts as this share: a cusp.
-_NO_RATE = 1e-9
+_MIN_RATE_SHARE = 1e-9
 # Distance of three points from a line, as a share of their own distances, below which they have no circle.
-_STRAIGHT = 1e-6
+_COLLINEAR_SHARE = 1e-6
 # Instead of no length, or its square.
-_NO_LENGTH = 1e-300
+_MIN_LENGTH = 1e-300
 
 
 class Curve(ABC):
@@ -123,7 +123,7 @@ class Arc(Curve):
         a, b = via - start, end - start
         normal = np.cross(a, b)
         size = float(normal @ normal)
-        if size <= (_STRAIGHT * (a @ a + b @ b)) ** 2:
+        if size <= (_COLLINEAR_SHARE * (a @ a + b @ b)) ** 2:
             return None
         centre = start + np.cross((a @ a) * b - (b @ b) * a, normal) / (2 * size)
         axis = normal / np.sqrt(size)
@@ -223,7 +223,7 @@ class Spline(Curve):
         share's way smaller than where it is least, and nor is its mean, the length.
         """
         second = np.linalg.norm(self._spline(self._spline.x, 2), axis=1)
-        return float(second.max() / max(self._slowest, _NO_RATE * self.length) ** 2)
+        return float(second.max() / max(self._slowest, _MIN_RATE_SHARE * self.length) ** 2)
 
     @cached_property
     def _slowest(self) -> float:
@@ -282,7 +282,7 @@ class Spline(Curve):
 def rounded(before: FloatArray, corner: FloatArray, after: FloatArray) -> bool:
     """Whether a corner is one to round off, not one at which the tool turns back."""
     a, b = corner - before, after - corner
-    return bool(a @ b > _BACK * np.linalg.norm(a) * np.linalg.norm(b))
+    return bool(a @ b > _MIN_CORNER_COSINE * np.linalg.norm(a) * np.linalg.norm(b))
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,7 +309,7 @@ class Blend(Curve):
         for k in range(1, len(corners) - 1):
             a, b = along[k - 1], along[k]
             angle = float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
-            if angle < _STRAIGHT:
+            if angle < _COLLINEAR_SHARE:
                 continue
             # Half of a line is left to the corner at its other end.
             cut = min(self.radius * np.tan(0.5 * angle), 0.5 * lengths[k - 1], 0.5 * lengths[k])
@@ -483,18 +483,18 @@ class Line(Curve):
 
     def tangent(self, share: FloatArray) -> FloatArray:
         """Return unit vectors (N, 3); zero where it has no length."""
-        return np.asarray(self.slope(share) / max(self.length, _NO_LENGTH))
+        return np.asarray(self.slope(share) / max(self.length, _MIN_LENGTH))
 
     def offset(self, share: FloatArray, p: FloatArray) -> FloatArray:
         """Return the vectors (N, 3), m, to points (N, 3) from the nearest points of the line."""
         edge, away = self.end - self.start, p - self.start
-        along = away @ edge / max(self.length**2, _NO_LENGTH)
+        along = away @ edge / max(self.length**2, _MIN_LENGTH)
         return np.asarray(away - np.clip(along, 0.0, 1.0)[:, None] * edge)
 
 
 def _lengths(spline: CubicSpline) -> FloatArray:
     """Lengths (K - 1,) of the pieces of a spline."""
-    x, weight = np.polynomial.legendre.leggauss(_GAUSS)
+    x, weight = np.polynomial.legendre.leggauss(_GAUSS_POINTS)
     middle, half = 0.5 * (spline.x[1:] + spline.x[:-1]), 0.5 * np.diff(spline.x)
     speed = np.linalg.norm(spline(middle[:, None] + half[:, None] * x, 1), axis=2)
     return np.asarray(half * (speed @ weight))

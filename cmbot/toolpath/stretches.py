@@ -29,12 +29,12 @@ NO_TURN = 1e-3
 # A corner in any case, and how many times as much a corner bends as the path beside it.
 _SHARP, _TIMES_AS_MUCH = np.radians(60), 2.0
 # A direction is that over so many tolerances at least: noise of a point is less than one.
-_DIRECTION = 4.0
+_DIRECTION_TOLERANCES = 4.0
 # The share of the tolerance that a path may miss its waypoints by; it is missed only where this share of them
 # suffices, and there are so many.
 _SHARE, _SUFFICES, _DENSE = 0.25, 0.5, 20
 # Places on a piece of a spline at which distances are taken.
-_PER_PIECE = 24
+_PLACES_PER_PIECE = 24
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,7 +139,7 @@ def stretches(points: FloatArray, orientations: FloatArray, fit: Fit) -> list[St
 def off_path(points: FloatArray, orientations: FloatArray, curve: Spline) -> tuple[FloatArray, FloatArray]:
     """Return how far waypoints are from a spline, (N,), m, and from its orientation there, (N,), rad."""
     knots = np.concatenate([[0.0], curve.breaks, [1.0]])
-    steps = np.arange(_PER_PIECE) / _PER_PIECE
+    steps = np.arange(_PLACES_PER_PIECE) / _PLACES_PER_PIECE
     share = np.append((knots[:-1, None] + steps * np.diff(knots)[:, None]).ravel(), 1.0)
     places = curve.position(share)
     near = cKDTree(places).query(points)[1]
@@ -205,7 +205,7 @@ def _corners(points: FloatArray, fit: Fit) -> list[int]:
     if count < 3:
         return []
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    reach, places = _DIRECTION * fit.deviation, np.arange(count)
+    reach, places = _DIRECTION_TOLERANCES * fit.deviation, np.arange(count)
     # Never further than the neighbours where these are further apart than that.
     before = np.minimum(np.searchsorted(along, along - reach, side="right") - 1, places - 1)
     after = np.maximum(np.searchsorted(along, along + reach, side="left"), places + 1)

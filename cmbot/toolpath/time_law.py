@@ -18,9 +18,9 @@ from cmbot.toolpath.shaper import Shaper
 _Duration = Annotated[float, Field(gt=0, le=36_000)]
 _Jerk = Annotated[float, Field(ge=-1e9, le=1e9)]
 # Halvings that find when a share is covered.
-_HALVINGS = 60
+_SHARE_HALVINGS = 60
 # Shares of a duration that are nearer to each other are one break.
-_SAME_BREAK = 1e-12
+_BREAK_TOLERANCE = 1e-12
 # Speed in a ramp from 0 to 1, over shares of the ramp: pieces of equal length, each by powers of what of the
 # ramp is behind since the piece began. The order of the derivative of the share covered that is continuous.
 _RAMPS: dict[str, tuple[int, tuple[tuple[float, ...], ...]]] = {
@@ -115,7 +115,7 @@ class TimeLaw:
     def time_share(self, share: FloatArray) -> FloatArray:
         """Return the shares (N,) of the duration at which shares (N,) of the length are covered."""
         low, high = np.zeros(len(share)), np.ones(len(share))
-        for _ in range(_HALVINGS):
+        for _ in range(_SHARE_HALVINGS):
             middle = 0.5 * (low + high)
             early = self.share(middle) < share
             low, high = np.where(early, middle, low), np.where(early, high, middle)
@@ -139,7 +139,7 @@ class TimeLaw:
         breaks = (delays[:, None] + stretch * self.breaks).ravel()
         order = np.argsort(breaks, kind="stable")
         breaks, continuity = breaks[order], np.tile(self.continuity, len(delays))[order]
-        first = np.append(True, np.diff(breaks) > _SAME_BREAK)
+        first = np.append(True, np.diff(breaks) > _BREAK_TOLERANCE)
         continuity = np.minimum.reduceat(continuity, np.flatnonzero(first))
         breaks = breaks[first]
         breaks[-1] = 1.0

@@ -19,11 +19,11 @@ from cmbot.toolpath.time_law import LegLaw, ProcessPart, TimeLaw
 from cmbot.toolpath.tool_poses import ToolPoses
 
 # Points by which a curve is shown.
-_SHOWN = 41
+_POINTS_PER_CURVE = 41
 # Times nearer to each other than this share of the duration are the same.
-_SAME_TIME = 1e-9
+_LEG_TIME_TOLERANCE = 1e-9
 # Digits of the shares of the duration that legs have.
-_DIGITS = 9
+_LEG_SHARE_DIGITS = 9
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -214,7 +214,7 @@ class ToolPath:
         t, parts = np.asarray(times, dtype=np.float64), self.process_parts
         if not len(parts):
             return np.zeros(len(t))
-        near = _SAME_TIME * self.duration
+        near = _LEG_TIME_TOLERANCE * self.duration
         k = np.clip(np.searchsorted(parts[:, 0] - near, t, side="right") - 1, 0, len(parts) - 1)
         inside = (t >= parts[k, 0] - near) & (t <= parts[k, 1] + near)
         return np.where(inside, parts[k, 2], 0.0)
@@ -227,7 +227,7 @@ class ToolPath:
         inside = np.clip(self.process_parts[:, :2].ravel(), 0.0, self.duration)
         times = np.unique(np.concatenate([self.leg_times, inside]))
         # A process part without leads ends where its leg does, but for rounding.
-        apart = np.append(np.diff(times) > _SAME_TIME * self.duration, True)
+        apart = np.append(np.diff(times) > _LEG_TIME_TOLERANCE * self.duration, True)
         return np.asarray(times[apart])
 
     def arc_angle(self, times: ArrayLike, at: ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -323,7 +323,7 @@ class ToolPath:
 
     def outline(self) -> FloatArray:
         """Return points (k, 3), m, whose straight connections show the path: its corners, more on curves."""
-        shares = np.linspace(0.0, 1.0, _SHOWN)[:-1]
+        shares = np.linspace(0.0, 1.0, _POINTS_PER_CURVE)[:-1]
         legs = [(segment.curve, shares[:1] if segment.is_straight else shares) for segment in self.segments]
         pieces = [curve.position(share) for curve, share in legs]
         return np.vstack([*pieces, self.corners[-1:]])
@@ -422,7 +422,7 @@ def share_out_segments(seconds: Sequence[float] | FloatArray, segments: int) -> 
     if segments < len(seconds):
         raise InputError("via_points", "", segments + 1, f"at least {len(seconds) + 1}, one per leg end")
     # Durations that only rounding tells apart, such as those of equal rows, are the same.
-    seconds = np.round(np.asarray(seconds) / np.sum(seconds), _DIGITS)
+    seconds = np.round(np.asarray(seconds) / np.sum(seconds), _LEG_SHARE_DIGITS)
     shares = [1] * len(seconds)
     longest = [(-0.5 * float(duration), leg) for leg, duration in enumerate(seconds)]
     heapify(longest)

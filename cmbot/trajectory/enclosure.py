@@ -22,17 +22,17 @@ from cmbot.trajectory.quintic import QuinticTrajectory
 DEGREE = 12
 """Of the interpolants."""
 
-_POINTS = np.cos(np.pi * np.arange(DEGREE, -1, -1) / DEGREE)
+_CHEBYSHEV_POINTS = np.cos(np.pi * np.arange(DEGREE, -1, -1) / DEGREE)
 # Sums rho of a Bernstein ellipse's half-axes, from which the best remainder is taken.
-_RHO = np.geomspace(1.5, 1024.0, 17)
+_ELLIPSE_SUMS = np.geomspace(1.5, 1024.0, 17)
 # Degree of a joint's position in time, and rounding of its Chebyshev coefficients as a share of the largest.
 _QUINTIC, _ROUNDING = 5, 1e-14
 # How often pieces are halved at most, once for the remainder and once for the hull.
-_HALVINGS = 40
+_MAX_PIECE_HALVINGS = 40
 # Pieces that are halved at once at most: more are only asked for where a resolution is below the rounding.
-_MOST = 20_000
+_MAX_PIECES = 20_000
 # A piece is halved further only while its own hull is wider than this share of what is asked for.
-_WIDE = 0.3
+_MIN_HULL_SHARE = 0.3
 
 
 def _to_chebyshev() -> FloatArray:
@@ -127,7 +127,7 @@ class Pieces:
     @cached_property
     def times(self) -> FloatArray:
         """The Chebyshev points, (K, d + 1), s; the ends are among them."""
-        share = 0.5 * (1 + _POINTS)
+        share = 0.5 * (1 + _CHEBYSHEV_POINTS)
         times = self.start[:, None] + share * (self.end - self.start)[:, None]
         times[:, -1] = self.end
         return times
@@ -150,7 +150,7 @@ class Pieces:
     @cached_property
     def ellipses(self) -> Ellipses:
         """Bounds of the state on the ellipses."""
-        eta, k = np.log(_RHO), np.arange(_QUINTIC + 1)
+        eta, k = np.log(_ELLIPSE_SUMS), np.arange(_QUINTIC + 1)
         q, v, a = (self._amplitudes(x) for x in self.states)
         growth = np.cosh(np.outer(eta, k))
         return Ellipses(turn=np.sinh(np.outer(eta, k)) @ q, q=growth @ q, v=growth @ v, a=growth @ a)
@@ -172,7 +172,7 @@ class Pieces:
         """
         values = values.reshape(len(self.start), DEGREE + 1, -1)
         coefficients = np.abs(_CHEBYSHEV @ values) + _ROUNDING * np.abs(values).max(axis=1, keepdims=True)
-        return np.asarray(np.sinh(np.outer(np.log(_RHO), np.arange(DEGREE + 1))) @ coefficients)
+        return np.asarray(np.sinh(np.outer(np.log(_ELLIPSE_SUMS), np.arange(DEGREE + 1))) @ coefficients)
 
     def remainder(self, size: FloatArray) -> FloatArray:
         """Bounds (K,) of what interpolation misses of a function, with rounding.
@@ -185,7 +185,7 @@ class Pieces:
         """
         size = np.where(np.isnan(size), np.inf, size)
         with np.errstate(over="ignore"):
-            missed = 4 * size * _RHO**-DEGREE / (_RHO - 1)
+            missed = 4 * size * _ELLIPSE_SUMS**-DEGREE / (_ELLIPSE_SUMS - 1)
         # On the smallest ellipse the function is about as large as on the piece.
         return np.asarray(missed.min(axis=1) + _BERNSTEIN_ROUNDING * size[:, 0])
 
@@ -216,7 +216,7 @@ class Pieces:
         No more than `most` pieces are made: where that does not suffice the remainder stays what it is.
         """
         pieces = self
-        for _ in range(_HALVINGS):
+        for _ in range(_MAX_PIECE_HALVINGS):
             large = ~(remainders(pieces) <= 1.0)
             if not large.any() or len(pieces.start) + int(large.sum()) > most:
                 break
@@ -276,7 +276,7 @@ def highest(
     start, width = pieces.start.copy(), pieces.end - pieces.start
     value, time, bound = -np.inf, float(pieces.start[0]), -np.inf
     ends = None if exact is None else exact(control[:, :, [0, -1]], piece)
-    for halving in range(_HALVINGS + 1):
+    for halving in range(_MAX_PIECE_HALVINGS + 1):
         at = convex(control, piece)
         if exact is None or ends is None:
             ends = at[:, [0, -1]]
@@ -286,8 +286,8 @@ def highest(
         if ends[k, side] > value:
             value, time = float(ends[k, side]), float(start[k] + side * width[k])
         hull = at.max(axis=1)
-        open_ = (hull > value + resolution) & (hull - ends.max(axis=1) > _WIDE * resolution)
-        if halving == _HALVINGS or int(open_.sum()) > _MOST:
+        open_ = (hull > value + resolution) & (hull - ends.max(axis=1) > _MIN_HULL_SHARE * resolution)
+        if halving == _MAX_PIECE_HALVINGS or int(open_.sum()) > _MAX_PIECES:
             open_[:] = False
         if (~open_).any():
             bound = float(np.maximum(bound, (hull + remainder[piece])[~open_].max()))

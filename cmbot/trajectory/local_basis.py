@@ -19,9 +19,9 @@ from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.trajectory.quintic import QuinticTrajectory
 from cmbot.trajectory.spline_space import SplineSpace
 
-_ORDERS = 4
+_DERIVATIVE_COUNT = 4
 # A unit of a basis spline moves a joint by no more than this, rad.
-_FAR = 0.02
+_MAX_UNIT_MOVE = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,14 +73,14 @@ class SparseSplines:
     def unit(self) -> FloatArray:
         """Multiples (n - 4, d) at which a basis spline uses up a bound, or goes far from the via-points."""
         t = self.space.t
-        largest = np.zeros((_ORDERS, self.count))
+        largest = np.zeros((_DERIVATIVE_COUNT, self.count))
         for share in np.linspace(0.0, 1.0, 5):
             rows = self.rows(t[:-1] + share * np.diff(t))
             column = self.support[rows.segment]
             inside = (column >= 0) & (column < self.count)
-            for order in range(_ORDERS):
+            for order in range(_DERIVATIVE_COUNT):
                 np.maximum.at(largest[order], column[inside], np.abs(rows.weight[:, order][inside]))
-        bounds = np.vstack([np.full(self.bounds.shape[1], _FAR), self.bounds])
+        bounds = np.vstack([np.full(self.bounds.shape[1], _MAX_UNIT_MOVE), self.bounds])
         return np.asarray((bounds[:, None, :] / largest[:, :, None]).min(axis=0))
 
     @cached_property
@@ -117,7 +117,7 @@ class SparseSplines:
 
     def rows(self, times: FloatArray) -> LocalRows:
         """Evaluate at `times` (N,)."""
-        segment, hermite = self.space.hermite_weights(times, _ORDERS)
+        segment, hermite = self.space.hermite_weights(times, _DERIVATIVE_COUNT)
         return LocalRows(segment, hermite.transpose(1, 0, 2) @ self._segments[1][segment])
 
     def jacobian(self, rows: LocalRows, derivative: FloatArray) -> sparse.csr_array:

@@ -20,9 +20,9 @@ from cmbot.trajectory.quintic import QuinticTrajectory
 from cmbot.trajectory.spline_space import SplineSpace
 
 # Unit of a displacement, rad: a via-point moves at most about so far before tangents are taken anew.
-_LONGEST = 0.3
+_DISPLACEMENT_UNIT = 0.3
 # Step of the central differences that tell how via-points leave the tangents, rad.
-_DIFFERENCE = 1e-4
+_DIFFERENCE_STEP = 1e-4
 
 
 class Retraction(Protocol):
@@ -123,7 +123,7 @@ class Parametrization:
         if not x.any():
             return self
         coefficients = self.coefficients + x[self.coefficient_index] * self.splines.unit
-        via_points, u = self.via_points, _LONGEST * x[self.displacement_index]
+        via_points, u = self.via_points, _DISPLACEMENT_UNIT * x[self.displacement_index]
         if self.retraction is not None and u.any():
             moved, _ = self.retraction.retract(via_points, self._tangents, u, self.movable)
             straight = via_points[self.movable] + np.einsum("ka,kai->ki", u, self._tangents)
@@ -142,12 +142,12 @@ class Parametrization:
     def step_jacobian(self, x: FloatArray) -> FloatArray:
         """Derivatives (size of u, dimension) by x of what `step` makes of u = (coefficients, via-points)."""
         M: FloatArray = self.map.toarray()
-        u = _LONGEST * x[self.displacement_index]
+        u = _DISPLACEMENT_UNIT * x[self.displacement_index]
         if self.retraction is None or not u.any():
             return M
         n, d = self.via_points.shape
         slope = self.retraction.retract(self.via_points, self._tangents, u, self.movable)[1]
-        bend = _LONGEST * (slope - self._tangents)
+        bend = _DISPLACEMENT_UNIT * (slope - self._tangents)
         follow = self.splines.least_jerk(np.eye(n))[:, self.movable]
         columns = self.displacement_index
         by_coefficient = np.einsum("ck,kai->cika", follow, bend).reshape(self.coefficients.size, -1)
@@ -208,14 +208,14 @@ class Parametrization:
             g = gradient.reshape(-1, self.via_points.shape[1])
             count = self.splines.count
             by_bend = (g[count:] + self.splines.least_jerk_adjoint(g[:count]))[self.movable]
-            for along, u in enumerate(_DIFFERENCE * np.eye(self._tangents.shape[1])):
+            for along, u in enumerate(_DIFFERENCE_STEP * np.eye(self._tangents.shape[1])):
                 u = np.broadcast_to(u, self._tangents.shape[:2])
                 ahead, behind = (
                     self.retraction.retract(self.via_points, self._tangents, side * u, self.movable)[1]
                     for side in (1, -1)
                 )
-                bend = (ahead - behind) / (2 * _DIFFERENCE)
-                blocks[:, along] = _LONGEST**2 * np.einsum("kai,ki->ka", bend, by_bend)
+                bend = (ahead - behind) / (2 * _DIFFERENCE_STEP)
+                blocks[:, along] = _DISPLACEMENT_UNIT**2 * np.einsum("kai,ki->ka", bend, by_bend)
             blocks = 0.5 * (blocks + blocks.transpose(0, 2, 1))
         row = np.broadcast_to(self.displacement_index[:, :, None], blocks.shape)
         column = np.broadcast_to(self.displacement_index[:, None, :], blocks.shape)
@@ -264,7 +264,7 @@ class Parametrization:
         size = self.coefficients.size
         row = np.broadcast_to(size + d * self.movable[:, None, None] + np.arange(d), self._tangents.shape)
         column = np.broadcast_to(self.displacement_index[:, :, None], self._tangents.shape)
-        values = np.concatenate([self.splines.unit.ravel(), _LONGEST * self._tangents.ravel()])
+        values = np.concatenate([self.splines.unit.ravel(), _DISPLACEMENT_UNIT * self._tangents.ravel()])
         rows = np.concatenate([np.arange(size), row.ravel()])
         columns = np.concatenate([self.coefficient_index.ravel(), column.ravel()])
         return sparse.csr_array((values, (rows, columns)), shape=(size + n * d, self.dimension))

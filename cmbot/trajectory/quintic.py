@@ -17,12 +17,12 @@ from cmbot.trajectory.polynomials import derivative, hull, roots_in_unit_interva
 # By how much times may miss the ends, as a share of the duration: they come from sums of steps.
 _TIME_ROUNDING = 1e-9
 # So many times are evaluated at once: more only ask for memory, and lose its nearness.
-_BLOCK = 2048
+_TIMES_PER_BLOCK = 2048
 
 LARGEST = 1e12
 """No time, position, velocity or acceleration is larger in magnitude: nothing made of them overflows."""
 # Knots are no nearer to each other, s, for the same reason.
-_SHORTEST = 1e-9
+_MIN_KNOT_INTERVAL_S = 1e-9
 
 POSITION, VELOCITY, ACCELERATION, JERK = range(4)
 
@@ -124,9 +124,9 @@ class QuinticTrajectory:
     def __post_init__(self) -> None:
         for name in ("t", "q", "v", "a"):
             object.__setattr__(self, name, read_only(np.array(getattr(self, name), dtype=float)))
-        increases = self.t.ndim == 1 and len(self.t) >= 2 and np.all(np.diff(self.t) >= _SHORTEST)
+        increases = self.t.ndim == 1 and len(self.t) >= 2 and np.all(np.diff(self.t) >= _MIN_KNOT_INTERVAL_S)
         if not increases or not (np.abs(self.t) <= LARGEST).all():
-            expected = f"two or more finite, increasing times, {_SHORTEST:g} s or more apart"
+            expected = f"two or more finite, increasing times, {_MIN_KNOT_INTERVAL_S:g} s or more apart"
             raise InputError("QuinticTrajectory", "t", self.t.tolist(), expected)
         for name in ("q", "v", "a"):
             array = getattr(self, name)
@@ -184,8 +184,8 @@ class QuinticTrajectory:
         h = self.t[segment + 1] - self.t[segment]
         u = (t - self.t[segment]) / h
         each = tuple(np.empty((len(t), self.q.shape[1])) for _ in orders)
-        for first in range(0, len(t), _BLOCK):
-            block = slice(first, first + _BLOCK)
+        for first in range(0, len(t), _TIMES_PER_BLOCK):
+            block = slice(first, first + _TIMES_PER_BLOCK)
             c = self.coefficients[segment[block]]
             for order, out in zip(orders, each, strict=True):
                 here = values(derivative(c, order), u[block, None, None])[..., 0]

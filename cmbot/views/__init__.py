@@ -51,11 +51,11 @@ __all__ = [
     "write_page",
 ]
 
-_LATER = {
+_LAZY_VIEWS = {
     "cmbot.views.overview.excitation": ("EXCITATION", "excitation_page"),
     "cmbot.views.overview.stances": ("stances_page",),
     "cmbot.views.overview.tour": ("tour_page",),
     "cmbot.views.walk_replay": ("walk_replay_page",),
     "cmbot.views.overview.walk": ("walk_page",),
 }
-__getattr__ = on_first_use(__name__, _LATER)
+__getattr__ = on_first_use(__name__, _LAZY_VIEWS)

@@ -19,22 +19,22 @@ MOST_POINTS = 1000  # of a curve in a large plot
 MOST_SMALL_POINTS = 400  # of a curve in a small one
 ROOM = 1.06  # an axis reaches this much further than its curves
 
-_EXPECTED = "Planned motion: the tool with its predicted sag."
-_ERROR = "Elastic arm's tool minus the rigid arm's at the same joint angles. Dashed: static part."
-_COMPENSATED = (
+_EXPECTED_CAPTION = "Planned motion: the tool with its predicted sag."
+_ERROR_CAPTION = "Elastic arm's tool minus the rigid arm's at the same joint angles. Dashed: static part."
+_COMPENSATED_CAPTION = (
     "Elastic arm's tool minus its expected position: the rigid arm's at the same joint angles and, for the "
     "planned motion, its predicted sag. Dashed: static part; zero where the sag is as predicted."
 )
 _NOT_SIMULATED = "not simulated"
 # What the quantities of joints that slide are called.
-_OF_SLIDING = {"angle": "position", "torque": "force"}
+_SLIDING = {"angle": "position", "torque": "force"}
 
 # Segments further apart in time than this, s, have a gap between them: where an arm waits, or has no path.
-_GAP = 1e-6
+_GAP_S = 1e-6
 # A baseline that goes this many times as far as the planned motion is clipped.
-_FAR = 2.0
+_CLIPPED_RATIO = 2.0
 # What a peak is lower than its bound by rounding, as a share.
-_ROUNDING = 1e-5
+_PEAK_ROUNDING = 1e-5
 
 # When it begins, s after the work, and its samples.
 _Part = tuple[float, Samples]
@@ -91,10 +91,10 @@ class Chart:
     def scaled_to_plan(self, least: float = 0.0) -> Chart:
         """Return it with an axis that the planned motion decides, where the baseline goes far beyond.
 
-        What it shows of the baseline then is `_FAR` times as much as the planned motion, or `least`, needs.
+        It then shows `_CLIPPED_RATIO` times as much as the planned motion, or `least`, needs.
         """
         own = [curve for curve in self.curves if curve.motion == "planned"]
-        most, (low, high) = _FAR * ROOM * max(_highest(own), least), self.axis
+        most, (low, high) = _CLIPPED_RATIO * ROOM * max(_highest(own), least), self.axis
         lowest = min((float(curve.y.min()) for curve in own), default=0.0)
         if own and most > 0:
             low, high = max(low, min(ROOM * lowest, 0.0) - most / 2), min(high, most)
@@ -128,7 +128,7 @@ def charts(plan: Plan, tracking: Tracking | None) -> Iterator[Chart]:
     yield _clearance(plan)
     yield _tool_deviation(plan)
     if tracking is not None:
-        begin, note = work_begins(plan), _ERROR if plan.compensation is None else _COMPENSATED
+        begin, note = work_begins(plan), _ERROR_CAPTION if plan.compensation is None else _COMPENSATED_CAPTION
         # One that keeps the limits is shown whole: how far it bends is what a plan may make up for.
         broken = bool(baseline_faults(plan, work=True))
         yield from _tracking(tracking, begin, note, clipped=broken)
@@ -151,7 +151,7 @@ def joint_axes(plan: Plan) -> Iterator[tuple[Callable[[tuple[Curve, ...]], Chart
             factor = 1.0 if kind == "torque" else units.factor
             make = partial(
                 _joint_chart,
-                title=_OF_SLIDING.get(title, title) if plan.robot.limits.prismatic[joint] else title,
+                title=_SLIDING.get(title, title) if plan.robot.limits.prismatic[joint] else title,
                 unit=getattr(units, kind),
                 digits=1 if units.position == "deg" else 3,
                 low=factor * float(lower[joint]),
@@ -222,7 +222,7 @@ def floor_name(plan: Plan) -> str:
 
 def _undercuts(plan: Plan) -> bool:
     """Whether inertia takes the peak below the bound of the static torque."""
-    return plan.gap_to_floor is not None and plan.gap_to_floor < -_ROUNDING
+    return plan.gap_to_floor is not None and plan.gap_to_floor < -_PEAK_ROUNDING
 
 
 def floor_meaning(plan: Plan) -> str:
@@ -315,7 +315,7 @@ def _expected(plan: Plan) -> str:
     if plan.samples.expected_tool_point is None:
         return ""
     spread = f" Thin: with {plan.shown_sigmas:g} standard deviations of the identified stiffness."
-    return _EXPECTED + (spread if plan.deviation_with_spread else "")
+    return _EXPECTED_CAPTION + (spread if plan.deviation_with_spread else "")
 
 
 def _tracking(tracking: Tracking, begin: float, note: str, *, clipped: bool) -> Iterator[Chart]:
@@ -329,7 +329,7 @@ def _tracking(tracking: Tracking, begin: float, note: str, *, clipped: bool) -> 
     half = 0.5e3 * ROOM * float(np.ptp(shown, axis=0).max())
     own = tracking.planned
     planned = np.vstack([own.error, own.static])
-    far = _FAR * 0.5e3 * ROOM * float(np.ptp(planned, axis=0).max())
+    far = _CLIPPED_RATIO * 0.5e3 * ROOM * float(np.ptp(planned, axis=0).max())
     if clipped and half > far > 0:
         middles, half = 0.5e3 * (planned.min(axis=0) + planned.max(axis=0)), far
     for number, axis in enumerate("xyz"):
@@ -386,7 +386,9 @@ def _curves(plan: Plan, quantity: Callable[[Samples], FloatArray], *, free: bool
         times = [start + samples.t for start, samples in parts]
         ends = np.cumsum([len(t) for t in times])
         starts = tuple(
-            int(end) for end, (t, then) in zip(ends, pairwise(times), strict=False) if then[0] > t[-1] + _GAP
+            int(end)
+            for end, (t, then) in zip(ends, pairwise(times), strict=False)
+            if then[0] > t[-1] + _GAP_S
         )
         y = np.concatenate([quantity(samples) for _, samples in parts])
         return Curve(motion=motion, t=np.concatenate(times), y=y, starts=starts)

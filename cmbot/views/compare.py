@@ -35,12 +35,12 @@ from cmbot.views.report import SHARES, judged, section
 MOST_PLANS = 6
 
 # With as many the verdicts are folded: the view comes soon.
-_MANY = 3
+_MIN_FOLDED_PLANS = 3
 # The small plots have room for the shares of two curves.
-_WITH_SHARES = 2
+_MAX_SHARE_CURVES = 2
 
 # The motion that is drawn whole, then the ghosts.
-_KEYS = ("planned", *(f"plan_{number}" for number in range(2, MOST_PLANS + 1)))
+_MOTION_KEYS = ("planned", *(f"plan_{number}" for number in range(2, MOST_PLANS + 1)))
 
 
 def compare_page(plans: Mapping[str, Plan], trackings: Mapping[str, Tracking | None] | None = None) -> str:
@@ -65,7 +65,7 @@ def compare_page(plans: Mapping[str, Plan], trackings: Mapping[str, Tracking | N
     """
     _require_alike(plans)
     tracked = dict(trackings or {})
-    keys = dict(zip(_KEYS, plans, strict=False))
+    keys = dict(zip(_MOTION_KEYS, plans, strict=False))
     first = next(iter(plans.values()))
     return assemble(
         "report.html",
@@ -76,12 +76,13 @@ def compare_page(plans: Mapping[str, Plan], trackings: Mapping[str, Tracking | N
             "title": "Plans compared",
             "made": escape(f"Written by cmbot {__version__}."),
             "verdict": "".join(
-                _verdict(name, plan, tracked.get(name), len(plans) < _MANY) for name, plan in plans.items()
+                _verdict(name, plan, tracked.get(name), len(plans) < _MIN_FOLDED_PLANS)
+                for name, plan in plans.items()
             ),
             "cards": "".join(_cards(keys, plans)),
             "key": _key(keys, plans),
             "bending": " hidden",
-            "shares": SHARES if len(plans) == _WITH_SHARES else "",
+            "shares": SHARES if len(plans) == _MAX_SHARE_CURVES else "",
             "sections": section("Figures", table(_rows(plans), ("", *plans)), kind="wide"),
         },
     )

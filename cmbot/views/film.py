@@ -21,12 +21,12 @@ SIZE = (1280, 720)
 COLOURS = ("own", "load", "strain")
 MOST_RATE, LEAST_SIDE, MOST_SIDE, MOST_BENDING = 120, 120, 3840, 200
 # A palette of the film's own colours: GIF has 256 at most.
-_GIF = (
+_GIF_FILTER = (
     "split[a][b];[a]palettegen=max_colors=128:stats_mode=diff[p];[b][p]paletteuse=dither=bayer:bayer_scale=4"
 )
 # Browsers play no other pixel format; the fast preset leaves the processor to the browser.
-_VIDEO = ("-pix_fmt", "yuv420p", "-preset", "veryfast", "-movflags", "+faststart")
-_EXTRA = "video"
+_VIDEO_OPTIONS = ("-pix_fmt", "yuv420p", "-preset", "veryfast", "-movflags", "+faststart")
+_VIDEO_EXTRA = "video"
 # A container's root has no sandbox; SwiftShader draws WebGL without a graphics card, but what puts the page
 # together is quicker without it; no network is needed.
 _ARGUMENTS = (
@@ -115,7 +115,7 @@ def film(
 def _program(name: str, names: tuple[str, ...], command: str) -> str:
     found = next(filter(None, map(shutil.which, names)), None)
     if found is None:
-        raise MissingExtra(name, _EXTRA, command)
+        raise MissingExtra(name, _VIDEO_EXTRA, command)
     return found
 
 
@@ -125,7 +125,7 @@ def _opened(page: str, browser: str, driver: str, size: tuple[int, int]) -> Iter
     try:
         from selenium import webdriver
     except ImportError as error:
-        raise MissingExtra("selenium", _EXTRA) from error
+        raise MissingExtra("selenium", _VIDEO_EXTRA) from error
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder) / "page.html"
         write_page(place, page)
@@ -164,7 +164,7 @@ def _encode(encoder: str, draft: Path, target: str, fps: int, frames: Iterator[b
     words = [encoder, "-loglevel", "error", "-nostdin", "-y", "-f", "image2pipe", "-c:v", "mjpeg"]
     words += ["-framerate", str(fps), "-i", "-"]
     gif = draft.suffix.lower() == ".gif"
-    words += ["-vf", _GIF] if gif else _VIDEO
+    words += ["-vf", _GIF_FILTER] if gif else _VIDEO_OPTIONS
     count = 0
     with tempfile.TemporaryFile() as messages:
         process = subprocess.Popen([*words, str(draft.absolute())], stdin=subprocess.PIPE, stderr=messages)

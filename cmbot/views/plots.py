@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 
 # Blue and orange as on the pages: distinct with any colour vision, and in grey by their lightness.
 _BASELINE, _PLANNED = "#6AABEC", "#B23F05"
-_COLOURS = {"baseline": _BASELINE, "planned": _PLANNED}
+_MOTION_COLOURS = {"baseline": _BASELINE, "planned": _PLANNED}
 # Okabe and Ito's.
 _JOINT_COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#0072B2", "#CC79A7")
-_DASHES = ("-", "--", "-.", ":")
+_LINE_STYLES = ("-", "--", "-.", ":")
 # Inches: as wide as a page's text.
 _WIDTH, _HEIGHT = 6.7, 2.6
 # Keys are literals of matplotlib's own to its type hints.
-_STYLE: dict[Any, Any] = {
+_MATPLOTLIB_STYLE: dict[Any, Any] = {
     "font.size": 8.0,
     "axes.titlesize": 8.0,
     "axes.labelsize": 8.0,
@@ -38,7 +38,7 @@ _STYLE: dict[Any, Any] = {
     "lines.linewidth": 1.1,
     "figure.dpi": 150.0,
 }
-_LABELS = {"torque": "guardrail_torque", "clearance": "clearance", "deviation": "tool_deviation"}
+_QUANTITY_OF_PLOT = {"torque": "guardrail_torque", "clearance": "clearance", "deviation": "tool_deviation"}
 
 
 def plot(result: Plan | Tracking) -> tuple[Figure, ...]:
@@ -75,7 +75,7 @@ def plot(result: Plan | Tracking) -> tuple[Figure, ...]:
     require_matplotlib()
     import matplotlib as mpl
 
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(_MATPLOTLIB_STYLE):
         if isinstance(result, Tracking):
             return tuple(_tracking(result))
         # An infinite clearance has no curve.
@@ -120,13 +120,13 @@ def figure_files(figures: Iterable[Figure]) -> Iterator[tuple[str, bytes]]:
 
 def _chart(chart: Chart) -> Figure:
     """Draw a chart of the report's page."""
-    figure = _figure(_LABELS[chart.key], _HEIGHT)
+    figure = _figure(_QUANTITY_OF_PLOT[chart.key], _HEIGHT)
     axes = figure.subplots()
     for curve in chart.curves:
         few = curve.downsampled()
         # A line is broken at NaN.
         t, y = (np.insert(each, list(few.starts), np.nan) for each in (few.t, few.y))
-        axes.plot(t, y, color=_COLOURS[curve.motion], label=curve.motion)
+        axes.plot(t, y, color=_MOTION_COLOURS[curve.motion], label=curve.motion)
     # At least the chart's own range, and every curve.
     shown = np.concatenate([chart.axis, *(curve.y for curve in chart.curves)])
     low, high = float(shown.min()), float(shown.max())
@@ -175,7 +175,7 @@ def _joints(plan: Plan) -> Figure:
             for joint in range(plan.robot.dof):
                 t, y = downsampled(samples.t, shares[:, joint])
                 colour = _JOINT_COLOURS[joint % len(_JOINT_COLOURS)]
-                dashes = _DASHES[joint // len(_JOINT_COLOURS) % len(_DASHES)]
+                dashes = _LINE_STYLES[joint // len(_JOINT_COLOURS) % len(_LINE_STYLES)]
                 axes.plot(begin + t, y, color=colour, linestyle=dashes, linewidth=0.9)
     names = plan.robot.joints
     lines = grid[0, -1].get_lines()
@@ -234,7 +234,7 @@ def _figure(label: str, height: float) -> Figure:
 
 def _line(axes: Axes, t: FloatArray, y: FloatArray, motion: str) -> None:
     t, y = downsampled(t, y)
-    axes.plot(t, y, color=_COLOURS[motion], label=motion)
+    axes.plot(t, y, color=_MOTION_COLOURS[motion], label=motion)
 
 
 def _forbidden(axes: Axes, low: float, high: float) -> None:

@@ -48,10 +48,10 @@ from cmbot.views.page import pack, pack_exactly
 
 FRAME_STEP = 0.02  # between two frames, s, where `MOST_POSES` allows it; the page interpolates
 MOST_POSES = 12_000  # frames times links, of the whole job
-_BETWEEN = " – "  # two names of a pair
+_PAIR_SEPARATOR = " – "  # two names of a pair
 # Links whose distance varies by less than this, m, in so many of a motion's postures are always as near.
 _AS_NEAR, _LOOKED_AT = 1e-3, 12
-_ALWAYS: Intervals = ((0.0, np.inf),)
+_ALL_TIMES: Intervals = ((0.0, np.inf),)
 
 
 def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
@@ -238,7 +238,7 @@ class Frames:
         for k in np.flatnonzero(distance < self._near):
             number = int(nearest[k])
             points[k], shapes = self.clearances.nearest_points(q[k], number), self.clearances.pairs[number]
-            pairs[k] = self.pairs.setdefault(f"{shapes.link}{_BETWEEN}{shapes.other}", len(self.pairs))
+            pairs[k] = self.pairs.setdefault(f"{shapes.link}{_PAIR_SEPARATOR}{shapes.other}", len(self.pairs))
         return points, pairs
 
     def _fixed(self, q: FloatArray, pairs: IntArray) -> list[int]:
@@ -287,7 +287,7 @@ def pair_joints(plan: Plan, pairs: Iterable[str]) -> list[list[int]]:
     """
     bodies = {obstacle.name: -2 for obstacle in supports(plan.scene)}
     bodies |= {frame.name: int(frame.parentJoint) for frame in plan.robot.model.frames}
-    return [[bodies.get(name, -1) for name in pair.partition(_BETWEEN)[::2]] for pair in pairs]
+    return [[bodies.get(name, -1) for name in pair.partition(_PAIR_SEPARATOR)[::2]] for pair in pairs]
 
 
 def link_names(robot: Robot) -> list[str]:
@@ -409,9 +409,9 @@ def _rest(plan: Plan, tracking: Tracking | None, frames: Frames, times: FloatArr
     if tracking is None or times[-1] <= times[0]:
         return None
     rest: dict[str, Any] = {"label": "after the stop"}
-    rest["planned"] = frames.motion(plan.samples, plan.figures, times, tracking.planned, _ALWAYS)
+    rest["planned"] = frames.motion(plan.samples, plan.figures, times, tracking.planned, _ALL_TIMES)
     if (other := plan.baseline) is not None:
-        rest["baseline"] = frames.motion(other.samples, other.figures, times, tracking.baseline, _ALWAYS)
+        rest["baseline"] = frames.motion(other.samples, other.figures, times, tracking.baseline, _ALL_TIMES)
     return rest
 
 

@@ -55,9 +55,9 @@ if TYPE_CHECKING:
 
 REPLAY, REPORT = "replay.html", "report.html"
 # Peaks that differ by less, as a share, are the same.
-_GAIN = 1e-3
+_SAME_PEAK_SHARE = 1e-3
 # Distances from the path that differ by less, as a share of their bound, are the same.
-_LITTLE = 0.02
+_DISTANCE_TOLERANCE_SHARE = 0.02
 _JOINT_HEADINGS = ("joint", "range, deg", "deg/s", "deg/s²", "deg/s³", "Nm")
 # Where joints slide each row has its own units.
 _MIXED_HEADINGS = ("joint", "range", "velocity", "acceleration", "jerk", "torque or force")
@@ -270,7 +270,7 @@ def _compared(before: float, after: float, *, kept: bool, nothing: float = 0.0) 
     if not kept:
         return "bad"
     change = after - before
-    if abs(change) <= max(_GAIN * abs(before), nothing):
+    if abs(change) <= max(_SAME_PEAK_SHARE * abs(before), nothing):
         return "plain"
     return "good" if change < 0 else "worse"
 
@@ -377,7 +377,7 @@ def _deviation_card(plan: Plan) -> Headline:
             lambda figures: 1e3 * figures.max_tool_deviation,
             "{:.2f}",
             kept=value <= bound,
-            nothing=1e3 * _LITTLE * bound,
+            nothing=1e3 * _DISTANCE_TOLERANCE_SHARE * bound,
             work=True,
         ),
     )

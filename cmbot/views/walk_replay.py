@@ -27,13 +27,13 @@ from cmbot.views.drawing import (
 from cmbot.views.page import STAGE_SCRIPTS, assemble, pack
 from cmbot.views.replay_data import MOST_POSES
 
-_ONLY = "planned"  # the name of the one motion
+_MOTION_NAME = "planned"  # the name of the one motion
 # Places of a foot that are drawn, and how little it moves from one sample to the next where it stays, m.
 _MOST_PLACES, _STAYS = 160, 1e-5
-_AZIMUTH = np.pi / 3  # of the camera, rad
+_CAMERA_AZIMUTH = np.pi / 3  # of the camera, rad
 _KNOTS = 25  # of each move that the first view is fitted to
-_BESIDE = 0.5  # of all that moves, within which workpieces are shown, m
-_JOINTS = (*CLIMBING_JOINTS, *ARM_JOINTS)
+_WORKPIECE_DISTANCE_M = 0.5  # of all that moves, within which workpieces are shown, m
+_CLIMBER_JOINTS = (*CLIMBING_JOINTS, *ARM_JOINTS)
 
 
 def walk_replay_page(walk: Walk) -> str:
@@ -69,7 +69,7 @@ def _data(walk: Walk) -> dict[str, Any]:
     places = poses[..., :3].reshape(-1, 3)
     motions = [(move.robot, move.segment.trajectory.q) for move in walk.moves]
     swept = [link_corners(each, link_poses(each, q[:: max(1, len(q) // _KNOTS)])) for each, q in motions]
-    beside = workpieces(walk.scene.all_obstacles, places, _BESIDE)
+    beside = workpieces(walk.scene.all_obstacles, places, _WORKPIECE_DISTANCE_M)
     margin = walk.scene.planner.safety_margin_m
     bridge = bridge_of(walk.scene, motions, margin)
     drawn = moving_robot_commands(
@@ -93,8 +93,8 @@ def _data(walk: Walk) -> dict[str, Any]:
     return {
         "title": walk.scene.name,
         "robot": robot.name,
-        "motions": [_ONLY],
-        "names": {_ONLY: "walk"},
+        "motions": [_MOTION_NAME],
+        "names": {_MOTION_NAME: "walk"},
         "start": 0.0,
         "workStart": 0.0,
         "workEnd": seconds,
@@ -108,11 +108,11 @@ def _data(walk: Walk) -> dict[str, Any]:
         "rest": None,
         "floor": None,
         "margin": margin,
-        _ONLY: motion,
+        _MOTION_NAME: motion,
         "bending": None,
         "pairs": [],
         "pairJoints": [],
-        "focus": focus_on(np.concatenate([places, *swept, *beside]), _AZIMUTH),
+        "focus": focus_on(np.concatenate([places, *swept, *beside]), _CAMERA_AZIMUTH),
         "reach": reach(robot),
         "around": bool(bridge),
         "commands": [
@@ -132,7 +132,7 @@ class _Body:
         bodies = [frame for frame in self.model.frames if frame.type == pin.FrameType.BODY]
         joints = range(1, self.model.njoints)
         self.links = [next(str(body.name) for body in bodies if body.parentJoint == k) for k in joints]
-        self._at = [self.model.joints[self.model.getJointId(name)].idx_q for name in _JOINTS]
+        self._at = [self.model.joints[self.model.getJointId(name)].idx_q for name in _CLIMBER_JOINTS]
 
     def poses(self, root: FloatArray, climber: FloatArray, arm: FloatArray) -> FloatArray:
         """Poses (N, n, 7) of the links in W; `root` (N, 7) are those of foot 1."""
@@ -159,10 +159,10 @@ def _at(times: FloatArray, samples: list[WalkSamples], name: str) -> FloatArray:
 def _loads(times: FloatArray, samples: list[WalkSamples], links: list[str]) -> FloatArray:
     """Shares (F, n) of what feet and moving joints can bear; NaN where it is not known."""
     found = np.full((len(times), len(links)), np.nan)
-    joints = {name: k for k, name in enumerate(_JOINTS)}
-    moved = [link_of(name) for name in _JOINTS]
+    joints = {name: k for k, name in enumerate(_CLIMBER_JOINTS)}
+    moved = [link_of(name) for name in _CLIMBER_JOINTS]
     effort, share = _at(times, samples, "effort"), _at(times, samples, "share")
-    for name, link in zip(_JOINTS, moved, strict=True):
+    for name, link in zip(_CLIMBER_JOINTS, moved, strict=True):
         if link in links:
             found[:, links.index(link)] = effort[:, joints[name]]
     for foot in (1, 2):

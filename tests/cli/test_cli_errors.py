@@ -388,7 +388,7 @@ def test_doctor_reports_missing_data(monkeypatch: pytest.MonkeyPatch, tmp_path: 
 
 def test_doctor_is_content_without_what_is_optional(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setattr(cmbot.cli.inspection, "_OPTIONAL", (("not-a-package-of-anyone", "test"),))
+    monkeypatch.setattr(cmbot.cli.inspection, "_OPTIONAL_PACKAGES", (("not-a-package-of-anyone", "test"),))
     outcome = run("doctor")
     assert outcome.status == 0
     assert f"not installed (optional: {install_command('test')})" in outcome.out
@@ -413,7 +413,7 @@ def test_the_doctor_names_the_extra_of_what_is_optional() -> None:
     declared = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = set(declared["optional-dependencies"]) - {"bench", "docs"}
     found = {symptom.name: symptom.found for symptom in cmbot.cli.inspection.examine()}
-    named = dict(cmbot.cli.inspection._OPTIONAL)
+    named = dict(cmbot.cli.inspection._OPTIONAL_PACKAGES)
     assert set(named.values()) == extras
     for package, extra in named.items():
         assert f"of the extra {extra}" in found[package] or install_command(extra) in found[package]

@@ -120,8 +120,8 @@ def test_refused_content(tmp_path, content, key, got):
 
 def test_too_many_values_are_refused(tmp_path, monkeypatch):
     """With a smaller bound: to read as many as are allowed takes seconds."""
-    assert yaml_reader._MOST_VALUES == 100_000
-    monkeypatch.setattr(yaml_reader, "_MOST_VALUES", 1000)
+    assert yaml_reader._MAX_YAML_VALUES == 100_000
+    monkeypatch.setattr(yaml_reader, "_MAX_YAML_VALUES", 1000)
     error = refused(tmp_path, "a: [" + "0," * 1000 + "]")
     assert (error.key, error.got, error.line) == ("a[997]", "more values", 1)
     assert error.expected == "at most 1000 in a file"

@@ -78,6 +78,8 @@ def test_the_budget_counts_what_shakes(short_plan: Plan, trains: cmbot.Excitatio
     assert trains.accuracy is not None
     part = next(part for part in trains.accuracy.parts if part.name == "shaking of the base")
     assert part.sigma_mm == 0
+    without = cmbot.excite(shaken(short_plan, excitation={"deck": {"trains": TRAINS}}))
+    assert without.simulated.peak < 0.9 * trains.simulated.peak  # the pressure of trains is counted
     assert part.bias_mm <= 1e3 * trains.simulated.peak * (1 + 1e-9)
     assert trains.accuracy.within_mm > short_plan.accuracy.within_mm + 0.3 * part.bias_mm
     windy = cmbot.excite(shaken(short_plan, excitation={"wind": {"mean_m_s": 16}}))
@@ -126,8 +128,16 @@ def test_a_record_is_simulated_from_its_begin(short_plan: Plan, tmp_path: Path) 
     found = cmbot.excite(shaken(short_plan, excitation=deck))
     assert found.kind == "record"
     assert found.simulated is not None
+    assert found.simulated.by == "simulation"
     assert found.simulated.peak > 1e-3
     assert found.sway is None
+    assert found.adhesion > short_plan.figures.adhesion_needed.peak
+    # By its modes, with a damper too light to matter, it sways alike.
+    light = cmbot.excite(shaken(short_plan, excitation=deck, damper={"mass_kg": 1e-4}))
+    assert light.simulated is not None
+    assert light.simulated.by == "modes"
+    assert light.simulated.rms == pytest.approx(found.simulated.rms, rel=0.05)
+    assert light.simulated.peak == pytest.approx(found.simulated.peak, rel=0.05)
     record = read_record(tmp_path / "deck.csv")
     assert record.at(np.array([0.25, 9.0])) == pytest.approx(np.array([[0, 0, 0.5], [0, 0, 0]]))
 

@@ -13,25 +13,31 @@ SPAN = Span(length=24.0, first=5.5, mass=3500.0, damping=0.005, at=9.0)
 ONE = Train(axles=np.zeros(1), loads=np.array([1e5]))
 
 
-def test_one_load_is_frybas_series() -> None:
-    """Undamped, of the first mode: 2 P / (m L) sin(pi x / L) (sin W t - W/w sin w t) / (w^2 - W^2)."""
-    span, speed = Span(length=24.0, first=5.5, mass=3500.0, damping=1e-9, at=12.0), 40.0
-    t = np.linspace(0.0, 24.0 / speed, 301)
-    w, W = 2 * np.pi * 5.5, np.pi * speed / 24.0
-    series = 2e5 / (3500.0 * 24.0) * (np.sin(W * t) - W / w * np.sin(w * t)) / (w**2 - W**2)
-    # At the middle of the span the second mode is at rest.
-    assert np.abs(span.deflection(ONE, speed, t) - series).max() < 1e-6 * np.abs(series).max()
+@pytest.mark.parametrize("speed", [5.0, 20.0, 40.0, 70.0])
+@pytest.mark.parametrize("share", [0.25, 0.5, 0.7])
+def test_one_load_is_frybas_series(speed: float, share: float) -> None:
+    """Within 1 % of 60 modes, undamped: 2 P/(m L) sin(n pi x/L) (sin W t - W/w sin w t)/(w^2 - W^2)."""
+    span = Span(length=24.0, first=5.5, mass=3500.0, damping=1e-9, at=24.0 * share)
+    t = np.linspace(0.0, 24.0 / speed, 2001)
+    series = np.zeros_like(t)
+    for n in range(1, 61):
+        w, W = 2 * np.pi * 5.5 * n**2, n * np.pi * speed / 24.0
+        part = (np.sin(W * t) - W / w * np.sin(w * t)) / (w**2 - W**2)
+        series += 2e5 / (3500.0 * 24.0) * np.sin(n * np.pi * share) * part
+    ours = span.deflection(ONE, speed, t)
+    assert np.abs(ours - series).max() < 0.01 * np.abs(series).max()
+    assert np.abs(ours).max() == pytest.approx(np.abs(series).max(), rel=0.01)
 
 
 @pytest.mark.parametrize("speed", [11.0, 44.0, 90.0])
 def test_axles_are_those_of_the_beams_equation(speed: float) -> None:
-    """On the span and after it, two modes, by an integrator of ordinary differential equations."""
+    """On the span and after it, three modes, by an integrator of ordinary differential equations."""
     train = Train(axles=np.array([0.0, 3.0]), loads=np.array([1e5, 2e5]))
     t = np.linspace(0.0, SPAN.passage(train, speed) + 0.5, 1501)
 
     def rates(time: float, y: np.ndarray) -> list[float]:
         out = []
-        for n in (1, 2):
+        for n in (1, 2, 3):
             w = 2 * np.pi * SPAN.first * n**2
             way = speed * time - train.axles
             on = (way >= 0) & (way <= SPAN.length)
@@ -40,8 +46,8 @@ def test_axles_are_those_of_the_beams_equation(speed: float) -> None:
             out += [v, force / (SPAN.mass * SPAN.length) - 2 * SPAN.damping * w * v - w**2 * q]
         return out
 
-    y = solve_ivp(rates, (0, t[-1]), np.zeros(4), t_eval=t, rtol=1e-9, atol=1e-13, max_step=2e-3).y
-    shapes = np.sin(np.pi * np.array([1, 2]) * SPAN.at / SPAN.length)
+    y = solve_ivp(rates, (0, t[-1]), np.zeros(6), t_eval=t, rtol=1e-9, atol=1e-13, max_step=2e-3).y
+    shapes = np.sin(np.pi * np.array([1, 2, 3]) * SPAN.at / SPAN.length)
     expected = shapes @ y[::2]
     ours = SPAN.deflection(train, speed, t)
     assert np.abs(ours - expected).max() < 1e-5 * np.abs(expected).max()
@@ -53,12 +59,12 @@ def test_axles_are_those_of_the_beams_equation(speed: float) -> None:
 
 
 def test_a_slow_load_bends_the_beam_as_at_rest() -> None:
-    """P L^3 / (48 EI) at the middle, of which the first mode has 96 / pi^4."""
+    """P L^3 / (48 EI) at the middle."""
     span = Span(length=24.0, first=5.5, mass=3500.0, damping=0.05, at=12.0)
     bending = 3500.0 * (2 * np.pi * 5.5) ** 2 * (24.0 / np.pi) ** 4
     speed = 0.2
     deflection = span.deflection(ONE, speed, np.array([12.0 / speed]))[0]
-    assert deflection == pytest.approx(96 / np.pi**4 * 1e5 * 24.0**3 / (48 * bending), rel=1e-3)
+    assert deflection == pytest.approx(1e5 * 24.0**3 / (48 * bending), rel=3e-3)
 
 
 # Number of axles, and load of each, kN: EN 1991-2, Table 6.3; power cars have 8 axles, end coaches 6.

@@ -153,11 +153,13 @@ class Twin:
         every: int,
         ground: Callable[[FloatArray], FloatArray] | None = None,
         damping: FloatArray | None = None,
+        observe: Callable[[], FloatArray] | None = None,
     ) -> FloatArray:
         """Let MuJoCo integrate, the driven joints overwritten; tool points (steps/every + 1, 3), m.
 
         With the acceleration `ground` (N, 3) of what it stands on, it feels another gravity in each step.
-        `damping` (f, f) is that of the elastic coordinates, by the rates of the step before.
+        `damping` (f, f) is that of the elastic coordinates, by the rates of the step before. What is not the
+        tool point but what `observe` sees is returned where that is given.
         """
         arm, model, data, h = self.arm, self.model, self.data, self.model.opt.timestep
         q, v, a = states(h * np.arange(steps + 1))
@@ -169,12 +171,12 @@ class Twin:
         data.qfrc_applied[arm.driven] = DRIVEN_ARMATURE * a[0]
         mujoco.mj_forward(model, data)
         data.qvel[arm.elastic] = -0.5 * h * data.qacc[arm.elastic]
-        points = np.empty((steps // every + 1, 3))
+        points = list[FloatArray]()
         for k in range(steps + 1):
             data.qpos[arm.driven], data.qvel[arm.driven] = q[k], v[k]
             if k % every == 0:
                 mujoco.mj_kinematics(model, data)
-                points[k // every] = data.site(TOOL).xpos
+                points.append(np.array(data.site(TOOL).xpos) if observe is None else observe())
             # The mean acceleration of the step that follows.
             mean = (v[k + 1] - v[k]) / h if k < steps else a[k]
             data.qfrc_applied[arm.driven] = DRIVEN_ARMATURE * mean
@@ -183,7 +185,7 @@ class Twin:
             if damping is not None:
                 data.qfrc_applied[arm.elastic] -= damping @ data.qvel[arm.elastic]
             mujoco.mj_step(model, data)
-        return points
+        return np.array(points)
 
 
 def _axis(robot: Robot, joint: int) -> FloatArray:

@@ -183,9 +183,9 @@ def test_dir_and_all_are_complete() -> None:
     ("package", "later"),
     [
         (cmbot, cmbot._ROOMS),
-        (archive, archive._LATER),
-        (campaigns, campaigns._LATER),
-        (views, views._LATER),
+        (archive, archive._LAZY_ARCHIVE),
+        (campaigns, campaigns._LAZY_CAMPAIGNS),
+        (views, views._LAZY_VIEWS),
     ],
 )
 def test_type_checkers_see_the_names_that_are_imported_when_first_used(

@@ -35,7 +35,7 @@ def test_blocks_of_times_change_nothing(seed: int, number: int) -> None:
     times = np.sort(np.random.default_rng(seed).uniform(some.t[0], some.t[-1], number))
     whole = some.states(times)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(trajectory, "_BLOCK", 7)
+        patch.setattr(trajectory, "_TIMES_PER_BLOCK", 7)
         for here, there in zip(whole, some.states(times), strict=True):
             np.testing.assert_array_equal(here, there)
     for order, here in enumerate(whole):
@@ -91,7 +91,7 @@ def wild(problem: TorqueProblem, size: float = 40.0) -> QuinticTrajectory:
 def test_blocks_of_states_change_nothing(problem: TorqueProblem, monkeypatch: pytest.MonkeyPatch) -> None:
     some = wild(problem, 1.0)
     whole = find_violations(problem, some, 0.5, 1e-6, 1000)
-    monkeypatch.setattr(separation, "_BLOCK", 9)
+    monkeypatch.setattr(separation, "_STATES_PER_BLOCK", 9)
     blocks = find_violations(problem, some, 0.5, 1e-6, 1000)
     np.testing.assert_array_equal(whole.family, blocks.family)
     np.testing.assert_allclose(whole.time, blocks.time, rtol=0, atol=1e-9)

@@ -139,7 +139,7 @@ def test_charts_evaluated_one_by_one_are_the_same(
     stage: GlobalSearch, asked: StrokeRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     each = [node.chart.q for node in stage._layers]
-    monkeypatch.setattr(self_motion, "_TOGETHER", 1)
+    monkeypatch.setattr(self_motion, "_CHARTS_PER_BATCH", 1)
     again = self_motion.charts_of(asked.cell, each)
     for node, chart in zip(stage._layers, again, strict=True):
         np.testing.assert_allclose(chart.value, node.chart.value, rtol=1e-13)

@@ -21,7 +21,7 @@ from cmbot.planning.certification.norm_bounds import norm_bounds
 from cmbot.robot import Dynamics, Kinematics, Postures, Robot, joint_units, load_robot, postures_in_words
 from cmbot.scene import load_scene
 from cmbot.trajectory import Pieces
-from cmbot.trajectory.enclosure import _RHO
+from cmbot.trajectory.enclosure import _ELLIPSE_SUMS
 
 FIRST, DRAW = RAIL_JOINTS.index("rail"), RAIL_JOINTS.index("draw")
 
@@ -204,7 +204,7 @@ def test_nothing_is_larger_on_the_ellipses(railed: Robot) -> None:
     angle = np.exp(1j * np.linspace(0, 2 * np.pi, 24, endpoint=False))
     segment = np.searchsorted(x.t, pieces.middle, side="right") - 1
     for k, r in zip(*np.nonzero(pieces.ellipses.turn[..., 1:].max(axis=2) < 12.0), strict=True):
-        rho = _RHO[r] * angle
+        rho = _ELLIPSE_SUMS[r] * angle
         t = pieces.middle[k] + 0.25 * (rho + 1 / rho) * (pieces.end[k] - pieces.start[k])
         c, h = x.coefficients[segment[k]].T, np.diff(x.t)[segment[k]]
         u = (t - x.t[segment[k]]) / h

@@ -396,6 +396,34 @@ def test_what_bends_is_ranked_by_its_sag_and_its_sway(objective: Any) -> None:
     assert all(row["sag_mm"] and row["first_hz"] for row in rows if row["status"] == "screened")
 
 
+def test_others_sag_no_more_than_the_scenes_own_unless_any_sag_is_allowed() -> None:
+    bending = scene_of("torque")
+    (found,) = stand(bending, WIDE)
+    (own,), most = found.own, found.sag_limit.most_mm
+    assert "own stance sags" in found.sag_limit.source
+    assert own.figures.sag_mm == pytest.approx(most, rel=0.1)
+    others = [each for each in found.ranked if not each.own and each.status in ("planned", "screened")]
+    assert others
+    assert all((each.figures.sag_mm or each.at_rest.sag_mm) <= 1.05 * most for each in others)
+    said = f"Other stances that sag by more than {most:.3g} mm, what the scene's own stance sags (estimate),"
+    assert any(said in sentence for sentence in in_words(found))
+    for lifted in (replace(WIDE, any_sag=True), replace(WIDE, bounds=Bounds(sag_mm=900.0))):
+        (anywhere,) = stand(bending, lifted)
+        assert anywhere.sag_limit is None
+        assert not any("sag by more than" in sentence for sentence in in_words(anywhere))
+    sags = [each.at_rest.sag_mm for each in anywhere.ranked if np.isfinite(each.bound)]
+    assert max(sags) > most
+
+
+def test_a_tolerance_bounds_the_sag_that_is_not_compensated() -> None:
+    tool = {"tolerance": {"across_mm": 4.0, "along_axis_mm": 9.0}}
+    planner = {"objective": "torque", "knots": "sliding"}
+    for compensate, most in ((False, 4.0), (True, None)):
+        asked = short_scene(planner=planner | {"compensate": compensate}, tool=tool)
+        (found,) = stand(asked, replace(WIDE, plans=0))
+        assert (found.sag_limit.most_mm == most) == (most is not None)
+
+
 def test_a_stance_counts_with_the_way_from_the_stow_posture_and_back(ranking: StanceRanking) -> None:
     for each in ranking.ranked:
         if each.status == "planned" and not each.own:

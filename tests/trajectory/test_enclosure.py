@@ -66,13 +66,13 @@ def test_interpolants_miss_no_more_than_the_remainder(seed: int) -> None:
 
 @given(seed=SEEDS)
 def test_ellipses_bound_the_state_at_complex_times(seed: int) -> None:
-    from cmbot.trajectory.enclosure import _RHO
+    from cmbot.trajectory.enclosure import _ELLIPSE_SUMS
 
     x = wild(seed)
     pieces = Pieces.between(x, np.empty(0))
     on = pieces.ellipses
     angle = np.exp(1j * np.linspace(0, 2 * np.pi, 40, endpoint=False))
-    for r, rho in enumerate(_RHO):
+    for r, rho in enumerate(_ELLIPSE_SUMS):
         u = 0.5 + 0.25 * (rho * angle + 1 / (rho * angle))  # of the unit interval
         for order, bound in enumerate((on.turn, on.v, on.a)):
             c = np.polynomial.polynomial.polyder(x.coefficients.transpose(2, 0, 1), order)

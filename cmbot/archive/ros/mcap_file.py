@@ -22,7 +22,7 @@ from cmbot.robot import link_poses
 
 WORLD, FOOT = "world", "O0"
 # Between two messages of the motion, s.
-_STEP = 0.02
+_PERIOD_S = 0.02
 _STEEL, _WORKPIECE, _PATH = (0.49, 0.55, 0.6), (0.18, 0.62, 0.56), (0.48, 0.17, 0.75)
 _CUBE, _SPHERE, _CYLINDER, _LINE_STRIP, _TRIANGLES = 1, 2, 3, 4, 11
 _LINE_WIDTH = 0.01  # m
@@ -80,7 +80,7 @@ def messages(plan: Plan, *, effort: bool) -> Iterator[tuple[str, str, float, Mes
     job["points"] = [{"effort": [], **point} for point in job["points"]]
     yield "/joint_trajectory", "trajectory_msgs/msg/JointTrajectory", 0.0, job
     yield "/markers", "visualization_msgs/msg/MarkerArray", 0.0, {"markers": list(_markers(plan, stamp))}
-    some = np.unique(np.append(np.arange(0, len(samples.t), round(_STEP / 0.01)), len(samples.t) - 1))
+    some = np.unique(np.append(np.arange(0, len(samples.t), round(_PERIOD_S / 0.01)), len(samples.t) - 1))
     names, poses = link_poses(plan.robot, samples.q[some])
     # O0 has the axes of W.
     held = np.array([*plan.robot.foot_point, 0.0, 0.0, 0.0, 1.0])

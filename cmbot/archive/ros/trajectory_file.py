@@ -20,7 +20,7 @@ from cmbot.robot import Dynamics
 from cmbot.trajectory import QuinticTrajectory
 
 # Points of a message unless more are asked for.
-_MOST_POINTS = 200
+_DEFAULT_MAX_POINTS = 200
 # Times between two points at which the motion is compared, and most points of all.
 _TIMES_BETWEEN_POINTS, _LARGEST_MESSAGE = 16, 100_000
 _NANO = 1e-9
@@ -109,7 +109,7 @@ def message_times(
             )
         inside = np.arange(0, int(np.ceil(trajectory.duration * rate))) / rate
         return _whole(np.append(trajectory.t[0] + inside, trajectory.t[-1]))
-    most = _MOST_POINTS if max_points is None else max_points
+    most = _DEFAULT_MAX_POINTS if max_points is None else max_points
     if not 2 <= most <= _LARGEST_MESSAGE:
         raise InputError("cmbot.export_ros", "max_points", most, f"2 to {_LARGEST_MESSAGE}")
     return _whole(_fewer(trajectory, most))

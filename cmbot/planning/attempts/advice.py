@@ -31,16 +31,16 @@ from cmbot.scene import Stroke
 from cmbot.trajectory import QuinticTrajectory
 
 # A little more than the ratio, for what the optimiser needs beside.
-_ROOM = 1.05
+_DURATION_MARGIN = 1.05
 # Where legs would have to take longer by a larger factor, something else is the matter.
-_SLOWEST = 30.0
+_MAX_STRETCH = 30.0
 # A limit is reached from this share of it on; then a leg is to take so much longer.
 _AT_LIMIT, _DOUBLE = 0.99, 2.0
 # More legs than these are not listed one by one.
 _MOST_LISTED, _MOST_DIGITS = 3, 9
 # Options that have the bounds of what keeps the tool on its path; eased by a larger factor than this, a bound
 # is another one.
-_EASED = {
+_EASED_OPTIONS = {
     Limit.TOOL_DEVIATION: "max_tool_deviation_m",
     Limit.SHIFT: "max_tool_deviation_m",
     Limit.TOOL_ROTATION: "max_tool_rotation_deg",
@@ -71,8 +71,8 @@ def slower_legs(request: StrokeRequest, failure: Failure) -> FloatArray | None:
             return None
         case _:
             assert_never(failure)
-    factors = np.where(factors > 1.0, _ROOM * factors, 1.0)
-    return factors if 1.0 < factors.max() <= _SLOWEST else None
+    factors = np.where(factors > 1.0, _DURATION_MARGIN * factors, 1.0)
+    return factors if 1.0 < factors.max() <= _MAX_STRETCH else None
 
 
 def eased(request: StrokeRequest, failure: Failure) -> StrokeRequest | None:
@@ -102,13 +102,13 @@ def _eased(
         case NearObstacle(distance=distance):
             if distance <= 0.0 or request.cell.options.safety_margin_m > _MOST_EASED * distance:
                 return None
-            return request.with_options(**{_MARGIN: _rounded_down(distance / _ROOM)})
+            return request.with_options(**{_MARGIN: _rounded_down(distance / _DURATION_MARGIN)})
         case ToolOff(what=what, ratio=ratio):
-            option = _EASED.get(what)
+            option = _EASED_OPTIONS.get(what)
             if option is None or ratio > _MOST_EASED:
                 return None
             return request.with_options(
-                **{option: _rounded_up(_ROOM * ratio * getattr(request.cell.options, option))}
+                **{option: _rounded_up(_DURATION_MARGIN * ratio * getattr(request.cell.options, option))}
             )
         case JointRate() | JointTorque() | OtherLimit():
             return None
@@ -118,7 +118,7 @@ def _eased(
 
 def changed_in_words(before: StrokeRequest, after: StrokeRequest) -> str:
     """Say by the keys of the scene what was eased, or which legs take longer."""
-    for option in dict.fromkeys((_MARGIN, *_EASED.values())):
+    for option in dict.fromkeys((_MARGIN, *_EASED_OPTIONS.values())):
         old, new = (getattr(request.cell.options, option) for request in (before, after))
         if new != old:
             return _changed(f"planner.{option}", new, old, 4)

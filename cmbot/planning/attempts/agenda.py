@@ -12,7 +12,7 @@ from cmbot.planning.attempts.failure import Failure
 from cmbot.planning.budget import Budget, Deadline
 
 # Trials for each run of the budget at most: what is refused before it is run takes none, but some time.
-_TRIALS_A_RUN = 4
+_MAX_TRIALS_PER_RUN = 4
 
 A = TypeVar("A")
 S = TypeVar("S")
@@ -178,7 +178,7 @@ class Agenda(Generic[A, S]):
         while (
             waiting
             and self.budget.left > 0
-            and trials < _TRIALS_A_RUN * self.budget.runs
+            and trials < _MAX_TRIALS_PER_RUN * self.budget.runs
             and not self.deadline.expired()
         ):
             item = heapq.heappop(waiting)

@@ -17,8 +17,8 @@ from cmbot.trajectory import QuinticTrajectory
 Made = TypeVar("Made")
 
 # Samples per segment at which the nearest pair and the weakest joint are sought.
-_SAMPLES = 10
-_ORDERS = {Limit.RATES: 0, Limit.VELOCITY: 1, Limit.ACCELERATION: 2, Limit.JERK: 3}
+_PAIR_SAMPLES_PER_SEGMENT = 10
+_DERIVATIVE_OF_LIMIT = {Limit.RATES: 0, Limit.VELOCITY: 1, Limit.ACCELERATION: 2, Limit.JERK: 3}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,7 +202,7 @@ def _named(request: StrokeRequest, error: OptimisationFailed) -> tuple[str, Brok
         broken = NearObstacle(distance=0.0, margin=cell.options.safety_margin_m)
     if not isinstance(trajectory, QuinticTrajectory):
         return error.constraint, broken
-    q, v, a = trajectory.sampled(_SAMPLES)
+    q, v, a = trajectory.sampled(_PAIR_SAMPLES_PER_SEGMENT)
     match broken:
         case NearObstacle(margin=margin):
             smallest = cell.clearances.query(q)
@@ -224,7 +224,7 @@ def _broken(limit: Limit, value: float, bound: float) -> Broken:
         case Limit.CLEARANCE:
             return NearObstacle(distance=value, margin=bound)
         case Limit.VELOCITY | Limit.ACCELERATION | Limit.JERK | Limit.RATES:
-            return JointRate(order=_ORDERS[limit], ratio=ratio)
+            return JointRate(order=_DERIVATIVE_OF_LIMIT[limit], ratio=ratio)
         case Limit.JOINT_TORQUE:
             return JointTorque(ratio=ratio)
         case Limit.TOOL_DEVIATION | Limit.TOOL_ROTATION | Limit.TOOL_TILT | Limit.TOOL_LAG:

@@ -29,7 +29,7 @@ from cmbot.scene import PlannerOptions
 from cmbot.trajectory import QuinticTrajectory
 
 # Durations that differ by less are the same, as a share.
-_SAME_DURATION = 1e-9
+_SAME_DURATION_SHARE = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +122,7 @@ def is_better(request: StrokeRequest) -> Callable[[StrokeMotion, StrokeMotion], 
 
     def better(motion: StrokeMotion, best: StrokeMotion) -> bool:
         seconds, most = motion.work.duration, best.work.duration
-        if abs(seconds - most) > _SAME_DURATION * most:
+        if abs(seconds - most) > _SAME_DURATION_SHARE * most:
             return seconds < most
         return margin * motion.peak <= best.peak
 

@@ -50,9 +50,9 @@ AnyTrial = Trial[Attempt, Any]
 # Halvings of the steps, and guesses of a remedy that are optimised, at most.
 _HALVINGS, _TRIES = 4, 2
 # Starts to which a free move leads that are tried at most.
-_JOINED_STARTS = 3
+_MAX_JOINED_STARTS = 3
 # What the certificate may miss a bound by for more samples to help, as a share of it.
-_NARROWLY = 0.01
+_NARROW_MISS_SHARE = 0.01
 # The certificate may find so much less clearance than the safety margin, m, for spare clearance to help, of
 # which there is what is missing and so much more.
 _LITTLE_NEARER, _SPARE = 1e-3, 1.5e-4
@@ -60,7 +60,7 @@ _LITTLE_NEARER, _SPARE = 1e-3, 1.5e-4
 # much smaller that is than in proportion.
 _NEARLY_ON, _NEARER = 2.0, 0.98
 # Via-points at most for which SLSQP is tried: its time grows with the cube of their number.
-_FEW_VIA_POINTS = 100
+_MAX_SLSQP_VIA_POINTS = 100
 # Least and largest factor by which there are more via-points, and how many at most: all takes longer in
 # proportion.
 _FINER, _MOST_VIA_POINTS = (2, 4), 300
@@ -69,7 +69,7 @@ _MISSED, _MORE, _MOST_OF_THEM = 0.05, 1.25, 1200
 # Shares of the via-points that are left where fewer are tried, and how few there may be in a leg.
 _COARSER, _FEWEST_IN_A_LEG = (0.7, 0.5), 4
 # Factors on the safety margin that guesses keep where trajectories cannot keep it.
-_CLEARER = (1.02, 1.1)
+_MARGIN_FACTORS = (1.02, 1.1)
 
 
 def is_little_nearer(failure: object) -> bool:
@@ -127,7 +127,7 @@ def _finer_samples(trial: AnyTrial) -> Iterator[Attempt]:
     """Twice the samples where the certificate misses a bound that sampled constraints overlooked."""
     attempt, options = trial.attempt, trial.attempt.request.cell.options
     match trial.outcome:
-        case Uncertified(excess=excess) if excess <= _NARROWLY:
+        case Uncertified(excess=excess) if excess <= _NARROW_MISS_SHARE:
             samples = 2 * options.samples_per_segment
             if samples <= MOST_SAMPLES:
                 finer = attempt.request.with_options(samples_per_segment=samples)
@@ -189,7 +189,7 @@ def _clearer_guess(trial: AnyTrial) -> Iterator[Attempt]:
     request, margin = attempt.request, attempt.request.cell.options.safety_margin_m
     match trial.outcome, attempt.guess:
         case NoTrajectory(broken=NearObstacle()), InitialGuess(unreached=unreached) if search is not None:
-            for factor in _CLEARER:
+            for factor in _MARGIN_FACTORS:
                 away = f"{1e3 * factor * margin:.3g} mm away"
                 request.reporter.stage("path")
                 request.reporter.step(f"no trajectory keeps clear; trying postures {away}")
@@ -310,7 +310,7 @@ def _joined_start(trial: AnyTrial) -> Iterator[Attempt]:
     if isinstance(trial.outcome, NoWay) and search is not None and request.stroke.begins_elsewhere:
         request.reporter.step("no approach leads there; seeking a start that one leads to")
         start = partial(sliding_guess, request, search=search, pinned=trial.outcome.error)
-        for starts, way in islice(joined_starts(request, search.first_chart.q), _JOINED_STARTS):
+        for starts, way in islice(joined_starts(request, search.first_chart.q), _MAX_JOINED_STARTS):
             request.reporter.stage("path")
             best = attempted(request, partial(start, starts=starts))
             if isinstance(best, InitialGuess):
@@ -347,7 +347,7 @@ def _dense_solver(trial: AnyTrial) -> Iterator[Attempt]:
     request = trial.attempt.request
     match trial.outcome:
         case NoTrajectory(undecided=True) if trial.attempt.automatic and request.cell.options.solver == "sqp":
-            if len(request.times) <= _FEW_VIA_POINTS:
+            if len(request.times) <= _MAX_SLSQP_VIA_POINTS:
                 request.reporter.step("sqp gave up; trying slsqp")
                 dense = request.with_options(solver="slsqp")
                 yield from _anew(trial.attempt, request=dense, automatic=False)

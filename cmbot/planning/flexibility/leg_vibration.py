@@ -18,7 +18,7 @@ from cmbot.elastic.modes import DAMPING, linearised
 from cmbot.trajectory import QuinticTrajectory
 
 # Modes at the start, the middle and the end that together carry the motion in between.
-_CARRIERS = 3
+_SAMPLED_MODES_PER_LEG = 3
 # Steps a period of the fastest mode that is suppressed; longest time with the same matrices, s.
 _STEPS_A_PERIOD, _MATRICES_EVERY = 40, 0.25
 
@@ -186,7 +186,7 @@ def _reduced(at: _Matrices, factors: FloatArray, modes: int) -> tuple[FloatArray
     The stiffness is that of the springs times a factor; the equilibrium hardly changes with it, nor do the
     shapes of the modes: all cases have the same carriers, which the modes of each are made of.
     """
-    most, last = max(_CARRIERS, modes), len(at.mass) - 1
+    most, last = max(_SAMPLED_MODES_PER_LEG, modes), len(at.mass) - 1
     shapes = [slowest(at.mass[k], at.stiffness[k], most)[1] for k in (0, (last + 1) // 2, last)]
     V = np.linalg.qr(np.hstack(shapes))[0]
     by_case = factors[:, None, None, None]

@@ -24,13 +24,13 @@ SAME_TIME = 1e-9
 # Most segments of a window of several legs; windows with fewer than the second number take one more leg.
 _MOST, _FEWEST = 64, 12
 # Legs with a smaller amplitude than this share of the largest are as good as at rest.
-_LOUD = 0.3
+_NEGLIGIBLE_AMPLITUDE_SHARE = 0.3
 # By how much more may be left where another leg of the window follows at once.
-_PASSING = 2.0
+_FOLLOWED_LEG_FACTOR = 2.0
 # Weight of the mean squared jerk, in units of its bounds, beside the squares of amplitudes, in those before.
 _JERK_WEIGHT = 100.0
 # Weight at least, as a share of the sum of the squares' own: in slow legs rounding is larger than the jerk.
-_ROUNDING = 1e-12
+_MIN_JERK_WEIGHT = 1e-12
 # Times per segment at which the jerk is compared with the largest before, by what share of its bound it may
 # exceed that, and how often at most it is compared.
 _JERKS, _MORE_JERK, _JERK_ROUNDS = 5, 1e-3, 8
@@ -211,8 +211,8 @@ class _Wanted:
         conditions, vibration = window.conditions
         before = window.amplitudes(np.zeros(conditions[0].shape[1:]))
         # Every leg is to come to rest by the same share, but for those that nearly do so anyway.
-        scale = np.maximum(before.max(axis=1), _LOUD * before.max())
-        scale[:-1] *= _PASSING
+        scale = np.maximum(before.max(axis=1), _NEGLIGIBLE_AMPLITUDE_SHARE * before.max())
+        scale[:-1] *= _FOLLOWED_LEG_FACTOR
         size = np.repeat(scale, [len(v) for v in vibration])
         self._E = window.whitened(np.concatenate(conditions)) / size[:, None]
         self._v, self._groups = np.concatenate(vibration) / size, before.size
@@ -237,7 +237,7 @@ class _Wanted:
         roots = np.sqrt(np.repeat(weight, self._rows))
         E, v = self._E * roots[:, None], self._v * roots
         squares = E.T @ E
-        jerk = max(_JERK_WEIGHT, _ROUNDING * float(np.trace(squares)))
+        jerk = max(_JERK_WEIGHT, _MIN_JERK_WEIGHT * float(np.trace(squares)))
         factor = np.linalg.cholesky(squares + jerk * np.eye(len(squares)))
         return _Weighted(weight, -linalg.cho_solve((factor, True), E.T @ v), factor)
 

@@ -30,16 +30,16 @@ from cmbot.trajectory import QuinticTrajectory
 # slide: after them they stay, so that what follows is near what is known.
 _STEPS_FROM_GUESS, _LINEARIZATIONS, _SLIDING = 2, 8, 3
 # The change of the sag, as a share of the tool deviation allowed, that ends them.
-_SETTLED = 0.04
+_SAG_CHANGE_SHARE = 0.04
 # Share of the tool deviation that is left to the optimiser; the rest is for what the sag misses.
-_LEFT = 0.95
+_OPTIMIZER_DEVIATION_SHARE = 0.95
 # What the peak may exceed its least value by, as a share: that is known to first order.
-_FIRST_ORDER = 5e-4
+_PEAK_TOLERANCE = 5e-4
 # By how much the standard deviation may grow while the trajectory changes, and the least share of the tool
 # deviation beside it.
 _GROWS, _LEAST = 1.05, 0.2
 # Times per spline segment at which the sag is computed.
-_PER_SEGMENT = 4
+_TIMES_PER_SEGMENT = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,11 +104,11 @@ class _Bending:
         self._guess, self._sag, self._progress = guess, sag, progress
         near = guess.problem.parametrization.trajectory
         allowed = request.cell.options.max_tool_deviation_m - _uncertain(request, near, sag)
-        self._request = request.with_options(max_tool_deviation_m=_LEFT * allowed)
-        self._settled = _SETTLED * allowed
+        self._request = request.with_options(max_tool_deviation_m=_OPTIMIZER_DEVIATION_SHARE * allowed)
+        self._settled = _SAG_CHANGE_SHARE * allowed
         t = request.times
         self._times = np.append(
-            np.linspace(t[:-1], t[1:], _PER_SEGMENT, endpoint=False, axis=1).ravel(), t[-1]
+            np.linspace(t[:-1], t[1:], _TIMES_PER_SEGMENT, endpoint=False, axis=1).ravel(), t[-1]
         )
         self._passes: list[ExchangeReport] = []
         self._least = guess.lower_bound.value
@@ -118,7 +118,7 @@ class _Bending:
             near = self._problem.parametrization.trajectory
             # What bending changes at rest in the postures of the guess it changes of the least value, too.
             shifted = guess.lower_bound.each + self._problem.at_via_points - guess.problem.at_via_points
-            self._least = float(shifted.max()) * (1 + _FIRST_ORDER)
+            self._least = float(shifted.max()) * (1 + _PEAK_TOLERANCE)
 
     def solved(self) -> tuple[Optimised, Compensation, TorqueProblem]:
         """Solve and linearize until the sag of the solution is what it was taken for."""

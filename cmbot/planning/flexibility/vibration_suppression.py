@@ -41,7 +41,7 @@ from cmbot.trajectory import QuinticTrajectory
 # Rounds at most, and constraints at most that are added in each round for each window.
 _ROUNDS, _MOST_SITES = 12, 400
 # Earlier linearizations are kept of what was nearer to its bound than this.
-_NEAR = 0.3
+_KEPT_LINEARIZATION_SHARE = 0.3
 # Where a constraint of the state is violated by less than the first number, a step goes further than to its
 # bound by the second share of that: about so much a step leaves, and the next one would leave of the rest.
 _SMALL, _FURTHER = 0.1, 0.3
@@ -50,13 +50,13 @@ _SHARES, _PEAK_RISE = (0.75, 0.5, 0.25), 1e-6
 # The largest swing is to fall to this share; an amplitude of the tool below the second number, m, is rest.
 _WORTH, _AT_REST = 0.9, 2e-6
 # What the prediction misses, as a share of the stiffness.
-_MARGIN = 0.01
+_PREDICTION_ERROR_SHARE = 0.01
 # Factors on the stiffness; longer paths, s, and more modes are predicted in fewer cases.
 _MOST_FACTORS, _FEW_FACTORS, _LONG, _MANY = 25, 13, 60.0, 3
 # Time before the end of a leg in which vibration was excited that still counts, s.
-_KEPT = 20.0 + SAME_TIME
+_MEMORY_S = 20.0 + SAME_TIME
 # Of a longer leg only what is excited in so many seconds before its end counts.
-_LONGEST = 100.0
+_MAX_WINDOW_S = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,8 +133,8 @@ def suppress_vibration(
             return optimised, None
         # What is left of the legs before is still there, but for that of long ago.
         earlier = [time for time in leg_times if window.start <= time + SAME_TIME < t[first]]
-        start = min([t[first], *(time for time in earlier if t[last] - time <= _KEPT)])
-        start = max(start, t[last] - _LONGEST)
+        start = min([t[first], *(time for time in earlier if t[last] - time <= _MEMORY_S)])
+        start = max(start, t[last] - _MAX_WINDOW_S)
         leg = LegVibration(path, float(start), t[last], options.quiet_modes, uncertainty)
         window.bring_to_rest(leg, trajectory)
     reporter.step("bringing the slowest vibrations to rest")
@@ -170,7 +170,7 @@ def suppress_vibration(
 def _uncertainty(options: PlannerOptions, payload: float, count: int) -> Uncertainty:
     """What stiffness and load may be, as the options say; with few factors of the stiffness no other load."""
     share, more = options.quiet_stiffness_share, options.quiet_payload_kg
-    wide = share + _MARGIN
+    wide = share + _PREDICTION_ERROR_SHARE
     factors = {1.0, *_ends(share)}
     if share:
         # Evenly spaced in frequency: so the phases at the end of a leg are.
@@ -299,7 +299,7 @@ class _Search:
         # For the change as a whole.
         new = _HalfSpaces(self._held.times, rows, room + rows @ self._X.ravel())
         known = new.with_others(self._earlier)
-        self._earlier.append(new.where(value > -_NEAR))
+        self._earlier.append(new.where(value > -_KEPT_LINEARIZATION_SHARE))
         at = self._window_at(known.times)
         for k in np.flatnonzero(unfit):
             window, here = self._windows[k], at == k

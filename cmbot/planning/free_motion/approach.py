@@ -20,12 +20,12 @@ from cmbot.planning.job import Segment, free_move_name
 from cmbot.planning.request import StrokeRequest
 
 # Postures to which trees grow at once at most.
-_MOST_GOALS = 40
+_MAX_GOALS = 40
 # Growths of trees at most that seek the way to a better start. Of 12 ways in random scenes one took more than
 # half of that, and asked more than the work.
-_FEW_GROWTHS = 1500
+_MAX_START_GROWTHS = 1500
 # Postures of a chart are neighbours within this many spacings.
-_NEIGHBOURS = 1.6
+_NEAR_SPACINGS = 1.6
 
 
 def plan_approach(
@@ -67,7 +67,7 @@ def plan_approach(
         end_name="the start of the work" if request.number == 0 else f"the start of {request.stroke.name}",
         begin=request.state.begin,
         allowed=max(allowed, request.state.reached),
-        most_growths=_FEW_GROWTHS if dispensable else MOST_GROWTHS,
+        most_growths=_MAX_START_GROWTHS if dispensable else MOST_GROWTHS,
     )
     spacing = request.cell.options.chart_spacing
 
@@ -117,7 +117,7 @@ def joined_starts(request: StrokeRequest, chart: FloatArray) -> Iterator[tuple[B
         return
     nodes, graph = _neighbours(space, chart[free], chart[:0], cell.options.chart_spacing)
     number, part = connected_components(graph, directed=False)
-    largest = np.argsort(-np.bincount(part, minlength=number), kind="stable")[:_MOST_GOALS]
+    largest = np.argsort(-np.bincount(part, minlength=number), kind="stable")[:_MAX_GOALS]
     cost = space.cost(nodes)
     goals = [min(np.flatnonzero(part == k), key=lambda at: float(cost[at])) for k in largest]
     stop = partial(request.deadline.expired, MORE_TIME)
@@ -143,7 +143,7 @@ def _neighbours(
 ) -> tuple[FloatArray, sparse.csr_array]:
     """Postures, those of `ends` (k, n) first, and the graph of distances between free neighbours."""
     nodes, metric = np.vstack([ends, chart]), space.robot.metric
-    pairs = cKDTree(metric.coordinates(nodes)).query_pairs(_NEIGHBOURS * spacing, output_type="ndarray")
+    pairs = cKDTree(metric.coordinates(nodes)).query_pairs(_NEAR_SPACINGS * spacing, output_type="ndarray")
     free = space.holds(nodes)
     pairs = pairs[free[pairs].all(axis=1)]
     lengths = metric.lengths(nodes[pairs[:, 0]] - nodes[pairs[:, 1]])

@@ -33,13 +33,13 @@ _KNOT_SPACING, _HALVINGS = 0.4, 4
 # Share of the limits that a free move may use.
 _LIMIT_SHARE = 0.95
 # Postures of the straight line that are looked at where nothing leads to the other end.
-_ON_THE_LINE = 50
+_LINE_POSTURES = 50
 # Values of the objective that differ by less are the same, relative.
 _SAME = 1e-3
 # Factors on the shortest duration, while the moving arm asks more than it may, and samples a segment to see.
 _SLOWER, _SAMPLES = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0), 8
 # An objective below this is nothing.
-_NO_TORQUE = 1e-9
+_ZERO_OBJECTIVE = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -201,7 +201,7 @@ def _space_around(request: StrokeRequest, move: FreeMove) -> FreeSpace:
 
 def _unconnected(request: StrokeRequest, space: FreeSpace, move: FreeMove) -> PathNotFound:
     """The error of a move that was not found: what is in the way on the straight line."""
-    line = move.start + np.linspace(0.0, 1.0, _ON_THE_LINE)[:, None] * (move.end - move.start)
+    line = move.start + np.linspace(0.0, 1.0, _LINE_POSTURES)[:, None] * (move.end - move.start)
     blocked = line[~space.holds(line)]
     heavy = blocked[np.isinf(space.cost(blocked))]
     way, pair = "", None
@@ -286,4 +286,4 @@ def _asked(request: StrokeRequest, states: StateSamples, allowed: float) -> floa
     if holding is not None and holding.bounded:
         use = max(use, float(holding.share(efforts.guardrail_wrench)[0].max()))
     use /= _LIMIT_SHARE
-    return max(use, float(cell.objective.values(states).max()) / max(allowed, _NO_TORQUE))
+    return max(use, float(cell.objective.values(states).max()) / max(allowed, _ZERO_OBJECTIVE))

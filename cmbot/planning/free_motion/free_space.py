@@ -12,12 +12,12 @@ from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.robot import Robot
 
 # Between two postures of a line that are checked no point of the arm moves further than this, m.
-_CHECK_EVERY = 0.04
+_CHECK_DISTANCE_M = 0.04
 # Where the ends of a path spare less, this share of what they spare is required in between.
-_SHARE_TO_SPARE = 0.5
+_MARGIN_SHARE_BETWEEN = 0.5
 # The cost changes slowly: no point moves further than this between two postures where it is computed, m.
-_COST_EVERY = 0.2
-_ANY = float(np.finfo(np.float64).max)
+_COST_DISTANCE_M = 0.2
+_NO_BOUND = float(np.finfo(np.float64).max)
 # Postures of a line that are checked at once; each block is as many times larger than the one before.
 _FIRST_BLOCK, _GROWTH = 8, 4
 
@@ -46,8 +46,8 @@ class FreeSpace:
     clearances: Clearances
     margin: float
     cost: Callable[[FloatArray], FloatArray]
-    bound: float = _ANY
-    spare: float = _CHECK_EVERY / 2
+    bound: float = _NO_BOUND
+    spare: float = _CHECK_DISTANCE_M / 2
 
     def around(self, q: FloatArray) -> FreeSpace | None:
         """Return the space that spares at most what postures `q` (N, n) spare; None when one is not free.
@@ -57,7 +57,7 @@ class FreeSpace:
         if not self.robot.limits.contain(q).all():
             return None
         left = float(self.clearances.query(q).distance.min()) - self.margin
-        return None if left < 0 else replace(self, spare=min(self.spare, _SHARE_TO_SPARE * left))
+        return None if left < 0 else replace(self, spare=min(self.spare, _MARGIN_SHARE_BETWEEN * left))
 
     def below(self, bound: float) -> FreeSpace:
         """Return the postures whose cost is at most `bound`."""
@@ -73,7 +73,7 @@ class FreeSpace:
 
     def straight(self, start: FloatArray, end: FloatArray) -> bool:
         """Whether the postures checked on the line between two postures (n,) are free."""
-        postures = self._along(start[None], end[None], _CHECK_EVERY)[0]
+        postures = self._along(start[None], end[None], _CHECK_DISTANCE_M)[0]
         # Scattered over the line first: what is in the way is found by few of them.
         scattered = _scattered(len(postures))
         first, number = 0, _FIRST_BLOCK
@@ -94,7 +94,7 @@ class FreeSpace:
 
     def highest(self, starts: FloatArray, ends: FloatArray) -> FloatArray:
         """Return the largest cost (k,) on each of the lines between postures (k, n)."""
-        postures, line = self._along(starts, ends, _COST_EVERY)
+        postures, line = self._along(starts, ends, _COST_DISTANCE_M)
         highest = self.cost(starts)
         np.maximum.at(highest, line, self.cost(postures))
         return highest

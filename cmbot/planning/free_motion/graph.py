@@ -10,13 +10,13 @@ from cmbot.common.arrays import FloatArray, IntArray
 
 # Weight of an edge that has none, such as between two postures that are the same: a sparse graph would take
 # it for no edge.
-_NO_WEIGHT = 1e-12
+_MIN_EDGE_WEIGHT = 1e-12
 
 
 def graph_of(number: int, pairs: IntArray, weight: FloatArray) -> sparse.csr_array:
     """Return the graph of so many postures whose edges are `pairs` (E, 2), of weights (E,)."""
     ends = (pairs[:, 0], pairs[:, 1])
-    return sparse.csr_array((np.maximum(weight, _NO_WEIGHT), ends), shape=(number, number))
+    return sparse.csr_array((np.maximum(weight, _MIN_EDGE_WEIGHT), ends), shape=(number, number))
 
 
 def path_between_ends(graph: sparse.csr_array) -> IntArray | None:

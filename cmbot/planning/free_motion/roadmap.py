@@ -17,17 +17,17 @@ from cmbot.robot import PostureMetric
 # Random postures that are drawn in each round: half anywhere, half about the best path so far, at these
 # standard deviations of a joint, rad.
 _DRAWN, _SPREAD = 4000, (0.1, 0.3, 0.6)
-_MOST_ROUNDS = 6
+_MAX_ROADMAP_ROUNDS = 6
 # Nearest postures with which a new one is joined.
-_NEIGHBOURS = 12
+_NEIGHBOUR_COUNT = 12
 # Edges that are checked in a round before the rest is left: where nearly all are blocked, more postures help
 # more than more checks.
-_MOST_CHECKS = 400
+_MAX_CHECKED_EDGES = 400
 # So many rounds in a row that lower the peak by no more than this share end it, and a few more where no path
 # was found yet: where there is one, the first round nearly always finds it.
 _FRUITLESS, _FRUITLESS_AT_FIRST, _LITTLE = 2, 3, 1e-3
 # Bounds are compared with this tolerance, relative.
-_ROUNDING = 1e-9
+_BOUND_TOLERANCE = 1e-9
 
 
 def lower_peak(
@@ -58,7 +58,7 @@ def lower_peak(
     """
     roadmap, rng, given = _Roadmap(space, path[[0, -1]]), np.random.default_rng(0), path
     peak, rounds, fruitless = space.peak(path), 0, 0
-    while peak > enough and rounds < _MOST_ROUNDS and not stop():
+    while peak > enough and rounds < _MAX_ROADMAP_ROUNDS and not stop():
         if fruitless >= (_FRUITLESS_AT_FIRST if path is given else _FRUITLESS):
             break
         rounds, before = rounds + 1, peak
@@ -102,11 +102,11 @@ class _Roadmap:
     def add(self, q: FloatArray, bound: float) -> None:
         """Add those of the postures `q` (N, n) that are free and cost less than a bound, and their edges."""
         known = len(self._q)
-        free = q[self._space.below(bound * (1 - _ROUNDING)).holds(q)]
+        free = q[self._space.below(bound * (1 - _BOUND_TOLERANCE)).holds(q)]
         self._q = np.vstack([self._q, free])
         self._at_nodes = np.concatenate([self._at_nodes, self._space.cost(free)])
         new = np.arange(known if len(self._pairs) else 0, len(self._q))
-        number = min(_NEIGHBOURS + 1, len(self._q))
+        number = min(_NEIGHBOUR_COUNT + 1, len(self._q))
         x = self._space.robot.metric.coordinates(self._q)
         nearest = cKDTree(x).query(x[new], number)[1].reshape(len(new), number)
         pairs = np.stack([np.repeat(new, number), nearest.ravel()], axis=1)
@@ -125,11 +125,11 @@ class _Roadmap:
     def bottleneck_path(self, bound: float, stop: Callable[[], bool]) -> FloatArray | None:
         """Return the shortest of the free paths (k, n) whose largest cost is least, if below a bound."""
         checks, least = 0, -np.inf
-        while checks < _MOST_CHECKS and not stop():
+        while checks < _MAX_CHECKED_EDGES and not stop():
             # Costs only rise, so what is least stays so as long as a path is left below it.
             nodes = self._shortest(least)
             if nodes is None:
-                usable = self._cost < bound * (1 - _ROUNDING)
+                usable = self._cost < bound * (1 - _BOUND_TOLERANCE)
                 nodes = path_between_ends(minimum_spanning_tree(self._graph(self._cost, usable)))
                 if nodes is None:
                     return None

@@ -12,7 +12,7 @@ from cmbot.robot import PostureMetric
 
 # Longest step of a tree, rad, and how often the trees are grown before the search is given up: also so often
 # one after the other without a new posture, as where the roots of a tree are shut in.
-_STEP = 0.3
+_MAX_TREE_STEP = 0.3
 MOST_GROWTHS, _SHUT_IN = 4000, 300
 
 
@@ -71,7 +71,7 @@ class _Tree:
         if length == 0.0:
             return nearest
         self.fruitless += 1
-        new = target if length <= _STEP else self.q[nearest] + move * (_STEP / length)
+        new = target if length <= _MAX_TREE_STEP else self.q[nearest] + move * (_MAX_TREE_STEP / length)
         if not space.straight(self.q[nearest], new):
             return None
         self.q = np.vstack([self.q, new])

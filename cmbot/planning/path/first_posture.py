@@ -11,7 +11,7 @@ from cmbot.planning.postures.sampler import PostureSampler
 from cmbot.planning.request import StrokeRequest
 
 # Random postures from which Newton's method starts.
-_RESTARTS = 1000
+_MAX_RESTARTS = 1000
 
 
 def starting_at_path(request: StrokeRequest) -> StrokeRequest:
@@ -26,12 +26,12 @@ def starting_at_path(request: StrokeRequest) -> StrokeRequest:
     sampler = PostureSampler(cell=request.cell, task=request.task, tolerance=1e-12)
     found = sampler.near(posture[None], begin)
     if not len(found):
-        found = sampler.near(sampler.drawn(_RESTARTS), begin)
+        found = sampler.near(sampler.drawn(_MAX_RESTARTS), begin)
     if not len(found):
         where = ", ".join(f"{x:.3f}" for x in request.task.path.corners[0])
         reason = (
             f"no posture that holds the tool where the path begins, at ({where}) m, within the joint ranges, "
-            f"clear of obstacles and strong enough was found in {_RESTARTS} attempts"
+            f"clear of obstacles and strong enough was found in {_MAX_RESTARTS} attempts"
         )
         if miss := nearest_miss(request, is_clear=True, times=np.zeros(1)):
             reason = "; ".join(filter(None, (f"the path begins {miss.reason()}", miss.remedy())))

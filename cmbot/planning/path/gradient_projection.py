@@ -24,21 +24,21 @@ from cmbot.scene import PlannerOptions
 from cmbot.trajectory import sample_step
 
 # Lag of the tool behind its path, m, beyond which it no longer follows, not only drifts.
-_LOST = 0.01
+_MAX_PATH_LAG_M = 0.01
 # Power k of the weights of near pairs: with a small one they cancel out, with a large one the blend comes
 # near to Eq. (17)'s jumps.
-_SHARPNESS = 8
+_WEIGHT_EXPONENT = 8
 # Singular values below this share of the largest one are none.
-_RANK = 1e-6
+_RANK_TOLERANCE = 1e-6
 # Length of the steps along a self-motion, rad, and how many are taken each way; every fourth posture is
 # tried.
-_STEP = 0.05
-_MOST_STEPS = 400
-_TRIED_EVERY = 4
+_TRIAL_STEP = 0.05
+_MAX_STEPS = 400
+_TRIED_STRIDE = 4
 # Steps of Eq. (22) between reports of how far it is.
-_REPORTED_EVERY = 20
+_REPORT_STRIDE = 20
 # Step of a first, coarse integration of Eq. (22) from another start, s.
-_COARSE_STEP = 0.05
+_COARSE_STEP_S = 0.05
 # Beyond it, s, joints are moved away from obstacles in proportion less: steps are the same then.
 _LONGEST_STEP = 0.1
 
@@ -139,7 +139,7 @@ def follow_path(
         v[k] = metric.positions(rates)
         if k < steps:
             q[k + 1] = q[k] + dt * v[k]
-        if report is not None and (k % _REPORTED_EVERY == 0 or k == steps):
+        if report is not None and (k % _REPORT_STRIDE == 0 or k == steps):
             report(k + 1, steps + 1)
     if not stop_at_obstacles:
         # One batch is quicker.
@@ -205,7 +205,7 @@ def _away_smoothly(clearances: Clearances, q: FloatArray, d_s: float, metric: Po
     if not near:
         return np.zeros(len(q))
     w = 1.0 - np.maximum([each.distance for each in near], 0.0) / d_s
-    shares = w**_SHARPNESS
+    shares = w**_WEIGHT_EXPONENT
     total = shares.sum()
     return np.asarray((shares * w) @ _away_from(near, metric) / (total if total > 0 else 1.0))
 
@@ -217,7 +217,7 @@ def _away_from(near: Sequence[Nearest], metric: PostureMetric) -> FloatArray:
     # By the eigenvalues of J J^T: that takes half the time of a least-squares solver. The first links move in
     # fewer directions than three.
     squares, Q = np.linalg.eigh(J @ J_T)
-    there = squares > _RANK**2 * squares[:, -1:]
+    there = squares > _RANK_TOLERANCE**2 * squares[:, -1:]
     inverse = there / np.where(there, squares, 1.0)
     along = np.array([each.direction for each in near])[:, None] @ Q
     return np.asarray((J_T @ (Q @ (along * inverse[:, None]).transpose(0, 2, 1)))[:, :, 0])
@@ -238,7 +238,7 @@ def _require_free(request: StrokeRequest, q: FloatArray, time: float, error: Flo
         i = int(outside[0])
         here = postures_in_words(robot.limits.prismatic[[i]], q[[i]])
         reason = f"{robot.joints[i]} leaves its range {robot.limits.range_in_words(i)} {here}"
-    elif lag > _LOST:
+    elif lag > _MAX_PATH_LAG_M:
         reason = f"the tool is {lag:.3f} m behind its path, which gradient projection cannot follow there"
     else:
         return clearance
@@ -261,7 +261,7 @@ def find_path(request: StrokeRequest) -> tuple[JointPath, tuple[PathNotFound, ..
     except PathNotFound as error:
         failures = [error]
     options = request.cell.options
-    step = max(options.path_step_s, _COARSE_STEP)
+    step = max(options.path_step_s, _COARSE_STEP_S)
     coarse = request.with_options(path_step_s=step)
     for start in self_motion_postures(request)[: options.other_starts]:
         if request.deadline.expired():
@@ -289,21 +289,21 @@ def self_motion_postures(request: StrokeRequest) -> list[FloatArray]:
     along = np.concatenate([directions, -directions])
     q = np.tile(posture, (len(along), 1))
     found: list[FloatArray] = []
-    for step in range(1, _MOST_STEPS + 1):
+    for step in range(1, _MAX_STEPS + 1):
         N = null_space(cell.postures, task, q)
         along = np.einsum("kai,kaj,kj->ki", N, *map(metric.coordinates, (N, along)))
         length = metric.lengths(along)[:, None]
         along /= np.maximum(length, 1e-6)
         q, follows = project_onto_task(
-            cell.postures, task, q + _STEP * along, task.path.poses([0.0]), steps=50, tolerance=1e-12
+            cell.postures, task, q + _TRIAL_STEP * along, task.path.poses([0.0]), steps=50, tolerance=1e-12
         )
         follows &= length[:, 0] >= 1e-6
         follows &= limits.contain(q)
         if step > 2:
-            follows &= metric.lengths(q - posture) >= _STEP
+            follows &= metric.lengths(q - posture) >= _TRIAL_STEP
         q, along = q[follows], along[follows]
         if len(q) == 0:
             break
-        if step % _TRIED_EVERY == 0:
+        if step % _TRIED_STRIDE == 0:
             found += list(q)
     return sorted(found, key=lambda q: float(metric.lengths(q - posture)))

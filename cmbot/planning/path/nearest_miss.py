@@ -19,7 +19,7 @@ from cmbot.scene import AxisCone, Keep
 _EVERY, _STEPS = 0.05, 4
 _PLACES, _ALL_PLACES, _FEWEST = 64, 480, 6
 # A margin of zero has no shares.
-_ROUNDING = 1e-9
+_MIN_MARGIN_M = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -152,7 +152,7 @@ def _worst(request: StrokeRequest, times: FloatArray, *, is_clear: bool) -> Miss
 
     def violation(q: FloatArray) -> FloatArray:
         weak = cell.use_at_rest(cell.postures.at(q)) - 1.0
-        near = (margin - cell.clearances.query(q).distance) / max(margin, _ROUNDING)
+        near = (margin - cell.clearances.query(q).distance) / max(margin, _MIN_MARGIN_M)
         return np.asarray(np.maximum(np.maximum(weak, near), 0.0))
 
     goals = request.task.goals(times)

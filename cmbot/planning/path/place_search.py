@@ -27,11 +27,11 @@ _STEPS, _MORE_STEPS = 40, 300
 # There a posture that holds the tool is improved by copies of it, scattered less and less, rad.
 _COPIES, _SCATTER = 64, (0.5, 0.3, 0.2, 0.15, 0.1, 0.07, 0.05, 0.03, 0.02, 0.01)
 # Largest error of a posture that holds the tool, m, or rad: planning makes it smaller by Newton's method.
-_TOLERANCE = 1e-6
+_HELD_TOLERANCE = 1e-6
 # Least damping, and the longest step of a joint, rad.
 _DAMPING, _LONGEST_STEP = 1e-8, 0.8
 # Violation of a posture that does not hold the tool.
-_NOT_HELD = 1e9
+_UNHELD_VIOLATION = 1e9
 
 Violation = Callable[[FloatArray], FloatArray]
 """By how much postures (N, n) that hold the tool break what they have to keep, (N,); 0: not at all."""
@@ -106,17 +106,17 @@ class _Search:
         self._attempts = np.zeros(number, dtype=np.intp)
         # What is lacking in the best posture for each place: first what the tool misses, then the violation.
         self._q, self._miss = np.tile(known, (number, 1)), np.full(number, np.inf)
-        self._broken = np.full(number, _NOT_HELD)
+        self._broken = np.full(number, _UNHELD_VIOLATION)
 
     @property
     def found(self) -> BoolArray:
         """For which places there is a posture."""
-        return np.asarray((self._miss < _TOLERANCE) & (self._broken <= 0.0))
+        return np.asarray((self._miss < _HELD_TOLERANCE) & (self._broken <= 0.0))
 
     @property
     def lack(self) -> FloatArray:
         """How far each place is from one, (N,): those at which the tool is not held furthest."""
-        held = self._miss < _TOLERANCE
+        held = self._miss < _HELD_TOLERANCE
         return np.where(held, self._broken / (1.0 + self._broken), 1.0 + self._miss)
 
     def begin(self) -> None:
@@ -140,7 +140,7 @@ class _Search:
         """Improve the best posture for a place: nearer to its goal, or with less violation."""
         self._seek(np.full(1, place), self._q[place][None], _MORE_STEPS)
         metric = self._postures.metric
-        for scatter in _SCATTER if self._miss[place] < _TOLERANCE else ():
+        for scatter in _SCATTER if self._miss[place] < _HELD_TOLERANCE else ():
             moves = self._rng.normal(0.0, scatter, (_COPIES, self._q.shape[1]))
             self._seek(np.full(_COPIES, place), self._q[place] + metric.positions(moves))
 
@@ -150,7 +150,7 @@ class _Search:
             return
         self._attempts += np.bincount(places, minlength=len(self._attempts))
         q, miss = _nearest_postures(self._robot, self._postures, self._task, q, self._goals[places], steps)
-        held, broken = miss < _TOLERANCE, np.full(len(q), _NOT_HELD)
+        held, broken = miss < _HELD_TOLERANCE, np.full(len(q), _UNHELD_VIOLATION)
         if held.any():
             broken[held] = 0.0 if self._violation is None else self._violation(q[held])
         miss = np.where(held, 0.0, miss)
@@ -164,14 +164,14 @@ class _Search:
         """What is known of a place for which no posture was found."""
         q, goal, limits = self._q[place], self._goals[place], self._robot.limits
         at = self._postures.tool_at(q[None])
-        at_end = np.minimum(q - limits.lower, limits.upper - q) < _TOLERANCE
+        at_end = np.minimum(q - limits.lower, limits.upper - q) < _HELD_TOLERANCE
         beyond = float(self._task.rotation(at.tool_rotation, goal)[0]) - (self._task.cone or 0.0)
         return MissedPlace(
             place=place,
             found=self.found,
             attempts=int(self._attempts[place]),
             best=q,
-            is_held=bool(self._miss[place] < _TOLERANCE),
+            is_held=bool(self._miss[place] < _HELD_TOLERANCE),
             distance=float(np.linalg.norm(goal.point - at.tool_point)),
             angle=max(beyond, 0.0),
             joint=self._robot.joints[int(at_end.argmax())] if at_end.any() else "",
@@ -197,7 +197,7 @@ def _nearest_postures(
         better = size < miss[active]
         best[:, active[better]] = x[:, active[better]]
         miss[active[better]] = size[better]
-        going = size >= _TOLERANCE
+        going = size >= _HELD_TOLERANCE
         active, error, size = active[going], error[:, going], size[going]
         if not len(active):
             break

@@ -19,7 +19,7 @@ from cmbot.toolpath import RowPiece, ToolPath, ToolPoses, cells_of
 # Distance of places along rows: as a share of the rows' distance, and at most, m.
 _SHARE, _EVERY = 0.25, 0.03
 # Rows that are so long that there would be more places have them further apart.
-_MOST_PLACES = 4000
+_MAX_PLACES = 4000
 # Postures that follow rows: few first, more where these come to an end; how far copies of them are scattered,
 # and how far a joint may move from one place to the next, rad.
 _FEW, _MANY, _SCATTER, _FURTHEST = 12, 60, 0.15, 0.6
@@ -29,9 +29,9 @@ _AT_START, _ANYWHERE, _STEPS, _TOLERANCE = 300, 60, 30, 1e-9
 # Random postures are sought at places of this stride: to the others they are carried.
 _STRIDE = 3
 # Largest share of its bound that a joint, or a foot, uses at rest where rows are cut: motion takes some.
-_CUT_USE = 0.97
+_MAX_STATIC_USE = 0.97
 # Pieces that are shorter than this share of the rows' distance are left out.
-_SHORTEST = 0.5
+_MIN_PIECE_SHARE = 0.5
 
 _Cell = tuple[RowPiece, ...]
 
@@ -130,7 +130,7 @@ class _Follower:
             if number == len(places.leg):
                 found.append(part)
             elif not is_trimmed:
-                is_trimmed, self._sampler = True, replace(self._sampler, most_use=_CUT_USE)
+                is_trimmed, self._sampler = True, replace(self._sampler, most_use=_MAX_STATIC_USE)
                 waiting = self._trimmed(part, places)
             else:
                 done, rest = self._cut(part, places, number)
@@ -142,7 +142,7 @@ class _Follower:
         raster = replace(self._raster, pieces=cell, overscan_m=self._over)
         path = self._path(rows_alone(self._request.stroke.file, raster))
         legs, shares, times = list[IntArray](), list[FloatArray](), list[FloatArray]()
-        every = max(self._every, float(path.lengths.sum()) / _MOST_PLACES)
+        every = max(self._every, float(path.lengths.sum()) / _MAX_PLACES)
         for leg, length in enumerate(path.lengths):
             each = np.linspace(0.0, 1.0, max(int(np.ceil(length / every)), 1) + 1)
             each = each if leg % 2 == 0 else each[1:-1]
@@ -229,7 +229,7 @@ class _Follower:
         end = piece.end_m if piece.end_m - end < _TOLERANCE else end
         if (both[1] - both[0]) * turned <= 0:
             return None
-        enough = end - begin >= min(_SHORTEST * self._raster.spacing_m, piece.length)
+        enough = end - begin >= min(_MIN_PIECE_SHARE * self._raster.spacing_m, piece.length)
         return replace(piece, begin_m=float(begin), end_m=float(end)) if enough else None
 
     def _cut(self, cell: _Cell, places: _Places, number: int) -> tuple[_Cell, _Cell]:

@@ -28,12 +28,12 @@ _RESTARTS, _STEPS, _TRIED = 2000, 60, 30
 _LEG, _LEG_SHARE, _SHORTER, _LEG_STEPS = 0.10, 0.15, (1.0, 0.5, 0.25), 10
 _SPEED, _VELOCITY_SHARE, _LEAST_SECONDS = 0.05, 0.15, 4.0
 # Safety margins that are tried, as shares of the default: as convex hulls, some arms are near themselves.
-_MARGINS = (1.0, 0.5, 0.25, 0.1)
+_MARGIN_SHARES = (1.0, 0.5, 0.25, 0.1)
 _KEEPS: tuple[Literal["pose", "axis", "position"], ...] = ("pose", "axis", "position")
 # What a start leaves: of the joints' ranges, of the clearance (m), and of the torque limits at rest.
 _RANGE_LEFT, _CLEARANCE_LEFT, _TORQUE_USE = 0.02, 0.002, 0.9
 # Smallest singular value of the task Jacobian below which a posture counts as singular.
-_SINGULAR = 0.01
+_MIN_VALUE = 0.01
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,7 +96,7 @@ def find_start(
     held: Literal["pose", "axis", "position"] = "position" if orientation is None else search.keep
     task = _task(point, np.eye(3) if orientation is None else orientation, held)
     q = search.postures(task, point)
-    margins = [share * PlannerOptions().safety_margin_m for share in _MARGINS] if len(q) else []
+    margins = [share * PlannerOptions().safety_margin_m for share in _MARGIN_SHARES] if len(q) else []
     for keep, margin in product(search.keeps, margins):
         search.keep = keep
         for posture in search.best(q, margin):
@@ -141,7 +141,7 @@ class _Search:
             [value * each.min() for value, each in zip(values, 1.0 - (1.0 - room) ** 2, strict=True)]
         )
         for k in np.argsort(-score)[:_TRIED]:
-            if values[k] > _SINGULAR:
+            if values[k] > _MIN_VALUE:
                 slides = self._limits.prismatic.any()
                 yield np.round(q[k], 5) if slides else np.deg2rad(np.round(np.rad2deg(q[k]), 4))
 
@@ -198,7 +198,7 @@ class _Search:
             pair = self._clearances.pairs[clear.pair[k]]
             text += f" ({pair.link} to {pair.other})"
             own = self._robot.model.existFrame(pair.other)
-            if own and clear.distance[k] < _MARGINS[-1] * PlannerOptions().safety_margin_m:
+            if own and clear.distance[k] < _MARGIN_SHARES[-1] * PlannerOptions().safety_margin_m:
                 return f"{text}: choose another place; or robot.srdf says that these may touch"
         return f"{text}; none is clear, not singular, and can follow a short leg"
 
@@ -220,7 +220,7 @@ class _Search:
         q = [posture]
         for goal in ToolPoses(point=points, rotation=task.path.poses([0.0]).rotation):
             step, reached = project_onto_task(self._batch, task, q[-1][None], goal, steps=10)
-            if not reached[0] or not self._within(step)[0] or self._singular_value(step[0]) < _SINGULAR:
+            if not reached[0] or not self._within(step)[0] or self._singular_value(step[0]) < _MIN_VALUE:
                 return None
             q.append(step[0])
         followed = np.array(q[1:])

@@ -18,11 +18,11 @@ from cmbot.robot import PostureMetric, Postures, ToolBatch
 from cmbot.toolpath import ToolPoses
 
 # Postures far from the task take steps of at most this length a joint, rad.
-_LONGEST_STEP = 0.6
+_MAX_NEWTON_STEP = 0.6
 # Added to the diagonal of Gram matrices, for singular Jacobians.
-_REGULAR = 1e-12
+_REGULARIZATION = 1e-12
 # In place of a length of zero as a divisor.
-_TINY = 1e-300
+_MIN_DIVISOR = 1e-300
 
 
 def project_onto_task(
@@ -73,7 +73,7 @@ def project_onto_task(
         step = _shortened(step)
         x[:, active] += step
         # The error after a short step is at most curvature times its square: it needs no evaluation.
-        left = _REGULAR * np.abs(y).max(axis=0) + postures.bend * np.abs(step).sum(axis=0) ** 2
+        left = _REGULARIZATION * np.abs(y).max(axis=0) + postures.bend * np.abs(step).sum(axis=0) ** 2
         sure = left < tolerance
     return np.ascontiguousarray(metric.positions(x.T)), reached
 
@@ -113,7 +113,7 @@ class TangentPredictor:
         turns = task.path.turns and task.keep != "position"
         columns = len(J) if turns else 3
         along = np.broadcast_to(np.eye(len(J))[:, :columns, None], (len(J), columns, len(q)))
-        slope = np.einsum("ikn,ijn->kjn", J, solve_batch(gram(J, _REGULAR), along))
+        slope = np.einsum("ikn,ijn->kjn", J, solve_batch(gram(J, _REGULARIZATION), along))
         return TangentPredictor(postures, task, q, at, goals, slope)
 
     def towards(self, goals: ToolPoses) -> FloatArray:
@@ -131,7 +131,7 @@ def least_norm_step(J: FloatArray, error: FloatArray) -> tuple[FloatArray, Float
 
     `J` (m, n, N) are the Jacobians.
     """
-    y = solve_batch(gram(J, _REGULAR), error[:, None])[:, 0]
+    y = solve_batch(gram(J, _REGULARIZATION), error[:, None])[:, 0]
     return np.einsum("ikn,in->kn", J, y), y
 
 
@@ -168,7 +168,7 @@ def null_directions(A: FloatArray) -> FloatArray:
     for i in range(min(m, n)):
         v = A[i, i:]
         norm = np.sqrt((v * v).sum(axis=0))
-        share = 1.0 / np.maximum(norm * (norm + np.abs(v[0])), _TINY)
+        share = 1.0 / np.maximum(norm * (norm + np.abs(v[0])), _MIN_DIVISOR)
         v[0] += np.copysign(norm, v[0])
         _reflect(A[i + 1 :, i:], v, share)
         reflections.append((v, share))
@@ -188,7 +188,7 @@ def task_jacobian(task: ToolTask, at: ToolBatch, metric: PostureMetric) -> Float
 
 def _shortened(step: FloatArray) -> FloatArray:
     """Steps (n, N), none of them longer than the longest that a joint may take."""
-    return np.asarray(step * np.minimum(1.0, _LONGEST_STEP / np.maximum(np.abs(step).max(axis=0), 1e-30)))
+    return np.asarray(step * np.minimum(1.0, _MAX_NEWTON_STEP / np.maximum(np.abs(step).max(axis=0), 1e-30)))
 
 
 def _reflect(vectors: FloatArray, v: FloatArray, share: FloatArray) -> None:

@@ -18,7 +18,7 @@ SAME = 1e-3
 """Peaks that differ by less, as a share of them, are the same."""
 
 # A motion of joints by less is none, rad.
-_NO_TRAVEL = 1e-6
+_ZERO_TRAVEL = 1e-6
 # Times the tool deviation of a plan: a baseline that strays further follows another path.
 _STRAYS = 10.0
 
@@ -34,7 +34,7 @@ def further(plan: Plan) -> float:
         return 1.0
     ours, theirs = travels(plan, plan.baseline)
     metric = plan.robot.metric
-    return float(metric.lengths(ours)) / max(float(metric.lengths(theirs)), _NO_TRAVEL)
+    return float(metric.lengths(ours)) / max(float(metric.lengths(theirs)), _ZERO_TRAVEL)
 
 
 def travels(plan: Plan, baseline: Baseline) -> tuple[FloatArray, FloatArray]:

@@ -31,16 +31,16 @@ from cmbot.scene import STOW
 # A peak lower by less than this share is no gain; a baseline this near to the lower bound leaves none.
 _GAIN, _NEAR_BOUND = 1e-2, 1e-2
 # Largest error of a lower bound that the search closed, as a share of it.
-_CLOSED = 1e-2
+_CLOSED_GAP_SHARE = 1e-2
 # More jerk than so many times the baseline's, and than that share of the limits, may well make the tool sway
 # more.
 _MORE_JERK, _LITTLE_JERK = 2.0, 1e-3
 # Joints that travel so many times as far as the baseline's are told.
-_FURTHER = 2.0
+_TOLD_TRAVEL_RATIO = 2.0
 # A lower bound below this share of the peak counts as zero.
-_NOTHING = 1e-9
+_ZERO_BOUND_SHARE = 1e-9
 # What a magnet is thought to lose to rust, paint and gaps.
-_ADHESION_LOST = 0.2
+_ADHESION_LOSS_SHARE = 0.2
 
 Level = Literal["first", "fault", "warning", "note"]
 
@@ -119,9 +119,9 @@ def _holds(plan: Plan) -> Iterator[Note]:
         foot = holding.feet[needed.foot - 1]
         values |= {"needed_kn": needed.peak / 1e3, "mode": needed.mode, "has_kn": None, "foot": needed.foot}
         if foot.adhesion is not None:
-            less = (1 - _ADHESION_LOST) * foot.adhesion
+            less = (1 - _ADHESION_LOSS_SHARE) * foot.adhesion
             holds = "with safety" if less >= foot.safety * needed.peak else "without safety"
-            values |= {"has_kn": foot.adhesion / 1e3, "lost": _ADHESION_LOST}
+            values |= {"has_kn": foot.adhesion / 1e3, "lost": _ADHESION_LOSS_SHARE}
             values["less"] = holds if less >= needed.peak else "not"
     if any(check.limit is Limit.HOLD for _, check in plan.job.checks()):
         segment, check = tightest_check(plan.job, limit=Limit.HOLD)
@@ -225,7 +225,7 @@ def _vibration(plan: Plan) -> Iterator[Note]:
 def _objective(plan: Plan) -> Iterator[Note]:
     """What was minimised, where that is not the torque on the base or gravity has no part in it."""
     objective, holding = plan.objective, plan.robot.holding
-    if objective.floor is not None and objective.floor <= _NOTHING * objective.planned_peak:
+    if objective.floor is not None and objective.floor <= _ZERO_BOUND_SHARE * objective.planned_peak:
         yield Note(level="warning", key="no_gravity", values={})
     if not objective.is_guardrail_torque:
         factor, unit = (1e3, "mm") if objective.unit == "m" else (1.0, objective.unit)
@@ -252,7 +252,7 @@ def _compared(plan: Plan, baseline: Baseline) -> Iterator[Note]:
     approach, work = plan.approach, max(f.peak_guardrail_torque for f in (plan.figures, baseline.figures))
     if approach is not None and approach.figures.peak_guardrail_torque > work * (1 + _GAIN):
         yield Note(level="warning", key="approach", values={"base": plan.scene.base_name})
-    if (factor := further(plan)) >= _FURTHER:
+    if (factor := further(plan)) >= _TOLD_TRAVEL_RATIO:
         ours, theirs = travels(plan, baseline)
         joint = int(plan.robot.metric.coordinates(ours - theirs).argmax())
         units = plan.robot.limits.units(joint, shown=True)
@@ -285,7 +285,7 @@ def _bound(plan: Plan) -> Iterator[Note]:
     bound, objective = plan.lower_bound, plan.objective
     if bound is None or plan.choice is None:
         return
-    closed = bound.kind == "proven" or bound.error <= _CLOSED * bound.value
+    closed = bound.kind == "proven" or bound.error <= _CLOSED_GAP_SHARE * bound.value
     factor, unit = (1e3, "mm") if objective.unit == "m" else (1.0, objective.unit)
     values = {
         "proven": bound.kind == "proven",

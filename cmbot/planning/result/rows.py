@@ -15,9 +15,9 @@ from cmbot.planning.result.judgement import baseline_faults, bound_use, further,
 from cmbot.planning.result.plan import Plan
 
 # Areas that differ by less are the same, as a share.
-_SAME_AREA = 1e-6
+_AREA_TOLERANCE = 1e-6
 # Factors from SI to the units of the table.
-_FACTORS = {"mm": 1e3, "kN": 1e-3, "deg": float(np.rad2deg(1.0)), "%": 1e2}
+_UNIT_FACTORS = {"mm": 1e3, "kN": 1e-3, "deg": float(np.rad2deg(1.0)), "%": 1e2}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +75,7 @@ def _row(
     label: str, key: str, unit: str, format: str, planned: Any, baseline: Any = None, **more: Any
 ) -> Row:
     """A row from values in SI."""
-    factor = _FACTORS.get(unit, 1.0)
+    factor = _UNIT_FACTORS.get(unit, 1.0)
     shown = [None if value is None else factor * float(value) for value in (baseline, planned)]
     return Row(label=label, key=key, unit=unit, format=format, baseline=shown[0], planned=shown[1], **more)
 
@@ -201,7 +201,7 @@ def _work(plan: Plan) -> Iterator[Row]:
         other = None if plan.baseline is None else covered
         yield _row(f"area covered of {area:.4g} m2", "coverage.covered", "m2", ".4f", covered, other)
         left_out = sum(one.left_out for one in plan.coverage.values()) - unreached
-        if left_out > _SAME_AREA * area:
+        if left_out > _AREA_TOLERANCE * area:
             yield _row("area beyond the rows' ends", "coverage.left_out", "m2", ".4f", left_out)
         if unreached:
             other = None if plan.baseline is None else unreached

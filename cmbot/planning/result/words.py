@@ -19,7 +19,7 @@ MOST_FIRST = 5
 """Sentences that are printed first, at most."""
 
 # A peak lower by less than this share is hardly a gain.
-_LITTLE = 1e-2
+_SMALL_GAIN_SHARE = 1e-2
 # A gain below this share is told with what it costs: joints that travel so many times as far, or more.
 _SMALL, _FURTHER = 5e-2, 3.0
 
@@ -180,9 +180,9 @@ def _base(
         text += f"; no gain is stated, as the baseline ({baseline_nm:.1f} Nm) {faults}"
     elif baseline_nm is not None:
         text, gain = f"{text}, {_against(peak_nm, baseline_nm)}", 1 - peak_nm / baseline_nm
-        if SAME < gain < _LITTLE:
+        if SAME < gain < _SMALL_GAIN_SHARE:
             text += ": hardly anything is gained"
-        elif _LITTLE <= gain < _SMALL and further >= _FURTHER:
+        elif _SMALL_GAIN_SHARE <= gain < _SMALL and further >= _FURTHER:
             text += f", with joints that travel {further:.1f} times as far at work"
     if work_nm is not None:
         text += f"; the work alone {work_nm:.1f} Nm"

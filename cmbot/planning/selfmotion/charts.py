@@ -17,9 +17,9 @@ from cmbot.planning.workcell.workcell import Workcell
 from cmbot.robot import PostureMetric
 
 # Postures within this many spacings of each other are on the same part of the self-motion.
-_BESIDE = 1.5
+_NEIGHBOUR_SPACINGS = 1.5
 # Charts that are evaluated at once: more only need memory, beyond the processor's cache.
-_TOGETHER = 10
+_CHARTS_PER_BATCH = 10
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,8 +38,8 @@ class Chart:
 def charts_of(cell: Workcell, each: Sequence[FloatArray]) -> list[Chart]:
     """Return charts of given postures, arrays (M, n)."""
     limits, charts = cell.robot.limits, list[Chart]()
-    for first in range(0, len(each), _TOGETHER):
-        some = each[first : first + _TOGETHER]
+    for first in range(0, len(each), _CHARTS_PER_BATCH):
+        some = each[first : first + _CHARTS_PER_BATCH]
         q = np.vstack(some)
         at = cell.postures.at(q)
         value = cell.objective.at_rest(at)
@@ -57,7 +57,7 @@ def connected_parts(q: FloatArray, within: BoolArray, spacing: float, metric: Po
     """Number the connected parts of a chart's postures `q` (M, n); -1 for those not `within` the ranges."""
     chosen = np.flatnonzero(within)
     tree = cKDTree(metric.on_one_turn(q[chosen]), boxsize=metric.period)
-    pairs = tree.query_pairs(_BESIDE * spacing, output_type="ndarray")
+    pairs = tree.query_pairs(_NEIGHBOUR_SPACINGS * spacing, output_type="ndarray")
     graph = sparse.csr_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=2 * (len(chosen),))
     label = np.full(len(q), -1, dtype=np.intp)
     label[chosen] = connected_components(graph, directed=False)[1]

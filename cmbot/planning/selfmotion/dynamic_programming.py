@@ -24,7 +24,7 @@ from cmbot.planning.workcell.diagnosis import most_often_near, out_of_range, wea
 # objective.
 _STEP_WEIGHT = 0.02
 # A step in units of itself, with room for rounding.
-_A_STEP = 1 + 1e-9
+_MAX_UNIT_STEP = 1 + 1e-9
 # Of the refinement: postures drawn around each in every round, rounds, the factor of their distance from one
 # round to the next, and the gap to the lower bound, as a share of it, that ends them.
 _AROUND, _ROUNDS, _NEARER, _NEAR_BOUND = 30, 24, 0.8, 1e-3
@@ -84,7 +84,7 @@ def edges(q_a: FloatArray, q_b: FloatArray, step: FloatArray, winding: BoolArray
     # A tree with a box is slower, also without periods.
     box = turn if winding.any() else None
     trees = (cKDTree(_in_steps(q, step, turn), boxsize=box) for q in (q_a, q_b))
-    near = next(trees).sparse_distance_matrix(next(trees), _A_STEP, p=np.inf, output_type="ndarray")
+    near = next(trees).sparse_distance_matrix(next(trees), _MAX_UNIT_STEP, p=np.inf, output_type="ndarray")
     before, after = near["i"], near["j"]
     moves = _moves(q_a[before], q_b[after], winding) / step
     reachable = (np.abs(moves) <= 1.0).all(axis=1)

@@ -21,7 +21,7 @@ from cmbot.planning.selfmotion.dynamic_programming import BottleneckDynamicProgr
 from cmbot.planning.selfmotion.sampler import SelfMotionSampler
 
 # Postures within this many spacings are beside each other.
-_BESIDE = 1.5
+_NEIGHBOUR_SPACINGS = 1.5
 
 
 def followed_bound(request: StrokeRequest, layers: Sequence[GraphLayer], spacing: float) -> float:
@@ -43,7 +43,7 @@ def followed_bound(request: StrokeRequest, layers: Sequence[GraphLayer], spacing
     cell = request.cell
     room = 2 * spacing / cell.robot.metric.weight
     steps = cell.robot.limits.velocity * np.diff(request.times)[:, None] + room
-    lower = [layer.between(_BESIDE * spacing) for layer in layers]
+    lower = [layer.between(_NEIGHBOUR_SPACINGS * spacing) for layer in layers]
     links = edges_along(lower, steps, cell.robot.limits.winding)
     starts = np.ones(len(lower[0].chart.q), dtype=np.bool_)
     chosen = BottleneckDynamicProgram(request, lower, links, starts).best()

@@ -38,15 +38,15 @@ from cmbot.planning.workcell.diagnosis import no_start_left
 from cmbot.toolpath import ToolPoses, shortest_turns
 
 # Two postures nearer than this in every joint are one, rad.
-_SAME_POSTURE = 1e-9
+_POSTURE_TOLERANCE = 1e-9
 # Task coordinates of a whole pose.
-_POSE = 6
+_POSE_COORDINATES = 6
 # Sequences beside one.
-_BESIDE = 40
+_ALTERNATIVES = 40
 # How often charts are made denser where no way leads through a via-point, and at how many beside it.
 _REFINEMENTS, _ABOUT = 3, 2
 # Charts with more edges between them are dense enough.
-_MANY_EDGES = 100_000
+_DENSE_CHART_EDGES = 100_000
 # Checks of a chart at most, and random postures of each as a multiple of those that charts are grown from.
 _CHECKS, _SEEDS_OF_A_CHECK = 5, 5
 
@@ -208,7 +208,7 @@ class GlobalSearch:
         """Make charts, (M, d) each, denser about a via-point; return whether they became so."""
         rounds = int(self._rounds[via_point]) + 1
         many = max((len(e.before) for e in self._edges[max(via_point - 1, 0) : via_point + 1]), default=0)
-        if rounds > _REFINEMENTS or many > _MANY_EDGES or self._request.deadline.expired():
+        if rounds > _REFINEMENTS or many > _DENSE_CHART_EDGES or self._request.deadline.expired():
             return False
         beside = np.arange(max(via_point - _ABOUT, 0), min(via_point + _ABOUT + 1, len(each)))
         beside = beside[self._rounds[beside] < rounds]
@@ -289,7 +289,7 @@ class GlobalSearch:
         chart, posture = self._layers[0].chart, self._request.first
         moves = self._moves(posture, chart.q)
         away = self._largest(moves)
-        others = np.flatnonzero(chart.within & (away >= _SAME_POSTURE))
+        others = np.flatnonzero(chart.within & (away >= _POSTURE_TOLERANCE))
         nearest = others[np.argsort(away[others], kind="stable")]
         failures = [failed]
         for k in nearest[: self._request.cell.options.other_starts]:
@@ -358,7 +358,7 @@ class GlobalSearch:
         if starts is None:
             starts = np.ones(len(layers[0].chart.q), dtype=np.bool_)
         if start is not None:
-            starts = self._largest(self._moves(start, layers[0].chart.q)) < _SAME_POSTURE
+            starts = self._largest(self._moves(start, layers[0].chart.q)) < _POSTURE_TOLERANCE
         request.reporter.step("choosing the postures of least torque")
         chosen = BottleneckDynamicProgram(request, layers, self._edges, starts).best()
         q = np.stack([layer.chart.q[k] for layer, k in zip(layers, chosen, strict=True)])
@@ -396,7 +396,7 @@ class GlobalSearch:
         request, more = self._request, list[list[FloatArray]]()
         if self._bound is not None:
             more.append(sequences_beside(request, self._lowest, self._bound.via_point, self._spacing))
-        if request.cell.robot.dof > _POSE and not request.deadline.expired():
+        if request.cell.robot.dof > _POSE_COORDINATES and not request.deadline.expired():
             pose = replace(request, task=replace(request.task, keep="pose"))
             more.append(sampled_charts(pose)[1])
         if self._leaning is not request:
@@ -475,8 +475,8 @@ def sequences_beside(
     """
     rng = np.random.default_rng(0)
     # The same offsets everywhere give sequences that run side by side.
-    offsets = rng.normal(size=(_BESIDE, len(posture)))
-    offsets *= spacing * rng.uniform(size=(_BESIDE, 1)) / np.linalg.norm(offsets, axis=1, keepdims=True)
+    offsets = rng.normal(size=(_ALTERNATIVES, len(posture)))
+    offsets *= spacing * rng.uniform(size=(_ALTERNATIVES, 1)) / np.linalg.norm(offsets, axis=1, keepdims=True)
     offsets = request.cell.robot.metric.positions(offsets)
     goals = request.goals if goals is None else goals
     each = [np.empty((0, len(posture))) for _ in range(len(goals))]

@@ -9,12 +9,12 @@ import numpy as np
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray, cross
 
 # Added to intervals of angles, rad.
-_ROUNDING = 1e-9
+_ANGLE_ROUNDING = 1e-9
 # Determinants, sines and derivatives below which nothing is inferred from them.
-_SINGULAR = 1e-9
+_SINGULAR_VALUE = 1e-9
 _TURN = 2 * np.pi
 # The other three of four columns.
-_OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
+_OTHER_COLUMNS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +73,8 @@ def narrowed(
     angle = angle + _TURN * np.round((0.5 * (low + high) - angle) / _TURN)
     lower, upper = np.full(len(boxes), np.inf), np.full(len(boxes), -np.inf)
     for shift in (-_TURN, 0.0, _TURN):
-        first = np.maximum(low, angle + shift - width - _ROUNDING)
-        last = np.minimum(high, angle + shift + width + _ROUNDING)
+        first = np.maximum(low, angle + shift - width - _ANGLE_ROUNDING)
+        last = np.minimum(high, angle + shift + width + _ANGLE_ROUNDING)
         meets = first <= last
         lower = np.where(meets, np.minimum(lower, first), lower)
         upper = np.where(meets, np.maximum(upper, last), upper)
@@ -100,7 +100,7 @@ def azimuth_between(
         angle += sign * np.arctan2(x[:, 1], x[:, 0])
         # A cap that holds the axis has all azimuths.
         away = np.arctan2(sine, np.abs(x[:, 2])) > off
-        share = np.sin(np.minimum(off, 0.5 * np.pi)) / np.maximum(sine, _SINGULAR)
+        share = np.sin(np.minimum(off, 0.5 * np.pi)) / np.maximum(sine, _SINGULAR_VALUE)
         width += np.where(away, np.arcsin(np.minimum(share, 1.0)), np.pi)
     return angle, width
 
@@ -112,7 +112,7 @@ def common_moves(
 
     That is, ``|base - tilt t| <= room`` (N, n).
     """
-    tells = (np.abs(tilt) > _SINGULAR) & np.isfinite(room)
+    tells = (np.abs(tilt) > _SINGULAR_VALUE) & np.isfinite(room)
     divisor, room = np.where(tells, tilt, 1.0), np.where(tells, room, 0.0)
     ends = np.stack([(base - room) / divisor, (base + room) / divisor])
     first = np.where(tells, ends.min(axis=0), -np.inf).max(axis=1)
@@ -125,9 +125,9 @@ def without_pivot(J: FloatArray) -> tuple[IntArray, IntArray, FloatArray, BoolAr
 
     Also the inverses (N, 3, 3) of the others, and which exist.
     """
-    minors = np.stack([np.abs(_determinants(J[:, :, others])) for others in _OTHERS], axis=1)
+    minors = np.stack([np.abs(_determinants(J[:, :, others])) for others in _OTHER_COLUMNS], axis=1)
     pivot = minors.argmax(axis=1)
-    others = _OTHERS[pivot]
+    others = _OTHER_COLUMNS[pivot]
     return pivot, others, *inverses(np.take_along_axis(J, others[:, None, :], axis=2))
 
 
@@ -136,7 +136,7 @@ def inverses(A: FloatArray) -> tuple[FloatArray, BoolArray]:
     a, b, c = A[:, :, 0], A[:, :, 1], A[:, :, 2]
     rows = np.stack([cross(b, c), cross(c, a), cross(a, b)], axis=1)
     determinant = (a * rows[:, 0]).sum(axis=1)
-    exists = np.abs(determinant) > _SINGULAR
+    exists = np.abs(determinant) > _SINGULAR_VALUE
     return rows / np.where(exists, determinant, np.inf)[:, None, None], exists
 
 

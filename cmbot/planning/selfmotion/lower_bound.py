@@ -26,7 +26,7 @@ from cmbot.planning.selfmotion.proof import TorqueFloorProof
 from cmbot.planning.selfmotion.sampler import Coverage
 
 # What progress says of the search.
-_STEP = "finding the least torque at rest"
+_PROGRESS_PHRASE = "finding the least torque at rest"
 # Accuracy of the bound, as a share of it, and halvings of a cell at most along each edge.
 _ACCURACY, _MOST_HALVINGS = 2e-6, 24
 # Via-points that are searched together where the self-motion is a curve; where it is wider they are searched
@@ -36,14 +36,14 @@ _TOGETHER, _MOST_CELLS = 4, 200
 # Random descent where cells had to be left out: steps, tries in each, factor of their length.
 _STEPS, _TRIES, _SHORTER = 60, 40, 0.87
 # Factor of the length of halves, for the curvature of the self-motion.
-_WIDER = 1.1
+_HALF_LENGTH_FACTOR = 1.1
 # In cells in which the arm moves further than this, m, clearances are not computed.
-_WIDE = 0.3
+_MAX_CLEARANCE_CELL_M = 0.3
 # Where the tool's axis may lean, cells reach as far as it may, but no further than this, rad; and the slowest
 # rate at which it counts as leaning, rad/rad.
 _LONGEST, _SLOWEST = 0.8, 1e-6
 # Safety factor of the estimated change of joint torques within a cell.
-_DOUBT = 1.5
+_VARIATION_SAFETY = 1.5
 # A bound counts as proven when the proof's error is at most this share of it; where a proof meets a posture
 # that is lower by more than the other share, the bound is lowered to that.
 _PROVEN, _LOWERED = 1e-3, 1e-5
@@ -136,7 +136,7 @@ def _searched_together(
             break
         # The search of these may close some of the others.
         open_ = int((each[order[first:]] > incumbent).sum())
-        request.reporter.part(_STEP, first, first + open_)
+        request.reporter.part(_PROGRESS_PHRASE, first, first + open_)
         each[some], bound[some] = search.minimise(some, each[some], incumbent, postures)
         incumbent = max(incumbent, float(each[some].max()))
     return bound
@@ -158,7 +158,7 @@ def _searched_one_by_one(
         late = searched.any() and request.deadline.expired()
         if searched[k] or late or each[k] <= least:
             return bound
-        request.reporter.part(_STEP, int(descended.sum()), len(each))
+        request.reporter.part(_PROGRESS_PHRASE, int(descended.sum()), len(each))
         if not descended[k]:
             enough = float(each[descended].max(initial=least))
             each[k] = search.descend(k, each[k], enough, postures)
@@ -361,7 +361,7 @@ class _BranchAndBound:
         # Mixed second differences are taken to be as large as the others allow.
         fall = slope + 0.5 * bend * bend.sum(axis=1, keepdims=True)
         change = 2 * np.abs(beside_use - centre_use[:, None, None]).max(axis=2).sum(axis=1)
-        return centre, fall, centre_use - _DOUBT * change <= 1.0
+        return centre, fall, centre_use - _VARIATION_SAFETY * change <= 1.0
 
     def _in_range_somewhere(self, cells: _Cells) -> BoolArray:
         """Which cells may reach into the joint ranges."""
@@ -385,7 +385,7 @@ class _BranchAndBound:
         hopeful[hopeful] = self._admissible_but_for_clearance(cells.q[hopeful], cells.of[hopeful])
         reach = np.einsum("kd,kdn,n->k", cells.half, np.abs(cells.edges), clearances.reach)
         # Cells that reach further are nearly always clear somewhere.
-        check = np.flatnonzero(hopeful | (reach < _WIDE))
+        check = np.flatnonzero(hopeful | (reach < _MAX_CLEARANCE_CELL_M))
         near = check[~self._cell.clear(cells.q[check])]
         blocked = np.zeros(len(value), dtype=np.bool_)
         least = self._cell.options.safety_margin_m - reach[near]
@@ -417,7 +417,7 @@ class _BranchAndBound:
         edge = np.where(falls, fall.argmax(axis=1), cells.half.argmax(axis=1))
         shift = 0.5 * cells.half[k, edge, None] * cells.edges[k, edge]
         half = cells.half.copy()
-        half[k, edge] *= 0.5 * _WIDER
+        half[k, edge] *= 0.5 * _HALF_LENGTH_FACTOR
         of = np.tile(cells.of, 2)
         q, reached = self._placed(np.concatenate([cells.q + shift, cells.q - shift]), of)
         # The parent's edges, turned the least way into the self-motion here.

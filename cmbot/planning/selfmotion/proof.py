@@ -6,7 +6,7 @@ or when all in it is inadmissible or has no smaller objective than the bound to 
 the part that can hold the tool, and halved. The angles of a spherical joint follow from the others in closed
 form, so only the others are halved. What a box may contain is bounded by first derivatives at its middle and
 bounds of the second derivatives within it; all of it in floating-point numbers, for whose rounding
-`_ROUNDING` is allowed.
+`_CONDITION_ROUNDING` is allowed.
 """
 
 from __future__ import annotations
@@ -34,28 +34,28 @@ from cmbot.planning.workcell.workcell import Workcell
 from cmbot.robot import PostureBatch, Postures, ToolBatch
 
 # Boxes are dropped when they miss a condition by more than this, m, rad, or a share of Nm.
-_ROUNDING = 1e-9
+_CONDITION_ROUNDING = 1e-9
 # Of clearances, m: distances are computed to 1e-6 m.
 _DISTANCE_ROUNDING = 2e-6
 # Boxes are first halved until no joint's half is wider than this, rad, by the centre of the spherical joint
 # alone.
-_COARSE = 0.12
+_COARSE_HALF_WIDTH = 0.12
 # Boxes at most at a time, and of a whole proof; an unfinished proof has a larger error.
 _MOST_BOXES, _MOST_WORK = 40_000, 100_000
 # Halvings at most.
-_MOST_ROUNDS = 120
+_MAX_HALVINGS = 120
 # Rounds and boxes of a proof that nothing holds the tool: where something does, boxes only become more.
 _REACH_ROUNDS, _REACH_BOXES = 24, 5000
 # Angles that follow from others are halved only where their boxes are this many times as wide.
-_FOLLOWING = 4.0
+_DEPENDENT_WIDTH_RATIO = 4.0
 # In boxes in which the arm moves further than this, m, clearances are not computed.
-_WIDE = 0.25
+_MAX_CLEARANCE_BOX_M = 0.25
 # Accuracy of a proof, as a share of the bound.
-_ACCURACY = 1e-5
+_PROOF_ACCURACY = 1e-5
 # Boxes whose middles are tried as postures, in each round.
 _TRIES, _EVERY = 5, 3
 # Fewer boxes than this are halved twice in a round: what a round costs is then not theirs.
-_FEW = 200
+_FEW_BOXES = 200
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -135,10 +135,10 @@ class TorqueFloorProof:
         boxes = self._coarse(goal)
         boxes = joined(boxes, replace(boxes, side=-boxes.side))
         examined, left_out, posture = len(boxes), np.inf, None
-        for number in range(_MOST_ROUNDS):
+        for number in range(_MAX_HALVINGS):
             boxes = self._by_centre(boxes, goal)
             boxes = self._by_wrist(boxes)
-            boxes, lowest = self._admissible(boxes, via_point, value * (1 - _ACCURACY))
+            boxes, lowest = self._admissible(boxes, via_point, value * (1 - _PROOF_ACCURACY))
             if len(boxes) == 0:
                 break
             found = None
@@ -146,18 +146,18 @@ class TorqueFloorProof:
                 found = self._tried(boxes, lowest, via_point, value)
             if found is not None:
                 posture, value = found
-                keep = lowest < value * (1 - _ACCURACY)
+                keep = lowest < value * (1 - _PROOF_ACCURACY)
                 boxes, lowest = boxes[keep], lowest[keep]
             examined += 2 * len(boxes)
             if examined > _MOST_WORK or len(boxes) > _MOST_BOXES or self._request.deadline.expired():
                 left_out = float(lowest.min(initial=np.inf))
                 break
             boxes = self._halved(boxes)
-            if len(boxes) < _FEW:
+            if len(boxes) < _FEW_BOXES:
                 boxes = self._halved(boxes)
         else:
             left_out = float(lowest.min(initial=np.inf))
-        lowest_value = min(left_out, value * (1 - _ACCURACY)) if np.isfinite(value) else left_out
+        lowest_value = min(left_out, value * (1 - _PROOF_ACCURACY)) if np.isfinite(value) else left_out
         return Proof(lowest=max(lowest_value, 0.0), posture=posture, value=value, boxes=examined)
 
     def holds_nothing(self, via_point: int) -> bool:
@@ -182,9 +182,9 @@ class TorqueFloorProof:
         while True:
             boxes = self._by_centre(boxes, goal)
             half = boxes.half[:, split]
-            if len(boxes) == 0 or half.max() <= _COARSE:
+            if len(boxes) == 0 or half.max() <= _COARSE_HALF_WIDTH:
                 return boxes
-            wide = half.max(axis=1) > _COARSE
+            wide = half.max(axis=1) > _COARSE_HALF_WIDTH
             joint = split[half[wide].argmax(axis=1)]
             boxes = joined(boxes[~wide], boxes[wide].halved(joint))
 
@@ -200,7 +200,7 @@ class TorqueFloorProof:
         axes, p, _ = self._placed(middle)
         frame = self._goal_frame
         J = np.stack([cross(a, p - o) for a, o in axes[1:]], axis=2)
-        off = self._second_order(half[:, 1:], self._lever[1:]) + chain.slack + _ROUNDING
+        off = self._second_order(half[:, 1:], self._lever[1:]) + chain.slack + _CONDITION_ROUNDING
         goal = frame.T @ (goal - chain.origin[0])
         at = (p - chain.origin[0]) @ frame
         J = np.einsum("ij,kin->kjn", frame, J)
@@ -212,14 +212,14 @@ class TorqueFloorProof:
         height = (np.abs(J[:, 2]) * half[:, 1:]).sum(axis=1) + off
         spread = along.sum(axis=1) + off
         # On the first axis there is no radial direction.
-        flat = radius < _ROUNDING
+        flat = radius < _CONDITION_ROUNDING
         spread[flat] = (np.linalg.norm(J[flat, :2], axis=1) * half[flat, 1:]).sum(axis=1) + off[flat]
         keep = np.abs(goal[2] - at[:, 2]) <= height
         keep &= wanted >= radius - spread
         keep &= wanted <= np.hypot(radius + spread, aside)
         width = np.where(radius > spread, np.arctan2(aside, np.maximum(radius - spread, 0.0)), np.pi)
         if wanted > chain.slack:
-            width += np.arcsin(min(1.0, (chain.slack + _ROUNDING) / wanted))
+            width += np.arcsin(min(1.0, (chain.slack + _CONDITION_ROUNDING) / wanted))
         else:
             width[:] = np.pi
         angle = np.arctan2(goal[1], goal[0]) - np.arctan2(at[:, 1], at[:, 0])
@@ -230,7 +230,7 @@ class TorqueFloorProof:
         chain = self._chain
         u, v, w = chain.axis[-3:]
         *_, R = self._placed(boxes.middle[:, self._inner])
-        turned = boxes.half[:, self._inner].sum(axis=1) + _ROUNDING
+        turned = boxes.half[:, self._inner].sum(axis=1) + _CONDITION_ROUNDING
         across = R.transpose(0, 2, 1) @ chain.goal_rotation
         z, z_back = across @ w, across.transpose(0, 2, 1) @ u
         # Middle angle: u and w stay at theirs, up to the turn of the inner joints.
@@ -239,10 +239,10 @@ class TorqueFloorProof:
         between = np.arccos(np.clip(z @ u, -1.0, 1.0))
         high = np.cos(np.maximum(between - turned, 0.0)) - (u @ v) * (v @ w)
         low = np.cos(np.minimum(between + turned, np.pi)) - (u @ v) * (v @ w)
-        keep = (low <= size + _ROUNDING) & (high >= -size - _ROUNDING)
+        keep = (low <= size + _CONDITION_ROUNDING) & (high >= -size - _CONDITION_ROUNDING)
         first, last = (np.arccos(np.clip(x / size, -1.0, 1.0)) for x in (high, low))
         angle = phase + boxes.side * 0.5 * (first + last)
-        boxes, kept = narrowed(boxes, self._wrist[1], angle, 0.5 * (last - first) + _ROUNDING, keep)
+        boxes, kept = narrowed(boxes, self._wrist[1], angle, 0.5 * (last - first) + _CONDITION_ROUNDING, keep)
         z, z_back, turned = z[kept], z_back[kept], turned[kept]
         b, spread = boxes.middle[:, self._wrist[1]], boxes.half[:, self._wrist[1]]
         # Outer angles: azimuths about u and w.
@@ -293,7 +293,7 @@ class TorqueFloorProof:
             # A second derivative of the force's lever, of its direction, and twice the product of the first.
             off = off + self._second_order(reach, np.full(robot.dof, 4 * self._push * robot.reach))
         spread = np.einsum("kij,kj->ki", np.abs(slopes), reach) + off[:, None]
-        keep &= (np.abs(torque) - spread <= robot.limits.torque * (1 + _ROUNDING)).all(axis=1)
+        keep &= (np.abs(torque) - spread <= robot.limits.torque * (1 + _CONDITION_ROUNDING)).all(axis=1)
         boxes, lowest = boxes[keep], lowest[keep]
         clear = self._clear(boxes)
         return boxes[clear], lowest[clear]
@@ -314,7 +314,7 @@ class TorqueFloorProof:
         _, origin, R = steps[k - 1]
         p = origin + R @ (chain.centre - chain.origin[k - 1])
         J = np.stack([cross(axis, p - o) for axis, o, _ in steps[:k]], axis=2)
-        off = self._second_order(half[:, :k], self._lever) + chain.slack + _ROUNDING
+        off = self._second_order(half[:, :k], self._lever) + chain.slack + _CONDITION_ROUNDING
         error, turn, turn_off = self._turns_left(steps[-1][2], axes, half)
         keep = (np.abs(error) <= (np.abs(turn) * half[:, None]).sum(axis=2) + turn_off).all(axis=1)
         rows = np.arange(len(boxes))
@@ -363,7 +363,7 @@ class TorqueFloorProof:
         Also its derivatives (N, 3, n) by the joints, and bounds (N, 3) of what is of second order in boxes.
         """
         chain = self._chain
-        off = np.repeat(0.5 * half.sum(axis=1, keepdims=True) ** 2 + _ROUNDING, 3, axis=1)
+        off = np.repeat(0.5 * half.sum(axis=1, keepdims=True) ** 2 + _CONDITION_ROUNDING, 3, axis=1)
         if chain.free_axis is None:
             M = chain.goal_rotation @ R.transpose(0, 2, 1)
             error = 0.5 * np.stack(
@@ -412,7 +412,7 @@ class TorqueFloorProof:
         reach = boxes.half @ clearances.reach
         clear = np.ones(len(boxes), dtype=np.bool_)
         # Wider ones are nearly always clear somewhere.
-        check = np.flatnonzero(reach < _WIDE)
+        check = np.flatnonzero(reach < _MAX_CLEARANCE_BOX_M)
         least = margin - _DISTANCE_ROUNDING - reach[check]
         clear[check] = clearances.query(boxes.middle[check], least).distance >= least
         return clear
@@ -438,7 +438,7 @@ class TorqueFloorProof:
     def _halved(self, boxes: JointBoxes) -> JointBoxes:
         """Halve each box across the joint whose move would move most."""
         half = boxes.half
-        following = _FOLLOWING * half[:, self._inner[1:]].sum(axis=1)
+        following = _DEPENDENT_WIDTH_RATIO * half[:, self._inner[1:]].sum(axis=1)
         wide = half.copy()
         follow = [self._inner[0], *self._wrist]
         if self._chain.free_axis is not None:

@@ -47,7 +47,7 @@ _ROUNDS, _MORE = 6, 2
 # those of a path with more postures than the second number. Decimals of the poses that they hold: far below
 # the tolerance with which they do.
 _KEPT, _MOST_KEPT, _DIGITS = 4, 100_000, 12
-_CHARTED: dict[tuple[object, ...], tuple[SelfMotionSampler, tuple[FloatArray, ...]]] = {}
+_SAMPLER_CACHE: dict[tuple[object, ...], tuple[SelfMotionSampler, tuple[FloatArray, ...]]] = {}
 
 
 @dataclass(frozen=True)
@@ -385,15 +385,15 @@ def sampled_charts(request: StrokeRequest) -> tuple[SelfMotionSampler, list[Floa
     arrays = (limits.lower, limits.upper, goals.point, goals.rotation, request.first, lean)
     asked = (task.keep, task.path.turns, options.chart_spacing, options.chart_seeds)
     known = (*asked, *(array.tobytes() for array in arrays), *cell.postures.geometry)
-    if known not in _CHARTED:
+    if known not in _SAMPLER_CACHE:
         sampler = SelfMotionSampler(request)
         drawn = _charted(sampler, request, goals)
         if sum(map(len, drawn)) > _MOST_KEPT:
             return sampler, drawn
-        _CHARTED[known] = sampler, tuple(drawn)
-        for earlier in list(_CHARTED)[:-_KEPT]:
-            _CHARTED.pop(earlier, None)
-    sampler, charts = _CHARTED[known]
+        _SAMPLER_CACHE[known] = sampler, tuple(drawn)
+        for earlier in list(_SAMPLER_CACHE)[:-_KEPT]:
+            _SAMPLER_CACHE.pop(earlier, None)
+    sampler, charts = _SAMPLER_CACHE[known]
     return sampler.copied(), list(charts)
 
 

@@ -17,9 +17,9 @@ from cmbot.common.arrays import FloatArray, IntArray, cross
 from cmbot.planning.request import StrokeRequest
 
 # Axes meet when they pass a point at no more than this distance, m: URDFs are rounded.
-_MEET = 2e-5
+_MEET_M = 2e-5
 # Sine of the angle between successive axes of a spherical joint at least.
-_CROSSING = 0.1
+_MIN_AXES_SINE = 0.1
 # Joints before the spherical one.
 _INNER = (3, 4)
 # A tool is on the last axis when its point is this near to it, m, and its axis this near to parallel.
@@ -106,7 +106,7 @@ def wrist_chain(request: StrokeRequest) -> WristChain | None:
         if reverse:
             joints, axis, origin = joints[::-1], -axis[::-1], origin[::-1]
         centre, off = _meeting_point(axis[-3:], origin[-3:])
-        if off.max() > _MEET:
+        if off.max() > _MEET_M:
             continue
         free_axis = None
         if task.keep == "axis":
@@ -144,7 +144,7 @@ def _meeting_point(axis: FloatArray, origin: FloatArray) -> tuple[FloatArray, Fl
     """The point (3,) nearest to three lines, and its distances (3,); infinite where lines are parallel."""
     across = np.eye(3) - axis[:, :, None] * axis[:, None]
     successive = np.linalg.norm(cross(axis[:-1], axis[1:]), axis=1)
-    if successive.min() < _CROSSING:
+    if successive.min() < _MIN_AXES_SINE:
         return origin[0], np.full(3, np.inf)
     point = np.linalg.solve(across.sum(axis=0), np.einsum("kij,kj->i", across, origin))
     return point, np.linalg.norm(np.einsum("kij,kj->ki", across, point - origin), axis=1)

@@ -30,9 +30,9 @@ _POINTS, _FINE = 4, 12
 # Programs at most, least gain of one, and the box at first and at last, as a share of the largest node.
 _ROUNDS, _LEAST_GAIN, _BOX, _SMALLEST_BOX = 60, 1e-4, 0.5, 1e-3
 # Shares of a smooth law that are mixed in until a law leads forward everywhere.
-_SMOOTHED = (0.0, 0.01, 0.1, 0.5, 1.0)
+_SMOOTH_LAW_SHARES = (0.0, 0.01, 0.1, 0.5, 1.0)
 # Rows below this share of their bounds are left to the next program; few get beyond them in one step.
-_NEAR = 0.7
+_ACTIVE_ROW_SHARE = 0.7
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -143,7 +143,7 @@ def shortest_law(bounded: Sequence[Bounded], phases: int) -> tuple[TimeLaw, Floa
             break
     fine, smooth = _Points(space, phases * _FINE, bounded), space.smooth()
     # Between the coarse points a law may lead back a little: the smooth one does not.
-    for share in _SMOOTHED if np.isfinite(seconds) else _SMOOTHED[:1]:
+    for share in _SMOOTH_LAW_SHARES if np.isfinite(seconds) else _SMOOTH_LAW_SHARES[:1]:
         law = nodes + share * (smooth - nodes)
         seconds = fine.seconds(law)
         if np.isfinite(seconds):
@@ -183,7 +183,7 @@ class _Points:
         for rows in self._rows(nodes, derivatives=True):
             moving = rows.moving / seconds**rows.order
             value = rows.at_rest + moving
-            near = value >= _NEAR * rows.bound
+            near = value >= _ACTIVE_ROW_SHARE * rows.bound
             by_nodes = rows.d_rest + rows.d_moving / seconds**rows.order
             scale = rows.bound[near]
             matrix.append(np.column_stack([by_nodes[near], -rows.order * moving[near]]) / scale[:, None])

@@ -22,7 +22,7 @@ from cmbot.trajectory import QuinticTrajectory
 _FEWEST_PIECES, _MOST_PIECES, _POINTS = 12, 200, 3
 # More of them on curves, whose curvature jumps where lines and arcs meet; on straight legs more of them show
 # self-motion that has nothing to do with the path.
-_ON_CURVES = 1.6
+_CURVE_DENSITY = 1.6
 # Points a piece, and in all at least, at which torques and the tool's speed are computed.
 _FINE, _FINEST = 6, 240
 # Shares of the bounds that laws may use: splines through some points of a law's motion swing a little about
@@ -59,7 +59,7 @@ def leg_paths(
     for leg in legs:
         begin, end = path.leg_times[leg : leg + 2]
         segments = int(((times > begin + 1e-9 * path.duration) & (times <= end + 1e-9 * path.duration)).sum())
-        finer = 1.0 if path.segments[leg].is_straight else _ON_CURVES
+        finer = 1.0 if path.segments[leg].is_straight else _CURVE_DENSITY
         pieces = int(np.clip(finer * segments, _FEWEST_PIECES, finer * _MOST_PIECES))
         shares = np.linspace(0.0, 1.0, _POINTS * pieces + 1)
         at = path.times_at(leg, shares)

@@ -25,12 +25,12 @@ _RAMP_SHARES = (0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5)
 # A shaper takes this share of a leg's time at most; ramps beside a speed that is asked for are no shorter.
 _LONGEST_SHAPER, _SHORTEST_RAMP = 0.4, 0.08
 # Share of the joints' bounds that a law may use along the guess: splines through its points swing about it.
-_USE = 0.9
+_MAX_JOINT_USE = 0.9
 # What swings after the stop counts so much beside what sways at work: the next leg inherits it.
-_SWING = 2.0
+_SWING_WEIGHT = 2.0
 # Legs whose response is predicted; others have the ramp and shaper of the one that is most like them.
-_MOST_LEGS = 8
-_TIMES_OF_LAW = 241
+_MAX_LEGS = 8
+_LAW_TIMES = 241
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,7 +58,7 @@ def quiet_laws(request: StrokeRequest, trajectory: QuinticTrajectory) -> tuple[L
     moving = [k for k, leg in enumerate(segments) if _moves(leg) and leg.process is None]
     if not moving:
         return ()
-    places = np.unique(np.linspace(0, len(moving) - 1, min(len(moving), _MOST_LEGS)).round().astype(int))
+    places = np.unique(np.linspace(0, len(moving) - 1, min(len(moving), _MAX_LEGS)).round().astype(int))
     paths = leg_paths(request, [moving[k] for k in places], trajectory)
     chosen = dict[int, tuple[_Candidate, FloatArray]]()
     for path in paths:
@@ -135,19 +135,19 @@ def _best(
     """The candidate with the least sway and swing of those within the joints' bounds."""
     seconds, share = request.task.path.segments[path.leg].seconds, request.cell.options.quiet_stiffness_share
     use = np.array([_use(request, path, candidate.law, seconds) for candidate in candidates])
-    allowed = max(_USE, use.min())
+    allowed = max(_MAX_JOINT_USE, use.min())
     fitting = [candidate for candidate, part in zip(candidates, use, strict=True) if part <= allowed]
     if response is None:
         return fitting[0]
     factors = sorted({1 - share, 1.0, 1 + share})
     found = response.of([candidate.law for candidate in fitting], seconds, factors)
-    merit = (found.sway + _SWING * found.swing).max(axis=1)
+    merit = (found.sway + _SWING_WEIGHT * found.swing).max(axis=1)
     return fitting[int(merit.argmin())]
 
 
 def _use(request: StrokeRequest, path: LegPath, law: TimeLaw, seconds: float) -> float:
     """Largest share of the joints' and the tool's bounds that a law asks for along a joint path."""
-    u, limits = np.linspace(0.0, 1.0, _TIMES_OF_LAW), request.cell.robot.limits
+    u, limits = np.linspace(0.0, 1.0, _LAW_TIMES), request.cell.robot.limits
     s = law.share(u)
     d, dd, ddd = ((law.rate(u, k) / seconds**k)[:, None] for k in (1, 2, 3))
     q1, q2, q3 = (path.q(s, k) for k in (1, 2, 3))
@@ -160,5 +160,5 @@ def _use(request: StrokeRequest, path: LegPath, law: TimeLaw, seconds: float) ->
     if request.task.max_speed is not None:
         length = request.task.path.segments[path.leg].curve.length
         # A tool at its largest speed all along is what it is allowed.
-        use = max(use, _USE * float(d.max()) * length / request.task.max_speed)
+        use = max(use, _MAX_JOINT_USE * float(d.max()) * length / request.task.max_speed)
     return use

@@ -20,13 +20,13 @@ from cmbot.robot import Dynamics, Efforts, Postures, ToolBatch
 from cmbot.toolpath import ToolPoses
 
 # A norm has no derivative at zero; below this share of its bound it is taken as flat.
-_FLAT = 1e-12
+_ZERO_NORM = 1e-12
 # Directions across a leg in which the tool is held near it, or in which its axis may lean.
-_DIRECTIONS = 8
+_DIRECTION_COUNT = 8
 # Samples from one measured clearance to the next, from coarse to fine.
-_STRIDES = (16, 4, 1)
+_CLEARANCE_STRIDES = (16, 4, 1)
 # Pairs that are measured sooner than bounded in a posture.
-_FEW = 8
+_MEASURED_PAIRS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +150,7 @@ class ToolDeviation:
         J = tool.jacobian[:, :3]
         offset = self.task.path.leg_offset(states.t, tool.tool_point) / self.bound
         distance = np.linalg.norm(offset, axis=1)
-        d_q = np.einsum("ki,kij->kj", offset / np.maximum(distance, _FLAT)[:, None] / self.bound, J)
+        d_q = np.einsum("ki,kij->kj", offset / np.maximum(distance, _ZERO_NORM)[:, None] / self.bound, J)
         still = np.zeros_like(d_q)
         leg = self.task.path.leg_directions(states.t)
         # The first direction is the distance's own.
@@ -219,7 +219,7 @@ class ToolRotation:
         # The errors lead to the goal: they fall as the tool turns towards it.
         J = -task.jacobian(tool.tool_rotation, tool.jacobian)[:, 3:] / self.bound
         angle = np.linalg.norm(turn, axis=1)
-        d_q = np.einsum("ki,kij->kj", turn / np.maximum(angle, _FLAT)[:, None], J)
+        d_q = np.einsum("ki,kij->kj", turn / np.maximum(angle, _ZERO_NORM)[:, None], J)
         still = np.zeros_like(d_q)
         return Linearization(angle - 1, d_q, still, still)
 
@@ -295,7 +295,7 @@ class ToolSpeed:
         tool = _tool(self.postures, states)
         velocity, by_q = tool.point_velocity(states.v)
         speed = np.linalg.norm(velocity, axis=1) / self.bound
-        along = velocity / np.maximum(speed, _FLAT)[:, None] / self.bound**2
+        along = velocity / np.maximum(speed, _ZERO_NORM)[:, None] / self.bound**2
         d_q, d_v = (np.einsum("ki,kij->kj", along, by) for by in (by_q, tool.jacobian[:, :3]))
         return Linearization(speed - 1, d_q, d_v, np.zeros_like(d_q))
 
@@ -328,7 +328,7 @@ class ProcessSpeed:
         tool = _tool(self.postures, states)
         velocity, by_q = tool.point_velocity(states.v)
         per_speed, along = self._asked(states)
-        speed = np.maximum(np.linalg.norm(velocity, axis=1), _FLAT)[:, None]
+        speed = np.maximum(np.linalg.norm(velocity, axis=1), _ZERO_NORM)[:, None]
         factor = (per_speed / self.bound)[:, None]
         direction = factor * np.where((component == 0)[:, None], velocity / speed, -along)
         d_q, d_v = (np.einsum("ki,kij->kj", direction, by) for by in (by_q, tool.jacobian[:, :3]))
@@ -348,9 +348,9 @@ def _directions_across(axis: FloatArray, away: FloatArray) -> FloatArray:
     axis = np.where(axis.any(axis=1, keepdims=True), axis, np.eye(3)[np.abs(away).argmin(axis=1)])
     across = cross(axis, np.eye(3)[np.abs(axis).argmin(axis=1)])
     own = away - np.einsum("ki,ki->k", away, axis)[:, None] * axis
-    u = np.where(np.linalg.norm(own, axis=1, keepdims=True) > _FLAT, own, across)
+    u = np.where(np.linalg.norm(own, axis=1, keepdims=True) > _ZERO_NORM, own, across)
     u /= np.linalg.norm(u, axis=1, keepdims=True)
-    angle = np.arange(_DIRECTIONS)[:, None, None] * (2 * np.pi / _DIRECTIONS)
+    angle = np.arange(_DIRECTION_COUNT)[:, None, None] * (2 * np.pi / _DIRECTION_COUNT)
     return np.asarray(np.cos(angle) * u + np.sin(angle) * cross(axis, u))
 
 
@@ -421,13 +421,13 @@ class ClearanceMargin:
         """Bounds in postures `q` (N, n) of a motion; in each some pair is known that is `near`, if any is."""
         lower = self._remembered(q)
         # Not "<=": what is no number is doubtful, too.
-        rows = np.flatnonzero((~(lower > near)).sum(axis=1) > _FEW)
+        rows = np.flatnonzero((~(lower > near)).sum(axis=1) > _MEASURED_PAIRS)
         if len(rows):
             lower[rows] = np.maximum(lower[rows], self.clearances.lower_bounds(q[rows]))
         known, found = np.zeros(lower.shape, dtype=np.bool_), np.zeros(len(q), dtype=np.bool_)
         pairs = np.flatnonzero(~(lower > near).all(axis=0))
         covered = {pair: travel(q, self.clearances.pair_reach[pair]) for pair in pairs.tolist()}
-        for every in _STRIDES:
+        for every in _CLEARANCE_STRIDES:
             here = ~found & (np.arange(len(q)) % every == 0)
             row, column = np.nonzero((~(lower[:, pairs] > near) & ~known[:, pairs])[here])
             row, pair = np.flatnonzero(here)[row], pairs[column]

@@ -25,7 +25,7 @@ LONGEST_WHOLE = 300
 # Longer ones are parted at the first corner after so many via-points, or a better one soon after.
 _LEAST, _MOST = 100, 200
 # The SQP meets known constraints so much better than they have to be met.
-_CLOSER = 0.5
+_SQP_TOLERANCE_SHARE = 0.5
 # It ends where a step promises no more than this share of the objective, or so many steps gain no more than
 # that share together: a plan's peak and mean matter to a thousandth.
 _ACCURACY, _STALL_STEPS, _STALL_GAIN = 5e-5, 4, 5e-4
@@ -148,7 +148,7 @@ def exchange_options(problem: TorqueProblem) -> ExchangeOptions:
             infeasible_steps=_INFEASIBLE_STEPS,
             infeasible_share=_INFEASIBLE_SHARE,
             infeasible_violation=_INFEASIBLE_VIOLATION,
-            feasibility_tolerance=_CLOSER * o.constraint_tolerance,
+            feasibility_tolerance=_SQP_TOLERANCE_SHARE * o.constraint_tolerance,
             max_iterations=min(SqpOptions.max_iterations, o.max_iterations),
         ),
         stop=problem.request.deadline.expired,

@@ -17,7 +17,7 @@ from cmbot.trajectory import QuinticTrajectory
 
 _SAMPLES_PER_SEGMENT = 6
 # Segments beside one that breaks a bound: what is further away does nothing for it.
-_AROUND = 10
+_NEIGHBOURS = 10
 
 
 def check_feasible(problem: TorqueProblem) -> None:
@@ -66,7 +66,7 @@ def _broken_segments(trajectory: QuinticTrajectory, bounds: Sequence[KinematicBo
 
 def _stretches(broken: BoolArray) -> list[tuple[int, int]]:
     """First and last segments of stretches around the `broken` ones (m,), which do not touch each other."""
-    near = np.convolve(broken, np.ones(2 * _AROUND + 1))[_AROUND : _AROUND + len(broken)] > 0
+    near = np.convolve(broken, np.ones(2 * _NEIGHBOURS + 1))[_NEIGHBOURS : _NEIGHBOURS + len(broken)] > 0
     edges = np.flatnonzero(np.diff(near.astype(int), prepend=0, append=0))
     return [(int(first), int(end) - 1) for first, end in edges.reshape(-1, 2)]
 

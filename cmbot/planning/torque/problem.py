@@ -45,10 +45,10 @@ from cmbot.trajectory import Parametrization, QuinticTrajectory, SparseSplines, 
 _SAMPLED_SHARE = 0.5
 _EXACT_SHARE_IN_TOLERANCES = 10.0
 # The same room for the clearance, m, and what the certificate's bound may fall short of the distance.
-_CLEARANCE_ROOM = 1e-5 + RESOLUTION
+_CLEARANCE_MARGIN_M = 1e-5 + RESOLUTION
 # Jerks up to this times the velocity limit, 1/s2, are the most that smoothing counts as one: what is assumed
 # of arms whose jerk limits are not known.
-_ORDINARY_JERK = 20.0
+_ORDINARY_JERK_RATIO = 20.0
 # Gauss points per segment at which the mean square of the torque is taken.
 _MEAN_SAMPLES = 3
 
@@ -95,7 +95,7 @@ class TorqueProblem:
             JointTorque(Dynamics(robot), robot.limits.torque * inside),
             ToolDeviation(postures, task, options.max_tool_deviation_m * near),
             ClearanceMargin(
-                cell.clearances, options.safety_margin_m + request.spare_clearance + _CLEARANCE_ROOM
+                cell.clearances, options.safety_margin_m + request.spare_clearance + _CLEARANCE_MARGIN_M
             ),
             ToolLag(postures, task, options.max_tool_lag_m * near),
             *([] if hold is None else [FootHold(Dynamics(robot), hold, inside)]),
@@ -161,7 +161,7 @@ def parametrization_through(
     """
     limits = request.cell.robot.limits
     # Jerk bounds far above what the work asks would leave smoothing without weight: splines would swing.
-    jerk = np.minimum(limits.jerk, _ORDINARY_JERK * limits.velocity)
+    jerk = np.minimum(limits.jerk, _ORDINARY_JERK_RATIO * limits.velocity)
     bounds = np.stack([limits.velocity, limits.acceleration, jerk])
     splines = splines or SparseSplines(SplineSpace(request.times), bounds)
     manifold = TaskManifold(request.cell.postures, request.task, request.goals, request.times, request.bent)

@@ -16,7 +16,7 @@ from cmbot.toolpath import ToolPoses
 
 # Newton steps that project moved via-points onto the tool task, and the error that they leave.
 _NEWTON_STEPS = 13
-_ON_TASK = 1e-11
+_TASK_TOLERANCE = 1e-11
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class TaskManifold:
             q[which] + np.einsum("ka,kai->ki", u, tangents),
             self.goals[which],
             steps=_NEWTON_STEPS,
-            tolerance=_ON_TASK,
+            tolerance=_TASK_TOLERANCE,
             held=tangents,
             tool_of=lambda at, some: self._tool(at, which[some]),
         )

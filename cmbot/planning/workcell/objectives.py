@@ -18,7 +18,7 @@ from cmbot.robot import Dynamics, Efforts, PostureBatch, Postures, Robot
 from cmbot.scene import PlannerOptions
 
 # A norm has no derivative at zero; below this share of its largest value it is taken as flat.
-_FLAT = 1e-12
+_ZERO_NORM = 1e-12
 # A function is tried at this share of a step to each side, and its gradient is believed to this accuracy.
 _STEP, _GRADIENT_TOLERANCE = 1e-5, 1e-3
 
@@ -104,7 +104,7 @@ class WeightedMoment:
         """Return the norms (N,), Nm, and their gradients (N, 6)."""
         moment = wrench @ self.matrix.T
         value = np.linalg.norm(moment, axis=1)
-        unit = moment / np.maximum(value, _FLAT * value.max(initial=1.0))[:, None]
+        unit = moment / np.maximum(value, _ZERO_NORM * value.max(initial=1.0))[:, None]
         return np.asarray(value), np.asarray(unit @ self.matrix)
 
 
@@ -234,7 +234,7 @@ def objective_of(
             expected = f"the predicted sag, for objective: {options.objective}"
             raise InputError("objective_of", "sag", "nothing", expected)
         if options.objective == "sag":
-            return PostureObjective(function=sag.length, name="sag", unit="m")
+            return PostureObjective(function=sag.length, value=sag.distance, name="sag", unit="m")
         sway = DeckSway(sag.arm)
         return PostureObjective(function=sway, value=sway.values, name="sway", unit="m")
     if options.objective == "hold":

@@ -16,9 +16,9 @@ from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, Scene
 
 # By what share a modelled stiffness may differ from what an identified one was compared with.
-_SAME = 1e-6
+_STIFFNESS_TOLERANCE = 1e-6
 # Standard deviations of the stiffness that suppression allows for.
-_SIGMAS = 2.0
+_COVERED_SIGMAS = 2.0
 
 
 def modelled_stiffness(robot: Robot) -> dict[tuple[str, str], float]:
@@ -45,7 +45,7 @@ def with_identified_stiffness(robot: Robot, scene: Scene) -> Robot:
         if known is None:
             names = tuple(name for kind, name in modelled if kind == spring[0])
             raise SceneError(scene.source, key, each.name, f"a {spring[0]} that bends", names)
-        if abs(each.modelled / known - 1) > _SAME:
+        if abs(each.modelled / known - 1) > _STIFFNESS_TOLERANCE:
             expected = f"{known:g}, as the robot's model has it: the stiffness is that of another robot"
             raise SceneError(scene.source, f"{key} of {each.name}", f"modelled: {each.modelled:g}", expected)
     factors = {spring: each.factor for spring, each in zip(identified.springs, given, strict=True)}
@@ -94,7 +94,7 @@ def known_share(scene: Scene, arm: ElasticArm, options: PlannerOptions) -> Plann
     _, slopes = frequency_slopes(arm, parameters, zero, np.array(scene.posture), modes)
     # A mode's stiffness goes with the square of its frequency.
     deviation = 2 * np.sqrt(np.einsum("kp,pr,kr->k", slopes, covariance, slopes).max())
-    share = min(options.quiet_stiffness_share, round(float(_SIGMAS * deviation), 3))
+    share = min(options.quiet_stiffness_share, round(float(_COVERED_SIGMAS * deviation), 3))
     return replace(options, quiet_stiffness_share=share)
 
 

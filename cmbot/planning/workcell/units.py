@@ -13,7 +13,7 @@ from cmbot.robot import Finding, Robot
 from cmbot.scene import Scene
 
 # An angle is whole to this, deg.
-_WHOLE = 1e-6
+_WHOLE_ANGLE_TOLERANCE_DEG = 1e-6
 # An obstacle whose every side is at least the first, m, may be in millimetres: decks and girders are long.
 # One whose every side is beyond the second is, where as millimetres it would be near the arm.
 _HUGE, _VAST = 5.0, 50.0
@@ -27,7 +27,7 @@ def mistaken_units(scene: Scene) -> Iterator[tuple[str, str, str]]:
     key = scene.posture_key
     if key.endswith("posture_deg"):
         angles = np.abs(np.degrees(scene.posture))
-        fractions = np.abs(angles - np.round(angles)) > _WHOLE
+        fractions = np.abs(angles - np.round(angles)) > _WHOLE_ANGLE_TOLERANCE_DEG
         if 0.5 < angles.max() <= 2 * np.pi and fractions.sum() >= 2:
             yield key, "radians", "degrees"
     elif key == "start.posture" and np.abs(scene.posture).max() > 2 * np.pi:

@@ -18,7 +18,7 @@ from cmbot.robot.description.limits_file import read_joint_limits
 from cmbot.robot.description.mesh_file import locate_meshes
 
 # A link that weighs less has no mass, kg.
-_BARE_KG = 1e-9
+_ZERO_MASS_KG = 1e-9
 
 
 def add_masses(root: ElementTree.Element, files: RobotFiles) -> tuple[str, ...]:
@@ -42,7 +42,7 @@ def add_masses(root: ElementTree.Element, files: RobotFiles) -> tuple[str, ...]:
         listed = {} if files.limits is None else read_joint_limits(files.limits).masses_kg
     if not listed and files.total_mass is None:
         return ()
-    bare = {link.get("name", ""): link for link in root.findall("link") if not _mass_of(link) > _BARE_KG}
+    bare = {link.get("name", ""): link for link in root.findall("link") if not _mass_of(link) > _ZERO_MASS_KG}
     bodies = _bodies(root, files, bare)
     _require_links(root, files, listed, bodies)
     masses = {name: mass for name, mass in listed.items() if name in bodies}

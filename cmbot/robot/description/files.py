@@ -21,9 +21,9 @@ from cmbot.robot.description.limits_file import read_joint_limits
 from cmbot.robot.description.tool import AttachedTool
 from cmbot.robot.description.xml_file import read_urdf
 
-_SHIPPED = "cmbot"
+_SHIPPED_ROBOT = "cmbot"
 # A file of joint limits of ours that lacks its format is known by its keys.
-_OUR_LIMITS = re.compile(
+_CMBOT_LIMITS = re.compile(
     r"""^\ufeff?(?:\{\s*)?["']?format["']?\s*:\s*["']?cmbot-"""
     r"""|\b(?:velocity_deg|acceleration_deg|jerk_deg|\w+_m_s[23]?|masses_kg|holding_torque)\b""",
     re.M,
@@ -109,7 +109,7 @@ def robot_files(
         When `model` is no file but could be a robot of example-robot-data, and that is not installed.
     """
     frames: dict[str, str] = {}
-    if str(model) == _SHIPPED:
+    if str(model) == _SHIPPED_ROBOT:
         urdf = model_folder() / "urdf" / "cmbot.urdf"
         frames = {"base_frame": "arm_base", "tool_frame": "tool0"}
     else:
@@ -139,7 +139,7 @@ def robot_files(
 
 def _in_library(name: str) -> Path:
     robots = library_robots()
-    names = (_SHIPPED, *(() if robots is None else robots))
+    names = (_SHIPPED_ROBOT, *(() if robots is None else robots))
     if robots is not None and name in robots:
         return robots[name]
     meant = hint(name, names)
@@ -194,7 +194,7 @@ def _robot_name(file: Path) -> bytes | None:
 def _why_foreign(limits: Path) -> str:
     """Why a file of joint limits is not used; empty for one of ours, or of MoveIt's that can be read."""
     text = read_input(limits, ModelError, largest=LARGEST_FILE).decode("utf-8", "replace")
-    if not text.strip() or _OUR_LIMITS.search(text) is not None:
+    if not text.strip() or _CMBOT_LIMITS.search(text) is not None:
         return ""
     try:
         read_joint_limits(limits)

@@ -8,10 +8,10 @@ from xml.etree import ElementTree
 from cmbot.common.errors import ModelError
 from cmbot.common.validation import shown
 
-_TURNING = ("revolute", "continuous")
-_MOVING = (*_TURNING, "prismatic")
+_ROTARY_TYPES = ("revolute", "continuous")
+_MOVING_TYPES = (*_ROTARY_TYPES, "prismatic")
 # The name of a tool frame in ROS-Industrial's convention.
-_TOOL = "tool0"
+_ROS_TOOL_FRAME = "tool0"
 
 
 def arm_frames(
@@ -78,7 +78,7 @@ def require_independent(root: ElementTree.Element, base_frame: str, tool_frame: 
         if joint.get("name") in tree.links:
             # Pinocchio finds no frame then; elsewhere such a joint is renamed.
             raise ModelError(source, key, "the name of a link", "a name that no link has")
-        if kind not in _MOVING:
+        if kind not in _MOVING_TYPES:
             raise ModelError(
                 source, f"{key}.type", kind, "an arm of revolute, continuous or prismatic joints"
             )
@@ -152,11 +152,11 @@ class _Tree:
 
 
 def _turns(joint: ElementTree.Element) -> bool:
-    return joint.get("type") in _TURNING and joint.find("mimic") is None
+    return joint.get("type") in _ROTARY_TYPES and joint.find("mimic") is None
 
 
 def _moves(joint: ElementTree.Element) -> bool:
-    return joint.get("type") in _MOVING and joint.find("mimic") is None
+    return joint.get("type") in _MOVING_TYPES and joint.find("mimic") is None
 
 
 def _follows(joints: Sequence[ElementTree.Element]) -> bool:
@@ -210,8 +210,8 @@ def _last_link(tree: _Tree, base: str, source: str) -> str:
         require_independent(tree.urdf, base, following[0], source)
     last = {tree.joints(base, link)[-1].get("name") for link in tips}
     if len(last) == 1:
-        if _TOOL in tips:
-            return _TOOL
+        if _ROS_TOOL_FRAME in tips:
+            return _ROS_TOOL_FRAME
         if len(tips) == 1:
             return tips[0]
     expected = f"the last link of the arm: below {shown(base)} no end of the tree is the only choice"

@@ -17,9 +17,9 @@ from cmbot.common.errors import ModelError
 from cmbot.robot.description.mesh_file import read_vertices
 
 # Smallest thickness of points relative to their extent. At about 3e-8 coal's hull crashes the process.
-_FLAT = 1e-5
+_MIN_THICKNESS_SHARE = 1e-5
 # What a flat mesh gets, m.
-_THICKNESS = 1e-3
+_FLAT_MESH_THICKNESS_M = 1e-3
 
 
 def encloses_volume(points: FloatArray) -> bool:
@@ -27,7 +27,7 @@ def encloses_volume(points: FloatArray) -> bool:
     if len(points) < 4 or not np.isfinite(points).all():
         return False
     extents = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(extents[2] > _FLAT * extents[0])
+    return bool(extents[2] > _MIN_THICKNESS_SHARE * extents[0])
 
 
 def convex_hull(points: FloatArray) -> coal.ConvexBase:
@@ -46,8 +46,8 @@ def thickened(points: FloatArray) -> FloatArray:
     middle = points.mean(axis=0)
     _, extents, axes = np.linalg.svd(np.vstack([points - middle, np.zeros((3, 3))]), full_matrices=False)
     for axis, extent in zip(axes, extents, strict=True):
-        if extent <= _FLAT * extents[0]:
-            half = 0.5 * _THICKNESS * axis
+        if extent <= _MIN_THICKNESS_SHARE * extents[0]:
+            half = 0.5 * _FLAT_MESH_THICKNESS_M * axis
             points = np.concatenate([points - half, points + half])
     return points
 

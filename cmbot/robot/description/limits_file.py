@@ -34,8 +34,8 @@ LEAST_LIMIT = 1e-6
 Positive = Annotated[float, Field(ge=LEAST_LIMIT, le=1e9)]
 Mass = Annotated[float, Field(ge=1e-3, le=1e5)]
 # What MoveIt's parameters are nested in where they are those of a ROS node.
-_NESTS = ("/**", "ros__parameters", "robot_description_planning")
-_SCALINGS = ("default_velocity_scaling_factor", "default_acceleration_scaling_factor")
+_ROS_NESTING = ("/**", "ros__parameters", "robot_description_planning")
+_SCALING_KEYS = ("default_velocity_scaling_factor", "default_acceleration_scaling_factor")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,7 +145,7 @@ class MoveItLimitsFile(FileModel):
     @property
     def scaling_remark(self) -> str:
         """What its factors are, where there are any; they are no limits."""
-        factors = [f"{name} {getattr(self, name):g}" for name in _SCALINGS if getattr(self, name) != 1.0]
+        factors = [f"{name} {getattr(self, name):g}" for name in _SCALING_KEYS if getattr(self, name) != 1.0]
         if not factors:
             return ""
         return f" Its {' and '.join(factors)}: what MoveIt asks for by default, no limits, and not used."
@@ -162,7 +162,7 @@ def read_joint_limits(path: Path) -> JointLimitsFile | MoveItLimitsFile:
     with lines_named(path):
         data = read_yaml(path, ModelError)
         inner: Any = data
-        while isinstance(inner, dict) and (nests := [key for key in _NESTS if key in inner]):
+        while isinstance(inner, dict) and (nests := [key for key in _ROS_NESTING if key in inner]):
             inner = inner[nests[0]]
         if "format" not in data and isinstance(inner, dict) and "joint_limits" in inner:
             return validated(MoveItLimitsFile, inner, str(path), ModelError)

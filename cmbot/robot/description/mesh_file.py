@@ -28,8 +28,8 @@ FARTHEST = 1e4
 """Largest distance, m, of a point or a frame from the origin that it is given in."""
 
 # Files that a mesh of this format names are opened with it, so they are checked, too.
-_LIBRARIES = re.compile(rb"^[ \t]*mtllib[ \t]+([^\r\n]+)", re.MULTILINE)
-_POINTER = b"version https://git-lfs"
+_MATERIAL_LIBRARY = re.compile(rb"^[ \t]*mtllib[ \t]+([^\r\n]+)", re.MULTILINE)
+_LFS_POINTER = b"version https://git-lfs"
 # It names further files of any kind.
 _REFUSED_FORMATS = (".gltf",)
 # Edges, m, of a box in place of a visual mesh: at least, and where the link has no collision shape either.
@@ -269,10 +269,10 @@ def _require_mesh(path: Path) -> None:
         raise ModelError(str(path), "", f"a {suffix} file", "a mesh in a file of its own, such as STL")
     require_input(path, ModelError, kind="a mesh file", largest=LARGEST_MESH)
     with path.open("rb") as file:
-        if file.read(len(_POINTER)) == _POINTER:
+        if file.read(len(_LFS_POINTER)) == _LFS_POINTER:
             raise ModelError(str(path), "", "a pointer of Git LFS in its place", "a mesh file: git lfs pull")
     if suffix == ".obj":
-        for match in _LIBRARIES.finditer(read_input(path, ModelError, largest=LARGEST_MESH)):
+        for match in _MATERIAL_LIBRARY.finditer(read_input(path, ModelError, largest=LARGEST_MESH)):
             library = path.parent / os.fsdecode(match[1].strip())
             if os.path.exists(library):  # noqa: PTH110  as above
                 read_input(library, ModelError, kind="a file of materials")

@@ -12,7 +12,7 @@ from cmbot.common.errors import ModelError
 from cmbot.common.input_files import read_input
 
 # Lists of folders below which packages are installed, in ``share``.
-_INSTALLED = ("AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH", "CMAKE_PREFIX_PATH")
+_PREFIX_VARIABLES = ("AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH", "CMAKE_PREFIX_PATH")
 
 
 def find_package(name: str, folder: Path, package_dirs: Sequence[Path] = ()) -> Path | None:
@@ -59,7 +59,7 @@ def _candidates(name: str, folder: Path, package_dirs: Sequence[Path]) -> Iterat
             yield place / name
         if name and _declared_name(place) == name:
             yield place
-    for place in (place for variable in _INSTALLED for place in _ros_paths(variable)):
+    for place in (place for variable in _PREFIX_VARIABLES for place in _ros_paths(variable)):
         yield place / "share" / name
 
 

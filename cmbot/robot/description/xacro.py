@@ -26,8 +26,8 @@ from cmbot.robot.description.packages import find_copy, find_package
 
 _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 _ELEMENT = re.compile(rb"<xacro:\w")
-_NAME = re.compile(rb"<robot\b[^>]*?\bname\s*=\s*[\"']([^\"'$]+)[\"']")
-_PACKAGE = re.compile(r"\w[\w.\-]*")
+_ROBOT_NAME = re.compile(rb"<robot\b[^>]*?\bname\s*=\s*[\"']([^\"'$]+)[\"']")
+_PACKAGE_NAME = re.compile(r"\w[\w.\-]*")
 _LACKING = re.compile(r"Undefined substitution argument (\S+)")
 _LINK, _MACRO = re.compile(r"<link\b"), re.compile(rb"<xacro:macro\b")
 # As many packages as a robot's description may name; files that are named as using macros, and their size.
@@ -35,7 +35,7 @@ _MOST_PACKAGES, _MOST_USERS, _LARGEST_USER = 100, 3, 1_000_000
 # Processor time and memory of an expansion, s and byte; how much longer it may wait.
 _CPU_SECONDS, _MEMORY, _WAITS = 20, 1_000_000_000, 3
 # Of a line of an answer: the result, in which each byte may be written as six.
-_LONGEST_ANSWER = 6 * LARGEST_TEXT + 1_000_000
+_MAX_ANSWER_BYTES = 6 * LARGEST_TEXT + 1_000_000
 _VARIABLES = ("HOME", "LANG", "PATH", "PYTHONHOME", "PYTHONPATH")
 
 
@@ -94,7 +94,7 @@ def _answered(
     path: Path, content: bytes, package_dirs: Sequence[Path], arguments: Mapping[str, str]
 ) -> dict[str, Any]:
     """The last answer of a process that expands a file; empty where it ended without one."""
-    name, folder = _NAME.search(content), path.resolve().parent
+    name, folder = _ROBOT_NAME.search(content), path.resolve().parent
     task = {
         "path": str(path.resolve()),
         "name": name[1].decode(errors="replace") if name else path.name.partition(".")[0],
@@ -129,7 +129,7 @@ def _conversation(
         try:
             process.stdin.write(json.dumps(say).encode() + b"\n")
             process.stdin.flush()
-            answer = json.loads(process.stdout.readline(_LONGEST_ANSWER))
+            answer = json.loads(process.stdout.readline(_MAX_ANSWER_BYTES))
         except (BrokenPipeError, ValueError):  # it was ended
             return {}
         if "find" not in answer:
@@ -170,8 +170,8 @@ def _refusal(path: Path, answer: Mapping[str, Any], arguments: Mapping[str, str]
 def _package(name: str, path: Path, files: Iterable[Path], package_dirs: Sequence[Path]) -> Path:
     """The folder of a package that one of `files` names; refused where there is none."""
     folder = path.resolve().parent
-    place = find_package(name, folder, package_dirs) if _PACKAGE.fullmatch(name) else None
-    if place is None and _PACKAGE.fullmatch(name):
+    place = find_package(name, folder, package_dirs) if _PACKAGE_NAME.fullmatch(name) else None
+    if place is None and _PACKAGE_NAME.fullmatch(name):
         inside = re.compile(rb"\$\(find\s+" + re.escape(name.encode()) + rb"\s*\)/([^\s\"'$<>]+)")
         contents = (file.read_bytes() for file in dict.fromkeys(files) if file.is_file())
         named = [found.decode(errors="replace") for content in contents for found in inside.findall(content)]

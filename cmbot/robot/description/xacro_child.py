@@ -26,7 +26,7 @@ from xacrodoc import XacroDoc, packages
 # xacro imports it when it is first used: files elsewhere are refused then.
 import_module("yaml")
 # What no description needs: other programs and networks.
-_REFUSED = ("subprocess.", "os.exec", "os.fork", "os.posix_spawn", "os.system", "socket.", "ctypes.")
+_REFUSED_EVENTS = ("subprocess.", "os.exec", "os.fork", "os.posix_spawn", "os.system", "socket.", "ctypes.")
 
 
 def main() -> None:
@@ -89,7 +89,7 @@ def _guard(roots: list[str], largest: int) -> Callable[[str, tuple[Any, ...]], N
     own = [os.path.realpath(place) for place in sys.path if place]
 
     def allow(event: str, arguments: tuple[Any, ...]) -> None:
-        if event.startswith(_REFUSED):
+        if event.startswith(_REFUSED_EVENTS):
             raise PermissionError(f"a call of {event}")
         if event != "open" or isinstance(arguments[0], int):
             return

@@ -14,10 +14,10 @@ from cmbot.common.validation import shown
 from cmbot.robot.description.xacro import expand_xacro, is_xacro
 
 # Readers of XML trees call themselves for each level.
-_DEEPEST = 50
+_MAX_DEPTH = 50
 # The parser is stopped after the piece in which a refusal is found.
-_SCENE = re.compile(rb"^[\"' {]*format[\"']?: *[\"']?cmbot-scene/", re.MULTILINE)
-_PIECE = 1 << 16
+_SCENE_FORMAT = re.compile(rb"^[\"' {]*format[\"']?: *[\"']?cmbot-scene/", re.MULTILINE)
+_BYTES_PER_READ = 1 << 16
 
 
 def urdf_content(
@@ -86,13 +86,13 @@ def read_urdf(
         raise ModelError(source, "", "an empty file", f"{kind} file")
     parser = ElementTree.XMLParser(target=_Builder(source, kind))
     try:
-        for start in range(0, len(content), _PIECE):
-            parser.feed(content[start : start + _PIECE])
+        for start in range(0, len(content), _BYTES_PER_READ):
+            parser.feed(content[start : start + _BYTES_PER_READ])
         root: ElementTree.Element = parser.close()
     except ModelError:
         raise
     except (ElementTree.ParseError, ValueError, LookupError) as error:  # the last two: unknown encodings
-        scene = _SCENE.search(content) is not None
+        scene = _SCENE_FORMAT.search(content) is not None
         got = "a scene file" if scene else f"text that is not well-formed XML ({error})"
         raise ModelError(source, "", got, f"{kind} file") from error
     if root.tag != "robot":
@@ -113,8 +113,8 @@ class _Builder(ElementTree.TreeBuilder):
 
     def start(self, tag: str, attrs: dict[str, str]) -> ElementTree.Element:
         self._depth += 1
-        if self._depth > _DEEPEST:
-            raise ModelError(self._source, "", "nesting too deep", f"at most {_DEEPEST} levels of elements")
+        if self._depth > _MAX_DEPTH:
+            raise ModelError(self._source, "", "nesting too deep", f"at most {_MAX_DEPTH} levels of elements")
         return super().start(tag, attrs)
 
     def end(self, tag: str) -> ElementTree.Element:

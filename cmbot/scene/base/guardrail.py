@@ -119,7 +119,7 @@ class MaterialFile(FileModel):
     """Density, kg/m3."""
 
 
-_RAILS = (
+_RAIL_MEMBERS = (
     RailFile(
         name="top_rail",
         section=SectionFile(angle=(0.063, 0.006)),
@@ -144,7 +144,7 @@ class GuardrailFile(FileModel):
     post_spacing_m: Length = 1.75
     """Distance from post to post, m."""
     post: PostFile = PostFile()
-    rails: Annotated[tuple[RailFile, ...], Field(max_length=100)] = _RAILS
+    rails: Annotated[tuple[RailFile, ...], Field(max_length=100)] = _RAIL_MEMBERS
     foot: FootFile = FootFile()
     hold: Holds | None = None
     """How the feet hold; left out: welded."""

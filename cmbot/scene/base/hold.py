@@ -36,19 +36,19 @@ FACES = {
 """Faces of a member by their normals."""
 
 # Members closer than this to the foot are those that it holds, m.
-_SAME_PLACE = 1e-3
+_FOOT_MEMBER_DISTANCE_M = 1e-3
 # A side of a section is flat where corners are less than this below its highest one, m.
-_FLAT_WITHIN = 1e-6
+_FLATNESS_M = 1e-6
 Derated = Annotated[tuple[Length, Annotated[float, Field(gt=0, le=1)]], Field(strict=False)]
 
 
-_PADS = ("rectangle_m", "disc_m")
+_PAD_SHAPES = ("rectangle_m", "disc_m")
 
 
 class PadFile(FileModel):
     """A part of a foot's contact, in the frame of its plate."""
 
-    model_config = ConfigDict(json_schema_extra=one_of_schema(_PADS))
+    model_config = ConfigDict(json_schema_extra=one_of_schema(_PAD_SHAPES))
 
     rectangle_m: tuple[Length, Length] | None = None
     """Sides along and across, m."""
@@ -61,7 +61,7 @@ class PadFile(FileModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        exactly_one(self, _PADS)
+        exactly_one(self, _PAD_SHAPES)
         return self
 
     @property
@@ -200,7 +200,7 @@ class Face:
     def edge(self) -> bool:
         """Whether the steel is no wider than it is thick: the edge of a leg."""
         width = max((high - low for low, high in self.steel), default=0.0)
-        return self.thickness is not None and width <= self.thickness + _FLAT_WITHIN
+        return self.thickness is not None and width <= self.thickness + _FLATNESS_M
 
     @property
     def held_by_clamps_alone(self) -> str:
@@ -253,9 +253,9 @@ def _flat_side(
     c, s = np.cos(roll), np.sin(roll)
     corners = np.array(section_outline(section).exterior.coords) @ np.array([[c, s], [-s, c]])
     height, place = corners @ out, corners @ across
-    on = height >= height.max() - _FLAT_WITHIN
+    on = height >= height.max() - _FLATNESS_M
     sides = sorted(tuple(sorted(place[[k, k + 1]].tolist())) for k in np.flatnonzero(on[:-1] & on[1:]))
-    return float(height.max()), tuple((low, high) for low, high in sides if high - low > _FLAT_WITHIN)
+    return float(height.max()), tuple((low, high) for low, high in sides if high - low > _FLATNESS_M)
 
 
 @cache
@@ -349,8 +349,8 @@ class LinkHoldFile(HoldFile):
 def held_member(guardrail: Guardrail) -> str | None:
     """Return the member that the foot holds at the origin of W; None without one."""
     for number, x in enumerate(guardrail.post_positions, start=1):
-        if abs(x) <= _SAME_PLACE:
+        if abs(x) <= _FOOT_MEMBER_DISTANCE_M:
             return f"post_{number}"
     if not guardrail.post_positions:
         return None
-    return next((rail.name for rail in guardrail.rails if abs(rail.height) <= _SAME_PLACE), None)
+    return next((rail.name for rail in guardrail.rails if abs(rail.height) <= _FOOT_MEMBER_DISTANCE_M), None)

@@ -12,7 +12,7 @@ from cmbot.common.fields import Text, Vector
 from cmbot.common.validation import FileModel, refusal
 from cmbot.scene.base.matrices import Matrix6, check_positive_definite
 
-_OF_BASE = 21
+_BASE_PARAMETERS = 21
 
 Number = Annotated[float, Field(ge=-1e6, le=1e6)]
 Numbers = Annotated[tuple[Number, ...], Field(max_length=300)]
@@ -62,7 +62,7 @@ class IdentifiedStiffness(FileModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        count = len(self.links) + len(self.joints) + (0 if self.base is None else _OF_BASE)
+        count = len(self.links) + len(self.joints) + (0 if self.base is None else _BASE_PARAMETERS)
         rows = {len(row) for row in self.covariance}
         if len(self.covariance) != count or rows != {count}:
             got = f"{len(self.covariance)} rows of {', '.join(map(str, sorted(rows)))}"

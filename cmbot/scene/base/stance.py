@@ -16,10 +16,10 @@ from cmbot.elastic import Guardrail
 from cmbot.scene.base.hold import FACES, Face, face_of
 
 # From the foot's frame to its plate, m: the frame lies on the centre line of the post that is held.
-_PLATE = 0.0375
-_QUARTERS = (0.0, 90.0, 180.0, 270.0, -90.0, -180.0, -270.0)
+_PLATE_OFFSET_M = 0.0375
+_QUARTER_TURNS_DEG = (0.0, 90.0, 180.0, 270.0, -90.0, -180.0, -270.0)
 # How far a given climber may miss the place of foot 2, m and rad.
-_MISSED = 1e-4
+_REACHED = 1e-4
 Joint = Annotated[float, Field(ge=-360, le=360)]
 
 
@@ -38,7 +38,7 @@ class FootholdFile(FileModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if self.turn_deg not in _QUARTERS:
+        if self.turn_deg not in _QUARTER_TURNS_DEG:
             raise refusal("a multiple of 90 within a turn", got=self.turn_deg, key=("turn_deg",))
         kind = "post" if self.member.startswith("post_") else "rail"
         if self.face not in FACES[kind]:
@@ -149,7 +149,7 @@ def foothold_pose(guardrail: Guardrail, place: FootholdFile) -> FloatArray:
     z = np.round(np.cos(turn)) * along + np.round(np.sin(turn)) * np.cross(out, along)
     X = np.eye(4)
     X[:3, :3] = np.column_stack([np.cross(out, z), out, z])
-    X[:3, 3] = axis_point(guardrail, place) + (face.depth - _PLATE) * out
+    X[:3, 3] = axis_point(guardrail, place) + (face.depth - _PLATE_OFFSET_M) * out
     return X
 
 
@@ -174,7 +174,7 @@ def resolved_stance(file: StanceFile, guardrail: Guardrail) -> Stance:
             low, high = (np.degrees(bound[k]) for bound in (climber.lower, climber.upper))
             expected = f"an angle from {low:.1f} to {high:.1f} deg"
             raise refusal(expected, got=f"{file.climber_deg[k]}", key=(*key, "climber_deg", k))
-        if goal is not None and (off := float(np.abs(climber.poses(angles)[0] - goal).max())) > _MISSED:
+        if goal is not None and (off := float(np.abs(climber.poses(angles)[0] - goal).max())) > _REACHED:
             got, expected = f"a posture that misses foot_2 by {off:.3g} m or rad", "one that reaches it"
             raise refusal(expected, got=got, key=(*key, "climber_deg"))
     elif goal is None:

@@ -50,8 +50,8 @@ RESERVED = ("approach", WORK, "return")
 FREE_MOVE = re.compile(r"free_\d+")
 """Names of the free moves between strokes."""
 
-_TIMES = ("seconds", "speed_m_s")
-_KEPT = ("pose", "axis", "position")
+_TIMING_KEYS = ("seconds", "speed_m_s")
+_KEPT_TASKS = ("pose", "axis", "position")
 
 
 class AxisCone(FileModel):
@@ -72,7 +72,7 @@ class AxisCone(FileModel):
 Order = Literal["given", "best"]
 """In which order strokes are taken."""
 Keep = Annotated[
-    Literal["pose", "axis", "position"] | AxisCone, word_or(_KEPT, AxisCone, "{axis_within_deg: 10}")
+    Literal["pose", "axis", "position"] | AxisCone, word_or(_KEPT_TASKS, AxisCone, "{axis_within_deg: 10}")
 ]
 """What a tool path prescribes of the tool: its pose, its axis, its position, or a cone for its axis."""
 
@@ -143,16 +143,16 @@ class PathFile(FileModel):
         if not self.legs:
             if (self.seconds is None) == (self.speed_m_s is None):
                 got = "none" if self.seconds is None else "seconds and speed_m_s"
-                raise refusal("exactly one of these keys", got=got, key=at, choices=_TIMES)
+                raise refusal("exactly one of these keys", got=got, key=at, choices=_TIMING_KEYS)
         else:
-            for name in _TIMES:
+            for name in _TIMING_KEYS:
                 if getattr(self, name) not in (None, AUTO):
                     expected = "no such key beside legs, which have their own"
                     raise refusal(expected, got="a value", key=(*at, name))
             for k, leg in enumerate(self.legs):
                 if not leg.is_timed and self.seconds != AUTO:
                     where = (*at, "legs", k)
-                    raise refusal("exactly one of these keys", got="none", key=where, choices=_TIMES)
+                    raise refusal("exactly one of these keys", got="none", key=where, choices=_TIMING_KEYS)
         if self.seconds == AUTO and self.legs:
             legs = (leg if leg.is_timed else replace(leg, seconds=AUTO) for leg in self.legs)
             object.__setattr__(self, "legs", tuple(legs))

@@ -13,7 +13,7 @@ from cmbot.toolpath import Raster, RowPiece
 # Via-points of a part: at least so many for each row and step, and for its ends.
 _PER_LEG, _ENDS = 3, 12
 # Largest ramp, as a share of a leg's time.
-_LARGEST = 0.5
+_MAX_RAMP_SHARE = 0.5
 
 
 def raster_parts(
@@ -48,7 +48,7 @@ def raster_parts(
             fewest = (_PER_LEG * legs + _ENDS) * (file.passes or 1)
             changes["via_points"] = max(round(share * file.via_points), min(fewest, file.via_points), 5)
         # Ramps of shorter legs are as long as before, in seconds, where there is time for that.
-        ramp = min(file.speed_profile.ramp * _stretch(file, raster, cell, whole), _LARGEST)
+        ramp = min(file.speed_profile.ramp * _stretch(file, raster, cell, whole), _MAX_RAMP_SHARE)
         changes["speed_profile"] = replace(file.speed_profile, ramp=ramp)
         if len(cells) > 1:
             changes |= {"name": _name(str(file.name), k, taken), "part_of": file.name}

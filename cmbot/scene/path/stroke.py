@@ -22,9 +22,9 @@ _WAY, _TURN, _BEND, _SECONDS, _PER_RAMP = 0.05, np.radians(15), np.radians(36), 
 _DEVIATION, _SPEED = 1e-3, 0.2
 # Segments of a leg at least and at most, and of one whose shortest time is sought at least: legs share these.
 _FEWEST, _MOST, _FEWEST_OPEN, _OPEN_IN_ALL = 4, 600, (12, 30), 90
-_ALL = 12
+_POSE_VALUES = 12
 # Durations that differ by less are the same, as a share.
-_SAME_SECONDS = 1e-6
+_DURATION_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -146,7 +146,7 @@ def _check_laws(file: StrokeFile, path: ToolPath, place: PathSource) -> None:
         raise SceneError(place.source, key, f"laws of legs {legs}", expected)
     for law in laws:
         seconds = path.segments[law.leg].seconds
-        if law.leg not in path.open_legs and abs(law.duration - seconds) > _SAME_SECONDS * seconds:
+        if law.leg not in path.open_legs and abs(law.duration - seconds) > _DURATION_TOLERANCE * seconds:
             got = f"{law.duration:g} s on leg {law.leg}"
             raise SceneError(place.source, key, got, f"the {seconds:g} s of that leg")
 
@@ -188,7 +188,7 @@ def _automatic_via_points(path: ToolPath, deviation: float, file: StrokeFile) ->
         elif moves:
             asked += [segment.seconds / _SECONDS, _PER_RAMP / file.speed_profile.ramp]
         count += int(np.clip(math.ceil(max(asked)), _FEWEST if moves else 1, _MOST))
-    return max(count, _ALL, len(path.section_times) - 1) + 1
+    return max(count, _POSE_VALUES, len(path.section_times) - 1) + 1
 
 
 def _turned(path: ToolPath, leg: int) -> float:

@@ -19,14 +19,14 @@ from cmbot.common.text_table import TextTable, read_table
 from cmbot.common.validation import FileModel, counted
 from cmbot.toolpath import shortest_turns
 
-_LARGEST_TABLE = 5_000_000
-_PLACE = ("x", "y", "z")
-_QUATERNION = ("qw", "qx", "qy", "qz")
-_ANGLES = ("roll", "pitch", "yaw")
-_NORMALS = (("nx", "ny", "nz"), ("i", "j", "k"))
-_TIMES = ("seconds", "time", "t")
+_MAX_WAYPOINT_BYTES = 5_000_000
+_POSITION_COLUMNS = ("x", "y", "z")
+_QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
+_ANGLE_COLUMNS = ("roll", "pitch", "yaw")
+_NORMAL_COLUMNS = (("nx", "ny", "nz"), ("i", "j", "k"))
+_TIME_COLUMNS = ("seconds", "time", "t")
 _IN_METRES = {"": 1.0, "m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}
-_ORIENTATIONS = "qw,qx,qy,qz or roll,pitch,yaw or nx,ny,nz or i,j,k"
+_ORIENTATION_COLUMNS = "qw,qx,qy,qz or roll,pitch,yaw or nx,ny,nz or i,j,k"
 # Names that are no columns of anything: numbers of rows.
 _ROW_NUMBERS = ("", "index", "id", "n", "#")
 # A unit quaternion up to what files round; a direction shorter than this is none.
@@ -74,11 +74,11 @@ def read_waypoints(path: Path, given: WaypointFile, keep: object) -> tuple[list[
     SceneError
         When it is no such file, or has less of the tool's pose than is kept.
     """
-    table = read_table(path, SceneError, kind="a table of waypoints", largest=_LARGEST_TABLE)
-    places = [table.index(name) for name in _PLACE]
+    table = read_table(path, SceneError, kind="a table of waypoints", largest=_MAX_WAYPOINT_BYTES)
+    places = [table.index(name) for name in _POSITION_COLUMNS]
     if None in places:
         got = f"the columns {','.join(table.names)}" if table.names else "no names of columns"
-        raise SceneError(table.source, "line 1", got, f"the columns x,y,z, and {_ORIENTATIONS}")
+        raise SceneError(table.source, "line 1", got, f"the columns x,y,z, and {_ORIENTATION_COLUMNS}")
     used = [k for k in places if k is not None]
     scales = [_IN_METRES.get(table.units[k].lower()) for k in used]
     if None in scales:
@@ -90,7 +90,7 @@ def read_waypoints(path: Path, given: WaypointFile, keep: object) -> tuple[list[
     ]
     points = table.numbers(used) * np.array(units, dtype=float)
     quaternions = _orientations(table, keep, used)
-    time = table.index(*_TIMES)
+    time = table.index(*_TIME_COLUMNS)
     seconds = None
     if time is not None:
         used.append(time)
@@ -111,7 +111,7 @@ def read_waypoints(path: Path, given: WaypointFile, keep: object) -> tuple[list[
 
 def _orientations(table: TextTable, keep: object, used: list[int]) -> FloatArray:
     """Quaternions (N, 4), w first, in the coordinates of a table; their columns are added to those `used`."""
-    quaternion = [table.index(name) for name in _QUATERNION]
+    quaternion = [table.index(name) for name in _QUATERNION_COLUMNS]
     if None not in quaternion:
         columns = [k for k in quaternion if k is not None]
         used += columns
@@ -122,14 +122,14 @@ def _orientations(table: TextTable, keep: object, used: list[int]) -> FloatArray
             raise SceneError(table.source, key, f"a quaternion of length {size[wrong[0]]:.3g}", "a unit one")
         return numbers
     for suffix, factor in (("", 1.0), ("_deg", np.pi / 180)):
-        angles = [table.index(f"{name}{suffix}") for name in _ANGLES]
+        angles = [table.index(f"{name}{suffix}") for name in _ANGLE_COLUMNS]
         if None not in angles:
             columns = [k for k in angles if k is not None]
             used += columns
             in_degrees = np.pi / 180 if table.units[columns[0]].lower() in ("deg", "°") else factor
             turns = in_degrees * table.numbers(columns)
             return np.asarray(Rotation.from_euler("xyz", turns).as_quat(scalar_first=True))
-    for names in _NORMALS:
+    for names in _NORMAL_COLUMNS:
         normals = [table.index(name) for name in names]
         if None not in normals:
             if keep in (None, "pose"):
@@ -139,7 +139,7 @@ def _orientations(table: TextTable, keep: object, used: list[int]) -> FloatArray
             used += columns
             return _against(table.numbers(columns), table, names)
     if keep != "position":
-        raise SceneError(table.source, "line 1", "places alone", f"{_ORIENTATIONS}, or keep: position")
+        raise SceneError(table.source, "line 1", "places alone", f"{_ORIENTATION_COLUMNS}, or keep: position")
     return np.tile([1.0, 0.0, 0.0, 0.0], (len(table.rows), 1))
 
 

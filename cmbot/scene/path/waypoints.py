@@ -11,11 +11,11 @@ from cmbot.common.fields import Coordinate
 from cmbot.common.validation import refusal
 
 # A unit quaternion up to what files round.
-_LENGTH_OF_QUATERNION = 1e-3
+_QUATERNION_TOLERANCE = 1e-3
 
 
 def _unit_quaternion(row: tuple[float, ...]) -> tuple[float, ...]:
-    if abs(float(np.linalg.norm(row[3:])) - 1.0) > _LENGTH_OF_QUATERNION:
+    if abs(float(np.linalg.norm(row[3:])) - 1.0) > _QUATERNION_TOLERANCE:
         raise refusal("x, y, z and a unit quaternion qw, qx, qy, qz", got=row)
     return row
 

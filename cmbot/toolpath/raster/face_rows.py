@@ -27,9 +27,9 @@ LEAST_NODES = 5
 # Rounding of numbers of rows and nodes, lengths and heights below which there is none, m, and areas, m2.
 _WHOLE, _NO_LENGTH, _NO_AREA = 1e-6, 1e-9, 1e-12
 # Share by which areas of faces may differ from that of their union, and a cosine from its bound.
-_ROUNDING = 1e-9
+_FACE_TOLERANCE = 1e-9
 # Cosine of 80 degrees: the angle by which faces may be turned from their mean.
-_STEEPEST = 0.17365
+_MIN_FACE_COSINE = 0.17365
 
 _Refusal = Callable[[str, str, str], SceneError]
 
@@ -89,7 +89,7 @@ class FaceSurface(Surface):
         chosen = _chosen(faces, mesh, X_WM, X_WF, refusal)
         out = (chosen.area_faces[:, None] * chosen.face_normals).sum(axis=0)
         out /= np.linalg.norm(out)
-        if (chosen.face_normals @ out).min() < _STEEPEST:
+        if (chosen.face_normals @ out).min() < _MIN_FACE_COSINE:
             got, expected = "faces that are steep to each other", "faces within 80 degrees of their mean"
             raise refusal("faces", got, expected)
         along = X_WF[:3, :3] @ np.array(raster.along)
@@ -244,7 +244,7 @@ def _chosen(
         local = (corners - X_WF[:3, 3]) @ X_WF[:3, :3]
         lower, upper = np.array(faces.box)
         inside &= ((local >= lower - _NO_LENGTH) & (local <= upper + _NO_LENGTH)).all(axis=(1, 2))
-    found = inside & (cosines >= np.cos(np.radians(faces.within_deg)) - _ROUNDING)
+    found = inside & (cosines >= np.cos(np.radians(faces.within_deg)) - _FACE_TOLERANCE)
     if not found.any():
         least = np.degrees(np.arccos(np.clip(cosines[inside].max(initial=-1.0), -1, 1)))
         got = f"no face of {counted(len(corners), 'face')}"

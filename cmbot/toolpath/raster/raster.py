@@ -26,7 +26,7 @@ from cmbot.common.validation import CheckedFields, shown
 from cmbot.toolpath.raster.pieces import MOST_ROWS, RowPiece
 
 # Cosine of the angle between two edges that are at right angles.
-_SQUARE = 1e-6
+_RIGHT_ANGLE_COSINE = 1e-6
 _RECTANGLE, _FACES = ("origin", "u", "v"), ("mesh", "faces", "along")
 
 
@@ -196,9 +196,9 @@ class Raster(CheckedFields):
                 raise InputError("Raster", name, "nothing", "a value beside " + " and ".join(given))
         if self.rectangle is not None:
             _, u, v = map(np.array, self.rectangle)
-            if abs(float(u @ v)) > _SQUARE * float(np.linalg.norm(u) * np.linalg.norm(v)):
+            if abs(float(u @ v)) > _RIGHT_ANGLE_COSINE * float(np.linalg.norm(u) * np.linalg.norm(v)):
                 raise InputError("Raster", "v", shown(self.v), "an edge at right angles to u")
-            if self.spacing_m > self.sides[1] * (1 + _SQUARE):
+            if self.spacing_m > self.sides[1] * (1 + _RIGHT_ANGLE_COSINE):
                 expected = f"at most the length of v, {self.sides[1]:g} m"
                 raise InputError("Raster", "spacing_m", self.spacing_m, expected)
         if self.rows > MOST_ROWS:
@@ -218,7 +218,7 @@ class Raster(CheckedFields):
         """Refuse a piece, the one of number `k`, that is on none of the rows, or beyond their length, m."""
         if piece.row >= rows:
             raise InputError("Raster", f"pieces[{k}].row", piece.row, f"less than {rows}, the number of rows")
-        if piece.begin_m < -_SQUARE * length or piece.end_m > length * (1 + _SQUARE):
+        if piece.begin_m < -_RIGHT_ANGLE_COSINE * length or piece.end_m > length * (1 + _RIGHT_ANGLE_COSINE):
             got = f"{piece.begin_m:g} to {piece.end_m:g}"
             raise InputError("Raster", f"pieces[{k}]", got, f"0 to {length:g} m, the length of a row")
 
@@ -249,7 +249,7 @@ class Raster(CheckedFields):
     @property
     def steps(self) -> int:
         """Number of steps from row to row in which the whole surface is crossed."""
-        return max(int(np.ceil(self.sides[1] / self.spacing_m - _SQUARE)), 1)
+        return max(int(np.ceil(self.sides[1] / self.spacing_m - _RIGHT_ANGLE_COSINE)), 1)
 
     @property
     def rows(self) -> int:

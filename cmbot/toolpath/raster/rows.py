@@ -11,7 +11,7 @@ from cmbot.toolpath.raster.pieces import RowPiece
 from cmbot.toolpath.raster.raster import CylinderPatch, Raster
 
 # Cosine of 10 degrees: the angle to the z axis below which a cylinder's angles count from the x axis.
-_UPRIGHT = 0.98480775
+_UPRIGHT_COSINE = 0.98480775
 
 
 def rectangle_axes(raster: Raster, X_WF: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -33,7 +33,7 @@ def rectangle_corners(raster: Raster, pieces: Sequence[RowPiece], X_WF: FloatArr
 def cylinder_frame(pipe: CylinderPatch, X_WF: FloatArray) -> FloatArray:
     """Return the pose (4, 4) in W of a cylinder: z along its axis, x where the angle is zero."""
     axis = np.array(pipe.axis) / np.linalg.norm(pipe.axis)
-    x = np.eye(3)[0 if abs(axis[2]) > _UPRIGHT else 2]
+    x = np.eye(3)[0 if abs(axis[2]) > _UPRIGHT_COSINE else 2]
     x = x - (x @ axis) * axis
     x /= np.linalg.norm(x)
     local = np.eye(4)

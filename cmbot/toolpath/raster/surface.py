@@ -10,7 +10,7 @@ from cmbot.toolpath.raster.pieces import Interval, RowPiece, cells_of, united
 from cmbot.toolpath.raster.raster import Raster
 
 # Shares of an area below which nothing is left out.
-_ROUNDING = 1e-6
+_AREA_TOLERANCE = 1e-6
 
 
 class Surface(ABC):
@@ -70,7 +70,7 @@ class Coverage:
         """Return what pieces of rows cover."""
         covered = surface.covered(pieces)
         left_out, unreached = surface.area - covered, surface.covered(surface.pieces) - covered
-        least = _ROUNDING * surface.area
+        least = _AREA_TOLERANCE * surface.area
         return Coverage(
             area=surface.area,
             left_out=left_out if left_out > least else 0.0,

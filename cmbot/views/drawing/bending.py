@@ -18,14 +18,14 @@ from cmbot.simulation import Tracking, elastic_arm_of
 from cmbot.views.drawing.support import Rails, packed_strains, pole_of
 
 # Least time between two equilibria, s; the page interpolates.
-_STEP = 0.2
+_MIN_EQUILIBRIUM_STEP_S = 0.2
 
 # Coordinates that bend by less than this share of the largest are on a line.
-_STRAIGHT = 1e-9
+_STRAIGHT_SHARE = 1e-9
 
 # Factors with which a page begins, and the largest deflection it then draws, as a share of the reach.
-_FACTORS = (1, 2, 5, 10, 20, 50, 100, 200)
-_DRAWN = 0.08
+_SCALES = (1, 2, 5, 10, 20, 50, 100, 200)
+_SHOWN_SHARE = 0.08
 
 Intervals = Sequence[tuple[float, float]]
 
@@ -36,12 +36,12 @@ def drawn_factor(deflection: float, reach: float) -> int:
     It is the largest round number with which no more than 8 % of the reach is drawn; 1 where the deflection
     itself is as large as that.
     """
-    return max((f for f in _FACTORS if f * deflection <= _DRAWN * reach), default=_FACTORS[0])
+    return max((f for f in _SCALES if f * deflection <= _SHOWN_SHARE * reach), default=_SCALES[0])
 
 
 def most_factor(deflection: float, reach: float) -> int:
     """Return the largest factor that a page offers: up to that at which the reach is drawn, 2 to 200."""
-    return int(np.clip(reach / max(deflection, 1e-9), 2, _FACTORS[-1]))
+    return int(np.clip(reach / max(deflection, 1e-9), 2, _SCALES[-1]))
 
 
 class Bending:
@@ -91,7 +91,7 @@ class Bending:
         """Return the largest strain of guardrail and links at elastic coordinates `u` (N, f)."""
         beams = [self._tubes, None if self._rails is None else self._rails.strains]
         # A strain is convex in the coordinates: along a straight piece of them it is largest at an end.
-        bent = np.abs(np.diff(u, 2, axis=0)).max(axis=1) > _STRAIGHT * np.abs(u).max(initial=0.0)
+        bent = np.abs(np.diff(u, 2, axis=0)).max(axis=1) > _STRAIGHT_SHARE * np.abs(u).max(initial=0.0)
         ends = u[np.concatenate([[True], bent, [True]])[: len(u)]]
         return max(float(each.largest(ends).max(initial=0.0)) for each in beams if each is not None)
 
@@ -116,7 +116,7 @@ class Bending:
 
         `dynamic` (N, 3), m, is the tool's displacement in W beside its sag; the tool is `on` in intervals.
         """
-        every = max(int(_STEP / max(float(np.diff(t).max(initial=0.0)), 1e-9)), 1)
+        every = max(int(_MIN_EQUILIBRIUM_STEP_S / max(float(np.diff(t).max(initial=0.0)), 1e-9)), 1)
         some = np.unique(np.append(np.arange(0, len(t), every), len(t) - 1))
         if np.ptp(q, axis=0).max(initial=0.0) == 0.0:
             some = some[:1]

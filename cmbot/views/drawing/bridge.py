@@ -24,15 +24,15 @@ from cmbot.views.drawing.camera import link_corners, link_poses
 from cmbot.views.drawing.surfaces import Surface, merged, obstacle_surface
 
 # Lengths in m; y and z are those of W, z from the lower side of the walkway, where the posts end.
-_BEYOND = 0.6  # of the last post
+_OVERHANG_M = 0.6  # of the last post
 _EDGE, _EDGE_BEAM, _WALKWAY = -0.12, (0.12, 0.16), (1.2, 0.12)
 _GIRDERS, _WEB, _FLANGE = (-1.75, -3.75), (0.02, 1.5), (0.4, 0.04)
 _STIFFENER = (0.02, 0.18)  # thickness, depth
 _SLEEPER, _SPACING = (0.26, 2.5, 0.22), 0.6
 _GAUGE, _RAIL_FOOT, _RAIL_WEB, _RAIL_HEAD = 1.435, (0.15, 0.03), (0.02, 0.11), (0.07, 0.04)
-_BAR = 0.06
+_BAR_M = 0.06
 # How far beside what it holds a bar ends: where the arm is in the way of all straight ones, others are tried.
-_BESIDE = ((0.0,), (-0.4, 0.4, -0.8, 0.8))
+_BAR_END_OFFSETS_M = ((0.0,), (-0.4, 0.4, -0.8, 0.8))
 # Knots of each part of the motion that are looked at, and points of a bar.
 _KNOTS, _POINTS = 25, 24
 _TOUCHING = 1e-3
@@ -59,7 +59,7 @@ def bridge_of(scene: Scene, motions: Iterable[tuple[Robot, FloatArray]], margin:
     shown = _clear(some, margin, [parts[k] for k in np.flatnonzero(free)])
     pieces = [obstacle_surface(each) for each in scene.all_obstacles if each.workpiece]
     for group in _touching(pieces):
-        for beside in _BESIDE:
+        for beside in _BAR_END_OFFSETS_M:
             holders = _holders(scene, group, beside)
             free = ~_pierced(holders, taken).any(axis=0)
             if found := _clear(some, margin, [holders[k] for k in np.flatnonzero(free)]):
@@ -77,7 +77,7 @@ def jobs_of(plans: Iterable[Plan]) -> Iterator[tuple[Robot, FloatArray]]:
 
 def _parts(scene: Scene) -> Iterator[Obstacle]:
     posts, bottom = scene.elastic_guardrail.post_positions, scene.elastic_guardrail.post.bottom - 0.02
-    low, high = min(posts) - _BEYOND, max(posts) + _BEYOND
+    low, high = min(posts) - _OVERHANG_M, max(posts) + _OVERHANG_M
     along, middle = high - low, (low + high) / 2
 
     def beam(name: str, y: float, z: float, size: tuple[float, float]) -> Obstacle:
@@ -114,12 +114,12 @@ def _holders(scene: Scene, group: Sequence[Surface], beside: Sequence[float]) ->
     bottom = scene.elastic_guardrail.post.bottom - 0.02
     low, high = _bounds(merged(group))
     x, y = (low[0] + high[0]) / 2, low[1]
-    starts = [(x, y, z) for z in (high[2] - _BAR / 2, (low[2] + high[2]) / 2, low[2] + _BAR / 2)]
+    starts = [(x, y, z) for z in (high[2] - _BAR_M / 2, (low[2] + high[2]) / 2, low[2] + _BAR_M / 2)]
     heights = [float(np.clip(z, bottom - 0.9 * _WEB[1], bottom - 0.1)) for *_, z in starts]
     ends = [(_EDGE, bottom - 0.04), *((_GIRDERS[0], z) for z in heights)]
     each = [(start, (x + by, *end)) for start, by, end in product(starts, beside, ends)]
     each.sort(key=lambda bar: float(np.linalg.norm(np.subtract(*bar))))
-    return [_bar("holder", start, end, _BAR) for start, end in each]
+    return [_bar("holder", start, end, _BAR_M) for start, end in each]
 
 
 def _touching(surfaces: Sequence[Surface]) -> list[list[Surface]]:

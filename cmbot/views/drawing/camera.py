@@ -33,8 +33,8 @@ _DIRECTIONS = np.stack(
     axis=1,
 )
 # Views that are tried: about z from the usual one, deg, and rises of the camera with what each loses.
-_TURNS = np.radians([0, -30, 30, -60, 60, -90, 90, -120, 120, -150, 150, 180])
-_RISES = {RISE: 0.0, 0.6: 0.05, -0.2: 0.15}
+_CAMERA_TURNS = np.radians([0, -30, 30, -60, 60, -90, 90, -120, 120, -150, 150, 180])
+_CAMERA_RISES = {RISE: 0.0, 0.6: 0.05, -0.2: 0.15}
 # What a view loses with half a turn; how far its camera is, in radii of what is shown.
 _TURN_COST, _FAR = 0.3, 3.2
 # What it counts, beside that they are seen, that path and arm are seen from the side and not from an end; the
@@ -43,7 +43,7 @@ _WIDE, _WIDE_ENOUGH, _LONG_ENOUGH = 0.5, 0.5, 0.7
 # By which triangles overlap, as a share of their sizes: no ray passes between two of them.
 _SEAM = 1e-9
 # A path that is narrower than this share of its length is a line.
-_LINE = 0.05
+_LINE_WIDTH_SHARE = 0.05
 # What of the path is looked at, and how far in front of a point nothing hides it, as a share of the reach.
 _PLACES, _CLOSE = 24, 0.01
 
@@ -130,7 +130,7 @@ def width_of(path: FloatArray, way: FloatArray) -> float:
     (long, wide, _), (seen_long, seen_wide, _) = (
         np.linalg.svd(each, compute_uv=False) for each in (points, across)
     )
-    if wide < _LINE * long:
+    if wide < _LINE_WIDTH_SHARE * long:
         return float(seen_long / max(long, 1e-9))
     return float(seen_long * seen_wide / (long * wide))
 
@@ -157,8 +157,8 @@ def _direction(
     centre, radius = (cloud.min(axis=0) + cloud.max(axis=0)) / 2, np.linalg.norm(np.ptp(cloud, axis=0)) / 2
     near = _CLOSE * reach(plan.robot)
     best, value = (usual, RISE), -np.inf
-    for rise, turn in product(_RISES, _TURNS):
-        cost = _TURN_COST * abs(turn) / np.pi + _RISES[rise]
+    for rise, turn in product(_CAMERA_RISES, _CAMERA_TURNS):
+        cost = _TURN_COST * abs(turn) / np.pi + _CAMERA_RISES[rise]
         way = np.array([np.cos(usual + turn), np.sin(usual + turn), rise]) / np.hypot(1, rise)
         wide = min(width_of(path, way) / _WIDE_ENOUGH, 1)
         long = min(abs(np.sin(usual + turn - arm)) / _LONG_ENOUGH, 1)

@@ -25,13 +25,13 @@ from cmbot.robot import faces_of, is_mesh, vertices_of
 
 SECTIONS, RINGS = 32, 16  # of a round solid: about its axis, and of a ball from pole to pole
 TUBE_SECTIONS = 12  # about the axis of a tube
-_MOST_PIECES = 400  # of a box that is cut
+_MAX_BOX_PIECES = 400  # of a box that is cut
 # Edges of cells whose vertices are joined, as shares of a surface's size; and how readily edges are
 # collapsed: with more, small parts vanish.
 _CELLS, _CAREFUL = (0.0, 0.002, 0.008), 3.0
-_FEWEST = 64  # triangles, of a surface that is simplified
-_SAME = 1e-7  # between vertices at a cut, m
-_SHORT = 0.001  # may be missing at a side, as a share of its size
+_MIN_TRIANGLES = 64  # triangles, of a surface that is simplified
+_VERTEX_TOLERANCE_M = 1e-7  # between vertices at a cut, m
+_MISSING_SIDE_SHARE = 0.001  # may be missing at a side, as a share of its size
 
 # A triangle of less height, m, has no meaningful normal; a shorter sum of normals is rounding.
 _FLAT, _ROUNDING = 1e-8, 1e-12
@@ -139,7 +139,7 @@ def bar(size: ArrayLike, piece: float) -> Surface:
 
 
 def _pieces(length: float, piece: float) -> int:
-    return int(np.clip(np.ceil(length / piece), 1, _MOST_PIECES))
+    return int(np.clip(np.ceil(length / piece), 1, _MAX_BOX_PIECES))
 
 
 def cylinder(radius: float, length: float, piece: float = np.inf, *, sections: int = SECTIONS) -> Surface:
@@ -222,7 +222,7 @@ def simplified(surfaces: Sequence[Surface], most_faces: int) -> list[Surface]:
     counts = [len(surface.faces) for surface in surfaces]
     if sum(counts) <= most_faces:
         return list(surfaces)
-    most = max(_most_of_each(counts, most_faces), _FEWEST)
+    most = max(_most_of_each(counts, most_faces), _MIN_TRIANGLES)
     return [each if len(each.faces) <= most else _collapsed(each, most) for each in surfaces]
 
 
@@ -241,7 +241,7 @@ def sliced(surface: Surface, along: FloatArray, piece: float) -> Surface:
         vertices, faces, _ = slice_faces(surface.vertices, surface.faces, along, below * along)
         vertices, faces, _ = slice_faces(vertices, faces, -along, above * along)
         parts.append(Surface(vertices, np.asarray(faces, dtype=np.intp)))
-    return _joined(merged(parts), _SAME)
+    return _joined(merged(parts), _VERTEX_TOLERANCE_M)
 
 
 def creased(surface: Surface, angle: float) -> tuple[Surface, FloatArray]:
@@ -358,7 +358,7 @@ def _as_far(surface: Surface, original: Surface) -> Surface:
         for sign in (-1, 1):
             farthest = (sign * corners[..., axis]).max(axis=1)
             short = farthest.max() - (sign * reached[:, axis]).max(initial=-np.inf)
-            if short > _SHORT * original.size:
+            if short > _MISSING_SIDE_SHARE * original.size:
                 added.append(Surface(corners[farthest.argmax()], np.arange(3).reshape(1, 3)))
     return merged([surface, *added]) if added else surface
 

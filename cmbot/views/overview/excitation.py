@@ -21,8 +21,8 @@ from cmbot.views.page import still_page, table
 EXCITATION = "excitation.html"
 
 _WIDTH_PX, _HEIGHT_PX, _EDGE_PX = 900, 300, 60
-_COLOUR = "#2f6fb7"
-_TICKS = 5
+_CURVE_COLOUR = "#2f6fb7"
+_TICK_COUNT = 5
 
 
 def excitation_page(plan: Plan, excitation: Excitation) -> str:
@@ -66,10 +66,10 @@ def _plot(title: str, axis: str, x: FloatArray, y: FloatArray, *, logarithmic: b
     points = list(zip(across.tolist(), up.tolist(), strict=True))
     drawn = "".join(_scale(x, across, top))
     way = " ".join(f"{px:.1f},{py:.1f}" for px, py in points)
-    drawn += f'<polyline points="{way}" fill="none" stroke="{_COLOUR}" stroke-width="2"/>'
+    drawn += f'<polyline points="{way}" fill="none" stroke="{_CURVE_COLOUR}" stroke-width="2"/>'
     if len(points) <= 30:
         drawn += "".join(
-            f'<circle cx="{px:.1f}" cy="{py:.1f}" r="3.5" fill="{_COLOUR}"/>' for px, py in points
+            f'<circle cx="{px:.1f}" cy="{py:.1f}" r="3.5" fill="{_CURVE_COLOUR}"/>' for px, py in points
         )
     drawn += f'<text x="{_WIDTH_PX // 2}" y="{_HEIGHT_PX - 12}" text-anchor="middle">{escape(axis)}</text>'
     svg = f'<svg viewBox="0 0 {_WIDTH_PX} {_HEIGHT_PX}" role="img" aria-label="{escape(title)}">{drawn}</svg>'
@@ -78,7 +78,7 @@ def _plot(title: str, axis: str, x: FloatArray, y: FloatArray, *, logarithmic: b
 
 def _scale(x: FloatArray, across: Sequence[float] | FloatArray, top: float) -> Iterator[str]:
     """Lines and numbers."""
-    for value in np.linspace(0.0, top, _TICKS):
+    for value in np.linspace(0.0, top, _TICK_COUNT):
         y = _HEIGHT_PX - _EDGE_PX - value / top * (_HEIGHT_PX - 1.5 * _EDGE_PX)
         yield f'<path d="M{_EDGE_PX} {y:.0f}H{_WIDTH_PX - _EDGE_PX}" stroke="#8a8f98" stroke-opacity="0.25"/>'
         yield f'<text x="{_EDGE_PX - 8}" y="{y + 4:.0f}" text-anchor="end">{value:.3g}</text>'

@@ -21,13 +21,13 @@ _WIDTH, _EDGE = 900, 40
 _LEAST, _MOST, _UNKNOWN = (26, 127, 55), (192, 57, 43), "#5d6670"
 _WORK, _IN_THE_WAY, _WORKED_ON, _PATH = "#b26a00", "#8a7a5c", "#2f9e8f", "#8b4fd0"
 # Obstacles nearer than this to the plane of posts and rails are drawn, m.
-_BESIDE = 0.1
+_SHOWN_DISTANCE_M = 0.1
 # Shown along a guardrail that is as long, m.
 _LEAST_WIDTH = 6.0
 # Shown beside feet and paths, m, half of it below; edges above and below, px.
 _ROOM, _ABOVE, _BELOW = 0.4, 4.0, 12.0
 # Points of a way that are nearer to each other are one, px.
-_CLOSE = 1.0
+_SAME_POINT_PX = 1.0
 
 
 class Stand(NamedTuple):
@@ -149,7 +149,7 @@ def _line(window: _Window, points: FloatArray, style: str) -> str:
     """A line through points (N, 3) in W, without those that are as good as the one before."""
     at = window.at(points)
     along = np.append(0.0, np.linalg.norm(np.diff(at, axis=0), axis=1).cumsum())
-    kept = np.unique(np.searchsorted(along, np.append(np.arange(0.0, along[-1], _CLOSE), along[-1])))
+    kept = np.unique(np.searchsorted(along, np.append(np.arange(0.0, along[-1], _SAME_POINT_PX), along[-1])))
     words = " ".join(f"{x:.1f},{y:.1f}" for x, y in at[kept])
     return f'<polyline points="{words}" fill="none" {style}/>'
 
@@ -184,7 +184,7 @@ def _obstacles(scene: Scene, window: _Window, with_workpieces: bool) -> Iterator
             continue
         least, most = extent_of(obstacle)
         # Posts and rails are in the plane y = 0.
-        on_rail = least[1] <= _BESIDE and most[1] >= -_BESIDE
+        on_rail = least[1] <= _SHOWN_DISTANCE_M and most[1] >= -_SHOWN_DISTANCE_M
         worked_on = obstacle.workpiece and with_workpieces
         if (box := window.box(least, most)) is not None and (worked_on or on_rail):
             yield from _rectangle(box, _WORKED_ON if worked_on else _IN_THE_WAY, obstacle)

@@ -15,8 +15,8 @@ from cmbot.views.page import still_page, table
 _WIDTH, _HEIGHT, _EDGE = 900, 380, 60
 _LABEL = (18.0, 13.0)  # room for a number beside a dot, px
 # Where stances without a bound are drawn.
-_WITHOUT = 42.0
-_COLOURS = {
+_UNBOUNDED_ROW_PX = 42.0
+_DOT_COLOURS = {
     "planned": "#1a7f37",
     "screened": "#2f6fb7",
     "failed": "#c0392b",
@@ -27,7 +27,7 @@ _COLOURS = {
 }
 # Rows of the table, and those of them that are open.
 _ROWS, _OPEN = 60, 10
-_MEANING = {
+_MEANINGS = {
     "torque": "peak torque on the base at work",
     "hold": "adhesion needed at work",
     "sag": "sag of the tool at work",
@@ -100,7 +100,7 @@ def _map(ranking: StanceRanking) -> str:
     top = float(np.quantile(finite, 0.98)) * 1.1
     marks = "".join(_marks(ranking, low, high, top))
     legend, x = "", _EDGE
-    for name, colour in _COLOURS.items():
+    for name, colour in _DOT_COLOURS.items():
         if ranking.count(name):
             legend += (
                 f'<circle cx="{x}" cy="12" r="4" fill="{colour}"/><text x="{x + 8}" y="16">{name}</text>'
@@ -111,7 +111,7 @@ def _map(ranking: StanceRanking) -> str:
     side = " from-right" if xs[0] > (low + high) / 2 else ""
     svg = f'<div class="wide{side}"><svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img">{drawn}</svg></div>'
     where = "foot 1 holds" if ranking.scene.on_guardrail else "the base frame is"
-    said = f"All stances, by where {where} and by the {_MEANING[ranking.objective]}"
+    said = f"All stances, by where {where} and by the {_MEANINGS[ranking.objective]}"
     caption = (_PLANNED if ranking.count("planned") else "An") + _CAPTION
     return f'<h2>{said}</h2><section>{svg}<p class="caption">{caption}</p></section>'
 
@@ -146,11 +146,11 @@ def _marks(ranking: StanceRanking, low: float, high: float, top: float) -> Itera
         x = _x(float(each.candidate.root[0, 3]), low, high)
         value = each.value if each.status == "planned" else each.bound
         known = np.isfinite(value)
-        y = _y(min(value, top), top) if known else _WITHOUT
+        y = _y(min(value, top), top) if known else _UNBOUNDED_ROW_PX
         radius = 5 if each.status == "planned" else 2.5
         figure = f", {value:.4g} {ranking.unit}" if known else ""
         said = escape(f"{rank}: {each.place}, {each.status}{figure}")
-        circle = f'cx="{x:.1f}" cy="{y:.1f}" r="{radius}" fill="{_COLOURS[each.status]}"'
+        circle = f'cx="{x:.1f}" cy="{y:.1f}" r="{radius}" fill="{_DOT_COLOURS[each.status]}"'
         yield f"<circle {circle}><title>{said}</title></circle>" if known else f"<circle {circle}/>"
         if each.status == "planned":
             labels.append((x + 8, y + 4, rank))

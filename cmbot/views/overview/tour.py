@@ -15,7 +15,7 @@ from cmbot.views.overview.walk import steps_table
 from cmbot.views.page import still_page, table
 from cmbot.views.report import REPORT
 
-_REPLAY = {"replay": "replay.html"}
+_REPLAY_LINK = {"replay": "replay.html"}
 
 
 def tour_page(tour: Tour) -> str:
@@ -40,7 +40,7 @@ def tour_page(tour: Tour) -> str:
     content += f"<section>{guardrail_map(tour.plans[0].scene, [*chain(*samples)], stands)}</section>"
     for name, _, part in parts:
         pages = {"report": REPORT} if isinstance(part, Plan) else {"walk": "index.html"}
-        links = (f'<a href="{name}/{page}">{what}</a>' for what, page in (pages | _REPLAY).items())
+        links = (f'<a href="{name}/{page}">{what}</a>' for what, page in (pages | _REPLAY_LINK).items())
         content += f"<h2>{escape(name)}: {escape(_what(part))}</h2><p>{', '.join(links)}</p>"
         if isinstance(part, Plan):
             each = table(part.rows(), part.headings)

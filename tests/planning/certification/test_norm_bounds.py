@@ -12,7 +12,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.planning.certification.norm_bounds import norm_bounds
 from cmbot.robot import Dynamics, Robot
 from cmbot.trajectory import Pieces, QuinticTrajectory
-from cmbot.trajectory.enclosure import _RHO, Ellipses
+from cmbot.trajectory.enclosure import _ELLIPSE_SUMS, Ellipses
 
 # Beyond this imaginary part of an angle, rad, norms overflow, and no remainder comes from there.
 LARGEST_TURN = 12.0
@@ -45,7 +45,7 @@ def test_nothing_is_larger_on_the_ellipses(cmbot_robot: Robot, seed: int) -> Non
     angle = np.exp(1j * np.linspace(0, 2 * np.pi, 24, endpoint=False))
     segment = np.searchsorted(x.t, pieces.middle, side="right") - 1
     for k, r in zip(*np.nonzero(usual), strict=True):
-        rho = _RHO[r] * angle
+        rho = _ELLIPSE_SUMS[r] * angle
         t = pieces.middle[k] + 0.25 * (rho + 1 / rho) * (pieces.end[k] - pieces.start[k])
         c, h = x.coefficients[segment[k]].T, np.diff(x.t)[segment[k]]
         u = (t - x.t[segment[k]]) / h

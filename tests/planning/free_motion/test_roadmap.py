@@ -57,16 +57,16 @@ def test_it_ends_where_more_postures_hardly_help(space: FreeSpace, monkeypatch: 
     monkeypatch.setattr(roadmap, "_anywhere", counted)
     straight = np.stack([START, END])
     lowered = lower_peak(space, straight, 0.0)
-    assert 2 <= rounds[0] < roadmap._MOST_ROUNDS
+    assert 2 <= rounds[0] < roadmap._MAX_ROADMAP_ROUNDS
     found, rounds[0] = rounds[0], 0
     with monkeypatch.context() as blocked:
         blocked.setattr(FreeSpace, "straight", lambda *_: False)
-        blocked.setattr(roadmap, "_MOST_CHECKS", 10)
+        blocked.setattr(roadmap, "_MAX_CHECKED_EDGES", 10)
         assert lower_peak(space, straight, 0.0) is straight
-    assert rounds[0] == roadmap._FRUITLESS_AT_FIRST < roadmap._MOST_ROUNDS
+    assert rounds[0] == roadmap._FRUITLESS_AT_FIRST < roadmap._MAX_ROADMAP_ROUNDS
     rounds[0] = found
     monkeypatch.setattr(roadmap, "_FRUITLESS", np.inf)
-    monkeypatch.setattr(roadmap, "_MOST_ROUNDS", rounds[0] + 2)
+    monkeypatch.setattr(roadmap, "_MAX_ROADMAP_ROUNDS", rounds[0] + 2)
     assert space.peak(lowered) <= (1 + roadmap._LITTLE) * space.peak(lower_peak(space, straight, 0.0))
 
 

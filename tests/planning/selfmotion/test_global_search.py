@@ -68,7 +68,7 @@ def test_arms_that_weigh_otherwise_share_charts(monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.setattr(SelfMotionSampler, "along", along)
     own = searched(robot={"payload_kg": 2.0})
-    sampling._CHARTED.clear()
+    sampling._SAMPLER_CACHE.clear()
     light, shared = searched(), searched(robot={"payload_kg": 2.0})
     # The speed counts as little; so does how it rounds the via-points' times.
     searched(tool_path={"legs": [{"by": [0, -0.3, 0], "seconds": 4.4}]})
@@ -81,11 +81,11 @@ def test_arms_that_weigh_otherwise_share_charts(monkeypatch: pytest.MonkeyPatch)
     assert len(drawn) == 4
     monkeypatch.setattr(sampling, "_KEPT", 2)
     searched(planner={"chart_seeds": 40})
-    assert len(sampling._CHARTED) == 2
+    assert len(sampling._SAMPLER_CACHE) == 2
     # Long paths would fill the memory.
     monkeypatch.setattr(sampling, "_MOST_KEPT", 10)
     searched(planner={"chart_seeds": 41})
-    assert not any(41 in key for key in sampling._CHARTED)
+    assert not any(41 in key for key in sampling._SAMPLER_CACHE)
 
 
 def test_freedom_never_costs_torque(search: GlobalSearch) -> None:

@@ -74,7 +74,7 @@ def test_a_load_that_is_too_heavy_at_rest_is_refused_at_once() -> None:
 def test_stretches_hold_what_is_broken_and_its_surroundings(broken: list[bool]) -> None:
     near = np.zeros(len(broken), dtype=np.bool_)
     for k in np.flatnonzero(broken):
-        near[max(k - feasibility._AROUND, 0) : k + feasibility._AROUND + 1] = True
+        near[max(k - feasibility._NEIGHBOURS, 0) : k + feasibility._NEIGHBOURS + 1] = True
     found = np.zeros(len(broken), dtype=int)
     for first, last in feasibility._stretches(np.array(broken)):
         found[first : last + 1] += 1
