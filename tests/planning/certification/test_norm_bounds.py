@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from oracles import chang2021_arm
 from small_motions import wild
@@ -14,8 +14,9 @@ from cmbot.robot import Dynamics, Robot
 from cmbot.trajectory import Pieces, QuinticTrajectory
 from cmbot.trajectory.enclosure import _ELLIPSE_SUMS, Ellipses
 
-# Beyond this imaginary part of an angle, rad, norms overflow, and no remainder comes from there.
-LARGEST_TURN = 12.0
+# Beyond this imaginary part of all angles together, rad, the oracle's own rounding, which grows by its
+# exponential, hides what is compared; no remainder comes from there.
+LARGEST_TURN = 30.0
 
 
 _EVERY = 8
@@ -32,6 +33,7 @@ def _slopes(q: FloatArray, along: list[FloatArray]) -> list[FloatArray]:
 
 @settings(max_examples=5)
 @given(seed=st.integers(min_value=0, max_value=2**32 - 1))
+@example(169)
 def test_nothing_is_larger_on_the_ellipses(cmbot_robot: Robot, seed: int) -> None:
     x = wild(seed, joints=7, knots=3)
     pieces = Pieces.between(x, np.empty(0))
@@ -40,7 +42,7 @@ def test_nothing_is_larger_on_the_ellipses(cmbot_robot: Robot, seed: int) -> Non
     of, pushed = (
         norm_bounds(replace(cmbot_robot, tool_force=force), pieces.ellipses) for force in ((0, 0, 0), FORCE)
     )
-    usual = pieces.ellipses.turn.max(axis=2) < LARGEST_TURN
+    usual = pieces.ellipses.turn.sum(axis=2) < LARGEST_TURN
     assert usual[:, 2].all()
     angle = np.exp(1j * np.linspace(0, 2 * np.pi, 24, endpoint=False))
     segment = np.searchsorted(x.t, pieces.middle, side="right") - 1
