@@ -17,19 +17,19 @@ FloatArray = NDArray[np.float64]
 
 POINTS, SIDES = 15, 32
 """Cells along each side, and sides of the cones."""
-# Newton's steps for the pressure, bisections of the adhesion at most, and where they end, as shares.
-_STEPS, _BISECTIONS, _CLOSE = 100, 40, 1e-3
+# Steps at most: Newton's for the pressure, and of the search for the adhesion; where that ends, as a share.
+_STEPS, _CLOSE = 100, 1e-3
 
 
 class Plate:
-    """A rectangular plate with sides along and across, m, and its friction."""
+    """A rectangular plate with sides along and across, m, its friction, and cells along each side."""
 
-    def __init__(self, along: float, across: float, friction: float) -> None:
+    def __init__(self, along: float, across: float, friction: float, points: int = POINTS) -> None:
         self.half = np.array([along, across]) / 2
         # Nodes of Gauss-Lobatto: the ends, and the roots of the derivative of Legendre's polynomial.
-        legendre = np.polynomial.legendre.Legendre.basis(POINTS - 1)
+        legendre = np.polynomial.legendre.Legendre.basis(points - 1)
         nodes = np.concatenate([[-1.0], np.sort(legendre.deriv().roots().real), [1.0]])
-        weights = 1 / (POINTS * (POINTS - 1)) / legendre(nodes) ** 2
+        weights = 1 / (points * (points - 1)) / legendre(nodes) ** 2
         self.points = np.array(np.meshgrid(nodes, nodes, indexing="ij")).reshape(2, -1).T
         self.weights = 2 * np.outer(weights, weights).ravel() * 2
         self.weights = self.weights / self.weights.sum()
@@ -90,17 +90,23 @@ class Plate:
 
     def needed(self, load: FloatArray, guess: float) -> float:
         """The adhesion, N, with which a load (6,), as `Foot.from_wrench` has it, makes it slip or tilt."""
-        pressed = max(guess - load[2], 1e-9)
-        low, high = 0.0, np.inf
-        for _ in range(_BISECTIONS):
-            factor = self.factor(load, pressed)
-            low, high = (low, pressed) if factor >= 1 else (pressed, high)
-            if high < np.inf and high - low <= _CLOSE * high:
+        tilts = float((np.abs([load[4], load[3]]) / self.half).max())
+        low = max(tilts, 1e-9) * (1 + _CLOSE)
+        at_low = self.factor(load, low) - 1
+        if at_low >= 0:
+            return tilts + float(load[2])
+        high = max(guess - load[2], low)
+        while (at_high := self.factor(load, high) - 1) < 0:
+            low, at_low, high = high, at_high, (1 + 5 * _CLOSE) * high
+        # Regula falsi; an end that stays counts half (Illinois), and both ends come nearer.
+        for _ in range(_STEPS):
+            if high - low <= _CLOSE * high:
                 break
-            # With a pressure that keeps its shape the factor grows with the force; a little beyond it, so
-            # that both ends come nearer.
-            beyond = 1 - 0.4 * _CLOSE if factor >= 1 else 1 + 0.4 * _CLOSE
-            secant = beyond * pressed / factor if 0 < factor < np.inf else 0.0
-            half = 0.5 * (low + high) if high < np.inf else 2 * pressed
-            pressed = secant if low < secant < high else half
+            share = -at_low / (at_high - at_low) if np.isfinite(at_high) else 0.5
+            pressed = low + min(max(share, 0.1 * _CLOSE), 1 - 0.1 * _CLOSE) * (high - low)
+            value = self.factor(load, pressed) - 1
+            if value >= 0:
+                high, at_high, at_low = pressed, value, 0.5 * at_low
+            else:
+                low, at_low, at_high = pressed, value, 0.5 * at_high
         return float(low + load[2])

@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,10 @@ from cmbot.excitation import PASSAGE_HEADINGS, passage_rows, sway_mm_per_m_s2
 from cmbot.excitation.damper import best_damper
 from cmbot.excitation.passages import PassageLoad, passage
 from cmbot.excitation.response import BAND_HZ, flat_band, modal_response
+from cmbot.excitation.sway import sampled_tool, sway_of
 from cmbot.excitation.trains import Span, train_of
 from cmbot.planning import Plan, bending_arm
+from cmbot.scene import Tolerance
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "helpers"))
 from trains_in_mujoco import passed
@@ -122,12 +125,40 @@ def against_mujoco(plan: Plan) -> Iterator[tuple[str, ...]]:
             yield name, f"{speed}", f"{1e3 * ours.tool:.2f}", f"{1e3 * tool:.2f}", *off
 
 
+def exceedance(plan: Plan) -> Iterator[tuple[str, ...]]:
+    """Probability of leaving a tolerance beside 10,000 records, each mode integrated in time."""
+    arm, seconds, step, rest, t = bending_arm(plan.scene, plan.robot), 8.0, 1 / 80, 2000, np.zeros(2)
+    t[1] = seconds
+    two = [modal_response(arm, plan.trajectory.q[0], 0.01)] * 2
+    count, rng, axis = rest + round(seconds / step) + 1, np.random.default_rng(11), two[0].axis
+    f = np.arange(count + 1) / (2 * count * step)
+    scale = np.sqrt(flat_band()(f) / (2 * count * step)) * count
+    far = np.empty((10_000, 2))
+    for record in far:
+        X = rng.normal(size=(2, len(f), 3))
+        a = np.fft.irfft((X[0] + 1j * X[1]) * scale, axis=0)[:count]
+        y = two[0].history(a, step)[rest:, :3]
+        record[:] = np.linalg.norm(y - np.outer(y @ axis, axis), axis=1).max(), np.abs(y @ axis).max()
+    typical = np.median(far, axis=0)
+    moments = [each.moments(flat_band(), BAND_HZ) for each in two]
+    for share in (0.02, 0.05, 0.1, 0.25, 0.5):
+        across_mm, along_axis_mm = 1e3 * typical * np.quantile((far / typical).max(axis=1), 1 - share)
+        tolerance = Tolerance(across_mm=across_mm, along_axis_mm=along_axis_mm)
+        draw = partial(sampled_tool, t, two, flat_band(), BAND_HZ)
+        told = sway_of(t, two, moments, tolerance, draw)
+        yield f"{share:g}", f"{told.leaves:.3f}", f"{told.leaves / share:.2f}", f"{told.leaves_by}"
+
+
 def main() -> None:
     """Print all tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--mujoco", action="store_true", help="only the trains, beside MuJoCo")
-    plan = planned()
-    if parser.parse_args().mujoco:
+    parser.add_argument("--records", action="store_true", help="only probabilities, beside 10,000 records")
+    options, plan = parser.parse_args(), planned()
+    if options.records:
+        _print(("10,000 records", "told", "ratio", "by"), exceedance(plan))
+        return
+    if options.mujoco:
         headings = ("train", "km/h", "tool, mm", "in MuJoCo, mm", "tool off by", "torque off by")
         _print(headings, against_mujoco(plan))
         return

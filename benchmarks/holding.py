@@ -1,12 +1,13 @@
 """How far the formula of holding is on the safe side of a linear program of contact.
 
     python benchmarks/holding.py                # 1,000 loads, half without torsion; prints the table
-    python benchmarks/holding.py --loads 100
+    python benchmarks/holding.py --loads 100 --corners 250
 
 Loads of a plate of 0.15 x 0.075 m with a friction of 0.4: every component is uniform within its range, forces
 of 1,000 N along and across and 300 N out of the steel, moments of 100, 200 and 100 Nm; of half of them the
 moment about the normal is zero. What presses the plate, the adhesion less the pull, is compared with that of
-`contact_lp`.
+`contact_lp`. With ``--corners``, loads that press the plate near its corners, too: friction of 40 to 100 % of
+what slides, half of them without torsion, against cells that are finer.
 """
 
 from __future__ import annotations
@@ -14,13 +15,15 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
-from contact_lp import FloatArray, Plate
+from contact_lp import POINTS, FloatArray, Plate
 
 from cmbot.hold import Contact, Foot, Holding
 
 __all__ = ["SIZE", "random_loads", "ratios"]
 
 SIZE, FRICTION, SEED = (0.15, 0.075), 0.4, 2021
+# Cells along each side where loads are near corners.
+_FINE_POINTS = 31
 # Largest forces, N, and moments, Nm, of `SIZE`.
 _RANGES = np.array([1000.0, 1000.0, 300.0, 100.0, 200.0, 100.0])
 
@@ -34,12 +37,22 @@ def random_loads(size: tuple[float, float], number: int, seed: int) -> FloatArra
     return np.asarray(loads)
 
 
-def ratios(loads: FloatArray) -> FloatArray:
+def corner_loads(size: tuple[float, float], number: int, seed: int) -> FloatArray:
+    """Loads (number, 6) whose centre of pressure would be near a corner with 1,000 N, the torsion small."""
+    rng, half = np.random.default_rng(seed), np.array(size) / 2
+    e = rng.uniform(0.65, 0.999, (number, 2)) * rng.choice([-1, 1], (number, 2)) * half
+    angle, slide = rng.uniform(0, 2 * np.pi, number), FRICTION * rng.uniform(0.4, 1.0, number)
+    torsion = np.where(rng.random(number) < 0.5, 0.0, rng.normal(0, 0.1 * half.min(), number))
+    columns = [slide * np.cos(angle), slide * np.sin(angle), np.zeros(number), -e[:, 1], e[:, 0], torsion]
+    return 1000.0 * np.column_stack(columns)
+
+
+def ratios(loads: FloatArray, points: int = POINTS) -> FloatArray:
     """What presses the plate by the package over that by the linear program, (N,)."""
     flat = {"centre": np.zeros(3), "axes": np.eye(3), "share": np.eye(6)}
     contact = Contact.rectangle(*SIZE)
     foot = Foot(kind="magnet", contact=contact, friction=FRICTION, safety=1.0, **flat)
-    plate, values = Plate(*SIZE, FRICTION), Holding([foot], np.zeros(6)).needed(0, loads)
+    plate, values = Plate(*SIZE, FRICTION, points), Holding([foot], np.zeros(6)).needed(0, loads)
     exact = np.array([plate.needed(load, value) for load, value in zip(loads, values, strict=True)])
     return np.asarray((values - loads[:, 2]) / (exact - loads[:, 2]))
 
@@ -48,11 +61,15 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--loads", type=int, default=1000)
-    number = parser.parse_args().loads
-    found = ratios(random_loads(SIZE, number, SEED))
-    print(f"{number} loads, seed {SEED}: adhesion less pull over that of the linear program")
+    parser.add_argument("--corners", type=int, default=0)
+    asked = parser.parse_args()
+    found = ratios(random_loads(SIZE, asked.loads, SEED))
+    parts = {"without torsion": found[: asked.loads // 2], "with torsion": found[asked.loads // 2 :]}
+    if asked.corners:
+        parts["near corners"] = ratios(corner_loads(SIZE, asked.corners, SEED), _FINE_POINTS)
+    print(f"{asked.loads} loads, seed {SEED}: adhesion less pull over that of the linear program")
     print("| | loads | least | median | 90 % | largest |")
-    for name, part in (("without torsion", found[: number // 2]), ("with torsion", found[number // 2 :])):
+    for name, part in parts.items():
         figures = [part.min(), *np.quantile(part, [0.5, 0.9]), part.max()]
         print(f"| {name} | {len(part)} | " + " | ".join(f"{figure:.4f}" for figure in figures) + " |")
 

@@ -168,7 +168,7 @@ def _check_urdf(file: str, xacro: Sequence[str]) -> tuple[Sequence[Finding], dic
 
 def _check_scene(file: str, changes: Sequence[str]) -> tuple[Sequence[Finding], dict[str, str], str]:
     from cmbot.common.validation import counted
-    from cmbot.planning import precheck_scene
+    from cmbot.planning import precheck_scene, robot_of
 
     try:
         scene, options = loaded_scene(file, changes) if changes else (cmbot.load_scene(file), None)
@@ -183,6 +183,10 @@ def _check_scene(file: str, changes: Sequence[str]) -> tuple[Sequence[Finding], 
     if options is not None:
         scene = scene.with_options(options)
     precheck = precheck_scene(scene)
+    if scene.excitation is not None or scene.damper is not None:
+        from cmbot.excitation import require_inputs
+
+        require_inputs(scene, robot_of(scene))
     warnings, plan = len(precheck.warnings), f"cmbot plan {one_line(file)}"
     conclusion = (
         "No warning. Checked: the start, and places along the path, each for a posture that is within the "

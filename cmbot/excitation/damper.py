@@ -17,18 +17,34 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import short_repr
 from cmbot.excitation.response import AXES, ModalResponse, Spectrum, TunedDamper
 
+STIFFNESS_FACTORS = (0.7, 1.0, 1.3)
+"""On all stiffness, between which a damper of `cmbot.excite` is the best one."""
+
 # Evaluations at most; the optimum is flat, so that more gain nothing that could be built.
 _MOST_EVALUATIONS, _FLAT_OPTIMUM = 60, 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
 class DamperGain:
-    """A damper, and the largest RMS of the tool, m, over postures and stiffnesses, with it and without."""
+    """A damper, and the RMS of the tool with it and without.
+
+    Attributes
+    ----------
+    damper : TunedDamper
+    at : str
+        Where it is.
+    rms_with, rms_without : float, m
+        The largest over postures and stiffnesses.
+    each_with, each_without : (R,), m
+        Of each posture, for one stiffness after the other.
+    """
 
     damper: TunedDamper
     at: str
     rms_with: float
     rms_without: float
+    each_with: tuple[float, ...]
+    each_without: tuple[float, ...]
 
     __repr__ = short_repr
 
@@ -75,11 +91,14 @@ def best_damper(
         f, weight = response.quadrature(band)
         prepared.append((response.undamped(f, AXES), spectrum(f) * weight[:, None]))
 
-    def worst(damper: TunedDamper) -> float:
-        each = (float(((np.abs(part.damped(damper)) ** 2).sum(axis=1) * S).sum()) for part, S in prepared)
-        return float(np.sqrt(max(each)))
+    def each(damper: TunedDamper | None) -> tuple[float, ...]:
+        squares = [((np.abs(part.damped(damper)) ** 2).sum(axis=1) * S).sum() for part, S in prepared]
+        return tuple(np.sqrt(squares).tolist())
 
-    without = [response.tool_variance(spectrum, band) for response in responses]
+    def worst(damper: TunedDamper) -> float:
+        return max(each(damper))
+
+    without = each(None)
     start = den_hartog(responses[int(np.argmax(without))], mass)
     start = replace(start, frequency=frequency or start.frequency, damping=damping or start.damping)
     free = [name for name, given in (("frequency", frequency), ("damping", damping)) if given is None]
@@ -104,4 +123,12 @@ def best_damper(
             lambda x: worst(tuned(x)), np.zeros(len(free)), method="Nelder-Mead", options=options
         )
         damper = tuned(found.x)
-    return DamperGain(damper=damper, at=at, rms_with=worst(damper), rms_without=float(np.sqrt(max(without))))
+    left = each(damper)
+    return DamperGain(
+        damper=damper,
+        at=at,
+        rms_with=max(left),
+        rms_without=max(without),
+        each_with=left,
+        each_without=without,
+    )

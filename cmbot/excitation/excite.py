@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from cmbot.common.representation import short_repr
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.first_order import BAND_HZ
 from cmbot.elastic.modes import DAMPING
-from cmbot.excitation.damper import DamperGain, best_damper
+from cmbot.excitation.damper import STIFFNESS_FACTORS, DamperGain, best_damper, den_hartog
 from cmbot.excitation.ground import axles_of, read_record
 from cmbot.excitation.passages import (
     Passage,
@@ -52,7 +53,7 @@ from cmbot.simulation import PrescribedWork, SimulationOptions, elastic_arm_of, 
 
 # Postures in which the response is computed along the work; those in which trains pass and dampers are tuned.
 _POSTURES, _SOME = 13, slice(None, None, 4)
-_STIFFNESSES = (0.7, 1.0, 1.3)
+_TRAINS_PER_HOUR = 4.0
 # Of records and trains, s.
 _STEP = 0.002
 _CURVE_HZ = np.geomspace(*BAND_HZ, 400)
@@ -198,13 +199,14 @@ class _Excited:
     def __init__(self, plan: Plan, given: ExcitationFile | None) -> None:
         self.plan, self.given = plan, given
         self.damping = DAMPING if given is None else given.damping
-        self.damper = DamperFile() if plan.scene.damper == "auto" else plan.scene.damper
         self.options = SimulationOptions(damping=self.damping, step_s=_STEP, output_step_s=_STEP)
         self.arm = elastic_arm_of(plan, self.options)
         require_bending(self.arm, plan.scene.source)
         self.work = PrescribedWork.planned(plan)
         self.t = np.linspace(0.0, self.work.duration, _POSTURES)
         self.postures = self.work.postures(self.t)
+        given_damper = plan.scene.damper
+        self.damper = self.best_place() if given_damper == "auto" else given_damper
         samples = plan.samples
         wrench = np.hstack([samples.guardrail_force, samples.guardrail_torque])
         self.wrench = np.stack([np.interp(self.t, samples.t, column) for column in wrench.T], axis=1)
@@ -223,9 +225,9 @@ class _Excited:
         responses = self.responses(self.arm, self.postures, self.damper)
         flat = _with_loads(flat_band())
         moments = [response.moments(flat, BAND_HZ) for response in responses]
+        draw = partial(sampled_tool, self.t, responses, flat, BAND_HZ)
         asked = tolerance if self.given is None else None
-        drawn = None if asked is None else sampled_tool(self.t, responses, flat, BAND_HZ)
-        reference = sway_of(self.t, responses, moments, asked, drawn)
+        reference = sway_of(self.t, responses, moments, asked, draw)
         spectrum, band = self.random()
         # Against trains and records all frequencies of the band count alike.
         at_random = spectrum is not None and self.kind in ("spectrum", "still")
@@ -235,8 +237,9 @@ class _Excited:
         sway, drawn = None, None
         if spectrum is not None:
             moments = [response.moments(spectrum, band) for response in responses]
-            drawn = sampled_tool(self.t, responses, spectrum, band)
-            sway = sway_of(self.t, responses, moments, tolerance, drawn)
+            draw = partial(sampled_tool, self.t, responses, spectrum, band)
+            drawn = first = draw(0)
+            sway = sway_of(self.t, responses, moments, tolerance, lambda k: draw(k) if k else first)
         factor, steady = (sway or reference).peak_factor, self.mean_wind()
         still = np.array([response.static(steady) for response in responses])
         self.wrench += still[:, AXES:]
@@ -304,6 +307,17 @@ class _Excited:
 
         return spectrum, (low, high)
 
+    def best_place(self) -> DamperFile:
+        """A kilogram where Den Hartog's tuning of it leaves the least of the flat spectrum."""
+        places = [DamperFile(at=at) for at in ("tool", *self.plan.robot.joints)]
+
+        def left(damper: DamperFile) -> float:
+            each = self.responses(self.arm, self.postures[_SOME], damper)
+            tuned = [replace(some, damper=den_hartog(some, damper.mass_kg)) for some in each]
+            return max(some.tool_variance(_with_loads(flat_band()), BAND_HZ) for some in tuned)
+
+        return min(places, key=left)
+
     def mean_wind(self) -> FloatArray:
         steady = np.zeros(AXES + 2)
         if self.given is not None and self.given.wind is not None:
@@ -315,7 +329,7 @@ class _Excited:
         wanted = self.damper
         if wanted is None:
             return None
-        arms = [self.arm if factor == 1 else self.arm.softened(factor) for factor in _STIFFNESSES]
+        arms = [self.arm if factor == 1 else self.arm.softened(factor) for factor in STIFFNESS_FACTORS]
         responses = [each for arm in arms for each in self.responses(arm, self.postures[_SOME], wanted)]
         given = {"frequency": wanted.frequency_hz, "damping": wanted.damping}
         return best_damper(responses, spectrum, band, wanted.mass_kg, wanted.at, **given)
@@ -335,7 +349,8 @@ class _Excited:
         strokes = np.array([(part.begin, part.begin + part.motion.duration) for part in parts])
         speeds = [load.speed for load in loads]
         met = resonance_speeds(loads[0].train, loads[0].span.first, min(speeds), max(speeds))
-        times = timetable(trains.per_hour, passages, strokes)
+        per_hour = _TRAINS_PER_HOUR if trains.per_hour is None else trains.per_hour
+        times = timetable(per_hour, passages, strokes, [60 * minute for minute in trains.minutes or ()])
         return passages, times, tuple(3.6 * speed for speed in met)
 
     def load(self, trains: TrainsFile, speed_km_h: float) -> PassageLoad:

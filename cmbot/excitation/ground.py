@@ -13,10 +13,14 @@ from cmbot.common.errors import SceneError
 from cmbot.common.input_files import read_csv
 from cmbot.common.representation import short_repr
 from cmbot.common.validation import shown
+from cmbot.excitation.response import require_place
 from cmbot.excitation.trains import Train, train_of
-from cmbot.scene import TRAINS
+from cmbot.robot import Robot
+from cmbot.scene import TRAINS, DamperFile, Scene
 
 _LARGEST_RECORD_BYTES = 50_000_000
+# Of a record: more is gravity, or an offset of the sensor.
+_LARGEST_MEAN_M_S2 = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,7 +49,15 @@ def read_record(path: Path, key: str = "") -> Record:
     if not np.all(np.diff(rows[:, 0]) > 0):
         line = int(np.argmin(np.diff(rows[:, 0]) > 0)) + 3
         raise SceneError(str(path), f"line {line}", f"t = {rows[line - 2, 0]:g}", "times that ascend")
-    return Record(t=rows[:, 0] - rows[0, 0], a=rows[:, 1:])
+    t, a = rows[:, 0] - rows[0, 0], rows[:, 1:]
+    mean = np.trapezoid(a, t, axis=0) / t[-1]
+    axis = int(np.abs(mean).argmax())
+    if abs(mean[axis]) > _LARGEST_MEAN_M_S2:
+        got = f"a mean of {mean[axis]:.3g} m/s2 along {'xyz'[axis]}"
+        raise SceneError(
+            str(path), key, got, "a deck that stays: subtract the mean, gravity, from the column"
+        )
+    return Record(t=t, a=a)
 
 
 def axles_of(name: str) -> Train:
@@ -59,6 +71,9 @@ def axles_of(name: str) -> Train:
     if name in TRAINS:
         return train_of(name)
     rows = _read(Path(name), "excitation.deck.trains.axles", ("at_m", "load_kn"))
+    if not np.all(rows[:, 1] > 0):
+        line = int(np.argmin(rows[:, 1] > 0))
+        raise SceneError(name, f"line {line + 2}", f"load_kn = {rows[line, 1]:g}", "loads above zero, kN")
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     return Train(axles=rows[:, 0] - rows[0, 0], loads=1e3 * rows[:, 1])
 
@@ -69,11 +84,45 @@ def _read(path: Path, key: str, columns: Sequence[str]) -> FloatArray:
     heading = [name.strip() for name in rows[0]] if rows else []
     if heading != list(columns):
         raise SceneError(str(path), "line 1", shown(",".join(heading)), f"the columns {','.join(columns)}")
+    numbers = [_numbers(row, len(columns)) for row in rows[1:]]
+    expected = f"{len(columns)} finite numbers"
+    for line, (row, read) in enumerate(zip(rows[1:], numbers, strict=True), start=2):
+        if read is None:
+            raise SceneError(str(path), f"line {line}", shown(",".join(row)), expected)
+    if len(numbers) < 2:
+        raise SceneError(str(path), key, f"{len(numbers)} rows", f"two rows or more of {expected}")
+    return np.array(numbers)
+
+
+def _numbers(row: Sequence[str], count: int) -> list[float] | None:
+    """The finite numbers of a row; None where it has others, or not so many."""
     try:
-        numbers = np.array(rows[1:], dtype=np.float64)
+        numbers = [float(cell) for cell in row]
     except ValueError:
-        numbers = np.full((1, 1), np.nan)
-    if numbers.ndim != 2 or len(numbers) < 2 or not np.isfinite(numbers).all():
-        expected = f"two rows or more of {len(columns)} finite numbers"
-        raise SceneError(str(path), key, "other rows", expected)
-    return numbers
+        return None
+    return numbers if len(numbers) == count and np.isfinite(numbers).all() else None
+
+
+def require_inputs(scene: Scene, robot: Robot) -> None:
+    """Refuse files that an excitation names, and a damper's place, before anything is planned.
+
+    Parameters
+    ----------
+    scene : Scene
+    robot : Robot
+        Its own.
+
+    Raises
+    ------
+    SceneError
+        When a file cannot be read, or is no such file.
+    InputError
+        When a damper is at no place of the robot.
+    """
+    deck = None if scene.excitation is None else scene.excitation.deck
+    if deck is not None and deck.record is not None:
+        read_record(Path(deck.record), "excitation.deck.record")
+    if deck is not None and deck.trains is not None:
+        axles_of(deck.trains.axles)
+    if isinstance(scene.damper, DamperFile):
+        require_place(scene.damper.at, robot.joints)

@@ -183,6 +183,8 @@ class Timetable:
         Left of an hour.
     pauses_at_s : tuple of float
         When the work can pause, s on its clock: at the ends of strokes.
+    rests_s : tuple of (float, float)
+        Where the minutes of trains are known: from when to when the arm rests, s of an hour.
     """
 
     per_hour: float
@@ -190,21 +192,57 @@ class Timetable:
     waits_s: float
     work_s: float
     pauses_at_s: tuple[float, ...]
+    rests_s: tuple[tuple[float, float], ...] = ()
 
     __repr__ = short_repr
 
 
-def timetable(per_hour: float, passages: Sequence[Passage], strokes: FloatArray) -> Timetable:
-    """Return what trains leave of an hour; `strokes` (S, 2) are begins and ends on the work's clock, s."""
+def timetable(
+    per_hour: float, passages: Sequence[Passage], strokes: FloatArray, comes_s: Sequence[float] = ()
+) -> Timetable:
+    """Return what trains leave of an hour.
+
+    Parameters
+    ----------
+    per_hour : float
+        Trains, at any time alike.
+    passages : sequence of Passage
+    strokes : (S, 2), s
+        Begins and ends on the work's clock; the work is done again and again.
+    comes_s : sequence of float, s
+        When trains come, of every hour, in place of `per_hour`.
+    """
     pause = max(each.pause_s for each in passages)
-    durations = strokes[:, 1] - strokes[:, 0]
+    durations, count = strokes[:, 1] - strokes[:, 0], len(comes_s) or per_hour
     # A train comes at any time alike: within a stroke in proportion to its length, half of which is then
     # lost.
     waits = float((durations**2).sum() / (2 * (strokes[-1, 1] - strokes[0, 0]))) if pause else 0.0
+    rests = _rests(sorted(comes_s), pause, strokes) if pause else ()
+    work = 3600.0 - sum(end - begin for begin, end in rests) if comes_s else 3600.0 - count * (pause + waits)
     return Timetable(
-        per_hour=per_hour,
+        per_hour=count,
         pause_s=pause,
-        waits_s=waits,
-        work_s=max(0.0, 3600.0 - per_hour * (pause + waits)),
+        waits_s=(3600.0 - work) / count - pause if rests else waits,
+        work_s=max(0.0, work),
         pauses_at_s=tuple(strokes[:, 1].tolist()),
+        rests_s=rests,
     )
+
+
+def _rests(comes: Sequence[float], pause: float, strokes: FloatArray) -> tuple[tuple[float, float], ...]:
+    """From when to when an arm rests in an hour, s, which it does before a stroke that would not end in time.
+
+    The hour before is gone through, too: its last train may end in this one.
+    """
+    # Each stroke with the move to it.
+    needs = np.diff(strokes[:, 1], prepend=strokes[0, 0])
+    rests = list[tuple[float, float]]()
+    trains, clock, number = [hour + each for hour in (-3600.0, 0.0, 3600.0) for each in comes], -3600.0, 0
+    for train in trains:
+        while clock + needs[number % len(needs)] <= train:
+            clock, number = clock + float(needs[number % len(needs)]), number + 1
+        begin, clock = clock, max(clock, train + pause)
+        if rests and begin == rests[-1][1]:
+            begin = rests.pop()[0]
+        rests.append((begin, clock))
+    return tuple((max(begin, 0.0), min(end, 3600.0)) for begin, end in rests if end > 0.0 and begin < 3600.0)

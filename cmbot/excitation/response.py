@@ -345,15 +345,20 @@ def _jacobian(arm: ElasticArm, data: Any, configuration: FloatArray, place: str)
     if place == "tool":
         pose, J = arm.tool_jacobian(configuration, data)
     else:
-        names = arm.robot.joints
-        if place not in ("arm_base", *names):
-            expected = "a place on the arm"
-            raise InputError("damper", "at", shown(place), expected, ("tool", "arm_base", *names))
+        names = require_place(place, arm.robot.joints)
         joint = model.getJointId(names[0] if place == "arm_base" else place)
         pin.computeJointJacobians(model, data, configuration)
         J = pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
         pose = data.oMi[joint]
     return np.asarray(J.reshape(6, model.nv)[:3, arm.elastic]), pose
+
+
+def require_place(place: str, joints: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of an arm's joints; an `InputError` for a damper's place that is none on it."""
+    places = ("tool", "arm_base", *joints)
+    if place not in places:
+        raise InputError("damper", "at", shown(place), "a place on the arm", places)
+    return joints
 
 
 def _nodes(frequencies: FloatArray, damping: FloatArray, low: float, high: float) -> FloatArray:

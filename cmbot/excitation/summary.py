@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from cmbot.elastic.first_order import BAND_HZ
-from cmbot.excitation.damper import DamperGain
+from cmbot.excitation.damper import STIFFNESS_FACTORS, DamperGain
 from cmbot.excitation.excite import Excitation
 from cmbot.excitation.sway import RandomSway
 
@@ -58,8 +60,13 @@ def _damper(gain: DamperGain) -> Iterator[tuple[str, str]]:
     tuned = gain.damper
     name = f"damper of {tuned.mass:g} kg at {gain.at}, Hz and ratio"
     yield name, f"{tuned.frequency:.2f}, {tuned.damping:.3f}"
-    value = f"{1e3 * gain.rms_with:.2f}, {1e3 * gain.rms_without:.2f}"
-    yield "largest RMS over the range of stiffness with it, without, mm", value
+    with_it, without = (
+        1e3 * np.reshape(each, (len(STIFFNESS_FACTORS), -1)) for each in (gain.each_with, gain.each_without)
+    )
+    for factor, left, before in zip(STIFFNESS_FACTORS, with_it, without, strict=True):
+        share = 100 * left / before
+        name = f"with it, without, stiffness times {factor:g}, largest RMS, mm"
+        yield name, f"{left.max():.2f}, {before.max():.2f} ({share.min():.0f} to {share.max():.0f} %)"
 
 
 def passage_rows(excitation: Excitation) -> Iterator[tuple[str, ...]]:
@@ -91,3 +98,10 @@ def excitation_sentences(excitation: Excitation) -> Iterator[str]:
             f"For a train the work pauses for {times.pause_s:.0f} s, at the end of a stroke ({at} s of the "
             f"work); {times.per_hour:g} trains an hour leave {times.work_s:.0f} s of it."
         )
+    if times.rests_s:
+        rests = ", ".join(f"{_clock(begin)} to {_clock(end)}" for begin, end in times.rests_s)
+        yield f"Of each hour it rests from {rests}, minutes and seconds."
+
+
+def _clock(seconds: float) -> str:
+    return "{:02d}:{:02d}".format(*divmod(round(seconds), 60))

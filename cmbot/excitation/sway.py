@@ -7,14 +7,14 @@ record shows it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.file_types import Matrices, Row
 from cmbot.common.representation import short_repr
@@ -36,10 +36,12 @@ from cmbot.planning import Plan, held_guardrail
 from cmbot.robot import Robot
 from cmbot.scene import Tolerance
 
-# Simulated records: how many, their steps a second over the highest frequency, and how many numbers at most;
-# from so many of them that leave the tolerance their share is taken, else the bound by crossings.
-_RECORDS, _FINENESS, _MOST_NUMBERS, _FEWEST_OUTSIDE = 2000, 2.5, 16_000_000, 20
+# Simulated records: how many, their steps a second over the highest frequency, and how many numbers at most.
+_RECORDS, _FINENESS, _MOST_NUMBERS = 2000, 2.5, 16_000_000
 _FEWEST_RECORDS, _RECORD_SEED = 100, 2021
+# Of so few in the first batch that leave the tolerance none is counted: the bound by crossings is taken. With
+# so many, batches end: their share is then known to 7 %.
+_FEWEST_OUTSIDE, _ENOUGH_OUTSIDE, _MOST_BATCHES = 10, 200, 6
 # Signs of the six loads of a foot.
 _LOAD_SIGNS = np.array(list(product((-1.0, 1.0), repeat=6)))
 # Decay times after which a vibration is forgotten.
@@ -152,7 +154,7 @@ def sway_of(
     responses: Sequence[ModalResponse],
     moments: Sequence[Moments],
     tolerance: Tolerance | None = None,
-    records: FloatArray | None = None,
+    draw: Callable[[int], FloatArray] | None = None,
 ) -> RandomSway:
     """Return the sway over a work in K postures.
 
@@ -163,8 +165,8 @@ def sway_of(
     moments : K Moments
         Of all outputs.
     tolerance : Tolerance, optional
-    records : (N, R, 3), m, optional
-        Simulated ones, `sampled_tool`; they are needed where there is a tolerance.
+    draw : callable, optional
+        From a batch's number to its simulated records, `sampled_tool`; needed where there is a tolerance.
     """
     covariance = np.array([each.value[:3, :3] for each in moments])
     frames = [_frame(response.axis) for response in responses]
@@ -177,8 +179,16 @@ def sway_of(
     rate = np.sqrt(float(main[worst].rate[0, 0])) / (2 * np.pi * max(sigma[worst], 1e-300))
     factor = davenport_factor(rate, float(t[-1] - t[0]) or 1.0)
     leaves, by = None, None
-    if tolerance is not None and records is not None:
-        leaves, by = _leaving(t, responses, turned, records, tolerance)
+    if tolerance is not None and draw is not None:
+        axes = np.array([response.axis for response in responses])
+        gone = count = 0
+        for batch in range(_MOST_BATCHES):
+            outside = _outside(t, axes, draw(batch), tolerance)
+            gone, count = gone + int(outside.sum()), count + len(outside)
+            if not _FEWEST_OUTSIDE <= gone < _ENOUGH_OUTSIDE:
+                break
+        few = gone < _FEWEST_OUTSIDE
+        leaves, by = (_crossing(t, turned, tolerance), "crossings") if few else (gone / count, "records")
     return RandomSway(
         t=t,
         covariance=covariance,
@@ -192,35 +202,28 @@ def sway_of(
     )
 
 
-def _leaving(
-    t: FloatArray,
-    responses: Sequence[ModalResponse],
-    turned: Sequence[Moments],
-    tool: FloatArray,
-    tolerance: Tolerance,
-) -> tuple[float, str]:
-    """Probability that the tool leaves its tolerance in the work, and how it was found."""
-    bounds = []
-    if tolerance.across_mm is not None:
-        bounds.append((tolerance.across_mm / 1e3, np.eye(2, 3)))
-    if tolerance.along_axis_mm is not None:
-        bounds.append((tolerance.along_axis_mm / 1e3, np.eye(3)[2:]))
+def _crossing(t: FloatArray, turned: Sequence[Moments], tolerance: Tolerance) -> float:
+    """Bound of the probability that the tool leaves its tolerance, by crossings; z is its axis."""
+    bounds = ((tolerance.across_mm, np.eye(2, 3)), (tolerance.along_axis_mm, np.eye(3)[2:]))
     stays = 1.0
     for bound, rows in bounds:
-        each = np.array([departure_rate(some.along(rows), bound) for some in turned])
-        stays *= 1 - probability_of_leaving(t, each[:, 0], each[:, 1])
-    at = np.linspace(t[0], t[-1], len(tool))
-    axes = np.einsum("kn,ki->ni", posture_shares(t, at), [response.axis for response in responses])
-    along = np.einsum("nri,ni->nr", tool, axes)
+        if bound is not None:
+            each = np.array([departure_rate(some.along(rows), bound / 1e3) for some in turned])
+            stays *= 1 - probability_of_leaving(t, each[:, 0], each[:, 1])
+    return float(1 - stays)
+
+
+def _outside(t: FloatArray, axes: FloatArray, tool: FloatArray, tolerance: Tolerance) -> BoolArray:
+    """Which records (N, R, 3) leave a tolerance, the tool's axes (K, 3) at times `t` (K,)."""
+    shares = posture_shares(t, np.linspace(t[0], t[-1], len(tool)))
+    along = np.einsum("nri,ni->nr", tool, np.einsum("kn,ki->ni", shares, axes))
     across = np.sqrt(np.maximum(np.einsum("nri,nri->nr", tool, tool) - along**2, 0.0))
-    outside = np.zeros(tool.shape[1], dtype=bool)
+    outside = np.zeros(tool.shape[1], dtype=np.bool_)
     if tolerance.across_mm is not None:
         outside |= (across > tolerance.across_mm / 1e3).any(axis=0)
     if tolerance.along_axis_mm is not None:
         outside |= (np.abs(along) > tolerance.along_axis_mm / 1e3).any(axis=0)
-    if outside.sum() < _FEWEST_OUTSIDE:
-        return float(1 - stays), "crossings"
-    return float(outside.mean()), "records"
+    return outside
 
 
 def sampled_tool(
@@ -228,6 +231,7 @@ def sampled_tool(
     responses: Sequence[ModalResponse],
     spectrum: Spectrum,
     band: tuple[float, float],
+    batch: int = 0,
     records: int = _RECORDS,
 ) -> FloatArray:
     """Return displacements of the tool (N, R, 3), m, in W, at N equal steps of the work.
@@ -241,6 +245,8 @@ def sampled_tool(
     responses : K ModalResponse
     spectrum, band
         Of the inputs.
+    batch : int
+        Others in each.
     records : int
         Fewer where they are long.
     """
@@ -254,7 +260,7 @@ def sampled_tool(
     count = next_fast_len(N + int(_FORGETS / (2 * np.pi * slowest * step)), real=True)
     records = max(min(records, _MOST_NUMBERS // (AXES * count)), _FEWEST_RECORDS)
     f = np.arange(count // 2 + 1) / (count * step)
-    S, random = spectrum(f), np.random.default_rng(_RECORD_SEED)
+    S, random = spectrum(f), np.random.default_rng(_RECORD_SEED + batch)
     # E |X|^2 = S N^2 df / 2 for the coefficients of a real series.
     scale = np.sqrt(S / (count * step)) * count / 2
     X = random.standard_normal((len(f), records, S.shape[1], 2), dtype=np.float32)

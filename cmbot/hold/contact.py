@@ -40,9 +40,10 @@ _CONTACT_CELLS, _TURNING_CENTRES = 24, 21
 _TURNING_CIRCLES = {1.15: 48, 1.4: 64, 1.8: 64, 2.3: 64, 3.2: 80, 6.0: 80, 20.0: 80}
 _RIM_POINTS, _WAYS_OUT = 72, (0.0, 0.2, 0.34, 0.45, 0.55, 0.65, 0.74, 0.82, 0.88, 0.93, 0.965, 0.985)
 # Friction torques are taken lower by this share of what they have beside plain sliding: for centres of
-# turning and of pressure between those above, and the cells; by more near the edge, where pressures are on
-# few cells. Against a contact model with finer cells.
-_TABLE_MARGIN, _NEAR_EDGE, _EDGE_FROM = 0.07, 0.25, 0.9
+# turning and of pressure between those above, and the cells. By more where only some cells are pressed,
+# near corners: from the second share of cells on down to the first one, so much that no load of
+# `benchmarks/holding.py --corners 250` is missed, whose contact model has finer cells.
+_TABLE_MARGIN, _MARGIN_ON_FEW, _FEW_CELLS, _MANY_CELLS = 0.07, 0.5, 0.02, 0.35
 # Share of the mean distance without a gap by which P h grows with P at least.
 _STEADY = 0.3
 # Newton's steps at most for pressures, and where they end, as a share.
@@ -206,11 +207,12 @@ class _Tables:
         self.centres = np.vstack([inside, *circles]) * half
         away = cdist(self._points, self.centres)
         share = self._areas / self._areas.sum()
-        self.mean = self._lowered(share @ away, np.zeros((1, 2)))
+        self.mean = self._lowered(share @ away, np.zeros((1, 2)), np.ones(1))
         self.by_pressure = (np.linalg.inv(second) @ (self._points.T * share) @ away).T
         self._lay_bearings(hull)
         e = (np.array(_WAYS_OUT)[:, None, None] * self._rim).reshape(-1, 2)
-        found = self._lowered(_pressures(self._points, self._areas, e) @ away, e)
+        pressure = _pressures(self._points, self._areas, e)
+        found = self._lowered(pressure @ away, e, (pressure > 0).mean(axis=1))
         table = found.reshape(len(_WAYS_OUT), len(self._rim), -1)
         # Beyond the last one, up to the edge, as between the last two.
         outward = (table[-1] - table[-2]) / (_WAYS_OUT[-1] - _WAYS_OUT[-2])
@@ -236,11 +238,10 @@ class _Tables:
         self._shares, self._first = np.concatenate(shares), np.cumsum([0, *(counts + 1)])
         self._hull, self._along = hull[:-1], np.diff(hull, axis=0) / lengths[:, None] ** 2
 
-    def _lowered(self, distance: FloatArray, e: FloatArray) -> FloatArray:
-        """Distances (…, C) less a share of what they have beside that of the centre of pressure."""
+    def _lowered(self, distance: FloatArray, e: FloatArray, cells: FloatArray) -> FloatArray:
+        """Distances (…, C) less a share, by that of pressed `cells`, of what they have beside that of e."""
         plain = cdist(e, self.centres).reshape(distance.shape)
-        way = _largest(e, self.edges)[0]
-        lower = np.interp(way, [_EDGE_FROM, 1.0], [_TABLE_MARGIN, _NEAR_EDGE])
+        lower = np.interp(cells, [_FEW_CELLS, _MANY_CELLS], [_MARGIN_ON_FEW, _TABLE_MARGIN])
         return np.asarray(distance - lower.reshape(-1, *(1,) * (distance.ndim - 1)) * (distance - plain))
 
     def _bounds(self) -> None:

@@ -19,6 +19,7 @@ Hertz = Annotated[float, Field(gt=0, le=1000)]
 Density = Annotated[float, Field(ge=0, le=1e6)]
 Ratio = Annotated[float, Field(gt=0, lt=1)]
 Speed = Annotated[float, Field(ge=1, le=600)]
+Minute = Annotated[float, Field(ge=0, lt=60)]
 Amount = Annotated[float, Field(ge=-1e4, le=1e4)]
 Shape = tuple[Amount, Amount, Amount, Amount, Amount, Amount]
 
@@ -55,8 +56,16 @@ class TrainsFile(FileModel):
     speeds_km_h: Annotated[tuple[Speed, ...], Field(min_length=1, max_length=100)]
     """Speeds, km/h, each of which has a row in the table."""
     span: SpanFile
-    per_hour: Annotated[float, Field(ge=0, le=60)] = 4.0
-    """How many trains pass in an hour."""
+    per_hour: Annotated[float, Field(ge=0, le=60)] | None = None
+    """How many trains pass in an hour; left out: 4."""
+    minutes: Annotated[tuple[Minute, ...], Field(min_length=1, max_length=60)] | None = None
+    """In place of ``per_hour``: when they come, minutes past each hour."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.minutes is not None and self.per_hour is not None:
+            raise refusal("per_hour or minutes", got="both", key=("minutes",))
+        return self
 
 
 class DeckFile(FileModel):

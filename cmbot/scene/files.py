@@ -20,6 +20,10 @@ TRAINS = ("freight", "emu", *(f"hslm_a{k}" for k in range(1, 11)))
 
 
 def _axles_name(text: str, info: ValidationInfo) -> str:
+    place = place_of(text, info)
+    if text not in TRAINS and place is not None and not is_file(place):
+        expected = f"a train or a file of axles that exists (relative to the scene file){hint(text, TRAINS)}"
+        raise refusal(expected, got=shown(text), choices=TRAINS)
     return text if text in TRAINS else existing_file(text, info)
 
 

@@ -153,7 +153,7 @@ class Scene(FileModel):
     excitation: ExcitationFile | None = None
     """What shakes the arm; ``cmbot excite`` says by how much."""
     damper: DamperFile | Literal["auto"] | None = None
-    """A tuned damper against it; ``auto``: the best of 1 kg at the tool."""
+    """A tuned damper against it; ``auto``: 1 kg where it is best."""
     planner: PlannerOptions = PlannerOptions()
 
     # Beside what the file says: where it came from, which strokes it lists, what the files that it names have

@@ -15,7 +15,7 @@ from small_scenes import short_scene
 import cmbot
 from cmbot.common.errors import CmbotError, InputError, SceneError
 from cmbot.elastic import elastic_base
-from cmbot.excitation.ground import read_record
+from cmbot.excitation.ground import axles_of, read_record
 from cmbot.excitation.passages import Passage, resonance_speeds, timetable
 from cmbot.excitation.response import modal_response
 from cmbot.excitation.trains import train_of
@@ -95,10 +95,8 @@ def test_the_hour_is_what_trains_leave(trains: cmbot.Excitation) -> None:
     assert times.work_s == pytest.approx(3600 - 6 * (times.pause_s + times.waits_s))
 
 
-def test_a_train_comes_in_a_stroke_as_often_as_it_is_long() -> None:
-    """Against 200,000 arrivals: what is left of the stroke that is not begun."""
-    strokes = np.array([[0.0, 2.0], [2.5, 12.5], [13.0, 16.0]])
-    passage = Passage(
+def a_passage(pause_s: float) -> Passage:
+    return Passage(
         speed_km_h=80.0,
         passes_s=5.0,
         deck=1.0,
@@ -106,15 +104,44 @@ def test_a_train_comes_in_a_stroke_as_often_as_it_is_long() -> None:
         torque=10.0,
         adhesion=None,
         still_s=2.0,
-        pause_s=7.0,
+        pause_s=pause_s,
         kept=False,
     )
+
+
+def test_a_train_comes_in_a_stroke_as_often_as_it_is_long() -> None:
+    """Against 200,000 arrivals: what is left of the stroke that is not begun."""
+    strokes = np.array([[0.0, 2.0], [2.5, 12.5], [13.0, 16.0]])
+    passage = a_passage(pause_s=7.0)
     arrivals = np.random.default_rng(0).uniform(0.0, 16.0, 200_000)
     inside = [(arrivals >= begin) & (arrivals < end) for begin, end in strokes]
     lost = sum(np.where(now, arrivals - begin, 0.0) for now, (begin, _) in zip(inside, strokes, strict=True))
     assert timetable(4.0, [passage], strokes).waits_s == pytest.approx(lost.mean(), rel=0.02)
     never = replace(passage, pause_s=0.0)
     assert timetable(4.0, [never], strokes).work_s == 3600.0
+
+
+def test_under_a_timetable_no_stroke_meets_a_train() -> None:
+    """Step by step: strokes of 40 s with moves of 10 s, trains at 2, 20 and 59.5 min, pauses of 45 s."""
+    strokes, passage = np.array([[5.0, 45.0], [55.0, 95.0]]), a_passage(pause_s=45.0)
+    times = timetable(4.0, [passage], strokes, [1200.0, 120.0, 3570.0])
+    assert times.per_hour == 3.0
+    (first, begins), (from_2, to_2), (from_20, to_20), (from_59, last) = times.rests_s
+    # The train of 59.5 minutes of the hour before is past its pause at 15 s.
+    assert (first, begins, last) == (0.0, 15.0, 3600.0)
+    assert (to_2, to_20) == (165.0, 1245.0)
+    # From 15 s on there is time for two strokes at most, of 40 and 50 s, in either order.
+    assert from_2 in (15.0 + 90.0, 15.0 + 100.0)
+    assert all(end - begin < 45.0 + 50.0 for begin, end in times.rests_s)
+    assert 1200.0 - from_20 < 50.0
+    assert 3570.0 - from_59 < 50.0
+    assert times.work_s == pytest.approx(3600 - sum(end - begin for begin, end in times.rests_s))
+    assert 3 * (times.pause_s + times.waits_s) == pytest.approx(3600 - times.work_s)
+    # Close trains: from the first to the last pause there is one rest.
+    ((begin, end),) = timetable(4.0, [passage], strokes, [600.0, 630.0]).rests_s
+    assert end == 675.0
+    assert 550.0 < begin <= 600.0
+    assert timetable(4.0, [replace(passage, pause_s=0.0)], strokes, [600.0]).work_s == 3600.0
 
 
 def test_resonances_are_at_parts_of_the_length_of_a_car() -> None:
@@ -153,6 +180,13 @@ def test_more_damping_and_a_damper_calm_it(short_plan: Plan) -> None:
     damped = cmbot.excite(shaken(short_plan, excitation={"deck": spectrum}, damper="auto"))
     assert damped.damper is not None
     assert damped.rms_mm < 0.6 * one.rms_mm
+    # The best place of all, and less in every posture at each stiffness.
+    gain = damped.damper
+    assert gain.at == "tool"
+    at_base = cmbot.excite(shaken(short_plan, excitation={"deck": spectrum}, damper={"at": "arm_base"}))
+    assert gain.rms_with < at_base.damper.rms_with
+    assert all(left < before for left, before in zip(gain.each_with, gain.each_without, strict=True))
+    assert (max(gain.each_with), max(gain.each_without)) == (gain.rms_with, gain.rms_without)
     assert one.sway is not None
     assert one.sway.leaves is None
 
@@ -264,9 +298,10 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"excitation": {"deck": {}}}, "record"),
     ({"excitation": {"deck": {"spectrum": [[5, 1, 1, 1], [2, 1, 1, 1]]}}}, "order of their frequencies"),
     ({"excitation": {"deck": {"record": "no.csv"}}}, "excitation.deck.record"),
-    ({"excitation": {"deck": {"trains": TRAINS | {"axles": "ice"}}}}, "excitation.deck.trains.axles"),
+    ({"excitation": {"deck": {"trains": TRAINS | {"axles": "ice"}}}}, "expected a train or a file"),
     ({"excitation": {"deck": {"trains": TRAINS | {"span": SPAN | {"at_m": 30}}}}}, "at_m"),
     ({"excitation": {"deck": {"trains": TRAINS}, "passing": {"distance_m": 2.0}}}, "distance_m"),
+    ({"excitation": {"deck": {"trains": TRAINS | {"minutes": [3]}}}}, "per_hour or minutes"),
     ({"damper": {"mass_kg": 0}}, "damper.mass_kg"),
     ({"base": {"name": "b", "modes": modes() | {"shapes": [[1, 0, 0, 0, 0, 0]] * 6}}}, "independent"),
 ]
@@ -290,8 +325,10 @@ def test_modes_and_a_stiffness_are_one_too_many() -> None:
     [
         ("t,x,y,z\n0,0,0,0\n1,0,0,0\n", "t,ax,ay,az"),
         ("t,ax,ay,az\n0,0,0,0\n", "two rows or more"),
-        ("t,ax,ay,az\n0,0,0,0\n1,0,nan,0\n", "finite"),
-        ("t,ax,ay,az\n0,0,0,0\n1,0,0\n", "two rows or more"),
+        ("t,ax,ay,az\n0,0,0,0\n1,0,nan,0\n", "line 3: got '1,0,nan,0', expected 4 finite"),
+        ("t,ax,ay,az\n0,0,0,0\n1,0,0\n", "line 3: got '1,0,0'"),
+        ("t,ax,ay,az\n0,0,0,0.1g\n1,0,0,0\n", "line 2"),
+        ("t,ax,ay,az\n0,0,0,9.8\n1,0,0,9.8\n", "mean of 9.8 m/s2 along z"),
         ("t,ax,ay,az\n0,0,0,0\n2,0,0,0\n1,0,0,0\n", "line 4"),
     ],
 )
@@ -300,6 +337,13 @@ def test_records_that_are_none_are_refused(tmp_path: Path, content: str, told: s
     path.write_text(content)
     with pytest.raises(SceneError, match=told):
         read_record(path)
+
+
+def test_axles_that_push_upwards_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "axles.csv"
+    path.write_text("at_m,load_kn\n0,150\n3,-150\n")
+    with pytest.raises(SceneError, match="line 3: got load_kn = -150"):
+        axles_of(str(path))
 
 
 def test_what_is_no_plan_is_refused(short_plan: Plan) -> None:

@@ -32,6 +32,7 @@ def test_the_shipped_scenes():
     names = (
         "angle_steel",
         "bracket_faces",
+        "clamped_triangle",
         "gusset_plate",
         "line",
         "panda_sanding",

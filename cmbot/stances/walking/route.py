@@ -162,15 +162,16 @@ class Route:
             k = before
         return edges[::-1]
 
-    def easiest_way(self, start: int, goal: int = 1) -> tuple[Edge, float] | None:
+    def easiest_way(self, start: int, goal: int = 1, *, tried: bool = False) -> tuple[Edge, float] | None:
         """Return the hardest step of the way whose hardest step uses least of the bounds, and its share.
 
-        Also of ways that use more than there is; None where there is none at all.
+        Also of ways that use more than there is, and where `tried` says so of steps that were tried in vain;
+        None where there is none at all.
         """
         ends, share, foot = (np.concatenate(part) for part in zip(*self._all_steps(), strict=True))
         closed = {tuple(pair) for pair in self._ends[self._closed].tolist()}
         in_vain = (share <= SPARE) & [tuple(pair) in closed for pair in ends.tolist()]
-        possible = np.isfinite(share) & ~in_vain
+        possible = np.isfinite(share) & (tried | ~in_vain)
         ends, share, foot = ends[possible], share[possible], foot[possible]
         N = len(self.nodes)
         tree = minimum_spanning_tree(sparse.csr_array((share, ends.T), shape=(N, N)))

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import CmbotError, PlanningError, SceneError, whole_sentences
+from cmbot.common.errors import CmbotError, PathNotFound, PlanningError, SceneError, whole_sentences
 from cmbot.common.input_files import is_file
 from cmbot.common.representation import short_repr
 from cmbot.common.validation import counted, validated
@@ -237,8 +237,7 @@ class _Search:
             if step is None:
                 self._route.close(edges[0])
                 if len(self.failures) >= _MOST_FAILURES:
-                    begin = f"no walk after {_MOST_FAILURES} steps in vain, the last: {self._last}"
-                    raise PlanningError(f"{begin}: {self.failures[-1]}")
+                    raise PlanningError(self._no_way(here))
                 continue
             made.append(step)
             came.append(state)
@@ -259,7 +258,8 @@ class _Search:
                     continue
                 moved = arm_move(self._scene, before, self._way(k))
             except CmbotError as error:
-                why = str(error)
+                # How far a move came along a tool path says nothing.
+                why = error.reason if isinstance(error, PathNotFound) else str(error)
                 continue
             self.arm, self._weight = arm, k
             moves = swung if moved is None else (moved, *swung)
@@ -282,25 +282,34 @@ class _Search:
 
     def _no_way(self, here: int) -> str:
         """Why there is no route, with the hardest step of the easiest way, and what would do for it."""
-        begin = "no walk: no steps that joints and feet can bear at rest lead there"
-        tried = ""
-        if self.failures:
-            tried = f"; {len(self.failures)} were tried in vain (the last: {self.failures[-1]})"
+        begin, which = "no walk: no steps that joints and feet can bear at rest lead there", "easiest"
         hardest = self._route.easiest_way(here)
+        if self.failures:
+            tried = counted(len(self.failures), "step")
+            begin = (
+                f"no walk: {tried} of those that would hold at rest tried in vain, the last, {self._last}: "
+            )
+            begin += self.failures[-1]
+            which = "easiest other" if hardest else "easiest"
+            hardest = hardest or self._route.easiest_way(here, tried=True)
         if hardest is None:
-            return f"{begin}, whatever these could bear{tried}"
+            return f"{begin}; whatever joints and feet could bear, no others lead there"
         edge, use = hardest
         before, after = (self._route.nodes[k] for k in (edge.before, edge.after))
         stays: Side = 2 if edge.foot == 1 else 1
+        shares = self._route.use[stays]
+        k = int(np.maximum(shares[edge.before], shares[edge.after]).argmin())
         loads = [self._balance.step_load(node, stays) for node in (before, after)]
-        k = int(np.maximum(loads[0].use, loads[1].use).argmin())
         load = max(loads, key=lambda load: float(load.use[k]))
-        adhesion = f", adhesion needed {load.adhesion[k] / 1e3:.2f} kN" if load.adhesion[k] > 0 else ""
-        effort = f"climb_{load.joint[k]:.0f} {100 * load.effort[k]:.0f} % of its effort"
+        bears = f"climb_{load.joint[k]:.0f} {100 * load.effort[k]:.0f} % of its effort"
+        if load.adhesion[k] > 0:
+            bears += f", adhesion needed {load.adhesion[k] / 1e3:.2f} kN"
+        elif load.use[k] > load.effort[k]:
+            bears += f", foot {stays} {100 * load.use[k]:.0f} % of its hold"
         would = "" if use <= SPARE else f"; bounds {use / SPARE:.1f} times as large would do at rest"
         return (
-            f"{begin}; the hardest step of the easiest way, {_names(before)} to {_names(after)}, uses "
-            f"{100 * use:.0f} % of what is allowed ({effort}{adhesion}){would}{tried}"
+            f"{begin}; the hardest step of the {which} way, {_names(before)} to {_names(after)}, uses "
+            f"{100 * use:.0f} % of what is allowed ({bears}){would}"
         )
 
 

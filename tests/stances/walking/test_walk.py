@@ -278,6 +278,31 @@ def test_a_step_that_does_not_hold_is_refused_with_its_figures() -> None:
         assert (route.shortest(0) is not None) == found
 
 
+class InVain(_Search):
+    """The search in which every step turns out impossible."""
+
+    def _step(self, edge: Edge) -> None:
+        self.failures.append("a link comes too near")
+        self._last = "here to there"
+
+    def _check(self, k: int) -> None:
+        self._checked.add(k)
+
+
+def test_where_steps_turn_out_impossible_the_figures_are_told(
+    scene: Scene, node: Candidate, balance: Balance
+) -> None:
+    route = Route(nodes_between(scene, node, stance_of(scene_at(4.34, 4.74, CLAMP)), 0.6), balance)
+    search = InVain(scene, balance, route, np.zeros(7), WalkOptions(), lambda _step, _share: None)
+    begin = r"no walk: \d+ steps? .* tried in vain, the last, here to there: a link comes too near; "
+    figures = (
+        r"the hardest step of the easiest .*way, .* uses \d+ % of what is allowed \(climb_\d \d+ % of its"
+    )
+    with pytest.raises(PlanningError, match=begin + figures) as refused:
+        search.steps()
+    assert len(str(refused.value)) <= 400
+
+
 def test_where_to(tmp_path: Any, scene: Scene) -> None:
     (tmp_path / "there.json").write_text(json.dumps(feet(4.34, 4.74)))
     goal = load_goal(tmp_path / "there.json")
