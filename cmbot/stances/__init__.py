@@ -1,6 +1,6 @@
 """Where to stand: candidates along the guardrail, screened and ranked, the best planned."""
 
-from cmbot.stances.bounds import Bounds, SagLimit, StanceFigures, StanceObjective
+from cmbot.stances.bounds import NO_FIGURES, Bounds, SagLimit, StanceFigures, StanceObjective
 from cmbot.stances.candidates import (
     APART,
     REACH,
@@ -28,6 +28,7 @@ from cmbot.stances.table import bounds_table, in_words, planned_table, shared_ou
 
 __all__ = [
     "APART",
+    "NO_FIGURES",
     "REACH",
     "AnyCandidate",
     "Bounds",

@@ -24,17 +24,26 @@ _METRE_MM = 1e3
 class _Support:
     """On what each candidate stands: the shares of its feet, and its stiffness at O0 in W."""
 
-    def __init__(self, scene: Scene, candidates: Sequence[AnyCandidate], *, bends: bool) -> None:
+    def __init__(self, scene: Scene, candidates: Sequence[AnyCandidate], robot: Robot) -> None:
         self._guardrail, self._number = scene.elastic_guardrail, dict[tuple[float, ...], int]()
         self._file = scene.guardrail
         given = self._guardrail.stiffness
-        self._bends, self._given = bends, None if given is None else np.array(given)
+        self._given = None if given is None else np.array(given)
+        self._hold = None if scene.base is None else scene.base.hold
+        if self._hold is not None:
+            # Where the link that is held is in the base frame.
+            frames = robot.model.frames
+            base, link = (
+                frames[robot.model.getFrameId(name)].placement
+                for name in (robot.base_frame, self._hold.link or robot.base_frame)
+            )
+            self._link = (base.inverse() * link).homogeneous
         # An identified base is what the arm stood on, legs included.
         self._identified = bool(scene.identified and scene.identified.base)
         points = list[FloatArray]()
         for candidate in candidates:
             places = self._places(candidate)
-            if len(places) > 1 or (bends and given is None):
+            if len(places) > 1 or given is None:
                 for place in places:
                     point = axis_point(self._guardrail, place)
                     if self._key(point) not in self._number:
@@ -58,9 +67,10 @@ class _Support:
         return [self._number[self._key(point)] for point in points]
 
     def feet(self, candidate: AnyCandidate, legs: FloatArray | None) -> tuple[Foot, ...]:
-        """The feet that hold, with `SharedFrame.shares` by the legs; none of a mount."""
+        """The feet that hold, with `SharedFrame.shares` by the legs; of a mount that by which it is held."""
         if not isinstance(candidate, Candidate):
-            return ()
+            held = self._hold
+            return () if held is None else (held.foot(candidate.base @ self._link, candidate.base[:3, 3]),)
         shares: tuple[FloatArray, ...] = (np.eye(6),)
         if candidate.stance.foot_2 is not None and self._frame is not None:
             shares = self._frame.shares(self._numbers(candidate), candidate.root[:3, 3], legs)
@@ -72,7 +82,7 @@ class _Support:
             return candidate.stiffness
         if self._given is not None:
             return self._given if self._identified else with_legs(self._given, legs)
-        if self._frame is None or not self._bends:
+        if self._frame is None:
             return None
         return self._frame.stiffness(self._numbers(candidate), candidate.root[:3, 3], legs)
 
@@ -121,7 +131,7 @@ class StanceLoads:
         self._centre = self.foot + np.einsum("cji,cj->ci", self.rotation, lever)
         still = self._mass[:, None] * gravity
         self._still = np.hstack([still, np.cross(lever, still)])
-        support = _Support(scene, candidates, bends=True)
+        support = _Support(scene, candidates, robot)
         joints = [_locked(each, robot, arm, climber) for each in candidates]
         legs = [
             leg_compliance(part, _feet_of(each), each.root[:3, 3])

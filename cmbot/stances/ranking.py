@@ -103,6 +103,12 @@ class StanceRanking:
         return Counter(causes).most_common(_REASONS)
 
     @property
+    def nearest(self) -> StanceResult | None:
+        """That which exceeds a bound by the smallest factor; None where none was judged by one."""
+        beyond = [each for each in self.ranked if each.rejection and np.isfinite(each.rejection.excess)]
+        return min(beyond, key=lambda each: each.rejection.excess if each.rejection else np.inf, default=None)
+
+    @property
     def best_unplanned(self) -> float:
         """The smallest bound of a stance that was not tried; infinite where all were."""
         return min((each.bound for each in self.ranked if each.status == "screened"), default=np.inf)

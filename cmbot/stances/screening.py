@@ -30,6 +30,8 @@ VIA_POINTS = 6
 # Postures that are tried at once.
 _AT_ONCE = 12_000
 _SAG = FIGURES.index("sag_mm")
+# Stances whose rough bounds are not above that of so many others by this factor are looked at closely.
+_PROMISING_STANCES, _PROMISING_RATIO = 20, 1.5
 # The share of the time that the rough search takes.
 _ROUGH = 0.3
 
@@ -137,11 +139,15 @@ class _Stroke:
         for k in range(K):
             found[:, k] = self._least(k, every, ROUGHLY)
             report(_ROUGH * (k + 1) / K)
-        # What is not the largest may be as large as it is: only where most is asked it pays to look closely.
-        closely = np.zeros((K, C), dtype=np.bool_)
+        # Without a posture at half of the via-points it is left at that.
+        closely = np.tile(2 * np.isinf(found[0]).sum(axis=0) >= K, (K, 1))
         while True:
+            # What is not the largest may be as large as it is: only where most is asked it pays to look
+            # closely, and only in a stance that may be among the best, or that has no posture there yet.
             worst = found[0].argmax(axis=0)
-            open_ = ~closely[worst, every]
+            value = found[0, worst, every]
+            least = np.sort(value)[:_PROMISING_STANCES][-1]
+            open_ = ~closely[worst, every] & ((value <= _PROMISING_RATIO * least) | np.isinf(value))
             if not open_.any():
                 return found[:, worst, every], worst
             for k in range(K):

@@ -126,11 +126,14 @@ class Rejection:
         With the figures of this stance.
     cause : str
         That without what it has to do with this stance alone: the same for many.
+    excess : float
+        By what factor a bound is exceeded; infinite where it is none.
     """
 
     kind: RejectionKind
     reason: str
     cause: str
+    excess: float = np.inf
 
     @staticmethod
     def of(kind: RejectionKind, error: CmbotError) -> Rejection:

@@ -34,6 +34,8 @@ PROVEN_SHARE = 0.98
 _SAGS, _MODES = 61, 5
 # Postures of a job between which the joints' travel is measured.
 _STEPS = 2000
+# Bounds of what is charted.
+_BOUNDED = {"torque": "base_torque_nm", "hold": "adhesion_n", "sag": "sag_mm"}
 _WORDS = {
     "base_torque_nm": ("torque on the base", "Nm"),
     "adhesion_n": ("adhesion needed", "N"),
@@ -104,9 +106,15 @@ class Judge:
         candidate = result.candidate
         why = climber_in_the_way(self.scene, candidate) if isinstance(candidate, Candidate) else None
         why = why or self.suits(candidate)
-        if why is None:
-            return replace(result, stage="clearance")
-        return result.rejected("clearance", Rejection(kind="blocked", reason=why, cause=why))
+        if why is not None:
+            return result.rejected("clearance", Rejection(kind="blocked", reason=why, cause=why))
+        # The job's bounds count where the arm is put away, too.
+        posture, number = np.array(self.scene.posture)[None], np.array([self.numbers[candidate]])
+        away = at_rest_of(self.screener.arm.figures(posture, number, self.screener.loads)[:, 0])
+        if beyond := StanceFigures(torque=away.torque, adhesion=away.adhesion).beyond(self.bounds):
+            name, value, _ = beyond
+            return result.rejected("clearance", _beyond(self.bounds, name, value, "where it is put away"))
+        return replace(result, stage="clearance")
 
     def checked(self, result: StanceResult) -> StanceResult:
         """Chart a stance at some via-points, obstacles included."""
@@ -117,6 +125,9 @@ class Judge:
         if bound == 0 or self.objective == "sway":
             # Nothing is charted where the tool's axis may lean; for the sway it is by the sag.
             bound = result.bound
+        name = _BOUNDED.get(self.objective)
+        if name is not None and bound > _ROOM * getattr(self.bounds, name):
+            return result.rejected("obstacles", _beyond(self.bounds, name, bound, "in its best postures"))
         return replace(result, stage="obstacles", bound=bound, expected=bound)
 
     def charted(self, result: StanceResult) -> StanceResult:
@@ -280,4 +291,7 @@ def _wider(bounds: Bounds, factor: float) -> Bounds:
 def _beyond(bounds: Bounds, name: str, value: float, where: str) -> Rejection:
     words, unit = _WORDS[name]
     reason = f"{words} {value:.4g} {unit} {where}, {getattr(bounds, name):g} {unit} are allowed"
-    return Rejection(kind="beyond a bound", reason=reason, cause=f"more {words} than is allowed")
+    cause, most = f"more {words} than is allowed", getattr(bounds, name)
+    return Rejection(
+        kind="beyond a bound", reason=reason, cause=cause, excess=value / most if most else np.inf
+    )

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
 from cmbot.common.validation import counted
-from cmbot.stances.bounds import StanceFigures
+from cmbot.stances.bounds import NO_FIGURES, StanceFigures
 from cmbot.stances.candidates import Candidate
 from cmbot.stances.ranking import StanceRanking
 from cmbot.stances.search import StanceResult
@@ -23,16 +23,8 @@ _PLACES = (
 _COLUMNS = (
     *("group", "strokes", "rank", "status", "judged_by", "bound", "proven_bound", "planned"),
     *("torque_at_rest", "adhesion_at_rest", "planned_torque", "job_torque", "planned_adhesion"),
-    *(
-        "sag_mm",
-        "first_hz",
-        "sway_mm_per_m_s2",
-        "holding_nm",
-        "holding_of_effort",
-        "travel_deg",
-        "seconds",
-        "within_mm",
-    ),
+    *("sag_mm", "first_hz", "sway_mm_per_m_s2", "holding_nm", "holding_of_effort", "travel_deg"),
+    *("seconds", "within_mm"),
     *_PLACES,
 )
 _ENDED = {
@@ -43,14 +35,6 @@ _ENDED = {
     "planned": "{} planned",
     "failed": "{} of which planning failed",
     "beyond a bound": "{} that exceed a bound",
-}
-_JUDGED = {
-    "reach": "the reach of the links: {}",
-    "postures": "sampled postures within the bounds of joints, feet and joint velocities: {}",
-    "clearance": "clearances of what does not move: {}",
-    "obstacles": "obstacles and charts at some via-points: {}",
-    "charts": "charts at all via-points: {}",
-    "plan": "plans: {}",
 }
 _LEFT_OUT_BY = {
     "postures": "by sampled postures, obstacles left out",
@@ -66,6 +50,8 @@ def in_words(ranking: StanceRanking) -> Iterator[str]:
     if best is None:
         promising = ": the scene has the most promising one by its bound; it may be blocked"
         yield f"No stance was planned{'' if ranking.plans else promising}."
+        if (near := ranking.nearest) is not None and near.rejection is not None:
+            yield f"Nearest to what is allowed: {near.place}, {near.rejection.reason}."
     else:
         yield from _best_in_words(ranking, best)
     yield from _own_in_words(ranking)
@@ -76,10 +62,9 @@ def in_words(ranking: StanceRanking) -> Iterator[str]:
         by = {"time": "its time was over (--time-limit)", "interrupt": "it was stopped"}[ranking.ended_by]
         kept = "what was planned until then is kept, and others may be better" if best is not None else ""
         yield f"The search ended early, as {by}{f': {kept}' if kept else ''}."
-    ended = {status: ranking.count(status) for status in _ENDED}
-    yield f"{len(ranked)} stances: {_counted(ended, _ENDED)}."
-    judged = {name: sum(each.stage == name for each in ranked) for name in _JUDGED}
-    yield f"Judged by {_counted(judged, _JUDGED)}."
+    counts = {status: ranking.count(status) for status in _ENDED}
+    ended = (words.format(counts[status]) for status, words in _ENDED.items() if counts[status])
+    yield f"{len(ranked)} stances: {', '.join(ended)}."
     if reasons := ranking.reasons:
         each = "; ".join(f"{cause}, {number}" for cause, number in reasons)
         yield f"Stances are left out most often for: {each}."
@@ -154,13 +139,11 @@ def _own_in_words(ranking: StanceRanking) -> Iterator[str]:
             yield f"{name} asks {each.value:.4g} {ranking.unit} at work{said}."
 
 
-def _counted(counts: Mapping[str, int], words: Mapping[str, str]) -> str:
-    """Return the words for all numbers but zero."""
-    return ", ".join(said.format(counts[name]) for name, said in words.items() if counts[name])
-
-
 def planned_table(ranking: StanceRanking) -> _Table:
-    """Return headings and rows of the stances that were planned: what is certified of them."""
+    """Return headings and rows of the stances that were planned: what is certified of them.
+
+    The scenes' own come first, without a rank where they exceed a bound; the others from the best on.
+    """
     columns: tuple[tuple[str, Callable[[StanceFigures], float | None], str], ...] = (
         ("torque, Nm", lambda f: f.torque, ".1f"),
         ("over the job", lambda f: f.job_torque, ".1f"),
@@ -172,11 +155,20 @@ def planned_table(ranking: StanceRanking) -> _Table:
         ("of what they drive, %", lambda f: f.holding_of_effort and 100 * f.holding_of_effort, ".0f"),
         ("tool within, mm", lambda f: f.within_mm, ".1f"),
     )
-    planned = [(k, one) for k, one in enumerate(ranking.ranked, start=1) if one.status == "planned"]
+    known = [
+        (str(k) if one.status == "planned" else "-", one)
+        for k, one in enumerate(ranking.ranked, start=1)
+        if one.status == "planned" or (one.own and one.figures is not NO_FIGURES)
+    ]
+    planned = sorted(known, key=lambda ranked: not ranked[1].own)
     # What none of them has, such as the adhesion that clamps need, has no column.
     shown = [column for column in columns if any(column[1](one.figures) is not None for _, one in planned)]
     rows = [
-        (str(rank), one.place, *(_cell(value(one.figures), form) for _, value, form in shown))
+        (
+            rank,
+            f"{one.place}{', its own' if one.own else ''}",
+            *(_cell(value(one.figures), form) for _, value, form in shown),
+        )
         for rank, one in planned
     ]
     return ("", "stance", *(heading for heading, *_ in shown)), rows

@@ -48,6 +48,24 @@ def test_what_is_kept_is_kept_together() -> None:
         assert together[-1] == "missed"
 
 
+def test_where_no_stance_keeps_the_bounds_the_nearest_is_told() -> None:
+    none = row(
+        by=stances._kept_in_words(), place="", nearest="there: sag 3.2 mm, 3 mm are allowed", value=0.0
+    )
+    together, *others = goals(none).values()
+    assert together == ["none; there: sag 3.2 mm, 3 mm are allowed", "missed"]
+    assert len(others) == 2
+    (table,) = stances.blocks({"found": {"kept": none}, "screened": []}).values()
+    assert "none; there: sag 3.2 mm" in table
+
+
+def test_half_of_the_sway_counts_with_no_more_sag() -> None:
+    own = {"sag_mm": 12.0, "sway_mm": 10.0}
+    for sway, sag, met in ((4.9, 12.0, "met"), (5.1, 11.0, "missed"), (4.0, 12.1, "missed")):
+        calm = row(by="sway", figures=row()["figures"] | {"sag_mm": sag, "sway_mm": sway}, own_figures=own)
+        assert [*goals(calm).values()][1][-1] == met
+
+
 def test_the_smallest_bound_that_counts() -> None:
     """Of the others, those of which planning failed too, but not those that exceed a bound."""
     scene = short_scene()

@@ -10,9 +10,11 @@ import cmbot
 from cmbot.common.errors import CmbotError, SceneError
 from cmbot.elastic.sag import Sag
 from cmbot.planning import bending_arm, plan, robot_of
+from cmbot.robot import Dynamics
 from cmbot.scene import Scene
 from cmbot.stances import (
     MountCandidate,
+    Screener,
     StanceRanking,
     StandOptions,
     best_scene,
@@ -23,6 +25,7 @@ from cmbot.stances import (
     stances_csv,
     stand,
 )
+from cmbot.stances.arm import FIGURES
 from cmbot.stances.candidates import mounts_of
 from cmbot.views import stances_page
 
@@ -110,6 +113,23 @@ def test_a_mount_bends_where_it_is() -> None:
         sags.append(Sag(arm).at(np.array([there.posture])).tool[0])
     assert np.linalg.norm(sags[0]) > 1e-8
     np.testing.assert_allclose(sags[0], sags[1], rtol=1e-4)
+
+
+def test_what_holds_a_mount_counts_as_it_does_in_a_plan_there() -> None:
+    """On a floor, on a wall and leaning: the adhesion needed at rest is that of the robot mounted there."""
+    hold = {"kind": "magnet", "plate_m": [0.2, 0.3], "adhesion_n": 9000, "xyz": [0, 0, 0.02]}
+    places = [{"xyz": [2, -1, 0.5], "rpy_deg": turn} for turn in ([0, 0, 30], [0, 90, 0], [20, -40, 10])]
+    scene = panda(base={"name": "floor", "hold": hold}, mounts=places)
+    candidates, posture = [*mounts_of(scene)], np.array(scene.posture)[None]
+    screener = Screener(scene, robot_of(scene), candidates)
+    needed = list[float]()
+    for number, candidate in enumerate(candidates):
+        robot = robot_of(scene_at(scene, candidate, None))
+        wrench = Dynamics(robot).static_efforts(posture).guardrail_wrench
+        needed.append(float(robot.holding.each(wrench).max()))
+        figures = screener.arm.figures(posture, np.array([number]), screener.loads)
+        assert figures[FIGURES.index("adhesion"), 0] == pytest.approx(needed[-1], rel=1e-6, abs=1e-6)
+    assert max(needed) > 1.0
 
 
 def test_the_scenes_own_mount_comes_first_and_once() -> None:

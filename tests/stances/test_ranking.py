@@ -374,6 +374,10 @@ def test_no_stance_beyond_a_bound_is_the_best(scene: Scene, ranking: StanceRanki
     assert all(each.figures.job_torque <= most for each in bounded.ranked if each.status == "planned")
     assert bounded.count("planned") + bounded.count("beyond a bound") > 1
     assert left_out is not bounded.best
+    # It is in the table, and the stance that exceeds a bound least is known.
+    assert planned_table(bounded)[1][0][:2] == ("-", f"{left_out.place}, its own")
+    beyond = [each for each in bounded.ranked if each.status == "beyond a bound"]
+    assert bounded.nearest.rejection.excess == min(each.rejection.excess for each in beyond) > 1
     assert all(each.at_rest.torque <= most for each in bounded.ranked if each.status == "screened")
 
 
@@ -458,15 +462,17 @@ def test_what_is_planned_is_apart_from_what_is_bounded(ranking: StanceRanking) -
     """A bound in a column of planned values reads like one."""
     figures, best = ranking.best.figures, ranking.best.place
     headings, rows = planned_table(ranking)
-    first = dict(zip(headings, rows[0], strict=True))
-    assert first["stance"] == best
+    (own,) = ranking.own
+    assert rows[0][1] == f"{own.place}, its own"
+    first = dict(zip(headings, rows[1], strict=True))
+    assert (first[""], first["stance"]) == ("1", best)
     assert first["torque, Nm"] == f"{figures.torque:.1f}"
     assert first["adhesion needed, kN"] == f"{figures.adhesion / 1e3:.2f}"
     planned = ranking.count("planned")
     assert len(rows) == planned < 12
     # Clamps need no adhesion, and have no column of it.
     alone: Any = SimpleNamespace(
-        ranked=[SimpleNamespace(place=best, status="planned", figures=StanceFigures(torque=1.0))]
+        ranked=[SimpleNamespace(place=best, status="planned", own=False, figures=StanceFigures(torque=1.0))]
     )
     assert planned_table(alone) == (("", "stance", "torque, Nm"), [("1", best, "1.0")])
     headings, rows = bounds_table(ranking, 12)
