@@ -144,8 +144,8 @@ class Reporting(Command):
 
 
 @contextmanager
-def options_named(names: Mapping[str, str]) -> Iterator[None]:
-    """Name in an error an option of the command line in place of the key that it sets."""
+def options_named(names: Mapping[str, str], command: str = "") -> Iterator[None]:
+    """Name in an error an option of the command line in place of the key that it sets, and the command."""
     try:
         yield
     except InputError as error:
@@ -154,7 +154,7 @@ def options_named(names: Mapping[str, str]) -> Iterator[None]:
             raise
         for name, flag in names.items():
             expected = expected.replace(name, flag)
-        raise InputError(error.source, names[key], error.got, expected, error.choices) from error
+        raise InputError(command or error.source, names[key], error.got, expected, error.choices) from error
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cmbot
-from cmbot.cli.command import Command, argument, option
-from cmbot.cli.console import ConsoleProgress, out
+from cmbot.cli.command import Command, Writing, argument, option, options_named
+from cmbot.cli.console import ConsoleProgress, err, out
 from cmbot.common.errors import InputError, one_line
 from cmbot.common.input_files import is_folder
 
 if TYPE_CHECKING:
+    from cmbot.archive.ros import RosTrajectory
     from cmbot.planning import Plan
     from cmbot.simulation import Tracking
 
@@ -199,7 +200,7 @@ class CompareCommand(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExportCommand(Command):
+class ExportCommand(Writing):
     """Write a plan for other programs: the job as a table or for ROS 2, the robot as a package.
 
     Examples: cmbot export out/triangle --csv work.csv --work, cmbot export out/triangle --mcap triangle.mcap,
@@ -214,7 +215,6 @@ class ExportCommand(Command):
         None, "JSON of a ROS JointTrajectory of the whole job to write.", metavar="FILE"
     )
     ros_package: Path | None = option(None, "Description package to write; a new folder.", metavar="FOLDER")
-    force: bool = option(False, "Replace files with these names that are there.")
     max_points: int | None = option(
         None, "points at most; left out: 200.", least=2, most=100_000, needs=["--ros"], alone="points"
     )
@@ -233,7 +233,7 @@ class ExportCommand(Command):
         from cmbot.archive import export_csv, export_mcap, export_ros_package
 
         loaded = cmbot.load_plan(self.directory)
-        exports: tuple[tuple[Path | None, Callable[[Plan, Path], object]], ...] = (
+        exports: tuple[tuple[Path | None, Callable[[Plan, Path], Any]], ...] = (
             (self.csv, partial(export_csv, work=self.work)),
             (self.mcap, partial(export_mcap, effort=self.effort)),
             (self.ros, self._write_message),
@@ -241,24 +241,59 @@ class ExportCommand(Command):
         for file, _ in exports:
             if file is not None:
                 require_new(file, self.force)
-        for file, write in ((self.ros_package, export_ros_package), *exports):
-            if file is not None:
-                said = write(loaded, file)
-                out.print(f"Written to {one_line(file)}{said if isinstance(said, str) else ''}.")
+        written = {
+            file: write(loaded, file)
+            for file, write in ((self.ros_package, export_ros_package), *exports)
+            if file is not None
+        }
+        message: RosTrajectory | None = None if self.ros is None else written[self.ros]
+        if message is not None and message.left_out:
+            err.print(_without(self.ros, message, loaded))  # there, as no -q may lose it
+        self.answer(lambda: _exported(written, message), lambda: _print_exported(written, self.ros, message))
 
-    def _write_message(self, plan: Plan, file: Path) -> str:
-        """Write the job as a message; return how many points that has, and how far off it is."""
+    def _write_message(self, plan: Plan, file: Path) -> RosTrajectory:
         from cmbot.archive import export_ros
 
-        found = export_ros(
-            plan,
-            file,
-            max_points=self.max_points,
-            rate=self.rate,
-            joints=None if self.joints is None else [name.strip() for name in self.joints.split(",")],
-            effort=self.effort,
-        )
-        return f": {found.points} points, between them within {found.deviation:.1e} rad (or m) of the plan"
+        names = {name: f"--{name.replace('_', '-')}" for name in ("max_points", "rate", "joints")}
+        with options_named(names, "cmbot export"):
+            return export_ros(
+                plan,
+                file,
+                max_points=self.max_points,
+                rate=self.rate,
+                joints=None if self.joints is None else [name.strip() for name in self.joints.split(",")],
+                effort=self.effort,
+            )
+
+
+def _exported(written: Iterable[Path], message: RosTrajectory | None) -> dict[str, object]:
+    told: dict[str, object] = {"files": [str(file) for file in written]}
+    if message is None:
+        return told
+    told |= {"points": message.points, "deviation": message.deviation}
+    return told | {"moving_joints_left_out": message.left_out}
+
+
+def _print_exported(written: Iterable[Path], ros: Path | None, message: RosTrajectory | None) -> None:
+    for file in written:
+        said = ""
+        if message is not None and file == ros:
+            within = f"{message.deviation:.1e} rad (or m)"
+            said = f": {message.points} points, between them within {within} of the plan"
+        out.print(f"Written to {one_line(file)}{said}.")
+
+
+def _without(file: Path | None, message: RosTrajectory, plan: Plan) -> str:
+    """Name the joints that move and are not in a message, and say how their controllers get them."""
+    joints, names = [], plan.robot.joints
+    for name, way in message.left_out.items():
+        units = plan.robot.limits.units(names.index(name), shown=True)
+        joints.append(f"{name}, which moves {way * units.factor:.3g} {units.position}")
+    others = one_line(",".join(message.left_out))
+    return (
+        f"Warning: not in {one_line(file)}: {'; '.join(joints)}. The motion is that of the plan only where "
+        f"these joints are driven at the same time: --joints {others} writes their message."
+    )
 
 
 def require_new(path: Path, force: bool) -> None:

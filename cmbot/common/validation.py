@@ -20,6 +20,8 @@ from cmbot.common.representation import fields_repr
 
 T = TypeVar("T")
 
+# Letters of a part by which a choice is found.
+_LEAST_PART = 4
 _MAX_SHOWN_CHARACTERS = 60
 _PLAIN_KEY = re.compile(r"[\w.\-]{1,60}")
 _REFUSAL_TYPE = "refusal"
@@ -338,8 +340,11 @@ def counted(number: int, noun: str, plural: str = "") -> str:
 
 
 def hint(word: object, choices: Sequence[str]) -> str:
-    """Return ``; did you mean X?`` where a choice is close to `word`, otherwise nothing."""
+    """Return ``; did you mean X?`` where a choice is close to `word` or has it, otherwise nothing."""
     close = difflib.get_close_matches(str(word), choices, n=1)
+    if not close and len(str(word)) >= _LEAST_PART:
+        # Of those that have it, the one that begins with it.
+        close = sorted((each for each in choices if str(word) in each), key=lambda each: each.find(str(word)))
     return f"; did you mean {close[0]}?" if close else ""
 
 

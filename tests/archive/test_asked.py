@@ -382,7 +382,32 @@ def test_claims_are_computed_again_or_named(triangle_folder: Path) -> None:
     assert "Not verified: baseline" in output("verify", triangle_folder)
 
 
-@pytest.mark.parametrize("key", ["drift", "smallest_singular_value"])
-def test_what_is_said_of_the_baseline(short_folder: Path, key: str) -> None:
-    edit(short_folder, lambda data: data["baseline"].update({key: 2 * data["baseline"][key]}))
-    assert f"{key}: got " in refusal("verify", short_folder)
+@pytest.mark.parametrize(
+    "key",
+    [
+        *("baseline.drift", "baseline.smallest_singular_value", "baseline.peak_guardrail_torque"),
+        *("planned.min_clearance", "objective.planned_peak", "objective.baseline_peak"),
+        *("accuracy.within_mm", "sway.sway_mm", "holding_joints.climb_1.peak_nm", "contact.0.area_cm2"),
+    ],
+)
+def test_what_is_computed_again(short_folder: Path, key: str) -> None:
+    def change(data: Any) -> None:
+        *path, last = (int(name) if name.isdigit() else name for name in key.split("."))
+        for name in path:
+            data = data[name]
+        data[last] *= 1.5
+
+    edit(short_folder, change)
+    assert "as computed again" in refusal("verify", short_folder)
+
+
+@pytest.mark.parametrize("key", ["torque_floor", "gap_to_floor", "torque_floor_error", "floor.value"])
+def test_claims_of_the_lower_bound_agree(triangle_folder: Path, key: str) -> None:
+    """They are not verified, but not each may say something else."""
+
+    def change(data: Any) -> None:
+        at = data["floor"] if "." in key else data
+        at[key.rpartition(".")[2]] *= 1.5
+
+    edit(triangle_folder, change)
+    assert ": got " in refusal("verify", triangle_folder, "--scene", "triangle")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import output, refusal
+from command_line import output, refusal, run
 from obstacle_entries import with_obstacles
 from oracles.joint_trajectory_controller import refusals
 from rosbags.highlevel import AnyReader
@@ -94,7 +94,7 @@ def test_fewer_points_and_joints_stay_within_what_is_stated(
 ) -> None:
     folder, file = save(strokes_plan, tmp_path / "plan"), tmp_path / "plan" / "job.ros.json"
     joints = strokes_plan.robot.joints
-    told = output("export", folder, "--ros", file, *(word.format(*joints) for word in words))
+    told = run("export", folder, "--ros", file, *(word.format(*joints) for word in words)).out
     stated = float(told.split("within ")[1].split(" rad")[0])
     message = json.loads(file.read_text(encoding="utf-8"))
     names, points = message["joint_names"], message["points"]
@@ -128,7 +128,10 @@ def test_fewer_points_and_joints_stay_within_what_is_stated(
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["--joints", "elbow"], "joints: got elbow"),
+        (
+            ["--joints", "oint_2"],
+            "cmbot export: --joints: got oint_2, expected a joint; did you mean joint_2?",
+        ),
         (["--rate", "0"], "rate: got 0"),
         (["--rate", "9", "--max-points", "9"], "got both"),
     ],
@@ -140,6 +143,26 @@ def test_messages_that_cannot_be_written(
     assert not (tmp_path / "job.json").exists()
     alone = refusal("export", saved_short, "--csv", tmp_path / "job.csv", *words[:2])
     assert "with --ros" in alone
+
+
+def test_joints_that_move_outside_a_message_are_named(rail_plan: Plan, tmp_path: Path) -> None:
+    """A controller of the arm alone must not get half a motion without a word."""
+    folder, joints = save(rail_plan, tmp_path / "plan"), rail_plan.robot.joints
+    samples = rail_plan.job.trajectory.evaluate(np.linspace(0, rail_plan.job.duration, 4001))
+    moves = dict(zip(joints, np.ptp(samples, axis=0), strict=True))
+    some = [name for name in joints if name not in ("rail", "draw")]
+    outcome = run("export", folder, "--ros", tmp_path / "arm.json", "--joints", ",".join(some), "--quiet")
+    assert (outcome.status, outcome.out) == (0, "")
+    for name in ("rail", "draw"):
+        assert f"{name}, which moves {moves[name]:.3g} m" in outcome.err
+    assert "--joints rail,draw" in outcome.err
+    # The advice is what makes the set whole; each file names what the other has.
+    words = ["--joints", "rail,draw", "--json"]
+    told = json.loads(run("export", folder, "--ros", tmp_path / "rails.json", *words).out)
+    assert told["moving_joints_left_out"].keys() == {name for name in some if moves[name] > 1e-6}
+    assert told["files"] == [str(tmp_path / "rails.json")]
+    # Nothing is left out of the whole message: no warning.
+    output("export", folder, "--ros", tmp_path / "all.json")
 
 
 def test_the_oracle_refuses_what_controllers_do(short_plan: Plan, saved_short: Path, tmp_path: Path) -> None:

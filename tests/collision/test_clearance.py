@@ -20,7 +20,8 @@ from scipy.spatial.transform import Rotation
 from state_samples import StateSamples
 
 from cmbot.collision import Box, Clearances, Obstacle, Shape, Sphere
-from cmbot.collision.motion_bounds import DistanceCache
+from cmbot.collision.motion_bounds import DistanceCache, raise_bounds
+from cmbot.collision.shapes import ShapePair
 from cmbot.common.poses import pose
 from cmbot.robot import Robot, load_robot
 from cmbot.scene import load_scene
@@ -410,6 +411,39 @@ def test_deep_overlaps_have_a_depth(cmbot_robot: Robot) -> None:
         for pair in pairs
     ]
     assert -0.1 < min(depths) < -0.09
+
+
+def test_distances_beside_a_measured_one_are_enclosed(cmbot_robot: Robot, rng: np.random.Generator) -> None:
+    clearances = Clearances(cmbot_robot, ())
+    geometry, data = cmbot_robot.collision_model, cmbot_robot.collision_model.createData()
+    for request in data.distanceRequests:
+        request.gjk_tolerance = 1e-9
+    cache = DistanceCache(cmbot_robot.model, geometry, data, clearances.pair_reach)
+    q = np.array([0.6, -1.2, 1.4, 0.7, 0.9, -0.8, 1.1]) + np.cumsum(rng.normal(size=(90, 7)) * 2e-3, axis=0)
+    distance = all_distances(clearances, q).T
+    seen = 0
+    for here, lower, upper in cache.segments(q):
+        assert (lower <= distance[here] + TOLERANCE).all()
+        assert (distance[here] <= upper + TOLERANCE).all()
+        seen += len(lower)
+    assert seen == len(q)
+
+
+def test_bounds_are_raised_by_measured_ones_on_both_sides() -> None:
+    """By what the way in between leaves of them; what is better known stays."""
+    distance = np.array([0.0, 0.0, 1.0, 0.0, 0.75, 0.0])
+    measured = np.array([False, False, True, False, False, False])
+    raise_bounds(distance, measured, np.array([0.0, 0.1, 0.3, 0.4, 0.6, 1.5]))
+    np.testing.assert_allclose(distance, [0.7, 0.8, 1.0, 0.9, 0.75, 0.0])
+    nothing = np.zeros(3)
+    raise_bounds(nothing, np.zeros(3, dtype=bool), np.arange(3.0))
+    assert not nothing.any()
+
+
+def test_a_pair_too_near_in_words() -> None:
+    pair = ShapePair(link="link_1", other="slab", self_collision=False, tool_at_work=False)
+    assert pair.describe(0.01, 0.02) == "link_1 comes within 0.0100 m of slab, the safety margin is 0.02 m"
+    assert pair.describe(-0.01, 0.02) == "link_1 reaches 0.0100 m into slab, the safety margin is 0.02 m"
 
 
 def test_all_pairs_are_measured_in_the_second_of_two_near_postures(cmbot_robot: Robot) -> None:

@@ -2,6 +2,6 @@
 
 from cmbot.archive.ros.mcap_file import export_mcap
 from cmbot.archive.ros.ros_package import export_ros_package
-from cmbot.archive.ros.trajectory_file import export_ros
+from cmbot.archive.ros.trajectory_file import RosTrajectory, export_ros
 
-__all__ = ["export_mcap", "export_ros", "export_ros_package"]
+__all__ = ["RosTrajectory", "export_mcap", "export_ros", "export_ros_package"]

@@ -24,6 +24,8 @@ _DEFAULT_MAX_POINTS = 200
 # Times between two points at which the motion is compared, and most points of all.
 _TIMES_BETWEEN_POINTS, _LARGEST_MESSAGE = 16, 100_000
 _NANO = 1e-9
+# What moves by less, rad or m, is at rest; times at which that is seen.
+_AT_REST, _TIMES_OF_MOTION = 1e-6, 2001
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,11 +38,14 @@ class RosTrajectory:
     points : int
     deviation : float, rad, of joints that slide m
         How far the quintics through its points, which controllers drive, are from the plan at most.
+    left_out : dict of str to float, rad, of joints that slide m
+        The joints that move in the plan and are not in the message, and how far from end to end.
     """
 
     message: dict[str, Any]
     points: int
     deviation: float
+    left_out: dict[str, float]
 
 
 def export_ros(
@@ -105,7 +110,10 @@ def message_times(
     if rate is not None:
         if not (rate > 0 and trajectory.duration * rate < _LARGEST_MESSAGE):
             raise InputError(
-                "cmbot.export_ros", "rate", f"{rate:g}", f"a rate, Hz, for up to {_LARGEST_MESSAGE} points"
+                "cmbot.export_ros",
+                "rate",
+                f"{rate:g}",
+                f"a frequency, Hz, for up to {_LARGEST_MESSAGE} points",
             )
         inside = np.arange(0, int(np.ceil(trajectory.duration * rate))) / rate
         return _whole(np.append(trajectory.t[0] + inside, trajectory.t[-1]))
@@ -143,7 +151,22 @@ def trajectory_message(
     header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
     message = {"header": header, "joint_names": [names[k] for k in columns], "points": points}
     deviation = _deviation(trajectory, t)[:, columns]
-    return RosTrajectory(message=message, points=len(points), deviation=float(deviation.max(initial=0.0)))
+    return RosTrajectory(
+        message=message,
+        points=len(points),
+        deviation=float(deviation.max(initial=0.0)),
+        left_out=_left_out(trajectory, names, columns),
+    )
+
+
+def _left_out(
+    trajectory: QuinticTrajectory, names: Sequence[str], columns: Sequence[int]
+) -> dict[str, float]:
+    """The joints that move without being in a message, and how far from end to end."""
+    moves = np.ptp(
+        trajectory.evaluate(np.linspace(trajectory.t[0], trajectory.t[-1], _TIMES_OF_MOTION)), axis=0
+    )
+    return {name: float(moves[k]) for k, name in enumerate(names) if k not in columns and moves[k] > _AT_REST}
 
 
 def _column(joint: str, names: Sequence[str]) -> int:

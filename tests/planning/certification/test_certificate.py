@@ -261,6 +261,21 @@ def test_numbers_that_are_none(short_plan: Plan) -> None:
     assert replace(nothing, value=1.0, at_least=True).holds
 
 
+def test_bounds_are_rounded_away_from_what_was_found(short_plan: Plan) -> None:
+    certificate = replace(
+        short_plan.certificate,
+        clearance_bound=0.02349,
+        guardrail_torque_bound=411.111,
+        adhesion_bound=12341.0,
+    )
+    assert certificate.at_all_times("base") == (
+        "clearance stays above 23.4 mm, the torque on the base below 411.12 Nm and "
+        "the adhesion needed below 12.35 kN"
+    )
+    bounds = {"guardrail_torque_bound": np.inf, "adhesion_bound": np.inf}
+    assert replace(certificate, **bounds).at_all_times() == "clearance stays above 23.4 mm"
+
+
 def test_figures_by_hand(triangle_plan: Plan) -> None:
     """The paper's recursion, typed in again, at 400 times a segment."""
     x = triangle_plan.trajectory
@@ -272,6 +287,7 @@ def test_figures_by_hand(triangle_plan: Plan) -> None:
     assert figures.peak_guardrail_torque == pytest.approx(norm.max(), rel=1e-6)
     assert norm.max() <= certificate.guardrail_torque_bound <= norm.max() * (1 + 2e-6)
     assert figures.mean_guardrail_torque == pytest.approx(np.trapezoid(norm, grid) / 20, rel=1e-7)
+    assert figures.rms_guardrail_torque**2 == pytest.approx(np.trapezoid(norm**2, grid) / 20, rel=1e-7)
     static = np.linalg.norm(chang2021_arm.efforts(q, 0 * v, 0 * a)[1], axis=1)
     assert figures.peak_static_guardrail_torque == pytest.approx(static.max(), rel=1e-6)
     share = np.abs(tau) / triangle_plan.robot.limits.torque

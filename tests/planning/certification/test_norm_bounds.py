@@ -3,19 +3,20 @@
 from dataclasses import replace
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from oracles import chang2021_arm
 from small_motions import wild
 
 from cmbot.common.arrays import FloatArray
 from cmbot.planning.certification.norm_bounds import norm_bounds
-from cmbot.robot import Robot
+from cmbot.robot import Dynamics, Robot
 from cmbot.trajectory import Pieces, QuinticTrajectory
-from cmbot.trajectory.enclosure import _ELLIPSE_SUMS
+from cmbot.trajectory.enclosure import _ELLIPSE_SUMS, Ellipses
 
-# Beyond this imaginary part of an angle, rad, norms overflow, and no remainder comes from there.
-LARGEST_TURN = 12.0
+# Beyond this imaginary part of all angles together, rad, the oracle's own rounding, which grows by its
+# exponential, hides what is compared; no remainder comes from there.
+LARGEST_TURN = 30.0
 
 
 _EVERY = 8
@@ -32,6 +33,7 @@ def _slopes(q: FloatArray, along: list[FloatArray]) -> list[FloatArray]:
 
 @settings(max_examples=5)
 @given(seed=st.integers(min_value=0, max_value=2**32 - 1))
+@example(169)
 def test_nothing_is_larger_on_the_ellipses(cmbot_robot: Robot, seed: int) -> None:
     x = wild(seed, joints=7, knots=3)
     pieces = Pieces.between(x, np.empty(0))
@@ -40,7 +42,7 @@ def test_nothing_is_larger_on_the_ellipses(cmbot_robot: Robot, seed: int) -> Non
     of, pushed = (
         norm_bounds(replace(cmbot_robot, tool_force=force), pieces.ellipses) for force in ((0, 0, 0), FORCE)
     )
-    usual = pieces.ellipses.turn.max(axis=2) < LARGEST_TURN
+    usual = pieces.ellipses.turn.sum(axis=2) < LARGEST_TURN
     assert usual[:, 2].all()
     angle = np.exp(1j * np.linspace(0, 2 * np.pi, 24, endpoint=False))
     segment = np.searchsorted(x.t, pieces.middle, side="right") - 1
@@ -80,3 +82,19 @@ def test_at_rest_only_gravity_and_the_stretched_arm_are_left(cmbot_robot: Robot)
     # The weights' torques about O0 cannot be larger than with every link stretched out sideways.
     weight, levers = cmbot_robot.arm_mass * 9.81, base + cmbot_robot.reach
     assert (of.guardrail_torque[:, 0] <= weight * levers).all()
+
+
+def test_nothing_is_larger_where_joints_turn_alike(cmbot_robot: Robot, rng: np.random.Generator) -> None:
+    """At constant rates in postures of right angles, where the joints' turns add up, the bounds are close."""
+    dynamics, closest = Dynamics(cmbot_robot), 0.0
+    for _ in range(400):
+        q = rng.choice([-np.pi / 2, 0.0, np.pi / 2], (1, 1, 7))
+        v, rest = 100.0 * rng.choice([0.0, 1.0], (1, 1, 7)), np.zeros((1, 1, 7))
+        of = norm_bounds(cmbot_robot, Ellipses(turn=rest, q=np.abs(q), v=v, a=rest))
+        true = dynamics.efforts(q[0], v[0], rest[0])
+        assert (np.abs(true.joint_torque) <= of.joint_torque[0] * (1 + 1e-9)).all()
+        for name in ("guardrail_force", "guardrail_torque"):
+            share = np.linalg.norm(getattr(true, name)) / getattr(of, name)[0, 0]
+            assert share <= 1 + 1e-9
+            closest = max(closest, share)
+    assert closest > 0.9

@@ -24,7 +24,10 @@ from urdf_arms import arm_scene, endless_scene, six_joint_scene
 import cmbot.toolpath.builder
 from cmbot.collision import Box, Clearances, Obstacle
 from cmbot.common.poses import pose
+from cmbot.elastic.arm import ElasticOptions, elastic_arm
+from cmbot.elastic.sag import Sag
 from cmbot.planning import Plan, QuinticTrajectory, plan, robot_of
+from cmbot.planning.verification.bent_tool import bent_tool_points
 from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Dynamics, Kinematics, Robot, load_robot
 from cmbot.scene import Scene, load_scene
@@ -338,3 +341,44 @@ def test_nothing_to_hit(short_plan: Plan, tmp_path: Path) -> None:
     clearance = {check.quantity: check for check in checks if "clearance" in check.quantity}
     assert clearance["difference of the clearance from a second computation"].value == 0
     assert np.isposinf(clearance["clearance by a second computation"].value)
+
+
+@pytest.fixture(scope="module")
+def compensated_plan() -> Plan:
+    """The bent tool is on the path, 12 mm below that of the rigid arm."""
+    return plan(short_scene(planner={"compensate": True}))
+
+
+def test_the_bent_tool_is_on_its_path(compensated_plan: Plan) -> None:
+    assert not broken(compensated_plan, sag=compensated_plan.sag)
+    # Without its sag it is not.
+    assert broken(compensated_plan) == {"distance of the tool from its timed via-point"}
+
+
+def test_a_bent_tool_beside_its_path(compensated_plan: Plan) -> None:
+    x, at = compensated_plan.trajectory, Kinematics(compensated_plan.robot).tool_jacobian
+    # Two millimetres up, as far as that leaves the orientation.
+    q = x.q + np.stack([np.linalg.pinv(at(q)[1]) @ [0, 0, 0.002, 0, 0, 0] for q in x.q])
+    failed = broken(compensated_plan, sag=compensated_plan.sag, trajectory=replace(x, q=q))
+    assert "distance of the tool from its timed via-point" in failed
+
+
+@pytest.mark.parametrize("wrong", [0.97, 1.03])
+def test_a_mistake_in_the_sag(wrong: float, compensated_plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    right = Sag.following
+    monkeypatch.setattr(Sag, "following", lambda self, q: wrong * right(self, q))
+    failed = broken(compensated_plan, sag=compensated_plan.sag)
+    assert failed == {"difference of the tool's sag from a second computation"}
+
+
+@pytest.mark.parametrize("joints", ["rigid", "elastic"])
+@pytest.mark.parametrize("push", [0.0, -80.0])
+def test_the_sag_of_beams(joints: str, push: float) -> None:
+    """With its tubes in ten pieces the package's own arm is as continuous as the other one."""
+    changes = {"payload_kg": 3.0, "joints": joints}
+    scene = short_scene(robot=changes, guardrail={"bays": 0}, tool={"process_force_n": [0, 0, push]})
+    robot = robot_of(scene)
+    q = np.array(scene.posture) + np.random.default_rng(3).uniform(-0.6, 0.6, (20, robot.dof))
+    sag = bent_tool_points(robot, None, q) - Kinematics(robot).tool_poses(q)[0]
+    theirs = Sag(elastic_arm(robot, None, ElasticOptions(segments=10))).at(q).tool
+    np.testing.assert_allclose(sag, theirs, rtol=0, atol=1e-3 * np.abs(theirs).max())

@@ -1,0 +1,1 @@
+"""Folders that are not what was asked for, and folders that are."""

@@ -1,0 +1,538 @@
+"""Forged folders, as somebody makes them who knows the formats and keeps every hash right."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from command_line import Outcome, run
+from plan_folders import edit, rewrite
+
+import cmbot
+from cmbot.planning import Job, QuinticTrajectory
+from forged.judge import faults, walk_faults
+from forged.scenes import ASKED, BASES, GOAL, WALK, Data, changed
+
+__all__ = ["FORGERIES", "Forgery", "forged", "planned"]
+
+Make = Callable[[Path], None]
+Motion = Callable[[QuinticTrajectory], QuinticTrajectory]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Forgery:
+    """What is done to the plan of a base, which scene is asked for, and what beside the folder is forged."""
+
+    name: str
+    category: str
+    base: str
+    make: Make
+
+    def __str__(self) -> str:
+        return f"{self.category}: {self.name}"
+
+
+def planned(data: Data, folder: Path) -> Path:
+    """Plan a scene into `folder`, and return its file beside it."""
+    file = _written(data, folder.with_suffix(".yaml"))
+    if not (folder / "plan.json").is_file():
+        outcome = run("plan", file, "-o", folder, "--force", "-q")
+        if outcome.status:
+            raise RuntimeError(outcome.err)
+    return file
+
+
+def forged(forgery: Forgery, output: Path) -> tuple[list[str], Outcome]:
+    """Forge a folder; return what is wrong with it by the oracles, and how it is judged."""
+    asked = output / "asked"
+    base, folder = output / "bases" / forgery.base, output / "forged" / "plan"
+    shutil.rmtree(folder, ignore_errors=True)
+    if forgery.base == "walk":
+        scene, goal = _written(WALK, asked / "walk.yaml"), _written(GOAL, asked / "goal.yaml")
+        if not base.is_dir():
+            run("walk", scene, "--to", goal, "-o", base, "-q")
+    else:
+        scene, goal = _written(ASKED[forgery.base], asked / f"{forgery.base}.yaml"), None
+        if forgery.base in BASES:
+            planned(BASES[forgery.base], base)
+    if base.is_dir():
+        shutil.copytree(base, folder)
+    forgery.make(folder)
+    if goal is None:
+        return faults(scene, folder), run("verify", folder, "--scene", scene)
+    return walk_faults(scene, goal, folder), run("verify", folder, "--scene", scene, "--to", goal)
+
+
+def _written(data: Data, file: Path) -> Path:
+    """Write YAML without anchors."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(yaml.safe_dump(json.loads(json.dumps(data))), encoding="utf-8")
+    return file
+
+
+def told(**values: Any) -> Make:
+    """Change ``plan.json``: values, or functions of what is there, by keys whose dots are ``__``."""
+
+    def change(data: dict[str, Any]) -> None:
+        for key, value in values.items():
+            at: Any = data
+            *path, last = (int(name) if name.isdigit() else name for name in key.split("__"))
+            for name in path:
+                at = at[name]
+            at[last] = value(at[last]) if callable(value) else value
+
+    return lambda folder: edit(folder, change)
+
+
+def moved(motion: Motion, segment: str = "work") -> Make:
+    """Another motion in place of a segment's, with tables that fit it."""
+
+    def make(folder: Path) -> None:
+        plan = cmbot.load_plan(folder)
+        segments, begin = [], 0.0
+        for each in plan.job.segments:
+            x = motion(each.trajectory) if each.name == segment else each.trajectory
+            segments.append(replace(each, trajectory=x, begin=begin))
+            begin += float(x.t[-1])
+        job = Job(segments=tuple(segments))
+        cmbot.save(replace(plan, job=job), folder, force=True)
+        start = np.degrees(job.strokes[0].trajectory.q[0]).tolist()
+        told(start__posture_deg=start)(folder)
+
+    return make
+
+
+def other(base: str, changes: Mapping[str, Any], *, keep: tuple[str, ...] = ("options",)) -> Make:
+    """The plan of another scene, said to be of this one; `keep` is what stays of its own promises."""
+
+    def make(folder: Path) -> None:
+        asked = cmbot.load_scene(ASKED[base])
+        with tempfile.TemporaryDirectory() as room:
+            there = Path(room) / "plan"
+            planned(changed(ASKED[base], changes), there)
+            shutil.rmtree(folder, ignore_errors=True)
+            shutil.copytree(there, folder)
+
+        def restore(data: dict[str, Any]) -> None:
+            data["scene"], data["hashes"]["scene"] = asked.as_data(), asked.content_hash
+            if "options" not in keep:
+                data["options"] |= {
+                    key: value for key, value in data["scene"]["planner"].items() if value != "auto"
+                }
+
+        edit(folder, restore)
+
+    return make
+
+
+def table(
+    change: Callable[[list[dict[str, Any]]], list[dict[str, Any]]],
+    name: str = "job.csv",
+    listed: str = "plan.json",
+) -> Make:
+    """Other rows in a table."""
+
+    def make(folder: Path) -> None:
+        rows = [*csv.DictReader((folder / name).read_text(encoding="utf-8").splitlines())]
+        changed_rows, text = change(rows), io.StringIO()
+        writer = csv.DictWriter(text, changed_rows[0].keys(), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(changed_rows)
+        rewrite(folder, name, text.getvalue().encode(), listed)
+
+    return make
+
+
+def column(name: str, change: Callable[[float, int], float], file: str = "job.csv") -> Make:
+    """Another column in a table, from its values and rows."""
+    return table(
+        lambda rows: [{**row, name: repr(change(float(row[name]), k))} for k, row in enumerate(rows)], file
+    )
+
+
+def exported(change: Callable[[dict[str, Any]], object]) -> Make:
+    """A message for ROS beside the plan, with another content."""
+
+    def make(folder: Path) -> None:
+        run("export", folder, "--ros", folder / "job.json")
+        data = json.loads((folder / "job.json").read_text(encoding="utf-8"))
+        change(data)
+        (folder / "job.json").write_text(json.dumps(data), encoding="utf-8")
+
+    return make
+
+
+def all_of(*parts: Make) -> Make:
+    def make(folder: Path) -> None:
+        for part in parts:
+            part(folder)
+
+    return make
+
+
+# Motions.
+
+
+def bump(x: QuinticTrajectory, joint: int, size: float, knots: slice = slice(3, -3)) -> QuinticTrajectory:
+    q = x.q.copy()
+    q[knots, joint] += size
+    return replace(x, q=q)
+
+
+def offset(x: QuinticTrajectory, joint: int, size: float) -> QuinticTrajectory:
+    q = x.q.copy()
+    q[:, joint] += size
+    return replace(x, q=q)
+
+
+def warped(x: QuinticTrajectory) -> QuinticTrajectory:
+    """The right way, ahead of time in its middle and on time at its ends."""
+    T, u = x.t[-1], np.linspace(0, 1, 60)
+    s, ds = u + 0.15 * np.sin(np.pi * u) ** 2, 1 + 0.15 * np.pi * np.sin(2 * np.pi * u)
+    dds = 0.3 * np.pi**2 * np.cos(2 * np.pi * u)
+    q, v, a = x.states(T * s)
+    return QuinticTrajectory(t=T * u, q=q, v=v * ds[:, None], a=a * ds[:, None] ** 2 + v * dds[:, None] / T)
+
+
+def stretched(x: QuinticTrajectory, factor: float) -> QuinticTrajectory:
+    return QuinticTrajectory(t=x.t * factor, q=x.q, v=x.v / factor, a=x.a / factor**2)
+
+
+def trembling(x: QuinticTrajectory) -> QuinticTrajectory:
+    t = np.linspace(0, x.t[-1], 800)
+    q, v, a = x.states(t)
+    w, size = 2 * np.pi * 45 / x.t[-1], 4e-4
+    wave = np.stack([np.sin(w * t), w * np.cos(w * t), -(w**2) * np.sin(w * t)]) * size
+    hull = np.minimum(1, np.minimum(t, t[-1] - t) / 0.2) ** 3
+    for part, more in zip((q, v, a), wave, strict=True):
+        part[:, 6] += hull * more
+    return QuinticTrajectory(t=t, q=q, v=v, a=a)
+
+
+def rates(x: QuinticTrajectory, name: str, knot: int, value: float) -> QuinticTrajectory:
+    array = getattr(x, name).copy()
+    array[knot] += value
+    return replace(x, **{name: array})
+
+
+def straight(x: QuinticTrajectory, seconds: float) -> QuinticTrajectory:
+    """From end to end in a line of joints."""
+    u = np.linspace(0, 1, 9)
+    s, ds = 10 * u**3 - 15 * u**4 + 6 * u**5, 30 * u**2 * (1 - u) ** 2
+    dds = 60 * u - 180 * u**2 + 120 * u**3
+    way = x.q[-1] - x.q[0]
+    return QuinticTrajectory(
+        t=u * seconds,
+        q=x.q[0] + s[:, None] * way,
+        v=ds[:, None] * way / seconds,
+        a=dds[:, None] * way / seconds**2,
+    )
+
+
+def detour(x: QuinticTrajectory, joint: int, size: float) -> QuinticTrajectory:
+    """A free move by way of elsewhere, slowly."""
+    u = np.linspace(0, 1, len(x.t))
+    q = x.q.copy()
+    q[:, joint] += size * (u * (1 - u)) ** 3 * 64
+    seconds = 30.0
+    t = u * seconds
+    v, a = np.gradient(q, t, axis=0), np.zeros_like(q)
+    v[[0, -1]] = 0.0
+    return QuinticTrajectory(t=t, q=q, v=v, a=a)
+
+
+def _knots(change: Callable[[dict[str, Any]], None]) -> Make:
+    """The knots of the job alone: neither table nor figures."""
+
+    def make(folder: Path) -> None:
+        with np.load(folder / "job.npz") as file:
+            arrays = {name: file[name].copy() for name in file.files}
+        change(arrays)
+        content = io.BytesIO()
+        np.savez(content, **arrays)
+        rewrite(folder, "job.npz", content.getvalue())
+
+    return make
+
+
+def _after_the_end(arrays: dict[str, Any]) -> None:
+    """The arm goes on when its job is done."""
+    arrays["t"] = np.append(arrays["t"], arrays["t"][-1] + 3.0)
+    for name in "qva":
+        arrays[name] = np.vstack([arrays[name], arrays[name][-1:] + (0.3 if name == "q" else 0.0)])
+
+
+def _motions() -> Iterator[tuple[str, str, Make]]:
+    yield "off its path in the middle", "short", moved(lambda x: bump(x, 2, 0.05))
+    yield "5 mm off at one via-point", "short", moved(lambda x: bump(x, 2, 0.004, slice(4, 5)))
+    yield "tool rolled by 40 degrees", "short", moved(lambda x: offset(x, 6, np.radians(40)))
+    yield "tool turned by 3 degrees on its way", "short", moved(lambda x: bump(x, 6, np.radians(3)))
+    yield "ahead of its time", "short", moved(warped)
+    yield "slower by a tenth", "short", moved(lambda x: stretched(x, 1.1))
+    yield "trembling", "short", moved(trembling)
+    yield "moving when it begins", "short", moved(lambda x: rates(x, "v", 0, 0.02))
+    yield "a jolt of acceleration", "short", moved(lambda x: rates(x, "a", 4, 3.0))
+    yield "a turn more of the last joint", "short", moved(lambda x: offset(x, 6, 2 * np.pi))
+    yield "an approach twice as quick", "sliding", moved(lambda x: stretched(x, 0.3), "approach")
+    yield (
+        "an approach that ends 2 mm away",
+        "sliding",
+        moved(lambda x: bump(x, 2, 0.002, slice(-1, None)), "approach"),
+    )
+    yield "a return through the rail", "strokes", moved(lambda x: detour(x, 1, -1.2), "return")
+    yield "a return half way", "strokes", moved(lambda x: bump(x, 1, 0.2, slice(-1, None)), "return")
+    yield "a free move that swings into the bar", "bar", moved(lambda x: bump(x, 0, 0.12))
+    yield "a motion after the end", "short", _knots(_after_the_end)
+
+
+def _scenes() -> Iterator[tuple[str, str, Make]]:
+    leg = "tool_path.legs[0]"
+    yield "a leg of 250 mm", "short", other("short", {f"{leg}.by": [0, -0.25, 0]})
+    yield "a leg 3 mm askew", "short", other("short", {f"{leg}.by": [0, -0.3, 0.003]})
+    yield "a leg in 5 s", "short", other("short", {f"{leg}.seconds": 5})
+    yield (
+        "another speed profile",
+        "short",
+        other("short", {"tool_path.speed_profile": {"kind": "jerk_limited", "ramp": 0.5}}),
+    )
+    yield "a bar that is not there", "near", other("near", {"obstacles": []})
+    yield "a bar 20 mm away", "near", other("near", {"obstacles[0].xyz": [1.89, 0.63, -2.0628]})
+    yield "the nozzle without its recoil", "strokes", other("strokes", {"tool": None})
+    yield "no payload", "heavy", other("heavy", {"robot.payload_kg": 0.0})
+    yield (
+        "a tool 20 mm shorter",
+        "short",
+        other("short", {"robot.tool_length_m": 0.28, "start": BASES["short"]["start"]}),
+    )
+    yield (
+        "the axis alone",
+        "short",
+        all_of(other("short", {"tool_path.keep": "axis"}), moved(lambda x: bump(x, 6, 0.2))),
+    )
+    yield "rows that lack the last", "rows", other("rows", {"tool_path.raster.v": [0, 0, -0.05]})
+    yield "rows 50 mm lower", "rows", other("rows", {"frames.plate.xyz": [1.9354, 0.55, -2.25]})
+    yield "rows at 17 cm", "rows", other("rows", {"tool_path.raster.stand_off_m": 0.17})
+    yield "one stroke of two", "strokes", other("strokes", {"tool_path.strokes[1]": None})
+    yield "a stroke backwards", "strokes", other("strokes", {"tool_path.strokes[1].backwards": True})
+    yield "no return", "strokes", other("strokes", {"return": None})
+    yield "a pause left out", "turns", other("turns", {"tool_path.legs[1].pause": 0.1})
+    yield (
+        "another place of the foot",
+        "short",
+        other("short", {"guardrail": {"bays": 0}, f"{leg}.by": [0, -0.3, 0.02]}),
+    )
+    yield "another start", "short", other("short", {"start.posture_deg": [-12, -90, 90, 0, 10, 50, 0]})
+
+
+def _options() -> Iterator[tuple[str, str, Make]]:
+    for keep, words in ((("options",), "which the folder says"), ((), "which the folder hides")):
+
+        def of(changes: dict[str, Any], base: str = "short", keep: tuple[str, ...] = keep) -> Make:
+            return other(base, {f"planner.{key}": value for key, value in changes.items()}, keep=keep)
+
+        loose = of({"max_tool_deviation_m": 0.1, "max_tool_rotation_deg": 90, "max_tool_lag_m": 0.2})
+        yield (
+            f"a deviation of 5 mm, {words}",
+            "short",
+            all_of(loose, moved(lambda x: bump(x, 2, 0.004, slice(4, 5)))),
+        )
+        yield (
+            f"a turn of 3 degrees, {words}",
+            "short",
+            all_of(loose, moved(lambda x: bump(x, 6, np.radians(3)))),
+        )
+        yield f"a lag, {words}", "short", all_of(loose, moved(warped))
+        yield f"no margin, {words}", "near", of({"safety_margin_m": 0.0}, "near")
+        yield (
+            f"no approach, {words}",
+            "sliding",
+            all_of(of({"knots": "fixed"}, "sliding"), moved(lambda x: offset(x, 6, 0.01))),
+        )
+    yield (
+        "a margin that is not a number",
+        "near",
+        all_of(
+            other("near", {"planner.safety_margin_m": 0.0}, keep=()),
+            told(options__safety_margin_m=float("nan")),
+        ),
+    )
+    yield (
+        "a negative margin",
+        "near",
+        all_of(other("near", {"planner.safety_margin_m": 0.0}), told(options__safety_margin_m=-1.0)),
+    )
+    yield (
+        "an endless deviation",
+        "short",
+        all_of(moved(lambda x: bump(x, 2, 0.05)), told(options__max_tool_deviation_m=1e9)),
+    )
+
+
+def _files() -> Iterator[tuple[str, str, Make]]:
+    yield "joint 2 a milliradian away", "short", column("q2", lambda x, k: x + 1e-3)
+    yield "one row elsewhere", "short", column("q2", lambda x, k: x + (0.2 if k == 200 else 0.0))
+    yield "twice as quick", "short", column("t", lambda x, k: x / 2)
+    yield "rows left out", "short", table(lambda rows: rows[:100] + rows[200:])
+    yield "a row more", "short", table(lambda rows: [*rows, {**rows[-1], "t": "4.5"}])
+    yield "half the torque on the base", "short", column("guardrail_torque_x", lambda x, k: x / 2)
+    yield "half the torque of a joint", "short", column("tau2", lambda x, k: x / 2)
+    yield "the tool elsewhere", "short", column("tool_z", lambda x, k: x + 0.01)
+    yield "velocities of nothing", "short", column("v2", lambda x, k: 0.0)
+    yield (
+        "work that is called a return",
+        "strokes",
+        table(
+            lambda rows: [
+                {**row, "segment": "return" if row["segment"] == "back" else row["segment"]} for row in rows
+            ]
+        ),
+    )
+    yield (
+        "columns exchanged",
+        "short",
+        table(lambda rows: [{**row, "q1": row["q2"], "q2": row["q1"]} for row in rows]),
+    )
+    yield (
+        "the table of another plan",
+        "short",
+        all_of(*(column(f"q{k}", lambda x, k: x + 0.02) for k in (1, 2, 3))),
+    )
+    yield "accelerations of nothing", "short", column("a2", lambda x, k: 0.0)
+    yield "a table ten times as quick, beside the message", "short", column("t", lambda x, k: x / 10)
+
+
+def _claims() -> Iterator[tuple[str, str, Make]]:
+    yield "a lower peak", "short", told(planned__peak_guardrail_torque=lambda x: 0.9 * x)
+    yield (
+        "a lower peak everywhere",
+        "short",
+        told(
+            planned__peak_guardrail_torque=lambda x: 0.9 * x,
+            segments__0__peak_guardrail_torque=lambda x: 0.9 * x,
+            planned__job__peak_guardrail_torque=lambda x: 0.9 * x,
+        ),
+    )
+    yield "a lower objective", "short", told(objective__planned_peak=lambda x: 0.9 * x)
+    yield "more clearance", "short", told(planned__min_clearance=lambda x: x + 0.05)
+    yield "a smaller deviation", "bar", told(planned__max_tool_deviation=lambda x: 0.0)
+    yield "a shorter job", "strokes", told(planned__job__duration=lambda x: x - 3)
+    yield (
+        "a bound above the peak",
+        "sliding",
+        told(torque_floor=lambda x: 2 * x, floor__value=lambda x: 2 * x),
+    )
+
+
+def walk(*changes: Callable[[dict[str, Any]], object]) -> Make:
+    """Change ``walk.json``."""
+
+    def make(folder: Path) -> None:
+        for change in changes:
+            edit(folder, change, "walk.json")
+
+    return make
+
+
+def _moves(record: dict[str, Any]) -> list[dict[str, Any]]:
+    return record["steps"][0]["moves"]
+
+
+def _still(record: dict[str, Any]) -> None:
+    """The lift does not leave its face: the swing drags the foot, and the set does nothing."""
+    _, lift, swing, down = _moves(record)
+    for move, knot in ((lift, lift["knots"]["q"][0]), (down, down["knots"]["q"][-1])):
+        rest = [0.0] * len(knot)
+        move["knots"] |= {"q": [knot] * len(move["knots"]["t"]), "v": [rest] * len(move["knots"]["t"])}
+        move["knots"]["a"] = move["knots"]["v"]
+    q0, q1 = np.array(lift["knots"]["q"][0]), np.array(down["knots"]["q"][-1])
+    T = swing["seconds"]
+    x = straight(
+        QuinticTrajectory(t=np.array([0, T]), q=np.stack([q0, q1]), v=np.zeros((2, 5)), a=np.zeros((2, 5))), T
+    )
+    swing["knots"] = {name: getattr(x, name).tolist() for name in "tqva"}
+
+
+def _quick(factor: float) -> Callable[[dict[str, Any]], None]:
+    def change(record: dict[str, Any]) -> None:
+        begin = 0.0
+        for move in _moves(record):
+            knots = move["knots"]
+            for name, power in (("t", -1), ("v", 1), ("a", 2)):
+                knots[name] = (np.array(knots[name]) * factor**power).tolist()
+            move["seconds"], move["begin"] = move["seconds"] / factor, begin
+            begin += move["seconds"]
+        record["seconds"] = begin
+
+    return change
+
+
+def _without(kind: str) -> Callable[[dict[str, Any]], None]:
+    def change(record: dict[str, Any]) -> None:
+        record["steps"][0]["moves"] = [move for move in _moves(record) if move["kind"] != kind]
+
+    return change
+
+
+def _goal(record: dict[str, Any]) -> None:
+    """As if the foot had been set down 20 mm further."""
+    record["goal"]["foot_1"]["along_m"] += 0.02
+    record["steps"][0]["after"]["foot_1"]["along_m"] += 0.02
+
+
+def _arm_in_the_air(record: dict[str, Any]) -> None:
+    for move in _moves(record)[2:]:
+        move["arm"][1] += 0.2
+
+
+def _walks() -> Iterator[tuple[str, str, Make]]:
+    yield "a foot that is dragged", "walk", walk(_still)
+    yield "three times as quick", "walk", walk(_quick(3.0))
+    yield "no lift", "walk", walk(_without("lift"))
+    yield "no set", "walk", walk(_without("set"))
+    yield "another goal", "walk", walk(_goal)
+    yield "an arm that moves with a foot in the air", "walk", walk(_arm_in_the_air)
+    yield "the first move called a lift", "walk", walk(lambda x: _moves(x)[0].update(kind="lift"))
+    yield (
+        "lift and set exchanged",
+        "walk",
+        walk(
+            lambda x: [
+                m.update(kind={"lift": "set", "set": "lift"}.get(m["kind"], m["kind"])) for m in _moves(x)
+            ]
+        ),
+    )
+    yield "no steps", "walk", walk(lambda x: x.update(steps=[]))
+    yield "a table that ends early", "walk", _walk_table(lambda rows: rows[:-30])
+    yield (
+        "a table with the foot elsewhere",
+        "walk",
+        _walk_table(lambda rows: [{**row, "foot_1_x": float(row["foot_1_x"]) + 0.01} for row in rows]),
+    )
+
+
+def _walk_table(change: Callable[[list[dict[str, Any]]], list[dict[str, Any]]]) -> Make:
+    return table(change, "walk.csv", "walk.json")
+
+
+FORGERIES: tuple[Forgery, ...] = tuple(
+    Forgery(name=name, category=category, base=base, make=make)
+    for category, some in (
+        ("motion", _motions),
+        ("scene", _scenes),
+        ("options", _options),
+        ("files", _files),
+        ("claims", _claims),
+        ("walks", _walks),
+    )
+    for name, base, make in some()
+)
+"""Sorted by categories."""
