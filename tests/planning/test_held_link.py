@@ -7,7 +7,7 @@ import pytest
 
 import cmbot
 from cmbot.common.errors import SceneError
-from cmbot.planning import precheck_scene, robot_of
+from cmbot.planning import plan, precheck_scene, robot_of, verdict
 from cmbot.planning.verification.hold import hold_checks
 from cmbot.robot import Dynamics
 from cmbot.scene import Scene
@@ -57,6 +57,32 @@ def test_a_second_computation_agrees(pads: Any, rng: np.random.Generator) -> Non
     for check in hold_checks(robot, np.arange(20.0), wrench):
         if check.quantity.startswith("difference"):
             assert check.holds, check
+
+
+@pytest.mark.parametrize(
+    "hold",
+    [
+        {"pads": [{**pad, "disc_m": 0.06} for pad in PADS], "adhesion_n": 900},
+        {
+            "kind": "clamp",
+            "force_n": [4000] * 3,
+            "moment_nm": [800] * 3,
+            "pads": [{"rectangle_m": [0.3, 0.2]}],
+        },
+    ],
+)
+def test_a_panda_that_stands_on_something_is_planned_and_judged_a_second_time(hold: dict[str, Any]) -> None:
+    """It is pressed on by its weight, so that the adhesion that it needs is next to nothing."""
+    scene = held(**hold)
+    row = scene.strokes[0].changed(via_points=9)
+    made = plan(scene.with_strokes([row]))
+    said = "adhesion needed, safety 2" if "adhesion_n" in hold else "load of the clamp, safety 2"
+    assert f"Hold: {said} included, uses " in verdict(made)
+    t = np.linspace(0, made.trajectory.duration, 60)
+    wrench = Dynamics(made.robot).efforts(*made.trajectory.states(t)).guardrail_wrench
+    checks = list(hold_checks(made.robot, t, wrench))
+    assert len(checks) == 2
+    assert all(check.holds for check in checks), checks
 
 
 def test_check_says_what_the_pads_bear() -> None:

@@ -24,8 +24,9 @@ from cmbot.stances.walking.steps import Move, Step, arm_move, plan_step
 
 # Postures of the arm with which a step is planned.
 _TRIED = 15
-# Steps that may turn out impossible before a walk is given up.
-_MOST_FAILURES = 20
+# Steps that may turn out impossible before a walk is given up, and moves of the arm from where it is in a
+# stance before it is taken as caught there: each costs seconds.
+_MOST_FAILURES, _MOST_MOVES_IN_VAIN = 20, 3
 _SAME_PLACE = 1e-6
 # Characters of the cause for which a step failed, within a message that is about more.
 _LONGEST_CAUSE = 120
@@ -204,7 +205,7 @@ class _Search:
     ) -> None:
         self._scene, self._balance, self._route = scene, balance, route
         self._options, self._progress = options, progress
-        self._checked = set[int]()
+        self._checked, self._moves_in_vain = set[int](), dict[tuple[int, int], list[str]]()
         self.arm, self._weight, self.failures = arm, -1, list[str]()
         self._last = ""
 
@@ -250,16 +251,24 @@ class _Search:
         why = "the foot's straight swing comes too near to something, whatever folded posture the arm has"
         for k, straight in (*((k, True) for k in weights), *((k, False) for k in weights[:1])):
             arm = self._balance.arms[k]
+            in_vain = self._moves_in_vain.setdefault((edge.before, self._weight), [])
+            if k != self._weight and len(in_vain) >= _MOST_MOVES_IN_VAIN:
+                why = in_vain[-1]
+                continue
             try:
                 swung = plan_step(
                     self._scene, before, after, edge.foot, arm, self._options.speed, straight=straight
                 )
-                if not swung:
-                    continue
+            except CmbotError as error:
+                why = _reason(error)
+                continue
+            if not swung:
+                continue
+            try:
                 moved = arm_move(self._scene, before, self._way(k))
             except CmbotError as error:
-                # How far a move came along a tool path says nothing.
-                why = error.reason if isinstance(error, PathNotFound) else str(error)
+                why = _reason(error)
+                in_vain.append(why)
                 continue
             self.arm, self._weight = arm, k
             moves = swung if moved is None else (moved, *swung)
@@ -311,6 +320,11 @@ class _Search:
             f"{begin}; the hardest step of the {which} way, {_names(before)} to {_names(after)}, uses "
             f"{100 * use:.0f} % of what is allowed ({bears}){would}"
         )
+
+
+def _reason(error: CmbotError) -> str:
+    """Why a move was not found; how far it came along a tool path says nothing."""
+    return error.reason if isinstance(error, PathNotFound) else str(error)
 
 
 def _cause(why: str) -> str:

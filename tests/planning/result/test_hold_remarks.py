@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from plan_folders import changed
 
 from cmbot.archive import load_plan, save
+from cmbot.common.limit import Limit
 from cmbot.planning import Plan, bound_use, notes, plan, remarks, sentence, verdict
 from cmbot.robot import Dynamics
-from cmbot.views.report import headlines
+from cmbot.views.report import headlines, pages
 
 LOAD = "load of the clamp, safety 2"
 
@@ -70,6 +71,31 @@ def test_the_load_of_a_clamp_is_the_worst_of_all_strokes(clamped: Plan) -> None:
     assert "in an emergency stop" in stop[0] and float(stop[-1]) > 0
     assert row[0] == f"{LOAD} included, whole job, share of its bounds"
     assert row[-1] == f"{worst.value:.3f}"
+
+
+@pytest.mark.parametrize("name", ["clamped", "magnet_and_clamp"])
+def test_all_places_tell_the_certificates_share(
+    name: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    """Certificate, sentence, table (what ``--json`` prints), page and file have one number."""
+    of: Plan = request.getfixturevalue(name)
+    checks = [check for _, check in of.job.checks() if check.limit is Limit.HOLD]
+    use = max(check.value / check.bound for check in checks)
+    (note,) = (note for note in notes(of) if note.key == "holds")
+    (row,) = (row for row in of.table if row.label.startswith("feet use"))
+    (card,) = (card for card in headlines(of, None) if card.title == "Holds")
+    assert note.values["use"] == pytest.approx(use, rel=1e-12)
+    assert row.planned == pytest.approx(100 * use, rel=1e-12)
+    assert card.value == f"{100 * use:.0f} %"
+    assert f">{100 * use:.0f} %<" in pages(of)["report.html"].decode()
+    written = json.loads((save(of, tmp_path / "plan") / "plan.json").read_text())
+    shares = [
+        check["value"] / check["bound"]
+        for segment in written["segments"]
+        for check in segment["certificate"]["checks"]
+        if check["limit"] == "hold"
+    ]
+    assert max(shares) == pytest.approx(use, rel=1e-9)
 
 
 def test_what_a_file_has_of_a_clamp_is_verified(clamped: Plan, tmp_path: Path) -> None:
