@@ -5,7 +5,7 @@ from __future__ import annotations
 from cmbot.accuracy.budget import Accuracy, AccuracyPart, Remedy, Shaking, Work, WorkPath, accuracy_of
 from cmbot.accuracy.parts import Part, parts_of
 from cmbot.accuracy.quietness import Quietness, quietness_of
-from cmbot.accuracy.sway import Sway, sway_along
+from cmbot.accuracy.sway import Sway, stroke_sway, sway_along
 
 __all__ = [
     "Accuracy",
@@ -20,5 +20,6 @@ __all__ = [
     "accuracy_of",
     "parts_of",
     "quietness_of",
+    "stroke_sway",
     "sway_along",
 ]

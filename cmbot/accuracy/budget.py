@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from cmbot.accuracy.parts import Part, parts_of
-from cmbot.accuracy.sway import sway_along
+from cmbot.accuracy.sway import Sway, sway_along
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.file_types import NonNegative, Share
 from cmbot.elastic.arm import ElasticArm
@@ -143,6 +143,8 @@ class Work:
         From times to the orientations (N, 3, 3) of the rigid arm's tool.
     shaking : Shaking or None
         Of all strokes or of none, with as many records each.
+    sway : Sway or None
+        `stroke_sway` with the share of the stiffness that is uncertain; None: it is integrated.
     """
 
     path: WorkPath
@@ -150,6 +152,7 @@ class Work:
     commanded: Callable[[FloatArray], FloatArray]
     rotation: Callable[[FloatArray], FloatArray]
     shaking: Shaking | None = None
+    sway: Sway | None = None
 
 
 def accuracy_of(
@@ -408,8 +411,7 @@ def _sampled(
     speed = np.linalg.norm(velocity, axis=1, keepdims=True)
     along = np.where(speed > _AT_REST, velocity / np.maximum(speed, _AT_REST), 0.0)
     axis = np.broadcast_to(work.rotation(t)[:, :, 2], place.shape)
-    factors = (1 - share, 1.0, 1 + share)
-    sway = sway_along(arm, work.motion, duration, DAMPING, factors)
+    sway = work.sway or sway_along(arm, work.motion, duration, DAMPING, (1 - share, 1.0, 1 + share))
     shaking = work.shaking
     return (
         *(q, offset, along, axis, _largest(t, sway.t, sway.tool.transpose(1, 0, 2))),

@@ -8,15 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.distance import pdist
 
-from cmbot.accuracy.sway import sway_along
-from cmbot.common.arrays import FloatArray
+from cmbot.accuracy.sway import SETTLE_S, Sway
 from cmbot.common.file_types import NonNegative
-from cmbot.elastic.arm import ElasticArm
-from cmbot.elastic.modes import DAMPING
-from cmbot.trajectory import QuinticTrajectory
-
-# How long the tool is watched after the stop, as simulated by default, s.
-_SETTLE = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,28 +36,21 @@ class Quietness:
     unshaped_swing_mm: NonNegative | None
 
 
-def quietness_of(
-    arm: ElasticArm,
-    share: float,
-    planned: Sequence[QuinticTrajectory],
-    unshaped: Sequence[QuinticTrajectory | None],
-) -> Quietness:
+def quietness_of(share: float, planned: Sequence[Sway], unshaped: Sequence[Sway | None]) -> Quietness:
     """Return how quiet strokes are.
 
     Parameters
     ----------
-    arm : ElasticArm
     share : float
         By which all stiffness may differ.
-    planned, unshaped : sequences of QuinticTrajectory
-        Of each stroke what was planned, and the same without a law that was chosen; None where none was.
+    planned, unshaped : sequences of Sway
+        Of each stroke, `stroke_sway`, as planned, and without a law that was chosen; None where none was.
     """
-    factors = sorted({1 - share, 1.0, 1 + share})
-    own = np.array([_sway_and_swing(arm, stroke, factors) for stroke in planned])
+    own = np.array([_sway_and_swing(stroke) for stroke in planned])
     chosen = any(stroke is not None for stroke in unshaped)
     plain = np.array(
         [
-            known if stroke is None else _sway_and_swing(arm, stroke, factors)
+            known if stroke is None else _sway_and_swing(stroke)
             for known, stroke in zip(own, unshaped, strict=True)
         ]
         if chosen
@@ -80,20 +66,8 @@ def quietness_of(
     )
 
 
-def _sway_and_swing(
-    arm: ElasticArm, trajectory: QuinticTrajectory, factors: Sequence[float]
-) -> tuple[float, float]:
+def _sway_and_swing(sway: Sway) -> tuple[float, float]:
     """Largest sway at work and swing after it, m."""
-    begin, end = trajectory.t[0], trajectory.t[-1]
-
-    def motion(t: FloatArray, order: int) -> FloatArray:
-        x = trajectory.evaluate(np.minimum(begin + t, end), order)
-        if order:
-            x[begin + t > end] = 0.0
-        return x
-
-    duration = float(end - begin)
-    found = sway_along(arm, motion, duration + _SETTLE, DAMPING, factors)
-    after = found.t >= duration
-    sway = float(np.linalg.norm(found.tool[:, ~after], axis=2).max())
-    return sway, max(float(pdist(tool[after]).max()) for tool in found.tool)
+    after = sway.t >= sway.t[-1] - SETTLE_S
+    size = float(np.linalg.norm(sway.tool[:, ~after], axis=2).max())
+    return size, max(float(pdist(tool[after]).max()) for tool in sway.tool)

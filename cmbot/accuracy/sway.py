@@ -18,8 +18,11 @@ import pinocchio as pin
 
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
-from cmbot.elastic.modes import arm_modes, linearised
+from cmbot.elastic.modes import DAMPING, arm_modes, linearised
 from cmbot.trajectory import QuinticTrajectory
+
+SETTLE_S = 2.0
+"""How long a tool is watched after the stop, as simulated by default, s."""
 
 # Longest time between postures at which matrices are computed, s, and postures at most.
 _BETWEEN_POSTURES, _MOST_POSTURES = 0.15, 120
@@ -97,6 +100,27 @@ def sway_along(
         w, v = w_next + 0.25 * h * h * a, v_next + 0.5 * h * a
         tool[k] = w @ ((1 - s) * levers[i] + s * levers[i + 1]).T
     return Sway(t=t, tool=tool.transpose(1, 0, 2))
+
+
+def stroke_sway(arm: ElasticArm, trajectory: QuinticTrajectory, share: float) -> Sway:
+    """Return the sway along a stroke, and for `SETTLE_S` after it, from its begin.
+
+    Parameters
+    ----------
+    arm : ElasticArm
+    trajectory : QuinticTrajectory
+    share : float
+        By which all stiffness is less, as stated, and more.
+    """
+    begin, end = trajectory.t[0], trajectory.t[-1]
+
+    def motion(t: FloatArray, order: int) -> FloatArray:
+        x = trajectory.evaluate(np.minimum(begin + t, end), order)
+        if order:
+            x[begin + t > end] = 0.0
+        return x
+
+    return sway_along(arm, motion, float(end - begin) + SETTLE_S, DAMPING, (1 - share, 1.0, 1 + share))
 
 
 def _inertial_loads(

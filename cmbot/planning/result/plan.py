@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from cmbot.accuracy import Accuracy, Quietness, Shaking, Work, WorkPath, accuracy_of, quietness_of
+from cmbot.accuracy import (
+    Accuracy,
+    Quietness,
+    Shaking,
+    Sway,
+    Work,
+    WorkPath,
+    accuracy_of,
+    quietness_of,
+    stroke_sway,
+)
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
@@ -192,15 +202,16 @@ class Plan(StrokePlan):
         arm = bending_arm(self.scene, self.robot)
         if arm is None:
             return None
-        works = [work_of(self.robot, each.trajectory, each.task.path) for each in self.job.strokes]
-        if shaking is not None:
-            begin = self.job.strokes[0].begin
-            works = [
-                replace(work, shaking=replace(shaking, t=shaking.t - (stroke.begin - begin)))
-                for work, stroke in zip(works, self.job.strokes, strict=True)
-            ]
-        covariance = covariance_of(self.scene, arm)
+        covariance, begin = covariance_of(self.scene, arm), self.job.strokes[0].begin
         try:
+            works = [
+                replace(
+                    work_of(self.robot, each.trajectory, each.task.path),
+                    sway=sway,
+                    shaking=shaking and replace(shaking, t=shaking.t - (each.begin - begin)),
+                )
+                for each, sway in zip(self.job.strokes, self._swaying, strict=True)
+            ]
             return accuracy_of(
                 arm,
                 works,
@@ -214,6 +225,16 @@ class Plan(StrokePlan):
             return None
 
     @cached_property
+    def _swaying(self) -> tuple[Sway, ...]:
+        """The sway of each stroke, for the share of the stiffness that is uncertain."""
+        arm, share = bending_arm(self.scene, self.robot), self.scene.uncertainty.stiffness_share
+        return (
+            ()
+            if arm is None
+            else tuple(stroke_sway(arm, each.trajectory, share) for each in self.job.strokes)
+        )
+
+    @cached_property
     def sway(self) -> Quietness | None:
         """How far the tool sways at work and swings after it; None as of `accuracy`."""
         arm = bending_arm(self.scene, self.robot)
@@ -223,7 +244,12 @@ class Plan(StrokePlan):
         unshaped = [_unshaped(file, segment) for file, segment in zip(files, self.job.strokes, strict=True)]
         share = self.options.quiet_stiffness_share
         try:
-            return quietness_of(arm, share, [each.trajectory for each in self.job.strokes], unshaped)
+            if share == self.scene.uncertainty.stiffness_share:
+                planned = self._swaying
+            else:
+                planned = tuple(stroke_sway(arm, each.trajectory, share) for each in self.job.strokes)
+            plain = [None if each is None else stroke_sway(arm, each, share) for each in unshaped]
+            return quietness_of(share, planned, plain)
         except TooSoftError:
             return None
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from html import escape
 
 import numpy as np
@@ -16,13 +16,13 @@ from cmbot.excitation import (
     passage_rows,
 )
 from cmbot.planning import Plan
-from cmbot.views.page import still_page, table
+from cmbot.views.page import still_page, table, ticks
 
 EXCITATION = "excitation.html"
 
 _WIDTH_PX, _HEIGHT_PX, _EDGE_PX = 900, 300, 60
 _CURVE_COLOUR = "#2f6fb7"
-_TICK_COUNT = 5
+_TICK_COUNT, _TICKS_HZ = 5, (0.5, 1, 2, 5, 10, 20, 30)
 
 
 def excitation_page(plan: Plan, excitation: Excitation) -> str:
@@ -64,7 +64,7 @@ def _plot(title: str, axis: str, x: FloatArray, y: FloatArray, *, logarithmic: b
     top = 1.1 * max(float(y.max()), 1e-9)
     up = _HEIGHT_PX - _EDGE_PX - y / top * (_HEIGHT_PX - 1.5 * _EDGE_PX)
     points = list(zip(across.tolist(), up.tolist(), strict=True))
-    drawn = "".join(_scale(x, across, top))
+    drawn = "".join(_scale(x, across, top, logarithmic=logarithmic))
     way = " ".join(f"{px:.1f},{py:.1f}" for px, py in points)
     drawn += f'<polyline points="{way}" fill="none" stroke="{_CURVE_COLOUR}" stroke-width="2"/>'
     if len(points) <= 30:
@@ -76,11 +76,17 @@ def _plot(title: str, axis: str, x: FloatArray, y: FloatArray, *, logarithmic: b
     return f'<h2>{escape(title)}</h2><section><div class="wide">{svg}</div></section>'
 
 
-def _scale(x: FloatArray, across: Sequence[float] | FloatArray, top: float) -> Iterator[str]:
+def _scale(x: FloatArray, across: FloatArray, top: float, *, logarithmic: bool) -> Iterator[str]:
     """Lines and numbers."""
-    for value in np.linspace(0.0, top, _TICK_COUNT):
+    for value in ticks(0.0, top, _TICK_COUNT):
         y = _HEIGHT_PX - _EDGE_PX - value / top * (_HEIGHT_PX - 1.5 * _EDGE_PX)
         yield f'<path d="M{_EDGE_PX} {y:.0f}H{_WIDTH_PX - _EDGE_PX}" stroke="#8a8f98" stroke-opacity="0.25"/>'
         yield f'<text x="{_EDGE_PX - 8}" y="{y + 4:.0f}" text-anchor="end">{value:.3g}</text>'
-    for k in np.unique(np.linspace(0, len(x) - 1, 7).astype(int)):
-        yield f'<text x="{across[k]:.0f}" y="{_HEIGHT_PX - 36}" text-anchor="middle">{x[k]:.3g}</text>'
+    low, high = float(x.min()), float(x.max())
+    if logarithmic:
+        shown = [value for value in _TICKS_HZ if low <= value <= high]
+    else:
+        shown = ticks(low, high, _TICK_COUNT) if low < high else [low]
+    for value in shown:
+        place = np.interp(value, x, across)
+        yield f'<text x="{place:.0f}" y="{_HEIGHT_PX - 36}" text-anchor="middle">{value:g}</text>'

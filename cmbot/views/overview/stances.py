@@ -10,7 +10,7 @@ import numpy as np
 from cmbot.planning import robot_of, strokes_of
 from cmbot.stances import Candidate, StanceRanking, bounds_table, in_words, planned_table, shared_out
 from cmbot.views.overview.guardrail_map import Stand, guardrail_map
-from cmbot.views.page import still_page, table
+from cmbot.views.page import still_page, table, ticks
 
 _WIDTH, _HEIGHT, _EDGE = 900, 380, 60
 _LABEL = (18.0, 13.0)  # room for a number beside a dot, px
@@ -118,25 +118,16 @@ def _map(ranking: StanceRanking) -> str:
 
 def _axes(low: float, high: float, top: float, unit: str) -> Iterator[str]:
     """Lines and numbers."""
-    for value in _ticks(0.0, top, 5):
+    for value in ticks(0.0, top, 5):
         y = _y(value, top)
         yield f'<path d="M{_EDGE} {y:.0f}H{_WIDTH - _EDGE}" stroke="#8a8f98" stroke-opacity="0.25"/>'
         yield f'<text x="{_EDGE - 8}" y="{y + 4:.0f}" text-anchor="end">{value:g}</text>'
     yield f'<text x="4" y="38">{escape(unit)}</text>'
-    for value in _ticks(low, high, 8):
+    for value in ticks(low, high, 8):
         x = _x(value, low, high)
         yield f'<text x="{x:.0f}" y="{_HEIGHT - 28}" text-anchor="middle">{value:g}</text>'
     said = "x, m"
     yield f'<text x="{_WIDTH // 2}" y="{_HEIGHT - 8}" text-anchor="middle">{said}</text>'
-
-
-def _ticks(low: float, high: float, count: int) -> list[float]:
-    """Round numbers from `low` to `high`, about so many."""
-    raw = (high - low) / count
-    power = 10.0 ** np.floor(np.log10(raw))
-    step = next(part * power for part in (1, 2, 5, 10) if part * power >= raw * (1 - 1e-9))
-    each = np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1)
-    return [float(f"{value:.6g}") + 0.0 for value in each * step]
 
 
 def _marks(ranking: StanceRanking, low: float, high: float, top: float) -> Iterator[str]:

@@ -9,6 +9,7 @@ from cmbot.views.page.assembly import (
     pack_exactly,
     still_page,
     table,
+    ticks,
     write_page,
 )
 
@@ -21,5 +22,6 @@ __all__ = [
     "pack_exactly",
     "still_page",
     "table",
+    "ticks",
     "write_page",
 ]

@@ -17,6 +17,8 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
+import numpy as np
+
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.input_files import require_replaceable
@@ -85,6 +87,15 @@ def table(rows: Iterable[Sequence[str]], headings: Sequence[str] = ("", ""), *, 
         body += f'<tr><th class="text" scope="row">{first}</th>{"".join(cells)}</tr>'
     top = f"<thead><tr>{head}</tr></thead>" if any(headings) else ""
     return f'<div class="table"><table>{top}<tbody>{body}</tbody></table></div>'
+
+
+def ticks(low: float, high: float, count: int) -> list[float]:
+    """Return round numbers from `low` to `high`, about so many."""
+    raw = (high - low) / count
+    power = 10.0 ** np.floor(np.log10(raw))
+    step = next(part * power for part in (1, 2, 5, 10) if part * power >= raw * (1 - 1e-9))
+    each = np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1)
+    return [float(f"{value:.6g}") + 0.0 for value in each * step]
 
 
 def write_page(path: Path, text: str) -> None:
