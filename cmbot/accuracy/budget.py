@@ -21,7 +21,6 @@ from cmbot.accuracy.sway import sway_along
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.file_types import NonNegative, Share
 from cmbot.elastic.arm import ElasticArm
-from cmbot.elastic.modes import DAMPING
 from cmbot.scene import Placement, Tolerance, Uncertainty
 
 # Draws; postures of a stroke at most, and the time between them, s.
@@ -409,7 +408,7 @@ def _sampled(
     along = np.where(speed > _AT_REST, velocity / np.maximum(speed, _AT_REST), 0.0)
     axis = np.broadcast_to(work.rotation(t)[:, :, 2], place.shape)
     factors = (1 - share, 1.0, 1 + share)
-    sway = sway_along(arm, work.motion, duration, DAMPING, factors)
+    sway = sway_along(arm, work.motion, duration, arm.robot.damping_ratio, factors)
     shaking = work.shaking
     return (
         *(q, offset, along, axis, _largest(t, sway.t, sway.tool.transpose(1, 0, 2))),

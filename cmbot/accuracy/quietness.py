@@ -12,7 +12,6 @@ from cmbot.accuracy.sway import sway_along
 from cmbot.common.arrays import FloatArray
 from cmbot.common.file_types import NonNegative
 from cmbot.elastic.arm import ElasticArm
-from cmbot.elastic.modes import DAMPING
 from cmbot.trajectory import QuinticTrajectory
 
 # How long the tool is watched after the stop, as simulated by default, s.
@@ -93,7 +92,7 @@ def _sway_and_swing(
         return x
 
     duration = float(end - begin)
-    found = sway_along(arm, motion, duration + _SETTLE, DAMPING, factors)
+    found = sway_along(arm, motion, duration + _SETTLE, arm.robot.damping_ratio, factors)
     after = found.t >= duration
     sway = float(np.linalg.norm(found.tool[:, ~after], axis=2).max())
     return sway, max(float(pdist(tool[after]).max()) for tool in found.tool)
