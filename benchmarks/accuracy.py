@@ -19,7 +19,7 @@ import pinocchio as pin
 import cmbot
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
-from cmbot.elastic.modes import DAMPING, arm_modes
+from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.sag import Sag
 from cmbot.planning import Plan, bending_arm
 from cmbot.robot import Kinematics
@@ -93,7 +93,7 @@ def swayed(plan: Plan, arm: ElasticArm, factor: float) -> FloatArray:
     steps = int(motion.duration / STEP) // EVERY * EVERY
     q = states(STEP * EVERY * np.arange(steps // EVERY + 1))[0]
     start = Sag(soft).at(q[:1]).u[0]
-    damping = arm_modes(soft, q[len(q) // 2]).damping(DAMPING)
+    damping = arm_modes(soft, q[len(q) // 2]).damping(arm.robot.damping_ratio)
     twin = Twin(soft, timestep=STEP)
     return np.asarray(twin.drive(states, start, steps, EVERY, damping=damping) - bent_tool(soft, q))
 

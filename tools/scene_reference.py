@@ -86,6 +86,7 @@ _WRITTEN = {
     "IdentifiedStiffness": "an identified stiffness",
     "IdentifiedSpring": "",
     "IdentifiedBase": "",
+    "IdentifiedDamping": "",
 }
 
 

@@ -21,7 +21,6 @@ from cmbot.accuracy.sway import Sway, sway_along
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.file_types import NonNegative, Share
 from cmbot.elastic.arm import ElasticArm
-from cmbot.elastic.modes import DAMPING
 from cmbot.scene import Placement, Tolerance, Uncertainty
 
 # Draws; postures of a stroke at most, and the time between them, s.
@@ -411,7 +410,8 @@ def _sampled(
     speed = np.linalg.norm(velocity, axis=1, keepdims=True)
     along = np.where(speed > _AT_REST, velocity / np.maximum(speed, _AT_REST), 0.0)
     axis = np.broadcast_to(work.rotation(t)[:, :, 2], place.shape)
-    sway = work.sway or sway_along(arm, work.motion, duration, DAMPING, (1 - share, 1.0, 1 + share))
+    factors, damping = (1 - share, 1.0, 1 + share), arm.robot.damping_ratio
+    sway = work.sway or sway_along(arm, work.motion, duration, damping, factors)
     shaking = work.shaking
     return (
         *(q, offset, along, axis, _largest(t, sway.t, sway.tool.transpose(1, 0, 2))),

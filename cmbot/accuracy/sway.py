@@ -18,7 +18,7 @@ import pinocchio as pin
 
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
-from cmbot.elastic.modes import DAMPING, arm_modes, linearised
+from cmbot.elastic.modes import arm_modes, linearised
 from cmbot.trajectory import QuinticTrajectory
 
 SETTLE_S = 2.0
@@ -120,7 +120,8 @@ def stroke_sway(arm: ElasticArm, trajectory: QuinticTrajectory, share: float) ->
             x[begin + t > end] = 0.0
         return x
 
-    return sway_along(arm, motion, float(end - begin) + SETTLE_S, DAMPING, (1 - share, 1.0, 1 + share))
+    factors, damping = (1 - share, 1.0, 1 + share), arm.robot.damping_ratio
+    return sway_along(arm, motion, float(end - begin) + SETTLE_S, damping, factors)
 
 
 def _inertial_loads(

@@ -33,7 +33,9 @@ class SimulateCommand(Writing):
     """
 
     directory: Path = argument("A plan directory.", "DIR")
-    damping: float = option(0.01, "Share of critical damping of every mode.")
+    damping: float | None = option(
+        None, "Share of critical damping of every mode; as identified, or 0.01, if left out."
+    )
     initial: str = option("equilibrium", "How the arm hangs at first: equilibrium, or undeformed.")
     stiffness: float = option(1.0, "Factor on the stiffness of guardrail, links and joints.")
     stiffness_share: float | None = option(

@@ -19,7 +19,6 @@ import pinocchio as pin
 
 from cmbot.common.arrays import FloatArray, IntArray, cross
 from cmbot.elastic.arm import ElasticArm, elastic_arm
-from cmbot.elastic.modes import DAMPING
 from cmbot.robot import Chain
 
 BAND_HZ = (0.5, 30.0)
@@ -306,6 +305,7 @@ class DeckSway:
 
     def __init__(self, arm: ElasticArm) -> None:
         robot = arm.robot
+        self._damping = robot.damping_ratio
         carrier = robot.model.inertias[0]
         self._first = FirstOrder(elastic_arm(robot, None, arm.options))
         self._base = Bases(
@@ -317,7 +317,9 @@ class DeckSway:
 
     def values(self, q: FloatArray) -> FloatArray:
         """Return root mean squares (N,), m, in postures (N, n), as `FirstOrderBatch.shaken` has them."""
-        return self._first.at(q, _some(self._base, np.zeros(len(q), dtype=int))).shaken(DAMPING, BAND_HZ)
+        return self._first.at(q, _some(self._base, np.zeros(len(q), dtype=int))).shaken(
+            self._damping, BAND_HZ
+        )
 
     def __call__(self, q: FloatArray, /) -> tuple[FloatArray, FloatArray]:
         """Return them, and their gradients (N, n), by differences."""

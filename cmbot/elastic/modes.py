@@ -15,9 +15,6 @@ from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.sag import Sag
 from cmbot.elastic.stiffness_parameters import StiffnessParameters
 
-DAMPING = 0.01
-"""Ratio of every mode where nothing else is said, as simulated: arms of aluminium tubes have 0.5 to 2 %."""
-
 # Share of the largest squared period below which a squared period is rounding: its coordinate has no mass.
 _MASSLESS_SHARE = 1e-13
 

@@ -44,7 +44,6 @@ from cmbot.planning import (
 )
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import PlannerOptions, Scene
-from cmbot.simulation import SimulationOptions
 from cmbot.toolpath import AUTO
 from cmbot.trajectory import QuinticTrajectory
 
@@ -411,7 +410,7 @@ def _moved(arm: ElasticArm, segment: Segment) -> tuple[float, float]:
     count = int(np.clip(np.ceil(motion.duration / _SAG_INTERVAL), 2, _POSTURES_OF_SEGMENT)) + 1
     t = np.linspace(motion.t[0], motion.t[-1], count)
     sag = np.linalg.norm(Sag(arm).along(t, motion.evaluate(t)), axis=1)
-    sway = sway_along(arm, motion.evaluate, motion.duration, SimulationOptions().damping)
+    sway = sway_along(arm, motion.evaluate, motion.duration, arm.robot.damping_ratio)
     return float(sag.max()), float(np.linalg.norm(sway.tool[0], axis=1).max())
 
 

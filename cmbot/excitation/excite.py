@@ -17,7 +17,6 @@ from cmbot.common.file_types import Row
 from cmbot.common.representation import short_repr
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.first_order import BAND_HZ
-from cmbot.elastic.modes import DAMPING
 from cmbot.excitation.damper import STIFFNESS_FACTORS, DamperGain, best_damper, den_hartog
 from cmbot.excitation.ground import axles_of, read_record
 from cmbot.excitation.passages import (
@@ -198,7 +197,8 @@ class _Excited:
 
     def __init__(self, plan: Plan, given: ExcitationFile | None) -> None:
         self.plan, self.given = plan, given
-        self.damping = DAMPING if given is None else given.damping
+        own = plan.robot.damping_ratio
+        self.damping = own if given is None or given.damping is None else given.damping
         self.options = SimulationOptions(damping=self.damping, step_s=_STEP, output_step_s=_STEP)
         self.arm = elastic_arm_of(plan, self.options)
         require_bending(self.arm, plan.scene.source)

@@ -21,7 +21,6 @@ from cmbot.common.representation import short_repr
 from cmbot.elastic import Guardrail, elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm
 from cmbot.elastic.first_order import BAND_HZ
-from cmbot.elastic.modes import DAMPING
 from cmbot.excitation.peaks import davenport_factor, departure_rate, probability_of_leaving
 from cmbot.excitation.response import (
     AXES,
@@ -107,7 +106,7 @@ def sway_mm_per_m_s2(
 ) -> float:
     """Return the tool's RMS in space, mm, by 1 m/s2 RMS of the deck along each axis, flat from 0.5 to 30 Hz.
 
-    With a damping of 1 %.
+    With the damping of its robot.
 
     Parameters
     ----------
@@ -133,7 +132,7 @@ def sway_mm_per_m_s2(
         arm = elastic_arm(robot, None if guardrail is None else elastic_base(guardrail))
         t, postures = np.zeros(1), np.asarray(work)[None]
     require_bending(arm, "sway_mm_per_m_s2")
-    each = [modal_response(arm, q, DAMPING).moments(flat_band(), BAND_HZ) for q in postures]
+    each = [modal_response(arm, q, arm.robot.damping_ratio).moments(flat_band(), BAND_HZ) for q in postures]
     return 1e3 * mean_over(t, np.array([np.sqrt(np.trace(moments.value[:3, :3])) for moments in each]))
 
 

@@ -162,7 +162,7 @@ def _estimate(sheets: tuple[Measurements, ...], modelled: ElasticArm) -> Identif
         parts=tuple(replace(part, scale=problem.scale[part.kind]) for part in stated),
         slips=wrong,
         unmatched=problem.unmatched,
-        stiffness=_stiffness(sheets[0], modelled, arm, mean, joint[:p, :p]),
+        stiffness=_stiffness(sheets, modelled, arm, mean, joint[:p, :p]),
         job=job,
         before=None if job is None else sag_along(modelled, np.diag(problem.prior**2), job),
         after=None if job is None else sag_along(arm, joint[:p, :p], job),
@@ -187,8 +187,19 @@ def _about_identified(parameters: StiffnessParameters, arm: ElasticArm, mean: Fl
     return moved
 
 
+def _damping(sheets: Sequence[Measurements]) -> dict[str, float] | None:
+    """The damping of the modes in records; None where there are none."""
+    ratios = [ratio for sheet in sheets for ratio in sheet.damping]
+    if not ratios:
+        return None
+    own = [deviation for sheet in sheets for deviation in sheet.damping_deviations]
+    # Of one mode, and from mode to mode.
+    deviation = np.hypot(np.median(own), np.std(ratios))
+    return {"ratio": round(float(np.median(ratios)), 6), "sd": round(float(deviation), 6)}
+
+
 def _stiffness(
-    measurements: Measurements,
+    sheets: Sequence[Measurements],
     modelled: ElasticArm,
     arm: ElasticArm,
     mean: FloatArray,
@@ -202,10 +213,11 @@ def _stiffness(
     data: dict[str, Any] = {
         "links": [one for kind, one in each if kind == "link"],
         "joints": [one for kind, one in each if kind == "joint"],
+        "damping": _damping(sheets),
         "covariance": ((covariance + covariance.T) / 2).tolist(),
     }
     if modelled.base is not None:
         K, mass = arm.stiffness[:6, :6], modelled.base.mass
-        base = {"footholds": measurements.scene.elastic_guardrail.footholds, "stiffness": K.tolist()}
+        base = {"footholds": sheets[0].scene.elastic_guardrail.footholds, "stiffness": K.tolist()}
         data["base"] = base | ({"mass": mass.tolist()} if mass.any() else {})
-    return validated(IdentifiedStiffness, data, measurements.source, InputError)
+    return validated(IdentifiedStiffness, data, sheets[0].source, InputError)

@@ -30,7 +30,7 @@ from cmbot.common.input_files import is_file
 from cmbot.common.representation import short_repr
 from cmbot.common.validation import FileModel, given_path, plain, refusal, require_type, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml
-from cmbot.identification.records import RingDown, read_record
+from cmbot.identification.records import RingDown, UnusableRecord, read_record
 from cmbot.planning import robot_of
 from cmbot.robot import JointLimits
 from cmbot.scene import Scene, load_scene, shipped_scenes
@@ -270,6 +270,8 @@ def _rung(file: MeasurementFile, folder: Path, source: str, number: int) -> Ring
         raise InputError(source, key, file.record, "a file that exists (relative to this one)")
     try:
         return read_record(path)
+    except UnusableRecord:
+        raise
     except InputError as error:
         # A sheet may name any file: what is in one that is no record is not told.
         raise InputError(error.source, error.key, "something else", error.expected) from error

@@ -31,9 +31,15 @@ _ORDERS, _AGREE, _SAME = range(4, 31, 2), 0.5, 0.01
 # Largest damping ratio of a mode, and the least share of the largest amplitude that it has.
 _DAMPED, _SEEN = 0.15, 0.03
 _MIN_SAMPLES = 64
+# Above it modes stand out of noise.
+_LEAST_F = 15.0
 # Samples of a window of the Hankel matrix: more than a period of the slowest mode.
 _HANKEL_SAMPLES = 100
 _MAX_MODES = 6
+
+
+class UnusableRecord(InputError):
+    """A record of accelerations that tells no modes."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,7 +74,8 @@ def read_record(path: Path) -> RingDown:
     Raises
     ------
     InputError
-        When it is no such file, steps differ by more, it is clipped, or no mode is seen in it.
+        When it is no such file, steps differ by more, it is clipped or sampled too slowly, or no decay stands
+        out of its noise.
     """
     table = read_table(path, InputError, kind="a table of an accelerometer's record")
     time = table.index(*_RECORD_TIME_COLUMNS, *(f"{name}_ms" for name in _RECORD_TIME_COLUMNS))
@@ -89,14 +96,17 @@ def read_record(path: Path) -> RingDown:
         key, got = f"line {table.lines[worst + 1]}", f"{1e3 * steps[worst]:.3g} ms after the row before"
         raise InputError(str(path), key, got, f"steps of {1e3 * step:.3g} ms, give or take 10 %")
     _require_unclipped(a, [table.names[axis] for axis in axes], str(path))
+    if step > 1 / (2 * _HIGHEST):
+        got = f"{1 / step:.3g} samples a second, in which fast modes look like slow ones"
+        raise UnusableRecord(str(path), "", got, f"at least {2 * _HIGHEST:g}, better 200")
     even = np.linspace(t[0], t[-1], len(t))
     found = ring_down(
         float((t[-1] - t[0]) / (len(t) - 1)),
         np.stack([np.interp(even, t, axis) for axis in a.T], axis=1),
     )
     if not len(found.frequencies):
-        expected = f"the free decay after a tap, with modes below {_HIGHEST:g} Hz"
-        raise InputError(str(path), "", "a record in which no mode is seen", expected)
+        expected = f"a tap, then for some s the free decay of modes below {_HIGHEST:g} Hz, 10 times the noise"
+        raise UnusableRecord(str(path), "", "a record with no decay that stands out of its noise", expected)
     return found
 
 
@@ -138,7 +148,30 @@ def ring_down(step: float, a: FloatArray) -> RingDown:
     with threadpool_limits(limits=1, user_api="blas"):
         U, s, V = np.linalg.svd(H[:, :-1], full_matrices=False)
         known = [_poles(U, s, V, H[:, 1:], order, step, y.shape[1]) for order in _ORDERS if order <= len(s)]
-    return _stable(known) if known else _none()
+    found = _stable(known) if known else _none()
+    return found if _stands_out(found, step, y) else _none()
+
+
+def _stands_out(found: RingDown, step: float, y: FloatArray) -> bool:
+    """Whether modes explain a record (N, m) far better than as many numbers explain noise.
+
+    The F statistic of the regression on their decaying oscillations, below the highest frequency, of the axis
+    that shows them best. Of white noise it is below 10, of a decay from ten times the noise 50 to 20,000.
+    """
+    if not len(found.frequencies) or not y.any():
+        return False
+    w, t = 2 * np.pi * found.frequencies, step * np.arange(len(y))
+    turn, decay = np.outer(t, w * np.sqrt(1 - found.damping**2)), np.exp(-np.outer(t, w * found.damping))
+    f = np.fft.rfftfreq(len(y), step)
+    kept = (f > 0) & (f < _HIGHEST)
+    z = np.fft.rfft(np.hstack([decay * np.cos(turn), decay * np.sin(turn), y]), axis=0)[kept]
+    columns, record = np.split(np.concatenate([z.real, z.imag]), [2 * len(w)], axis=1)
+    left = record - columns @ np.linalg.lstsq(columns, record, rcond=None)[0]
+    whole, rest = ((each**2).sum(axis=0) for each in (record, left))
+    freedom = len(record) - columns.shape[1]
+    # Without noise nothing is left.
+    statistic = (whole - rest) / columns.shape[1] * freedom / np.maximum(rest, 1e-12 * whole.max())
+    return bool(statistic.max() > _LEAST_F)
 
 
 def _none() -> RingDown:

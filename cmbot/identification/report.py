@@ -93,16 +93,10 @@ def remarks(found: Identification) -> Iterator[str]:
     unknown += [f"{directions} of the 21 numbers of the base"] * bool(directions)
     if unknown:
         yield f"Not seen, nearly as they were assumed: {' and '.join(unknown)}."
-    if damping := [ratio for sheet in found.measurements for ratio in sheet.damping]:
-        ratio, each = (
-            float(np.median(damping)),
-            [x for one in found.measurements for x in one.damping_deviations],
-        )
-        # Of one mode, and from mode to mode.
-        deviation = float(np.hypot(np.median(each), np.std(damping)))
+    if (damping := found.stiffness.damping) is not None:
         yield (
-            f"Damping of the modes in the records: {100 * ratio:.1f} % of critical, standard deviation "
-            f"{100 * deviation:.1f} % (simulate --damping)."
+            f"Damping of the modes in the records: {100 * damping.ratio:.1f} % of critical, standard "
+            f"deviation {100 * damping.sd:.1f} %; used by all that sways in a scene with this file."
         )
     for weight in found.weights:
         own = f"{weight.estimated:.3f} kg, standard deviation {1e3 * weight.deviation:.0f} g"
@@ -231,6 +225,8 @@ def stiffness_text(stiffness: IdentifiedStiffness, source: str) -> str:
             if key in data["base"]:
                 lines.append(f"  {key}:")
                 lines += [f"    - {json.dumps(row)}" for row in data["base"][key]]
+    if "damping" in data:
+        lines.append(f"damping: {json.dumps(data['damping'])}")
     lines.append("covariance:")
     lines += [f"  - {json.dumps(row)}" for row in data["covariance"]]
     return "\n".join(lines) + "\n"

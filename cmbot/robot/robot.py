@@ -75,6 +75,9 @@ class Robot:
         How it holds the guardrail; empty where it stands on something else.
     locked_joints : tuple of HoldingJoint
         Those between its root, which holds, and the arm's base, and those from there to a second foot.
+    damping_ratio : float
+        Of every mode, where nothing else is asked for: 0.01 (arms of aluminium tubes have 0.5 to 2 %), or as
+        identified.
     remarks : tuple of str
         What the files do not say and had to be assumed, a sentence each.
     """
@@ -99,6 +102,7 @@ class Robot:
     foot_point: tuple[float, float, float] = (0.0, 0.0, 0.0)
     feet: tuple[Foot, ...] = ()
     locked_joints: tuple[HoldingJoint, ...] = ()
+    damping_ratio: float = 0.01
     remarks: tuple[str, ...] = ()
 
     def __repr__(self) -> str:

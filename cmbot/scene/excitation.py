@@ -117,8 +117,8 @@ class ExcitationFile(FileModel):
     deck: DeckFile | None = None
     wind: WindFile | None = None
     passing: PassingFile | None = None
-    damping: Ratio = 0.01
-    """Ratio of every mode of the arm."""
+    damping: Ratio | None = None
+    """Ratio of every mode of the arm; left out: as identified, otherwise 0.01."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -5,13 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from cmbot.common.representation import short_repr
 from cmbot.common.validation import refusal
 
 Bandwidth = Annotated[float, Field(ge=0.1, le=200)]
 Factor = Annotated[float, Field(ge=1e-6, le=1e6)]
+
+
+def _share(ratio: float) -> float:
+    """A damping below the critical one; what is more is likely in per cent, as it is printed."""
+    if ratio >= 1:
+        raise refusal(f"a share of critical damping, less than 1: {ratio / 100:g} is {ratio:g} %", got=ratio)
+    return ratio
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,8 +36,9 @@ class SimulationOptions:
         Step of the tracking errors, s.
     settle_s : float
         Simulated time after the joints have stopped, s.
-    damping : float
-        Ratio of every mode in the motion's first posture. The paper gives none.
+    damping : float or None
+        Ratio of every mode in the motion's first posture; None: as identified, otherwise 0.01. The paper
+        gives none.
     initial : str
         ``equilibrium``: the arm starts at rest, bent under its weight. ``undeformed``: it starts straight.
     segments : int
@@ -62,7 +70,7 @@ class SimulationOptions:
     step_s: Annotated[float, Field(ge=1e-5, le=0.02)] = 0.002
     output_step_s: Annotated[float, Field(ge=1e-4, le=0.02)] = 0.005
     settle_s: Annotated[float, Field(ge=0, le=60)] = 2.0
-    damping: Annotated[float, Field(ge=0, lt=1)] = 0.01
+    damping: Annotated[float, Field(ge=0), AfterValidator(_share)] | None = None
     initial: Literal["equilibrium", "undeformed"] = "equilibrium"
     segments: Annotated[int, Field(ge=1, le=8)] = 1
     guardrail_factor: Factor = 1.0

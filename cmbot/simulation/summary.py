@@ -281,8 +281,9 @@ def _setting(options: SimulationOptions) -> str:
     if (guardrail, links, joints) != (1.0, 1.0, 1.0):
         stiffness = f"stiffness times {guardrail:g} (base), {links:g} (links) and {joints:g} (joints), "
     driven = f", {_driven(options)}" if is_executed(options) else ""
+    ratio = 100 * (options.damping or 0.0)
     return (
-        f"Starts {start}; damping {100 * options.damping:g} % of critical for every mode in the first "
+        f"Starts {start}; damping {ratio:g} % of critical for every mode in the first "
         f"posture, {stiffness}{counted(options.segments, 'segment')} a link, "
         f"steps of {1e3 * options.step_s:g} ms{driven}."
     )

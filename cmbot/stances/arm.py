@@ -10,7 +10,6 @@ from scipy.spatial import cKDTree
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.elastic.arm import elastic_arm
 from cmbot.elastic.first_order import BAND_HZ, FirstOrder
-from cmbot.elastic.modes import DAMPING
 from cmbot.planning import ToolTask, project_onto_task
 from cmbot.robot import PostureBatch, Postures, Robot, load_robot
 from cmbot.scene import Scene
@@ -149,7 +148,7 @@ class BaseArm:
         if loads.bends:
             batch = self._elastic.at(at.q, loads.bases(stance))
             sag = 1e3 * self._sag(at.q, stance, push, loads)
-            hz, sway = batch.first_hz, 1e3 * batch.shaken(DAMPING, BAND_HZ)
+            hz, sway = batch.first_hz, 1e3 * batch.shaken(self.robot.damping_ratio, BAND_HZ)
         held, _, of_effort = loads.held(stance, wrench)
         ranked = {"torque": torque, "hold": adhesion, "sag": sag, "sway": sway}[loads.objective]
         return np.array([ranked, torque, adhesion, sag, hz, sway, held, of_effort])

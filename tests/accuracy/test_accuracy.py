@@ -132,7 +132,7 @@ def test_a_tube_that_is_warmer_above_bows_like_a_bimetal(arm: ElasticArm, q: Flo
 def test_the_sway_is_that_of_the_simulation(bent: Plan, arm: ElasticArm) -> None:
     options = SimulationOptions(settle_s=0.0)
     motion, duration = bent.trajectory.evaluate, bent.trajectory.duration
-    sway = sway_along(arm, motion, duration, options.damping, (1.0, 0.7))
+    sway = sway_along(arm, motion, duration, arm.robot.damping_ratio, (1.0, 0.7))
     soft = replace(options, guardrail_factor=0.7, link_factor=0.7, joint_factor=0.7)
     for tool, each in zip(sway.tool, (options, soft), strict=True):
         tracking = simulate(bent, each).planned

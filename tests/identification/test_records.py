@@ -6,14 +6,16 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from command_line import write_scene
+from command_line import refusal, write_scene
 from small_scenes import short_scene
 
 from cmbot.common.errors import InputError
 from cmbot.elastic.generalized_alpha import ElasticSystem, GeneralizedAlpha
 from cmbot.elastic.modes import arm_modes
-from cmbot.identification import estimate, measured_arm, read_measurements, remarks
+from cmbot.identification import estimate, measured_arm, read_measurements, remarks, stiffness_text
 from cmbot.identification.records import read_record, ring_down
+from cmbot.planning import robot_of
+from cmbot.scene import load_scene
 from cmbot.simulation import PrescribedMotion
 
 STEP = 1 / 400
@@ -40,8 +42,21 @@ def test_frequencies_and_damping_of_a_sum_of_oscillations(rng: np.random.Generat
 
 
 def test_noise_has_no_modes(rng: np.random.Generator) -> None:
-    assert len(ring_down(STEP, rng.normal(size=(1600, 3))).frequencies) <= 1
+    assert len(ring_down(STEP, rng.normal(size=(1600, 3))).frequencies) == 0
     assert len(ring_down(STEP, np.zeros((70, 1))).frequencies) == 0
+
+
+@pytest.mark.slow
+def test_noise_is_told_from_decays(rng: np.random.Generator) -> None:
+    """Of 200 records of noise at most two pass; all decays that begin at ten times the noise do."""
+    passed = sum(
+        len(ring_down(1 / 200, 0.02 * rng.normal(size=(2400, 3))).frequencies) > 0 for _ in range(200)
+    )
+    assert passed <= 2
+    for f in (1.5, 4.0, 12.0, 25.0):
+        for ratio in (0.005, 0.02, 0.05):
+            found = ring_down(STEP, oscillations([(f, ratio, [1.0, 0.4, 0.3])], 0.1, rng))
+            assert np.abs(found.frequencies / f - 1).min(initial=np.inf) < 0.02, (f, ratio)
 
 
 def write(path: Path, a: np.ndarray, step: float = STEP) -> Path:
@@ -95,6 +110,27 @@ def test_the_arm_after_a_tap(tmp_path: Path, rng: np.random.Generator) -> None:
     assert np.abs(identified.mean / identified.prior).max() < 1.0
     assert all(part.probability > 0.01 for part in identified.parts)
     assert any("Damping of the modes in the records: 1." in line for line in remarks(identified))
+    # What sways in a scene with the file of it is damped so.
+    (tmp_path / "s.yaml").write_text(stiffness_text(identified.stiffness, "tap.csv"), encoding="utf-8")
+    named = short_scene(robot={"joints": "elastic"}).as_data() | {
+        "identified": str(tmp_path / "s.yaml"),
+        "name": "tapped",
+    }
+    robot = robot_of(load_scene(named))
+    assert robot.damping_ratio == pytest.approx(np.median(found.damping), abs=1e-6)
+    damping = identified.stiffness.damping
+    assert damping is not None
+    assert damping.sd >= np.std(found.damping) - 1e-6
+
+
+def test_a_record_without_a_decay_is_named(tmp_path: Path, rng: np.random.Generator) -> None:
+    """The reason is told, though the sheet names the file: it says nothing of what is in it."""
+    write(tmp_path / "noise.csv", 0.02 * rng.normal(size=(2400, 3)), 1 / 200)
+    row = {"posture": list(short_scene().posture), "record": "noise.csv"}
+    content = {"format": "cmbot-measurements/1", "scene": "triangle", "measurements": [row]}
+    told = refusal("identify", write_scene(tmp_path / "m.yaml", content))
+    assert "noise.csv: got a record with no decay that stands out of its noise, expected a tap" in told
+    assert not (tmp_path / "m.stiffness.yaml").exists()
 
 
 @pytest.mark.parametrize("form", ["phyphox", "milliseconds", "uneven"])
@@ -135,7 +171,14 @@ def test_a_record_as_phones_and_loggers_write_it(form: str, tmp_path: Path, rng:
             "t,ax\n" + "".join(f"{k / 100},{min(k % 20, 9)}\n" for k in range(70)),
             "ax: got 11 rows one after the other at 9, its largest value",
         ),
-        ("t,ax\n" + "".join(f"{k},0\n" for k in range(70)), "got a record in which no mode is seen"),
+        (
+            "t,ax\n" + "".join(f"{k / 100},0\n" for k in range(70)),
+            "got a record with no decay that stands out of its noise, expected a tap, then for",
+        ),
+        (
+            "t,ax\n" + "".join(f"{k / 25},{k % 3}\n" for k in range(70)),
+            "got 25 samples a second, in which fast modes look like slow ones, expected at least 80",
+        ),
     ],
 )
 def test_a_record_that_is_none_is_refused(text: str, message: str, tmp_path: Path) -> None:

@@ -57,7 +57,7 @@ def task() -> ToolTask:
 
 
 def test_both_motions_are_simulated_to_the_end_and_beyond(tracking: Tracking, short_plan: Plan) -> None:
-    assert tracking.options == replace(OPTIONS, stiffness_share=0.3)
+    assert tracking.options == replace(OPTIONS, stiffness_share=0.3, damping=0.01)
     assert tracking.seconds > 0
     for motion in (tracking.baseline, tracking.planned):
         assert motion.stop == short_plan.trajectory.duration
@@ -325,6 +325,15 @@ def test_rows_are_the_figures_in_millimetres(tracking: Tracking) -> None:
     )
 
 
+def test_the_damping_is_that_of_the_robot_unless_another_is_asked_for(short_plan: Plan) -> None:
+    calm = replace(short_plan, robot=replace(short_plan.robot, damping_ratio=0.05))
+    short = replace(OPTIONS, damping=None, settle_s=0.5)
+    own, asked = simulate(calm, short), simulate(short_plan, replace(short, damping=0.05))
+    assert own.options.damping == asked.options.damping == 0.05
+    np.testing.assert_array_equal(own.planned.error, asked.planned.error)
+    assert simulate(short_plan, short).options.damping == 0.01
+
+
 def test_remarks_state_initial_condition_and_damping(short_plan: Plan, tracking: Tracking) -> None:
     text = " ".join(tracking_remarks(tracking))
     assert "Starts hanging in equilibrium; damping 1 % of critical" in text
@@ -361,7 +370,7 @@ def test_divergence_is_an_error_not_a_result(cmbot_robot: Robot, task: ToolTask)
         ("output_step_s", -1.0, "at least 0.0001"),
         ("settle_s", -0.1, "at least 0"),
         ("damping", -0.01, "at least 0"),
-        ("damping", 1.0, "less than 1"),
+        ("damping", 3.0, "a share of critical damping, less than 1: 0.03 is 3 %"),
         ("initial", "relaxed", "equilibrium"),
         ("segments", 0, "at least 1"),
         ("segments", 1.5, "a whole number"),

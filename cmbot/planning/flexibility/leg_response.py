@@ -19,7 +19,7 @@ from scipy import linalg
 
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
-from cmbot.elastic.modes import DAMPING, linearised
+from cmbot.elastic.modes import linearised
 from cmbot.planning.flexibility.leg_vibration import slowest
 
 # Postures of a leg less one; modes of three of them that carry the motion.
@@ -84,7 +84,7 @@ class LegResponse:
         self._loads = np.array(speeding) @ V, np.array(turning) @ V
         self._levers = np.array(levers) @ V
         self._mass, self._stiffness = (V.T @ each @ V for each in (at.mass, at.stiffness))
-        self._springs = V.T @ arm.stiffness @ V
+        self._springs, self._damping = V.T @ arm.stiffness @ V, arm.robot.damping_ratio
 
     def of(
         self,
@@ -107,7 +107,7 @@ class LegResponse:
         M = 0.5 * (self._mass[1:] + self._mass[:-1])
         more = (np.array(factors) - 1.0)[:, None, None] * self._springs
         K = 0.5 * (self._stiffness[1:] + self._stiffness[:-1])[:, None] + more
-        D = (2 * DAMPING / self.omega[0]) * K
+        D = (2 * self._damping / self.omega[0]) * K
         inverse = np.linalg.inv(M[:, None] + 0.5 * h * D + 0.25 * h * h * K)
         w = np.zeros((len(laws), len(factors), len(self._springs), 1))
         v, a, sway = np.zeros_like(w), np.zeros_like(w), np.zeros(w.shape[:2])

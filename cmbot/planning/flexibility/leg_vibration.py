@@ -14,7 +14,7 @@ from scipy.spatial.distance import pdist
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.elastic.arm import ElasticArm
-from cmbot.elastic.modes import DAMPING, linearised
+from cmbot.elastic.modes import linearised
 from cmbot.trajectory import QuinticTrajectory
 
 # Modes at the start, the middle and the end that together carry the motion in between.
@@ -194,7 +194,7 @@ def _reduced(at: _Matrices, factors: FloatArray, modes: int) -> tuple[FloatArray
     own = [slowest(M[-1], each, modes) for each in K[:, -1]]
     r = min(len(omega) for omega, _ in own)
     omega, X = np.stack([omega[:r] for omega, _ in own]), np.stack([X[:, :r] for _, X in own])
-    D = V.T @ at.gyroscopic @ V + (2 * DAMPING / omega[:, 0])[:, None, None, None] * K
+    D = V.T @ at.gyroscopic @ V + (2 * at.arm.robot.damping_ratio / omega[:, 0])[:, None, None, None] * K
     forces = V.T @ at.coupling + V.T @ (at.mass @ at.sag_slope) / by_case
     _, J = at.arm.tool_jacobian(at.arm.configuration(at.q[-1], at.u[-1]), at.arm.model.createData())
     tool = J[:3, at.arm.elastic] @ V

@@ -17,7 +17,6 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from cmbot.common.arrays import FloatArray
-from cmbot.elastic.modes import DAMPING
 from cmbot.planning.flexibility.leg_response import LegResponse
 from cmbot.planning.request import StrokeRequest
 from cmbot.toolpath import LegLaw, Segment, Shaper, TimeLaw, extra_insensitive, two_hump
@@ -130,15 +129,15 @@ def _plain(request: StrokeRequest, leg: int) -> _Candidate:
     return _Candidate(ramp=ramp, flat=0.0, shaper=0, law=law)
 
 
-def _shapers(omega: FloatArray) -> list[Shaper | None]:
-    """None, and those for modes of angular frequencies (k,), rad/s."""
+def _shapers(omega: FloatArray, damping: float) -> list[Shaper | None]:
+    """None, and those for modes of angular frequencies (k,), rad/s, and a damping ratio."""
     if not len(omega):
         return [None]
     first, pair = float(omega[0]), float(omega[:2].mean())
-    shapers: list[Shaper | None] = [None, extra_insensitive(pair, DAMPING), two_hump(pair, DAMPING)]
-    shapers.append(extra_insensitive(first, DAMPING))
+    shapers: list[Shaper | None] = [None, extra_insensitive(pair, damping), two_hump(pair, damping)]
+    shapers.append(extra_insensitive(first, damping))
     if len(omega) > 2:
-        shapers.append(extra_insensitive(pair, DAMPING).then(extra_insensitive(float(omega[2]), DAMPING)))
+        shapers.append(extra_insensitive(pair, damping).then(extra_insensitive(float(omega[2]), damping)))
     return shapers
 
 
@@ -147,7 +146,7 @@ def _candidates(request: StrokeRequest, leg: int, omega: FloatArray) -> Iterator
     yield _plain(request, leg)
     stroke, seconds = request.stroke, request.task.path.segments[leg].seconds
     asked, own = stroke.asked_speed(leg) is not None, stroke.file.speed_profile.ramp
-    for number, shaper in enumerate(_shapers(omega)):
+    for number, shaper in enumerate(_shapers(omega, request.cell.robot.damping_ratio)):
         share = 0.0 if shaper is None else shaper.duration / seconds
         if share > _LONGEST_SHAPER:
             continue

@@ -28,7 +28,7 @@ def modelled_stiffness(robot: Robot) -> dict[tuple[str, str], float]:
 
 
 def with_identified_stiffness(robot: Robot, scene: Scene) -> Robot:
-    """Return a robot whose links and joints are as stiff as a scene says they were identified to be.
+    """Return a robot whose links and joints are as stiff, and whose modes damped, as a scene says.
 
     Raises
     ------
@@ -59,7 +59,8 @@ def with_identified_stiffness(robot: Robot, scene: Scene) -> Robot:
         for name, spring in robot.joint_elasticity.items()
         for by in [factors.get(("joint", name), 1.0)]
     }
-    return replace(robot, elasticity=tubes, joint_elasticity=springs)
+    damping = robot.damping_ratio if identified.damping is None else identified.damping.ratio
+    return replace(robot, elasticity=tubes, joint_elasticity=springs, damping_ratio=damping)
 
 
 def identified_in_words(scene: Scene) -> str | None:
@@ -77,7 +78,8 @@ def identified_in_words(scene: Scene) -> str | None:
             if getattr(given, key) is not None
         ]
     instead = f" It replaces {' and '.join(replaced)} of the scene." if replaced else ""
-    return f"Stiffness as identified, not as modelled: {', '.join(of)}.{instead}"
+    damping = identified.damping and f" Damping as identified: {100 * identified.damping.ratio:.2g} %."
+    return f"Stiffness as identified, not as modelled: {', '.join(of)}.{instead}{damping or ''}"
 
 
 def known_share(scene: Scene, arm: ElasticArm, options: PlannerOptions) -> PlannerOptions:

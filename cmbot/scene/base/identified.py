@@ -44,6 +44,14 @@ class IdentifiedBase(FileModel):
         return self
 
 
+class IdentifiedDamping(FileModel):
+    """That of the modes in records, as shares of critical damping."""
+
+    ratio: Annotated[float, Field(gt=0, lt=1)]
+    sd: Annotated[float, Field(ge=0, lt=1)]
+    """Standard deviation of one mode's ratio."""
+
+
 class IdentifiedStiffness(FileModel):
     """Stiffness in place of the model's, and how well it is known.
 
@@ -57,6 +65,8 @@ class IdentifiedStiffness(FileModel):
     joints: Annotated[tuple[IdentifiedSpring, ...], Field(max_length=100)] = ()
     base: IdentifiedBase | None = None
     """Left out: the base is rigid."""
+    damping: IdentifiedDamping | None = None
+    """Left out, as no record of a decay was used: assumed."""
     covariance: Annotated[tuple[Numbers, ...], Field(min_length=1, max_length=300)]
     """Of what was identified, a row for each number."""
 
