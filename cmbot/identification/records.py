@@ -140,7 +140,7 @@ def ring_down(step: float, a: FloatArray) -> RingDown:
     coarser = int(1 / (step * _HIGHEST * _SAMPLES))
     if coarser > 1 and len(y) > 60 * coarser:
         y, step = decimate(y, coarser, ftype="fir", axis=0), coarser * step
-    if len(y) < _MIN_SAMPLES:
+    if len(y) < _MIN_SAMPLES or not y.any():
         return _none()
     rows = min(len(y) // 2, _HANKEL_SAMPLES)
     windows = np.lib.stride_tricks.sliding_window_view(y, rows, axis=0)  # (N - rows + 1, m, rows)
@@ -158,7 +158,7 @@ def _stands_out(found: RingDown, step: float, y: FloatArray) -> bool:
     The F statistic of the regression on their decaying oscillations, below the highest frequency, of the axis
     that shows them best. Of white noise it is below 10, of a decay from ten times the noise 50 to 20,000.
     """
-    if not len(found.frequencies) or not y.any():
+    if not len(found.frequencies):
         return False
     w, t = 2 * np.pi * found.frequencies, step * np.arange(len(y))
     turn, decay = np.outer(t, w * np.sqrt(1 - found.damping**2)), np.exp(-np.outer(t, w * found.damping))
