@@ -43,7 +43,7 @@ _RIM_POINTS, _WAYS_OUT = 72, (0.0, 0.2, 0.34, 0.45, 0.55, 0.65, 0.74, 0.82, 0.88
 # turning and of pressure between those above, and the cells. By more where only some cells are pressed,
 # near corners: from the second share of cells on down to the first one, so much that no load of
 # `benchmarks/holding.py --corners 250` is missed, whose contact model has finer cells.
-_TABLE_MARGIN, _MARGIN_ON_FEW, _FEW_CELLS, _MANY_CELLS = 0.07, 0.5, 0.02, 0.35
+_TABLE_MARGIN, _MARGIN_ON_FEW, _FEW_CELLS, _MANY_CELLS = 0.07, 0.5, 0.02, 0.24
 # Share of the mean distance without a gap by which P h grows with P at least.
 _STEADY = 0.3
 # Newton's steps at most for pressures, and where they end, as a share.
