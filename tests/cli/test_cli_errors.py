@@ -60,7 +60,7 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
         "plan nosuch",
         (
             "nosuch: no such file, expected a scene",
-            "shipped scene (one of: angle_steel, bracket_faces, gusset_plate, line, panda_sanding, ",
+            "shipped scene (one of: angle_steel, bracket_faces, clamped_triangle, gusset_plate, line, ",
         ),
     ),
     ("plan triangel", ("triangel: no such file", "shipped scene; did you mean triangle? (one of: angle")),

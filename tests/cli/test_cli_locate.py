@@ -70,7 +70,7 @@ def test_a_frame_of_the_scene_is_located_where_it_was(
     Path("mistaken.yaml").write_text(json.dumps(sheet), encoding="utf-8")
     outcome = run("locate", "mistaken.yaml")
     assert outcome.status == 2
-    assert "look at the units and at the frame" in outcome.err
+    assert "look at the units and the frame" in outcome.err
 
 
 def test_a_sheet_that_is_not_filled_in_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
