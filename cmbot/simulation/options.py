@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from cmbot.common.representation import short_repr
 from cmbot.common.validation import refusal
@@ -14,10 +14,10 @@ Bandwidth = Annotated[float, Field(ge=0.1, le=200)]
 Factor = Annotated[float, Field(ge=1e-6, le=1e6)]
 
 
-def _share(ratio: float) -> float:
+def _share(ratio: object) -> object:
     """A damping below the critical one; what is more is likely in per cent, as it is printed."""
-    if ratio >= 1:
-        raise refusal(f"a share of critical damping, less than 1: {ratio / 100:g} is {ratio:g} %", got=ratio)
+    if isinstance(ratio, float | int) and ratio >= 1:
+        raise refusal(f"a share of what is critical, less than 1: {ratio / 100:g} is {ratio:g} %", got=ratio)
     return ratio
 
 
@@ -70,7 +70,7 @@ class SimulationOptions:
     step_s: Annotated[float, Field(ge=1e-5, le=0.02)] = 0.002
     output_step_s: Annotated[float, Field(ge=1e-4, le=0.02)] = 0.005
     settle_s: Annotated[float, Field(ge=0, le=60)] = 2.0
-    damping: Annotated[float, Field(ge=0), AfterValidator(_share)] | None = None
+    damping: Annotated[float, Field(ge=0, lt=1), BeforeValidator(_share)] | None = None
     initial: Literal["equilibrium", "undeformed"] = "equilibrium"
     segments: Annotated[int, Field(ge=1, le=8)] = 1
     guardrail_factor: Factor = 1.0

@@ -370,7 +370,7 @@ def test_divergence_is_an_error_not_a_result(cmbot_robot: Robot, task: ToolTask)
         ("output_step_s", -1.0, "at least 0.0001"),
         ("settle_s", -0.1, "at least 0"),
         ("damping", -0.01, "at least 0"),
-        ("damping", 3.0, "a share of critical damping, less than 1: 0.03 is 3 %"),
+        ("damping", 3.0, "a share of what is critical, less than 1: 0.03 is 3 %"),
         ("initial", "relaxed", "equilibrium"),
         ("segments", 0, "at least 1"),
         ("segments", 1.5, "a whole number"),

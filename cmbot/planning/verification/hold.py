@@ -14,7 +14,7 @@ from cmbot.robot import Robot
 
 # What two computations may differ by, as a share of what presses the foot most, below and above, and N; by
 # what share a bound may be missed. This one has fewer centres of turning; the other one is on the safe side,
-# with pressure near a corner by up to a quarter (benchmarks/holding.py --corners 250).
+# with pressure near a corner by up to so much of the force that presses.
 _MORE_THAN_FOUND, _LESS_THAN_FOUND, _LEAST_DIFFERENCE, _OF_BOUND = 0.005, 0.25, 1e-6, 1e-9
 # Cells along each side of the contact's box, and at least of its smallest part's; centres of turning on a
 # circle, the share of the way to its edge up to which cells have a centre of pressure, and circles in half
