@@ -25,15 +25,15 @@ from cmbot.scene import Placement, Tolerance, Uncertainty
 
 # Draws; postures of a stroke at most, and the time between them, s.
 _DRAWS, _MOST_POSTURES, _BETWEEN_POSTURES = 2048, 80, 0.25
-_SEED = 0
+_DRAW_SEED = 0
 # Slower than this, m/s, the tool is taken to rest: then no direction is along its path.
-_AT_REST = 1e-4
+_REST_SPEED_M_S = 1e-4
 # What remedies promise: stiffness identified within this share, places located by touched points.
 _IDENTIFIED, _LOCATED = 0.03, Placement(mm=0.3, deg=0.03)
 # A remedy that leaves more than this share is none.
-_HELPS = 0.99
+_MAX_REMEDY_SHARE = 0.99
 # Half the speed takes a quarter of the acceleration.
-_SLOWED = 0.25
+_HALF_SPEED_SHARE = 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -224,13 +224,13 @@ def _remedies(
         tried.append(("cmbot identify", lambda other: other.scaled({"stiffness": _IDENTIFIED / share})))
     if uncertainty.foot.mm > _LOCATED.mm or uncertainty.foot.deg > _LOCATED.deg:
         tried.append(("cmbot locate", lambda other: other.located(uncertainty.foot)))
-    tried.append(("half the speed", lambda other: other.scaled({"sway": _SLOWED})))
+    tried.append(("half the speed", lambda other: other.scaled({"sway": _HALF_SPEED_SHARE})))
     if budget.shaking is not None:
         tried.append(("work while the base is still", lambda other: replace(other, shaking=None)))
     found, all_together = list[Remedy](), budget
     for name, remedy in tried:
         left = _within(remedy(budget).distances(), probability)
-        if left < _HELPS * within:
+        if left < _MAX_REMEDY_SHARE * within:
             found.append(Remedy(name=name, within_mm=left))
             all_together = remedy(all_together)
     if len(found) > 1:
@@ -408,7 +408,7 @@ def _sampled(
     offset = np.zeros_like(place) if compensated else work.path.leg_offset(t, work.commanded(t))
     velocity = np.gradient(place, t, axis=0)
     speed = np.linalg.norm(velocity, axis=1, keepdims=True)
-    along = np.where(speed > _AT_REST, velocity / np.maximum(speed, _AT_REST), 0.0)
+    along = np.where(speed > _REST_SPEED_M_S, velocity / np.maximum(speed, _REST_SPEED_M_S), 0.0)
     axis = np.broadcast_to(work.rotation(t)[:, :, 2], place.shape)
     factors, damping = (1 - share, 1.0, 1 + share), arm.robot.damping_ratio
     sway = work.sway or sway_along(arm, work.motion, duration, damping, factors)
@@ -435,7 +435,7 @@ def _largest(t: FloatArray, times: FloatArray, tool: FloatArray) -> FloatArray:
 @lru_cache(maxsize=4)
 def _stratified(dimension: int) -> FloatArray:
     """Numbers (D, dimension) within 0 and 1: a Latin hypercube (McKay et al., 1979)."""
-    rng = np.random.default_rng(_SEED)
+    rng = np.random.default_rng(_DRAW_SEED)
     strata = np.repeat(np.arange(_DRAWS)[:, None], dimension, axis=1)
     return np.asarray((rng.permuted(strata, axis=0) + 0.5) / _DRAWS)
 
@@ -443,4 +443,4 @@ def _stratified(dimension: int) -> FloatArray:
 @lru_cache(maxsize=4)
 def _normal(postures: int) -> NDArray[np.float32]:
     """Normal numbers (D, postures, 3)."""
-    return np.random.default_rng(_SEED).standard_normal((_DRAWS, postures, 3), dtype=np.float32)
+    return np.random.default_rng(_DRAW_SEED).standard_normal((_DRAWS, postures, 3), dtype=np.float32)

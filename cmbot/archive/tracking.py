@@ -33,7 +33,7 @@ from cmbot.version import __version__
 _TRACKING_FORMAT = "cmbot-tracking/1"
 _PLANNED, _BASELINE, _METRICS = TRACKING_FILES
 _TABLES = {_PLANNED: "planned", _BASELINE: "baseline"}
-_COLUMNS = ("t", *(f"{part}_{axis}" for part in ("error", "static") for axis in "xyz"))
+_TRACKING_COLUMNS = ("t", *(f"{part}_{axis}" for part in ("error", "static") for axis in "xyz"))
 # Of an elastic base; rotations as in `MotionTracking.base`.
 _BASE = tuple(f"{part}_{axis}" for part in ("base", "base_rotation") for axis in "xyz")
 
@@ -101,9 +101,9 @@ def save_tracking(
         motion: MotionTracking | None = getattr(tracking, attribute)
         if motion is None:
             continue
-        table, columns = np.column_stack([motion.t, motion.error, motion.static]), _COLUMNS
+        table, columns = np.column_stack([motion.t, motion.error, motion.static]), _TRACKING_COLUMNS
         if motion.base is not None:
-            table, columns = np.column_stack([table, motion.base]), _COLUMNS + _BASE
+            table, columns = np.column_stack([table, motion.base]), _TRACKING_COLUMNS + _BASE
         contents[name] = table_csv(columns, table, name)
     contents[_METRICS] = json_bytes(tracking_json(tracking), indent=2)
     return add_results(folder, contents, added, force=force)
@@ -155,7 +155,9 @@ def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
     motions = dict[str, MotionTracking]()
     for name, work, sag in works:
         with_base = contents[name].partition(b"\n")[0].endswith(_BASE[-1].encode())
-        table = read_table(contents[name], str(folder / name), _COLUMNS + _BASE if with_base else _COLUMNS)
+        table = read_table(
+            contents[name], str(folder / name), _TRACKING_COLUMNS + _BASE if with_base else _TRACKING_COLUMNS
+        )
         t, error, static = table[:, 0].copy(), table[:, 1:4].copy(), table[:, 4:7].copy()
         rigid, predicted = expected_tool(plan.robot, work, t, sag)
         entry: _Motion = getattr(file, _TABLES[name])

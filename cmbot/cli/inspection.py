@@ -32,7 +32,7 @@ _REQUIRED_PACKAGES = (
     *("pin", "coal", "numpy", "scipy", "annotated-types", "pydantic", "ruamel.yaml", "meshcat", "yourdfpy"),
     *("u-msgpack-python", "trimesh", "fast-simplification", "threadpoolctl", "rich"),
 )
-_MODULES = {"pin": "pinocchio", "u-msgpack-python": "umsgpack"}
+_MODULE_NAMES = {"pin": "pinocchio", "u-msgpack-python": "umsgpack"}
 # Programs that `cmbot replay --video` needs: the names that they have, and what installs them.
 _VIDEO_PROGRAMS = (
     ("chromium", ("chromium", "chromium-browser", "google-chrome"), "apt-get install chromium"),
@@ -399,7 +399,7 @@ def examine() -> list[Symptom]:
     symptoms = [
         Symptom("cmbot", f"{__version__} from {Path(__file__).parent.parent}"),
         Symptom("python", f"{platform.python_version()} on {platform.platform()}"),
-        *(_package(name, _MODULES.get(name, name.replace("-", "_"))) for name in _REQUIRED_PACKAGES),
+        *(_package(name, _MODULE_NAMES.get(name, name.replace("-", "_"))) for name in _REQUIRED_PACKAGES),
     ]
     for name, extra in _OPTIONAL_PACKAGES:
         version = _version(name)

@@ -54,7 +54,7 @@ from cmbot.simulation import PrescribedWork, SimulationOptions, elastic_arm_of, 
 _POSTURES, _SOME = 13, slice(None, None, 4)
 _TRAINS_PER_HOUR = 4.0
 # Of records and trains, s.
-_STEP = 0.002
+_STEP_S = 0.002
 _CURVE_HZ = np.geomspace(*BAND_HZ, 400)
 
 
@@ -199,7 +199,7 @@ class _Excited:
         self.plan, self.given = plan, given
         own = plan.robot.damping_ratio
         self.damping = own if given is None or given.damping is None else given.damping
-        self.options = SimulationOptions(damping=self.damping, step_s=_STEP, output_step_s=_STEP)
+        self.options = SimulationOptions(damping=self.damping, step_s=_STEP_S, output_step_s=_STEP_S)
         self.arm = elastic_arm_of(plan, self.options)
         require_bending(self.arm, plan.scene.source)
         self.work = PrescribedWork.planned(plan)
@@ -251,7 +251,7 @@ class _Excited:
         inputs = self.deck(passages)
         known = None if inputs is None else self.along_work(inputs, responses)
         if inputs is not None and known is not None and not passages:
-            added = [each.history(inputs(known.t), _STEP)[:, AXES:] for each in responses[_SOME]]
+            added = [each.history(inputs(known.t), _STEP_S)[:, AXES:] for each in responses[_SOME]]
             needed.append(adhesion_of(plan.robot, added, self.wrench[_SOME], known.t))
         tool = [response.transfer(_CURVE_HZ)[:, :AXES, :AXES] for response in responses]
         return Excitation(
@@ -386,12 +386,12 @@ class _Excited:
         self, inputs: Callable[[FloatArray], FloatArray], responses: Sequence[ModalResponse]
     ) -> _AlongWork:
         """The tool along the work: simulated whole, where nothing but the deck acts, else by modes."""
-        t = np.arange(0.0, self.work.duration + self.options.settle_s, _STEP)
+        t = np.arange(0.0, self.work.duration + self.options.settle_s, _STEP_S)
         if self.damper is None and not inputs(t)[:, AXES:].any():
             ground = lambda t: inputs(t)[:, :AXES]  # noqa: E731
             found = track_work(self.arm, self.work, self.options, sag=self.plan.sag, ground=ground)
             return _AlongWork(found.t, found.dynamic, "simulation")
-        each = [response.history(inputs(t), _STEP)[:, :AXES] for response in responses]
+        each = [response.history(inputs(t), _STEP_S)[:, :AXES] for response in responses]
         return _AlongWork(t, np.einsum("kn,kni->ni", posture_shares(self.t, t), each), "modes")
 
 

@@ -15,7 +15,7 @@ PASSAGE_HEADINGS = (
     *("speed, km/h", "tool, mm", "torque added, Nm", "adhesion, kN", "passes, s", "still after, s"),
     *("pause, s", "tolerance"),
 )
-_KEPT = {None: "-", True: "kept", False: "left"}
+_LIMIT_WORDS = {None: "-", True: "kept", False: "left"}
 
 
 def excitation_rows(excitation: Excitation) -> Iterator[tuple[str, str]]:
@@ -74,7 +74,7 @@ def passage_rows(excitation: Excitation) -> Iterator[tuple[str, ...]]:
         yield (
             *(f"{each.speed_km_h:g}", f"{1e3 * each.tool:.2f}", f"{each.torque:.0f}"),
             "-" if each.adhesion is None else f"{each.adhesion / 1e3:.2f}",
-            *(f"{each.passes_s:.1f}", f"{each.still_s:.1f}", f"{each.pause_s:.1f}", _KEPT[each.kept]),
+            *(f"{each.passes_s:.1f}", f"{each.still_s:.1f}", f"{each.pause_s:.1f}", _LIMIT_WORDS[each.kept]),
         )
 
 

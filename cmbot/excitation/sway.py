@@ -44,7 +44,7 @@ _FEWEST_OUTSIDE, _ENOUGH_OUTSIDE, _MOST_BATCHES = 10, 200, 6
 # Signs of the six loads of a foot.
 _LOAD_SIGNS = np.array(list(product((-1.0, 1.0), repeat=6)))
 # Decay times after which a vibration is forgotten.
-_FORGETS = 5.0
+_MEMORY_DECAYS = 5.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -256,7 +256,7 @@ def sampled_tool(
     N = max(int(_FINENESS * band[1] * duration), 2)
     step = duration / (N - 1) if duration else 1 / (_FINENESS * band[1])
     slowest = min(float((response.frequencies * response.damping).min()) for response in responses)
-    count = next_fast_len(N + int(_FORGETS / (2 * np.pi * slowest * step)), real=True)
+    count = next_fast_len(N + int(_MEMORY_DECAYS / (2 * np.pi * slowest * step)), real=True)
     records = max(min(records, _MOST_NUMBERS // (AXES * count)), _FEWEST_RECORDS)
     f = np.arange(count // 2 + 1) / (count * step)
     S, random = spectrum(f), np.random.default_rng(_RECORD_SEED + batch)

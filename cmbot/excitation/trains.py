@@ -35,8 +35,8 @@ _LOCOMOTIVE, _LOCOMOTIVE_KN = (0.0, 3.0, 10.4, 13.4), 210.0
 _CARS, _CAR, _CAR_PIVOTS, _CAR_WHEELBASE, _CAR_KN = 8, 25.0, 18.0, 2.5, 150.0
 
 # EN 1991-2, 6.6.2: factor of the vehicle's shape; how long each half of the pulse is at the head and tail, m.
-_SHAPES = {"freight": 1.0, "smooth": 0.85, "streamlined": 0.6}
-_HALF_PULSE = 5.0
+_SHAPE_FACTORS = {"freight": 1.0, "smooth": 0.85, "streamlined": 0.6}
+_HALF_PULSE_M = 5.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -153,7 +153,7 @@ def passing_pressure(speed: float, distance: float, shape: str) -> float:
     shape : str
         Of the train: ``freight``, ``smooth`` or ``streamlined``.
     """
-    return _SHAPES[shape] * (2.5 / (distance + 0.25) ** 2 + 0.02) * speed**2 / 1.6
+    return _SHAPE_FACTORS[shape] * (2.5 / (distance + 0.25) ** 2 + 0.02) * speed**2 / 1.6
 
 
 def pressure_pulse(train: Train, speed: float, t: FloatArray) -> FloatArray:
@@ -164,6 +164,6 @@ def pressure_pulse(train: Train, speed: float, t: FloatArray) -> FloatArray:
     pulse = np.zeros_like(t)
     for place in (0.0, train.length):
         way = speed * t - place
-        inside = np.abs(way) < _HALF_PULSE
-        pulse[inside] -= np.sin(np.pi * way[inside] / _HALF_PULSE)
+        inside = np.abs(way) < _HALF_PULSE_M
+        pulse[inside] -= np.sin(np.pi * way[inside] / _HALF_PULSE_M)
     return pulse

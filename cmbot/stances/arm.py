@@ -17,17 +17,17 @@ from cmbot.stances.loads import StanceLoads
 from cmbot.toolpath import ToolPoses
 
 # Postures of the table.
-_TABLE = 60_000
+_TABLE_POSTURES = 60_000
 # How long steps along the self-motion are, rad: of walks, and to where the objective is less, at first.
 _STRIDE, _LENGTH = 0.2, 0.25
 # A metre of the tool counts as so many rad when neighbours are sought.
-_METRE = 2.0
+_RAD_PER_METRE = 2.0
 # The tool's velocity is that between poses this long before and after, s.
-_MOMENT = 1e-3
+_DIFFERENCE_S = 1e-3
 # Weights of the joints are tried so often where the quickest joint decides; none is lighter than this.
 _WEIGHINGS, _LIGHTEST = 20, 1e-3
 # Added to the diagonal of Gram matrices, for singular Jacobians.
-_REGULAR = 1e-9
+_REGULARIZATION_SHARE = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +72,7 @@ class _Goals:
     def of(task: ToolTask, time: float, bases: FloatArray) -> _Goals:
         """Return them for bases (C, 4, 4) in W."""
         R, p = bases[:, :3, :3], bases[:, :3, 3]
-        times = np.clip([time, time - _MOMENT, time + _MOMENT], 0.0, task.path.duration)
+        times = np.clip([time, time - _DIFFERENCE_S, time + _DIFFERENCE_S], 0.0, task.path.duration)
 
         def placed(pose: ToolPoses) -> ToolPoses:
             point = np.einsum("cji,cj->ci", R, pose.point[0] - p)
@@ -97,7 +97,7 @@ class BaseArm:
         self._elastic = FirstOrder(elastic_arm(self.robot, None))
         self._force, self._mass = np.array(robot.tool_force), self.robot.arm_mass
         rng = np.random.default_rng(0)
-        self._table = self.limits.drawn(rng, _TABLE)
+        self._table = self.limits.drawn(rng, _TABLE_POSTURES)
         at = self.postures.tool_at(self._table)
         self._points, self._rotations = at.tool_point, at.tool_rotation
         self._trees: dict[str, cKDTree] = {}
@@ -247,7 +247,11 @@ class BaseArm:
         for _ in range(_WEIGHINGS):
             each, by = J[open_], J[open_] / weight[open_, None, :]
             gram = by @ each.transpose(0, 2, 1)
-            gram += _REGULAR * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(gram.shape[1])
+            gram += (
+                _REGULARIZATION_SHARE
+                * np.trace(gram, axis1=1, axis2=2)[:, None, None]
+                * np.eye(gram.shape[1])
+            )
             share = (by.transpose(0, 2, 1) @ np.linalg.solve(gram, rate[open_, :, None]))[:, :, 0]
             least = (weight[open_] * share**2).sum(axis=1)
             fast[open_[least > 1]] = True
@@ -289,4 +293,4 @@ def _features(keep: str, point: FloatArray, rotation: FloatArray) -> FloatArray:
     """Coordinates in which tool poses that a task takes for near are near."""
     columns = {"pose": rotation.reshape(len(rotation), -1), "axis": rotation[:, :, 2]}
     turned = columns.get(keep, np.zeros((len(rotation), 0)))
-    return np.hstack([_METRE * point, turned])
+    return np.hstack([_RAD_PER_METRE * point, turned])

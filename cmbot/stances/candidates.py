@@ -28,7 +28,7 @@ REACH = 0.9
 APART = 0.16
 """Feet do not stand on each other, m."""
 # Places this far from the ends of a member are left out, m.
-_MARGIN = 0.04
+_END_MARGIN_M = 0.04
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -260,10 +260,10 @@ def places_of(scene: Scene, spacing: float) -> Iterator[FootholdFile]:
             side = foothold_face(guardrail, probe)
             if side.held_by_clamps_alone and not clamps:
                 continue
-            low, high = _MARGIN, side.ends[1] - side.ends[0] - _MARGIN
+            low, high = _END_MARGIN_M, side.ends[1] - side.ends[0] - _END_MARGIN_M
             if member.startswith("post_"):
-                low = guardrail.post.clamp - guardrail.post.bottom + _MARGIN
-                high += _MARGIN - 0.05
+                low = guardrail.post.clamp - guardrail.post.bottom + _END_MARGIN_M
+                high += _END_MARGIN_M - 0.05
             for along in np.arange(low, high + 1e-9, spacing):
                 place = probe.changed(along_m=round(float(along), 4))
                 if in_the_way(scene, place) is not None:

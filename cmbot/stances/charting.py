@@ -26,7 +26,7 @@ from cmbot.scene import Scene
 AtRest = Callable[[FloatArray], FloatArray]
 """What is ranked (N,) at rest in postures (N, n); in place of the planner's objective."""
 # Share of a value by which a proof of it may be off.
-_PROVEN = 1e-4
+_PROOF_TOLERANCE = 1e-4
 # Via-points of a stroke that is charted quickly.
 _VIA_POINTS = 13
 
@@ -103,7 +103,7 @@ def proven_bound(scene: Scene, stroke: int, times: FloatArray, value: float) -> 
     request = replace(build_request(scene, scene.planner).at_stroke(stroke), times=times)
     proof, lowest = TorqueFloorProof.of(request), 0.0
     for k in range(len(times) if proof is not None else 0):
-        if proof is not None and lowest < (1 - _PROVEN) * value:
+        if proof is not None and lowest < (1 - _PROOF_TOLERANCE) * value:
             lowest = max(lowest, proof.prove(k, value).lowest)
     return lowest
 

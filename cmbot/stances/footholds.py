@@ -15,12 +15,12 @@ from cmbot.scene import FootholdFile, Scene, foothold_pose
 
 # The foot in its frame, as the URDF has it, m: sides, and its centre above the member's axis.
 _FOOT, _CENTRE = (0.13, 0.05, 0.15), 0.065
-_LIFT = 0.06
+_LIFT_M = 0.06
 
 
 def lift_height() -> float:
     """Return how far a foot is lifted off along the normal of the face before it swings, m."""
-    return _LIFT
+    return _LIFT_M
 
 
 def in_the_way(scene: Scene, place: FootholdFile) -> str | None:
@@ -34,8 +34,8 @@ def in_the_way(scene: Scene, place: FootholdFile) -> str | None:
     place : FootholdFile
     """
     X = foothold_pose(scene.elastic_guardrail, place)
-    X[:3, 3] += (_CENTRE + _LIFT / 2) * X[:3, 1]
-    box = Box(size=(_FOOT[0], _FOOT[1] + _LIFT, _FOOT[2]))
+    X[:3, 3] += (_CENTRE + _LIFT_M / 2) * X[:3, 1]
+    box = Box(size=(_FOOT[0], _FOOT[1] + _LIFT_M, _FOOT[2]))
     others = [obstacle for obstacle in scene.all_obstacles if obstacle.name != place.member]
     return touched_by(box, np.asarray(X), others)
 

@@ -18,9 +18,9 @@ from cmbot.toolpath import Goal
 T = TypeVar("T")
 
 _LONGEST_NAME, _STANCE = 90, "_stance"
-_PLAIN: dict[str, Any] = dict.fromkeys(("lead_in_m", "lead_out_m", "speed_tolerance", "passes"))
+_PLAIN_KEYS: dict[str, Any] = dict.fromkeys(("lead_in_m", "lead_out_m", "speed_tolerance", "passes"))
 # What scenes of one bridge have in common, by their keys.
-_COMMON = {
+_COMMON_KEYS = {
     "robot": "robot",
     "base": "base",
     "tool": "tool",
@@ -81,7 +81,7 @@ def in_world(scene: Scene) -> Scene:
         if not stroke.legs or fixed:
             continue
         # Without leads and turns it begins where its first leg does.
-        alone = scene.with_strokes((*scene.strokes[:k], stroke.changed(**_PLAIN, backwards=False)))
+        alone = scene.with_strokes((*scene.strokes[:k], stroke.changed(**_PLAIN_KEYS, backwards=False)))
         pose = strokes_of(alone, robot)[-1].path.poses([0.0])
         begin = Goal(xyz=tuple(pose.point[0].tolist()), rpy_deg=_rpy_deg(pose.rotation[0]))
         strokes[k], moved = stroke.changed(start_pose=begin), True
@@ -107,7 +107,7 @@ def joined(scenes: Sequence[Scene]) -> Scene:
     obstacles, frames = {one.name: one for one in first.obstacles}, dict(first.frames)
     strokes = {f"{first.name}_{stroke.name}": stroke for stroke in _strokes(first)}
     for other in others:
-        for key, name in _COMMON.items():
+        for key, name in _COMMON_KEYS.items():
             _require_same(key, getattr(first, name), getattr(other, name), first, other)
         own, its = (scene.guardrail.changed(stance=None) for scene in (first, other))
         _require_same("guardrail", own, its, first, other)

@@ -33,15 +33,15 @@ from cmbot.stances.search import (
 from cmbot.stances.stages import PROVEN_SHARE, Judge, at_rest_of
 
 # For whose scenes alone steps are sought.
-_SHIPPED_ROBOT = "the shipped robot, an arm on a climber that holds a guardrail"
+_CLIMBER_WORDS = "the shipped robot, an arm on a climber that holds a guardrail"
 
-_LONGEST_NAME = 90
+_MAX_NAME_CHARACTERS = 90
 # What a stance may sag where the scene's own is not known to do the work; and in any case.
 _MOST_SAG_MM, _LEAST_SAG_MM = 50.0, 5.0
 # Share of the best value that is proven of the others, less what a proof may be off.
 _NO_BETTER = PROVEN_SHARE - 1e-3
 # So many of the reasons for which stances are left out are named.
-_REASONS = 3
+_MAX_REASONS_NAMED = 3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -100,7 +100,7 @@ class StanceRanking:
     def reasons(self) -> list[tuple[str, int]]:
         """The reasons for which most stances are left out, and how many each."""
         causes = (each.rejection.cause for each in self.ranked if each.rejection is not None)
-        return Counter(causes).most_common(_REASONS)
+        return Counter(causes).most_common(_MAX_REASONS_NAMED)
 
     @property
     def nearest(self) -> StanceResult | None:
@@ -272,7 +272,7 @@ class _Stand:
         """The ranked stances for some strokes."""
         members, scene = sorted(group), self._scene
         name = "_".join([scene.name, *(str(k + 1) for k in members)])
-        part = with_strokes(scene, group, name[:_LONGEST_NAME]) if several else scene
+        part = with_strokes(scene, group, name[:_MAX_NAME_CHARACTERS]) if several else scene
         strokes = [k for each in members for k in self._of[each]]
         numbers = {candidate: k for k, candidate in enumerate(self._candidates)}
         judge = Judge(
@@ -407,7 +407,7 @@ def require_on_guardrail(scene: Scene) -> None:
     """
     if not scene.on_guardrail or not scene.elastic_guardrail.post_positions:
         key, got = ("guardrail", "none") if scene.on_guardrail else ("robot", "another robot")
-        raise SceneError(scene.source, key, got, _SHIPPED_ROBOT)
+        raise SceneError(scene.source, key, got, _CLIMBER_WORDS)
 
 
 def require_standing(scene: Scene, members: Sequence[str] = ()) -> None:
@@ -418,7 +418,7 @@ def require_standing(scene: Scene, members: Sequence[str] = ()) -> None:
     SceneError, InputError
     """
     if not scene.on_guardrail and not scene.mounts:
-        expected = f"where the base frame may be held; or {_SHIPPED_ROBOT}"
+        expected = f"where the base frame may be held; or {_CLIMBER_WORDS}"
         raise SceneError(scene.source, "mounts", "none", expected)
     if scene.on_guardrail:
         require_on_guardrail(scene)

@@ -28,12 +28,12 @@ from cmbot.stances.loads import StanceLoads
 VIA_POINTS = 6
 """Of a stroke at which all stances are screened."""
 # Postures that are tried at once.
-_AT_ONCE = 12_000
+_POSTURES_PER_BATCH = 12_000
 _SAG = FIGURES.index("sag_mm")
 # Stances whose rough bounds are not above that of so many others by this factor are looked at closely.
 _PROMISING_STANCES, _PROMISING_RATIO = 20, 1.5
 # The share of the time that the rough search takes.
-_ROUGH = 0.3
+_ROUGH_TIME_SHARE = 0.3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -138,7 +138,7 @@ class _Stroke:
         found = np.empty((len(FIGURES), K, C))
         for k in range(K):
             found[:, k] = self._least(k, every, ROUGHLY)
-            report(_ROUGH * (k + 1) / K)
+            report(_ROUGH_TIME_SHARE * (k + 1) / K)
         # Without a posture at half of the via-points it is left at that.
         closely = np.tile(2 * np.isinf(found[0]).sum(axis=0) >= K, (K, 1))
         while True:
@@ -156,12 +156,12 @@ class _Stroke:
                 better = again[0] < found[0, k, some]
                 found[:, k, some[better]] = again[:, better]
                 closely[k, some] = True
-            report(_ROUGH + (1 - _ROUGH) * float(1 - open_.mean()))
+            report(_ROUGH_TIME_SHARE + (1 - _ROUGH_TIME_SHARE) * float(1 - open_.mean()))
 
     def _least(self, via_point: int, some: IntArray, effort: Effort) -> FloatArray:
         """Figures of some of the stances at a via-point, (8, k)."""
         time = float(times_of(self.task)[via_point])
-        at_once = max(_AT_ONCE // (effort.tried * (1 + 2 * effort.walked)), 1)
+        at_once = max(_POSTURES_PER_BATCH // (effort.tried * (1 + 2 * effort.walked)), 1)
         parts = [np.empty((len(FIGURES), 0))]
         for first in range(0, len(some), at_once):
             part = some[first : first + at_once]

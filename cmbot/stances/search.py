@@ -28,11 +28,11 @@ StageName = Literal["reach", "postures", "clearance", "obstacles", "charts", "pl
 RejectionKind = Literal["out of reach", "no posture", "blocked", "beyond a bound", "failed"]
 Progress = Callable[[str, float], None]
 # Bases nearer, m, to one that could not be planned or charted are tried last.
-_NEAR: dict[StageName, float] = {"plan": 0.3, "charts": 0.12}
+_NEAR_BASE_M: dict[StageName, float] = {"plan": 0.3, "charts": 0.12}
 # Time that planning is given at least, s.
-_SHORTEST = 1e-3
+_MIN_PLAN_SECONDS = 1e-3
 # Once enough are planned, only stances that may be better by more than this share are judged.
-_GAP = 0.02
+_WORTH_SHARE = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +105,7 @@ class Ending:
 
     def within(self, scene: Scene) -> PlannerOptions:
         """Return the scene's options with no more time than is left."""
-        given, most = scene.planner, max(self._left(), _SHORTEST)
+        given, most = scene.planner, max(self._left(), _MIN_PLAN_SECONDS)
         return given if given.time_limit_s <= most else replace(given, time_limit_s=most)
 
     def _left(self) -> float:
@@ -218,14 +218,14 @@ class StanceResult:
         """What is planned first, by its value; then what is only bounded; then the rejected."""
         if self.plan is not None and self.rejection is None:
             return 0, self.value
-        return (1 if self.rejection is None else 2 + _KINDS.index(self.rejection.kind)), self.bound
+        return (1 if self.rejection is None else 2 + _REJECTIONS.index(self.rejection.kind)), self.bound
 
     def rejected(self, stage: StageName, rejection: Rejection) -> StanceResult:
         """Return it as left out by a stage."""
         return replace(self, stage=stage, rejection=rejection)
 
 
-_KINDS: tuple[RejectionKind, ...] = ("failed", "beyond a bound", "blocked", "no posture", "out of reach")
+_REJECTIONS: tuple[RejectionKind, ...] = ("failed", "beyond a bound", "blocked", "no posture", "out of reach")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -340,7 +340,7 @@ class _Search:
     @property
     def _enough(self) -> float:
         """Once enough are planned, only stances whose bound is below this are looked at."""
-        return np.inf if self._planned < self._wanted else (1 - _GAP) * self._best
+        return np.inf if self._planned < self._wanted else (1 - _WORTH_SHARE) * self._best
 
     def _is_near_a_failure(self, each: StanceResult) -> bool:
         base = each.candidate.base[:3, 3]
@@ -356,4 +356,4 @@ class _Search:
             self._best = min(self._best, result.value)
         elif rejection is not None and not result.own and rejection.kind != "beyond a bound":
             # A little further on what is bounded may be less; and only the scene's own has its start posture.
-            self._failures.append((result.candidate.base[:3, 3], _NEAR.get(stage.name, 0.0)))
+            self._failures.append((result.candidate.base[:3, 3], _NEAR_BASE_M.get(stage.name, 0.0)))

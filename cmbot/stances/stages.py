@@ -25,15 +25,15 @@ from cmbot.stances.screening import VIA_POINTS, Screener, Screening
 from cmbot.stances.search import Ending, Rejection, Stage, StanceResult, StandOptions
 
 # Attempts to plan: so many times the number of plans wanted and one more.
-_TRIES = 2
+_ATTEMPTS_PER_PLAN = 2
 # A stance is not planned where the postures of its charts exceed a bound by this factor; a plan may not.
-_ROOM = 1.05
+_CHART_ALLOWANCE = 1.05
 PROVEN_SHARE = 0.98
 """Share of the best value that others are proven not to undercut."""
 # Postures of the work in which sag and modes of a plan are computed.
 _SAGS, _MODES = 61, 5
 # Postures of a job between which the joints' travel is measured.
-_STEPS = 2000
+_TRAVEL_POSTURES = 2000
 # Bounds of what is charted.
 _BOUNDED = {"torque": "base_torque_nm", "hold": "adhesion_n", "sag": "sag_mm"}
 _WORDS = {
@@ -83,7 +83,7 @@ class Judge:
 
     def stages(self) -> tuple[Stage, ...]:
         """Return them in their order."""
-        options, tries = self.options, _TRIES * (self.options.plans + 1)
+        options, tries = self.options, _ATTEMPTS_PER_PLAN * (self.options.plans + 1)
         return (
             Stage(
                 name="clearance",
@@ -126,7 +126,7 @@ class Judge:
             # Nothing is charted where the tool's axis may lean; for the sway it is by the sag.
             bound = result.bound
         name = _BOUNDED.get(self.objective)
-        if name is not None and bound > _ROOM * getattr(self.bounds, name):
+        if name is not None and bound > _CHART_ALLOWANCE * getattr(self.bounds, name):
             return result.rejected("obstacles", _beyond(self.bounds, name, bound, "in its best postures"))
         return replace(result, stage="obstacles", bound=bound, expected=bound)
 
@@ -140,7 +140,7 @@ class Judge:
         loads, number = self.screener.loads, self.numbers[result.candidate]
         rows = self.screener.arm.figures(charted.postures, np.full(len(charted.postures), number), loads)
         at_rest = at_rest_of(rows.max(axis=1))
-        if beyond := at_rest.beyond(_wider(self.bounds, _ROOM)):
+        if beyond := at_rest.beyond(_wider(self.bounds, _CHART_ALLOWANCE)):
             name, value, _ = beyond
             return result.rejected("charts", _beyond(self.bounds, name, value, "in its best postures"))
         # With few via-points the allowance between postures is smaller, with many the bound is tighter.
@@ -230,7 +230,7 @@ def figures_of(made: Plan, candidate: AnyCandidate) -> StanceFigures:
     torque, whole = work.peak_guardrail_torque, job.peak_guardrail_torque
     if not isinstance(candidate, Candidate):
         torque, whole = (_about_base(made, candidate, part) for part in (made.work, made.job))
-    t = np.linspace(0.0, made.job.duration, _STEPS)
+    t = np.linspace(0.0, made.job.duration, _TRAVEL_POSTURES)
     turns = ~made.robot.limits.prismatic
     travel = np.abs(np.diff(made.job.trajectory.evaluate(t)[:, turns], axis=0)).sum()
     held = made.holding_torque
@@ -268,7 +268,7 @@ def _bending(made: Plan) -> dict[str, float]:
 def _about_base(made: Plan, candidate: AnyCandidate, part: object) -> float:
     """Largest moment, Nm, about the origin of the base frame, as the plan has it about O0."""
     trajectory = made.trajectory if part is made.work else made.job.trajectory
-    t = np.linspace(trajectory.t[0], trajectory.t[-1], _STEPS)
+    t = np.linspace(trajectory.t[0], trajectory.t[-1], _TRAVEL_POSTURES)
     q, v, a = trajectory.states(t)[:3]
     wrench = Dynamics(made.robot).efforts(q, v, a).guardrail_wrench
     away = candidate.base[:3, 3] - np.array(made.robot.foot_point)

@@ -15,17 +15,17 @@ from cmbot.stances.stages import PROVEN_SHARE
 
 _Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
-_PLACES = (
+_PLACE_COLUMNS = (
     *("foot_1_member", "foot_1_along_m", "foot_1_face", "foot_1_turn_deg"),
     *("foot_2_member", "foot_2_along_m", "foot_2_face", "foot_2_turn_deg"),
     *("x", "y", "z", "climb_1_deg", "climb_2_deg", "climb_3_deg", "climb_4_deg", "climb_5_deg", "reason"),
 )
-_COLUMNS = (
+_TABLE_COLUMNS = (
     *("group", "strokes", "rank", "status", "judged_by", "bound", "proven_bound", "planned"),
     *("torque_at_rest", "adhesion_at_rest", "planned_torque", "job_torque", "planned_adhesion"),
     *("sag_mm", "first_hz", "sway_mm_per_m_s2", "holding_nm", "holding_of_effort", "travel_deg"),
     *("seconds", "within_mm"),
-    *_PLACES,
+    *_PLACE_COLUMNS,
 )
 _ENDED = {
     "out of reach": "{} out of reach",
@@ -205,7 +205,7 @@ def stances_csv(rankings: Sequence[StanceRanking]) -> str:
         for number, each in enumerate(rankings, start=1)
         for rank, one in enumerate(each.ranked, start=1)
     )
-    return "\n".join([",".join(_COLUMNS), *(",".join(map(str, row)) for row in rows), ""])
+    return "\n".join([",".join(_TABLE_COLUMNS), *(",".join(map(str, row)) for row in rows), ""])
 
 
 def _cells(each: StanceResult) -> Iterator[object]:

@@ -27,7 +27,7 @@ _COMPENSATED_CAPTION = (
 )
 _NOT_SIMULATED = "not simulated"
 # What the quantities of joints that slide are called.
-_SLIDING = {"angle": "position", "torque": "force"}
+_SLIDING_NAMES = {"angle": "position", "torque": "force"}
 
 # Segments further apart in time than this, s, have a gap between them: where an arm waits, or has no path.
 _GAP_S = 1e-6
@@ -151,7 +151,7 @@ def joint_axes(plan: Plan) -> Iterator[tuple[Callable[[tuple[Curve, ...]], Chart
             factor = 1.0 if kind == "torque" else units.factor
             make = partial(
                 _joint_chart,
-                title=_SLIDING.get(title, title) if plan.robot.limits.prismatic[joint] else title,
+                title=_SLIDING_NAMES.get(title, title) if plan.robot.limits.prismatic[joint] else title,
                 unit=getattr(units, kind),
                 digits=1 if units.position == "deg" else 3,
                 low=factor * float(lower[joint]),

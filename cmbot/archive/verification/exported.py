@@ -29,7 +29,7 @@ from cmbot.planning import Plan
 _SAME, _SAME_ZERO, _WHY = 1e-6, 1e-9, "the knots have it"
 _LARGEST_FILE = 500_000_000
 # What messages of few points may be off the plan between these, rad and m.
-_LARGEST_DEVIATION = 1e-3
+_MAX_DEVIATION = 1e-3
 
 
 def unverified_files(plan: Plan, folder: Path) -> tuple[str, ...]:
@@ -85,9 +85,9 @@ def _message(plan: Plan, path: Path) -> bool:
     times, joints, effort = _as_given(data, plan, source)
     found = trajectory_message(plan, times, joints=joints, effort=effort)
     require_same(data, found.message, source, "", _SAME, _SAME_ZERO, _WHY)
-    if found.deviation > _LARGEST_DEVIATION:
+    if found.deviation > _MAX_DEVIATION:
         got = f"points whose quintics are {found.deviation:.3g} rad (or m) off"
-        raise ArchiveError(source, "points", got, f"the motion within {_LARGEST_DEVIATION:g}, as {_WHY}")
+        raise ArchiveError(source, "points", got, f"the motion within {_MAX_DEVIATION:g}, as {_WHY}")
     return True
 
 

@@ -24,7 +24,7 @@ from cmbot.stances import in_world, joined
 from cmbot.stances.walking import Walk, WalkOptions, goal_stance, second_opinion_of, walk_csv
 
 # Stances and postures are the same but for so much.
-_SAME = 1e-6
+_STANCE_TOLERANCE = 1e-6
 _WALK_TABLE = "walk.csv"
 
 
@@ -194,7 +194,7 @@ def _require_walk(walk: Walk, asked: Asked, source: str) -> tuple[str, ...]:
         scene = asked.goal if isinstance(asked.goal, Scene) else walk.scene
         posture = np.array(scene.posture) if scene is asked.goal else ends[-len(scene.posture) :]
         wanted = place(goal_stance(asked.goal, walk.scene), posture)
-        if not np.allclose(ends, wanted, rtol=0, atol=_SAME):
+        if not np.allclose(ends, wanted, rtol=0, atol=_STANCE_TOLERANCE):
             raise ArchiveError(source, "goal", "another stance or posture", "that which was asked for")
     for scene in asked.scenes:
         require_asked(walk.scene, scene, source)

@@ -38,7 +38,7 @@ from cmbot.trajectory import Peak, QuinticTrajectory
 _AT_VIA_POINT, _SAME_DURATION = 1e-6, 1e-9
 # Motions that break the bound of a rate so many times, as damaged files do, are enclosed coarsely: no closer
 # look makes them hold, and it would take long.
-_ABSURD = 1e5
+_COARSE_RATIO = 1e5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,7 +135,7 @@ def certify(
         the commanded one.
     """
     rates = rate_checks(robot, trajectory)
-    absurd = not all(check.value <= _ABSURD * check.bound for check in rates)
+    absurd = not all(check.value <= _COARSE_RATIO * check.bound for check in rates)
     motion = EnclosedMotion(robot, task, trajectory, sag, coarse=absurd)
     closely = (np.inf, -np.inf) if absurd else (RESOLUTION, options.safety_margin_m)
     nearest = nearest_approach(trajectory, clearances, *closely)

@@ -21,7 +21,7 @@ from cmbot.trajectory import Peak, Pieces, QuinticTrajectory, highest
 # of the tool, m and rad, or m/s.
 _TORQUE_RESOLUTION, _TOOL_RESOLUTION = 1e-6, 1e-8
 # Pieces of a trajectory at most, a segment, before the remainder of interpolation stays what it is.
-_MOST_PIECES = 64
+_MAX_PIECES_PER_SEGMENT = 64
 
 
 class EnclosedMotion:
@@ -50,7 +50,9 @@ class EnclosedMotion:
         self._robot, self._task, self._trajectory, self._sag = robot, task, trajectory, sag
         self._dynamics = Dynamics(robot)
         pieces = Pieces.between(trajectory, task.path.breaks)
-        self._pieces = pieces if coarse else pieces.refined(self._share, _MOST_PIECES * len(pieces.start))
+        self._pieces = (
+            pieces if coarse else pieces.refined(self._share, _MAX_PIECES_PER_SEGMENT * len(pieces.start))
+        )
         self._bounds = norm_bounds(robot, self._pieces.ellipses)
         q, v, a = self._pieces.states
         self._efforts: Efforts = self._dynamics.efforts(q, v, a)

@@ -14,11 +14,11 @@ from cmbot.trajectory import QuinticTrajectory
 # are dense, the last digit of a position is a jump of a derivative; positions may be off by this many.
 _JUMP, _DIGITS = 1e-9, 64
 # What the last digit of a position does to derivative k at the end of a quintic, in units of h^-k.
-_AMPLIFIED = (1.0, 15.0, 60.0, 60.0)
+_ROUNDING_GAINS = (1.0, 15.0, 60.0, 60.0)
 # No allowance for rounding is larger than this share of a joint's bound, but for the jerk.
-_LARGEST_ALLOWANCE = 1e-6
+_MAX_ALLOWANCE_SHARE = 1e-6
 # The same posture, rad.
-_SAME_POSTURE = 1e-9
+_POSTURE_ROUNDING = 1e-9
 _DERIVATIVES = ("velocity", "acceleration", "jerk")
 # A jump of a position is judged as a share of half a turn or of a metre.
 _HALF_TURN, _METRE = np.pi, 1.0
@@ -77,7 +77,7 @@ def posture_checks(
                     quantity=f"distance of the {name} from the posture required there",
                     time=float(trajectory.t[k]),
                     value=float(away.max()),
-                    bound=_SAME_POSTURE,
+                    bound=_POSTURE_ROUNDING,
                     unit=robot.limits.units(int(away.argmax())).position,
                 )
             )
@@ -102,9 +102,9 @@ def continuity_check(robot: Robot, trajectory: QuinticTrajectory) -> Check:
         jump[1:-1] = trajectory.jumps(order)
         if order > 0:
             jump[[0, -1]] = trajectory.evaluate(t[[0, -1]], order)
-        rounding = _AMPLIFIED[order] * digit / bound / shorter**order
+        rounding = _ROUNDING_GAINS[order] * digit / bound / shorter**order
         if order < len(bounds) - 1:
-            rounding = np.minimum(rounding, _LARGEST_ALLOWANCE)
+            rounding = np.minimum(rounding, _MAX_ALLOWANCE_SHARE)
         shares.append((np.abs(jump / bound) / np.maximum(rounding, _JUMP)).max(axis=1))
     worst = np.max(shares, axis=0)
     return Check(

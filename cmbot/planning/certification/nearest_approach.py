@@ -16,13 +16,13 @@ from cmbot.common.arrays import FloatArray
 from cmbot.trajectory import QuinticTrajectory, bernstein_coefficients, halves
 
 # What coal's distances may be too large, m.
-_ROUNDING = 1e-6
+_DISTANCE_ERROR_M = 1e-6
 # Distances that are less above a margin, m, are not told from it.
-_LEAST_ROOM = 5e-6
+_MIN_ROOM_M = 5e-6
 # Halvings of a segment at most, and intervals of one level; where they do not suffice the bound stays lower.
 _HALVINGS, _MOST_INTERVALS = 40, 20_000
 # Pairs that are left for each interval where all of them are measured.
-_FEW = 2
+_MAX_LEFT_PAIRS = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +63,7 @@ def nearest_approach(
     """
     found = _enclosed(trajectory, clearances, resolution)
     room = found.distance - margin
-    if found.bound >= margin or room < _LEAST_ROOM:
+    if found.bound >= margin or room < _MIN_ROOM_M:
         return found
     return _enclosed(trajectory, clearances, 0.5 * room)
 
@@ -90,7 +90,7 @@ def _enclosed(trajectory: QuinticTrajectory, clearances: Clearances, resolution:
             nearest = NearestApproach(
                 time=float(middle[k]), distance=float(smallest[k]), pair=int(guide.pair[k]), bound=0.0
             )
-        if alive.sum() > _FEW * len(q):
+        if alive.sum() > _MAX_LEFT_PAIRS * len(q):
             lower = clearances.lower_bounds(q) - travel
         else:
             # It takes longer to bound all distances than to measure these.
@@ -119,7 +119,7 @@ def _enclosed(trajectory: QuinticTrajectory, clearances: Clearances, resolution:
         time=nearest.time,
         distance=nearest.distance,
         pair=nearest.pair,
-        bound=float(np.minimum(bound, nearest.distance)) - _ROUNDING,
+        bound=float(np.minimum(bound, nearest.distance)) - _DISTANCE_ERROR_M,
     )
 
 

@@ -9,7 +9,7 @@ from cmbot.toolpath import ToolPath
 from cmbot.trajectory import Peak, Pieces, highest
 
 # How far the bound may lie above what was found, as a share of the process speed.
-_RESOLUTION = 1e-6
+_SPEED_RESOLUTION = 1e-6
 
 
 def speed_deviation(path: ToolPath, pieces: Pieces, velocity: FloatArray, remainder: FloatArray) -> Peak:
@@ -48,4 +48,4 @@ def speed_deviation(path: ToolPath, pieces: Pieces, velocity: FloatArray, remain
 
     between = Pieces(trajectory=pieces.trajectory, start=pieces.start[on], end=pieces.end[on])
     control = pieces.control_points(velocity)[on]
-    return highest(between, control, missed, remainder[on] / speed, _RESOLUTION, exact)
+    return highest(between, control, missed, remainder[on] / speed, _SPEED_RESOLUTION, exact)

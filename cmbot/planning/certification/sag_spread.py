@@ -12,7 +12,7 @@ from cmbot.toolpath import ToolPath
 from cmbot.trajectory import QuinticTrajectory
 
 # Longest time between postures in which the standard deviation is computed, s; it changes slowly.
-_INTERVAL = 0.25
+_SPREAD_INTERVAL_S = 0.25
 
 
 def across_path(path: ToolPath, sag: Sag, t: FloatArray, q: FloatArray) -> FloatArray:
@@ -28,7 +28,7 @@ def across_path(path: ToolPath, sag: Sag, t: FloatArray, q: FloatArray) -> Float
 
 def spread_times(trajectory: QuinticTrajectory) -> FloatArray:
     """Return times (N,), s, along a trajectory at which its standard deviation is computed."""
-    count = max(int(np.ceil(trajectory.duration / _INTERVAL)), 8)
+    count = max(int(np.ceil(trajectory.duration / _SPREAD_INTERVAL_S)), 8)
     return np.linspace(trajectory.t[0], trajectory.t[-1], count + 1)
 
 

@@ -18,9 +18,9 @@ from cmbot.robot import Dynamics, Robot
 from cmbot.scene import Scene
 
 # States of a segment in which a stop is looked at.
-_STATES = 200
+_STATES_PER_SEGMENT = 200
 # Arms with more joints are stopped with all of them at once alone.
-_MOST_JOINTS = 8
+_MAX_STOPPED_JOINTS = 8
 # Of the slowest modes the quickest one of so many decides how much of a short stop reaches the feet.
 _SLOW_MODES = 4
 # Stops of a segment whose adhesion is computed with gaps: those that need most if no gap may open, in all
@@ -74,7 +74,7 @@ def _stops(scene: Scene, robot_at_work: Robot, job: Job) -> Iterator[tuple[Float
     frequency = _frequency(scene, robot_at_work, job)
     for segment in job.segments:
         robot = robot_at_work if segment.kind == "stroke" else robot_at_work.tool_off
-        t = np.linspace(segment.trajectory.t[0], segment.trajectory.t[-1], _STATES)
+        t = np.linspace(segment.trajectory.t[0], segment.trajectory.t[-1], _STATES_PER_SEGMENT)
         q, v, _ = segment.trajectory.states(t)
         at = Dynamics(robot).wrench_derivatives(q, v, np.zeros_like(q))
         lasts = np.abs(v) / robot.limits.acceleration
@@ -98,6 +98,6 @@ def _frequency(scene: Scene, robot: Robot, job: Job) -> float:
 
 def _which(joints: int) -> FloatArray:
     """Which joints stop, (k, n): every combination, or all of very many."""
-    if joints > _MOST_JOINTS:
+    if joints > _MAX_STOPPED_JOINTS:
         return np.ones((1, joints))
     return np.array(list(product((0.0, 1.0), repeat=joints)))

@@ -20,8 +20,8 @@ from cmbot.common.yaml_reader import read_yaml
 from cmbot.robot import JointLimits, Robot, RobotFiles, parse_urdf, robot_files
 from cmbot.scene import Scene
 
-_FILES = ("model", "srdf", "limits", "elasticity", "package_dirs", "xacro", "total_mass", "tool")
-_MOVABLE = ("revolute", "continuous", "prismatic")
+_FILE_FIELDS = ("model", "srdf", "limits", "elasticity", "package_dirs", "xacro", "total_mass", "tool")
+_MOVABLE_TYPES = ("revolute", "continuous", "prismatic")
 # A range that ends beyond this is none, and so is a smaller limit than the last.
 _ENDLESS, _LEAST_LIMIT = 1e9, 1e-6
 
@@ -83,7 +83,7 @@ class DescribedArm:
         """Return what a scene's robot is; which files and frames are meant is no opinion: the loader's."""
         source, stance, mount = scene.robot, scene.stance, scene.robot.mount
         return cls.in_files(
-            robot_files(**{name: source.files[name] for name in _FILES}),
+            robot_files(**{name: source.files[name] for name in _FILE_FIELDS}),
             robot,
             X_WB=None if mount is None else pose_of(mount.xyz, np.radians(mount.rpy_deg)),
             X_WR=None if stance is None else stance.root,
@@ -143,7 +143,7 @@ class DescribedArm:
         while link != self.base and link in self._above:
             chain.insert(0, self._above[link])
             link = _link(chain[0], "parent")
-        return [joint for joint in chain if joint.get("type") in _MOVABLE]
+        return [joint for joint in chain if joint.get("type") in _MOVABLE_TYPES]
 
     @property
     def slides(self) -> BoolArray:
@@ -224,6 +224,6 @@ def _group_states(files: RobotFiles, urdf: Element) -> dict[str, float]:
     if files.srdf is None:
         return {}
     semantics = parse_urdf(files.srdf, "an SRDF", files.package_dirs)
-    movable = {each.get("name", "") for each in urdf.findall("joint") if each.get("type") in _MOVABLE}
+    movable = {each.get("name", "") for each in urdf.findall("joint") if each.get("type") in _MOVABLE_TYPES}
     entries = {each.get("name", ""): each.get("value", "") for each in semantics.findall("group_state/joint")}
     return {name: float(entries[name]) for name in movable & entries.keys()}

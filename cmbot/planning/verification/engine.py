@@ -22,13 +22,13 @@ from cmbot.planning.verification.described_arm import DescribedArm
 
 ENGINE = "mujoco"
 """What has to be installed, and its name on the command line."""
-_EXTRA = "verify"
+_VERIFY_EXTRA = "verify"
 # Names of links and joints that are added; MuJoCo calls the world so.
 _BASE, _POINT, _WORLD, _RENAMED = "cmbot base", "cmbot tool point", "world", "cmbot world"
 # It has no bodies without mass: kg and kg m2 that are not felt.
 _LEAST_MASS, _LEAST_INERTIA = "1e-12", "1e-14"
 _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-_KEPT = {"link": ("inertial",), "joint": ("origin", "parent", "child", "axis")}
+_KEPT_ELEMENTS = {"link": ("inertial",), "joint": ("origin", "parent", "child", "axis")}
 _READER = {
     **{"fusestatic": "false", "boundmass": _LEAST_MASS, "boundinertia": _LEAST_INERTIA},
     "strippath": "false",
@@ -71,7 +71,7 @@ def require_installed() -> None:
         When it is not installed.
     """
     if not is_installed():
-        raise MissingExtra(ENGINE, _EXTRA)
+        raise MissingExtra(ENGINE, _VERIFY_EXTRA)
 
 
 def engine_states(
@@ -145,9 +145,9 @@ def _without_shapes(arm: DescribedArm) -> ElementTree.Element:
     root = ElementTree.Element("robot", name="arm")
     ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler", _READER)
     for part in arm.urdf:
-        if part.tag in _KEPT:
+        if part.tag in _KEPT_ELEMENTS:
             kept = ElementTree.SubElement(root, part.tag, part.attrib)
-            kept.extend(deepcopy(inner) for inner in part if inner.tag in _KEPT[part.tag])
+            kept.extend(deepcopy(inner) for inner in part if inner.tag in _KEPT_ELEMENTS[part.tag])
     for joint in root.findall("joint"):
         if joint.get("type") in ("floating", "planar"):
             joint.set("type", "fixed")

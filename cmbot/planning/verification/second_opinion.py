@@ -33,7 +33,7 @@ _STATES, _KNOTS = 300, 100
 # What two computations of the same may differ by: torques and forces as a share of the largest, tool points
 # and angles in m and rad, limits and times as a share, distances in m, points that a file names in m.
 _EFFORTS, _POSES, _SHARES, _DISTANCES, _NAMED = 1e-6, 1e-9, 1e-9, 1e-5, 1e-4
-_LEAST_EFFORT = 1e-9
+_MIN_EFFORT = 1e-9
 # Of the sag a share and a length, m: a tube that bends in one place sags a tenth less by its own weight.
 _SAG, _LEAST_SAG = 0.01, 2e-5
 # By what share a limit, by how much (m) a margin, by how much (m, rad) a via-point may be missed.
@@ -151,7 +151,7 @@ def _rates(trajectory: QuinticTrajectory, times: FloatArray, order: int) -> Floa
 
 
 _TORQUE = ("Nm", "N")
-_BOUNDED = (
+_BOUNDED_RATES = (
     ("velocity", ("rad/s", "m/s")),
     ("acceleration", ("rad/s2", "m/s2")),
     ("jerk", ("rad/s3", "m/s3")),
@@ -182,7 +182,7 @@ def _bound_checks(
     # At a knot the shorter one of its segments.
     shorter = np.minimum(h, np.minimum(np.append(h[1:], np.inf), np.append(np.inf, h[:-1])))[segment, None]
     digits = _QUINTIC * _DIGITS * np.spacing(np.abs(motion[0]).max())
-    for order, (name, units) in enumerate(_BOUNDED, start=1):
+    for order, (name, units) in enumerate(_BOUNDED_RATES, start=1):
         at_knot = np.isin(times, trajectory.t)[:, None]
         rounding = digits / np.where(at_knot, shorter, h[segment, None]) ** order
         rate = np.maximum(np.abs(motion[order]) - rounding, 0.0)
@@ -250,7 +250,7 @@ def _engine_checks(
         ("guardrail torque", found.base_torque, efforts.guardrail_torque + robot.carrier_torque, "Nm"),
     ):
         if own is not None:
-            bound = max(_EFFORTS * float(np.abs(own).max()), _LEAST_EFFORT)
+            bound = max(_EFFORTS * float(np.abs(own).max()), _MIN_EFFORT)
             quantity, away = f"difference of the {name} {_FROM}", np.abs(own - other).max(axis=1)
             yield largest_check(quantity, times, away, bound, unit)
 

@@ -23,11 +23,11 @@ _NO_TURN, _NO_TIME = 1e-12, 1e-12
 # Samples of a path in which points are looked for: at least, and for each of them.
 _SAMPLES, _PER_POINT = 4001, 40
 # Rounded corners turn by 150 degrees at most, and pass their points within so many radii.
-_CORNER = 3.0
+_CORNER_RADII = 3.0
 # Dense waypoints are passed within this share of the tool's tolerance.
-_WAYPOINTS_MISSED = 0.25
+_WAYPOINT_SHARE = 0.25
 # Durations whose shares agree to so many digits are the same.
-_DIGITS = 9
+_DURATION_DIGITS = 9
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -228,7 +228,10 @@ class DescribedPath:
         plain = self._legs is not None and self.is_plain
         ends = self._legs.ends if self._legs is not None and plain else self._path.section_times
         seconds = np.diff(ends)
-        segments, shares = np.ones(len(seconds), dtype=np.intp), np.round(seconds / seconds.sum(), _DIGITS)
+        segments, shares = (
+            np.ones(len(seconds), dtype=np.intp),
+            np.round(seconds / seconds.sum(), _DURATION_DIGITS),
+        )
         for _ in range(self._number - 1 - len(seconds)):
             segments[np.argmax(shares / (segments + 1))] += 1
         steps = [
@@ -247,9 +250,9 @@ class DescribedPath:
             times = times[self._path.process_speed(times) > 0] if self._has_leads else times
             p, R = self.poses(times)
             return _surface_misses(raster, self._frames[raster.frame], p, R[:, :, 2]).ravel()
-        rounded = _CORNER * (self._file.blend_radius_m or 0.0)
+        rounded = _CORNER_RADII * (self._file.blend_radius_m or 0.0)
         if self._legs is None:
-            rounded += _WAYPOINTS_MISSED * self._deviation
+            rounded += _WAYPOINT_SHARE * self._deviation
         points = np.array(self._file.waypoints)[:, :3] if self._legs is None else self._legs.corners
         return np.maximum(self._distance(points) - rounded, 0.0)
 

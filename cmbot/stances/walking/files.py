@@ -17,7 +17,7 @@ from cmbot.stances.walking.steps import Move
 from cmbot.stances.walking.walk import Walk
 from cmbot.version import __version__
 
-_STEP = 0.1
+_WALK_STEP_S = 0.1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,7 +55,9 @@ def walk_samples(walk: Walk) -> Iterator[WalkSamples]:
     climber = Climber()
     for move, begin in zip(walk.moves, walk.begins, strict=True):
         trajectory = move.segment.trajectory
-        t = np.linspace(0.0, trajectory.duration, max(int(np.ceil(trajectory.duration / _STEP)) + 1, 2))
+        t = np.linspace(
+            0.0, trajectory.duration, max(int(np.ceil(trajectory.duration / _WALK_STEP_S)) + 1, 2)
+        )
         q, v, a = trajectory.states(t)[:3]
         moves_arm = move.kind == "arm"
         angles = np.repeat(move.node.climber[None], len(t), axis=0)

@@ -16,9 +16,9 @@ from cmbot.stances import APART, REACH, Candidate, bare_climber, candidate_at, p
 from cmbot.stances.walking.balance import SPARE, Balance
 
 # Places this far beyond both stances are looked at, m.
-_BEYOND = 0.8
+_BEYOND_M = 0.8
 # A metre that a foot goes costs as much as so many steps.
-_METRE = 0.5
+_STEPS_PER_METRE = 0.5
 
 Key = tuple[str, float, str, float]
 
@@ -57,7 +57,7 @@ def nodes_between(scene: Scene, first: Candidate, last: Candidate, spacing: floa
         x = float(foothold_pose(scene.elastic_guardrail, place)[0, 3])
         # On round bars a foot holds only where a scene wants it to.
         flat = place in ends or not foothold_face(scene.elastic_guardrail, place).held_by_clamps_alone
-        if flat and min(xs) - _BEYOND <= x <= max(xs) + _BEYOND and place not in places:
+        if flat and min(xs) - _BEYOND_M <= x <= max(xs) + _BEYOND_M and place not in places:
             places.append(place)
     poses = [foothold_pose(scene.elastic_guardrail, place) for place in places]
     points, normals = np.array([X[:3, 3] for X in poses]), np.array([X[:3, 1] for X in poses])
@@ -107,7 +107,7 @@ class Route:
         self._closed = np.zeros(len(self._ends), dtype=np.bool_)
         base = np.array([node.base[:3, 3] for node in nodes])
         way = np.linalg.norm(base[self._ends[:, 0]] - base[self._ends[:, 1]], axis=1)
-        self._cost = 1.0 + _METRE * way
+        self._cost = 1.0 + _STEPS_PER_METRE * way
 
     def _edges(self, foot: Side) -> IntArray:
         """Pairs (E, 2) of nodes between which a foot goes while the other one holds."""

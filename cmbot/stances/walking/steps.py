@@ -33,10 +33,10 @@ from cmbot.toolpath import SpeedProfile, ToolPath
 from cmbot.trajectory import QuinticTrajectory
 
 # Postures of the straight way on which a foot is lifted.
-_ON_THE_WAY = 9
+_LIFT_POSTURES = 9
 # Samples of a move at which the speed of the foot is found, and by how much it is then slowed further.
 _SAMPLES, _ROUNDING = 400, 1 + 1e-6
-_EVERYTHING = 1e12
+_NO_LIMIT = 1e12
 Kind = Literal["arm", "lift", "swing", "set"]
 """Of a move."""
 
@@ -281,7 +281,7 @@ def _named(name: str, start: FloatArray, end: FloatArray, end_name: str) -> Free
         start_name="the posture before",
         end_name=end_name,
         # What may be asked is bounded by joints and feet.
-        allowed=_EVERYTHING,
+        allowed=_NO_LIMIT,
     )
 
 
@@ -292,7 +292,7 @@ def _lifted(node: Candidate, foot: Side) -> FloatArray:
     climber = Climber()
     X_12, normal = climber.poses(node.climber)[0], np.array([0.0, 1.0, 0.0])
     way = [node.climber]
-    for height in np.linspace(0.0, lift_height(), _ON_THE_WAY)[1:]:
+    for height in np.linspace(0.0, lift_height(), _LIFT_POSTURES)[1:]:
         X = X_12.copy()
         X[:3, 3] += (height if foot == 2 else -height) * normal
         found = climber.reaching(X)

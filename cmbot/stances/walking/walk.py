@@ -23,13 +23,13 @@ from cmbot.stances.walking.route import Edge, Route, nodes_between
 from cmbot.stances.walking.steps import Move, Step, arm_move, plan_step
 
 # Postures of the arm with which a step is planned.
-_TRIED = 15
+_TRIED_POSTURES = 15
 # Steps that may turn out impossible before a walk is given up, and moves of the arm from where it is in a
 # stance before it is taken as caught there: each costs seconds.
 _MOST_FAILURES, _MOST_MOVES_IN_VAIN = 20, 3
-_SAME_PLACE = 1e-6
+_SAME_PLACE_M = 1e-6
 # Characters of the cause for which a step failed, within a message that is about more.
-_LONGEST_CAUSE = 120
+_MAX_CAUSE_CHARACTERS = 120
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -247,7 +247,7 @@ class _Search:
 
     def _step(self, edge: Edge) -> Step | None:
         before, after = (self._route.nodes[k] for k in (edge.before, edge.after))
-        weights = self._route.counterweights(edge, self._weight)[:_TRIED].tolist()
+        weights = self._route.counterweights(edge, self._weight)[:_TRIED_POSTURES].tolist()
         why = "the foot's straight swing comes too near to something, whatever folded posture the arm has"
         for k, straight in (*((k, True) for k in weights), *((k, False) for k in weights[:1])):
             arm = self._balance.arms[k]
@@ -329,7 +329,7 @@ def _reason(error: CmbotError) -> str:
 
 def _cause(why: str) -> str:
     """The first clause of a cause, so that a message that is about more than that holds it."""
-    return whole_sentences(why.partition("; ")[0], _LONGEST_CAUSE)
+    return whole_sentences(why.partition("; ")[0], _MAX_CAUSE_CHARACTERS)
 
 
 def _names(node: Candidate) -> str:
@@ -352,7 +352,7 @@ def stance_of(scene: Scene) -> Candidate:
     if file is not None and stance is not None:
         return candidate_at(file.foot_1, file.foot_2, stance.root, np.array(stance.climber), Climber())
     places = enumerate(scene.elastic_guardrail.post_positions, start=1)
-    number = next((number for number, x in places if abs(x) < _SAME_PLACE), None)
+    number = next((number for number, x in places if abs(x) < _SAME_PLACE_M), None)
     if number is None:
         expected = "a stance, as the foot holds no post"
         raise SceneError(scene.source, "guardrail.stance", "nothing", expected)
