@@ -6,23 +6,12 @@ import copy
 from collections.abc import Mapping
 from typing import Any
 
+from small_scenes import SHORT
+
 __all__ = ["ASKED", "BASES", "GOAL", "HONEST", "WALK", "changed"]
 
 Data = dict[str, Any]
 
-_PLANNER = {"knots": "fixed", "path_step_s": 0.02, "baseline": "paper", "compensate": False}
-_SHORT: Data = {
-    "format": "cmbot-scene/2",
-    "name": "short",
-    "robot": {"model": "cmbot", "joints": "rigid"},
-    "start": {"posture_deg": [-10, -90, 90, 0, 10, 50, 0]},
-    "tool_path": {
-        "legs": [{"by": [0, -0.3, 0], "seconds": 4}],
-        "speed_profile": {"kind": "trapezoidal"},
-        "via_points": 8,
-    },
-    "planner": _PLANNER,
-}
 _WAY = {"via_points": 12, "speed_profile": {"kind": "jerk_limited", "ramp": 0.4}}
 _BAR = {"name": "bar", "box": [0.06, 1.0, 0.06], "xyz": [1.9354, 0.63, -2.0628]}
 _NEAR = {"name": "bar", "box": [0.06, 1.0, 0.06], "xyz": [1.87, 0.63, -2.0628]}
@@ -45,7 +34,7 @@ def changed(data: Data, changes: Mapping[str, Any]) -> Data:
     return data
 
 
-def _of(name: str, changes: Mapping[str, Any], base: Data = _SHORT) -> Data:
+def _of(name: str, changes: Mapping[str, Any], base: Data = SHORT) -> Data:
     return changed(base, {"name": name, **changes})
 
 
@@ -198,7 +187,7 @@ WALK: Data = {
             "foot_2": {"member": "top_rail", "along_m": 4.44, "turn_deg": 180},
         },
     },
-    "planner": _PLANNER,
+    "planner": SHORT["planner"],
 }
 """A stance from which a step leads to the next one."""
 GOAL: Data = changed(WALK, {"guardrail.stance.foot_1.along_m": 4.09})["guardrail"]["stance"]
