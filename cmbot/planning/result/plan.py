@@ -27,6 +27,7 @@ from cmbot.common.file_types import NonNegative
 from cmbot.common.limit import Limit
 from cmbot.common.representation import aligned, card
 from cmbot.common.validation import require_type
+from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.sag import Sag, TooSoftError
 from cmbot.hold import AdhesionPeak
 from cmbot.planning.certification.certificate import Certificate
@@ -203,6 +204,7 @@ class Plan(StrokePlan):
         if arm is None:
             return None
         covariance, begin = covariance_of(self.scene, arm), self.job.strokes[0].begin
+        share = self.scene.uncertainty.stiffness_share
         try:
             works = [
                 replace(
@@ -210,7 +212,7 @@ class Plan(StrokePlan):
                     sway=sway,
                     shaking=shaking and replace(shaking, t=shaking.t - (each.begin - begin)),
                 )
-                for each, sway in zip(self.job.strokes, self._swaying, strict=True)
+                for each, sway in zip(self.job.strokes, self._swaying(arm, share), strict=True)
             ]
             return accuracy_of(
                 arm,
@@ -225,14 +227,16 @@ class Plan(StrokePlan):
             return None
 
     @cached_property
-    def _swaying(self) -> tuple[Sway, ...]:
-        """The sway of each stroke, for the share of the stiffness that is uncertain."""
-        arm, share = bending_arm(self.scene, self.robot), self.scene.uncertainty.stiffness_share
-        return (
-            ()
-            if arm is None
-            else tuple(stroke_sway(arm, each.trajectory, share) for each in self.job.strokes)
-        )
+    def _sway_by_share(self) -> dict[float, tuple[Sway, ...]]:
+        return {}
+
+    def _swaying(self, arm: ElasticArm, share: float) -> tuple[Sway, ...]:
+        """The sway of each stroke, where all stiffness may differ by a share: integrated once for each."""
+        if share not in self._sway_by_share:
+            self._sway_by_share[share] = tuple(
+                stroke_sway(arm, each.trajectory, share) for each in self.job.strokes
+            )
+        return self._sway_by_share[share]
 
     @cached_property
     def sway(self) -> Quietness | None:
@@ -244,12 +248,8 @@ class Plan(StrokePlan):
         unshaped = [_unshaped(file, segment) for file, segment in zip(files, self.job.strokes, strict=True)]
         share = self.options.quiet_stiffness_share
         try:
-            if share == self.scene.uncertainty.stiffness_share:
-                planned = self._swaying
-            else:
-                planned = tuple(stroke_sway(arm, each.trajectory, share) for each in self.job.strokes)
             plain = [None if each is None else stroke_sway(arm, each, share) for each in unshaped]
-            return quietness_of(share, planned, plain)
+            return quietness_of(share, self._swaying(arm, share), plain)
         except TooSoftError:
             return None
 
