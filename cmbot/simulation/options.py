@@ -87,6 +87,10 @@ class SimulationOptions:
 
     __repr__ = short_repr
 
+    def damping_or(self, ratio: float) -> float:
+        """Return the damping asked for; where none is, the `ratio` of the robot."""
+        return ratio if self.damping is None else self.damping
+
     @model_validator(mode="after")
     def _check(self) -> Self:
         if self.set_point_rate_hz is not None and self.servo_bandwidth_hz is None:

@@ -224,8 +224,7 @@ def simulate(
     require_plan(plan, "cmbot.simulate")
     options = SimulationOptions() if options is None else options
     options = checked_options(SimulationOptions, options, "SimulationOptions")
-    if options.damping is None:
-        options = replace(options, damping=plan.robot.damping_ratio)
+    options = replace(options, damping=options.damping_or(plan.robot.damping_ratio))
     started = time.perf_counter()
     # The matrices are too small for several threads of linear algebra.
     with threadpool_limits(limits=1, user_api="blas"), watched_share(progress, "simulating") as told:
@@ -343,8 +342,7 @@ def track_work(
     if is_executed(options):
         curve, moved = executed(work, options)
         motions = list(moved)
-    ratio = arm.robot.damping_ratio if options.damping is None else options.damping
-    system = ElasticSystem.of(arm, modes.damping(ratio) + arm.damping)
+    system = ElasticSystem.of(arm, modes.damping(options.damping_or(arm.robot.damping_ratio)) + arm.damping)
     if ground is not None:
         system, motions, forces = on_accelerated_base(system, motions, forces, ground)
     integrator = GeneralizedAlpha(
