@@ -68,8 +68,9 @@ class Attempt:
         if not isinstance(optimised, Optimised):
             return self
         laws = quiet_laws(request, optimised.trajectory)
-        timing = Timing.along(request, optimised.trajectory, (), laws)
-        timed = self.in_timing(timing) if laws else self
+        if not laws:
+            return self
+        timed = self.in_timing(Timing.along(request, optimised.trajectory, (), laws))
         return timed if isinstance(timed, Attempt) else self
 
     def in_timing(self, timing: Timing) -> Attempt | Failure:
