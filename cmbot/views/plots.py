@@ -55,8 +55,8 @@ def plot(result: Plan | Tracking) -> tuple[Figure, ...]:
     Of a plan: the torque on the guardrail with its lower bound; every joint's angle, velocity, acceleration,
     jerk and torque as shares of their bounds (compare Chang 2021, Figures 9-14 and 19-24); the clearance with
     its margin; the tool's deviation with its bound. Of a simulation: the tracking error along each axis with
-    its static part (compare Figures 16 and 26) and the bent tool's distance from its path; the dynamic part of
-    the error, and the residual of that after the stop.
+    its static part (compare Figures 16 and 26) and the bent tool's distance from its path; the dynamic part
+    of the error, and the residual of that after the stop.
 
     Parameters
     ----------
