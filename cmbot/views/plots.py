@@ -228,7 +228,8 @@ def _tracking_rows(
         for name, motion in motions:
             start = motion.stop if after_stop else 0.0  # the work starts at 0
             shown = motion.t >= start
-            _line(axes, motion.t[shown] - start, 1e3 * getattr(motion, part)[shown, number], name)
+            y = 1e3 * getattr(motion, part)[shown, number]
+            _draw_curves(axes, [Curve(motion=name, t=motion.t[shown] - start, y=y)])
         for _, motion in () if after_stop else motions:
             if whole:
                 static = 1e3 * motion.static[:, number]
@@ -251,11 +252,6 @@ def _figure(label: str, height: float) -> Figure:
     figure = Figure(figsize=(_WIDTH, height), layout="constrained")
     figure.set_label(label)
     return figure
-
-
-def _line(axes: Axes, t: FloatArray, y: FloatArray, motion: str) -> None:
-    t, y = downsampled(t, y)
-    axes.plot(t, y, color=_MOTION_COLOURS[motion], label=motion)
 
 
 def _forbidden(axes: Axes, low: float, high: float) -> None:
