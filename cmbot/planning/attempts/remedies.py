@@ -141,10 +141,16 @@ def _changed(attempt: Attempt, guess: object, **changes: Any) -> Iterator[Attemp
 
 
 def _anew(attempt: Attempt, *, searches: bool = False, **changes: Any) -> Iterator[Attempt]:
-    """The attempt from the first guess of a changed request, if there is one; charts are kept, or not."""
-    request, search = changes["request"], None if searches else attempt.search
+    """The attempt from the first guess of a changed request, if there is one; charts are kept, or not.
+
+    An attempt that starts in the scene's posture, perhaps as nothing leads elsewhere, still does.
+    """
+    request, search, stay = changes["request"], None if searches else attempt.search, attempt.is_pinned
     request.reporter.stage("path")
-    yield from _changed(attempt, attempted(request, partial(initial_guess, request, search)), **changes)
+    guess = attempted(request, partial(initial_guess, request, search, stay=stay))
+    if stay and isinstance(guess, InitialGuess) and isinstance(attempt.guess, InitialGuess):
+        guess = replace(guess, unreached=attempt.guess.unreached, failures=attempt.guess.failures)
+    yield from _changed(attempt, guess, **changes)
 
 
 def _shorter_steps(trial: AnyTrial) -> Iterator[Attempt]:
