@@ -270,7 +270,7 @@ def test_an_arm_that_cannot_set_off_without_more_torque_than_at_rest(tmp_path: P
 
 def test_a_way_that_no_trajectory_follows_is_given_up_soon(tmp_path: Path) -> None:
     """Steps that turn round break accelerations and jerks, and no step of the solver does much about it."""
-    scene = six_joint_scene(tmp_path, "ur5", *TURNING, max_tool_deviation_m=1e-3, **PINNED)
+    scene = six_joint_scene(tmp_path, "ur5", *TURNING, **PINNED)
     reports: list[ExchangeReport] = []
     with pytest.raises(OptimisationFailed, match="cannot all be met") as caught:
         optimise(problem_of(scene), reports.append)
