@@ -19,7 +19,7 @@ from scipy.special import ndtri
 from cmbot.accuracy.parts import Part, parts_of
 from cmbot.accuracy.sway import Sway, sway_along
 from cmbot.common.arrays import BoolArray, FloatArray
-from cmbot.common.file_types import NonNegative, Share
+from cmbot.common.reading.file_types import NonNegative, Share
 from cmbot.elastic.arm import ElasticArm
 from cmbot.scene import Placement, Tolerance, Uncertainty
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError
-from cmbot.common.validation import counted, shown
+from cmbot.common.reading.validation import counted, shown
 from cmbot.planning import Samples
 from cmbot.trajectory import LARGEST
 

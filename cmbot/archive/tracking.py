@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 
 from cmbot.archive.folder import read_folder
-from cmbot.archive.names import PLAN_FILE, TRACKING_FILES
 from cmbot.archive.places import add_results
-from cmbot.archive.records import Entry, json_bytes, read_json
+from cmbot.archive.records import PLAN_FILE, TRACKING_FILES, Entry, json_bytes, read_json
 from cmbot.archive.tables import read_table, table_csv
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError
-from cmbot.common.validation import given_path, require_type, shown, validated
+from cmbot.common.reading.validation import given_path, require_type, shown, validated
 from cmbot.planning import Plan, require_plan
 from cmbot.simulation import (
     MotionTracking,

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from cmbot.accuracy import Accuracy, Shaking
 from cmbot.common.arrays import FloatArray
-from cmbot.common.file_types import Row
+from cmbot.common.reading.file_types import Row
 from cmbot.common.representation import short_repr
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.first_order import BAND_HZ

@@ -25,8 +25,8 @@ from scipy.signal import lfilter
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
+from cmbot.common.reading.validation import shown
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import shown
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.first_order import BAND_HZ
 from cmbot.elastic.modes import arm_modes

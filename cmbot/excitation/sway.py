@@ -16,7 +16,7 @@ from scipy.fft import irfft, next_fast_len
 
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import InputError
-from cmbot.common.file_types import Matrices, Row
+from cmbot.common.reading.file_types import Matrices, Row
 from cmbot.common.representation import short_repr
 from cmbot.elastic import Guardrail, elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm

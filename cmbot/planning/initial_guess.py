@@ -8,7 +8,7 @@ import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import OptimisationFailed, PathNotFound
-from cmbot.common.file_types import NonNegative
+from cmbot.common.reading.file_types import NonNegative
 from cmbot.optimization import find_violations
 from cmbot.planning.path.gradient_projection import find_path
 from cmbot.planning.postures.projection import project_onto_task

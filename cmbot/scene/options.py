@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
+from cmbot.common.reading.validation import CheckedFields, refusal, shown
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import CheckedFields, refusal, shown
 from cmbot.toolpath import AUTO
 
 MOST_SAMPLES = 400

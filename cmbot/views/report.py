@@ -13,7 +13,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cmbot.common.limit import Limit
-from cmbot.common.validation import given_path
+from cmbot.common.reading.validation import given_path
 from cmbot.planning import (
     LOAD_HEADINGS,
     Certificate,

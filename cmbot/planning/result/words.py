@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cmbot.common.limit import Limit
-from cmbot.common.validation import counted
+from cmbot.common.reading.validation import counted
 from cmbot.planning.certification.check import Check
 from cmbot.planning.result.judgement import SAME, bound_use
 from cmbot.planning.result.notes import Note, notes

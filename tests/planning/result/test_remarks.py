@@ -9,7 +9,7 @@ from plan_folders import changed, with_baseline
 from small_scenes import short_scene
 
 from cmbot.common.errors import PathNotFound
-from cmbot.common.validation import counted
+from cmbot.common.reading.validation import counted
 from cmbot.planning import Plan, Start, first_remarks, notes, remarks, sentence
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.initial_guess import Choice
