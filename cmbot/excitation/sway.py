@@ -270,15 +270,15 @@ def sampled_tool(
     linear = (np.sinc(f * step) ** 2).astype(np.float32)[:, None, None]
     systems = [PostureSystem.of(response, _MODES_TO_BANDS * band[1]) for response in responses]
     systems = [replace(system, gain=system.gain[:, acting]) for system in systems]
-    y = np.empty((N, records, AXES), dtype=np.float32)
+    done, tool = np.linspace(0.0, 1.0, N), list[FloatArray]()
     for first in range(0, records, _RECORDS_AT_ONCE):
-        some = y[:, first : first + _RECORDS_AT_ONCE]
-        X = random.standard_normal((2, *scale.shape[:2], some.shape[1]), dtype=np.float32)
+        some = min(_RECORDS_AT_ONCE, records - first)
+        X = random.standard_normal((2, *scale.shape[:2], some), dtype=np.float32)
         spectra = (X[0] + 1j * X[1]) * scale
         start = 2 / count * systems[0].steady(f[inside], spectra[inside]).real
         inputs = irfft(spectra / linear, count, axis=0)[:N]
-        some[:] = tool_along(systems, np.linspace(0.0, 1.0, N), inputs, step, start)
-    return y
+        tool.append(tool_along(systems, done, inputs, step, start))
+    return np.concatenate(tool, axis=1)
 
 
 def _frame(axis: FloatArray) -> FloatArray:
