@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.distance import pdist
 
-from cmbot.accuracy.sway import SETTLE_S, Sway
+from cmbot.accuracy.sway import Sway
 from cmbot.common.reading.file_types import NonNegative
 
 
@@ -46,11 +45,11 @@ def quietness_of(share: float, planned: Sequence[Sway], unshaped: Sequence[Sway 
     planned, unshaped : sequences of Sway
         Of each stroke, `stroke_sway`, as planned, and without a law that was chosen; None where none was.
     """
-    own = np.array([_sway_and_swing(stroke) for stroke in planned])
+    own = np.array([stroke.largest for stroke in planned])
     chosen = any(stroke is not None for stroke in unshaped)
     plain = np.array(
         [
-            known if stroke is None else _sway_and_swing(stroke)
+            known if stroke is None else stroke.largest
             for known, stroke in zip(own, unshaped, strict=True)
         ]
         if chosen
@@ -64,10 +63,3 @@ def quietness_of(share: float, planned: Sequence[Sway], unshaped: Sequence[Sway 
         unshaped_sway_mm=1e3 * plain_sway if chosen else None,
         unshaped_swing_mm=1e3 * plain_swing if chosen else None,
     )
-
-
-def _sway_and_swing(sway: Sway) -> tuple[float, float]:
-    """Largest sway at work and swing after it, m."""
-    after = sway.t >= sway.t[-1] - SETTLE_S
-    size = float(np.linalg.norm(sway.tool[:, ~after], axis=2).max())
-    return size, max(float(pdist(tool[after]).max()) for tool in sway.tool)

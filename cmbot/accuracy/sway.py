@@ -12,9 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
+from scipy.spatial.distance import pdist
 
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
@@ -43,6 +45,13 @@ class Sway:
 
     t: FloatArray
     tool: FloatArray
+
+    @cached_property
+    def largest(self) -> tuple[float, float]:
+        """Of a stroke: the largest sway at work, and the largest swing in the time after it, m."""
+        after = self.t >= self.t[-1] - SETTLE_S
+        size = float(np.linalg.norm(self.tool[:, ~after], axis=2).max())
+        return size, max(float(pdist(tool[after]).max()) for tool in self.tool)
 
 
 def sway_along(

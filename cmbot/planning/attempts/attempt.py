@@ -16,6 +16,7 @@ from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.global_search import GlobalSearch
 from cmbot.planning.timing.timing import Timing
 from cmbot.planning.torque import Optimised, TorqueProblem, optimise
+from cmbot.trajectory import QuinticTrajectory
 
 S = TypeVar("S")
 
@@ -37,6 +38,8 @@ class Attempt:
         Factor on the safety margin that the guess keeps.
     timing : Timing, optional
         Of legs whose shortest time is sought, or whose laws were chosen.
+    unshaped : QuinticTrajectory, optional
+        Where laws were chosen: the optimised motion by the scene's own, along which they were.
     """
 
     request: StrokeRequest
@@ -45,6 +48,7 @@ class Attempt:
     is_first: bool = True
     kept: float = 1.0
     timing: Timing | None = None
+    unshaped: QuinticTrajectory | None = None
 
     @classmethod
     def of(cls, request: StrokeRequest, **own: Any) -> Attempt:
@@ -71,7 +75,7 @@ class Attempt:
         if not laws:
             return self
         timed = self.in_timing(Timing.along(request, optimised.trajectory, (), laws))
-        return timed if isinstance(timed, Attempt) else self
+        return replace(timed, unshaped=optimised.trajectory) if isinstance(timed, Attempt) else self
 
     def in_timing(self, timing: Timing) -> Attempt | Failure:
         """Return the attempt in a timing, from the via-points of its joint path.

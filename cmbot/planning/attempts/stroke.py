@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cmbot.accuracy import stroke_sway
 from cmbot.planning.attempts.advice import EASED_BOUND, SLOWER_LEGS, changed_in_words
 from cmbot.planning.attempts.agenda import Remedy, Solved, Trial
 from cmbot.planning.attempts.attempt import Attempt, agenda_of
@@ -65,9 +66,31 @@ def plan_stroke(
     first = Attempt.of(request, automatic=automatic)
     quiet = first if request.task.path.open_legs else first.quiet()
     trial = searched_motion(quiet, budget)
-    if quiet is not first and not isinstance(trial.outcome, Solved) and budget.left > 0:
-        trial = searched_motion(first, budget)
+    if quiet is not first and _sways_more(trial) and budget.left > 0:
+        other = searched_motion(first, budget)
+        trial = min(other, trial, key=_sway)
     return PlannedStroke(trial=trial, runs=budget.used)
+
+
+def _sways_more(trial: Trial[Attempt, StrokeMotion]) -> bool:
+    """Whether laws that were chosen lead to no motion, or to one that sways more than by the scene's own."""
+    unshaped, arm = trial.attempt.unshaped, trial.attempt.request.cell.arm
+    if not isinstance(trial.outcome, Solved) or unshaped is None or arm is None:
+        return not isinstance(trial.outcome, Solved)
+    return _sway(trial) > _largest_sway(trial.attempt.request, unshaped)
+
+
+def _sway(trial: Trial[Attempt, StrokeMotion]) -> float:
+    """Of a motion, m; infinite where there is none, and zero where nothing bends."""
+    if not isinstance(trial.outcome, Solved):
+        return np.inf
+    return _largest_sway(trial.attempt.request, trial.result.work.trajectory)
+
+
+def _largest_sway(request: StrokeRequest, trajectory: QuinticTrajectory) -> float:
+    """Largest sway at work and swing after it together, m, over the interval of the stiffness."""
+    share, arm = request.cell.options.quiet_stiffness_share, request.cell.arm
+    return 0.0 if arm is None else sum(stroke_sway(arm, trajectory, share).largest)
 
 
 def searched_motion(first: Attempt, budget: Budget) -> Trial[Attempt, StrokeMotion]:
