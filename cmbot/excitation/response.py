@@ -151,6 +151,8 @@ class ModalResponse:
         What a force at that place adds to the wrench, as `direct`.
     axis : (3,)
         Of the tool, in W.
+    shapes, momenta : (f, k)
+        Of the modes in the elastic coordinates, and the mass matrix times them.
     damper : TunedDamper or None
     """
 
@@ -163,6 +165,8 @@ class ModalResponse:
     place: FloatArray
     place_direct: FloatArray
     axis: FloatArray
+    shapes: FloatArray
+    momenta: FloatArray
     damper: TunedDamper | None = None
 
     __repr__ = short_repr
@@ -319,6 +323,8 @@ def modal_response(
         place=J_place @ Phi,
         place_direct=held - momentum @ (J_place @ Phi).T,
         axis=np.array(X_WT.rotation[:, 2]),
+        shapes=Phi,
+        momenta=modes.mass @ Phi,
     )
 
 
