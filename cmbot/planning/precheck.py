@@ -40,6 +40,7 @@ two minutes, at 4,000 more than three."""
 _ROUNDING_SHARE = 1e-9
 # More sag than this is rather a mistake of the stiffness' unit.
 _MUCH_SAG_M = 0.15
+_STIFF = "a base and an arm that bear the weight (N/m and Nm/rad)"
 # Odd, so that the middle of a leg's time is among them.
 _SPEED_SAMPLES = 201
 
@@ -208,16 +209,15 @@ def _sag_at_start(scene: Scene, robot: Robot) -> Precheck:
     arm = bending_arm(scene, robot)
     if arm is None:
         return Precheck(found=(), warnings=())
-    stiff = "a base and an arm that bear the weight (N/m and Nm/rad)"
     try:
         sag = float(Sag(arm.tool_off).distance(scene.posture[None])[0])
     except TooSoftError:
         got = f"so soft a base or arm that the arm topples in {scene.posture_key}"
-        return Precheck(found=(), warnings=(_warning(scene.softest_key, got, stiff),))
+        return Precheck(found=(), warnings=(_warning(scene.softest_key, got, _STIFF),))
     got = f"a tool that sags {1e3 * sag:.0f} mm in {scene.posture_key}"
     return Precheck(
         found=(("sag of the tool there", f"{1e3 * sag:.2f} mm"),),
-        warnings=(_warning(scene.softest_key, got, stiff),) if sag > _MUCH_SAG_M else (),
+        warnings=(_warning(scene.softest_key, got, _STIFF),) if sag > _MUCH_SAG_M else (),
     )
 
 
@@ -296,11 +296,11 @@ def failures_explained(scene: Scene) -> Iterator[None]:
     """Add to errors about a scene, or its plan, the line in its file and what may have been mistaken."""
     try:
         with lines_named(scene.source):
-            yield
-    except TooSoftError as error:
-        soft = "so soft a base or arm that the arm topples on its path"
-        expected = "a base and an arm that bear the weight (N/m and Nm/rad)"
-        raise SceneError(scene.source, scene.softest_key, soft, expected) from error
+            try:
+                yield
+            except TooSoftError as error:
+                soft = "so soft a base or arm that the arm topples on its path"
+                raise SceneError(scene.source, scene.softest_key, soft, _STIFF) from error
     except (PlanningError, SceneError) as error:
         if isinstance(error, PlanningError):
             robot = robot_of(scene)

@@ -170,21 +170,14 @@ def resolved_options(scene: Scene, arm: ElasticArm | None, options: PlannerOptio
 
     The arm is that of `bending_arm`. One that is too soft to carry itself where it starts has no sag; its
     plan says so.
-
-    Raises
-    ------
-    InputError
-        When the arm is too soft for that, and its sag is to be compensated.
     """
-    if options.compensate is False:
+    if options.compensate != AUTO:
         return options
     try:
         bends = arm is not None and len(Sag(arm).at(np.array([scene.posture])).u) > 0
     except TooSoftError:
-        if options.compensate is True:
-            raise
         bends = False
-    return replace(options, compensate=bends) if options.compensate == AUTO else options
+    return replace(options, compensate=bends)
 
 
 def sag_of(scene: Scene, arm: ElasticArm | None, options: PlannerOptions) -> Sag | None:
