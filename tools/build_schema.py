@@ -16,7 +16,7 @@ from pathlib import Path
 
 from scene_reference import reference_text
 
-from cmbot.common.validation import FileModel
+from cmbot.common.reading.validation import FileModel
 from cmbot.scene import PlannerOptions, Scene, Tool
 from cmbot.scene.path.waypoint_file import WaypointFile
 from cmbot.scene.scene import FORMAT

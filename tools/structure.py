@@ -1,7 +1,7 @@
 """Holds the structure of the package to its limits: sizes, and what no code may do.
 
 ``tools/structure.toml`` has the value of every rule that may not be exceeded. ``--write`` lowers the values
-to what is measured; it never raises one: that is done by hand, with a comment that says why.
+to what is measured; it never raises one: that is done by hand, in a commit that says why.
 """
 
 from __future__ import annotations

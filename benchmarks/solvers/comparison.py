@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from measure import process_time
 
 from cmbot import load_scene
-from cmbot.common.validation import counted
+from cmbot.common.reading.validation import counted
 from cmbot.trajectory.quintic import QuinticTrajectory
 from solvers.cases import Case, case_of, judged, random_scene
 from solvers.ipopt import Answer, solve_sampled

@@ -16,7 +16,7 @@ from measure import in_a_child, required
 
 from cmbot import load_scene
 from cmbot.common.errors import OptimisationFailed
-from cmbot.common.validation import counted
+from cmbot.common.reading.validation import counted
 from cmbot.optimization.exchange import Result
 from solvers.cases import Case, case_of, judged, random_scene
 from solvers.comparison import FAST, SLSQP

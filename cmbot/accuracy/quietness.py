@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.distance import pdist
 
 from cmbot.accuracy.sway import SETTLE_S, Sway
-from cmbot.common.file_types import NonNegative
+from cmbot.common.reading.file_types import NonNegative
 
 
 @dataclass(frozen=True, kw_only=True)

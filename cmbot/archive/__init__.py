@@ -8,15 +8,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from cmbot.archive.folder import claim, write_file
-from cmbot.archive.names import (
-    EVALUATION_FILE,
-    EXCITATION_FILE,
-    PLAN_FILE,
-    STANCES_FILE,
-    TOUR_FILE,
-    TRACKING_FILES,
-    WALK_FILE,
-)
 from cmbot.archive.places import (
     add_file,
     new_folder,
@@ -25,7 +16,16 @@ from cmbot.archive.places import (
     require_free,
     write_results,
 )
-from cmbot.archive.records import json_bytes
+from cmbot.archive.records import (
+    EVALUATION_FILE,
+    EXCITATION_FILE,
+    PLAN_FILE,
+    STANCES_FILE,
+    TOUR_FILE,
+    TRACKING_FILES,
+    WALK_FILE,
+    json_bytes,
+)
 from cmbot.archive.tables import columns, samples_csv
 from cmbot.archive.writing import export_csv, save
 from cmbot.common.lazy_imports import on_first_use

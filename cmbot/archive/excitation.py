@@ -9,11 +9,10 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from cmbot.archive.folder import read_folder
-from cmbot.archive.names import EXCITATION_FILE, PLAN_FILE
 from cmbot.archive.places import add_results
-from cmbot.archive.records import json_bytes, read_json
+from cmbot.archive.records import EXCITATION_FILE, PLAN_FILE, json_bytes, read_json
 from cmbot.common.errors import ArchiveError
-from cmbot.common.validation import given_path, require_type, shown, validated
+from cmbot.common.reading.validation import given_path, require_type, shown, validated
 from cmbot.excitation import Excitation
 from cmbot.version import __version__
 

@@ -23,11 +23,10 @@ from io import BufferedWriter
 from pathlib import Path
 from typing import Any
 
-from cmbot.archive.names import FORMATS
-from cmbot.archive.records import json_bytes, read_json
+from cmbot.archive.records import FORMATS, json_bytes, read_json
 from cmbot.common.errors import ArchiveError
-from cmbot.common.input_files import LARGEST_TEXT, read_input, require_replaceable
-from cmbot.common.validation import shown
+from cmbot.common.reading.input_files import LARGEST_TEXT, read_input, require_replaceable
+from cmbot.common.reading.validation import shown
 
 FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._\-]{0,199}")
 _PART_NAME = re.compile(r"\.([A-Za-z0-9][A-Za-z0-9._\-]{0,199})\.part")

@@ -13,11 +13,11 @@ from typing import Literal
 
 import numpy as np
 
-from cmbot.archive.names import PLAN_FILE
 from cmbot.archive.plan_file import SegmentFile
+from cmbot.archive.records import PLAN_FILE
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError, InputError
-from cmbot.common.validation import counted, shown
+from cmbot.common.reading.validation import counted, shown
 from cmbot.planning import QuinticTrajectory
 from cmbot.scene import Stroke
 

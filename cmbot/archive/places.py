@@ -21,10 +21,9 @@ from cmbot.archive.folder import (
     resolved,
     writable,
 )
-from cmbot.archive.names import FORMATS, OWN_FILES, PLAN_FILE, PLAN_FILES, SHOWN_FILES, WALK_FILE
-from cmbot.archive.records import read_json
+from cmbot.archive.records import FORMATS, OWN_FILES, PLAN_FILE, PLAN_FILES, SHOWN_FILES, WALK_FILE, read_json
 from cmbot.common.errors import ArchiveError
-from cmbot.common.validation import shown
+from cmbot.common.reading.validation import shown
 
 # Where the command line puts plans by default.
 _DEFAULT_PARENT = Path("out")

@@ -15,10 +15,10 @@ import numpy as np
 from pydantic import ConfigDict, Field, TypeAdapter
 
 from cmbot.accuracy import Accuracy, Quietness
-from cmbot.archive.names import FORMATS, PLAN_FILE
+from cmbot.archive.records import FORMATS, PLAN_FILE
 from cmbot.common.errors import PathNotFound
-from cmbot.common.file_types import Count, NonNegative, OrInfinite, Share
-from cmbot.common.validation import FileModel
+from cmbot.common.reading.file_types import Count, NonNegative, OrInfinite, Share
+from cmbot.common.reading.validation import FileModel
 from cmbot.planning import (
     Certificate,
     Check,

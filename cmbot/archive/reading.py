@@ -14,17 +14,16 @@ import numpy as np
 
 from cmbot.archive.folder import read_folder
 from cmbot.archive.knots import require_times, segment_trajectories
-from cmbot.archive.names import BASELINE_FILE, JOB_FILES, PLAN_FILE, PLAN_FILES
 from cmbot.archive.places import plans_nearby
 from cmbot.archive.plan_file import HashesFile, PlanFile, StrokeEntries, made, plan_record
-from cmbot.archive.records import require_same
+from cmbot.archive.records import BASELINE_FILE, JOB_FILES, PLAN_FILE, PLAN_FILES, require_same
 from cmbot.archive.tables import read_motion
 from cmbot.archive.verification.asked import require_asked, require_promised
 from cmbot.archive.verification.exported import unverified_files
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import ArchiveError, InputError
-from cmbot.common.validation import counted, given_path, require_type, shown, validated
+from cmbot.common.reading.validation import counted, given_path, require_type, shown, validated
 from cmbot.elastic.sag import Sag
 from cmbot.planning import (
     RETURN,

@@ -11,13 +11,12 @@ import numpy as np
 from pydantic import Field
 
 from cmbot.archive.folder import read_folder
-from cmbot.archive.names import PLAN_FILE, TOUR_FILE, WALK_FILE
 from cmbot.archive.reading import load_plan
-from cmbot.archive.records import Entry, require_same
+from cmbot.archive.records import PLAN_FILE, TOUR_FILE, WALK_FILE, Entry, require_same
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError
+from cmbot.common.reading.validation import given_path, shown, validated
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import given_path, shown, validated
 from cmbot.planning import Plan
 from cmbot.robot import ARM_JOINTS, Climber, Side
 from cmbot.scene import Scene, StanceFile, foothold_pose

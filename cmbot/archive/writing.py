@@ -9,12 +9,12 @@ import numpy as np
 
 from cmbot.archive.folder import claim, replace_folder, write_file
 from cmbot.archive.knots import knots_npz
-from cmbot.archive.names import BASELINE_FILE, JOB_FILES, PLAN_FILE
 from cmbot.archive.places import require_free, shown_files
 from cmbot.archive.plan_file import PlanFile, hashes_of, plan_record
+from cmbot.archive.records import BASELINE_FILE, JOB_FILES, PLAN_FILE
 from cmbot.archive.tables import samples_csv
 from cmbot.common.errors import ArchiveError
-from cmbot.common.validation import given_path, validated
+from cmbot.common.reading.validation import given_path, validated
 from cmbot.planning import Plan, require_plan
 
 

@@ -11,9 +11,9 @@ from pydantic import Field, model_validator
 
 from cmbot.campaigns.task import require_task_name
 from cmbot.common.errors import InputError, SceneError
-from cmbot.common.input_files import is_file, is_folder, read_csv
-from cmbot.common.validation import FileModel, counted, given_path, hint, refusal, shown, validated
-from cmbot.common.yaml_reader import lines_named, read_yaml, yaml_value
+from cmbot.common.reading.input_files import is_file, is_folder, read_csv
+from cmbot.common.reading.validation import FileModel, counted, given_path, hint, refusal, shown, validated
+from cmbot.common.reading.yaml_reader import lines_named, read_yaml, yaml_value
 from cmbot.scene import Scene, changed_content, is_within, scene_from_data, scene_path, shipped_scenes
 
 _MAX_TABLE_BYTES = 100_000_000

@@ -20,8 +20,8 @@ from cmbot.campaigns.results import given_cells, parquet, plan_place, require_py
 from cmbot.campaigns.runner import require_dask, task_results
 from cmbot.campaigns.task import Task, TaskResult
 from cmbot.common.errors import ArchiveError, InputError
+from cmbot.common.reading.validation import given_path, plain, shown
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import given_path, plain, shown
 from cmbot.planning import robot_of
 from cmbot.scene import RobotFile, Scene, Stance
 from cmbot.version import versions

@@ -79,7 +79,7 @@ class Command(ABC):
         What is None is left as it is by default. Errors name the flags of this command, and those that are
         `called` otherwise.
         """
-        from cmbot.common.validation import validated
+        from cmbot.common.reading.validation import validated
 
         names = {each.name: each.name.removeprefix(prefix) for each in fields(self)}
         known = {each.name for each in fields(kind)}  # type: ignore[arg-type]
@@ -246,7 +246,7 @@ def _require_fitting(kind: type[Command], given: Mapping[str, Any]) -> None:
 
 
 def _unknown(word: str, flags: Sequence[str]) -> str:
-    from cmbot.common.validation import hint
+    from cmbot.common.reading.validation import hint
 
     if word.startswith("-"):
         return f"no such option: {one_line(word)}{hint(word, flags)}"

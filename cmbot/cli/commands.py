@@ -135,7 +135,7 @@ def _called(words: Sequence[str]) -> int:
         case [verb, *options] if verb in COMMANDS:
             return _with_sign(parsed(COMMANDS[verb], options))
         case [word, *_]:
-            from cmbot.common.validation import hint
+            from cmbot.common.reading.validation import hint
 
             kind = "option" if word.startswith("-") else "command"
             raise UsageError(f"no such {kind}: {one_line(word)}{hint(word, [*COMMANDS, *_COMMAND_SYNONYMS])}")

@@ -117,8 +117,8 @@ class NewCommand(Writing):
 
     def _asked(self, source: str) -> NewRobot:
         """The robot that the options describe; ``--tool`` is a frame, or a tool as the scene file has it."""
-        from cmbot.common.validation import shown, validated
-        from cmbot.common.yaml_reader import yaml_value
+        from cmbot.common.reading.validation import shown, validated
+        from cmbot.common.reading.yaml_reader import yaml_value
         from cmbot.scene import FOLDER, AttachedToolFile, NewRobot
 
         tool, tool_frame = None, self.tool
@@ -238,7 +238,7 @@ def _loaded(asked: NewRobot, srdf: Path | None = None) -> Robot:
 
 def xacro_arguments(given: Sequence[str]) -> dict[str, str]:
     """Return the arguments of xacro by their names; each is ``NAME=VALUE``."""
-    from cmbot.common.validation import shown
+    from cmbot.common.reading.validation import shown
 
     arguments: dict[str, str] = {}
     for text in given:

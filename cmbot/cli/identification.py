@@ -121,7 +121,7 @@ def _print_identification(found: Identification, target: Path) -> None:
 
 def _changed(setup: MeasuringSetup, given: dict[str, float]) -> MeasuringSetup:
     """What is measured with, with what the options give; errors name them."""
-    from cmbot.common.validation import validated
+    from cmbot.common.reading.validation import validated
     from cmbot.identification import MeasuringSetup
 
     own = setup.model_dump(include=set(MeasuringSetup.model_fields))
@@ -221,8 +221,8 @@ class LocateCommand(Writing):
     def _propose(self, number: int) -> None:
         """Propose corners, and write the sheet."""
         from cmbot.archive import write_file
-        from cmbot.common.validation import counted
-        from cmbot.common.yaml_reader import yaml_text
+        from cmbot.common.reading.validation import counted
+        from cmbot.common.reading.yaml_reader import yaml_text
         from cmbot.identification import TouchSetup, features_to_touch, frame_of, placement_of
 
         if Path(self.source).suffix.lower() == ".csv":

@@ -18,8 +18,8 @@ from cmbot.cli.creation import xacro_arguments
 from cmbot.cli.planning import loaded_scene
 from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError, MissingExtra, SceneError, one_line
-from cmbot.common.input_files import is_file
 from cmbot.common.installation import install_command, model_folder, scene_folder, shipped_scenes
+from cmbot.common.reading.input_files import is_file
 from cmbot.version import __version__
 
 if TYPE_CHECKING:
@@ -149,7 +149,7 @@ def _write_srdf(file: str, path: Path, xacro: Sequence[str]) -> str:
 
 def _check_urdf(file: str, xacro: Sequence[str]) -> tuple[Sequence[Finding], dict[str, str], str]:
     """Findings, what is in the file, and the conclusion."""
-    from cmbot.common.validation import counted
+    from cmbot.common.reading.validation import counted
     from cmbot.robot import inspect_loaded, inspect_robot, overview, robot_files
 
     files = robot_files(file, xacro=xacro_arguments(xacro))
@@ -167,7 +167,7 @@ def _check_urdf(file: str, xacro: Sequence[str]) -> tuple[Sequence[Finding], dic
 
 
 def _check_scene(file: str, changes: Sequence[str]) -> tuple[Sequence[Finding], dict[str, str], str]:
-    from cmbot.common.validation import counted
+    from cmbot.common.reading.validation import counted
     from cmbot.planning import precheck_scene, robot_of
 
     try:
@@ -200,8 +200,8 @@ def _check_scene(file: str, changes: Sequence[str]) -> tuple[Sequence[Finding], 
 
 def _no_name(file: str, error: SceneError) -> InputError:
     """The error for what is no file and no name that is known."""
+    from cmbot.common.reading.validation import hint
     from cmbot.common.robot_library import LIBRARY_EXTRA, library_robots
-    from cmbot.common.validation import hint
 
     robots = library_robots()
     known = ("cmbot", *sorted(robots or ()))

@@ -164,7 +164,7 @@ class EvaluateCommand(Writing):
 
 def loaded_scene(scene: str, changes: Sequence[str]) -> tuple[cmbot.Scene, cmbot.PlannerOptions]:
     """Return a scene and its planner's options with what ``--set`` changes of them."""
-    from cmbot.common.validation import validated
+    from cmbot.common.reading.validation import validated
     from cmbot.scene import PlannerOptions
 
     given = _given(scene, changes)
@@ -175,8 +175,8 @@ def loaded_scene(scene: str, changes: Sequence[str]) -> tuple[cmbot.Scene, cmbot
 
 def _given(scene: str, changes: Sequence[str]) -> dict[str, object]:
     """What ``--set`` changes: planner's options by their names, other values by keys of the scene file."""
-    from cmbot.common.validation import hint, shown
-    from cmbot.common.yaml_reader import read_yaml, yaml_value
+    from cmbot.common.reading.validation import hint, shown
+    from cmbot.common.reading.yaml_reader import read_yaml, yaml_value
     from cmbot.scene import Scene, scene_path, whole_key
 
     given: dict[str, object] = {}
@@ -205,7 +205,7 @@ def _option_names() -> tuple[str, ...]:
 
 def _with_values(scene: str, values: Mapping[str, object]) -> cmbot.Scene:
     """Return a scene with other values, by keys of its file."""
-    from cmbot.common.yaml_reader import lines_named, read_yaml
+    from cmbot.common.reading.yaml_reader import lines_named, read_yaml
     from cmbot.scene import changed_content, is_within, scene_from_data, scene_path
 
     path = scene_path(scene)
@@ -319,7 +319,7 @@ def _progress(progress: CampaignProgress) -> str:
 
 def _print_campaign(done: Campaign, failed: Sequence[Mapping[str, Any]]) -> None:
     from cmbot.campaigns import OVERVIEW, RESULTS
-    from cmbot.common.validation import counted
+    from cmbot.common.reading.validation import counted
 
     counts = ", ".join(f"{number} {end}" for end, number in done.ends.items())
     kept, kept_failures = done.kept.total(), done.kept.total() - done.kept["planned"]

@@ -272,8 +272,8 @@ def _write_walk(directory: Path, walked: Walk, *, force: bool = False) -> None:
 
 
 def _contents(rankings: Sequence[StanceRanking], name: str) -> dict[str, bytes]:
-    from cmbot.common.validation import plain
-    from cmbot.common.yaml_reader import yaml_text
+    from cmbot.common.reading.validation import plain
+    from cmbot.common.reading.yaml_reader import yaml_text
     from cmbot.stances import best_scene, stances_csv
     from cmbot.views import stances_page
 

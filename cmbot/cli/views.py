@@ -15,7 +15,7 @@ import cmbot
 from cmbot.cli.command import Command, Writing, argument, option, options_named
 from cmbot.cli.console import ConsoleProgress, err, out
 from cmbot.common.errors import InputError, one_line
-from cmbot.common.input_files import is_folder
+from cmbot.common.reading.input_files import is_folder
 
 if TYPE_CHECKING:
     from cmbot.archive.ros import RosTrajectory

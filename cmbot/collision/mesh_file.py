@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cmbot.common.errors import SceneError
-from cmbot.common.fields import MESH_FORMATS
-from cmbot.common.input_files import LARGEST_MESH, read_input
-from cmbot.common.validation import shown
+from cmbot.common.reading.fields import MESH_FORMATS
+from cmbot.common.reading.input_files import LARGEST_MESH, read_input
+from cmbot.common.reading.validation import shown
 
 if TYPE_CHECKING:
     import trimesh

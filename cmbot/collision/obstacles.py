@@ -10,9 +10,9 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
-from cmbot.common.fields import Length
+from cmbot.common.reading.fields import Length
+from cmbot.common.reading.validation import CheckedFields, require_type, shown
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import CheckedFields, require_type, shown
 
 LEAST_SCALE, MOST_SCALE = 1e-6, 1e3
 """Units of a shape: from micrometres to kilometres, m."""

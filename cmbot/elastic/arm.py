@@ -13,8 +13,8 @@ from pydantic import Field
 from scipy.linalg import block_diag
 
 from cmbot.common.arrays import FloatArray, IntArray, read_only
+from cmbot.common.reading.validation import CheckedFields
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import CheckedFields
 from cmbot.elastic.base import ElasticBase
 from cmbot.robot import Robot, external_forces, turn_axis
 

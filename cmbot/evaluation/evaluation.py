@@ -15,8 +15,8 @@ from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.limit import Limit
+from cmbot.common.reading.validation import counted, require_type
 from cmbot.common.representation import aligned
-from cmbot.common.validation import counted, require_type
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.sag import Sag, TooSoftError
 from cmbot.evaluation.motion import JointMotion

@@ -13,10 +13,10 @@ import numpy as np
 from cmbot.archive import load_plan
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
-from cmbot.common.input_files import is_folder, read_input
-from cmbot.common.text_table import TextTable, read_table
-from cmbot.common.validation import counted, hint, shown
-from cmbot.common.yaml_reader import read_yaml
+from cmbot.common.reading.input_files import is_folder, read_input
+from cmbot.common.reading.text_table import TextTable, read_table
+from cmbot.common.reading.validation import counted, hint, shown
+from cmbot.common.reading.yaml_reader import read_yaml
 from cmbot.evaluation.motion import JointMotion
 from cmbot.robot import Robot
 

@@ -13,10 +13,11 @@ from threadpoolctl import threadpool_limits
 
 from cmbot.accuracy import Accuracy, Shaking
 from cmbot.common.arrays import FloatArray
-from cmbot.common.file_types import Row
+from cmbot.common.reading.file_types import Row
 from cmbot.common.representation import short_repr
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.first_order import BAND_HZ
+from cmbot.excitation.along_work import PostureSystem, tool_along
 from cmbot.excitation.damper import STIFFNESS_FACTORS, DamperGain, best_damper, den_hartog
 from cmbot.excitation.ground import axles_of, read_record
 from cmbot.excitation.passages import (
@@ -38,7 +39,6 @@ from cmbot.excitation.response import (
 )
 from cmbot.excitation.sway import (
     RandomSway,
-    posture_shares,
     require_bending,
     sampled_tool,
     shaken_adhesion,
@@ -50,8 +50,9 @@ from cmbot.planning import Plan, require_plan
 from cmbot.scene import DamperFile, ExcitationFile, TrainsFile
 from cmbot.simulation import PrescribedWork, SimulationOptions, elastic_arm_of, track_work
 
-# Postures in which the response is computed along the work; those in which trains pass and dampers are tuned.
-_POSTURES, _SOME = 13, slice(None, None, 4)
+# Postures along the work, and for one record; those in which trains pass and dampers are tuned.
+_POSTURES, _CLOSELY = 13, 49
+_SOME = slice(None, None, 4)
 _TRAINS_PER_HOUR = 4.0
 # Of records and trains, s.
 _STEP_S = 0.002
@@ -60,7 +61,7 @@ _CURVE_HZ = np.geomspace(*BAND_HZ, 400)
 
 @dataclass(frozen=True, kw_only=True)
 class Shaken:
-    """A work under a record or a train from its begin: what moved the tool beside its sag, m.
+    """A work under a record or a train from its begin: how far the tool is from where it would be, m.
 
     Attributes
     ----------
@@ -389,10 +390,18 @@ class _Excited:
         t = np.arange(0.0, self.work.duration + self.options.settle_s, _STEP_S)
         if self.damper is None and not inputs(t)[:, AXES:].any():
             ground = lambda t: inputs(t)[:, :AXES]  # noqa: E731
-            found = track_work(self.arm, self.work, self.options, sag=self.plan.sag, ground=ground)
-            return _AlongWork(found.t, found.dynamic, "simulation")
-        each = [response.history(inputs(t), _STEP_S)[:, :AXES] for response in responses]
-        return _AlongWork(t, np.einsum("kn,kni->ni", posture_shares(self.t, t), each), "modes")
+            shaken, still = (
+                track_work(self.arm, self.work, self.options, sag=self.plan.sag, ground=moves)
+                for moves in (ground, None)
+            )
+            return _AlongWork(shaken.t, shaken.error - still.error, "simulation")
+        tuned = responses[0].damper
+        each = self.responses(
+            self.arm, self.work.postures(np.linspace(0.0, self.work.duration, _CLOSELY)), self.damper
+        )
+        systems = [PostureSystem.of(replace(response, damper=tuned), np.inf) for response in each]
+        done = np.minimum(t / self.work.duration, 1.0)
+        return _AlongWork(t, tool_along(systems, done, inputs(t)[:, :, None], _STEP_S)[:, 0], "modes")
 
 
 def _span(trains: TrainsFile) -> Span:

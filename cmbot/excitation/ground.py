@@ -10,9 +10,9 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
-from cmbot.common.input_files import read_csv
+from cmbot.common.reading.input_files import read_csv
+from cmbot.common.reading.validation import shown
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import shown
 from cmbot.excitation.response import require_place
 from cmbot.excitation.trains import Train, train_of
 from cmbot.robot import Robot

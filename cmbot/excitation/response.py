@@ -25,8 +25,8 @@ from scipy.signal import lfilter
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
+from cmbot.common.reading.validation import shown
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import shown
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.first_order import BAND_HZ
 from cmbot.elastic.modes import arm_modes
@@ -151,6 +151,8 @@ class ModalResponse:
         What a force at that place adds to the wrench, as `direct`.
     axis : (3,)
         Of the tool, in W.
+    shapes, momenta : (f, k)
+        Of the modes in the elastic coordinates, and the mass matrix times them.
     damper : TunedDamper or None
     """
 
@@ -163,6 +165,8 @@ class ModalResponse:
     place: FloatArray
     place_direct: FloatArray
     axis: FloatArray
+    shapes: FloatArray
+    momenta: FloatArray
     damper: TunedDamper | None = None
 
     __repr__ = short_repr
@@ -319,6 +323,8 @@ def modal_response(
         place=J_place @ Phi,
         place_direct=held - momentum @ (J_place @ Phi).T,
         axis=np.array(X_WT.rotation[:, 2]),
+        shapes=Phi,
+        momenta=modes.mass @ Phi,
     )
 
 

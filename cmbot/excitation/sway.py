@@ -8,7 +8,7 @@ record shows it.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -16,11 +16,12 @@ from scipy.fft import irfft, next_fast_len
 
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import InputError
-from cmbot.common.file_types import Matrices, Row
+from cmbot.common.reading.file_types import Matrices, Row
 from cmbot.common.representation import short_repr
 from cmbot.elastic import Guardrail, elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm
 from cmbot.elastic.first_order import BAND_HZ
+from cmbot.excitation.along_work import PostureSystem, tool_along
 from cmbot.excitation.peaks import davenport_factor, departure_rate, probability_of_leaving
 from cmbot.excitation.response import (
     AXES,
@@ -35,8 +36,10 @@ from cmbot.planning import Plan, held_guardrail
 from cmbot.robot import Robot
 from cmbot.scene import Tolerance
 
-# Simulated records: how many, their steps a second over the highest frequency, and how many numbers at most.
-_RECORDS, _FINENESS, _MOST_NUMBERS = 2000, 2.5, 16_000_000
+# Simulated records: how many, how many at once, and numbers at most; their steps a second and the fastest
+# mode, over the highest frequency.
+_RECORDS, _RECORDS_AT_ONCE, _MOST_NUMBERS = 2000, 500, 20_000_000
+_FINENESS, _MODES_TO_BANDS = 5.0, 2.0
 _FEWEST_RECORDS, _RECORD_SEED = 100, 2021
 # Of so few in the first batch that leave the tolerance none is counted: the bound by crossings is taken. With
 # so many, batches end: their share is then known to 7 %.
@@ -214,8 +217,9 @@ def _crossing(t: FloatArray, turned: Sequence[Moments], tolerance: Tolerance) ->
 
 def _outside(t: FloatArray, axes: FloatArray, tool: FloatArray, tolerance: Tolerance) -> BoolArray:
     """Which records (N, R, 3) leave a tolerance, the tool's axes (K, 3) at times `t` (K,)."""
-    shares = posture_shares(t, np.linspace(t[0], t[-1], len(tool)))
-    along = np.einsum("nri,ni->nr", tool, np.einsum("kn,ki->ni", shares, axes))
+    at = np.linspace(t[0], t[-1], len(tool))
+    axis = np.stack([np.interp(at, t, column) for column in axes.T], axis=1)
+    along = np.einsum("nri,ni->nr", tool, axis)
     across = np.sqrt(np.maximum(np.einsum("nri,nri->nr", tool, tool) - along**2, 0.0))
     outside = np.zeros(tool.shape[1], dtype=np.bool_)
     if tolerance.across_mm is not None:
@@ -236,11 +240,12 @@ def sampled_tool(
     """Return displacements of the tool (N, R, 3), m, in W, at N equal steps of the work.
 
     They are those under simulated records, which are Gaussian, with random phases and amplitudes, the same
-    in every run. Every second posture is taken; between them the responses to the same record are mixed.
+    in every run.
 
     Parameters
     ----------
     t : (K,), s
+        Equal steps.
     responses : K ModalResponse
     spectrum, band
         Of the inputs.
@@ -249,33 +254,31 @@ def sampled_tool(
     records : int
         Fewer where they are long.
     """
-    if len(t) % 2:
-        t, responses = t[::2], responses[::2]
     duration = float(t[-1] - t[0])
     # A record is cut from a periodic one, longer by the time in which the slowest decay forgets.
     N = max(int(_FINENESS * band[1] * duration), 2)
     step = duration / (N - 1) if duration else 1 / (_FINENESS * band[1])
     slowest = min(float((response.frequencies * response.damping).min()) for response in responses)
     count = next_fast_len(N + int(_MEMORY_DECAYS / (2 * np.pi * slowest * step)), real=True)
-    records = max(min(records, _MOST_NUMBERS // (AXES * count)), _FEWEST_RECORDS)
+    records = max(min(records, _MOST_NUMBERS // (AXES * N)), _FEWEST_RECORDS)
     f = np.arange(count // 2 + 1) / (count * step)
     S, random = spectrum(f), np.random.default_rng(_RECORD_SEED + batch)
+    acting, inside = S.any(axis=0), S.any(axis=1)
     # E |X|^2 = S N^2 df / 2 for the coefficients of a real series.
-    scale = np.sqrt(S / (count * step)) * count / 2
-    X = random.standard_normal((len(f), records, S.shape[1], 2), dtype=np.float32)
-    spectra = (X[..., 0] + 1j * X[..., 1]) * scale[:, None].astype(np.float32)
-    share, y = posture_shares(t, np.linspace(t[0], t[-1], N)), np.zeros((N, records, AXES))
-    for k, response in enumerate(responses):
-        Y = response.transfer(f)[:, :AXES].astype(np.complex64)
-        series = irfft(spectra @ Y.transpose(0, 2, 1), count, axis=0)
-        here = np.flatnonzero(share[k])
-        y[here] += share[k][here, None, None] * series[here]
-    return y
-
-
-def posture_shares(t: FloatArray, at: FloatArray) -> FloatArray:
-    """Return how much of each posture, at times `t` (K,), counts at other times (N,): (K, N)."""
-    return np.array([np.interp(at, t, unit) for unit in np.eye(len(t))])
+    scale = (np.sqrt(S[:, acting] / (count * step)) * count / 2).astype(np.float32)[:, :, None]
+    # What is linear between steps lacks so much.
+    linear = (np.sinc(f * step) ** 2).astype(np.float32)[:, None, None]
+    systems = [PostureSystem.of(response, _MODES_TO_BANDS * band[1]) for response in responses]
+    systems = [replace(system, gain=system.gain[:, acting]) for system in systems]
+    done, tool = np.linspace(0.0, 1.0, N), list[FloatArray]()
+    for first in range(0, records, _RECORDS_AT_ONCE):
+        some = min(_RECORDS_AT_ONCE, records - first)
+        X = random.standard_normal((2, *scale.shape[:2], some), dtype=np.float32)
+        spectra = (X[0] + 1j * X[1]) * scale
+        start = 2 / count * systems[0].steady(f[inside], spectra[inside]).real
+        inputs = irfft(spectra / linear, count, axis=0)[:N]
+        tool.append(tool_along(systems, done, inputs, step, start))
+    return np.concatenate(tool, axis=1)
 
 
 def _frame(axis: FloatArray) -> FloatArray:

@@ -20,7 +20,8 @@ from cmbot.common.representation import short_repr
 
 # With three the deflection under a load is within 0.3 % of that of all modes.
 _SPAN_MODES = 3
-# EN 1991-2, Table 6.3: intermediate coaches, their length D, axle spacing d of a bogie, m, axle load P, kN.
+# EN 1991-2:2003, Table 6.3 (2024: Table 8.4): intermediate coaches, their length D, axle spacing d of a
+# bogie, m, axle load P, kN.
 _HSLM_A = (
     *((18, 18.0, 2.0, 170.0), (17, 19.0, 3.5, 200.0), (16, 20.0, 2.0, 180.0), (15, 21.0, 3.0, 190.0)),
     *((14, 22.0, 2.0, 170.0), (13, 23.0, 2.0, 180.0), (13, 24.0, 2.0, 190.0), (12, 25.0, 2.5, 190.0)),
@@ -28,8 +29,8 @@ _HSLM_A = (
 )
 # Figure 6.12 there: axles of a power car, m, and its last one's distance from the end coach's first one.
 _POWER_CAR, _COUPLING = (0.0, 3.0, 14.0, 17.0), 3.525
-# Assumed: 20 wagons of 14.04 m with bogies of 1.8 m, 9 m apart, 220 kN an axle, behind a locomotive of 210
-# kN; a multiple unit of 8 cars of 25 m with bogies of 2.5 m, 18 m apart, 150 kN. See docs/excitation.md.
+# 20 wagons Eaos of UIC 571-2 with the axle load of line category D (EN 15528: 22.5 t), behind a locomotive
+# of 210 kN an axle; assumed: a multiple unit of 8 cars of 25 m with bogies of 2.5 m, 18 m apart, 150 kN.
 _WAGONS, _WAGON, _PIVOTS, _WHEELBASE, _WAGON_KN = 20, 14.04, 9.0, 1.8, 220.0
 _LOCOMOTIVE, _LOCOMOTIVE_KN = (0.0, 3.0, 10.4, 13.4), 210.0
 _CARS, _CAR, _CAR_PIVOTS, _CAR_WHEELBASE, _CAR_KN = 8, 25.0, 18.0, 2.5, 150.0

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.file_types import Count, NonNegative
+from cmbot.common.reading.file_types import Count, NonNegative
 from cmbot.hold.contact import Contact
 from cmbot.hold.foot import Foot
 

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from cmbot.common.yaml_reader import lines_named
+from cmbot.common.reading.yaml_reader import lines_named
 from cmbot.identification.deflection_table import read_deflections
 from cmbot.identification.design import Proposal, job_postures, propose, require_axes
 from cmbot.identification.estimation import Identification, Weight, estimate

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from cmbot.common.errors import InputError
-from cmbot.common.text_table import read_table
-from cmbot.common.validation import counted
+from cmbot.common.reading.text_table import read_table
+from cmbot.common.reading.validation import counted
 from cmbot.planning import robot_of
 from cmbot.scene import load_scene
 

@@ -16,8 +16,8 @@ from scipy.linalg import block_diag, expm
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
+from cmbot.common.reading.validation import validated
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import validated
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.sag import TooSoftError
 from cmbot.elastic.stiffness_parameters import (

@@ -25,8 +25,8 @@ from scipy.special import chdtrc
 from cmbot.collision import Box
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
+from cmbot.common.reading.validation import counted
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import counted
 from cmbot.identification.touches import Feature, Touches, TouchSetup, read_touches
 from cmbot.scene import Placement, Scene
 

@@ -26,10 +26,10 @@ from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError, SceneError
-from cmbot.common.input_files import is_file
+from cmbot.common.reading.input_files import is_file
+from cmbot.common.reading.validation import FileModel, given_path, plain, refusal, require_type, validated
+from cmbot.common.reading.yaml_reader import lines_named, read_yaml
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import FileModel, given_path, plain, refusal, require_type, validated
-from cmbot.common.yaml_reader import lines_named, read_yaml
 from cmbot.identification.records import RingDown, UnusableRecord, read_record
 from cmbot.planning import robot_of
 from cmbot.robot import JointLimits

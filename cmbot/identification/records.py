@@ -16,8 +16,8 @@ from threadpoolctl import threadpool_limits
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
-from cmbot.common.text_table import read_table
-from cmbot.common.validation import counted
+from cmbot.common.reading.text_table import read_table
+from cmbot.common.reading.validation import counted
 
 _RECORD_TIME_COLUMNS = ("t", "time", "seconds", "timestamp")
 # Longer steps are in ms, s; by what share steps may differ; rows at an extreme value that are clipped.

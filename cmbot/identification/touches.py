@@ -26,10 +26,10 @@ from pydantic import ConfigDict, Field, model_validator
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
-from cmbot.common.input_files import read_csv
+from cmbot.common.reading.input_files import read_csv
+from cmbot.common.reading.validation import FileModel, given_path, refusal, shown, validated
+from cmbot.common.reading.yaml_reader import lines_named, read_yaml
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import FileModel, given_path, refusal, shown, validated
-from cmbot.common.yaml_reader import lines_named, read_yaml
 from cmbot.elastic.sag import Sag
 from cmbot.identification.measurements import Coordinate, Posture, Text, posture_of, scene_named
 from cmbot.planning import bending_arm, robot_of

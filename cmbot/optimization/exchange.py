@@ -13,8 +13,8 @@ from itertools import pairwise
 import numpy as np
 
 from cmbot.common.errors import OptimisationFailed
-from cmbot.common.file_types import Count
-from cmbot.common.validation import counted
+from cmbot.common.reading.file_types import Count
+from cmbot.common.reading.validation import counted
 from cmbot.optimization.constraint_set import OBJECTIVE, ConstraintSet, Violation
 from cmbot.optimization.evaluation import NlpEvaluation, Stage
 from cmbot.optimization.linearization import families_of

@@ -9,7 +9,7 @@ from typing import Any
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
-from cmbot.common.validation import counted
+from cmbot.common.reading.validation import counted
 from cmbot.planning.attempts.motion import suppresses_vibration
 from cmbot.planning.attempts.stroke import PlannedStroke
 from cmbot.planning.certification.metrics import figures, measure

@@ -8,7 +8,7 @@ import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import OptimisationFailed, PathNotFound
-from cmbot.common.file_types import NonNegative
+from cmbot.common.reading.file_types import NonNegative
 from cmbot.optimization import find_violations
 from cmbot.planning.path.gradient_projection import find_path
 from cmbot.planning.postures.projection import project_onto_task
@@ -276,7 +276,8 @@ def problem_near(
     """
     placed, before = _placed(request, via_points), guess.problem.parametrization
     slides = before.retraction is not None and not stays
-    pinned, splines = slides and guess.pinned, before.splines
+    pinned = slides and guess.pinned
+    splines = before.splines if np.array_equal(before.space.t, request.times) else None
     form = parametrization_through(request, placed, sliding=slides, pinned=pinned, near=near, splines=splines)
     return TorqueProblem(request, form, guess.lower_bound.value if least is None else least)
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
 from cmbot.common.errors import InputError, PathNotFound, PlanningError
-from cmbot.common.validation import checked_options, require_type
+from cmbot.common.reading.validation import checked_options, require_type
 from cmbot.common.watching import watched
 from cmbot.planning.attempts.advice import slower_legs
 from cmbot.planning.attempts.agenda import Agenda, Remedy, Solved

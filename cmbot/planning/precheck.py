@@ -15,9 +15,9 @@ from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra, PlanningError, SceneError
 from cmbot.common.installation import install_command
+from cmbot.common.reading.validation import counted
+from cmbot.common.reading.yaml_reader import lines_named
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import counted
-from cmbot.common.yaml_reader import lines_named
 from cmbot.optimization import piqp_module
 from cmbot.planning.reach import beyond_reach, without_posture
 from cmbot.planning.request import end_posture_of, strokes_of, task_of

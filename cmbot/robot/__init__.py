@@ -1,11 +1,12 @@
 """The robot: its model from a URDF, its kinematics and its dynamics."""
 
 from cmbot.robot.climber import CLIMBING_JOINTS, Climber, ClimberBodies
+from cmbot.robot.description.completion import AttachedTool, ToolShape
 from cmbot.robot.description.files import RobotFiles, robot_files
 from cmbot.robot.description.frames import arm_frames
 from cmbot.robot.description.hulls import convex_hull, encloses_volume
 from cmbot.robot.description.mesh_file import faces_of, is_mesh, locate_meshes, vertices_of
-from cmbot.robot.description.tool import AttachedTool, ToolShape
+from cmbot.robot.description.self_collision import MOST_FAR, NEAR, sampled_postures
 from cmbot.robot.description.xml_file import parse_urdf, urdf_content
 from cmbot.robot.dynamics import Dynamics, Efforts, external_forces
 from cmbot.robot.elasticity import JointElasticity, LinkTube
@@ -24,7 +25,6 @@ from cmbot.robot.kinematics import Chain, Kinematics, PostureBatch, Postures, To
 from cmbot.robot.limits import JointLimits
 from cmbot.robot.loading import ARM_JOINTS, Side, inspect_loaded, load_climbing_robot, load_robot, srdf_text
 from cmbot.robot.robot import Robot
-from cmbot.robot.self_collision import MOST_FAR, NEAR, sampled_postures
 
 __all__ = [
     "ARM_JOINTS",

@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from cmbot.common.arrays import BoolArray, FloatArray, read_only
 from cmbot.common.errors import ModelError
-from cmbot.common.validation import counted, hint, shown
+from cmbot.common.reading.validation import counted, hint, shown
 from cmbot.robot.description.frames import require_independent
 from cmbot.robot.description.hulls import convex_hull, encloses_volume, thickened
 from cmbot.robot.description.mesh_file import (
@@ -29,8 +29,8 @@ from cmbot.robot.description.mesh_file import (
     require_near_meshes,
     vertices_of,
 )
+from cmbot.robot.description.self_collision import NEAR, near_pairs
 from cmbot.robot.holding_joints import HoldingJoint, holding_joints
-from cmbot.robot.self_collision import NEAR, near_pairs
 
 # As many as a posture in a scene file may have.
 _MAX_JOINTS = 100

@@ -23,9 +23,9 @@ import pinocchio as pin
 from pydantic import ConfigDict, Field, model_validator
 
 from cmbot.common.errors import ModelError
+from cmbot.common.reading.validation import FileModel, refusal, validated
+from cmbot.common.reading.yaml_reader import lines_named, read_yaml
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import FileModel, refusal, validated
-from cmbot.common.yaml_reader import lines_named, read_yaml
 from cmbot.robot.joint_kinds import prismatic_joints
 
 # The bounds keep every power of a length finite, and catch lengths in millimetres and moduli in gigapascals.

@@ -18,7 +18,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from cmbot.common.errors import ModelError
-from cmbot.common.validation import counted, shown
+from cmbot.common.reading.validation import counted, shown
 from cmbot.robot.description.files import RobotFiles
 from cmbot.robot.description.frames import arm_frames, moving_links
 from cmbot.robot.description.limits_file import MoveItLimitsFile, read_joint_limits

@@ -20,8 +20,8 @@ import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, read_only
 from cmbot.common.errors import InputError, ModelError
+from cmbot.common.reading.validation import counted
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import counted
 from cmbot.robot.description.limits_file import (
     LEAST_LIMIT,
     GivenLimits,

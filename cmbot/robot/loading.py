@@ -16,22 +16,21 @@ from numpy.typing import ArrayLike
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ModelError
-from cmbot.common.input_files import read_input
 from cmbot.common.installation import model_folder
-from cmbot.common.validation import hint
+from cmbot.common.reading.input_files import read_input
+from cmbot.common.reading.validation import hint
 from cmbot.robot.arm_model import arm_model, attach_payload, build_model, set_tool_length
-from cmbot.robot.description.completion import add_masses, add_tool
+from cmbot.robot.description.completion import POINT, AttachedTool, add_masses, add_tool
 from cmbot.robot.description.files import RobotFiles, robot_files
 from cmbot.robot.description.frames import arm_frames, moving_links
 from cmbot.robot.description.limits_file import JointLimitsFile, read_joint_limits
-from cmbot.robot.description.tool import POINT, AttachedTool
+from cmbot.robot.description.self_collision import PAIR, srdf_of
 from cmbot.robot.description.xml_file import parse_urdf
 from cmbot.robot.elasticity import Elasticity, read_elasticity
 from cmbot.robot.holding_joints import HoldingJoint
 from cmbot.robot.inspection import Finding, default_arm, inspect_inertias, inspect_urdf
 from cmbot.robot.limits import joint_limits
 from cmbot.robot.robot import Robot
-from cmbot.robot.self_collision import PAIR, srdf_of
 
 ARM_JOINTS = tuple(f"joint_{number}" for number in range(1, 8))
 """Of the shipped robot."""

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
+from cmbot.common.reading.validation import counted
 from cmbot.common.representation import card
-from cmbot.common.validation import counted
 from cmbot.hold import Foot, Holding
 from cmbot.robot.elasticity import JointElasticity, LinkTube
 from cmbot.robot.holding_joints import HoldingJoint, holding_rows, leg_compliance

@@ -1,22 +1,21 @@
 """Where the robot works: the scene file, the tool path, obstacles, the guardrail, the planner's options."""
 
-from cmbot.common.fields import FOLDER
 from cmbot.common.installation import shipped_scenes
-from cmbot.scene.attached_tool import AttachedToolFile
+from cmbot.common.reading.fields import FOLDER
 from cmbot.scene.base.guardrail import GuardrailFile, elastic_guardrail, feet_at, guardrail_obstacles
 from cmbot.scene.base.hold import HoldFile, held_member
 from cmbot.scene.base.identified import IdentifiedBase, IdentifiedSpring, IdentifiedStiffness
+from cmbot.scene.base.mounts import MountsFile
 from cmbot.scene.base.stance import FootholdFile, Stance, StanceFile, axis_point, foothold_face, foothold_pose
 from cmbot.scene.changes import changed_content, is_within, whole_key
 from cmbot.scene.excitation import DamperFile, ExcitationFile, TrainsFile
 from cmbot.scene.files import TRAINS
-from cmbot.scene.mounts import MountsFile
 from cmbot.scene.obstacles import ObstacleFile
 from cmbot.scene.options import MOST_SAMPLES, PlannerOptions
 from cmbot.scene.path.path_file import WORK, AxisCone, JobStrokes, Keep, StrokeFile
 from cmbot.scene.path.raster_parts import rows_alone
 from cmbot.scene.path.stroke import Stroke, coverage_of, pieces_left_out
-from cmbot.scene.robot_entry import STOW, MountFile, NamedState, PostureFile, RobotFile
+from cmbot.scene.robot_entry import STOW, AttachedToolFile, MountFile, NamedState, PostureFile, RobotFile
 from cmbot.scene.scene import Scene
 from cmbot.scene.scene_file import load_scene, scene_from_data, scene_path
 from cmbot.scene.template import NewRobot, limits_text, scene_text

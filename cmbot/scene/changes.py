@@ -23,7 +23,7 @@ def changed_content(data: Mapping[str, Any], values: Mapping[str, Any]) -> dict[
     Parameters
     ----------
     data : mapping
-        As `cmbot.common.yaml_reader.read_yaml` returns it; it stays as it is.
+        As `cmbot.common.reading.yaml_reader.read_yaml` returns it; it stays as it is.
     values : mapping
         By key; a block that the content lacks is made.
 

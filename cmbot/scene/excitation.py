@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
 from cmbot.common.arrays import FloatArray, read_only
-from cmbot.common.fields import Angle, Coordinate, FilePath, Length, Text, exactly_one, one_of_schema
-from cmbot.common.validation import FileModel, refusal
+from cmbot.common.reading.fields import Angle, Coordinate, FilePath, Length, Text, exactly_one, one_of_schema
+from cmbot.common.reading.validation import FileModel, refusal
 from cmbot.scene.files import AxlesName
 
 _DECK = ("record", "spectrum", "trains")

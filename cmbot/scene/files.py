@@ -10,10 +10,10 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, ValidationInfo
 
 from cmbot.common.errors import MissingExtra, SceneError
-from cmbot.common.fields import Text, existing_file, is_mesh_file, place_of
-from cmbot.common.input_files import LARGEST_MESH, is_file, read_input
+from cmbot.common.reading.fields import Text, existing_file, is_mesh_file, place_of
+from cmbot.common.reading.input_files import LARGEST_MESH, is_file, read_input
+from cmbot.common.reading.validation import hint, refusal, shown
 from cmbot.common.robot_library import LIBRARY, LIBRARY_EXTRA, is_robot_name, library_robots
-from cmbot.common.validation import hint, refusal, shown
 
 TRAINS = ("freight", "emu", *(f"hslm_a{k}" for k in range(1, 11)))
 """Trains that need no file."""

@@ -11,7 +11,8 @@ from pydantic import ConfigDict, Field, model_validator
 
 from cmbot.collision import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere
 from cmbot.collision.obstacles import LEAST_SCALE, MOST_SCALE
-from cmbot.common.fields import (
+from cmbot.common.poses import pose
+from cmbot.common.reading.fields import (
     LONGEST,
     SHORTEST,
     Angles,
@@ -22,8 +23,7 @@ from cmbot.common.fields import (
     given_of,
     one_of_schema,
 )
-from cmbot.common.poses import pose
-from cmbot.common.validation import FileModel, refusal
+from cmbot.common.reading.validation import FileModel, refusal
 from cmbot.scene.robot_entry import MountFile
 
 _OBSTACLE_SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh")

@@ -26,17 +26,17 @@ from pydantic import (
 from cmbot.collision import Obstacle
 from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.errors import InputError, SceneError
-from cmbot.common.fields import FOLDER, Slug
+from cmbot.common.reading.fields import FOLDER, Slug
+from cmbot.common.reading.validation import FileModel, counted, hint, refusal, require_type, shown, validated
 from cmbot.common.representation import card
-from cmbot.common.validation import FileModel, counted, hint, refusal, require_type, shown, validated
 from cmbot.elastic import Guardrail
 from cmbot.hold import Foot
 from cmbot.scene.base.guardrail import GuardrailFile, elastic_guardrail, feet_of, guardrail_obstacles
 from cmbot.scene.base.identified import IdentifiedStiffness
+from cmbot.scene.base.mounts import MountsFile
 from cmbot.scene.base.stance import Stance, StanceFile, resolved_stance
 from cmbot.scene.excitation import DamperFile, ExcitationFile
 from cmbot.scene.files import file_hashes, without_paths
-from cmbot.scene.mounts import MountsFile
 from cmbot.scene.obstacles import ObstacleFile, obstacle_from_file
 from cmbot.scene.options import PlannerOptions
 from cmbot.scene.path.path_file import MOST_ORDERED, WORK, JobStrokes, Order, StrokeFile, ToolPathEntry

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from cmbot.common.errors import SceneError
-from cmbot.common.input_files import is_file, is_folder
 from cmbot.common.installation import scene_folder, shipped_scenes
-from cmbot.common.validation import given_path, hint, shown, validated
-from cmbot.common.yaml_reader import lines_named, read_yaml
+from cmbot.common.reading.input_files import is_file, is_folder
+from cmbot.common.reading.validation import given_path, hint, shown, validated
+from cmbot.common.reading.yaml_reader import lines_named, read_yaml
 from cmbot.scene.path.waypoint_file import WaypointFile, given_file, read_waypoints
 from cmbot.scene.scene import Scene
 
@@ -59,7 +59,7 @@ def scene_from_data(data: Mapping[str, Any], folder: Path, source: str) -> Scene
     Parameters
     ----------
     data : mapping
-        As `cmbot.common.yaml_reader.read_yaml` returns it.
+        As `cmbot.common.reading.yaml_reader.read_yaml` returns it.
     folder : Path
     source : str
         Where it came from, for messages.

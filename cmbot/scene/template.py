@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray
-from cmbot.scene.attached_tool import AttachedToolFile
+from cmbot.scene.robot_entry import AttachedToolFile
 
 if TYPE_CHECKING:
     from cmbot.robot import JointLimits, Robot, RobotFiles

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from cmbot.common.validation import CheckedFields
+from cmbot.common.reading.validation import CheckedFields
 from cmbot.scene.uncertainty import Tolerance
 
 SPEED_TOLERANCE = 0.05

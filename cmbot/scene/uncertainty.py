@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, GetPydanticSchema, WrapValidator
 
-from cmbot.common.validation import FileModel
+from cmbot.common.reading.validation import FileModel
 
 Millimetres = Annotated[float, Field(ge=0, le=1000)]
 Degrees = Annotated[float, Field(ge=0, le=90)]

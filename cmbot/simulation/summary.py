@@ -8,7 +8,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.limit import Limit
-from cmbot.common.validation import counted
+from cmbot.common.reading.validation import counted
 from cmbot.planning import Plan
 from cmbot.simulation.execution import is_executed
 from cmbot.simulation.metrics import statistics

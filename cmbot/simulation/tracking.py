@@ -15,8 +15,8 @@ from threadpoolctl import threadpool_limits
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
+from cmbot.common.reading.validation import checked_options
 from cmbot.common.representation import card, short_repr
-from cmbot.common.validation import checked_options
 from cmbot.common.watching import watched_share
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
@@ -89,6 +89,11 @@ class MotionTracking:
     def dynamic(self) -> FloatArray:
         """The error less its static part, (N, 3), m."""
         return self.error - self.static
+
+    @property
+    def off_path(self) -> FloatArray:
+        """Distance of the bent tool from the current leg, (N,), m; NaN between strokes."""
+        return np.asarray(np.linalg.norm(self.path_error, axis=1))
 
     @property
     def largest_off_path(self) -> float:

@@ -7,12 +7,15 @@ from cmbot.stances.candidates import (
     AnyCandidate,
     Candidate,
     MountCandidate,
+    bare_climber,
     candidate_at,
     candidates_of,
+    in_the_way,
+    lift_height,
     own_candidate,
     places_of,
+    without_links,
 )
-from cmbot.stances.footholds import bare_climber, in_the_way, lift_height, without_links
 from cmbot.stances.placed_scene import in_world, joined, put_away, scene_at
 from cmbot.stances.ranking import (
     StanceRanking,

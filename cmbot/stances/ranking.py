@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
 import numpy as np
+from scipy import sparse
+from scipy.optimize import Bounds, LinearConstraint, milp
 from threadpoolctl import threadpool_limits
 
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import InputError, PlanningError, SceneError
+from cmbot.common.reading.validation import counted, shown
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import counted, shown
 from cmbot.planning import ToolTask, precheck_scene, robot_of, strokes_of, task_of
 from cmbot.scene import Scene
 from cmbot.stances.bounds import UNITS, SagLimit, StanceObjective
 from cmbot.stances.candidates import AnyCandidate, Candidate, candidates_of, mounts_of, own_candidate
-from cmbot.stances.cover import fewest_groups
 from cmbot.stances.placed_scene import joined, put_away, scene_at, with_strokes
 from cmbot.stances.screening import Screener, Screening, times_of
 from cmbot.stances.search import (
@@ -42,6 +43,7 @@ _MOST_SAG_MM, _LEAST_SAG_MM = 50.0, 5.0
 _NO_BETTER = PROVEN_SHARE - 1e-3
 # So many of the reasons for which stances are left out are named.
 _MAX_REASONS_NAMED = 3
+_Group = frozenset[int]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -427,3 +429,73 @@ def require_standing(scene: Scene, members: Sequence[str] = ()) -> None:
         if member not in known:
             expected = f"a member of the guardrail of {scene.name}"
             raise InputError("members (--on)", "", shown(member), expected, known)
+
+
+def fewest_groups(bound: FloatArray, excluded: Collection[_Group] = ()) -> tuple[_Group, ...] | None:
+    """Part strokes into the fewest groups of which each can be done from one stance.
+
+    Among these partitions the largest bound over all strokes is the smallest. Both by integer programs over
+    the sets of strokes that stances reach (HiGHS by `scipy.optimize.milp`).
+
+    Parameters
+    ----------
+    bound : (S, C)
+        Bound of each of C stances for each of S strokes; infinite where it does not reach it.
+    excluded : collection of frozenset of int
+        Strokes that no stance does together, whatever their bounds say.
+
+    Returns
+    -------
+    tuple of frozenset of int, or None
+        Numbers of the strokes, by the smallest of each; None where a stroke cannot be done at all.
+    """
+    sets = _sets(np.isfinite(bound), excluded)
+    cover = _smallest_cover(sets)
+    if cover is None:
+        return None
+    # The smallest value of the bound at which as few stances do: it is one of those in the table.
+    values = np.unique(bound[np.isfinite(bound)])
+    low, high = 0, len(values) - 1
+    while low < high:
+        middle = (low + high) // 2
+        tried = _sets(bound <= values[middle], excluded)
+        found = _smallest_cover(tried)
+        if found is not None and len(found) == len(cover):
+            high, sets, cover = middle, tried, found
+        else:
+            low = middle + 1
+    return _parted(sets[:, cover], bound)
+
+
+def _sets(reached: BoolArray, excluded: Collection[_Group]) -> BoolArray:
+    """The sets (S, U) of strokes that stances reach together, each once, less what is excluded."""
+    rows = np.unique(reached.T, axis=0)
+    for group in excluded:
+        members = sorted(group)
+        whole = rows[:, members].all(axis=1)
+        if whole.any():
+            # Without one of its strokes each.
+            less = np.repeat(rows[whole], len(members), axis=0)
+            less[np.arange(len(less)), np.tile(members, int(whole.sum()))] = False
+            rows = np.unique(np.vstack([rows[~whole], less]), axis=0)
+    return np.asarray(rows[rows.any(axis=1)].T)
+
+
+def _smallest_cover(sets: BoolArray) -> list[int] | None:
+    """Numbers of the fewest sets (S, U) that have all strokes; None where one is in none."""
+    if not sets.any(axis=1).all():
+        return None
+    U = sets.shape[1]
+    every = LinearConstraint(sparse.csr_array(sets.astype(float)), lb=1.0)
+    found = milp(np.ones(U), integrality=np.ones(U), bounds=Bounds(0, 1), constraints=every)
+    return np.flatnonzero(found.x > 0.5).tolist()
+
+
+def _parted(cover: BoolArray, bound: FloatArray) -> tuple[_Group, ...]:
+    """Strokes of overlapping sets (S, k), each with that of the best stances whose bound is smallest."""
+    stance = [int(bound[each].max(axis=0).argmin()) for each in cover.T]
+    asked = np.where(cover, bound[:, stance], np.inf)
+    group = asked.argmin(axis=1)
+    return tuple(
+        sorted((frozenset(np.flatnonzero(group == k).tolist()) for k in range(len(stance))), key=min)
+    )

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from cmbot.common.validation import counted
+from cmbot.common.reading.validation import counted
 from cmbot.stances.bounds import NO_FIGURES, StanceFigures
 from cmbot.stances.candidates import Candidate
 from cmbot.stances.ranking import StanceRanking

@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
-from cmbot.common.fields import SHORTEST_LEG
 from cmbot.common.poses import pose
-from cmbot.common.validation import counted
+from cmbot.common.reading.fields import SHORTEST_LEG
+from cmbot.common.reading.validation import counted
 from cmbot.toolpath.curves import Arc, Blend, Curve, Line, Rolled, Spline, rounded
 from cmbot.toolpath.leads import Extended
 from cmbot.toolpath.legs import AUTO, ArcTo, Goal, Leg

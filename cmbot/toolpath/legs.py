@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, GetPydanticSchema, PlainSerializer, WrapValidator
 
 from cmbot.common.errors import InputError
-from cmbot.common.fields import (
+from cmbot.common.reading.fields import (
     Angle,
     Angles,
     LongVector,
@@ -19,7 +19,7 @@ from cmbot.common.fields import (
     exactly_one,
     given_of,
 )
-from cmbot.common.validation import CheckedFields
+from cmbot.common.reading.validation import CheckedFields
 
 AUTO: Literal["auto"] = "auto"
 """Seconds that are to be found."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
-from cmbot.common.validation import shown
+from cmbot.common.reading.validation import shown
 from cmbot.toolpath.legs import Goal, Leg
 from cmbot.toolpath.raster.raster import Raster
 from cmbot.toolpath.time_law import SpeedProfile

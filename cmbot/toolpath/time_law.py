@@ -11,8 +11,8 @@ from pydantic import Field
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import InputError
+from cmbot.common.reading.validation import CheckedFields
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import CheckedFields
 from cmbot.toolpath.shaper import Shaper
 
 _Duration = Annotated[float, Field(gt=0, le=36_000)]

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from cmbot.common.arrays import FloatArray, IntArray, read_only
 from cmbot.common.errors import InputError
-from cmbot.common.file_types import Row, Rows
+from cmbot.common.reading.file_types import Row, Rows
 from cmbot.common.representation import short_repr
 from cmbot.trajectory.polynomials import derivative, hull, roots_in_unit_interval, values
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
-from cmbot.common.validation import counted
+from cmbot.common.reading.validation import counted
 from cmbot.planning import Plan, Samples, verdict
 from cmbot.simulation import Tracking
 from cmbot.version import __version__

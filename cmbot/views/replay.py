@@ -10,7 +10,7 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any, Self
 
 from cmbot.common.errors import InputError
-from cmbot.common.validation import given_path
+from cmbot.common.reading.validation import given_path
 from cmbot.planning import Plan, require_plan
 from cmbot.simulation import Tracking
 from cmbot.views.page import STAGE_SCRIPTS, assemble, write_page

@@ -12,7 +12,7 @@ import pinocchio as pin
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import InputError
-from cmbot.common.validation import require_type
+from cmbot.common.reading.validation import require_type
 from cmbot.planning import (
     APPROACH,
     RETURN,

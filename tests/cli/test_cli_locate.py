@@ -8,7 +8,7 @@ import pytest
 from command_line import run
 
 from cmbot.common.errors import SceneError
-from cmbot.common.yaml_reader import read_yaml
+from cmbot.common.reading.yaml_reader import read_yaml
 from cmbot.scene import load_scene
 
 

@@ -17,7 +17,7 @@ from cmbot.common.errors import (
     one_line,
     whole_sentences,
 )
-from cmbot.common.validation import shown
+from cmbot.common.reading.validation import shown
 
 CHOICES = [f"link_number_{k}" for k in range(60)]
 

@@ -7,7 +7,7 @@ import pytest
 
 from cmbot.archive import write_file
 from cmbot.common.errors import InputError, ModelError
-from cmbot.common.input_files import read_input, require_input
+from cmbot.common.reading.input_files import read_input, require_input
 from cmbot.views import write_page
 
 READERS = (read_input, require_input)

@@ -8,8 +8,8 @@ import pytest
 
 import cmbot
 from cmbot.common.arrays import FloatArray
+from cmbot.common.reading.validation import FileModel
 from cmbot.common.representation import LONGEST_REPR, short_repr
-from cmbot.common.validation import FileModel
 from cmbot.planning import Plan, precheck_scene
 from cmbot.simulation import Tracking
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cmbot.common.errors import InputError
-from cmbot.common.text_table import read_table
+from cmbot.common.reading.text_table import read_table
 
 ROWS = [[0.5, -1.25, 3e-4], [1.5, 2.0, -7.0]]
 

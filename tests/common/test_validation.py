@@ -5,7 +5,7 @@ import pkgutil
 from collections.abc import Iterator
 
 import cmbot
-from cmbot.common.validation import FileModel
+from cmbot.common.reading.validation import FileModel
 
 
 def models(base: type[FileModel] = FileModel) -> Iterator[type[FileModel]]:

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cmbot.common import yaml_reader
 from cmbot.common.errors import ModelError, SceneError
-from cmbot.common.yaml_reader import LARGEST_FILE, read_yaml, yaml_text, yaml_value
+from cmbot.common.reading import yaml_reader
+from cmbot.common.reading.yaml_reader import LARGEST_FILE, read_yaml, yaml_text, yaml_value
 
 
 def refused(folder: Path, content: str | bytes) -> SceneError:

@@ -26,6 +26,8 @@ def mass_on_a_spring() -> ModalResponse:
         place=x,
         place_direct=np.zeros((6, 3)),
         axis=np.eye(3)[2],
+        shapes=np.eye(1),
+        momenta=np.eye(1),
     )
 
 

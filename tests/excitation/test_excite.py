@@ -163,8 +163,8 @@ def test_a_record_is_simulated_from_its_begin(short_plan: Plan, tmp_path: Path) 
     light = cmbot.excite(shaken(short_plan, excitation=deck, damper={"mass_kg": 1e-4}))
     assert light.simulated is not None
     assert light.simulated.by == "modes"
-    assert light.simulated.rms == pytest.approx(found.simulated.rms, rel=0.05)
-    assert light.simulated.peak == pytest.approx(found.simulated.peak, rel=0.05)
+    assert light.simulated.rms == pytest.approx(found.simulated.rms, rel=0.02)
+    assert light.simulated.peak == pytest.approx(found.simulated.peak, rel=0.02)
     record = read_record(tmp_path / "deck.csv")
     assert record.at(np.array([0.25, 9.0])) == pytest.approx(np.array([[0, 0, 0.5], [0, 0, 0]]))
 

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 import cmbot
 from cmbot.common.errors import InputError
 from cmbot.excitation.peaks import davenport_factor, departure_rate, probability_of_leaving
-from cmbot.excitation.response import ModalResponse, flat_band
+from cmbot.excitation.response import ModalResponse, TunedDamper, flat_band
 from cmbot.excitation.sway import RandomSway, sampled_tool, shaken_adhesion, sway_mm_per_m_s2, sway_of
 from cmbot.planning import Plan
 from cmbot.scene import Tolerance, load_scene
@@ -35,6 +35,8 @@ def two_modes() -> ModalResponse:
         place=tool,
         place_direct=np.zeros((6, 3)),
         axis=np.eye(3)[2],
+        shapes=np.eye(3),
+        momenta=np.eye(3),
     )
 
 
@@ -119,10 +121,21 @@ def test_davenports_factor() -> None:
     assert davenport_factor(1.0, 3600.0) == pytest.approx(4.19, abs=0.005)
 
 
-def test_simulated_records_have_the_covariance() -> None:
-    response, t = two_modes(), np.linspace(0.0, 4.0, 3)
-    tool = sampled_tool(t, [response] * 3, flat_band(), BAND, records=1500)
-    expected = response.moments(flat_band(), BAND).value[:3, :3]
+@pytest.mark.parametrize("damper", [None, TunedDamper(mass=0.05, frequency=3.6, damping=0.2)])
+@pytest.mark.parametrize("acting", [[1, 1, 1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+def test_simulated_records_have_the_covariance(damper: TunedDamper | None, acting: list[int]) -> None:
+    """Of the deck along some axes, or of a load on the arm, which a damper does not feel."""
+    gain = np.random.default_rng(8).normal(size=(3, 4))
+    response, t = (
+        replace(two_modes(), gain=gain, direct=np.zeros((6, 4)), damper=damper),
+        np.linspace(0, 4, 3),
+    )
+
+    def spectrum(f: np.ndarray) -> np.ndarray:
+        return flat_band()(f)[:, :1] * np.array(acting)
+
+    tool = sampled_tool(t, [response] * 3, spectrum, BAND, records=1500)
+    expected = response.moments(spectrum, BAND).value[:3, :3]
     found = np.einsum("nri,nrj->ij", tool, tool) / (tool.shape[0] * tool.shape[1])
     assert np.abs(found - expected).max() < 0.05 * np.trace(expected)
 

@@ -11,7 +11,7 @@ from small_scenes import problem_of, short_scene, tool_points, torque_along
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError, OptimisationFailed
-from cmbot.common.validation import checked_options
+from cmbot.common.reading.validation import checked_options
 from cmbot.optimization import exchange
 from cmbot.optimization.evaluation import NlpEvaluation
 from cmbot.optimization.exchange import ExchangeOptions, minimize_peak

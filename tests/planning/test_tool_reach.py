@@ -18,7 +18,7 @@ from small_scenes import parts, path_through, request_of, short_scene, strokes_s
 
 from cmbot import load_robot
 from cmbot.common.errors import PathNotFound, SceneError
-from cmbot.common.yaml_reader import read_yaml
+from cmbot.common.reading.yaml_reader import read_yaml
 from cmbot.planning import plan, precheck_scene
 from cmbot.planning.path.nearest_miss import places_along
 from cmbot.planning.path.place_search import worst_missed

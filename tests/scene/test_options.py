@@ -9,7 +9,7 @@ from pydantic import TypeAdapter
 
 import cmbot
 from cmbot.common.errors import InputError
-from cmbot.common.validation import validated
+from cmbot.common.reading.validation import validated
 from cmbot.scene import PlannerOptions, Scene
 from cmbot.simulation import SimulationOptions
 

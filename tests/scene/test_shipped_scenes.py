@@ -12,7 +12,7 @@ from oracles import chang2021_arm
 from cmbot.collision import Box
 from cmbot.common.errors import SceneError
 from cmbot.common.installation import scene_folder
-from cmbot.common.yaml_reader import read_yaml
+from cmbot.common.reading.yaml_reader import read_yaml
 from cmbot.elastic import AngleSection, BarSection, GuardrailMaterial
 from cmbot.scene import load_scene, shipped_scenes
 

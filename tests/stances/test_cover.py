@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from cmbot.stances.cover import fewest_groups
+from cmbot.stances.ranking import fewest_groups
 
 # Few values, so that ties occur; infinite: not reached.
 values = st.sampled_from([1.0, 2.0, 3.0, np.inf])

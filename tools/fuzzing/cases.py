@@ -10,7 +10,7 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-from cmbot.common.validation import plain
+from cmbot.common.reading.validation import plain
 from cmbot.scene import PlannerOptions
 from fuzzing.corpus import Corpus, Files, as_yaml
 from fuzzing.mutations import (

@@ -15,7 +15,7 @@ import cmbot
 from cmbot.archive import json_bytes
 from cmbot.common.errors import InputError
 from cmbot.common.installation import scene_folder
-from cmbot.common.yaml_reader import read_yaml
+from cmbot.common.reading.yaml_reader import read_yaml
 from cmbot.identification import stiffness_text
 from cmbot.scene import Scene, shipped_scenes
 from cmbot.stances.walking import Step, Walk, stance_of, walk_data

@@ -16,7 +16,7 @@ from cmbot.archive.ros.trajectory_file import trajectory_message
 from cmbot.collision import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere, load_mesh
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra
-from cmbot.common.validation import given_path
+from cmbot.common.reading.validation import given_path
 from cmbot.planning import Plan, require_plan
 from cmbot.robot import link_poses
 

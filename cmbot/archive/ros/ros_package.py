@@ -14,7 +14,7 @@ import numpy as np
 from cmbot.archive.folder import refusals
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import ArchiveError
-from cmbot.common.validation import given_path
+from cmbot.common.reading.validation import given_path
 from cmbot.planning import Plan, require_plan
 from cmbot.robot import Robot, RobotFiles, locate_meshes, parse_urdf, robot_files, srdf_text
 from cmbot.scene import STOW

@@ -14,7 +14,7 @@ from pydantic_core import to_json
 from cmbot.archive.folder import write_file
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import InputError
-from cmbot.common.validation import given_path, hint
+from cmbot.common.reading.validation import given_path, hint
 from cmbot.planning import Plan, require_plan
 from cmbot.robot import Dynamics
 from cmbot.trajectory import QuinticTrajectory

@@ -10,7 +10,7 @@ import numpy as np
 
 from cmbot.archive.records import require_same
 from cmbot.common.errors import ArchiveError
-from cmbot.common.validation import counted, plain, shown
+from cmbot.common.reading.validation import counted, plain, shown
 from cmbot.planning import robot_of
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import PlannerOptions, Scene, StrokeFile

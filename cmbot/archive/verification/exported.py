@@ -14,15 +14,14 @@ import numpy as np
 from pydantic_core import from_json
 
 from cmbot.archive.folder import read_file
-from cmbot.archive.names import BASELINE_FILE, JOB_FILES, PLAN_FILE, TRACKING_FILES
-from cmbot.archive.records import require_same
+from cmbot.archive.records import BASELINE_FILE, JOB_FILES, PLAN_FILE, TRACKING_FILES, require_same
 from cmbot.archive.ros.mcap_file import messages
 from cmbot.archive.ros.trajectory_file import trajectory_message
 from cmbot.archive.tables import require_table, samples_csv
 from cmbot.archive.writing import job_table
 from cmbot.common.arrays import IntArray
 from cmbot.common.errors import ArchiveError
-from cmbot.common.validation import counted, shown
+from cmbot.common.reading.validation import counted, shown
 from cmbot.planning import Plan
 
 # What numbers of messages may differ by, as a share and at least: processors round differently.

@@ -10,14 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from cmbot.archive.folder import read_file
-from cmbot.archive.names import PLAN_FILE, TOUR_FILE, WALK_FILE
 from cmbot.archive.reading import read_plan
-from cmbot.archive.records import require_same
+from cmbot.archive.records import PLAN_FILE, TOUR_FILE, WALK_FILE, require_same
 from cmbot.archive.tables import require_table
 from cmbot.archive.verification.asked import looser_promises, require_asked, require_promised
 from cmbot.archive.walks import TourPart, bridge_of, ends_of, load_walk, place, read_tour
 from cmbot.common.errors import ArchiveError, InputError, LimitViolation
-from cmbot.common.validation import counted, given_path
+from cmbot.common.reading.validation import counted, given_path
 from cmbot.planning import Check, Plan, bending_arm, resolved_options
 from cmbot.scene import PlannerOptions, Scene, StanceFile
 from cmbot.stances import in_world, joined

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from cmbot.planning.attempts.agenda import Remedy, Trial
+from cmbot.planning.attempts.agenda import Remedy, Solved, Trial
 from cmbot.planning.attempts.attempt import Attempt
 from cmbot.planning.attempts.failure import (
     JointRate,
@@ -141,10 +141,16 @@ def _changed(attempt: Attempt, guess: object, **changes: Any) -> Iterator[Attemp
 
 
 def _anew(attempt: Attempt, *, searches: bool = False, **changes: Any) -> Iterator[Attempt]:
-    """The attempt from the first guess of a changed request, if there is one; charts are kept, or not."""
-    request, search = changes["request"], None if searches else attempt.search
+    """The attempt from the first guess of a changed request, if there is one; charts are kept, or not.
+
+    An attempt that starts in the scene's posture, perhaps as nothing leads elsewhere, still does.
+    """
+    request, search, stay = changes["request"], None if searches else attempt.search, attempt.is_pinned
     request.reporter.stage("path")
-    yield from _changed(attempt, attempted(request, partial(initial_guess, request, search)), **changes)
+    guess = attempted(request, partial(initial_guess, request, search, stay=stay))
+    if stay and isinstance(guess, InitialGuess) and isinstance(attempt.guess, InitialGuess):
+        guess = replace(guess, unreached=attempt.guess.unreached, failures=attempt.guess.failures)
+    yield from _changed(attempt, guess, **changes)
 
 
 def _shorter_steps(trial: AnyTrial) -> Iterator[Attempt]:
@@ -155,8 +161,10 @@ def _shorter_steps(trial: AnyTrial) -> Iterator[Attempt]:
     at rest may be higher. Where no path leads on from the scene's posture in shorter steps, they start
     elsewhere; see `sliding_guess`. With fixed knots there are none.
     """
-    request, guess, search = trial.attempt.request, trial.attempt.guess, trial.attempt.search
-    if not isinstance(trial.outcome, NoTrajectory) or not isinstance(guess, InitialGuess) or search is None:
+    request, guess = trial.attempt.request, trial.attempt.guess
+    if not isinstance(trial.outcome, NoTrajectory) or not isinstance(guess, InitialGuess):
+        return
+    if (search := trial.attempt.search) is None:
         return
     rough, tries = roughness(guess.problem), 0
     for _ in range(_HALVINGS):
@@ -185,10 +193,12 @@ def _clearer_guess(trial: AnyTrial) -> Iterator[Attempt]:
 
     Postures of least torque may lie at the safety margin itself, where splines have no room to either side.
     """
-    attempt, search = trial.attempt, trial.attempt.search
+    attempt = trial.attempt
     request, margin = attempt.request, attempt.request.cell.options.safety_margin_m
     match trial.outcome, attempt.guess:
-        case NoTrajectory(broken=NearObstacle()), InitialGuess(unreached=unreached) if search is not None:
+        case NoTrajectory(broken=NearObstacle()), InitialGuess(unreached=unreached):
+            if (search := attempt.search) is None:
+                return
             for factor in _MARGIN_FACTORS:
                 away = f"{1e3 * factor * margin:.3g} mm away"
                 request.reporter.stage("path")
@@ -266,10 +276,10 @@ def _another_start(trial: AnyTrial) -> Iterator[Attempt]:
     The way on from there may be so sudden that only rest is possible. Where an approach has failed before,
     the scene's posture is all that is left.
     """
-    request, guess, search = trial.attempt.request, trial.attempt.guess, trial.attempt.search
-    if not isinstance(trial.outcome, NoTrajectory) or not isinstance(guess, InitialGuess) or search is None:
+    request, guess = trial.attempt.request, trial.attempt.guess
+    if not isinstance(trial.outcome, NoTrajectory) or not isinstance(guess, InitialGuess):
         return
-    if guess.unreached or not guess.pinned:
+    if guess.unreached or not guess.pinned or (search := trial.attempt.search) is None:
         return
     request.reporter.stage("path")
     reason = f"no trajectory follows the tool path ({in_words(trial.outcome)})"
@@ -293,10 +303,10 @@ def _reachable_start(trial: AnyTrial) -> Iterator[Attempt]:
     Of a stroke that begins elsewhere the scene's posture does not hold the tool where it begins. Where
     nothing that can be reached is better, `SCENE_START` says so.
     """
-    request, search = trial.attempt.request, trial.attempt.search
-    if isinstance(trial.outcome, NoWay) and search is not None and not request.stroke.begins_elsewhere:
-        if trial.attempt.is_pinned:
-            return
+    request = trial.attempt.request
+    if not isinstance(trial.outcome, NoWay) or request.stroke.begins_elsewhere or trial.attempt.is_pinned:
+        return
+    if (search := trial.attempt.search) is not None:
         request.reporter.stage("path")
         starts = reachable(request, search.first_chart.q)
         best = attempted(request, partial(sliding_guess, request, search=search, starts=starts))
@@ -306,8 +316,10 @@ def _reachable_start(trial: AnyTrial) -> Iterator[Attempt]:
 
 def _joined_start(trial: AnyTrial) -> Iterator[Attempt]:
     """Where no approach leads to the start that was chosen: the best of those that trees lead to."""
-    request, search = trial.attempt.request, trial.attempt.search
-    if isinstance(trial.outcome, NoWay) and search is not None and request.stroke.begins_elsewhere:
+    request = trial.attempt.request
+    if not isinstance(trial.outcome, NoWay) or not request.stroke.begins_elsewhere:
+        return
+    if (search := trial.attempt.search) is not None:
         request.reporter.step("no approach leads there; seeking a start that one leads to")
         start = partial(sliding_guess, request, search=search, pinned=trial.outcome.error)
         for starts, way in islice(joined_starts(request, search.first_chart.q), _MAX_JOINED_STARTS):
@@ -319,8 +331,10 @@ def _joined_start(trial: AnyTrial) -> Iterator[Attempt]:
 
 def _scene_start(trial: AnyTrial) -> Iterator[Attempt]:
     """Where no approach leads to a better start, or no trajectory on from there: the scene's posture."""
-    request, search = trial.attempt.request, trial.attempt.search
-    if search is None or trial.attempt.is_pinned:
+    request = trial.attempt.request
+    if isinstance(trial.outcome, Solved) or trial.attempt.is_pinned:
+        return
+    if (search := trial.attempt.search) is None:
         return
     match trial.outcome:
         case NoWay(error=error):

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from math import inf
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.file_types import OrInfinite
 from cmbot.common.limit import Limit
+from cmbot.common.reading.file_types import OrInfinite
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ import numpy as np
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
-from cmbot.common.file_types import ModerateOrInfinite, NonNegative
+from cmbot.common.reading.file_types import ModerateOrInfinite, NonNegative
 from cmbot.common.representation import short_repr
 from cmbot.elastic.sag import Sag
 from cmbot.hold import AdhesionPeak

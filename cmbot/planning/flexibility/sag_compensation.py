@@ -15,8 +15,8 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import OptimisationFailed
-from cmbot.common.file_types import NonNegative
 from cmbot.common.limit import Limit
+from cmbot.common.reading.file_types import NonNegative
 from cmbot.elastic.sag import Sag, TooSoftError
 from cmbot.optimization import ExchangeReport, find_violations
 from cmbot.planning.certification.sag_spread import largest_spread

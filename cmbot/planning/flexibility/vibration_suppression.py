@@ -18,7 +18,7 @@ import numpy as np
 from scipy import sparse
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
-from cmbot.common.file_types import Count, NonNegative, Share
+from cmbot.common.reading.file_types import Count, NonNegative, Share
 from cmbot.common.representation import short_repr
 from cmbot.elastic.arm import ElasticArm
 from cmbot.optimization import (

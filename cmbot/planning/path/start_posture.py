@@ -12,7 +12,7 @@ import numpy as np
 from cmbot.collision import Obstacle
 from cmbot.common.arrays import BoolArray, FloatArray, read_only
 from cmbot.common.errors import InputError, PlanningError
-from cmbot.common.validation import counted
+from cmbot.common.reading.validation import counted
 from cmbot.planning.postures.projection import project_onto_task
 from cmbot.planning.postures.sampler import PostureSampler
 from cmbot.planning.task import ToolTask

@@ -23,10 +23,10 @@ from cmbot.accuracy import (
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
-from cmbot.common.file_types import NonNegative
 from cmbot.common.limit import Limit
+from cmbot.common.reading.file_types import NonNegative
+from cmbot.common.reading.validation import require_type
 from cmbot.common.representation import aligned, card
-from cmbot.common.validation import require_type
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.sag import Sag, TooSoftError
 from cmbot.hold import AdhesionPeak

@@ -10,7 +10,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
-from cmbot.common.file_types import Count, NonNegative
+from cmbot.common.reading.file_types import Count, NonNegative
 from cmbot.common.representation import short_repr
 from cmbot.optimization import ExchangeReport, StateSamples
 from cmbot.planning.certification.metrics import MotionMetrics, Samples

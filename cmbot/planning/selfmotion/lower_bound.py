@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
-from cmbot.common.file_types import Count, NonNegative, Row, Share
+from cmbot.common.reading.file_types import Count, NonNegative, Row, Share
 from cmbot.common.representation import short_repr
 from cmbot.planning.postures.projection import null_space, project_onto_task
 from cmbot.planning.request import StrokeRequest

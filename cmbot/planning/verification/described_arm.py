@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import ModelError
-from cmbot.common.yaml_reader import read_yaml
+from cmbot.common.reading.yaml_reader import read_yaml
 from cmbot.robot import JointLimits, Robot, RobotFiles, parse_urdf, robot_files
 from cmbot.scene import Scene
 

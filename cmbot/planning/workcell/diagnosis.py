@@ -8,7 +8,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
-from cmbot.common.validation import counted
+from cmbot.common.reading.validation import counted
 from cmbot.planning.workcell.workcell import Workcell
 
 FEET = "a foot"

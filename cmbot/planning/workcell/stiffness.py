@@ -8,7 +8,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
-from cmbot.common.validation import counted
+from cmbot.common.reading.validation import counted
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.modes import frequency_slopes
 from cmbot.elastic.stiffness_parameters import StiffnessParameters

@@ -11,14 +11,14 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from cmbot.common.errors import MissingExtra, ModelError
-from cmbot.common.input_files import is_file, read_input
 from cmbot.common.installation import model_folder
+from cmbot.common.reading.input_files import is_file, read_input
+from cmbot.common.reading.validation import given_path, hint
+from cmbot.common.reading.yaml_reader import LARGEST_FILE
 from cmbot.common.representation import short_repr
 from cmbot.common.robot_library import LIBRARY, LIBRARY_EXTRA, is_robot_name, library_robots
-from cmbot.common.validation import given_path, hint
-from cmbot.common.yaml_reader import LARGEST_FILE
+from cmbot.robot.description.completion import AttachedTool
 from cmbot.robot.description.limits_file import read_joint_limits
-from cmbot.robot.description.tool import AttachedTool
 from cmbot.robot.description.xml_file import read_urdf
 
 _SHIPPED_ROBOT = "cmbot"

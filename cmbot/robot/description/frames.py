@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from xml.etree import ElementTree
 
 from cmbot.common.errors import ModelError
-from cmbot.common.validation import shown
+from cmbot.common.reading.validation import shown
 
 _ROTARY_TYPES = ("revolute", "continuous")
 _MOVING_TYPES = (*_ROTARY_TYPES, "prismatic")

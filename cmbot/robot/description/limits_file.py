@@ -24,8 +24,8 @@ import numpy as np
 from pydantic import ConfigDict, Field
 
 from cmbot.common.errors import ModelError
-from cmbot.common.validation import FileModel, validated
-from cmbot.common.yaml_reader import lines_named, read_yaml
+from cmbot.common.reading.validation import FileModel, validated
+from cmbot.common.reading.yaml_reader import lines_named, read_yaml
 
 LEAST_LIMIT = 1e-6
 """Smallest limit that is one, SI."""

@@ -20,8 +20,8 @@ import pinocchio as pin
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import ModelError
-from cmbot.common.input_files import LARGEST_MESH, is_file, read_input, require_input
-from cmbot.common.validation import shown
+from cmbot.common.reading.input_files import LARGEST_MESH, is_file, read_input, require_input
+from cmbot.common.reading.validation import shown
 from cmbot.robot.description.packages import find_copy, find_resource
 
 FARTHEST = 1e4

@@ -9,7 +9,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from cmbot.common.errors import ModelError
-from cmbot.common.input_files import read_input
+from cmbot.common.reading.input_files import read_input
 
 # Lists of folders below which packages are installed, in ``share``.
 _PREFIX_VARIABLES = ("AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH", "CMAKE_PREFIX_PATH")

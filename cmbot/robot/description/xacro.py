@@ -20,8 +20,8 @@ from threading import Timer
 from typing import Any
 
 from cmbot.common.errors import MissingExtra, ModelError, one_line
-from cmbot.common.input_files import LARGEST_TEXT
-from cmbot.common.validation import hint, shown
+from cmbot.common.reading.input_files import LARGEST_TEXT
+from cmbot.common.reading.validation import hint, shown
 from cmbot.robot.description.packages import find_copy, find_package
 
 _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)

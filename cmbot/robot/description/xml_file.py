@@ -9,8 +9,8 @@ from typing import NoReturn
 from xml.etree import ElementTree
 
 from cmbot.common.errors import ModelError
-from cmbot.common.input_files import read_input
-from cmbot.common.validation import shown
+from cmbot.common.reading.input_files import read_input
+from cmbot.common.reading.validation import shown
 from cmbot.robot.description.xacro import expand_xacro, is_xacro
 
 # Readers of XML trees call themselves for each level.

@@ -16,9 +16,9 @@ from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_v
 
 from cmbot.collision import Box, Obstacle
 from cmbot.common.arrays import FloatArray, read_only
-from cmbot.common.fields import Angle, Coordinate, Length, Slug, exactly_one, one_of_schema, si_fields
 from cmbot.common.poses import pose
-from cmbot.common.validation import FileModel, refusal, shown
+from cmbot.common.reading.fields import Angle, Coordinate, Length, Slug, exactly_one, one_of_schema, si_fields
+from cmbot.common.reading.validation import FileModel, refusal, shown
 from cmbot.elastic import (
     AngleSection,
     BarSection,

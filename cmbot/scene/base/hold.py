@@ -13,7 +13,8 @@ from pydantic import ConfigDict, Field, GetPydanticSchema, PlainSerializer, Wrap
 from shapely.affinity import rotate, translate
 
 from cmbot.common.arrays import FloatArray, read_only
-from cmbot.common.fields import (
+from cmbot.common.poses import pose
+from cmbot.common.reading.fields import (
     Angle,
     Angles,
     Coordinate,
@@ -23,8 +24,7 @@ from cmbot.common.fields import (
     exactly_one,
     one_of_schema,
 )
-from cmbot.common.poses import pose
-from cmbot.common.validation import FileModel, refusal, shown
+from cmbot.common.reading.validation import FileModel, refusal, shown
 from cmbot.elastic import AngleSection, BarSection, Guardrail
 from cmbot.hold import MAGNET_PRESSURE, Contact, Foot, Gap
 

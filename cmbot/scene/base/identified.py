@@ -8,8 +8,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from cmbot.common.arrays import FloatArray, read_only
-from cmbot.common.fields import Text, Vector
-from cmbot.common.validation import FileModel, refusal
+from cmbot.common.reading.fields import Text, Vector
+from cmbot.common.reading.validation import FileModel, refusal
 from cmbot.scene.base.matrices import Matrix6, check_positive_definite
 
 _BASE_PARAMETERS = 21

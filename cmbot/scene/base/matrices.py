@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from cmbot.common.validation import refusal, shown
+from cmbot.common.reading.validation import refusal, shown
 
 # Their bounds keep every product finite.
 Entry = Annotated[float, Field(ge=-1e15, le=1e15)]

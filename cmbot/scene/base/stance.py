@@ -10,8 +10,8 @@ import numpy as np
 from pydantic import Field, GetPydanticSchema, PlainSerializer, WrapValidator, model_validator
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.fields import Angle, Coordinate, Slug, Vector
-from cmbot.common.validation import CheckedFields, FileModel, refusal, shown
+from cmbot.common.reading.fields import Angle, Coordinate, Slug, Vector
+from cmbot.common.reading.validation import CheckedFields, FileModel, refusal, shown
 from cmbot.elastic import Guardrail
 from cmbot.scene.base.hold import FACES, Face, face_of
 

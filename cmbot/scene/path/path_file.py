@@ -18,8 +18,8 @@ from pydantic import (
     model_validator,
 )
 
-from cmbot.common.fields import Slug, word_or
-from cmbot.common.validation import FileModel, counted, refusal
+from cmbot.common.reading.fields import Slug, word_or
+from cmbot.common.reading.validation import FileModel, counted, refusal
 from cmbot.scene.path.waypoints import Waypoint
 from cmbot.toolpath import (
     AUTO,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from cmbot.collision import Mesh, Obstacle, load_mesh
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
-from cmbot.common.validation import shown
+from cmbot.common.reading.validation import shown
 from cmbot.toolpath import FaceSurface, PathSource, PlainSurface, Raster, Surface
 
 

@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
-from cmbot.common.fields import Angles, Vector
 from cmbot.common.poses import pose
-from cmbot.common.text_table import TextTable, read_table
-from cmbot.common.validation import FileModel, counted
+from cmbot.common.reading.fields import Angles, Vector
+from cmbot.common.reading.text_table import TextTable, read_table
+from cmbot.common.reading.validation import FileModel, counted
 from cmbot.toolpath import shortest_turns
 
 _MAX_WAYPOINT_BYTES = 5_000_000

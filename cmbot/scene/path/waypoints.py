@@ -7,8 +7,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from cmbot.common.fields import Coordinate
-from cmbot.common.validation import refusal
+from cmbot.common.reading.fields import Coordinate
+from cmbot.common.reading.validation import refusal
 
 # A unit quaternion up to what files round.
 _QUATERNION_TOLERANCE = 1e-3

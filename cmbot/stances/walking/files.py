@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.validation import plain
+from cmbot.common.reading.validation import plain
 from cmbot.hold import Holding
 from cmbot.robot import ARM_JOINTS, CLIMBING_JOINTS, Climber, Dynamics
 from cmbot.stances.walking.steps import Move

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from cmbot.common.errors import CmbotError, PlanningError
+from cmbot.common.reading.validation import counted
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import counted
 from cmbot.planning import Plan
 from cmbot.scene import Scene
 from cmbot.stances import (

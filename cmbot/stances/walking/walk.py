@@ -11,10 +11,10 @@ import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import CmbotError, PathNotFound, PlanningError, SceneError, whole_sentences
-from cmbot.common.input_files import is_file
+from cmbot.common.reading.input_files import is_file
+from cmbot.common.reading.validation import counted, validated
+from cmbot.common.reading.yaml_reader import read_yaml
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import counted, validated
-from cmbot.common.yaml_reader import read_yaml
 from cmbot.hold import AdhesionPeak
 from cmbot.robot import Climber, Side
 from cmbot.scene import FootholdFile, Scene, StanceFile, load_scene

@@ -11,7 +11,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra, SceneError
-from cmbot.common.validation import counted
+from cmbot.common.reading.validation import counted
 from cmbot.toolpath.raster.pieces import MOST_ROWS, Interval, RowPiece, united
 from cmbot.toolpath.raster.raster import FaceSelection, Raster
 from cmbot.toolpath.raster.surface import Surface

@@ -9,8 +9,8 @@ from typing import Annotated
 from pydantic import Field
 
 from cmbot.common.errors import InputError
-from cmbot.common.fields import SHORTEST_LEG
-from cmbot.common.validation import CheckedFields
+from cmbot.common.reading.fields import SHORTEST_LEG
+from cmbot.common.reading.validation import CheckedFields
 
 MOST_ROWS = 500
 """Of a raster."""

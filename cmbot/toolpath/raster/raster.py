@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from cmbot.common.errors import InputError
-from cmbot.common.fields import (
+from cmbot.common.reading.fields import (
     Angle,
     Length,
     LongVector,
@@ -21,8 +21,8 @@ from cmbot.common.fields import (
     given_of,
     is_mesh_file,
 )
+from cmbot.common.reading.validation import CheckedFields, shown
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import CheckedFields, shown
 from cmbot.toolpath.raster.pieces import MOST_ROWS, RowPiece
 
 # Cosine of the angle between two edges that are at right angles.

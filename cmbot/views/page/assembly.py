@@ -21,7 +21,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
-from cmbot.common.input_files import require_replaceable
+from cmbot.common.reading.input_files import require_replaceable
 
 STAGE_SCRIPTS = ("stage.js", "marks.js", "beams.js", "bending.js", "colours.js", "motions.js", "player.js")
 """The 3-D view and the time, shared by replay and report."""

@@ -622,3 +622,19 @@ def test_without_piqp(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_doctor_knows_piqp() -> None:
     found = {symptom.name: symptom for symptom in examine()}
     assert found["piqp"].healthy
+
+
+def test_where_nothing_leads_elsewhere_other_via_points_start_in_the_posture_too(elsewhere: Attempt) -> None:
+    (stays, _), *_ = tried(SCENE_START, elsewhere, UNREACHED)
+    assert stays.is_pinned
+    fewer = [other for other, _ in tried(FEWER_VIA_POINTS, stays, SUDDEN)]
+    assert fewer and all(other.is_pinned for other in fewer)
+    # And what is told of the other start is told still.
+    assert all(other.guess.failures == stays.guess.failures for other in fewer)
+
+
+def test_what_succeeded_is_not_charted_for_remedies(rough: Attempt) -> None:
+    attempt = replace(rough)
+    trial: Trial[Attempt, Any] = Trial(attempt=attempt, outcome=Solved(result=None))
+    assert not [other for remedy in REMEDIES for other in remedy.propose(trial)]
+    assert "search" not in vars(attempt)

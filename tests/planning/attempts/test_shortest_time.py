@@ -93,6 +93,19 @@ def test_it_is_near_copp_and_above_toppra(cmbot_robot: Robot, rng: np.random.Gen
     assert time_laws.toppra_seconds(q, cmbot_robot.limits) < copp
 
 
+def test_an_attempt_in_another_time_has_splines_in_that_time() -> None:
+    path = {"legs": [LEG], "seconds": "auto", "via_points": 26}
+    first = Attempt.of(request_of(short_scene(tool_path=path)))
+    request, problem = first.request, first.guess.problem  # type: ignore[union-attr]
+    law = LegLaw(leg=0, seconds=(2.0,) * 3, jerk=(0.0, 1.0, -1.0, 0.0))
+    for number in (26, 31):
+        denser = replace(request, times=request.task.path.via_times(number))
+        timed = first.in_timing(Timing.along(denser, problem.parametrization.trajectory, (), (law,)))
+        assert isinstance(timed, Attempt)
+        assert timed.request.times[-1] == pytest.approx(6.0)
+        np.testing.assert_array_equal(timed.guess.problem.space.t, timed.request.times)  # type: ignore[union-attr]
+
+
 @pytest.fixture(scope="module")
 def quick_plan() -> Plan:
     path = {"legs": [LEG, {"pause": 0.5}], "seconds": "auto", "max_base_torque_nm": 500, "via_points": 26}

@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.fields import Angles, LongVector, Slug, Vector, exactly_one, one_of_schema
-from cmbot.common.validation import FileModel
+from cmbot.common.reading.fields import Angles, LongVector, Slug, Vector, exactly_one, one_of_schema
+from cmbot.common.reading.validation import FileModel
 from cmbot.scene.base.matrices import Matrix6, check_positive_definite, six_rows
 from cmbot.scene.robot_entry import MountFile
 

@@ -20,8 +20,8 @@ from pydantic import (
 )
 
 from cmbot.common.errors import InputError
-from cmbot.common.input_files import is_file, is_folder
-from cmbot.common.validation import hint, refusal, shown
+from cmbot.common.reading.input_files import is_file, is_folder
+from cmbot.common.reading.validation import hint, refusal, shown
 
 SHORTEST_LEG = 1e-6
 """m."""

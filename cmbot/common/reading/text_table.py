@@ -18,9 +18,9 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
-from cmbot.common.input_files import read_input
+from cmbot.common.reading.input_files import read_input
+from cmbot.common.reading.validation import counted, hint, shown
 from cmbot.common.representation import short_repr
-from cmbot.common.validation import counted, hint, shown
 
 _NAME_AND_UNIT = re.compile(r"\s*(.*?)\s*(?:[\[(]\s*([^\])]*?)\s*[\])])?\s*")
 _SEPARATORS = (";", "\t", ",")

@@ -28,8 +28,8 @@ from ruamel.yaml.reader import ReaderError
 from ruamel.yaml.representer import SafeRepresenter
 
 from cmbot.common.errors import InputError
-from cmbot.common.input_files import read_input
-from cmbot.common.validation import key_path, shown
+from cmbot.common.reading.input_files import read_input
+from cmbot.common.reading.validation import key_path, shown
 
 LARGEST_FILE = 2_000_000
 """Size in bytes above which a file is refused."""
