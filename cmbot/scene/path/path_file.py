@@ -96,7 +96,7 @@ class PathFile(FileModel):
     quarter of the tolerance."""
     corner_deg: Annotated[float, Field(ge=1, le=180)] = 15.0
     """Waypoints at which the path bends by more, and twice as much as beside, are corners; by more than 60
-    degrees they are in any case, unless this is more."""
+    degrees, unless this is more, in any case, and where no spline keeps dense ones by a third of this."""
     raster: Raster | None = None
     """In place of `legs`, rows over a surface, with `blend_radius_m` without a stop."""
     seconds: SecondsOrAuto | None = None
