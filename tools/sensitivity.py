@@ -20,6 +20,7 @@ CHANGES: list[dict[str, object]] = [
     {"robot.tool_length_m": 0.35},
     {"robot.payload_kg": 5.0},
     {"tool_path.via_points": 30},
+    {"planner.max_tool_deviation_m": 0.001},
     {"planner.knots": "fixed"},
     {"planner.knots": "fixed", "planner.avoidance_gain": 0.0},
 ]

@@ -54,9 +54,9 @@ class AccuracyPart:
     sigma_mm: NonNegative
 
     @property
-    def size_mm(self) -> float:
-        """What it is at most in about 19 of 20 cases: its bias and two standard deviations."""
-        return self.bias_mm + 2 * self.sigma_mm
+    def rms_mm(self) -> float:
+        """Root of the mean square of the distance that it alone makes."""
+        return float(np.hypot(self.bias_mm, self.sigma_mm))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,6 +92,12 @@ class Accuracy:
     tolerance_share: Share | None
     parts: tuple[AccuracyPart, ...]
     remedies: tuple[Remedy, ...]
+
+    @property
+    def shares(self) -> tuple[float, ...]:
+        """Share of each part in the sum of their mean squares, 0 to 1."""
+        squares = [part.rms_mm**2 for part in self.parts]
+        return tuple(square / sum(squares) for square in squares)
 
     def __repr__(self) -> str:
         return f"<Accuracy: within {self.within_mm:.3g} mm with {100 * self.probability:g} %>"
@@ -319,7 +325,7 @@ class _Budget:
                     sigma_mm=0.0 if known else size,
                 )
             )
-        return tuple(sorted((part for part in found if part.size_mm), key=lambda part: -part.size_mm))
+        return tuple(sorted((part for part in found if part.rms_mm), key=lambda part: -part.rms_mm))
 
     def _told(self, name: str, bias: FloatArray, maps: FloatArray) -> AccuracyPart:
         sizes = np.linalg.norm(self._across(bias), axis=1)

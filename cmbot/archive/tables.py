@@ -16,6 +16,8 @@ from cmbot.trajectory import LARGEST
 _JOINT_COLUMNS = ("q", "v", "a", "j", "tau")
 _VECTOR_COLUMNS = ("guardrail_torque", "guardrail_force", "tool")
 _CLEARANCE, _SEGMENT, _ADHESION = "clearance", "segment", "adhesion_needed"
+# Of the bent tool to its path; between strokes there is none, and cells are NaN.
+OFF_PATH = "off_path"
 # Digits in all, and after the point; the baseline's motion is read back, and figures computed from it.
 _DIGITS, _READ_BACK = 9, 12
 # What cells that are computed again may differ by, as a share and in the unit of the column.
@@ -165,6 +167,8 @@ def _read_row(line: str, number: int, source: str, names: tuple[str, ...]) -> li
 
 def _require_numbers(table: FloatArray, names: tuple[str, ...], source: str) -> None:
     wrong = ~(np.abs(table) <= LARGEST)
+    gaps = [name.startswith(OFF_PATH) for name in names]
+    wrong[:, gaps] &= ~np.isnan(table[:, gaps])
     if _CLEARANCE in names:
         clearance = names.index(_CLEARANCE)
         wrong[:, clearance] &= table[:, clearance] != math.inf

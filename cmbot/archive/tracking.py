@@ -12,7 +12,7 @@ import numpy as np
 from cmbot.archive.folder import read_folder
 from cmbot.archive.places import add_results
 from cmbot.archive.records import PLAN_FILE, TRACKING_FILES, Entry, json_bytes, read_json
-from cmbot.archive.tables import read_table, table_csv
+from cmbot.archive.tables import OFF_PATH, read_table, require_table, table_csv
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError
 from cmbot.common.reading.validation import given_path, require_type, shown, validated
@@ -32,7 +32,11 @@ from cmbot.version import __version__
 _TRACKING_FORMAT = "cmbot-tracking/1"
 _PLANNED, _BASELINE, _METRICS = TRACKING_FILES
 _TABLES = {_PLANNED: "planned", _BASELINE: "baseline"}
-_TRACKING_COLUMNS = ("t", *(f"{part}_{axis}" for part in ("error", "static") for axis in "xyz"))
+_TRACKING_COLUMNS = (
+    "t",
+    *(f"{part}_{axis}" for part in ("error", "static", OFF_PATH) for axis in "xyz"),
+    OFF_PATH,
+)
 # Of an elastic base; rotations as in `MotionTracking.base`.
 _BASE = tuple(f"{part}_{axis}" for part in ("base", "base_rotation") for axis in "xyz")
 
@@ -100,10 +104,7 @@ def save_tracking(
         motion: MotionTracking | None = getattr(tracking, attribute)
         if motion is None:
             continue
-        table, columns = np.column_stack([motion.t, motion.error, motion.static]), _TRACKING_COLUMNS
-        if motion.base is not None:
-            table, columns = np.column_stack([table, motion.base]), _TRACKING_COLUMNS + _BASE
-        contents[name] = table_csv(columns, table, name)
+        contents[name] = _motion_csv(motion, name)
     contents[_METRICS] = json_bytes(tracking_json(tracking), indent=2)
     return add_results(folder, contents, added, force=force)
 
@@ -162,10 +163,10 @@ def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
         entry: _Motion = getattr(file, _TABLES[name])
         frequencies = np.array([mode.frequency for mode in entry.modes], dtype=np.float64)
         execution = execution_error(plan.robot, work, t, file.options)
-        base = table[:, 7:].copy() if with_base else None
-        motions[_TABLES[name]] = motion_tracking(
-            work, t, rigid + predicted, error, static, frequencies, execution, base
-        )
+        base = table[:, len(_TRACKING_COLUMNS) :].copy() if with_base else None
+        motion = motion_tracking(work, t, rigid + predicted, error, static, frequencies, execution, base)
+        require_table(contents[name], _motion_csv(motion, name), str(folder / name))
+        motions[_TABLES[name]] = motion
     return Tracking(
         options=file.options,
         seconds=file.seconds,
@@ -173,6 +174,17 @@ def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
         baseline=motions.get("baseline"),
         planned=motions["planned"],
     )
+
+
+def _motion_csv(motion: MotionTracking, source: str) -> bytes:
+    """The table of a motion; distances from the path follow from the rest: others are refused on reading."""
+    parts, columns = (
+        [motion.t, motion.error, motion.static, motion.path_error, motion.off_path],
+        _TRACKING_COLUMNS,
+    )
+    if motion.base is not None:
+        parts, columns = [*parts, motion.base], columns + _BASE
+    return table_csv(columns, np.column_stack(parts), source)
 
 
 def _wanted(hashes: Mapping[str, str]) -> tuple[str, ...]:

@@ -157,15 +157,17 @@ def _summary(plan: Plan, tracking: Tracking) -> dict[str, Any]:
     return {
         "scene": plan.scene.name,
         **_without(tracking_json(tracking), _NOT_IN_JSON),
-        "remarks": [*tracking_remarks(tracking, compensated=plan.compensation is not None), *_rigid(plan)],
+        "remarks": [*tracking_remarks(tracking, compensated=plan.compensation is not None), *_left_out(plan)],
     }
 
 
-def _rigid(plan: Plan) -> Iterator[str]:
+def _left_out(plan: Plan) -> Iterator[str]:
     from cmbot.planning import rigid_arm_remark
 
     if said := rigid_arm_remark(plan.scene, plan.robot):
         yield said
+    if plan.scene.excitation is not None or plan.scene.damper is not None:
+        yield "Trains, wind and a damper are left out here; cmbot excite shakes the arm by them."
 
 
 def _print_reproduction(found: Reproduction, *, details: bool) -> None:
@@ -210,7 +212,7 @@ def _print_summary(plan: Plan, tracking: Tracking) -> None:
     out.print(tracking_verdict(plan, tracking))
     if moved := base_movement(plan, tracking):
         out.print(moved)
-    print_lines(_rigid(plan))
+    print_lines(_left_out(plan))
 
 
 def _print_tracking(plan: Plan, tracking: Tracking) -> None:

@@ -2,7 +2,13 @@
 
 from cmbot.excitation.excite import Excitation, Shaken, excite
 from cmbot.excitation.ground import require_inputs
-from cmbot.excitation.summary import PASSAGE_HEADINGS, excitation_rows, excitation_sentences, passage_rows
+from cmbot.excitation.summary import (
+    PASSAGE_HEADINGS,
+    excitation_rows,
+    excitation_sentences,
+    passage_rows,
+    random_inputs,
+)
 from cmbot.excitation.sway import RandomSway, sway_mm_per_m_s2
 
 __all__ = [
@@ -14,6 +20,7 @@ __all__ = [
     "excitation_sentences",
     "excite",
     "passage_rows",
+    "random_inputs",
     "require_inputs",
     "sway_mm_per_m_s2",
 ]

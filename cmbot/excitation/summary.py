@@ -25,12 +25,13 @@ def excitation_rows(excitation: Excitation) -> Iterator[tuple[str, str]]:
     yield f"tool by 1 m/s2 of the deck, {low:g}-{high:g} Hz, RMS, mm", f"{reference.rms_mm:.2f}"
     yield "slowest mode, Hz", f"{reference.first_hz.min():.2f}"
     if excitation.sway is not None:
-        by = "spectrum and gusts" if excitation.kind == "spectrum" else "gusts alone"
-        yield from _sway(excitation.sway, by)
+        yield from _sway(excitation.sway, random_inputs(excitation))
     if shaken is not None:
         value = f"{1e3 * shaken.rms:.2f}, {1e3 * shaken.peak:.2f}"
         by = {"simulation": "simulated whole", "modes": "by its modes along the work"}[shaken.by]
-        what = "worst train" if excitation.passages else "record"
+        what = "record"
+        if excitation.passages:
+            what = f"worst train, {max(excitation.passages, key=lambda each: each.tool).speed_km_h:g} km/h"
         yield f"tool under the {what}, {by}, RMS and largest, mm", value
     if (accuracy := excitation.accuracy) is not None:
         name = f"tool from its path with {100 * accuracy.probability:g} %, all counted, at most, mm"
@@ -47,13 +48,21 @@ def excitation_rows(excitation: Excitation) -> Iterator[tuple[str, str]]:
         yield "work in an hour, s", f"{excitation.timetable.work_s:.0f}"
 
 
+def random_inputs(excitation: Excitation) -> str:
+    """Return what the random part of an excitation is by."""
+    if excitation.sway is None:
+        return "1 m/s2 of the deck"
+    return "spectrum and gusts" if excitation.kind == "spectrum" else "gusts alone"
+
+
 def _sway(sway: RandomSway, by: str) -> Iterator[tuple[str, str]]:
     yield f"tool under {by}, RMS, mm", f"{sway.rms_mm:.2f}"
     value = f"{1e3 * sway.across.max():.2f}, {1e3 * sway.along.max():.2f}"
     yield "largest across its axis, along it, RMS, mm", value
     yield "mean of the largest displacement, mm", f"{1e3 * sway.peak:.2f}"
     if sway.leaves is not None:
-        yield f"probability of leaving the tolerance by {by}", f"{sway.leaves:.3g}"
+        most = "at most " if sway.leaves_by == "crossings" else ""
+        yield f"probability of leaving the tolerance by {by}", f"{most}{sway.leaves:.3g}"
 
 
 def _damper(gain: DamperGain) -> Iterator[tuple[str, str]]:
@@ -64,8 +73,9 @@ def _damper(gain: DamperGain) -> Iterator[tuple[str, str]]:
         1e3 * np.reshape(each, (len(STIFFNESS_FACTORS), -1)) for each in (gain.each_with, gain.each_without)
     )
     for factor, left, before in zip(STIFFNESS_FACTORS, with_it, without, strict=True):
-        name = f"largest RMS with it, without, stiffness times {factor:g}, mm"
-        yield name, f"{left.max():.2f}, {before.max():.2f}"
+        name = f"largest RMS with it, without, mm, left over postures, stiffness times {factor:g}"
+        shares = 100 * left / before
+        yield name, f"{left.max():.2f}, {before.max():.2f}, {shares.min():.0f} to {shares.max():.0f} %"
 
 
 def passage_rows(excitation: Excitation) -> Iterator[tuple[str, ...]]:

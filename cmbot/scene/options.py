@@ -166,7 +166,7 @@ class PlannerOptions(CheckedFields):
     chart_seeds: Annotated[int, Field(ge=1, le=10_000)] = 200
     step_share: Annotated[float, Field(ge=1e-6, le=1)] = 0.6
     safety_margin_m: Annotated[float, Field(ge=0, le=10)] = 0.02
-    max_tool_deviation_m: Annotated[float, Field(ge=1e-7, le=0.1)] = 0.001
+    max_tool_deviation_m: Annotated[float, Field(ge=1e-7, le=0.1)] = 0.0002
     max_tool_rotation_deg: Annotated[float, Field(ge=1e-5, le=180)] = 1.0
     max_tool_lag_m: Annotated[float, Field(ge=1e-7, le=1)] = 0.02
     solver: Literal["auto", "sqp", "slsqp"] = "auto"

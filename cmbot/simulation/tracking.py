@@ -91,6 +91,11 @@ class MotionTracking:
         return self.error - self.static
 
     @property
+    def off_path(self) -> FloatArray:
+        """Distance of the bent tool from the current leg, (N,), m; NaN between strokes."""
+        return np.asarray(np.linalg.norm(self.path_error, axis=1))
+
+    @property
     def largest_off_path(self) -> float:
         """Largest distance of the bent tool from its path along the strokes, m."""
         return self.largest(self.path_error)

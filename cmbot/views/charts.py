@@ -349,20 +349,24 @@ def _tracking(tracking: Tracking, begin: float, note: str, *, clipped: bool) -> 
 
 
 def _off_path(tracking: Tracking, begin: float) -> Chart:
-    curves = []
-    for name, motion in tracking.motions:
-        off = 1e3 * np.linalg.norm(motion.path_error, axis=1)
-        # NaN between strokes, where there is no path.
-        curves.append(Curve.of_some(name, begin + motion.t, off, np.isfinite(off)))
+    curves = off_path_curves(tracking, begin)
     return Chart(
         key="tracking",
         title="Elastic tool's distance from its path",
         unit="mm",
         digits=2,
-        curves=tuple(curves),
+        curves=curves,
         axis=(0.0, ROOM * _highest(curves)),
         note="To the nearest point of the path: elastic deflection and joint motion together.",
         free=_NOT_SIMULATED,
+    )
+
+
+def off_path_curves(tracking: Tracking, begin: float = 0.0) -> tuple[Curve, ...]:
+    """Return how far the bent tool of each motion is off its path, mm; the work begins at `begin`, s."""
+    return tuple(
+        Curve.of_some(name, begin + motion.t, 1e3 * motion.off_path, np.isfinite(motion.off_path))
+        for name, motion in tracking.motions
     )
 
 

@@ -12,7 +12,15 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError, MissingExtra
 from cmbot.planning import Plan
 from cmbot.simulation import Tracking
-from cmbot.views.charts import Chart, charts, downsampled, joint_quantities, work_begins
+from cmbot.views.charts import (
+    Chart,
+    Curve,
+    charts,
+    downsampled,
+    joint_quantities,
+    off_path_curves,
+    work_begins,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,7 +55,8 @@ def plot(result: Plan | Tracking) -> tuple[Figure, ...]:
     Of a plan: the torque on the guardrail with its lower bound; every joint's angle, velocity, acceleration,
     jerk and torque as shares of their bounds (compare Chang 2021, Figures 9-14 and 19-24); the clearance with
     its margin; the tool's deviation with its bound. Of a simulation: the tracking error along each axis with
-    its static part (compare Figures 16 and 26), its dynamic part, and the residual of that after the stop.
+    its static part (compare Figures 16 and 26) and the bent tool's distance from its path; the dynamic part
+    of the error, and the residual of that after the stop.
 
     Parameters
     ----------
@@ -122,11 +131,7 @@ def _chart(chart: Chart) -> Figure:
     """Draw a chart of the report's page."""
     figure = _figure(_QUANTITY_OF_PLOT[chart.key], _HEIGHT)
     axes = figure.subplots()
-    for curve in chart.curves:
-        few = curve.downsampled()
-        # A line is broken at NaN.
-        t, y = (np.insert(each, list(few.starts), np.nan) for each in (few.t, few.y))
-        axes.plot(t, y, color=_MOTION_COLOURS[curve.motion], label=curve.motion)
+    _draw_curves(axes, chart.curves)
     # At least the chart's own range, and every curve.
     shown = np.concatenate([chart.axis, *(curve.y for curve in chart.curves)])
     low, high = float(shown.min()), float(shown.max())
@@ -150,6 +155,14 @@ def _chart(chart: Chart) -> Figure:
     axes.set_title(chart.title, loc="left")
     _legend(figure, axes)
     return figure
+
+
+def _draw_curves(axes: Axes, curves: Iterable[Curve]) -> None:
+    for curve in curves:
+        few = curve.downsampled()
+        # A line is broken at NaN.
+        t, y = (np.insert(each, list(few.starts), np.nan) for each in (few.t, few.y))
+        axes.plot(t, y, color=_MOTION_COLOURS[curve.motion], label=curve.motion)
 
 
 def _joints(plan: Plan) -> Figure:
@@ -202,21 +215,30 @@ def _tracking(tracking: Tracking) -> Iterator[Figure]:
 def _tracking_rows(
     label: str, what: str, tracking: Tracking, part: Literal["error", "dynamic"], *, after_stop: bool = False
 ) -> Figure:
-    """Draw a part of the tracking error in a row for each axis; of the error its static part, too."""
-    figure = _figure(label, 5.0)
-    rows: Sequence[Axes] = figure.subplots(3, 1, sharex=True)
+    """Draw a part of the tracking error in a row for each axis; of the error its static part, too.
+
+    Below the error is the bent tool's distance from its path.
+    """
+    whole = part == "error"
+    figure = _figure(label, 6.5 if whole else 5.0)
+    rows: Sequence[Axes] = figure.subplots(3 + whole, 1, sharex=True)
     motions = tracking.motions
-    for number, axes in enumerate(rows):
+    for number, axes in enumerate(rows[:3]):
         axes.set_ylabel(f"{what}\nalong {'xyz'[number]}, mm")
         for name, motion in motions:
             start = motion.stop if after_stop else 0.0  # the work starts at 0
             shown = motion.t >= start
-            _line(axes, motion.t[shown] - start, 1e3 * getattr(motion, part)[shown, number], name)
+            y = 1e3 * getattr(motion, part)[shown, number]
+            _draw_curves(axes, [Curve(motion=name, t=motion.t[shown] - start, y=y)])
         for _, motion in () if after_stop else motions:
-            if part == "error":
+            if whole:
                 static = 1e3 * motion.static[:, number]
                 axes.plot(motion.t, static, color="black", linewidth=0.7, linestyle=":", label="static part")
             axes.axvline(motion.stop, color="0.6", linewidth=0.6)
+    if whole:
+        _draw_curves(rows[3], off_path_curves(tracking))
+        rows[3].set_ylabel("distance\nfrom the path, mm")
+        rows[3].set_ylim(bottom=0.0)
     rows[-1].set_xlabel(f"time after the {'stop' if after_stop else 'work began'}, s")
     figure.align_ylabels(list(rows))
     _legend(figure, rows[0])
@@ -230,11 +252,6 @@ def _figure(label: str, height: float) -> Figure:
     figure = Figure(figsize=(_WIDTH, height), layout="constrained")
     figure.set_label(label)
     return figure
-
-
-def _line(axes: Axes, t: FloatArray, y: FloatArray, motion: str) -> None:
-    t, y = downsampled(t, y)
-    axes.plot(t, y, color=_MOTION_COLOURS[motion], label=motion)
 
 
 def _forbidden(axes: Axes, low: float, high: float) -> None:

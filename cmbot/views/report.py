@@ -327,8 +327,8 @@ def _accuracy_card(plan: Plan) -> Headline | None:
         return None
     detail = f"with {100 * accuracy.probability:g} %, all along the work"
     if accuracy.parts:
-        most = accuracy.parts[0]
-        detail += f"; most of it: {most.name} ({most.size_mm:.3g} mm)"
+        part, share = accuracy.parts[0].name, 100 * accuracy.shares[0]
+        detail += f"; largest part: {part}, {share:.0f} % of the mean square"
     planned, bound = plan.figures.max_tool_deviation, plan.options.max_tool_deviation_m
     arm = "with the predicted sag" if plan.compensation is not None else "rigid arm"
     detail += f"; {arm}, as planned, {1e3 * planned:.2f} of {1e3 * bound:g} mm"
@@ -346,9 +346,12 @@ def _accuracy_section(plan: Plan) -> str:
     accuracy = plan.accuracy
     if accuracy is None:
         return ""
-    parts = [(part.name, f"{part.bias_mm:.2f}", f"{part.sigma_mm:.2f}") for part in accuracy.parts]
+    parts = [
+        (part.name, f"{part.bias_mm:.2f}", f"{part.sigma_mm:.2f}", f"{100 * share:.1f}")
+        for part, share in zip(accuracy.parts, accuracy.shares, strict=True)
+    ]
     remedies = [(f"with {remedy.name}", f"{remedy.within_mm:.3g}") for remedy in accuracy.remedies]
-    told = table(parts, ("mm", "known", "standard deviation"))
+    told = table(parts, ("mm", "known", "standard deviation", "% of the mean square"))
     helped = table(remedies, ("", "within, mm")) if remedies else ""
     return section("Where the tool will be", told + helped)
 

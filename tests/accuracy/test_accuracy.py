@@ -201,17 +201,21 @@ def test_a_tolerance_is_judged_with_its_probability(bent: Plan) -> None:
 
 def test_remedies_are_computed_and_the_largest_part_is_said(bent: Plan) -> None:
     accuracy = bent.accuracy
-    sizes = [part.size_mm for part in accuracy.parts]
-    assert sizes == sorted(sizes, reverse=True)
+    # A part is no more than the whole.
+    assert list(accuracy.shares) == sorted(accuracy.shares, reverse=True)
+    assert sum(accuracy.shares) == pytest.approx(1.0)
+    largest = accuracy.parts[0]
+    square = sum(part.bias_mm**2 + part.sigma_mm**2 for part in accuracy.parts)
+    assert accuracy.shares[0] == pytest.approx((largest.bias_mm**2 + largest.sigma_mm**2) / square)
     lefts = [remedy.within_mm for remedy in accuracy.remedies]
     assert lefts == sorted(lefts)
     assert lefts[-1] < accuracy.within_mm
     assert {"compensate: true", "cmbot locate"} <= {remedy.name for remedy in accuracy.remedies}
     said = verdict(bent)
     assert said.startswith(
-        f"The tool is within {accuracy.within_mm:.3g} mm of its path with 95 %; most of it: "
+        f"The tool is within {accuracy.within_mm:.3g} mm of its path with 95 %; "
+        f"largest part: {largest.name}, {100 * accuracy.shares[0]:.0f} % of the mean square."
     )
-    assert accuracy.parts[0].name in said
     assert f"the tool would be within {lefts[0]:.3g} mm." in said
     # What is promised of compensation is what a compensated plan has.
     compensated = plan(short_scene(robot={"joints": "elastic"}, planner={"compensate": True}), progress=False)

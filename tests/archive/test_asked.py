@@ -49,7 +49,7 @@ def test_a_plan_of_the_scene_holds(short_folder: Path, asked: Path, short_plan: 
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"max_tool_deviation_m": 0.1}, "max_tool_deviation_m 0.1 (asked 0.001)"),
+        ({"max_tool_deviation_m": 0.1}, "max_tool_deviation_m 0.1 (asked 0.0002)"),
         ({"max_tool_rotation_deg": 9.0}, "max_tool_rotation_deg 9.0 (asked 1.0)"),
         ({"max_tool_lag_m": 0.5}, "max_tool_lag_m 0.5 (asked 0.02)"),
         ({"safety_margin_m": 0.0}, "safety_margin_m 0.0 (asked 0.02)"),
@@ -140,7 +140,7 @@ def test_what_was_asked_by_set(short_plan: Plan, asked: Path, tmp_path: Path) ->
     """It is part of the question, beside the scene, which says otherwise."""
     planned = replace(short_plan, options=replace(short_plan.options, max_tool_deviation_m=0.005))
     words = ("verify", save(planned, tmp_path / "plan"), "--scene", asked)
-    assert "max_tool_deviation_m 0.005 (asked 0.001)" in refusal(*words)
+    assert "max_tool_deviation_m 0.005 (asked 0.0002)" in refusal(*words)
     output(*words, "--set", "max_tool_deviation_m=0.005")
     assert "(asked 0.004)" in refusal(*words, "--set", "max_tool_deviation_m=0.004")
     assert "via_points: got 8, expected 9, as asked" in refusal(*words, "--set", "tool_path.via_points=9")

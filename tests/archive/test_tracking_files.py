@@ -48,6 +48,34 @@ def test_of_several_strokes_too(strokes_plan: Plan, strokes_tracking: Tracking, 
     require_read(tmp_path / "strokes", strokes_tracking)
 
 
+def test_tables_have_how_far_the_tool_is_off_its_path(
+    saved: Path, short_tracking: Tracking, strokes_plan: Plan, strokes_tracking: Tracking, tmp_path: Path
+) -> None:
+    """Against the legs themselves, and nothing between strokes."""
+    save(strokes_plan, tmp_path / "strokes")
+    save_tracking(strokes_tracking, tmp_path / "strokes")
+    for folder, tracking in ((saved, short_tracking), (tmp_path / "strokes", strokes_tracking)):
+        table = np.genfromtxt(folder / "tracking.csv", delimiter=",", names=True)
+        away = np.column_stack([table[f"off_path_{axis}"] for axis in "xyz"])
+        np.testing.assert_allclose(table["off_path"], np.linalg.norm(away, axis=1), atol=1e-12)
+        assert np.nanmax(table["off_path"]) == pytest.approx(tracking.planned.largest_off_path, abs=1e-9)
+        between = np.isnan(table["off_path"])
+        assert between.any() == (tracking is strokes_tracking)
+        plan = load_plan(folder)
+        for segment in plan.job.strokes:
+            begin = segment.begin - plan.job.strokes[0].begin
+            own = (table["t"] > begin + 1e-9) & (table["t"] < begin + segment.duration - 1e-9)
+            assert not between[own].any()
+
+
+def test_a_distance_from_the_path_that_the_rest_denies_is_an_error(folder: Path, short_plan: Plan) -> None:
+    header, first, *rest = (folder / "tracking.csv").read_text(encoding="ascii").splitlines()
+    cells = first.split(",")
+    cells[header.split(",").index("off_path")] = "0.0"
+    rewrite(folder, "tracking.csv", "\n".join([header, ",".join(cells), *rest, ""]).encode())
+    refused(short_plan, folder, "tracking.csv", "line 2, off_path")
+
+
 def require_read(folder: Path, tracking: Tracking) -> None:
     found = cmbot.load_tracking(load_plan(folder), folder)
     assert (found.options, found.seconds) == (tracking.options, tracking.seconds)

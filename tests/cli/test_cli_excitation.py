@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -52,6 +53,16 @@ def test_it_prints_a_table(excited: tuple[Path, str]) -> None:
     assert "slowest mode, Hz" in text
     assert "The scene has no excitation" in text
     assert output("excite", folder, "--force", "--quiet") == ""
+
+
+def test_a_simulation_says_that_nothing_shakes_it(short_plan: Plan, tmp_path: Path) -> None:
+    """The motion alone is simulated, without the scene's damper."""
+    scene = cmbot.load_scene(short_plan.scene.as_data() | {"damper": {"mass_kg": 1.0}})
+    cmbot.save(replace(short_plan, scene=scene), tmp_path)
+    assert any(
+        "damper are left out" in said
+        for said in json.loads(output("simulate", tmp_path, "--json"))["remarks"]
+    )
 
 
 def test_what_is_there_is_kept(excited: tuple[Path, str], tmp_path: Path, short_plan: Plan) -> None:

@@ -114,7 +114,7 @@ def of_plan(plan: Plan) -> Known:
         yield from ((value, "%") for value in (95.0, 100 * (bound.missed or 0.0)))
     if (accuracy := plan.accuracy) is not None:
         yield 100 * accuracy.probability, "%"
-        yield from ((part.size_mm, "mm") for part in accuracy.parts)
+        yield from ((100 * share, "%") for share in accuracy.shares)
         yield from (
             (value, "mm") for value in (accuracy.within_mm, *(r.within_mm for r in accuracy.remedies))
         )

@@ -107,7 +107,7 @@ def test_options_in_place_of_the_scenes() -> None:
     scene = short_scene()
     wide = plan(scene, options=replace(scene.planner, max_tool_deviation_m=0.004))
     assert wide.options.max_tool_deviation_m == 0.004
-    assert scene.planner.max_tool_deviation_m == 0.001
+    assert scene.planner.max_tool_deviation_m == 0.0002
     assert {c.quantity: c.bound for c in wide.certificate.checks}["tool deviation"] == 0.004
 
 

@@ -142,7 +142,10 @@ def test_a_joint_without_a_range_has_no_share_of_it(short_plan: Plan) -> None:
 
 def test_tracking_errors_and_their_parts(tracked: dict[str, Figure], short_tracking: Tracking) -> None:
     motions = ((plots._BASELINE, short_tracking.baseline), (plots._PLANNED, short_tracking.planned))
-    rows = zip(*(tracked[name].axes for name in TRACKING), strict=True)
+    *_, off = tracked["tracking_error"].axes
+    for colour, motion in motions:
+        assert_drawn(*lines(off, colour), motion.t, 1e3 * motion.off_path)
+    rows = zip(*(tracked[name].axes[:3] for name in TRACKING), strict=True)
     for number, (axes, dynamic, residual) in enumerate(rows):
         static = [line for line in axes.get_lines() if line.get_linestyle() == ":"]
         assert len(static) == 2

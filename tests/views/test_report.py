@@ -56,7 +56,7 @@ def test_the_banner_is_green_only_where_the_bent_tool_keeps_its_margin_too(
 ) -> None:
     kept = "<b>Every promise is kept: 26 checks hold at all times."
     off = f"up to {1e3 * triangle_tracking.planned.largest_off_path:.2f} mm off its path"
-    said = f"Simulated, the bent tool is {off}, beyond the margin of 1 mm."
+    said = f"Simulated, the bent tool is {off}, beyond the margin of 0.2 mm."
     assert tracking_verdict(triangle_plan, triangle_tracking).startswith("Not within the margin")
     assert f'<p class="verdict worse">{kept} {said}</b>' in text
     assert f'<p class="verdict good">{kept}</b>' in report_page(triangle_plan)
@@ -190,7 +190,7 @@ def test_headlines_say_what_was_gained(triangle_plan: Plan, triangle_tracking: T
     assert certified.detail.endswith(f"; work {work} of {work}, approach {approach} of {approach}")
     assert clearance.value == f"{1e3 * job.min_clearance:.1f} mm"
     off = 1e3 * after.max_tool_deviation
-    assert tool.detail.endswith(f"with the predicted sag, as planned, {off:.2f} of 1 mm")
+    assert tool.detail.endswith(f"with the predicted sag, as planned, {off:.2f} of 0.2 mm")
     assert "rigid arm" in clearance.detail
     # The sag is compensated; the vibration comes on top of what the plan allows.
     planned, baseline = triangle_tracking.planned, triangle_tracking.baseline

@@ -84,12 +84,11 @@ def _first(plan: Plan) -> Iterator[Note]:
     """Where the tool is, what holds, what the base bears, the tightest promise, what would help."""
     accuracy, tolerance = plan.accuracy, plan.scene.tool.tolerance
     if accuracy is not None:
-        most = accuracy.parts[0] if accuracy.parts else None
         values = {
             "within_mm": accuracy.within_mm,
             "probability": accuracy.probability,
-            "part": most and most.name,
-            "part_mm": most and most.size_mm,
+            "part": accuracy.parts[0].name if accuracy.parts else None,
+            "part_share": accuracy.shares[0] if accuracy.parts else None,
             "kept": accuracy.tolerance_kept,
             "share": accuracy.tolerance_share,
             "across_mm": tolerance and tolerance.across_mm,

@@ -118,7 +118,7 @@ def _tool(
     within_mm: float,
     probability: float,
     part: str | None,
-    part_mm: float,
+    part_share: float,
     kept: bool | None,
     share: float,
     across_mm: float | None,
@@ -130,7 +130,9 @@ def _tool(
         asked += [f"{along_axis_mm:g} mm along the tool's axis"] if along_axis_mm is not None else []
         text += f", tolerance {' and '.join(asked)}: {'kept' if kept else 'not kept'} (within it in "
         text += f"{100 * share:.3g} % of cases, asked {100 * probability:.3g} %)"
-    return f"{text}; most of it: {part} ({part_mm:.3g} mm)." if part else f"{text}."
+    if part is None:
+        return f"{text}."
+    return f"{text}; largest part: {part}, {100 * part_share:.0f} % of the mean square."
 
 
 def _needed(needed_kn: float, mode: str, **_: Any) -> str:

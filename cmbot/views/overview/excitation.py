@@ -7,13 +7,14 @@ from html import escape
 
 import numpy as np
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.excitation import (
     PASSAGE_HEADINGS,
     Excitation,
     excitation_rows,
     excitation_sentences,
     passage_rows,
+    random_inputs,
 )
 from cmbot.planning import Plan
 from cmbot.views.page import still_page, table, ticks
@@ -21,7 +22,7 @@ from cmbot.views.page import still_page, table, ticks
 EXCITATION = "excitation.html"
 
 _WIDTH_PX, _HEIGHT_PX, _EDGE_PX = 900, 300, 60
-_CURVE_COLOUR = "#2f6fb7"
+_CURVE_COLOUR, _WARNING = "#2f6fb7", "#c8341f"
 _TICK_COUNT, _TICKS_HZ = 5, (0.5, 1, 2, 5, 10, 20, 30)
 
 
@@ -39,9 +40,10 @@ def excitation_page(plan: Plan, excitation: Excitation) -> str:
         speeds = np.array([each.speed_km_h for each in excitation.passages])
         order = np.argsort(speeds)
         tool = 1e3 * np.array([each.tool for each in excitation.passages])
-        content += _plot(
-            "Trains: largest displacement of the tool, mm", "speed, km/h", speeds[order], tool[order]
-        )
+        left = np.array([each.kept is False for each in excitation.passages])
+        title = "Trains: largest displacement of the tool, mm"
+        title += "; red: it leaves its tolerance" if left.any() else ""
+        content += _plot(title, "speed, km/h", speeds[order], tool[order], left[order])
         shown = table(passage_rows(excitation), PASSAGE_HEADINGS)
         content += f"<section>{shown}</section>"
     content += _plot(
@@ -52,12 +54,21 @@ def excitation_page(plan: Plan, excitation: Excitation) -> str:
         logarithmic=True,
     )
     sway = excitation.sway or excitation.reference
-    content += _plot("RMS of the tool over the work, mm", "time, s", sway.t, 1e3 * sway.rms)
+    title = f"RMS of the tool over the work by {random_inputs(excitation)}, mm"
+    content += _plot(title, "time, s", sway.t, 1e3 * sway.rms)
     return still_page(f"What shakes {plan.scene.name}", excitation_sentences(excitation), content)
 
 
-def _plot(title: str, axis: str, x: FloatArray, y: FloatArray, *, logarithmic: bool = False) -> str:
-    """A curve with dots where there are few points."""
+def _plot(
+    title: str,
+    axis: str,
+    x: FloatArray,
+    y: FloatArray,
+    warned: BoolArray | None = None,
+    *,
+    logarithmic: bool = False,
+) -> str:
+    """A curve with dots where there are few points, red where it warns."""
     along = np.log(x) if logarithmic else x
     low, high = float(along.min()), float(along.max())
     across = _EDGE_PX + (along - low) / max(high - low, 1e-9) * (_WIDTH_PX - 2 * _EDGE_PX)
@@ -68,8 +79,12 @@ def _plot(title: str, axis: str, x: FloatArray, y: FloatArray, *, logarithmic: b
     way = " ".join(f"{px:.1f},{py:.1f}" for px, py in points)
     drawn += f'<polyline points="{way}" fill="none" stroke="{_CURVE_COLOUR}" stroke-width="2"/>'
     if len(points) <= 30:
+        colours = np.where(
+            np.zeros(len(x), dtype=bool) if warned is None else warned, _WARNING, _CURVE_COLOUR
+        )
         drawn += "".join(
-            f'<circle cx="{px:.1f}" cy="{py:.1f}" r="3.5" fill="{_CURVE_COLOUR}"/>' for px, py in points
+            f'<circle cx="{px:.1f}" cy="{py:.1f}" r="3.5" fill="{colour}"/>'
+            for (px, py), colour in zip(points, colours, strict=True)
         )
     drawn += f'<text x="{_WIDTH_PX // 2}" y="{_HEIGHT_PX - 12}" text-anchor="middle">{escape(axis)}</text>'
     svg = f'<svg viewBox="0 0 {_WIDTH_PX} {_HEIGHT_PX}" role="img" aria-label="{escape(title)}">{drawn}</svg>'

@@ -187,8 +187,8 @@ def test_bounds_are_eased_by_what_failed(asked: StrokeRequest) -> None:
         return changed_in_words(asked, found), values
 
     words, values = changed(failed(Limit.TOOL_DEVIATION, None, 0.5))
-    assert words == "planner.max_tool_deviation_m 0.0016 instead of 0.001"
-    assert values == {"max_tool_deviation_m": 0.0016}
+    assert words == "planner.max_tool_deviation_m 0.00032 instead of 0.0002"
+    assert values == {"max_tool_deviation_m": 0.00032}
     lagging = violation(Limit.TOOL_LAG, 1.5)
     assert set(changed(lagging)[1]) == {"max_tool_lag_m"}
     near = LimitViolation("it", time=1.0, value=0.0151, bound=0.02, unit="m", limit=Limit.CLEARANCE)

@@ -74,7 +74,7 @@ def test_sag_beyond_the_allowed_deviation_is_told(
 ) -> None:
     said = line(short_plan, "Bent by its own weight the tool is up to ")
     assert said.endswith(
-        " mm off its path, more than max_tool_deviation_m (1 mm), which the rigid arm keeps."
+        " mm off its path, more than max_tool_deviation_m (0.2 mm), which the rigid arm keeps."
     )
     # The simulation sways about the sag.
     found, moved = 1e-3 * float(said.split()[10]), short_tracking.planned

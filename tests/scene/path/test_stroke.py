@@ -12,6 +12,7 @@ from cmbot.archive import load_plan, save
 from cmbot.common.errors import SceneError
 from cmbot.planning import plan
 from cmbot.planning.precheck import precheck_scene
+from cmbot.scene import PlannerOptions
 
 POSE = np.eye(4)
 POSE[:3, 3] = 1.8, 0.7, -2.0
@@ -22,14 +23,15 @@ STEADY = {"legs": [LONG], "lead_in_m": 0.05, "lead_out_m": 0.05, "speed_toleranc
 
 
 def count(planner: dict[str, Any] | None = None, **tool_path: Any) -> int:
-    data = {**copy.deepcopy(SHORT), "planner": planner or {}}
+    data = {**copy.deepcopy(SHORT), "planner": {"max_tool_deviation_m": 1e-3, **(planner or {})}}
     scene = load_scene(data | {"tool_path": {"via_points": "auto", **tool_path}})
     return len(scene.timed_strokes(POSE)[0].via_times)
 
 
 def test_what_a_path_asks_for() -> None:
-    # 20 pieces of 50 mm; of a third of a millimetre, more; of a shorter leg fewer, but three a ramp.
+    # 20 pieces of 50 mm; of a fifth of a millimetre, more; of a shorter leg fewer, but three a ramp.
     assert count(legs=[LONG]) == 21
+    assert count({"max_tool_deviation_m": PlannerOptions().max_tool_deviation_m}, legs=[LONG]) == 31
     assert count({"max_tool_deviation_m": 1e-3 / 16}, legs=[LONG]) == 41
     assert count(legs=[{"by": [0, -0.1, 0], "seconds": 3}]) == 13
     profile = {"kind": "jerk_limited", "ramp": 0.1}
@@ -50,7 +52,7 @@ def test_of_all_strokes_without_a_number() -> None:
     scene = load_scene({**copy.deepcopy(SHORT), "tool_path": tool_path})
     assert [stroke.via_points for stroke in scene.strokes] == [7, "auto"]
     assert load_scene(scene.as_data()).content_hash == scene.content_hash
-    assert [len(stroke.via_times) for stroke in scene.timed_strokes(POSE)] == [7, 21]
+    assert [len(stroke.via_times) for stroke in scene.timed_strokes(POSE)] == [7, 31]
 
 
 def test_a_plan_has_the_number(tmp_path: Any) -> None:
