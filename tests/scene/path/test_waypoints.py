@@ -33,7 +33,8 @@ def path_of(scene: Scene) -> ToolPath:
 
 def way_of(rows: FloatArray | list[list[float]], **changes: Any) -> Scene:
     smooth = {"seconds": 4, "corner_deg": 180}
-    return scene_of(waypoints=np.asarray(rows).tolist(), **{**smooth, **changes})
+    scene = scene_of(waypoints=np.asarray(rows).tolist(), **{**smooth, **changes})
+    return scene.with_options(max_tool_deviation_m=1e-3)
 
 
 CLOSED = [[x, y, 0.1, *DOWN] for x, y in ((0, 0), (0.3, 0), (0.3, 0.2), (0, 0.3), (0, 0))]
