@@ -24,6 +24,8 @@ from cmbot.scene import PlannerOptions
 
 OUT_AND_BACK = [{"by": [0.1, 0, 0], "seconds": 2.5}, {"by": [-0.1, 0, 0], "seconds": 2.5}]
 SOLVERS = ("sqp", "slsqp")
+# So little smoothing that the peak decides.
+LIGHT = {"smoothing_weight": 0.1}
 both_solvers = pytest.mark.parametrize("solver", SOLVERS)
 
 
@@ -55,7 +57,8 @@ def keeps_joint_limits(problem: TorqueProblem, trajectory: QuinticTrajectory) ->
 def unattainable(**planner: Any) -> TorqueProblem:
     """Nothing is known of the peak but what the ends ask at rest, and on the way out more is asked."""
     scene = short_scene(
-        tool_path={"legs": OUT_AND_BACK, "via_points": 9}, planner={"max_tool_deviation_m": 0.01} | planner
+        tool_path={"legs": OUT_AND_BACK, "via_points": 9},
+        planner={"max_tool_deviation_m": 0.01, **LIGHT} | planner,
     )
     given = problem_of(scene)
     return TorqueProblem(given.request, given.parametrization, 0.0)
@@ -197,7 +200,7 @@ def solved(request: pytest.FixtureRequest) -> Solved:
         "there and back": {"tool_path": {"legs": OUT_AND_BACK, "via_points": 9}},
         "payload": {"robot": {"payload_kg": 2.0}},
     }[request.param]
-    problem = problem_of(short_scene(**changes))
+    problem = problem_of(short_scene(planner=LIGHT, **changes))
     reports: list[ExchangeReport] = []
     return problem, optimise(problem, reports.append), reports
 
@@ -283,7 +286,7 @@ def test_far_from_the_constraints_the_lower_bound_is_not_attempted(stages: list[
 
 def test_a_lower_bound_that_is_not_attempted_is_attained_all_the_same(stages: list[str]) -> None:
     """The peak is then minimised as far as the bound, and held there."""
-    problem = problem_of(short_scene(planner={"solver": "sqp", "knots": "sliding"}))
+    problem = problem_of(short_scene(planner={"solver": "sqp", "knots": "sliding", **LIGHT}))
     options = exchange_options(problem)
     attempted = minimize_peak(problem, options)
     assert stages == ["mean square"]
