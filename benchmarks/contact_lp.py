@@ -17,8 +17,9 @@ FloatArray = NDArray[np.float64]
 
 POINTS, SIDES = 15, 32
 """Cells along each side, and sides of the cones."""
-# Steps at most: Newton's for the pressure, and of the search for the adhesion; where that ends, as a share.
-_STEPS, _CLOSE = 100, 1e-3
+# Steps at most: Newton's for the pressure, and of the search for the adhesion; where that ends, as a share,
+# and the factor by which it goes down at first.
+_STEPS, _CLOSE, _DOWN = 100, 1e-3, 1.04
 
 
 class Plate:
@@ -89,15 +90,26 @@ class Plate:
         return float(found.x[-1])
 
     def needed(self, load: FloatArray, guess: float) -> float:
-        """The adhesion, N, with which a load (6,), as `Foot.from_wrench` has it, makes it slip or tilt."""
+        """The adhesion, N, from which on a load (6,), as `Foot.from_wrench` has it, is held.
+
+        With less it slips or tilts. With much less it may hold again, as the centre of pressure moves: so the
+        search goes downwards, from a guess that is likely to be enough.
+        """
         tilts = float((np.abs([load[4], load[3]]) / self.half).max())
         low = max(tilts, 1e-9) * (1 + _CLOSE)
-        at_low = self.factor(load, low) - 1
-        if at_low >= 0:
-            return tilts + float(load[2])
         high = max(guess - load[2], low)
         while (at_high := self.factor(load, high) - 1) < 0:
-            low, at_low, high = high, at_high, (1 + 5 * _CLOSE) * high
+            high *= 1 + 5 * _CLOSE
+        while high > low:
+            below = max(low, high / _DOWN)
+            at_low = self.factor(load, below) - 1
+            if at_low < 0:
+                return self._root(load, below, at_low, high, at_high) + float(load[2])
+            high, at_high = below, at_low
+        return tilts + float(load[2])
+
+    def _root(self, load: FloatArray, low: float, at_low: float, high: float, at_high: float) -> float:
+        """The force, N, between one that is too little and one that is enough."""
         # Regula falsi; an end that stays counts half (Illinois), and both ends come nearer.
         for _ in range(_STEPS):
             if high - low <= _CLOSE * high:
@@ -109,4 +121,4 @@ class Plate:
                 high, at_high, at_low = pressed, value, 0.5 * at_low
             else:
                 low, at_low, at_high = pressed, value, 0.5 * at_high
-        return float(low + load[2])
+        return low

@@ -13,6 +13,7 @@ what slides, half of them without torsion, against cells that are finer.
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 
 import numpy as np
 from contact_lp import POINTS, FloatArray, Plate
@@ -53,7 +54,8 @@ def ratios(loads: FloatArray, points: int = POINTS) -> FloatArray:
     contact = Contact.rectangle(*SIZE)
     foot = Foot(kind="magnet", contact=contact, friction=FRICTION, safety=1.0, **flat)
     plate, values = Plate(*SIZE, FRICTION, points), Holding([foot], np.zeros(6)).needed(0, loads)
-    exact = np.array([plate.needed(load, value) for load, value in zip(loads, values, strict=True)])
+    with multiprocessing.Pool() as pool:
+        exact = np.array(pool.starmap(plate.needed, zip(loads, values, strict=True), chunksize=10))
     return np.asarray((values - loads[:, 2]) / (exact - loads[:, 2]))
 
 

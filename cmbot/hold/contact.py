@@ -41,9 +41,9 @@ _TURNING_CIRCLES = {1.15: 48, 1.4: 64, 1.8: 64, 2.3: 64, 3.2: 80, 6.0: 80, 20.0:
 _RIM_POINTS, _WAYS_OUT = 72, (0.0, 0.2, 0.34, 0.45, 0.55, 0.65, 0.74, 0.82, 0.88, 0.93, 0.965, 0.985)
 # Friction torques are taken lower by this share of what they have beside plain sliding: for centres of
 # turning and of pressure between those above, and the cells. By more where only some cells are pressed,
-# near corners: from the second share of cells on down to the first one, so much that none of the 1,000 loads
-# of `benchmarks/holding.py` is missed. One with torsion is then taken for 1.44 of what it needs.
-_TABLE_MARGIN, _MARGIN_ON_FEW, _FEW_CELLS, _MANY_CELLS = 0.07, 0.5, 0.02, 0.35
+# near corners: from the second share of cells on down to the first one, so much that none of the loads
+# of `benchmarks/holding.py` is missed.
+_TABLE_MARGIN, _MARGIN_ON_FEW, _FEW_CELLS, _MANY_CELLS = 0.07, 0.4, 0.02, 0.35
 # Share of the mean distance without a gap by which P h grows with P at least.
 _STEADY = 0.3
 # Newton's steps at most for pressures, and where they end, as a share.

@@ -71,3 +71,14 @@ def test_what_is_needed_grows_with_the_load(gap: Gap, rng: np.random.Generator) 
     np.testing.assert_allclose(
         needed(contact, factor * loads, gap), factor[:, 0] * needed(contact, loads, gap), rtol=1e-9
     )
+
+
+def test_a_plate_holds_with_more_than_it_needs_too() -> None:
+    """As the centre of pressure moves in, friction may be too little again: what is needed is beyond that."""
+    plate = Plate(0.15, 0.075, 0.4)
+    load = np.array([-338.0, -853.0, -272.0, -19.2, -192.0, 73.5])
+    tilts = 192.0 / 0.075
+    assert plate.factor(load, 1.01 * tilts) > 1 > plate.factor(load, 1.2 * tilts)
+    (value,) = needed(Contact.rectangle(0.15, 0.075), load[None])
+    assert all(plate.factor(load, more * (value - load[2])) >= 1 for more in (1.0, 1.05, 1.1, 1.3, 2.0, 5.0))
+    assert value - load[2] <= 1.25 * (plate.needed(load, value) - load[2])

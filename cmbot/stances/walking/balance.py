@@ -7,21 +7,27 @@ many postures of the arm are judged at once.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import KDTree
 
 from cmbot.collision import Clearances
-from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.hold import Foot, Holding
-from cmbot.planning import robot_of
-from cmbot.robot import Climber, ClimberBodies, Postures, Side
+from cmbot.planning import FreeSpace, robot_of
+from cmbot.robot import Climber, ClimberBodies, Postures, Robot, Side
 from cmbot.scene import FootholdFile, Scene, StanceFile, feet_at
 from cmbot.stances import Candidate, bare_climber, scene_at
 
-# Counterweights grow from the nearest to the arm's posture of so many random ones: rounds, random postures in
-# each, their distance in a joint, rad, and how many are kept: those of the furthest centres of mass.
+# Counterweights grow from the arm's posture and the nearest to it of so many random ones: rounds, random
+# postures in each, their distance in a joint, rad, and how many are kept: with centres of mass far apart.
 _SEEDS, _ROUNDS, _DRAWN, _STEP, _KEPT = 20_000, 20, 1500, 0.35, 800
+# Neighbours of each to which straight ways may lead, and ways that are tried from one to another.
+_NEIGHBOURS, _MOST_WAYS = 10, 300
 SPARE = 0.9
 """Share of the bounds of joints and feet that both ends of a step may use; the rest is for the motion."""
 # Share of their torques that the arm's joints use at rest at most, the base turned by up to this, rad.
@@ -63,7 +69,7 @@ class Balance:
     Attributes
     ----------
     arms : (K, 7), rad
-        Postures of the arm, each grown from an earlier one.
+        Postures of the arm, `first` and those grown from it, each from an earlier one.
     """
 
     def __init__(self, scene: Scene, first: FloatArray) -> None:
@@ -74,24 +80,27 @@ class Balance:
         postures = Postures(robot)
         clearances, rng = Clearances(robot, scene.all_obstacles), np.random.default_rng(0)
         margin, drawn = 2 * scene.planner.safety_margin_m, robot.limits.drawn(rng, _SEEDS)
-        drawn = drawn[_held(postures, drawn, robot.limits.torque)]
+        drawn = drawn[_held(postures, drawn, robot.limits.torque, np.full(_SEEDS, _TILT))]
         drawn = drawn[clearances.query(drawn, margin).distance >= margin]
         nearest = int(robot.metric.lengths(drawn - first).argmin())
-        self.arms, self._parent = drawn[[nearest]], [-1]
+        self.arms, parent = np.vstack([first, drawn[[nearest]]]), np.zeros(2, dtype=np.intp)
+        # What grows from where the arm is need not be held in tilted stances: else it may be caught there.
+        tilt = np.array([0.0, _TILT])
         for _ in range(_ROUNDS):
             origin = rng.integers(len(self.arms), size=_DRAWN)
             new = self.arms[origin] + rng.normal(0.0, _STEP, (_DRAWN, robot.dof))
             good = robot.limits.contain(new)
             for share in (1.0, 0.5):
                 q = self.arms[origin] + share * (new - self.arms[origin])
-                good[good] = _held(postures, q[good], robot.limits.torque)
+                good[good] = _held(postures, q[good], robot.limits.torque, tilt[origin[good]])
                 good[good] = clearances.query(q[good], margin).distance >= margin
             kept = np.flatnonzero(good)
             both = self._centres(postures, X, np.vstack([self.arms, new[kept]]))
             chosen = _furthest_apart(both, len(self.arms), len(self.arms) + _KEPT // _ROUNDS)
             added = kept[np.array(chosen[len(self.arms) :], dtype=np.intp) - len(self.arms)]
-            self._parent += origin[added].tolist()
+            parent, tilt = np.append(parent, origin[added]), np.append(tilt, tilt[origin[added]])
             self.arms = np.vstack([self.arms, new[added]])
+        self._roadmap(robot, parent)
         self._arm_centre = self._centres(postures, X, self.arms)
         self._arm_mass, self._gravity = robot.arm_mass, np.array(robot.model.gravity.linear)
 
@@ -101,19 +110,25 @@ class Balance:
         centre = np.einsum("b,kbi->ki", at.mass, at.centre) / at.mass.sum()
         return np.asarray((centre - X_WB[:3, 3]) @ X_WB[:3, :3])
 
-    def between(self, start: int, end: int) -> FloatArray:
-        """Postures (k, 7) that lead from one counterweight to another, clear where they were grown."""
-        first, second = self._to_root(start), self._to_root(end)
-        while len(first) > 1 and len(second) > 1 and first[-2] == second[-2]:
-            first.pop()
-            second.pop()
-        return np.asarray(self.arms[[*first, *second[-2::-1]]])
+    def _roadmap(self, robot: Robot, parent: IntArray) -> None:
+        """Note between which postures straight ways may lead, pairs (E, 2), and how long they are."""
+        places = robot.metric.coordinates(self.arms)
+        near = KDTree(places).query(places, min(_NEIGHBOURS + 1, len(places)))[1]
+        every = np.arange(len(places))
+        pairs = np.vstack(
+            [
+                np.column_stack([every, parent]),
+                *(np.column_stack([every, column]) for column in near[:, 1:].T),
+            ]
+        )
+        self._pairs = np.unique(np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1), axis=0)
+        self._lengths = np.linalg.norm(np.subtract(*places[self._pairs.T]), axis=1)
 
-    def _to_root(self, number: int) -> list[int]:
-        way = [number]
-        while self._parent[way[-1]] >= 0:
-            way.append(self._parent[way[-1]])
-        return way
+    def roadmap(self, possible: BoolArray, space: FreeSpace) -> Roadmap:
+        """Return the ways of the arm through its `possible` postures (K,) in a stance."""
+        return Roadmap(
+            self.arms, self._pairs, np.where(possible[self._pairs].all(axis=1), self._lengths, np.inf), space
+        )
 
     def step_load(self, node: Candidate, foot: Side) -> StepLoad:
         """Return the loads of a stance when one of its feet lets go and the other, `foot`, holds."""
@@ -187,6 +202,48 @@ class Balance:
         return np.hstack([np.broadcast_to(mass * self._gravity, moment.shape), moment])
 
 
+class Roadmap:
+    """Ways of the arm between counterweights in a stance: a lazy roadmap (Bohlin and Kavraki 2000).
+
+    Straight ways are checked only where the shortest path has them, and left out where they are not free.
+
+    Parameters
+    ----------
+    arms : (K, 7), rad
+    pairs : (E, 2)
+        Numbers of postures between which straight ways may lead.
+    lengths : (E,)
+        Of these; infinite where they do not lead.
+    space : FreeSpace
+    """
+
+    def __init__(self, arms: FloatArray, pairs: IntArray, lengths: FloatArray, space: FreeSpace) -> None:
+        self._arms, self._pairs, self._lengths, self._space = arms, pairs, lengths, space
+        self._free = set[tuple[int, int]]()
+
+    def way(self, start: int, end: int) -> FloatArray | None:
+        """Return postures (k, 7) that lead from one counterweight to another; None where none were found."""
+        K = len(self._arms)
+        for _ in range(_MOST_WAYS):
+            graph = csr_array((self._lengths, self._pairs.T), shape=(K, K))
+            cost, came = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
+            if np.isinf(cost[end]):
+                return None
+            way = [end]
+            while way[-1] != start:
+                way.append(int(came[way[-1]]))
+            blocked = next((pair for pair in pairwise(way) if not self._is_free(min(pair), max(pair))), None)
+            if blocked is None:
+                return np.asarray(self._arms[way[::-1]])
+            self._lengths[(self._pairs == sorted(blocked)).all(axis=1)] = np.inf
+        return None
+
+    def _is_free(self, start: int, end: int) -> bool:
+        if (start, end) not in self._free and self._space.straight(self._arms[start], self._arms[end]):
+            self._free.add((start, end))
+        return (start, end) in self._free
+
+
 def foot_at(scene: Scene, place: FootholdFile, foot: Side) -> Foot:
     """Return a foot that holds alone.
 
@@ -205,14 +262,14 @@ def foot_at(scene: Scene, place: FootholdFile, foot: Side) -> Foot:
     return held
 
 
-def _held(postures: Postures, q: FloatArray, torque: FloatArray) -> BoolArray:
-    """Which postures (N, 7) the joints can hold, also where the base is turned a little."""
+def _held(postures: Postures, q: FloatArray, torque: FloatArray, tilt: FloatArray) -> BoolArray:
+    """Which postures (N, 7) the joints can hold, also where the base is turned by up to `tilt` (N,), rad."""
     at = postures.at(q)
     moment = np.cross(at.axis, at.carried_moment.transpose(2, 0, 1))
     size, g = np.linalg.norm(moment, axis=2), np.linalg.norm(at.gravity)
     along = np.abs(moment @ at.gravity) / np.maximum(size * g, 1e-9)
     away = np.arccos(np.clip(along, 0.0, 1.0))
-    carried = size * g * np.cos(np.maximum(away - _TILT, 0.0))
+    carried = size * g * np.cos(np.maximum(away - tilt[:, None], 0.0))
     return np.asarray((carried <= _HELD * torque).all(axis=1))
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -108,24 +107,36 @@ class Step:
         return before, after
 
 
-def arm_move(scene: Scene, node: Candidate, way: FloatArray) -> Move | None:
-    """Plan the free move of the arm in a stance along a way (k, 7) or another one; None where it stays.
+def space_of_arm(scene: Scene, node: Candidate, arm: FloatArray) -> FreeSpace | None:
+    """Return where the arm may be in a stance, beside a posture (7,); None where that is not free."""
+    return free_space(build_request(scene_at(scene, node, arm), scene.planner).tool_off.cell).around(
+        arm[None]
+    )
+
+
+def arm_move(
+    scene: Scene, node: Candidate, start: FloatArray, end: FloatArray, way: FloatArray | None = None
+) -> Move | None:
+    """Plan the free move of the arm in a stance between postures (7,); None where it stays.
+
+    Parameters
+    ----------
+    scene : Scene
+    node : Candidate
+    start, end : (7,), rad
+    way : (k, 7), rad, optional
+        Between them, taken where the straight one is not free.
 
     Raises
     ------
     PathNotFound
         When nothing leads there.
     """
-    start, end = way[0], way[-1]
     if np.abs(end - start).max() < 1e-9:
         return None
-
-    def given(space: FreeSpace) -> FloatArray | None:
-        free = all(space.straight(one, other) for one, other in pairwise(way))
-        return space.shorten(way) if free and len(way) > 2 else None
-
     request = build_request(scene_at(scene, node, start), scene.planner)
-    segment = plan_move(request, _named("arm", start, end, "the counterweight's posture"), given)
+    move = _named("arm", start, end, "the counterweight's posture")
+    segment = plan_move(request, move, known=partial(_given, way))
     holds: tuple[Side, ...] = (1,) if node.stance.foot_2 is None else (1, 2)
     return Move(
         kind="arm", robot=request.cell.robot.tool_off, holds=holds, node=node, arm=start, segment=segment

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import CmbotError, PathNotFound, PlanningError, SceneError, whole_sentences
 from cmbot.common.reading.input_files import is_file
 from cmbot.common.reading.validation import counted, validated
@@ -18,9 +19,9 @@ from cmbot.hold import AdhesionPeak
 from cmbot.robot import Climber, Side
 from cmbot.scene import FootholdFile, Scene, StanceFile, load_scene
 from cmbot.stances import Candidate, candidate_at, in_world, require_on_guardrail
-from cmbot.stances.walking.balance import SPARE, Balance
+from cmbot.stances.walking.balance import SPARE, Balance, Roadmap
 from cmbot.stances.walking.route import Edge, Route, nodes_between
-from cmbot.stances.walking.steps import Move, Step, arm_move, plan_step
+from cmbot.stances.walking.steps import Move, Step, arm_move, plan_step, space_of_arm
 
 # Postures of the arm with which a step is planned.
 _TRIED_POSTURES = 15
@@ -29,7 +30,7 @@ _TRIED_POSTURES = 15
 _MOST_FAILURES, _MOST_MOVES_IN_VAIN = 20, 3
 _SAME_PLACE_M = 1e-6
 # Characters of the cause for which a step failed, within a message that is about more.
-_MAX_CAUSE_CHARACTERS = 120
+_MAX_CAUSE_CHARACTERS = 100
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,7 +181,7 @@ def walk(
     end = None
     if isinstance(to, Scene):
         progress("moving the arm to where it works", 1.0)
-        end = arm_move(world, last, np.stack([search.arm, np.array(to.posture)]))
+        end = arm_move(world, last, search.arm, np.array(to.posture))
     return Walk(
         scene=scene,
         goal=last,
@@ -205,9 +206,9 @@ class _Search:
     ) -> None:
         self._scene, self._balance, self._route = scene, balance, route
         self._options, self._progress = options, progress
-        self._checked, self._moves_in_vain = set[int](), dict[tuple[int, int], list[str]]()
-        self.arm, self._weight, self.failures = arm, -1, list[str]()
-        self._last = ""
+        self._possible, self._moves_in_vain = dict[int, BoolArray](), dict[tuple[int, int], list[str]]()
+        self.arm, self._weight, self.failures = arm, 0, list[str]()
+        self._roadmaps = dict[tuple[int, int], Roadmap | None]()
 
     def steps(self) -> list[Step]:
         """Plan until the goal is reached."""
@@ -218,9 +219,9 @@ class _Search:
             edges = self._route.shortest(here)
             if edges is None:
                 raise PlanningError(self._no_way(here))
-            unknown = [k for k in {here, *(edge.after for edge in edges)} if k not in self._checked]
+            unknown = [k for k in {here, *(edge.after for edge in edges)} if k not in self._possible]
             if unknown:
-                self._progress(f"checking stances ({len(self._checked)} so far)", 0.0)
+                self._progress(f"checking stances ({len(self._possible)} so far)", 0.0)
                 for k in unknown:
                     self._check(k)
                 continue
@@ -247,12 +248,17 @@ class _Search:
 
     def _step(self, edge: Edge) -> Step | None:
         before, after = (self._route.nodes[k] for k in (edge.before, edge.after))
-        weights = self._route.counterweights(edge, self._weight)[:_TRIED_POSTURES].tolist()
+        weights = self._route.counterweights(edge, self._weight).tolist()
+        ways: list[tuple[int, FloatArray | None]] = [
+            *islice(self._ways(edge.before, weights), _TRIED_POSTURES)
+        ]
+        # Without a way through the roadmap one is sought for a few.
+        ways = ways or [(k, None) for k in weights[:_MOST_MOVES_IN_VAIN]]
         why = "the foot's straight swing comes too near to something, whatever folded posture the arm has"
-        for k, straight in (*((k, True) for k in weights), *((k, False) for k in weights[:1])):
+        for (k, way), straight in (*((each, True) for each in ways), *((each, False) for each in ways[:1])):
             arm = self._balance.arms[k]
             in_vain = self._moves_in_vain.setdefault((edge.before, self._weight), [])
-            if k != self._weight and len(in_vain) >= _MOST_MOVES_IN_VAIN:
+            if way is None and len(in_vain) >= _MOST_MOVES_IN_VAIN:
                 why = in_vain[-1]
                 continue
             try:
@@ -265,7 +271,7 @@ class _Search:
             if not swung:
                 continue
             try:
-                moved = arm_move(self._scene, before, self._way(k))
+                moved = arm_move(self._scene, before, self.arm, arm, way)
             except CmbotError as error:
                 why = _reason(error)
                 in_vain.append(why)
@@ -274,35 +280,39 @@ class _Search:
             moves = swung if moved is None else (moved, *swung)
             return Step(foot=edge.foot, before=before, after=after, moves=moves)
         self.failures.append(_cause(why))
-        self._last = f"{_names(before)} to {_names(after)}"
         return None
 
-    def _way(self, weight: int) -> FloatArray:
-        """Postures (k, 7) from where the arm is to a counterweight."""
-        if self._weight < 0:
-            # The first counterweight is the nearest to where the arm is; the others were grown from it.
-            return np.vstack([self.arm, self._balance.between(0, weight)])
-        return self._balance.between(self._weight, weight)
+    def _ways(self, node: int, weights: Sequence[int]) -> Iterator[tuple[int, FloatArray]]:
+        """Yield the postures of the arm to which ways lead from where it is in a stance, with these ways."""
+        key = node, self._weight
+        if key not in self._roadmaps:
+            space = space_of_arm(self._scene, self._route.nodes[node], self.arm)
+            possible = self._possible[node].copy()
+            possible[self._weight] = True
+            self._roadmaps[key] = None if space is None else self._balance.roadmap(possible, space)
+        roadmap = self._roadmaps[key]
+        if roadmap is not None:
+            ways = ((k, roadmap.way(self._weight, k)) for k in weights)
+            yield from ((k, way) for k, way in ways if way is not None)
 
     def _check(self, k: int) -> None:
         """Leave out the postures of the arm that come too near to something in a stance."""
-        self._checked.add(k)
-        self._route.leave_out(k, self._balance.impossible(self._scene, self._route.nodes[k]))
+        impossible = self._balance.impossible(self._scene, self._route.nodes[k])
+        self._possible[k] = ~impossible
+        self._route.leave_out(k, impossible)
 
     def _no_way(self, here: int) -> str:
         """Why there is no route, with the hardest step of the easiest way, and what would do for it."""
-        begin, which = "no walk: no steps that joints and feet can bear at rest lead there", "easiest"
-        hardest = self._route.easiest_way(here)
+        hardest, which, tried = self._route.easiest_way(here), "easiest", ""
         if self.failures:
-            tried = counted(len(self.failures), "step")
-            begin = (
-                f"no walk: {tried} of those that would hold at rest tried in vain, the last, {self._last}: "
+            tried = (
+                f"; {counted(len(self.failures), 'step')} that would hold at rest tried in vain, the last: "
             )
-            begin += self.failures[-1]
+            tried += self.failures[-1]
             which = "easiest other" if hardest else "easiest"
             hardest = hardest or self._route.easiest_way(here, tried=True)
         if hardest is None:
-            return f"{begin}; whatever joints and feet could bear, no others lead there"
+            return f"no walk: whatever joints and feet could bear, no steps lead there{tried}"
         edge, use = hardest
         before, after = (self._route.nodes[k] for k in (edge.before, edge.after))
         stays: Side = 2 if edge.foot == 1 else 1
@@ -317,8 +327,8 @@ class _Search:
             bears += f", foot {stays} {100 * load.use[k]:.0f} % of its hold"
         would = "" if use <= SPARE else f"; bounds {use / SPARE:.1f} times as large would do at rest"
         return (
-            f"{begin}; the hardest step of the {which} way, {_names(before)} to {_names(after)}, uses "
-            f"{100 * use:.0f} % of what is allowed ({bears}){would}"
+            f"no walk: the hardest step of the {which} way, {_names(before)} to {_names(after)}, uses "
+            f"{100 * use:.0f} % of what is allowed ({bears}){would}{tried}"
         )
 
 
