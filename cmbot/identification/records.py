@@ -222,7 +222,7 @@ def _statistic(columns: FloatArray, axis: FloatArray, step: float) -> float:
     whole = float(record @ record)
     rest = float(((record - shown @ np.linalg.lstsq(shown, record, rcond=None)[0]) ** 2).sum())
     freedom = len(record) - shown.shape[1]
-    return float(whole - rest) / shown.shape[1] * freedom / max(rest, 1e-12 * whole)
+    return float((whole - rest) / shown.shape[1] * freedom / max(rest, 1e-12 * whole))
 
 
 def _none() -> RingDown:
