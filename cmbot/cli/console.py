@@ -122,8 +122,9 @@ def print_pairs(pairs: Mapping[str, str]) -> None:
             table.add_row(name, one_line(value))
         out.print(table)
         return
+    width = max(map(len, pairs), default=0) + 2
     for name, value in pairs.items():
-        out.print(f"{name:<34}{one_line(value)}")
+        out.print(f"{name:<{width}}{one_line(value)}")
 
 
 def print_table(

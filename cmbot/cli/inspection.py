@@ -173,7 +173,7 @@ def _check_scene(file: str, changes: Sequence[str]) -> tuple[Sequence[Finding], 
     try:
         scene, options = loaded_scene(file, changes) if changes else (cmbot.load_scene(file), None)
     except SceneError as error:
-        if not (is_file(file) or Path(file).suffix):
+        if not (error.key or is_file(file) or Path(file).suffix):
             raise _no_name(file, error) from error
         if error.key or Path(file).suffix.lower() in _SCENE_SUFFIXES or not is_file(file):
             raise
@@ -187,7 +187,8 @@ def _check_scene(file: str, changes: Sequence[str]) -> tuple[Sequence[Finding], 
         from cmbot.excitation import require_inputs
 
         require_inputs(scene, robot_of(scene))
-    warnings, plan = len(precheck.warnings), f"cmbot plan {one_line(file)}"
+    errors = _errors(precheck.warnings)
+    warnings, plan = len(precheck.warnings) - errors, f"cmbot plan {one_line(file)}"
     conclusion = (
         "No warning. Checked: the start, and places along the path, each for a posture that is within the "
         f"joint ranges, clear and strong enough. Not checked: the way from one to the next; {plan} finds out."
@@ -195,6 +196,8 @@ def _check_scene(file: str, changes: Sequence[str]) -> tuple[Sequence[Finding], 
     if warnings:
         them = "it" if warnings == 1 else "them"
         conclusion = f"{counted(warnings, 'warning')}; {plan} would have to deal with {them}."
+    if errors:
+        conclusion = f"No plan is possible: {counted(errors, 'error')}, {counted(warnings, 'warning')}."
     return precheck.warnings, dict(precheck.found), conclusion
 
 

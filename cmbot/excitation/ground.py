@@ -125,4 +125,4 @@ def require_inputs(scene: Scene, robot: Robot) -> None:
     if deck is not None and deck.trains is not None:
         axles_of(deck.trains.axles)
     if isinstance(scene.damper, DamperFile):
-        require_place(scene.damper.at, robot.joints)
+        require_place(scene.damper.at, robot.joints, scene.source)

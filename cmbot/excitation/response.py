@@ -359,11 +359,11 @@ def _jacobian(arm: ElasticArm, data: Any, configuration: FloatArray, place: str)
     return np.asarray(J.reshape(6, model.nv)[:3, arm.elastic]), pose
 
 
-def require_place(place: str, joints: tuple[str, ...]) -> tuple[str, ...]:
+def require_place(place: str, joints: tuple[str, ...], source: str = "damper") -> tuple[str, ...]:
     """Return the names of an arm's joints; an `InputError` for a damper's place that is none on it."""
     places = ("tool", "arm_base", *joints)
     if place not in places:
-        raise InputError("damper", "at", shown(place), "a place on the arm", places)
+        raise InputError(source, "damper.at", shown(place), "a place on the arm", places)
     return joints
 
 

@@ -18,13 +18,15 @@ from cmbot.common.installation import install_command
 from cmbot.common.reading.validation import counted
 from cmbot.common.reading.yaml_reader import lines_named
 from cmbot.common.representation import short_repr
+from cmbot.elastic.sag import Sag, TooSoftError
+from cmbot.hold import Holding
 from cmbot.optimization import piqp_module
 from cmbot.planning.reach import beyond_reach, without_posture
 from cmbot.planning.request import end_posture_of, strokes_of, task_of
 from cmbot.planning.task import ToolTask, task_dimension
 from cmbot.planning.workcell.stiffness import identified_in_words
 from cmbot.planning.workcell.units import mistaken_units, require_metres, unit_findings
-from cmbot.planning.workcell.workcell import rigid_arm_remark, robot_of
+from cmbot.planning.workcell.workcell import bending_arm, rigid_arm_remark, robot_of
 from cmbot.robot import Dynamics, Finding, Robot
 from cmbot.scene import PlannerOptions, Scene, Stroke, Tool, coverage_of
 from cmbot.toolpath import ToolPath
@@ -36,6 +38,9 @@ two minutes, at 4,000 more than three."""
 
 # A stretched arm is not out of its own reach.
 _ROUNDING_SHARE = 1e-9
+# More sag than this is rather a mistake of the stiffness' unit.
+_MUCH_SAG_M = 0.15
+_STIFF = "a base and an arm that bear the weight (N/m and Nm/rad)"
 # Odd, so that the middle of a leg's time is among them.
 _SPEED_SAMPLES = 201
 
@@ -49,7 +54,7 @@ class Precheck:
     found : tuple of (str, str)
         What the scene asks for and how it begins, as names and values with units.
     warnings : tuple of Finding
-        Reasons why planning it may fail.
+        Reasons why planning it may fail; of severity ``error``: why it does.
     """
 
     found: tuple[tuple[str, str], ...]
@@ -77,6 +82,7 @@ def precheck_scene(scene: Scene) -> Precheck:
     task = task_of(strokes[0], scene)
     start = (
         _hold_at_start(scene, robot),
+        _sag_at_start(scene, robot),
         _clearance_at_start(scene, robot),
         _statics_at_start(scene, robot, task),
     )
@@ -166,9 +172,10 @@ def _hold_at_start(scene: Scene, robot: Robot) -> Precheck:
         use = float(holding.share(wrench)[0][0])
         found.append(("of what the feet bear there, safety included", f"{100 * use:.0f} %"))
         if use > 1.0:
-            got = f"{100 * use:.0f} % of what the feet bear, safety included, at rest"
+            got = _adhesion(holding, wrench)
+            got = got or f"{100 * use:.0f} % of what the feet bear, safety included, at rest"
             key = "base.hold" if scene.base is not None and scene.base.hold else "guardrail.hold"
-            expected = f"at most 100 %, or feet that bear more: {key}"
+            expected = f"feet that bear what the arm asks: {key}"
             warnings.append(_warning(scene.posture_key, got, expected))
     if robot.holding_joints:
         uses = robot.holding_use(wrench)[0]
@@ -183,6 +190,37 @@ def _hold_at_start(scene: Scene, robot: Robot) -> Precheck:
     return Precheck(found=tuple(found), warnings=tuple(warnings))
 
 
+def _adhesion(holding: Holding, wrench: FloatArray) -> str:
+    """Of the magnet that uses most: the adhesion that it needs, and that it has; else empty."""
+    uses = [
+        (foot.safety * needed / foot.adhesion, needed, foot)
+        for number in holding.adhesive
+        if (foot := holding.feet[number]).adhesion is not None
+        for needed in holding.needed(number, wrench)
+    ]
+    if not uses:
+        return ""
+    _, needed, foot = max(uses, key=lambda use: use[0])
+    return f"{needed:.0f} N of adhesion, times safety {foot.safety:g}, where a foot has {foot.adhesion:.0f} N"
+
+
+def _sag_at_start(scene: Scene, robot: Robot) -> Precheck:
+    """How far the tool sags in the start posture, at rest with the tool off."""
+    arm = bending_arm(scene, robot)
+    if arm is None:
+        return Precheck(found=(), warnings=())
+    try:
+        sag = float(Sag(arm.tool_off).distance(scene.posture[None])[0])
+    except TooSoftError:
+        got = f"so soft a base or arm that the arm topples in {scene.posture_key}"
+        return Precheck(found=(), warnings=(_warning(scene.softest_key, got, _STIFF),))
+    got = f"a tool that sags {1e3 * sag:.0f} mm in {scene.posture_key}"
+    return Precheck(
+        found=(("sag of the tool there", f"{1e3 * sag:.2f} mm"),),
+        warnings=(_warning(scene.softest_key, got, _STIFF),) if sag > _MUCH_SAG_M else (),
+    )
+
+
 def _out_of_reach(strokes: Sequence[Stroke], robot: Robot) -> Iterator[Finding]:
     """Keys of legs that end farther from the arm's first joint than the arm is long."""
     within = f"at most {robot.reach:.3f} m, the arm with its tool stretched out (lengths are in metres)"
@@ -191,7 +229,8 @@ def _out_of_reach(strokes: Sequence[Stroke], robot: Robot) -> Iterator[Finding]:
         for key, away in beyond_reach(stroke, robot):
             furthest[key] = max(away, furthest.get(key, 0.0))
     for key, away in furthest.items():
-        yield _warning(key, f"an end {away:.3f} m from the arm's first joint", within)
+        got = f"an end {away:.3f} m from the arm's first joint"
+        yield Finding(severity="error", key=key, got=got, expected=within)
 
 
 def _paths(strokes: Sequence[Stroke]) -> Iterator[tuple[str, str]]:
@@ -257,12 +296,19 @@ def failures_explained(scene: Scene) -> Iterator[None]:
     """Add to errors about a scene, or its plan, the line in its file and what may have been mistaken."""
     try:
         with lines_named(scene.source):
-            yield
+            try:
+                yield
+            except TooSoftError as error:
+                soft = "so soft a base or arm that the arm topples on its path"
+                raise SceneError(scene.source, scene.softest_key, soft, _STIFF) from error
     except (PlanningError, SceneError) as error:
         if isinstance(error, PlanningError):
-            for warning in _hold_at_start(scene, robot_of(scene)).warnings:
+            robot = robot_of(scene)
+            for warning in _hold_at_start(scene, robot).warnings:
                 # What does not even hold at rest comes first.
                 error.add_source(f"the start asks {warning.got}")
+            for warning in _sag_at_start(scene, robot).warnings:
+                error.add_hint(f"{warning.key} has {warning.got}")
         if isinstance(error, PlanningError) or error.key.startswith(scene.posture_key):
             for key, looks, units in mistaken_units(scene):
                 error.add_hint(f"{key} looks like {looks}, it is in {units}")

@@ -86,8 +86,10 @@ class DeckFile(FileModel):
     @model_validator(mode="after")
     def _check(self) -> Self:
         exactly_one(self, _DECK)
-        if self.spectrum and any(not before[0] < after[0] for before, after in pairwise(self.spectrum)):
-            raise refusal("rows in the order of their frequencies", got="others", key=("spectrum",))
+        for before, after in pairwise(self.spectrum or ()):
+            if not before[0] < after[0]:
+                got = f"{after[0]:g} Hz after {before[0]:g} Hz"
+                raise refusal("rows in the order of their frequencies", got=got, key=("spectrum",))
         return self
 
 

@@ -434,6 +434,15 @@ class Scene(FileModel):
         return replace(guardrail, stiffness=stiffness, mass=mass, damping=damping)
 
     @property
+    def softest_key(self) -> str:
+        """The key of what says how the base bends; without any that of the arm's elasticity."""
+        if self.identified is not None:
+            return "identified"
+        if self.base is not None and self.base.modes is not None:
+            return "base.modes"
+        return "guardrail.stiffness" if self.guardrail.stiffness is not None else "guardrail"
+
+    @property
     def stance(self) -> Stance | None:
         """Where the shipped robot stands; None: on the post at the origin of W."""
         stance = self.guardrail.stance

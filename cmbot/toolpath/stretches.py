@@ -2,13 +2,14 @@
 
 A corner is a waypoint at which the path bends by more than an angle within a spacing, and more than twice as
 much as it does beside: what bends evenly is a curve. By more than 60 degrees it is a corner in any case.
-Of dense waypoints a spline passes those alone that keep all others within a share of the tolerance.
+Of dense waypoints a spline passes those alone that keep all others within a share of the tolerance; where
+none does, slighter bends are corners, too, as those of a polygon.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -28,6 +29,8 @@ NO_TURN = 1e-3
 
 # A corner in any case, and how many times as much a corner bends as the path beside it.
 _SHARP, _TIMES_AS_MUCH = np.radians(60), 2.0
+# The share of its angle from which on a bend is one where no spline keeps dense waypoints.
+_SLIGHT = 1 / 3
 # A direction is that over so many tolerances at least: noise of a point is less than one.
 _DIRECTION_TOLERANCES = 4.0
 # The share of the tolerance that a path may miss its waypoints by; it is missed only where this share of them
@@ -129,7 +132,7 @@ def stretches(points: FloatArray, orientations: FloatArray, fit: Fit) -> list[St
                 run = slice(begin, place + 1)
                 # It leaves the place before as it is turned there, and comes to others as they are first.
                 R = np.concatenate([orientations[last[begin : begin + 1]], orientations[first[run][1:]]])
-                found.append(_fitted(points[first[run]], R, fit))
+                found += _fitted(points[first[run]], R, fit)
             begin = place
             if _turns(orientations, first[place], last[place], fit):
                 found += _in_place(points[first[place]], orientations[first[place] : last[place] + 1], fit)
@@ -229,12 +232,15 @@ def _corners(points: FloatArray, fit: Fit) -> list[int]:
     return found
 
 
-def _fitted(points: FloatArray, orientations: FloatArray, fit: Fit) -> Stretch:
-    """A line where all waypoints are near it; of many those through which a spline is near all."""
+def _fitted(points: FloatArray, orientations: FloatArray, fit: Fit) -> list[Stretch]:
+    """A line where all waypoints are near it; of many those through which a spline is near all.
+
+    Where no spline is, the path is parted at what may be the corners of a polygon.
+    """
     ends = [0, len(points) - 1]
     if len(points) == 2 or _is_line(points, orientations, fit):
-        return Stretch(points=points[ends], orientations=orientations[ends])
-    whole = Stretch(points=points, orientations=orientations)
+        return [Stretch(points=points[ends], orientations=orientations[ends])]
+    whole = [Stretch(points=points, orientations=orientations)]
     if len(points) < _DENSE:
         return whole
     chosen: Sequence[int] = [0, len(points) // 2, len(points) - 1]
@@ -245,7 +251,7 @@ def _fitted(points: FloatArray, orientations: FloatArray, fit: Fit) -> Stretch:
         if fit.kept == "position":
             miss = away / (_SHARE * fit.deviation)
         if miss.max() <= 1.0:
-            return Stretch(points=points[chosen], orientations=orientations[chosen])
+            return [Stretch(points=points[chosen], orientations=orientations[chosen])]
         worst = [
             low + 1 + int(miss[low + 1 : high].argmax())
             for low, high in pairwise(chosen)
@@ -254,7 +260,16 @@ def _fitted(points: FloatArray, orientations: FloatArray, fit: Fit) -> Stretch:
         if not worst:
             break
         chosen = sorted({*chosen, *worst})
-    return whole
+    slight = fit.corner if fit.corner > _SHARP else _SLIGHT * fit.corner
+    corners = _corners(points, replace(fit, corner=slight))
+    if not corners:
+        return whole
+    runs = pairwise([0, *corners, len(points) - 1])
+    return [
+        part
+        for low, high in runs
+        for part in _fitted(points[low : high + 1], orientations[low : high + 1], fit)
+    ]
 
 
 def _is_line(points: FloatArray, orientations: FloatArray, fit: Fit) -> bool:

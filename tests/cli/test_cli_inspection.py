@@ -20,7 +20,8 @@ from cmbot.scene import shipped_scenes
 
 def values(out: str) -> dict[str, str]:
     """The lines but the last, as names and values."""
-    return {line[:34].strip(): line[34:] for line in out.splitlines()[:-1]}
+    pairs = (line.partition("  ") for line in out.splitlines()[:-1])
+    return {name: value.strip() for name, _, value in pairs}
 
 
 def test_a_shipped_scene_and_a_scene_file(tmp_path: Path) -> None:
@@ -74,14 +75,16 @@ def test_legs_beyond_reach_and_a_load_too_heavy_are_warned_of(tmp_path: Path) ->
     """The shipped arm is 3.78 m long with its tool (Table 2), and its first joint at (0, 0.5, 0)."""
     legs = [{"by": by, "seconds": 9} for by in ([0, 0.1, 0], [0, 3.0, 0], [0, -3.0, 0], [2.5, 0, -2.0])]
     path = write_scene(tmp_path / "far.yaml", {**SHORT, "tool_path": {"legs": legs}})
-    *warnings, last = (line for line in run("check", path).out.splitlines() if "warning" in line)
+    outcome = run("check", path)
+    assert outcome.status == 2
+    *warnings, last = (line for line in outcome.out.splitlines() if "error" in line)
     distance = np.hypot(np.hypot(START[0], START[1] + 0.1 + 3.0 - 0.5), START[2])
     assert warnings[0].endswith(
         f": tool_path.legs[1]: got an end {distance:.3f} m from the arm's first joint, "
         "expected at most 3.780 m, the arm with its tool stretched out (lengths are in metres)"
     )
     assert [line.split(": ")[2] for line in warnings] == ["tool_path.legs[1]", "tool_path.legs[3]"]
-    assert last == f"2 warnings; cmbot plan {path} would have to deal with them."
+    assert last == "No plan is possible: 2 errors, 0 warnings."
     heavy = {"model": "cmbot", "payload_kg": 60.0}
     path = write_scene(tmp_path / "heavy.yaml", {**SHORT, "robot": heavy})
     first, second, *_ = run("check", path).out.splitlines()
@@ -351,7 +354,7 @@ def test_the_rows_of_a_raster_out_of_reach_are_one_warning(tmp_path: Path) -> No
     scene = {**SHORT, "tool_path": {"raster": raster, "speed_m_s": 0.1}}
     out = run("check", write_scene(tmp_path / "far.yaml", scene)).out
     assert out.count("tool_path.raster: got an end ") == 1
-    assert out.splitlines()[-1].startswith("1 warning; ")
+    assert out.splitlines()[-1].startswith("No plan is possible: 1 error, ")
 
 
 def test_a_robots_name_that_is_nearly_right_is_suggested() -> None:

@@ -14,6 +14,8 @@ from small_scenes import SHORT
 import cmbot
 from cmbot.common.errors import InputError, PathNotFound
 from cmbot.common.installation import model_folder, scene_folder
+from cmbot.elastic.sag import TooSoftError
+from cmbot.planning.precheck import failures_explained
 from cmbot.scene import PlannerOptions
 
 TEXT = """\
@@ -98,7 +100,7 @@ def test_degrees_are_not_taken_for_radians(posture: list[float], tmp_path: Path)
     scene = {**SHORT, "start": {"posture_deg": posture}, "tool_path": {"legs": legs}}
     path = write_scene(tmp_path / "far.yaml", scene)
     outcome = run("check", path)
-    assert "warning: " in outcome.out
+    assert outcome.out.startswith(("warning: ", "error: "))
     assert "radians" not in outcome.out
     with pytest.raises(cmbot.PlanningError) as caught:
         cmbot.plan(cmbot.load_scene(path))
@@ -110,6 +112,53 @@ def test_degrees_for_radians_are_suspected(tmp_path: Path) -> None:
     line = refusal("check", write_scene(tmp_path / "degrees.yaml", scene))
     assert ": start.posture[0]: got " in line
     assert line.endswith("; start.posture looks like degrees, it is in rad (start.posture_deg is in degrees)")
+
+
+def test_stiffness_and_adhesion_in_other_units_are_suspected(tmp_path: Path) -> None:
+    soft = {**SHORT, "guardrail": {"stiffness": [2000, 400, 3000, 200, 100, 80]}}
+    path = write_scene(tmp_path / "soft.yaml", soft)
+    first, second, *_ = run("check", path).out.splitlines()
+    assert first == (
+        f"warning: {path}: guardrail.stiffness: got numbers that look like N/mm, expected N/m and Nm/rad"
+    )
+    assert f"{path}: guardrail.stiffness: got " in second
+    weak = {**SHORT, "guardrail": {"hold": {"kind": "magnet", "adhesion_n": 5}}}
+    path = write_scene(tmp_path / "weak.yaml", weak)
+    out = run("check", path).out
+    assert f"{path}: guardrail.hold.adhesion_n: got numbers that look like kN, expected N\n" in out
+    assert re.search(r"got \d+ N of adhesion, times safety 2, where a foot has 5 N, expected", out)
+    with pytest.raises(
+        cmbot.PlanningError, match=r"; guardrail.hold.adhesion_n looks like kN, it is in N"
+    ) as e:
+        cmbot.plan(cmbot.load_scene(path))
+    assert re.search(
+        r"the start asks \d+ N of adhesion, times safety 2, where a foot has 5 N: ", str(e.value)
+    )
+
+
+def test_a_base_on_which_the_arm_topples_is_named(tmp_path: Path) -> None:
+    """Stiff enough against shifts to be in N/m, and too soft against tilts."""
+    scene = {**SHORT, "guardrail": {"stiffness": [2e5, 2e5, 2e5, 60, 60, 60]}}
+    path = write_scene(tmp_path / "topples.yaml", scene)
+    assert f"warning: {path}: guardrail.stiffness: got " in run("check", path).out
+    with (
+        pytest.raises(
+            cmbot.SceneError, match=r"topples\.yaml:\d+: guardrail\.stiffness: got so soft .* topples"
+        ),
+        failures_explained(cmbot.load_scene(path)),
+    ):
+        raise TooSoftError("Sag.at", "q[2]", "a posture from which the arm topples", "a stiff arm")
+
+
+def test_check_refuses_a_leg_that_no_plan_reaches(tmp_path: Path) -> None:
+    far = {**SHORT, "tool_path": {**SHORT["tool_path"], "legs": [{"by": [0, -400, 0], "seconds": 900}]}}
+    outcome = run("check", write_scene(tmp_path / "far.yaml", far))
+    assert outcome.status == 2
+    assert "No plan is possible: 1 error, " in outcome.out
+    near = run("check", write_scene(tmp_path / "near.yaml", SHORT))
+    assert near.status == 0
+    # Names and values are apart, however long the name.
+    assert re.search(r"^locked joint that bears most there  climb_", near.out, re.MULTILINE)
 
 
 def test_obstacles_in_millimetres_are_suspected(tmp_path: Path) -> None:

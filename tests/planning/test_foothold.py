@@ -235,9 +235,11 @@ def replace_path(scene: cmbot.Scene, legs: list[dict[str, Any]]) -> cmbot.Scene:
 
 def test_a_scene_whose_feet_do_not_hold_at_the_start_is_told_so() -> None:
     weak = precheck_scene(magnet_scene(1000.0))
-    assert "what the feet bear, safety included" in weak.warnings[0].got
+    assert re.fullmatch(
+        r"[0-9]+ N of adhesion, times safety [0-9.]+, where a foot has 1000 N", weak.warnings[0].got
+    )
     assert not precheck_scene(magnet_scene()).warnings
-    with pytest.raises(PlanningError, match=r"^the start asks [0-9]+ % of what the feet bear"):
+    with pytest.raises(PlanningError, match=r"^the start asks [0-9]+ N of adhesion"):
         plan(magnet_scene(1000.0))
 
 

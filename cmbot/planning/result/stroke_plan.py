@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import PathNotFound
 from cmbot.common.reading.file_types import Count, NonNegative
 from cmbot.common.representation import short_repr
@@ -24,7 +24,7 @@ from cmbot.scene import PlannerOptions
 from cmbot.trajectory import QuinticTrajectory
 
 # Samples per segment at which the peak of an objective is taken that is not enclosed.
-_PEAK_SAMPLES = 400
+_PEAK_SAMPLES, _COARSE_SAMPLES = 400, 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -263,6 +263,21 @@ def _largest_bound(bounds: Sequence[LowerBound]) -> LowerBound:
     )
 
 
+def _sampled_peak(objective: Objective, states: StateSamples) -> float:
+    """The largest value: at every few samples, then at all of them next to what may be the largest."""
+    times = len(states.t)
+
+    def values_at(k: IntArray) -> FloatArray:
+        return objective.values(StateSamples(states.t[k], states.q[k], states.v[k], states.a[k]))
+
+    some = np.append(np.arange(0, times - 1, _COARSE_SAMPLES), times - 1)
+    values = values_at(some)
+    # Between two samples a value is above both by less than values differ from one to the next.
+    near = some[values >= values.max() - np.abs(np.diff(values)).max(initial=0.0)]
+    beside = np.unique(near[:, None] + np.arange(-_COARSE_SAMPLES, _COARSE_SAMPLES + 1))
+    return float(values_at(beside[(beside >= 0) & (beside < times)]).max())
+
+
 def objective_metrics(
     objective: Objective,
     options: PlannerOptions,
@@ -286,11 +301,9 @@ def objective_metrics(
     floor : float or None
     """
     metrics, trajectory = planned
-    t = trajectory.t
-    grid = np.append(np.linspace(t[:-1], t[1:], _PEAK_SAMPLES, endpoint=False, axis=1).ravel(), t[-1])
 
     def peak(of: MotionMetrics, at: StateSamples) -> float:
-        return of.peak_guardrail_torque if objective.reported else float(objective.values(at).max())
+        return of.peak_guardrail_torque if objective.reported else _sampled_peak(objective, at)
 
     of_torque = not own and options.objective == "torque"
     return ObjectiveMetrics(
@@ -300,6 +313,6 @@ def objective_metrics(
         moment_about=options.moment_about if of_torque else None,
         axis_weights=options.axis_weights if of_torque else None,
         baseline_peak=None if baseline is None else peak(baseline.figures, baseline.states),
-        planned_peak=peak(metrics, StateSamples(grid, *trajectory.states(grid))),
+        planned_peak=peak(metrics, StateSamples.even(trajectory, _PEAK_SAMPLES)),
         floor=floor,
     )

@@ -20,6 +20,10 @@ _HUGE, _VAST = 5.0, 50.0
 # What is nearer than so many times the arm's reach is near it; what is further than the second is far away.
 _NEAR, _FAR = 4.0, 10.0
 _MILLIMETRE = 1e-3
+# On a base softer than this in every direction, N/m, an arm would sink by centimetres.
+_SOFTEST_N_M = 1e4
+# No magnet for a robot pulls less, N.
+_LEAST_ADHESION_N = 100.0
 
 
 def mistaken_units(scene: Scene) -> Iterator[tuple[str, str, str]]:
@@ -32,6 +36,14 @@ def mistaken_units(scene: Scene) -> Iterator[tuple[str, str, str]]:
             yield key, "radians", "degrees"
     elif key == "start.posture" and np.abs(scene.posture).max() > 2 * np.pi:
         yield key, "degrees", "rad (start.posture_deg is in degrees)"
+    stiffness = scene.elastic_guardrail.stiffness
+    if stiffness is not None and np.diag(stiffness)[:3].max() < _SOFTEST_N_M:
+        yield scene.softest_key, "N/mm", "N/m and Nm/rad"
+    holds = [("guardrail", hold) for hold in scene.guardrail.hold or ()]
+    holds += [("base", scene.base.hold)] if scene.base and scene.base.hold else []
+    for block, hold in holds:
+        if hold.adhesion_n is not None and hold.adhesion_n < _LEAST_ADHESION_N:
+            yield f"{block}.hold.adhesion_n", "kN", "N"
     for obstacle in _own(scene):
         if obstacle.scale is None and _shortest_side(extent_of(obstacle)) >= _HUGE:
             yield f"obstacle {obstacle.name}", "millimetres", "metres (scale: 1 says that they are)"

@@ -95,8 +95,8 @@ class PathFile(FileModel):
     where it turns in place. Neighbours less than 0.1 mm apart are one, and dense ones are missed by up to a
     quarter of the tolerance."""
     corner_deg: Annotated[float, Field(ge=1, le=180)] = 15.0
-    """Waypoints at which the path bends by more, and twice as much as beside, are corners; by more than 60
-    degrees they are in any case, unless this is more."""
+    """Waypoints at which the path bends by more, and twice as much as beside, are corners. Where no spline
+    keeps dense ones a third of this will do; by more than 60 degrees, or this, they are in any case."""
     raster: Raster | None = None
     """In place of `legs`, rows over a surface, with `blend_radius_m` without a stop."""
     seconds: SecondsOrAuto | None = None

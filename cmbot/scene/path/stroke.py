@@ -21,7 +21,7 @@ _WAY, _TURN, _BEND, _SECONDS, _PER_RAMP = 0.05, np.radians(15), np.radians(36), 
 # Splines miss a smooth path by the fourth power of their segments' length; a speed is missed by the second.
 _DEVIATION, _SPEED = 1e-3, 0.2
 # Segments of a leg at least and at most, and of one whose shortest time is sought at least: legs share these.
-_FEWEST, _MOST, _FEWEST_OPEN, _OPEN_IN_ALL = 4, 600, (12, 30), 90
+_FEWEST, _MOST, _FEWEST_OPEN, _OPEN_IN_ALL = 4, 600, (8, 30), 90
 _POSE_VALUES = 12
 # Durations that differ by less are the same, as a share.
 _DURATION_TOLERANCE = 1e-6
@@ -166,7 +166,7 @@ def _automatic_via_points(path: ToolPath, deviation: float, file: StrokeFile) ->
     -----
     Each leg asks for a segment for every 50 mm, 15 degrees of the tool's turn, 36 degrees of the path's bend
     where it is sharpest, and second; for three a ramp; and where its shortest time is sought for its share of
-    ninety, 12 to 30. The way and the angles shrink with the fourth root of the deviation, from 1 mm on, and
+    ninety, 8 to 30. The way and the angles shrink with the fourth root of the deviation, from 1 mm on, and
     with the square root of the speed's tolerance below 20 %. A leg has 4 to 600 segments, a path 12 at least.
     """
     finer = min((deviation / _DEVIATION) ** 0.25, 1.0)

@@ -33,7 +33,8 @@ def path_of(scene: Scene) -> ToolPath:
 
 def way_of(rows: FloatArray | list[list[float]], **changes: Any) -> Scene:
     smooth = {"seconds": 4, "corner_deg": 180}
-    return scene_of(waypoints=np.asarray(rows).tolist(), **{**smooth, **changes})
+    scene = scene_of(waypoints=np.asarray(rows).tolist(), **{**smooth, **changes})
+    return scene.with_options(max_tool_deviation_m=1e-3)
 
 
 CLOSED = [[x, y, 0.1, *DOWN] for x, y in ((0, 0), (0.3, 0), (0.3, 0.2), (0, 0.3), (0, 0))]
@@ -214,6 +215,25 @@ def test_of_dense_waypoints_on_a_curve_some_are_passed_and_all_are_near(rng: np.
     for row in rows[::7]:
         assert np.linalg.norm(points - row[:3], axis=1).min() < 0.26e-3
     check_described(scene, scene.timed_strokes(np.eye(4))[0], np.eye(4))
+
+
+@pytest.mark.parametrize(("deviation", "legs"), [(7e-5, 24), (3e-3, 1)])
+def test_a_polygon_that_no_spline_keeps_is_rested_at_its_vertices(deviation: float, legs: int) -> None:
+    """Sides of 6 waypoints that bend by 7.5 degrees, as TORM's circle: its arc is 0.5 mm away."""
+    angle = np.radians(7.5 * np.arange(25))
+    vertices = 0.25 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    steps = np.linspace(0, 1, 7)[:-1, None]
+    xy = np.concatenate([*(a + steps * (b - a) for a, b in pairwise(vertices)), vertices[-1:]])
+    rows = np.tile([0.0, 0, 0.1, *DOWN], (len(xy), 1))
+    rows[:, :2] = xy.round(6)
+    scene = way_of(rows, corner_deg=15)
+    path = path_of(scene.with_options(max_tool_deviation_m=deviation))
+    assert len(path.segments) == legs
+    points = path.position(np.linspace(0, path.duration, 40_001))
+    for row in rows:
+        assert np.linalg.norm(points - row[:3], axis=1).min() < 0.26 * deviation
+    if legs > 1:
+        np.testing.assert_allclose(path.corners[:, :2], vertices, rtol=0, atol=1e-6)
 
 
 def test_turns_in_place_to_and_fro_about_two_axes() -> None:
