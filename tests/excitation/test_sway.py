@@ -140,6 +140,17 @@ def test_simulated_records_have_the_covariance(damper: TunedDamper | None, actin
     assert np.abs(found - expected).max() < 0.05 * np.trace(expected)
 
 
+def test_records_go_on_from_posture_to_posture() -> None:
+    """Where frequencies change along the work, responses are not mixed: none is weaker between postures."""
+    t, slow = np.linspace(0.0, 20.0, 5), two_modes()
+    each = [replace(slow, frequencies=slow.frequencies * (1 + 0.03 * k)) for k in range(len(t))]
+    tool = sampled_tool(t, each, flat_band(), BAND, records=1500)
+    variances = [response.tool_variance(flat_band(), BAND) for response in each]
+    found = (tool.astype(float) ** 2).sum(axis=2).mean(axis=1)
+    assert found.min() > 0.8 * min(variances)
+    assert found.max() < 1.2 * max(variances)
+
+
 def test_the_triangle_sways_by_ten_millimetres(triangle_plan: Plan) -> None:
     """By 1 m/s2 of the deck along each axis, as measured with another program: 10.0 to 11."""
     excitation = cmbot.excite(triangle_plan)
