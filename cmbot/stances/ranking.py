@@ -213,7 +213,9 @@ class _Stand:
         self._of = [[k for k, name in enumerate(own) if name == each] for each in self._names]
         self._tasks = [task_of(stroke, scene) for stroke in strokes]
         self._bounds = options.bounds
-        self._screener = Screener(scene, robot, self._candidates, self._objective, options.bounds)
+        self._screener = Screener(
+            scene, robot, self._candidates, self._objective, options.bounds, self._ending.cuts_screening
+        )
         if self._objective in ("sag", "sway") and not self._screener.loads.bends:
             expected = (
                 f"something that bends, for objective {self._objective}: guardrail, mounts or elasticity"
@@ -299,7 +301,7 @@ class _Stand:
             objective=self._objective,
             ranked=tuple(sorted(results, key=lambda each: each.order)),
             plans=self._options.plans,
-            ended_by=self._ending.by,
+            ended_by=self._ending.by or ("time" if self._ending.screening_cut else ""),
             sag_limit=self._limit,
         )
 

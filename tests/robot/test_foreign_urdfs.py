@@ -12,6 +12,7 @@ from typing import Any
 import coal
 import numpy as np
 import pytest
+from command_line import refusal, run
 from robot_files import replace
 from urdf_arms import limits_file
 
@@ -184,6 +185,17 @@ def test_a_package_is_known_by_its_manifest_and_missed_by_its_name(tmp_path: Pat
     assert load_robot(file).dof == 3
     put(tmp_path / "checkout" / "package.xml", "<package>")
     assert load_robot(file).dof == 3
+
+
+def test_check_takes_folders_of_packages(tmp_path: Path) -> None:
+    put(tmp_path / "else" / "arm_meshes" / "part.obj")
+    file = mesh_arm(tmp_path / "urdf", "package://arm_meshes/part.obj")
+    assert run("check", file).status == 2
+    assert run("check", file, "--package-dir", tmp_path / "else").status == 0
+    line = refusal("check", file, "--package-dir", tmp_path / "nowhere")
+    assert line == f"error: --package-dir: got {tmp_path / 'nowhere'}, expected a folder that exists"
+    line = refusal("check", "triangle", "--package-dir", tmp_path)
+    assert line.endswith("got a scene to check, expected robot.package_dirs in the scene, or a URDF to check")
 
 
 def test_a_scene_names_folders_of_packages(tmp_path: Path) -> None:
@@ -669,6 +681,11 @@ def test_several_ends_have_to_be_chosen_from(tmp_path: Path) -> None:
     sliding = joint("joint_2", "prismatic", "link_1", "link_2")
     robot = load_robot(write(tmp_path, *ARM[:5], sliding, ARM[6]))
     assert (robot.tool_frame, robot.limits.prismatic.tolist()) == ("link_3", [False, True, False])
+    # A lift before the arm is told to be locked.
+    lifted = load_robot(write(tmp_path, *ARM[:5], sliding, ARM[6]), base_frame="link_2", tool_frame="link_3")
+    locked = "joint_2, which slides, is locked at 0 m: a base frame before it lets it move."
+    assert locked in lifted.remarks
+    assert locked not in robot.remarks
     # What slides at the end of a row is a gripper.
     at_the_end = joint("joint_3", "prismatic", "link_2", "link_3")
     assert load_robot(write(tmp_path, *ARM[:6], at_the_end)).tool_frame == "link_2"
