@@ -117,6 +117,19 @@ def test_grippers_and_what_else_is_not_the_arms_are_locked(tmp_path: Path) -> No
         load_robot(file, base_frame="base", tool_frame="wheel")
 
 
+def test_what_is_advised_of_a_joint_that_follows_does(tmp_path: Path) -> None:
+    file = Path(__file__).parent / "foreign" / "mimic_in_chain" / "arm.urdf"
+    with pytest.raises(
+        ModelError, match=r"joint_3\].mimic: .* behind this one \(base_frame\), or fix this one"
+    ):
+        load_robot(file, base_frame="base_link", tool_frame="tool0")
+    assert load_robot(file, base_frame="link_3", tool_frame="tool0").dof == 3
+    text = file.read_text(encoding="utf-8").replace('"joint_3" type="revolute"', '"joint_3" type="fixed"')
+    fixed = tmp_path / "arm.urdf"
+    fixed.write_text(text.replace('<mimic joint="joint_2" multiplier="-1"/>', ""), encoding="utf-8")
+    assert load_robot(fixed, base_frame="base_link", tool_frame="tool0").dof == 5
+
+
 def test_impossible_inertias_count_in_the_arm_alone(tmp_path: Path) -> None:
     negative = link("end").replace('ixx="1" iyy="1" izz="1"', 'ixx="-1" iyy="1" izz="2"')
     file = write(tmp_path, *ARM, negative, joint("to_end", "fixed", "base", "end", ""))
