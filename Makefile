@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test fuzz kills lint bench suite docs models clean
+.PHONY: demo test fuzz kills lint bench suite packages docs models clean
 
 demo: .venv/installed
 	$(BIN)/cmbot plan triangle --output out/triangle --force
@@ -31,6 +31,10 @@ lint: .venv/tested
 
 bench: .venv/benched
 	$(BIN)/python benchmarks/run.py
+
+# Needs py-rattler-build, and some minutes for the image or its steps.
+packages:
+	$(BIN)/python tools/try_packages.py
 
 # Takes hours; what has not changed since the last run is not run again.
 suite: .venv/tested

@@ -276,7 +276,9 @@ def _inside(
 
 def off_path(scene: Scene, truth: ElasticArm, sigmas: float = 0.0) -> tuple[Plan, float]:
     """Compensate the sag that a scene foresees; the true arm's RMS distance from the path along it, m."""
-    options = replace(scene.planner, compensate=True, quiet_modes=0, deviation_sigmas=sigmas)
+    options = replace(
+        scene.planner, compensate=True, quiet_modes=0, deviation_sigmas=sigmas, max_tool_deviation_m=1e-3
+    )
     planned = plan(scene.with_options(options), progress=False)
     simulated_options = SimulationOptions(settle_s=0.0)
     work = PrescribedWork.planned(planned)

@@ -41,7 +41,7 @@ SHOWN_FILES = (
     "replay.html",
     "report.html",
     "excitation.html",
-    *(f"{plot}.{kind}" for plot in _PLOT_FILES for kind in ("png", "svg")),
+    *(f"{plot}.{kind}" for plot in _PLOT_FILES for kind in ("png", "svg", "pdf")),
 )
 """Pages and plots."""
 OWN_FILES = frozenset({PLAN_FILE, *PLAN_FILES, *TRACKING_FILES, EXCITATION_FILE, *SHOWN_FILES})

@@ -28,7 +28,7 @@ _NOT_IN_SLUG = re.compile(r"[^A-Za-z0-9_\-]+")
 _LARGEST, _LARGEST_ANGLE, _LEAST_MASS_KG, _MOST_MASS_KG = 1e4, 360.0, 1e-3, 1e5
 # Options that mend an error of a robot's files, by its key.
 _REMEDY_OPTIONS = {"base_frame": "--base", "tool_frame": "--tool", "total_mass_kg": "--total-mass"}
-
+PACKAGE_DIR_HELP = "Where package:// is sought first; repeatable."
 
 Numbers = tuple[float, float, float]
 
@@ -67,7 +67,7 @@ class NewCommand(Writing):
         metavar="FRAME",
     )
     flange: str | None = option(None, "With a tool: the frame that it is fixed to.", metavar="FRAME")
-    package_dir: tuple[Path, ...] = option((), "Where package:// is sought first; repeatable.", metavar="DIR")
+    package_dir: tuple[Path, ...] = option((), PACKAGE_DIR_HELP, metavar="DIR")
     xacro: tuple[str, ...] = option((), "An argument of the xacro file; repeatable.", metavar="NAME=VALUE")
     total_mass: float | None = option(
         None,
@@ -111,9 +111,7 @@ class NewCommand(Writing):
         foreign |= {"--xacro": self.xacro, "--total-mass": self.total_mass}
         if source == _SHIPPED_ROBOT and (given := [flag for flag, value in foreign.items() if value]):
             raise InputError(", ".join(given), "", "an option", "none with --from cmbot, which is known")
-        for place in self.package_dir:
-            if not place.is_dir():
-                raise InputError("--package-dir", "", str(place), "a folder that exists")
+        require_folders(self.package_dir)
 
     def _asked(self, source: str) -> NewRobot:
         """The robot that the options describe; ``--tool`` is a frame, or a tool as the scene file has it."""
@@ -234,6 +232,13 @@ def _loaded(asked: NewRobot, srdf: Path | None = None) -> Robot:
         return asked.load(srdf)
     except ModelError as error:
         raise _named_as_option(error) from error
+
+
+def require_folders(places: Sequence[Path]) -> None:
+    """Refuse a folder of ``--package-dir`` that is not there."""
+    for place in places:
+        if not place.is_dir():
+            raise InputError("--package-dir", "", str(place), "a folder that exists")
 
 
 def xacro_arguments(given: Sequence[str]) -> dict[str, str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import takewhile
 from pathlib import Path
@@ -14,7 +14,7 @@ import cmbot
 from cmbot.cli.command import Command, Reporting, argument, option
 from cmbot.cli.completion import complete_scene
 from cmbot.cli.console import ExitStatus, out, print_json, print_lines, print_pairs, print_table
-from cmbot.cli.creation import xacro_arguments
+from cmbot.cli.creation import PACKAGE_DIR_HELP, require_folders, xacro_arguments
 from cmbot.cli.planning import loaded_scene
 from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError, MissingExtra, SceneError, one_line
@@ -67,6 +67,7 @@ class CheckCommand(Reporting):
         None, "Write an SRDF: which links of a URDF need not be checked against each other.", metavar="FILE"
     )
     xacro: tuple[str, ...] = option((), "An argument of the xacro file; repeatable.", metavar="NAME=VALUE")
+    package_dir: tuple[Path, ...] = option((), PACKAGE_DIR_HELP, metavar="DIR")
     changes: tuple[str, ...] = option(
         (), "Of a scene, as of cmbot plan; repeatable.", "--set", metavar="NAME=VALUE"
     )
@@ -75,17 +76,20 @@ class CheckCommand(Reporting):
         file, is_urdf = self.file, _is_robot(self.file)
         if self.changes and is_urdf:
             raise InputError("--set", "", "a URDF to check", "a scene to check")
-        if self.xacro and not is_urdf:
-            expected = "robot.xacro in the scene, or a URDF to check"
-            raise InputError("--xacro", "", "a scene to check", expected)
+        foreign = {"xacro": xacro_arguments(self.xacro), "package_dirs": self.package_dir}
+        for name, flag in (("xacro", "--xacro"), ("package_dirs", "--package-dir")):
+            if foreign[name] and not is_urdf:
+                expected = f"robot.{name} in the scene, or a URDF to check"
+                raise InputError(flag, "", "a scene to check", expected)
+        require_folders(self.package_dir)
         findings, found, conclusion = (
-            _check_urdf(file, self.xacro) if is_urdf else _check_scene(file, self.changes)
+            _check_urdf(file, foreign) if is_urdf else _check_scene(file, self.changes)
         )
         if self.write_srdf is not None:
             _require_new(self.write_srdf, is_urdf)
         usable = not _errors(findings)
         if usable and self.write_srdf is not None:
-            found["SRDF written"] = _write_srdf(file, self.write_srdf, self.xacro)
+            found["SRDF written"] = _write_srdf(file, self.write_srdf, foreign)
         for finding, number in () if self.json else _counted(findings):
             if finding.severity == "error" or not self.quiet:
                 # As long as an error's message at most.
@@ -134,25 +138,25 @@ def _require_new(path: Path, is_urdf: bool) -> None:
         raise InputError("--write-srdf", "", f"{path}, which is there", "the path of a new file")
 
 
-def _write_srdf(file: str, path: Path, xacro: Sequence[str]) -> str:
+def _write_srdf(file: str, path: Path, foreign: Mapping[str, Any]) -> str:
     from xml.etree import ElementTree
 
     from cmbot.archive import write_file
     from cmbot.robot import robot_files, srdf_text
 
-    text = srdf_text(robot_files(file, xacro=xacro_arguments(xacro)))
+    text = srdf_text(robot_files(file, **foreign))
     write_file(path, text.encode())
     reasons = [pair.get("reason", "") for pair in ElementTree.fromstring(text)]
     numbers = ", ".join(f"{reasons.count(reason)} {reason}" for reason in ("Adjacent", "Always", "Never"))
     return f"{path}: {len(reasons)} pairs of links ({numbers})"
 
 
-def _check_urdf(file: str, xacro: Sequence[str]) -> tuple[Sequence[Finding], dict[str, str], str]:
+def _check_urdf(file: str, foreign: Mapping[str, Any]) -> tuple[Sequence[Finding], dict[str, str], str]:
     """Findings, what is in the file, and the conclusion."""
     from cmbot.common.reading.validation import counted
     from cmbot.robot import inspect_loaded, inspect_robot, overview, robot_files
 
-    files = robot_files(file, xacro=xacro_arguments(xacro))
+    files = robot_files(file, **foreign)
     root, findings = inspect_robot(files)
     found = {}
     if not _errors(findings):

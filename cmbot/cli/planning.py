@@ -73,7 +73,7 @@ class PlanCommand(Writing):
     partial: bool = option(False, "Plan the strokes that can be planned where others cannot, and say which.")
     options: bool = option(False, "List the planner's options, and stop.", instead=_print_options)
     verbose: bool = option(False, "Print all figures, loads and remarks.")
-    figures: bool = option(False, "Draw plots as PNG and SVG into the plan directory, too.")
+    figures: bool = option(False, "Draw plots as PNG, SVG and PDF into the plan directory, too.")
 
     def __call__(self) -> None:
         started = time.perf_counter()

@@ -61,7 +61,7 @@ class SimulateCommand(Writing):
         "follow exactly.",
     )
     delay_s: float = option(0.0, "Seconds by which the joints follow late.", "--delay", metavar="DELAY")
-    figures: bool = option(False, "Draw plots as PNG and SVG into the plan directory, too.")
+    figures: bool = option(False, "Draw plots as PNG, SVG and PDF into the plan directory, too.")
     details: bool = option(False, "Print all figures, not only the answer.")
 
     def __call__(self) -> None:

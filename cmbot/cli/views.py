@@ -324,7 +324,7 @@ def require_plots(wanted: bool) -> None:
 
 
 def plot_files(result: Plan | Tracking, wanted: bool) -> dict[str, bytes]:
-    """Return plots as PNG and SVG files by their names, if they are wanted."""
+    """Return plots as PNG, SVG and PDF files by their names, if they are wanted."""
     if not wanted:
         return {}
     from cmbot.views import figure_files, plot

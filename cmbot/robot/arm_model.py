@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +31,7 @@ from cmbot.robot.description.mesh_file import (
 )
 from cmbot.robot.description.self_collision import NEAR, near_pairs
 from cmbot.robot.holding_joints import HoldingJoint, holding_joints
+from cmbot.robot.joint_kinds import prismatic_joints
 
 # As many as a posture in a scene file may have.
 _MAX_JOINTS = 100
@@ -101,8 +102,20 @@ def arm_model(
         read_visual=lambda: reduced(_visual_shapes(urdf, root, full)),
         group_states=_group_states(tuple(model.names)[1:], semantics),
         locked_joints=holding_joints(full, moving, stance, base_frame),
-        remarks=(*absent, *assumed, *_drawn_as_boxes(built.unusable), *_thick(built.flat)),
+        remarks=(
+            *(*absent, *assumed, *_drawn_as_boxes(built.unusable), *_thick(built.flat)),
+            *_locked_slides(full, moving, stance, base_frame),
+        ),
     )
+
+
+def _locked_slides(full: Any, moving: Collection[int], stance: FloatArray, base_frame: str) -> Iterator[str]:
+    """Say which sliding joints before the arm, such as a lift, do not move."""
+    before = full.supports[full.frames[full.getFrameId(base_frame)].parentJoint].tolist()[1:]
+    for k, slides in enumerate(prismatic_joints(full), start=1):
+        if slides and k in before and k not in moving:
+            name, at = full.names[k], stance[full.joints[k].idx_q]
+            yield f"{name}, which slides, is locked at {at:g} m: a base frame before it lets it move."
 
 
 class Built(NamedTuple):

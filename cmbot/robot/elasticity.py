@@ -149,7 +149,8 @@ def _joints(data: _ElasticityFile, path: Path, model: Any) -> dict[str, JointEla
         if name not in known:
             raise ModelError(str(path), "joints", repr(name), "a joint of the URDF", known)
         if name in moving and slides[moving.index(name)]:
-            raise ModelError(str(path), f"joints.{name}", "a joint that slides", "a joint that turns")
+            expected = "a joint that turns: what gives way below a lift is guardrail.stiffness of the scene"
+            raise ModelError(str(path), f"joints.{name}", "a joint that slides", expected)
     return {name: given[name] for name in moving if name in given}
 
 

@@ -12,7 +12,7 @@ effort of zero is assumed to be twice what may hold the arm beyond the joint at 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +99,21 @@ class JointLimits:
                 expected = f"numbers, shape {np.shape(self.lower)}"
                 raise InputError("JointLimits", each.name, array.tolist(), expected)
             object.__setattr__(self, each.name, read_only(array))
+
+    def narrowed(self, margin: float, sliding_margin: float) -> JointLimits:
+        """Return limits whose ranges end so much earlier at both ends, rad, and m where joints slide.
+
+        Raises
+        ------
+        InputError
+            When that leaves a joint nothing.
+        """
+        by = np.where(self.prismatic, sliding_margin, margin)
+        lower, upper = self.lower + by, self.upper - by
+        if (empty := np.flatnonzero((by > 0) & (lower >= upper))).size:
+            got = f"more than half the range of joint {empty[0] + 1}, {self.range_in_words(int(empty[0]))}"
+            raise InputError("JointLimits", "range_margin", got, "a margin that leaves each joint a range")
+        return replace(self, lower=lower, upper=upper)
 
     def units(self, joint: int, *, shown: bool = False) -> JointUnits:
         """Return the units of a joint, by its index: SI, or with `shown` those of tables."""

@@ -249,6 +249,10 @@ class RobotFile(FileModel):
     """In place of `tool_length_m`: the tool that is fixed to the tool frame."""
     payload_kg: Mass = 0.0
     """Point mass at the tool, kg."""
+    range_margin_deg: Annotated[float, Field(ge=0, le=180)] = 0.0
+    """By how much joints that turn keep from both ends of their ranges, deg."""
+    range_margin_m: Annotated[float, Field(ge=0, le=10)] = 0.0
+    """By how much joints that slide do."""
     xacro: _Arguments | None = None
     """Of a URDF in xacro: values of its arguments, by their names."""
     total_mass_kg: Annotated[float, Field(gt=0, le=1e5)] | None = None

@@ -55,19 +55,30 @@ class Charted:
     postures: FloatArray
 
 
-def bounded_quickly(scene: Scene, at_rest: AtRest | None = None) -> float:
-    """Return a bound as `Charted` has it, from charts at few via-points.
+def _endless() -> float:
+    return np.inf
+
+
+def bounded_quickly(
+    scene: Scene, at_rest: AtRest | None = None, left: Callable[[], float] = _endless
+) -> float:
+    """Return a bound as `Charted` has it, from charts at few via-points; of strokes until no time is `left`.
 
     Raises
     ------
     PathNotFound
         When no sequence of admissible postures leads along a stroke.
     """
-    return max(quick_bound(request, _VIA_POINTS) for request in _strokes(scene, at_rest))
+    bound = 0.0
+    for request in _strokes(scene, at_rest):
+        bound = max(bound, quick_bound(request, _VIA_POINTS))
+        if left() <= 0:
+            break
+    return bound
 
 
-def chart(scene: Scene, at_rest: AtRest | None = None) -> Charted:
-    """Chart the strokes of a scene, each within the scene's time limit.
+def chart(scene: Scene, at_rest: AtRest | None = None, left: Callable[[], float] = _endless) -> Charted:
+    """Chart the strokes of a scene, each within the scene's time limit, and what is `left`.
 
     Raises
     ------
@@ -76,7 +87,7 @@ def chart(scene: Scene, at_rest: AtRest | None = None) -> Charted:
     """
     bounds, peaks, postures = list[float](), list[float](), list[FloatArray]()
     for request in _strokes(scene, at_rest):
-        deadline = Deadline(scene.planner.time_limit_s)
+        deadline = Deadline(min(scene.planner.time_limit_s, max(left(), 0.0)))
         search, solution = searched(replace(request, deadline=deadline))
         if isinstance(solution, PathNotFound):
             raise solution

@@ -213,7 +213,9 @@ class _Stand:
         self._of = [[k for k, name in enumerate(own) if name == each] for each in self._names]
         self._tasks = [task_of(stroke, scene) for stroke in strokes]
         self._bounds = options.bounds
-        self._screener = Screener(scene, robot, self._candidates, self._objective, options.bounds)
+        self._screener = Screener(
+            scene, robot, self._candidates, self._objective, options.bounds, self._ending.cuts_screening
+        )
         if self._objective in ("sag", "sway") and not self._screener.loads.bends:
             expected = (
                 f"something that bends, for objective {self._objective}: guardrail, mounts or elasticity"
@@ -234,7 +236,7 @@ class _Stand:
             if not np.isfinite(bound[number]).any():
                 within = np.asarray(found.within_reach[each].all(axis=0))
                 tasks = [self._tasks[k] for k in each]
-                raise _unreached(self._scene, number, tasks, self._candidates, within)
+                raise _unreached(self._scene, number, tasks, self._candidates, within, limit)
         done, excluded = dict[frozenset[int], StanceRanking](), set[frozenset[int]]()
         while groups := fewest_groups(bound, excluded):
             for number, group in enumerate(groups, start=1):
@@ -299,7 +301,7 @@ class _Stand:
             objective=self._objective,
             ranked=tuple(sorted(results, key=lambda each: each.order)),
             plans=self._options.plans,
-            ended_by=self._ending.by,
+            ended_by=self._ending.by or ("time" if self._ending.screening_cut else ""),
             sag_limit=self._limit,
         )
 
@@ -341,6 +343,7 @@ def _unreached(
     tasks: Sequence[ToolTask],
     candidates: Sequence[AnyCandidate],
     within: BoolArray,
+    limit: SagLimit | None,
 ) -> PlanningError:
     """The error of a stroke that no stance reaches, with what `cmbot check` says of it in the nearest one."""
     points = np.vstack([task.path.outline() for task in tasks])
@@ -348,7 +351,8 @@ def _unreached(
     away = np.linalg.norm(points[:, None] - bases, axis=2).max(axis=0)
     nearest = candidates[min(range(len(candidates)), key=lambda k: (not within[k], away[k]))]
     name = str(scene.strokes[number].name)
-    kinds = {"out of reach": (~within).sum(), "in which no posture was found": within.sum()}
+    most = "" if limit is None else f" that sags at most {limit.most_mm:.3g} mm ({limit.source})"
+    kinds = {"out of reach": (~within).sum(), f"in which no posture was found{most}": within.sum()}
     counts = ", ".join(f"{number} {kind}" for kind, number in kinds.items() if number)
     error = PlanningError(f"no stance of {len(candidates)} is left for stroke {name}: {counts}")
     checked = precheck_scene(scene_at(with_strokes(scene, {number}, scene.name), nearest, None))

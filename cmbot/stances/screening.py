@@ -73,6 +73,8 @@ class Screener:
     objective : str
         Of postures and stances.
     bounds : Bounds
+    late : callable
+        Whether it is to end; what is not looked at then has a bound of zero.
     """
 
     def __init__(
@@ -82,7 +84,9 @@ class Screener:
         candidates: Sequence[AnyCandidate],
         objective: StanceObjective = "torque",
         bounds: Bounds | None = None,
+        late: Callable[[], bool] = lambda: False,
     ) -> None:
+        self._late = late
         self._robot, self._bases = robot, np.array([candidate.base for candidate in candidates])
         self.arm = BaseArm(scene, robot)
         self.loads = StanceLoads(scene, candidates, robot, self.arm.robot, objective, bounds or Bounds())
@@ -90,14 +94,16 @@ class Screener:
     def sag_mm(self, tasks: Sequence[ToolTask], numbers: Sequence[int]) -> float:
         """Largest sag, mm, over the via-points of the strokes' tasks in the stance that sags least there.
 
-        In the best postures of the candidates of these numbers; NaN where none is found.
+        In the best postures of the candidates of these numbers; NaN where none is found in time.
         """
-        number = np.array(numbers, dtype=np.intp)
-        each = [
-            self.arm.least(task, time, self._bases[number], self.loads, number, CLOSELY)[_SAG]
-            for task in tasks
-            for time in (times_of(task) if len(number) else ())
-        ]
+        number, each = np.array(numbers, dtype=np.intp), list[FloatArray]()
+        for task in tasks if len(number) else ():
+            if self._late():
+                return np.nan
+            each += [
+                self.arm.least(task, time, self._bases[number], self.loads, number, CLOSELY)[_SAG]
+                for time in times_of(task)
+            ]
         least = [float(np.nanmin(sag)) for sag in each if np.isfinite(sag).any()]
         return max(least, default=np.nan)
 
@@ -115,7 +121,14 @@ class Screener:
                 report((done + share) / len(tasks))
 
             left = np.flatnonzero(within[s])
-            stroke = _Stroke(arm=self.arm, task=task, bases=self._bases[left], loads=self.loads, number=left)
+            stroke = _Stroke(
+                arm=self.arm,
+                task=task,
+                bases=self._bases[left],
+                loads=self.loads,
+                number=left,
+                late=self._late,
+            )
             if len(left):
                 figures[:, s, left], worst[s, left] = stroke.bounded(told)
         return Screening(within_reach=within, figures=figures, via_point=worst)
@@ -130,14 +143,19 @@ class _Stroke:
     bases: FloatArray
     loads: StanceLoads
     number: IntArray
+    late: Callable[[], bool]
 
     def bounded(self, report: Callable[[float], None]) -> tuple[FloatArray, IntArray]:
         """Figures (8, C) where, over the via-points, what is ranked is largest, and the via-points (C,)."""
         K, C = VIA_POINTS, len(self.bases)
         every = np.arange(C)
-        found = np.empty((len(FIGURES), K, C))
+        found = np.full((len(FIGURES), K, C), np.nan)
+        found[0] = 0.0
         for k in range(K):
-            found[:, k] = self._least(k, every, ROUGHLY)
+            if self.late():
+                break
+            rough = self._least(k, every, ROUGHLY)
+            found[:, k, : rough.shape[1]] = rough
             report(_ROUGH_TIME_SHARE * (k + 1) / K)
         # Without a posture at half of the via-points it is left at that.
         closely = np.tile(2 * np.isinf(found[0]).sum(axis=0) >= K, (K, 1))
@@ -148,22 +166,25 @@ class _Stroke:
             value = found[0, worst, every]
             least = np.sort(value)[:_PROMISING_STANCES][-1]
             open_ = ~closely[worst, every] & ((value <= _PROMISING_RATIO * least) | np.isinf(value))
-            if not open_.any():
+            if self.late() or not open_.any():
                 return found[:, worst, every], worst
             for k in range(K):
                 some = np.flatnonzero(open_ & (worst == k))
                 again = self._least(k, some, CLOSELY)
+                some = some[: again.shape[1]]
                 better = again[0] < found[0, k, some]
                 found[:, k, some[better]] = again[:, better]
                 closely[k, some] = True
             report(_ROUGH_TIME_SHARE + (1 - _ROUGH_TIME_SHARE) * float(1 - open_.mean()))
 
     def _least(self, via_point: int, some: IntArray, effort: Effort) -> FloatArray:
-        """Figures of some of the stances at a via-point, (8, k)."""
+        """Figures of some of the stances at a via-point, (8, k); of the first ones where it is late."""
         time = float(times_of(self.task)[via_point])
         at_once = max(_POSTURES_PER_BATCH // (effort.tried * (1 + 2 * effort.walked)), 1)
         parts = [np.empty((len(FIGURES), 0))]
         for first in range(0, len(some), at_once):
+            if self.late():
+                break
             part = some[first : first + at_once]
             bases, number = self.bases[part], self.number[part]
             parts.append(self.arm.least(self.task, time, bases, self.loads, number, effort))

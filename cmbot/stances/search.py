@@ -31,6 +31,8 @@ Progress = Callable[[str, float], None]
 _NEAR_BASE_M: dict[StageName, float] = {"plan": 0.3, "charts": 0.12}
 # Time that planning is given at least, s.
 _MIN_PLAN_SECONDS = 1e-3
+# Share of a time limit that the screening may take.
+_SCREENING_SHARE = 0.4
 # Once enough are planned, only stances that may be better by more than this share are judged.
 _WORTH_SHARE = 0.02
 
@@ -90,25 +92,34 @@ class Ending:
         ``interrupt`` where the user stopped it, ``time`` where that was over, else empty.
     keeps : bool
         Whether something was planned that is kept.
+    screening_cut : bool
+        Whether the screening was ended, so that time was left for plans.
     """
 
     limit: float
     by: Literal["", "interrupt", "time"] = ""
     keeps: bool = False
+    screening_cut: bool = False
     _began: float = field(default_factory=monotonic)
 
     def is_due(self) -> bool:
         """Whether no other stance is to be judged."""
-        if not self.by and self._left() <= 0:
+        if not self.by and self.left() <= 0:
             self.by = "time"
         return bool(self.by)
 
+    def cuts_screening(self) -> bool:
+        """Whether the screening is to end, as the rest of the time is for plans."""
+        self.screening_cut = self.screening_cut or monotonic() - self._began >= _SCREENING_SHARE * self.limit
+        return self.screening_cut
+
     def within(self, scene: Scene) -> PlannerOptions:
         """Return the scene's options with no more time than is left."""
-        given, most = scene.planner, max(self._left(), _MIN_PLAN_SECONDS)
+        given, most = scene.planner, max(self.left(), _MIN_PLAN_SECONDS)
         return given if given.time_limit_s <= most else replace(given, time_limit_s=most)
 
-    def _left(self) -> float:
+    def left(self) -> float:
+        """Return what is left of the time, s."""
         return self.limit - (monotonic() - self._began)
 
 

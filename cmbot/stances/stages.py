@@ -119,7 +119,8 @@ class Judge:
     def checked(self, result: StanceResult) -> StanceResult:
         """Chart a stance at some via-points, obstacles included."""
         try:
-            bound = bounded_quickly(scene_at(self.scene, result.candidate, None), self._at_rest(result))
+            scene = scene_at(self.scene, result.candidate, None)
+            bound = bounded_quickly(scene, self._at_rest(result), self.ending.left)
         except CmbotError as error:
             return result.rejected("obstacles", Rejection.of("blocked", error))
         if bound == 0 or self.objective == "sway":
@@ -134,7 +135,7 @@ class Judge:
         """Chart a stance at all via-points."""
         try:
             scene = scene_at(self.scene, result.candidate, None)
-            charted = chart(scene.with_options(self.ending.within(scene)), self._at_rest(result))
+            charted = chart(scene, self._at_rest(result), self.ending.left)
         except CmbotError as error:
             return result.rejected("charts", Rejection.of("blocked", error))
         loads, number = self.screener.loads, self.numbers[result.candidate]

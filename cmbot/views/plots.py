@@ -108,7 +108,7 @@ def require_matplotlib() -> None:
 
 
 def figure_files(figures: Iterable[Figure]) -> Iterator[tuple[str, bytes]]:
-    """Yield each figure as a PNG and as an SVG file, its name and its content.
+    """Yield each figure as a PNG, an SVG and a PDF file, its name and its content.
 
     The same figures give the same bytes, as long as matplotlib stays the same.
 
@@ -121,9 +121,9 @@ def figure_files(figures: Iterable[Figure]) -> Iterator[tuple[str, bytes]]:
 
     with mpl.rc_context({"svg.hashsalt": "cmbot"}):
         for figure in figures:
-            for suffix, metadata in (("png", {"Software": None}), ("svg", {"Date": None})):
+            for suffix, undated in (("png", "Software"), ("svg", "Date"), ("pdf", "CreationDate")):
                 content = BytesIO()
-                figure.savefig(content, format=suffix, metadata=metadata)
+                figure.savefig(content, format=suffix, metadata={undated: None})
                 yield f"{figure.get_label()}.{suffix}", content.getvalue()
 
 

@@ -233,7 +233,7 @@ def test_figures_are_drawn_into_the_plan_directory(folder: Path, short_folder: P
     ):
         outcome = run(*words, "--figures")
         assert outcome.status == 0, outcome.err
-        drawn = {f"{name}.{suffix}" for name in names for suffix in ("png", "svg")}
+        drawn = {f"{name}.{suffix}" for name in names for suffix in ("png", "svg", "pdf")}
         assert {path.name for path in directory.iterdir()} >= drawn
         assert all(name in outcome.out for name in drawn)
         # They are no part of what is read back.

@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from command_line import refusal, write_scene
+from scipy.signal import lfilter
 from small_scenes import short_scene
 
 from cmbot.common.errors import InputError
@@ -57,6 +58,36 @@ def test_noise_is_told_from_decays(rng: np.random.Generator) -> None:
         for ratio in (0.005, 0.02, 0.05):
             found = ring_down(STEP, oscillations([(f, ratio, [1.0, 0.4, 0.3])], 0.1, rng))
             assert np.abs(found.frequencies / f - 1).min(initial=np.inf) < 0.02, (f, ratio)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("colour", [0.9, 0.99])
+def test_coloured_noise_after_a_knock_has_no_modes(colour: float, rng: np.random.Generator) -> None:
+    """Nor has a hum, at a frequency of the arm or above."""
+    passed = 0
+    for _ in range(40):
+        a = lfilter([1.0], [1.0, -colour], rng.normal(size=(2400, 2)), axis=0)
+        a[400:404] += 20 * a.std() * np.array([0.5, 1, -1, -0.5])[:, None]
+        passed += len(ring_down(STEP, a).frequencies) > 0
+    assert passed <= 1
+
+
+@pytest.mark.parametrize("hum", [25.0, 50.0])
+@pytest.mark.parametrize(("f", "ratio"), [(3.0, 0.01), (20.0, 0.1)])
+def test_a_hum_is_no_mode_and_hides_none(
+    f: float, ratio: float, hum: float, rng: np.random.Generator
+) -> None:
+    t, tap = STEP * np.arange(2400), 400
+    a = (np.sin(2 * np.pi * hum * t) + 0.1 * rng.normal(size=len(t)))[:, None]
+    knock = np.zeros_like(a)
+    knock[tap : tap + 4, 0] = [5, 10, -10, -5]
+    assert not len(ring_down(STEP, a + knock).frequencies)
+    after = t[tap:] - t[tap]
+    decay = np.zeros_like(a)
+    decay[tap:, 0] = 3 * np.exp(-2 * np.pi * f * ratio * after) * np.sin(2 * np.pi * f * after)
+    found = ring_down(STEP, a + knock + decay)
+    np.testing.assert_allclose(found.frequencies, [f], rtol=0.02)
+    np.testing.assert_allclose(found.damping, [ratio], rtol=0.3)
 
 
 def write(path: Path, a: np.ndarray, step: float = STEP) -> Path:

@@ -62,7 +62,7 @@ SMALL: dict[str, dict[str, Any]] = {
     "fixed, out and back": {"tool_path": {"legs": OUT_AND_BACK, "via_points": 9}},
     "fixed, two legs": {"tool_path": {"legs": TWO_LEGS, "via_points": 14}},
     "fixed, jerk limited": {"tool_path": {"speed_profile": {"kind": "jerk_limited", "ramp": 0.3}}},
-    "fixed, fewest via-points": {"tool_path": {"via_points": 5}},
+    "fixed, fewest via-points": {"tool_path": {"via_points": 5}, "planner": WIDE},
     "fixed, little smoothing": {"planner": {"smoothing_weight": 1e-6}},
 }
 ARMS: dict[str, Callable[[Path], Scene]] = {

@@ -140,6 +140,21 @@ def test_errors_name_the_key(bending_folder: Path, old: str, new: str, key: str,
     assert word in caught.value.expected
 
 
+def test_a_joint_that_slides_is_no_spring(bending_folder: Path) -> None:
+    urdf = next(bending_folder.glob("*.urdf"))
+    replace(urdf, 'joint name="joint_7" type="revolute"', 'joint name="joint_7" type="prismatic"')
+    limits = bending_folder / "joint_limits.yaml"
+    replace(
+        limits,
+        "joint_7: {acceleration_deg: 90, jerk_deg: 240}",
+        "joint_7: {acceleration_m_s2: 1, jerk_m_s3: 9}",
+    )
+    with pytest.raises(ModelError) as caught:
+        load_copy(bending_folder)
+    assert caught.value.key == "joints.joint_7"
+    assert caught.value.expected.endswith("guardrail.stiffness of the scene")
+
+
 def test_one_body_bends_like_one_tube(bending_folder: Path) -> None:
     # The tool is fixed to link 7: both move as one.
     file = bending_folder / SHIPPED.name

@@ -12,6 +12,7 @@ from typing import Any
 import coal
 import numpy as np
 import pytest
+from command_line import refusal, run
 from robot_files import replace
 from urdf_arms import limits_file
 
@@ -116,6 +117,19 @@ def test_grippers_and_what_else_is_not_the_arms_are_locked(tmp_path: Path) -> No
         load_robot(file, base_frame="base", tool_frame="wheel")
 
 
+def test_what_is_advised_of_a_joint_that_follows_does(tmp_path: Path) -> None:
+    file = Path(__file__).parent / "foreign" / "mimic_in_chain" / "arm.urdf"
+    with pytest.raises(
+        ModelError, match=r"joint_3\].mimic: .* behind this one \(base_frame\), or fix this one"
+    ):
+        load_robot(file, base_frame="base_link", tool_frame="tool0")
+    assert load_robot(file, base_frame="link_3", tool_frame="tool0").dof == 3
+    text = file.read_text(encoding="utf-8").replace('"joint_3" type="revolute"', '"joint_3" type="fixed"')
+    fixed = tmp_path / "arm.urdf"
+    fixed.write_text(text.replace('<mimic joint="joint_2" multiplier="-1"/>', ""), encoding="utf-8")
+    assert load_robot(fixed, base_frame="base_link", tool_frame="tool0").dof == 5
+
+
 def test_impossible_inertias_count_in_the_arm_alone(tmp_path: Path) -> None:
     negative = link("end").replace('ixx="1" iyy="1" izz="1"', 'ixx="-1" iyy="1" izz="2"')
     file = write(tmp_path, *ARM, negative, joint("to_end", "fixed", "base", "end", ""))
@@ -184,6 +198,17 @@ def test_a_package_is_known_by_its_manifest_and_missed_by_its_name(tmp_path: Pat
     assert load_robot(file).dof == 3
     put(tmp_path / "checkout" / "package.xml", "<package>")
     assert load_robot(file).dof == 3
+
+
+def test_check_takes_folders_of_packages(tmp_path: Path) -> None:
+    put(tmp_path / "else" / "arm_meshes" / "part.obj")
+    file = mesh_arm(tmp_path / "urdf", "package://arm_meshes/part.obj")
+    assert run("check", file).status == 2
+    assert run("check", file, "--package-dir", tmp_path / "else").status == 0
+    line = refusal("check", file, "--package-dir", tmp_path / "nowhere")
+    assert line == f"error: --package-dir: got {tmp_path / 'nowhere'}, expected a folder that exists"
+    line = refusal("check", "triangle", "--package-dir", tmp_path)
+    assert line.endswith("got a scene to check, expected robot.package_dirs in the scene, or a URDF to check")
 
 
 def test_a_scene_names_folders_of_packages(tmp_path: Path) -> None:
@@ -669,6 +694,11 @@ def test_several_ends_have_to_be_chosen_from(tmp_path: Path) -> None:
     sliding = joint("joint_2", "prismatic", "link_1", "link_2")
     robot = load_robot(write(tmp_path, *ARM[:5], sliding, ARM[6]))
     assert (robot.tool_frame, robot.limits.prismatic.tolist()) == ("link_3", [False, True, False])
+    # A lift before the arm is told to be locked.
+    lifted = load_robot(write(tmp_path, *ARM[:5], sliding, ARM[6]), base_frame="link_2", tool_frame="link_3")
+    locked = "joint_2, which slides, is locked at 0 m: a base frame before it lets it move."
+    assert locked in lifted.remarks
+    assert locked not in robot.remarks
     # What slides at the end of a row is a gripper.
     at_the_end = joint("joint_3", "prismatic", "link_2", "link_3")
     assert load_robot(write(tmp_path, *ARM[:6], at_the_end)).tool_frame == "link_2"

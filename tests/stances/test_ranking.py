@@ -322,6 +322,16 @@ def test_a_search_ends_with_its_time(scene: Scene, monkeypatch: pytest.MonkeyPat
     assert sum("its time was over (--time-limit): what" in line for line in in_words(found)) == 1
 
 
+def test_the_screening_leaves_time_for_the_own_stance(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    late = _Stopped("screening", interrupts=False)
+    monkeypatch.setattr("cmbot.stances.search.monotonic", late.clock)
+    (found,) = stand(scene, replace(WIDE, time_limit=2e9), late)
+    assert found.ended_by == "time"
+    assert sum("screening" in step for step in late.steps) == 1
+    assert found.own[0].status == "planned"
+    assert sum("its time was over (--time-limit): what" in line for line in in_words(found)) == 1
+
+
 def test_without_time_nothing_is_planned(scene: Scene) -> None:
     (found,) = stand(scene, replace(WIDE, time_limit=0.0))
     assert found.best is None

@@ -165,11 +165,13 @@ def test_files_are_pictures_the_same_every_time_and_settings_stay(short_plan: Pl
     before = dict(mpl.rcParams)
     files, again = (dict(figure_files(plot(short_plan)[:1])) for _ in range(2))
     assert dict(mpl.rcParams) == before
-    assert set(files) == {f"{name}.{suffix}" for name in PLAN[:1] for suffix in ("png", "svg")}
+    assert set(files) == {f"{name}.{suffix}" for name in PLAN[:1] for suffix in ("png", "svg", "pdf")}
     for name, content in files.items():
         assert again[name] == content, name
         if name.endswith(".png"):
             assert content.startswith(b"\x89PNG\r\n")
+        elif name.endswith(".pdf"):
+            assert content.startswith(b"%PDF-")
         else:
             assert ElementTree.fromstring(content).tag.endswith("svg")
             assert b"http://www.w3.org" in content

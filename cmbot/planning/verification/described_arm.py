@@ -6,7 +6,7 @@ What the files mean is said in `cmbot.robot.load_robot`, which has read and chec
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from xml.etree.ElementTree import Element, fromstring
 
@@ -64,6 +64,8 @@ class DescribedArm:
         Positions, rad or m, of joints that are not the arm's; others are at zero.
     tool_length : float or None, m
     payload : float, kg
+    range_margins : (2,), rad and m
+        By which joints that turn, and those that slide, keep from the ends of their ranges.
     """
 
     files: RobotFiles
@@ -77,12 +79,13 @@ class DescribedArm:
     locked: Mapping[str, float]
     tool_length: float | None
     payload: float
+    range_margins: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
     def of(cls, scene: Scene, robot: Robot) -> DescribedArm:
         """Return what a scene's robot is; which files and frames are meant is no opinion: the loader's."""
         source, stance, mount = scene.robot, scene.stance, scene.robot.mount
-        return cls.in_files(
+        arm = cls.in_files(
             robot_files(**{name: source.files[name] for name in _FILE_FIELDS}),
             robot,
             X_WB=None if mount is None else pose_of(mount.xyz, np.radians(mount.rpy_deg)),
@@ -91,6 +94,7 @@ class DescribedArm:
             tool_length=source.tool_length_m,
             payload=source.payload_kg,
         )
+        return replace(arm, range_margins=(float(np.radians(source.range_margin_deg)), source.range_margin_m))
 
     @classmethod
     def in_files(
@@ -199,9 +203,10 @@ class DescribedArm:
         acceleration = self._rates(given, "acceleration_m_s2", "acceleration_deg")
         acceleration = np.where(acceleration > 0, acceleration, 2.0 * velocity)
         jerk = self._rates(given, "jerk_m_s3", "jerk_deg")
+        margin = np.where(self.slides, *self.range_margins[::-1])
         return DescribedLimits(
-            lower=np.where(endless, -np.inf, lower),
-            upper=np.where(endless, np.inf, upper),
+            lower=np.where(endless, -np.inf, lower + margin),
+            upper=np.where(endless, np.inf, upper - margin),
             velocity=velocity,
             acceleration=acceleration,
             jerk=np.where(jerk > 0, jerk, 10.0 * acceleration),

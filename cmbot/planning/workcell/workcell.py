@@ -11,7 +11,7 @@ import numpy as np
 
 from cmbot.collision import Clearances, Obstacle
 from cmbot.common.arrays import BoolArray, FloatArray
-from cmbot.common.errors import ModelError, SceneError
+from cmbot.common.errors import InputError, ModelError, SceneError
 from cmbot.common.representation import short_repr
 from cmbot.elastic import Guardrail, elastic_base, shares
 from cmbot.elastic.arm import ElasticArm, elastic_arm
@@ -234,6 +234,12 @@ def robot_of(scene: Scene) -> Robot:
         # The scene holds the key that has to be changed.
         key = f"robot.{error.key}"
         raise SceneError(scene.source, key, error.got, error.expected, error.choices) from error
+    if file.range_margin_deg or file.range_margin_m:
+        margins = float(np.radians(file.range_margin_deg)), file.range_margin_m
+        try:
+            robot = replace(robot, limits=robot.limits.narrowed(*margins))
+        except InputError as error:
+            raise SceneError(scene.source, "robot.range_margin_deg", error.got, error.expected) from error
     robot = robot if file.joints == "elastic" else robot.with_rigid_joints
     robot = with_identified_stiffness(robot, scene)
     robot = replace(robot, tool_force=scene.tool.process_force_n, feet=_feet_of(scene, robot))

@@ -83,9 +83,8 @@ def require_independent(root: ElementTree.Element, base_frame: str, tool_frame: 
                 source, f"{key}.type", kind, "an arm of revolute, continuous or prismatic joints"
             )
         if joint.find("mimic") is not None:
-            raise ModelError(
-                source, f"{key}.mimic", "a joint that follows another", "an arm of independent joints"
-            )
+            expected = "an arm of independent joints: begin it behind this one (base_frame), or fix this one"
+            raise ModelError(source, f"{key}.mimic", "a joint that follows another", expected)
 
 
 class _Tree:

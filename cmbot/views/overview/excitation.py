@@ -88,7 +88,7 @@ def _plot(
         )
     drawn += f'<text x="{_WIDTH_PX // 2}" y="{_HEIGHT_PX - 12}" text-anchor="middle">{escape(axis)}</text>'
     svg = f'<svg viewBox="0 0 {_WIDTH_PX} {_HEIGHT_PX}" role="img" aria-label="{escape(title)}">{drawn}</svg>'
-    return f'<h2>{escape(title)}</h2><section><div class="wide">{svg}</div></section>'
+    return f'<h2>{escape(title)}</h2><section><div class="wide" tabindex="0">{svg}</div></section>'
 
 
 def _scale(x: FloatArray, across: FloatArray, top: float, *, logarithmic: bool) -> Iterator[str]:

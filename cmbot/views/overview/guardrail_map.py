@@ -111,7 +111,9 @@ def guardrail_map(scene: Scene, samples: Sequence[WalkSamples], stands: Sequence
         y = y - 18 if samples else window.at(feet)[:, 1].max() + 32
         label = f"{number}: {stand.label}" if len(stands) > 1 else stand.label
         parts.append(_text(x, y, label, 13))
-    drawn = f'<svg viewBox="0 0 {_WIDTH} {window.height:.0f}" role="img">{"".join(parts)}</svg>'
+    drawn = (
+        f'<svg viewBox="0 0 {_WIDTH} {window.height:.0f}" role="img" aria-label="Map">{"".join(parts)}</svg>'
+    )
     kind = "wide" if samples else "map"
     return f'<div class="{kind}">{drawn}</div><p class="caption">{" ".join(_key(samples, stands))}</p>'
 

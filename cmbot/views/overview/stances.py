@@ -109,9 +109,10 @@ def _map(ranking: StanceRanking) -> str:
     drawn = f'<g font-size="13">{legend}{"".join(_axes(low, high, top, ranking.unit))}</g>{marks}'
     # Where not all of it is seen, the side of the best one is.
     side = " from-right" if xs[0] > (low + high) / 2 else ""
-    svg = f'<div class="wide{side}"><svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img">{drawn}</svg></div>'
     where = "foot 1 holds" if ranking.scene.on_guardrail else "the base frame is"
     said = f"All stances, by where {where} and by the {_MEANINGS[ranking.objective]}"
+    svg = f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{said}">{drawn}</svg>'
+    svg = f'<div class="wide{side}" tabindex="0">{svg}</div>'
     caption = (_PLANNED if ranking.count("planned") else "An") + _CAPTION
     return f'<h2>{said}</h2><section>{svg}<p class="caption">{caption}</p></section>'
 

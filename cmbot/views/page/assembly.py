@@ -75,7 +75,7 @@ def still_page(title: str, sentences: Iterable[str], content: str) -> str:
 
 
 def table(rows: Iterable[Sequence[str]], headings: Sequence[str] = ("", ""), *, text_columns: int = 1) -> str:
-    """Return a table: columns of text, then columns of numbers."""
+    """Return a table: columns of text, then columns of numbers; on phones the keyboard scrolls it, too."""
     kinds = ["text" if number < text_columns else "number" for number in range(len(headings))]
     head = "".join(
         f'<th class="{kind}" scope="col">{escape(h)}</th>' for h, kind in zip(headings, kinds, strict=True)
@@ -86,7 +86,7 @@ def table(rows: Iterable[Sequence[str]], headings: Sequence[str] = ("", ""), *, 
         cells = (f'<td class="{kind}">{cell}</td>' for cell, kind in zip(others, kinds[1:], strict=True))
         body += f'<tr><th class="text" scope="row">{first}</th>{"".join(cells)}</tr>'
     top = f"<thead><tr>{head}</tr></thead>" if any(headings) else ""
-    return f'<div class="table"><table>{top}<tbody>{body}</tbody></table></div>'
+    return f'<div class="table" tabindex="0"><table>{top}<tbody>{body}</tbody></table></div>'
 
 
 def ticks(low: float, high: float, count: int) -> list[float]:
