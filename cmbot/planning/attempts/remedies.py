@@ -149,7 +149,8 @@ def _anew(attempt: Attempt, *, searches: bool = False, **changes: Any) -> Iterat
     request.reporter.stage("path")
     guess = attempted(request, partial(initial_guess, request, search, stay=stay))
     if stay and isinstance(guess, InitialGuess) and isinstance(attempt.guess, InitialGuess):
-        guess = replace(guess, unreached=attempt.guess.unreached, failures=attempt.guess.failures)
+        before = attempt.guess
+        guess = replace(guess, unreached=before.unreached, failures=guess.failures or before.failures)
     yield from _changed(attempt, guess, **changes)
 
 

@@ -137,7 +137,7 @@ def test_steps_that_bounds_bend_do_not_go_to_and_fro() -> None:
     """The tool is at its bound on the legs: linearized in one direction alone, it left them in another."""
     content = load_scene("triangle").as_data()
     content["robot"]["payload_kg"] = 0.935
-    content["planner"]["smoothing_weight"] = 0.1
+    content["planner"] |= {"smoothing_weight": 0.1, "max_tool_deviation_m": 1e-3}
     content["tool_path"]["legs"][0]["seconds"] = 11.27
     made = plan(load_scene(content), progress=False)
     assert made.suppression.share > 0.7
