@@ -48,10 +48,7 @@ def quietness_of(share: float, planned: Sequence[Sway], unshaped: Sequence[Sway 
     own = np.array([stroke.largest for stroke in planned])
     chosen = any(stroke is not None for stroke in unshaped)
     plain = np.array(
-        [
-            known if stroke is None else stroke.largest
-            for known, stroke in zip(own, unshaped, strict=True)
-        ]
+        [known if stroke is None else stroke.largest for known, stroke in zip(own, unshaped, strict=True)]
         if chosen
         else own
     )
