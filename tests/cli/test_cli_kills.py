@@ -62,16 +62,21 @@ def plans(short_plan: Plan) -> tuple[Plan, Plan]:
 
 
 @pytest.fixture(scope="module")
-def trackings(short_tracking: Tracking) -> tuple[Tracking, Tracking]:
-    """Two simulations that differ, with few samples."""
+def trackings(
+    plans: tuple[Plan, Plan], tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Tracking, Tracking]:
+    """Two simulations that differ, with few samples, of the first plan as its files have it."""
+    saved = tmp_path_factory.mktemp("saved") / "plan"
+    cmbot.save(plans[0], saved)
+    simulated = cmbot.simulate(load_plan(saved), progress=False)
 
     def scaled(factor: float) -> Tracking:
         motions = {}
         for name in ("baseline", "planned"):
-            motion = getattr(short_tracking, name)
-            few = {key: getattr(motion, key)[::20] for key in ("t", "error", "static", "base")}
-            motions[name] = replace(motion, **few | {"error": factor * few["error"]})
-        return replace(short_tracking, **motions)
+            motion = getattr(simulated, name)
+            few = {key: getattr(motion, key)[::20] for key in ("t", "error", "static", "path_error", "base")}
+            motions[name] = replace(motion, **few | {"static": factor * few["static"]})
+        return replace(simulated, **motions)
 
     return scaled(1.0), scaled(2.0)
 

@@ -81,7 +81,7 @@ def test_time_that_is_over_at_once(job: Path) -> None:
 STOPS = """
 import os, signal
 import cmbot.stances.stages as stages
-def stopped(scene, at_rest):
+def stopped(scene, at_rest, seconds):
     os.kill(os.getpid(), signal.SIGINT)
 stages.bounded_quickly = stopped
 from cmbot.cli import take_signals

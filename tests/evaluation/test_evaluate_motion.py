@@ -63,7 +63,9 @@ def test_a_plan_directory_and_its_table_have_the_same_motion(short_plan: Plan, s
 def test_a_motion_of_toppra_in_another_timing() -> None:
     """It takes the rigid arm's path in other times: rests as deep, other accelerations, no timed pose."""
     scene = load_scene("line")
-    rigid_plan = plan(scene, options=replace(scene.planner, compensate=False))
+    # Those of the plan that toppra was given.
+    given = replace(scene.planner, compensate=False, max_tool_deviation_m=1e-3, smoothing_weight=0.1)
+    rigid_plan = plan(scene, options=given)
     motion = read_motion(TOPPRA, rigid_plan.robot)
     found = evaluate(scene, motion)
     assert found.untimed == ("work",) and not found.missing

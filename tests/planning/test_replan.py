@@ -73,7 +73,7 @@ def test_the_same_scene_is_planned_as_well_again(earlier: Plan) -> None:
     plan = cmbot.replan(earlier, earlier.scene, progress=False)
     assert earlier.lower_bound is not None
     peak = plan.figures.peak_guardrail_torque
-    assert peak <= earlier.figures.peak_guardrail_torque * (1 + earlier.options.peak_tolerance)
+    assert peak <= earlier.figures.peak_guardrail_torque * (1 + earlier.options.least_peak_tolerance)
     assert peak >= earlier.lower_bound.value * (1 - 1e-3)
 
 

@@ -92,7 +92,8 @@ def _tables(ranking: StanceRanking) -> str:
 
 def _map(ranking: StanceRanking) -> str:
     """Position of foot 1 against what is planned or the bound; those without one along the upper edge."""
-    finite = [each.bound for each in ranking.ranked if np.isfinite(each.bound)]
+    # Where the time was over before any was known they are zero.
+    finite = [each.bound for each in ranking.ranked if 0 < each.bound < np.inf]
     xs = [float(each.candidate.root[0, 3]) for each in ranking.ranked]
     if not finite or not xs:
         return ""

@@ -146,7 +146,8 @@ def test_a_plan_comes_near_it(planned: Plan, asked: StrokeRequest, bound: LowerB
 @pytest.mark.parametrize(("make", "keep"), [(panda_scene, "axis"), (endless_scene, "pose")])
 def test_other_arms(make: Callable[..., Scene], keep: str, tmp_path: Path, rng: np.random.Generator) -> None:
     scene = make(tmp_path, keep=keep, via_points=5)
-    planned = plan(scene, options=replace(scene.planner, quiet_modes=0))
+    # Splines that hardly cost anything come near what rest asks.
+    planned = plan(scene, options=replace(scene.planner, quiet_modes=0, smoothing_weight=0.1))
     asked, bound = request_of(scene), planned.lower_bound
     q = restarts(asked, bound.via_point, rng, RESTARTS)
     assert len(q) > 50
