@@ -74,8 +74,8 @@ def plan_stroke(
 
 def _sways_more(trial: Trial[Attempt, StrokeMotion]) -> bool:
     """Whether laws that were chosen lead to no motion, or to one that sways more than by the scene's own."""
-    unshaped, arm = trial.attempt.unshaped, trial.attempt.request.cell.arm
-    if not isinstance(trial.outcome, Solved) or unshaped is None or arm is None:
+    unshaped = trial.attempt.unshaped
+    if not isinstance(trial.outcome, Solved) or unshaped is None:
         return not isinstance(trial.outcome, Solved)
     return _sway(trial) > _largest_sway(trial.attempt.request, unshaped)
 

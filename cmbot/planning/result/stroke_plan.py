@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
 from cmbot.common.reading.file_types import Count, NonNegative
 from cmbot.common.representation import short_repr
@@ -266,16 +266,12 @@ def _largest_bound(bounds: Sequence[LowerBound]) -> LowerBound:
 def _sampled_peak(objective: Objective, states: StateSamples) -> float:
     """The largest value: at every few samples, then at all of them next to what may be the largest."""
     times = len(states.t)
-
-    def values_at(k: IntArray) -> FloatArray:
-        return objective.values(StateSamples(states.t[k], states.q[k], states.v[k], states.a[k]))
-
     some = np.append(np.arange(0, times - 1, _COARSE_SAMPLES), times - 1)
-    values = values_at(some)
+    values = objective.values(states[some])
     # Between two samples a value is above both by less than values differ from one to the next.
     near = some[values >= values.max() - np.abs(np.diff(values)).max(initial=0.0)]
     beside = np.unique(near[:, None] + np.arange(-_COARSE_SAMPLES, _COARSE_SAMPLES + 1))
-    return float(values_at(beside[(beside >= 0) & (beside < times)]).max())
+    return float(objective.values(states[beside[(beside >= 0) & (beside < times)]]).max())
 
 
 def objective_metrics(
