@@ -12,6 +12,7 @@ import pinocchio as pin
 from scipy import linalg
 from scipy.spatial.distance import pdist
 
+from cmbot.accuracy.sway import SETTLE_S
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.modes import linearised
@@ -22,8 +23,8 @@ _SAMPLED_MODES_PER_LEG = 3
 # Steps a period of the fastest mode that is suppressed; longest time with the same matrices, s.
 _STEPS_A_PERIOD, _MATRICES_EVERY = 40, 0.25
 
-# How long the tool is watched after the stop, as simulated by default, and how often, s.
-_SETTLE, _WATCHED = 2.0, 0.01
+# How often the tool is watched after the stop, s.
+_WATCHED = 0.01
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -151,7 +152,7 @@ class LegVibration:
         M, D, K = (each[:, -1:] for each in (carried.mass, carried.damping, carried.stiffness))
         after = _midpoint_steps(M, D, K, np.array([_WATCHED / substeps]))[0]
         state = np.linalg.matrix_power(after, substeps)
-        tracks = np.empty((round(_SETTLE / _WATCHED) + 1, cases, 3, len(trajectories)))
+        tracks = np.empty((round(SETTLE_S / _WATCHED) + 1, cases, 3, len(trajectories)))
         for moment in tracks:
             moment[:] = carried.tool @ y[:, :k]
             y = state @ y
