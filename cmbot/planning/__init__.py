@@ -33,6 +33,7 @@ from cmbot.planning.result.stroke_plan import (
     Start,
     StrokeBaseline,
     StrokePlan,
+    baseline_task,
     objective_metrics,
 )
 from cmbot.planning.result.words import (
@@ -119,6 +120,7 @@ __all__ = [
     "WrenchFunction",
     "WrenchObjective",
     "baseline_faults",
+    "baseline_task",
     "bending_arm",
     "bound_use",
     "build_request",

@@ -18,7 +18,12 @@ from cmbot.planning.path.first_posture import starting_at_path
 from cmbot.planning.path.gradient_projection import follow_path
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.result.plan import Plan, Seconds
-from cmbot.planning.result.stroke_plan import StrokeBaseline, StrokePlan, objective_metrics
+from cmbot.planning.result.stroke_plan import (
+    StrokeBaseline,
+    StrokePlan,
+    baseline_task,
+    objective_metrics,
+)
 from cmbot.scene import Scene
 from cmbot.toolpath import SAME_PLACE
 
@@ -102,6 +107,7 @@ def _stroke_plan(stroke: PlannedStroke, at: FloatArray | None, *, custom: bool) 
 def _baseline(request: StrokeRequest) -> StrokeBaseline:
     """The motion without optimisation along a stroke, from the posture of a request, obstacles or not."""
     cell = request.cell
+    request = replace(request, task=baseline_task(request.task, request.stroke.file, cell.options))
     if cell.options.baseline == "straight":
         request = request.with_options(avoidance_gain=0.0, centre_of_gravity_weight=0.0)
     path = follow_path(

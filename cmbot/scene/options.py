@@ -74,8 +74,9 @@ class PlannerOptions(CheckedFields):
         By how much the payload may differ from the modelled one, kg.
     baseline : str
         The motion without optimisation that the plan is compared with. ``paper``: Chang 2021, Eq. (22), from
-        the scene's posture. ``straight``: least-norm steps along the same path, which is Eq. (22) without its
-        part in the null space. ``none``: none is computed, and the figures stand alone.
+        the scene's posture, by the paper's trapezoid where the plan's law is quiet. ``straight``: least-norm
+        steps along the same path, which is Eq. (22) without its part in the null space. ``none``: none is
+        computed, and the figures stand alone.
     avoidance : str
         ``smooth``: the clearance gradient fades in, and blends from one near pair to the next. ``switch``:
         Eq. (17) to the letter; joint rates jump.

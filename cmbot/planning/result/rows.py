@@ -214,7 +214,7 @@ def _work(plan: Plan) -> Iterator[Row]:
             name = f"time of {segment.in_words}"
             yield _row(name, "segments.seconds", "s", ".1f", segment.duration)
     for file, stroke in zip(plan.scene.strokes, plan.job.strokes, strict=True):
-        if file.time_laws:
+        if file.time_laws and file.is_open:
             of = f" of {stroke.name}" if plan.several else ""
             legs = "the leg" if len(file.time_laws) == 1 else f"{len(file.time_laws)} legs"
             seconds = sum(law.duration for law in file.time_laws)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,8 @@ from cmbot.planning.initial_guess import Choice
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.task import ToolTask
 from cmbot.planning.workcell.objectives import Objective
-from cmbot.scene import PlannerOptions
+from cmbot.scene import PlannerOptions, StrokeFile
+from cmbot.toolpath import SpeedProfile
 from cmbot.trajectory import QuinticTrajectory
 
 # Samples per segment at which the peak of an objective is taken that is not enclosed.
@@ -96,6 +97,24 @@ class ObjectiveMetrics:
             "foot",
             (1.0, 1.0, 1.0),
         )
+
+
+def baseline_task(task: ToolTask, file: StrokeFile, options: PlannerOptions) -> ToolTask:
+    """Return the task that the baseline follows: the paper's motion has its trapezoid in place of quiet laws.
+
+    Parameters
+    ----------
+    task : ToolTask
+        Of the stroke as planned.
+    file : StrokeFile
+        Of the stroke.
+    options : PlannerOptions
+    """
+    if options.baseline != "paper" or file.speed_profile.kind != "quiet" or file.is_open:
+        return task
+    # Leads belong to the process.
+    legs = {number for number, leg in enumerate(task.path.segments) if leg.process is None}
+    return replace(task, path=task.path.with_law(SpeedProfile().law, legs))
 
 
 @dataclass(frozen=True, kw_only=True)
