@@ -10,7 +10,6 @@ from typing import Any
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
 from cmbot.common.reading.validation import counted
-from cmbot.planning.attempts.motion import suppresses_vibration
 from cmbot.planning.attempts.stroke import PlannedStroke
 from cmbot.planning.certification.metrics import figures, measure
 from cmbot.planning.job import Job
@@ -99,7 +98,6 @@ def _stroke_plan(stroke: PlannedStroke, at: FloatArray | None, *, custom: bool) 
         lower_bound=bound,
         choice=guess.choice if is_bounded else None,
         compensation=motion.compensation,
-        suppression=motion.suppression,
         runs=stroke.runs,
     )
 
@@ -157,11 +155,5 @@ def _fallbacks(stroke: PlannedStroke, *, stopped: bool) -> Iterator[str]:
     if not optimised.complete:
         why = f"Stopped after {limit}" if stopped else "The last stage of the optimisation failed"
         yield f"{why}: the best motion so far."
-    if (
-        request.cell.arm is not None
-        and suppresses_vibration(request.cell.options)
-        and motion.suppression is None
-    ):
-        yield f"The vibration at the ends of the legs is not suppressed: the time, {limit}, was over."
     if why := optimised.whole_because:
         yield f"The path was optimised as a whole, as a segment failed ({why}): that took longer."
