@@ -39,7 +39,7 @@ _RAMP, _USE = 0.5, 0.99
 
 
 def proven_seconds(world: World, q: FloatArray, rates: list[FloatArray], by: FloatArray) -> float | None:
-    """Return the least time, s, of a leg `by` (3,), m, along the branch of posture `q` (n,); None without one.
+    """Return the least time, s, of a leg `by` (3,), m, along the branch of a posture (n,); None without one.
 
     `rates` are the bounds (n,) of velocity, acceleration and jerk.
     """
@@ -73,7 +73,7 @@ def proven_seconds(world: World, q: FloatArray, rates: list[FloatArray], by: Flo
 
 
 def fast_scene(seed: int, number: int, folder: Path) -> tuple[Path, float]:
-    """Write a scene with one leg in little more than its proven time; its file, and the ratio of both times."""
+    """Write a scene with one leg in little more than its proven time; its file, and how much more."""
     rng, arm = np.random.default_rng([seed, number]), ARMS[number % _ARMS]
     make_scene(seed, number % _ARMS + len(ARMS) * number, str(folder))
     file = folder / "scene.yaml"
