@@ -16,6 +16,7 @@ from cmbot.accuracy.sway import SETTLE_S
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.modes import linearised
+from cmbot.elastic.sag import TooSoftError
 from cmbot.trajectory import QuinticTrajectory
 
 # Modes at the start, the middle and the end that together carry the motion in between.
@@ -205,8 +206,16 @@ def _reduced(at: _Matrices, factors: FloatArray, modes: int) -> tuple[FloatArray
 
 
 def slowest(mass: FloatArray, stiffness: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
-    """Return angular frequencies (k,), ascending, and shapes (f, k) of unit modal mass of slowest modes."""
-    squares, X = linalg.eigh(mass, stiffness)
+    """Return angular frequencies (k,), ascending, and shapes (f, k) of unit modal mass of slowest modes.
+
+    A stiffness that bears no weight, as with what may be missing of it, is a `TooSoftError`.
+    """
+    try:
+        squares, X = linalg.eigh(mass, stiffness)
+    except linalg.LinAlgError as error:
+        least = "as little stiffness as planner.quiet_stiffness_share allows"
+        got = f"a posture from which the arm topples with {least}"
+        raise TooSoftError("slowest", "stiffness", got, "a stiffer arm or base") from error
     squares, X = squares[: -most - 1 : -1], X[:, : -most - 1 : -1]
     moving = squares > 0
     squares, X = squares[moving], X[:, moving]

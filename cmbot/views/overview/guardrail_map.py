@@ -115,7 +115,8 @@ def guardrail_map(scene: Scene, samples: Sequence[WalkSamples], stands: Sequence
         f'<svg viewBox="0 0 {_MAP_PX} {window.height:.0f}" role="img" aria-label="Map">{"".join(parts)}</svg>'
     )
     kind = "wide" if samples else "map"
-    return f'<div class="{kind}">{drawn}</div><p class="caption">{" ".join(_key(samples, stands))}</p>'
+    key = " ".join(_key(samples, stands))
+    return f'<div class="{kind}" tabindex="0">{drawn}</div><p class="caption">{key}</p>'
 
 
 def _widened(low: float, high: float, posts: Sequence[float]) -> tuple[float, float]:

@@ -3,7 +3,9 @@
 from dataclasses import fields
 
 import numpy as np
+import pytest
 
+from cmbot.elastic.sag import TooSoftError
 from cmbot.planning.flexibility import leg_vibration
 
 CARRIERS, JOINTS, MODES = 4, 3, 2
@@ -69,3 +71,11 @@ def test_blocks_end_at_every_knot() -> None:
 def test_amplitudes_of_modes_that_coincide() -> None:
     vibration = np.array([3.0, 0.0, 4.0, 1.0, 0.0, 2.0, 0.0, 0.0])
     np.testing.assert_allclose(leg_vibration.tool_amplitudes(vibration, 2), [6.0, 2.0])
+
+
+def test_springs_that_bear_no_weight_are_too_soft() -> None:
+    """As those of a base that just bears it, with what may be missing of their stiffness."""
+    with pytest.raises(TooSoftError, match=r"topples .* planner\.quiet_stiffness_share"):
+        leg_vibration.slowest(np.eye(3), np.diag([-1e-6, 1.0, 2.0]), 2)
+    omega, _ = leg_vibration.slowest(np.eye(3), np.diag([1e-6, 1.0, 4.0]), 2)
+    np.testing.assert_allclose(omega, [1e-3, 1.0])
