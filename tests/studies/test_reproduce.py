@@ -281,7 +281,7 @@ def test_without_a_plan_for_fixed_knots_the_reason_is_told(
     assert text.count(f"- There is no plan: {why}") == 4
     data = as_json(found)["experiments"][0]
     assert data["fixed"] is None
-    assert [goal["rows"] == () for goal in data["goals"]] == [False, True, True]
+    assert [goal["rows"] == () for goal in data["goals"]] == [False, True, False, True]
 
 
 def test_the_page_shows_the_figures_in_tables(found: Reproduction) -> None:
