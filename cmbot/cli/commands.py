@@ -133,8 +133,8 @@ def _called(words: Sequence[str]) -> int:
             return ExitStatus.DONE if words else ExitStatus.BAD_INPUT
         case ["--help-all", *_]:
             _print_help()
-            for kind in COMMANDS.values():
-                out.print(f"\n\n{parser_of(kind).format_help()}", end="")
+            for command in COMMANDS.values():
+                out.print(f"\n\n{parser_of(command).format_help()}", end="")
         case ["--version", *_]:
             out.print(cmbot.__version__)
         case ["--install-completion", *_]:
