@@ -31,7 +31,7 @@ _PART_NAMES = (
 
 # By what factor a larger weight of the jerk is suggested.
 # A tool sways more than another's beyond this factor, and is still below the second number, m.
-_MORE, _STILL = 1.05, 1e-5
+_MORE_SWAY_FACTOR, _STILL = 1.05, 1e-5
 # Options that change what is simulated, not how.
 _MODEL_OPTIONS = (
     "guardrail_factor",
@@ -135,7 +135,7 @@ def beyond_margin(plan: Plan, tracking: Tracking) -> str:
 def _swaying(plan: Plan, tracking: Tracking) -> str:
     *others, after = (motion.largest(motion.dynamic) for _, motion in tracking.motions)
     before = max(others, default=np.inf)
-    if after <= max(_MORE * before, _STILL):
+    if after <= max(_MORE_SWAY_FACTOR * before, _STILL):
         return ""
     return (
         " The planned motion SWAYS MORE than the baseline: beside its sag the tool moves by up to "

@@ -37,7 +37,7 @@ _OPTIMIZER_DEVIATION_SHARE = 0.95
 _PEAK_TOLERANCE = 5e-4
 # By how much the standard deviation may grow while the trajectory changes, and the least share of the tool
 # deviation beside it.
-_GROWS, _LEAST = 1.05, 0.2
+_GROWS, _MIN_DEVIATION_SHARE = 1.05, 0.2
 # Times per spline segment at which the sag is computed.
 _TIMES_PER_SEGMENT = 4
 
@@ -191,7 +191,7 @@ def _uncertain(request: StrokeRequest, near: QuinticTrajectory, sag: Sag) -> flo
         return 0.0
     spread, _ = largest_spread(request.task.path, sag, near)
     uncertain = _GROWS * sigmas * spread
-    if uncertain > (1 - _LEAST) * allowed:
+    if uncertain > (1 - _MIN_DEVIATION_SHARE) * allowed:
         raise OptimisationFailed(
             f"the stiffness is known too little: {sigmas:g} standard deviations of the tool's place across "
             f"its path are {1e3 * sigmas * spread:.2f} mm, of {1e3 * allowed:g} mm that are allowed",

@@ -21,7 +21,7 @@ MOST_FIRST = 5
 # A peak lower by less than this share is hardly a gain.
 _SMALL_GAIN_SHARE = 1e-2
 # A gain below this share is told with what it costs: joints that travel so many times as far, or more.
-_SMALL, _FURTHER = 5e-2, 3.0
+_COSTED_GAIN_SHARE, _TRAVEL_FACTOR = 5e-2, 3.0
 
 
 def verdict(plan: Plan, *, area: bool = True) -> str:
@@ -184,7 +184,7 @@ def _base(
         text, gain = f"{text}, {_against(peak_nm, baseline_nm)}", 1 - peak_nm / baseline_nm
         if SAME < gain < _SMALL_GAIN_SHARE:
             text += ": hardly anything is gained"
-        elif _SMALL_GAIN_SHARE <= gain < _SMALL and further >= _FURTHER:
+        elif _SMALL_GAIN_SHARE <= gain < _COSTED_GAIN_SHARE and further >= _TRAVEL_FACTOR:
             text += f", with joints that travel {further:.1f} times as far at work"
     if work_nm is not None:
         text += f"; the work alone {work_nm:.1f} Nm"

@@ -44,7 +44,7 @@ def test_the_number_of_steps_is_bounded(duration: float, step: float) -> None:
 
 def test_what_a_long_leg_costs_does_not_grow_with_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """Euler's steps may be longer than the feedback's time constant; the tool stays on its path."""
-    monkeypatch.setattr(quintic, "_MOST_STEPS", 400)
+    monkeypatch.setattr(quintic, "_MAX_MOTION_STEPS", 400)
     legs = [{"by": [0, -0.3, 0], "seconds": 4000}]
     scene = short_scene(tool_path={"legs": legs, "via_points": 12}, planner={"knots": "sliding"})
     made = plan(scene)

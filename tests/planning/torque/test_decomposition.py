@@ -31,8 +31,8 @@ def to_and_fro(knots: str, **planner: object) -> Scene:
 @pytest.fixture(autouse=True)
 def short_ones_are_long(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(decomposition, "LONGEST_WHOLE", 20)
-    monkeypatch.setattr(decomposition, "_LEAST", 6)
-    monkeypatch.setattr(decomposition, "_MOST", 12)
+    monkeypatch.setattr(decomposition, "_MIN_PART_VIA_POINTS", 6)
+    monkeypatch.setattr(decomposition, "_MAX_PART_VIA_POINTS", 12)
     yield
 
 
@@ -60,7 +60,7 @@ def test_of_the_corners_in_reach_the_one_with_the_least_objective_is_an_end(
     problem: TorqueProblem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     corners = [end for _, end in segments(problem)[:2]]
-    monkeypatch.setattr(decomposition, "_MOST", 18)
+    monkeypatch.setattr(decomposition, "_MAX_PART_VIA_POINTS", 18)
     assert corners[1] <= 18
     for best in corners:
         monkeypatch.setattr(problem, "at_via_points", np.where(np.arange(33) == best, 1.0, 2.0))
