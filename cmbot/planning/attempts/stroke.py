@@ -19,6 +19,7 @@ from cmbot.planning.initial_guess import InitialGuess, guess_near, initial_guess
 from cmbot.planning.path.first_posture import starting_at_path
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.request import StrokeRequest
+from cmbot.scene import Stroke
 from cmbot.trajectory import QuinticTrajectory
 
 
@@ -32,10 +33,13 @@ class PlannedStroke:
         The best that was found, or the one whose failure is to be told.
     runs : int
         Of optimise-and-certify that it took.
+    shortest : float or None
+        Where it failed for too little time: the seconds of the stroke with ``seconds: auto``, s, if known.
     """
 
     trial: Trial[Attempt, StrokeMotion]
     runs: int
+    shortest: float | None = None
 
 
 def plan_stroke(
@@ -70,6 +74,30 @@ def plan_stroke(
         other = searched_motion(first, budget)
         trial = min(other, trial, key=_sway)
     return PlannedStroke(trial=trial, runs=budget.used)
+
+
+def in_given_time(refused: PlannedStroke, stroke: Stroke, shortest: PlannedStroke) -> PlannedStroke:
+    """Return a stroke that was refused for too little time as its shortest motion, slowed, leads to it.
+
+    Parameters
+    ----------
+    refused : PlannedStroke
+    stroke : Stroke
+        As it is asked for.
+    shortest : PlannedStroke
+        The stroke with ``seconds: auto``.
+    """
+    if not isinstance(shortest.trial.outcome, Solved):
+        return refused
+    seconds = shortest.trial.result.work.duration
+    is_free = all(stroke.asked_speed(leg) is None for leg in range(len(stroke.path.segments)))
+    if is_free and stroke.file.speed_profile.kind == "quiet":
+        # Imported where needed, as below.
+        from cmbot.planning.attempts.shortest_time import in_given_time as slowed
+
+        if (trial := slowed(shortest.trial, refused.trial, stroke, certified_motion)) is not None:
+            return PlannedStroke(trial=trial, runs=refused.runs + shortest.runs + 1)
+    return replace(refused, shortest=seconds)
 
 
 def _sways_more(trial: Trial[Attempt, StrokeMotion]) -> bool:
