@@ -338,8 +338,14 @@ class _Planner:
             fast = silent._require_reach(scene.with_strokes(files), self.deadline)
         except PlanningError:
             return refused
-        planned = plan_stroke(_at_stroke(fast, request.number, state), automatic=self.automatic)
-        return in_given_time(refused, request.stroke, planned)
+        stroke, found = _at_stroke(fast, request.number, state), refused
+        # Another start may be better at rest, and slower.
+        for stays in (False, True):
+            planned = plan_stroke(stroke, automatic=self.automatic, stays=stays)
+            found = in_given_time(found, request.stroke, planned)
+            if isinstance(found.trial.outcome, Solved):
+                break
+        return found
 
     def _require_reach(self, scene: Scene, deadline: Deadline) -> StrokeRequest:
         """Return the request of a job whose strokes are of reasonable size and within reach."""

@@ -43,7 +43,11 @@ class PlannedStroke:
 
 
 def plan_stroke(
-    request: StrokeRequest, *, automatic: bool, earlier: QuinticTrajectory | None = None
+    request: StrokeRequest,
+    *,
+    automatic: bool,
+    earlier: QuinticTrajectory | None = None,
+    stays: bool = False,
 ) -> PlannedStroke:
     """Plan a stroke and the free moves that go with it.
 
@@ -54,6 +58,8 @@ def plan_stroke(
         The solver was chosen by ``auto``.
     earlier : QuinticTrajectory, optional
         A motion along the stroke where its frame was before: planned once, from its postures.
+    stays : bool
+        It starts where the arm is before, with sliding knots.
     """
     if request.stroke.begins_elsewhere:
         begun = attempted(request, lambda: starting_at_path(request))
@@ -68,6 +74,8 @@ def plan_stroke(
         return PlannedStroke(trial=trial, runs=1)
     budget = Budget(runs=SHORTEST_TIME_RUNS if request.task.path.open_legs else RUNS)
     first = Attempt.of(request, automatic=automatic)
+    if stays and request.cell.options.knots == "sliding":
+        first = replace(first, guess=attempted(request, lambda: sliding_guess(request, stay=True)))
     quiet = first if request.task.path.open_legs else first.quiet()
     trial = searched_motion(quiet, budget)
     if quiet is not first and _sways_more(trial) and budget.left > 0:
@@ -97,7 +105,7 @@ def in_given_time(refused: PlannedStroke, stroke: Stroke, shortest: PlannedStrok
 
         if (trial := slowed(shortest.trial, refused.trial, stroke, certified_motion)) is not None:
             return PlannedStroke(trial=trial, runs=refused.runs + shortest.runs + 1)
-    return replace(refused, shortest=seconds)
+    return replace(refused, shortest=min(seconds, refused.shortest or np.inf))
 
 
 def _sways_more(trial: Trial[Attempt, StrokeMotion]) -> bool:
