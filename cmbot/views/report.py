@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from html import escape
 from math import floor, inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypedDict
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -17,7 +17,6 @@ from cmbot.common.reading.validation import given_path
 from cmbot.planning import (
     LOAD_HEADINGS,
     Certificate,
-    MotionMetrics,
     Plan,
     baseline_faults,
     bound_use,
@@ -203,11 +202,13 @@ def _peak_card(plan: Plan) -> Headline:
     for segment in plan.job.segments:
         if segment.kind == "free":
             detail += f"; {segment.figures.peak_guardrail_torque:.1f} Nm on {segment.in_words}"
+    before, state = _against(plan, "peak_guardrail_torque")
     return Headline(
         title=f"Peak {plan.scene.base_name} torque, whole job",
         value=f"{plan.job.figures.peak_guardrail_torque:.1f} Nm",
         detail=detail,
-        **_against(plan, lambda figures: figures.peak_guardrail_torque, "{:.1f}"),
+        before=_shown(before, 1),
+        state=state,
     )
 
 
@@ -228,63 +229,42 @@ def _holds_card(plan: Plan) -> Headline:
     )
 
 
-class _Comparison(TypedDict):
-    """What a card says of the baseline."""
-
-    before: str
-    state: State
-
-
 def _against(
-    plan: Plan,
-    of: Callable[[MotionMetrics], float],
-    shown: str,
-    *,
-    kept: bool = True,
-    nothing: float = 0.0,
-    work: bool = False,
-) -> _Comparison:
-    """What a card says of the baseline's figure, the less the better, written as `shown`.
+    plan: Plan, name: str, sign: int = 1, *, kept: bool = True, nothing: float = 0.0, work: bool = False
+) -> tuple[float | None, State]:
+    """The baseline's figure of a name, and what that of the plan is beside it, as `_compared` says.
 
-    Nothing without a baseline, or where that breaks a limit.
+    None without a baseline, or where that breaks a limit. With the `sign` -1 the more is the better.
     """
-    baseline = plan.baseline
-    if baseline is None or baseline_faults(plan, work=work):
-        return _alone(kept=kept)
-    figures = (baseline.figures, plan.figures) if work else (baseline.job_figures, plan.job.figures)
-    before, after = map(of, figures)
-    state = _compared(before, after, kept=kept, nothing=nothing)
-    return {"before": shown.format(abs(before)), "state": state}
+    baseline, before = plan.baseline, None
+    after = getattr(plan.figures if work else plan.job.figures, name)
+    if baseline is not None and not baseline_faults(plan, work=work):
+        before = getattr(baseline.figures if work else baseline.job_figures, name)
+    return before, _compared(before and sign * before, sign * after, kept=kept, nothing=nothing)
 
 
-def _alone(*, kept: bool) -> _Comparison:
-    """What a card says of no baseline."""
-    return {"before": "", "state": "plain" if kept else "bad"}
-
-
-def _compared(before: float, after: float, *, kept: bool, nothing: float = 0.0) -> State:
+def _compared(before: float | None, after: float, *, kept: bool, nothing: float = 0.0) -> State:
     """Whether a value is a gain on the baseline's or a loss, the less the better, or not allowed.
 
     A change up to `nothing` is none.
     """
     if not kept:
         return "bad"
-    change = after - before
-    if abs(change) <= max(_SAME_PEAK_SHARE * abs(before), nothing):
+    if before is None or abs(after - before) <= max(_SAME_PEAK_SHARE * abs(before), nothing):
         return "plain"
-    return "good" if change < 0 else "worse"
+    return "good" if after < before else "worse"
+
+
+def _shown(value: float | None, digits: int) -> str:
+    return "" if value is None else f"{value:.{digits}f}"
 
 
 def _lower_bound_card(plan: Plan) -> Headline:
     bound, gap = plan.torque_floor, plan.gap_to_floor
     if bound is None or gap is None:
-        why = (
-            "another objective was minimised"
-            if plan.lower_bound is not None
-            else "not computed for fixed knots"
-            if plan.options.knots == "fixed"
-            else "not computed near an earlier plan"
-        )
+        fixed = plan.options.knots == "fixed"
+        why = "not computed for fixed knots" if fixed else "not computed near an earlier plan"
+        why = why if plan.lower_bound is None else "another objective was minimised"
         return Headline(title="Above the lower bound", value="–", detail=why)
     return Headline(
         title="Above the lower bound",
@@ -312,11 +292,13 @@ def _clearance_card(plan: Plan) -> Headline:
     if value == inf:
         return Headline(title="Smallest clearance", value="–", detail="no pair of shapes can collide")
     always = floor(1e4 * plan.job.certificate.clearance_bound) / 10
+    before, state = _against(plan, "min_clearance", -1, kept=value >= margin)
     return Headline(
         title="Smallest clearance",
         value=f"{1e3 * value:.1f} mm",
         detail=f"rigid arm; margin {1e3 * margin:g} mm; above {always:.1f} mm at all times",
-        **_against(plan, lambda figures: -1e3 * figures.min_clearance, "{:.1f}", kept=value >= margin),
+        before=_shown(before and abs(1e3 * before), 1),
+        state=state,
     )
 
 
@@ -352,8 +334,7 @@ def _accuracy_section(plan: Plan) -> str:
     ]
     remedies = [(f"with {remedy.name}", f"{remedy.within_mm:.3g}") for remedy in accuracy.remedies]
     told = table(parts, ("mm", "known", "standard deviation", "% of the mean square"))
-    helped = table(remedies, ("", "within, mm")) if remedies else ""
-    return section("Where the tool will be", told + helped)
+    return section("Where the tool will be", told + table(remedies, ("", "within, mm")))
 
 
 def _loads_section(plan: Plan) -> str:
@@ -371,18 +352,14 @@ def _loads_section(plan: Plan) -> str:
 def _deviation_card(plan: Plan) -> Headline:
     value, bound = plan.figures.max_tool_deviation, plan.options.max_tool_deviation_m
     arm = "with the predicted sag" if plan.compensation is not None else "rigid arm"
+    nothing = _DISTANCE_TOLERANCE_SHARE * bound
+    before, state = _against(plan, "max_tool_deviation", kept=value <= bound, nothing=nothing, work=True)
     return Headline(
         title="Tool off its path",
         value=f"{1e3 * value:.2f} mm",
         detail=f"{arm}; bound {1e3 * bound:g} mm",
-        **_against(
-            plan,
-            lambda figures: 1e3 * figures.max_tool_deviation,
-            "{:.2f}",
-            kept=value <= bound,
-            nothing=1e3 * _DISTANCE_TOLERANCE_SHARE * bound,
-            work=True,
-        ),
+        before=_shown(before and 1e3 * before, 2),
+        state=state,
     )
 
 
@@ -398,15 +375,12 @@ def _tracking_card(plan: Plan, tracking: Tracking) -> Headline:
     if len(residuals) == len(motions):
         swings = " → ".join(f"{1e3 * residual.diameter:.2f}" for residual in residuals)
         detail += f"; residual vibration {swings} mm"
-    comparison = _alone(kept=kept)
-    if others:
-        state = _compared(others[0], after, kept=kept)
-        comparison = {"before": _millimetres(others[0]), "state": state}
     return Headline(
         title="Elastic tool off its path, RMS" if compensated else "Tracking error, RMS",
         value=f"{_millimetres(after)} mm",
         detail=detail,
-        **comparison,
+        before="".join(map(_millimetres, others)),
+        state=_compared(others[0] if others else None, after, kept=kept),
     )
 
 
@@ -419,10 +393,8 @@ def _shaken(excitation: Excitation) -> str:
     # Most plans are not shaken: their pages are made without it.
     from cmbot.excitation import PASSAGE_HEADINGS, excitation_rows, excitation_sentences, passage_rows
 
-    content = table(excitation_rows(excitation)) + _list(list(excitation_sentences(excitation)))
-    if excitation.passages:
-        content += table(passage_rows(excitation), PASSAGE_HEADINGS)
-    return content
+    content = table(excitation_rows(excitation)) + _list(excitation_sentences(excitation))
+    return content + table(passage_rows(excitation), PASSAGE_HEADINGS)
 
 
 def _sections(plan: Plan, tracking: Tracking | None, excitation: Excitation | None) -> Iterator[str]:
@@ -431,13 +403,9 @@ def _sections(plan: Plan, tracking: Tracking | None, excitation: Excitation | No
     yield section("Remarks", _list(list(remarks(plan))[1:]), kind="wide")
     yield section("Metrics", table(plan.rows(), plan.headings))
     yield _loads_section(plan)
-    if accuracy := _accuracy_section(plan):
-        yield accuracy
-    elastic = list(_elastic(plan))
-    if elastic:
-        swings = list(_swings(plan))
-        others = table(swings, _SWING_HEADINGS) if swings else ""
-        yield section("Predicted sag and vibration", table(elastic) + others)
+    yield _accuracy_section(plan)
+    if elastic := list(_elastic(plan)):
+        yield section("Predicted sag and vibration", table(elastic) + table(_swings(plan), _SWING_HEADINGS))
     several = {stroke.name for stroke in plan.several}
     begins = {segment.name: segment.begin for segment in plan.job.segments}
     for name, certificate in certificates(plan).items():
@@ -448,17 +416,16 @@ def _sections(plan: Plan, tracking: Tracking | None, excitation: Excitation | No
         errors = table(tracking_rows(tracking), ("mm", "", "x", "y", "z", "norm"), text_columns=2)
         said = tracking_remarks(tracking, compensated=plan.compensation is not None)
         told = (tracking_verdict(plan, tracking), base_movement(plan, tracking), *said)
-        sentences = _list([sentence for sentence in told if sentence])
-        interval = list(interval_rows(plan, tracking))
-        others = table(interval, interval_headings(tracking), text_columns=2) if interval else ""
-        yield section("Simulation", errors + others + sentences, kind="long")
+        others = table(interval_rows(plan, tracking), interval_headings(tracking), text_columns=2)
+        yield section("Simulation", errors + others + _list(filter(None, told)), kind="long")
     if excitation is not None:
         yield section("What shakes it", _shaken(excitation), kind="long")
     yield section("Scene", table(_scene(plan), text_columns=2))
     headings = _MIXED_HEADINGS if plan.robot.limits.prismatic.any() else _JOINT_HEADINGS
     yield section("Joints", table(_joints(plan), headings))
     yield section("Options", table(_options(plan.options), text_columns=2))
-    yield section("Versions", table(_versions(plan), text_columns=2))
+    files = {"scene": plan.scene.content_hash[:16], "robot": plan.robot.content_hash[:16]}
+    yield section("Versions", table((versions() | files).items(), text_columns=2))
     if tracking is not None:
         yield section("Options of the simulation", table(_options(tracking.options), text_columns=2))
 
@@ -512,18 +479,14 @@ def _elastic(plan: Plan) -> Iterator[Row]:
         yield "largest shift of the tool from its path, mm", f"{1e3 * compensation.largest_shift:.3f}"
         yield "sag beside what it was planned for, mm", f"{1e3 * compensation.last_change:.3f}"
         if compensation.deviation:
-            yield (
-                "standard deviation of the tool across its path, at most, mm",
-                f"{1e3 * compensation.deviation:.3f}",
-            )
+            spread = f"{1e3 * compensation.deviation:.3f}"
+            yield "standard deviation of the tool across its path, at most, mm", spread
     if suppression is not None:
+        left, less = suppression.shares.count(0.0), f"{100 * suppression.share:.4g} %"
         yield "suppressed elastic modes", str(suppression.modes)
-        yield (
-            "their amplitudes at the ends of the legs are less by, on average",
-            f"{100 * suppression.share:.4g} %",
-        )
-        if 0 < suppression.shares.count(0.0) < len(suppression.shares):
-            yield "leg ends without a change", f"{suppression.shares.count(0.0)}"
+        yield "their amplitudes at the ends of the legs are less by, on average", less
+        if 0 < left < len(suppression.shares):
+            yield "leg ends without a change", f"{left}"
         yield "largest amplitude at the tool without it, mm", f"{1e3 * suppression.before:.4f}"
         yield "largest amplitude with it, mm", f"{1e3 * suppression.after:.4f}"
 
@@ -541,21 +504,14 @@ def _swings(plan: Plan) -> Iterator[Row]:
 
 def _check_table(certificate: Certificate, base: str, begin: float) -> str:
     """Return a table of checks, their times on the job's clock, on which the segment starts at `begin`, s."""
-    rows = (
-        (
-            check.quantity,
-            f"{begin + check.time:.2f}",
-            f"{check.value:.4g}",
-            f"{'≥' if check.at_least else '≤'} {check.bound:.4g}",
-            check.unit,
-            f"{100 * bound_use(check):.1f} %",
-            "yes" if check.holds else "NO",
-        )
-        for check in certificate.checks
-    )
-    bound = f"At all times {certificate.at_all_times(base)}."
+    rows = []
+    for check in certificate.checks:
+        bound = f"{'≥' if check.at_least else '≤'} {check.bound:.4g}"
+        use, holds = f"{100 * bound_use(check):.1f} %", "yes" if check.holds else "NO"
+        at, value = f"{begin + check.time:.2f}", f"{check.value:.4g}"
+        rows.append((check.quantity, at, value, bound, check.unit, use, holds))
     headings = ("check", "at, s", "value", "bound", "unit", "use", "holds")
-    return table(rows, headings) + f"<p>{escape(bound)}</p>"
+    return table(rows, headings) + f"<p>{escape(f'At all times {certificate.at_all_times(base)}.')}</p>"
 
 
 def _scene(plan: Plan) -> Iterator[Row]:
@@ -603,12 +559,6 @@ def _joints(plan: Plan) -> Iterator[Row]:
 def _options(options: Any) -> Iterator[Row]:
     for name, value in asdict(options).items():
         yield name, ", ".join(f"{x:g}" for x in value) if isinstance(value, tuple) else str(value)
-
-
-def _versions(plan: Plan) -> Iterator[Row]:
-    yield from versions().items()
-    yield "scene", plan.scene.content_hash[:16]
-    yield "robot", plan.robot.content_hash[:16]
 
 
 def _numbers(values: Iterable[float], digits: int) -> str:

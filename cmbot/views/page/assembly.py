@@ -75,7 +75,10 @@ def still_page(title: str, sentences: Iterable[str], content: str) -> str:
 
 
 def table(rows: Iterable[Sequence[str]], headings: Sequence[str] = ("", ""), *, text_columns: int = 1) -> str:
-    """Return a table: columns of text, then columns of numbers; on phones the keyboard scrolls it, too."""
+    """Return a table: columns of text, then columns of numbers; on phones the keyboard scrolls it, too.
+
+    Without rows there is none.
+    """
     kinds = ["text" if number < text_columns else "number" for number in range(len(headings))]
     head = "".join(
         f'<th class="{kind}" scope="col">{escape(h)}</th>' for h, kind in zip(headings, kinds, strict=True)
@@ -85,6 +88,8 @@ def table(rows: Iterable[Sequence[str]], headings: Sequence[str] = ("", ""), *, 
         first, *others = (escape(cell) for cell in row)
         cells = (f'<td class="{kind}">{cell}</td>' for cell, kind in zip(others, kinds[1:], strict=True))
         body += f'<tr><th class="text" scope="row">{first}</th>{"".join(cells)}</tr>'
+    if not body:
+        return ""
     top = f"<thead><tr>{head}</tr></thead>" if any(headings) else ""
     return f'<div class="table" tabindex="0"><table>{top}<tbody>{body}</tbody></table></div>'
 
