@@ -27,7 +27,7 @@ from cmbot.views.charts import (
     torque_chart,
     torque_of,
 )
-from cmbot.views.drawing import carrier_commands, obstacle_commands, path_commands
+from cmbot.views.drawing.meshcat_scene import carrier_commands, obstacle_commands, path_commands
 from cmbot.views.page import STAGE_SCRIPTS, assemble, table
 from cmbot.views.replay_data import FRAME_STEP, MOST_POSES, Frames, frame_times, link_names, stage_data
 from cmbot.views.report import SHARES, judged, section

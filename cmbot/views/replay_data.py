@@ -28,21 +28,11 @@ from cmbot.planning import (
 from cmbot.robot import Kinematics, Robot
 from cmbot.simulation import MotionTracking, Tracking
 from cmbot.views.charts import floor_name, work_begins, work_ends
-from cmbot.views.drawing import (
-    ARROW,
-    Bending,
-    Intervals,
-    bridge_commands,
-    bridge_of,
-    drawn_factor,
-    focus_of,
-    jobs_of,
-    link_poses,
-    most_factor,
-    reach,
-    scene_commands,
-    supports,
-)
+from cmbot.views.drawing.bending import Bending, Intervals, drawn_factor, most_factor
+from cmbot.views.drawing.bridge import bridge_of, jobs_of
+from cmbot.views.drawing.camera import ARROW, focus_of, link_poses
+from cmbot.views.drawing.meshcat_scene import bridge_commands, reach, scene_commands
+from cmbot.views.drawing.support import supports
 from cmbot.views.page import pack, pack_exactly
 
 FRAME_STEP = 0.02  # between two frames, s, where `MOST_POSES` allows it; the page interpolates

@@ -14,16 +14,9 @@ from cmbot.common.installation import model_folder
 from cmbot.planning import robot_of
 from cmbot.robot import ARM_JOINTS, CLIMBING_JOINTS
 from cmbot.stances.walking import Walk, WalkSamples, walk_samples
-from cmbot.views.drawing import (
-    bridge_commands,
-    bridge_of,
-    focus_on,
-    link_corners,
-    link_poses,
-    moving_robot_commands,
-    reach,
-    workpieces,
-)
+from cmbot.views.drawing.bridge import bridge_of
+from cmbot.views.drawing.camera import focus_on, link_corners, link_poses, workpieces
+from cmbot.views.drawing.meshcat_scene import bridge_commands, moving_robot_commands, reach
 from cmbot.views.page import STAGE_SCRIPTS, assemble, pack
 from cmbot.views.replay_data import MOST_POSES
 

@@ -15,7 +15,7 @@ from cmbot.common.errors import ModelError
 from cmbot.planning import Plan
 from cmbot.robot import load_robot
 from cmbot.views import replay_page
-from cmbot.views.drawing import scene_commands
+from cmbot.views.drawing.meshcat_scene import scene_commands
 
 
 def drawn(plan: Plan) -> dict[str, list[trimesh.Trimesh]]:
