@@ -42,7 +42,6 @@ from cmbot.simulation import (
     tracking_rows,
     tracking_verdict,
 )
-from cmbot.toolpath import ToolPath
 from cmbot.version import __version__, versions
 from cmbot.views.charts import MOST_SMALL_POINTS, charts, floor_name, joint_charts
 from cmbot.views.page import STAGE_SCRIPTS, assemble, table, write_page
@@ -133,21 +132,29 @@ def _report_html(
         "charts": [chart.data() for chart in charts(plan, tracking)],
         "jointCharts": [chart.data(MOST_SMALL_POINTS) for chart in joint_charts(plan)],
     }
+    state, first = promised_state(plan, tracking)
+    words = f"<b>{escape(first)}</b> {escape(verdict(plan, area=False))}"
+    return assemble_report(
+        data | plots,
+        title=escape(plan.scene.name),
+        # What comes first: whether promises are kept, what they leave out, what the base must bear.
+        verdict=f'<p class="verdict {state}">{words}</p>',
+        shares=SHARES,
+        cards="".join(map(_card, headlines(plan, tracking))),
+        key=_key(plan),
+        bending="" if tracking is not None else " hidden",
+        sections="".join(_sections(plan, tracking, excitation)),
+    )
+
+
+def assemble_report(data: dict[str, Any], **texts: str) -> str:
+    """Return a report's page, of one plan or of several: its data, and the texts of its template."""
     return assemble(
         "report.html",
         styles=("common.css", "report.css"),
         scripts=(*STAGE_SCRIPTS, "downloads.js", "chart.js", "report.js", "sideways.js"),
-        data=data | plots,
-        texts={
-            "title": escape(plan.scene.name),
-            "made": escape(f"Written by cmbot {__version__}."),
-            "verdict": _verdict(plan, tracking),
-            "shares": SHARES,
-            "cards": "".join(map(_card, headlines(plan, tracking))),
-            "key": _key(plan),
-            "bending": "" if tracking is not None else " hidden",
-            "sections": "".join(_sections(plan, tracking, excitation)),
-        },
+        data=data,
+        texts={"made": escape(f"Written by cmbot {__version__}."), **texts},
     )
 
 
@@ -438,13 +445,7 @@ def _key(plan: Plan) -> str:
     return f'{key} <i class="swatch baseline"></i>{escape(f"baseline: {motion} not optimised")}'
 
 
-def _verdict(plan: Plan, tracking: Tracking | None) -> str:
-    """Return what comes first: whether promises are kept, what they leave out, what the base must bear."""
-    state, first = judged(plan, tracking)
-    return f'<p class="verdict {state}"><b>{escape(first)}</b> {escape(verdict(plan, area=False))}</p>'
-
-
-def judged(plan: Plan, tracking: Tracking | None) -> tuple[str, str]:
+def promised_state(plan: Plan, tracking: Tracking | None) -> tuple[str, str]:
     """Return ``good``, ``worse`` or ``bad``, and whether promises are kept and what they leave out."""
     kept = all(check.holds for _, check in plan.job.checks())
     left = [] if tracking is None else [beyond_margin(plan, tracking)]
@@ -531,17 +532,13 @@ def _scene(plan: Plan) -> Iterator[Row]:
     for stroke in plan.strokes:
         of = f"{stroke.name}: " if plan.several else ""
         yield f"{of}tool constraint", stroke.task.kept
-        for name, leg in _legs(stroke.task.path):
-            yield f"{of}{name}", leg
+        path = stroke.task.path
+        for k, (by, seconds) in enumerate(zip(np.diff(path.corners, axis=0), path.seconds, strict=True)):
+            along = f", {path.lengths[k]:.3f} m along a curve" if not path.segments[k].is_straight else ""
+            yield f"{of}leg {k + 1}", f"by ({_numbers(by, 3)}) m in {seconds:g} s{along}"
     workpieces = [obstacle.name for obstacle in scene.all_obstacles if obstacle.workpiece]
     yield "obstacles", ", ".join(obstacle.name for obstacle in scene.all_obstacles) or "none"
     yield "workpieces among them", ", ".join(workpieces) or "none"
-
-
-def _legs(path: ToolPath) -> Iterator[Row]:
-    for k, (by, seconds) in enumerate(zip(np.diff(path.corners, axis=0), path.seconds, strict=True)):
-        along = f", {path.lengths[k]:.3f} m along a curve" if not path.segments[k].is_straight else ""
-        yield f"leg {k + 1}", f"by ({_numbers(by, 3)}) m in {seconds:g} s{along}"
 
 
 def _joints(plan: Plan) -> Iterator[Row]:
