@@ -372,10 +372,10 @@ def _curves(plan: Plan, quantity: Callable[[Samples], FloatArray], *, free: bool
         begin = next(segment.begin for segment, _ in each if segment.kind == "stroke") - work_begins(plan)
         shown = [(segment, samples) for segment, samples in each if free or segment.kind == "stroke"]
         # Both arms return at the same time: the one whose work is done first waits.
-        starts = [
-            work_ends(plan) if segment.name == RETURN else segment.begin - begin for segment, _ in shown
+        times = [
+            (work_ends(plan) if segment.name == RETURN else segment.begin - begin) + samples.t
+            for segment, samples in shown
         ]
-        times = [start + samples.t for start, (_, samples) in zip(starts, shown, strict=True)]
         gaps = [then[0] > t[-1] + _GAP_S for t, then in pairwise(times)]
         ends = np.cumsum([len(t) for t in times])[:-1][gaps]
         y = np.concatenate([quantity(samples) for _, samples in shown])

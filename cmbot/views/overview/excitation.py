@@ -38,10 +38,8 @@ def excitation_page(plan: Plan, excitation: Excitation) -> str:
     content = f"<section>{table(excitation_rows(excitation))}</section>"
     if excitation.passages:
         passages = sorted(excitation.passages, key=lambda passage: passage.speed_km_h)
-        pairs = [(passage.speed_km_h, passage.tool) for passage in passages]
-        speeds, tool = (
-            np.array([getattr(each, name) for each in passages]) for name in ("speed_km_h", "tool")
-        )
+        speeds = np.array([passage.speed_km_h for passage in passages])
+        tool = np.array([passage.tool for passage in passages])
         left = np.array([each.kept is False for each in passages])
         title = "Trains: largest displacement of the tool, mm"
         title += "; red: it leaves its tolerance" if left.any() else ""
