@@ -27,7 +27,7 @@ from cmbot.views.charts import (
     torque_chart,
     torque_of,
 )
-from cmbot.views.drawing.meshcat_scene import carrier_commands, obstacle_commands, path_commands
+from cmbot.views.drawing.meshcat_scene import Command, carrier_commands, obstacle_commands, path_commands
 from cmbot.views.page import table
 from cmbot.views.replay_data import FRAME_STEP, MOST_POSES, Frames, frame_times, link_names, stage_data
 from cmbot.views.report import SHARES, assemble_report, promised_state, section
@@ -124,7 +124,7 @@ def _data(first: Plan, plans: Mapping[str, Plan], names: Mapping[str, str]) -> d
     }
 
 
-def _carrier(plan: Plan) -> tuple[tuple[float, ...], list[bytes]]:
+def _carrier(plan: Plan) -> tuple[tuple[float, ...], list[Command]]:
     return tuple(plan.robot.foot_point), carrier_commands(plan, "")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -31,7 +30,7 @@ from cmbot.views.charts import floor_name, work_begins, work_ends
 from cmbot.views.drawing.bending import Bending, Intervals, drawn_factor, most_factor
 from cmbot.views.drawing.bridge import bridge_of, jobs_of
 from cmbot.views.drawing.camera import ARROW, focus_of, link_poses
-from cmbot.views.drawing.meshcat_scene import bridge_commands, reach, scene_commands
+from cmbot.views.drawing.meshcat_scene import Command, bridge_commands, encoded, reach, scene_commands
 from cmbot.views.drawing.support import supports
 from cmbot.views.page import pack, pack_exactly
 
@@ -91,7 +90,7 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
 
 
 def stage_data(
-    plans: Sequence[Plan], frames: Sequence[Frames], others: Sequence[bytes] = ()
+    plans: Sequence[Plan], frames: Sequence[Frames], others: Sequence[Command] = ()
 ) -> dict[str, Any]:
     """Return the data of the 3-D view: what is drawn around the first of some plans, and `others` commands.
 
@@ -116,7 +115,7 @@ def stage_data(
         "reach": length,
         "arrow": ARROW * length,
         "around": bool(bridge),
-        "commands": [base64.b64encode(command).decode("ascii") for command in drawn],
+        "commands": encoded(drawn),
     }
 
 
