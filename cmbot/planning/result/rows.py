@@ -90,9 +90,8 @@ def _tool(plan: Plan) -> Iterator[Row]:
     if accuracy is not None:
         name = f"tool from its path, with {100 * accuracy.probability:g} %"
         yield _row(name, "accuracy.within_mm", "mm", ".3g", 1e-3 * accuracy.within_mm, first=True)
-    before, after = plan.bent_offsets
-    if after is not None and np.isfinite(after):
-        before = before if before is not None and np.isfinite(before) else None
+    before, after = (off if off is not None and np.isfinite(off) else None for off in plan.bent_offsets)
+    if after is not None:
         yield _row("bent arm at rest off its path", "bent_offsets", "mm", ".2f", after, before, first=True)
     if suppression is not None and suppression.swing_with:
         swing = max(suppression.swing_with if suppression.share else suppression.swing_without)
@@ -129,8 +128,8 @@ def _tool(plan: Plan) -> Iterator[Row]:
 def _holding(plan: Plan) -> Iterator[Row]:
     """What the feet bear: of the baseline at its samples, of the plan as certified."""
     robot, holding, baseline = plan.robot, plan.robot.holding, plan.baseline
-    segments = () if baseline is None else baseline.segments
-    wrenches = [np.hstack([each.samples.guardrail_force, each.samples.guardrail_torque]) for each in segments]
+    samples = [] if baseline is None else [segment.samples for segment in baseline.segments]
+    wrenches = [np.hstack([each.guardrail_force, each.guardrail_torque]) for each in samples]
     each_held = [np.abs(robot.holding_torque(wrench)).max(axis=0) for wrench in wrenches]
     for number, (joint, peak) in enumerate(zip(robot.holding_joints, plan.holding_torque, strict=True)):
         before = max((float(held[number]) for held in each_held), default=None)
@@ -141,17 +140,14 @@ def _holding(plan: Plan) -> Iterator[Row]:
     if any(check.limit is Limit.HOLD for _, check in plan.job.checks()):
         use = bound_use(tightest_check(plan.job, limit=Limit.HOLD)[1])
         yield _row("feet use of what their safety allows", "certificate", "%", ".0f", use, first=True)
-    motions = {
-        "whole job": (plan.job.figures, None if baseline is None else baseline.job_figures),
-        "at work": (plan.figures, None if baseline is None else baseline.figures),
-    }
-    for when, (planned, other) in motions.items():
+    for name, planned, other in (
+        ("adhesion needed, whole job", plan.job.figures, None if baseline is None else baseline.job_figures),
+        ("adhesion needed at work", plan.figures, None if baseline is None else baseline.figures),
+    ):
         needed = [None if each is None else each.adhesion_needed for each in (planned, other)]
         if any(needed):
             after, before = (None if each is None else each.peak for each in needed)
-            modes = tuple("" if each is None else each.mode for each in needed[::-1])
-            name = "adhesion needed, whole job" if when == "whole job" else "adhesion needed at work"
-            first = when == "whole job"
+            modes, first = tuple("" if each is None else each.mode for each in needed[::-1]), "whole" in name
             yield _row(name, "adhesion_needed.peak", "kN", ".2f", after, before, modes=modes, first=first)
     if (stop := plan.emergency_stop) is not None:
         name, modes = "adhesion needed in an emergency stop", ("", stop.mode)
@@ -176,8 +172,8 @@ def _base(plan: Plan) -> Iterator[Row]:
     )
     for segment in plan.job.segments:
         if segment.kind == "free":
-            other = None if plan.baseline is None else plan.baseline.segment(segment.name)
-            before = None if other is None else other.figures.peak_guardrail_torque
+            other = plan.baseline and plan.baseline.segment(segment.name)
+            before = other and other.figures.peak_guardrail_torque
             after, key = segment.figures.peak_guardrail_torque, "segments.peak_guardrail_torque"
             yield _row(f"peak torque on {segment.in_words}", key, "Nm", ".2f", after, before)
     yield from _metrics(
@@ -197,21 +193,17 @@ def _work(plan: Plan) -> Iterator[Row]:
     """Clearances, places and times."""
     yield from _metrics(plan, ("smallest clearance, whole job", "min_clearance", "mm", ".1f", True))
     if plan.coverage:
-        area, covered, unreached = (
-            sum(getattr(one, name) for one in plan.coverage.values())
-            for name in ("area", "covered", "unreached")
-        )
+        whole, other = plan.whole_coverage, plan.baseline
         # The baseline follows the same rows.
-        other = None if plan.baseline is None else covered
-        yield _row(f"area covered of {area:.4g} m2", "coverage.covered", "m2", ".4f", covered, other)
-        left_out = sum(one.left_out for one in plan.coverage.values()) - unreached
-        if left_out > _AREA_TOLERANCE * area:
+        name, before = f"area covered of {whole.area:.4g} m2", other and whole.covered
+        yield _row(name, "coverage.covered", "m2", ".4f", whole.covered, before)
+        left_out = whole.left_out - whole.unreached
+        if left_out > _AREA_TOLERANCE * whole.area:
             yield _row("area beyond the rows' ends", "coverage.left_out", "m2", ".4f", left_out)
-        if unreached:
-            other = None if plan.baseline is None else unreached
+        if area := whole.unreached:
             name = "area that is not reached"
-            yield _row(name, "coverage.unreached", "m2", ".4f", unreached, other, first=True)
-    before = None if plan.baseline is None else plan.baseline.duration
+            yield _row(name, "coverage.unreached", "m2", ".4f", area, other and area, first=True)
+    before = plan.baseline and plan.baseline.duration
     yield _row("time of the whole job", "job.duration", "s", ".1f", plan.job.duration, before, first=True)
     for segment in plan.job.segments:
         if segment.kind == "free":
@@ -227,11 +219,9 @@ def _work(plan: Plan) -> Iterator[Row]:
 
 def _effort(plan: Plan) -> Iterator[Row]:
     """What the joints do."""
-    other = None if plan.baseline is None else plan.baseline.figures.limit_use
+    other = plan.baseline and plan.baseline.figures.limit_use
     for limit in ("velocity", "acceleration", "jerk", "torque"):
-        after, before = (
-            None if use is None else getattr(use, limit) for use in (plan.figures.limit_use, other)
-        )
+        after, before = getattr(plan.figures.limit_use, limit), other and getattr(other, limit)
         name = f"joint {limit} at work, share of its bound"
         yield _row(name, f"limit_use.{limit}", "", ".3f", after, before)
     if plan.baseline is not None:
@@ -267,10 +257,10 @@ def _objective_row(plan: Plan, label: str, key: str, planned: float, baseline: f
 def _metrics(plan: Plan, *lines: tuple[str, str, str, str, bool]) -> Iterator[Row]:
     """Rows of metrics, of the whole job where the label says so, else of the work."""
     for label, key, unit, format, first in lines:
-        figures, other = plan.figures, None if plan.baseline is None else plan.baseline.figures
+        figures, other = plan.figures, plan.baseline and plan.baseline.figures
         if "whole job" in label:
-            figures, other = plan.job.figures, None if plan.baseline is None else plan.baseline.job_figures
-        before = None if other is None else getattr(other, key)
+            figures, other = plan.job.figures, plan.baseline and plan.baseline.job_figures
+        before = other and getattr(other, key)
         yield _row(label, key, unit, format, getattr(figures, key), before, first=first)
 
 

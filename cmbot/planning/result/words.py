@@ -87,10 +87,8 @@ def left_out(plan: Plan) -> str:
     ----------
     plan : Plan
     """
-    area, unreached = (
-        sum(getattr(one, name) for one in plan.coverage.values()) for name in ("area", "unreached")
-    )
-    return f"{unreached:.3g} of {area:.3g} m2 are not reached" if unreached else ""
+    whole = plan.whole_coverage
+    return f"{whole.unreached:.3g} of {whole.area:.3g} m2 are not reached" if whole.unreached else ""
 
 
 def promises(plan: Plan) -> str:
