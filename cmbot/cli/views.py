@@ -54,17 +54,15 @@ class ReplayCommand(Command):
         if not is_walk:
             # What is no plan directory is refused before anything is written beside it.
             cmbot.archive.plan_data(directory)
-        adds = not (html or self.serve or filmed)
-        with cmbot.archive.claim(directory) if adds else nullcontext():
+        written, shown = None, self.serve or filmed
+        with nullcontext() if html or shown else cmbot.archive.claim(directory):
             page, name = _walk_page(directory) if is_walk else _plan_page(directory)
-            if adds:
-                html = cmbot.archive.add_file(directory, cmbot.views.REPLAY, page)
-            elif html is not None:
-                cmbot.views.write_page(html, page)
+            if not shown:
+                written = _written(page, html, directory, cmbot.views.REPLAY)
         if filmed is not None:
             self._film(page, filmed, shape)
-        elif html is not None:
-            out.print(f"Written to {one_line(html)}.")
+        elif written is not None:
+            out.print(f"Written to {one_line(written)}.")
         else:
             _serve(page, name)
 
@@ -134,18 +132,21 @@ class ReportCommand(Command):
 
     def __call__(self) -> None:
         directory, html = self.directory, self.html
-        if html is not None:
-            loaded = cmbot.load_plan(directory)
-            require_new(html, self.force)
-            tracking, excitation = cmbot.load_tracking(loaded, directory), cmbot.load_excitation(directory)
-            cmbot.report(loaded, html=html, tracking=tracking, excitation=excitation)
-            out.print(f"Written to {one_line(html)}.")
-            return
-        with claimed_plan(directory) as loaded:
+        with claimed_plan(directory) if html is None else nullcontext(cmbot.load_plan(directory)) as loaded:
+            if html is not None:
+                require_new(html, self.force)
             tracking, excitation = cmbot.load_tracking(loaded, directory), cmbot.load_excitation(directory)
             page = cmbot.views.report_page(loaded, tracking, excitation)
-            written = cmbot.archive.add_file(directory, cmbot.views.REPORT, page)
+            written = _written(page, html, directory, cmbot.views.REPORT)
         out.print(f"Written to {one_line(written)}.")
+
+
+def _written(page: str, html: Path | None, directory: Path, name: str) -> Path:
+    """Write a page, or add it to a plan directory under a name; return its path."""
+    if html is None:
+        return cmbot.archive.add_file(directory, name, page)
+    cmbot.views.write_page(html, page)
+    return html
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,10 +174,8 @@ class CompareCommand(Command):
         ]
         plans = dict(zip(shown, map(cmbot.load_plan, self.directories), strict=True))
         require_new(self.html, self.force)
-        tracked = {
-            name: cmbot.load_tracking(plan, place)
-            for (name, plan), place in zip(plans.items(), self.directories, strict=True)
-        }
+        trackings = map(cmbot.load_tracking, plans.values(), self.directories)
+        tracked = dict(zip(plans, trackings, strict=True))
         cmbot.views.write_page(self.html, cmbot.views.compare_page(plans, tracked))
         out.print(f"Written to {one_line(self.html)}.")
 
