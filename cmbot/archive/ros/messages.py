@@ -116,12 +116,8 @@ def message_times(
     """
     if rate is not None:
         if not (rate > 0 and trajectory.duration * rate < _LARGEST_MESSAGE):
-            raise InputError(
-                "cmbot.export_ros",
-                "rate",
-                f"{rate:g}",
-                f"a frequency, Hz, for up to {_LARGEST_MESSAGE} points",
-            )
+            expected = f"a frequency, Hz, for up to {_LARGEST_MESSAGE} points"
+            raise InputError("cmbot.export_ros", "rate", f"{rate:g}", expected)
         inside = np.arange(0, int(np.ceil(trajectory.duration * rate))) / rate
         return _whole(np.append(trajectory.t[0] + inside, trajectory.t[-1]))
     most = _DEFAULT_MAX_POINTS if max_points is None else max_points
@@ -141,7 +137,11 @@ def trajectory_message(
     trajectory, names = plan.job.trajectory, plan.robot.joints
     if nanoseconds is None:
         nanoseconds = message_times(trajectory)
-    columns = list(range(len(names))) if joints is None else [_column(joint, names) for joint in joints]
+    for joint in joints or ():
+        if joint not in names:
+            expected = f"a joint{hint(joint, names)}"
+            raise InputError("cmbot.export_ros", "joints", joint, expected, tuple(names))
+    columns = list(range(len(names))) if joints is None else [names.index(joint) for joint in joints]
     t = np.minimum(trajectory.t[0] + _NANO * nanoseconds, trajectory.t[-1])
     q, v, a = trajectory.states(t)
     fields = {"positions": q, "velocities": v, "accelerations": a}
@@ -149,13 +149,10 @@ def trajectory_message(
         fields["effort"] = _efforts(plan, t)
     rows = zip(*(values[:, columns].tolist() for values in fields.values()), strict=True)
     points = [
-        {
-            **dict(zip(fields, row, strict=True)),
-            "time_from_start": {"sec": time // 10**9, "nanosec": time % 10**9},
-        }
+        {**dict(zip(fields, row, strict=True)), "time_from_start": _stamp(time)}
         for row, time in zip(rows, nanoseconds.tolist(), strict=True)
     ]
-    header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
+    header = {"stamp": _stamp(0), "frame_id": ""}
     message = {"header": header, "joint_names": [names[k] for k in columns], "points": points}
     deviation = _deviation(trajectory, t)[:, columns]
     return RosTrajectory(
@@ -170,16 +167,9 @@ def _left_out(
     trajectory: QuinticTrajectory, names: Sequence[str], columns: Sequence[int]
 ) -> dict[str, float]:
     """The joints that move without being in a message, and how far from end to end."""
-    moves = np.ptp(
-        trajectory.evaluate(np.linspace(trajectory.t[0], trajectory.t[-1], _TIMES_OF_MOTION)), axis=0
-    )
+    times = np.linspace(trajectory.t[0], trajectory.t[-1], _TIMES_OF_MOTION)
+    moves = np.ptp(trajectory.evaluate(times), axis=0)
     return {name: float(moves[k]) for k, name in enumerate(names) if k not in columns and moves[k] > _STILL}
-
-
-def _column(joint: str, names: Sequence[str]) -> int:
-    if joint not in names:
-        raise InputError("cmbot.export_ros", "joints", joint, f"a joint{hint(joint, names)}", tuple(names))
-    return names.index(joint)
 
 
 def _whole(t: FloatArray) -> IntArray:
@@ -291,19 +281,18 @@ def export_mcap(plan: Plan, path: str | Path, *, effort: bool = False) -> None:
 def messages(plan: Plan, *, effort: bool) -> Iterator[tuple[str, str, float, Message]]:
     """Yield topic, type, time and content of every message, in the order of time."""
     samples, _ = plan.job_samples
-    stamp = _stamp(0.0)
     job = trajectory_message(plan, effort=effort).message
     # A message of MCAP has all fields: those left out are empty.
     job["points"] = [{"effort": [], **point} for point in job["points"]]
     yield "/joint_trajectory", "trajectory_msgs/msg/JointTrajectory", 0.0, job
-    yield "/markers", "visualization_msgs/msg/MarkerArray", 0.0, {"markers": list(_markers(plan, stamp))}
+    yield "/markers", "visualization_msgs/msg/MarkerArray", 0.0, {"markers": list(_markers(plan))}
     some = np.unique(np.append(np.arange(0, len(samples.t), round(_PERIOD_S / 0.01)), len(samples.t) - 1))
     names, poses = link_poses(plan.robot, samples.q[some])
     # O0 has the axes of W.
     held = np.array([*plan.robot.foot_point, 0.0, 0.0, 0.0, 1.0])
     for k, each in zip(some, poses, strict=True):
         time = float(samples.t[k])
-        header = {"stamp": _stamp(time), "frame_id": WORLD}
+        header = {"stamp": _stamp(round(1e9 * time)), "frame_id": WORLD}
         yield (
             "/joint_states",
             "sensor_msgs/msg/JointState",
@@ -316,38 +305,29 @@ def messages(plan: Plan, *, effort: bool) -> Iterator[tuple[str, str, float, Mes
                 "effort": samples.joint_torque[k].tolist(),
             },
         )
-        transforms = [
-            {
-                "header": header,
-                "child_frame_id": name,
-                "transform": {"translation": _vector(pose[:3]), "rotation": _quaternion(pose[3:])},
-            }
-            for name, pose in zip([*names, FOOT], [*each, held], strict=True)
-        ]
+        transforms = []
+        for name, pose in zip([*names, FOOT], [*each, held], strict=True):
+            transform = {"translation": _vector(pose[:3]), "rotation": _vector(pose[3:], "xyzw")}
+            transforms.append({"header": header, "child_frame_id": name, "transform": transform})
         yield "/tf", "tf2_msgs/msg/TFMessage", time, {"transforms": transforms}
-        wrench = {
-            "force": _vector(samples.guardrail_force[k]),
-            "torque": _vector(samples.guardrail_torque[k]),
-        }
-        message = {"header": header | {"frame_id": FOOT}, "wrench": wrench}
+        force, torque = _vector(samples.guardrail_force[k]), _vector(samples.guardrail_torque[k])
+        message = {"header": header | {"frame_id": FOOT}, "wrench": {"force": force, "torque": torque}}
         yield "/base_wrench", "geometry_msgs/msg/WrenchStamped", time, message
 
 
-def _markers(plan: Plan, stamp: Message) -> Iterator[Message]:
-    header, count = {"stamp": stamp, "frame_id": WORLD}, 0
+def _markers(plan: Plan) -> Iterator[Message]:
+    header, count = {"stamp": _stamp(0), "frame_id": WORLD}, 0
 
     def marker(kind: int, name: str, X: FloatArray, scale: Any, colour: Any, points: Any = ()) -> Message:
         nonlocal count
         count += 1
+        turn = Rotation.from_matrix(X[:3, :3]).as_quat()
         return {
             "header": header,
             "ns": name,
             "id": count,
             "type": kind,
-            "pose": {
-                "position": _vector(X[:3, 3]),
-                "orientation": _quaternion(Rotation.from_matrix(X[:3, :3]).as_quat()),
-            },
+            "pose": {"position": _vector(X[:3, 3]), "orientation": _vector(turn, "xyzw")},
             "scale": _vector(scale),
             "color": {**dict(zip("rgb", colour, strict=True)), "a": 1.0},
             "points": [_vector(point) for point in points],
@@ -381,17 +361,12 @@ def _solids(obstacle: Obstacle, marker: Callable[..., Message]) -> Iterator[Mess
             yield marker(_TRIANGLES, obstacle.name, X, (1.0, 1.0, 1.0), colour, corners)
 
 
-def _stamp(time: float) -> Message:
-    seconds, nanoseconds = divmod(round(1e9 * time), 10**9)
-    return {"sec": seconds, "nanosec": nanoseconds}
+def _stamp(nanoseconds: int) -> Message:
+    return {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}
 
 
-def _vector(values: Any) -> Message:
-    return {axis: float(value) for axis, value in zip("xyz", values, strict=True)}
-
-
-def _quaternion(values: Any) -> Message:
-    return {axis: float(value) for axis, value in zip("xyzw", values, strict=True)}
+def _vector(values: Any, axes: str = "xyz") -> Message:
+    return {axis: float(value) for axis, value in zip(axes, values, strict=True)}
 
 
 def _schemas() -> dict[str, str]:

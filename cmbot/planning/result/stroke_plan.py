@@ -93,11 +93,8 @@ class ObjectiveMetrics:
     @property
     def is_guardrail_torque(self) -> bool:
         """Whether it is the norm of the torque on the guardrail about O0, as metrics report it."""
-        return not self.own and (self.name, self.moment_about, self.axis_weights) == (
-            "torque",
-            "foot",
-            (1.0, 1.0, 1.0),
-        )
+        about_foot = self.moment_about == "foot" and self.axis_weights == (1.0, 1.0, 1.0)
+        return not self.own and self.name == "torque" and about_foot
 
 
 @dataclass(frozen=True, kw_only=True)
