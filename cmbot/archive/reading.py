@@ -56,7 +56,7 @@ from cmbot.robot import Kinematics, Robot
 from cmbot.scene import PlannerOptions, Scene
 
 # Relative and absolute tolerance of metrics computed again: processors round differently.
-_RECOMPUTED, _SAME_ZERO = 1e-6, 1e-9
+_SAME, _SAME_ZERO = 1e-6, 1e-9
 # The same of what is drawn in single precision.
 _SINGLE_PRECISION_TOLERANCE = 1e-4
 _ANGLE_TOLERANCE = 1e-9  # rad
@@ -377,7 +377,7 @@ def _verified(plan: Plan, clearances: Clearances, data: dict[str, Any], source: 
     expected = record | {name: data[name] for name in given_again}
     for stored, entry in zip(data["segments"], record["segments"], strict=True):
         entry["certificate"] = stored["certificate"]
-    require_same(data, expected, source, "", _RECOMPUTED, _SAME_ZERO)
+    require_same(data, expected, source, "", _SAME, _SAME_ZERO)
     require_same(_drawn(data), _drawn(record), source, "", _SINGLE_PRECISION_TOLERANCE, _SAME_ZERO)
     seconds = [
         replace(segment, certificate=replace(certificate, checks=(*certificate.checks, *checks)))

@@ -15,11 +15,11 @@ from cmbot.trajectory import LARGEST
 
 _JOINT_COLUMNS = ("q", "v", "a", "j", "tau")
 _VECTOR_COLUMNS = ("guardrail_torque", "guardrail_force", "tool")
-_CLEARANCE, _PART, _ADHESION = "clearance", "segment", "adhesion_needed"
+_CLEARANCE, _SEGMENT, _ADHESION = "clearance", "segment", "adhesion_needed"
 # Of the bent tool to its path; between strokes there is none, and cells are NaN.
 OFF_PATH = "off_path"
 # Digits in all, and after the point; the baseline's motion is read back, and figures computed from it.
-_CELL_DIGITS, _READ_BACK = 9, 12
+_DIGITS, _READ_BACK = 9, 12
 # What cells that are computed again may differ by, as a share and in the unit of the column.
 _CELL_TOLERANCE = 1e-6
 
@@ -52,10 +52,10 @@ def samples_csv(samples: Samples, source: str, labels: Sequence[str] | None = No
         more.append(samples.adhesion_needed)
     table = np.column_stack([samples.t, *joints, *vectors, samples.clearance, *more])
     joints, rest = samples.q.shape[1], len(names) - 1
-    digits: list[int | None] = [None, *[_CELL_DIGITS] * rest]
+    digits: list[int | None] = [None, *[_DIGITS] * rest]
     if labels is None:
         # Free moves of a millionth of a second follow from where strokes end and begin.
-        digits = [*[None] * (1 + joints), *[_READ_BACK] * (3 * joints), *[_CELL_DIGITS] * (rest - 4 * joints)]
+        digits = [*[None] * (1 + joints), *[_READ_BACK] * (3 * joints), *[_DIGITS] * (rest - 4 * joints)]
     return table_csv(names, table, source, digits, labels)
 
 
@@ -80,7 +80,7 @@ def table_csv(
             table[:, column] = np.round(table[:, column], number)
     rows = [form % tuple(row) for row in table.tolist()]
     if labels is not None:
-        names, rows = (*names, _PART), [f"{row},{label}" for row, label in zip(rows, labels, strict=True)]
+        names, rows = (*names, _SEGMENT), [f"{row},{label}" for row, label in zip(rows, labels, strict=True)]
     return "\n".join([",".join(names), *rows, ""]).encode()
 
 

@@ -25,10 +25,10 @@ from cmbot.stances.walking import Kind, Move, Step, Walk, certified_move, part_d
 from cmbot.trajectory import QuinticTrajectory
 
 # Moves join where they are nearer, rad; feet are where they should be, m; figures that are computed again.
-_SAME_POSTURE, _SAME_PLACE, _RECOMPUTED, _SAME_ZERO = 1e-9, 1e-6, 1e-6, 1e-9
+_SAME_POSTURE, _SAME_PLACE, _SAME, _SAME_ZERO = 1e-9, 1e-6, 1e-6, 1e-9
 # Near its place a foot's shapes do not count: there it goes along the normal, aside by so much at most, m and
 # as a share of its height; samples at which that is looked at.
-_ASIDE, _ASLANT, _STRAIGHT_SAMPLES = 1e-4, 0.05, 300
+_ASIDE, _ASLANT, _SAMPLES = 1e-4, 0.05, 300
 # Points of a foot in its frame, m: the middle of its plate, and about its corners.
 _PLATE = np.array([[0.0, 0.0, 0.0], *([x, 0.0, z] for x in (-0.065, 0.065) for z in (-0.075, 0.075))])
 
@@ -94,7 +94,7 @@ def load_walk(directory: str | Path) -> Walk:
     failures, speed = file.failures, file.max_foot_speed
     walk = Walk(scene=scene, goal=goal, steps=steps, last=last, failures=failures, speed=speed)
     again = walk_data(walk) | {name: data.get(name) for name in ("scene", "cmbot")}
-    require_same(data, again, str(path), "", _RECOMPUTED, _SAME_ZERO)
+    require_same(data, again, str(path), "", _SAME, _SAME_ZERO)
     return walk
 
 
@@ -172,7 +172,7 @@ class _Reader:
         Only there its own shapes do not count, so it may go no further than a foot is lifted.
         """
         trajectory, turn = move.segment.trajectory, -1 if move.holds == (2,) else 1
-        times = np.linspace(trajectory.t[0], trajectory.t[-1], _STRAIGHT_SAMPLES)
+        times = np.linspace(trajectory.t[0], trajectory.t[-1], _SAMPLES)
         poses = [self._foot_2(angles) for angles in trajectory.evaluate(times)[:, ::turn]]
         X = np.array(poses if turn == 1 else [np.linalg.inv(pose) for pose in poses])
         X = X if move.kind == "lift" else X[::-1]
@@ -300,9 +300,9 @@ def read_tour(folder: Path, read: Callable[[Path], Plan | Walk]) -> tuple[TourPa
     for k, entry in enumerate(file.parts):
         part, key = TourPart(name=entry.name, begin=clock, motion=read(folder / entry.name)), f"parts[{k}]"
         found = part_data(part.name, clock, part.motion)
-        require_same(data["parts"][k], found, source, key, _RECOMPUTED, _RECOMPUTED, "its folder says")
+        require_same(data["parts"][k], found, source, key, _SAME, _SAME, "its folder says")
         begins, ends = ends_of(part.motion)
-        if here is not None and not np.allclose(begins, here, rtol=0, atol=_RECOMPUTED):
+        if here is not None and not np.allclose(begins, here, rtol=0, atol=_SAME):
             got = f"{entry.name}: another stance or posture"
             raise ArchiveError(source, f"{key}.name", got, "that in which the part before ends")
         parts.append(part)
@@ -310,7 +310,7 @@ def read_tour(folder: Path, read: Callable[[Path], Plan | Walk]) -> tuple[TourPa
         own, common = bridge_of(part.motion.scene), bridge_of(first.motion.scene)
         require_same(own, common, str(folder / entry.name / record), "scene", why=f"in {first.name}")
         clock, here = clock + found["seconds"], ends
-    require_same(file.seconds, clock, source, "seconds", _RECOMPUTED, _RECOMPUTED, "its parts say")
+    require_same(file.seconds, clock, source, "seconds", _SAME, _SAME, "its parts say")
     return tuple(parts)
 
 

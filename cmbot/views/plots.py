@@ -27,13 +27,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Blue and orange as on the pages: distinct with any colour vision, and in grey by their lightness.
-_BASELINE_COLOUR, _PLANNED_COLOUR = "#6AABEC", "#B23F05"
-_MOTION_COLOURS = {"baseline": _BASELINE_COLOUR, "planned": _PLANNED_COLOUR}
+_BASELINE, _PLANNED = "#6AABEC", "#B23F05"
+_MOTION_COLOURS = {"baseline": _BASELINE, "planned": _PLANNED}
 # Okabe and Ito's.
 _JOINT_COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#0072B2", "#CC79A7")
 _LINE_STYLES = ("-", "--", "-.", ":")
 # Inches: as wide as a page's text.
-_WIDTH_IN, _HEIGHT_IN = 6.7, 2.6
+_WIDTH, _HEIGHT = 6.7, 2.6
 # Keys are literals of matplotlib's own to its type hints.
 _MATPLOTLIB_STYLE: dict[Any, Any] = {
     "font.size": 8.0,
@@ -129,7 +129,7 @@ def figure_files(figures: Iterable[Figure]) -> Iterator[tuple[str, bytes]]:
 
 def _chart(chart: Chart) -> Figure:
     """Draw a chart of the report's page."""
-    figure = _figure(_QUANTITY_OF_PLOT[chart.key], _HEIGHT_IN)
+    figure = _figure(_QUANTITY_OF_PLOT[chart.key], _HEIGHT)
     axes = figure.subplots()
     _draw_curves(axes, chart.curves)
     # At least the chart's own range, and every curve.
@@ -249,7 +249,7 @@ def _figure(label: str, height: float) -> Figure:
     # Without pyplot: no window, no state shared with the caller's own plots.
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(_WIDTH_IN, height), layout="constrained")
+    figure = Figure(figsize=(_WIDTH, height), layout="constrained")
     figure.set_label(label)
     return figure
 

@@ -9,7 +9,7 @@ from cmbot.planning import Plan, require_plan
 from cmbot.simulation import Tracking
 from cmbot.views.replay import replay_page
 
-_LEAST_PX, _MOST_PX = 240, 4000  # px
+_LEAST, _MOST = 240, 4000  # px
 
 
 def show(plan: Plan, *, tracking: Tracking | None = None, height: int = 560) -> Shown:
@@ -44,8 +44,8 @@ def show(plan: Plan, *, tracking: Tracking | None = None, height: int = 560) -> 
     <...>
     """
     require_plan(plan, "cmbot.show")
-    if isinstance(height, bool) or not isinstance(height, int) or not _LEAST_PX <= height <= _MOST_PX:
-        raise InputError("cmbot.show", "height", height, f"a whole number from {_LEAST_PX} to {_MOST_PX}")
+    if isinstance(height, bool) or not isinstance(height, int) or not _LEAST <= height <= _MOST:
+        raise InputError("cmbot.show", "height", height, f"a whole number from {_LEAST} to {_MOST}")
     return Shown(replay_page(plan, tracking), plan.scene.name, height)
 
 

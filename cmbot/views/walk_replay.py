@@ -23,7 +23,7 @@ _MOTION_NAME = "planned"  # the name of the one motion
 # Places of a foot that are drawn, and how little it moves from one sample to the next where it stays, m.
 _MOST_PLACES, _STAYS = 160, 1e-5
 _CAMERA_AZIMUTH = np.pi / 3  # of the camera, rad
-_VIEW_KNOTS = 25  # of each move that the first view is fitted to
+_KNOTS = 25  # of each move that the first view is fitted to
 _WORKPIECE_DISTANCE_M = 0.5  # of all that moves, within which workpieces are shown, m
 _CLIMBER_JOINTS = (*CLIMBING_JOINTS, *ARM_JOINTS)
 
@@ -58,7 +58,7 @@ def _data(walk: Walk) -> dict[str, Any]:
     robot = robot_of(walk.scene)
     places = poses[..., :3].reshape(-1, 3)
     motions = [(move.robot, move.segment.trajectory.q) for move in walk.moves]
-    swept = [link_corners(each, link_poses(each, q[:: max(1, len(q) // _VIEW_KNOTS)])) for each, q in motions]
+    swept = [link_corners(each, link_poses(each, q[:: max(1, len(q) // _KNOTS)])) for each, q in motions]
     beside = workpieces(walk.scene.all_obstacles, places, _WORKPIECE_DISTANCE_M)
     margin = walk.scene.planner.safety_margin_m
     bridge, ways = bridge_of(walk.scene, motions, margin), [_decimated(feet[:, foot]) for foot in (0, 1)]

@@ -73,7 +73,7 @@ def test_the_torque_with_its_floor_and_the_approach(
     figures: dict[str, Figure], triangle_plan: Plan, short_plan: Plan
 ) -> None:
     (axes,) = figures["guardrail_torque"].axes
-    (baseline,), (planned,) = lines(axes, plots._BASELINE_COLOUR), lines(axes, plots._PLANNED_COLOUR)
+    (baseline,), (planned,) = lines(axes, plots._BASELINE), lines(axes, plots._PLANNED)
     samples, begin = triangle_plan.baseline.samples, triangle_plan.approach.duration
     assert_drawn(baseline, begin + samples.t, np.linalg.norm(samples.guardrail_torque, axis=1))
     assert planned.get_xdata()[0] == 0
@@ -87,10 +87,7 @@ def test_the_torque_with_its_floor_and_the_approach(
     assert [text.get_text() for text in without_floor.legends[0].get_texts()] == ["baseline", "planned"]
     assert without_floor.axes[0].get_xlabel() == "time, s"
     # The motions differ in grey, too.
-    shades = [
-        np.dot((0.299, 0.587, 0.114), to_rgb(colour))
-        for colour in (plots._BASELINE_COLOUR, plots._PLANNED_COLOUR)
-    ]
+    shades = [np.dot((0.299, 0.587, 0.114), to_rgb(colour)) for colour in (plots._BASELINE, plots._PLANNED)]
     assert np.ptp(shades) > 0.25
 
 
@@ -102,7 +99,7 @@ def test_clearance_and_deviation_are_shaded_beyond_their_bounds(
     assert forbidden(clearance) == [(0.0, pytest.approx(1e3 * options.safety_margin_m))]
     bound = 1e3 * options.max_tool_deviation_m
     assert forbidden(deviation) == [(pytest.approx(bound), pytest.approx(1.15 * bound))]
-    (planned,) = lines(deviation, plots._PLANNED_COLOUR)
+    (planned,) = lines(deviation, plots._PLANNED)
     times = triangle_plan.approach.duration + triangle_plan.samples.t
     assert_drawn(planned, times, 1e3 * triangle_plan.samples.tool_deviation)
 
@@ -144,10 +141,7 @@ def test_a_joint_without_a_range_has_no_share_of_it(short_plan: Plan) -> None:
 
 
 def test_tracking_errors_and_their_parts(tracked: dict[str, Figure], short_tracking: Tracking) -> None:
-    motions = (
-        (plots._BASELINE_COLOUR, short_tracking.baseline),
-        (plots._PLANNED_COLOUR, short_tracking.planned),
-    )
+    motions = ((plots._BASELINE, short_tracking.baseline), (plots._PLANNED, short_tracking.planned))
     *_, off = tracked["tracking_error"].axes
     for colour, motion in motions:
         assert_drawn(*lines(off, colour), motion.t, 1e3 * motion.off_path)

@@ -24,7 +24,7 @@ from cmbot.common.reading.validation import counted, shown
 from cmbot.planning import Plan
 
 # What numbers of messages may differ by, as a share and at least: processors round differently.
-_RECOMPUTED, _SAME_ZERO, _WHY = 1e-6, 1e-9, "the knots have it"
+_SAME, _SAME_ZERO, _WHY = 1e-6, 1e-9, "the knots have it"
 _LARGEST_FILE = 500_000_000
 # What messages of few points may be off the plan between these, rad and m.
 _MAX_DEVIATION = 1e-3
@@ -82,7 +82,7 @@ def _message(plan: Plan, path: Path) -> bool:
     source = str(path)
     times, joints, effort = _as_given(data, plan, source)
     found = trajectory_message(plan, times, joints=joints, effort=effort)
-    require_same(data, found.message, source, "", _RECOMPUTED, _SAME_ZERO, _WHY)
+    require_same(data, found.message, source, "", _SAME, _SAME_ZERO, _WHY)
     if found.deviation > _MAX_DEVIATION:
         got = f"points whose quintics are {found.deviation:.3g} rad (or m) off"
         raise ArchiveError(source, "points", got, f"the motion within {_MAX_DEVIATION:g}, as {_WHY}")
@@ -136,7 +136,7 @@ def _bag(plan: Plan, path: Path) -> bool:
     for (topic, time, message), (wanted_topic, wanted_time, wanted) in zip(found, expected, strict=True):
         key = f"{wanted_topic} at {1e-9 * wanted_time:g} s"
         require_same((topic, time), (wanted_topic, wanted_time), source, key, 0.0, 0.0, _WHY)
-        require_same(_plain(message, wanted), wanted, source, key, _RECOMPUTED, _SAME_ZERO, _WHY)
+        require_same(_plain(message, wanted), wanted, source, key, _SAME, _SAME_ZERO, _WHY)
     return True
 
 

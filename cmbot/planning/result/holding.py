@@ -25,7 +25,7 @@ _MAX_STOPPED_JOINTS = 8
 _SLOW_MODES = 4
 # Stops of a segment whose adhesion is computed with gaps: those that need most if no gap may open, in all
 # states and in each.
-_CANDIDATE_STOPS, _IN_EACH_STATE = 500, 2
+_CANDIDATES, _IN_EACH_STATE = 500, 2
 
 
 def emergency_stop(scene: Scene, robot: Robot, job: Job) -> AdhesionPeak | None:
@@ -62,11 +62,11 @@ def clamp_in_stop(scene: Scene, robot: Robot, job: Job, number: int) -> float:
 
 
 def _worst(holding: Holding, wrench: FloatArray) -> IntArray:
-    """The numbers of the stops (N K) of wrenches (N, K, 6) that may need most: see `_CANDIDATE_STOPS`."""
+    """The numbers of the stops (N K) of wrenches (N, K, 6) that may need most: see `_CANDIDATES`."""
     pressed = holding.pressed_without_gap(wrench.reshape(-1, 6)).reshape(wrench.shape[:2])
     rows = np.arange(wrench.shape[0])[:, None] * wrench.shape[1]
     in_state = rows + np.argsort(pressed, axis=1)[:, -_IN_EACH_STATE:]
-    return np.union1d(in_state.ravel(), np.argsort(pressed, axis=None)[-_CANDIDATE_STOPS:])
+    return np.union1d(in_state.ravel(), np.argsort(pressed, axis=None)[-_CANDIDATES:])
 
 
 def _stops(scene: Scene, robot_at_work: Robot, job: Job) -> Iterator[tuple[FloatArray, FloatArray]]:

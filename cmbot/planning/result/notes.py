@@ -29,12 +29,12 @@ from cmbot.robot import Dynamics, postures_in_words
 from cmbot.scene import STOW
 
 # A peak lower by less than this share is no gain; a baseline this near to the lower bound leaves none.
-_LEAST_GAIN_SHARE, _NEAR_BOUND_SHARE = 1e-2, 1e-2
+_GAIN, _NEAR_BOUND = 1e-2, 1e-2
 # Largest error of a lower bound that the search closed, as a share of it.
 _CLOSED_GAP_SHARE = 1e-2
 # More jerk than so many times the baseline's, and than that share of the limits, may well make the tool sway
 # more.
-_MORE_JERK_RATIO, _LITTLE_JERK_SHARE = 2.0, 1e-3
+_MORE_JERK, _LITTLE_JERK = 2.0, 1e-3
 # Joints that travel so many times as far as the baseline's are told.
 _TOLD_TRAVEL_RATIO = 2.0
 # A lower bound below this share of the peak counts as zero.
@@ -247,7 +247,7 @@ def _compared(plan: Plan, baseline: Baseline) -> Iterator[Note]:
     if faults:
         yield Note(level="warning", key="baseline", values={"faults": faults})
     approach, work = plan.approach, max(f.peak_guardrail_torque for f in (plan.figures, baseline.figures))
-    if approach is not None and approach.figures.peak_guardrail_torque > work * (1 + _LEAST_GAIN_SHARE):
+    if approach is not None and approach.figures.peak_guardrail_torque > work * (1 + _GAIN):
         yield Note(level="warning", key="approach", values={"base": plan.scene.base_name})
     if (factor := further(plan)) >= _TOLD_TRAVEL_RATIO:
         ours, theirs = travels(plan, baseline)
@@ -257,16 +257,16 @@ def _compared(plan: Plan, baseline: Baseline) -> Iterator[Note]:
         values = {"factor": factor, "joint": plan.robot.joints[joint], "unit": units.position}
         yield Note(level="note", key="travel", values=values | {"far": far, "other": other})
     before, after = (each.limit_use.jerk for each in (baseline.figures, plan.figures))
-    if plan.suppression is not None and after > max(_MORE_JERK_RATIO * before, _LITTLE_JERK_SHARE):
+    if plan.suppression is not None and after > max(_MORE_JERK * before, _LITTLE_JERK):
         yield Note(level="warning", key="jerk", values={"factor": after / before, "share": after})
     peak, least, floor = plan.objective.planned_peak, plan.objective.baseline_peak, plan.objective.floor
     sought = plan.options.objective != "travel"
-    if least is None or not sought or peak < least * (1 - _LEAST_GAIN_SHARE):
+    if least is None or not sought or peak < least * (1 - _GAIN):
         return
-    if peak > least * (1 + _LEAST_GAIN_SHARE):
+    if peak > least * (1 + _GAIN):
         yield Note(level="warning", key="higher", values={"share": peak / least - 1})
     elif not faults:
-        near = floor is not None and least < floor * (1 + _NEAR_BOUND_SHARE)
+        near = floor is not None and least < floor * (1 + _NEAR_BOUND)
         yield Note(level="note", key="no_gain", values={"near": near})
 
 

@@ -22,7 +22,7 @@ MOST_FIRST = 5
 # A peak lower by less than this share is hardly a gain.
 _SMALL_GAIN_SHARE = 1e-2
 # A gain below this share is told with what it costs: joints that travel so many times as far, or more.
-_MODEST_GAIN_SHARE, _MUCH_FURTHER_RATIO = 5e-2, 3.0
+_SMALL, _FURTHER = 5e-2, 3.0
 
 
 def verdict(plan: Plan, *, area: bool = True) -> str:
@@ -165,7 +165,7 @@ def _base(note: Any) -> str:
         gain = 1 - note.peak_nm / note.baseline_nm
         if SAME < gain < _SMALL_GAIN_SHARE:
             text += ": hardly anything is gained"
-        elif _SMALL_GAIN_SHARE <= gain < _MODEST_GAIN_SHARE and note.further >= _MUCH_FURTHER_RATIO:
+        elif _SMALL_GAIN_SHARE <= gain < _SMALL and note.further >= _FURTHER:
             text += f", with joints that travel {note.further:.1f} times as far at work"
     if note.work_nm is not None:
         text += f"; the work alone {note.work_nm:.1f} Nm"

@@ -20,7 +20,7 @@ from cmbot.views.drawing.surfaces import obstacle_surface
 ARROW = 0.32  # of the largest torque, as a share of the reach
 RISE = 0.24  # of a camera, upwards in a length of 1 across
 # How far beside the tool path workpieces are shown, and a pole from the foot, as shares of the reach.
-_BESIDE_SHARE, _POLE = 0.1, 1.5
+_BESIDE, _POLE = 0.1, 1.5
 # Directions all around, (200, 3), on a spiral over the sphere.
 _ANGLES = np.pi * (1 + 5**0.5) * np.arange(200)
 _HEIGHTS = np.linspace(-1, 1, 200)
@@ -36,7 +36,7 @@ _DIRECTIONS = np.stack(
 _CAMERA_TURNS = np.radians([0, -30, 30, -60, 60, -90, 90, -120, 120, -150, 150, 180])
 _CAMERA_RISES = {RISE: 0.0, 0.6: 0.05, -0.2: 0.15}
 # What a view loses with half a turn; how far its camera is, in radii of what is shown.
-_TURN_COST, _CAMERA_DISTANCE_RADII = 0.3, 3.2
+_TURN_COST, _FAR = 0.3, 3.2
 # What it counts, beside that they are seen, that path and arm are seen from the side and not from an end; the
 # shares of their sizes that are enough for it.
 _WIDE, _WIDE_ENOUGH, _LONG_ENOUGH = 0.5, 0.5, 0.7
@@ -45,7 +45,7 @@ _SEAM = 1e-9
 # A path that is narrower than this share of its length is a line.
 _LINE_WIDTH_SHARE = 0.05
 # What of the path is looked at, and how far in front of a point nothing hides it, as a share of the reach.
-_PATH_PLACES, _CLOSE_SHARE = 24, 0.01
+_PLACES, _CLOSE = 24, 0.01
 
 
 def focus_of(
@@ -72,7 +72,7 @@ def focus_of(
         length = np.linalg.norm(away, axis=1, keepdims=True)
         points.append(feet[0] + away * np.minimum(1.0, _POLE * reach(plan.robot) / np.maximum(length, 1e-9)))
     outlines = [stroke.task.path.outline() for each in plans for stroke in each.strokes]
-    beside = _BESIDE_SHARE * reach(plan.robot)
+    beside = _BESIDE * reach(plan.robot)
     points += [*outlines, *workpieces(plan.scene.all_obstacles, np.concatenate(outlines), beside)]
     poses = [link_poses(robot, q[:: max(1, len(q) // 50)]) for robot, q in motions]
     points += [link_corners(plan.robot, each) for each in (*poses, *bent)]
@@ -151,11 +151,11 @@ def _direction(
     surfaces += [obstacle_surface(each) for each in beside]
     corners = np.concatenate([np.zeros((0, 3, 3)), *(each.vertices[each.faces] for each in surfaces)])
     path = np.concatenate([_spread(outline) for outline in outlines])
-    path = path[np.unique(np.linspace(0, len(path) - 1, _PATH_PLACES).astype(int))]
+    path = path[np.unique(np.linspace(0, len(path) - 1, _PLACES).astype(int))]
     middle = plan.samples.q[len(plan.samples.q) // 2]
     arm_points = np.vstack([plan.robot.foot_point, link_poses(plan.robot, middle[None])[0, :, :3]])
     centre, radius = (cloud.min(axis=0) + cloud.max(axis=0)) / 2, np.linalg.norm(np.ptp(cloud, axis=0)) / 2
-    near = _CLOSE_SHARE * reach(plan.robot)
+    near = _CLOSE * reach(plan.robot)
     best, value = (usual, RISE), -np.inf
     for rise, turn in product(_CAMERA_RISES, _CAMERA_TURNS):
         cost = _TURN_COST * abs(turn) / np.pi + _CAMERA_RISES[rise]
@@ -165,7 +165,7 @@ def _direction(
         gain = _WIDE * (wide + long) - cost
         if 2 + gain <= value:
             continue
-        eye = centre + _CAMERA_DISTANCE_RADII * radius * way
+        eye = centre + _FAR * radius * way
         shown = seen(path, eye, corners, near).mean() + seen(arm_points, eye, corners, near).mean() + gain
         if shown > value:
             best, value = (usual + float(turn), rise), float(shown)
@@ -175,7 +175,7 @@ def _direction(
 def _spread(outline: FloatArray) -> FloatArray:
     """Places along an outline (N, 3), as many as are looked at of all."""
     along = np.append(0.0, np.linalg.norm(np.diff(outline, axis=0), axis=1).cumsum())
-    at = np.linspace(0.0, along[-1], _PATH_PLACES)
+    at = np.linspace(0.0, along[-1], _PLACES)
     return np.stack([np.interp(at, along, column) for column in outline.T], axis=1)
 
 

@@ -46,7 +46,7 @@ PALE, WOOD = 0xB9C3CB, 0xCFC4B2  # what is drawn only
 LEFT_OUT = 0xD62828  # rows of rasters that are not reached
 SHINE = 0x303030
 # The largest luminance of a part of the robot, and the shares of red, green and blue in it (ITU-R BT.709).
-_MOST_LUMINANCE, _LUMINANCE = 0.78, np.array([0.2126, 0.7152, 0.0722])
+_LIGHTEST, _LUMINANCE = 0.78, np.array([0.2126, 0.7152, 0.0722])
 DOUBLE_SIDE = 2  # three.js: draw the back faces too
 
 # The viewer's MessagePack codes for typed arrays.
@@ -173,7 +173,7 @@ def _robot(shapes: Sequence[Any], urdf: str) -> Iterator[Command]:
 def _colour(rgba: Sequence[float]) -> int:
     """A colour of a URDF as 0xRRGGBB. In white and light grey no shade would be seen: they are darkened."""
     value = np.clip(rgba[:3], 0, 1)
-    value = value * min(1.0, _MOST_LUMINANCE / max(float(value @ _LUMINANCE), _MOST_LUMINANCE))
+    value = value * min(1.0, _LIGHTEST / max(float(value @ _LUMINANCE), _LIGHTEST))
     red, green, blue = (round(255 * float(each)) for each in value)
     return (red << 16) + (green << 8) + blue
 

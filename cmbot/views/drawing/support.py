@@ -18,7 +18,7 @@ from cmbot.scene import Scene, guardrail_obstacles
 from cmbot.views.page import pack
 
 # A pole is this many times as long as it is wide, its surface no farther from the foot than this, m.
-_SLENDER, _POLE_DISTANCE_M = 3.0, 0.03
+_SLENDER, _NEAR = 3.0, 0.03
 # How near the foot is to an end of a pole that is held at the other alone, as a share of its length; the sine
 # of the inclination from which on a pole stands on its lower end.
 _END, _UPRIGHT = 0.2, 0.7
@@ -53,7 +53,7 @@ def pole_of(scene: Scene) -> Pole | None:
             continue
         share = float((foot - ends[0]) @ along) / length**2
         at = ends[0] + np.clip(share, 0, 1) * along
-        if (distance := float(np.linalg.norm(foot - at))) <= radius + _POLE_DISTANCE_M:
+        if (distance := float(np.linalg.norm(foot - at))) <= radius + _NEAR:
             pole = Pole(obstacle.name, _beams(ends, share), isinstance(obstacle.shape, Mesh))
             found.append((distance, pole))
     return min(found, key=lambda each: each[0])[1] if found else None
@@ -82,7 +82,7 @@ def _axis(obstacle: Obstacle, foot: FloatArray) -> tuple[FloatArray, float]:
             mesh = load_mesh(path, obstacle.name, scale=scale)
             low, high = mesh.bounds
             there = np.linalg.solve(X, np.append(foot, 1.0))[:3]
-            if ((there < low - _POLE_DISTANCE_M) | (there > high + _POLE_DISTANCE_M)).any():
+            if ((there < low - _NEAR) | (there > high + _NEAR)).any():
                 return np.zeros((2, 3)), np.inf
             about = mesh.bounding_box_oriented.primitive
             edges, X = np.array(about.extents), X @ np.array(about.transform)

@@ -18,7 +18,7 @@ from cmbot.stances.walking import WalkSamples
 
 _WIDTH, _EDGE = 900, 40
 # Colours of feet from bearing nothing to bearing all that they can, and of one without bounds.
-_LEAST_SHARE_RGB, _FULL_RGB, _UNKNOWN = (26, 127, 55), (192, 57, 43), "#5d6670"
+_LEAST, _MOST, _UNKNOWN = (26, 127, 55), (192, 57, 43), "#5d6670"
 _WORK, _IN_THE_WAY, _WORKED_ON, _PATH = "#b26a00", "#8a7a5c", "#2f9e8f", "#8b4fd0"
 # Obstacles nearer than this to the plane of posts and rails are drawn, m.
 _SHOWN_DISTANCE_M = 0.1
@@ -204,5 +204,5 @@ def _rectangle(
 
 
 def _colour(share: float) -> str:
-    mixed = (round(a + min(share, 1.0) * (b - a)) for a, b in zip(_LEAST_SHARE_RGB, _FULL_RGB, strict=True))
+    mixed = (round(a + min(share, 1.0) * (b - a)) for a, b in zip(_LEAST, _MOST, strict=True))
     return "#" + "".join(f"{part:02x}" for part in mixed)
