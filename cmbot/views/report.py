@@ -59,7 +59,6 @@ _DISTANCE_TOLERANCE_SHARE = 0.02
 _JOINT_HEADINGS = ("joint", "range, deg", "deg/s", "deg/s²", "deg/s³", "Nm")
 # Where joints slide each row has its own units.
 _MIXED_HEADINGS = ("joint", "range", "velocity", "acceleration", "jerk", "torque or force")
-_SWING_HEADINGS = ("swing after the stop, mm", "without suppression", "planned")
 
 SHARES = (
     " The percentages are the largest shares of the bounds that each motion uses, a plan with its free moves."
@@ -412,7 +411,7 @@ def _sections(plan: Plan, tracking: Tracking | None, excitation: Excitation | No
     yield _loads_section(plan)
     yield _accuracy_section(plan)
     if elastic := list(_elastic(plan)):
-        yield section("Predicted sag and vibration", table(elastic) + table(_swings(plan), _SWING_HEADINGS))
+        yield section("Predicted sag", table(elastic))
     several = {stroke.name for stroke in plan.several}
     begins = {segment.name: segment.begin for segment in plan.job.segments}
     for name, certificate in certificates(plan).items():
@@ -423,7 +422,7 @@ def _sections(plan: Plan, tracking: Tracking | None, excitation: Excitation | No
         errors = table(tracking_rows(tracking), ("mm", "", "x", "y", "z", "norm"), text_columns=2)
         said = tracking_remarks(tracking, compensated=plan.compensation is not None)
         told = (tracking_verdict(plan, tracking), base_movement(plan, tracking), *said)
-        others = table(interval_rows(plan, tracking), interval_headings(tracking), text_columns=2)
+        others = table(interval_rows(tracking), interval_headings(tracking), text_columns=2)
         yield section("Simulation", errors + others + _list(filter(None, told)), kind="long")
     if excitation is not None:
         yield section("What shakes it", _shaken(excitation), kind="long")
@@ -474,33 +473,13 @@ def _list(sentences: Iterable[str]) -> str:
 
 
 def _elastic(plan: Plan) -> Iterator[Row]:
-    """Yield sag compensation and vibration suppression, where they were asked for."""
-    compensation, suppression = plan.compensation, plan.suppression
-    if compensation is not None:
+    """Yield sag compensation, where it was asked for."""
+    if (compensation := plan.compensation) is not None:
         yield "largest shift of the tool from its path, mm", f"{1e3 * compensation.largest_shift:.3f}"
         yield "sag beside what it was planned for, mm", f"{1e3 * compensation.last_change:.3f}"
         if compensation.deviation:
             spread = f"{1e3 * compensation.deviation:.3f}"
             yield "standard deviation of the tool across its path, at most, mm", spread
-    if suppression is not None:
-        left, less = suppression.shares.count(0.0), f"{100 * suppression.share:.4g} %"
-        yield "suppressed elastic modes", str(suppression.modes)
-        yield "their amplitudes at the ends of the legs are less by, on average", less
-        if 0 < left < len(suppression.shares):
-            yield "leg ends without a change", f"{left}"
-        yield "largest amplitude at the tool without it, mm", f"{1e3 * suppression.before:.4f}"
-        yield "largest amplitude with it, mm", f"{1e3 * suppression.after:.4f}"
-
-
-def _swings(plan: Plan) -> Iterator[Row]:
-    """Yield how far the tool swings after the stop, mm, without suppression and with it."""
-    found = plan.suppression
-    if found is None:
-        return
-    each = (found.stiffness, found.load_kg, found.swing_without, found.swing_with)
-    for factor, load, *swings in zip(*each, strict=True):
-        at = f"stiffness times {factor:.3g}" + (f", {load:g} kg more" if load else "")
-        yield at, *(f"{1e3 * swing:.3f}" for swing in swings)
 
 
 def _check_table(certificate: Certificate, base: str, begin: float) -> str:

@@ -32,7 +32,7 @@ _DEFAULT_MAX_POINTS = 200
 _TIMES_BETWEEN_POINTS, _LARGEST_MESSAGE = 16, 100_000
 _NANO = 1e-9
 # What moves by less, rad or m, is at rest; times at which that is seen.
-_AT_REST, _TIMES_OF_MOTION = 1e-6, 2001
+_AT_REST_STEP, _TIMES_OF_MOTION = 1e-6, 2001
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,7 +169,9 @@ def _left_out(
     """The joints that move without being in a message, and how far from end to end."""
     times = np.linspace(trajectory.t[0], trajectory.t[-1], _TIMES_OF_MOTION)
     moves = np.ptp(trajectory.evaluate(times), axis=0)
-    return {name: float(moves[k]) for k, name in enumerate(names) if k not in columns and moves[k] > _AT_REST}
+    return {
+        name: float(moves[k]) for k, name in enumerate(names) if k not in columns and moves[k] > _AT_REST_STEP
+    }
 
 
 def _whole(t: FloatArray) -> IntArray:

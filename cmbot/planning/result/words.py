@@ -22,7 +22,7 @@ MOST_FIRST = 5
 # A peak lower by less than this share is hardly a gain.
 _SMALL_GAIN_SHARE = 1e-2
 # A gain below this share is told with what it costs: joints that travel so many times as far, or more.
-_SMALL, _FURTHER = 5e-2, 3.0
+_COSTED_GAIN_SHARE, _TRAVEL_FACTOR = 5e-2, 3.0
 
 
 def verdict(plan: Plan, *, area: bool = True) -> str:
@@ -165,7 +165,7 @@ def _base(note: Any) -> str:
         gain = 1 - note.peak_nm / note.baseline_nm
         if SAME < gain < _SMALL_GAIN_SHARE:
             text += ": hardly anything is gained"
-        elif _SMALL_GAIN_SHARE <= gain < _SMALL and note.further >= _FURTHER:
+        elif _SMALL_GAIN_SHARE <= gain < _COSTED_GAIN_SHARE and note.further >= _TRAVEL_FACTOR:
             text += f", with joints that travel {note.further:.1f} times as far at work"
     if note.work_nm is not None:
         text += f"; the work alone {note.work_nm:.1f} Nm"
@@ -224,24 +224,6 @@ def _sagging_start(note: Any) -> str:
         f"Starts in the {vars(note)['from']}, with the sag compensated: {_away(note)} from it, so that the "
         "bent arm's tool is where the path begins."
     )
-
-
-def _vibration(note: Any) -> str:
-    modes, legs, left = note.modes, note.legs, note.left
-    slowest = "the slowest vibration" if modes == 1 else f"the {modes} slowest vibrations"
-    what = f"Vibration suppression: {slowest} of {note.base} and links {'is' if modes == 1 else 'are'}"
-    where = "the legs" if not left else f"{legs - left} of the {legs} legs"
-    if left == legs:
-        why = "no change of the motion that was tried keeps every bound"
-        if note.tried:
-            why = "the change that was tried makes the largest swing hardly smaller"
-        return f"{what} left at the ends of the legs: {why}."
-    # What swings was not simulated where these are not given.
-    cases = {"least": 1.0, "most": 1.0, "load_kg": 0.0} | vars(note)
-    load = f" and with up to {cases['load_kg']:g} kg more" if cases["load_kg"] else ""
-    kept = ", and at the others no change keeps every bound" if left else ""
-    factors = f"{cases['least']:.3g} to {cases['most']:.3g} times the stiffness"
-    return f"{what} acted on at the ends of {where}{kept}, at {factors}{load}."
 
 
 def _objective(note: Any) -> str:
@@ -335,7 +317,6 @@ _SENTENCES: dict[str, str | Callable[..., str]] = {
     "robot": "{text}",
     "stiffness": "{text}",
     "units": "Numbers of {of} look like {looks}; they were taken as {units}.",
-    "vibration": _vibration,
     "no_gravity": (
         "Gravity has no part in what was minimised: at rest that is 0 everywhere, so no posture was chosen "
         "by it. axis_weights with x or y above 0 count gravity's torque, too."

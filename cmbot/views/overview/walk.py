@@ -48,7 +48,16 @@ def steps_table(walk: Walk, samples: Sequence[WalkSamples]) -> str:
         rows.append(
             (*cells, f"{100 * segment.figures.limit_use.torque:.0f} %", _share(largest[id(walk.last)]))
         )
-    heads = ("", "moves", "from", "to", "begins, s", "seconds", "effort of joints", "share that a foot bears")
+    heads = (
+        "step",
+        "moves",
+        "from",
+        "to",
+        "begins, s",
+        "seconds",
+        "effort of joints",
+        "share that a foot bears",
+    )
     return table(rows, heads, text_columns=4)
 
 
@@ -68,7 +77,15 @@ def tour_page(tour: Tour) -> str:
     tour : Tour
     """
     parts = list(tour.parts)
-    heads = ("", "what", "begins, s", "seconds", "peak torque, Nm", "adhesion needed, kN", "effort of joints")
+    heads = (
+        "part",
+        "what",
+        "begins, s",
+        "seconds",
+        "peak torque, Nm",
+        "adhesion needed, kN",
+        "effort of joints",
+    )
     rows = ((name, *_row(part, begin)) for name, begin, part in parts)
     content = f"<section>{table(rows, heads, text_columns=2)}</section>"
     samples = [list(walk_samples(each)) for each in tour.walks]
