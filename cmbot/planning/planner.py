@@ -201,7 +201,6 @@ class _Planner:
     """How the jobs of one call of `plan` are planned."""
 
     options: PlannerOptions
-    automatic: bool  # the solver was chosen by ``auto``
     objective: WrenchFunction | None
     reporter: ProgressReporter
     deadline: Deadline
@@ -217,7 +216,6 @@ class _Planner:
         """Return the planner by options as they are given: a plan holds the solver that it was made with."""
         return cls(
             options=replace(given, solver=solver_of(given)),
-            automatic=given.solver == "auto",
             objective=objective,
             reporter=ProgressReporter(report),
             deadline=deadline,
@@ -290,7 +288,7 @@ class _Planner:
         for number in range(len(request.strokes)):
             stroke = _at_stroke(request, number, state)
             near = before.get(stroke.stroke.name)
-            planned = plan_stroke(stroke, automatic=self.automatic, earlier=near)
+            planned = plan_stroke(stroke, earlier=near)
             if near is None and not isinstance(planned.trial.outcome, Solved):
                 planned = self._in_given_time(scene, stroke, planned, state)
             made.append(planned)
@@ -341,7 +339,7 @@ class _Planner:
         stroke, found = _at_stroke(fast, request.number, state), refused
         # Another start may be better at rest, and slower.
         for stays in (False, True):
-            planned = plan_stroke(stroke, automatic=self.automatic, stays=stays)
+            planned = plan_stroke(stroke, stays=stays)
             found = in_given_time(found, request.stroke, planned)
             if isinstance(found.trial.outcome, Solved):
                 break

@@ -43,19 +43,13 @@ class PlannedStroke:
 
 
 def plan_stroke(
-    request: StrokeRequest,
-    *,
-    automatic: bool,
-    earlier: QuinticTrajectory | None = None,
-    stays: bool = False,
+    request: StrokeRequest, *, earlier: QuinticTrajectory | None = None, stays: bool = False
 ) -> PlannedStroke:
     """Plan a stroke and the free moves that go with it.
 
     Parameters
     ----------
     request : StrokeRequest
-    automatic : bool
-        The solver was chosen by ``auto``.
     earlier : QuinticTrajectory, optional
         A motion along the stroke where its frame was before: planned once, from its postures.
     stays : bool
@@ -64,16 +58,16 @@ def plan_stroke(
     if request.stroke.begins_elsewhere:
         begun = attempted(request, lambda: starting_at_path(request))
         if not isinstance(begun, StrokeRequest):
-            attempt = Attempt(request=request, guess=begun, automatic=automatic)
+            attempt = Attempt(request=request, guess=begun)
             return PlannedStroke(trial=Trial(attempt=attempt, outcome=begun), runs=0)
         request = begun
     if earlier is not None:
         near = attempted(request, lambda: guess_near(request, earlier))
-        attempt = Attempt(request=request, guess=near, automatic=automatic, is_first=False)
+        attempt = Attempt(request=request, guess=near, is_first=False)
         trial = agenda_of(request, certified_motion, (), Budget(runs=1)).search(attempt)
         return PlannedStroke(trial=trial, runs=1)
     budget = Budget(runs=SHORTEST_TIME_RUNS if request.task.path.open_legs else RUNS)
-    first = Attempt.of(request, automatic=automatic)
+    first = Attempt.of(request)
     if stays and request.cell.options.knots == "sliding":
         first = replace(first, guess=attempted(request, lambda: sliding_guess(request, stay=True)))
     quiet = first if request.task.path.open_legs else first.quiet()
