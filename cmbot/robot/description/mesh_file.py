@@ -68,7 +68,7 @@ def locate_meshes(
                 got = f"{shown(name)}, {error.got} ({sought})"
                 expected = error.expected
                 if not path.is_absolute():
-                    expected = f"{expected}: package_dirs has the folder of its package, or the one with that"
+                    expected = f"{expected}: package_dirs (--package-dir) has its package's folder, or the one above"
                 raise ModelError(str(urdf), _key(link), got, expected) from error
             located[name] = str(path)
         mesh.set("filename", located[name])
