@@ -72,7 +72,7 @@ def notes(plan: Plan) -> tuple[Note, ...]:
     ----------
     plan : Plan
     """
-    found = [*_first(plan), *_faults(plan), *_start(plan), *_told(plan), *_vibration(plan), *_objective(plan)]
+    found = [*_first(plan), *_faults(plan), *_start(plan), *_told(plan), *_objective(plan)]
     if plan.baseline is not None:
         found += _compared(plan, plan.baseline)
     found += [*_return(plan), *_bound(plan), *_certified(plan)]
@@ -208,19 +208,6 @@ def _told(plan: Plan) -> Iterator[Note]:
         yield Note(level="warning", key="units", values={"of": key, "looks": looks, "units": units})
 
 
-def _vibration(plan: Plan) -> Iterator[Note]:
-    """What is done about vibration at the ends of the legs."""
-    done, base = plan.suppression, plan.scene.base_name
-    if done is None or done.at_rest:
-        return
-    legs, left = len(done.shares), done.shares.count(0.0)
-    tried = not done.worth_it and done.swing_with != done.swing_without
-    values = {"base": base, "modes": done.modes, "legs": legs, "left": left, "tried": tried}
-    if done.stiffness:
-        values |= {"least": min(done.stiffness), "most": max(done.stiffness), "load_kg": max(done.load_kg)}
-    yield Note(level="warning" if left else "note", key="vibration", values=values)
-
-
 def _objective(plan: Plan) -> Iterator[Note]:
     """What was minimised, where that is not the torque on the base or gravity has no part in it."""
     objective, holding = plan.objective, plan.robot.holding
@@ -259,7 +246,7 @@ def _compared(plan: Plan, baseline: Baseline) -> Iterator[Note]:
         values = {"factor": factor, "joint": plan.robot.joints[joint], "unit": units.position}
         yield Note(level="note", key="travel", values=values | {"far": far, "other": other})
     before, after = (each.limit_use.jerk for each in (baseline.figures, plan.figures))
-    if plan.suppression is not None and after > max(_MUCH_JERK_FACTOR * before, _LITTLE_JERK):
+    if plan.sway is not None and after > max(_MUCH_JERK_FACTOR * before, _LITTLE_JERK):
         yield Note(level="warning", key="jerk", values={"factor": after / before, "share": after})
     peak, least, floor = plan.objective.planned_peak, plan.objective.baseline_peak, plan.objective.floor
     sought = plan.options.objective != "travel"

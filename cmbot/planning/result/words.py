@@ -249,32 +249,6 @@ def _start(begin: str) -> Callable[..., str]:
     return words
 
 
-def _vibration(
-    base: str,
-    modes: int,
-    legs: int,
-    left: int,
-    tried: bool,
-    least: float = 1.0,
-    most: float = 1.0,
-    load_kg: float = 0.0,
-) -> str:
-    slowest = "the slowest vibration" if modes == 1 else f"the {modes} slowest vibrations"
-    what = f"Vibration suppression: {slowest} of {base} and links {'is' if modes == 1 else 'are'}"
-    where = "the legs" if not left else f"{legs - left} of the {legs} legs"
-    if left == legs:
-        why = "no change of the motion that was tried keeps every bound"
-        if tried:
-            why = "the change that was tried makes the largest swing hardly smaller"
-        return f"{what} left at the ends of the legs: {why}."
-    load = f" and with up to {load_kg:g} kg more" if load_kg else ""
-    kept = ", and at the others no change keeps every bound" if left else ""
-    return (
-        f"{what} acted on at the ends of {where}{kept}, at {least:.3g} to {most:.3g} times the stiffness"
-        f"{load}."
-    )
-
-
 def _objective(
     name: str,
     own: bool,
@@ -386,7 +360,6 @@ _SENTENCES: dict[str, str | Callable[..., str]] = {
     "robot": "{text}",
     "stiffness": "{text}",
     "units": "Numbers of {of} look like {looks}; they were taken as {units}.",
-    "vibration": _vibration,
     "no_gravity": (
         "Gravity has no part in what was minimised: at rest that is 0 everywhere, so no posture was chosen "
         "by it. axis_weights with x or y above 0 count gravity's torque, too."

@@ -24,7 +24,7 @@ LEGS = [{"by": [0, side * 0.1, 0], "seconds": 3.0} for side in (-1, 1, -1, 1)]
 def to_and_fro(knots: str, **planner: object) -> Scene:
     return short_scene(
         tool_path={"legs": LEGS, "via_points": 33},
-        planner={"solver": "sqp", "knots": knots, "quiet_modes": 0, **planner},
+        planner={"solver": "sqp", "knots": knots, **planner},
     )
 
 
@@ -113,7 +113,7 @@ def test_where_a_segment_fails_the_path_is_solved_as_a_whole(
 ) -> None:
     """The plan says so, also when it is read again."""
     monkeypatch.setattr(decomposition, "LONGEST_WHOLE", 10)
-    planner = {"solver": "sqp", "knots": "sliding", "start": "pinned", "quiet_modes": 0}
+    planner = {"solver": "sqp", "knots": "sliding", "start": "pinned"}
     scene = short_scene(tool_path={"legs": LEGS[:2], "via_points": 17}, planner=planner)
     assert plan(scene).fallbacks == ()
     asked: list[int] = []
