@@ -35,6 +35,7 @@ def test_the_shipped_scenes():
         "clamped_triangle",
         "gusset_plate",
         "line",
+        "mast_inspection",
         "panda_sanding",
         "passing_train",
         "pipe",
