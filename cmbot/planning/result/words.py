@@ -10,6 +10,7 @@ import numpy as np
 
 from cmbot.common.limit import Limit
 from cmbot.common.reading.validation import counted
+from cmbot.hold import MAGNET_PRESSURE
 from cmbot.planning.certification.check import Check
 from cmbot.planning.result.judgement import SAME, bound_use
 from cmbot.planning.result.notes import Note, notes
@@ -135,8 +136,9 @@ def _tool(
     return f"{text}; largest part: {part}, {100 * part_share:.0f} % of the mean square."
 
 
-def _needed(needed_kn: float, mode: str, **_: Any) -> str:
-    return f"an adhesion of {needed_kn:.2f} kN ({mode})"
+def _needed(needed_kn: float, mode: str, pressure_mpa: float, **_: Any) -> str:
+    beyond = ", beyond any magnet" if 1e6 * pressure_mpa > MAGNET_PRESSURE else ""
+    return f"an adhesion of {needed_kn:.2f} kN ({mode}), {pressure_mpa:.2f} MPa{beyond}"
 
 
 def _holds(
