@@ -1,6 +1,6 @@
 """Where to stand: candidates along the guardrail, screened and ranked, the best planned."""
 
-from cmbot.stances.bounds import NO_FIGURES, Bounds, SagLimit, StanceFigures, StanceObjective
+from cmbot.stances.bounds import NO_FIGURES, Bounds, StanceFigures, StanceObjective
 from cmbot.stances.candidates import (
     APART,
     REACH,
@@ -13,6 +13,7 @@ from cmbot.stances.candidates import (
     in_the_way,
     lift_height,
     own_candidate,
+    place_in_words,
     places_of,
     without_links,
 )
@@ -25,8 +26,8 @@ from cmbot.stances.ranking import (
     require_standing,
     stand,
 )
-from cmbot.stances.screening import Screener, Screening
-from cmbot.stances.search import Rejection, StanceResult, StandOptions, evaluate_stances
+from cmbot.stances.screening import Screener
+from cmbot.stances.search import Rejection, StanceResult, StandOptions
 from cmbot.stances.table import bounds_table, in_words, planned_table, shared_out, stances_csv
 
 __all__ = [
@@ -38,9 +39,7 @@ __all__ = [
     "Candidate",
     "MountCandidate",
     "Rejection",
-    "SagLimit",
     "Screener",
-    "Screening",
     "StanceFigures",
     "StanceObjective",
     "StanceRanking",
@@ -51,13 +50,13 @@ __all__ = [
     "bounds_table",
     "candidate_at",
     "candidates_of",
-    "evaluate_stances",
     "in_the_way",
     "in_words",
     "in_world",
     "joined",
     "lift_height",
     "own_candidate",
+    "place_in_words",
     "places_of",
     "planned_table",
     "put_away",

@@ -13,7 +13,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import short_repr
 from cmbot.elastic import elastic_base
 from cmbot.planning import held_guardrail, robot_of
-from cmbot.robot import ARM_JOINTS, Climber, Robot, load_climbing_robot
+from cmbot.robot import ARM_JOINTS, Climber, Robot, Side, load_climbing_robot
 from cmbot.scene import (
     FootholdFile,
     MountFile,
@@ -61,8 +61,16 @@ class Candidate:
     @property
     def place(self) -> str:
         """Where the feet hold, in words."""
-        feet = [foot for foot in (self.stance.foot_1, self.stance.foot_2) if foot is not None]
-        return " and ".join(f"{foot.member} at {foot.along_m:.2f} m ({foot.face})" for foot in feet)
+        return " and ".join(map(place_in_words, self.stance.held))
+
+    @property
+    def feet(self) -> tuple[Side, ...]:
+        """The feet that hold."""
+        return (1,) if self.stance.foot_2 is None else (1, 2)
+
+    def foot_pose(self, foot: Side) -> FloatArray:
+        """Return the pose (4, 4) of a foot in W."""
+        return self.root if foot == 1 else np.asarray(self.root @ Climber().poses(self.climber)[0])
 
     @property
     def in_file(self) -> StanceFile | None:
@@ -90,6 +98,7 @@ class MountCandidate:
     mount: MountFile | None
     base: FloatArray
     stiffness: FloatArray | None
+    feet: tuple[Side, ...] = (1,)  # what is held counts as one
 
     __repr__ = short_repr
 
@@ -155,7 +164,7 @@ def own_candidate(scene: Scene) -> Candidate | None:
         place = place.changed(along_m=along)
         return replace(candidate_at(place, None, np.eye(4), climber.working, climber), at_origin=True)
     stance = scene.stance
-    return candidate_at(file.foot_1, file.foot_2, stance.root, np.array(stance.climber), climber)
+    return candidate_at(*file.places, stance.root, np.array(stance.climber), climber)
 
 
 def candidates_of(
@@ -186,12 +195,12 @@ def candidates_of(
     climber = Climber()
     known = set[tuple[float, ...]]()
     for candidate in first:
-        feet = [place for place in (candidate.stance.foot_1, candidate.stance.foot_2) if place is not None]
-        X_2 = foothold_pose(scene.elastic_guardrail, feet[1]) if len(feet) > 1 else None
-        on_them = not members or all(place.member in members for place in feet)
+        held, other = candidate.stance.held, candidate.stance.foot_2
+        X_2 = None if other is None else foothold_pose(scene.elastic_guardrail, other)
+        on_them = not members or all(place.member in members for place in held)
         if on_them and _is_new(candidate, X_2, known):
             yield candidate
-    for place in (place for place in places_of(scene, spacing) if not members or place.member in members):
+    for place in places_of(scene, spacing, members):
         X = foothold_pose(scene.elastic_guardrail, place)
         angles = climber.hanging(X[:3, :3])
         if angles is None:
@@ -201,7 +210,7 @@ def candidates_of(
             yield candidate
     if not np.isfinite(pair_spacing):
         return
-    places = [place for place in places_of(scene, pair_spacing) if not members or place.member in members]
+    places = [*places_of(scene, pair_spacing, members)]
     poses = [foothold_pose(scene.elastic_guardrail, place) for place in places]
     for place, X in zip(places, poses, strict=True):
         for other, X_2 in zip(places, poses, strict=True):
@@ -244,7 +253,7 @@ def candidate_at(
     return Candidate(stance=stance, root=X, base=X @ climber.poses(angles)[1], climber=angles)
 
 
-def places_of(scene: Scene, spacing: float) -> Iterator[FootholdFile]:
+def places_of(scene: Scene, spacing: float, members: Collection[str] = ()) -> Iterator[FootholdFile]:
     """Yield places of a foot along posts and rails, on every side from which a base can hang, both ways up.
 
     Where an obstacle or another member is in the way of the foot there is none: `in_the_way`.
@@ -253,12 +262,15 @@ def places_of(scene: Scene, spacing: float) -> Iterator[FootholdFile]:
     ----------
     scene : Scene
     spacing : float, m
+    members : collection of str
+        On which they are; empty: all.
     """
     guardrail = scene.elastic_guardrail
     posts = [(f"post_{k + 1}", ("outer", "left", "right")) for k in range(len(guardrail.post_positions))]
     rails = [(rail.name, ("outer",)) for rail in guardrail.rails]
     clamps = {hold.kind for hold in scene.guardrail.hold or ()} == {"clamp"}
-    for member, faces in (*posts, *rails):
+    of_members = [each for each in (*posts, *rails) if not members or each[0] in members]
+    for member, faces in of_members:
         for face in faces:
             probe = FootholdFile.model_validate({"member": member, "along_m": 0.0, "face": face})
             side = foothold_face(guardrail, probe)
@@ -287,7 +299,7 @@ def climber_in_the_way(scene: Scene, candidate: Candidate) -> str | None:
         As `in_world` returns it.
     candidate : Candidate
     """
-    climber = bare_climber(candidate.root, scene.all_obstacles, foot_2=candidate.stance.foot_2 is None)
+    climber = bare_climber(candidate.root, scene.all_obstacles, foot_2=2 not in candidate.feet)
     numbers = np.arange(len(climber.pairs))
     distance = climber.distances(candidate.climber[None], np.zeros_like(numbers), numbers)
     own = np.array([pair.self_collision for pair in climber.pairs], dtype=np.bool_)
@@ -296,6 +308,11 @@ def climber_in_the_way(scene: Scene, candidate: Candidate) -> str | None:
         return None
     pair = climber.pairs[int(spare.argmin())]
     return f"{pair.link} and {pair.other} come too near to each other"
+
+
+def place_in_words(place: FootholdFile | None) -> str:
+    """Return where a foot holds, in words."""
+    return "free" if place is None else f"{place.member} at {place.along_m:.2f} m ({place.face})"
 
 
 def lift_height() -> float:

@@ -143,7 +143,7 @@ class HoldFile(FileModel):
         )
         for at, curve in curves:
             if adhesion is not None and at is not None and curve is not None:
-                adhesion *= float(np.interp(at, *zip(*curve, strict=True)))
+                adhesion *= float(np.interp(at, *np.array(curve).T))
         return adhesion
 
 
