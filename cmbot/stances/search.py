@@ -176,6 +176,8 @@ class StanceResult:
     Attributes
     ----------
     candidate : Candidate or MountCandidate
+    number : int
+        Of the candidate, in the screening.
     stage : str
         By what it was judged, the furthest it came: ``reach`` of the links, sampled ``postures``,
         ``clearance`` of what does not move, ``obstacles`` with charts at some via-points, ``charts`` at all
@@ -199,6 +201,7 @@ class StanceResult:
     """
 
     candidate: AnyCandidate
+    number: int = 0
     stage: StageName
     bound: float
     proven: float = 0.0

@@ -56,9 +56,8 @@ def in_words(ranking: StanceRanking) -> Iterator[str]:
     counts = {status: ranking.count(status) for status in _ENDED}
     ended = (words.format(counts[status]) for status, words in _ENDED.items() if counts[status])
     yield f"{len(ranked)} stances: {', '.join(ended)}."
-    if reasons := ranking.reasons:
-        each = "; ".join(f"{cause}, {number}" for cause, number in reasons)
-        yield f"Stances are left out most often for: {each}."
+    if ranking.reasons:
+        yield f"Stances are left out most often for: {ranking.reasons_in_words}."
 
 
 def _best_in_words(ranking: StanceRanking, best: StanceResult) -> Iterator[str]:
