@@ -34,7 +34,7 @@ _MIN_PLAN_SECONDS = 1e-3
 # Share of a time limit that the screening may take.
 _SCREENING_SHARE = 0.4
 # Once enough are planned, only stances that may be better by more than this share are judged.
-_WORTH_SHARE = 0.02
+_WORTH_SHARE = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
