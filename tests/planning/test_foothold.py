@@ -244,6 +244,7 @@ def test_a_scene_whose_feet_do_not_hold_at_the_start_is_told_so() -> None:
         r"[0-9]+ N of adhesion, times safety [0-9.]+, where a foot has 1000 N", weak.warnings[0].got
     )
     assert not precheck_scene(magnet_scene()).warnings
+    assert dict(weak.found)["contact of foot 1"].endswith("than 14.9 kN there, one of two poles 1.9 kN")
     with pytest.raises(PlanningError, match=r"^the start asks [0-9]+ N of adhesion"):
         plan(magnet_scene(1000.0))
 
