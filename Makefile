@@ -32,8 +32,8 @@ lint: .venv/tested
 bench: .venv/benched
 	$(BIN)/python benchmarks/run.py
 
-# Needs py-rattler-build, and some minutes for the image or its steps.
-packages:
+# Takes some minutes, for the image or its steps.
+packages: .venv/packaged
 	$(BIN)/python tools/try_packages.py
 
 # Takes hours; what has not changed since the last run is not run again.
@@ -63,6 +63,10 @@ clean:
 
 .venv/documented: pyproject.toml | .venv/bin/python
 	$(BIN)/python -m pip install --quiet --editable '.[docs]'
+	touch $@
+
+.venv/packaged: | .venv/bin/python
+	$(BIN)/python -m pip install --quiet py-rattler-build
 	touch $@
 
 .venv/tested: pyproject.toml | .venv/bin/python

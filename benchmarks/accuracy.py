@@ -82,15 +82,16 @@ def bent_tool(arm: ElasticArm, q: FloatArray) -> FloatArray:
     return np.asarray(Kinematics(arm.robot).tool_poses(q)[0] + Sag(arm).at(q).tool)
 
 
-def swayed(plan: Plan, arm: ElasticArm, factor: float) -> FloatArray:
-    """What MuJoCo adds (N, 3), m, to the bent arm at rest while the planned motion is made."""
+def swayed(plan: Plan, arm: ElasticArm, factor: float, after_s: float = 0.0) -> FloatArray:
+    """What MuJoCo adds (N, 3), m, to the bent arm at rest during the planned motion, and so long after it."""
     motion, soft = plan.trajectory, arm.softened(factor)
 
     def states(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         at = np.minimum(t, motion.duration)
-        return motion.evaluate(at), motion.evaluate(at, 1), motion.evaluate(at, 2)
+        moves = (t <= motion.duration)[:, None]
+        return motion.evaluate(at), motion.evaluate(at, 1) * moves, motion.evaluate(at, 2) * moves
 
-    steps = int(motion.duration / STEP) // EVERY * EVERY
+    steps = int((motion.duration + after_s) / STEP) // EVERY * EVERY
     q = states(STEP * EVERY * np.arange(steps // EVERY + 1))[0]
     start = Sag(soft).at(q[:1]).u[0]
     damping = arm_modes(soft, q[len(q) // 2]).damping(arm.robot.damping_ratio)

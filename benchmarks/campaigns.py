@@ -7,7 +7,7 @@
 The jobs are variants of the triangle and the line with other payloads and first legs, from a seed. Each is
 planned with its certificate for all times and written as a plan directory, without pages. Wall times are
 those of this machine; what a second process adds is a ratio of one run. Tiny jobs are legs of 0.1 m with
-eight via-points, without suppression; memory is what is resident, in this process and in the largest of its
+eight via-points; memory is what is resident, in this process and in the largest of its
 workers.
 """
 
@@ -31,7 +31,6 @@ FORMAT = "cmbot-campaign/1"
 _TINY = {
     "tool_path.legs": [{"by": [0, -0.1, 0], "seconds": 3}],
     "tool_path.via_points": 8,
-    "planner.quiet_modes": 0,
     "planner.path_step_s": 0.02,
     "planner.samples_per_segment": 6,
 }

@@ -276,9 +276,7 @@ def _inside(
 
 def off_path(scene: Scene, truth: ElasticArm, sigmas: float = 0.0) -> tuple[Plan, float]:
     """Compensate the sag that a scene foresees; the true arm's RMS distance from the path along it, m."""
-    options = replace(
-        scene.planner, compensate=True, quiet_modes=0, deviation_sigmas=sigmas, max_tool_deviation_m=1e-3
-    )
+    options = replace(scene.planner, compensate=True, deviation_sigmas=sigmas, max_tool_deviation_m=1e-3)
     planned = plan(scene.with_options(options), progress=False)
     simulated_options = SimulationOptions(settle_s=0.0)
     work = PrescribedWork.planned(planned)
@@ -320,7 +318,7 @@ def main() -> int:
     options = parser.parse_args()
     console = Console()
     scene = load_scene("triangle")
-    job = job_postures(plan(scene.with_options(quiet_modes=0), progress=False))
+    job = job_postures(plan(scene, progress=False))
     with threadpool_limits(limits=1, user_api="blas"):
         proposal = propose(scene, options.postures, job)
         after = proposal.after

@@ -1,11 +1,12 @@
 """How quiet plans are: sway at work and swing after the stop, beside the law that a scene would have without.
 
-    python benchmarks/quiet.py --seed 7 [--count 20]
+    python benchmarks/quiet.py --seed 7 [--count 20] [--mujoco 6]
 
 Random scenes of the shipped arm on its guardrail and of three others on an elastic mast; every second one has
-the paper's trapezoid as its other law, the others `jerk_limited`. Each is planned with ``quiet``, with
-suppression, and with the other law, without. What counts is the largest value over 0.7, 1 and 1.3 times the
-stiffness. Scenes without a plan are named.
+the paper's trapezoid as its other law, the others `jerk_limited`. Each is planned with ``quiet`` and with
+the other law. What counts is the largest value over 0.7, 1 and 1.3 times the stiffness. Scenes without a plan
+are named. The first few quiet plans are simulated by MuJoCo, too, whose model is made from the robot apart
+from the package's.
 """
 
 from __future__ import annotations
@@ -20,11 +21,15 @@ from typing import Any
 
 import numpy as np
 import yaml
+from accuracy import EVERY, STEP, swayed
 from rich.console import Console
+from scipy.spatial.distance import pdist
 from suite.arms import ARMS, arm_named
 from suite.scenes import make_scene
 
 from cmbot import PlanningError, load_scene, plan
+from cmbot.accuracy.sway import SETTLE_S
+from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.modes import arm_modes
 from cmbot.planning import Plan, bending_arm
 
@@ -39,7 +44,7 @@ _OTHER = ({"kind": "trapezoidal", "ramp": 0.2}, {"kind": "jerk_limited", "ramp":
 
 @dataclass(frozen=True, kw_only=True)
 class Compared:
-    """A quiet plan beside one by another law, without suppression.
+    """A quiet plan beside one by another law.
 
     Attributes
     ----------
@@ -49,6 +54,8 @@ class Compared:
         mm.
     peak, mean : float
         Of the torque on the base, as ratios.
+    mujoco : two floats or None
+        Sway and swing of the quiet plan as MuJoCo has them, mm, where that was asked for.
     """
 
     periods: float
@@ -58,6 +65,7 @@ class Compared:
     other_swing: float
     peak: float
     mean: float
+    mujoco: tuple[float, float] | None
 
 
 def quiet_scene(seed: int, number: int, folder: str) -> dict[str, Any]:
@@ -77,16 +85,23 @@ def quiet_scene(seed: int, number: int, folder: str) -> dict[str, Any]:
     return data
 
 
-def _planned(data: dict[str, Any], source: Path, profile: dict[str, Any], modes: int) -> Plan:
+def _planned(data: dict[str, Any], source: Path, profile: dict[str, Any]) -> Plan:
     tool_path = {**data["tool_path"], "speed_profile": profile}
-    planner = {**data["planner"], "quiet_modes": modes}
     file = source / f"{profile['kind']}.yaml"
-    file.write_text(json.dumps({**data, "tool_path": tool_path, "planner": planner}), encoding="utf-8")
+    file.write_text(json.dumps({**data, "tool_path": tool_path}), encoding="utf-8")
     return plan(load_scene(file), progress=False)
 
 
-def compared(seed: int, number: int) -> Compared:
-    """Plan a scene with both laws.
+def by_mujoco(planned: Plan, arm: ElasticArm) -> tuple[float, float]:
+    """Sway at work and swing after it, mm, as MuJoCo has them: the largest over the interval."""
+    share, stop = planned.options.quiet_stiffness_share, round(planned.trajectory.duration / (STEP * EVERY))
+    tools = [swayed(planned, arm, factor, SETTLE_S) for factor in (1 - share, 1.0, 1 + share)]
+    sway = max(float(np.linalg.norm(tool[:stop], axis=1).max()) for tool in tools)
+    return 1e3 * sway, 1e3 * max(float(pdist(tool[stop:]).max()) for tool in tools)
+
+
+def compared(seed: int, number: int, *, simulate: bool = False) -> Compared:
+    """Plan a scene with both laws, and simulate the quiet plan by MuJoCo if that is asked for.
 
     Raises
     ------
@@ -95,8 +110,8 @@ def compared(seed: int, number: int) -> Compared:
     """
     with tempfile.TemporaryDirectory() as folder:
         data = quiet_scene(seed, number, folder)
-        other = _planned(data, Path(folder), _OTHER[number // len(_ARMS) % 2], 0)
-        quiet = _planned(data, Path(folder), {"kind": "quiet", "ramp": 0.3}, 2)
+        other = _planned(data, Path(folder), _OTHER[number // len(_ARMS) % 2])
+        quiet = _planned(data, Path(folder), {"kind": "quiet", "ramp": 0.3})
         arm = bending_arm(quiet.scene, quiet.robot)
         if arm is None or quiet.sway is None or other.sway is None:
             raise ValueError("nothing bends")
@@ -110,6 +125,7 @@ def compared(seed: int, number: int) -> Compared:
             other_swing=other.sway.swing_mm,
             peak=quiet.figures.peak_guardrail_torque / other.figures.peak_guardrail_torque,
             mean=quiet.figures.mean_guardrail_torque / other.figures.mean_guardrail_torque,
+            mujoco=by_mujoco(quiet, arm) if simulate else None,
         )
 
 
@@ -119,12 +135,13 @@ def main() -> int:
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--mujoco", type=int, default=0, help="how many plans MuJoCo simulates")
     options = parser.parse_args()
-    console, rows = Console(), list[Compared]()
+    console, rows = Console(soft_wrap=True), list[Compared]()
     for number in range(options.first, options.first + options.count):
         name = f"{number} {_ARMS[number % len(_ARMS)]} {_OTHER[number // len(_ARMS) % 2]['kind']}"
         try:
-            found = compared(options.seed, number)
+            found = compared(options.seed, number, simulate=len(rows) < options.mujoco)
         except PlanningError as error:
             console.print(f"{name}: no plan: {str(error)[:200]}")
             continue
@@ -133,6 +150,7 @@ def main() -> int:
             f"{name}: {found.periods:.1f} periods, sway {found.sway:.3g} of {found.other_sway:.3g} mm "
             f"({found.sway / found.other_sway:.2f}), swing {found.swing:.4f} of {found.other_swing:.4f} mm, "
             f"peak {found.peak:.4f}, mean {found.mean:.4f}"
+            + (f"; by MuJoCo {found.mujoco[0]:.3g} and {found.mujoco[1]:.4f} mm" if found.mujoco else "")
         )
     ratios = np.array([row.sway / row.other_sway for row in rows])
     swing = np.array([row.swing for row in rows])

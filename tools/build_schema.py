@@ -1,4 +1,4 @@
-"""Writes the JSON Schema of the scene file and its reference page from the models that check it."""
+"""Writes the JSON Schema of the scene file, its reference page and the table of attributes from the code."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from dataclasses import is_dataclass
 from itertools import pairwise
 from pathlib import Path
 
+import attribute_tables
 from scene_reference import reference_text
 
 from cmbot.common.reading.validation import FileModel
@@ -34,6 +35,7 @@ from cmbot.toolpath import (
 
 _ROOT = Path(__file__).resolve().parent.parent
 TARGET, PAGE = _ROOT / "scenes" / "scene.schema.json", _ROOT / "docs" / "scene_file.md"
+API = _ROOT / "docs" / "api.md"
 
 
 def schema_text() -> str:
@@ -100,7 +102,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing; exit 1 when the file differs")
     check, differ = parser.parse_args().check, False
-    for target, text in ((TARGET, schema_text()), (PAGE, page_text())):
+    attributes = attribute_tables.page_text(API.read_text(encoding="utf-8"))
+    for target, text in ((TARGET, schema_text()), (PAGE, page_text()), (API, attributes)):
         if check:
             current = target.exists() and target.read_text(encoding="utf-8") == text
             differ |= not current

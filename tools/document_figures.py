@@ -50,19 +50,19 @@ def run(*words: str) -> str:
 def gains(name: str) -> Iterator[Row]:
     """Yield the figures of a shipped job: name and unit, without what cmbot does, planned.
 
-    Without: straight motion with neither compensation nor suppression, and its own plan's accuracy budget.
+    Without: straight motion without compensation, and its own plan's accuracy budget.
     What the base bears is not compared with a motion that breaks limits.
     """
     scene = cmbot.load_scene(name).with_options(baseline="straight")
     plan = cmbot.plan(scene)
-    baseline, suppression, sag = plan.baseline, plan.suppression, plan.bent_offsets
+    baseline, sag = plan.baseline, plan.bent_offsets
+    rests = [motion.metrics.residual for _, motion in cmbot.simulate(plan).motions]
     budgets = [each.accuracy for each in (cmbot.plan(scene.with_options(compensate=False)), plan)]
-    if baseline is None or suppression is None or None in (*budgets, *sag):
+    if baseline is None or None in (*budgets, *sag, *rests):
         sys.exit(f"{name}: nothing bends there")
     yield "tool within, with 95 %, mm", *(f"{budget.within_mm:.1f}" for budget in budgets if budget)
     yield "sag of the tool off its path, mm", *(f"{1e3 * x:.1f}" for x in sag if x is not None)
-    swings = (suppression.swing_without, suppression.swing_with)
-    yield "swing after a stop, mm", *(f"{1e3 * max(each):.2f}" for each in swings)
+    yield "swing after the job, mm", *(f"{1e3 * rest.diameter:.2f}" for rest in rests if rest)
     both = baseline.job_figures, plan.job.figures
     needed = (f"{1e-3 * each.adhesion_needed.peak:.1f}" for each in both if each.adhesion_needed)
     peaks = (f"{each.peak_guardrail_torque:.0f}" for each in both)

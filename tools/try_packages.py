@@ -1,11 +1,13 @@
-"""Try the recipes of packaging/: render the conda recipe, run the steps of the Dockerfile.
+"""Try what others install: the conda recipe, wheels for macOS, the Dockerfile.
 
-``python tools/try_packages.py`` needs py-rattler-build. The recipe has to ask for what pyproject.toml does.
-The image is built where a Docker daemon answers; elsewhere its RUN lines are run in a new environment.
+``make packages`` runs it. The recipe has to ask for what pyproject.toml does.
+For macOS pip resolves the dependencies to wheels, and installs none. The image is built where a Docker daemon
+answers; elsewhere its RUN lines are run in a new environment.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -20,6 +22,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGING = ROOT / "packaging"
 # Names of conda-forge that differ from those of Python's index.
 CONDA_NAMES = {"pin": "pinocchio", "meshcat": "meshcat-python"}
+MACS = ("macosx_14_0_arm64", "macosx_13_0_x86_64")
 
 
 def try_recipe() -> None:
@@ -44,6 +47,18 @@ def _conda_name(requirement: str) -> str:
     return f"{CONDA_NAMES.get(name, name)} {bounds}"
 
 
+def try_macs() -> None:
+    """Resolve what cmbot and its extra `fast` depend on to wheels for macOS."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    asked = [*project["dependencies"], *project["optional-dependencies"]["fast"]]
+    for platform in MACS:
+        words = ["install", "--dry-run", "--ignore-installed", "--target", "unused", "--only-binary=:all:"]
+        words += ["--platform", platform, "--python-version", "3.12", "--report", "-", "--quiet", *asked]
+        pip = [sys.executable, "-m", "pip", *words]
+        report = subprocess.run(pip, check=True, stdout=subprocess.PIPE, text=True).stdout
+        print(f"{platform}, Python 3.12: {len(json.loads(report)['install'])} wheels")
+
+
 def try_image() -> None:
     """Build the image, or run its steps."""
     file = PACKAGING / "Dockerfile"
@@ -64,4 +79,5 @@ def try_image() -> None:
 
 if __name__ == "__main__":
     try_recipe()
+    try_macs()
     try_image()

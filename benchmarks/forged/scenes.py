@@ -134,7 +134,6 @@ HONEST: tuple[tuple[str, dict[str, Any]], ...] = (
             ("planner.safety_margin_m", 0.03),
             ("planner.compensate", True),
             ("planner.deviation_sigmas", 1.0),
-            ("planner.quiet_modes", 0),
             ("planner.samples_per_segment", 20),
             ("return", "start"),
             ("return", "stow"),

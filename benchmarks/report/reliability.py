@@ -93,8 +93,9 @@ def _kind_of(text: str) -> str:
 
 
 def blocks(results: Mapping[str, Any]) -> dict[str, str]:
-    """Return what goes between the markers of docs/reliability.md."""
-    return {sheet.key: f"{sheet.title}.\n\n{markdown(sheet)}" for sheet in sheets(results)}
+    """Return what goes between the markers of docs/reliability.md: the reasons are too long for it."""
+    shown = (sheet for sheet in sheets(results) if not sheet.key.endswith("-failures"))
+    return {sheet.key: f"{sheet.title}.\n\n{markdown(sheet)}" for sheet in shown}
 
 
 def document(results: Mapping[str, Any]) -> None:

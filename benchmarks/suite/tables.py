@@ -23,7 +23,7 @@ _PLANNED = "planned"
 # Goals: of scenes with a path the share that is planned; processor times of plans, s.
 _SHARE, _MEDIAN, _MOST = 0.97, 2.0, 8.0
 # Printed by the command alone: too long for a page.
-BY_ARM = "suite-arm"
+BY_ARM, _ENDS = "suite-arm", "suite-ends"
 
 
 def sheets(results: Mapping[str, Any]) -> list[Sheet]:
@@ -99,7 +99,7 @@ def draw(results: Mapping[str, Any], path: Path) -> None:
 
 def blocks(results: Mapping[str, Any]) -> dict[str, str]:
     """Return what goes between the markers of docs/performance.md, by marker."""
-    return {sheet.key: markdown(sheet) for sheet in sheets(results) if sheet.key != BY_ARM}
+    return {sheet.key: markdown(sheet) for sheet in sheets(results) if sheet.key not in (BY_ARM, _ENDS)}
 
 
 def document(path: Path) -> None:
@@ -235,4 +235,4 @@ def _kinds(rows: Sequence[Mapping[str, Any]]) -> Sheet:
         number = sum(bool(row.get("plan", {}).get(key)) for row in rows)
         cells.append((what, "", f"{number}"))
     headings = ("ended", "path by the oracle", "scenes")
-    return Sheet(key="suite-ends", title="How planning ends", headings=headings, rows=tuple(cells))
+    return Sheet(key=_ENDS, title="How planning ends", headings=headings, rows=tuple(cells))

@@ -24,7 +24,7 @@ from cmbot.elastic.arm import ElasticArm
 from cmbot.scene import Placement, Tolerance, Uncertainty
 
 # Draws; postures of a stroke at most, and the time between them, s.
-_DRAWS, _MOST_POSTURES, _BETWEEN_POSTURES = 2048, 80, 0.25
+_MONTE_CARLO_DRAWS, _MAX_STROKE_POSTURES, _POSTURE_INTERVAL_S = 2048, 80, 0.25
 _DRAW_SEED = 0
 # Slower than this, m/s, the tool is taken to rest: then no direction is along its path.
 _REST_SPEED_M_S = 1e-4
@@ -407,7 +407,7 @@ def _sampled(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray | None]:
     """Postures, planned errors, directions along the path, tool axes, sway and shaking, of a stroke."""
     duration = work.path.duration
-    count = int(np.clip(np.ceil(duration / _BETWEEN_POSTURES), 8, _MOST_POSTURES))
+    count = int(np.clip(np.ceil(duration / _POSTURE_INTERVAL_S), 8, _MAX_STROKE_POSTURES))
     t = np.linspace(0.0, duration, count + 1)
     q, place = work.motion(t, 0), work.path.position(t)
     # Of a compensated plan the rigid tool is beside the path by minus the sag, which is no error.
@@ -442,11 +442,13 @@ def _largest(t: FloatArray, times: FloatArray, tool: FloatArray) -> FloatArray:
 def _stratified(dimension: int) -> FloatArray:
     """Numbers (D, dimension) within 0 and 1: a Latin hypercube (McKay et al., 1979)."""
     rng = np.random.default_rng(_DRAW_SEED)
-    strata = np.repeat(np.arange(_DRAWS)[:, None], dimension, axis=1)
-    return np.asarray((rng.permuted(strata, axis=0) + 0.5) / _DRAWS)
+    strata = np.repeat(np.arange(_MONTE_CARLO_DRAWS)[:, None], dimension, axis=1)
+    return np.asarray((rng.permuted(strata, axis=0) + 0.5) / _MONTE_CARLO_DRAWS)
 
 
 @lru_cache(maxsize=4)
 def _normal(postures: int) -> NDArray[np.float32]:
     """Normal numbers (D, postures, 3)."""
-    return np.random.default_rng(_DRAW_SEED).standard_normal((_DRAWS, postures, 3), dtype=np.float32)
+    return np.random.default_rng(_DRAW_SEED).standard_normal(
+        (_MONTE_CARLO_DRAWS, postures, 3), dtype=np.float32
+    )

@@ -27,9 +27,9 @@ SETTLE_S = 2.0
 """How long a tool is watched after the stop, as simulated by default, s."""
 
 # Longest time between postures at which matrices are computed, s, and postures at most.
-_BETWEEN_POSTURES, _MOST_POSTURES = 0.15, 120
+_MAX_MATRIX_INTERVAL_S, _MAX_MATRIX_POSTURES = 0.15, 120
 # Steps in a period of the slowest mode, and steps at most.
-_STEPS_PER_PERIOD, _MOST_STEPS = 24, 6000
+_STEPS_PER_PERIOD, _MAX_TIME_STEPS = 24, 6000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,14 +74,14 @@ def sway_along(
     factors : sequence of float
         F factors on all stiffness.
     """
-    count = int(np.clip(np.ceil(duration / _BETWEEN_POSTURES), 4, _MOST_POSTURES))
+    count = int(np.clip(np.ceil(duration / _MAX_MATRIX_INTERVAL_S), 4, _MAX_MATRIX_POSTURES))
     knots = np.linspace(0.0, duration, count + 1)
     q = motion(knots, 0)
     at = linearised(arm, q)
     modes = arm_modes(arm, q[count // 2])
     D = modes.damping(damping) + arm.damping
     period = 1.0 / float(modes.frequencies[0])
-    steps = int(np.clip(np.ceil(duration / period * _STEPS_PER_PERIOD), 2 * count, _MOST_STEPS))
+    steps = int(np.clip(np.ceil(duration / period * _STEPS_PER_PERIOD), 2 * count, _MAX_TIME_STEPS))
     t = np.linspace(0.0, duration, steps + 1)
     # By the implicit function theorem on the balance of springs and loads.
     du = -np.einsum("kij,kj->ki", np.linalg.solve(at.stiffness, at.weight), motion(knots, 1))

@@ -33,7 +33,6 @@ from cmbot.planning import (
     Segment,
     StrokeBaseline,
     StrokePlan,
-    VibrationSuppression,
 )
 from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, Scene
@@ -101,7 +100,6 @@ class StrokeEntries:
     """What is planned of a stroke, or of all of them."""
 
     baseline: BaselineFile | None
-    suppression: VibrationSuppression | None
     compensation: Compensation | None
     objective: ObjectiveMetrics
     floor: LowerBound | None
@@ -209,10 +207,7 @@ def _data(value: object) -> Any:
 
 def _stroke(stroke: StrokePlan, robot: Robot) -> dict[str, Any]:
     """What is planned of a stroke, or of all of them, beside its motion and the baseline's."""
-    start, data = stroke.start, {"suppression": _data(stroke.suppression)}
-    if stroke.suppression is not None:
-        data["suppression"]["share"] = stroke.suppression.share
-    data["compensation"] = _data(stroke.compensation)
+    start, data = stroke.start, {"compensation": _data(stroke.compensation)}
     data["objective"] = {**_data(stroke.objective), "gap": stroke.objective.gap}
     data |= {"floor": _data(stroke.lower_bound), "choice": _data(stroke.choice)}
     slides = bool(robot.limits.prismatic.any())

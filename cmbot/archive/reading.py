@@ -37,6 +37,8 @@ from cmbot.planning import (
     Start,
     StrokeBaseline,
     StrokePlan,
+    ToolTask,
+    baseline_task,
     bending_arm,
     certify,
     certify_move,
@@ -324,7 +326,11 @@ class _Parts:
         if len(entries) == 1:
             require_times(t, self._tasks[0].path.duration, self._table, "the scene")
         baselines = list[StrokeBaseline | None]()
-        for entry, task in zip(filter(None, stored), self._tasks, strict=True):
+        tasks = (
+            baseline_task(task, file, self._file.options)
+            for task, file in zip(self._tasks, self.scene.strokes, strict=True)
+        )
+        for entry, task in zip(filter(None, stored), tasks, strict=True):
             rows = _rows(t, entry.begin, entry.begin + task.path.duration, self._table)
             part = [array[rows] for array in motion]
             samples = measure(self.robot, task, clearances, t[rows] - t[rows[0]], part)
@@ -360,8 +366,8 @@ def _verified(plan: Plan, clearances: Clearances, data: dict[str, Any], source: 
         for segment, (certificate, _) in zip(plan.job.segments, certified, strict=True)
     )
     strokes = [
-        _measured(plan, stroke, segment)
-        for stroke, segment in zip(plan.strokes, Job(segments=segments).strokes, strict=True)
+        _measured(plan, *each)
+        for each in zip(plan.strokes, plan.baseline_tasks, Job(segments=segments).strokes, strict=True)
     ]
     own = ("scene", "options", "robot", "sag", "missing", "fallbacks", "stopped", "seconds")
     given = {name: getattr(plan, name) for name in own}
@@ -391,13 +397,13 @@ def _drawn(data: Mapping[str, Any]) -> dict[str, Any]:
     return {"accuracy": accuracy, "sway": data["sway"]}
 
 
-def _measured(plan: Plan, stroke: StrokePlan, segment: Segment) -> StrokePlan:
+def _measured(plan: Plan, stroke: StrokePlan, task: ToolTask, segment: Segment) -> StrokePlan:
     """A stroke with figures of its baseline and peaks of its objective that are measured again."""
     baseline = stroke.baseline
     if baseline is not None:
         measured, beside = (
             figures(plan.robot, baseline.samples),
-            _along_baseline(plan.robot, stroke, baseline),
+            _along_baseline(plan.robot, task.on_axis, baseline),
         )
         baseline = replace(baseline, figures=measured, **beside)
     if stroke.objective.own:
@@ -447,9 +453,9 @@ def _certified(plan: Plan, number: int, clearances: Clearances) -> tuple[Certifi
     return certificate, second_opinion(plan.scene, options, trajectory, robot=robot, stroke=stroke, sag=sag)
 
 
-def _along_baseline(robot: Robot, stroke: StrokePlan, baseline: StrokeBaseline) -> dict[str, Any]:
+def _along_baseline(robot: Robot, task: ToolTask, baseline: StrokeBaseline) -> dict[str, Any]:
     """What a stroke has of its baseline beside the figures: `drift` and `smallest_singular_value`."""
-    kinematics, samples, task = Kinematics(robot), baseline.samples, stroke.task.on_axis
+    kinematics, samples = Kinematics(robot), baseline.samples
     smallest = np.inf
     for q in samples.q:
         X_WT, J = kinematics.tool_jacobian(q)

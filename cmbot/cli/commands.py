@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import gc
 import io
+import logging
 import os
 import resource
 import sys
@@ -15,7 +16,7 @@ from pathlib import Path
 from types import TracebackType
 
 import cmbot
-from cmbot.cli.command import Command, UsageError, parsed
+from cmbot.cli.command import Command, UsageError, parsed, parser_of
 from cmbot.cli.completion import ASKED, completions, install, script
 from cmbot.cli.console import ExitStatus, LostOutputError, discard, err, out, raised_again
 from cmbot.cli.creation import NewCommand
@@ -48,8 +49,9 @@ COMMANDS: dict[str, type[Command]] = {
 # What is given in place of a command.
 _COMMAND_SYNONYMS = {
     "--help": "Show this help, or with a command before it that of the command.",
+    "--help-all": "Show the help of all commands, as a manual.",
     "--version": "Print the version.",
-    "--debug": "With a command: show the traceback of an error.",
+    "--debug": "With a command: show the traceback of an error, and what is logged.",
     "--install-completion": "Make the present shell (bash, zsh, fish) complete commands, options and scenes.",
     "--show-completion": "Print what that installs.",
 }
@@ -75,6 +77,9 @@ def main() -> None:
     """Run the command line; turn errors into one line and an exit status."""
     sys.excepthook = _report
     warnings.showwarning = _show_warning
+    if _debugging():
+        logging.basicConfig(format="%(asctime)s %(name)s: %(message)s")
+        logging.getLogger("cmbot").setLevel(logging.DEBUG)
     if isinstance(sys.stdout, io.TextIOWrapper):
         # Where the locale's encoding lacks a character of a file's name, as on standard error.
         sys.stdout.reconfigure(errors="backslashreplace")
@@ -126,6 +131,10 @@ def _called(words: Sequence[str]) -> int:
         case [] | ["--help", *_]:
             _print_help()
             return ExitStatus.DONE if words else ExitStatus.BAD_INPUT
+        case ["--help-all", *_]:
+            _print_help()
+            for command in COMMANDS.values():
+                out.print(f"\n\n{parser_of(command).format_help()}", end="")
         case ["--version", *_]:
             out.print(cmbot.__version__)
         case ["--install-completion", *_]:

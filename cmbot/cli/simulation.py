@@ -207,7 +207,7 @@ def _print_summary(plan: Plan, tracking: Tracking) -> None:
 
     rows = list(tracking_summary(tracking, compensated=plan.compensation is not None))
     print_table(f"{plan.scene.name}, mm", tracking.headings, rows, text_columns=1)
-    if others := list(interval_rows(plan, tracking)):
+    if others := list(interval_rows(tracking)):
         print_table("With another stiffness", interval_headings(tracking), others, text_columns=2)
     out.print(tracking_verdict(plan, tracking))
     if moved := base_movement(plan, tracking):

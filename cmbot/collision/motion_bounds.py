@@ -18,10 +18,10 @@ from cmbot.robot import prismatic_joints, slide_axes
 _MAX_MOVE_M = 0.1
 # In postures nearer than this to the one before, m, it is worth measuring all pairs where the bounds leave
 # more than this share of them.
-_NEIGHBOUR, _FEW = 0.3, 0.3
+_NEIGHBOUR, _UNBOUNDED_PAIR_SHARE = 0.3, 0.3
 # Most postures that are compared with a measured one in one call. Where it bounds fewer than the second
 # number, measuring all pairs does not pay.
-_SEGMENT, _FEWEST = 64, 12
+_MAX_COMPARED_POSTURES, _MIN_BOUNDED_POSTURES = 64, 12
 
 
 def shape_reach(model: Any, shapes: Sequence[Any]) -> FloatArray:
@@ -120,7 +120,7 @@ class DistanceCache:
         """
         lower = self._distance - self._reach @ np.abs(q - self._q)
         before, self._asked = self._asked, q
-        few = (lower <= distance).sum() <= _FEW * len(lower)
+        few = (lower <= distance).sum() <= _UNBOUNDED_PAIR_SHARE * len(lower)
         if not few or not np.isfinite(lower).all() or self._drawn_out(q, self._q):
             if not np.abs(q - before) @ self._furthest <= _NEIGHBOUR or self._drawn_out(q):
                 return None
@@ -137,7 +137,7 @@ class DistanceCache:
     def suits(self, q: FloatArray) -> bool:
         """Whether postures `q` (N, n) follow each other so closely that measuring a few bounds all."""
         moved = float((np.abs(np.diff(q, axis=0)) @ self._furthest).sum())
-        return not self._drawn_out(q) and moved * _FEWEST <= _MAX_MOVE_M * len(q)
+        return not self._drawn_out(q) and moved * _MIN_BOUNDED_POSTURES <= _MAX_MOVE_M * len(q)
 
     def _drawn_out(self, *q: FloatArray) -> bool:
         """Whether a joint slides further than its range in any of postures (..., n): reaches hold no more."""
@@ -148,7 +148,7 @@ class DistanceCache:
         first = 0
         while first < len(q):
             self.lower_bounds(q[first])
-            move = np.abs(q[first : first + _SEGMENT] - self._q)
+            move = np.abs(q[first : first + _MAX_COMPARED_POSTURES] - self._q)
             far = np.flatnonzero(move @ self._furthest > _MAX_MOVE_M)
             last = first + (int(far[0]) if len(far) else len(move))
             moved = move[: last - first] @ self._reach.T

@@ -18,7 +18,7 @@ STILL_M = 0.5e-3
 """A tool that moves by less is still, m."""
 
 # Step, s; and the tail: until the slowest decay has lost three decades, but no longer than this, s.
-_STEP, _DECADES, _LONGEST_TAIL = 0.002, 3, 60.0
+_TIME_STEP_S, _DECADES, _LONGEST_TAIL = 0.002, 3, 60.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,12 +94,12 @@ def passage(
     slowest = min(slowest, load.span.first * load.span.damping)
     tail = min(_DECADES * np.log(10) / (2 * np.pi * slowest), _LONGEST_TAIL)
     passes = load.span.passage(load.train, load.speed)
-    t = np.arange(0.0, passes + tail, _STEP)
+    t = np.arange(0.0, passes + tail, _TIME_STEP_S)
     inputs = load.inputs(t, responses[0].gain.shape[1])
     tool = torque = still = pause = 0.0
     kept, wrenches = True, list[FloatArray]()
     for response in responses:
-        y = response.history(inputs, _STEP)
+        y = response.history(inputs, _TIME_STEP_S)
         size = np.linalg.norm(y[:, :AXES], axis=1)
         off = _off(y[:, :AXES], response.axis, tolerance, size)
         tool = max(tool, float(size.max()))

@@ -28,16 +28,16 @@ from cmbot.robot import Dynamics
 from cmbot.scene import Scene
 
 # Postures that are chosen from, random ones that are tried for them, and how many at a time.
-_CANDIDATES, _MOST_TRIED, _AT_ONCE = 800, 40_000, 2000
+_MAX_CANDIDATES, _MOST_TRIED, _AT_ONCE = 800, 40_000, 2000
 # Postures of a job.
 _JOB_POSTURES = 25
 # Lag of the tool behind its path, m, beyond which a joint path does not follow it.
 _MAX_PATH_LAG_M = 0.01
 # Rounds of exchanges at most, and the least share by which one lowers the variance.
-_ROUNDS, _GAIN = 20, 1e-4
+_MAX_EXCHANGE_ROUNDS, _MIN_EXCHANGE_GAIN_SHARE = 20, 1e-4
 _HALF_TURN = np.pi
 # Postures that are tried about each that was chosen, and how far away, rad, round by round.
-_NEAR, _REFINED = 30, (0.5, 0.3, 0.15, 0.1)
+_POSTURES_AROUND, _REFINED = 30, (0.5, 0.3, 0.15, 0.1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -187,8 +187,8 @@ def propose(
     InputError
         When `number` or `axes` is wrong, or no posture can be held with the weight.
     """
-    if not 1 <= number <= _CANDIDATES:
-        raise InputError("propose", "number", number, f"1 to {_CANDIDATES} postures")
+    if not 1 <= number <= _MAX_CANDIDATES:
+        raise InputError("propose", "number", number, f"1 to {_MAX_CANDIDATES} postures")
     require_axes(axes)
     setup = setup or MeasuringSetup()
     seen = np.array([axis in axes for axis in "xyz"])
@@ -272,7 +272,7 @@ class _PostureDesign:
     def near(self, rng: np.random.Generator, q: FloatArray, size: float) -> Iterator[FloatArray]:
         """Random postures about others, `size`, rad, away."""
         limits = self._robot.limits
-        moved = self._robot.metric.positions(size * rng.standard_normal((_NEAR, *q.shape)))
+        moved = self._robot.metric.positions(size * rng.standard_normal((_POSTURES_AROUND, *q.shape)))
         low, high = limits.range_middle - limits.range_half, limits.range_middle + limits.range_half
         yield np.clip(q + moved, low, high).reshape(-1, q.shape[1])
 
@@ -285,9 +285,9 @@ class _PostureDesign:
             if len(held):
                 distance = self._clearances.query(held).distance
                 found.append(held[distance >= self._scene.planner.safety_margin_m])
-            if sum(map(len, found)) >= _CANDIDATES:
+            if sum(map(len, found)) >= _MAX_CANDIDATES:
                 break
-        return np.concatenate(found)[:_CANDIDATES] if found else np.zeros((0, self._robot.dof))
+        return np.concatenate(found)[:_MAX_CANDIDATES] if found else np.zeros((0, self._robot.dof))
 
     def deflection(self, q: FloatArray) -> FloatArray:
         """What is to be expected, (N, 3), m."""
@@ -329,14 +329,14 @@ def _greedy(G: FloatArray, W: FloatArray, number: int) -> list[int]:
 
 def _exchanged(G: FloatArray, W: FloatArray, chosen: list[int]) -> list[int]:
     """Postures of which no exchange of one for another lowers the variance any more."""
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_EXCHANGE_ROUNDS):
         before = float(np.trace(W @ _covariance(G, chosen)))
         for k in range(len(chosen)):
             rest = chosen[:k] + chosen[k + 1 :]
             gains = _gains(G, W, _covariance(G, rest))
             gains[rest] = -np.inf
             chosen = [*rest[:k], int(gains.argmax()), *rest[k:]]
-        if float(np.trace(W @ _covariance(G, chosen))) > (1 - _GAIN) * before:
+        if float(np.trace(W @ _covariance(G, chosen))) > (1 - _MIN_EXCHANGE_GAIN_SHARE) * before:
             break
     return chosen
 

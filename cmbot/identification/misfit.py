@@ -31,7 +31,7 @@ _OUTLIER_LEVEL = 1e-5
 # Share of the rows that may be wrong ones.
 _MAX_OUTLIER_SHARE = 1 / 3
 # Rounds in which scales are found, and by what share a part may still be off.
-_ROUNDS, _CLOSE = 20, 0.02
+_MAX_SCALE_ROUNDS, _SCALE_TOLERANCE_SHARE = 20, 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,14 +113,17 @@ def rescaled(problem: Problem, x: FloatArray, *, only_prior: bool = False) -> Fl
     With `only_prior` the prior alone, unless what was measured fits worse.
     """
     doubted = set[Kind]()
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_SCALE_ROUNDS):
         now = parts(problem, x)
         ratio = {part.kind: part.square / part.redundancy for part in now}
         new = [part.kind for part in now if part.kind not in doubted and part.probability < _DOUBT_LEVEL]
         worst = max(new, key=ratio.__getitem__, default=None)
         if worst is not None and not (only_prior and worst != "prior"):
             doubted.add(worst)
-        elif all(abs(ratio[kind] - 1) < _CLOSE or problem.scale[kind] == 1 > ratio[kind] for kind in doubted):
+        elif all(
+            abs(ratio[kind] - 1) < _SCALE_TOLERANCE_SHARE or problem.scale[kind] == 1 > ratio[kind]
+            for kind in doubted
+        ):
             break
         for kind in doubted:
             problem.scale[kind] = max(1.0, problem.scale[kind] * float(np.sqrt(ratio[kind])))

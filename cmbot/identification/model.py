@@ -20,7 +20,7 @@ from cmbot.scene import Scene
 
 _ARC_MINUTE = np.pi / (180 * 60)
 # Draws of the error along a job, and the share of them of which the bound is told.
-_DRAWS, _CONFIDENCE = 4000, 0.95
+_SAG_DRAWS, _CONFIDENCE = 4000, 0.95
 # Below this length, m, a sag has no direction.
 _ZERO_SAG_M = 1e-12
 
@@ -150,7 +150,7 @@ def sag_along(arm: ElasticArm, covariance: FloatArray, q: FloatArray) -> SagAlon
 @cache
 def _squares(count: int) -> FloatArray:
     """Squares of independent normal numbers (draws, count)."""
-    return np.random.default_rng(0).standard_normal((_DRAWS, count)) ** 2
+    return np.random.default_rng(0).standard_normal((_SAG_DRAWS, count)) ** 2
 
 
 def _quantile(form: FloatArray) -> tuple[float, float]:

@@ -23,8 +23,8 @@ from cmbot.identification.model import DeflectionModel, prior_deviations
 _UNSTABLE_RESIDUAL = 1e6
 # Modes that a measured frequency may be of; the largest difference of its logarithm from theirs, and that of
 # two modes that a record may not tell apart.
-_MODES, _NEAR, _CLOSE = 16, 0.3, 0.08
-_TOLERANCE, _EVALUATIONS = 1e-7, 100
+_MAX_CANDIDATE_MODES, _MAX_MODE_DIFFERENCE_LOG, _MERGED_MODES_LOG = 16, 0.3, 0.08
+_FIT_TOLERANCE, _EVALUATIONS = 1e-7, 100
 # Residual beyond which the robust loss is linear.
 _HUBER_SIGMAS = 2.0
 
@@ -117,9 +117,9 @@ class Problem:
             jac=lambda x: at(x)[1],
             loss="soft_l1" if robust else "linear",
             f_scale=_HUBER_SIGMAS,
-            xtol=_TOLERANCE,
-            ftol=_TOLERANCE,
-            gtol=_TOLERANCE,
+            xtol=_FIT_TOLERANCE,
+            ftol=_FIT_TOLERANCE,
+            gtol=_FIT_TOLERANCE,
             max_nfev=_EVALUATIONS,
         )
         return np.asarray(found.x)
@@ -185,7 +185,7 @@ class _Sheet:
         shares = self._given.frequency_shares or tuple(map(np.zeros_like, self._given.frequencies))
         for k, (f, own) in enumerate(zip(self._given.frequencies, shares, strict=True)):
             if len(f):
-                log, _ = self._frequencies(at, k, _MODES)
+                log, _ = self._frequencies(at, k, _MAX_CANDIDATE_MODES)
                 found = _matched(np.log(f), own, log, self._given.setup.frequency_sd_share)
                 label = Label("frequencies_hz", self._number, k)
                 self.unmatched += [(label, hz) for hz in f.tolist() if np.log(hz) not in found.log]
@@ -234,11 +234,11 @@ def _matched(log: FloatArray, own: FloatArray, model: FloatArray, share: float) 
     Of two modes near each other of which one was measured it may be either, or both in one.
     """
     measured, modes = linear_sum_assignment(np.abs(log[:, None] - model))
-    near = np.abs(log[measured] - model[modes]) < _NEAR
+    near = np.abs(log[measured] - model[modes]) < _MAX_MODE_DIFFERENCE_LOG
     measured, modes = measured[near], modes[near]
     others = np.setdiff1d(np.arange(len(model)), modes)
     gap = np.abs(model[modes][:, None] - model[others]).min(axis=1, initial=np.inf)
-    either = np.where(gap < _CLOSE, 0.5 * gap, 0.0)
+    either = np.where(gap < _MERGED_MODES_LOG, 0.5 * gap, 0.0)
     return _Matched(modes, log[measured], np.sqrt(share**2 + own[measured] ** 2 + either**2))
 
 

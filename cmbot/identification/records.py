@@ -23,11 +23,11 @@ _RECORD_TIME_COLUMNS = ("t", "time", "seconds", "timestamp")
 # Longer steps are in ms, s; by what share steps may differ; rows at an extreme value that are clipped.
 _NO_STEP_IN_SECONDS, _JITTER, _CLIPPED = 0.5, 0.1, 4
 # Frequencies above this, Hz, are left out; samples a period of it that are kept.
-_HIGHEST, _SAMPLES = 40.0, 6
+_HIGHEST, _SAMPLES_PER_PERIOD = 40.0, 6
 # Of the decay: what is left out after the tap, and its longest part that is used, s.
-_AFTER_TAP, _LONGEST = 0.03, 4.0
+_AFTER_TAP, _MAX_DECAY_S = 0.03, 4.0
 # Orders of the models, the share of them that have a mode, and by what share its frequencies may differ.
-_ORDERS, _AGREE, _SAME = range(4, 31, 2), 0.5, 0.01
+_ORDERS, _AGREE, _SAME_FREQUENCY_SHARE = range(4, 31, 2), 0.5, 0.01
 # Largest damping ratio of a mode, and the least share of the largest amplitude that it has.
 _DAMPED, _SEEN = 0.15, 0.03
 _MIN_SAMPLES = 64
@@ -143,8 +143,8 @@ def ring_down(step: float, a: FloatArray) -> RingDown:
     a, given = a - a.mean(axis=0), step
     tap = int(np.abs(a).max(axis=1).argmax())
     y = a[tap + int(np.ceil(_AFTER_TAP / step)) :]
-    y = y[: int(_LONGEST / step)]
-    coarser = int(1 / (step * _HIGHEST * _SAMPLES))
+    y = y[: int(_MAX_DECAY_S / step)]
+    coarser = int(1 / (step * _HIGHEST * _SAMPLES_PER_PERIOD))
     if coarser > 1 and len(y) > 60 * coarser:
         y, step = decimate(y, coarser, ftype="fir", axis=0), coarser * step
     if len(y) < _MIN_SAMPLES or not y.any():
@@ -257,12 +257,12 @@ def _stable(known: list[FloatArray]) -> RingDown:
     found = list[tuple[float, float, float, float]]()
     for order in np.argsort(every[:, 0]):
         f = every[order, 0]
-        if found and f < found[-1][0] * (1 + 2 * _SAME):
+        if found and f < found[-1][0] * (1 + 2 * _SAME_FREQUENCY_SHARE):
             continue
-        near = [each[np.abs(each[:, 0] / f - 1) < 2 * _SAME] for each in known]
+        near = [each[np.abs(each[:, 0] / f - 1) < 2 * _SAME_FREQUENCY_SHARE] for each in known]
         have = [each[each[:, 2].argmax()] for each in near if len(each)]
         middle = np.median(have, axis=0)
-        agree = [each for each in have if abs(each[0] / middle[0] - 1) < _SAME]
+        agree = [each for each in have if abs(each[0] / middle[0] - 1) < _SAME_FREQUENCY_SHARE]
         is_seen = middle[2] > _SEEN * largest or middle[2] / middle[0] ** 2 > _SEEN * furthest
         if len(agree) >= _AGREE * len(known) and is_seen:
             share, deviation = (float(np.std([each[k] for each in agree])) for k in (0, 1))

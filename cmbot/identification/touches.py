@@ -36,7 +36,7 @@ from cmbot.planning import bending_arm, robot_of
 from cmbot.robot import Kinematics
 from cmbot.scene import Placement, Scene, load_scene
 
-_MOST, _LARGEST_CSV = 1000, 1_000_000
+_MAX_TOUCHES, _LARGEST_CSV = 1000, 1_000_000
 _TOUCH_SHAPES = ("point", "plane", "edge", "cylinder")
 _PLACE_KEYS = ("posture_deg", "posture", "place")
 
@@ -106,7 +106,7 @@ class TouchesFile(TouchSetup):
     """A scene file, or the name of a shipped scene: robot, base, and where the frame was thought to be."""
     locates: Text | None = None
     """The frame of the scene that is to be located; left out: its only one, or W."""
-    touches: Annotated[tuple[TouchFile, ...], Field(min_length=1, max_length=_MOST)]
+    touches: Annotated[tuple[TouchFile, ...], Field(min_length=1, max_length=_MAX_TOUCHES)]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -13,11 +13,11 @@ OBJECTIVE = 0
 """Family of the objective; behind it come the program's constraints, then its bounds."""
 
 # Constraints nearer than this share of a sampling step are the same; sharpened, this share of that.
-_SAME, _SHARPER = 0.005, 0.1
+_SAME_TIME_SHARE, _SHARPER = 0.005, 0.1
 # A set that has grown by this factor and a few more drops constraints: those without a multiplier (as a share
 # of all) that are this far from their bounds, and all but the worst within so many sampling steps.
-_GROWTH, _MORE = 1.2, 50
-_NEGLIGIBLE, _FAR, _WINDOW = 1e-6, -0.5, 2.0
+_PRUNING_GROWTH, _PRUNING_MARGIN = 1.2, 50
+_NEGLIGIBLE, _INACTIVE_VALUE, _WINDOW = 1e-6, -0.5, 2.0
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class ConstraintSet:
     family: IntArray = field(default_factory=_none)
     component: IntArray = field(default_factory=_none)
     time: FloatArray = field(default_factory=lambda: np.empty(0))
-    _same: float = _SAME
+    _same: float = _SAME_TIME_SHARE
     _base: int = 0
 
     def __len__(self) -> int:
@@ -95,7 +95,7 @@ class ConstraintSet:
 
     def needed(self, value: FloatArray, multipliers: FloatArray) -> BoolArray:
         """Which constraints (K,) matter, by their values and multipliers (K,); all while the set is small."""
-        if len(self) < _GROWTH * self._base + _MORE:
+        if len(self) < _PRUNING_GROWTH * self._base + _PRUNING_MARGIN:
             return np.ones(len(self), dtype=np.bool_)
         window = np.floor(self.time / (_WINDOW * self.step))
         idle = multipliers <= _NEGLIGIBLE * multipliers.sum()
@@ -104,7 +104,7 @@ class ConstraintSet:
         alike = [np.diff(each[order], prepend=-1) == 0 for each in (window, self.component, self.family)]
         needless = np.zeros(len(value), dtype=np.bool_)
         needless[order] = np.logical_and.reduce(alike)
-        needless |= (value < _FAR) & (self.family != OBJECTIVE)
+        needless |= (value < _INACTIVE_VALUE) & (self.family != OBJECTIVE)
         return np.asarray(~(needless & idle))
 
     def _known(self, family: IntArray, component: IntArray, time: FloatArray) -> BoolArray:

@@ -16,7 +16,7 @@ from cmbot.common.arrays import FloatArray
 _ZERO_ROW_SHARE = 1e-12
 # A distance this much larger than the given point's own length is none, and neither is a point that is beyond
 # an inequality by so much of that length: where they contradict each other narrowly, round-off decides.
-_FAR, _BEYOND = 1e4, 1e-6
+_MAX_DISTANCE_RATIO, _BEYOND = 1e4, 1e-6
 
 
 def nearest(point: FloatArray, factor: FloatArray, C: FloatArray, room: FloatArray) -> FloatArray | None:
@@ -55,6 +55,6 @@ def nearest(point: FloatArray, factor: FloatArray, C: FloatArray, room: FloatArr
     # That is the squared distance to what is possible in the cone of the rows: 1 / (1 + |z|^2).
     used = 1.0 - float(left @ u)
     z = -D.T @ u
-    if used * _FAR**2 < 1.0 or (D @ z + used * left).max() > _BEYOND * used:
+    if used * _MAX_DISTANCE_RATIO**2 < 1.0 or (D @ z + used * left).max() > _BEYOND * used:
         return None
     return np.asarray(point + linalg.solve_triangular(factor, scale * z / used, lower=True, trans="T"))

@@ -17,7 +17,7 @@ from cmbot.optimization.program import KinematicBound, Program, StateFunction, S
 from cmbot.trajectory import QuinticTrajectory
 
 # Sampled functions within this of their bound are evaluated between the samples, too.
-_NEAR_BOUND = 0.02
+_NEARLY_ACTIVE = 0.02
 # So many states are evaluated at once: more only ask for memory, and lose its nearness.
 _STATES_PER_BLOCK = 4096
 # The peak is the objective: what exceeds it counts at this share of the constraints' tolerance.
@@ -126,7 +126,7 @@ def _sampled(
                 parts.append(function.sample(block))
     for parts, function, limit in zip(each, functions, limits, strict=True):
         if function.components is None:
-            parts.append(function.sample(states, limit - _NEAR_BOUND))
+            parts.append(function.sample(states, limit - _NEARLY_ACTIVE))
     return [(np.concatenate([v for v, _ in parts]), np.concatenate([c for _, c in parts])) for parts in each]
 
 
@@ -144,7 +144,7 @@ def violated_function(
     `limit` less 0.02, and beside.
     """
     value, component = sampled
-    row, column = np.nonzero(_local_maxima(value) & (value > limit - _NEAR_BOUND))
+    row, column = np.nonzero(_local_maxima(value) & (value > limit - _NEARLY_ACTIVE))
     if len(row) == 0:
         return WorstViolations(
             times=np.empty(0), component=np.empty(0, dtype=np.intp), largest=float(value.max())

@@ -9,7 +9,6 @@ from cmbot.planning.certification.certificate import Certificate, certify
 from cmbot.planning.certification.check import Check
 from cmbot.planning.certification.metrics import MotionMetrics, Samples, figures, measure
 from cmbot.planning.flexibility.sag_compensation import Compensation
-from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.free_motion.free_move import FreeMove, certify_move, free_space, plan_move
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.initial_guess import Choice, searched
@@ -33,6 +32,7 @@ from cmbot.planning.result.stroke_plan import (
     Start,
     StrokeBaseline,
     StrokePlan,
+    baseline_task,
     objective_metrics,
 )
 from cmbot.planning.result.words import (
@@ -113,12 +113,12 @@ __all__ = [
     "StrokeRequest",
     "ToolTask",
     "TorqueFloorProof",
-    "VibrationSuppression",
     "WeightedMoment",
     "Workcell",
     "WrenchFunction",
     "WrenchObjective",
     "baseline_faults",
+    "baseline_task",
     "bending_arm",
     "bound_use",
     "build_request",

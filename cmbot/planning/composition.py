@@ -10,7 +10,6 @@ from typing import Any
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
 from cmbot.common.reading.validation import counted
-from cmbot.planning.attempts.motion import suppresses_vibration
 from cmbot.planning.attempts.stroke import PlannedStroke
 from cmbot.planning.certification.metrics import figures, measure
 from cmbot.planning.job import Job
@@ -18,7 +17,12 @@ from cmbot.planning.path.first_posture import starting_at_path
 from cmbot.planning.path.gradient_projection import follow_path
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.result.plan import Plan, Seconds
-from cmbot.planning.result.stroke_plan import StrokeBaseline, StrokePlan, objective_metrics
+from cmbot.planning.result.stroke_plan import (
+    StrokeBaseline,
+    StrokePlan,
+    baseline_task,
+    objective_metrics,
+)
 from cmbot.scene import Scene
 from cmbot.toolpath import SAME_PLACE
 
@@ -94,7 +98,6 @@ def _stroke_plan(stroke: PlannedStroke, at: FloatArray | None, *, custom: bool) 
         lower_bound=bound,
         choice=guess.choice if is_bounded else None,
         compensation=motion.compensation,
-        suppression=motion.suppression,
         runs=stroke.runs,
     )
 
@@ -102,6 +105,7 @@ def _stroke_plan(stroke: PlannedStroke, at: FloatArray | None, *, custom: bool) 
 def _baseline(request: StrokeRequest) -> StrokeBaseline:
     """The motion without optimisation along a stroke, from the posture of a request, obstacles or not."""
     cell = request.cell
+    request = replace(request, task=baseline_task(request.task, request.stroke.file, cell.options))
     if cell.options.baseline == "straight":
         request = request.with_options(avoidance_gain=0.0, centre_of_gravity_weight=0.0)
     path = follow_path(
@@ -151,11 +155,5 @@ def _fallbacks(stroke: PlannedStroke, *, stopped: bool) -> Iterator[str]:
     if not optimised.complete:
         why = f"Stopped after {limit}" if stopped else "The last stage of the optimisation failed"
         yield f"{why}: the best motion so far."
-    if (
-        request.cell.arm is not None
-        and suppresses_vibration(request.cell.options)
-        and motion.suppression is None
-    ):
-        yield f"The vibration at the ends of the legs is not suppressed: the time, {limit}, was over."
     if why := optimised.whole_because:
         yield f"The path was optimised as a whole, as a segment failed ({why}): that took longer."

@@ -25,11 +25,11 @@ SMOOTHER = 0.9
 
 # From rougher guesses hardly any trajectory leads on: their steps are halved so often at most, as long as the
 # peak at rest rises by no more than this share. Where guesses leap it may, and they are halved more often.
-_HOPELESS, _HALVINGS, _NEXT_TO_NOTHING, _MOST_HALVINGS = 4.0, 3, 1e-3, 6
+_HOPELESS, _MAX_GUESS_HALVINGS, _NEXT_TO_NOTHING, _MAX_LEAP_HALVINGS = 4.0, 3, 1e-3, 6
 # A step between via-points leaps from one branch of postures to another where it is longer than the first,
 # rad, and the posture with the tool on its path that is nearest to its middle is further from there than this
 # share of it.
-_LONG, _OFF_THE_MIDDLE = 0.3, 0.3
+_LEAP_RAD, _OFF_THE_MIDDLE = 0.3, 0.3
 # Two postures nearer than this in every joint are one, rad.
 _POSTURE_TOLERANCE = 1e-9
 # Random postures in which links are sought that are always near each other.
@@ -84,9 +84,9 @@ def initial_guess(
         return fixed_guess(request)
     guess = sliding_guess(request, search=search, stay=stay)
     best, shorter = guess, guess.search
-    for halving in range(_MOST_HALVINGS):
+    for halving in range(_MAX_LEAP_HALVINGS):
         leaping = leap(request, best.problem.parametrization.via_points)
-        enough = halving >= _HALVINGS or roughness(best.problem) <= _HOPELESS
+        enough = halving >= _MAX_GUESS_HALVINGS or roughness(best.problem) <= _HOPELESS
         if shorter is None or (enough and not leaping) or request.deadline.expired():
             break
         # Where there is much time, half of what joints could do is no less than a leap.
@@ -118,7 +118,7 @@ def leap(request: StrokeRequest, via_points: FloatArray) -> float:
     metric = cell.robot.metric
     x = metric.coordinates(via_points)
     steps = np.abs(np.diff(x, axis=0)).max(axis=1)
-    long = np.flatnonzero(steps > _LONG)
+    long = np.flatnonzero(steps > _LEAP_RAD)
     if len(long) == 0:
         return 0.0
     middles = metric.positions(0.5 * (x[long] + x[long + 1]))

@@ -306,7 +306,7 @@ def failures_explained(scene: Scene) -> Iterator[None]:
             try:
                 yield
             except TooSoftError as error:
-                soft = "so soft a base or arm that the arm topples on its path"
+                soft = f"so soft a base or arm that on its path there is {error.got}"
                 raise SceneError(scene.source, scene.softest_key, soft, _STIFF) from error
     except (PlanningError, SceneError) as error:
         if isinstance(error, PlanningError):

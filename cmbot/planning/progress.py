@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -18,6 +19,7 @@ _STAGE_PHRASES = {"path": "following the tool path", "optimise": "optimising", "
 _REPORTED_SHARE_STEP = 0.01
 
 T = TypeVar("T")
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,6 +138,8 @@ class ProgressReporter:
         self._begin(Progress(stage="optimise", stroke=self._stroke, report=report, unit=unit))
 
     def _begin(self, progress: Progress) -> None:
+        if _LOG.isEnabledFor(logging.DEBUG) and (progress.share is None or progress.step != self._now.step):
+            _LOG.debug("%s", ": ".join(filter(None, (progress.sentence(), progress.step))))
         self._now = progress
         self._progress(progress)
 

@@ -19,7 +19,7 @@ from cmbot.toolpath import ToolPath, ToolPoses, shortest_turns
 
 # Sine of an angle below which a rotation vector is zero, and the cosine below which a turn counts as nearly
 # half a one.
-_NO_TURN, _NEARLY_HALF_A_TURN = 1e-300, -0.9
+_ZERO_ANGLE_SINE, _NEARLY_HALF_A_TURN = 1e-300, -0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,8 +163,8 @@ def _rotation_vectors(R_WT: FloatArray, R_goal: FloatArray) -> FloatArray:
     size = np.sqrt((sine * sine).sum(axis=0))
     # What follows is exact but for half turns, whose axis it does not see; SciPy's own costs ten times
     # more.
-    vectors = sine * (np.arctan2(size, cosine) / np.maximum(size, _NO_TURN))
-    vectors[:, size <= _NO_TURN] = 0.0
+    vectors = sine * (np.arctan2(size, cosine) / np.maximum(size, _ZERO_ANGLE_SINE))
+    vectors[:, size <= _ZERO_ANGLE_SINE] = 0.0
     far = np.flatnonzero(cosine < _NEARLY_HALF_A_TURN)
     if len(far):
         goal = R_goal if len(R_goal) == 1 else R_goal[far]

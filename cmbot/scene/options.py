@@ -64,18 +64,14 @@ class PlannerOptions(CheckedFields):
     deviation_sigmas : float
         With `compensate` and an identified stiffness: the bent tool keeps its deviation even if its sag is
         off by this many standard deviations.
-    quiet_modes : int
-        With sliding knots: number of elastic modes, the slowest first, that are brought to rest at the ends
-        of legs.
     quiet_stiffness_share : float
         Share by which all stiffness may differ from the modelled one there. With an identified stiffness it
         is at most two standard deviations.
-    quiet_payload_kg : float
-        By how much the payload may differ from the modelled one, kg.
     baseline : str
         The motion without optimisation that the plan is compared with. ``paper``: Chang 2021, Eq. (22), from
-        the scene's posture. ``straight``: least-norm steps along the same path, which is Eq. (22) without its
-        part in the null space. ``none``: none is computed, and the figures stand alone.
+        the scene's posture, by the paper's trapezoid where the plan's law is quiet. ``straight``: least-norm
+        steps along the same path, which is Eq. (22) without its part in the null space. ``none``: none is
+        computed, and the figures stand alone.
     avoidance : str
         ``smooth``: the clearance gradient fades in, and blends from one near pair to the next. ``switch``:
         Eq. (17) to the letter; joint rates jump.
@@ -150,9 +146,7 @@ class PlannerOptions(CheckedFields):
     axis_weights: AxisWeights = (1.0, 1.0, 1.0)
     compensate: AutoOrBool = "auto"
     deviation_sigmas: Annotated[float, Field(ge=0, le=10)] = 0.0
-    quiet_modes: Annotated[int, Field(ge=0, le=10)] = 2
     quiet_stiffness_share: Annotated[float, Field(ge=0, le=0.9)] = 0.3
-    quiet_payload_kg: Annotated[float, Field(ge=0, le=100)] = 1.0
     baseline: Literal["paper", "straight", "none"] = "none"
     avoidance: Literal["smooth", "switch"] = "smooth"
     avoidance_distance_m: Annotated[float, Field(ge=1e-4, le=10)] = 0.15

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 # Longest step of the solution, s, and in units of the quickest servo's time; between steps a cubic of its
 # positions and rates.
-_STEP, _RESOLVED = 1e-3, 0.25
+_MAX_TIME_STEP_S, _RESOLVED = 1e-3, 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ def executed(
 
     total = work.duration + options.settle_s
     quickest = max(options.servo_bandwidth_hz or (1.0,))
-    longest = min(_STEP, _RESOLVED / (2 * np.pi * quickest))
+    longest = min(_MAX_TIME_STEP_S, _RESOLVED / (2 * np.pi * quickest))
     period = longest if options.set_point_rate_hz is None else 1 / options.set_point_rate_hz
     within = max(int(np.ceil(period / longest * (1 - 1e-9))), 1)
     count = int(np.ceil((total + options.step_s) / period))

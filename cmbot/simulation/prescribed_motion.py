@@ -146,7 +146,7 @@ class PrescribedWork:
     @classmethod
     def planned(cls, plan: Plan) -> PrescribedWork:
         """Return the planned motion, exactly."""
-        paths = _paths(plan)
+        paths = {stroke.name: stroke.task.path for stroke in plan.strokes}
         return cls.of(
             (PrescribedMotion.along(segment.trajectory), paths.get(segment.name))
             for segment in plan.work.segments
@@ -157,7 +157,8 @@ class PrescribedWork:
         """Return the baseline, its strokes and its free moves through their samples; None without one."""
         if plan.baseline is None:
             return None
-        paths = _paths(plan)
+        names = (stroke.name for stroke in plan.strokes)
+        paths = {name: task.path for name, task in zip(names, plan.baseline_tasks, strict=True)}
         return cls.of(
             (PrescribedMotion.through(segment.samples.t, segment.samples.q), paths.get(segment.name))
             for segment in plan.baseline.work
@@ -194,8 +195,3 @@ class PrescribedWork:
         for part, at, t in self.split(times):
             q[at] = part.motion.states(t)[0]
         return q
-
-
-def _paths(plan: Plan) -> dict[str, ToolPath]:
-    """The tool paths of a plan's strokes by their names, which free moves do not have."""
-    return {stroke.name: stroke.task.path for stroke in plan.strokes}

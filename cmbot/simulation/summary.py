@@ -31,26 +31,12 @@ _PART_NAMES = (
 
 # By what factor a larger weight of the jerk is suggested.
 # A tool sways more than another's beyond this factor, and is still below the second number, m.
-_MORE, _STILL = 1.05, 1e-5
-# Options that change what is simulated, not how.
-_MODEL_OPTIONS = (
-    "guardrail_factor",
-    "link_factor",
-    "joint_factor",
-    "payload_kg",
-    "servo_bandwidth_hz",
-    "delay_s",
-    "settle_s",
-)
+_MORE_SWAY_FACTOR, _STILL = 1.05, 1e-5
 
 
 def interval_headings(tracking: Tracking) -> tuple[str, ...]:
-    """Return what the columns of `interval_rows` are called.
-
-    Linear: as the plan simulates it, for small deflections beside the sag.
-    """
-    *others, planned = (name for name, _ in tracking.motions)
-    return "stiffness times", "mm", *others, "without suppression (linear)", planned
+    """Return what the columns of `interval_rows` are called."""
+    return "stiffness times", "mm", *(name for name, _ in tracking.motions)
 
 
 def tracking_summary(tracking: Tracking, *, compensated: bool) -> Iterator[tuple[str, ...]]:
@@ -135,7 +121,7 @@ def beyond_margin(plan: Plan, tracking: Tracking) -> str:
 def _swaying(plan: Plan, tracking: Tracking) -> str:
     *others, after = (motion.largest(motion.dynamic) for _, motion in tracking.motions)
     before = max(others, default=np.inf)
-    if after <= max(_MORE * before, _STILL):
+    if after <= max(_MORE_SWAY_FACTOR * before, _STILL):
         return ""
     return (
         " The planned motion SWAYS MORE than the baseline: beside its sag the tool moves by up to "
@@ -176,27 +162,16 @@ def _certified(plan: Plan) -> str:
     )
 
 
-def interval_rows(plan: Plan, tracking: Tracking) -> Iterator[tuple[str, ...]]:
+def interval_rows(tracking: Tracking) -> Iterator[tuple[str, ...]]:
     """Yield what the stiffness decides, in mm, a row as `interval_headings` calls its columns.
 
-    Without suppression is told where the plan has simulated that, else left blank. Nothing where the stated
-    stiffness alone was simulated.
+    Nothing where the stated stiffness alone was simulated.
     """
-    done, options = plan.suppression, tracking.options
-    without = {}
-    if done is not None and all(
-        getattr(options, name) == getattr(SimulationOptions, name) for name in _MODEL_OPTIONS
-    ):
-        cases = zip(done.stiffness, done.load_kg, done.swing_without, strict=True)
-        without = {factor: swing for factor, load, swing in cases if not load}
     for case in sorted(tracking.interval, key=lambda case: case.stiffness):
-        at, (*others, planned) = f"{case.stiffness:g}", [f"{1e3 * off:.3f}" for off in case.off_path]
-        yield at, "bent tool off its path, at most", *others, "", planned
+        at = f"{case.stiffness:g}"
+        yield at, "bent tool off its path, at most", *(f"{1e3 * off:.3f}" for off in case.off_path)
         if case.swing is not None:
-            *others, planned = (f"{1e3 * swing:.3f}" for swing in case.swing)
-            swing = without.get(round(case.stiffness, 6))
-            told = "" if swing is None else f"{1e3 * swing:.3f}"
-            yield at, "tool swings after the stop", *others, told, planned
+            yield at, "tool swings after the stop", *(f"{1e3 * swing:.3f}" for swing in case.swing)
 
 
 def tracking_rows(tracking: Tracking) -> Iterator[tuple[str, ...]]:

@@ -38,10 +38,10 @@ Distance = Annotated[float, Field(ge=0)]
 
 # Displacement, m or rad, by which a second correction of a step has to move something to be made, and which
 # the error of a step longer than asked for may have; how much longer steps may be.
-_TOLERANCE, _LONGEST = 1e-8, 8
+_CORRECTION_TOLERANCE, _MAX_STEP_FACTOR = 1e-8, 8
 # Step, s, at which the sag is computed where joints move at this speed, rad/s, or quicker; the cubic spline
 # between is within 3e-5 mm on the shipped scenes. Slower ones have longer steps, up to so many times.
-_SAG_STEP, _SPEED, _LONGEST_SAG_STEP = 0.02, 0.1, 8.0
+_SAG_STEP, _QUICK_JOINT_RAD_S, _LONGEST_SAG_STEP = 0.02, 0.1, 8.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -355,9 +355,9 @@ def track_work(
         step=options.step_s,
         rho_inf=options.spectral_radius,
         corrections=options.corrections,
-        tolerance=_TOLERANCE,
+        tolerance=_CORRECTION_TOLERANCE,
         # What a controller does between the ends of longer steps would be left out.
-        longest=_LONGEST if curve is None else 1,
+        longest=_MAX_STEP_FACTOR if curve is None else 1,
     )
     bent = integrator.run(motions, start, np.zeros_like(start), progress, forces)
 
@@ -466,7 +466,7 @@ def _sag(arm: ElasticArm, motion: PrescribedMotion, t: FloatArray) -> FloatArray
         return np.linspace(0.0, motion.duration, steps + 1)
 
     fastest = float(np.abs(motion.states(times(_SAG_STEP))[1]).max())
-    slower = min(_SPEED / fastest, _LONGEST_SAG_STEP) if fastest > 0 else 1.0
+    slower = min(_QUICK_JOINT_RAD_S / fastest, _LONGEST_SAG_STEP) if fastest > 0 else 1.0
     some = times(_SAG_STEP * max(slower, 1.0))
     tool = CubicSpline(some, Sag(arm).following(motion.states(some)[0]))
     return np.asarray(tool(np.minimum(t, motion.duration)))

@@ -25,7 +25,7 @@ _RAD_PER_METRE = 2.0
 # The tool's velocity is that between poses this long before and after, s.
 _DIFFERENCE_S = 1e-3
 # Weights of the joints are tried so often where the quickest joint decides; none is lighter than this.
-_WEIGHINGS, _LIGHTEST = 20, 1e-3
+_WEIGHINGS, _MIN_JOINT_WEIGHT = 20, 1e-3
 # Added to the diagonal of Gram matrices, for singular Jacobians.
 _REGULARIZATION_SHARE = 1e-9
 
@@ -259,7 +259,7 @@ class BaseArm:
             open_, share = open_[undecided], share[undecided]
             if not len(open_):
                 break
-            heavier = weight[open_] * np.abs(share) + _LIGHTEST
+            heavier = weight[open_] * np.abs(share) + _MIN_JOINT_WEIGHT
             weight[open_] = heavier / heavier.sum(axis=1, keepdims=True)
         return fast
 

@@ -10,7 +10,7 @@ import numpy as np
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray, cross
 
 # Sines of angles below which a turn is none, and two unit vectors are parallel or opposite.
-_NO_TURN, _OPPOSITE = 1e-300, 1e-12
+_ZERO_ANGLE_SINE, _OPPOSITE = 1e-300, 1e-12
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,7 +45,7 @@ def shortest_turns(z: FloatArray, z_goal: FloatArray) -> FloatArray:
     """Return shortest rotation vectors (N, 3) from unit vectors `z` (N, 3) to others, (N, 3) or (1, 3)."""
     product, cosine = cross(z, z_goal), (z * z_goal).sum(axis=1)
     sine = np.linalg.norm(product, axis=1)
-    vectors = product * (np.arctan2(sine, cosine) / np.maximum(sine, _NO_TURN))[:, None]
+    vectors = product * (np.arctan2(sine, cosine) / np.maximum(sine, _ZERO_ANGLE_SINE))[:, None]
     for k in np.flatnonzero((sine < _OPPOSITE) & (cosine < 0)):
         # Half a turn about an axis across z, which rounding does not choose.
         across = cross(z[k], np.eye(3)[np.abs(z[k]).round(9).argmin()])

@@ -26,7 +26,7 @@ _CHEBYSHEV_POINTS = np.cos(np.pi * np.arange(DEGREE, -1, -1) / DEGREE)
 # Sums rho of a Bernstein ellipse's half-axes, from which the best remainder is taken.
 _ELLIPSE_SUMS = np.geomspace(1.5, 1024.0, 17)
 # Degree of a joint's position in time, and rounding of its Chebyshev coefficients as a share of the largest.
-_QUINTIC, _ROUNDING = 5, 1e-14
+_POSITION_DEGREE, _COEFFICIENT_ROUNDING = 5, 1e-14
 # How often pieces are halved at most, once for the remainder and once for the hull.
 _MAX_PIECE_HALVINGS = 40
 # Pieces that are halved at once at most: more are only asked for where a resolution is below the rounding.
@@ -150,7 +150,7 @@ class Pieces:
     @cached_property
     def ellipses(self) -> Ellipses:
         """Bounds of the state on the ellipses."""
-        eta, k = np.log(_ELLIPSE_SUMS), np.arange(_QUINTIC + 1)
+        eta, k = np.log(_ELLIPSE_SUMS), np.arange(_POSITION_DEGREE + 1)
         q, v, a = (self._amplitudes(x) for x in self.states)
         growth = np.cosh(np.outer(eta, k))
         return Ellipses(turn=np.sinh(np.outer(eta, k)) @ q, q=growth @ q, v=growth @ v, a=growth @ a)
@@ -158,9 +158,9 @@ class Pieces:
     def _amplitudes(self, values: FloatArray) -> FloatArray:
         """Upper bounds (K, 6, n) of the magnitudes of the Chebyshev coefficients of polynomials."""
         values = values.reshape(len(self.start), DEGREE + 1, -1)
-        rounding = _ROUNDING * np.abs(values).max(axis=1, keepdims=True)
+        rounding = _COEFFICIENT_ROUNDING * np.abs(values).max(axis=1, keepdims=True)
         # The middle of the range plays no part in what turns.
-        return np.asarray(np.abs(_CHEBYSHEV[: _QUINTIC + 1] @ values) + rounding)
+        return np.asarray(np.abs(_CHEBYSHEV[: _POSITION_DEGREE + 1] @ values) + rounding)
 
     def imaginary(self, values: FloatArray) -> FloatArray:
         """Return bounds (K, R, m) of the imaginary parts of polynomials on the ellipses.
@@ -171,7 +171,9 @@ class Pieces:
             At the Chebyshev points; of degree d at most.
         """
         values = values.reshape(len(self.start), DEGREE + 1, -1)
-        coefficients = np.abs(_CHEBYSHEV @ values) + _ROUNDING * np.abs(values).max(axis=1, keepdims=True)
+        coefficients = np.abs(_CHEBYSHEV @ values) + _COEFFICIENT_ROUNDING * np.abs(values).max(
+            axis=1, keepdims=True
+        )
         return np.asarray(np.sinh(np.outer(np.log(_ELLIPSE_SUMS), np.arange(DEGREE + 1))) @ coefficients)
 
     def remainder(self, size: FloatArray) -> FloatArray:

@@ -11,7 +11,7 @@ from cmbot.common.arrays import FloatArray
 
 # A root is found once the next step is no longer than this; so many steps are enough, even if every other one
 # only halves what is left of [0, 1].
-_NEXT, _STEPS = 2.0**-51, 110
+_NEXT, _MAX_ROOT_STEPS = 2.0**-51, 110
 
 
 def derivative(c: FloatArray, order: int = 1) -> FloatArray:
@@ -110,7 +110,7 @@ def _crossings(c: FloatArray, low: FloatArray, high: FloatArray, sign: FloatArra
     slope = derivative(c)
     u, last, before = 0.5 * (low + high), high - low, high - low
     roots, left = u.copy(), np.arange(len(u))
-    for _ in range(_STEPS):
+    for _ in range(_MAX_ROOT_STEPS):
         if len(left) == 0:
             break
         value, rate = values(c, u[:, None])[:, 0], values(slope, u[:, None])[:, 0]

@@ -29,7 +29,7 @@ POSITION, VELOCITY, ACCELERATION, JERK = range(4)
 SAMPLE_STEP = 0.01
 """Step of the sampled motions, s; of long ones it is longer: `sample_step`."""
 # Steps of a motion at most; steps grow by these factors.
-_MOST_STEPS, _LONGER = 40_000, (1.0, 2.0, 5.0)
+_MAX_MOTION_STEPS, _LONGER = 40_000, (1.0, 2.0, 5.0)
 
 
 def sample_step(duration: float, step: float = SAMPLE_STEP) -> float:
@@ -40,7 +40,7 @@ def sample_step(duration: float, step: float = SAMPLE_STEP) -> float:
     power = 1.0
     while True:
         for factor in _LONGER:
-            if duration <= _MOST_STEPS * step * factor * power:
+            if duration <= _MAX_MOTION_STEPS * step * factor * power:
                 return step * factor * power
         power *= 10.0
 

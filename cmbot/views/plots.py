@@ -33,7 +33,7 @@ _MOTION_COLOURS = {"baseline": _BASELINE, "planned": _PLANNED}
 _JOINT_COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#0072B2", "#CC79A7")
 _LINE_STYLES = ("-", "--", "-.", ":")
 # Inches: as wide as a page's text.
-_WIDTH, _HEIGHT = 6.7, 2.6
+_PLOT_WIDTH_IN, _PLOT_HEIGHT_IN = 6.7, 2.6
 # Keys are literals of matplotlib's own to its type hints.
 _MATPLOTLIB_STYLE: dict[Any, Any] = {
     "font.size": 8.0,
@@ -129,7 +129,7 @@ def figure_files(figures: Iterable[Figure]) -> Iterator[tuple[str, bytes]]:
 
 def _chart(chart: Chart) -> Figure:
     """Draw a chart of the report's page."""
-    figure = _figure(_QUANTITY_OF_PLOT[chart.key], _HEIGHT)
+    figure = _figure(_QUANTITY_OF_PLOT[chart.key], _PLOT_HEIGHT_IN)
     axes = figure.subplots()
     _draw_curves(axes, chart.curves)
     # At least the chart's own range, and every curve.
@@ -249,7 +249,7 @@ def _figure(label: str, height: float) -> Figure:
     # Without pyplot: no window, no state shared with the caller's own plots.
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(_WIDTH, height), layout="constrained")
+    figure = Figure(figsize=(_PLOT_WIDTH_IN, height), layout="constrained")
     figure.set_label(label)
     return figure
 

@@ -61,7 +61,6 @@ _DISTANCE_TOLERANCE_SHARE = 0.02
 _JOINT_HEADINGS = ("joint", "range, deg", "deg/s", "deg/s²", "deg/s³", "Nm")
 # Where joints slide each row has its own units.
 _MIXED_HEADINGS = ("joint", "range", "velocity", "acceleration", "jerk", "torque or force")
-_SWING_HEADINGS = ("swing after the stop, mm", "without suppression", "planned")
 
 SHARES = (
     " The percentages are the largest shares of the bounds that each motion uses, a plan with its free moves."
@@ -433,11 +432,8 @@ def _sections(plan: Plan, tracking: Tracking | None, excitation: Excitation | No
     yield _loads_section(plan)
     if accuracy := _accuracy_section(plan):
         yield accuracy
-    elastic = list(_elastic(plan))
-    if elastic:
-        swings = list(_swings(plan))
-        others = table(swings, _SWING_HEADINGS) if swings else ""
-        yield section("Predicted sag and vibration", table(elastic) + others)
+    if elastic := list(_elastic(plan)):
+        yield section("Predicted sag", table(elastic))
     several = {stroke.name for stroke in plan.several}
     begins = {segment.name: segment.begin for segment in plan.job.segments}
     for name, certificate in certificates(plan).items():
@@ -449,7 +445,7 @@ def _sections(plan: Plan, tracking: Tracking | None, excitation: Excitation | No
         said = tracking_remarks(tracking, compensated=plan.compensation is not None)
         told = (tracking_verdict(plan, tracking), base_movement(plan, tracking), *said)
         sentences = _list([sentence for sentence in told if sentence])
-        interval = list(interval_rows(plan, tracking))
+        interval = list(interval_rows(tracking))
         others = table(interval, interval_headings(tracking), text_columns=2) if interval else ""
         yield section("Simulation", errors + others + sentences, kind="long")
     if excitation is not None:
@@ -506,9 +502,8 @@ def _list(sentences: Iterable[str]) -> str:
 
 
 def _elastic(plan: Plan) -> Iterator[Row]:
-    """Yield sag compensation and vibration suppression, where they were asked for."""
-    compensation, suppression = plan.compensation, plan.suppression
-    if compensation is not None:
+    """Yield sag compensation, where it was asked for."""
+    if (compensation := plan.compensation) is not None:
         yield "largest shift of the tool from its path, mm", f"{1e3 * compensation.largest_shift:.3f}"
         yield "sag beside what it was planned for, mm", f"{1e3 * compensation.last_change:.3f}"
         if compensation.deviation:
@@ -516,27 +511,6 @@ def _elastic(plan: Plan) -> Iterator[Row]:
                 "standard deviation of the tool across its path, at most, mm",
                 f"{1e3 * compensation.deviation:.3f}",
             )
-    if suppression is not None:
-        yield "suppressed elastic modes", str(suppression.modes)
-        yield (
-            "their amplitudes at the ends of the legs are less by, on average",
-            f"{100 * suppression.share:.4g} %",
-        )
-        if 0 < suppression.shares.count(0.0) < len(suppression.shares):
-            yield "leg ends without a change", f"{suppression.shares.count(0.0)}"
-        yield "largest amplitude at the tool without it, mm", f"{1e3 * suppression.before:.4f}"
-        yield "largest amplitude with it, mm", f"{1e3 * suppression.after:.4f}"
-
-
-def _swings(plan: Plan) -> Iterator[Row]:
-    """Yield how far the tool swings after the stop, mm, without suppression and with it."""
-    found = plan.suppression
-    if found is None:
-        return
-    each = (found.stiffness, found.load_kg, found.swing_without, found.swing_with)
-    for factor, load, *swings in zip(*each, strict=True):
-        at = f"stiffness times {factor:.3g}" + (f", {load:g} kg more" if load else "")
-        yield at, *(f"{1e3 * swing:.3f}" for swing in swings)
 
 
 def _check_table(certificate: Certificate, base: str, begin: float) -> str:

@@ -9,7 +9,7 @@ from cmbot.planning import Plan, require_plan
 from cmbot.simulation import Tracking
 from cmbot.views.replay import replay_page
 
-_LEAST, _MOST = 240, 4000  # px
+_MIN_HEIGHT_PX, _MAX_HEIGHT_PX = 240, 4000  # px
 
 
 def show(plan: Plan, *, tracking: Tracking | None = None, height: int = 560) -> Shown:
@@ -44,8 +44,14 @@ def show(plan: Plan, *, tracking: Tracking | None = None, height: int = 560) -> 
     <...>
     """
     require_plan(plan, "cmbot.show")
-    if isinstance(height, bool) or not isinstance(height, int) or not _LEAST <= height <= _MOST:
-        raise InputError("cmbot.show", "height", height, f"a whole number from {_LEAST} to {_MOST}")
+    if (
+        isinstance(height, bool)
+        or not isinstance(height, int)
+        or not _MIN_HEIGHT_PX <= height <= _MAX_HEIGHT_PX
+    ):
+        raise InputError(
+            "cmbot.show", "height", height, f"a whole number from {_MIN_HEIGHT_PX} to {_MAX_HEIGHT_PX}"
+        )
     return Shown(replay_page(plan, tracking), plan.scene.name, height)
 
 

@@ -15,6 +15,7 @@ from cmbot.common.errors import InputError, PlanningError
 from cmbot.planning import MotionMetrics, Plan, Progress, plan
 from cmbot.scene import PlannerOptions, Scene, load_scene
 from cmbot.simulation import MotionTracking, SimulationOptions, Tracking, simulate
+from cmbot.toolpath import SpeedProfile
 
 # Of the stiffness of guardrail and links, with which plans are simulated.
 FACTORS = (1.0, 0.9, 1.1, 0.8, 1.2, 0.7, 1.3)
@@ -72,7 +73,7 @@ class Experiment:
     fixed: Run | None  # with fixed via-points, the paper's Eq. (30); None where there is no such plan
     why_not: str  # why there is none
     compensated: Variant  # with the predicted sag compensated, simulated with several stiffnesses
-    unsuppressed: Variant  # without vibration suppression, simulated with several stiffnesses
+    quiet: Variant  # with quiet time laws in place of the paper's, simulated with several stiffnesses
     least_sag: Variant | None  # the sag as the objective in place of the torque; None where left out
 
 
@@ -100,7 +101,7 @@ def reproduce(
         Every run is also simulated with ``initial="undeformed"``.
     factors : sequence of float
         Of the stiffness of guardrail and links together, in place of the options', with which the
-        baseline, the sliding plan, the compensated and the unsuppressed one are simulated.
+        baseline, the sliding plan, the compensated and the quiet one are simulated.
     least_sag : bool
         Plan with the sag as the objective, too.
     on_step : callable, optional
@@ -118,7 +119,7 @@ def reproduce(
     options = replace(options or SimulationOptions(), initial="equilibrium")
     starts = (options, replace(options, initial="undeformed"))
     stiffnesses = tuple(replace(options, guardrail_factor=x, link_factor=x) for x in factors)
-    # Plans and simulations: sliding, fixed, compensated, unsuppressed, of least sag.
+    # Plans and simulations: sliding, fixed, compensated, quiet, of least sag.
     others = tuple(each for each in stiffnesses if each.guardrail_factor != 1.0)
     total = len(PAPER) * (3 + len(others) + 3 + 2 * (1 + len(stiffnesses)) + 2 * least_sag)
     bench = _Bench(on_step=on_step or (lambda *_: None), progress=progress, total=total)
@@ -135,11 +136,17 @@ def reproduce(
                 fixed=None if fixed.plan is None else _released(fixed.plan, fixed.trackings),
                 why_not=fixed.why_not,
                 compensated=variant("sag compensation", stiffnesses, compensate=True),
-                unsuppressed=variant("no vibration suppression", stiffnesses, quiet_modes=0),
+                quiet=bench.variant(_quiet(scene), "quiet time laws", stiffnesses),
                 least_sag=variant("least sag", (options,), objective="sag") if least_sag else None,
             )
         )
     return Reproduction(experiments=tuple(experiments), options=options)
+
+
+def _quiet(scene: Scene) -> Scene:
+    """The scene with quiet time laws in the same seconds."""
+    law = SpeedProfile(kind="quiet", ramp=0.3)
+    return scene.with_strokes([stroke.changed(speed_profile=law) for stroke in scene.strokes])
 
 
 def _released(planned: Plan, trackings: tuple[Tracking, ...]) -> Run:

@@ -377,7 +377,7 @@ def test_a_foot_that_is_quicker_than_usual(walked: Path) -> None:
 def test_claims_are_computed_again_or_named(triangle_folder: Path) -> None:
     data = json.loads(output("verify", triangle_folder, "--scene", "triangle", "--json"))
     claims = " ".join(data["not_verified"])
-    for claim in ("torque_floor (", "gap_to_floor", "choice", "suppression", "baseline"):
+    for claim in ("torque_floor (", "gap_to_floor", "choice", "baseline"):
         assert claim in claims
     assert "Not verified: baseline" in output("verify", triangle_folder)
 

@@ -19,7 +19,6 @@ from cmbot.elastic.sag import Sag
 from cmbot.planning import Check, Plan, Samples, bending_arm
 from cmbot.planning.certification.metrics import measure
 from cmbot.planning.flexibility.sag_compensation import Compensation
-from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.scene import PlannerOptions
 
 FIGURES = {
@@ -123,25 +122,13 @@ def test_plan_json_has_the_promised_keys(saved_triangle, triangle_plan):
         assert all(check["holds"] is True for check in checks)
 
 
-def test_what_was_done_about_sag_and_vibration_has_the_promised_keys(thin_plan, tmp_path):
+def test_what_was_done_about_sag_has_the_promised_keys(thin_plan, tmp_path):
     compensation = Compensation(largest_shift=0.01, last_change=1e-6)
-    tables = {
-        "stiffness": (0.7, 1.0),
-        "load_kg": (0.0, 1.0),
-        "swing_without": (1e-3, 2e-3),
-        "swing_with": (0.0, 1e-4),
-    }
-    suppression = VibrationSuppression(modes=2, shares=(1.0, 0.5), before=1e-3, after=1e-4, **tables)
-    plan = replace(thin_plan, compensation=compensation, suppression=suppression)
+    plan = replace(thin_plan, compensation=compensation)
     data = json.loads((save(plan, tmp_path / "plan") / "plan.json").read_text())
     expected = {"largest_shift": 0.01, "last_change": 1e-6, "deviation": 0.0}
     assert data["compensation"] == expected
-    shares = {"shares": [1.0, 0.5], "share": 0.75}
-    assert data["suppression"] == {"modes": 2, "before": 1e-3, "after": 1e-4, **shares} | {
-        name: list(values) for name, values in tables.items()
-    }
-    read = load_plan(tmp_path / "plan")
-    assert (read.compensation, read.suppression) == (compensation, suppression)
+    assert load_plan(tmp_path / "plan").compensation == compensation
 
 
 def test_the_promised_files_are_strict_json_and_the_same_each_time(saved_triangle, triangle_plan, tmp_path):

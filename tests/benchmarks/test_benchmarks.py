@@ -12,7 +12,6 @@ import measure
 import numpy as np
 import pytest
 import run
-import suppression
 from finite_differences import check_derivative
 from report import document, goals, plot, tables
 from scipy import sparse
@@ -31,9 +30,7 @@ from solvers import (
 from threadpoolctl import threadpool_limits
 
 from cmbot.common.errors import MissingExtra
-from cmbot.planning import Plan
 from cmbot.robot import Dynamics, Robot
-from cmbot.simulation import simulate
 
 OUT_AND_BACK = [{"by": [0.1, 0, 0], "seconds": 2.5}, {"by": [-0.1, 0, 0], "seconds": 2.5}]
 # The deviation of a tool that hangs on a via-point alone bends sharply.
@@ -378,13 +375,3 @@ def test_blocks_go_between_their_markers_as_on_the_page(tmp_path: Path) -> None:
     assert document.page(document.PAGE, document.blocks(results)) == text
     assert document.FIGURE.is_file()
     assert results["goals"] == [asdict(goal) for goal in goals.goals(results)]
-
-
-def test_swings_are_those_of_the_simulation(returning_plan: Plan) -> None:
-    found = suppression.swings(returning_plan, np.array([1.0, 0.7]))
-    (tracked,) = (motion for name, motion in simulate(returning_plan).motions if name == "planned")
-    assert tracked.metrics.residual is not None
-    assert found[0] == pytest.approx(tracked.metrics.residual.diameter)
-    assert found[1] != pytest.approx(found[0], rel=1e-2)
-    swings = suppression.Swings(factors=np.ones(2), without=np.array([1.0, 4.0]), suppressed=found)
-    assert swings.ratio == pytest.approx(found.max() / 4)

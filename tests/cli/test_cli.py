@@ -30,6 +30,7 @@ from small_scenes import SHORT
 
 import cmbot
 from cmbot.archive import claim
+from cmbot.cli import COMMANDS
 
 SAVED = {"plan.json", "job.csv", "job.npz", "baseline.csv", "replay.html", "report.html"}
 
@@ -79,6 +80,12 @@ def test_help_shows_an_example_and_every_verb() -> None:
     ends = "0 done, 2 bad input, 3 no plan, 130 stopped with Ctrl-C, 143 terminated, 1 anything else."
     assert f"Exit status: {ends}" in text
     assert all(f" {verb} " in text for verb in ("plan", "simulate", "reproduce", "replay", "check", "doctor"))
+
+
+def test_the_manual_has_the_help_of_every_command() -> None:
+    text = output("--help-all")
+    assert text.startswith(output("--help"))
+    assert [verb for verb in COMMANDS if output(verb, "--help") not in text] == []
 
 
 def test_help_breaks_lines_where_the_terminal_does_and_gives_flags_no_value(

@@ -18,7 +18,7 @@ def sheet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("identify")
     (folder / "short.yaml").write_text(json.dumps(short_scene().as_data()), encoding="utf-8")
     with pytest.MonkeyPatch.context() as few:
-        few.setattr(design, "_CANDIDATES", 40)
+        few.setattr(design, "_MAX_CANDIDATES", 40)
         few.setattr(design, "_REFINED", ())
         words = ("--propose", 3, "-o", folder / "sheet.yaml", "--gauge", 0.05)
         outcome = run("identify", folder / "short.yaml", *words)
@@ -86,7 +86,7 @@ def test_a_misfit_is_refused_with_its_row_unless_it_is_accepted(sheet: Path) -> 
 def test_more_postures_are_proposed_beside_those_measured(
     sheet: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(design, "_CANDIDATES", 40)
+    monkeypatch.setattr(design, "_MAX_CANDIDATES", 40)
     monkeypatch.setattr(design, "_REFINED", ())
     measured = filled(sheet)
     outcome = run("identify", measured, "--propose", 1, "--axes", "z", "--weight", 4)

@@ -109,7 +109,7 @@ def test_it_prints_a_summary_and_with_details_all_figures(
     assert lines[0] == "short, mm"
     assert lines[1].split() == ["baseline", "planned"]
     assert [line.split() for line in lines[2 : 2 + len(rows)]] == [" ".join(row).split() for row in rows]
-    others = list(interval_rows(short_plan, short_tracking))
+    others = list(interval_rows(short_tracking))
     rest = lines[2 + len(rows) :]
     assert rest[0] == "With another stiffness"
     assert [line.split() for line in rest[2 : 2 + len(others)]] == [" ".join(row).split() for row in others]

@@ -67,7 +67,7 @@ def rail_data(folder: Path, posture: dict[str, Any] | None = None, **planner: An
         **({"start": {"posture": list(POSTURE)}} if posture is None else posture),
         "tool_path": {"legs": [{"by": [0.1, 0.0, -0.06], "seconds": 4}], "via_points": 8},
         "obstacles": [{"name": "post", "box": [0.1, 0.1, 1.0], "xyz": [0.55, 0.75, 0.5]}],
-        "planner": {"quiet_modes": 0, "compensate": False, **planner},
+        "planner": {"compensate": False, **planner},
     }
 
 

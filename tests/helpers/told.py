@@ -11,7 +11,7 @@ from cmbot.planning import Check, MotionMetrics, Plan, baseline_faults, notes, s
 from cmbot.views.report import headlines
 
 # What has figures of its own: postures, areas, the bent arm, the baseline's ways.
-OF_THEIR_OWN = ("unreached", "off_path", "travel", "vibration", "jerk", "seconds", "baseline")
+OF_THEIR_OWN = ("unreached", "off_path", "travel", "jerk", "seconds", "baseline")
 OF_THEIR_OWN += (
     "other_start",
     "sagging_start",

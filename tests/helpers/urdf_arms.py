@@ -136,14 +136,14 @@ def six_joint_scene(
     folder: Path, arm: str, posture: list[float], tool_path: dict[str, Any], **planner: Any
 ) -> Scene:
     """A ``ur3``, ``ur5`` or ``z1`` that follows a path."""
-    return load_scene(scene_data(folder, arm, posture, tool_path, **{"quiet_modes": 0, **planner}))
+    return load_scene(scene_data(folder, arm, posture, tool_path, **planner))
 
 
 def arm_scene(folder: Path, arm: str, keep: str = "pose", knots: str = "sliding", **planner: Any) -> Scene:
     """A ``kinova`` or ``panda`` that follows a short leg."""
     posture = {"kinova": [-85, 167, 57, -119, 82, 75], "panda": [10, -30, 5, -120, 10, 90, 20]}[arm]
     path = {"legs": [{"by": [0.02, 0.05, -0.06], "seconds": 4}], "via_points": 8, "keep": keep}
-    return load_scene(scene_data(folder, arm, posture, path, **{"knots": knots, "quiet_modes": 0, **planner}))
+    return load_scene(scene_data(folder, arm, posture, path, **{"knots": knots, **planner}))
 
 
 def panda_scene(folder: Path, **tool_path: Any) -> Scene:

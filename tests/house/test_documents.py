@@ -24,6 +24,7 @@ from cmbot.cli.command import flags_of
 from cmbot.elastic.beam import beam_mass, beam_stiffness
 from cmbot.planning import Plan, first_remarks
 from cmbot.robot import Kinematics
+from cmbot.robot.description import packages, xacro
 from cmbot.scene import Scene, shipped_scenes
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -31,7 +32,7 @@ IGNORED = {".git", ".venv", "out", "dist", "build", "__pycache__"}
 README, DOCS = ROOT / "README.md", ROOT / "docs"
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", flags=re.MULTILINE | re.DOTALL)
 # Options of the command itself.
-WHOLE = {"--help", "--install-completion", "--show-completion"}
+WHOLE = {"--help", "--install-completion", "--show-completion", "--help-all"}
 # Written in parts, so that this file passes its own test.
 REGISTRIES = ("pypi" + ".org", "python" + "hosted.org", "registry" + ".npmjs", "conda" + ".anaconda.org")
 WORKPLACES = ("/wo" + "rk/", "/tm" + "p/", "/ho" + "me/", "/ro" + "ot/")
@@ -396,3 +397,14 @@ def test_the_program_of_the_mast_prints_the_matrices_of_its_scene(capsys: pytest
         (names["M"], beam_mass(along, L, mass, 2 * mass * moment / A)),
     ):
         np.testing.assert_allclose(found, element[0, 6:, 6:], rtol=1e-9, atol=1e-6)
+
+
+def test_every_variable_of_the_environment_that_is_read_is_listed() -> None:
+    page = (DOCS / "command_line.md").read_text("utf-8")
+    text = "".join(path.read_text("utf-8") for path in (ROOT / "cmbot").rglob("*.py"))
+    read = re.findall(r"(?:environ\.\w+|_ros_paths)\(\"(\w+)\"", text)
+    names = {*read, *packages._PREFIX_VARIABLES, *xacro._VARIABLES} - {
+        "SHELL"
+    }  # whose commands are completed
+    assert len(names) > 10
+    assert [name for name in sorted(names) if f"`{name}`" not in page] == []

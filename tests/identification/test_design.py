@@ -31,9 +31,9 @@ SCENE = short_scene()
 
 @pytest.fixture(autouse=True)
 def _few(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(design, "_CANDIDATES", 60)
+    monkeypatch.setattr(design, "_MAX_CANDIDATES", 60)
     monkeypatch.setattr(design, "_REFINED", (0.3,))
-    monkeypatch.setattr(design, "_NEAR", 4)
+    monkeypatch.setattr(design, "_POSTURES_AROUND", 4)
 
 
 @pytest.fixture

@@ -49,7 +49,7 @@ def proposal() -> Proposal:
     job = np.linspace(start, start + 0.2, 6)
     patch = pytest.MonkeyPatch()
     with patch.context() as small:
-        small.setattr(design, "_CANDIDATES", 60)
+        small.setattr(design, "_MAX_CANDIDATES", 60)
         small.setattr(design, "_REFINED", ())
         return propose(SCENE, 6, job)
 

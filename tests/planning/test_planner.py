@@ -80,6 +80,13 @@ def test_line_with_fixed_knots(fixed_line_plan: Plan) -> None:
     assert fixed_line_plan.start.moved > 0
 
 
+def test_the_papers_scenes_are_quiet(triangle_plan: Plan, line_plan: Plan) -> None:
+    """In the paper's seconds, whatever the stiffness within 30 %."""
+    for planned, most in ((triangle_plan, 0.02), (line_plan, 0.001)):
+        assert planned.sway is not None and planned.sway.stiffness_share == 0.3
+        assert planned.sway.swing_mm <= most
+
+
 def test_triangle_with_sliding_knots(triangle_plan: Plan) -> None:
     """The gain is the posture's; gravity's part hardly undercuts the floor."""
     check_promises(triangle_plan)

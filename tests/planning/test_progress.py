@@ -129,6 +129,17 @@ def test_a_pass_is_told_in_words(listener: Listener) -> None:
     assert said == "optimising, pass 2 (peak): peak 380.00 Nm, jerk of joint_1 50.00% beyond its bound"
 
 
+def test_steps_are_logged_once(listener: Listener, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level("DEBUG", "cmbot"):
+        for done in range(3):
+            listener.part("seeking", done, 3)
+        listener.passed(1)
+    assert [record.getMessage() for record in caplog.records] == [
+        "following the tool path: seeking",
+        "optimising, pass 1 (peak): peak 380.00 Nm, jerk of joint_1 50.00% beyond its bound",
+    ]
+
+
 def test_nobody_has_to_listen() -> None:
     ProgressReporter().part("doing it", 1, 2)
 

@@ -24,7 +24,7 @@ def rows(*obstacles: dict[str, Any], **raster: Any) -> Scene:
     data["tool_path"]["raster"] |= {"origin": [0, 0, 0.2], "v": [0, 0, -0.1], **raster}
     data["tool_path"]["via_points"] = "auto"
     data["obstacles"] += obstacles
-    data["planner"] |= {"knots": "fixed", "quiet_modes": 0}
+    data["planner"] |= {"knots": "fixed"}
     # Near the first row.
     data["start"] = {"posture_deg": [12, -120, 62, 124, -27, 28, 6]}
     return load_scene({**data, "return": "none"})

@@ -84,7 +84,7 @@ def test_a_bar_holds_what_is_worked_on(plan: Plan) -> None:
     half = 0.5 * bars[0].shape.size[2] * bars[0].X_WO[:3, 2]
     start, end = bars[0].X_WO[:3, 3] - half, bars[0].X_WO[:3, 3] + half
     assert ((start >= low - 1e-9) & (start <= high + 1e-9)).all()
-    assert end[1] == pytest.approx(bridge._EDGE) or end[1] == pytest.approx(bridge._GIRDERS[0])
+    assert end[1] == pytest.approx(bridge._WALKWAY_EDGE_M) or end[1] == pytest.approx(bridge._GIRDERS[0])
 
 
 def test_where_no_straight_bar_is_free_one_ends_beside(triangle_plan: Plan) -> None:

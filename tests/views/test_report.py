@@ -126,27 +126,12 @@ def test_nothing_to_hit_and_no_range(short_plan: Plan) -> None:
     assert ">unbounded</td>" in page
 
 
-def test_sag_compensation_and_vibration_suppression_are_in_tables(
-    text: str, triangle_plan: Plan, compensated_short: tuple[Plan, Tracking], short_plan: Plan
-) -> None:
-    def rows(values: dict[str, str]) -> list[str]:
-        return [f'{name}</th><td class="number">{value}</td>' for name, value in values.items()]
-
-    done, quiet = compensated_short[0].compensation, triangle_plan.suppression
+def test_sag_compensation_is_in_a_table(compensated_short: tuple[Plan, Tracking], short_plan: Plan) -> None:
+    done = compensated_short[0].compensation
     assert done.largest_shift > 1e-3
-    sag = {
-        "largest shift of the tool from its path, mm": f"{1e3 * done.largest_shift:.3f}",
-    }
-    vibration = {
-        "suppressed elastic modes": f"{quiet.modes}",
-        "their amplitudes at the ends of the legs are less by, on average": f"{100 * quiet.share:.4g} %",
-        "largest amplitude at the tool without it, mm": f"{1e3 * quiet.before:.4f}",
-        "largest amplitude with it, mm": f"{1e3 * quiet.after:.4f}",
-    }
-    compensated, without = report_page(*compensated_short), report_page(short_plan)
-    assert all(row in compensated for row in rows(sag))
-    assert not any(name in without for name in sag)
-    assert all(row in text for row in rows(vibration))
+    name, value = "largest shift of the tool from its path, mm", f"{1e3 * done.largest_shift:.3f}"
+    assert f'{name}</th><td class="number">{value}</td>' in report_page(*compensated_short)
+    assert name not in report_page(short_plan)
 
 
 def test_headlines_say_what_was_gained(triangle_plan: Plan, triangle_tracking: Tracking) -> None:

@@ -323,7 +323,6 @@ def _plannable_scene(rng: Random, scene: dict[str, Any]) -> dict[str, Any]:
         "moment_about": rng.choice(("foot", "base")),
         "axis_weights": rng.choice(([1, 1, 1], [1, 0, 0], [0, 0, 1], [1e6, 1e-6, 0])),
         "compensate": rng.random() < 0.2,
-        "quiet_modes": rng.choice((0, 2, 10)),
         "avoidance": rng.choice(("smooth", "switch")),
         "avoidance_distance_m": rng.choice((0.05, 0.15, 1.0)),
         "damping_max": rng.choice((0, 0.5, 5)),

@@ -186,7 +186,6 @@ def full_scene() -> dict[str, Any]:
             "moment_about": "base",
             "axis_weights": [1, 1, 0.5],
             "compensate": False,
-            "quiet_modes": 2,
             "safety_margin_m": 0.02,
             "max_tool_deviation_m": 0.001,
             "other_starts": 4,

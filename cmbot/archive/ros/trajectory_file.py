@@ -25,7 +25,7 @@ _DEFAULT_MAX_POINTS = 200
 _TIMES_BETWEEN_POINTS, _LARGEST_MESSAGE = 16, 100_000
 _NANO = 1e-9
 # What moves by less, rad or m, is at rest; times at which that is seen.
-_AT_REST, _TIMES_OF_MOTION = 1e-6, 2001
+_AT_REST_STEP, _TIMES_OF_MOTION = 1e-6, 2001
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,7 +166,9 @@ def _left_out(
     moves = np.ptp(
         trajectory.evaluate(np.linspace(trajectory.t[0], trajectory.t[-1], _TIMES_OF_MOTION)), axis=0
     )
-    return {name: float(moves[k]) for k, name in enumerate(names) if k not in columns and moves[k] > _AT_REST}
+    return {
+        name: float(moves[k]) for k, name in enumerate(names) if k not in columns and moves[k] > _AT_REST_STEP
+    }
 
 
 def _column(joint: str, names: Sequence[str]) -> int:

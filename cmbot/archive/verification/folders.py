@@ -222,7 +222,7 @@ def _claims(plan: Plan) -> Iterator[str]:
         yield "baseline (that it is the motion it is compared with)"
     if plan.torque_floor is not None:
         yield f"torque_floor ({plan.torque_floor:.6g} Nm, {plan.torque_floor_kind}), gap_to_floor"
-    for name in ("lower_bound", "choice", "suppression", "compensation"):
+    for name in ("lower_bound", "choice", "compensation"):
         if any(getattr(stroke, name) is not None for stroke in plan.strokes):
             yield name.replace("lower_bound", "floor")
     for name, coverage in plan.coverage.items():

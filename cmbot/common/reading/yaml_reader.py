@@ -34,7 +34,7 @@ from cmbot.common.reading.validation import key_path, shown
 LARGEST_FILE = 2_000_000
 """Size in bytes above which a file is refused."""
 
-_DEEPEST, _WIDTH = 50, 120
+_DEEPEST, _YAML_WIDTH = 50, 120
 _PLAIN_WORD = re.compile(r"[A-Za-z][A-Za-z0-9_./\-]*")
 # How ruamel.yaml says what it misses, with tokens of its own; messages of cmbot have these words elsewhere.
 _RUAMEL_EXPECTED = re.compile(r"expected (.+?),? but (?:got|found) (.+)|could not find expected (.+)")
@@ -104,7 +104,7 @@ def yaml_value(text: str, source: str, error_type: type[InputError]) -> Any:
 def yaml_text(data: Mapping[str, Any]) -> str:
     """Return plain data as YAML that `read_yaml` reads: blocks in their order, short lists on a line each."""
     yaml: Any = YAML(typ="safe", pure=True)
-    yaml.default_flow_style, yaml.sort_base_mapping_type_on_output, yaml.width = None, False, _WIDTH
+    yaml.default_flow_style, yaml.sort_base_mapping_type_on_output, yaml.width = None, False, _YAML_WIDTH
     yaml.allow_unicode, yaml.Representer = True, _Representer
     text = StringIO()
     # Through JSON: lists for tuples, and no object that is there twice, which would become an alias.

@@ -46,7 +46,7 @@ _EASED_OPTIONS = {
     Limit.TOOL_ROTATION: "max_tool_rotation_deg",
     Limit.TOOL_LAG: "max_tool_lag_m",
 }
-_MARGIN, _MOST_EASED = "safety_margin_m", 3.0
+_MARGIN_OPTION, _MOST_EASED = "safety_margin_m", 3.0
 
 
 def slower_legs(request: StrokeRequest, failure: Failure) -> FloatArray | None:
@@ -102,7 +102,7 @@ def _eased(
         case NearObstacle(distance=distance):
             if distance <= 0.0 or request.cell.options.safety_margin_m > _MOST_EASED * distance:
                 return None
-            return request.with_options(**{_MARGIN: _rounded_down(distance / _DURATION_MARGIN)})
+            return request.with_options(**{_MARGIN_OPTION: _rounded_down(distance / _DURATION_MARGIN)})
         case ToolOff(what=what, ratio=ratio):
             option = _EASED_OPTIONS.get(what)
             if option is None or ratio > _MOST_EASED:
@@ -118,7 +118,7 @@ def _eased(
 
 def changed_in_words(before: StrokeRequest, after: StrokeRequest) -> str:
     """Say by the keys of the scene what was eased, or which legs take longer."""
-    for option in dict.fromkeys((_MARGIN, *_EASED_OPTIONS.values())):
+    for option in dict.fromkeys((_MARGIN_OPTION, *_EASED_OPTIONS.values())):
         old, new = (getattr(request.cell.options, option) for request in (before, after))
         if new != old:
             return _changed(f"planner.{option}", new, old, 4)

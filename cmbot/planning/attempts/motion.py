@@ -16,7 +16,6 @@ from cmbot.planning.attempts.failure import Failure, failure_of
 from cmbot.planning.attempts.remedies import is_little_nearer
 from cmbot.planning.certification.certificate import Certificate, certify
 from cmbot.planning.flexibility.sag_compensation import Compensation, optimise_bent
-from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression, suppress_vibration
 from cmbot.planning.free_motion.approach import plan_approach
 from cmbot.planning.free_motion.free_move import largest_objective
 from cmbot.planning.free_motion.return_move import SAME_POSTURE, plan_return
@@ -25,7 +24,6 @@ from cmbot.planning.job import Job, Segment
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.result.stroke_plan import Start
 from cmbot.planning.torque import Optimised, optimise
-from cmbot.scene import PlannerOptions
 from cmbot.trajectory import QuinticTrajectory
 
 # Durations that differ by less are the same, as a share.
@@ -43,7 +41,6 @@ class StrokeMotion:
         What it was planned from.
     optimised : Optimised
     compensation : Compensation or None
-    suppression : VibrationSuppression or None
     start : Start
     job : Job
     peak : float
@@ -54,7 +51,6 @@ class StrokeMotion:
     guess: InitialGuess
     optimised: Optimised
     compensation: Compensation | None
-    suppression: VibrationSuppression | None
     start: Start
     job: Job
     peak: float
@@ -77,7 +73,7 @@ def certified_motion(attempt: Attempt) -> Solved[StrokeMotion] | Failure:
     if not isinstance(guess, InitialGuess):
         return guess
     try:
-        optimised, compensation, suppression = _optimised(request, guess)
+        optimised, compensation = _optimised(request, guess)
         request.reporter.stage("certify")
         posture = optimised.trajectory.q[0]
         moved = float(np.abs(request.cell.robot.metric.coordinates(posture - request.state.posture)).max())
@@ -106,7 +102,6 @@ def certified_motion(attempt: Attempt) -> Solved[StrokeMotion] | Failure:
             guess=guess,
             optimised=optimised,
             compensation=compensation,
-            suppression=suppression,
             start=Start(posture=posture, moved=moved, failures=guess.failures),
             job=job,
             peak=peak_of(request, job.segments),
@@ -139,36 +134,26 @@ def peak_of(request: StrokeRequest, parts: Sequence[Segment]) -> float:
     )
 
 
-def suppresses_vibration(options: PlannerOptions) -> bool:
-    """Say whether options ask for motions that leave little vibration."""
-    return options.knots == "sliding" and options.quiet_modes > 0
-
-
-def _optimised(
-    request: StrokeRequest, guess: InitialGuess
-) -> tuple[Optimised, Compensation | None, VibrationSuppression | None]:
-    """The optimised motion, with sag compensated and vibration suppressed where something bends."""
+def _optimised(request: StrokeRequest, guess: InitialGuess) -> tuple[Optimised, Compensation | None]:
+    """The optimised motion, with sag compensated where something bends."""
     cell = request.cell
     request.reporter.stage("optimise")
 
     def each_pass(report: ExchangeReport) -> None:
         request.reporter.passed(report, cell.objective.unit)
 
-    compensation = suppression = None
-    problem = guess.problem
+    compensation = None
     try:
         if cell.sag is None:
-            optimised = optimise(problem, each_pass)
+            optimised = optimise(guess.problem, each_pass)
         else:
-            optimised, compensation, problem = optimise_bent(request, guess, cell.sag, each_pass)
+            optimised, compensation = optimise_bent(request, guess, cell.sag, each_pass)
     except OptimisationFailed as failure:
         leaps = leap_failure(guess.problem)
         if leaps is None:
             raise
         raise leaps from failure
-    if cell.arm is not None and suppresses_vibration(cell.options):
-        optimised, suppression = suppress_vibration(cell.arm, problem, optimised)
-    return optimised, compensation, suppression
+    return optimised, compensation
 
 
 def _certified(

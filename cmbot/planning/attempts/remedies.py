@@ -48,7 +48,7 @@ from cmbot.scene import MOST_SAMPLES
 AnyTrial = Trial[Attempt, Any]
 
 # Halvings of the steps, and guesses of a remedy that are optimised, at most.
-_HALVINGS, _TRIES = 4, 2
+_MAX_STEP_HALVINGS, _MAX_OPTIMISED_GUESSES = 4, 2
 # Starts to which a free move leads that are tried at most.
 _MAX_JOINED_STARTS = 3
 # What the certificate may miss a bound by for more samples to help, as a share of it.
@@ -58,14 +58,14 @@ _NARROW_MISS_SHARE = 0.01
 _LITTLE_NEARER, _SPARE = 1e-3, 1.5e-4
 # The certificate may find the tool so many times as far off as it may be for a smaller bound to help, and how
 # much smaller that is than in proportion.
-_NEARLY_ON, _NEARER = 2.0, 0.98
+_NEARLY_ON, _NEARER_TOOL_FACTOR = 2.0, 0.98
 # Via-points at most for which SLSQP is tried: its time grows with the cube of their number.
 _MAX_SLSQP_VIA_POINTS = 100
 # Least and largest factor by which there are more via-points, and how many at most: all takes longer in
 # proportion.
 _FINER, _MOST_VIA_POINTS = (2, 4), 300
 # Where a bound is missed by less than this share there are a quarter more, up to so many.
-_MISSED, _MORE, _MOST_OF_THEM = 0.05, 1.25, 1200
+_MISSED, _MORE_VIA_POINTS_FACTOR, _MOST_OF_THEM = 0.05, 1.25, 1200
 # Shares of the via-points that are left where fewer are tried, and how few there may be in a leg.
 _COARSER, _FEWEST_IN_A_LEG = (0.7, 0.5), 4
 # Factors on the safety margin that guesses keep where trajectories cannot keep it.
@@ -110,7 +110,7 @@ def _nearer_tool(trial: AnyTrial) -> Iterator[Attempt]:
     attempt = trial.attempt
     match trial.outcome, attempt.guess:
         case Uncertified(broken=ToolOff(ratio=ratio)), InitialGuess() as guess if 1.0 < ratio < _NEARLY_ON:
-            share = attempt.request.tool_share * _NEARER / ratio
+            share = attempt.request.tool_share * _NEARER_TOOL_FACTOR / ratio
             request = replace(attempt.request, tool_share=share)
             request.reporter.stage("path")
             request.reporter.step(f"the tool is off by {ratio:.3g} times its bound; planning nearer")
@@ -168,8 +168,8 @@ def _shorter_steps(trial: AnyTrial) -> Iterator[Attempt]:
     if (search := trial.attempt.search) is None:
         return
     rough, tries = roughness(guess.problem), 0
-    for _ in range(_HALVINGS):
-        if tries == _TRIES or request.deadline.expired():
+    for _ in range(_MAX_STEP_HALVINGS):
+        if tries == _MAX_OPTIMISED_GUESSES or request.deadline.expired():
             return
         search = search.halved()
         request.reporter.step(f"no trajectory follows that guess; trying step_share {search.step_share:.3g}")
@@ -231,8 +231,8 @@ def _more_via_points(trial: AnyTrial) -> Iterator[Attempt]:
             if ratio <= 1.0 or (form is not None and leap(request, form.via_points)):
                 return
             count = len(request.times) - 1
-            if ratio <= 1.0 + _MISSED and _MORE * count < _MOST_OF_THEM:
-                number = int(np.ceil(_MORE * count)) + 1
+            if ratio <= 1.0 + _MISSED and _MORE_VIA_POINTS_FACTOR * count < _MOST_OF_THEM:
+                number = int(np.ceil(_MORE_VIA_POINTS_FACTOR * count)) + 1
                 yield from _with_via_points(trial, number, "the tool strays a little")
             most = int(np.clip(np.ceil(np.sqrt(ratio)), *_FINER))
             for factor in sorted({_FINER[0], most}):
@@ -286,10 +286,10 @@ def _another_start(trial: AnyTrial) -> Iterator[Attempt]:
     reason = f"no trajectory follows the tool path ({in_words(trial.outcome)})"
     start = partial(sliding_guess, request, unfollowed=request.path_not_found(reason, request.first))
     rough, tries, parts = roughness(guess.problem), 0, search.parts_of_first_chart()
-    for _ in range(1 + _HALVINGS):
+    for _ in range(1 + _MAX_STEP_HALVINGS):
         pinned = solved(search, pinned=True)
         for starts in parts:
-            if tries == _TRIES or request.deadline.expired():
+            if tries == _MAX_OPTIMISED_GUESSES or request.deadline.expired():
                 return
             left = attempted(request, partial(start, search=search, starts=starts, pinned=pinned))
             if isinstance(left, InitialGuess) and roughness(left.problem) <= SMOOTHER * rough:

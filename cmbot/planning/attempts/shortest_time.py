@@ -30,7 +30,7 @@ from cmbot.trajectory import QuinticTrajectory
 # Factors by which laws are stretched while no motion is certified.
 _STRETCHED = (1.01, 1.03, 1.06, 1.1, 1.2, 1.4, 2.0)
 # Rounds of laws along the path that was planned last, and what is worth another one, as a share of the time.
-_ROUNDS, _WORTH = 3, 0.99
+_MAX_LAW_ROUNDS, _WORTHWHILE_TIME_SHARE = 3, 0.99
 
 Work = Callable[[Attempt], Solved[StrokeMotion] | Failure]
 
@@ -126,7 +126,7 @@ def _faster_round(trial: Trial[Attempt, StrokeMotion]) -> Iterator[Attempt]:
         return
     known = sum(law.duration for law in trial.attempt.request.stroke.file.time_laws or ())
     shorter = _timing(trial.attempt, solved.result.work.trajectory)
-    if isinstance(shorter, Timing) and shorter.seconds <= _WORTH * known:
+    if isinstance(shorter, Timing) and shorter.seconds <= _WORTHWHILE_TIME_SHARE * known:
         yield from _stretched(trial, shorter)
         # A little longer than the shortest is shorter than before.
         yield from _stretched(trial, replace(shorter, factors=np.full(len(shorter.laws), _STRETCHED[0])))
@@ -158,6 +158,6 @@ def _tell(before: Trial[Attempt, Any], after: Trial[Attempt, Any]) -> str:
 
 STRETCHED_LAWS = Remedy(cost=10, propose=_stretched_laws, tell=_tell, topic="stretched", most=len(_STRETCHED))
 FEWER_STRETCHED_LEGS = Remedy(
-    cost=20, propose=_fewer_stretched_legs, tell=_tell, topic="stretched", most=_ROUNDS
+    cost=20, propose=_fewer_stretched_legs, tell=_tell, topic="stretched", most=_MAX_LAW_ROUNDS
 )
-FASTER_ROUND = Remedy(cost=30, propose=_faster_round, most=_ROUNDS - 1)
+FASTER_ROUND = Remedy(cost=30, propose=_faster_round, most=_MAX_LAW_ROUNDS - 1)

@@ -12,7 +12,7 @@ from cmbot.trajectory import QuinticTrajectory
 
 # What "continuous" and "at rest" mean in floating point: jumps relative to the joint's bound. Where knots
 # are dense, the last digit of a position is a jump of a derivative; positions may be off by this many.
-_JUMP, _DIGITS = 1e-9, 64
+_JUMP, _ROUNDING_ULPS = 1e-9, 64
 # What the last digit of a position does to derivative k at the end of a quintic, in units of h^-k.
 _ROUNDING_GAINS = (1.0, 15.0, 60.0, 60.0)
 # No allowance for rounding is larger than this share of a joint's bound, but for the jerk.
@@ -92,7 +92,7 @@ def continuity_check(robot: Robot, trajectory: QuinticTrajectory) -> Check:
     """
     limits, t = robot.limits, trajectory.t
     h = np.diff(t)
-    digit = _DIGITS * np.spacing(np.abs(trajectory.q).max(axis=0))
+    digit = _ROUNDING_ULPS * np.spacing(np.abs(trajectory.q).max(axis=0))
     shorter = np.concatenate([h[:1], np.minimum(h[:-1], h[1:]), h[-1:]])[:, None]
     shares = list[FloatArray]()
     position = np.where(limits.prismatic, _METRE, _HALF_TURN)

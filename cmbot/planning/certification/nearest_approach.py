@@ -20,7 +20,7 @@ _DISTANCE_ERROR_M = 1e-6
 # Distances that are less above a margin, m, are not told from it.
 _MIN_ROOM_M = 5e-6
 # Halvings of a segment at most, and intervals of one level; where they do not suffice the bound stays lower.
-_HALVINGS, _MOST_INTERVALS = 40, 20_000
+_MAX_SEGMENT_HALVINGS, _MOST_INTERVALS = 40, 20_000
 # Pairs that are left for each interval where all of them are measured.
 _MAX_LEFT_PAIRS = 2
 
@@ -78,7 +78,7 @@ def _enclosed(trajectory: QuinticTrajectory, clearances: Clearances, resolution:
     # Nothing is nearer than in the middles to begin with: what is found first rules out most of the rest.
     nearest = NearestApproach(time=0.0, distance=np.inf, pair=-1, bound=np.inf)
     bound = np.inf
-    for halving in range(_HALVINGS + 1):
+    for halving in range(_MAX_SEGMENT_HALVINGS + 1):
         left, right = halves(control)
         q = left[..., -1]
         travel = np.abs(control - q[..., None]).max(axis=-1) @ reach.T
@@ -105,7 +105,7 @@ def _enclosed(trajectory: QuinticTrajectory, clearances: Clearances, resolution:
             )
         undecided = alive & ~(lower >= nearest.distance - resolution)
         some = undecided.any(axis=1)
-        if halving == _HALVINGS or 2 * int(some.sum()) > _MOST_INTERVALS:
+        if halving == _MAX_SEGMENT_HALVINGS or 2 * int(some.sum()) > _MOST_INTERVALS:
             undecided[:], some[:] = False, False
         bound = float(np.minimum(bound, lower[alive & ~undecided].min(initial=np.inf)))
         if not some.any():

@@ -1,1 +1,1 @@
-"""Vibration suppression and sag compensation."""
+"""What bends while a motion is planned: how it sways along a leg, and sag compensation."""

@@ -37,7 +37,7 @@ _OPTIMIZER_DEVIATION_SHARE = 0.95
 _PEAK_TOLERANCE = 5e-4
 # By how much the standard deviation may grow while the trajectory changes, and the least share of the tool
 # deviation beside it.
-_GROWS, _LEAST = 1.05, 0.2
+_GROWS, _MIN_DEVIATION_SHARE = 1.05, 0.2
 # Times per spline segment at which the sag is computed.
 _TIMES_PER_SEGMENT = 4
 
@@ -67,11 +67,10 @@ def optimise_bent(
     guess: InitialGuess,
     sag: Sag,
     progress: Callable[[ExchangeReport], None] | None = None,
-) -> tuple[Optimised, Compensation, TorqueProblem]:
+) -> tuple[Optimised, Compensation]:
     """Optimise the motion of the bent arm, whose tool is the task.
 
-    `progress` is called after every exchange iteration. Returns the trajectory and the problem whose
-    solution it is.
+    `progress` is called after every exchange iteration.
 
     Raises
     ------
@@ -120,7 +119,7 @@ class _Bending:
             shifted = guess.lower_bound.each + self._problem.at_via_points - guess.problem.at_via_points
             self._least = float(shifted.max()) * (1 + _PEAK_TOLERANCE)
 
-    def solved(self) -> tuple[Optimised, Compensation, TorqueProblem]:
+    def solved(self) -> tuple[Optimised, Compensation]:
         """Solve and linearize until the sag of the solution is what it was taken for."""
         optimised: Optimised | None = None
         for number in range(_LINEARIZATIONS):
@@ -131,7 +130,7 @@ class _Bending:
             change = float(np.linalg.norm(after.sag - self._bent.at(self._times, after.q).sag, axis=1).max())
             if change < self._settled:
                 done = self._done(near, after.sag, change)
-                return replace(optimised, passes=tuple(self._passes)), done, self._problem
+                return replace(optimised, passes=tuple(self._passes)), done
             if self._request.deadline.expired():
                 reason = f"{self._request.deadline.over_in_words} before the sag along the motion was settled"
                 raise self._failure(reason, change, stopped=True)
@@ -191,7 +190,7 @@ def _uncertain(request: StrokeRequest, near: QuinticTrajectory, sag: Sag) -> flo
         return 0.0
     spread, _ = largest_spread(request.task.path, sag, near)
     uncertain = _GROWS * sigmas * spread
-    if uncertain > (1 - _LEAST) * allowed:
+    if uncertain > (1 - _MIN_DEVIATION_SHARE) * allowed:
         raise OptimisationFailed(
             f"the stiffness is known too little: {sigmas:g} standard deviations of the tool's place across "
             f"its path are {1e3 * sigmas * spread:.2f} mm, of {1e3 * allowed:g} mm that are allowed",

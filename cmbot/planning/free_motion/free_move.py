@@ -29,15 +29,15 @@ from cmbot.toolpath import SpeedProfile
 from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
 # Distance of the spline's knots along the path, rad; halved while the spline's certificate does not hold.
-_KNOT_SPACING, _HALVINGS = 0.4, 4
+_KNOT_SPACING, _MAX_SPACING_HALVINGS = 0.4, 4
 # Share of the limits that a free move may use.
 _LIMIT_SHARE = 0.95
 # Postures of the straight line that are looked at where nothing leads to the other end.
 _LINE_POSTURES = 50
 # Values of the objective that differ by less are the same, relative.
-_SAME = 1e-3
+_SAME_OBJECTIVE_SHARE = 1e-3
 # Factors on the shortest duration, while the moving arm asks more than it may, and samples a segment to see.
-_SLOWER, _SAMPLES = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0), 8
+_SLOWER, _TORQUE_SAMPLES_PER_SEGMENT = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0), 8
 # An objective below this is nothing.
 _ZERO_OBJECTIVE = 1e-9
 
@@ -99,14 +99,14 @@ def plan_move(
     request = request.tool_off
     space = _space_around(request, move)
     ends = np.stack([move.start, move.end])
-    allowed = (1 + _SAME) * max(move.allowed, *space.cost(ends))
+    allowed = (1 + _SAME_OBJECTIVE_SHARE) * max(move.allowed, *space.cost(ends))
     given = first(space)
     stop = partial(request.deadline.expired, MORE_TIME)
     path = _path(space, ends, given, known, allowed, stop, move.most_growths)
     if path is None:
         raise _unconnected(request, space, move)
     held = request.task.held_at_start()
-    for halving in range(_HALVINGS):
+    for halving in range(_MAX_SPACING_HALVINGS):
         trajectory = _timed(request, path, _KNOT_SPACING / 2**halving, allowed, move.begin)
         certificate = certify_move(
             request.cell.robot,
@@ -179,7 +179,7 @@ def free_space(cell: Workcell) -> FreeSpace:
 
 def largest_objective(cell: Workcell, trajectory: QuinticTrajectory) -> float:
     """Return the largest value of the objective on a trajectory, at samples."""
-    return float(cell.objective.values(StateSamples.even(trajectory, _SAMPLES)).max())
+    return float(cell.objective.values(StateSamples.even(trajectory, _TORQUE_SAMPLES_PER_SEGMENT)).max())
 
 
 def _space_around(request: StrokeRequest, move: FreeMove) -> FreeSpace:
@@ -262,7 +262,9 @@ def _timed(
     at_rest = _asked(request, StateSamples.at_rest(u, trial.q), allowed)
     for slower in _SLOWER:
         timed = _slowed(trial, slower * seconds, begin)
-        if _asked(request, StateSamples.even(timed, _SAMPLES), allowed) <= (1 + _SAME) * max(at_rest, 1.0):
+        if _asked(request, StateSamples.even(timed, _TORQUE_SAMPLES_PER_SEGMENT), allowed) <= (
+            1 + _SAME_OBJECTIVE_SHARE
+        ) * max(at_rest, 1.0):
             break
     return timed
 

@@ -19,7 +19,7 @@ _MARGIN_SHARE_BETWEEN = 0.5
 _COST_DISTANCE_M = 0.2
 _NO_BOUND = float(np.finfo(np.float64).max)
 # Postures of a line that are checked at once; each block is as many times larger than the one before.
-_FIRST_BLOCK, _GROWTH = 8, 4
+_FIRST_BLOCK, _BLOCK_GROWTH = 8, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,7 @@ class FreeSpace:
             within = self.robot.limits.contain(block).all() and (self.cost(block) <= self.bound).all()
             if not within or (self.clearances.query(block, least).distance < least).any():
                 return False
-            first, number = first + number, number * _GROWTH
+            first, number = first + number, number * _BLOCK_GROWTH
         return True
 
     def _along(self, starts: FloatArray, ends: FloatArray, every: float) -> tuple[FloatArray, IntArray]:

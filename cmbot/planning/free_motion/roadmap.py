@@ -16,7 +16,7 @@ from cmbot.robot import PostureMetric
 
 # Random postures that are drawn in each round: half anywhere, half about the best path so far, at these
 # standard deviations of a joint, rad.
-_DRAWN, _SPREAD = 4000, (0.1, 0.3, 0.6)
+_POSTURES_PER_ROUND, _SPREAD = 4000, (0.1, 0.3, 0.6)
 _MAX_ROADMAP_ROUNDS = 6
 # Nearest postures with which a new one is joined.
 _NEIGHBOUR_COUNT = 12
@@ -73,13 +73,13 @@ def lower_peak(
 
 def _anywhere(space: FreeSpace, rng: np.random.Generator) -> FloatArray:
     lower, upper = space.robot.limits.within_a_turn
-    return rng.uniform(lower, upper, (_DRAWN // 2, len(lower)))
+    return rng.uniform(lower, upper, (_POSTURES_PER_ROUND // 2, len(lower)))
 
 
 def _about(path: FloatArray, rng: np.random.Generator, metric: PostureMetric) -> FloatArray:
     """Random postures about a broken line (k, n)."""
     along = np.concatenate([[0.0], np.cumsum(metric.lengths(np.diff(path, axis=0)))])
-    at = rng.uniform(0.0, along[-1], _DRAWN // 2)
+    at = rng.uniform(0.0, along[-1], _POSTURES_PER_ROUND // 2)
     middle = np.stack([np.interp(at, along, joint) for joint in path.T], axis=1)
     offsets = rng.normal(0.0, rng.choice(_SPREAD, (len(at), 1)), middle.shape)
     return middle + metric.positions(offsets)

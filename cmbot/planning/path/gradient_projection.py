@@ -40,7 +40,7 @@ _REPORT_STRIDE = 20
 # Step of a first, coarse integration of Eq. (22) from another start, s.
 _COARSE_STEP_S = 0.05
 # Beyond it, s, joints are moved away from obstacles in proportion less: steps are the same then.
-_LONGEST_STEP = 0.1
+_FULL_STEP_S = 0.1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -109,7 +109,7 @@ def follow_path(
     step = sample_step(task.path.duration, options.path_step_s)
     if step > options.path_step_s:
         # Euler's method is stable with them, too.
-        gains = min(options.drift_gain, 1 / step), options.avoidance_gain * min(1.0, _LONGEST_STEP / step)
+        gains = min(options.drift_gain, 1 / step), options.avoidance_gain * min(1.0, _FULL_STEP_S / step)
         options = replace(options, drift_gain=gains[0], avoidance_gain=gains[1])
     steps = max(round(task.path.duration / step), 1)
     t = np.linspace(0.0, task.path.duration, steps + 1)

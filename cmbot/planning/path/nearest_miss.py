@@ -16,8 +16,8 @@ from cmbot.scene import AxisCone, Keep
 
 # Distance of places along a leg, m, and the least number of steps on one; how many there are at most of a
 # stroke, and of all together, and at least; as many ends of legs come on top.
-_EVERY, _STEPS = 0.05, 4
-_PLACES, _ALL_PLACES, _FEWEST = 64, 480, 6
+_PLACE_DISTANCE_M, _MIN_LEG_STEPS = 0.05, 4
+_MAX_STROKE_PLACES, _ALL_PLACES, _MIN_PLACES = 64, 480, 6
 # A margin of zero has no shares.
 _MIN_MARGIN_M = 1e-9
 
@@ -136,8 +136,8 @@ def nearest_miss(
 def places_along(request: StrokeRequest) -> FloatArray:
     """Return times (N,), s, of places along a stroke: ends of legs, and by length between them."""
     path = request.task.path
-    most = max(min(_PLACES, _ALL_PLACES // len(request.strokes)), _FEWEST)
-    steps = np.maximum(np.ceil(path.lengths / _EVERY), _STEPS).astype(np.intp)
+    most = max(min(_MAX_STROKE_PLACES, _ALL_PLACES // len(request.strokes)), _MIN_PLACES)
+    steps = np.maximum(np.ceil(path.lengths / _PLACE_DISTANCE_M), _MIN_LEG_STEPS).astype(np.intp)
     between = [path.times_at(leg, np.linspace(0.0, 1.0, n + 1)) for leg, n in enumerate(steps)]
     each = [
         times[np.unique(np.linspace(0, len(times) - 1, most).round().astype(np.intp))]

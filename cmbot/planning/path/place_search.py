@@ -21,15 +21,15 @@ from cmbot.robot import Postures, Robot
 from cmbot.toolpath import ToolPoses
 
 # Random postures at each place in the first rounds, and in the last one at the worst place.
-_ROUNDS, _LAST = (2, 30), 1000
+_POSTURES_OF_ROUNDS, _LAST = (2, 30), 1000
 # Steps from each posture, and more of them from the nearest one of the worst place.
-_STEPS, _MORE_STEPS = 40, 300
+_STEPS_PER_POSTURE, _MORE_STEPS = 40, 300
 # There a posture that holds the tool is improved by copies of it, scattered less and less, rad.
 _COPIES, _SCATTER = 64, (0.5, 0.3, 0.2, 0.15, 0.1, 0.07, 0.05, 0.03, 0.02, 0.01)
 # Largest error of a posture that holds the tool, m, or rad: planning makes it smaller by Newton's method.
 _HELD_TOLERANCE = 1e-6
 # Least damping, and the longest step of a joint, rad.
-_DAMPING, _LONGEST_STEP = 1e-8, 0.8
+_DAMPING, _MAX_JOINT_STEP_RAD = 1e-8, 0.8
 # Violation of a posture that does not hold the tool.
 _UNHELD_VIOLATION = 1e9
 
@@ -79,7 +79,7 @@ def worst_missed(
     search = _Search(robot, task, goals, known, violation)
     # Mostly that is all.
     search.begin()
-    for number in _ROUNDS:
+    for number in _POSTURES_OF_ROUNDS:
         if search.found.all():
             return None
         search.attempt(np.flatnonzero(~search.found), number)
@@ -144,7 +144,7 @@ class _Search:
             moves = self._rng.normal(0.0, scatter, (_COPIES, self._q.shape[1]))
             self._seek(np.full(_COPIES, place), self._q[place] + metric.positions(moves))
 
-    def _seek(self, places: IntArray, q: FloatArray, steps: int = _STEPS) -> None:
+    def _seek(self, places: IntArray, q: FloatArray, steps: int = _STEPS_PER_POSTURE) -> None:
         """Minimise the task error at places (k,) from postures `q` (k, n)."""
         if not len(places):
             return
@@ -179,7 +179,12 @@ class _Search:
 
 
 def _nearest_postures(
-    robot: Robot, postures: Postures, task: ToolTask, q: FloatArray, goals: ToolPoses, steps: int = _STEPS
+    robot: Robot,
+    postures: Postures,
+    task: ToolTask,
+    q: FloatArray,
+    goals: ToolPoses,
+    steps: int = _STEPS_PER_POSTURE,
 ) -> tuple[FloatArray, FloatArray]:
     """Minimise by how much the tool misses its goals, within the joint ranges, from postures `q` (N, n).
 
@@ -211,7 +216,7 @@ def _nearest_postures(
         G = gram(J)
         G[np.diag_indices(len(G))] += 0.5 * size**2 + _DAMPING
         step = np.einsum("ikn,in->kn", J, solve_batch(G, error[:, None])[:, 0])
-        step *= np.minimum(1.0, _LONGEST_STEP / np.maximum(np.abs(step).max(axis=0), 1e-30))
+        step *= np.minimum(1.0, _MAX_JOINT_STEP_RAD / np.maximum(np.abs(step).max(axis=0), 1e-30))
         x[:, active] = np.clip(now + step, lower, upper)
     return np.ascontiguousarray(metric.positions(best.T)), miss
 

@@ -17,17 +17,17 @@ from cmbot.scene import PlannerOptions, Scene, StrokeFile, rows_alone
 from cmbot.toolpath import RowPiece, ToolPath, ToolPoses, cells_of
 
 # Distance of places along rows: as a share of the rows' distance, and at most, m.
-_SHARE, _EVERY = 0.25, 0.03
+_SHARE, _MAX_PLACE_DISTANCE_M = 0.25, 0.03
 # Rows that are so long that there would be more places have them further apart.
 _MAX_PLACES = 4000
 # Postures that follow rows: few first, more where these come to an end; how far copies of them are scattered,
 # and how far a joint may move from one place to the next, rad.
-_FEW, _MANY, _SCATTER, _FURTHEST = 12, 60, 0.15, 0.6
+_FEW_POSTURES, _MANY_POSTURES, _SCATTER, _FURTHEST = 12, 60, 0.15, 0.6
 # Random postures from which Newton's method starts where rows begin, and at each place where rows come to an
 # end; its steps, and its tolerance, m or rad.
-_AT_START, _ANYWHERE, _STEPS, _TOLERANCE = 300, 60, 30, 1e-9
+_AT_START, _ANYWHERE, _MAX_ROW_NEWTON_STEPS, _ROW_NEWTON_TOLERANCE = 300, 60, 30, 1e-9
 # Random postures are sought at places of this stride: to the others they are carried.
-_STRIDE = 3
+_PLACE_STRIDE = 3
 # Largest share of its bound that a joint, or a foot, uses at rest where rows are cut: motion takes some.
 _MAX_STATIC_USE = 0.97
 # Pieces that are shorter than this share of the rows' distance are left out.
@@ -112,10 +112,10 @@ class _Follower:
         # Any row may become the first or the last one of a part.
         self._over = file.raster.overscan_m + leads
         self._sampler = PostureSampler(
-            cell=request.cell, task=request.task, steps=_STEPS, tolerance=_TOLERANCE
+            cell=request.cell, task=request.task, steps=_MAX_ROW_NEWTON_STEPS, tolerance=_ROW_NEWTON_TOLERANCE
         )
         self._rng, self._known = self._sampler.rng, request.state.posture
-        self._every = min(_SHARE * file.raster.spacing_m, _EVERY)
+        self._every = min(_SHARE * file.raster.spacing_m, _MAX_PLACE_DISTANCE_M)
 
     def parts(self, cell: _Cell) -> list[_Cell]:
         """The parts of a cell that postures can follow."""
@@ -124,9 +124,9 @@ class _Follower:
         while waiting:
             part = waiting.pop(0)
             places = self._places(part)
-            number = self._followed(places.goals, _FEW)
+            number = self._followed(places.goals, _FEW_POSTURES)
             if number < len(places.leg):
-                number = max(number, self._followed(places.goals, _MANY))
+                number = max(number, self._followed(places.goals, _MANY_POSTURES))
             if number == len(places.leg):
                 found.append(part)
             elif not is_trimmed:
@@ -195,13 +195,15 @@ class _Follower:
         on_rows = np.flatnonzero(places.leg % 2 == 0)
         leg, share = places.leg[on_rows], places.share[on_rows]
         each = [np.empty((0, self._request.cell.robot.dof))] * len(on_rows)
-        each[::_STRIDE] = self._sampler.at_each(places.goals[on_rows[::_STRIDE]], _ANYWHERE, self._known)
+        each[::_PLACE_STRIDE] = self._sampler.at_each(
+            places.goals[on_rows[::_PLACE_STRIDE]], _ANYWHERE, self._known
+        )
         for order in (range(1, len(each)), range(len(each) - 2, -1, -1)):
             for k in order:
                 self._require_time(k, len(each))
                 before = each[k - order.step]
                 if not len(each[k]) and len(before):
-                    each[k] = self._carried(before, places.goals[on_rows[k]], _MANY)
+                    each[k] = self._carried(before, places.goals[on_rows[k]], _MANY_POSTURES)
         reached = np.array([len(q) > 0 for q in each])
         rows = list[list[tuple[float, float]]]()
         for k, piece in enumerate(cell):
@@ -225,8 +227,8 @@ class _Follower:
         way = turned * (piece.length + 2 * over)
         both = at + first * way + turned * (0.0 if joined else over), at + last * way - turned * over
         begin, end = max(min(both), piece.begin_m), min(max(both), piece.end_m)
-        begin = piece.begin_m if begin - piece.begin_m < _TOLERANCE else begin
-        end = piece.end_m if piece.end_m - end < _TOLERANCE else end
+        begin = piece.begin_m if begin - piece.begin_m < _ROW_NEWTON_TOLERANCE else begin
+        end = piece.end_m if piece.end_m - end < _ROW_NEWTON_TOLERANCE else end
         if (both[1] - both[0]) * turned <= 0:
             return None
         enough = end - begin >= min(_MIN_PIECE_SHARE * self._raster.spacing_m, piece.length)

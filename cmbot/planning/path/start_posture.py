@@ -22,11 +22,11 @@ from cmbot.scene import PlannerOptions
 from cmbot.toolpath import SpeedProfile, ToolPath, ToolPoses
 
 # Random postures that Newton's method starts from, its most steps, and how many results are tried with a leg.
-_RESTARTS, _STEPS, _TRIED = 2000, 60, 30
+_RESTARTS, _MAX_START_STEPS, _TRIED = 2000, 60, 30
 # The first leg: its longest length, m, and as a share of the reach; shares of that which are tried; the steps
 # in which it is followed; the tool's speed, m/s, and the share of a joint's velocity limit, both on average.
 _LEG, _LEG_SHARE, _SHORTER, _LEG_STEPS = 0.10, 0.15, (1.0, 0.5, 0.25), 10
-_SPEED, _VELOCITY_SHARE, _LEAST_SECONDS = 0.05, 0.15, 4.0
+_TOOL_SPEED_M_S, _VELOCITY_SHARE, _LEAST_SECONDS = 0.05, 0.15, 4.0
 # Safety margins that are tried, as shares of the default: as convex hulls, some arms are near themselves.
 _MARGIN_SHARES = (1.0, 0.5, 0.25, 0.1)
 _KEEPS: tuple[Literal["pose", "axis", "position"], ...] = ("pose", "axis", "position")
@@ -125,7 +125,7 @@ class _Search:
     def postures(self, task: ToolTask, point: FloatArray) -> FloatArray:
         """Postures (N, n) on the task within the ranges of the joints."""
         start = sampled_postures(self._limits.lower, self._limits.upper, _RESTARTS)
-        sampler = PostureSampler(cell=self._cell, task=task, steps=_STEPS)
+        sampler = PostureSampler(cell=self._cell, task=task, steps=_MAX_START_STEPS)
         q, reached = sampler.held(start, task.path.poses([0.0]))
         return q[reached & self._within(q)]
 
@@ -161,7 +161,7 @@ class _Search:
                 moved = np.abs(np.diff(q, axis=0, prepend=posture[None])).sum(axis=0)
                 seconds = max(
                     _LEAST_SECONDS,
-                    float(np.linalg.norm(by)) / _SPEED,
+                    float(np.linalg.norm(by)) / _TOOL_SPEED_M_S,
                     float((moved / self._limits.velocity).max()) / _VELOCITY_SHARE,
                 )
                 x, y, z = map(float, by)

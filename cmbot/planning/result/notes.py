@@ -29,12 +29,12 @@ from cmbot.robot import Dynamics, postures_in_words
 from cmbot.scene import STOW
 
 # A peak lower by less than this share is no gain; a baseline this near to the lower bound leaves none.
-_GAIN, _NEAR_BOUND = 1e-2, 1e-2
+_MIN_GAIN_SHARE, _NEAR_BOUND = 1e-2, 1e-2
 # Largest error of a lower bound that the search closed, as a share of it.
 _CLOSED_GAP_SHARE = 1e-2
 # More jerk than so many times the baseline's, and than that share of the limits, may well make the tool sway
 # more.
-_MORE_JERK, _LITTLE_JERK = 2.0, 1e-3
+_MUCH_JERK_FACTOR, _LITTLE_JERK = 2.0, 1e-3
 # Joints that travel so many times as far as the baseline's are told.
 _TOLD_TRAVEL_RATIO = 2.0
 # A lower bound below this share of the peak counts as zero.
@@ -72,7 +72,7 @@ def notes(plan: Plan) -> tuple[Note, ...]:
     ----------
     plan : Plan
     """
-    found = [*_first(plan), *_faults(plan), *_start(plan), *_told(plan), *_vibration(plan), *_objective(plan)]
+    found = [*_first(plan), *_faults(plan), *_start(plan), *_told(plan), *_objective(plan)]
     if plan.baseline is not None:
         found += _compared(plan, plan.baseline)
     found += [*_return(plan), *_bound(plan), *_certified(plan)]
@@ -209,19 +209,6 @@ def _told(plan: Plan) -> Iterator[Note]:
         yield Note(level="warning", key="units", values={"of": key, "looks": looks, "units": units})
 
 
-def _vibration(plan: Plan) -> Iterator[Note]:
-    """What is done about vibration at the ends of the legs."""
-    done, base = plan.suppression, plan.scene.base_name
-    if done is None or done.at_rest:
-        return
-    legs, left = len(done.shares), done.shares.count(0.0)
-    tried = not done.worth_it and done.swing_with != done.swing_without
-    values = {"base": base, "modes": done.modes, "legs": legs, "left": left, "tried": tried}
-    if done.stiffness:
-        values |= {"least": min(done.stiffness), "most": max(done.stiffness), "load_kg": max(done.load_kg)}
-    yield Note(level="warning" if left else "note", key="vibration", values=values)
-
-
 def _objective(plan: Plan) -> Iterator[Note]:
     """What was minimised, where that is not the torque on the base or gravity has no part in it."""
     objective, holding = plan.objective, plan.robot.holding
@@ -250,7 +237,7 @@ def _compared(plan: Plan, baseline: Baseline) -> Iterator[Note]:
     if faults:
         yield Note(level="warning", key="baseline", values={"faults": faults})
     approach, work = plan.approach, max(f.peak_guardrail_torque for f in (plan.figures, baseline.figures))
-    if approach is not None and approach.figures.peak_guardrail_torque > work * (1 + _GAIN):
+    if approach is not None and approach.figures.peak_guardrail_torque > work * (1 + _MIN_GAIN_SHARE):
         yield Note(level="warning", key="approach", values={"base": plan.scene.base_name})
     if (factor := further(plan)) >= _TOLD_TRAVEL_RATIO:
         ours, theirs = travels(plan, baseline)
@@ -260,13 +247,13 @@ def _compared(plan: Plan, baseline: Baseline) -> Iterator[Note]:
         values = {"factor": factor, "joint": plan.robot.joints[joint], "unit": units.position}
         yield Note(level="note", key="travel", values=values | {"far": far, "other": other})
     before, after = (each.limit_use.jerk for each in (baseline.figures, plan.figures))
-    if plan.suppression is not None and after > max(_MORE_JERK * before, _LITTLE_JERK):
+    if plan.sway is not None and after > max(_MUCH_JERK_FACTOR * before, _LITTLE_JERK):
         yield Note(level="warning", key="jerk", values={"factor": after / before, "share": after})
     peak, least, floor = plan.objective.planned_peak, plan.objective.baseline_peak, plan.objective.floor
     sought = plan.options.objective != "travel"
-    if least is None or not sought or peak < least * (1 - _GAIN):
+    if least is None or not sought or peak < least * (1 - _MIN_GAIN_SHARE):
         return
-    if peak > least * (1 + _GAIN):
+    if peak > least * (1 + _MIN_GAIN_SHARE):
         yield Note(level="warning", key="higher", values={"share": peak / least - 1})
     elif not faults:
         near = floor is not None and least < floor * (1 + _NEAR_BOUND)

@@ -37,7 +37,7 @@ from cmbot.planning.job import APPROACH, Job, Segment
 from cmbot.planning.request import end_posture_of, strokes_of
 from cmbot.planning.result.baseline import Baseline, baseline_of, joined_samples
 from cmbot.planning.result.holding import emergency_stop
-from cmbot.planning.result.stroke_plan import StrokePlan, combined
+from cmbot.planning.result.stroke_plan import StrokePlan, baseline_task, combined
 from cmbot.planning.task import ToolTask
 from cmbot.planning.workcell.stiffness import covariance_of
 from cmbot.planning.workcell.workcell import bending_arm, sag_of
@@ -309,6 +309,12 @@ class Plan(StrokePlan):
         return tuple(found)
 
     @property
+    def baseline_tasks(self) -> tuple[ToolTask, ...]:
+        """What the baseline follows along each stroke."""
+        each = zip(self.strokes, self.scene.strokes, strict=True)
+        return tuple(baseline_task(stroke.task, file, self.options) for stroke, file in each)
+
+    @property
     def shown_sigmas(self) -> float:
         """The standard deviations of `deviation_with_spread`: those that are promised, else two."""
         return self.options.deviation_sigmas or 2.0
@@ -420,13 +426,14 @@ class Plan(StrokePlan):
                 return float(np.inf)
             return float(np.linalg.norm(task.path.leg_offset(t, bent), axis=1).max())
 
-        for stroke, segment in zip(self.strokes, self.job.strokes, strict=True):
+        each = zip(self.strokes, self.baseline_tasks, self.job.strokes, strict=True)
+        for stroke, task, segment in each:
             t = spread_times(segment.trajectory)
             planned.append(offset(segment.task, t, segment.trajectory.evaluate(t)))
             if stroke.baseline is not None:
                 samples = stroke.baseline.samples
                 near = np.searchsorted(samples.t, t).clip(max=len(samples.t) - 1)
-                baseline.append(offset(segment.task, samples.t[near], samples.q[near]))
+                baseline.append(offset(task, samples.t[near], samples.q[near]))
         return max(baseline, default=None), max(planned)
 
     def summary(self) -> str:

@@ -82,7 +82,7 @@ def _row(
 
 def _tool(plan: Plan) -> Iterator[Row]:
     """Where the tool is."""
-    accuracy, suppression, compensation = plan.accuracy, plan.suppression, plan.compensation
+    accuracy, compensation = plan.accuracy, plan.compensation
     if accuracy is not None:
         name = f"tool from its path, with {100 * accuracy.probability:g} %"
         yield _row(name, "accuracy.within_mm", "mm", ".3g", 1e-3 * accuracy.within_mm, first=True)
@@ -90,13 +90,9 @@ def _tool(plan: Plan) -> Iterator[Row]:
     if after is not None and np.isfinite(after):
         before = before if before is not None and np.isfinite(before) else None
         yield _row("bent arm at rest off its path", "bent_offsets", "mm", ".2f", after, before, first=True)
-    if suppression is not None and suppression.swing_with:
-        swing = max(suppression.swing_with if suppression.share else suppression.swing_without)
-        yield _row("tool swings after the stop", "suppression.swing_with", "mm", ".3f", swing, first=True)
-        swing = max(suppression.swing_without)
-        name = "tool would swing without suppression"
-        yield _row(name, "suppression.swing_without", "mm", ".3f", swing)
     if (sway := plan.sway) is not None:
+        swing = 1e-3 * sway.swing_mm
+        yield _row("tool swings after the stop", "sway.swing_mm", "mm", ".3f", swing, first=True)
         yield _row("largest sway at work", "sway.sway_mm", "mm", ".3f", 1e-3 * sway.sway_mm)
         if sway.unshaped_sway_mm is not None and sway.unshaped_swing_mm is not None:
             alone, swing = 1e-3 * sway.unshaped_sway_mm, 1e-3 * sway.unshaped_swing_mm
@@ -214,7 +210,7 @@ def _work(plan: Plan) -> Iterator[Row]:
             name = f"time of {segment.in_words}"
             yield _row(name, "segments.seconds", "s", ".1f", segment.duration)
     for file, stroke in zip(plan.scene.strokes, plan.job.strokes, strict=True):
-        if file.time_laws:
+        if file.time_laws and file.is_open:
             of = f" of {stroke.name}" if plan.several else ""
             legs = "the leg" if len(file.time_laws) == 1 else f"{len(file.time_laws)} legs"
             seconds = sum(law.duration for law in file.time_laws)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,12 +15,12 @@ from cmbot.common.representation import short_repr
 from cmbot.optimization import ExchangeReport, StateSamples
 from cmbot.planning.certification.metrics import MotionMetrics, Samples
 from cmbot.planning.flexibility.sag_compensation import Compensation
-from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.initial_guess import Choice
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.task import ToolTask
 from cmbot.planning.workcell.objectives import Objective
-from cmbot.scene import PlannerOptions
+from cmbot.scene import PlannerOptions, StrokeFile
+from cmbot.toolpath import SpeedProfile
 from cmbot.trajectory import QuinticTrajectory
 
 # Samples per segment at which the peak of an objective is taken that is not enclosed.
@@ -98,6 +98,24 @@ class ObjectiveMetrics:
         )
 
 
+def baseline_task(task: ToolTask, file: StrokeFile, options: PlannerOptions) -> ToolTask:
+    """Return the task that the baseline follows: the paper's motion has its trapezoid in place of quiet laws.
+
+    Parameters
+    ----------
+    task : ToolTask
+        Of the stroke as planned.
+    file : StrokeFile
+        Of the stroke.
+    options : PlannerOptions
+    """
+    if options.baseline != "paper" or file.speed_profile.kind != "quiet" or file.is_open:
+        return task
+    # Leads belong to the process.
+    legs = {number for number, leg in enumerate(task.path.segments) if leg.process is None}
+    return replace(task, path=task.path.with_law(SpeedProfile().law, legs))
+
+
 @dataclass(frozen=True, kw_only=True)
 class StrokeBaseline:
     """The motion along a stroke that the planned one is compared with: `PlannerOptions.baseline` says which.
@@ -153,8 +171,6 @@ class StrokePlan:
         Peaks of the global search for both choices of the start; None as `lower_bound`.
     compensation : Compensation or None
         Of the predicted sag.
-    suppression : VibrationSuppression or None
-        None with fixed knots, where nothing bends, or unasked.
     runs : int
         Of optimise-and-certify that it took.
     """
@@ -168,7 +184,6 @@ class StrokePlan:
     lower_bound: LowerBound | None
     choice: Choice | None
     compensation: Compensation | None
-    suppression: VibrationSuppression | None
     runs: Count
 
     __repr__ = short_repr
@@ -183,7 +198,6 @@ def combined(strokes: Sequence[StrokePlan]) -> dict[str, Any]:
     bounds = [stroke.lower_bound for stroke in strokes if stroke.lower_bound is not None]
     choices = [stroke.choice for stroke in strokes if stroke.choice is not None]
     compensations = [stroke.compensation for stroke in strokes if stroke.compensation is not None]
-    suppressed = [stroke.suppression for stroke in strokes if stroke.suppression is not None]
     return {
         "task": strokes[0].task,
         "start": strokes[0].start,
@@ -204,28 +218,7 @@ def combined(strokes: Sequence[StrokePlan]) -> dict[str, Any]:
         )
         if compensations
         else None,
-        "suppression": _combined_suppression(suppressed) if suppressed else None,
     }
-
-
-def _combined_suppression(each: Sequence[VibrationSuppression]) -> VibrationSuppression:
-    """The largest amplitudes of all strokes, and in each case that was simulated the largest swings."""
-    swings = dict[tuple[float, float], tuple[float, float]]()
-    for one in each:
-        cases = zip(one.stiffness, one.load_kg, one.swing_without, one.swing_with, strict=True)
-        for stiffness, load, without, with_it in cases:
-            most = swings.get((stiffness, load), (0.0, 0.0))
-            swings[stiffness, load] = (max(most[0], without), max(most[1], with_it))
-    return VibrationSuppression(
-        modes=max(one.modes for one in each),
-        shares=tuple(share for one in each for share in one.shares),
-        before=max(one.before for one in each),
-        after=max(one.after for one in each),
-        stiffness=tuple(stiffness for stiffness, _ in swings),
-        load_kg=tuple(load for _, load in swings),
-        swing_without=tuple(without for without, _ in swings.values()),
-        swing_with=tuple(with_it for _, with_it in swings.values()),
-    )
 
 
 def _largest(values: Iterable[float | None]) -> float | None:

@@ -22,7 +22,7 @@ MOST_FIRST = 5
 # A peak lower by less than this share is hardly a gain.
 _SMALL_GAIN_SHARE = 1e-2
 # A gain below this share is told with what it costs: joints that travel so many times as far, or more.
-_SMALL, _FURTHER = 5e-2, 3.0
+_COSTED_GAIN_SHARE, _TRAVEL_FACTOR = 5e-2, 3.0
 
 
 def verdict(plan: Plan, *, area: bool = True) -> str:
@@ -186,7 +186,7 @@ def _base(
         text, gain = f"{text}, {_against(peak_nm, baseline_nm)}", 1 - peak_nm / baseline_nm
         if SAME < gain < _SMALL_GAIN_SHARE:
             text += ": hardly anything is gained"
-        elif _SMALL_GAIN_SHARE <= gain < _SMALL and further >= _FURTHER:
+        elif _SMALL_GAIN_SHARE <= gain < _COSTED_GAIN_SHARE and further >= _TRAVEL_FACTOR:
             text += f", with joints that travel {further:.1f} times as far at work"
     if work_nm is not None:
         text += f"; the work alone {work_nm:.1f} Nm"
@@ -249,32 +249,6 @@ def _start(begin: str) -> Callable[..., str]:
         return f"Starts {begin} {posture}, {_away(turned_deg, slid_m)} away."
 
     return words
-
-
-def _vibration(
-    base: str,
-    modes: int,
-    legs: int,
-    left: int,
-    tried: bool,
-    least: float = 1.0,
-    most: float = 1.0,
-    load_kg: float = 0.0,
-) -> str:
-    slowest = "the slowest vibration" if modes == 1 else f"the {modes} slowest vibrations"
-    what = f"Vibration suppression: {slowest} of {base} and links {'is' if modes == 1 else 'are'}"
-    where = "the legs" if not left else f"{legs - left} of the {legs} legs"
-    if left == legs:
-        why = "no change of the motion that was tried keeps every bound"
-        if tried:
-            why = "the change that was tried makes the largest swing hardly smaller"
-        return f"{what} left at the ends of the legs: {why}."
-    load = f" and with up to {load_kg:g} kg more" if load_kg else ""
-    kept = ", and at the others no change keeps every bound" if left else ""
-    return (
-        f"{what} acted on at the ends of {where}{kept}, at {least:.3g} to {most:.3g} times the stiffness"
-        f"{load}."
-    )
 
 
 def _objective(
@@ -388,7 +362,6 @@ _SENTENCES: dict[str, str | Callable[..., str]] = {
     "robot": "{text}",
     "stiffness": "{text}",
     "units": "Numbers of {of} look like {looks}; they were taken as {units}.",
-    "vibration": _vibration,
     "no_gravity": (
         "Gravity has no part in what was minimised: at rest that is 0 everywhere, so no posture was chosen "
         "by it. axis_weights with x or y above 0 count gravity's torque, too."

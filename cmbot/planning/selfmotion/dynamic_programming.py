@@ -27,7 +27,7 @@ _STEP_WEIGHT = 0.02
 _MAX_UNIT_STEP = 1 + 1e-9
 # Of the refinement: postures drawn around each in every round, rounds, the factor of their distance from one
 # round to the next, and the gap to the lower bound, as a share of it, that ends them.
-_AROUND, _ROUNDS, _NEARER, _NEAR_BOUND = 30, 24, 0.8, 1e-3
+_AROUND, _REFINEMENT_ROUNDS, _SPREAD_FACTOR, _BOUND_GAP_SHARE = 30, 24, 0.8, 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,10 +229,10 @@ def refine(
     rises; near `lower_bound` the rounds end.
     """
     rng = np.random.default_rng(0)
-    for done in range(_ROUNDS):
+    for done in range(_REFINEMENT_ROUNDS):
         if request.deadline.expired():
             break
-        request.reporter.part("refining the choice", done, _ROUNDS)
+        request.reporter.part("refining the choice", done, _REFINEMENT_ROUNDS)
         each = _candidates(request, q, reach, rng)
         if start_stays:
             each[0] = q[:1]
@@ -243,9 +243,9 @@ def refine(
         chosen = BottleneckDynamicProgram(request, layers, links, starts).best()
         q = np.stack([chart.q[k] for chart, k in zip(charts, chosen, strict=True)])
         peak = max(chart.value[k] for chart, k in zip(charts, chosen, strict=True))
-        if peak <= lower_bound * (1 + _NEAR_BOUND):
+        if peak <= lower_bound * (1 + _BOUND_GAP_SHARE):
             break
-        reach *= _NEARER
+        reach *= _SPREAD_FACTOR
     return q
 
 

@@ -28,20 +28,20 @@ from cmbot.planning.selfmotion.sampler import Coverage
 # What progress says of the search.
 _PROGRESS_PHRASE = "finding the least torque at rest"
 # Accuracy of the bound, as a share of it, and halvings of a cell at most along each edge.
-_ACCURACY, _MOST_HALVINGS = 2e-6, 24
+_BOUND_ACCURACY_SHARE, _MAX_CELL_HALVINGS = 2e-6, 24
 # Via-points that are searched together where the self-motion is a curve; where it is wider they are searched
 # one by one, and this many cells are kept at most in two dimensions, the fewer the more there are: the error
 # includes the cells that are left out.
 _TOGETHER, _MOST_CELLS = 4, 200
 # Random descent where cells had to be left out: steps, tries in each, factor of their length.
-_STEPS, _TRIES, _SHORTER = 60, 40, 0.87
+_DESCENT_STEPS, _TRIES_PER_STEP, _SHORTER = 60, 40, 0.87
 # Factor of the length of halves, for the curvature of the self-motion.
 _HALF_LENGTH_FACTOR = 1.1
 # In cells in which the arm moves further than this, m, clearances are not computed.
 _MAX_CLEARANCE_CELL_M = 0.3
 # Where the tool's axis may lean, cells reach as far as it may, but no further than this, rad; and the slowest
 # rate at which it counts as leaning, rad/rad.
-_LONGEST, _SLOWEST = 0.8, 1e-6
+_MAX_LEANING_CELL_RAD, _SLOWEST = 0.8, 1e-6
 # Safety factor of the estimated change of joint torques within a cell.
 _VARIATION_SAFETY = 1.5
 # A bound counts as proven when the proof's error is at most this share of it; where a proof meets a posture
@@ -246,9 +246,9 @@ class _BranchAndBound:
             edges, half = self._leaning(q, edges, of, self._task.cone)
         if edges.shape[1] == 0:
             # Without self-motion there are no other postures.
-            return best, np.where(best > incumbent, best * (1 - _ACCURACY), -np.inf)
+            return best, np.where(best > incumbent, best * (1 - _BOUND_ACCURACY_SHARE), -np.inf)
         cells, most = _Cells(q, edges, half, of), _MOST_CELLS // max(edges.shape[1] - 1, 1)
-        for _ in range(_MOST_HALVINGS * edges.shape[1]):
+        for _ in range(_MAX_CELL_HALVINGS * edges.shape[1]):
             cells = cells[self._in_range_somewhere(cells)]
             if len(cells.q) == 0:
                 break
@@ -257,10 +257,14 @@ class _BranchAndBound:
             if self._request.deadline.expired():
                 np.minimum.at(left_out, cells.of, lowest)
                 break
-            worth = possible & (lowest < best[cells.of] * (1 - _ACCURACY))
+            worth = possible & (lowest < best[cells.of] * (1 - _BOUND_ACCURACY_SHARE))
             cells, value, fall, lowest = cells[worth], value[worth], fall[worth], lowest[worth]
             best, possible = self._checked(cells, value, best, postures)
-            worth = possible & (lowest < best[cells.of] * (1 - _ACCURACY)) & (best[cells.of] > incumbent)
+            worth = (
+                possible
+                & (lowest < best[cells.of] * (1 - _BOUND_ACCURACY_SHARE))
+                & (best[cells.of] > incumbent)
+            )
             keep = worth & _most_promising(cells.of, np.where(worth, lowest, np.inf), most)
             dropped = worth & ~keep
             np.minimum.at(left_out, cells.of[dropped], lowest[dropped])
@@ -272,7 +276,7 @@ class _BranchAndBound:
             np.minimum.at(left_out, cells.of, np.tile(lowest, 2)[: len(cells.of)])
         if edges.shape[1] > 1:
             best = self._descended(best, postures, np.flatnonzero(best > incumbent))
-        bound = np.minimum(left_out, best * (1 - _ACCURACY))
+        bound = np.minimum(left_out, best * (1 - _BOUND_ACCURACY_SHARE))
         return best, np.where(best > incumbent, bound, -np.inf)
 
     def descend(self, via_point: int, best: float, enough: float, postures: FloatArray) -> float:
@@ -294,13 +298,18 @@ class _BranchAndBound:
         rng, best = np.random.default_rng(0), best.copy()
         for k in which:
             reach = self._spacing
-            for _ in range(_STEPS):
+            for _ in range(_DESCENT_STEPS):
                 if self._request.deadline.expired() or best[k] <= enough:
                     break
                 q = postures[self._some[k]]
                 null = self._null_space(q[None])[0]
-                moves = reach * rng.uniform(size=(_TRIES, 1)) * rng.normal(size=(_TRIES, len(null))) @ null
-                placed, reached = self._placed(q + moves, np.full(_TRIES, k))
+                moves = (
+                    reach
+                    * rng.uniform(size=(_TRIES_PER_STEP, 1))
+                    * rng.normal(size=(_TRIES_PER_STEP, len(null)))
+                    @ null
+                )
+                placed, reached = self._placed(q + moves, np.full(_TRIES_PER_STEP, k))
                 best = self._lowered(placed[reached], int(k), best, postures)
                 reach *= _SHORTER
         return best
@@ -335,7 +344,9 @@ class _BranchAndBound:
         _, rate, V = np.linalg.svd(leans)
         half = np.full(edges.shape[:2], self._spacing)
         away = cone + task.rotation(at.tool_rotation, self._goals[of])
-        half[:, : rate.shape[1]] = np.minimum(away[:, None] / np.maximum(rate, _SLOWEST), _LONGEST)
+        half[:, : rate.shape[1]] = np.minimum(
+            away[:, None] / np.maximum(rate, _SLOWEST), _MAX_LEANING_CELL_RAD
+        )
         return V @ edges, half
 
     def _null_space(self, q: FloatArray) -> FloatArray:
@@ -413,7 +424,7 @@ class _BranchAndBound:
     def _halved(self, cells: _Cells, fall: FloatArray) -> _Cells:
         """Halve every cell along the edge of the largest fall; where none falls, along the longest."""
         k = np.arange(len(cells.q))
-        falls = fall.max(axis=1) > _ACCURACY * np.abs(fall).max()
+        falls = fall.max(axis=1) > _BOUND_ACCURACY_SHARE * np.abs(fall).max()
         edge = np.where(falls, fall.argmax(axis=1), cells.half.argmax(axis=1))
         shift = 0.5 * cells.half[k, edge, None] * cells.edges[k, edge]
         half = cells.half.copy()

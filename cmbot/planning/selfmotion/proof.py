@@ -53,7 +53,7 @@ _MAX_CLEARANCE_BOX_M = 0.25
 # Accuracy of a proof, as a share of the bound.
 _PROOF_ACCURACY = 1e-5
 # Boxes whose middles are tried as postures, in each round.
-_TRIES, _EVERY = 5, 3
+_BOXES_TRIED, _TRIAL_INTERVAL = 5, 3
 # Fewer boxes than this are halved twice in a round: what a round costs is then not theirs.
 _FEW_BOXES = 200
 
@@ -142,7 +142,7 @@ class TorqueFloorProof:
             if len(boxes) == 0:
                 break
             found = None
-            if number % _EVERY == 0:
+            if number % _TRIAL_INTERVAL == 0:
                 found = self._tried(boxes, lowest, via_point, value)
             if found is not None:
                 posture, value = found
@@ -423,7 +423,7 @@ class TorqueFloorProof:
         """An admissible posture below `value` near the middles of the boxes that allow most; None without."""
         request = self._request
         limits = request.cell.robot.limits
-        chosen = np.argsort(lowest, kind="stable")[:_TRIES]
+        chosen = np.argsort(lowest, kind="stable")[:_BOXES_TRIED]
         q = boxes.middle[chosen]
         q, reached = project_onto_task(request.cell.postures, request.task, q, request.goals[via_point])
         q = q[reached]

@@ -29,24 +29,24 @@ from cmbot.toolpath import ToolPoses
 
 # Accepted postures keep this share of the spacing from each other. One that is further than so many spacings
 # from all of a chart is on a part of the self-motion that the chart misses.
-_APART, _BESIDE = 0.7, 1.5
+_APART, _MISSED_PART_SPACINGS = 0.7, 1.5
 # Beyond the joint ranges the spacing is this share of how far a posture leaves them, up to the length, rad.
-_FURTHER, _LONGEST_STEP = 0.7, 1.0
+_OUTSIDE_SPACING_SHARE, _MAX_OUTSIDE_RAD = 0.7, 1.0
 # Postures at most of the first chart, and of those along the path. Where there would be more, the spacing
 # grows by this factor; where the self-motion has more than two dimensions, by one that thins charts as much.
 # The search for the spacing of a wide self-motion begins with the last one, rad.
-_MOST_POSTURES, _TOO_MANY, _COARSER, _COARSEST = 600, 1500, 1.6, np.pi
+_MAX_CHART_POSTURES, _TOO_MANY, _COARSER, _COARSEST = 600, 1500, 1.6, np.pi
 # Charts are carried to every point of this stride first, and between this many pairs of these at once: more
 # only need memory.
-_STRIDE, _PAIRS = 6, 4
+_FIRST_STRIDE, _PAIRS = 6, 4
 # How often as many postures a refined chart has, and how many it may have at most.
 _DENSER, _MOST_REFINED = 4, 6000
 # Rounds of random postures along the path at most, and the factor of their number from one to the next.
-_ROUNDS, _MORE = 6, 2
+_MAX_SEED_ROUNDS, _SEED_GROWTH = 6, 2
 # Charts of so many tool paths and arms at most are kept, by what they depend on, with their samplers; not
 # those of a path with more postures than the second number. Decimals of the poses that they hold: far below
 # the tolerance with which they do.
-_KEPT, _MOST_KEPT, _DIGITS = 4, 100_000, 12
+_MAX_KEPT_CHARTS, _MOST_KEPT, _POSE_DECIMALS = 4, 100_000, 12
 _SAMPLER_CACHE: dict[tuple[object, ...], tuple[SelfMotionSampler, tuple[FloatArray, ...]]] = {}
 
 
@@ -131,7 +131,7 @@ class SelfMotionSampler:
                 self._coarser += 1
         self._beyond = self._coarser
         q = self._grown_from(seeds, goal)
-        while len(q) > _MOST_POSTURES:
+        while len(q) > _MAX_CHART_POSTURES:
             self._coarser = self._beyond = self._coarser + 1
             q = self._grown_from(seeds, goal)
         for finer_beyond in (True, False):
@@ -140,7 +140,7 @@ class SelfMotionSampler:
                 self._coarser -= 1
                 self._beyond -= finer_beyond
                 finer = self._grown_from(seeds, goal)
-                if len(finer) > _MOST_POSTURES:
+                if len(finer) > _MAX_CHART_POSTURES:
                     self._coarser, self._beyond = before
                     break
                 q = finer
@@ -172,18 +172,18 @@ class SelfMotionSampler:
             beside its chart. `coverage` tells of the last round.
         """
         sets, chosen = self._sets(charts), np.asarray(at)
-        for _ in range(_ROUNDS):
+        for _ in range(_MAX_SEED_ROUNDS):
             before = sets.sizes
             some = self._random(goals[chosen], number)
             some = _Postures(some.q, chosen[some.of])
-            missing = self._far(some, sets, _BESIDE)
+            missing = self._far(some, sets, _MISSED_PART_SPACINGS)
             held, missed = self._limits.contain(some.q).sum(), self._limits.contain(missing.q).sum()
             self.coverage = Coverage(len(chosen) * number, int(held), int(missed))
             if len(missing.q) == 0 or sets.sizes.max() > _TOO_MANY:
                 break
             self._grow(self._take(missing, sets), goals, sets)
             self._spread(sets, before, goals)
-            number *= _MORE
+            number *= _SEED_GROWTH
         return sets.postures
 
     def refined(
@@ -245,7 +245,7 @@ class SelfMotionSampler:
     ) -> list[FloatArray] | None:
         """Postures of the charts at `goals`; None where one has too many."""
         last = len(goals) - 1
-        stations = list(pairwise([*range(0, last, _STRIDE), last]))
+        stations = list(pairwise([*range(0, last, _FIRST_STRIDE), last]))
         charts: dict[int, FloatArray] = {0: self.first(goals[0], known)}
         # To the stations one after the other, then to the points between from both sides at once.
         predictors = {0: self._predictor(charts[0], goals[0])}
@@ -288,7 +288,7 @@ class SelfMotionSampler:
         """Grow the chart at `goal` from postures (N, n) on the task, unless it gets too large."""
         sets = self._empty_sets(1)
         some = self._take(_Postures(seeds, np.zeros(len(seeds), dtype=np.intp)), sets)
-        self._grow(some, goal, sets, most=_MOST_POSTURES)
+        self._grow(some, goal, sets, most=_MAX_CHART_POSTURES)
         return sets.postures[0]
 
     def _sets(self, charts: Sequence[FloatArray]) -> PoissonDiskSets:
@@ -327,8 +327,8 @@ class SelfMotionSampler:
         """Spacing (N,) of charts at postures `q` (N, n): the longer, the further these leave the ranges."""
         q = self._limits.turned_to_middle(q)
         beyond = np.maximum(np.maximum(self._limits.lower - q, q - self._limits.upper), 0.0)
-        further = _FURTHER * self._postures.metric.lengths(beyond)
-        steps = np.maximum(np.minimum(further, _LONGEST_STEP), self.spacing)
+        further = _OUTSIDE_SPACING_SHARE * self._postures.metric.lengths(beyond)
+        steps = np.maximum(np.minimum(further, _MAX_OUTSIDE_RAD), self.spacing)
         return np.where(further > 0, steps, self._spacing_of(self._coarser))
 
     def _spacing_of(self, coarser: int) -> float:
@@ -380,7 +380,9 @@ def sampled_charts(request: StrokeRequest) -> tuple[SelfMotionSampler, list[Floa
         cell.options,
     )
     # So that they do not depend on how the via-points' times were rounded.
-    goals = replace(goals, point=goals.point.round(_DIGITS), rotation=goals.rotation.round(_DIGITS))
+    goals = replace(
+        goals, point=goals.point.round(_POSE_DECIMALS), rotation=goals.rotation.round(_POSE_DECIMALS)
+    )
     lean = np.zeros(0) if task.lean is None else task.lean
     arrays = (limits.lower, limits.upper, goals.point, goals.rotation, request.first, lean)
     asked = (task.keep, task.path.turns, options.chart_spacing, options.chart_seeds)
@@ -391,7 +393,7 @@ def sampled_charts(request: StrokeRequest) -> tuple[SelfMotionSampler, list[Floa
         if sum(map(len, drawn)) > _MOST_KEPT:
             return sampler, drawn
         _SAMPLER_CACHE[known] = sampler, tuple(drawn)
-        for earlier in list(_SAMPLER_CACHE)[:-_KEPT]:
+        for earlier in list(_SAMPLER_CACHE)[:-_MAX_KEPT_CHARTS]:
             _SAMPLER_CACHE.pop(earlier, None)
     sampler, charts = _SAMPLER_CACHE[known]
     return sampler.copied(), list(charts)

@@ -26,9 +26,9 @@ from cmbot.common.arrays import FloatArray
 from cmbot.toolpath import TimeLaw
 
 # Points per phase at which rows are kept, and at which the duration is taken in the end.
-_POINTS, _FINE = 4, 12
+_POINTS_PER_PHASE, _FINAL_POINTS = 4, 12
 # Programs at most, least gain of one, and the box at first and at last, as a share of the largest node.
-_ROUNDS, _LEAST_GAIN, _BOX, _SMALLEST_BOX = 60, 1e-4, 0.5, 1e-3
+_MAX_PROGRAMS, _LEAST_GAIN, _BOX, _SMALLEST_BOX = 60, 1e-4, 0.5, 1e-3
 # Shares of a smooth law that are mixed in until a law leads forward everywhere.
 _SMOOTH_LAW_SHARES = (0.0, 0.01, 0.1, 0.5, 1.0)
 # Rows below this share of their bounds are left to the next program; few get beyond them in one step.
@@ -123,10 +123,10 @@ def shortest_law(bounded: Sequence[Bounded], phases: int) -> tuple[TimeLaw, Floa
         The duration is infinite where a bound is exceeded at rest.
     """
     space = _Nodes(phases)
-    coarse = _Points(space, phases * _POINTS, bounded)
+    coarse = _Points(space, phases * _POINTS_PER_PHASE, bounded)
     nodes, box = space.smooth(), _BOX
     seconds = coarse.seconds(nodes)
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_PROGRAMS):
         if not np.isfinite(seconds):
             break
         step = coarse.step(nodes, seconds, box * np.abs(nodes).max())
@@ -141,7 +141,7 @@ def shortest_law(bounded: Sequence[Bounded], phases: int) -> tuple[TimeLaw, Floa
         box /= 4
         if box < _SMALLEST_BOX:
             break
-    fine, smooth = _Points(space, phases * _FINE, bounded), space.smooth()
+    fine, smooth = _Points(space, phases * _FINAL_POINTS, bounded), space.smooth()
     # Between the coarse points a law may lead back a little: the smooth one does not.
     for share in _SMOOTH_LAW_SHARES if np.isfinite(seconds) else _SMOOTH_LAW_SHARES[:1]:
         law = nodes + share * (smooth - nodes)

@@ -19,12 +19,12 @@ from cmbot.toolpath import LegLaw
 from cmbot.trajectory import QuinticTrajectory
 
 # Pieces of the spline that a joint path is, one a segment, and points of each that are put onto the task.
-_FEWEST_PIECES, _MOST_PIECES, _POINTS = 12, 200, 3
+_FEWEST_PIECES, _MOST_PIECES, _PROJECTED_PER_PIECE = 12, 200, 3
 # More of them on curves, whose curvature jumps where lines and arcs meet; on straight legs more of them show
 # self-motion that has nothing to do with the path.
 _CURVE_DENSITY = 1.6
 # Points a piece, and in all at least, at which torques and the tool's speed are computed.
-_FINE, _FINEST = 6, 240
+_POINTS_PER_PIECE, _MIN_POINTS = 6, 240
 # Shares of the bounds that laws may use: splines through some points of a law's motion swing a little about
 # it.
 _VELOCITY, _ACCELERATION, _JERK, _TORQUE, _BASE_TORQUE, _TOOL_SPEED = 0.995, 0.99, 0.97, 0.98, 0.995, 0.999
@@ -61,7 +61,7 @@ def leg_paths(
         segments = int(((times > begin + 1e-9 * path.duration) & (times <= end + 1e-9 * path.duration)).sum())
         finer = 1.0 if path.segments[leg].is_straight else _CURVE_DENSITY
         pieces = int(np.clip(finer * segments, _FEWEST_PIECES, finer * _MOST_PIECES))
-        shares = np.linspace(0.0, 1.0, _POINTS * pieces + 1)
+        shares = np.linspace(0.0, 1.0, _PROJECTED_PER_PIECE * pieces + 1)
         at = path.times_at(leg, shares)
         rough = trajectory.evaluate(at)
         # Where the tool hardly moves, at the ends, self-motion is steep in the share: that is smoothed.
@@ -101,7 +101,7 @@ def bounds_along(
             bound=_JERK * limits.jerk,
         ),
     ]
-    s = np.linspace(0.0, 1.0, max(_FINE * (len(np.unique(q.t)) - 1), _FINEST) + 1)
+    s = np.linspace(0.0, 1.0, max(_POINTS_PER_PIECE * (len(np.unique(q.t)) - 1), _MIN_POINTS) + 1)
     still, along, bend = np.zeros_like(q(s)), first(s), second(s)
     each = [Dynamics(robot).efforts(q(s), v, a) for v, a in ((still, still), (still, along), (along, bend))]
     on_base = None if max_base_torque is None else np.array([_BASE_TORQUE * max_base_torque])

@@ -23,12 +23,12 @@ LONGEST_WHOLE = 300
 """Paths of up to so many via-points are one segment."""
 
 # Longer ones are parted at the first corner after so many via-points, or a better one soon after.
-_LEAST, _MOST = 100, 200
+_MIN_PART_VIA_POINTS, _MAX_PART_VIA_POINTS = 100, 200
 # The SQP meets known constraints so much better than they have to be met.
 _SQP_TOLERANCE_SHARE = 0.5
 # It ends where a step promises no more than this share of the objective, or so many steps gain no more than
 # that share together: a plan's peak and mean matter to a thousandth.
-_ACCURACY, _STALL_STEPS, _STALL_GAIN = 5e-5, 4, 5e-4
+_OPTIMALITY_SHARE, _STALL_STEPS, _STALL_GAIN = 5e-5, 4, 5e-4
 # And where so many steps do not bring violations beyond this down to that share: hardly any trajectory near
 # keeps the constraints.
 _INFEASIBLE_STEPS, _INFEASIBLE_SHARE, _INFEASIBLE_VIOLATION = 6, 0.5, 0.3
@@ -108,9 +108,11 @@ def segments(problem: TorqueProblem) -> list[tuple[int, int]]:
     # Inner via-points at which legs meet; `ToolPath.via_times` puts one exactly there.
     corners = np.flatnonzero(np.isin(t, problem.request.task.path.leg_times[1:-1]))
     parts, first = [], 0
-    while last - first > _MOST:
-        candidates = corners[(corners >= first + _LEAST) & (corners <= last - _LEAST)]
-        near = candidates[candidates <= first + _MOST]
+    while last - first > _MAX_PART_VIA_POINTS:
+        candidates = corners[
+            (corners >= first + _MIN_PART_VIA_POINTS) & (corners <= last - _MIN_PART_VIA_POINTS)
+        ]
+        near = candidates[candidates <= first + _MAX_PART_VIA_POINTS]
         if len(candidates) == 0:
             break
         end = int(near[problem.at_via_points[near].argmin()] if len(near) else candidates[0])
@@ -141,7 +143,7 @@ def exchange_options(problem: TorqueProblem) -> ExchangeOptions:
         max_passes=o.max_passes,
         max_iterations=o.max_iterations,
         sqp=SqpOptions(
-            optimality_tolerance=_ACCURACY,
+            optimality_tolerance=_OPTIMALITY_SHARE,
             stall_steps=_STALL_STEPS,
             stay_steps=_STALL_STEPS,
             stall_tolerance=_STALL_GAIN,

@@ -20,15 +20,15 @@ from cmbot.robot import Robot
 __all__ = ["bent_tool_points"]
 
 # Hinges of a tube and point masses of its link; rounds, after each of which about a hundredth is left.
-_PIECES, _ROUNDS = 24, 6
-_NO_TURN = np.eye(3)
+_PIECES, _FIXED_POINT_ROUNDS = 24, 6
+_IDENTITY = np.eye(3)
 
 
 class _Element:
     """A hinge with compliances (3,) about axes (3, 3), or a point mass, at a place in a joint's frame."""
 
     def __init__(
-        self, place: FloatArray, mass: float = 0.0, soft: Any = 0.0, axes: FloatArray = _NO_TURN
+        self, place: FloatArray, mass: float = 0.0, soft: Any = 0.0, axes: FloatArray = _IDENTITY
     ) -> None:
         self.place, self.mass, self.soft, self.axes = place, mass, np.broadcast_to(soft, 3), axes
 
@@ -47,7 +47,7 @@ def bent_tool_points(robot: Robot, base: ElasticBase | None, q: FloatArray) -> F
     shift = np.zeros((N, 6))
     turns = [[np.zeros((N, 3)) for _ in elements] for elements in arm]
     point = np.empty((N, 3))
-    for _ in range(_ROUNDS):
+    for _ in range(_FIXED_POINT_ROUNDS):
         # What is fixed to the base is turned about the foot.
         R = Rotation.from_rotvec(shift[:, 3:]).as_matrix()
         p = foot + shift[:, :3] - R @ foot

@@ -29,7 +29,7 @@ from cmbot.scene import SPEED_TOLERANCE, AxisCone, PlannerOptions, Scene, Stroke
 from cmbot.trajectory import QuinticTrajectory
 
 # States at which everything is computed again, and how many of them at most are knots.
-_STATES, _KNOTS = 300, 100
+_STATES, _MAX_KNOT_STATES = 300, 100
 # What two computations of the same may differ by: torques and forces as a share of the largest, tool points
 # and angles in m and rad, limits and times as a share, distances in m, points that a file names in m.
 _EFFORTS, _POSES, _SHARES, _DISTANCES, _NAMED = 1e-6, 1e-9, 1e-9, 1e-5, 1e-4
@@ -37,10 +37,10 @@ _MIN_EFFORT = 1e-9
 # Of the sag a share and a length, m: a tube that bends in one place sags a tenth less by its own weight.
 _SAG, _LEAST_SAG = 0.01, 2e-5
 # By what share a limit, by how much (m) a margin, by how much (m, rad) a via-point may be missed.
-_LIMIT, _MARGIN, _VIA_POINT = 1e-9, 1e-6, 1e-6
+_LIMIT, _MARGIN_TOLERANCE_M, _VIA_POINT = 1e-9, 1e-6, 1e-6
 # A position that is off by x is off by up to 60 x / h^3 in the jerk of a segment of duration h; so many last
 # digits of a position are left to rounding.
-_QUINTIC, _DIGITS = 60, 8
+_JERK_PER_POSITION, _ROUNDING_DIGITS = 60, 8
 # How the checks are called.
 _FROM, _BY = "from a second computation", "by a second computation"
 
@@ -139,7 +139,7 @@ def _states(trajectory: QuinticTrajectory) -> tuple[FloatArray, list[FloatArray]
     By SciPy's polynomials from the knots' first three; a trajectory is held at its ends.
     """
     knots = trajectory.t
-    some = knots[np.linspace(0, len(knots) - 1, min(len(knots), _KNOTS)).round().astype(np.intp)]
+    some = knots[np.linspace(0, len(knots) - 1, min(len(knots), _MAX_KNOT_STATES)).round().astype(np.intp)]
     times = np.union1d(some, np.linspace(knots[0], knots[-1], _STATES - len(some)))
     return times, [_rates(trajectory, times, order) for order in range(4)]
 
@@ -181,7 +181,7 @@ def _bound_checks(
     h = np.diff(trajectory.t)
     # At a knot the shorter one of its segments.
     shorter = np.minimum(h, np.minimum(np.append(h[1:], np.inf), np.append(np.inf, h[:-1])))[segment, None]
-    digits = _QUINTIC * _DIGITS * np.spacing(np.abs(motion[0]).max())
+    digits = _JERK_PER_POSITION * _ROUNDING_DIGITS * np.spacing(np.abs(motion[0]).max())
     for order, (name, units) in enumerate(_BOUNDED_RATES, start=1):
         at_knot = np.isin(times, trajectory.t)[:, None]
         rounding = digits / np.where(at_knot, shorter, h[segment, None]) ** order
@@ -226,7 +226,7 @@ def _clearance_checks(
         quantity=f"clearance{who} {_BY}",
         time=float(times[k]),
         value=float(own[k]),
-        bound=margin - _MARGIN,
+        bound=margin - _MARGIN_TOLERANCE_M,
         unit="m",
         at_least=True,
     )

@@ -19,9 +19,9 @@ from cmbot.planning.verification.described_arm import pose_of
 from cmbot.scene import Scene, Stroke, StrokeFile
 from cmbot.toolpath import ArcTo, Goal, Leg, LegLaw, Raster, SpeedProfile
 
-_NO_TURN, _NO_TIME = 1e-12, 1e-12
+_MIN_TURN_RAD, _NO_TIME = 1e-12, 1e-12
 # Samples of a path in which points are looked for: at least, and for each of them.
-_SAMPLES, _PER_POINT = 4001, 40
+_MIN_PATH_SAMPLES, _PER_POINT = 4001, 40
 # Rounded corners turn by 150 degrees at most, and pass their points within so many radii.
 _CORNER_RADII = 3.0
 # Dense waypoints are passed within this share of the tool's tolerance.
@@ -137,7 +137,7 @@ class _LegPath:
         z, ahead = R_frame @ np.array(goal.axis) / np.linalg.norm(goal.axis), self._R.as_matrix()[:, 2]
         about, cosine = np.cross(ahead, z), float(ahead @ z)
         sine = float(np.linalg.norm(about))
-        if cosine < 0 and sine < _NO_TURN:
+        if cosine < 0 and sine < _MIN_TURN_RAD:
             # Half a turn, about what is most across.
             about = np.cross(ahead, np.eye(3)[np.abs(ahead).round(9).argmin()])
             return np.asarray(np.pi * about / np.linalg.norm(about))
@@ -258,7 +258,7 @@ class DescribedPath:
 
     def _distance(self, points: FloatArray) -> FloatArray:
         """How far points (K, 3), m, are from the package's path."""
-        t = np.linspace(0.0, self._path.duration, max(_SAMPLES, _PER_POINT * len(points)))
+        t = np.linspace(0.0, self._path.duration, max(_MIN_PATH_SAMPLES, _PER_POINT * len(points)))
         p = self._path.position(np.union1d(t, self._path.section_times))
         begin, way = p[:-1], np.diff(p, axis=0)
         size = np.maximum(np.einsum("nd,nd->n", way, way), np.finfo(float).tiny)

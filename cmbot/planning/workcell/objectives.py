@@ -20,7 +20,7 @@ from cmbot.scene import PlannerOptions
 # A norm has no derivative at zero; below this share of its largest value it is taken as flat.
 _ZERO_NORM = 1e-12
 # A function is tried at this share of a step to each side, and its gradient is believed to this accuracy.
-_STEP, _GRADIENT_TOLERANCE = 1e-5, 1e-3
+_DIFFERENCE_STEP_SHARE, _GRADIENT_TOLERANCE = 1e-5, 1e-3
 
 
 def efforts_of(dynamics: Dynamics, states: StateSamples) -> Efforts:
@@ -309,7 +309,7 @@ class _CheckedFunction:
         """Refuse a gradient at wrenches (N, 6) that is not the derivative of the value."""
         _, gradient = self(wrench)
         for axis in range(6):
-            step = _STEP * max(1.0, float(np.abs(wrench[:, axis]).max()))
+            step = _DIFFERENCE_STEP_SHARE * max(1.0, float(np.abs(wrench[:, axis]).max()))
             shift = step * np.eye(6)[axis]
             slope = (self(wrench + shift)[0] - self(wrench - shift)[0]) / (2 * step)
             off = np.abs(slope - gradient[:, axis])

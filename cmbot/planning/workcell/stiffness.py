@@ -17,7 +17,8 @@ from cmbot.scene import PlannerOptions, Scene
 
 # By what share a modelled stiffness may differ from what an identified one was compared with.
 _STIFFNESS_TOLERANCE = 1e-6
-# Standard deviations of the stiffness that suppression allows for.
+# Slowest modes whose stiffness counts, and standard deviations of it that are allowed for.
+_MODES = 2
 _COVERED_SIGMAS = 2.0
 
 
@@ -85,15 +86,14 @@ def identified_in_words(scene: Scene) -> str | None:
 def known_share(scene: Scene, arm: ElasticArm, options: PlannerOptions) -> PlannerOptions:
     """Return options whose `quiet_stiffness_share` is what an identified stiffness leaves open.
 
-    Twice the standard deviation of the stiffness of the modes that are suppressed, by their frequencies in
-    the scene's posture, where that is less.
+    Twice the standard deviation of the stiffness of the slowest modes, by their frequencies in the scene's
+    posture, where that is less.
     """
-    covariance, modes = covariance_of(scene, arm), options.quiet_modes
-    if covariance is None or not modes:
+    if (covariance := covariance_of(scene, arm)) is None:
         return options
     parameters = StiffnessParameters(arm)
     zero = np.zeros(parameters.count)
-    _, slopes = frequency_slopes(arm, parameters, zero, np.array(scene.posture), modes)
+    _, slopes = frequency_slopes(arm, parameters, zero, np.array(scene.posture), _MODES)
     # A mode's stiffness goes with the square of its frequency.
     deviation = 2 * np.sqrt(np.einsum("kp,pr,kr->k", slopes, covariance, slopes).max())
     share = min(options.quiet_stiffness_share, round(float(_COVERED_SIGMAS * deviation), 3))

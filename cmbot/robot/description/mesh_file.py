@@ -33,7 +33,7 @@ _LFS_POINTER = b"version https://git-lfs"
 # It names further files of any kind.
 _REFUSED_FORMATS = (".gltf",)
 # Edges, m, of a box in place of a visual mesh: at least, and where the link has no collision shape either.
-_THINNEST, _EDGE = 1e-3, 0.05
+_THINNEST, _BOX_EDGE_M = 1e-3, 0.05
 
 
 def locate_meshes(
@@ -210,7 +210,7 @@ def _replace_by_box(link: ElementTree.Element, visual: ElementTree.Element) -> N
     corners = np.concatenate([np.empty((0, 3)), *map(_corners, link.findall("collision"))])
     for part in (*visual.findall("geometry"), *(visual.findall("origin") if len(corners) else ())):
         visual.remove(part)
-    edges = np.full(3, _EDGE)
+    edges = np.full(3, _BOX_EDGE_M)
     if len(corners):
         edges = np.maximum(np.ptp(corners, axis=0), _THINNEST)
         middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))

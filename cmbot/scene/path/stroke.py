@@ -19,9 +19,9 @@ from cmbot.toolpath import Coverage, PathSource, RowPiece, Surface, ToolPath, ti
 # path, rad, and seconds; and how many segments a ramp has.
 _WAY, _TURN, _BEND, _SECONDS, _PER_RAMP = 0.05, np.radians(15), np.radians(36), 1.0, 3
 # Splines miss a smooth path by the fourth power of their segments' length; a speed is missed by the second.
-_DEVIATION, _SPEED = 1e-3, 0.2
+_DEVIATION, _SPEED_TOLERANCE_SHARE = 1e-3, 0.2
 # Segments of a leg at least and at most, and of one whose shortest time is sought at least: legs share these.
-_FEWEST, _MOST, _FEWEST_OPEN, _OPEN_IN_ALL = 4, 600, (8, 30), 90
+_MIN_LEG_SEGMENTS, _MAX_LEG_SEGMENTS, _FEWEST_OPEN, _OPEN_IN_ALL = 4, 600, (8, 30), 90
 _POSE_VALUES = 12
 # Durations that differ by less are the same, as a share.
 _DURATION_TOLERANCE = 1e-6
@@ -171,7 +171,7 @@ def _automatic_via_points(path: ToolPath, deviation: float, file: StrokeFile) ->
     """
     finer = min((deviation / _DEVIATION) ** 0.25, 1.0)
     if file.speed_tolerance is not None:
-        finer *= min(math.sqrt(file.speed_tolerance / _SPEED), 1.0)
+        finer *= min(math.sqrt(file.speed_tolerance / _SPEED_TOLERANCE_SHARE), 1.0)
     timed = {law.leg for law in file.time_laws or ()} if file.is_open else set[int]()
     open_legs = len(timed | path.open_legs)
     few = int(np.clip(math.ceil(_OPEN_IN_ALL / max(open_legs, 1)), *_FEWEST_OPEN))
@@ -187,7 +187,7 @@ def _automatic_via_points(path: ToolPath, deviation: float, file: StrokeFile) ->
             asked.append(_FEWEST_OPEN[1])
         elif moves:
             asked += [segment.seconds / _SECONDS, _PER_RAMP / file.speed_profile.ramp]
-        count += int(np.clip(math.ceil(max(asked)), _FEWEST if moves else 1, _MOST))
+        count += int(np.clip(math.ceil(max(asked)), _MIN_LEG_SEGMENTS if moves else 1, _MAX_LEG_SEGMENTS))
     return max(count, _POSE_VALUES, len(path.section_times) - 1) + 1
 
 

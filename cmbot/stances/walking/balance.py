@@ -25,7 +25,7 @@ from cmbot.stances import Candidate, bare_climber, scene_at
 
 # Counterweights grow from the arm's posture and the nearest to it of so many random ones: rounds, random
 # postures in each, their distance in a joint, rad, and how many are kept: with centres of mass far apart.
-_SEEDS, _ROUNDS, _DRAWN, _STEP, _KEPT = 20_000, 20, 1500, 0.35, 800
+_SEEDS, _GROWTH_ROUNDS, _DRAWN, _STEP, _KEPT = 20_000, 20, 1500, 0.35, 800
 # Neighbours of each to which straight ways may lead, and ways that are tried from one to another.
 _NEIGHBOURS, _MOST_WAYS = 10, 300
 SPARE = 0.9
@@ -86,7 +86,7 @@ class Balance:
         self.arms, parent = np.vstack([first, drawn[[nearest]]]), np.zeros(2, dtype=np.intp)
         # What grows from where the arm is need not be held in tilted stances: else it may be caught there.
         tilt = np.array([0.0, _TILT])
-        for _ in range(_ROUNDS):
+        for _ in range(_GROWTH_ROUNDS):
             origin = rng.integers(len(self.arms), size=_DRAWN)
             new = self.arms[origin] + rng.normal(0.0, _STEP, (_DRAWN, robot.dof))
             good = robot.limits.contain(new)
@@ -96,7 +96,7 @@ class Balance:
                 good[good] = clearances.query(q[good], margin).distance >= margin
             kept = np.flatnonzero(good)
             both = self._centres(postures, X, np.vstack([self.arms, new[kept]]))
-            chosen = _furthest_apart(both, len(self.arms), len(self.arms) + _KEPT // _ROUNDS)
+            chosen = _furthest_apart(both, len(self.arms), len(self.arms) + _KEPT // _GROWTH_ROUNDS)
             added = kept[np.array(chosen[len(self.arms) :], dtype=np.intp) - len(self.arms)]
             parent, tilt = np.append(parent, origin[added]), np.append(tilt, tilt[origin[added]])
             self.arms = np.vstack([self.arms, new[added]])

@@ -35,7 +35,7 @@ from cmbot.trajectory import QuinticTrajectory
 # Postures of the straight way on which a foot is lifted.
 _LIFT_POSTURES = 9
 # Samples of a move at which the speed of the foot is found, and by how much it is then slowed further.
-_SAMPLES, _ROUNDING = 400, 1 + 1e-6
+_FOOT_SPEED_SAMPLES, _SLOWING_FACTOR = 400, 1 + 1e-6
 _NO_LIMIT = 1e12
 Kind = Literal["arm", "lift", "swing", "set"]
 """Of a move."""
@@ -327,12 +327,12 @@ def _slowed(request: StrokeRequest, segment: Segment, speed: float) -> Segment:
     """The same motion so slow that the foot keeps below a speed, certified again."""
     cell = request.cell
     trajectory, kinematics = segment.trajectory, Kinematics(cell.robot)
-    t = np.linspace(0.0, trajectory.duration, _SAMPLES)
+    t = np.linspace(0.0, trajectory.duration, _FOOT_SPEED_SAMPLES)
     q, v, *_ = trajectory.states(t)
     J = kinematics.tool_point_jacobians(q)[1]
     fastest = float(np.linalg.norm(np.einsum("kij,kj->ki", J, v), axis=1).max())
     # Between samples it may be a little faster.
-    factor = max(1.0, fastest / speed * (1 + 4 / _SAMPLES)) * _ROUNDING
+    factor = max(1.0, fastest / speed * (1 + 4 / _FOOT_SPEED_SAMPLES)) * _SLOWING_FACTOR
     slow = QuinticTrajectory(
         t=trajectory.t * factor, q=trajectory.q, v=trajectory.v / factor, a=trajectory.a / factor**2
     )

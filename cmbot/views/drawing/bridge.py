@@ -25,7 +25,7 @@ from cmbot.views.drawing.surfaces import Surface, merged, obstacle_surface
 
 # Lengths in m; y and z are those of W, z from the lower side of the walkway, where the posts end.
 _OVERHANG_M = 0.6  # of the last post
-_EDGE, _EDGE_BEAM, _WALKWAY = -0.12, (0.12, 0.16), (1.2, 0.12)
+_WALKWAY_EDGE_M, _EDGE_BEAM, _WALKWAY = -0.12, (0.12, 0.16), (1.2, 0.12)
 _GIRDERS, _WEB, _FLANGE = (-1.75, -3.75), (0.02, 1.5), (0.4, 0.04)
 _STIFFENER = (0.02, 0.18)  # thickness, depth
 _SLEEPER, _SPACING = (0.26, 2.5, 0.22), 0.6
@@ -85,8 +85,8 @@ def _parts(scene: Scene) -> Iterator[Obstacle]:
         return _box(name, (along, *size), (middle, y, bottom + z + size[1] / 2))
 
     width, height = _WALKWAY
-    yield beam("walkway", _EDGE - _EDGE_BEAM[0] / 2 - width / 2 - 0.02, 0.0, (width, height))
-    yield beam("edge_beam", _EDGE, -0.04, _EDGE_BEAM)
+    yield beam("walkway", _WALKWAY_EDGE_M - _EDGE_BEAM[0] / 2 - width / 2 - 0.02, 0.0, (width, height))
+    yield beam("edge_beam", _WALKWAY_EDGE_M, -0.04, _EDGE_BEAM)
     depth = _WEB[1]
     for y in _GIRDERS:
         yield beam("web", y, -depth, _WEB)
@@ -97,8 +97,10 @@ def _parts(scene: Scene) -> Iterator[Obstacle]:
             yield _box("stiffener", size, (x, y + _STIFFENER[1] / 2, bottom - depth / 2))
     for x in posts:
         # A bracket below the walkway: its upper flange and the strut under it.
-        yield _bar("bracket", (x, _EDGE, bottom - 0.04), (x, _GIRDERS[0], bottom - 0.04), 0.08)
-        yield _bar("bracket", (x, _EDGE - 0.1, bottom - 0.08), (x, _GIRDERS[0], bottom - 0.6 * depth), 0.06)
+        yield _bar("bracket", (x, _WALKWAY_EDGE_M, bottom - 0.04), (x, _GIRDERS[0], bottom - 0.04), 0.08)
+        yield _bar(
+            "bracket", (x, _WALKWAY_EDGE_M - 0.1, bottom - 0.08), (x, _GIRDERS[0], bottom - 0.6 * depth), 0.06
+        )
     centre, top = sum(_GIRDERS) / 2, _FLANGE[1]
     for x in np.arange(low + _SPACING / 2, high, _SPACING):
         yield _box("sleeper", _SLEEPER, (x, centre, bottom + top + _SLEEPER[2] / 2))
@@ -116,7 +118,7 @@ def _holders(scene: Scene, group: Sequence[Surface], beside: Sequence[float]) ->
     x, y = (low[0] + high[0]) / 2, low[1]
     starts = [(x, y, z) for z in (high[2] - _BAR_M / 2, (low[2] + high[2]) / 2, low[2] + _BAR_M / 2)]
     heights = [float(np.clip(z, bottom - 0.9 * _WEB[1], bottom - 0.1)) for *_, z in starts]
-    ends = [(_EDGE, bottom - 0.04), *((_GIRDERS[0], z) for z in heights)]
+    ends = [(_WALKWAY_EDGE_M, bottom - 0.04), *((_GIRDERS[0], z) for z in heights)]
     each = [(start, (x + by, *end)) for start, by, end in product(starts, beside, ends)]
     each.sort(key=lambda bar: float(np.linalg.norm(np.subtract(*bar))))
     return [_bar("holder", start, end, _BAR_M) for start, end in each]

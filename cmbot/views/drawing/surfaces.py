@@ -34,7 +34,7 @@ _VERTEX_TOLERANCE_M = 1e-7  # between vertices at a cut, m
 _MISSING_SIDE_SHARE = 0.001  # may be missing at a side, as a share of its size
 
 # A triangle of less height, m, has no meaningful normal; a shorter sum of normals is rounding.
-_FLAT, _ROUNDING = 1e-8, 1e-12
+_FLAT, _ROUNDED_LENGTH = 1e-8, 1e-12
 # Corners of the unit box, and its sides counter-clockwise as seen from outside.
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 _SIDES = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
@@ -268,7 +268,7 @@ def creased(surface: Surface, angle: float) -> tuple[Surface, FloatArray]:
     weighted = _angles(surface)[:, :, None] * flat[:, None, :]
     sums = np.zeros((count, 3))
     np.add.at(sums, corner, weighted.reshape(-1, 3))
-    normals = sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), _ROUNDING)
+    normals = sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), _ROUNDED_LENGTH)
     return Surface(surface.vertices[where], corner.reshape(-1, 3).astype(np.intp)), normals
 
 

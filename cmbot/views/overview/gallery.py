@@ -23,7 +23,7 @@ def gallery_page(scenes: Mapping[str, tuple[str, str]]) -> str:
     return still_page(
         "Scenes that come with cmbot",
         [f"Their files are in {scene_folder()}."],
-        f'<main class="pair">\n{cards}</main>',
+        f'<div class="pair">\n{cards}</div>',
     )
 
 

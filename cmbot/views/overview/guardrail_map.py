@@ -16,9 +16,9 @@ from cmbot.scene import Scene, guardrail_obstacles
 from cmbot.stances import Candidate
 from cmbot.stances.walking import WalkSamples
 
-_WIDTH, _EDGE = 900, 40
+_MAP_PX, _EDGE = 900, 40
 # Colours of feet from bearing nothing to bearing all that they can, and of one without bounds.
-_LEAST, _MOST, _UNKNOWN = (26, 127, 55), (192, 57, 43), "#5d6670"
+_IDLE_COLOUR, _FULL_COLOUR, _UNKNOWN = (26, 127, 55), (192, 57, 43), "#5d6670"
 _WORK, _IN_THE_WAY, _WORKED_ON, _PATH = "#b26a00", "#8a7a5c", "#2f9e8f", "#8b4fd0"
 # Obstacles nearer than this to the plane of posts and rails are drawn, m.
 _SHOWN_DISTANCE_M = 0.1
@@ -49,7 +49,7 @@ class _Window:
     scale: float = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "scale", (_WIDTH - 2 * _EDGE) / (self.high - self.low))
+        object.__setattr__(self, "scale", (_MAP_PX - 2 * _EDGE) / (self.high - self.low))
 
     @property
     def height(self) -> float:
@@ -112,10 +112,11 @@ def guardrail_map(scene: Scene, samples: Sequence[WalkSamples], stands: Sequence
         label = f"{number}: {stand.label}" if len(stands) > 1 else stand.label
         parts.append(_text(x, y, label, 13))
     drawn = (
-        f'<svg viewBox="0 0 {_WIDTH} {window.height:.0f}" role="img" aria-label="Map">{"".join(parts)}</svg>'
+        f'<svg viewBox="0 0 {_MAP_PX} {window.height:.0f}" role="img" aria-label="Map">{"".join(parts)}</svg>'
     )
     kind = "wide" if samples else "map"
-    return f'<div class="{kind}">{drawn}</div><p class="caption">{" ".join(_key(samples, stands))}</p>'
+    key = " ".join(_key(samples, stands))
+    return f'<div class="{kind}" tabindex="0">{drawn}</div><p class="caption">{key}</p>'
 
 
 def _widened(low: float, high: float, posts: Sequence[float]) -> tuple[float, float]:
@@ -166,7 +167,7 @@ def _foot(at: FloatArray, number: int, colour: str) -> str:
 def _text(x: float, y: float, words: str, size: int) -> str:
     """Words in the middle at `x`, px, but not beyond the drawing's edges."""
     half = 0.3 * size * len(words)
-    x = float(np.clip(x, half, _WIDTH - half)) if 2 * half < _WIDTH else _WIDTH / 2
+    x = float(np.clip(x, half, _MAP_PX - half)) if 2 * half < _MAP_PX else _MAP_PX / 2
     place = f'x="{x:.1f}" y="{y:.1f}" font-size="{size}" text-anchor="middle"'
     return f'<text class="label" {place}>{escape(words)}</text>'
 
@@ -204,5 +205,5 @@ def _rectangle(
 
 
 def _colour(share: float) -> str:
-    mixed = (round(a + min(share, 1.0) * (b - a)) for a, b in zip(_LEAST, _MOST, strict=True))
+    mixed = (round(a + min(share, 1.0) * (b - a)) for a, b in zip(_IDLE_COLOUR, _FULL_COLOUR, strict=True))
     return "#" + "".join(f"{part:02x}" for part in mixed)

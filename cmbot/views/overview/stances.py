@@ -12,7 +12,7 @@ from cmbot.stances import Candidate, StanceRanking, bounds_table, in_words, plan
 from cmbot.views.overview.guardrail_map import Stand, guardrail_map
 from cmbot.views.page import still_page, table, ticks
 
-_WIDTH, _HEIGHT, _EDGE = 900, 380, 60
+_WIDTH_PX, _SVG_HEIGHT, _EDGE_PX = 900, 380, 60
 _LABEL = (18.0, 13.0)  # room for a number beside a dot, px
 # Where stances without a bound are drawn.
 _UNBOUNDED_ROW_PX = 42.0
@@ -33,7 +33,7 @@ _MEANINGS = {
     "sag": "sag of the tool at work",
     "sway": "sway of the tool on a shaken deck",
 }
-_PLANNED = "Numbered: the peak that was planned. Others: an"
+_PLANNED_LEGEND = "Numbered: the peak that was planned. Others: an"
 _CAPTION = (
     " estimate of a stance's lower bound; along the upper edge those without one. Pointing at a dot tells "
     "its stance."
@@ -100,7 +100,7 @@ def _map(ranking: StanceRanking) -> str:
     low, high = min(xs), max(max(xs), min(xs) + 1e-3)
     top = float(np.quantile(finite, 0.98)) * 1.1
     marks = "".join(_marks(ranking, low, high, top))
-    legend, x = "", _EDGE
+    legend, x = "", _EDGE_PX
     for name, colour in _DOT_COLOURS.items():
         if ranking.count(name):
             legend += (
@@ -112,9 +112,9 @@ def _map(ranking: StanceRanking) -> str:
     side = " from-right" if xs[0] > (low + high) / 2 else ""
     where = "foot 1 holds" if ranking.scene.on_guardrail else "the base frame is"
     said = f"All stances, by where {where} and by the {_MEANINGS[ranking.objective]}"
-    svg = f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{said}">{drawn}</svg>'
+    svg = f'<svg viewBox="0 0 {_WIDTH_PX} {_SVG_HEIGHT}" role="img" aria-label="{said}">{drawn}</svg>'
     svg = f'<div class="wide{side}" tabindex="0">{svg}</div>'
-    caption = (_PLANNED if ranking.count("planned") else "An") + _CAPTION
+    caption = (_PLANNED_LEGEND if ranking.count("planned") else "An") + _CAPTION
     return f'<h2>{said}</h2><section>{svg}<p class="caption">{caption}</p></section>'
 
 
@@ -122,14 +122,14 @@ def _axes(low: float, high: float, top: float, unit: str) -> Iterator[str]:
     """Lines and numbers."""
     for value in ticks(0.0, top, 5):
         y = _y(value, top)
-        yield f'<path d="M{_EDGE} {y:.0f}H{_WIDTH - _EDGE}" stroke="#8a8f98" stroke-opacity="0.25"/>'
-        yield f'<text x="{_EDGE - 8}" y="{y + 4:.0f}" text-anchor="end">{value:g}</text>'
+        yield f'<path d="M{_EDGE_PX} {y:.0f}H{_WIDTH_PX - _EDGE_PX}" stroke="#8a8f98" stroke-opacity="0.25"/>'
+        yield f'<text x="{_EDGE_PX - 8}" y="{y + 4:.0f}" text-anchor="end">{value:g}</text>'
     yield f'<text x="4" y="38">{escape(unit)}</text>'
     for value in ticks(low, high, 8):
         x = _x(value, low, high)
-        yield f'<text x="{x:.0f}" y="{_HEIGHT - 28}" text-anchor="middle">{value:g}</text>'
+        yield f'<text x="{x:.0f}" y="{_SVG_HEIGHT - 28}" text-anchor="middle">{value:g}</text>'
     said = "x, m"
-    yield f'<text x="{_WIDTH // 2}" y="{_HEIGHT - 8}" text-anchor="middle">{said}</text>'
+    yield f'<text x="{_WIDTH_PX // 2}" y="{_SVG_HEIGHT - 8}" text-anchor="middle">{said}</text>'
 
 
 def _marks(ranking: StanceRanking, low: float, high: float, top: float) -> Iterator[str]:
@@ -162,8 +162,8 @@ def _apart(labels: Sequence[tuple[float, float, int]]) -> Iterator[tuple[float, 
 
 
 def _x(value: float, low: float, high: float) -> float:
-    return _EDGE + (value - low) / (high - low) * (_WIDTH - 2 * _EDGE)
+    return _EDGE_PX + (value - low) / (high - low) * (_WIDTH_PX - 2 * _EDGE_PX)
 
 
 def _y(value: float, top: float) -> float:
-    return 60 + (1 - value / top) * (_HEIGHT - 110)
+    return 60 + (1 - value / top) * (_SVG_HEIGHT - 110)

@@ -28,7 +28,15 @@ def tour_page(tour: Tour) -> str:
     tour : Tour
     """
     parts = list(tour.parts)
-    heads = ("", "what", "begins, s", "seconds", "peak torque, Nm", "adhesion needed, kN", "effort of joints")
+    heads = (
+        "part",
+        "what",
+        "begins, s",
+        "seconds",
+        "peak torque, Nm",
+        "adhesion needed, kN",
+        "effort of joints",
+    )
     rows = ((name, *_row(part, begin)) for name, begin, part in parts)
     content = f"<section>{table(rows, heads, text_columns=2)}</section>"
     samples = [list(walk_samples(each)) for each in tour.walks]

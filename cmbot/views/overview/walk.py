@@ -41,7 +41,16 @@ def steps_table(walk: Walk, samples: Sequence[WalkSamples]) -> str:
         rows.append(
             (*cells, f"{100 * segment.figures.limit_use.torque:.0f} %", _share(largest[id(walk.last)]))
         )
-    heads = ("", "moves", "from", "to", "begins, s", "seconds", "effort of joints", "share that a foot bears")
+    heads = (
+        "step",
+        "moves",
+        "from",
+        "to",
+        "begins, s",
+        "seconds",
+        "effort of joints",
+        "share that a foot bears",
+    )
     return table(rows, heads, text_columns=4)
 
 

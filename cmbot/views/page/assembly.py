@@ -78,7 +78,8 @@ def table(rows: Iterable[Sequence[str]], headings: Sequence[str] = ("", ""), *, 
     """Return a table: columns of text, then columns of numbers; on phones the keyboard scrolls it, too."""
     kinds = ["text" if number < text_columns else "number" for number in range(len(headings))]
     head = "".join(
-        f'<th class="{kind}" scope="col">{escape(h)}</th>' for h, kind in zip(headings, kinds, strict=True)
+        f'<th class="{kind}" scope="col">{escape(h)}</th>' if h else "<td></td>"
+        for h, kind in zip(headings, kinds, strict=True)
     )
     body = ""
     for row in rows:

@@ -85,7 +85,7 @@ def nearer(missing: float, margin: float) -> Uncertified:
 
 def rough_scene(start: str = "pinned", **tool_path: Any) -> Scene:
     """Its charts are so coarse that the sequence of least torque jumps to and fro."""
-    planner = {"knots": "sliding", "start": start, "chart_spacing": 0.4, "quiet_modes": 0}
+    planner = {"knots": "sliding", "start": start, "chart_spacing": 0.4}
     return short_scene(tool_path=tool_path, planner=planner)
 
 

@@ -131,7 +131,7 @@ def test_nothing_bends(options: dict[str, object], tmp_path: Path) -> None:
 
 def least_sag(spacing: float = 0.3, **changes: object) -> Scene:
     """A scene whose objective is the sag, with no more of anything else than that takes."""
-    planner = {"knots": "sliding", "objective": "sag", "chart_spacing": spacing, "quiet_modes": 0}
+    planner = {"knots": "sliding", "objective": "sag", "chart_spacing": spacing}
     return short_scene(tool_path={"via_points": 5}, planner=planner, **changes)
 
 

@@ -8,12 +8,11 @@ import pytest
 from plan_folders import changed, with_baseline
 from small_scenes import short_scene
 
+from cmbot.accuracy import stroke_sway
 from cmbot.common.errors import PathNotFound
 from cmbot.common.reading.validation import counted
-from cmbot.planning import Plan, Start, first_remarks, notes, remarks, sentence
-from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
+from cmbot.planning import Plan, Start, bending_arm, first_remarks, notes, remarks, sentence
 from cmbot.planning.initial_guess import Choice
-from cmbot.planning.result.stroke_plan import combined
 from cmbot.simulation import Tracking
 
 
@@ -66,7 +65,9 @@ def test_more_jerk_than_the_baselines_is_told_where_something_bends(triangle_pla
     hard = with_baseline(triangle_plan, figures=calm)
     said = line(hard, "The joints jerk 3.0 times as hard as the baseline's, ")
     assert said.endswith("tool and base may sway more.")
-    assert "The joints jerk" not in " ".join(remarks(replace(hard, suppression=None)))
+    rigid = replace(hard.robot, elasticity={}, joint_elasticity={})
+    stiff = replace(hard, scene=short_scene(guardrail={"bays": 0}), robot=rigid)
+    assert "The joints jerk" not in " ".join(remarks(stiff))
 
 
 def test_sag_beyond_the_allowed_deviation_is_told(
@@ -105,52 +106,6 @@ def test_a_start_that_only_the_sag_moved_is_called_so(compensated_short: tuple[P
     )
     far = replace(plan, start=replace(plan.start, posture=plan.scene.posture + 0.1, moved=0.1))
     assert line(far, "Starts in ").startswith("Starts in a better posture")
-
-
-def suppressed(of: Plan, **changes: object) -> tuple[str, dict[str, str]]:
-    """What is said of the vibration of a plan, and its rows."""
-    done = {
-        "modes": 2,
-        "shares": (0.5, 0.7),
-        "stiffness": (0.7, 1.0),
-        "load_kg": (0.0, 1.0),
-        "swing_without": (2e-3, 1e-3),
-        "swing_with": (5e-4, 1e-4),
-    }
-    plan = replace(of, suppression=VibrationSuppression(before=1e-3, after=3e-4, **done | changes))
-    return line(plan, "Vibration suppression: "), {row[0]: row[-1] for row in plan.rows()}
-
-
-def test_what_is_done_about_vibration_is_told(triangle_plan: Plan) -> None:
-    said, rows = suppressed(triangle_plan)
-    assert said.endswith(
-        "the 2 slowest vibrations of guardrail and links are acted on at the ends of the legs, at 0.7 to "
-        "1 times the stiffness and with up to 1 kg more."
-    )
-    swing, without = "tool swings after the stop, mm", "tool would swing without suppression, mm"
-    assert (rows[swing], rows[without]) == ("0.500", "2.000")
-    bounded, rows = suppressed(triangle_plan, shares=(0.0, 0.0))
-    assert "are left at the ends of the legs: no change of the motion that was tried keeps" in bounded
-    # The change is not made.
-    assert rows[swing] == rows[without]
-    assert "the slowest vibration of guardrail and links is acted on" in suppressed(triangle_plan, modes=1)[0]
-    in_vain, _ = suppressed(triangle_plan, shares=(0.0, 0.0), swing_with=(1.9e-3, 1e-3))
-    assert in_vain.endswith("the change that was tried makes the largest swing hardly smaller.")
-
-
-@pytest.mark.parametrize(
-    ("shares", "words"),
-    [
-        ((1.0, 1.0, 1.0), "are acted on at the ends of the legs, at "),
-        ((1.0, 0.5, 0.0), "at the ends of 2 of the 3 legs, and at the others no change keeps every bound"),
-    ],
-)
-def test_one_leg_without_suppression_does_not_hide_the_others(
-    triangle_plan: Plan, shares: tuple[float, ...], words: str
-) -> None:
-    tables = {"swing_with": (1e-4,), "swing_without": (1e-3,), "stiffness": (1.0,), "load_kg": (0.0,)}
-    assert words in suppressed(triangle_plan, shares=shares, **tables)[0]
-    assert replace(triangle_plan.suppression, shares=shares).share == pytest.approx(sum(shares) / len(shares))
 
 
 def row(plan: Plan, beginning: str) -> tuple[str, ...]:
@@ -222,23 +177,10 @@ def test_an_arm_without_an_elasticity_file_is_said_to_be_rigid_where_the_base_be
 
 
 def test_the_largest_swing_of_all_strokes_is_told(strokes_plan: Plan) -> None:
-    """A stroke that hardly swings without suppression may be the one that swings most with it."""
-    cases = {"modes": 2, "stiffness": (1.0, 0.7), "load_kg": (0.0, 1.0)}
-    most, less = (1e-3, 2e-3), (8e-4, 1.9e-3)
-    done = {"shares": (0.9,), "before": 2e-3, "after": 1e-4, "swing_with": (5e-5, 1e-4)}
-    none = {"shares": (0.0,), "before": 1e-3, "after": 1e-3, "swing_with": less}
-    loud = VibrationSuppression(**cases, **done, swing_without=most)
-    left = VibrationSuppression(**cases, **none, swing_without=less)
-    strokes = [
-        replace(stroke, suppression=one)
-        for stroke, one in zip(strokes_plan.strokes, (loud, left), strict=True)
-    ]
-    for order in (strokes, strokes[::-1]):
-        whole = combined(order)["suppression"]
-        plan = replace(strokes_plan, suppression=whole)
-        assert row(plan, "tool swings after the stop")[-1] == "1.900"
-        assert row(plan, "tool would swing without")[-1] == "2.000"
-        assert "at the ends of 1 of the 2 legs" in line(plan, "Vibration suppression: ")
+    arm = bending_arm(strokes_plan.scene, strokes_plan.robot)
+    share = strokes_plan.options.quiet_stiffness_share
+    swings = [stroke_sway(arm, each.trajectory, share).largest[1] for each in strokes_plan.job.strokes]
+    assert row(strokes_plan, "tool swings after the stop")[-1] == f"{1e3 * max(swings):.3f}"
 
 
 @pytest.mark.parametrize("name", ["triangle_plan", "strokes_plan", "returning_plan", "short_plan"])
@@ -273,7 +215,6 @@ def test_an_arm_that_bends_nowhere_has_its_tool_first_too(short_plan: Plan) -> N
         short_plan,
         scene=short_scene(guardrail={"bays": 0}),
         robot=replace(short_plan.robot, elasticity={}, joint_elasticity={}),
-        suppression=None,
     )
     off = 1e3 * short_plan.figures.max_tool_deviation
     assert rigid.accuracy is None

@@ -79,7 +79,7 @@ def test_arms_that_weigh_otherwise_share_charts(monkeypatch: pytest.MonkeyPatch)
     searched(robot={"tool_length_m": 0.2})
     searched(tool_path={"legs": [{"by": [0, -0.29, 0], "seconds": 4}]})
     assert len(drawn) == 4
-    monkeypatch.setattr(sampling, "_KEPT", 2)
+    monkeypatch.setattr(sampling, "_MAX_KEPT_CHARTS", 2)
     searched(planner={"chart_seeds": 40})
     assert len(sampling._SAMPLER_CACHE) == 2
     # Long paths would fill the memory.

@@ -24,15 +24,15 @@ LEGS = [{"by": [0, side * 0.1, 0], "seconds": 3.0} for side in (-1, 1, -1, 1)]
 def to_and_fro(knots: str, **planner: object) -> Scene:
     return short_scene(
         tool_path={"legs": LEGS, "via_points": 33},
-        planner={"solver": "sqp", "knots": knots, "quiet_modes": 0, **planner},
+        planner={"solver": "sqp", "knots": knots, **planner},
     )
 
 
 @pytest.fixture(autouse=True)
 def short_ones_are_long(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(decomposition, "LONGEST_WHOLE", 20)
-    monkeypatch.setattr(decomposition, "_LEAST", 6)
-    monkeypatch.setattr(decomposition, "_MOST", 12)
+    monkeypatch.setattr(decomposition, "_MIN_PART_VIA_POINTS", 6)
+    monkeypatch.setattr(decomposition, "_MAX_PART_VIA_POINTS", 12)
     yield
 
 
@@ -60,7 +60,7 @@ def test_of_the_corners_in_reach_the_one_with_the_least_objective_is_an_end(
     problem: TorqueProblem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     corners = [end for _, end in segments(problem)[:2]]
-    monkeypatch.setattr(decomposition, "_MOST", 18)
+    monkeypatch.setattr(decomposition, "_MAX_PART_VIA_POINTS", 18)
     assert corners[1] <= 18
     for best in corners:
         monkeypatch.setattr(problem, "at_via_points", np.where(np.arange(33) == best, 1.0, 2.0))
@@ -113,7 +113,7 @@ def test_where_a_segment_fails_the_path_is_solved_as_a_whole(
 ) -> None:
     """The plan says so, also when it is read again."""
     monkeypatch.setattr(decomposition, "LONGEST_WHOLE", 10)
-    planner = {"solver": "sqp", "knots": "sliding", "start": "pinned", "quiet_modes": 0}
+    planner = {"solver": "sqp", "knots": "sliding", "start": "pinned"}
     scene = short_scene(tool_path={"legs": LEGS[:2], "via_points": 17}, planner=planner)
     assert plan(scene).fallbacks == ()
     asked: list[int] = []

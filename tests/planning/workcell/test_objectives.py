@@ -237,7 +237,7 @@ def upward(**planner: Any) -> Scene:
     return short_scene(
         posture_deg=[-45, -90, 90, -10, 10, -55, 0],
         tool_path={"legs": [{"by": [0, 0, 0.3], "seconds": 5}]},
-        planner={"knots": "sliding", "peak_tolerance": 1e-3, "quiet_modes": 0, **planner},
+        planner={"knots": "sliding", "peak_tolerance": 1e-3, **planner},
     )
 
 
