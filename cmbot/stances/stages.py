@@ -170,8 +170,8 @@ class Judge:
         figures = figures_of(made, result.candidate)
         result = replace(result, stage="plan", figures=figures, rejection=None)
         bounds = self.options.bounds if result.own else self.bounds
-        if rejection := _beyond(bounds, figures, "planned"):
-            return result.rejected("plan", rejection)
+        if beyond := _beyond(bounds, figures, "planned"):
+            return result.rejected("plan", beyond)
         value = value_of(made, figures, self.objective)
         # No estimate is above what was found.
         return replace(result, value=value, plan=made, bound=min(result.bound, value))
