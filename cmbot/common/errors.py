@@ -290,8 +290,6 @@ class OptimisationFailed(PlanningError):
         The constraint that is furthest from being met.
     violation : float
         By how much, as a share of its bound.
-    undecided : bool
-        The solver failed without a proof of infeasibility; another one may succeed.
     trajectory : object, optional
         The `QuinticTrajectory` that violates it.
     limit : Limit
@@ -306,7 +304,6 @@ class OptimisationFailed(PlanningError):
         *,
         constraint: str,
         violation: float,
-        undecided: bool = False,
         trajectory: object = None,
         limit: Limit = Limit.OTHER,
         stopped: bool = False,
@@ -317,7 +314,6 @@ class OptimisationFailed(PlanningError):
         self.stopped = stopped
         self.constraint = constraint
         self.violation = violation
-        self.undecided = undecided
         if violation <= 0:
             super().__init__(reason, f"; every constraint is met, {constraint} with the least room")
             return

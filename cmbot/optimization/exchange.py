@@ -404,7 +404,7 @@ class _Exchange:
             self._keep(found)
             worst = found.worst_beside(limit)
             reason = "near the trajectory that was found the constraints cannot all be met"
-            raise self._failure(reason, worst, undecided=False)
+            raise self._failure(reason, worst)
         return result.iterate, result.iterations, result.status is not SqpStatus.ITERATION_LIMIT
 
     def _separated(self, bound: float) -> Separation:
@@ -427,14 +427,11 @@ class _Exchange:
         if self._progress is not None:
             self._progress(report)
 
-    def _failure(
-        self, reason: str, worst: Violation, *, undecided: bool = True, stopped: bool = False
-    ) -> OptimisationFailed:
+    def _failure(self, reason: str, worst: Violation, *, stopped: bool = False) -> OptimisationFailed:
         return OptimisationFailed(
             reason,
             constraint=worst.name,
             violation=worst.value,
-            undecided=undecided,
             trajectory=self.form.trajectory,
             limit=worst.limit,
             stopped=stopped,

@@ -106,9 +106,7 @@ class DenseProgram:
             When y is not finite, or the program cannot be evaluated there.
         """
         if not np.isfinite(y).all():
-            raise OptimisationFailed(
-                "the solver diverged", constraint="any", violation=float("inf"), undecided=True
-            )
+            raise OptimisationFailed("the solver diverged", constraint="any", violation=float("inf"))
         return self._start.displaced(self.whitening @ y[: self.n])
 
     def at(self, y: FloatArray) -> DenseValues:

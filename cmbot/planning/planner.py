@@ -201,7 +201,6 @@ class _Planner:
     """How the jobs of one call of `plan` are planned."""
 
     options: PlannerOptions
-    automatic: bool  # the solver was chosen by ``auto``
     objective: WrenchFunction | None
     reporter: ProgressReporter
     deadline: Deadline
@@ -217,7 +216,6 @@ class _Planner:
         """Return the planner by options as they are given: a plan holds the solver that it was made with."""
         return cls(
             options=replace(given, solver=solver_of(given)),
-            automatic=given.solver == "auto",
             objective=objective,
             reporter=ProgressReporter(report),
             deadline=deadline,
@@ -290,7 +288,7 @@ class _Planner:
         for number in range(len(request.strokes)):
             stroke = _at_stroke(request, number, state)
             near = before.get(stroke.stroke.name)
-            made.append(plan_stroke(stroke, automatic=self.automatic, earlier=near))
+            made.append(plan_stroke(stroke, earlier=near))
             outcome = made[-1].trial.outcome
             if not isinstance(outcome, Solved):
                 return made[-1]

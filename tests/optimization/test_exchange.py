@@ -281,7 +281,6 @@ def test_far_from_the_constraints_the_lower_bound_is_not_attempted(stages: list[
             minimize_peak(problem, replace(exchange_options(problem), far_off=far_off))
         assert stages == expected
         assert caught.value.constraint.startswith("jerk") and caught.value.violation > 4.0
-        assert not caught.value.undecided
 
 
 def test_a_lower_bound_that_is_not_attempted_is_attained_all_the_same(stages: list[str]) -> None:
@@ -341,9 +340,8 @@ def test_slsqp_that_diverges_is_given_up(monkeypatch: pytest.MonkeyPatch, answer
         x, nit = np.full(problem.parametrization.dimension, answer), 1
 
     monkeypatch.setattr(optimize, "minimize", lambda *_, **__: Diverged)
-    with pytest.raises(OptimisationFailed, match="solver diverged") as caught:
+    with pytest.raises(OptimisationFailed, match="solver diverged"):
         optimise(problem)
-    assert caught.value.undecided
 
 
 def test_slsqp_turns_back_where_the_task_cannot_be_held() -> None:

@@ -132,7 +132,7 @@ def _slower_legs(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
         return
     factors = slower_legs(attempt.request, trial.outcome)
     if factors is not None:
-        yield Attempt.of(slower(attempt.request, factors), automatic=attempt.automatic)
+        yield Attempt.of(slower(attempt.request, factors))
 
 
 def _eased_bound(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
@@ -142,7 +142,7 @@ def _eased_bound(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
         return
     request = eased(attempt.request, trial.outcome)
     if request is not None:
-        yield Attempt.of(request, automatic=attempt.automatic)
+        yield Attempt.of(request)
 
 
 SLOWER_LEGS = Remedy(cost=10_000, propose=_slower_legs, most=2)

@@ -30,8 +30,6 @@ class Attempt:
     request : StrokeRequest
     guess : InitialGuess or Failure
         Or why there is none.
-    automatic : bool
-        The solver was chosen by ``auto``.
     is_first : bool
         No remedy proposed it.
     kept : float
@@ -44,7 +42,6 @@ class Attempt:
 
     request: StrokeRequest
     guess: InitialGuess | Failure
-    automatic: bool = False
     is_first: bool = True
     kept: float = 1.0
     timing: Timing | None = None

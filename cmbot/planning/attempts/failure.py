@@ -96,7 +96,6 @@ class NoTrajectory:
     reason: str
     constraint: str
     violation: float
-    undecided: bool
     trajectory: QuinticTrajectory | None
     limit: Limit
     broken: Broken

@@ -59,8 +59,6 @@ _LITTLE_NEARER, _SPARE = 1e-3, 1.5e-4
 # The certificate may find the tool so many times as far off as it may be for a smaller bound to help, and how
 # much smaller that is than in proportion.
 _NEARLY_ON, _NEARER_TOOL_FACTOR = 2.0, 0.98
-# Via-points at most for which SLSQP is tried: its time grows with the cube of their number.
-_MAX_SLSQP_VIA_POINTS = 100
 # Least and largest factor by which there are more via-points, and how many at most: all takes longer in
 # proportion.
 _FINER, _MOST_VIA_POINTS = (2, 4), 300
@@ -357,17 +355,6 @@ def _tell_scene_start(before: AnyTrial, after: AnyTrial) -> str:
     return f"From a better start no trajectory was found ({why}): planned from the scene's."
 
 
-def _dense_solver(trial: AnyTrial) -> Iterator[Attempt]:
-    """Where the sparse solver that ``auto`` chose ended undecided: SLSQP, for few via-points."""
-    request = trial.attempt.request
-    match trial.outcome:
-        case NoTrajectory(undecided=True) if trial.attempt.automatic and request.cell.options.solver == "sqp":
-            if len(request.times) <= _MAX_SLSQP_VIA_POINTS:
-                request.reporter.step("sqp gave up; trying slsqp")
-                dense = request.with_options(solver="slsqp")
-                yield from _anew(trial.attempt, request=dense, automatic=False)
-
-
 def _tell(words: str, before: AnyTrial, after: AnyTrial) -> str:
     return words.format(in_words(before.failure), briefly(before.failure))
 
@@ -395,12 +382,6 @@ JOINED_START = Remedy(
     tell=partial(_tell, "No approach leads to the best start ({1}): the best of those that one leads to."),
 )
 SCENE_START = Remedy(cost=108, propose=_scene_start, tell=_tell_scene_start, replaces=True)
-DENSE_SOLVER = Remedy(
-    cost=109,
-    propose=_dense_solver,
-    tell=partial(_tell, "The solver sqp gave up ({1}): planned with slsqp instead."),
-    replaces=True,
-)
 
 REMEDIES = (
     *(
@@ -412,5 +393,5 @@ REMEDIES = (
         MORE_VIA_POINTS,
         FEWER_VIA_POINTS,
     ),
-    *(ANOTHER_START, REACHABLE_START, JOINED_START, SCENE_START, DENSE_SOLVER),
+    *(ANOTHER_START, REACHABLE_START, JOINED_START, SCENE_START),
 )

@@ -38,32 +38,28 @@ class PlannedStroke:
     runs: int
 
 
-def plan_stroke(
-    request: StrokeRequest, *, automatic: bool, earlier: QuinticTrajectory | None = None
-) -> PlannedStroke:
+def plan_stroke(request: StrokeRequest, *, earlier: QuinticTrajectory | None = None) -> PlannedStroke:
     """Plan a stroke and the free moves that go with it.
 
     Parameters
     ----------
     request : StrokeRequest
-    automatic : bool
-        The solver was chosen by ``auto``.
     earlier : QuinticTrajectory, optional
         A motion along the stroke where its frame was before: planned once, from its postures.
     """
     if request.stroke.begins_elsewhere:
         begun = attempted(request, lambda: starting_at_path(request))
         if not isinstance(begun, StrokeRequest):
-            attempt = Attempt(request=request, guess=begun, automatic=automatic)
+            attempt = Attempt(request=request, guess=begun)
             return PlannedStroke(trial=Trial(attempt=attempt, outcome=begun), runs=0)
         request = begun
     if earlier is not None:
         near = attempted(request, lambda: guess_near(request, earlier))
-        attempt = Attempt(request=request, guess=near, automatic=automatic, is_first=False)
+        attempt = Attempt(request=request, guess=near, is_first=False)
         trial = agenda_of(request, certified_motion, (), Budget(runs=1)).search(attempt)
         return PlannedStroke(trial=trial, runs=1)
     budget = Budget(runs=SHORTEST_TIME_RUNS if request.task.path.open_legs else RUNS)
-    first = Attempt.of(request, automatic=automatic)
+    first = Attempt.of(request)
     quiet = first if request.task.path.open_legs else first.quiet()
     trial = searched_motion(quiet, budget)
     if quiet is not first and _sways_more(trial) and budget.left > 0:

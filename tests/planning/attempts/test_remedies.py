@@ -19,7 +19,6 @@ from cmbot.archive import load_plan, save
 from cmbot.cli.inspection import examine
 from cmbot.common.errors import MissingExtra, OptimisationFailed, PathNotFound
 from cmbot.common.limit import Limit
-from cmbot.optimization import exchange
 from cmbot.planning import Plan, plan, planner, remarks
 from cmbot.planning.attempts import motion
 from cmbot.planning.attempts.agenda import Agenda, Remedy, Solved, Trial
@@ -39,7 +38,6 @@ from cmbot.planning.attempts.failure import (
 from cmbot.planning.attempts.remedies import (
     ANOTHER_START,
     CLEARER_GUESS,
-    DENSE_SOLVER,
     FEWER_VIA_POINTS,
     FINER_SAMPLES,
     MORE_VIA_POINTS,
@@ -66,7 +64,7 @@ UNREACHED = NoWay(
 
 
 def unfollowed(broken: Broken, words: str = "jerk of joint_3", **own: Any) -> NoTrajectory:
-    given = {"violation": 1.0, "undecided": False, "trajectory": None, "limit": Limit.OTHER} | own
+    given = {"violation": 1.0, "trajectory": None, "limit": Limit.OTHER} | own
     return NoTrajectory(reason="no", constraint=words, broken=broken, **given)
 
 
@@ -104,7 +102,7 @@ def elsewhere() -> Attempt:
 def attempt_at(scene: Scene, **options: Any) -> Attempt:
     asked = request_of(scene, **options)
     guess = sliding_guess(asked) if asked.cell.options.knots == "sliding" else initial_guess(asked)
-    return Attempt(request=asked, guess=guess, automatic=True)
+    return Attempt(request=asked, guess=guess)
 
 
 def turned_wrist(folder: Path, **planner: object) -> Scene:
@@ -130,7 +128,7 @@ ALL_FAILURES = (
     SUDDEN,
     unfollowed(NearObstacle(distance=0.0, margin=0.02)),
     unfollowed(ToolOff(what=Limit.TOOL_LAG, ratio=9.0)),
-    unfollowed(OtherLimit(what=Limit.OTHER), undecided=True),
+    unfollowed(OtherLimit(what=Limit.OTHER)),
     nearer(3e-4, 0.02),
     missed(OtherLimit(what=Limit.OTHER), 1.005, 1.0),
     OutOfTime(during=SUDDEN),
@@ -142,7 +140,6 @@ REMEDIED = {
     MORE_VIA_POINTS: {3},
     FEWER_VIA_POINTS: {1},
     ANOTHER_START: {1, 2, 3, 4},
-    DENSE_SOLVER: {4},
     SPARE_CLEARANCE: {5},
     FINER_SAMPLES: {6},
 }
@@ -426,17 +423,6 @@ def test_a_trajectory_that_nearly_meets_the_constraints_is_left_to_the_certifica
         plan(short_plan.scene)
 
 
-@pytest.mark.parametrize("automatic", [True, False])
-def test_slsqp_is_tried_where_the_sparse_solver_of_auto_is_undecided(automatic: bool) -> None:
-    first = replace(attempt_at(rough_scene(), solver="sqp"), automatic=automatic)
-    undecided = unfollowed(OtherLimit(what=Limit.OTHER), undecided=True)
-    found = tried(DENSE_SOLVER, first, undecided)
-    assert [attempt.request.cell.options.solver for attempt, _ in found] == (["slsqp"] if automatic else [])
-    for attempt, sentence in found:
-        assert sentence == "The solver sqp gave up (no): planned with slsqp instead."
-        assert not tried(DENSE_SOLVER, attempt, undecided)
-
-
 @pytest.mark.parametrize("knots", ["sliding", "fixed"])
 def test_a_time_limit_that_is_over_at_once(knots: str, tmp_path: Path) -> None:
     """Charts are a must; on a path that is known the first trajectory may already meet the constraints."""
@@ -574,33 +560,6 @@ def test_a_long_path_with_few_via_points_does_not_creep(tmp_path: Path) -> None:
     assert sum(report.iterations for report in found.passes) <= 80
     assert found.passes[-1].worst.value <= scene.planner.constraint_tolerance
     assert found.passes[-1].peak_torque < problem.scale
-
-
-@pytest.mark.parametrize("undecided", [True, False])
-def test_where_it_gives_up_auto_tries_slsqp_and_the_plan_says_so(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, undecided: bool
-) -> None:
-    def gives_up(*_: Any, **__: Any) -> Any:
-        raise OptimisationFailed(
-            "the steps became too small", constraint="none", violation=1.0, undecided=undecided
-        )
-
-    monkeypatch.setattr(exchange, "solve_sqp", gives_up)
-    told: list[str] = []
-    scene = short_scene(planner={"solver": "auto"})
-    if undecided:
-        planned = plan(scene, progress=lambda progress: told.append(progress.step))
-        assert planned.options.solver == "slsqp"
-        assert any("slsqp" in step for step in told)
-        said = "The solver sqp gave up (the steps became too small): planned with slsqp instead."
-        assert planned.fallbacks == (said,)
-        assert said in list(remarks(planned))
-        assert load_plan(save(planned, tmp_path / "plan")).fallbacks == (said,)
-    else:
-        with pytest.raises(OptimisationFailed):
-            plan(scene)
-    with pytest.raises(OptimisationFailed):
-        plan(short_scene(planner={"solver": "sqp"}))
 
 
 def test_the_plan_says_which_solver_made_it(short_plan: Plan, tmp_path: Path) -> None:
