@@ -2,8 +2,6 @@
 
 from cmbot.stances.bounds import NO_FIGURES, Bounds, StanceFigures, StanceObjective
 from cmbot.stances.candidates import (
-    APART,
-    REACH,
     AnyCandidate,
     Candidate,
     MountCandidate,
@@ -12,6 +10,7 @@ from cmbot.stances.candidates import (
     candidates_of,
     in_the_way,
     lift_height,
+    on_two_feet,
     own_candidate,
     place_in_words,
     places_of,
@@ -31,9 +30,7 @@ from cmbot.stances.search import Rejection, StanceResult, StandOptions
 from cmbot.stances.table import bounds_table, in_words, planned_table, shared_out, stances_csv
 
 __all__ = [
-    "APART",
     "NO_FIGURES",
-    "REACH",
     "AnyCandidate",
     "Bounds",
     "Candidate",
@@ -55,6 +52,7 @@ __all__ = [
     "in_world",
     "joined",
     "lift_height",
+    "on_two_feet",
     "own_candidate",
     "place_in_words",
     "places_of",

@@ -28,6 +28,8 @@ REACH = 0.9
 """Foot 2 is sought no further from foot 1 than this, m: both legs and their offsets."""
 APART = 0.16
 """Feet do not stand on each other, m."""
+# Cosine of the angle between the normals of two feet at least.
+_SAME_NORMAL = 0.999
 # Places this far from the ends of a member are left out, m.
 _END_MARGIN_M = 0.04
 # The foot in its frame, as the URDF has it, m: sides, and its centre above the member's axis.
@@ -211,16 +213,34 @@ def candidates_of(
     if not np.isfinite(pair_spacing):
         return
     places = [*places_of(scene, pair_spacing, members)]
-    poses = [foothold_pose(scene.elastic_guardrail, place) for place in places]
+    others = [place for place in places if place.turn_deg == places[0].turn_deg]
+    for candidate in on_two_feet(scene, places, others, climber):
+        if _is_new(candidate, foothold_pose(scene.elastic_guardrail, candidate.stance.held[1]), known):
+            yield candidate
+
+
+def on_two_feet(
+    scene: Scene, places: Sequence[FootholdFile], others: Sequence[FootholdFile], climber: Climber
+) -> Iterator[Candidate]:
+    """Yield the stances with foot 1 at some places and foot 2 at others, the base on the members' outer side.
+
+    Parameters
+    ----------
+    scene : Scene
+    places, others : sequence of FootholdFile
+    climber : Climber
+    """
+    poses, ends = (
+        [foothold_pose(scene.elastic_guardrail, place) for place in part] for part in (places, others)
+    )
+    points, normals = np.array([X[:3, 3] for X in ends]), np.array([X[:3, 1] for X in ends])
     for place, X in zip(places, poses, strict=True):
-        for other, X_2 in zip(places, poses, strict=True):
-            away = float(np.linalg.norm(X_2[:3, 3] - X[:3, 3]))
-            if not APART <= away <= REACH or other.turn_deg != places[0].turn_deg:
-                continue
-            for angles in climber.reaching(np.linalg.inv(X) @ X_2):
-                candidate = candidate_at(place, other, X, angles, climber)
-                out = candidate.base[:3, 3] - X[:3, 3]
-                if out @ X[:3, 1] > 0 and _is_new(candidate, X_2, known):
+        away = np.linalg.norm(points - X[:3, 3], axis=1)
+        near = (away >= APART) & (away <= REACH) & (normals @ X[:3, 1] > _SAME_NORMAL)
+        for k in np.flatnonzero(near).tolist():
+            for angles in climber.reaching(np.linalg.inv(X) @ ends[k]):
+                candidate = candidate_at(place, others[k], X, angles, climber)
+                if (candidate.base[:3, 3] - X[:3, 3]) @ X[:3, 1] > 0:
                     yield candidate
 
 

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.robot import Climber, Side, other_foot
 from cmbot.scene import FootholdFile, Scene, foothold_face, foothold_pose
-from cmbot.stances import APART, REACH, Candidate, bare_climber, candidate_at, places_of
+from cmbot.stances import Candidate, bare_climber, on_two_feet, places_of
 from cmbot.stances.walking.balance import SPARE, Balance, shortest_way
 
 # Places this far beyond both stances are looked at, m.
@@ -61,17 +61,7 @@ def nodes_between(scene: Scene, first: Candidate, last: Candidate, spacing: floa
         flat = place in ends or not foothold_face(scene.elastic_guardrail, place).held_by_clamps_alone
         if flat and min(xs) - _BEYOND_M <= x <= max(xs) + _BEYOND_M and place not in places:
             places.append(place)
-    poses = [foothold_pose(scene.elastic_guardrail, place) for place in places]
-    points, normals = np.array([X[:3, 3] for X in poses]), np.array([X[:3, 1] for X in poses])
-    nodes = [first, last]
-    for place, X in zip(places, poses, strict=True):
-        away = np.linalg.norm(points - X[:3, 3], axis=1)
-        near = (away >= APART) & (away <= REACH) & (normals @ X[:3, 1] > 0.999)
-        for other in np.flatnonzero(near):
-            for angles in climber.reaching(np.linalg.inv(X) @ poses[other]):
-                node = candidate_at(place, places[int(other)], X, angles, climber)
-                if (node.base[:3, 3] - X[:3, 3]) @ X[:3, 1] > 0:
-                    nodes.append(node)
+    nodes = [first, last, *on_two_feet(scene, places, places, climber)]
     angles = np.array([node.climber for node in nodes])
     margin = scene.planner.safety_margin_m
     near = bare_climber(np.eye(4)).query(angles, margin).distance < margin
