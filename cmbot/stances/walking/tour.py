@@ -78,7 +78,8 @@ class Tour:
     @property
     def seconds(self) -> float:
         """How long it takes, s."""
-        return sum(_seconds(part) for part in (*self.plans, *self.walks))
+        work = sum(plan.job.duration for plan in self.plans)
+        return work + sum(each.seconds for each in self.walks)
 
     def in_words(self) -> Iterator[str]:
         """Yield what was found, a sentence each."""
