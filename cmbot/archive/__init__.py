@@ -31,10 +31,16 @@ from cmbot.archive.writing import export_csv, save
 from cmbot.common.lazy_imports import on_first_use
 
 if TYPE_CHECKING:
-    from cmbot.archive.excitation import excitation_json, load_excitation, save_excitation
     from cmbot.archive.reading import load_plan, plan_data
+    from cmbot.archive.results import (
+        excitation_json,
+        load_excitation,
+        load_tracking,
+        save_excitation,
+        save_tracking,
+        tracking_json,
+    )
     from cmbot.archive.ros import export_mcap, export_ros, export_ros_package
-    from cmbot.archive.tracking import load_tracking, save_tracking, tracking_json
     from cmbot.archive.verification.folders import Asked, Verdict, VerifiedMotion, verified_motions
     from cmbot.archive.walks import TourPart, load_tour, load_walk
 
@@ -80,9 +86,11 @@ __all__ = [
 ]
 
 _LAZY_ARCHIVE = {
-    "cmbot.archive.excitation": ("excitation_json", "load_excitation", "save_excitation"),
     "cmbot.archive.reading": ("load_plan", "plan_data"),
-    "cmbot.archive.tracking": ("load_tracking", "save_tracking", "tracking_json"),
+    "cmbot.archive.results": (
+        *("excitation_json", "load_excitation", "load_tracking"),
+        *("save_excitation", "save_tracking", "tracking_json"),
+    ),
     "cmbot.archive.ros": ("export_mcap", "export_ros", "export_ros_package"),
     "cmbot.archive.verification.folders": ("Asked", "Verdict", "VerifiedMotion", "verified_motions"),
     "cmbot.archive.walks": ("TourPart", "load_tour", "load_walk"),

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import io
 import math
-import re
 import zipfile
 import zlib
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
+from numpy.lib import format as npy
 
 from cmbot.archive.plan_file import SegmentFile
 from cmbot.archive.records import PLAN_FILE
@@ -28,12 +27,6 @@ _KNOT_ARRAYS = ("t", "q", "v", "a")
 _MOST_KNOTS = 100_000
 # Begins an entry of the directory at a zip file's end; few numbers contain it by chance.
 _ZIP_ENTRY, _MOST_ENTRIES = b"PK\x01\x02", 100
-_NPY_VERSION_1 = b"\x93NUMPY\x01\x00"
-# Narrower than NumPy's own reader, which evaluates the header as Python.
-_NPY_HEADER = re.compile(
-    rb"\{'descr': '<f8', 'fortran_order': (?P<order>True|False), "
-    rb"'shape': \((?P<rows>\d{1,9}),(?: (?P<columns>\d{1,9}))?\), \} *\n"
-)
 # What zipfile raises for a file that is damaged or no .zip at all.
 _ZIP_ERRORS = (
     EOFError,
@@ -134,18 +127,16 @@ def _require_members(archive: zipfile.ZipFile, source: str) -> None:
 
 def _array(archive: zipfile.ZipFile, name: str, source: str, dof: int) -> FloatArray:
     """Return an array (n,) or (n, dof) of float64; of another one, only the header is unpacked."""
+    expected = "an array of float64 in version 1.0 of NumPy's format, with one or two dimensions"
     with archive.open(f"{name}.npy") as member:
-        preamble = member.read(10)
-        if len(preamble) != 10 or preamble[:8] != _NPY_VERSION_1:
-            raise ArchiveError(source, name, shown(preamble), "an array in version 1.0 of NumPy's format")
-        header = member.read(int.from_bytes(preamble[8:], "little"))
-        match = _NPY_HEADER.fullmatch(header)
-        if match is None:
-            got = shown(header.decode("latin-1").strip())
-            raise ArchiveError(source, name, got, "an array of float64, with one or two dimensions")
-        shape = tuple(int(match[key]) for key in ("rows", "columns") if match[key])
-        rows, wanted = shape[0], ((shape[0],) if name == "t" else (shape[0], dof))
-        if not 2 <= rows <= _MOST_KNOTS or shape != wanted:
+        try:
+            version = npy.read_magic(member)
+            shape, by_columns, kind = npy.read_array_header_1_0(member)
+        except ValueError as error:
+            raise ArchiveError(source, name, shown(str(error)), expected) from error
+        if version != (1, 0) or kind != np.dtype("<f8") or len(shape) not in (1, 2):
+            raise ArchiveError(source, name, f"one of {kind}, of shape {shape}", expected)
+        if not 2 <= shape[0] <= _MOST_KNOTS or shape[1:] != (() if name == "t" else (dof,)):
             expected = f"2 to {_MOST_KNOTS} knots" + ("" if name == "t" else f" of {counted(dof, 'joint')}")
             raise ArchiveError(source, name, f"an array of shape {shape}", expected)
         size = 8 * math.prod(shape)
@@ -153,5 +144,4 @@ def _array(archive: zipfile.ZipFile, name: str, source: str, dof: int) -> FloatA
         if len(numbers) != size:
             got = "fewer numbers" if len(numbers) < size else "more numbers"
             raise ArchiveError(source, name, got, f"an array of shape {shape}, as its header says")
-    order: Literal["F", "C"] = "F" if match["order"] == b"True" else "C"
-    return np.frombuffer(numbers, "<f8").reshape(shape, order=order)
+    return np.frombuffer(numbers, kind).reshape(shape, order="F" if by_columns else "C")

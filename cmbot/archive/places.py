@@ -221,10 +221,9 @@ def plans_nearby(folder: Path) -> str:
         found = found or [*_similar(folder), *_similar(default)]
     except OSError:  # a folder without permission, a name that is too long
         return ""
-    if not found:
-        return ""
     more = " or another one there" if len(found) > _MAX_SUGGESTIONS else ""
-    return f"; did you mean {' or '.join(map(str, found[:_MAX_SUGGESTIONS]))}{more}?"
+    meant = " or ".join(map(str, found[:_MAX_SUGGESTIONS]))
+    return f"; did you mean {meant}{more}?" if found else ""
 
 
 def _inside(folder: Path) -> list[Path]:

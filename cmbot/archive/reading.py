@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -137,11 +136,17 @@ def read_plan(
         # Its content is as it was written: most likely by a version with other keys.
         expected = f"{error.expected}; of a plan of another version: cmbot plan SCENE makes it anew"
         raise ArchiveError(error.source, error.key, error.got, expected, error.choices) from error
-    with _as_archive_error(str(source)):
+    try:
         parts = _Parts(file, folder, contents)
         scene, robot = parts.scene, parts.robot
         clearances = Clearances(robot, scene.all_obstacles)
         end = end_posture_of(scene, robot)
+    except ArchiveError:
+        raise
+    except InputError as error:
+        # An error of the scene or the robot is one of the plan.
+        key = f"scene.{error.key}" if error.source == str(source) else error.key
+        raise ArchiveError(error.source, key, error.got, error.expected, error.choices) from error
     if asked is not None:
         require_asked(scene, asked, str(source))
     promised = options or (asked.planner if asked is not None else file.options)
@@ -464,15 +469,3 @@ def _along_baseline(robot: Robot, task: ToolTask, baseline: StrokeBaseline) -> d
     away = samples.tool_point - task.path.poses(samples.t).point
     drift = float(np.linalg.norm(away, axis=1).max())
     return {"drift": drift, "smallest_singular_value": smallest}
-
-
-@contextmanager
-def _as_archive_error(source: str) -> Iterator[None]:
-    """Turn errors of the scene or the robot into those of the plan."""
-    try:
-        yield
-    except ArchiveError:
-        raise
-    except InputError as error:
-        key = f"scene.{error.key}" if error.source == source else error.key
-        raise ArchiveError(error.source, key, error.got, error.expected, error.choices) from error

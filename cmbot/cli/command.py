@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import re
 from abc import ABC, abstractmethod
 from argparse import SUPPRESS, ArgumentTypeError
@@ -15,8 +16,10 @@ from pathlib import Path
 from types import NoneType
 from typing import Any, ClassVar, Literal, NoReturn, TypeVar, get_args, get_origin, get_type_hints
 
+import cmbot
 from cmbot.cli.console import ConsoleProgress, ExitStatus, err, out, print_json, scenes_named
 from cmbot.common.errors import InputError, one_line
+from cmbot.common.reading.input_files import is_folder
 
 T = TypeVar("T")
 C = TypeVar("C", bound="Command")
@@ -131,9 +134,7 @@ class Reporting(Command):
 
         An error about work without a plan names the `scenes` as they were called.
         """
-        from cmbot.archive import claim
-
-        with claim(directory):
+        with cmbot.archive.claim(directory):
             require()
             with scenes_named(*scenes), ConsoleProgress(quiet=self.quiet) as progress:
                 found = work(progress)
@@ -162,6 +163,27 @@ class Writing(Reporting):
     """A command that writes what may be there already."""
 
     force: bool = option(False, "Replace what is there.")
+
+    def absent(self, directory: Path, names: Sequence[str]) -> Callable[[], None]:
+        """Return what refuses a folder that has files of some names, unless they may be replaced."""
+        return lambda: cmbot.archive.require_absent(directory, names, force=self.force)
+
+    def write(
+        self, file: Path, text: str, data: Callable[[], Mapping[str, Any]], say: Callable[[], object]
+    ) -> None:
+        """Write a new file, and print what was found in the way that is asked for."""
+        require_new(file, self.force)
+        cmbot.archive.write_file(file, text.encode())
+        self.answer(lambda: {"file": str(file), **data()}, say)
+
+
+def require_new(path: Path, force: bool) -> None:
+    """Refuse a file to write that is there already, unless it may be replaced, and a folder always."""
+    # Those of Path raise for names that no file can have.
+    if is_folder(path):
+        raise InputError(str(path), "", "a folder", "the path of a file to write")
+    if os.path.exists(path) and not force:  # noqa: PTH110
+        raise InputError(str(path), "", "a file that is already there", "a new file, or --force")
 
 
 class _Parser(argparse.ArgumentParser):

@@ -116,33 +116,32 @@ def print_lines(lines: Iterable[str]) -> None:
 
 def print_pairs(pairs: Mapping[str, str]) -> None:
     """Print names and values: a table on a terminal, aligned columns elsewhere."""
-    if out.is_terminal and pairs:
-        table = Table(show_header=False)
-        for name, value in pairs.items():
-            table.add_row(name, one_line(value))
-        out.print(table)
-        return
-    width = max(map(len, pairs), default=0) + 2
-    for name, value in pairs.items():
-        out.print(f"{name:<{width}}{one_line(value)}")
+    print_table("", (), [(name, one_line(value)) for name, value in pairs.items()], text_columns=2)
 
 
 def print_table(
-    title: str, headings: Sequence[str], rows: Sequence[Sequence[str]], *, text_columns: int
+    title: str, headings: Sequence[str], rows: Iterable[Sequence[str]], *, text_columns: int = 1
 ) -> None:
-    """Print numbers behind some columns of text: a table on a terminal, aligned columns elsewhere."""
+    """Print numbers behind some columns of text: a table on a terminal, aligned columns elsewhere.
+
+    Without rows nothing is printed.
+    """
+    if not (rows := list(rows)):
+        return
+    lines = [headings, *rows] if headings else rows
     if out.is_terminal:
-        table = Table(title=title, title_justify="left")
-        for number, heading in enumerate(headings):
+        table = Table(title=title or None, title_justify="left", show_header=bool(headings))
+        for number, heading in enumerate(headings or [""] * text_columns):
             table.add_column(heading, justify="left" if number < text_columns else "right")
         for row in rows:
             table.add_row(*row)
         out.print(table)
         return
-    widths = [max(map(len, column)) for column in zip(headings, *rows, strict=True)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     formats = [f"{'<' if number < text_columns else '>'}{width}" for number, width in enumerate(widths)]
-    out.print(title)
-    for cells in (headings, *rows):
+    if title:
+        out.print(title)
+    for cells in lines:
         out.print("  ".join(map(format, cells, formats)).rstrip())
 
 

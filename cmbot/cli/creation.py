@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cmbot.cli.command import Writing, option
+import cmbot
+from cmbot.cli.command import Writing, option, require_new
 from cmbot.cli.console import out, print_lines
-from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError, ModelError, one_line
 from cmbot.common.installation import scene_folder
 
@@ -89,14 +89,13 @@ class NewCommand(Writing):
         robot = _loaded(asked)
         require_new(path, self.force)
         made = _composed(robot, asked, tool_at, self.rpy_deg, path)
-        from cmbot.archive import write_file
 
         # The scene last: it names the others.
         *others, scene_file = sorted(made.files, key=lambda file: file == path)
         for file in others:
             require_new(file, self.force)
         for file in (*others, scene_file):
-            write_file(file, made.files[file].encode())
+            cmbot.archive.write_file(file, made.files[file].encode())
         written = [scene_file, *others]
         remarks = [*made.robot.remarks, *made.remarks]
         self.answer(
@@ -117,17 +116,17 @@ class NewCommand(Writing):
         """The robot that the options describe; ``--tool`` is a frame, or a tool as the scene file has it."""
         from cmbot.common.reading.validation import shown, validated
         from cmbot.common.reading.yaml_reader import yaml_value
-        from cmbot.scene import FOLDER, AttachedToolFile, NewRobot
 
         tool, tool_frame = None, self.tool
         if self.tool is not None and self.tool.lstrip().startswith("{"):
             value = yaml_value(self.tool, "--tool", InputError)
             # Its files are named as from here.
-            tool = validated(AttachedToolFile, value, "--tool", InputError, {FOLDER: Path.cwd()})
+            here, kind = {cmbot.scene.FOLDER: Path.cwd()}, cmbot.scene.AttachedToolFile
+            tool = validated(kind, value, "--tool", InputError, here)
             tool_frame = self.flange
         elif self.flange is not None:
             raise InputError("--flange", "", shown(self.flange), "a tool on it: --tool '{xyz: [0, 0, 0.2]}'")
-        return NewRobot(
+        return cmbot.scene.NewRobot(
             source=source,
             base_frame=self.base,
             tool_frame=tool_frame,
@@ -168,17 +167,14 @@ def _composed(robot: Robot, asked: NewRobot, tool_at: Numbers, rpy_deg: Numbers 
     import numpy as np
 
     from cmbot.common.poses import pose
-    from cmbot.planning import find_start
-    from cmbot.robot import Kinematics
-    from cmbot.scene import PlannerOptions, limits_text, scene_text
 
     shipped = asked.source == _SHIPPED_ROBOT
 
     def start_of(robot: Robot) -> StartPosture:
-        return find_start(robot, _obstacles(asked.source), np.array(tool_at), orientation)
+        return cmbot.planning.find_start(robot, _obstacles(asked.source), np.array(tool_at), orientation)
 
     def usual(start: StartPosture) -> bool:
-        return start.safety_margin == PlannerOptions().safety_margin_m
+        return start.safety_margin == cmbot.PlannerOptions().safety_margin_m
 
     orientation = None if rpy_deg is None else np.array(pose((0, 0, 0), np.radians(rpy_deg)))[:3, :3]
     start, srdf, files = start_of(robot), path.with_suffix(".srdf"), dict[Path, str]()
@@ -193,21 +189,21 @@ def _composed(robot: Robot, asked: NewRobot, tool_at: Numbers, rpy_deg: Numbers 
             robot, start, files, remarks = freed, better, {srdf: text}, (said,)
     limits = path.with_name(f"{path.stem}.limits.yaml")
     assumed = None if shipped or asked.files().limits is not None else limits
-    files[path] = scene_text(
+    files[path] = cmbot.scene.scene_text(
         name=_slug(path.stem),
         schema=_schema(path),
         robot=asked.entry(robot, path, assumed, srdf if srdf in files else None),
         on_guardrail=shipped,
         posture=start.posture,
         prismatic=robot.limits.prismatic,
-        tool_point=np.array(Kinematics(robot).tool_pose(start.posture).translation),
+        tool_point=np.array(cmbot.robot.Kinematics(robot).tool_pose(start.posture).translation),
         keep=start.keep,
         by=start.by,
         seconds=start.seconds,
         safety_margin_m=None if usual(start) else start.safety_margin,
     )
     if assumed is not None:
-        files[assumed] = limits_text(robot.joints, robot.limits)
+        files[assumed] = cmbot.scene.limits_text(robot.joints, robot.limits)
     return _Made(robot=robot, start=start, remarks=remarks, files=files)
 
 
@@ -215,9 +211,7 @@ def _always_near(asked: NewRobot, path: Path) -> tuple[str, str]:
     """The text of an SRDF that leaves out links which no motion can part, and a remark with their names."""
     from xml.etree import ElementTree
 
-    from cmbot.robot import srdf_text
-
-    text = srdf_text(asked.files())
+    text = cmbot.robot.srdf_text(asked.files())
     pairs = [pair for pair in ElementTree.fromstring(text) if pair.get("reason") == "Always"]
     names = ", ".join(f"{pair.get('link1')} and {pair.get('link2')}" for pair in pairs)
     return (
@@ -263,9 +257,10 @@ def _named_as_option(error: ModelError) -> InputError:
 
 def _obstacles(source: str) -> tuple[Obstacle, ...]:
     """What a scene without obstacles of its own has: the default guardrail, for the robot that holds it."""
-    from cmbot.scene import GuardrailFile, elastic_guardrail, guardrail_obstacles
-
-    return guardrail_obstacles(elastic_guardrail(GuardrailFile())) if source == _SHIPPED_ROBOT else ()
+    if source != _SHIPPED_ROBOT:
+        return ()
+    guardrail = cmbot.scene.elastic_guardrail(cmbot.scene.GuardrailFile())
+    return cmbot.scene.guardrail_obstacles(guardrail)
 
 
 def _schema(path: Path) -> str:

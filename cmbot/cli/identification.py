@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cmbot
-from cmbot.cli.command import Writing, argument, option, options_named
+from cmbot.cli.command import Writing, argument, option, options_named, require_new
 from cmbot.cli.completion import complete_scene
 from cmbot.cli.console import out, print_lines, print_table
-from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError, one_line
 from cmbot.common.installation import scene_folder
 
@@ -52,32 +51,23 @@ class IdentifyCommand(Writing):
         if self.propose is not None:
             self._propose(self.propose)
             return
-        from cmbot.archive import write_file
-        from cmbot.identification import read_deflections, stiffness_text
-
         named = self.sources if self.table is None else (str(self.table),)
         target = self.output or Path(f"{Path(named[-1]).with_suffix('')}.stiffness.yaml")
         sheets: Sequence[Any] = self.sources
         if self.table is not None:
             if len(self.sources) > 1:
                 raise InputError(self.sources[1], "", "a second file", "one scene with --table")
-            sheets = read_deflections(self.table, self.sources[0])
+            sheets = cmbot.identification.read_deflections(self.table, self.sources[0])
         found = cmbot.identify(*sheets, accept_misfit=self.accept_misfit)
-        require_new(target, self.force)
         names = ", ".join(Path(source).name for source in named)
-        write_file(target, stiffness_text(found.stiffness, names).encode())
-        self.answer(
-            lambda: {"file": str(target), **_summary(found)}, lambda: _print_identification(found, target)
-        )
+        text = cmbot.identification.stiffness_text(found.stiffness, names)
+        self.write(target, text, lambda: _summary(found), lambda: _print_identification(found, target))
 
     def _propose(self, number: int) -> None:
         """Propose postures, and write the sheet."""
-        from cmbot.archive import write_file
-        from cmbot.identification import MeasuringSetup, is_sheet, job_postures, propose, require_axes
-
         sources, job = self.sources, self.job
-        known, setup = None, MeasuringSetup()
-        if is_sheet(sources[0]):
+        known, setup = None, cmbot.identification.MeasuringSetup()
+        if cmbot.identification.is_sheet(sources[0]):
             known = cmbot.identify(*sources)
             scene, setup = known.measurements[-1].scene, known.measurements[-1].setup
             called, stem = scene.source, f"{sources[0].removesuffix('.yaml')}_{len(sources) + 1}"
@@ -92,41 +82,33 @@ class IdentifyCommand(Writing):
         if job is None and known is not None and known.job is not None:
             along = known.job
         else:
-            along = job_postures(scene if job is None else cmbot.load_plan(job))
-        require_axes(self.axes, "cmbot identify", "--axes")
+            along = cmbot.identification.job_postures(scene if job is None else cmbot.load_plan(job))
+        cmbot.identification.require_axes(self.axes, "cmbot identify", "--axes")
         require_new(target, self.force)
-        made = propose(scene, number, along, setup, axes=self.axes, known=known)
-        write_file(target, made.sheet(_from(target, called)).encode())
-        self.answer(
-            lambda: {"file": str(target), **_promised(made)},
-            lambda: _print_proposal(made, target, sources),
-        )
+        made = cmbot.identification.propose(scene, number, along, setup, axes=self.axes, known=known)
 
+        def say() -> None:
+            print_lines(cmbot.identification.proposal_remarks(made))
+            sheets = one_line(" ".join((*(sources if made.measured else ()), str(target))))
+            out.print(f"Sheet to fill in: {one_line(target)}; then: cmbot identify {sheets}")
 
-def _print_proposal(made: Proposal, sheet: Path, sources: Sequence[str]) -> None:
-    from cmbot.identification import proposal_remarks
-
-    print_lines(proposal_remarks(made))
-    all_sheets = (*(sources if made.measured else ()), str(sheet))
-    out.print(f"Sheet to fill in: {one_line(sheet)}; then: cmbot identify {one_line(' '.join(all_sheets))}")
+        self.write(target, made.sheet(_from(target, called)), lambda: _promised(made), say)
 
 
 def _print_identification(found: Identification, target: Path) -> None:
-    from cmbot.identification import HEADINGS, identified_rows, remarks
-
-    print_table("Stiffness", HEADINGS, list(identified_rows(found)), text_columns=1)
-    print_lines(remarks(found))
+    told = cmbot.identification
+    print_table("Stiffness", told.HEADINGS, told.identified_rows(found))
+    print_lines(told.remarks(found))
     out.print(f"Written to {one_line(target)}; in a scene: identified: {one_line(target)}")
 
 
 def _changed(setup: MeasuringSetup, given: dict[str, float]) -> MeasuringSetup:
     """What is measured with, with what the options give; errors name them."""
     from cmbot.common.reading.validation import validated
-    from cmbot.identification import MeasuringSetup
 
-    own = setup.model_dump(include=set(MeasuringSetup.model_fields))
+    own = setup.model_dump(include=set(type(setup).model_fields))
     with options_named({"weight_kg": "--weight", "gauge_sd_mm": "--gauge"}):
-        return validated(MeasuringSetup, own | given, "cmbot identify", InputError)
+        return validated(type(setup), own | given, "cmbot identify", InputError)
 
 
 def _promised(made: Proposal) -> dict[str, object]:
@@ -151,9 +133,7 @@ def _from(target: Path, scene: str) -> str:
 
 
 def _summary(found: Identification) -> dict[str, object]:
-    from cmbot.identification import remarks, unseen
-
-    names, directions = unseen(found)
+    names, directions = cmbot.identification.unseen(found)
     factors = {each.name: each.factor for each in (*found.stiffness.links, *found.stiffness.joints)}
     after = found.after
     return {
@@ -176,7 +156,7 @@ def _summary(found: Identification) -> dict[str, object]:
         "sag_rms_m": None if after is None else after.rms,
         "sag_error_95": None if after is None else after.length_95,
         "sag_vector_error_95": None if after is None else after.share_95,
-        "words": list(remarks(found)),
+        "words": list(cmbot.identification.remarks(found)),
     }
 
 
@@ -198,70 +178,56 @@ class LocateCommand(Writing):
     propose: int | None = option(None, "Propose so many corners to touch.", least=1, most=100)
 
     def __call__(self) -> None:
-        from cmbot.archive import write_file
-
         if self.propose is not None:
             self._propose(self.propose)
             return
-        from cmbot.identification import located, location_remarks, read_touches
-
-        touches = read_touches(self.source, self.scene)
-        found = located(touches)
-        remarks = list(location_remarks(found, touches))
+        touches = cmbot.identification.read_touches(self.source, self.scene)
+        found = cmbot.identification.located(touches)
+        remarks = list(cmbot.identification.location_remarks(found, touches))
         target = self.output or Path(f"{Path(self.source).with_suffix('')}.location.yaml")
-        require_new(target, self.force)
-        write_file(target, _blocks(found, remarks).encode())
 
         def say() -> None:
             print_lines(remarks)
-            out.print(f"Written to {one_line(str(target))}: {_use(found)}.")
+            out.print(f"Written to {one_line(target)}: {_use(found)}.")
 
-        self.answer(lambda: {"file": str(target), **_located(found), "remarks": remarks}, say)
+        self.write(target, _blocks(found, remarks), lambda: {**_located(found), "remarks": remarks}, say)
 
     def _propose(self, number: int) -> None:
         """Propose corners, and write the sheet."""
-        from cmbot.archive import write_file
         from cmbot.common.reading.validation import counted
         from cmbot.common.reading.yaml_reader import yaml_text
-        from cmbot.identification import TouchSetup, features_to_touch, frame_of, placement_of
 
         if Path(self.source).suffix.lower() == ".csv":
             raise InputError(self.source, "--propose", "a CSV file", "a scene, whose corners can be touched")
         scene = cmbot.load_scene(self.source)
-        features, covariance = features_to_touch(scene, number)
-        target = self.output or Path(f"{scene.name}.touches.yaml")
-        require_new(target, self.force)
-        joints = len(scene.posture)
-        frame, X_WF = frame_of(scene)
+        features, covariance = cmbot.identification.features_to_touch(scene, number)
+        target, joints = self.output or Path(f"{scene.name}.touches.yaml"), len(scene.posture)
+        frame, X_WF = cmbot.identification.frame_of(scene)
         in_frame = [X_WF[:3, :3].T @ (feature.point - X_WF[:3, 3]) for feature in features]
         points = [[round(float(x), 6) for x in point] for point in in_frame]
-        setup = TouchSetup()
         sheet = {
             "format": "cmbot-touches/1",
             "scene": self.source,
             "locates": frame,
-            "touch_sd_mm": setup.touch_sd_mm,
+            "touch_sd_mm": cmbot.identification.TouchSetup().touch_sd_mm,
             "touches": [{"posture_deg": None, "point": point} for point in points],
         }
         text = (
             f"# Touch each corner with the tool point, and write down the {joints} angles of the joints.\n"
             f"# The points are in {'W' if frame == 'world' else f'the frame {frame} of the scene'}.\n"
         )
-        write_file(target, (text + yaml_text(sheet)).encode())
-        known = placement_of(covariance)
-        words = (
-            f"After {counted(len(points), 'touch', 'touches')} its place will be known within {known.mm:.2f} "
-            f"mm and {known.deg:.3f} deg, one standard deviation in the worst direction."
-        )
+        known = cmbot.identification.placement_of(covariance)
+        touches = counted(len(points), "touch", "touches")
 
         def say() -> None:
-            out.print(words)
-            sheet = one_line(str(target))
-            out.print(f"Sheet to fill in: {sheet}; then: cmbot locate {sheet}")
+            out.print(
+                f"After {touches} its place will be known within {known.mm:.2f} mm and {known.deg:.3f} deg, "
+                "one standard deviation in the worst direction."
+            )
+            out.print(f"Sheet to fill in: {one_line(target)}; then: cmbot locate {one_line(target)}")
 
-        self.answer(
-            lambda: {"file": str(target), "touches": points, "shift_mm": known.mm, "turn_deg": known.deg}, say
-        )
+        data = {"touches": points, "shift_mm": known.mm, "turn_deg": known.deg}
+        self.write(target, text + yaml_text(sheet), lambda: data, say)
 
 
 def _located(found: Location) -> dict[str, Any]:

@@ -11,12 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import cmbot
-from cmbot.cli.command import Command, Reporting, argument, option
+from cmbot.cli.command import Command, Reporting, argument, option, require_new
 from cmbot.cli.completion import complete_scene
 from cmbot.cli.console import ExitStatus, out, print_json, print_lines, print_pairs, print_table
 from cmbot.cli.creation import PACKAGE_DIR_HELP, require_folders, xacro_arguments
 from cmbot.cli.planning import loaded_scene
-from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError, MissingExtra, SceneError, one_line
 from cmbot.common.installation import install_command, model_folder, scene_folder, shipped_scenes
 from cmbot.common.reading.input_files import is_file
@@ -141,11 +140,8 @@ def _require_new(path: Path, is_urdf: bool) -> None:
 def _write_srdf(file: str, path: Path, foreign: Mapping[str, Any]) -> str:
     from xml.etree import ElementTree
 
-    from cmbot.archive import write_file
-    from cmbot.robot import robot_files, srdf_text
-
-    text = srdf_text(robot_files(file, **foreign))
-    write_file(path, text.encode())
+    text = cmbot.robot.srdf_text(cmbot.robot.robot_files(file, **foreign))
+    cmbot.archive.write_file(path, text.encode())
     reasons = [pair.get("reason", "") for pair in ElementTree.fromstring(text)]
     numbers = ", ".join(f"{reasons.count(reason)} {reason}" for reason in ("Adjacent", "Always", "Never"))
     return f"{path}: {len(reasons)} pairs of links ({numbers})"
@@ -154,14 +150,12 @@ def _write_srdf(file: str, path: Path, foreign: Mapping[str, Any]) -> str:
 def _check_urdf(file: str, foreign: Mapping[str, Any]) -> tuple[Sequence[Finding], dict[str, str], str]:
     """Findings, what is in the file, and the conclusion."""
     from cmbot.common.reading.validation import counted
-    from cmbot.robot import inspect_loaded, inspect_robot, overview, robot_files
 
-    files = robot_files(file, **foreign)
-    root, findings = inspect_robot(files)
-    found = {}
+    files, robot, found = cmbot.robot.robot_files(file, **foreign), cmbot.robot, {}
+    root, findings = robot.inspect_robot(files)
     if not _errors(findings):
-        found = dict(overview(files, root))
-        findings = sorted([*findings, *inspect_loaded(files)], key=lambda finding: finding.severity)
+        found = dict(robot.overview(files, root))
+        findings = sorted([*findings, *robot.inspect_loaded(files)], key=lambda finding: finding.severity)
     errors = _errors(findings)
     conclusion = f"Not usable: {counted(errors, 'error')}" if errors else "OK: no error"
     conclusion += f", {counted(len(findings) - errors, 'warning')}."
@@ -172,7 +166,6 @@ def _check_urdf(file: str, foreign: Mapping[str, Any]) -> tuple[Sequence[Finding
 
 def _check_scene(file: str, changes: Sequence[str]) -> tuple[Sequence[Finding], dict[str, str], str]:
     from cmbot.common.reading.validation import counted
-    from cmbot.planning import precheck_scene, robot_of
 
     try:
         scene, options = loaded_scene(file, changes) if changes else (cmbot.load_scene(file), None)
@@ -186,11 +179,9 @@ def _check_scene(file: str, changes: Sequence[str]) -> tuple[Sequence[Finding], 
         raise InputError(file, "", f"a file that is neither ({error.got})", expected) from error
     if options is not None:
         scene = scene.with_options(options)
-    precheck = precheck_scene(scene)
+    precheck = cmbot.planning.precheck_scene(scene)
     if scene.excitation is not None or scene.damper is not None:
-        from cmbot.excitation import require_inputs
-
-        require_inputs(scene, robot_of(scene))
+        cmbot.excitation.require_inputs(scene, cmbot.planning.robot_of(scene))
     errors = _errors(precheck.warnings)
     warnings, plan = len(precheck.warnings) - errors, f"cmbot plan {one_line(file)}"
     conclusion = (
@@ -262,34 +253,33 @@ class VerifyCommand(Reporting):
     )
 
     def __call__(self) -> None:
-        from cmbot.archive import Asked, verified_motions
-        from cmbot.planning.verification.engine import ENGINE, is_installed, require_installed
+        from cmbot.planning.verification import engine
         from cmbot.stances.walking import load_goal
 
         if self.engine is not None:
-            require_installed()
+            engine.require_installed()
         if self.changes and len(self.scenes) != 1:
             raise InputError("--set", "", f"{len(self.scenes)} of --scene", "one, whose values it changes")
         loaded = [loaded_scene(scene, self.changes) for scene in self.scenes]
-        question = Asked(
+        question = cmbot.archive.Asked(
             scenes=tuple(scene for scene, _ in loaded),
             options=loaded[0][1] if self.changes else None,
             goal=None if self.to is None else load_goal(self.to),
             foot_speed=self.speed,
         )
-        verdict, asked = verified_motions(self.directory, question), is_installed()
+        verdict = cmbot.archive.verified_motions(self.directory, question)
+        asked, name = engine.is_installed(), engine.ENGINE
 
         def data() -> dict[str, Any]:
-            entries = [
-                {"part": each.part, "name": each.name, "checks": list(map(asdict, each.checks))}
-                for each in verdict.motions
-            ]
             return {
                 "directory": str(self.directory),
                 "scenes": list(self.scenes),
-                "engine": ENGINE if asked else None,
+                "engine": name if asked else None,
                 "looser": verdict.looser,
-                "motions": entries,
+                "motions": [
+                    {name: value for name, value in asdict(motion).items() if name != "seconds"}
+                    for motion in verdict.motions
+                ],
                 "not_verified": verdict.not_verified,
             }
 
@@ -300,16 +290,12 @@ class VerifyCommand(Reporting):
             ]
             print_table("Verified", ("part", "motion", "seconds", "checks that hold"), rows, text_columns=2)
             told = "Judged by what the folder says that was asked: --scene SCENE names the scene."
-            second = f"The second engine, {ENGINE}, was asked."
-            missing = f"The second engine was not asked: {MissingExtra(ENGINE, 'verify')}."
-            print_lines(
-                [
-                    "Certified anew, and computed a second time at 300 states of each motion.",
-                    *([] if self.scenes else [told]),
-                    f"Not verified: {'; '.join(verdict.not_verified) or 'nothing'}.",
-                    second if asked else missing,
-                ]
-            )
+            second = f"The second engine, {name}, was asked."
+            missing = f"The second engine was not asked: {MissingExtra(name, 'verify')}."
+            out.print("Certified anew, and computed a second time at 300 states of each motion.")
+            print_lines([] if self.scenes else [told])
+            print_lines([f"Not verified: {'; '.join(verdict.not_verified) or 'nothing'}."])
+            out.print(second if asked else missing)
 
         if not self.json:
             looser = "Promised otherwise than the scene in the folder asks"
@@ -334,9 +320,7 @@ class ScenesCommand(Command):
         shown = {name: _about(name) for name in shipped_scenes()}
         if self.html is not None:
             require_new(self.html, self.force)
-            from cmbot.views import gallery_page, write_page
-
-            write_page(self.html, gallery_page(shown))
+            cmbot.views.write_page(self.html, cmbot.views.gallery_page(shown))
             if not self.json:
                 out.print(f"Written to {one_line(self.html)}.")
                 return

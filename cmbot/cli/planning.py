@@ -7,20 +7,15 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cmbot
 from cmbot.cli.command import Reporting, Writing, argument, option
 from cmbot.cli.completion import complete_scene
 from cmbot.cli.console import ConsoleProgress, ExitStatus, err, out, print_lines, print_table, scenes_named
 from cmbot.cli.views import plot_files, require_plots
-from cmbot.common.errors import InputError, SceneError, one_line
+from cmbot.common.errors import InputError, PlanningError, SceneError, one_line
 from cmbot.common.installation import scene_folder
-
-if TYPE_CHECKING:
-    from cmbot.campaigns import Campaign, CampaignProgress
-    from cmbot.planning import Plan
-
 
 # Entries of plan.json that are too long for a summary, or have another form there.
 _NOT_PRINTED = ("format", "scene", "floor", "passes")
@@ -78,26 +73,21 @@ class PlanCommand(Writing):
     def __call__(self) -> None:
         started = time.perf_counter()
         loaded, options = loaded_scene(self.scene, self.changes)
-        # Imports the robot's libraries: after the scene file, so that its errors are reported at once.
-        from cmbot.archive import require_free
-        from cmbot.planning import precheck_options, unit_findings
-        from cmbot.views import REPORT, pages
-
         directory, drawn = self.output or Path("out") / loaded.name, dict[str, bytes]()
 
         def require() -> None:
-            require_free(directory, force=self.force)
+            cmbot.archive.require_free(directory, force=self.force)
             require_plots(self.figures)
-            found = () if self.quiet else (*unit_findings(loaded), *precheck_options(options, loaded.tool))
-            for finding in found:
+            of_units, of_options = cmbot.planning.unit_findings, cmbot.planning.precheck_options
+            for finding in () if self.quiet else (*of_units(loaded), *of_options(options, loaded.tool)):
                 err.print(one_line(f"warning: {finding.key}: got {finding.got}, expected {finding.expected}"))
 
-        def planned_scene(progress: ConsoleProgress) -> Plan:
+        def planned_scene(progress: ConsoleProgress) -> cmbot.Plan:
             return cmbot.plan(loaded, options=options, partial=self.partial, progress=progress.update)
 
-        def write(planned: Plan) -> None:
+        def write(planned: cmbot.Plan) -> None:
             drawn.update(plot_files(planned, self.figures))
-            cmbot.save(planned, directory, force=self.force, added=pages(planned) | drawn)
+            cmbot.save(planned, directory, force=self.force, added=cmbot.views.pages(planned) | drawn)
 
         def say() -> None:
             _print_plan(planned, verbose=self.verbose)
@@ -108,7 +98,7 @@ class PlanCommand(Writing):
             if drawn:
                 out.print(f"Figures: {', '.join(drawn)}.")
             more = "" if self.verbose else "; --verbose prints the rest"
-            out.print(f"Look at it: open {one_line(directory / REPORT)} in a browser{more}.")
+            out.print(f"Look at it: open {one_line(directory / cmbot.views.REPORT)} in a browser{more}.")
 
         planned = self.work_in(directory, require, planned_scene, write, [self.scene])
         self.answer(lambda: _summary(planned, directory), say, directory)
@@ -131,15 +121,11 @@ class EvaluateCommand(Writing):
 
     def __call__(self) -> None:
         loaded, options = loaded_scene(self.scene, self.changes)
-        from cmbot.archive import EVALUATION_FILE, require_absent, samples_csv, write_results
-        from cmbot.common.errors import PlanningError
-        from cmbot.evaluation import evaluation_json, read_motion
-        from cmbot.planning import robot_of
-
-        table = "motion.csv"
+        record, table = cmbot.archive.EVALUATION_FILE, "motion.csv"
         if self.output is not None:
-            require_absent(self.output, (EVALUATION_FILE, table), force=self.force)
-        motion, planned, refused = read_motion(self.motion, robot_of(loaded)), None, ""
+            cmbot.archive.require_absent(self.output, (record, table), force=self.force)
+        motion = cmbot.evaluation.read_motion(self.motion, cmbot.planning.robot_of(loaded))
+        planned, refused = None, ""
         if not self.alone:
             with scenes_named(self.scene), ConsoleProgress(quiet=self.quiet) as progress:
                 try:
@@ -148,13 +134,13 @@ class EvaluateCommand(Writing):
                     refused = f"There is no plan beside it: {one_line(error)}"
         found = cmbot.evaluate(loaded, motion, options=options, plan=planned)
         remarks = [*found.remarks(), *filter(None, [refused])]
-        answer = evaluation_json(found) | {"remarks": remarks}
+        answer = cmbot.evaluation.evaluation_json(found) | {"remarks": remarks}
         if self.output is not None:
-            samples = samples_csv(found.samples[0], table, found.samples[1])
-            write_results(self.output, EVALUATION_FILE, answer, {table: samples}, force=self.force)
+            samples = cmbot.archive.samples_csv(found.samples[0], table, found.samples[1])
+            cmbot.archive.write_results(self.output, record, answer, {table: samples}, force=self.force)
 
         def say() -> None:
-            print_table(loaded.name, ("", "motion", "planned"), list(found.rows()), text_columns=1)
+            print_table(loaded.name, ("", "motion", "planned"), found.rows())
             print_lines(remarks)
             if self.output is not None:
                 out.print(f"Written to {one_line(self.output)}.")
@@ -165,19 +151,17 @@ class EvaluateCommand(Writing):
 def loaded_scene(scene: str, changes: Sequence[str]) -> tuple[cmbot.Scene, cmbot.PlannerOptions]:
     """Return a scene and its planner's options with what ``--set`` changes of them."""
     from cmbot.common.reading.validation import validated
-    from cmbot.scene import PlannerOptions
 
     given = _given(scene, changes)
     options = {name: given.pop(name) for name in list(given) if name in _option_names()}
     loaded = _with_values(scene, given) if given else cmbot.load_scene(scene)
-    return loaded, validated(PlannerOptions, asdict(loaded.planner) | options, "--set", InputError)
+    return loaded, validated(cmbot.PlannerOptions, asdict(loaded.planner) | options, "--set", InputError)
 
 
 def _given(scene: str, changes: Sequence[str]) -> dict[str, object]:
     """What ``--set`` changes: planner's options by their names, other values by keys of the scene file."""
     from cmbot.common.reading.validation import hint, shown
     from cmbot.common.reading.yaml_reader import read_yaml, yaml_value
-    from cmbot.scene import Scene, scene_path, whole_key
 
     given: dict[str, object] = {}
     for change in changes:
@@ -188,8 +172,8 @@ def _given(scene: str, changes: Sequence[str]) -> dict[str, object]:
         if name in given:
             raise InputError("--set", one_line(name), "the same option again", "each option once")
         options = _option_names()
-        if name.isidentifier() and name not in (*options, *Scene.model_fields, "return"):
-            whole = whole_key(name, read_yaml(scene_path(scene), SceneError))
+        if name.isidentifier() and name not in (*options, *cmbot.Scene.model_fields, "return"):
+            whole = cmbot.scene.whole_key(name, read_yaml(cmbot.scene.scene_path(scene), SceneError))
             meant = f"; did you mean {whole}?" if whole else hint(name, options)
             expected = f"a planner option or a key of the scene file{meant}"
             raise InputError("--set", one_line(name), "an unknown key", expected, () if whole else options)
@@ -198,56 +182,50 @@ def _given(scene: str, changes: Sequence[str]) -> dict[str, object]:
 
 
 def _option_names() -> tuple[str, ...]:
-    from cmbot.scene import PlannerOptions
-
-    return tuple(field.name for field in fields(PlannerOptions))
+    return tuple(field.name for field in fields(cmbot.PlannerOptions))
 
 
 def _with_values(scene: str, values: Mapping[str, object]) -> cmbot.Scene:
     """Return a scene with other values, by keys of its file."""
     from cmbot.common.reading.yaml_reader import lines_named, read_yaml
-    from cmbot.scene import changed_content, is_within, scene_from_data, scene_path
 
-    path = scene_path(scene)
+    path = cmbot.scene.scene_path(scene)
     with lines_named(path):
         data = read_yaml(path, SceneError)
         try:
-            return scene_from_data(changed_content(data, values), path.parent, str(path))
+            changed = cmbot.scene.changed_content(data, values)
+            return cmbot.scene.scene_from_data(changed, path.parent, str(path))
         except SceneError as error:
-            if is_within(error.key, values):
+            if cmbot.scene.is_within(error.key, values):
                 raise SceneError("--set", error.key, error.got, error.expected, error.choices) from error
             raise
 
 
-def _summary(planned: Plan, directory: Path) -> dict[str, Any]:
-    from cmbot.archive import plan_data
-    from cmbot.planning import baseline_faults, loads, notes, remarks, verdict
-
-    entries = {name: entry for name, entry in plan_data(directory).items() if name not in _NOT_PRINTED}
+def _summary(planned: cmbot.Plan, directory: Path) -> dict[str, Any]:
+    told, entries = cmbot.planning, cmbot.archive.plan_data(directory)
+    work, job = told.baseline_faults(planned, work=True), told.baseline_faults(planned)
     return {
         "scene": planned.scene.name,
-        **entries,
-        "verdict": verdict(planned, area=False),
-        "remarks": list(remarks(planned)),
-        "baseline_faults": {"work": baseline_faults(planned, work=True), "job": baseline_faults(planned)},
+        **{name: entry for name, entry in entries.items() if name not in _NOT_PRINTED},
+        "verdict": told.verdict(planned, area=False),
+        "remarks": list(told.remarks(planned)),
+        "baseline_faults": {"work": work, "job": job},
         "table": list(map(asdict, planned.table)),
-        "notes": list(map(asdict, notes(planned))),
-        "loads": list(map(asdict, loads(planned))),
+        "notes": list(map(asdict, told.notes(planned))),
+        "loads": list(map(asdict, told.loads(planned))),
     }
 
 
-def _print_plan(planned: Plan, *, verbose: bool) -> None:
+def _print_plan(planned: cmbot.Plan, *, verbose: bool) -> None:
     """Print at most ten lines of figures and five sentences, or all."""
-    from cmbot.planning import LOAD_HEADINGS, first_remarks, load_rows, remarks
-
-    rows = list(planned.rows(first=not verbose))
+    told = cmbot.planning
     if out.is_terminal or verbose:
-        print_table(planned.scene.name, planned.headings, rows, text_columns=1)
+        print_table(planned.scene.name, planned.headings, planned.rows(first=not verbose))
     else:
         out.print(planned.summary())
     if verbose:
-        print_table("Loads", LOAD_HEADINGS, list(load_rows(planned)), text_columns=1)
-    print_lines(remarks(planned) if verbose else first_remarks(planned))
+        print_table("Loads", told.LOAD_HEADINGS, told.load_rows(planned))
+    print_lines(told.remarks(planned) if verbose else told.first_remarks(planned))
 
 
 # Reasons that are printed at the end.
@@ -271,11 +249,9 @@ class CampaignCommand(Reporting):
     again: bool = option(False, "Plan those again that were not planned before.")
 
     def __call__(self) -> int:
-        from cmbot.campaigns import OVERVIEW, RESULTS
-
         with ConsoleProgress(quiet=self.quiet) as console:
 
-            def told(progress: CampaignProgress) -> None:
+            def told(progress: cmbot.campaigns.CampaignProgress) -> None:
                 # What was up to date took no time.
                 done, total = progress.done - progress.resumed, progress.total - progress.resumed
                 console.stage(_progress(progress), done / max(total, 1))
@@ -299,7 +275,7 @@ class CampaignCommand(Reporting):
         def data() -> dict[str, Any]:
             return {
                 "directory": str(done.directory),
-                "files": [str(done.directory / file) for file in (RESULTS, OVERVIEW)],
+                "files": list(map(str, _campaign_files(done))),
                 "jobs": len(done.rows),
                 "ends": dict(done.ends),
                 "kept": dict(done.kept),
@@ -311,14 +287,18 @@ class CampaignCommand(Reporting):
         return ExitStatus.NO_PLAN if failed else ExitStatus.DONE
 
 
-def _progress(progress: CampaignProgress) -> str:
+def _campaign_files(done: cmbot.Campaign) -> tuple[Path, Path]:
+    """The table of a campaign, and its page."""
+    return done.directory / cmbot.campaigns.RESULTS, done.directory / cmbot.campaigns.OVERVIEW
+
+
+def _progress(progress: cmbot.campaigns.CampaignProgress) -> str:
     others = [f"{number} {end}" for end, number in progress.ends.items() if end != "planned"]
     before = [f"{progress.resumed} before"] if progress.resumed else []
     return ", ".join([f"planning: {progress.done} of {progress.total}", *before, *others])
 
 
-def _print_campaign(done: Campaign, failed: Sequence[Mapping[str, Any]]) -> None:
-    from cmbot.campaigns import OVERVIEW, RESULTS
+def _print_campaign(done: cmbot.Campaign, failed: Sequence[Mapping[str, Any]]) -> None:
     from cmbot.common.reading.validation import counted
 
     counts = ", ".join(f"{number} {end}" for end, number in done.ends.items())
@@ -332,5 +312,6 @@ def _print_campaign(done: Campaign, failed: Sequence[Mapping[str, Any]]) -> None
         out.print(f"… and {len(failed) - _MAX_REASONS} more.")
     if kept_failures:
         out.print(f"{kept_failures} of these ended so before; --again plans them again.")
-    out.print(f"Table: {one_line(done.directory / RESULTS)}.")
-    out.print(f"Look at it: open {one_line(done.directory / OVERVIEW)} in a browser.")
+    table, page = map(one_line, _campaign_files(done))
+    out.print(f"Table: {table}.")
+    out.print(f"Look at it: open {page} in a browser.")

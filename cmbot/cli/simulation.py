@@ -15,9 +15,6 @@ from cmbot.common.errors import one_line
 
 if TYPE_CHECKING:
     from chang2021 import Reproduction
-    from cmbot.planning import Plan
-    from cmbot.simulation import Tracking
-
 
 # Entries of the files that --json does not print.
 _NOT_IN_JSON = ("format", "assumptions")
@@ -73,9 +70,7 @@ class SimulateCommand(Writing):
         with claimed_plan(directory) as loaded:
             if self.stiffness_share is None:
                 options = replace(options, stiffness_share=loaded.options.quiet_stiffness_share)
-            from cmbot.archive import TRACKING_FILES, require_absent
-
-            require_absent(directory, TRACKING_FILES, force=self.force)
+            cmbot.archive.require_absent(directory, cmbot.archive.TRACKING_FILES, force=self.force)
             require_plots(self.figures)
             with ConsoleProgress(quiet=self.quiet) as progress:
                 progress.stage("simulating", 0.0)
@@ -84,10 +79,8 @@ class SimulateCommand(Writing):
                 )
             if not self.quiet:
                 err.show_sign("writing …")
-            from cmbot.views import REPORT, pages
-
-            excitation = cmbot.load_excitation(directory)
-            added = pages(loaded, tracking, excitation) | plot_files(tracking, self.figures)
+            added = cmbot.views.pages(loaded, tracking, cmbot.load_excitation(directory))
+            added |= plot_files(tracking, self.figures)
             written = cmbot.save_tracking(tracking, directory, force=self.force, added=added)
 
         def say() -> None:
@@ -96,8 +89,8 @@ class SimulateCommand(Writing):
                 _print_tracking(loaded, tracking)
             out.print(f"Written to {', '.join(map(one_line, written))}.")
             if not self.details:
-                page = directory / REPORT
-                out.print(f"All figures: {one_line(page)}, under Simulation; --details --force prints them.")
+                page = one_line(directory / cmbot.views.REPORT)
+                out.print(f"All figures: {page}, under Simulation; --details --force prints them.")
 
         self.answer(lambda: _summary(loaded, tracking), say, directory)
 
@@ -114,14 +107,13 @@ class ReproduceCommand(Writing):
     details: bool = option(False, "Print all figures, not only the answer.")
 
     def __call__(self) -> None:
-        from chang2021 import FACTORS, QUICK_FACTORS, as_json, require_room, save_reproduction
-        from chang2021 import reproduce as run
+        import chang2021
 
         written: list[Path] = []
 
         def work(progress: ConsoleProgress) -> Reproduction:
-            return run(
-                factors=QUICK_FACTORS if self.quick else FACTORS,
+            return chang2021.reproduce(
+                factors=chang2021.QUICK_FACTORS if self.quick else chang2021.FACTORS,
                 least_sag=not self.quick,
                 on_step=lambda scene, what, share: progress.stage(f"{scene}: {what}", share),
                 progress=lambda scene, step: progress.update(step, f"{scene}: "),
@@ -135,11 +127,11 @@ class ReproduceCommand(Writing):
 
         found = self.work_in(
             self.output,
-            lambda: require_room(self.output, force=self.force),
+            lambda: chang2021.require_room(self.output, force=self.force),
             work,
-            lambda found: written.extend(save_reproduction(found, self.output, force=self.force)),
+            lambda found: written.extend(chang2021.save_reproduction(found, self.output, force=self.force)),
         )
-        self.answer(lambda: _without(as_json(found), _NOT_IN_JSON), say, self.output)
+        self.answer(lambda: _without(chang2021.as_json(found), _NOT_IN_JSON), say, self.output)
 
 
 # Options of the simulation that one of the command line sets.
@@ -150,77 +142,63 @@ def _without(entries: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]
     return {name: entry for name, entry in entries.items() if name not in names}
 
 
-def _summary(plan: Plan, tracking: Tracking) -> dict[str, Any]:
-    from cmbot.archive import tracking_json
-    from cmbot.simulation import tracking_remarks
-
-    return {
-        "scene": plan.scene.name,
-        **_without(tracking_json(tracking), _NOT_IN_JSON),
-        "remarks": [*tracking_remarks(tracking, compensated=plan.compensation is not None), *_left_out(plan)],
-    }
+def _summary(plan: cmbot.Plan, tracking: cmbot.Tracking) -> dict[str, Any]:
+    entries = _without(cmbot.archive.tracking_json(tracking), _NOT_IN_JSON)
+    return {"scene": plan.scene.name, **entries, "remarks": [*_remarks(plan, tracking), *_left_out(plan)]}
 
 
-def _left_out(plan: Plan) -> Iterator[str]:
-    from cmbot.planning import rigid_arm_remark
+def _remarks(plan: cmbot.Plan, tracking: cmbot.Tracking) -> Iterator[str]:
+    yield from cmbot.simulation.tracking_remarks(tracking, compensated=plan.compensation is not None)
 
-    if said := rigid_arm_remark(plan.scene, plan.robot):
+
+def _left_out(plan: cmbot.Plan) -> Iterator[str]:
+    if said := cmbot.planning.rigid_arm_remark(plan.scene, plan.robot):
         yield said
     if plan.scene.excitation is not None or plan.scene.damper is not None:
         yield "Trains, wind and a damper are left out here; cmbot excite shakes the arm by them."
 
 
 def _print_reproduction(found: Reproduction, *, details: bool) -> None:
-    from chang2021 import cells, comparison, findings, goals, reasons, verdict_rows
+    import chang2021
 
-    headings, *rows = verdict_rows(found)
+    headings, *rows = chang2021.verdict_rows(found)
     print_table("Goals", headings, rows, text_columns=2)
     counts = []
     for experiment in found.experiments:
-        agree = [finding.agrees for finding in findings(experiment)]
+        agree = [finding.agrees for finding in chang2021.findings(experiment)]
         counts.append(f"{sum(agree)} of {len(agree)} are found again for the {experiment.paper.scene}")
     out.print(f"Of the paper's own results {', '.join(counts)}.")
     for experiment in found.experiments if details else ():
-        headings, *rows = comparison(experiment)
+        headings, *rows = chang2021.comparison(experiment)
         print_table(experiment.paper.title, headings, rows, text_columns=2)
         agrees = ("does not agree", "agrees")
-        print_lines(f"{agrees[finding.agrees]}: {finding.text}" for finding in findings(experiment))
-        print_lines(f"why: {reason}" for reason in reasons(experiment))
-        for goal in goals(experiment):
-            headings, *rows = cells(goal)
+        print_lines(f"{agrees[finding.agrees]}: {finding.text}" for finding in chang2021.findings(experiment))
+        print_lines(f"why: {reason}" for reason in chang2021.reasons(experiment))
+        for goal in chang2021.goals(experiment):
+            headings, *rows = chang2021.cells(goal)
             title = f"{experiment.paper.scene}: {goal.title[0].lower()}{goal.title[1:]}"
-            if rows:
-                print_table(title, headings, rows, text_columns=2)
-            else:
+            if not rows:
                 out.print(title)
+            print_table(title, headings, rows, text_columns=2)
             print_lines(f"goal: {remark}" for remark in goal.remarks)
 
 
-def _print_summary(plan: Plan, tracking: Tracking) -> None:
-    from cmbot.simulation import (
-        base_movement,
-        interval_headings,
-        interval_rows,
-        tracking_summary,
-        tracking_verdict,
-    )
-
-    rows = list(tracking_summary(tracking, compensated=plan.compensation is not None))
-    print_table(f"{plan.scene.name}, mm", tracking.headings, rows, text_columns=1)
-    if others := list(interval_rows(tracking)):
-        print_table("With another stiffness", interval_headings(tracking), others, text_columns=2)
-    out.print(tracking_verdict(plan, tracking))
-    if moved := base_movement(plan, tracking):
+def _print_summary(plan: cmbot.Plan, tracking: cmbot.Tracking) -> None:
+    told = cmbot.simulation
+    rows = told.tracking_summary(tracking, compensated=plan.compensation is not None)
+    print_table(f"{plan.scene.name}, mm", tracking.headings, rows)
+    others = told.interval_rows(tracking)
+    print_table("With another stiffness", told.interval_headings(tracking), others, text_columns=2)
+    out.print(told.tracking_verdict(plan, tracking))
+    if moved := told.base_movement(plan, tracking):
         out.print(moved)
     print_lines(_left_out(plan))
 
 
-def _print_tracking(plan: Plan, tracking: Tracking) -> None:
-    from cmbot.simulation import tracking_remarks, tracking_rows
-
-    headings = ("", "", "x", "y", "z", "norm")
-    print_table(f"{plan.scene.name}, mm", headings, list(tracking_rows(tracking)), text_columns=2)
-    print_lines(tracking_remarks(tracking, compensated=plan.compensation is not None))
+def _print_tracking(plan: cmbot.Plan, tracking: cmbot.Tracking) -> None:
+    headings, rows = ("", "", "x", "y", "z", "norm"), cmbot.simulation.tracking_rows(tracking)
+    print_table(f"{plan.scene.name}, mm", headings, rows, text_columns=2)
+    print_lines(_remarks(plan, tracking))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -235,26 +213,21 @@ class ExciteCommand(Writing):
     directory: Path = argument("A plan directory.", "DIR")
 
     def __call__(self) -> None:
-        from cmbot.archive import EXCITATION_FILE, excitation_json, require_absent
-        from cmbot.excitation import PASSAGE_HEADINGS, excitation_rows, excitation_sentences, passage_rows
-
         directory = self.directory
         with claimed_plan(directory) as plan:
-            require_absent(directory, [EXCITATION_FILE], force=self.force)
+            cmbot.archive.require_absent(directory, [cmbot.archive.EXCITATION_FILE], force=self.force)
             if not self.quiet:
                 err.show_sign("shaking …")
-            excitation = cmbot.excite(plan)
-            from cmbot.views import EXCITATION, REPORT, excitation_page, report_page
-
-            report = report_page(plan, cmbot.load_tracking(plan, directory), excitation)
-            added = {EXCITATION: excitation_page(plan, excitation), REPORT: report}
+            excitation, views = cmbot.excite(plan), cmbot.views
+            report = views.report_page(plan, cmbot.load_tracking(plan, directory), excitation)
+            added = {views.EXCITATION: views.excitation_page(plan, excitation), views.REPORT: report}
             written = cmbot.save_excitation(excitation, directory, force=self.force, added=added)
 
         def say() -> None:
-            print_table(plan.scene.name, ("", ""), list(excitation_rows(excitation)), text_columns=1)
-            if passages := list(passage_rows(excitation)):
-                print_table("Trains", PASSAGE_HEADINGS, passages, text_columns=0)
-            print_lines(excitation_sentences(excitation))
+            told = cmbot.excitation
+            print_table(plan.scene.name, ("", ""), told.excitation_rows(excitation))
+            print_table("Trains", told.PASSAGE_HEADINGS, told.passage_rows(excitation), text_columns=0)
+            print_lines(told.excitation_sentences(excitation))
             out.print(f"Written to {', '.join(map(one_line, written))}.")
 
-        self.answer(lambda: excitation_json(excitation), say, directory)
+        self.answer(lambda: cmbot.archive.excitation_json(excitation), say, directory)

@@ -24,7 +24,6 @@ from cmbot.common.errors import PlanningError, one_line
 
 if TYPE_CHECKING:
     from cmbot.stances import StanceRanking
-    from cmbot.stances.walking import Tour, Walk
 
 _MAX_ROWS = 10
 _STANCE_FILES = ("stances.csv", "index.html")
@@ -75,34 +74,26 @@ class StandCommand(Writing):
         loaded = [cmbot.load_scene(scene) for scene in self.scenes]
         name = "_".join(each.name for each in loaded)
         directory = self.output or Path("out") / f"{name}_stances"
-        from cmbot.archive import STANCES_FILE, require_absent, write_results
-        from cmbot.stances import Bounds, StandOptions
-        from cmbot.stances import stand as find
-
-        options = self.made(
-            StandOptions,
-            pair_spacing=float("inf") if self.one_foot else self.pair_spacing,
-            bounds=self.made(Bounds, "max_"),
-        )
+        record, spacing = cmbot.archive.STANCES_FILE, float("inf") if self.one_foot else self.pair_spacing
+        bounds = self.made(cmbot.stances.Bounds, "max_")
+        options = self.made(cmbot.stances.StandOptions, pair_spacing=spacing, bounds=bounds)
 
         def work(progress: ConsoleProgress) -> Sequence[StanceRanking]:
-            rankings = find(loaded, options, progress.stage)
+            rankings = cmbot.stances.stand(loaded, options, progress.stage)
             if _stopped(rankings):
                 interrupt_taken()
             return rankings
 
         def write(rankings: Sequence[StanceRanking]) -> None:
-            contents = _contents(rankings, name)
-            write_results(directory, STANCES_FILE, _summary(rankings), contents, force=self.force)
+            content, files = _summary(rankings), _contents(rankings, name)
+            cmbot.archive.write_results(directory, record, content, files, force=self.force)
 
         def say() -> None:
             _print_rankings(rankings)
             _print_written(directory, started)
 
-        files = (*_STANCE_FILES, STANCES_FILE, "best.yaml", "best_1.yaml")
-        rankings = self.work_in(
-            directory, lambda: require_absent(directory, files, force=self.force), work, write, self.scenes
-        )
+        files = (*_STANCE_FILES, record, "best.yaml", "best_1.yaml")
+        rankings = self.work_in(directory, self.absent(directory, files), work, write, self.scenes)
         if self.plans and not _stopped(rankings):
             with scenes_named(*self.scenes):
                 _require_planned(rankings, directory)
@@ -130,11 +121,9 @@ class WalkCommand(Writing):
         started = time.perf_counter()
         loaded = cmbot.load_scene(self.scene)
         directory = self.output or Path("out") / f"{loaded.name}_walk"
-        from cmbot.archive import WALK_FILE, require_absent
-        from cmbot.stances.walking import WalkOptions, load_goal
-        from cmbot.stances.walking import walk as find
+        from cmbot.stances import walking
 
-        goal, options = load_goal(self.to), self.made(WalkOptions)
+        goal, options = walking.load_goal(self.to), self.made(walking.WalkOptions)
 
         def say() -> None:
             rows = [
@@ -147,8 +136,8 @@ class WalkCommand(Writing):
 
         walked = self.work_in(
             directory,
-            lambda: require_absent(directory, (*_WALK_FILES, WALK_FILE), force=self.force),
-            lambda progress: find(loaded, goal, options, progress.stage),
+            self.absent(directory, (*_WALK_FILES, cmbot.archive.WALK_FILE)),
+            lambda progress: walking.walk(loaded, goal, options, progress.stage),
             lambda walked: _write_walk(directory, walked, force=self.force),
             [self.scene],
         )
@@ -178,18 +167,15 @@ class TourCommand(Reporting):
         loaded = [cmbot.load_scene(scene) for scene in self.scenes]
         name = "_".join(each.name for each in loaded)
         directory = self.output or Path("out") / f"{name}_tour"
-        from cmbot.archive import require_free
-        from cmbot.stances import StandOptions
-        from cmbot.stances.walking import WalkOptions, tour_data
-        from cmbot.stances.walking import tour as find
+        from cmbot.stances import StandOptions, walking
 
         ranking = StandOptions(plans=self.plans, pair_spacing=self.spacing, members=self.members)
-        walking = self.made(WalkOptions)
+        options = self.made(walking.WalkOptions)
 
         def say() -> None:
             rows = [
                 (part["name"], part["kind"], f"{part['begin']:.1f}", f"{part['seconds']:.1f}")
-                for part in tour_data(found)["parts"]
+                for part in walking.tour_data(found)["parts"]
             ]
             print_table("Tour", ("", "what", "begins, s", "seconds"), rows, text_columns=2)
             print_lines(found.in_words())
@@ -197,12 +183,12 @@ class TourCommand(Reporting):
 
         found = self.work_in(
             directory,
-            lambda: require_free(directory),
-            lambda progress: find(loaded, ranking, walking, progress.stage),
+            lambda: cmbot.archive.require_free(directory),
+            lambda progress: walking.tour(loaded, ranking, options, progress.stage),
             lambda found: _write_tour(directory, found),
             self.scenes,
         )
-        self.answer(lambda: tour_data(found), say, directory)
+        self.answer(lambda: walking.tour_data(found), say, directory)
 
 
 def _stopped(rankings: Sequence[StanceRanking]) -> bool:
@@ -211,21 +197,22 @@ def _stopped(rankings: Sequence[StanceRanking]) -> bool:
 
 def _require_planned(rankings: Sequence[StanceRanking], directory: Path) -> None:
     """Refuse a search without a plan, and say where the reasons are."""
-    from cmbot.stances import require_planned
-
     try:
-        require_planned(rankings)
+        cmbot.stances.require_planned(rankings)
     except PlanningError as error:
         error.add_hint(f"{one_line(directory / _STANCE_FILES[0])} has the reason of each")
         raise
 
 
 def _print_rankings(rankings: Sequence[StanceRanking]) -> None:
-    from cmbot.stances import shared_out
-
+    told = cmbot.stances
     for number, ranking in enumerate(rankings, start=1):
-        _print_ranking(ranking, f"Stances {number}" if len(rankings) > 1 else "Stances")
-    print_lines(shared_out(rankings))
+        title = f"Stances {number}" if len(rankings) > 1 else "Stances"
+        print_table(f"{title}, planned", *told.planned_table(ranking), text_columns=2)
+        others = told.bounds_table(ranking, _MAX_ROWS)
+        print_table(f"{title}, not planned: bounds (estimates)", *others, text_columns=4)
+        print_lines(told.in_words(ranking))
+    print_lines(told.shared_out(rankings))
 
 
 def _print_written(directory: Path, started: float) -> None:
@@ -234,74 +221,55 @@ def _print_written(directory: Path, started: float) -> None:
     out.print(f"Look at it: open {one_line(directory / 'index.html')} in a browser.")
 
 
-def _print_ranking(ranking: StanceRanking, title: str) -> None:
-    from cmbot.stances import bounds_table, in_words, planned_table
-
-    headings, rows = planned_table(ranking)
-    if rows:
-        print_table(f"{title}, planned", headings, rows, text_columns=2)
-    headings, rows = bounds_table(ranking, _MAX_ROWS)
-    if rows:
-        print_table(f"{title}, not planned: bounds (estimates)", headings, rows, text_columns=4)
-    print_lines(in_words(ranking))
-
-
-def _write_tour(directory: Path, found: Tour) -> None:
-    from cmbot.archive import TOUR_FILE, new_folder, write_results
-    from cmbot.planning import Plan
+def _write_tour(directory: Path, found: cmbot.Tour) -> None:
     from cmbot.stances.walking import tour_data
-    from cmbot.views import pages, tour_page
 
-    with new_folder(directory) as draft:
+    with cmbot.archive.new_folder(directory) as draft:
         for part_name, _, part in found.parts:
-            if isinstance(part, Plan):
-                cmbot.save(part, draft / part_name, added=pages(part))
+            if isinstance(part, cmbot.Plan):
+                cmbot.save(part, draft / part_name, added=cmbot.views.pages(part))
             else:
                 _write_walk(draft / part_name, part)
-        write_results(draft, TOUR_FILE, tour_data(found), {"index.html": tour_page(found).encode()})
+        page = {"index.html": cmbot.views.tour_page(found).encode()}
+        cmbot.archive.write_results(draft, cmbot.archive.TOUR_FILE, tour_data(found), page)
 
 
-def _write_walk(directory: Path, walked: Walk, *, force: bool = False) -> None:
-    from cmbot.archive import WALK_FILE, write_results
+def _write_walk(directory: Path, walked: cmbot.Walk, *, force: bool = False) -> None:
     from cmbot.stances.walking import walk_csv, walk_data
-    from cmbot.views import walk_page, walk_replay_page
 
-    files = (walk_csv(walked).encode(), walk_page(walked).encode(), walk_replay_page(walked).encode())
-    contents = dict(zip(_WALK_FILES, files, strict=True))
-    write_results(directory, WALK_FILE, walk_data(walked), contents, force=force)
+    texts = (walk_csv(walked), cmbot.views.walk_page(walked), cmbot.views.walk_replay_page(walked))
+    contents = {name: text.encode() for name, text in zip(_WALK_FILES, texts, strict=True)}
+    record = cmbot.archive.WALK_FILE
+    cmbot.archive.write_results(directory, record, walk_data(walked), contents, force=force)
 
 
 def _contents(rankings: Sequence[StanceRanking], name: str) -> dict[str, bytes]:
     from cmbot.common.reading.validation import plain
     from cmbot.common.reading.yaml_reader import yaml_text
-    from cmbot.stances import best_scene, stances_csv
-    from cmbot.views import stances_page
 
-    texts = (stances_csv(rankings), stances_page(rankings, name))
+    texts = (cmbot.stances.stances_csv(rankings), cmbot.views.stances_page(rankings, name))
     contents = dict(zip(_STANCE_FILES, texts, strict=True))
     for number, each in enumerate(rankings, start=1):
         if each.plans and each.best is None:
             continue
         file = "best.yaml" if len(rankings) == 1 else f"best_{number}.yaml"
-        best = yaml_text(plain(best_scene(each), each.scene.name))
+        best = yaml_text(plain(cmbot.stances.best_scene(each), each.scene.name))
         contents[file] = f"{_HEADER_LINE}# Metres, seconds, degrees.\n{best}"
     return {file: text.encode() for file, text in contents.items()}
 
 
 def _summary(rankings: Sequence[StanceRanking]) -> dict[str, Any]:
-    from cmbot.stances import in_words, shared_out
-
     each = [
         {
             "strokes": list(ranking.strokes),
             "candidates": len(ranking.ranked),
             **{name: ranking.count(name.replace("_", " ")) for name in _STATUSES},
             "best": ranking.ranked[0].place,
-            "words": list(in_words(ranking)),
+            "words": list(cmbot.stances.in_words(ranking)),
         }
         for ranking in rankings
     ]
-    return each[0] if len(each) == 1 else {"stances": each, "words": list(shared_out(rankings))}
+    return each[0] if len(each) == 1 else {"stances": each, "words": list(cmbot.stances.shared_out(rankings))}
 
 
 _STATUSES = ("planned", "screened", "failed", "beyond_a_bound", "blocked", "no_posture", "out_of_reach")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, nullcontext
@@ -12,15 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cmbot
-from cmbot.cli.command import Command, Writing, argument, option, options_named
+from cmbot.cli.command import Command, Writing, argument, option, options_named, require_new
 from cmbot.cli.console import ConsoleProgress, err, out
 from cmbot.common.errors import InputError, one_line
-from cmbot.common.reading.input_files import is_folder
 
 if TYPE_CHECKING:
     from cmbot.archive.ros import RosTrajectory
-    from cmbot.planning import Plan
-    from cmbot.simulation import Tracking
 
 # Seconds of motion in a second of a GIF.
 _GIF_SPEED = 4.0
@@ -53,38 +49,32 @@ class ReplayCommand(Command):
 
     def __call__(self) -> None:
         shape = _size(self.size or ("640x360" if self.gif else "1280x720"))
-        from cmbot.archive import WALK_FILE, claim, plan_data, record_of
-        from cmbot.views import REPLAY, write_page
-
         directory, html, filmed = self.directory, self.html, self.video or self.gif
-        is_walk = record_of(directory) == WALK_FILE and filmed is None
+        is_walk = cmbot.archive.record_of(directory) == cmbot.archive.WALK_FILE and filmed is None
         if not is_walk:
-            plan_data(directory)  # what is no plan directory is refused before anything is written beside it
-        adds = not (html or self.serve or filmed)
-        with claim(directory) if adds else nullcontext():
+            # What is no plan directory is refused before anything is written beside it.
+            cmbot.archive.plan_data(directory)
+        written, shown = None, self.serve or filmed
+        with nullcontext() if html or shown else cmbot.archive.claim(directory):
             page, name = _walk_page(directory) if is_walk else _plan_page(directory)
-            if adds:
-                html = _add(directory, REPLAY, page)
-            elif html is not None:
-                write_page(html, page)
+            if not shown:
+                written = _written(page, html, directory, cmbot.views.REPLAY)
         if filmed is not None:
             self._film(page, filmed, shape)
-        elif html is not None:
-            out.print(f"Written to {one_line(html)}.")
+        elif written is not None:
+            out.print(f"Written to {one_line(written)}.")
         else:
             _serve(page, name)
 
     def _film(self, page: str, file: Path, size: tuple[int, int]) -> None:
         """Film a replay page, and print how long that took."""
-        from cmbot.views import film
-
         as_gif = self.gif is not None
         if as_gif and file.suffix.lower() != ".gif":
             raise InputError("cmbot replay", "--gif", str(file), "a file whose name ends with .gif")
         started = time.perf_counter()
         with ConsoleProgress() as progress:
             progress.stage("filming", 0.0)
-            frames = film(
+            frames = cmbot.views.film(
                 page,
                 file,
                 speed=_GIF_SPEED if as_gif else 1.0,
@@ -99,9 +89,7 @@ class ReplayCommand(Command):
 
 
 def _serve(page: str, name: str) -> None:
-    from cmbot.views import ReplayServer
-
-    with ReplayServer(page) as server:
+    with cmbot.views.ReplayServer(page) as server:
         try:
             out.print(f"Replay of {name} at {server.url}; stop with Ctrl-C.")
             server.wait()
@@ -111,19 +99,14 @@ def _serve(page: str, name: str) -> None:
 
 def _plan_page(directory: Path) -> tuple[str, str]:
     """The replay of a plan, and its scene's name."""
-    from cmbot.views import replay_page
-
     loaded = cmbot.load_plan(directory)
-    return replay_page(loaded, cmbot.load_tracking(loaded, directory)), loaded.scene.name
+    return cmbot.views.replay_page(loaded, cmbot.load_tracking(loaded, directory)), loaded.scene.name
 
 
 def _walk_page(directory: Path) -> tuple[str, str]:
     """The replay of a walk, and its scene's name."""
-    from cmbot.archive import load_walk
-    from cmbot.views import walk_replay_page
-
-    walked = load_walk(directory)
-    return walk_replay_page(walked), walked.scene.name
+    walked = cmbot.load_walk(directory)
+    return cmbot.views.walk_replay_page(walked), walked.scene.name
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -149,20 +132,21 @@ class ReportCommand(Command):
 
     def __call__(self) -> None:
         directory, html = self.directory, self.html
-        if html is not None:
-            loaded = cmbot.load_plan(directory)
-            require_new(html, self.force)
+        with claimed_plan(directory) if html is None else nullcontext(cmbot.load_plan(directory)) as loaded:
+            if html is not None:
+                require_new(html, self.force)
             tracking, excitation = cmbot.load_tracking(loaded, directory), cmbot.load_excitation(directory)
-            cmbot.report(loaded, html=html, tracking=tracking, excitation=excitation)
-            out.print(f"Written to {one_line(html)}.")
-            return
-        from cmbot.views import REPORT, report_page
-
-        with claimed_plan(directory) as loaded:
-            tracking = cmbot.load_tracking(loaded, directory)
-            page = report_page(loaded, tracking, cmbot.load_excitation(directory))
-            written = _add(directory, REPORT, page)
+            page = cmbot.views.report_page(loaded, tracking, excitation)
+            written = _written(page, html, directory, cmbot.views.REPORT)
         out.print(f"Written to {one_line(written)}.")
+
+
+def _written(page: str, html: Path | None, directory: Path, name: str) -> Path:
+    """Write a page, or add it to a plan directory under a name; return its path."""
+    if html is None:
+        return cmbot.archive.add_file(directory, name, page)
+    cmbot.views.write_page(html, page)
+    return html
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,7 +161,6 @@ class CompareCommand(Command):
     force: bool = option(False, "Replace what is there.")
 
     def __call__(self) -> None:
-        from cmbot.views import compare_page, write_page
 
         places = [directory.resolve() for directory in self.directories]
         if len(set(places)) < len(places):
@@ -191,11 +174,9 @@ class CompareCommand(Command):
         ]
         plans = dict(zip(shown, map(cmbot.load_plan, self.directories), strict=True))
         require_new(self.html, self.force)
-        tracked = {
-            name: cmbot.load_tracking(plan, place)
-            for (name, plan), place in zip(plans.items(), self.directories, strict=True)
-        }
-        write_page(self.html, compare_page(plans, tracked))
+        trackings = map(cmbot.load_tracking, plans.values(), self.directories)
+        tracked = dict(zip(plans, trackings, strict=True))
+        cmbot.views.write_page(self.html, cmbot.views.compare_page(plans, tracked))
         out.print(f"Written to {one_line(self.html)}.")
 
 
@@ -230,12 +211,10 @@ class ExportCommand(Writing):
         if not (self.mcap or self.csv or self.ros or self.ros_package):
             expected = "--csv, --ros, --mcap or --ros-package"
             raise InputError("cmbot export", "", "nothing to write", expected)
-        from cmbot.archive import export_csv, export_mcap, export_ros_package
-
         loaded = cmbot.load_plan(self.directory)
-        exports: tuple[tuple[Path | None, Callable[[Plan, Path], Any]], ...] = (
-            (self.csv, partial(export_csv, work=self.work)),
-            (self.mcap, partial(export_mcap, effort=self.effort)),
+        exports: tuple[tuple[Path | None, Callable[[cmbot.Plan, Path], Any]], ...] = (
+            (self.csv, partial(cmbot.archive.export_csv, work=self.work)),
+            (self.mcap, partial(cmbot.archive.export_mcap, effort=self.effort)),
             (self.ros, self._write_message),
         )
         for file, _ in exports:
@@ -243,7 +222,7 @@ class ExportCommand(Writing):
                 require_new(file, self.force)
         written = {
             file: write(loaded, file)
-            for file, write in ((self.ros_package, export_ros_package), *exports)
+            for file, write in ((self.ros_package, cmbot.archive.export_ros_package), *exports)
             if file is not None
         }
         message: RosTrajectory | None = None if self.ros is None else written[self.ros]
@@ -251,12 +230,10 @@ class ExportCommand(Writing):
             err.print(_without(self.ros, message, loaded))  # there, as no -q may lose it
         self.answer(lambda: _exported(written, message), lambda: _print_exported(written, self.ros, message))
 
-    def _write_message(self, plan: Plan, file: Path) -> RosTrajectory:
-        from cmbot.archive import export_ros
-
+    def _write_message(self, plan: cmbot.Plan, file: Path) -> RosTrajectory:
         names = {name: f"--{name.replace('_', '-')}" for name in ("max_points", "rate", "joints")}
         with options_named(names, "cmbot export"):
-            return export_ros(
+            return cmbot.archive.export_ros(
                 plan,
                 file,
                 max_points=self.max_points,
@@ -283,7 +260,7 @@ def _print_exported(written: Iterable[Path], ros: Path | None, message: RosTraje
         out.print(f"Written to {one_line(file)}{said}.")
 
 
-def _without(file: Path | None, message: RosTrajectory, plan: Plan) -> str:
+def _without(file: Path | None, message: RosTrajectory, plan: cmbot.Plan) -> str:
     """Name the joints that move and are not in a message, and say how their controllers get them."""
     joints, names = [], plan.robot.joints
     for name, way in message.left_out.items():
@@ -296,43 +273,21 @@ def _without(file: Path | None, message: RosTrajectory, plan: Plan) -> str:
     )
 
 
-def require_new(path: Path, force: bool) -> None:
-    """Refuse a file to write that is there already, unless it may be replaced, and a folder always."""
-    # Those of Path raise for names that no file can have.
-    if is_folder(path):
-        raise InputError(str(path), "", "a folder", "the path of a file to write")
-    if os.path.exists(path) and not force:  # noqa: PTH110
-        raise InputError(str(path), "", "a file that is already there", "a new file, or --force")
-
-
 @contextmanager
-def claimed_plan(directory: Path) -> Iterator[Plan]:
+def claimed_plan(directory: Path) -> Iterator[cmbot.Plan]:
     """Read a plan and keep other processes from changing its directory in the meantime."""
-    from cmbot.archive import claim, plan_data
-
-    plan_data(directory)  # what is no plan directory is refused before anything is written beside it
-    with claim(directory):
+    # What is no plan directory is refused before anything is written beside it.
+    cmbot.archive.plan_data(directory)
+    with cmbot.archive.claim(directory):
         yield cmbot.load_plan(directory)
 
 
 def require_plots(wanted: bool) -> None:
     """Refuse plots that are wanted where matplotlib is missing, before a long computation."""
     if wanted:
-        from cmbot.views import require_matplotlib
-
-        require_matplotlib()
+        cmbot.views.require_matplotlib()
 
 
-def plot_files(result: Plan | Tracking, wanted: bool) -> dict[str, bytes]:
+def plot_files(result: cmbot.Plan | cmbot.Tracking, wanted: bool) -> dict[str, bytes]:
     """Return plots as PNG, SVG and PDF files by their names, if they are wanted."""
-    if not wanted:
-        return {}
-    from cmbot.views import figure_files, plot
-
-    return dict(figure_files(plot(result)))
-
-
-def _add(directory: Path, name: str, page: str) -> Path:
-    from cmbot.archive import add_file
-
-    return add_file(directory, name, page.encode("utf-8", "replace"))
+    return dict(cmbot.views.figure_files(cmbot.plot(result))) if wanted else {}

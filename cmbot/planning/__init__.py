@@ -23,10 +23,9 @@ from cmbot.planning.progress import Progress, ProgressReporter
 from cmbot.planning.request import JobState, StrokeRequest, build_request, end_posture_of, strokes_of, task_of
 from cmbot.planning.result.baseline import Baseline, BaselineSegment, joined_samples
 from cmbot.planning.result.judgement import baseline_faults, bound_use, during, tightest_check
-from cmbot.planning.result.loads import LOAD_HEADINGS, load_point, load_rows, loads
 from cmbot.planning.result.notes import Note, notes
 from cmbot.planning.result.plan import Plan, Seconds, require_plan, work_of
-from cmbot.planning.result.rows import Row, plan_rows
+from cmbot.planning.result.rows import LOAD_HEADINGS, Row, load_point, load_rows, loads, plan_rows
 from cmbot.planning.result.stroke_plan import (
     ObjectiveMetrics,
     Start,

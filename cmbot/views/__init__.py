@@ -20,8 +20,7 @@ from cmbot.views.show import Shown, show
 if TYPE_CHECKING:
     from cmbot.views.overview.excitation import EXCITATION, excitation_page
     from cmbot.views.overview.stances import stances_page
-    from cmbot.views.overview.tour import tour_page
-    from cmbot.views.overview.walk import walk_page
+    from cmbot.views.overview.walk import tour_page, walk_page
     from cmbot.views.walk_replay import walk_replay_page
 
 __all__ = [
@@ -54,8 +53,7 @@ __all__ = [
 _LAZY_VIEWS = {
     "cmbot.views.overview.excitation": ("EXCITATION", "excitation_page"),
     "cmbot.views.overview.stances": ("stances_page",),
-    "cmbot.views.overview.tour": ("tour_page",),
     "cmbot.views.walk_replay": ("walk_replay_page",),
-    "cmbot.views.overview.walk": ("walk_page",),
+    "cmbot.views.overview.walk": ("tour_page", "walk_page"),
 }
 __getattr__ = on_first_use(__name__, _LAZY_VIEWS)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -35,9 +35,6 @@ _GAP_S = 1e-6
 _CLIPPED_RATIO = 2.0
 # What a peak is lower than its bound by rounding, as a share.
 _PEAK_ROUNDING = 1e-5
-
-# When it begins, s after the work, and its samples.
-_Part = tuple[float, Samples]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -139,7 +136,7 @@ def charts(plan: Plan, tracking: Tracking | None) -> Iterator[Chart]:
 def joint_charts(plan: Plan) -> Iterator[Chart]:
     """Yield the small plots, quantity by quantity, each with one chart a joint; in deg or m."""
     for chart_of, name, joint, factor in joint_axes(plan):
-        yield chart_of(_curves(plan, _of_joint(name, joint, factor)))
+        yield chart_of(_curves(plan, of_joint(name, joint, factor)))
 
 
 def joint_axes(plan: Plan) -> Iterator[tuple[Callable[[tuple[Curve, ...]], Chart], str, int, float]]:
@@ -164,27 +161,16 @@ def _joint_chart(
     curves: tuple[Curve, ...], *, title: str, unit: str, digits: int, low: float, high: float
 ) -> Chart:
     """Return a small plot whose axis reaches from bound to bound, where there are bounds."""
-    finite = bool(np.isfinite([low, high]).all())
-    if finite:
-        room = 0.5 * (ROOM - 1) * (high - low)
-        axis = (low - room, high + room)
-    else:
-        own = [curve for curve in curves if curve.motion != "baseline"] or curves
-        (least, most), (lowest, highest) = (
-            (min(float(c.y.min()) for c in some), max(float(c.y.max()) for c in some))
-            for some in (own, curves)
-        )
-        span = most - least
-        axis = (max(lowest, least - span), min(highest, most + span))
-    return Chart(
-        key="joint",
-        title=title,
-        unit=unit,
-        digits=digits,
-        curves=curves,
-        axis=axis,
-        bounds=(low, high) if finite else (None, None),
-    )
+    bounds: tuple[float | None, float | None] = (low, high)
+    room = 0.5 * (ROOM - 1) * (high - low)
+    axis = (low - room, high + room)
+    if not np.isfinite([low, high]).all():
+        own = np.concatenate([c.y for c in curves if c.motion != "baseline"] or [c.y for c in curves])
+        every, span = np.concatenate([c.y for c in curves]), float(np.ptp(own))
+        axis = (max(float(every.min()), own.min() - span), min(float(every.max()), own.max() + span))
+        bounds = (None, None)
+    shown: dict[str, Any] = {"title": title, "unit": unit, "digits": digits, "bounds": bounds}
+    return Chart(key="joint", curves=curves, axis=(float(axis[0]), float(axis[1])), **shown)
 
 
 def joint_quantities(plan: Plan) -> tuple[tuple[str, str, FloatArray, FloatArray], ...]:
@@ -370,38 +356,32 @@ def off_path_curves(tracking: Tracking, begin: float = 0.0) -> tuple[Curve, ...]
     )
 
 
-def _of_joint(name: str, joint: int, factor: float) -> Callable[[Samples], FloatArray]:
+def of_joint(name: str, joint: int, factor: float) -> Callable[[Samples], FloatArray]:
+    """Return what takes an attribute of samples of a joint, in its unit."""
     return lambda samples: np.asarray(factor * getattr(samples, name)[:, joint])
 
 
 def _curves(plan: Plan, quantity: Callable[[Samples], FloatArray], *, free: bool = True) -> tuple[Curve, ...]:
     """Return a quantity of the motions on the job's clock, `free` moves too; both begin to work at once."""
-
-    def parts(segments: Sequence[Segment | BaselineSegment], sampled: Mapping[str, Samples]) -> list[_Part]:
-        begin = next(segment.begin for segment in segments if segment.kind == "stroke") - work_begins(plan)
-        shown = [segment for segment in segments if free or segment.kind == "stroke"]
+    motions = dict[str, list[tuple[Segment | BaselineSegment, Samples]]]()
+    if plan.baseline is not None:
+        motions["baseline"] = [(segment, segment.samples) for segment in plan.baseline.segments]
+    motions["planned"] = [(segment, plan.segment_samples[segment.name]) for segment in plan.job.segments]
+    curves = []
+    for motion, each in motions.items():
+        begin = next(segment.begin for segment, _ in each if segment.kind == "stroke") - work_begins(plan)
+        shown = [(segment, samples) for segment, samples in each if free or segment.kind == "stroke"]
         # Both arms return at the same time: the one whose work is done first waits.
-        return [
-            (work_ends(plan) if each.name == RETURN else each.begin - begin, sampled[each.name])
-            for each in shown
+        times = [
+            (work_ends(plan) if segment.name == RETURN else segment.begin - begin) + samples.t
+            for segment, samples in shown
         ]
-
-    def curve(motion: str, parts: list[_Part]) -> Curve:
-        times = [start + samples.t for start, samples in parts]
-        ends = np.cumsum([len(t) for t in times])
-        starts = tuple(
-            int(end)
-            for end, (t, then) in zip(ends, pairwise(times), strict=False)
-            if then[0] > t[-1] + _GAP_S
-        )
-        y = np.concatenate([quantity(samples) for _, samples in parts])
-        return Curve(motion=motion, t=np.concatenate(times), y=y, starts=starts)
-
-    planned = curve("planned", parts(plan.job.segments, plan.segment_samples))
-    if (baseline := plan.baseline) is None:
-        return (planned,)
-    others = {segment.name: segment.samples for segment in baseline.segments}
-    return curve("baseline", parts(baseline.segments, others)), planned
+        gaps = [then[0] > t[-1] + _GAP_S for t, then in pairwise(times)]
+        ends = np.cumsum([len(t) for t in times])[:-1][gaps]
+        y = np.concatenate([quantity(samples) for _, samples in shown])
+        t = np.concatenate(times)
+        curves.append(Curve(motion=motion, t=t, y=y, starts=tuple(ends.tolist())))
+    return tuple(curves)
 
 
 def work_begins(plan: Plan) -> float:

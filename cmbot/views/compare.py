@@ -14,7 +14,6 @@ from cmbot.common.errors import InputError
 from cmbot.common.reading.validation import counted
 from cmbot.planning import Plan, Samples, verdict
 from cmbot.simulation import Tracking
-from cmbot.version import __version__
 from cmbot.views.charts import (
     MOST_SMALL_POINTS,
     Chart,
@@ -24,13 +23,14 @@ from cmbot.views.charts import (
     deviation_chart,
     deviation_of,
     joint_axes,
+    of_joint,
     torque_chart,
     torque_of,
 )
-from cmbot.views.drawing import carrier_commands, obstacle_commands, path_commands
-from cmbot.views.page import STAGE_SCRIPTS, assemble, table
+from cmbot.views.drawing.meshcat_scene import Command, carrier_commands, obstacle_commands, path_commands
+from cmbot.views.page import table
 from cmbot.views.replay_data import FRAME_STEP, MOST_POSES, Frames, frame_times, link_names, stage_data
-from cmbot.views.report import SHARES, judged, section
+from cmbot.views.report import SHARES, assemble_report, promised_state, section
 
 MOST_PLANS = 6
 
@@ -64,27 +64,19 @@ def compare_page(plans: Mapping[str, Plan], trackings: Mapping[str, Tracking | N
         When a shape cannot be drawn.
     """
     _require_alike(plans)
-    tracked = dict(trackings or {})
+    tracked, whole = dict(trackings or {}), len(plans) < _MIN_FOLDED_PLANS
     keys = dict(zip(_MOTION_KEYS, plans, strict=False))
     first = next(iter(plans.values()))
-    return assemble(
-        "report.html",
-        styles=("common.css", "report.css"),
-        scripts=(*STAGE_SCRIPTS, "downloads.js", "chart.js", "report.js", "sideways.js"),
-        data=_data(first, dict(zip(keys, plans.values(), strict=True)), keys),
-        texts={
-            "title": "Plans compared",
-            "made": escape(f"Written by cmbot {__version__}."),
-            "verdict": "".join(
-                _verdict(name, plan, tracked.get(name), len(plans) < _MIN_FOLDED_PLANS)
-                for name, plan in plans.items()
-            ),
-            "cards": "".join(_cards(keys, plans)),
-            "key": _key(keys, plans),
-            "bending": " hidden",
-            "shares": SHARES if len(plans) == _MAX_SHARE_CURVES else "",
-            "sections": section("Figures", table(_rows(plans), ("", *plans)), kind="wide"),
-        },
+    verdicts = (_verdict(name, plan, tracked.get(name), whole) for name, plan in plans.items())
+    return assemble_report(
+        _data(first, dict(zip(keys, plans.values(), strict=True)), keys),
+        title="Plans compared",
+        verdict="".join(verdicts),
+        cards="".join(_cards(keys, plans)),
+        key=_key(keys, plans),
+        bending=" hidden",
+        shares=SHARES if len(plans) == _MAX_SHARE_CURVES else "",
+        sections=section("Figures", table(_rows(plans), ("", *plans)), kind="wide"),
     )
 
 
@@ -132,7 +124,7 @@ def _data(first: Plan, plans: Mapping[str, Plan], names: Mapping[str, str]) -> d
     }
 
 
-def _carrier(plan: Plan) -> tuple[tuple[float, ...], list[bytes]]:
+def _carrier(plan: Plan) -> tuple[tuple[float, ...], list[Command]]:
     return tuple(plan.robot.foot_point), carrier_commands(plan, "")
 
 
@@ -149,7 +141,7 @@ def _charts(first: Plan, plans: Mapping[str, Plan]) -> Iterator[Chart]:
 
 def _joint_charts(first: Plan, plans: Mapping[str, Plan]) -> Iterator[Chart]:
     for of, name, joint, factor in joint_axes(first):
-        yield of(_curves(plans, lambda s, name=name, i=joint, by=factor: by * getattr(s, name)[:, i]))  # type: ignore[misc]
+        yield of(_curves(plans, of_joint(name, joint, factor)))
 
 
 def _curves(
@@ -166,7 +158,7 @@ def _curves(
 
 
 def _verdict(name: str, plan: Plan, tracking: Tracking | None, whole: bool) -> str:
-    state, said = judged(plan, tracking)
+    state, said = promised_state(plan, tracking)
     first = f"<summary><b>{escape(name)}.</b> {escape(said)}</summary>"
     words = f"{first}{escape(verdict(plan, area=False))}</details>"
     return f'<details class="verdict {state}"{" open" if whole else ""}>{words}'

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import base64
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Literal
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -27,23 +26,12 @@ from cmbot.planning import (
 )
 from cmbot.robot import Kinematics, Robot
 from cmbot.simulation import MotionTracking, Tracking
-from cmbot.trajectory import QuinticTrajectory
 from cmbot.views.charts import floor_name, work_begins, work_ends
-from cmbot.views.drawing import (
-    ARROW,
-    Bending,
-    Intervals,
-    bridge_commands,
-    bridge_of,
-    drawn_factor,
-    focus_of,
-    jobs_of,
-    link_poses,
-    most_factor,
-    reach,
-    scene_commands,
-    supports,
-)
+from cmbot.views.drawing.bending import Bending, Intervals, drawn_factor, most_factor
+from cmbot.views.drawing.bridge import bridge_of, jobs_of
+from cmbot.views.drawing.camera import ARROW, focus_of, link_poses
+from cmbot.views.drawing.meshcat_scene import Command, bridge_commands, encoded, reach, scene_commands
+from cmbot.views.drawing.support import supports
 from cmbot.views.page import pack, pack_exactly
 
 FRAME_STEP = 0.02  # between two frames, s, where `MOST_POSES` allows it; the page interpolates
@@ -65,41 +53,44 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
     if tracking is not None:
         require_type(tracking, Tracking, "tracking", "", "a Tracking, as cmbot.simulate returns it")
     begin, work_end = work_begins(plan), work_ends(plan)
-    other = _of_baseline(plan, APPROACH)
-    start = min(0.0, begin - (0.0 if other is None else other.duration))
+    start, back = begin - _seconds(plan, APPROACH), _seconds(plan, RETURN)
     end = work_end if tracking is None else begin + _end(plan, tracking)
-    back = _return_seconds(plan)
     if back > 0:
         end = work_end + back
     step = max(FRAME_STEP, (end - start) * plan.robot.dof / MOST_POSES)
     frames = Frames(plan, tracking=tracking)
     times = frame_times(0.0, work_end - begin, step)
+    knots, strokes = plan.job.trajectory, zip(plan.job.strokes, plan.strokes, strict=True)
+    legs = [segment.begin + stroke.task.path.leg_times for segment, stroke in strokes]
+    segments = [[each.name, each.begin, each.end] for each in plan.job.segments]
+    fixed = {APPROACH, RETURN, *(stroke.name for stroke in plan.job.strokes)}
     motions = {
         "title": plan.scene.name,
         "start": start,
         "workStart": begin,
         "workEnd": work_end,
         "end": end,
-        "legTimes": _leg_times(plan).tolist(),
-        "moves": [
-            [each.name, each.begin, each.end]
-            for each in plan.job.segments
-            if each.kind == "free" and each.name not in (APPROACH, RETURN)
-        ],
-        "segments": [[each.name, each.begin, each.end] for each in plan.job.segments],
-        "knots": _knots(plan.job.trajectory),
+        "legTimes": np.unique(np.concatenate(legs)).tolist(),
+        "moves": [segment for segment in segments if segment[0] not in fixed],
+        "segments": segments,
+        "knots": {name: pack_exactly(getattr(knots, name)) for name in ("t", "q", "v", "a")},
         "floor": plan.torque_floor,
         "floorName": floor_name(plan),
-        "approach": _approach(plan, frames, start, step) if start < begin else None,
+        "approach": _approach(plan, frames, frame_times(start, begin, step)) if start < begin else None,
         **_at_work(plan, frames, times, tracking),
-        "return": _return(plan, frames, frame_times(0.0, back, step)) if back > 0 else None,
-        "rest": None if back > 0 else _rest(plan, tracking, frames, frame_times(work_end, end, step) - begin),
+        "return": None,
+        "rest": None,
     }
+    if back > 0:
+        label, times = {"label": "return, tool off"}, frame_times(0.0, back, step)
+        motions["return"] = label | _free_moves(plan, frames, RETURN, times)
+    elif tracking is not None and end > work_end:
+        motions["rest"] = _rest(plan, tracking, frames, frame_times(work_end, end, step) - begin)
     return motions | stage_data([plan], [frames])
 
 
 def stage_data(
-    plans: Sequence[Plan], frames: Sequence[Frames], others: Sequence[bytes] = ()
+    plans: Sequence[Plan], frames: Sequence[Frames], others: Sequence[Command] = ()
 ) -> dict[str, Any]:
     """Return the data of the 3-D view: what is drawn around the first of some plans, and `others` commands.
 
@@ -124,7 +115,7 @@ def stage_data(
         "reach": length,
         "arrow": ARROW * length,
         "around": bool(bridge),
-        "commands": [base64.b64encode(command).decode("ascii") for command in drawn],
+        "commands": encoded(drawn),
     }
 
 
@@ -299,13 +290,6 @@ def link_names(robot: Robot) -> list[str]:
     ]
 
 
-def _leg_times(plan: Plan) -> FloatArray:
-    """Return the times at which legs begin and end, s, of several strokes those of the planned motion."""
-    begins = [segment.begin for segment in plan.job.strokes]
-    times = (begin + stroke.task.path.leg_times for begin, stroke in zip(begins, plan.strokes, strict=True))
-    return np.unique(np.concatenate([*times]))
-
-
 def _end(plan: Plan, tracking: Tracking) -> float:
     """When the simulation of the work ends, s; an `InputError` with the tracking errors of another plan."""
     durations = {"planned": float(plan.samples.t[-1])}
@@ -335,60 +319,39 @@ def _at_work(plan: Plan, frames: Frames, times: FloatArray, tracking: Tracking |
     return {"planned": planned, "baseline": other}
 
 
-def _approach(plan: Plan, frames: Frames, start: float, step: float) -> dict[str, Any]:
-    """Return the arms' ways to the work, from `start`, s; each arrives when it begins, and rests before."""
-    planned, baseline = plan.approach, _of_baseline(plan, APPROACH)
-    times = frame_times(start, work_begins(plan), step)
-    ends = times[[0, -1]]
-    along = planned is not None and planned.along_self_motion
-    return {
-        "label": "approach along the self-motion" if along else "approach, tool off",
-        "planned": _still(plan, frames, plan.trajectory.q[0], ends)
-        if planned is None
-        else frames.motion(plan.segment_samples[APPROACH], planned.figures, times),
-    } | _other(plan, frames, baseline, 0, ends, lambda seconds: times - times[-1] + seconds)
+def _approach(plan: Plan, frames: Frames, times: FloatArray) -> dict[str, Any]:
+    """Return the arms' ways to the work; each arrives when it begins, and rests before."""
+    along = plan.approach is not None and plan.approach.along_self_motion
+    label = "approach along the self-motion" if along else "approach, tool off"
+    return {"label": label, **_free_moves(plan, frames, APPROACH, times)}
 
 
-def _return_seconds(plan: Plan) -> float:
-    """How long the arms' returns take, the longer one, s; 0 without."""
-    each = plan.job.segment(RETURN), _of_baseline(plan, RETURN)
-    return max(0.0 if segment is None else segment.duration for segment in each)
+def _free_moves(plan: Plan, frames: Frames, name: str, times: FloatArray) -> dict[str, Any]:
+    """Return the arms' free moves of a name: approaches end at the last of `times`, s, returns begin at 0.
 
-
-def _return(plan: Plan, frames: Frames, times: FloatArray) -> dict[str, Any]:
-    """Return the arms' returns; the one that is there first rests."""
-    planned, baseline = plan.job.segment(RETURN), _of_baseline(plan, RETURN)
-    ends = times[[0, -1]]
-    return {
-        "label": "return, tool off",
-        "planned": _still(plan, frames, plan.trajectory.q[-1], ends)
-        if planned is None
-        else frames.motion(plan.segment_samples[RETURN], planned.figures, times),
-    } | _other(plan, frames, baseline, -1, ends, lambda seconds: times)
-
-
-def _of_baseline(plan: Plan, name: str) -> BaselineSegment | None:
-    """The segment of the baseline's job of that name; None where there is none."""
-    return None if plan.baseline is None else plan.baseline.segment(name)
-
-
-def _other(
-    plan: Plan,
-    frames: Frames,
-    move: BaselineSegment | None,
-    end: Literal[0, -1],
-    ends: FloatArray,
-    clock: Callable[[float], FloatArray],
-) -> dict[str, Any]:
-    """The baseline's free move, by the page's `clock` for its duration, s, or its rest where its work ends.
-
-    Nothing without a baseline.
+    An arm without such a move rests where its work begins or ends.
     """
-    if plan.baseline is None:
-        return {}
-    if move is None:
-        return {"baseline": _still(plan, frames, plan.baseline.samples.q[end], ends)}
-    return {"baseline": frames.motion(move.samples, move.figures, clock(move.duration))}
+    end = 0 if name == APPROACH else -1
+    moves: dict[str, tuple[Segment | BaselineSegment | None, Samples | None, FloatArray]] = {
+        "planned": (plan.job.segment(name), plan.segment_samples.get(name), plan.trajectory.q[end])
+    }
+    if (other := plan.baseline) is not None:
+        move = other.segment(name)
+        moves["baseline"] = (move, None if move is None else move.samples, other.samples.q[end])
+    shown = {}
+    for motion, (segment, samples, q) in moves.items():
+        if segment is None or samples is None:
+            shown[motion] = _still(plan, frames, q, times[[0, -1]])
+        else:
+            clock = times - (times[-1] - segment.duration) if name == APPROACH else times
+            shown[motion] = frames.motion(samples, segment.figures, clock)
+    return shown
+
+
+def _seconds(plan: Plan, name: str) -> float:
+    """How long the arms' free moves of a name take, the longer one, s; 0 without."""
+    moves = [plan.job.segment(name), None if plan.baseline is None else plan.baseline.segment(name)]
+    return max(0.0 if move is None else move.duration for move in moves)
 
 
 def _still(plan: Plan, frames: Frames, q: FloatArray, times: FloatArray) -> dict[str, Any]:
@@ -399,15 +362,8 @@ def _still(plan: Plan, frames: Frames, q: FloatArray, times: FloatArray) -> dict
     return frames.motion(samples, figures(off, samples), times) | {"still": True}
 
 
-def _knots(trajectory: QuinticTrajectory) -> dict[str, str]:
-    """Return the knots of the whole job: they define its quintics exactly."""
-    return {name: pack_exactly(getattr(trajectory, name)) for name in ("t", "q", "v", "a")}
-
-
-def _rest(plan: Plan, tracking: Tracking | None, frames: Frames, times: FloatArray) -> dict[str, Any] | None:
+def _rest(plan: Plan, tracking: Tracking, frames: Frames, times: FloatArray) -> dict[str, Any]:
     """Return the arms after the stop: their joints rest while the elastic parts vibrate."""
-    if tracking is None or times[-1] <= times[0]:
-        return None
     rest: dict[str, Any] = {"label": "after the stop"}
     rest["planned"] = frames.motion(plan.samples, plan.figures, times, tracking.planned, _ALL_TIMES)
     if (other := plan.baseline) is not None:

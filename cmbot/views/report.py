@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from html import escape
 from math import floor, inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypedDict
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -17,7 +17,6 @@ from cmbot.common.reading.validation import given_path
 from cmbot.planning import (
     LOAD_HEADINGS,
     Certificate,
-    MotionMetrics,
     Plan,
     baseline_faults,
     bound_use,
@@ -43,7 +42,6 @@ from cmbot.simulation import (
     tracking_rows,
     tracking_verdict,
 )
-from cmbot.toolpath import ToolPath
 from cmbot.version import __version__, versions
 from cmbot.views.charts import MOST_SMALL_POINTS, charts, floor_name, joint_charts
 from cmbot.views.page import STAGE_SCRIPTS, assemble, table, write_page
@@ -133,21 +131,29 @@ def _report_html(
         "charts": [chart.data() for chart in charts(plan, tracking)],
         "jointCharts": [chart.data(MOST_SMALL_POINTS) for chart in joint_charts(plan)],
     }
+    state, first = promised_state(plan, tracking)
+    words = f"<b>{escape(first)}</b> {escape(verdict(plan, area=False))}"
+    return assemble_report(
+        data | plots,
+        title=escape(plan.scene.name),
+        # What comes first: whether promises are kept, what they leave out, what the base must bear.
+        verdict=f'<p class="verdict {state}">{words}</p>',
+        shares=SHARES,
+        cards="".join(map(_card, headlines(plan, tracking))),
+        key=_key(plan),
+        bending="" if tracking is not None else " hidden",
+        sections="".join(_sections(plan, tracking, excitation)),
+    )
+
+
+def assemble_report(data: dict[str, Any], **texts: str) -> str:
+    """Return a report's page, of one plan or of several: its data, and the texts of its template."""
     return assemble(
         "report.html",
         styles=("common.css", "report.css"),
         scripts=(*STAGE_SCRIPTS, "downloads.js", "chart.js", "report.js", "sideways.js"),
-        data=data | plots,
-        texts={
-            "title": escape(plan.scene.name),
-            "made": escape(f"Written by cmbot {__version__}."),
-            "verdict": _verdict(plan, tracking),
-            "shares": SHARES,
-            "cards": "".join(map(_card, headlines(plan, tracking))),
-            "key": _key(plan),
-            "bending": "" if tracking is not None else " hidden",
-            "sections": "".join(_sections(plan, tracking, excitation)),
-        },
+        data=data,
+        texts={"made": escape(f"Written by cmbot {__version__}."), **texts},
     )
 
 
@@ -202,11 +208,13 @@ def _peak_card(plan: Plan) -> Headline:
     for segment in plan.job.segments:
         if segment.kind == "free":
             detail += f"; {segment.figures.peak_guardrail_torque:.1f} Nm on {segment.in_words}"
+    before, state = _against(plan, "peak_guardrail_torque")
     return Headline(
         title=f"Peak {plan.scene.base_name} torque, whole job",
         value=f"{plan.job.figures.peak_guardrail_torque:.1f} Nm",
         detail=detail,
-        **_against(plan, lambda figures: figures.peak_guardrail_torque, "{:.1f}"),
+        before=_shown(before, 1),
+        state=state,
     )
 
 
@@ -227,63 +235,42 @@ def _holds_card(plan: Plan) -> Headline:
     )
 
 
-class _Comparison(TypedDict):
-    """What a card says of the baseline."""
-
-    before: str
-    state: State
-
-
 def _against(
-    plan: Plan,
-    of: Callable[[MotionMetrics], float],
-    shown: str,
-    *,
-    kept: bool = True,
-    nothing: float = 0.0,
-    work: bool = False,
-) -> _Comparison:
-    """What a card says of the baseline's figure, the less the better, written as `shown`.
+    plan: Plan, name: str, sign: int = 1, *, kept: bool = True, nothing: float = 0.0, work: bool = False
+) -> tuple[float | None, State]:
+    """The baseline's figure of a name, and what that of the plan is beside it, as `_compared` says.
 
-    Nothing without a baseline, or where that breaks a limit.
+    None without a baseline, or where that breaks a limit. With the `sign` -1 the more is the better.
     """
-    baseline = plan.baseline
-    if baseline is None or baseline_faults(plan, work=work):
-        return _alone(kept=kept)
-    figures = (baseline.figures, plan.figures) if work else (baseline.job_figures, plan.job.figures)
-    before, after = map(of, figures)
-    state = _compared(before, after, kept=kept, nothing=nothing)
-    return {"before": shown.format(abs(before)), "state": state}
+    baseline, before = plan.baseline, None
+    after = getattr(plan.figures if work else plan.job.figures, name)
+    if baseline is not None and not baseline_faults(plan, work=work):
+        before = getattr(baseline.figures if work else baseline.job_figures, name)
+    return before, _compared(before and sign * before, sign * after, kept=kept, nothing=nothing)
 
 
-def _alone(*, kept: bool) -> _Comparison:
-    """What a card says of no baseline."""
-    return {"before": "", "state": "plain" if kept else "bad"}
-
-
-def _compared(before: float, after: float, *, kept: bool, nothing: float = 0.0) -> State:
+def _compared(before: float | None, after: float, *, kept: bool, nothing: float = 0.0) -> State:
     """Whether a value is a gain on the baseline's or a loss, the less the better, or not allowed.
 
     A change up to `nothing` is none.
     """
     if not kept:
         return "bad"
-    change = after - before
-    if abs(change) <= max(_SAME_PEAK_SHARE * abs(before), nothing):
+    if before is None or abs(after - before) <= max(_SAME_PEAK_SHARE * abs(before), nothing):
         return "plain"
-    return "good" if change < 0 else "worse"
+    return "good" if after < before else "worse"
+
+
+def _shown(value: float | None, digits: int) -> str:
+    return "" if value is None else f"{value:.{digits}f}"
 
 
 def _lower_bound_card(plan: Plan) -> Headline:
     bound, gap = plan.torque_floor, plan.gap_to_floor
     if bound is None or gap is None:
-        why = (
-            "another objective was minimised"
-            if plan.lower_bound is not None
-            else "not computed for fixed knots"
-            if plan.options.knots == "fixed"
-            else "not computed near an earlier plan"
-        )
+        fixed = plan.options.knots == "fixed"
+        why = "not computed for fixed knots" if fixed else "not computed near an earlier plan"
+        why = why if plan.lower_bound is None else "another objective was minimised"
         return Headline(title="Above the lower bound", value="–", detail=why)
     return Headline(
         title="Above the lower bound",
@@ -311,11 +298,13 @@ def _clearance_card(plan: Plan) -> Headline:
     if value == inf:
         return Headline(title="Smallest clearance", value="–", detail="no pair of shapes can collide")
     always = floor(1e4 * plan.job.certificate.clearance_bound) / 10
+    before, state = _against(plan, "min_clearance", -1, kept=value >= margin)
     return Headline(
         title="Smallest clearance",
         value=f"{1e3 * value:.1f} mm",
         detail=f"rigid arm; margin {1e3 * margin:g} mm; above {always:.1f} mm at all times",
-        **_against(plan, lambda figures: -1e3 * figures.min_clearance, "{:.1f}", kept=value >= margin),
+        before=_shown(before and abs(1e3 * before), 1),
+        state=state,
     )
 
 
@@ -351,8 +340,7 @@ def _accuracy_section(plan: Plan) -> str:
     ]
     remedies = [(f"with {remedy.name}", f"{remedy.within_mm:.3g}") for remedy in accuracy.remedies]
     told = table(parts, ("mm", "known", "standard deviation", "% of the mean square"))
-    helped = table(remedies, ("", "within, mm")) if remedies else ""
-    return section("Where the tool will be", told + helped)
+    return section("Where the tool will be", told + table(remedies, ("", "within, mm")))
 
 
 def _loads_section(plan: Plan) -> str:
@@ -370,18 +358,14 @@ def _loads_section(plan: Plan) -> str:
 def _deviation_card(plan: Plan) -> Headline:
     value, bound = plan.figures.max_tool_deviation, plan.options.max_tool_deviation_m
     arm = "with the predicted sag" if plan.compensation is not None else "rigid arm"
+    nothing = _DISTANCE_TOLERANCE_SHARE * bound
+    before, state = _against(plan, "max_tool_deviation", kept=value <= bound, nothing=nothing, work=True)
     return Headline(
         title="Tool off its path",
         value=f"{1e3 * value:.2f} mm",
         detail=f"{arm}; bound {1e3 * bound:g} mm",
-        **_against(
-            plan,
-            lambda figures: 1e3 * figures.max_tool_deviation,
-            "{:.2f}",
-            kept=value <= bound,
-            nothing=1e3 * _DISTANCE_TOLERANCE_SHARE * bound,
-            work=True,
-        ),
+        before=_shown(before and 1e3 * before, 2),
+        state=state,
     )
 
 
@@ -397,15 +381,12 @@ def _tracking_card(plan: Plan, tracking: Tracking) -> Headline:
     if len(residuals) == len(motions):
         swings = " → ".join(f"{1e3 * residual.diameter:.2f}" for residual in residuals)
         detail += f"; residual vibration {swings} mm"
-    comparison = _alone(kept=kept)
-    if others:
-        state = _compared(others[0], after, kept=kept)
-        comparison = {"before": _millimetres(others[0]), "state": state}
     return Headline(
         title="Elastic tool off its path, RMS" if compensated else "Tracking error, RMS",
         value=f"{_millimetres(after)} mm",
         detail=detail,
-        **comparison,
+        before="".join(map(_millimetres, others)),
+        state=_compared(others[0] if others else None, after, kept=kept),
     )
 
 
@@ -418,10 +399,8 @@ def _shaken(excitation: Excitation) -> str:
     # Most plans are not shaken: their pages are made without it.
     from cmbot.excitation import PASSAGE_HEADINGS, excitation_rows, excitation_sentences, passage_rows
 
-    content = table(excitation_rows(excitation)) + _list(list(excitation_sentences(excitation)))
-    if excitation.passages:
-        content += table(passage_rows(excitation), PASSAGE_HEADINGS)
-    return content
+    content = table(excitation_rows(excitation)) + _list(excitation_sentences(excitation))
+    return content + table(passage_rows(excitation), PASSAGE_HEADINGS)
 
 
 def _sections(plan: Plan, tracking: Tracking | None, excitation: Excitation | None) -> Iterator[str]:
@@ -430,8 +409,7 @@ def _sections(plan: Plan, tracking: Tracking | None, excitation: Excitation | No
     yield section("Remarks", _list(list(remarks(plan))[1:]), kind="wide")
     yield section("Metrics", table(plan.rows(), plan.headings))
     yield _loads_section(plan)
-    if accuracy := _accuracy_section(plan):
-        yield accuracy
+    yield _accuracy_section(plan)
     if elastic := list(_elastic(plan)):
         yield section("Predicted sag", table(elastic))
     several = {stroke.name for stroke in plan.several}
@@ -444,17 +422,16 @@ def _sections(plan: Plan, tracking: Tracking | None, excitation: Excitation | No
         errors = table(tracking_rows(tracking), ("mm", "", "x", "y", "z", "norm"), text_columns=2)
         said = tracking_remarks(tracking, compensated=plan.compensation is not None)
         told = (tracking_verdict(plan, tracking), base_movement(plan, tracking), *said)
-        sentences = _list([sentence for sentence in told if sentence])
-        interval = list(interval_rows(tracking))
-        others = table(interval, interval_headings(tracking), text_columns=2) if interval else ""
-        yield section("Simulation", errors + others + sentences, kind="long")
+        others = table(interval_rows(tracking), interval_headings(tracking), text_columns=2)
+        yield section("Simulation", errors + others + _list(filter(None, told)), kind="long")
     if excitation is not None:
         yield section("What shakes it", _shaken(excitation), kind="long")
     yield section("Scene", table(_scene(plan), text_columns=2))
     headings = _MIXED_HEADINGS if plan.robot.limits.prismatic.any() else _JOINT_HEADINGS
     yield section("Joints", table(_joints(plan), headings))
     yield section("Options", table(_options(plan.options), text_columns=2))
-    yield section("Versions", table(_versions(plan), text_columns=2))
+    files = {"scene": plan.scene.content_hash[:16], "robot": plan.robot.content_hash[:16]}
+    yield section("Versions", table((versions() | files).items(), text_columns=2))
     if tracking is not None:
         yield section("Options of the simulation", table(_options(tracking.options), text_columns=2))
 
@@ -467,13 +444,7 @@ def _key(plan: Plan) -> str:
     return f'{key} <i class="swatch baseline"></i>{escape(f"baseline: {motion} not optimised")}'
 
 
-def _verdict(plan: Plan, tracking: Tracking | None) -> str:
-    """Return what comes first: whether promises are kept, what they leave out, what the base must bear."""
-    state, first = judged(plan, tracking)
-    return f'<p class="verdict {state}"><b>{escape(first)}</b> {escape(verdict(plan, area=False))}</p>'
-
-
-def judged(plan: Plan, tracking: Tracking | None) -> tuple[str, str]:
+def promised_state(plan: Plan, tracking: Tracking | None) -> tuple[str, str]:
     """Return ``good``, ``worse`` or ``bad``, and whether promises are kept and what they leave out."""
     kept = all(check.holds for _, check in plan.job.checks())
     left = [] if tracking is None else [beyond_margin(plan, tracking)]
@@ -507,29 +478,20 @@ def _elastic(plan: Plan) -> Iterator[Row]:
         yield "largest shift of the tool from its path, mm", f"{1e3 * compensation.largest_shift:.3f}"
         yield "sag beside what it was planned for, mm", f"{1e3 * compensation.last_change:.3f}"
         if compensation.deviation:
-            yield (
-                "standard deviation of the tool across its path, at most, mm",
-                f"{1e3 * compensation.deviation:.3f}",
-            )
+            spread = f"{1e3 * compensation.deviation:.3f}"
+            yield "standard deviation of the tool across its path, at most, mm", spread
 
 
 def _check_table(certificate: Certificate, base: str, begin: float) -> str:
     """Return a table of checks, their times on the job's clock, on which the segment starts at `begin`, s."""
-    rows = (
-        (
-            check.quantity,
-            f"{begin + check.time:.2f}",
-            f"{check.value:.4g}",
-            f"{'≥' if check.at_least else '≤'} {check.bound:.4g}",
-            check.unit,
-            f"{100 * bound_use(check):.1f} %",
-            "yes" if check.holds else "NO",
-        )
-        for check in certificate.checks
-    )
-    bound = f"At all times {certificate.at_all_times(base)}."
+    rows = []
+    for check in certificate.checks:
+        bound = f"{'≥' if check.at_least else '≤'} {check.bound:.4g}"
+        use, holds = f"{100 * bound_use(check):.1f} %", "yes" if check.holds else "NO"
+        at, value = f"{begin + check.time:.2f}", f"{check.value:.4g}"
+        rows.append((check.quantity, at, value, bound, check.unit, use, holds))
     headings = ("check", "at, s", "value", "bound", "unit", "use", "holds")
-    return table(rows, headings) + f"<p>{escape(bound)}</p>"
+    return table(rows, headings) + f"<p>{escape(f'At all times {certificate.at_all_times(base)}.')}</p>"
 
 
 def _scene(plan: Plan) -> Iterator[Row]:
@@ -549,17 +511,13 @@ def _scene(plan: Plan) -> Iterator[Row]:
     for stroke in plan.strokes:
         of = f"{stroke.name}: " if plan.several else ""
         yield f"{of}tool constraint", stroke.task.kept
-        for name, leg in _legs(stroke.task.path):
-            yield f"{of}{name}", leg
+        path = stroke.task.path
+        for k, (by, seconds) in enumerate(zip(np.diff(path.corners, axis=0), path.seconds, strict=True)):
+            along = f", {path.lengths[k]:.3f} m along a curve" if not path.segments[k].is_straight else ""
+            yield f"{of}leg {k + 1}", f"by ({_numbers(by, 3)}) m in {seconds:g} s{along}"
     workpieces = [obstacle.name for obstacle in scene.all_obstacles if obstacle.workpiece]
     yield "obstacles", ", ".join(obstacle.name for obstacle in scene.all_obstacles) or "none"
     yield "workpieces among them", ", ".join(workpieces) or "none"
-
-
-def _legs(path: ToolPath) -> Iterator[Row]:
-    for k, (by, seconds) in enumerate(zip(np.diff(path.corners, axis=0), path.seconds, strict=True)):
-        along = f", {path.lengths[k]:.3f} m along a curve" if not path.segments[k].is_straight else ""
-        yield f"leg {k + 1}", f"by ({_numbers(by, 3)}) m in {seconds:g} s{along}"
 
 
 def _joints(plan: Plan) -> Iterator[Row]:
@@ -577,12 +535,6 @@ def _joints(plan: Plan) -> Iterator[Row]:
 def _options(options: Any) -> Iterator[Row]:
     for name, value in asdict(options).items():
         yield name, ", ".join(f"{x:g}" for x in value) if isinstance(value, tuple) else str(value)
-
-
-def _versions(plan: Plan) -> Iterator[Row]:
-    yield from versions().items()
-    yield "scene", plan.scene.content_hash[:16]
-    yield "robot", plan.robot.content_hash[:16]
 
 
 def _numbers(values: Iterable[float], digits: int) -> str:

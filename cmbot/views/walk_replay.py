@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from html import escape
 from typing import Any
 
@@ -14,16 +13,9 @@ from cmbot.common.installation import model_folder
 from cmbot.planning import robot_of
 from cmbot.robot import ARM_JOINTS, CLIMBING_JOINTS
 from cmbot.stances.walking import Walk, WalkSamples, walk_samples
-from cmbot.views.drawing import (
-    bridge_commands,
-    bridge_of,
-    focus_on,
-    link_corners,
-    link_poses,
-    moving_robot_commands,
-    reach,
-    workpieces,
-)
+from cmbot.views.drawing.bridge import bridge_of
+from cmbot.views.drawing.camera import focus_on, link_corners, link_poses, workpieces
+from cmbot.views.drawing.meshcat_scene import bridge_commands, encoded, moving_robot_commands, reach
 from cmbot.views.page import STAGE_SCRIPTS, assemble, pack
 from cmbot.views.replay_data import MOST_POSES
 
@@ -60,10 +52,8 @@ def _data(walk: Walk) -> dict[str, Any]:
     body, samples = _Body(), list(walk_samples(walk))
     seconds = walk.seconds
     times = np.linspace(0.0, seconds, max(min(int(seconds / 0.1), MOST_POSES // len(body.links)), 1) + 1)
-    poses = body.poses(
-        _at(times, samples, "root"), _at(times, samples, "climber"), _at(times, samples, "arm")
-    )
-    frames = len(times)
+    root, climber, arm = (_at(times, samples, name) for name in ("root", "climber", "arm"))
+    poses, frames = body.poses(root, climber, arm), len(times)
     feet = np.concatenate([part.feet for part in samples])
     robot = robot_of(walk.scene)
     places = poses[..., :3].reshape(-1, 3)
@@ -71,53 +61,38 @@ def _data(walk: Walk) -> dict[str, Any]:
     swept = [link_corners(each, link_poses(each, q[:: max(1, len(q) // _KNOTS)])) for each, q in motions]
     beside = workpieces(walk.scene.all_obstacles, places, _WORKPIECE_DISTANCE_M)
     margin = walk.scene.planner.safety_margin_m
-    bridge = bridge_of(walk.scene, motions, margin)
-    drawn = moving_robot_commands(
-        body.visual, body.urdf, walk.scene, [_decimated(feet[:, foot]) for foot in (0, 1)], robot.reach
-    )
+    bridge, ways = bridge_of(walk.scene, motions, margin), [_decimated(feet[:, foot]) for foot in (0, 1)]
+    drawn = moving_robot_commands(body.visual, body.urdf, walk.scene, ways, robot.reach)
     motion = {
         "poses": pack(poses),
         "torque": pack(np.zeros((frames, 3))),
         "clearance": pack(np.full(frames, np.nan)),
         "near": pack(np.zeros((frames, 6))),
         "pair": pack(np.full(frames, -1.0)),
-        "q": pack(np.hstack([_at(times, samples, "climber"), _at(times, samples, "arm")])),
-        "u": None,
+        "q": pack(np.hstack([climber, arm])),
         "load": pack(_loads(times, samples, body.links)),
-        "hold": None,
         "tool": pack(poses[:, -1, :3]),
-        "error": None,
         "peakTorque": 1.0,
-        "minClearance": None,
+        **dict.fromkeys(("u", "hold", "error", "minClearance")),
     }
     return {
         "title": walk.scene.name,
         "robot": robot.name,
         "motions": [_MOTION_NAME],
         "names": {_MOTION_NAME: "walk"},
-        "start": 0.0,
-        "workStart": 0.0,
-        "workEnd": seconds,
-        "end": seconds,
+        **{"start": 0.0, "workStart": 0.0, "workEnd": seconds, "end": seconds},
         "foot": feet[0, 0].tolist(),
         "label": "walk",
         "links": list(body.links),
         "parts": _parts(walk),
-        "approach": None,
-        "return": None,
-        "rest": None,
-        "floor": None,
+        **dict.fromkeys(("approach", "return", "rest", "floor", "bending")),
         "margin": margin,
         _MOTION_NAME: motion,
-        "bending": None,
-        "pairs": [],
-        "pairJoints": [],
+        **{"pairs": [], "pairJoints": []},
         "focus": focus_on(np.concatenate([places, *swept, *beside]), _CAMERA_AZIMUTH),
         "reach": reach(robot),
         "around": bool(bridge),
-        "commands": [
-            base64.b64encode(command).decode("ascii") for command in (*drawn, *bridge_commands(bridge))
-        ],
+        "commands": encoded([*drawn, *bridge_commands(bridge)]),
     }
 
 
@@ -159,12 +134,10 @@ def _at(times: FloatArray, samples: list[WalkSamples], name: str) -> FloatArray:
 def _loads(times: FloatArray, samples: list[WalkSamples], links: list[str]) -> FloatArray:
     """Shares (F, n) of what feet and moving joints can bear; NaN where it is not known."""
     found = np.full((len(times), len(links)), np.nan)
-    joints = {name: k for k, name in enumerate(_CLIMBER_JOINTS)}
-    moved = [link_of(name) for name in _CLIMBER_JOINTS]
     effort, share = _at(times, samples, "effort"), _at(times, samples, "share")
-    for name, link in zip(_CLIMBER_JOINTS, moved, strict=True):
+    for k, link in enumerate(map(link_of, _CLIMBER_JOINTS)):
         if link in links:
-            found[:, links.index(link)] = effort[:, joints[name]]
+            found[:, links.index(link)] = effort[:, k]
     for foot in (1, 2):
         found[:, links.index(f"foot_{foot}")] = share[:, foot - 1]
     return found

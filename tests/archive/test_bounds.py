@@ -52,7 +52,7 @@ def knots(t: bytes) -> bytes:
             "t",
             "shape (40000000,), expected 2 to 100000",
         ),
-        (knots(array(shape="(999999999999,)")), "t", "of float64"),
+        (knots(array(shape="(999999999999,)")), "t", "2 to 100000 knots"),
         (knots(array(numbers=bytes(32))), "t", "more numbers"),
         (knots(array(numbers=bytes(16))), "t", "fewer numbers"),
         (knots(array(numbers=bytes(40_000_000))), "t", "more numbers"),

@@ -83,7 +83,7 @@ def test_lone_arrays_and_pickles_are_not_opened(saved_triangle, tmp_path):
     np.save(lone, np.zeros(3))
     with np.load(saved_triangle / "job.npz") as knots:
         pickled = npz(**{**knots, "q": np.array([Trap()], dtype=object)})
-    for content, words in ((lone.getvalue(), "not a zip file"), (pickled, r"FILE: q: got .*'descr': '\|O'")):
+    for content, words in ((lone.getvalue(), "not a zip file"), (pickled, "FILE: q: got one of object")):
         with pytest.raises(ArchiveError, match=words):
             read_knots(content, "FILE", 7)
     assert not (tmp_path / "sprung").exists()

@@ -20,8 +20,8 @@ from cmbot.elastic.sag import Sag
 from cmbot.planning import Plan, bending_arm
 from cmbot.simulation import Tracking
 from cmbot.views import replay_page
-from cmbot.views.drawing import Bending, drawn_factor, most_factor, supports
-from cmbot.views.drawing.support import pole_of
+from cmbot.views.drawing.bending import Bending, drawn_factor, most_factor
+from cmbot.views.drawing.support import pole_of, supports
 from cmbot.views.drawing.surfaces import Surface, sliced
 from cmbot.views.replay_data import replay_data
 

@@ -10,7 +10,8 @@ from walks import one_step
 from cmbot import Plan
 from cmbot.collision import Box, Clearances, Obstacle
 from cmbot.common.poses import pose
-from cmbot.views.drawing import bridge, bridge_of, jobs_of
+from cmbot.views.drawing import bridge
+from cmbot.views.drawing.bridge import bridge_of, jobs_of
 
 MARGIN = 0.02  # m
 

@@ -1,5 +1,6 @@
 """What the replay draws: every shape of the robot and of the scene, where and how it is."""
 
+import base64
 import dataclasses
 from pathlib import Path
 from typing import Any
@@ -15,13 +16,14 @@ from cmbot.common.errors import ModelError
 from cmbot.planning import Plan
 from cmbot.robot import load_robot
 from cmbot.views import replay_page
-from cmbot.views.drawing import scene_commands
+from cmbot.views.drawing.meshcat_scene import encoded, scene_commands
 
 
 def drawn(plan: Plan) -> dict[str, list[trimesh.Trimesh]]:
     """Meshes that a page draws, by the first two parts of their path; colours in their metadata."""
     meshes: dict[str, list[trimesh.Trimesh]] = {}
-    for command in map(umsgpack.unpackb, scene_commands(plan)):
+    for text in encoded(scene_commands(plan)):
+        command = umsgpack.unpackb(base64.b64decode(text))
         if command["type"] != "set_object":
             continue
         thing = command["object"]

@@ -15,7 +15,7 @@ from cmbot.planning import Plan
 from cmbot.robot import Dynamics, Robot
 from cmbot.simulation import Tracking
 from cmbot.views.charts import charts
-from cmbot.views.drawing import obstacle_surface
+from cmbot.views.drawing.surfaces import obstacle_surface
 from cmbot.views.replay_data import MOST_POSES, Frames, replay_data
 
 

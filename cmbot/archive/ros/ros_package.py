@@ -25,6 +25,7 @@ find_package(ament_cmake REQUIRED)
 install(DIRECTORY urdf meshes config DESTINATION share/${{PROJECT_NAME}})
 ament_package()
 """
+_ASSUMED = "; some limits are assumed, see config/joint_limits.yaml"
 _MANIFEST = """<?xml version="1.0"?>
 <package format="3">
   <name>{name}</name>
@@ -86,7 +87,7 @@ def export_ros_package(plan: Plan, folder: str | Path) -> Path:
     meshes = _moved_meshes(urdf, name)
     texts = {
         "package.xml": _MANIFEST.format(
-            name=name, robot=re.sub(r"[<&>]", "_", robot.name), assumed=_assumption(robot)
+            name=name, robot=re.sub(r"[<&>]", "_", robot.name), assumed=_ASSUMED if _assumes(robot) else ""
         ),
         "CMakeLists.txt": _CMAKE.format(name=name),
         "urdf/robot.urdf": _text(urdf),
@@ -131,41 +132,27 @@ def _semantics(plan: Plan, files: RobotFiles) -> ElementTree.Element:
         srdf = ElementTree.fromstring(srdf_text(files))
     else:
         srdf = parse_urdf(files.srdf, "an SRDF", files.package_dirs)
-    arm = next(
-        (
-            group.get("name", "")
-            for group in srdf.findall("group")
-            for chain in group.findall("chain")
-            if chain.get("tip_link") == robot.tool_frame
-        ),
-        None,
-    )
-    if arm is None:
-        arm = "cmbot_arm"
+    arms = [
+        group.get("name", "")
+        for group in srdf.findall("group")
+        for chain in group.findall("chain")
+        if chain.get("tip_link") == robot.tool_frame
+    ]
+    arm = arms[0] if arms else "cmbot_arm"
+    if not arms:
         group = ElementTree.SubElement(srdf, "group", name=arm)
         ElementTree.SubElement(group, "chain", base_link=robot.base_frame, tip_link=robot.tool_frame)
     if not srdf.findall("end_effector"):
         group = ElementTree.SubElement(srdf, "group", name="cmbot_tool")
         ElementTree.SubElement(group, "link", name=robot.tool_frame)
-        ElementTree.SubElement(
-            srdf,
-            "end_effector",
-            name="tool",
-            parent_link=robot.tool_frame,
-            group="cmbot_tool",
-            parent_group=arm,
-        )
+        tool = {"name": "tool", "parent_link": robot.tool_frame, "group": "cmbot_tool", "parent_group": arm}
+        ElementTree.SubElement(srdf, "end_effector", tool)
     if all(state.get("name") != STOW for state in srdf.findall("group_state")):
         away = robot.group_states.get(STOW, plan.scene.posture)
         state = ElementTree.SubElement(srdf, "group_state", name=STOW, group=arm)
         for joint, value in zip(robot.joints, away, strict=True):
             ElementTree.SubElement(state, "joint", name=joint, value=repr(float(value)))
     return srdf
-
-
-def _assumption(robot: Robot) -> str:
-    """Say for the manifest that limits are assumed, where some are."""
-    return "; some limits are assumed, see config/joint_limits.yaml" if _assumes(robot) else ""
 
 
 def _assumes(robot: Robot) -> bool:

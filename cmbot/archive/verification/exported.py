@@ -15,8 +15,7 @@ from pydantic_core import from_json
 
 from cmbot.archive.folder import read_file
 from cmbot.archive.records import BASELINE_FILE, JOB_FILES, PLAN_FILE, TRACKING_FILES, require_same
-from cmbot.archive.ros.mcap_file import messages
-from cmbot.archive.ros.trajectory_file import trajectory_message
+from cmbot.archive.ros.messages import messages, trajectory_message
 from cmbot.archive.tables import require_table, samples_csv
 from cmbot.archive.writing import job_table
 from cmbot.common.arrays import IntArray

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 
@@ -131,7 +131,11 @@ def _verified_tour(folder: Path, asked: Asked) -> Verdict:
     parts = read_tour(folder, read)
     if asked.scenes:
         _require_tour(folder, parts, joined(asked.scenes))
-    return _together((*verdicts, Verdict(looser=(), motions=(), not_verified=("words",))))
+    verdicts.append(Verdict(looser=(), motions=(), not_verified=("words",)))
+    each = {
+        name: tuple(chain(*(getattr(verdict, name) for verdict in verdicts))) for name in vars(verdicts[0])
+    }
+    return Verdict(**each)
 
 
 def _require_tour(folder: Path, parts: Sequence[TourPart], asked: Scene) -> None:
@@ -151,12 +155,6 @@ def _require_tour(folder: Path, parts: Sequence[TourPart], asked: Scene) -> None
         own = [strokes[str(stroke.name)].changed(name=stroke.name) for stroke in plan.scene.strokes]
         wanted = plan.scene.with_strokes(own, asked.order)
         require_asked(plan.scene, wanted, str(source))
-
-
-def _together(verdicts: Iterable[Verdict]) -> Verdict:
-    each = tuple(verdicts)
-    names = [field.name for field in fields(Verdict)]
-    return Verdict(**{name: tuple(chain.from_iterable(getattr(one, name) for one in each)) for name in names})
 
 
 def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdict]:

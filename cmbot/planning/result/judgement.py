@@ -112,24 +112,16 @@ def strays(plan: Plan) -> bool:
     return baseline is not None and baseline.drift > _STRAYS * plan.options.max_tool_deviation_m
 
 
-def tightest_check(
-    job: Job, quantity: str | None = None, limit: Limit | None = None
-) -> tuple[Segment, Check]:
+def tightest_check(job: Job, limit: Limit | None = None) -> tuple[Segment, Check]:
     """Return the promise of a job that uses most of its bound, with the segment that makes it.
 
     Parameters
     ----------
     job : Job
-    quantity : str, optional
-        Of the promises of that quantity alone, which every segment makes.
     limit : Limit, optional
         Of the promises of what that limits alone.
     """
-    some = (
-        (segment, check)
-        for segment, check in job.checks()
-        if quantity in (None, check.quantity) and limit in (None, check.limit)
-    )
+    some = (each for each in job.checks() if limit in (None, each[1].limit))
     return max(some, key=lambda each: bound_use(each[1]))
 
 

@@ -159,11 +159,9 @@ def _base(plan: Plan) -> dict[str, Any]:
 
 def _faults(plan: Plan) -> Iterator[Note]:
     """What is missing of what was asked."""
-    area, unreached = (
-        sum(getattr(one, name) for one in plan.coverage.values()) for name in ("area", "unreached")
-    )
-    if unreached:
-        yield Note(level="fault", key="unreached", values={"area_m2": area, "unreached_m2": unreached})
+    if unreached := plan.whole_coverage.unreached:
+        values = {"area_m2": plan.whole_coverage.area, "unreached_m2": unreached}
+        yield Note(level="fault", key="unreached", values=values)
     off, allowed = plan.bent_offsets[1], plan.options.max_tool_deviation_m
     if off is not None and off > allowed:
         values = {"off_mm": 1e3 * off, "allowed_mm": 1e3 * allowed, "pushed": plan.robot.pushed}

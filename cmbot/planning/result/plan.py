@@ -285,7 +285,10 @@ class Plan(StrokePlan):
         return {segment.name: self._sampled(segment, clearances) for segment in self.job.segments}
 
     def _sampled(self, segment: Segment, clearances: Clearances) -> Samples:
-        t = _sample_times(segment.duration, sample_step(self.job.duration))
+        duration, step = segment.duration, sample_step(self.job.duration)
+        # The last step is shorter if need be.
+        t = step * np.arange(int(np.floor(duration / step * (1 + 1e-12))) + 1, dtype=np.float64)
+        t = t if duration - t[-1] < 1e-9 * duration else np.append(t, duration)
         motion = [segment.trajectory.evaluate(t, order) for order in range(4)]
         at_work = segment.kind == "stroke"
         robot, sag = (self.robot, self.sag) if at_work else (self.robot.tool_off, None)
@@ -379,6 +382,12 @@ class Plan(StrokePlan):
         The tool is within its tolerances all along, or there would be no plan.
         """
         return coverage_of(strokes_of(self.scene, self.robot))
+
+    @property
+    def whole_coverage(self) -> Coverage:
+        """What the strokes cover of the surfaces of all rasters together."""
+        names = ("area", "left_out", "unreached")
+        return Coverage(**{name: sum(getattr(of, name) for of in self.coverage.values()) for name in names})
 
     @cached_property
     def rows_left_out(self) -> tuple[FloatArray, ...]:
@@ -497,10 +506,3 @@ def _unshaped(file: StrokeFile, stroke: Segment) -> QuinticTrajectory | None:
     times = np.array([plain.times_at(int(k), s[None])[0] for k, s in zip(leg, share, strict=True)])
     space = SplineSpace(times)
     return space.trajectory(space.least_jerk(stroke.trajectory.q))
-
-
-def _sample_times(duration: float, step: float) -> FloatArray:
-    """Return times from 0 to `duration` every `step` (the last one shorter if need be), s."""
-    count = int(np.floor(duration / step * (1 + 1e-12)))
-    t: FloatArray = step * np.arange(count + 1, dtype=np.float64)
-    return t if duration - t[-1] < 1e-9 * duration else np.append(t, duration)

@@ -1,4 +1,4 @@
-"""The table of a plan: its figures beside the baseline's, the tool's first."""
+"""The tables of a plan: its figures beside the baseline's, the tool's first; and the loads of its job."""
 
 from __future__ import annotations
 
@@ -8,11 +8,15 @@ from typing import Any
 
 import numpy as np
 
+from cmbot.common.arrays import FloatArray
 from cmbot.common.limit import Limit
 from cmbot.hold import CLAMP_LOAD
 from cmbot.planning.result.holding import clamp_in_stop
 from cmbot.planning.result.judgement import baseline_faults, bound_use, further, tightest_check
 from cmbot.planning.result.plan import Plan
+
+LOAD_HEADINGS = ("", "largest", "unit", "at, s", "during", "share of its limit")
+"""Headings of `load_rows`."""
 
 # Areas that differ by less are the same, as a share.
 _AREA_TOLERANCE = 1e-6
@@ -86,9 +90,8 @@ def _tool(plan: Plan) -> Iterator[Row]:
     if accuracy is not None:
         name = f"tool from its path, with {100 * accuracy.probability:g} %"
         yield _row(name, "accuracy.within_mm", "mm", ".3g", 1e-3 * accuracy.within_mm, first=True)
-    before, after = plan.bent_offsets
-    if after is not None and np.isfinite(after):
-        before = before if before is not None and np.isfinite(before) else None
+    before, after = (off if off is not None and np.isfinite(off) else None for off in plan.bent_offsets)
+    if after is not None:
         yield _row("bent arm at rest off its path", "bent_offsets", "mm", ".2f", after, before, first=True)
     if (sway := plan.sway) is not None:
         swing = 1e-3 * sway.swing_mm
@@ -121,8 +124,8 @@ def _tool(plan: Plan) -> Iterator[Row]:
 def _holding(plan: Plan) -> Iterator[Row]:
     """What the feet bear: of the baseline at its samples, of the plan as certified."""
     robot, holding, baseline = plan.robot, plan.robot.holding, plan.baseline
-    segments = () if baseline is None else baseline.segments
-    wrenches = [np.hstack([each.samples.guardrail_force, each.samples.guardrail_torque]) for each in segments]
+    samples = [] if baseline is None else [segment.samples for segment in baseline.segments]
+    wrenches = [np.hstack([each.guardrail_force, each.guardrail_torque]) for each in samples]
     each_held = [np.abs(robot.holding_torque(wrench)).max(axis=0) for wrench in wrenches]
     for number, (joint, peak) in enumerate(zip(robot.holding_joints, plan.holding_torque, strict=True)):
         before = max((float(held[number]) for held in each_held), default=None)
@@ -133,17 +136,14 @@ def _holding(plan: Plan) -> Iterator[Row]:
     if any(check.limit is Limit.HOLD for _, check in plan.job.checks()):
         use = bound_use(tightest_check(plan.job, limit=Limit.HOLD)[1])
         yield _row("feet use of what their safety allows", "certificate", "%", ".0f", use, first=True)
-    motions = {
-        "whole job": (plan.job.figures, None if baseline is None else baseline.job_figures),
-        "at work": (plan.figures, None if baseline is None else baseline.figures),
-    }
-    for when, (planned, other) in motions.items():
+    for name, planned, other in (
+        ("adhesion needed, whole job", plan.job.figures, None if baseline is None else baseline.job_figures),
+        ("adhesion needed at work", plan.figures, None if baseline is None else baseline.figures),
+    ):
         needed = [None if each is None else each.adhesion_needed for each in (planned, other)]
         if any(needed):
             after, before = (None if each is None else each.peak for each in needed)
-            modes = tuple("" if each is None else each.mode for each in needed[::-1])
-            name = "adhesion needed, whole job" if when == "whole job" else "adhesion needed at work"
-            first = when == "whole job"
+            modes, first = tuple("" if each is None else each.mode for each in needed[::-1]), "whole" in name
             yield _row(name, "adhesion_needed.peak", "kN", ".2f", after, before, modes=modes, first=first)
     if (stop := plan.emergency_stop) is not None:
         name, modes = "adhesion needed in an emergency stop", ("", stop.mode)
@@ -168,8 +168,8 @@ def _base(plan: Plan) -> Iterator[Row]:
     )
     for segment in plan.job.segments:
         if segment.kind == "free":
-            other = None if plan.baseline is None else plan.baseline.segment(segment.name)
-            before = None if other is None else other.figures.peak_guardrail_torque
+            other = plan.baseline and plan.baseline.segment(segment.name)
+            before = other and other.figures.peak_guardrail_torque
             after, key = segment.figures.peak_guardrail_torque, "segments.peak_guardrail_torque"
             yield _row(f"peak torque on {segment.in_words}", key, "Nm", ".2f", after, before)
     yield from _metrics(
@@ -189,21 +189,17 @@ def _work(plan: Plan) -> Iterator[Row]:
     """Clearances, places and times."""
     yield from _metrics(plan, ("smallest clearance, whole job", "min_clearance", "mm", ".1f", True))
     if plan.coverage:
-        area, covered, unreached = (
-            sum(getattr(one, name) for one in plan.coverage.values())
-            for name in ("area", "covered", "unreached")
-        )
+        whole, other = plan.whole_coverage, plan.baseline
         # The baseline follows the same rows.
-        other = None if plan.baseline is None else covered
-        yield _row(f"area covered of {area:.4g} m2", "coverage.covered", "m2", ".4f", covered, other)
-        left_out = sum(one.left_out for one in plan.coverage.values()) - unreached
-        if left_out > _AREA_TOLERANCE * area:
+        name, before = f"area covered of {whole.area:.4g} m2", other and whole.covered
+        yield _row(name, "coverage.covered", "m2", ".4f", whole.covered, before)
+        left_out = whole.left_out - whole.unreached
+        if left_out > _AREA_TOLERANCE * whole.area:
             yield _row("area beyond the rows' ends", "coverage.left_out", "m2", ".4f", left_out)
-        if unreached:
-            other = None if plan.baseline is None else unreached
+        if area := whole.unreached:
             name = "area that is not reached"
-            yield _row(name, "coverage.unreached", "m2", ".4f", unreached, other, first=True)
-    before = None if plan.baseline is None else plan.baseline.duration
+            yield _row(name, "coverage.unreached", "m2", ".4f", area, other and area, first=True)
+    before = plan.baseline and plan.baseline.duration
     yield _row("time of the whole job", "job.duration", "s", ".1f", plan.job.duration, before, first=True)
     for segment in plan.job.segments:
         if segment.kind == "free":
@@ -219,11 +215,9 @@ def _work(plan: Plan) -> Iterator[Row]:
 
 def _effort(plan: Plan) -> Iterator[Row]:
     """What the joints do."""
-    other = None if plan.baseline is None else plan.baseline.figures.limit_use
+    other = plan.baseline and plan.baseline.figures.limit_use
     for limit in ("velocity", "acceleration", "jerk", "torque"):
-        after, before = (
-            None if use is None else getattr(use, limit) for use in (plan.figures.limit_use, other)
-        )
+        after, before = getattr(plan.figures.limit_use, limit), other and getattr(other, limit)
         name = f"joint {limit} at work, share of its bound"
         yield _row(name, f"limit_use.{limit}", "", ".3f", after, before)
     if plan.baseline is not None:
@@ -259,8 +253,87 @@ def _objective_row(plan: Plan, label: str, key: str, planned: float, baseline: f
 def _metrics(plan: Plan, *lines: tuple[str, str, str, str, bool]) -> Iterator[Row]:
     """Rows of metrics, of the whole job where the label says so, else of the work."""
     for label, key, unit, format, first in lines:
-        figures, other = plan.figures, None if plan.baseline is None else plan.baseline.figures
+        figures, other = plan.figures, plan.baseline and plan.baseline.figures
         if "whole job" in label:
-            figures, other = plan.job.figures, None if plan.baseline is None else plan.baseline.job_figures
-        before = None if other is None else getattr(other, key)
+            figures, other = plan.job.figures, plan.baseline and plan.baseline.job_figures
+        before = other and getattr(other, key)
         yield _row(label, key, unit, format, getattr(figures, key), before, first=first)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Load:
+    """A component of the wrench on the base, or the torque or force of a joint, where it is largest.
+
+    Attributes
+    ----------
+    name : str
+    value : float
+        With its sign, in `unit`.
+    unit : str
+    time : float, s
+        On the job's clock.
+    segment : str
+        Of the job.
+    limit : float or None
+        What a joint can bear, in `unit`; None of components on the base.
+    """
+
+    name: str
+    value: float
+    unit: str
+    time: float
+    segment: str
+    limit: float | None = None
+
+
+def loads(plan: Plan) -> tuple[Load, ...]:
+    """Return the largest loads of a job: three forces and three torques on the base, and one of each joint.
+
+    They are those of the samples of ``job.csv``. What the arm exerts on the base is about `load_point`, along
+    the axes of W.
+
+    Parameters
+    ----------
+    plan : Plan
+    """
+    return tuple(_loads(plan))
+
+
+def load_point(plan: Plan) -> FloatArray:
+    """Return the point (3,), m, in W, about which `loads` has torques: the origin of the base's link."""
+    return np.array(plan.robot.foot_point)
+
+
+def _loads(plan: Plan) -> Iterator[Load]:
+    samples, segments = plan.job_samples
+
+    def largest(name: str, values: FloatArray, unit: str, limit: float | None = None) -> Load:
+        k = int(np.abs(values).argmax())
+        value, time = float(values[k]), float(samples.t[k])
+        return Load(name=name, value=value, unit=unit, time=time, segment=segments[k], limit=limit)
+
+    base = plan.scene.base_name
+    for what, unit, of in (
+        ("force", "N", samples.guardrail_force),
+        ("torque", "Nm", samples.guardrail_torque),
+    ):
+        for k, axis in enumerate("xyz"):
+            yield largest(f"{what} on the {base}, {axis}", of[:, k], unit)
+        yield largest(f"{what} on the {base}, norm", np.linalg.norm(of, axis=1), unit)
+    limits = plan.robot.limits
+    for k, joint in enumerate(plan.robot.joints):
+        unit = limits.units(k).torque
+        what = "force" if limits.prismatic[k] else "torque"
+        yield largest(f"{what} of {joint}", samples.joint_torque[:, k], unit, float(limits.torque[k]))
+
+
+def load_rows(plan: Plan) -> Iterator[tuple[str, ...]]:
+    """Yield the loads of a plan as rows of a table below `LOAD_HEADINGS`.
+
+    Parameters
+    ----------
+    plan : Plan
+    """
+    for load in loads(plan):
+        share = "" if load.limit is None else f"{100 * abs(load.value) / load.limit:.1f} %"
+        yield load.name, f"{load.value:.4g}", load.unit, f"{load.time:.2f}", load.segment, share

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -22,6 +22,8 @@ from cmbot.planning.workcell.objectives import Objective
 from cmbot.scene import PlannerOptions, StrokeFile
 from cmbot.toolpath import SpeedProfile
 from cmbot.trajectory import QuinticTrajectory
+
+T = TypeVar("T")
 
 # Samples per segment at which the peak of an objective is taken that is not enclosed.
 _PEAK_SAMPLES, _COARSE_SAMPLES = 400, 20
@@ -91,11 +93,8 @@ class ObjectiveMetrics:
     @property
     def is_guardrail_torque(self) -> bool:
         """Whether it is the norm of the torque on the guardrail about O0, as metrics report it."""
-        return not self.own and (self.name, self.moment_about, self.axis_weights) == (
-            "torque",
-            "foot",
-            (1.0, 1.0, 1.0),
-        )
+        about_foot = self.moment_about == "foot" and self.axis_weights == (1.0, 1.0, 1.0)
+        return not self.own and self.name == "torque" and about_foot
 
 
 def baseline_task(task: ToolTask, file: StrokeFile, options: PlannerOptions) -> ToolTask:
@@ -196,64 +195,38 @@ def combined(strokes: Sequence[StrokePlan]) -> dict[str, Any]:
     lower bound of a stroke.
     """
     bounds = [stroke.lower_bound for stroke in strokes if stroke.lower_bound is not None]
-    choices = [stroke.choice for stroke in strokes if stroke.choice is not None]
-    compensations = [stroke.compensation for stroke in strokes if stroke.compensation is not None]
+    peaks = ("baseline_peak", "planned_peak", "floor")
     return {
         "task": strokes[0].task,
         "start": strokes[0].start,
         "passes": tuple(report for stroke in strokes for report in stroke.passes),
         "runs": sum(stroke.runs for stroke in strokes),
-        "objective": _largest_objective([stroke.objective for stroke in strokes]),
+        "objective": _with_largest([stroke.objective for stroke in strokes], peaks),
         "lower_bound": _largest_bound(bounds) if bounds else None,
-        "choice": Choice(
-            free=_largest(choice.free for choice in choices),
-            pinned=_largest(choice.pinned for choice in choices),
-        )
-        if choices
-        else None,
-        "compensation": Compensation(
-            largest_shift=max(each.largest_shift for each in compensations),
-            last_change=max(each.last_change for each in compensations),
-            deviation=max(each.deviation for each in compensations),
-        )
-        if compensations
-        else None,
+        "choice": _with_largest([stroke.choice for stroke in strokes]),
+        "compensation": _with_largest([stroke.compensation for stroke in strokes]),
     }
 
 
-def _largest(values: Iterable[float | None]) -> float | None:
-    """The largest of some values; None where one is missing."""
-    known = list(values)
-    return None if None in known else max(value for value in known if value is not None)
+def _with_largest(each: Sequence[T | None], names: Sequence[str] = ()) -> T | None:
+    """The first of some records with the largest values of all, of these names or of all fields.
 
-
-def _largest_objective(each: Sequence[ObjectiveMetrics]) -> ObjectiveMetrics:
-    first = each[0]
-    return ObjectiveMetrics(
-        name=first.name,
-        unit=first.unit,
-        own=first.own,
-        moment_about=first.moment_about,
-        axis_weights=first.axis_weights,
-        baseline_peak=_largest(objective.baseline_peak for objective in each),
-        planned_peak=max(objective.planned_peak for objective in each),
-        floor=_largest(objective.floor for objective in each),
-    )
+    What is missing in one is None. Without a record there is none.
+    """
+    known = [record for record in each if record is not None]
+    if not known:
+        return None
+    first: Any = known[0]
+    values = {name: [getattr(record, name) for record in known] for name in names or vars(first)}
+    largest = {name: None if None in some else max(some) for name, some in values.items()}
+    return cast("T", replace(first, **largest))
 
 
 def _largest_bound(bounds: Sequence[LowerBound]) -> LowerBound:
     """The largest of the strokes' lower bounds, its via-point counted from the job's first one."""
     number = int(np.argmax([bound.value for bound in bounds]))
-    largest = bounds[number]
-    before = sum(len(bound.each) for bound in bounds[:number])
-    return LowerBound(
-        value=largest.value,
-        error=largest.error,
-        via_point=before + largest.via_point,
-        each=np.concatenate([bound.each for bound in bounds]),
-        kind=largest.kind,
-        missed=largest.missed,
-    )
+    via_point = sum(len(bound.each) for bound in bounds[:number]) + bounds[number].via_point
+    return replace(bounds[number], via_point=via_point, each=np.concatenate([bound.each for bound in bounds]))
 
 
 def _sampled_peak(objective: Objective, states: StateSamples) -> float:

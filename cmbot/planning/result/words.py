@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from math import inf
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -76,7 +77,7 @@ def sentence(note: Note) -> str:
     note : Note
     """
     words = _SENTENCES[note.key]
-    return words.format(**note.values) if isinstance(words, str) else words(**note.values)
+    return words.format(**note.values) if isinstance(words, str) else words(SimpleNamespace(**note.values))
 
 
 def left_out(plan: Plan) -> str:
@@ -86,10 +87,8 @@ def left_out(plan: Plan) -> str:
     ----------
     plan : Plan
     """
-    area, unreached = (
-        sum(getattr(one, name) for one in plan.coverage.values()) for name in ("area", "unreached")
-    )
-    return f"{unreached:.3g} of {area:.3g} m2 are not reached" if unreached else ""
+    whole = plan.whole_coverage
+    return f"{whole.unreached:.3g} of {whole.area:.3g} m2 are not reached" if whole.unreached else ""
 
 
 def promises(plan: Plan) -> str:
@@ -114,85 +113,67 @@ def promised(check: Check, when: str) -> str:
     return f"{check.quantity} {when}, {100 * bound_use(check):.0f} % of its bound"
 
 
-def _tool(
-    within_mm: float,
-    probability: float,
-    part: str | None,
-    part_share: float,
-    kept: bool | None,
-    share: float,
-    across_mm: float | None,
-    along_axis_mm: float | None,
-) -> str:
-    text = f"The tool is within {within_mm:.3g} mm of its path with {100 * probability:g} %"
-    if kept is not None:
-        asked = [f"{across_mm:g} mm across"] if across_mm is not None else []
-        asked += [f"{along_axis_mm:g} mm along the tool's axis"] if along_axis_mm is not None else []
-        text += f", tolerance {' and '.join(asked)}: {'kept' if kept else 'not kept'} (within it in "
-        text += f"{100 * share:.3g} % of cases, asked {100 * probability:.3g} %)"
-    if part is None:
+def _tool(note: Any) -> str:
+    text = f"The tool is within {note.within_mm:.3g} mm of its path with {100 * note.probability:g} %"
+    if note.kept is not None:
+        asked = [f"{note.across_mm:g} mm across"] if note.across_mm is not None else []
+        asked += (
+            [f"{note.along_axis_mm:g} mm along the tool's axis"] if note.along_axis_mm is not None else []
+        )
+        text += f", tolerance {' and '.join(asked)}: {'kept' if note.kept else 'not kept'} (within it in "
+        text += f"{100 * note.share:.3g} % of cases, asked {100 * note.probability:.3g} %)"
+    if note.part is None:
         return f"{text}."
-    return f"{text}; largest part: {part}, {100 * part_share:.0f} % of the mean square."
+    return f"{text}; largest part: {note.part}, {100 * note.part_share:.0f} % of the mean square."
 
 
-def _needed(needed_kn: float, mode: str, **_: Any) -> str:
-    return f"an adhesion of {needed_kn:.2f} kN ({mode})"
+def _needed(note: Any) -> str:
+    return f"an adhesion of {note.needed_kn:.2f} kN ({note.mode})"
 
 
-def _holds(
-    quantity: str, use: float, when: str, time: float, stop_kn: float | None, less: str = "", **values: Any
-) -> str:
-    text = f"Hold: {quantity} included, uses {100 * use:.0f} % of what that allows, {when}, at {time:.1f} s"
-    if values.get("has_kn") is not None:
+def _holds(note: Any) -> str:
+    text = f"Hold: {note.quantity} included, uses {100 * note.use:.0f} % of what that allows, {note.when}"
+    text += f", at {note.time:.1f} s"
+    if getattr(note, "has_kn", None) is not None:
         with_less = {
             "with safety": "it holds",
             "without safety": "it holds without the safety factor",
             "not": "it does not hold",
         }
-        text += f"; the feet need {_needed(**values)} and have {values['has_kn']:.2f} kN"
-        text += f", with {100 * values['lost']:.0f} % less {with_less[less]}"
-    return f"{text}; an emergency stop needs {stop_kn:.2f} kN." if stop_kn is not None else f"{text}."
+        text += f"; the feet need {_needed(note)} and have {note.has_kn:.2f} kN"
+        text += f", with {100 * note.lost:.0f} % less {with_less[note.less]}"
+    return text + ("." if note.stop_kn is None else f"; an emergency stop needs {note.stop_kn:.2f} kN.")
 
 
-def _unknown_hold(stop_kn: float | None, welded: bool, **values: Any) -> str:
+def _unknown_hold(note: Any) -> str:
     text = "Hold: what the feet bear is not given, so nothing here says whether they hold"
-    if welded:
+    if note.welded:
         text = "Hold: welded is assumed, so nothing here says whether the feet hold"
-    if "needed_kn" in values:
-        text += f"; {'as magnets they would' if welded else 'they'} need {_needed(**values)}"
-    return f"{text}, in an emergency stop {stop_kn:.2f} kN." if stop_kn is not None else f"{text}."
+    if hasattr(note, "needed_kn"):
+        text += f"; {'as magnets they would' if note.welded else 'they'} need {_needed(note)}"
+    return text + ("." if note.stop_kn is None else f", in an emergency stop {note.stop_kn:.2f} kN.")
 
 
-def _base(
-    base: str,
-    peak_nm: float,
-    work_nm: float | None,
-    baseline_nm: float | None,
-    baseline_work_nm: float | None,
-    faults: str,
-    work_faults: str,
-    further: float,
-    rest: str | None,
-    when: str = "",
-    time: float = 0.0,
-) -> str:
-    where = f"at rest in the posture in which the arm {rest}" if rest else f"{when}, at {time:.1f} s"
-    text = f"The {base} must bear {peak_nm:.1f} Nm over the whole job ({where})"
-    if baseline_nm is not None and faults:
-        text += f"; no gain is stated, as the baseline ({baseline_nm:.1f} Nm) {faults}"
-    elif baseline_nm is not None:
-        text, gain = f"{text}, {_against(peak_nm, baseline_nm)}", 1 - peak_nm / baseline_nm
+def _base(note: Any) -> str:
+    where = f"at rest in the posture in which the arm {note.rest}"
+    where = where if note.rest else f"{note.when}, at {note.time:.1f} s"
+    text = f"The {note.base} must bear {note.peak_nm:.1f} Nm over the whole job ({where})"
+    if note.baseline_nm is not None and note.faults:
+        text += f"; no gain is stated, as the baseline ({note.baseline_nm:.1f} Nm) {note.faults}"
+    elif note.baseline_nm is not None:
+        text += f", {_against(note.peak_nm, note.baseline_nm)}"
+        gain = 1 - note.peak_nm / note.baseline_nm
         if SAME < gain < _SMALL_GAIN_SHARE:
             text += ": hardly anything is gained"
-        elif _SMALL_GAIN_SHARE <= gain < _COSTED_GAIN_SHARE and further >= _TRAVEL_FACTOR:
-            text += f", with joints that travel {further:.1f} times as far at work"
-    if work_nm is not None:
-        text += f"; the work alone {work_nm:.1f} Nm"
-        if baseline_work_nm is not None:
+        elif _SMALL_GAIN_SHARE <= gain < _COSTED_GAIN_SHARE and note.further >= _TRAVEL_FACTOR:
+            text += f", with joints that travel {note.further:.1f} times as far at work"
+    if note.work_nm is not None:
+        text += f"; the work alone {note.work_nm:.1f} Nm"
+        if note.baseline_work_nm is not None:
             # It may be in its free moves alone that the baseline breaks a limit.
-            compared = faults and not work_faults
-            before = f"(baseline {baseline_work_nm:.1f} Nm)"
-            text += f", {_against(work_nm, baseline_work_nm)}" if compared else f" {before}"
+            compared = note.faults and not note.work_faults
+            before = f" (baseline {note.baseline_work_nm:.1f} Nm)"
+            text += f", {_against(note.work_nm, note.baseline_work_nm)}" if compared else before
     return f"{text}."
 
 
@@ -204,8 +185,10 @@ def _against(peak: float, baseline: float) -> str:
     return f"{100 * abs(change):.1f} % {more} than the baseline's {baseline:.1f} Nm"
 
 
-def _promise(when: str, limit: str, **values: Any) -> str:
-    check = Check(limit=Limit(limit), **values)
+def _promise(note: Any) -> str:
+    values = vars(note) | {"limit": Limit(note.limit)}
+    when = values.pop("when")
+    check = Check(**values)
     factor, unit, room = 1.0, check.unit, ""
     if unit.startswith("rad"):
         factor, unit = float(np.rad2deg(1.0)), f"deg{unit.removeprefix('rad')}"
@@ -221,114 +204,83 @@ def _bent_by(pushed: bool) -> str:
     return f"ent by its own weight{' and the process force' if pushed else ''} the "
 
 
-def _away(turned_deg: float, slid_m: float) -> str:
+def _away(note: Any) -> str:
     """How far joints of each kind are moved at most before the work."""
-    each = [f"{turned_deg:.1f} deg"] if turned_deg or not slid_m else []
-    return f"up to {' and '.join([*each, *([f'{slid_m:.3f} m'] if slid_m else [])])} a joint"
+    each = [f"{note.turned_deg:.1f} deg"] if note.turned_deg or not note.slid_m else []
+    each += [f"{note.slid_m:.3f} m"] if note.slid_m else []
+    return f"up to {' and '.join(each)} a joint"
 
 
-def _other_start(reason: str, tried: int, posture: str, turned_deg: float, slid_m: float, **_: Any) -> str:
-    other = "Another one" if tried == 1 else f"The last of {tried} others tried"
+def _other_start(note: Any) -> str:
+    other = "Another one" if note.tried == 1 else f"The last of {note.tried} others tried"
     return (
-        f"Starts elsewhere: from the scene's posture, {reason}. {other} with the same tool pose leads to the "
-        f"end, {posture}, {_away(turned_deg, slid_m)} away. Bring the arm there first."
+        f"Starts elsewhere: from the scene's posture, {note.reason}. {other} with the same tool pose leads "
+        f"to the end, {note.posture}, {_away(note)} away. Bring the arm there first."
     )
 
 
-def _sagging_start(turned_deg: float, slid_m: float, **values: Any) -> str:
+def _sagging_start(note: Any) -> str:
     return (
-        f"Starts in the {values['from']}, with the sag compensated: {_away(turned_deg, slid_m)} from it, so "
-        "that the bent arm's tool is where the path begins."
+        f"Starts in the {vars(note)['from']}, with the sag compensated: {_away(note)} from it, so that the "
+        "bent arm's tool is where the path begins."
     )
 
 
-def _start(begin: str) -> Callable[..., str]:
-    def words(posture: str, turned_deg: float, slid_m: float, **_: Any) -> str:
-        return f"Starts {begin} {posture}, {_away(turned_deg, slid_m)} away."
-
-    return words
-
-
-def _objective(
-    name: str,
-    own: bool,
-    magnets: bool,
-    about: str | None,
-    weights: tuple[float, ...] | None,
-    unit: str,
-    before: float | None,
-    after: float,
-    faults: str,
-) -> str:
-    what = f"the tool's {name}"
-    if name == "travel" and not own:
+def _objective(note: Any) -> str:
+    name, what = note.name, f"the tool's {note.name}"
+    if name == "travel" and not note.own:
         return "Minimised: the travel of the joints and their jerk, nothing of the base."
-    if own:
+    if note.own:
         what = name
     elif name == "sway":
         what = "the tool's sway by 1 m/s2 of the deck"
     elif name == "hold":
-        what = "the adhesion that the feet need" if magnets else "the pull of magnets in place of the clamps"
-    elif weights is not None:
-        what = f"the torque about the {about}, axes weighted {', '.join(f'{w:g}' for w in weights)}"
-    if before is None:
-        return f"Minimised: {what}, to a peak of {after:.2f} {unit}".rstrip() + "."
-    which = f", which {faults}," if faults else ""
-    peaks = [f"{value:.2f} {unit}".rstrip() for value in (before, after)]
-    return f"Minimised: {what}, from a peak of {peaks[0]} in the baseline{which} to {peaks[1]}."
+        what = "the pull of magnets in place of the clamps"
+        what = "the adhesion that the feet need" if note.magnets else what
+    elif note.weights is not None:
+        weights = ", ".join(f"{weight:g}" for weight in note.weights)
+        what = f"the torque about the {note.about}, axes weighted {weights}"
+    after = f"{note.after:.2f} {note.unit}".rstrip()
+    if note.before is None:
+        return f"Minimised: {what}, to a peak of {after}."
+    which = f", which {note.faults}," if note.faults else ""
+    before = f"{note.before:.2f} {note.unit}".rstrip()
+    return f"Minimised: {what}, from a peak of {before} in the baseline{which} to {after}."
 
 
-def _no_gain(near: bool) -> str:
-    why = " The baseline is near the lower bound already: there is nothing to gain." if near else ""
+def _no_gain(note: Any) -> str:
+    why = " The baseline is near the lower bound already: there is nothing to gain." if note.near else ""
     return f"Hardly anything is gained at the peak; what the plan adds is that limits are kept.{why}"
 
 
-def _return(to: str, lacks_stow: bool, moves: bool) -> str:
-    named = {"stow": "where it started" if lacks_stow else "its stow posture", "start": "where it started"}
-    why = " (its SRDF has no group state stow)" if lacks_stow else ""
-    if not moves:
+def _return(note: Any) -> str:
+    why = " (its SRDF has no group state stow)" if note.lacks_stow else ""
+    if not note.moves:
         return f"The work ends in the posture to which the arm is to return{why}."
-    return f"Return: after the work the arm goes to {named.get(to, f'its state {to}')}{why}."
+    start = "where it started"
+    named = {"stow": start if note.lacks_stow else "its stow posture", "start": start}
+    return f"Return: after the work the arm goes to {named.get(note.to, f'its state {note.to}')}{why}."
 
 
-def _bound(
-    proven: bool,
-    closed: bool,
-    value: float,
-    error: float,
-    unit: str,
-    basis: str,
-    gap: float | None,
-    any_start: bool,
-    before_sag: bool,
-) -> str:
-    name = "Lower bound for any start" if any_start else "Lower bound"
-    if before_sag:
+def _bound(note: Any) -> str:
+    name = "Lower bound for any start" if note.any_start else "Lower bound"
+    if note.before_sag:
         # The postures that were sought hold the rigid tool on the path; those of the plan, the bent one.
         name += ", of the path before the sag is compensated"
-    least, room = f"{value:.2f} {unit}".rstrip(), f"{error:.3f} {unit}".rstrip()
-    above = "" if gap is None else f"; the peak is {100 * gap:+.3f} % from it"
-    if not closed:
+    least, room = f"{note.value:.2f} {note.unit}".rstrip(), f"{note.error:.3f} {note.unit}".rstrip()
+    above = "" if note.gap is None else f"; the peak is {100 * note.gap:+.3f} % from it"
+    if not note.closed:
         return f"{name}, not closed: {least} was found, but the search ended with {room} open{above}."
-    found = "has" if proven else "was found with"
+    found = "has" if note.proven else "was found with"
+    peak = f"a static peak below {least} ({note.basis}; error {room})"
+    return f"{name}: no plan within the limits {found} {peak}{above}."
+
+
+def _certified(note: Any) -> str:
+    holds = "check holds" if note.checks == 1 else "checks hold"
     return (
-        f"{name}: no plan within the limits {found} a static peak below {least} ({basis}; error {room})"
-        f"{above}."
-    )
-
-
-def _certified(checks: int, text: str) -> str:
-    holds = "check holds" if checks == 1 else "checks hold"
-    return (
-        f"Certified: {checks} {holds}, computed again from the finished motion by code that the optimiser "
-        f"does not use; at all times of the job {text}."
-    )
-
-
-def _seconds(path: float, optimise: float, certify: float, total: float, passes: int) -> str:
-    return (
-        f"Time: path {path:.2f} s, optimisation {optimise:.2f} s ({counted(passes, 'pass', 'passes')}), "
-        f"free moves and certificates {certify:.2f} s, in all {total:.2f} s."
+        f"Certified: {note.checks} {holds}, computed again from the finished motion by code that the "
+        f"optimiser does not use; at all times of the job {note.text}."
     )
 
 
@@ -344,18 +296,23 @@ _SENTENCES: dict[str, str | Callable[..., str]] = {
         "{unreached_m2:.3g} of {area_m2:.3g} m2 are not reached: where no posture goes on, rows are cut; "
         "raster.cover: all refuses such a plan."
     ),
-    "off_path": lambda off_mm, allowed_mm, pushed, **_: (
-        f"B{_bent_by(pushed)}tool is up to {off_mm:.2f} mm off its path, more than max_tool_deviation_m "
-        f"({allowed_mm:g} mm), which the rigid arm keeps."
+    "off_path": lambda note: (
+        f"B{_bent_by(note.pushed)}tool is up to {note.off_mm:.2f} mm off its path, more than "
+        f"max_tool_deviation_m ({note.allowed_mm:g} mm), which the rigid arm keeps."
     ),
-    "too_soft": lambda pushed, base, **_: (
-        f"NOT STIFF ENOUGH: b{_bent_by(pushed)}arm on its {base} has no stable equilibrium."
+    "too_soft": lambda note: (
+        f"NOT STIFF ENOUGH: b{_bent_by(note.pushed)}arm on its {note.base} has no stable equilibrium."
     ),
     "unused_start": "A better start was found, but is not used: {reason}.",
     "other_start": _other_start,
     "sagging_start": _sagging_start,
-    "path_start": _start("where the tool path begins, in the posture"),
-    "better_start": _start("in a better posture with the same tool pose (start: free),"),
+    "path_start": lambda note: (
+        f"Starts where the tool path begins, in the posture {note.posture}, {_away(note)} away."
+    ),
+    "better_start": lambda note: (
+        f"Starts in a better posture with the same tool pose (start: free), {note.posture}, {_away(note)} "
+        "away."
+    ),
     "fallback": "{text}",
     "robot": "{text}",
     "stiffness": "{text}",
@@ -371,17 +328,21 @@ _SENTENCES: dict[str, str | Callable[..., str]] = {
         "At work the joints travel {factor:.1f} times as far as the baseline's, most of all {joint}, "
         "{far:.3g} {unit} in place of {other:.3g} {unit}: by self-motion, which lowers the torque."
     ),
-    "jerk": lambda factor, share: (
-        f"The joints jerk {factor:.1f} times as hard as the baseline's, {100 * share:.0f} % of a limit: tool "
-        "and base may sway more."
+    "jerk": lambda note: (
+        f"The joints jerk {note.factor:.1f} times as hard as the baseline's, {100 * note.share:.0f} % of a "
+        "limit: tool and base may sway more."
     ),
-    "higher": lambda share: (
-        f"The peak is {100 * share:.2f} % higher than the baseline's, which does not have to keep limits, "
-        "clearances or rest at both ends."
+    "higher": lambda note: (
+        f"The peak is {100 * note.share:.2f} % higher than the baseline's, which does not have to keep "
+        "limits, clearances or rest at both ends."
     ),
     "no_gain": _no_gain,
     "return": _return,
     "bound": _bound,
     "certified": _certified,
-    "seconds": _seconds,
+    "seconds": lambda note: (
+        f"Time: path {note.path:.2f} s, optimisation {note.optimise:.2f} s "
+        f"({counted(note.passes, 'pass', 'passes')}), free moves and certificates {note.certify:.2f} s, in "
+        f"all {note.total:.2f} s."
+    ),
 }

@@ -6,7 +6,8 @@ geometries have neither normals nor 16-bit arrays, and its identifiers contain t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import base64
+from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -64,38 +65,40 @@ _PLAIN: list[Command] = [
 ]
 
 
-def scene_commands(plan: Plan) -> list[bytes]:
-    """Return packed meshcat commands, for `MeshCat.Viewer.handle_command_bytearray`.
+def scene_commands(plan: Plan) -> list[Command]:
+    """Return commands to meshcat's viewer.
 
     The shapes of joint i (pinocchio's index; 0: the fixed base) are below ``/robot/i``, in the joint's frame;
     ``/rails``, which a pole may be, ``/bridge``, ``/path`` and ``/left_out`` are in W. No name from a file is
     used.
     """
-    robot = plan.robot
-    commands = [*_PLAIN, *_robot(_shapes(robot), str(robot.urdf)), *_supports(plan.scene, "/rails")]
-    packed = [umsgpack.packb(command) for command in commands]
-    return [*packed, *obstacle_commands(plan.scene), *path_commands(plan)]
+    drawn = (*_robot(_shapes(plan.robot), str(plan.robot.urdf)), *_supports(plan.scene, "/rails"))
+    return [*_PLAIN, *drawn, *obstacle_commands(plan.scene), *path_commands(plan)]
 
 
-def obstacle_commands(scene: Scene) -> list[bytes]:
-    """Return packed commands for the obstacles that do not bend with the foot: below ``/bridge``."""
-    return [umsgpack.packb(command) for command in _bridge(scene)]
+def obstacle_commands(scene: Scene) -> list[Command]:
+    """Return commands for the obstacles that do not bend with the foot: below ``/bridge``."""
+    groups: dict[int, list[Surface]] = {}
+    for obstacle, surface in surroundings(scene):
+        groups.setdefault(WORKPIECE if obstacle.workpiece else CONCRETE, []).append(surface)
+    each = enumerate(groups.items())
+    return [_set_mesh(f"/bridge/{k}", group, colour, shininess=10) for k, (colour, group) in each]
 
 
-def path_commands(plan: Plan, above: str = "") -> list[bytes]:
-    """Return packed commands for the tool's paths and rows that are not reached: ``/path``, ``/left_out``."""
+def path_commands(plan: Plan, above: str = "") -> list[Command]:
+    """Return commands for the tool's paths and rows that are not reached: ``/path``, ``/left_out``."""
     thick = 0.002 * reach(plan.robot)
     outlines = [stroke.task.path.outline() for stroke in plan.strokes]
     drawn = {"path": (outlines, PATH), "left_out": (plan.rows_left_out, LEFT_OUT)}
     return [
-        umsgpack.packb(_set_mesh(f"{above}/{name}", [tube(points, thick) for points in lines], colour))
+        _set_mesh(f"{above}/{name}", [tube(points, thick) for points in lines], colour)
         for name, (lines, colour) in drawn.items()
         if lines
     ]
 
 
-def carrier_commands(plan: Plan, key: str) -> list[bytes]:
-    """Return packed commands for what carries a further plan's arm, in W: below ``/others/key``.
+def carrier_commands(plan: Plan, key: str) -> list[Command]:
+    """Return commands for what carries a further plan's arm, in W: below ``/others/key``.
 
     ``base`` is the fixed part of the robot, ``rails`` what that stands on.
     """
@@ -103,26 +106,25 @@ def carrier_commands(plan: Plan, key: str) -> list[bytes]:
     base = list(_robot(fixed, str(plan.robot.urdf)))
     for number, command in enumerate(base):
         command["path"] = f"/others/{key}/base/{number}"
-    return [umsgpack.packb(command) for command in (*base, *_supports(plan.scene, f"/others/{key}/rails"))]
+    return [*base, *_supports(plan.scene, f"/others/{key}/rails")]
 
 
-def bridge_commands(parts: Sequence[Obstacle]) -> list[bytes]:
-    """Return packed commands for what is drawn only, by `bridge_of`, paler than obstacles: ``/around``."""
+def bridge_commands(parts: Sequence[Obstacle]) -> list[Command]:
+    """Return commands for what is drawn only, by `bridge_of`, paler than obstacles: ``/around``."""
     sleepers = [part for part in parts if part.name.startswith("sleeper")]
     steel = [part for part in parts if part not in sleepers]
     drawn = {"/around/steel": (steel, PALE), "/around/wood": (sleepers, WOOD)}
-    commands = [
+    return [
         _set_mesh(path, [obstacle_surface(part) for part in each], colour, shininess=10)
         for path, (each, colour) in drawn.items()
         if each
     ]
-    return [umsgpack.packb(command) for command in commands]
 
 
 def moving_robot_commands(
     visual: Any, urdf: str, scene: Scene, ways: Sequence[FloatArray], length: float
-) -> list[bytes]:
-    """Return packed commands as `scene_commands` does, of a robot none of whose links is fixed.
+) -> list[Command]:
+    """Return commands as `scene_commands` does, of a robot none of whose links is fixed.
 
     Parameters
     ----------
@@ -138,10 +140,13 @@ def moving_robot_commands(
         To which the tubes' thickness is scaled.
     """
     tubes = [tube(way, 0.002 * length, sections=WAY_SECTIONS) for way in ways]
-    shapes = list(visual.geometryObjects)
-    commands = [*_PLAIN, *_robot(shapes, urdf), *_supports(scene, "/rails"), *_bridge(scene)]
-    commands.append(_set_mesh("/path", tubes, PATH))
-    return [umsgpack.packb(command) for command in commands]
+    drawn = (*_robot(list(visual.geometryObjects), urdf), *_supports(scene, "/rails"))
+    return [*_PLAIN, *drawn, *obstacle_commands(scene), _set_mesh("/path", tubes, PATH)]
+
+
+def encoded(commands: Iterable[Command]) -> list[str]:
+    """Return commands for `MeshCat.Viewer.handle_command_bytearray`: packed, in base64."""
+    return [base64.b64encode(umsgpack.packb(command)).decode("ascii") for command in commands]
 
 
 def reach(robot: Robot) -> float:
@@ -180,14 +185,6 @@ def surroundings(scene: Scene) -> tuple[tuple[Obstacle, Surface], ...]:
     others = [obstacle for obstacle in scene.all_obstacles if not any(obstacle is each for each in bending)]
     surfaces = simplified([obstacle_surface(obstacle) for obstacle in others], MOST_OBSTACLE_FACES)
     return tuple(zip(others, surfaces, strict=True))
-
-
-def _bridge(scene: Scene) -> Iterator[Command]:
-    groups: dict[int, list[Surface]] = {}
-    for obstacle, surface in surroundings(scene):
-        groups.setdefault(WORKPIECE if obstacle.workpiece else CONCRETE, []).append(surface)
-    for number, (colour, group) in enumerate(groups.items()):
-        yield _set_mesh(f"/bridge/{number}", group, colour, shininess=10)
 
 
 def _supports(scene: Scene, path: str) -> Iterator[Command]:

@@ -37,15 +37,14 @@ def excitation_page(plan: Plan, excitation: Excitation) -> str:
     """
     content = f"<section>{table(excitation_rows(excitation))}</section>"
     if excitation.passages:
-        speeds = np.array([each.speed_km_h for each in excitation.passages])
-        order = np.argsort(speeds)
-        tool = 1e3 * np.array([each.tool for each in excitation.passages])
-        left = np.array([each.kept is False for each in excitation.passages])
+        passages = sorted(excitation.passages, key=lambda passage: passage.speed_km_h)
+        speeds = np.array([passage.speed_km_h for passage in passages])
+        tool = np.array([passage.tool for passage in passages])
+        left = np.array([each.kept is False for each in passages])
         title = "Trains: largest displacement of the tool, mm"
         title += "; red: it leaves its tolerance" if left.any() else ""
-        content += _plot(title, "speed, km/h", speeds[order], tool[order], left[order])
-        shown = table(passage_rows(excitation), PASSAGE_HEADINGS)
-        content += f"<section>{shown}</section>"
+        content += _plot(title, "speed, km/h", speeds, 1e3 * tool, left)
+        content += f"<section>{table(passage_rows(excitation), PASSAGE_HEADINGS)}</section>"
     content += _plot(
         "Tool by 1 m/s2 of the deck at one frequency, mm",
         "frequency, Hz (logarithmic)",
@@ -78,14 +77,9 @@ def _plot(
     drawn = "".join(_scale(x, across, top, logarithmic=logarithmic))
     way = " ".join(f"{px:.1f},{py:.1f}" for px, py in points)
     drawn += f'<polyline points="{way}" fill="none" stroke="{_CURVE_COLOUR}" stroke-width="2"/>'
-    if len(points) <= 30:
-        colours = np.where(
-            np.zeros(len(x), dtype=bool) if warned is None else warned, _WARNING, _CURVE_COLOUR
-        )
-        drawn += "".join(
-            f'<circle cx="{px:.1f}" cy="{py:.1f}" r="3.5" fill="{colour}"/>'
-            for (px, py), colour in zip(points, colours, strict=True)
-        )
+    for k, (px, py) in enumerate(points if len(points) <= 30 else ()):
+        colour = _WARNING if warned is not None and warned[k] else _CURVE_COLOUR
+        drawn += f'<circle cx="{px:.1f}" cy="{py:.1f}" r="3.5" fill="{colour}"/>'
     drawn += f'<text x="{_WIDTH_PX // 2}" y="{_HEIGHT_PX - 12}" text-anchor="middle">{escape(axis)}</text>'
     svg = f'<svg viewBox="0 0 {_WIDTH_PX} {_HEIGHT_PX}" role="img" aria-label="{escape(title)}">{drawn}</svg>'
     return f'<h2>{escape(title)}</h2><section><div class="wide" tabindex="0">{svg}</div></section>'
@@ -98,10 +92,7 @@ def _scale(x: FloatArray, across: FloatArray, top: float, *, logarithmic: bool) 
         yield f'<path d="M{_EDGE_PX} {y:.0f}H{_WIDTH_PX - _EDGE_PX}" stroke="#8a8f98" stroke-opacity="0.25"/>'
         yield f'<text x="{_EDGE_PX - 8}" y="{y + 4:.0f}" text-anchor="end">{value:.3g}</text>'
     low, high = float(x.min()), float(x.max())
-    if logarithmic:
-        shown = [value for value in _TICKS_HZ if low <= value <= high]
-    else:
-        shown = ticks(low, high, _TICK_COUNT) if low < high else [low]
-    for value in shown:
+    shown = ticks(low, high, _TICK_COUNT) if low < high else [low]
+    for value in [hz for hz in _TICKS_HZ if low <= hz <= high] if logarithmic else shown:
         place = np.interp(value, x, across)
         yield f'<text x="{place:.0f}" y="{_HEIGHT_PX - 36}" text-anchor="middle">{value:g}</text>'

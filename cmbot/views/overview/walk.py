@@ -1,15 +1,22 @@
-"""The page of `cmbot walk`: the steps, and where the feet hold, coloured by what they bear."""
+"""The pages of `cmbot walk` and `cmbot tour`: steps, and where feet hold, coloured by what they bear."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from html import escape
+from itertools import chain
 
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.stances.walking import Walk, WalkSamples, walk_samples
-from cmbot.views.overview.guardrail_map import guardrail_map
+from cmbot.planning import Plan
+from cmbot.stances import Candidate
+from cmbot.stances.walking import Tour, Walk, WalkSamples, walk_samples
+from cmbot.views.overview.guardrail_map import Stand, guardrail_map
 from cmbot.views.page import still_page, table
+from cmbot.views.report import REPORT
+
+_REPLAY_LINK = {"replay": "replay.html"}
 
 
 def walk_page(walk: Walk) -> str:
@@ -58,3 +65,63 @@ def _share(*shares: FloatArray) -> str:
     """The largest share of its bounds that a foot uses; nothing where none is known."""
     largest = max(float(np.nanmax(each, initial=0.0)) for each in shares)
     return f"{100 * largest:.0f} %" if largest > 0 else ""
+
+
+def tour_page(tour: Tour) -> str:
+    """Return an HTML page that opens no connection and runs no script.
+
+    Its links lead to the pages of the parts, in folders of their names beside it.
+
+    Parameters
+    ----------
+    tour : Tour
+    """
+    parts = list(tour.parts)
+    heads = (
+        "part",
+        "what",
+        "begins, s",
+        "seconds",
+        "peak torque, Nm",
+        "adhesion needed, kN",
+        "effort of joints",
+    )
+    rows = ((name, *_row(part, begin)) for name, begin, part in parts)
+    content = f"<section>{table(rows, heads, text_columns=2)}</section>"
+    samples = [list(walk_samples(each)) for each in tour.walks]
+    stands = [
+        Stand(each.candidate, _what(plan), [stroke.task.path.outline() for stroke in plan.strokes])
+        for each, plan in zip(tour.works, tour.plans, strict=True)
+        if isinstance(each.candidate, Candidate)
+    ]
+    content += f"<section>{guardrail_map(tour.plans[0].scene, [*chain(*samples)], stands)}</section>"
+    for name, _, part in parts:
+        pages = {"report": REPORT} if isinstance(part, Plan) else {"walk": "index.html"}
+        links = (f'<a href="{name}/{page}">{what}</a>' for what, page in (pages | _REPLAY_LINK).items())
+        content += f"<h2>{escape(name)}: {escape(_what(part))}</h2><p>{', '.join(links)}</p>"
+        if isinstance(part, Plan):
+            each = table(part.rows(), part.headings)
+        else:
+            said = "".join(f"<p>{escape(sentence)}</p>" for sentence in part.in_words())
+            each = said + steps_table(part, samples[tour.walks.index(part)])
+        content += f"<section>{each}</section>"
+    return still_page(f"Tour: {tour.name}", tour.in_words(), content)
+
+
+def _what(part: Plan | Walk) -> str:
+    if isinstance(part, Plan):
+        return ", ".join(str(stroke.name) for stroke in part.scene.strokes)
+    return f"{len(part.steps)} steps"
+
+
+def _row(part: Plan | Walk, begin: float) -> tuple[str, ...]:
+    if isinstance(part, Plan):
+        figures, seconds = part.job.figures, part.job.duration
+        torque, needed = f"{figures.peak_guardrail_torque:.1f}", figures.adhesion_needed
+        effort = figures.limit_use.torque
+    else:
+        seconds, needed, effort = part.seconds, part.adhesion_needed, part.effort
+        peaks = [move.segment.figures.peak_guardrail_torque for move in part.moves]
+        torque = f"{np.max(peaks, initial=0.0):.1f}"
+    adhesion = "" if needed is None else f"{needed.peak / 1e3:.2f}"
+    return (_what(part), f"{begin:.1f}", f"{seconds:.1f}", torque, adhesion, f"{100 * effort:.0f} %")

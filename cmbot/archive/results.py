@@ -1,21 +1,23 @@
-"""Tracking errors in the directory of their plan: a table for each motion, and their metrics."""
+"""What is added to the directory of a plan: tracking errors and their tables, and an excitation."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from cmbot.archive.folder import read_folder
 from cmbot.archive.places import add_results
-from cmbot.archive.records import PLAN_FILE, TRACKING_FILES, Entry, json_bytes, read_json
+from cmbot.archive.records import EXCITATION_FILE, PLAN_FILE, TRACKING_FILES, Entry, json_bytes, read_json
 from cmbot.archive.tables import OFF_PATH, read_table, require_table, table_csv
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError
 from cmbot.common.reading.validation import given_path, require_type, shown, validated
+from cmbot.excitation import Excitation
 from cmbot.planning import Plan, require_plan
 from cmbot.simulation import (
     MotionTracking,
@@ -29,7 +31,9 @@ from cmbot.simulation import (
 )
 from cmbot.version import __version__
 
-_TRACKING_FORMAT = "cmbot-tracking/1"
+T = TypeVar("T")
+
+_FORMATS = {TRACKING_FILES[2]: "cmbot-tracking/1", EXCITATION_FILE: "cmbot-excitation/1"}
 _PLANNED, _BASELINE, _METRICS = TRACKING_FILES
 _TABLES = {_PLANNED: "planned", _BASELINE: "baseline"}
 _TRACKING_COLUMNS = (
@@ -99,12 +103,8 @@ def save_tracking(
     expected = "a Tracking, as cmbot.simulate returns it"
     require_type(tracking, Tracking, "cmbot.save_tracking", "tracking", expected)
     folder = given_path(directory, "cmbot.save_tracking", "directory", "the path of a plan directory")
-    contents = {}
-    for name, attribute in _TABLES.items():
-        motion: MotionTracking | None = getattr(tracking, attribute)
-        if motion is None:
-            continue
-        contents[name] = _motion_csv(motion, name)
+    motions = {name: getattr(tracking, attribute) for name, attribute in _TABLES.items()}
+    contents = {name: _motion_csv(motion, name) for name, motion in motions.items() if motion is not None}
     contents[_METRICS] = json_bytes(tracking_json(tracking), indent=2)
     return add_results(folder, contents, added, force=force)
 
@@ -138,14 +138,10 @@ def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
     """
     require_plan(plan, "cmbot.load_tracking")
     folder = given_path(directory, "cmbot.load_tracking", "directory", "the path of a plan directory")
-    source = str(folder / _METRICS)
-    _, contents = read_folder(folder, PLAN_FILE, _wanted)
-    if not contents:
+    file, contents = _read(folder, _METRICS, _TrackingFile, (_PLANNED, _BASELINE))
+    if file is None:
         return None
-    data = read_json(contents[_METRICS], source)
-    if data.get("format") != _TRACKING_FORMAT:
-        raise ArchiveError(source, "format", shown(data.get("format")), repr(_TRACKING_FORMAT))
-    file = validated(_TrackingFile, data, source, ArchiveError)
+    source = str(folder / _METRICS)
     works = [(_PLANNED, PrescribedWork.planned(plan), plan.sag)]
     if (other := PrescribedWork.baseline(plan)) is not None:
         works.append((_BASELINE, other, None))
@@ -155,9 +151,8 @@ def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
     motions = dict[str, MotionTracking]()
     for name, work, sag in works:
         with_base = contents[name].partition(b"\n")[0].endswith(_BASE[-1].encode())
-        table = read_table(
-            contents[name], str(folder / name), _TRACKING_COLUMNS + _BASE if with_base else _TRACKING_COLUMNS
-        )
+        columns = _TRACKING_COLUMNS + _BASE if with_base else _TRACKING_COLUMNS
+        table = read_table(contents[name], str(folder / name), columns)
         t, error, static = table[:, 0].copy(), table[:, 1:4].copy(), table[:, 4:7].copy()
         rigid, predicted = expected_tool(plan.robot, work, t, sag)
         entry: _Motion = getattr(file, _TABLES[name])
@@ -176,27 +171,114 @@ def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
     )
 
 
+def save_excitation(
+    excitation: Excitation,
+    directory: str | Path,
+    *,
+    force: bool = False,
+    added: Mapping[str, bytes | str] | None = None,
+) -> tuple[Path, ...]:
+    """Add an excitation to a plan directory, all files or none; ``plan.json`` takes their hashes.
+
+    Parameters
+    ----------
+    excitation : Excitation
+        Of the plan that was saved there.
+    directory : str or Path
+    force : bool
+        Replace one that is there.
+    added : mapping from str to bytes or str, optional
+        Pages and plots that are added with it, by their names.
+
+    Returns
+    -------
+    tuple of Path
+        Of the files.
+
+    Raises
+    ------
+    InputError
+        When `excitation` is no Excitation, or `directory` no path.
+    ArchiveError
+        When `directory` is no plan directory, holds one already, a number is not finite, another process is
+        writing there, or the system refuses.
+
+    Examples
+    --------
+    >>> [path.name for path in cmbot.save_excitation(excitation, "out/triangle")]
+    ['excitation.json']
+    """
+    expected = "an Excitation, as cmbot.excite returns it"
+    require_type(excitation, Excitation, "cmbot.save_excitation", "excitation", expected)
+    folder = given_path(directory, "cmbot.save_excitation", "directory", "the path of a plan directory")
+    contents = {EXCITATION_FILE: json_bytes(excitation_json(excitation), indent=2)}
+    return add_results(folder, contents, added, force=force)
+
+
+def load_excitation(directory: str | Path) -> Excitation | None:
+    """Read the excitation beside a plan.
+
+    Parameters
+    ----------
+    directory : str or Path
+
+    Returns
+    -------
+    Excitation or None
+        None where there is none.
+
+    Raises
+    ------
+    InputError
+        When `directory` is no path.
+    ArchiveError
+        When a file is missing, damaged or of another version.
+
+    Examples
+    --------
+    >>> excitation = cmbot.load_excitation("out/triangle")
+    """
+    folder = given_path(directory, "cmbot.load_excitation", "directory", "the path of a plan directory")
+    return _read(folder, EXCITATION_FILE, Excitation)[0]
+
+
+def excitation_json(excitation: Excitation) -> dict[str, Any]:
+    """Return an excitation ready for JSON, SI units but where a key says otherwise."""
+    content = TypeAdapter(Excitation).dump_python(excitation, mode="json")
+    return {"format": _FORMATS[EXCITATION_FILE], "cmbot": __version__, "rms_mm": excitation.rms_mm, **content}
+
+
 def _motion_csv(motion: MotionTracking, source: str) -> bytes:
     """The table of a motion; distances from the path follow from the rest: others are refused on reading."""
-    parts, columns = (
-        [motion.t, motion.error, motion.static, motion.path_error, motion.off_path],
-        _TRACKING_COLUMNS,
-    )
-    if motion.base is not None:
-        parts, columns = [*parts, motion.base], columns + _BASE
-    return table_csv(columns, np.column_stack(parts), source)
+    parts = [motion.t, motion.error, motion.static, motion.path_error, motion.off_path]
+    if motion.base is None:
+        return table_csv(_TRACKING_COLUMNS, np.column_stack(parts), source)
+    return table_csv(_TRACKING_COLUMNS + _BASE, np.column_stack([*parts, motion.base]), source)
 
 
-def _wanted(hashes: Mapping[str, str]) -> tuple[str, ...]:
-    """The files of tracking errors: without a baseline there is no table of it."""
-    needed = (_PLANNED, _METRICS) if _METRICS in hashes else ()
-    return tuple(name for name in TRACKING_FILES if name in needed or (needed and name in hashes))
+def _read(
+    folder: Path, name: str, kind: type[T], tables: Sequence[str] = ()
+) -> tuple[T | None, dict[str, bytes]]:
+    """Read results beside a plan, with those of their tables that are there; None where there are none."""
+
+    def wanted(hashes: Mapping[str, str]) -> list[str]:
+        # The first table has to be there: without a baseline there is no table of it.
+        return [*tables[:1], *(hashes.keys() & tables[1:]), name] if name in hashes else []
+
+    _, contents = read_folder(folder, PLAN_FILE, wanted)
+    if not contents:
+        return None, contents
+    source = str(folder / name)
+    data = read_json(contents[name], source)
+    if data.get("format") != _FORMATS[name]:
+        raise ArchiveError(source, "format", shown(data.get("format")), repr(_FORMATS[name]))
+    return validated(kind, data, source, ArchiveError), contents
 
 
 def tracking_json(tracking: Tracking) -> dict[str, Any]:
     """Return the metrics of tracking errors ready for JSON, SI units."""
     return {
-        "format": _TRACKING_FORMAT,
+        "format": _FORMATS[_METRICS],
         "cmbot": __version__,
         "options": asdict(tracking.options),
         "seconds": tracking.seconds,
@@ -215,9 +297,7 @@ def _motion(motion: MotionTracking) -> dict[str, Any]:
             part: {name: _by_axis(values) for name, values in vars(getattr(metrics, part)).items()}
             for part in ("total", "static", "dynamic", "path")
         },
-        "residual": None
-        if residual is None
-        else {**vars(residual), "peak_to_peak": _by_axis(residual.peak_to_peak)},
+        "residual": residual and {**vars(residual), "peak_to_peak": _by_axis(residual.peak_to_peak)},
         "modes": [{"frequency": frequency, "power": power} for frequency, power in modes],
         "largest_command_error": _largest(motion.command),
         "largest_execution_error": None if motion.execution is None else _largest(motion.execution),
