@@ -86,7 +86,7 @@ def main(folder: Path, scene: cmbot.Scene, controller: str = "") -> None:
     goal = goal_of(folder, scene)
     points = goal["trajectory"]["points"]
     print("joints:", ", ".join(goal["trajectory"]["joint_names"]))
-    print("starts in:", ", ".join(f"{angle:.4f}" for angle in points[0]["positions"]), "rad")
+    print("starts in:", ", ".join(f"{angle:.4f}" for angle in points[0]["positions"]), "rad, m")
     last = points[-1]["time_from_start"]
     print(f"{len(points)} points in {last['sec'] + 1e-9 * last['nanosec']:.2f} s")
     if controller:

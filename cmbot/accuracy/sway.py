@@ -21,6 +21,7 @@ from scipy.spatial.distance import pdist
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.modes import arm_modes, linearised
+from cmbot.elastic.sag import TooSoftError
 from cmbot.trajectory import QuinticTrajectory
 
 SETTLE_S = 2.0
@@ -101,6 +102,7 @@ def sway_along(
             # Matrices of the middle of an interval hold for all of it.
             M, K = (0.5 * (both[i] + both[i + 1]) for both in (at.mass, at.stiffness))
             stiff = K + more[:, None, None] * arm.stiffness
+            _require_bearing(stiff, factors)
             inverse = np.linalg.inv(M + 0.5 * h * D + 0.25 * h * h * stiff)
             before = i
         w_next, v_next = w + h * v + 0.25 * h * h * a, v + 0.5 * h * a
@@ -131,6 +133,16 @@ def stroke_sway(arm: ElasticArm, trajectory: QuinticTrajectory, share: float) ->
 
     factors, damping = (1 - share, 1.0, 1 + share), arm.robot.damping_ratio
     return sway_along(arm, motion, float(end - begin) + SETTLE_S, damping, factors)
+
+
+def _require_bearing(stiffness: FloatArray, factors: Sequence[float]) -> None:
+    """Refuse stiffnesses (F, f, f), with the loads' own, that do not bear the arm: a `TooSoftError`."""
+    for matrix, factor in zip(stiffness, factors, strict=True):
+        try:
+            np.linalg.cholesky(0.5 * (matrix + matrix.T))
+        except np.linalg.LinAlgError as error:
+            got = f"a posture from which the arm topples with {factor:.0%} of its stiffness (stiffness_share)"
+            raise TooSoftError("sway", "factors", got, "an arm and a base that are stiff enough") from error
 
 
 def _inertial_loads(

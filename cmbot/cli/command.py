@@ -122,6 +122,11 @@ class Reporting(Command):
         elif not self.quiet:
             say()
 
+    def wrote(self, file: Path, how: str = "", **told: object) -> None:
+        """Say that a file was written, and how."""
+        said = f"Written to {one_line(file)}{how}."
+        self.answer(lambda: {"files": [str(file)], **told}, lambda: out.print(said))
+
     def work_in(
         self,
         directory: Path,

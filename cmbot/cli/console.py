@@ -97,7 +97,8 @@ def print_json(data: Mapping[str, Any]) -> None:
 
     JSON has no infinite numbers, such as the clearance without shapes: they are null.
     """
-    out.print(json.dumps(_finite({"format": "cmbot-summary/1", **data}), indent=2, allow_nan=False))
+    summary = {"format": "", **data} | {"format": "cmbot-summary/1"}
+    out.print(json.dumps(_finite(summary), indent=2, allow_nan=False))
 
 
 def _finite(value: Any) -> Any:

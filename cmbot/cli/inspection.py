@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import cmbot
-from cmbot.cli.command import Command, Reporting, argument, option, require_new
+from cmbot.cli.command import Command, Reporting, Writing, argument, option, require_new
 from cmbot.cli.completion import complete_scene
-from cmbot.cli.console import ExitStatus, out, print_json, print_lines, print_pairs, print_table
+from cmbot.cli.console import ExitStatus, out, print_lines, print_pairs, print_table
 from cmbot.cli.creation import PACKAGE_DIR_HELP, require_folders, xacro_arguments
 from cmbot.cli.planning import loaded_scene
 from cmbot.common.errors import InputError, MissingExtra, SceneError, one_line
@@ -304,7 +304,7 @@ class VerifyCommand(Reporting):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScenesCommand(Command):
+class ScenesCommand(Writing):
     """List the shipped scenes, each with what it is about.
 
     Examples: cmbot scenes, cmbot scenes --html scenes.html
@@ -313,26 +313,22 @@ class ScenesCommand(Command):
     reads = False
 
     html: Path | None = option(None, "Page to write instead, with a picture of each scene.")
-    force: bool = option(False, "Replace what is there.")
-    json: bool = option(False, "Print one JSON object on standard output instead of tables.")
 
     def __call__(self) -> None:
         shown = {name: _about(name) for name in shipped_scenes()}
         if self.html is not None:
             require_new(self.html, self.force)
             cmbot.views.write_page(self.html, cmbot.views.gallery_page(shown))
-            if not self.json:
-                out.print(f"Written to {one_line(self.html)}.")
-                return
-        about = {name: sentence for name, (sentence, _) in shown.items()}
-        if self.json:
-            print_json({"verb": "scenes", "folder": str(scene_folder()), "scenes": about})
+            self.wrote(self.html)
             return
-        print_pairs(about)
+        about = {name: sentence for name, (sentence, _) in shown.items()}
         others = [command for name, (_, command) in shown.items() if command != f"cmbot plan {name}"]
-        out.print(
-            f"Their files are in {one_line(scene_folder())}; {', '.join(['cmbot plan NAME', *others])}."
-        )
+
+        def say() -> None:
+            print_pairs(about)
+            out.print(f"{', '.join(['cmbot plan NAME', *others])}; cmbot doctor says where their files are.")
+
+        self.answer(lambda: {"folder": str(scene_folder()), "scenes": about}, say)
 
 
 def _about(name: str) -> tuple[str, str]:
@@ -346,19 +342,22 @@ def _about(name: str) -> tuple[str, str]:
 
 @dataclass(frozen=True, kw_only=True)
 class SchemaCommand(Command):
-    """Print the JSON Schema of scene files, for editors and programs.
+    """Print the JSON Schema of scene files, for editors and programs, or that of what --json prints.
 
-    Example: cmbot schema > scene.schema.json
+    Examples: cmbot schema > scene.schema.json, cmbot schema --summary > summary.schema.json
     """
 
     reads = False
 
+    summary: bool = option(False, "The schema of what commands print with --json instead.")
+
     def __call__(self) -> None:
-        out.print((scene_folder() / "scene.schema.json").read_text(encoding="utf-8"), end="")
+        name = "summary.schema.json" if self.summary else "scene.schema.json"
+        out.print((scene_folder() / name).read_text(encoding="utf-8"), end="")
 
 
 @dataclass(frozen=True, kw_only=True)
-class DoctorCommand(Command):
+class DoctorCommand(Reporting):
     """Show versions, where things were loaded from, and what is missing.
 
     Example: cmbot doctor
@@ -369,9 +368,13 @@ class DoctorCommand(Command):
     def __call__(self) -> int:
         symptoms = examine()
         width = max(len(symptom.name) for symptom in symptoms)
-        for symptom in symptoms:
-            mark = "ok     " if symptom.healthy else "MISSING"
-            out.print(f"{mark} {symptom.name:<{width}}  {one_line(symptom.found)}")
+
+        def say() -> None:
+            for symptom in symptoms:
+                mark = "ok     " if symptom.healthy else "MISSING"
+                out.print(f"{mark} {symptom.name:<{width}}  {one_line(symptom.found)}")
+
+        self.answer(lambda: {"symptoms": [symptom._asdict() for symptom in symptoms]}, say)
         return ExitStatus.DONE if all(symptom.healthy for symptom in symptoms) else ExitStatus.FAILED
 
 

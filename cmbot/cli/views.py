@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cmbot
-from cmbot.cli.command import Command, Writing, argument, option, options_named, require_new
+from cmbot.cli.command import Reporting, Writing, argument, option, options_named, require_new
 from cmbot.cli.console import ConsoleProgress, err, out
 from cmbot.common.errors import InputError, one_line
 
@@ -25,7 +25,7 @@ _FILM_OPTIONS = ("--video", "--gif")
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReplayCommand(Command):
+class ReplayCommand(Reporting):
     """Write a page that replays a plan, or a walk, in any browser, without a network.
 
     A walk is certified again first.
@@ -62,9 +62,9 @@ class ReplayCommand(Command):
         if filmed is not None:
             self._film(page, filmed, shape)
         elif written is not None:
-            out.print(f"Written to {one_line(written)}.")
+            self.wrote(written)
         else:
-            _serve(page, name)
+            self._serve(page, name)
 
     def _film(self, page: str, file: Path, size: tuple[int, int]) -> None:
         """Film a replay page, and print how long that took."""
@@ -72,7 +72,7 @@ class ReplayCommand(Command):
         if as_gif and file.suffix.lower() != ".gif":
             raise InputError("cmbot replay", "--gif", str(file), "a file whose name ends with .gif")
         started = time.perf_counter()
-        with ConsoleProgress() as progress:
+        with ConsoleProgress(quiet=self.quiet) as progress:
             progress.stage("filming", 0.0)
             frames = cmbot.views.film(
                 page,
@@ -85,16 +85,13 @@ class ReplayCommand(Command):
                 progress=lambda share: progress.stage("filming", share),
             )
         seconds = time.perf_counter() - started
-        out.print(f"Written to {one_line(file)}: {frames} frames in {seconds:.1f} s.")
+        self.wrote(file, f": {frames} frames in {seconds:.1f} s", frames=frames)
 
-
-def _serve(page: str, name: str) -> None:
-    with cmbot.views.ReplayServer(page) as server:
-        try:
-            out.print(f"Replay of {name} at {server.url}; stop with Ctrl-C.")
+    def _serve(self, page: str, name: str) -> None:
+        with cmbot.views.ReplayServer(page) as server, suppress(KeyboardInterrupt):
+            said = f"Replay of {name} at {server.url}; stop with Ctrl-C."
+            self.answer(lambda: {"url": server.url}, lambda: out.print(said))
             server.wait()
-        except KeyboardInterrupt:
-            return
 
 
 def _plan_page(directory: Path) -> tuple[str, str]:
@@ -118,7 +115,7 @@ def _size(text: str) -> tuple[int, int]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReportCommand(Command):
+class ReportCommand(Writing):
     """Write a page that says what a plan gains and what it keeps: replay, plots and tables.
 
     Tracking errors are in it when the plan has been simulated, and what shakes it after `cmbot excite`.
@@ -128,7 +125,6 @@ class ReportCommand(Command):
 
     directory: Path = argument("A plan directory.", "DIR")
     html: Path | None = option(None, "Page to write; DIR/report.html if left out.")
-    force: bool = option(False, "Replace the file named with --html if it is there.")
 
     def __call__(self) -> None:
         directory, html = self.directory, self.html
@@ -138,7 +134,7 @@ class ReportCommand(Command):
             tracking, excitation = cmbot.load_tracking(loaded, directory), cmbot.load_excitation(directory)
             page = cmbot.views.report_page(loaded, tracking, excitation)
             written = _written(page, html, directory, cmbot.views.REPORT)
-        out.print(f"Written to {one_line(written)}.")
+        self.wrote(written)
 
 
 def _written(page: str, html: Path | None, directory: Path, name: str) -> Path:
@@ -150,7 +146,7 @@ def _written(page: str, html: Path | None, directory: Path, name: str) -> Path:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CompareCommand(Command):
+class CompareCommand(Writing):
     """Write a page that shows several plans together: overlaid in 3-D and in plots, figures side by side.
 
     Example: cmbot compare out/triangle out/pinned --html compare.html
@@ -158,10 +154,8 @@ class CompareCommand(Command):
 
     directories: tuple[Path, ...] = argument("Plan directories of one arm, 2 to 6.", "DIR")
     html: Path = option(Path("compare.html"), "Page to write.")
-    force: bool = option(False, "Replace what is there.")
 
     def __call__(self) -> None:
-
         places = [directory.resolve() for directory in self.directories]
         if len(set(places)) < len(places):
             expected = "different plan directories"
@@ -177,7 +171,7 @@ class CompareCommand(Command):
         trackings = map(cmbot.load_tracking, plans.values(), self.directories)
         tracked = dict(zip(plans, trackings, strict=True))
         cmbot.views.write_page(self.html, cmbot.views.compare_page(plans, tracked))
-        out.print(f"Written to {one_line(self.html)}.")
+        self.wrote(self.html)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -103,7 +103,7 @@ def without_posture(scene: Scene) -> Iterator[Finding]:
         at = request.at_stroke(number)
         miss = nearest_miss(at, is_clear=True)
         if miss is not None:
-            remedy = "planning cuts its rows to what is" if _is_cut(stroke) else miss.remedy()
+            remedy = "rows beyond it are left out" if _is_cut(stroke) else miss.remedy()
             yield Finding(
                 severity="warning",
                 key=miss.key,

@@ -15,7 +15,7 @@ import cmbot
 from cmbot.accuracy import Part, Shaking, parts_of, sway_along
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
-from cmbot.elastic.sag import Sag
+from cmbot.elastic.sag import Sag, TooSoftError
 from cmbot.elastic.stiffness_parameters import StiffnessParameters
 from cmbot.planning import Plan, bending_arm, plan, verdict
 from cmbot.robot import Kinematics
@@ -251,3 +251,14 @@ def test_a_soft_base_counts_more() -> None:
         scene = short_scene(guardrail={"stiffness_factor": factor}, uncertainty="none")
         radii.append(plan(scene, progress=False).accuracy.within_mm)
     assert radii[1] > 1.2 * radii[0]
+
+
+def test_a_share_of_the_stiffness_that_does_not_bear_the_arm_is_refused(
+    arm: ElasticArm, q: FloatArray
+) -> None:
+    def still(t: FloatArray, order: int) -> FloatArray:
+        return np.tile(q[0] if order == 0 else np.zeros_like(q[0]), (len(t), 1))
+
+    assert sway_along(arm, still, 0.2, 0.01, (1.0, 0.5)).tool.shape[0] == 2
+    with pytest.raises(TooSoftError, match=r"topples with 0% of its stiffness"):
+        sway_along(arm, still, 0.2, 0.01, (1.0, 1e-3))

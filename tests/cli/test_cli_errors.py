@@ -90,7 +90,7 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
         "check nosuch.yaml",
         (
             "nosuch.yaml: no such file",
-            "one of: angle_steel, bracket_faces, clamped_triangle, gusset_plate, line, panda_sanding",
+            "one of: angle_steel, bracket_faces, clamped_triangle, gusset_plate, line, mast_inspection",
         ),
     ),
     ("plan no_plan", ("no_plan: got a folder, expected a scene file or the name of a shipped scene (one",)),

@@ -8,10 +8,11 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from command_line import ENTRY, ROOT, environment, output, refusal, run, write_scene
+from command_line import ENTRY, ROOT, SUMMARIES, environment, output, refusal, run, write_scene
 from small_scenes import SHORT
 
 import cmbot
+from cmbot.cli import COMMANDS
 from cmbot.common.installation import model_folder, scene_folder
 from cmbot.planning.workcell.objectives import objective_of
 from cmbot.robot import Postures
@@ -234,7 +235,8 @@ def test_shipped_scenes_are_listed_with_what_they_are_about() -> None:
     assert [line.split()[0] for line in lines[:-1]] == list(shipped_scenes())
     assert all(len(line.split(maxsplit=1)[1]) > 20 for line in lines)
     assert all(line.endswith(".") for line in lines)
-    assert "cmbot plan NAME, cmbot tour two_brackets --on top_rail." in lines[-1]
+    assert lines[-1].startswith("cmbot plan NAME, cmbot tour two_brackets --on top_rail; ")
+    assert str(scene_folder()) not in "".join(lines)
     data = json.loads(output("scenes", "--json"))
     assert data["scenes"]["triangle"].startswith("The paper's first experiment")
 
@@ -252,6 +254,9 @@ def test_shipped_scenes_are_shown_on_a_page(tmp_path: Path) -> None:
 
 def test_the_schema_is_printed_as_it_is_shipped() -> None:
     assert output("schema") == (scene_folder() / "scene.schema.json").read_text(encoding="utf-8")
+    summary = json.loads(output("schema", "--summary"))
+    SUMMARIES.check_schema(summary)
+    assert set(summary["$defs"]) == set(COMMANDS) - {"schema"} == set(summary["properties"]["verb"]["enum"])
 
 
 def test_a_shell_completes_scenes_verbs_and_options(tmp_path: Path) -> None:

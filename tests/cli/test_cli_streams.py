@@ -170,8 +170,8 @@ def test_a_terminal_breaks_a_message_between_words() -> None:
     assert all(len(line) <= 50 for line in lines)
     assert " ".join(line.rstrip() for line in lines) == (
         f"error: {name}: no such file, expected a scene file or the name of a shipped scene "
-        "(one of: angle_steel, bracket_faces, clamped_triangle, gusset_plate, line, panda_sanding, "
-        "passing_train, pipe, triangle, "
+        "(one of: angle_steel, bracket_faces, clamped_triangle, gusset_plate, line, mast_inspection, "
+        "panda_sanding, passing_train, pipe, triangle, "
         "two_brackets)"
     )
     # Quietly nothing is shown but the error.

@@ -13,6 +13,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import pytest
 
 from cmbot.cli import main
@@ -20,6 +21,10 @@ from cmbot.cli import main
 ROOT = Path(__file__).resolve().parent.parent.parent
 # What a shell runs as `cmbot`; a test can put lines before it.
 ENTRY = "from cmbot.cli import main\nmain()\n"
+# What every command has to print with --json.
+SUMMARIES = jsonschema.Draft202012Validator(
+    json.loads((ROOT / "scenes" / "summary.schema.json").read_text(encoding="utf-8"))
+)
 # What would make rich believe in a terminal, or in a width.
 _TERMINAL = ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE", "COLUMNS", "NO_COLOR", "CLICOLOR_FORCE")
 
@@ -43,7 +48,10 @@ def run(*words: str | Path) -> Outcome:
             patch.delenv(name, raising=False)
         with pytest.raises(SystemExit) as ended:
             main()
-    return Outcome(status=int(ended.value.code or 0), out=out.getvalue(), err=err.getvalue())
+    outcome = Outcome(status=int(ended.value.code or 0), out=out.getvalue(), err=err.getvalue())
+    if "--json" in words and outcome.out:
+        SUMMARIES.validate(json.loads(outcome.out))
+    return outcome
 
 
 def output(*words: str | Path, status: int = 0) -> str:

@@ -129,7 +129,7 @@ def test_report(tmp_path: Path) -> None:
 
 def test_send_to_a_robot(tmp_path: Path) -> None:
     text = run("07_send_to_a_robot.py", tmp_path)
-    assert numbers(r"^starts in: (.+) rad$", text.replace(",", ""))[:2] == pytest.approx(
+    assert numbers(r"^starts in: (.+) rad m$", text.replace(",", ""))[:2] == pytest.approx(
         [math.radians(-10), math.radians(-90)], abs=1e-4
     )
     # The knots of the plan: as many as via-points, after those of the approach to where the bent arm begins.

@@ -35,6 +35,7 @@ def test_the_shipped_scenes():
         "clamped_triangle",
         "gusset_plate",
         "line",
+        "mast_inspection",
         "panda_sanding",
         "passing_train",
         "pipe",
@@ -64,7 +65,7 @@ def test_triangle():
     np.testing.assert_allclose(lengths, [1.0, 0.2, 0.83], atol=1e-4)
     np.testing.assert_allclose(np.sum([leg.by for leg in scene.strokes[0].legs], axis=0), 0, atol=1e-12)
     assert (scene.strokes[0].keep, scene.strokes[0].via_points) == ("pose", 50)
-    assert (scene.strokes[0].speed_profile.kind, scene.strokes[0].speed_profile.ramp) == ("trapezoidal", 0.2)
+    assert (scene.strokes[0].speed_profile.kind, scene.strokes[0].speed_profile.ramp) == ("quiet", 0.3)
 
 
 def test_bracket_bars_lie_along_the_sides():

@@ -74,7 +74,9 @@ def make_corpus(folder: Path) -> Corpus:
     shipped: list[tuple[str, Any]] = [(name, path.read_text("utf-8")) for name, path in paths.items()]
     # The Panda is not installed everywhere, and the rows of its scene lie beside it.
     shipped += [
-        (name, read_yaml(paths[name], InputError)) for name in sorted(paths.keys() - {"panda_sanding"})
+        (name, read_yaml(path, InputError))
+        for name, path in sorted(paths.items())
+        if name not in ("panda_sanding", "mast_inspection")
     ]
     plans = []
     away = {"return": "start"}

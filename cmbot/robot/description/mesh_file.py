@@ -68,7 +68,8 @@ def locate_meshes(
                 got = f"{shown(name)}, {error.got} ({sought})"
                 expected = error.expected
                 if not path.is_absolute():
-                    expected = f"{expected}: package_dirs has the folder of its package, or the one with that"
+                    told = "package_dirs (--package-dir) has the folder of its package, or the one with that"
+                    expected = f"{expected}: {told}"
                 raise ModelError(str(urdf), _key(link), got, expected) from error
             located[name] = str(path)
         mesh.set("filename", located[name])

@@ -6,7 +6,7 @@ import base64
 from collections.abc import Mapping
 from html import escape
 
-from cmbot.common.installation import picture_folder, scene_folder
+from cmbot.common.installation import picture_folder
 from cmbot.views.page import still_page
 
 
@@ -22,7 +22,7 @@ def gallery_page(scenes: Mapping[str, tuple[str, str]]) -> str:
     cards = "".join(_card(name, *words) for name, words in scenes.items())
     return still_page(
         "Scenes that come with cmbot",
-        [f"Their files are in {scene_folder()}."],
+        ["cmbot plan NAME plans one; cmbot doctor says where their files are."],
         f'<div class="pair">\n{cards}</div>',
     )
 
