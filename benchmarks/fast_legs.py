@@ -33,7 +33,7 @@ __all__ = ["fast_scene", "proven_seconds"]
 
 _ARMS = 8
 _LENGTHS, _LONGER = (0.15, 0.5), (1.05, 1.2)
-_STATIONS, _TIMES, _TRIES, _MARGIN = 121, 801, 100, 0.02
+_STATIONS, _TIMES, _TRIES, _MARGIN = 121, 801, 1000, 0.02
 # The law has two ramps without a cruise; it may use this share of every bound.
 _RAMP, _USE = 0.5, 0.99
 

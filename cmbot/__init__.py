@@ -115,30 +115,11 @@ __all__ = [
     "walk",
 ]
 
-_ROOMS = {
-    "cmbot.archive": (
-        "load_excitation",
-        "load_plan",
-        "load_tour",
-        "load_tracking",
-        "load_walk",
-        "save",
-        "save_excitation",
-        "save_tracking",
-    ),
-    "cmbot.campaigns": ("Campaign", "campaign"),
-    "cmbot.evaluation": ("Evaluation", "evaluate"),
-    "cmbot.excitation": ("Excitation", "excite"),
-    "cmbot.identification": ("Identification", "Location", "identify", "locate"),
-    "cmbot.planning": ("Plan", "QuinticTrajectory", "plan", "replan"),
-    "cmbot.robot": ("Robot", "load_robot"),
-    "cmbot.scene": ("PlannerOptions", "Scene", "load_scene"),
-    "cmbot.simulation": ("SimulationOptions", "Tracking", "simulate"),
-    "cmbot.views": ("plot", "replay", "report", "show"),
-    "cmbot.stances.walking": ("Tour", "Walk", "tour", "walk"),
-}
-_MODULES = [module.split(".")[1] for module in _ROOMS]
-__getattr__ = on_first_use(__name__, _ROOMS, _MODULES)
+_MODULES = (
+    *("archive", "campaigns", "evaluation", "excitation", "identification", "planning"),
+    *("robot", "scene", "simulation", "views", "stances"),
+)
+__getattr__ = on_first_use(__name__, _MODULES)
 
 
 def __dir__() -> list[str]:

@@ -30,8 +30,4 @@ __all__ = [
     "run_tasks",
 ]
 
-_LAZY_CAMPAIGNS = {
-    "cmbot.campaigns.campaign_file": ("CampaignFile", "Entry", "read_campaign"),
-    "cmbot.campaigns.run": ("OVERVIEW", "RESULTS", "Campaign", "CampaignProgress", "campaign"),
-}
-__getattr__ = on_first_use(__name__, _LAZY_CAMPAIGNS)
+__getattr__ = on_first_use(__name__)

@@ -112,14 +112,14 @@ def _changed(setup: MeasuringSetup, given: dict[str, float]) -> MeasuringSetup:
 
 
 def _promised(made: Proposal) -> dict[str, object]:
-    after = made.after
-    return {
-        "postures": made.q.tolist(),
-        "sag_rms_m": after.rms,
-        "sag_error_95": after.length_95,
-        "sag_vector_error_95": after.share_95,
-        "sag_error_95_as_modelled": made.before.length_95,
-    }
+    known, before = _sag(made.after), made.before.length_95
+    return {"postures": made.q.tolist(), **known, "sag_error_95_as_modelled": before}
+
+
+def _sag(after: cmbot.identification.SagAlong | None) -> dict[str, object]:
+    """How exactly the sag is known after measurements."""
+    names = {"sag_rms_m": "rms", "sag_error_95": "length_95", "sag_vector_error_95": "share_95"}
+    return {key: after and getattr(after, name) for key, name in names.items()}
 
 
 def _from(target: Path, scene: str) -> str:
@@ -135,15 +135,13 @@ def _from(target: Path, scene: str) -> str:
 def _summary(found: Identification) -> dict[str, object]:
     names, directions = cmbot.identification.unseen(found)
     factors = {each.name: each.factor for each in (*found.stiffness.links, *found.stiffness.joints)}
-    after = found.after
+    fit = {part.kind: {"probability": part.probability, "errors_times": part.scale} for part in found.parts}
     return {
         "factors": factors,
         "base": None if found.stiffness.base is None else found.stiffness.base.stiffness,
         "not_seen": list(names),
         "base_directions_not_seen": directions,
-        "fit": {
-            part.kind: {"probability": part.probability, "errors_times": part.scale} for part in found.parts
-        },
+        "fit": fit,
         "worst_rows": [
             {
                 "file": found.measurements[slip.label.sheet].source,
@@ -153,9 +151,7 @@ def _summary(found: Identification) -> dict[str, object]:
             }
             for slip in found.slips
         ],
-        "sag_rms_m": None if after is None else after.rms,
-        "sag_error_95": None if after is None else after.length_95,
-        "sag_vector_error_95": None if after is None else after.share_95,
+        **_sag(found.after),
         "words": list(cmbot.identification.remarks(found)),
     }
 

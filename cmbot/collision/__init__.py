@@ -37,10 +37,4 @@ __all__ = [
     "travel",
 ]
 
-_LAZY_COLLISION = {
-    "cmbot.collision.clearance": ("RESOLUTION", "Clearances", "Nearest", "Smallest"),
-    "cmbot.collision.motion_bounds": ("raise_bounds", "travel"),
-    "cmbot.collision.point_distances": ("PointDistances",),
-    "cmbot.collision.shapes": ("PairedShapes", "ShapePair", "extent_of", "touched_by"),
-}
-__getattr__ = on_first_use(__name__, _LAZY_COLLISION)
+__getattr__ = on_first_use(__name__)

@@ -6,4 +6,4 @@ Import from its modules: ``import cmbot`` loads the errors and nothing heavy, so
 from cmbot.common.lazy_imports import on_first_use
 
 # It has a name that is documented.
-__getattr__ = on_first_use(__name__, {}, ("eta",))
+__getattr__ = on_first_use(__name__, ("eta",))

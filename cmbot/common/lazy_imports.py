@@ -2,34 +2,40 @@
 
 from __future__ import annotations
 
+import ast
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from functools import cache
 from importlib import import_module
+from pathlib import Path
 
 
-def on_first_use(
-    package: str, modules: Mapping[str, Sequence[str]], submodules: Sequence[str] = ()
-) -> Callable[[str], object]:
+def on_first_use(package: str, submodules: Sequence[str] = ()) -> Callable[[str], object]:
     """Return what a package's ``__getattr__`` is to be (PEP 562).
+
+    The names are those that it imports for type checkers, below ``if TYPE_CHECKING``.
 
     Parameters
     ----------
     package : str
-        Its ``__name__``.
-    modules : mapping from str to sequence of str
-        The modules that define the names. No name may be that of a module of the package itself, which would
-        hide it.
+        Its ``__name__``. No name may be that of a module of the package itself, which would hide it.
     submodules : sequence of str
         Modules of the package itself that are imported when they are first used.
     """
-    module_of = {name: module for module, names in modules.items() for name in names}
+
+    @cache
+    def module_of() -> dict[str, str | None]:
+        source = Path(str(sys.modules[package].__file__)).read_text(encoding="utf-8")
+        blocks = (node for node in ast.parse(source).body if isinstance(node, ast.If))
+        imports = (node for block in blocks for node in block.body if isinstance(node, ast.ImportFrom))
+        return {name.name: node.module for node in imports for name in node.names}
 
     def attribute(name: str) -> object:
         if name in submodules:
             return import_module(f"{package}.{name}")
-        if name not in module_of:
+        if not (module := module_of().get(name)):
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        value = getattr(import_module(module_of[name]), name)
+        value = getattr(import_module(module), name)
         setattr(sys.modules[package], name, value)
         return value
 

@@ -70,9 +70,6 @@ class ExchangeOptions:
         An attempt ends after this number of steps that do not halve violations beyond that.
     attempt_stays : int
         It also ends after this number of steps that hardly lower violations, if no step can to first order.
-    attempt_iterations : int
-        It also ends after this number at none of which the known constraints were met: where the lower bound
-        is missed narrowly, violations fall quickly up to that, and hardly any further.
     stalls : int
         Number of passes in which nothing new is violated by too much before the solver ends.
     slsqp_accuracy, slsqp_peak_accuracy : float
@@ -103,7 +100,6 @@ class ExchangeOptions:
     far_off: float = 4.0
     attempt_steps: int = 6
     attempt_stays: int = 2
-    attempt_iterations: int = 25
     stalls: int = 3
     slsqp_accuracy: float = 1e-8
     slsqp_peak_accuracy: float = 1e-6
@@ -207,7 +203,8 @@ def minimize_peak(
                     raise
                 exchange.end_attempt()
         least = exchange.lowest_peak(bound)
-        if least > bound * (1 + options.feasibility_tolerance) or program.lower_bound <= 0:
+        # A peak is known as well as the solver's own optimality is.
+        if least > bound * (1 + options.sqp.optimality_tolerance) or program.lower_bound <= 0:
             bound = least * (1 + options.least_peak_tolerance)
         exchange.run(options.smoothing, bound=bound)
     except OptimisationFailed as failure:
@@ -389,7 +386,6 @@ class _Exchange:
         if attempt:
             sqp = replace(
                 sqp,
-                met_within=o.attempt_iterations,
                 stay_steps=o.attempt_stays,
                 infeasible_steps=o.attempt_steps,
                 infeasible_share=0.5,

@@ -1,10 +1,10 @@
-"""Sequential quadratic programming with an exact penalty and damped steps, for sparse problems.
+"""Sequential quadratic programming with an exact penalty in a trust region, for sparse problems.
 
 The merit is the objective, plus the largest of the constraints in the epigraph (the peak), plus for each
 family of the others a penalty times its largest violation. A step minimises the merit's second-order model
-plus half the damping times its square; it is accepted if the merit falls by a share of what the model
-predicts. So the merit falls with every accepted step, and the loop ends (Nocedal and Wright, Numerical
-Optimization, 2006, Section 18.5).
+in a box, the trust region; it is accepted if the merit falls by a share of what the model predicts. So the
+merit falls with every accepted step, and the loop ends (Nocedal and Wright, Numerical Optimization, 2006,
+Section 18.5).
 
 Of very many constraints only some are known; where a step violates others they are added, and count from
 then on. Where constraints bend away from a step it is corrected by the least change that meets them as they
@@ -36,11 +36,10 @@ class SqpOptions:
     Attributes
     ----------
     optimality_tolerance : float
-        It has converged when the undamped model predicts no larger decrease in a box of radius
-        `optimality_radius`; as a share of objective and peak where these are below 1, down to `small`.
+        It has converged when the model predicts no larger decrease in a box of radius `optimality_radius`.
     feasibility_tolerance : float
         Violations up to this count as met.
-    optimality_radius, small : float
+    optimality_radius : float
     max_iterations : int
         Quadratic programs, but for corrections.
     initial_penalty, min_penalty, max_penalty : float
@@ -50,49 +49,37 @@ class SqpOptions:
         Factor by which a penalty grows where violations stay.
     penalty_margin : float
         How far penalties stay above the sums of multipliers.
-    initial_damping, min_damping, max_damping : float
-        Weight of half the step's square. The least is next to none: where via-points are dense, many
-        unknowns move far together.
-    damping_growth, damping_release : float
-        Factors by which the damping grows after a refused step, and falls after a good one.
-    damping_share : float
-        After a refused step its damping term is at least this share of what was predicted for it.
     accept, shrink, expand : float
-        Shares of the predicted decrease: a step is accepted above the first, too long below the second, and
-        the next one may be longer above the third.
+        Shares of the predicted decrease: a step is accepted above the first, the trust region shrinks below
+        the second, and grows above the third.
     correct_below : float
         A step that keeps less than this share is corrected.
     max_corrections : int
     correction_penalty, correction_damping : float
         By how much more a correction weighs violations than the rest, and what a change of all of the step
         costs, in units of its predicted decrease.
-    initial_radius, min_radius, max_radius : float
-        The box that steps stay in: it doubles where steps reach its sides and keep their prediction. No step
-        is sought in a smaller one than the least.
+    initial_radius, min_radius : float
+        Of the trust region: it doubles where steps reach its sides and keep their prediction. No step is
+        sought in a smaller one than the least.
     contraction : float
-        Side of the box after a refused step, as a share of that step: damping alone hardly shortens steps
-        along which the model is flat.
-    stays : float
-        A step that leaves this share of the violations does little about them.
+        Radius after a step that was too long, as a share of that step.
     steering : float
         Share that a step removes, at least, of the violations that can be removed where nothing else counts.
+        One that leaves more than this share does little about them.
     infeasible_ratio : float
         Where no penalty brings violations down to this share the problem is taken for locally infeasible.
     stall_steps, stall_tolerance, stall_promise : int, float, float
-        So many iterations that together gain less than the second, a share as `optimality_tolerance`, end it
-        where the constraints are met and a step within `optimality_radius` promises no more than the third:
-        near a solution it takes fewer, elsewhere progress is slow. Where they are not met, steps are
-        shortened.
-    stay_steps : int
-        Where so many iterations do not bring the violation down to the share `infeasible_ratio`, it ends if
-        no step can.
+        So many iterations that together gain less than the second end it where the constraints are met and a
+        step within `optimality_radius` promises no more than the third: near a solution it takes fewer,
+        elsewhere progress is slow. Where they are not met, the trust region shrinks.
     stall_patience : int
         So many times as many iterations that together gain no more end it whatever is promised: along curved
         constraints only short steps are accepted, and what longer ones promise is not kept.
+    stay_steps : int
+        Where so many iterations do not bring the violation down to the share `infeasible_ratio`, it ends if
+        no step can.
     infeasible_steps, infeasible_share, infeasible_violation : int, float, float
         So many steps that leave this share of what is violated by more than that end it.
-    met_within : float
-        So many iterations at none of which the constraints were met end it.
     close_gap : bool
         Quadratic programs are solved until their duality gap is closed, too. It takes a little longer, and
         is needed where the optimum is wanted to more than four digits.
@@ -101,19 +88,12 @@ class SqpOptions:
     optimality_tolerance: float = 1e-7
     feasibility_tolerance: float = 5e-6
     optimality_radius: float = 1.0
-    small: float = 1e-2
     max_iterations: int = 60
     initial_penalty: float = 1.0
     min_penalty: float = 0.1
     max_penalty: float = 1e4
     penalty_growth: float = 10.0
     penalty_margin: float = 2.0
-    initial_damping: float = 1e-4
-    min_damping: float = 1e-10
-    max_damping: float = 1e6
-    damping_growth: float = 4.0
-    damping_release: float = 16.0
-    damping_share: float = 0.1
     accept: float = 1e-3
     shrink: float = 0.25
     expand: float = 0.75
@@ -123,20 +103,17 @@ class SqpOptions:
     correction_damping: float = 100.0
     initial_radius: float = 4.0
     min_radius: float = 1e-6
-    max_radius: float = 1e3
     contraction: float = 0.4
-    stays: float = 0.5
     steering: float = 0.5
     infeasible_ratio: float = 0.9
     stall_steps: int = 8
     stall_tolerance: float = 1e-5
     stall_promise: float = 5e-4
-    stay_steps: int = 8
     stall_patience: int = 3
+    stay_steps: int = 8
     infeasible_steps: int = 30
     infeasible_share: float = 0.8
     infeasible_violation: float = 2e-2
-    met_within: float = np.inf
     close_gap: bool = False
 
 
@@ -190,7 +167,6 @@ class SqpResult(Generic[AnyIterate]):
     status: SqpStatus
     multipliers: FloatArray  # (K,)
     penalty: FloatArray  # (families,)
-    damping: float
     iterations: int  # quadratic programs, but for corrections
     # Penalty, and the merit for it before and after, of each accepted step.
     merits: tuple[tuple[FloatArray, float, float], ...]
@@ -205,7 +181,7 @@ def solve_sqp(
 ) -> SqpResult[AnyIterate]:
     """Lower the merit from `start`, with so many families of constraints, until nothing more is to be gained.
 
-    `warm` is a run with the first of the constraints, for its multipliers, penalties and damping. Where
+    `warm` is a run with the first of the constraints, for its multipliers and penalties. Where
     `stop` says so after an iteration it ends as at the iteration limit; within one nothing is corrected then.
     """
     state = _SqpState(start, families, options, warm, stop)
@@ -217,14 +193,13 @@ def solve_sqp(
         model = replace(state.iterate.model, hessian=state.hessian)
         step = state.steered(model)
         predicted = state.predicted(model, step.p)
-        if predicted > state.optimality_tolerance or not state.ends(model, step):
+        if predicted > options.optimality_tolerance or not state.ends(model, step):
             state.take(model, step, predicted)
     return SqpResult(
         iterate=state.iterate,
         status=state.status,
         multipliers=_extended(state.multipliers, state.iterate),
         penalty=state.penalty,
-        damping=state.damping,
         iterations=iterations,
         merits=tuple(state.merits),
     )
@@ -243,11 +218,10 @@ class _SqpState(Generic[AnyIterate]):
     ) -> None:
         self._options, self._stop = options, stop
         self.iterate = start
-        self.multipliers, self.damping = np.zeros(len(start.values.value)), options.initial_damping
+        self.multipliers = np.zeros(len(start.values.value))
         self.penalty = np.full(families, options.initial_penalty)
         if warm is not None:
             self.multipliers = _extended(warm.multipliers, start)
-            self.damping = min(warm.damping, self.damping)
             # Penalties fall again to what the multipliers need.
             needed, others = np.zeros(families), ~start.values.in_epigraph
             np.add.at(needed, start.values.family[others], options.penalty_margin * self.multipliers[others])
@@ -255,23 +229,12 @@ class _SqpState(Generic[AnyIterate]):
         self.hessian = start.hessian(self.multipliers)
         self.merits: list[tuple[FloatArray, float, float]] = []
         self._status = SqpStatus.ITERATION_LIMIT
-        self._excused, self._radius = False, options.initial_radius
+        self._radius = options.initial_radius
         # Of each iteration: the decrease of the merit, and the largest violation at its end.
         self._gained: list[float] = []
         # What the last step was predicted to gain, as if it went as far as `optimality_radius`.
         self._promised = np.inf
         self._violations = [start.values.violation]
-
-    @property
-    def optimality_tolerance(self) -> float:
-        """Predicted decrease below which the iterate is optimal."""
-        return self._options.optimality_tolerance * self._size
-
-    @property
-    def _size(self) -> float:
-        """Of objective and peak, where it is below 1."""
-        here = self.iterate.values
-        return min(1.0, max(abs(here.objective + here.peak), self._options.small))
 
     @property
     def status(self) -> SqpStatus:
@@ -285,10 +248,9 @@ class _SqpState(Generic[AnyIterate]):
     def _is_stalling(self) -> bool:
         """Whether the last steps have gained little, and the next ones promise little or many have."""
         o = self._options
-        promising = self._promised > o.stall_promise * self._size
-        steps = o.stall_patience * o.stall_steps if promising else o.stall_steps
+        steps = o.stall_steps if self._promised <= o.stall_promise else o.stall_patience * o.stall_steps
         last = self._gained[-steps:]
-        return len(last) == steps and sum(last) <= o.stall_tolerance * self._size
+        return len(last) == steps and sum(last) <= o.stall_tolerance
 
     def steered(self, model: NlpModel) -> QpStep:
         """Solve the quadratic program; where violations stay that need not, with larger penalties.
@@ -296,15 +258,13 @@ class _SqpState(Generic[AnyIterate]):
         What need not stay is what a step takes away for which nothing else counts (there, Algorithm 18.5).
         """
         o, families = self._options, len(self.penalty)
-        step = self._step(model, self.penalty, self._radius, self.damping)
+        step = self._step(model, self.penalty, self._radius)
         here, left = model.violations(families=families), model.violations(step.p, families=families)
-        enough = np.maximum(o.feasibility_tolerance, o.stays * here)
+        enough = np.maximum(o.feasibility_tolerance, o.steering * here)
         firmest = float(self.penalty.max())
         if firmest >= o.max_penalty or not (left > enough).any() or self._stop():
             return step
-        # Damping grows with the penalties, or it would count for less than before.
-        most = o.max_penalty / firmest
-        alone = self._step(model, most * self.penalty, self._radius, most * self.damping)
+        alone = self._step(model, o.max_penalty / firmest * self.penalty, self._radius)
         least = model.violations(alone.p, families=families)
         enough = np.maximum(enough, least + (1 - o.steering) * np.maximum(here - least, 0.0))
         while True:
@@ -313,7 +273,7 @@ class _SqpState(Generic[AnyIterate]):
                 return step
             grown = np.where(lacking, o.penalty_growth * self.penalty, self.penalty)
             self.penalty = np.minimum(grown, o.max_penalty)
-            step = self._step(model, self.penalty, self._radius, self.damping)
+            step = self._step(model, self.penalty, self._radius)
             left = model.violations(step.p, families=families)
 
     def predicted(self, model: NlpModel, p: FloatArray) -> float:
@@ -323,18 +283,16 @@ class _SqpState(Generic[AnyIterate]):
     def ends(self, model: NlpModel, step: QpStep) -> bool:
         """Whether a step of little predicted decrease is refused, with the status or penalties set."""
         o, families = self._options, len(self.penalty)
-        if not step.solved or self.damping > o.max_damping:
-            if self.damping > o.max_damping:
-                self._status = SqpStatus.INFEASIBLE
-            self.damping *= o.damping_growth
+        if not step.solved:
+            self._shorten(model, step)
             return True
         if model.violation <= o.feasibility_tolerance:
-            far = self._step(model, self.penalty, o.optimality_radius, 0.0).p
-            converged = self.predicted(model, far) <= self.optimality_tolerance
+            far = self._step(model, self.penalty, o.optimality_radius).p
+            converged = self.predicted(model, far) <= o.optimality_tolerance
             if converged:
                 self._status = SqpStatus.CONVERGED
             return converged
-        if model.violations(step.p, families=families).max() <= o.stays * model.violation:
+        if model.violations(step.p, families=families).max() <= o.steering * model.violation:
             return False
         if self.penalty.min() >= o.max_penalty or self._is_infeasible(model, step):
             self._status = SqpStatus.INFEASIBLE
@@ -343,24 +301,16 @@ class _SqpState(Generic[AnyIterate]):
         return True
 
     def take(self, model: NlpModel, step: QpStep, predicted: float) -> None:
-        """Try a step; accept it if the merit falls, and adapt the damping to how far it does."""
-        o, before_step = self._options, self.iterate
-        shorter = min(1.0, float(np.abs(step.p).max()) / o.optimality_radius)
-        self._promised = predicted / max(shorter, o.min_radius)
+        """Try a step; accept it if the merit falls, and adapt the trust region to how far it does."""
+        o, length = self._options, float(np.abs(step.p).max())
+        self._promised = predicted / max(min(1.0, length / o.optimality_radius), o.min_radius)
         trial, gained = self._tried(model, step.p, predicted)
-        # What a step overlooked does not make it too long, unless it does so again.
-        overlooked = self.iterate is not before_step
-        self._excused = overlooked and gained < o.shrink * predicted and not self._excused
         # Where little is to be gained only violations are left, and the shorter the steps, the fewer.
         stalling = self._is_stalling and self.iterate.values.violation > o.feasibility_tolerance
-        if (gained < o.shrink * predicted and not self._excused) or stalling:
-            square = max(float(step.p @ step.p), _MIN_PREDICTION)
-            self.damping = max(o.damping_growth * self.damping, o.damping_share * predicted / square)
-            self._radius = o.contraction * min(self._radius, float(np.abs(step.p).max()))
-        elif gained > o.expand * predicted:
-            self.damping = max(self.damping / o.damping_release, o.min_damping)
-            if float(np.abs(step.p).max()) > 0.9 * self._radius:
-                self._radius = min(2.0 * self._radius, o.max_radius)
+        if gained < o.shrink * predicted or stalling:
+            self._shorten(model, step)
+        elif gained > o.expand * predicted and length > 0.9 * self._radius:
+            self._radius *= 2.0
         if trial is not None and gained > o.accept * predicted:
             before, after = (at.values.merit(self.penalty) for at in (self.iterate, trial))
             self.merits.append((self.penalty, before, after))
@@ -369,26 +319,31 @@ class _SqpState(Generic[AnyIterate]):
             self.hessian = self.iterate.hessian(self.multipliers)
         else:
             self._gained.append(0.0)
-            if self.damping > o.max_damping or self._radius < o.min_radius:
-                met = model.violation <= o.feasibility_tolerance
-                self._status = SqpStatus.STALLED if met else SqpStatus.INFEASIBLE
         self._violations.append(self.iterate.values.violation)
         if self._makes_no_progress(model, step):
             self._status = SqpStatus.INFEASIBLE
+
+    def _shorten(self, model: NlpModel, step: QpStep) -> None:
+        """Contract the trust region; where it is too small, that is the end."""
+        o, length = self._options, float(np.abs(step.p).max())
+        self._radius = o.contraction * min(self._radius, length or np.inf)
+        if self._radius < o.min_radius:
+            met = model.violation <= o.feasibility_tolerance
+            self._status = SqpStatus.STALLED if met else SqpStatus.INFEASIBLE
 
     def _step(self, model: NlpModel, penalty: FloatArray, radius: float, damping: float = 0.0) -> QpStep:
         return solve_qp(model, penalty, radius, damping, close_gap=self._options.close_gap)
 
     def _makes_no_progress(self, model: NlpModel, step: QpStep) -> bool:
         """Whether many steps have left violations, or some have most of them and no step can lower them."""
-        o, tolerance = self._options, self._options.feasibility_tolerance
+        o = self._options
         last, few = (self._violations[-1 - steps :] for steps in (o.infeasible_steps, o.stay_steps))
         most = max(o.infeasible_violation, o.infeasible_share * last[0])
         if len(last) > o.infeasible_steps and min(last) > most:
             return True
-        if len(self._violations) > o.met_within and min(self._violations) > tolerance:
-            return True
-        stays = len(few) > o.stay_steps and min(few) > max(tolerance, o.infeasible_ratio * few[0])
+        stays = len(few) > o.stay_steps and min(few) > max(
+            o.feasibility_tolerance, o.infeasible_ratio * few[0]
+        )
         return stays and self._is_infeasible(model, step)
 
     def _is_infeasible(self, model: NlpModel, step: QpStep) -> bool:
@@ -397,7 +352,7 @@ class _SqpState(Generic[AnyIterate]):
         enough = o.infeasible_ratio * model.violation
         if model.violations(step.p, families=families).max() <= enough:
             return False
-        firmest = self._step(model, np.full(families, o.max_penalty), o.optimality_radius, 0.0).p
+        firmest = self._step(model, np.full(families, o.max_penalty), o.optimality_radius).p
         return bool(model.violations(firmest, families=families).max() > enough)
 
     def _tried(self, model: NlpModel, p: FloatArray, predicted: float) -> tuple[AnyIterate | None, float]:

@@ -16,7 +16,7 @@ from cmbot.common.watching import watched
 from cmbot.planning.attempts.advice import slower_legs
 from cmbot.planning.attempts.agenda import Agenda, Remedy, Solved
 from cmbot.planning.attempts.failure import Failure, NoWay, OutOfTime, error_of, in_words
-from cmbot.planning.attempts.stroke import PlannedStroke, advice, plan_stroke
+from cmbot.planning.attempts.stroke import PlannedStroke, advice, in_given_time, plan_stroke
 from cmbot.planning.budget import Budget, Deadline
 from cmbot.planning.composition import composed
 from cmbot.planning.path.raster_reach import reached_scene
@@ -288,7 +288,10 @@ class _Planner:
         for number in range(len(request.strokes)):
             stroke = _at_stroke(request, number, state)
             near = before.get(stroke.stroke.name)
-            made.append(plan_stroke(stroke, earlier=near))
+            planned = plan_stroke(stroke, earlier=near)
+            if near is None and not isinstance(planned.trial.outcome, Solved):
+                planned = self._in_given_time(scene, stroke, planned, state)
+            made.append(planned)
             outcome = made[-1].trial.outcome
             if not isinstance(outcome, Solved):
                 return made[-1]
@@ -310,25 +313,37 @@ class _Planner:
             if not isinstance(failure, OutOfTime):
                 limit = f"{request.cell.options.time_limit_s:g} s (planner.time_limit_s)"
                 error.add_hint(f"then the time, {limit}, was over")
-        elif words := self._in_shortest_time(scene, request, failure) or advice(stroke.trial):
+        elif stroke.shortest is not None:
+            file = request.stroke.file
+            where = f"the legs of {request.stroke.key}" if file.legs else request.stroke.key
+            error.add_hint(f"seconds: auto on {where} would do, and takes {stroke.shortest:.3g} s")
+        elif words := advice(stroke.trial):
             error.add_hint(words)
         raise error
 
-    def _in_shortest_time(self, scene: Scene, request: StrokeRequest, failure: Failure) -> str:
-        """Say that ``seconds: auto`` would do where it does, of a stroke whose time is too short."""
+    def _in_given_time(
+        self, scene: Scene, request: StrokeRequest, refused: PlannedStroke, state: JobState
+    ) -> PlannedStroke:
+        """A refused stroke whose time is too short, by its shortest motion where that takes no longer."""
         shortest = scene.strokes[request.number].in_shortest_time()
-        if shortest is None or request.task.path.open_legs or slower_legs(request, failure) is None:
-            return ""
+        out_of_time = request.task.path.open_legs or request.deadline.expired()
+        if shortest is None or out_of_time or slower_legs(request, refused.trial.failure) is None:
+            return refused
         self.reporter.step("trying seconds: auto")
         files = (*scene.strokes[: request.number], shortest, *scene.strokes[request.number + 1 :])
-        with suppress(PlanningError):
-            silent = replace(self, reporter=ProgressReporter())
-            outcome = silent.job(scene.with_strokes(files), self.deadline)
-            if isinstance(outcome, Plan):
-                seconds = outcome.job.strokes[request.number].duration
-                where = f"the legs of {request.stroke.key}" if shortest.legs else request.stroke.key
-                return f"seconds: auto on {where} would do, and takes {seconds:.3g} s"
-        return ""
+        silent = replace(self, reporter=ProgressReporter())
+        try:
+            fast = silent._require_reach(scene.with_strokes(files), self.deadline)
+        except PlanningError:
+            return refused
+        stroke, found = _at_stroke(fast, request.number, state), refused
+        # Another start may be better at rest, and slower.
+        for stays in (False, True):
+            planned = plan_stroke(stroke, stays=stays)
+            found = in_given_time(found, request.stroke, planned)
+            if isinstance(found.trial.outcome, Solved):
+                break
+        return found
 
     def _require_reach(self, scene: Scene, deadline: Deadline) -> StrokeRequest:
         """Return the request of a job whose strokes are of reasonable size and within reach."""

@@ -23,37 +23,4 @@ if TYPE_CHECKING:
     from cmbot.views.overview.walk import tour_page, walk_page
     from cmbot.views.walk_replay import walk_replay_page
 
-__all__ = [
-    "EXCITATION",
-    "REPLAY",
-    "REPORT",
-    "ReplayServer",
-    "Shown",
-    "assemble_plain",
-    "compare_page",
-    "excitation_page",
-    "figure_files",
-    "film",
-    "gallery_page",
-    "pages",
-    "plot",
-    "replay",
-    "replay_page",
-    "report",
-    "report_page",
-    "require_matplotlib",
-    "show",
-    "stances_page",
-    "tour_page",
-    "walk_page",
-    "walk_replay_page",
-    "write_page",
-]
-
-_LAZY_VIEWS = {
-    "cmbot.views.overview.excitation": ("EXCITATION", "excitation_page"),
-    "cmbot.views.overview.stances": ("stances_page",),
-    "cmbot.views.walk_replay": ("walk_replay_page",),
-    "cmbot.views.overview.walk": ("tour_page", "walk_page"),
-}
-__getattr__ = on_first_use(__name__, _LAZY_VIEWS)
+__getattr__ = on_first_use(__name__)

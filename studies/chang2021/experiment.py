@@ -146,7 +146,7 @@ def reproduce(
 def _quiet(scene: Scene) -> Scene:
     """The scene with quiet time laws in the same seconds."""
     law = SpeedProfile(kind="quiet", ramp=0.3)
-    return scene.with_strokes([stroke.changed(speed_profile=law) for stroke in scene.strokes])
+    return scene.with_path(speed_profile=law)
 
 
 def _released(planned: Plan, trackings: tuple[Tracking, ...]) -> Run:

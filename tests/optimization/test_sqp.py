@@ -196,14 +196,14 @@ def test_a_step_along_a_curved_bound_is_corrected_not_crept() -> None:
 @pytest.mark.parametrize("angle", [0.1, 0.5, 2.0])
 def test_where_only_violations_are_left_steps_are_shortened(angle: float) -> None:
     """Of what bends a step misses its square. Nothing is corrected here, and every step accepted."""
-    lax = {"max_corrections": 0, "accept": -1e6, "shrink": -1e6, "initial_radius": 0.3, "max_radius": 0.3}
+    lax = {"max_corrections": 0, "accept": -1e6, "shrink": -1e6, "initial_radius": 0.3, "expand": np.inf}
     little = SqpOptions(stall_steps=3, stall_tolerance=10.0, stall_promise=10.0, max_iterations=12, **lax)
     start = Rim(np.array([np.cos(angle), np.sin(angle)]), 0.0)
     ended = sqp.solve_sqp(start, 2, little)
     assert ended.status is SqpStatus.STALLED
     assert ended.iterate.model.violation <= little.feasibility_tolerance
     much = sqp.solve_sqp(start, 2, replace(little, stall_tolerance=0.0))
-    assert much.iterate.model.violation > 1e-2
+    assert much.iterate.model.violation > 1e3 * little.feasibility_tolerance
 
 
 def test_a_step_that_lowers_violations_is_feasible(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -239,9 +239,9 @@ def test_what_cannot_be_met_is_said() -> None:
     assert ended.iterate.model.violation == pytest.approx(0.5, rel=0.12)
     # As soon as so many steps have not lowered it.
     start = Torn(np.array([2.0, -1.0]), 0.0)
-    few, many = (sqp.solve_sqp(start, 2, SqpOptions(stay_steps=n, max_penalty=1e12)) for n in (2, 8))
+    few, many = (sqp.solve_sqp(start, 2, SqpOptions(stay_steps=n, max_penalty=1e12)) for n in (2, 5))
     assert few.status is many.status is SqpStatus.INFEASIBLE
-    assert many.iterations - few.iterations == 6
+    assert many.iterations - few.iterations == 3
     assert few.iterate.model.violation == pytest.approx(0.5, rel=1e-6)
 
 
@@ -259,15 +259,3 @@ def test_the_iteration_limit_is_said() -> None:
     assert solve_sqp(Ripples(np.array([2.0, -1.0]), 3.0), max_iterations=1).status is (
         SqpStatus.ITERATION_LIMIT
     )
-
-
-def test_what_is_not_met_for_long_ends_the_run() -> None:
-    start, options = Ripples(np.array([3.0, -3.0]), 1.0), SqpOptions(optimality_tolerance=1e-9)
-    whole = sqp.solve_sqp(start, 2, options)
-    assert whole.status in ENDED
-    ended = sqp.solve_sqp(start, 2, replace(options, met_within=1))
-    assert (ended.status, ended.iterations) == (SqpStatus.INFEASIBLE, 1)
-    assert ended.iterate.model.violation > options.feasibility_tolerance
-    # Where they were met once, what they are later does not end it.
-    patient = sqp.solve_sqp(start, 2, replace(options, met_within=whole.iterations - 1))
-    assert (patient.status, patient.iterations) == (whole.status, whole.iterations)

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import re
 import shutil
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 
-from cmbot.archive.folder import refusals
+from cmbot.archive.folder import drafted, refusals
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import ArchiveError
 from cmbot.common.reading.validation import given_path
@@ -94,17 +93,13 @@ def export_ros_package(plan: Plan, folder: str | Path) -> Path:
         "config/robot.srdf": _text(_semantics(plan, described)),
         "config/joint_limits.yaml": _limits(robot),
     }
-    with refusals(target):
-        target.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=target.parent, prefix=".cmbot-package-") as place:
-            made = Path(place) / name
-            for part in ("urdf", "meshes", "config"):
-                (made / part).mkdir(parents=True)
-            for file, text in texts.items():
-                (made / file).write_text(text, encoding="utf-8")
-            for file, path in meshes.items():
-                shutil.copyfile(path, made / "meshes" / file)
-            made.rename(target)
+    with refusals(target), drafted(target) as draft:
+        for part in ("urdf", "meshes", "config"):
+            (draft / part).mkdir()
+        for file, text in texts.items():
+            (draft / file).write_text(text, encoding="utf-8")
+        for file, path in meshes.items():
+            shutil.copyfile(path, draft / "meshes" / file)
     return target
 
 

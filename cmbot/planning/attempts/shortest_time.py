@@ -25,6 +25,7 @@ from cmbot.planning.initial_guess import InitialGuess
 from cmbot.planning.timing.leg_paths import leg_paths, shortest_laws
 from cmbot.planning.timing.timing import Timing
 from cmbot.planning.torque import Optimised, optimise
+from cmbot.scene import Stroke
 from cmbot.trajectory import QuinticTrajectory
 
 # Factors by which laws are stretched while no motion is certified.
@@ -68,6 +69,53 @@ def in_shortest_time(
     remedies = (*REMEDIES, STRETCHED_LAWS, FEWER_STRETCHED_LEGS, FASTER_ROUND, better)
     agenda = agenda_of(first.request, work, remedies, budget, is_better(first.request))
     return agenda.search(replace(timed, is_first=False), slow)
+
+
+def in_given_time(
+    fast: Trial[Attempt, StrokeMotion], refused: Trial[Attempt, StrokeMotion], stroke: Stroke, work: Work
+) -> Trial[Attempt, StrokeMotion] | None:
+    """Plan a stroke by the laws of its shortest time, slowed to the seconds that are asked for.
+
+    Parameters
+    ----------
+    fast : Trial
+        The stroke in its shortest time.
+    refused : Trial
+        The stroke as it is asked for.
+    stroke : Stroke
+        As it is asked for.
+    work : callable
+        From an attempt to its certified motion.
+
+    Returns
+    -------
+    Trial or None
+        None where a leg takes longer than asked for even so, or no motion follows.
+    """
+    request, motion = fast.attempt.request, fast.result.work.trajectory
+    known = request.stroke.file.time_laws or ()
+    factors = [stroke.path.segments[law.leg].seconds / law.duration for law in known]
+    if not factors or min(factors) < 1.0:
+        return None
+    own = replace(request.stroke, file=stroke.file.changed(via_points=len(request.times)))
+    strokes = (*request.strokes[: request.number], own, *request.strokes[request.number + 1 :])
+    request = replace(request, strokes=strokes)
+    laws = tuple(law.slowed(factor) for law, factor in zip(known, factors, strict=True))
+    attempt = fast.attempt.in_timing(Timing.along(request, motion, (), laws))
+    outcome = work(attempt) if isinstance(attempt, Attempt) else attempt
+    if not isinstance(attempt, Attempt) or not isinstance(outcome, Solved):
+        return None
+    return Trial(attempt=attempt, outcome=outcome, remedy=SLOWED_LAWS, parent=refused)
+
+
+def _tell_slowed(before: Trial[Attempt, Any], after: Trial[Attempt, Any]) -> str:
+    return (
+        f"By the speed profile no motion was found ({briefly(before.failure)}): the tool has the law of the "
+        "shortest time, slowed to the seconds that are given."
+    )
+
+
+SLOWED_LAWS = Remedy(cost=0, propose=lambda trial: iter(()), tell=_tell_slowed)
 
 
 def _slow_motion(attempt: Attempt) -> Solved[Optimised] | Failure:

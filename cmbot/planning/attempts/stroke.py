@@ -19,6 +19,7 @@ from cmbot.planning.initial_guess import InitialGuess, guess_near, initial_guess
 from cmbot.planning.path.first_posture import starting_at_path
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.request import StrokeRequest
+from cmbot.scene import Stroke
 from cmbot.trajectory import QuinticTrajectory
 
 
@@ -32,13 +33,18 @@ class PlannedStroke:
         The best that was found, or the one whose failure is to be told.
     runs : int
         Of optimise-and-certify that it took.
+    shortest : float or None
+        Where it failed for too little time: the seconds of the stroke with ``seconds: auto``, s, if known.
     """
 
     trial: Trial[Attempt, StrokeMotion]
     runs: int
+    shortest: float | None = None
 
 
-def plan_stroke(request: StrokeRequest, *, earlier: QuinticTrajectory | None = None) -> PlannedStroke:
+def plan_stroke(
+    request: StrokeRequest, *, earlier: QuinticTrajectory | None = None, stays: bool = False
+) -> PlannedStroke:
     """Plan a stroke and the free moves that go with it.
 
     Parameters
@@ -46,6 +52,8 @@ def plan_stroke(request: StrokeRequest, *, earlier: QuinticTrajectory | None = N
     request : StrokeRequest
     earlier : QuinticTrajectory, optional
         A motion along the stroke where its frame was before: planned once, from its postures.
+    stays : bool
+        It starts where the arm is before, with sliding knots.
     """
     if request.stroke.begins_elsewhere:
         begun = attempted(request, lambda: starting_at_path(request))
@@ -60,12 +68,38 @@ def plan_stroke(request: StrokeRequest, *, earlier: QuinticTrajectory | None = N
         return PlannedStroke(trial=trial, runs=1)
     budget = Budget(runs=SHORTEST_TIME_RUNS if request.task.path.open_legs else RUNS)
     first = Attempt.of(request)
+    if stays and request.cell.options.knots == "sliding":
+        first = replace(first, guess=attempted(request, lambda: sliding_guess(request, stay=True)))
     quiet = first if request.task.path.open_legs else first.quiet()
     trial = searched_motion(quiet, budget)
     if quiet is not first and _sways_more(trial) and budget.left > 0:
         other = searched_motion(first, budget)
         trial = min(other, trial, key=_sway)
     return PlannedStroke(trial=trial, runs=budget.used)
+
+
+def in_given_time(refused: PlannedStroke, stroke: Stroke, shortest: PlannedStroke) -> PlannedStroke:
+    """Return a stroke that was refused for too little time as its shortest motion, slowed, leads to it.
+
+    Parameters
+    ----------
+    refused : PlannedStroke
+    stroke : Stroke
+        As it is asked for.
+    shortest : PlannedStroke
+        The stroke with ``seconds: auto``.
+    """
+    if not isinstance(shortest.trial.outcome, Solved):
+        return refused
+    seconds = shortest.trial.result.work.duration
+    is_free = all(stroke.asked_speed(leg) is None for leg in range(len(stroke.path.segments)))
+    if is_free and stroke.file.speed_profile.kind == "quiet":
+        # Imported where needed, as below.
+        from cmbot.planning.attempts.shortest_time import in_given_time as slowed
+
+        if (trial := slowed(shortest.trial, refused.trial, stroke, certified_motion)) is not None:
+            return PlannedStroke(trial=trial, runs=refused.runs + shortest.runs + 1)
+    return replace(refused, shortest=min(seconds, refused.shortest or np.inf))
 
 
 def _sways_more(trial: Trial[Attempt, StrokeMotion]) -> bool:

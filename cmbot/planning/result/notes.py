@@ -212,7 +212,7 @@ def _objective(plan: Plan) -> Iterator[Note]:
     if objective.floor is not None and objective.floor <= _ZERO_BOUND_SHARE * objective.planned_peak:
         yield Note(level="warning", key="no_gravity", values={})
     if not objective.is_guardrail_torque:
-        factor, unit = (1e3, "mm") if objective.unit == "m" else (1.0, objective.unit)
+        factor, unit = objective.shown_unit
         before = objective.baseline_peak
         values = {
             "name": objective.name,
@@ -270,7 +270,7 @@ def _bound(plan: Plan) -> Iterator[Note]:
     if bound is None or plan.choice is None:
         return
     closed = bound.kind == "proven" or bound.error <= _CLOSED_GAP_SHARE * bound.value
-    factor, unit = (1e3, "mm") if objective.unit == "m" else (1.0, objective.unit)
+    factor, unit = objective.shown_unit
     values = {
         "proven": bound.kind == "proven",
         "closed": closed,

@@ -314,8 +314,8 @@ class Plan(StrokePlan):
     @property
     def baseline_tasks(self) -> tuple[ToolTask, ...]:
         """What the baseline follows along each stroke."""
-        each = zip(self.strokes, self.scene.strokes, strict=True)
-        return tuple(baseline_task(stroke.task, file, self.options) for stroke, file in each)
+        files = {file.name: file for file in self.scene.strokes}
+        return tuple(baseline_task(one.task, files[one.name], self.options) for one in self.strokes)
 
     @property
     def shown_sigmas(self) -> float:

@@ -246,8 +246,7 @@ def _search(plan: Plan) -> Iterator[Row]:
 
 def _objective_row(plan: Plan, label: str, key: str, planned: float, baseline: float | None = None) -> Row:
     """A row of values of the objective with its unit, which custom functions lack."""
-    unit = "mm" if plan.objective.unit == "m" else plan.objective.unit
-    return _row(label, key, unit, ".2f", planned, baseline)
+    return _row(label, key, plan.objective.shown_unit[1], ".2f", planned, baseline)
 
 
 def _metrics(plan: Plan, *lines: tuple[str, str, str, str, bool]) -> Iterator[Row]:

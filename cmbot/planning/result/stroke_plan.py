@@ -91,6 +91,11 @@ class ObjectiveMetrics:
         return self.planned_peak / self.floor - 1.0 if self.floor else None
 
     @property
+    def shown_unit(self) -> tuple[float, str]:
+        """The factor from its unit to that in which it is told, and the latter."""
+        return (1e3, "mm") if self.unit == "m" else (1.0, self.unit)
+
+    @property
     def is_guardrail_torque(self) -> bool:
         """Whether it is the norm of the torque on the guardrail about O0, as metrics report it."""
         about_foot = self.moment_about == "foot" and self.axis_weights == (1.0, 1.0, 1.0)

@@ -108,7 +108,9 @@ class _Nodes:
         )
 
 
-def shortest_law(bounded: Sequence[Bounded], phases: int) -> tuple[TimeLaw, FloatArray, float]:
+def shortest_law(
+    bounded: Sequence[Bounded], phases: int, known: FloatArray | None = None
+) -> tuple[TimeLaw, FloatArray, float]:
     """Return the shortest law, its jerk (K + 1,) at the nodes by shares of time, and its duration, s.
 
     Parameters
@@ -116,6 +118,9 @@ def shortest_law(bounded: Sequence[Bounded], phases: int) -> tuple[TimeLaw, Floa
     bounded : sequence of Bounded
     phases : int
         K, at least 6.
+    known : (K + 1,), optional
+        Jerk at the nodes of a law that is known, from which the search begins where that is shorter than the
+        smooth one: the programs find the optimum nearest to where they begin.
 
     Returns
     -------
@@ -124,7 +129,8 @@ def shortest_law(bounded: Sequence[Bounded], phases: int) -> tuple[TimeLaw, Floa
     """
     space = _Nodes(phases)
     coarse = _Points(space, phases * _POINTS_PER_PHASE, bounded)
-    nodes, box = space.smooth(), _BOX
+    starts = [space.smooth(), *([] if known is None else [known[1:-1]])]
+    nodes, box = min(starts, key=coarse.seconds), _BOX
     seconds = coarse.seconds(nodes)
     for _ in range(_MAX_PROGRAMS):
         if not np.isfinite(seconds):

@@ -124,7 +124,7 @@ def bounds_along(
 
 
 def shortest_laws(request: StrokeRequest, paths: Sequence[LegPath]) -> Iterator[LegLaw]:
-    """Yield the shortest laws along joint paths within a request's limits.
+    """Yield the shortest laws along joint paths within a request's limits, sought from those that it has.
 
     Raises
     ------
@@ -133,10 +133,14 @@ def shortest_laws(request: StrokeRequest, paths: Sequence[LegPath]) -> Iterator[
     """
     task = request.task
     max_speed = None if task.max_speed is None else task.max_speed / (1 + SPEED_TOLERANCE)
+    known = {law.leg: law for law in request.stroke.file.time_laws or ()}
     for each in paths:
         phases = int(np.clip(_PHASES * each.segments, _FEWEST_PHASES, _MOST_PHASES))
         bounded = bounds_along(request.cell.robot, each.q, max_speed, task.max_base_torque)
-        _, jerk, seconds = shortest_law(bounded, phases)
+        law, before = known.get(each.leg), None
+        if law is not None and len(law.seconds) == phases:
+            before = np.array(law.jerk) * law.duration**3
+        _, jerk, seconds = shortest_law(bounded, phases, before)
         if not np.isfinite(seconds):
             raise _too_heavy(request, each)
         yield LegLaw(

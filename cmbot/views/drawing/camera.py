@@ -24,14 +24,8 @@ _BESIDE, _POLE = 0.1, 1.5
 # Directions all around, (200, 3), on a spiral over the sphere.
 _ANGLES = np.pi * (1 + 5**0.5) * np.arange(200)
 _HEIGHTS = np.linspace(-1, 1, 200)
-_DIRECTIONS = np.stack(
-    [
-        np.sqrt(1 - _HEIGHTS**2) * np.cos(_ANGLES),
-        np.sqrt(1 - _HEIGHTS**2) * np.sin(_ANGLES),
-        _HEIGHTS,
-    ],
-    axis=1,
-)
+_WIDTHS = np.sqrt(1 - _HEIGHTS**2)
+_DIRECTIONS = np.stack([_WIDTHS * np.cos(_ANGLES), _WIDTHS * np.sin(_ANGLES), _HEIGHTS], axis=1)
 # Views that are tried: about z from the usual one, deg, and rises of the camera with what each loses.
 _CAMERA_TURNS = np.radians([0, -30, 30, -60, 60, -90, 90, -120, 120, -150, 150, 180])
 _CAMERA_RISES = {RISE: 0.0, 0.6: 0.05, -0.2: 0.15}

@@ -29,6 +29,7 @@ from cmbot.robot import Dynamics, Robot
 from cmbot.toolpath import LegLaw
 
 LEG = {"by": [0, -0.3, 0]}
+QUIET_PROFILE = {"kind": "quiet", "ramp": 0.3}
 
 
 def straight(size: float, *bounds: float) -> list[Bounded]:
@@ -79,6 +80,17 @@ def test_a_law_keeps_what_bounds_it(cmbot_robot: Robot, rng: np.random.Generator
     assert np.linalg.norm(efforts.guardrail_torque, axis=1).max() <= most
     # Without a way to rest within them there is no law.
     assert shortest_law(bounds_along(robot, q, 0.3, 0.9 * most), 30)[2] == np.inf
+
+
+def test_a_law_that_is_known_is_never_made_longer(cmbot_robot: Robot, rng: np.random.Generator) -> None:
+    """From a law of the next path, too, of which the smooth one leads elsewhere."""
+    points = np.cumsum(0.2 * rng.normal(size=(9, 7)), axis=0)
+    ways = [make_interp_spline(np.linspace(0, 1, 9), points + shift, k=5) for shift in (0.0, 0.01)]
+    _, known, before = shortest_law(bounds_along(cmbot_robot, ways[0]), 40)
+    _, _, again = shortest_law(bounds_along(cmbot_robot, ways[0]), 40, known)
+    assert again <= before * (1 + 1e-9)
+    smooth, warm = (shortest_law(bounds_along(cmbot_robot, ways[1]), 40, law)[2] for law in (None, known))
+    assert warm <= 1.01 * min(smooth, before)
 
 
 def test_it_is_near_copp_and_above_toppra(cmbot_robot: Robot, rng: np.random.Generator) -> None:
@@ -146,6 +158,21 @@ def test_it_is_read_back_and_planned_again_in_that_time(quick_plan: Plan, tmp_pa
     assert [check.quantity for check in checks if not check.holds] == [
         "torque on the base by a second computation"
     ]
+
+
+def test_seconds_in_which_only_a_longer_ramp_leads_are_kept(quick_plan: Plan, tmp_path: Path) -> None:
+    """A little more than the shortest time: ramps of 0.3 are too steep for the joints then."""
+    (fastest,) = quick_plan.scene.strokes[0].time_laws or ()
+    seconds = 1.05 * fastest.duration
+    path = {"legs": [LEG | {"seconds": seconds}], "via_points": 26, "speed_profile": QUIET_PROFILE}
+    made = plan(short_scene(tool_path=path))
+    (file,) = made.scene.strokes
+    assert made.certificate.holds
+    assert made.work.duration == pytest.approx(seconds, rel=1e-9)
+    assert file.legs[0].seconds == seconds and not file.is_open
+    assert any("the law of the shortest time, slowed to the seconds" in told for told in made.fallbacks)
+    read = load_plan(save(made, tmp_path / "plan"), verify=True, scene=short_scene(tool_path=path))
+    assert read.scene.strokes[0].time_laws == file.time_laws
 
 
 def test_only_the_legs_on_which_motions_fail_are_stretched() -> None:
