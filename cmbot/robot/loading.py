@@ -353,6 +353,11 @@ def _held(files: RobotFiles) -> dict[str, float]:
     return {name: torque for name, torque in given.items() if torque is not None}
 
 
+def other_foot(foot: Side) -> Side:
+    """Return the number of the other foot."""
+    return 2 if foot == 1 else 1
+
+
 def load_climbing_robot(
     foot: Side, root: FloatArray, arm: FloatArray, *, tool_length: float | None = None, payload: float = 0.0
 ) -> Robot:
