@@ -18,7 +18,7 @@ from cmbot.common.errors import ArchiveError
 from cmbot.common.reading.validation import given_path, shown, validated
 from cmbot.common.representation import short_repr
 from cmbot.planning import Plan
-from cmbot.robot import ARM_JOINTS, Climber, Side
+from cmbot.robot import ARM_JOINTS, Climber, Side, other_foot
 from cmbot.scene import Scene, StanceFile, foothold_pose
 from cmbot.stances import Candidate, candidate_at, in_the_way, in_world, lift_height
 from cmbot.stances.walking import Kind, Move, Step, Walk, certified_move, part_data, stance_of, walk_data
@@ -116,12 +116,11 @@ class _Reader:
         guardrail = self.scene.elastic_guardrail
         if file.climber_deg is None:
             raise self._error(f"{key}.climber_deg", "nothing", "five angles")
-        places = [place for place in (file.foot_1, file.foot_2) if place is not None]
         try:
-            poses = [foothold_pose(guardrail, place) for place in places]
+            poses = [foothold_pose(guardrail, place) for place in file.held]
         except (KeyError, ValueError, IndexError) as error:
             raise self._error(key, shown(str(error)), "places on the guardrail") from error
-        node = candidate_at(file.foot_1, file.foot_2, poses[0], np.radians(file.climber_deg), self._climber)
+        node = candidate_at(*file.places, poses[0], np.radians(file.climber_deg), self._climber)
         reached = node.root @ self._climber.poses(node.climber)[0]
         if len(poses) > 1 and np.abs(reached - poses[1]).max() > _SAME_PLACE:
             raise self._error(f"{key}.climber_deg", "other angles", "those that put foot 2 in its place")
@@ -137,8 +136,8 @@ class _Reader:
         before, after = self.node(file.before, f"{key}.before"), self.node(file.after, f"{key}.after")
         self.require_stance(before, f"{key}.before")
         self._here = before
-        holds: Side = 1 if file.foot == 2 else 2
-        places = [node.stance.foot_1 if file.foot == 1 else node.stance.foot_2 for node in (before, after)]
+        holds = other_foot(file.foot)
+        places = [node.stance.places[file.foot - 1] for node in (before, after)]
         # A foot that is free is neither lifted nor set; while one is off, the arm is still.
         order = [kind for kind, place in zip(("lift", "set"), places, strict=True) if place is not None]
         order.insert("lift" in order, "swing")
@@ -157,9 +156,7 @@ class _Reader:
             moves.append(self.move(entry, f"{key}.moves[{k}]", kind))
             if entry.kind in ("lift", "set"):
                 self._require_straight(moves[-1], f"{key}.moves[{k}].knots")
-        stays = [
-            node.root if holds == 1 else node.root @ self._foot_2(node.climber) for node in (before, after)
-        ]
+        stays = [node.foot_pose(holds) for node in (before, after)]
         if np.abs(stays[0] - stays[1]).max() > _SAME_PLACE:
             raise self._error(f"{key}.after", "another place", f"foot {holds} where it holds")
         self._here = after
@@ -196,8 +193,7 @@ class _Reader:
             raise self._error(f"{key}.kind", file.kind, kind)
         arm, trajectory = np.array(file.arm), file.knots
         self._require_posture(arm, self._arm, f"{key}.arm")
-        both: tuple[Side, ...] = (1,) if self._here.stance.foot_2 is None else (1, 2)
-        if file.kind == "arm" and file.holds != both:
+        if file.kind == "arm" and file.holds != (both := self._here.feet):
             raise self._error(f"{key}.holds", shown(list(file.holds)), shown(list(both)))
         number = len(ARM_JOINTS) if file.kind == "arm" else len(self._angles)
         if trajectory.q.shape[1] != number:

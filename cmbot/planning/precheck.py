@@ -19,7 +19,7 @@ from cmbot.common.reading.validation import counted
 from cmbot.common.reading.yaml_reader import lines_named
 from cmbot.common.representation import short_repr
 from cmbot.elastic.sag import Sag, TooSoftError
-from cmbot.hold import Holding
+from cmbot.hold import MAGNET_PRESSURE, Holding
 from cmbot.optimization import piqp_module
 from cmbot.planning.reach import beyond_reach, without_posture
 from cmbot.planning.request import end_posture_of, strokes_of, task_of
@@ -168,6 +168,13 @@ def _hold_at_start(scene: Scene, robot: Robot) -> Precheck:
     """What feet and locked joints bear at rest in the start posture, with the tool off."""
     holding, found, warnings = robot.holding, list[tuple[str, str]](), list[Finding]()
     wrench = Dynamics(robot.tool_off).static_efforts(scene.posture[None]).guardrail_wrench
+    for number, foot in enumerate(holding.feet if holding is not None else (), start=1):
+        if foot.contact is not None and foot.kind != "clamp":
+            most = MAGNET_PRESSURE * foot.contact.area / 1e3
+            value = f"{1e4 * foot.contact.area:.0f} cm2; no magnet pulls more than {most:.1f} kN there"
+            found.append(
+                (f"contact of foot {number}", f"{value}, one of two poles {foot.ceiling / 1e3:.1f} kN")
+            )
     if holding is not None and holding.bounded:
         use = float(holding.share(wrench)[0][0])
         found.append(("of what the feet bear there, safety included", f"{100 * use:.0f} %"))

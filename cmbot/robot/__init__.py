@@ -23,7 +23,15 @@ from cmbot.robot.joint_kinds import (
 )
 from cmbot.robot.kinematics import Chain, Kinematics, PostureBatch, Postures, ToolBatch, link_poses
 from cmbot.robot.limits import JointLimits
-from cmbot.robot.loading import ARM_JOINTS, Side, inspect_loaded, load_climbing_robot, load_robot, srdf_text
+from cmbot.robot.loading import (
+    ARM_JOINTS,
+    Side,
+    inspect_loaded,
+    load_climbing_robot,
+    load_robot,
+    other_foot,
+    srdf_text,
+)
 from cmbot.robot.robot import Robot
 
 __all__ = [
@@ -68,6 +76,7 @@ __all__ = [
     "load_climbing_robot",
     "load_robot",
     "locate_meshes",
+    "other_foot",
     "overview",
     "parse_urdf",
     "postures_in_words",

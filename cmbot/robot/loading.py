@@ -327,6 +327,11 @@ def _require_mass(arm: Any, urdf: Path, base_frame: str, tool_frame: str) -> Non
         raise ModelError(str(urdf), "total_mass_kg", got, expected)
 
 
+def other_foot(foot: Side) -> Side:
+    """Return the number of the other foot."""
+    return 2 if foot == 1 else 1
+
+
 def load_climbing_robot(
     foot: Side, root: FloatArray, arm: FloatArray, *, tool_length: float | None = None, payload: float = 0.0
 ) -> Robot:

@@ -1,9 +1,7 @@
 """Where to stand: candidates along the guardrail, screened and ranked, the best planned."""
 
-from cmbot.stances.bounds import NO_FIGURES, Bounds, SagLimit, StanceFigures, StanceObjective
+from cmbot.stances.bounds import NO_FIGURES, Bounds, StanceFigures, StanceObjective
 from cmbot.stances.candidates import (
-    APART,
-    REACH,
     AnyCandidate,
     Candidate,
     MountCandidate,
@@ -12,7 +10,9 @@ from cmbot.stances.candidates import (
     candidates_of,
     in_the_way,
     lift_height,
+    on_two_feet,
     own_candidate,
+    place_in_words,
     places_of,
     without_links,
 )
@@ -25,22 +25,18 @@ from cmbot.stances.ranking import (
     require_standing,
     stand,
 )
-from cmbot.stances.screening import Screener, Screening
-from cmbot.stances.search import Rejection, StanceResult, StandOptions, evaluate_stances
+from cmbot.stances.screening import Screener
+from cmbot.stances.search import Rejection, StanceResult, StandOptions
 from cmbot.stances.table import bounds_table, in_words, planned_table, shared_out, stances_csv
 
 __all__ = [
-    "APART",
     "NO_FIGURES",
-    "REACH",
     "AnyCandidate",
     "Bounds",
     "Candidate",
     "MountCandidate",
     "Rejection",
-    "SagLimit",
     "Screener",
-    "Screening",
     "StanceFigures",
     "StanceObjective",
     "StanceRanking",
@@ -51,13 +47,14 @@ __all__ = [
     "bounds_table",
     "candidate_at",
     "candidates_of",
-    "evaluate_stances",
     "in_the_way",
     "in_words",
     "in_world",
     "joined",
     "lift_height",
+    "on_two_feet",
     "own_candidate",
+    "place_in_words",
     "places_of",
     "planned_table",
     "put_away",

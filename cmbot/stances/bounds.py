@@ -111,3 +111,44 @@ class StanceFigures:
 
 
 NO_BOUNDS, NO_FIGURES = Bounds(), StanceFigures()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Column:
+    """How a figure of a stance is told.
+
+    Attributes
+    ----------
+    name : str
+        Of `StanceFigures`.
+    words, unit : str
+    factor : float
+        From SI to the unit.
+    form : str
+        As of `format`.
+    """
+
+    name: str
+    words: str
+    unit: str
+    factor: float = 1.0
+    form: str = ".2f"
+
+    def told(self, figures: StanceFigures) -> str | None:
+        """Return the figure without its unit; None where it was not computed."""
+        value = getattr(figures, self.name)
+        return None if value is None else format(self.factor * value, self.form)
+
+
+COLUMNS = (
+    Column(name="torque", words="torque", unit="Nm", form=".1f"),
+    Column(name="job_torque", words="over the job", unit="Nm", form=".1f"),
+    Column(name="adhesion", words="adhesion needed", unit="kN", factor=1e-3),
+    Column(name="sag_mm", words="sag", unit="mm"),
+    Column(name="first_hz", words="first mode", unit="Hz"),
+    Column(name="sway_mm", words="sway", unit="mm per m/s2"),
+    Column(name="holding_nm", words="locked joints hold", unit="Nm", form=".0f"),
+    Column(name="holding_of_effort", words="of what they drive", unit="%", factor=100.0, form=".0f"),
+    Column(name="within_mm", words="tool within", unit="mm", form=".1f"),
+)
+"""Of a planned stance, the most important first."""

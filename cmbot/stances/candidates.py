@@ -13,7 +13,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import short_repr
 from cmbot.elastic import elastic_base
 from cmbot.planning import held_guardrail, robot_of
-from cmbot.robot import ARM_JOINTS, Climber, Robot, load_climbing_robot
+from cmbot.robot import ARM_JOINTS, Climber, Robot, Side, load_climbing_robot
 from cmbot.scene import (
     FootholdFile,
     MountFile,
@@ -28,6 +28,8 @@ REACH = 0.9
 """Foot 2 is sought no further from foot 1 than this, m: both legs and their offsets."""
 APART = 0.16
 """Feet do not stand on each other, m."""
+# Cosine of the angle between the normals of two feet at least.
+_SAME_NORMAL = 0.999
 # Places this far from the ends of a member are left out, m.
 _END_MARGIN_M = 0.04
 # The foot in its frame, as the URDF has it, m: sides, and its centre above the member's axis.
@@ -61,8 +63,16 @@ class Candidate:
     @property
     def place(self) -> str:
         """Where the feet hold, in words."""
-        feet = [foot for foot in (self.stance.foot_1, self.stance.foot_2) if foot is not None]
-        return " and ".join(f"{foot.member} at {foot.along_m:.2f} m ({foot.face})" for foot in feet)
+        return " and ".join(map(place_in_words, self.stance.held))
+
+    @property
+    def feet(self) -> tuple[Side, ...]:
+        """The feet that hold."""
+        return (1,) if self.stance.foot_2 is None else (1, 2)
+
+    def foot_pose(self, foot: Side) -> FloatArray:
+        """Return the pose (4, 4) of a foot in W."""
+        return self.root if foot == 1 else np.asarray(self.root @ Climber().poses(self.climber)[0])
 
     @property
     def in_file(self) -> StanceFile | None:
@@ -90,6 +100,7 @@ class MountCandidate:
     mount: MountFile | None
     base: FloatArray
     stiffness: FloatArray | None
+    feet: tuple[Side, ...] = (1,)  # what is held counts as one
 
     __repr__ = short_repr
 
@@ -155,7 +166,7 @@ def own_candidate(scene: Scene) -> Candidate | None:
         place = place.changed(along_m=along)
         return replace(candidate_at(place, None, np.eye(4), climber.working, climber), at_origin=True)
     stance = scene.stance
-    return candidate_at(file.foot_1, file.foot_2, stance.root, np.array(stance.climber), climber)
+    return candidate_at(*file.places, stance.root, np.array(stance.climber), climber)
 
 
 def candidates_of(
@@ -186,12 +197,12 @@ def candidates_of(
     climber = Climber()
     known = set[tuple[float, ...]]()
     for candidate in first:
-        feet = [place for place in (candidate.stance.foot_1, candidate.stance.foot_2) if place is not None]
-        X_2 = foothold_pose(scene.elastic_guardrail, feet[1]) if len(feet) > 1 else None
-        on_them = not members or all(place.member in members for place in feet)
+        held, other = candidate.stance.held, candidate.stance.foot_2
+        X_2 = None if other is None else foothold_pose(scene.elastic_guardrail, other)
+        on_them = not members or all(place.member in members for place in held)
         if on_them and _is_new(candidate, X_2, known):
             yield candidate
-    for place in (place for place in places_of(scene, spacing) if not members or place.member in members):
+    for place in places_of(scene, spacing, members):
         X = foothold_pose(scene.elastic_guardrail, place)
         angles = climber.hanging(X[:3, :3])
         if angles is None:
@@ -201,17 +212,35 @@ def candidates_of(
             yield candidate
     if not np.isfinite(pair_spacing):
         return
-    places = [place for place in places_of(scene, pair_spacing) if not members or place.member in members]
-    poses = [foothold_pose(scene.elastic_guardrail, place) for place in places]
+    places = [*places_of(scene, pair_spacing, members)]
+    others = [place for place in places if place.turn_deg == places[0].turn_deg]
+    for candidate in on_two_feet(scene, places, others, climber):
+        if _is_new(candidate, foothold_pose(scene.elastic_guardrail, candidate.stance.held[1]), known):
+            yield candidate
+
+
+def on_two_feet(
+    scene: Scene, places: Sequence[FootholdFile], others: Sequence[FootholdFile], climber: Climber
+) -> Iterator[Candidate]:
+    """Yield the stances with foot 1 at some places and foot 2 at others, the base on the members' outer side.
+
+    Parameters
+    ----------
+    scene : Scene
+    places, others : sequence of FootholdFile
+    climber : Climber
+    """
+    poses, ends = (
+        [foothold_pose(scene.elastic_guardrail, place) for place in part] for part in (places, others)
+    )
+    points, normals = np.array([X[:3, 3] for X in ends]), np.array([X[:3, 1] for X in ends])
     for place, X in zip(places, poses, strict=True):
-        for other, X_2 in zip(places, poses, strict=True):
-            away = float(np.linalg.norm(X_2[:3, 3] - X[:3, 3]))
-            if not APART <= away <= REACH or other.turn_deg != places[0].turn_deg:
-                continue
-            for angles in climber.reaching(np.linalg.inv(X) @ X_2):
-                candidate = candidate_at(place, other, X, angles, climber)
-                out = candidate.base[:3, 3] - X[:3, 3]
-                if out @ X[:3, 1] > 0 and _is_new(candidate, X_2, known):
+        away = np.linalg.norm(points - X[:3, 3], axis=1)
+        near = (away >= APART) & (away <= REACH) & (normals @ X[:3, 1] > _SAME_NORMAL)
+        for k in np.flatnonzero(near).tolist():
+            for angles in climber.reaching(np.linalg.inv(X) @ ends[k]):
+                candidate = candidate_at(place, others[k], X, angles, climber)
+                if (candidate.base[:3, 3] - X[:3, 3]) @ X[:3, 1] > 0:
                     yield candidate
 
 
@@ -244,7 +273,7 @@ def candidate_at(
     return Candidate(stance=stance, root=X, base=X @ climber.poses(angles)[1], climber=angles)
 
 
-def places_of(scene: Scene, spacing: float) -> Iterator[FootholdFile]:
+def places_of(scene: Scene, spacing: float, members: Collection[str] = ()) -> Iterator[FootholdFile]:
     """Yield places of a foot along posts and rails, on every side from which a base can hang, both ways up.
 
     Where an obstacle or another member is in the way of the foot there is none: `in_the_way`.
@@ -253,12 +282,15 @@ def places_of(scene: Scene, spacing: float) -> Iterator[FootholdFile]:
     ----------
     scene : Scene
     spacing : float, m
+    members : collection of str
+        On which they are; empty: all.
     """
     guardrail = scene.elastic_guardrail
     posts = [(f"post_{k + 1}", ("outer", "left", "right")) for k in range(len(guardrail.post_positions))]
     rails = [(rail.name, ("outer",)) for rail in guardrail.rails]
     clamps = {hold.kind for hold in scene.guardrail.hold or ()} == {"clamp"}
-    for member, faces in (*posts, *rails):
+    of_members = [each for each in (*posts, *rails) if not members or each[0] in members]
+    for member, faces in of_members:
         for face in faces:
             probe = FootholdFile.model_validate({"member": member, "along_m": 0.0, "face": face})
             side = foothold_face(guardrail, probe)
@@ -287,7 +319,7 @@ def climber_in_the_way(scene: Scene, candidate: Candidate) -> str | None:
         As `in_world` returns it.
     candidate : Candidate
     """
-    climber = bare_climber(candidate.root, scene.all_obstacles, foot_2=candidate.stance.foot_2 is None)
+    climber = bare_climber(candidate.root, scene.all_obstacles, foot_2=2 not in candidate.feet)
     numbers = np.arange(len(climber.pairs))
     distance = climber.distances(candidate.climber[None], np.zeros_like(numbers), numbers)
     own = np.array([pair.self_collision for pair in climber.pairs], dtype=np.bool_)
@@ -296,6 +328,11 @@ def climber_in_the_way(scene: Scene, candidate: Candidate) -> str | None:
         return None
     pair = climber.pairs[int(spare.argmin())]
     return f"{pair.link} and {pair.other} come too near to each other"
+
+
+def place_in_words(place: FootholdFile | None) -> str:
+    """Return where a foot holds, in words."""
+    return "free" if place is None else f"{place.member} at {place.along_m:.2f} m ({place.face})"
 
 
 def lift_height() -> float:

@@ -14,7 +14,7 @@ from cmbot.elastic import SharedFrame, with_legs
 from cmbot.elastic.first_order import Bases
 from cmbot.hold import Foot, Holding, needed_by_load
 from cmbot.robot import Climber, HoldingJoint, Robot, holding_rows, leg_compliance
-from cmbot.scene import FootholdFile, Scene, axis_point, feet_at
+from cmbot.scene import Scene, axis_point, feet_at
 from cmbot.stances.bounds import Bounds, StanceObjective
 from cmbot.stances.candidates import AnyCandidate, Candidate
 
@@ -42,29 +42,22 @@ class _Support:
         self._identified = bool(scene.identified and scene.identified.base)
         points = list[FloatArray]()
         for candidate in candidates:
-            places = self._places(candidate)
-            if len(places) > 1 or given is None:
-                for place in places:
-                    point = axis_point(self._guardrail, place)
-                    if self._key(point) not in self._number:
-                        self._number[self._key(point)] = len(points)
-                        points.append(point)
+            each = [] if not isinstance(candidate, Candidate) else self._points(candidate)
+            for point in each if len(each) > 1 or given is None else ():
+                if self._key(point) not in self._number:
+                    self._number[self._key(point)] = len(points)
+                    points.append(point)
         self._frame = SharedFrame(self._guardrail, np.array(points)) if points else None
 
-    @staticmethod
-    def _places(candidate: AnyCandidate) -> list[FootholdFile]:
-        if not isinstance(candidate, Candidate):
-            return []
-        stance = candidate.stance
-        return [place for place in (stance.foot_1, stance.foot_2) if place is not None]
+    def _points(self, candidate: Candidate) -> list[FloatArray]:
+        return [axis_point(self._guardrail, place) for place in candidate.stance.held]
 
     @staticmethod
     def _key(point: FloatArray) -> tuple[float, ...]:
         return tuple(np.round(point, 3).tolist())
 
-    def _numbers(self, candidate: AnyCandidate) -> list[int]:
-        points = (axis_point(self._guardrail, place) for place in self._places(candidate))
-        return [self._number[self._key(point)] for point in points]
+    def _numbers(self, candidate: Candidate) -> list[int]:
+        return [self._number[self._key(point)] for point in self._points(candidate)]
 
     def feet(self, candidate: AnyCandidate, legs: FloatArray | None) -> tuple[Foot, ...]:
         """The feet that hold, with `SharedFrame.shares` by the legs; of a mount that by which it is held."""
@@ -134,7 +127,7 @@ class StanceLoads:
         support = _Support(scene, candidates, robot)
         joints = [_locked(each, robot, arm, climber) for each in candidates]
         legs = [
-            leg_compliance(part, _feet_of(each), each.root[:3, 3])
+            leg_compliance(part, len(each.feet), each.root[:3, 3])
             for part, each in zip(joints, candidates, strict=True)
         ]
         each_leg = [*zip(candidates, legs, strict=True)]
@@ -287,11 +280,6 @@ class StanceLoads:
         return self._bounds.sag_mm / _METRE_MM
 
 
-def _feet_of(candidate: AnyCandidate) -> int:
-    """On how many feet a robot stands; what a mount holds is one."""
-    return 2 if isinstance(candidate, Candidate) and candidate.stance.foot_2 is not None else 1
-
-
 def _locked(candidate: AnyCandidate, robot: Robot, arm: Robot, climber: Climber) -> list[HoldingJoint]:
     """The locked joints of a stance, with limits and springs of those of the robot."""
     if not isinstance(candidate, Candidate):
@@ -302,7 +290,7 @@ def _locked(candidate: AnyCandidate, robot: Robot, arm: Robot, climber: Climber)
             pin.SE3(candidate.root)
         )
         for joint in climber.holding_joints(candidate.climber)
-        if joint.foot < _feet_of(candidate)
+        if joint.foot < len(candidate.feet)
     ]
 
 

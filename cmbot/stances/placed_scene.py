@@ -62,9 +62,10 @@ def scene_at(scene: Scene, candidate: AnyCandidate, posture: FloatArray | None) 
 def put_away(scene: Scene) -> Scene:
     """Return the scene with an arm that comes from its stow posture, and is put away again.
 
-    An arm without one comes from where it starts, and returns there.
+    An arm without one comes from where it starts, and returns there; so does one whose scene says that it
+    returns there.
     """
-    stowed = STOW in robot_of(scene).group_states
+    stowed = STOW in robot_of(scene).group_states and scene.return_to != "start"
     changes: dict[str, Any] = {"start": {"stow": True}} if stowed else {}
     if scene.return_to == "none":
         changes["return_to"] = "stow" if stowed else "start"

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -103,6 +103,11 @@ class StanceRanking:
         """The reasons for which most stances are left out, and how many each."""
         causes = (each.rejection.cause for each in self.ranked if each.rejection is not None)
         return Counter(causes).most_common(_MAX_REASONS_NAMED)
+
+    @property
+    def reasons_in_words(self) -> str:
+        """The same; empty where there are none."""
+        return ", ".join(f"{cause} ({number})" for cause, number in self.reasons)
 
     @property
     def nearest(self) -> StanceResult | None:
@@ -243,14 +248,18 @@ class _Stand:
                 if group in done:
                     continue
                 where = f"stance {number} of {len(groups)}: " if len(groups) > 1 else ""
-                told = partial(_told, self._progress, where)
+
+                def told(step: str, share: float, where: str = where) -> None:
+                    self._progress(where + step, share)
+
                 done[group] = self._group(group, found, told, several=len(groups) > 1)
                 stays = done[group].best is None and self._options.plans and not self._ending.by
                 if stays and len(group) > 1:
                     excluded.add(group)
                     break
             else:
-                return tuple(sorted((done[group] for group in groups), key=_along))
+                along = {group: done[group].ranked[0].candidate.root[0, 3] for group in groups}
+                return tuple(done[group] for group in sorted(groups, key=along.__getitem__))
         raise PlanningError(f"no stances for {counted(len(self._names), 'stroke')}")
 
     def _sag_limit(self) -> SagLimit | None:
@@ -278,12 +287,10 @@ class _Stand:
         name = "_".join([scene.name, *(str(k + 1) for k in members)])
         part = with_strokes(scene, group, name[:_MAX_NAME_CHARACTERS]) if several else scene
         strokes = [k for each in members for k in self._of[each]]
-        numbers = {candidate: k for k, candidate in enumerate(self._candidates)}
         judge = Judge(
             scene=put_away(part),
             as_it_is=part,
             screener=self._screener,
-            numbers=numbers,
             own=self._own,
             options=self._options,
             bounds=self._bounds,
@@ -319,6 +326,7 @@ class _Stand:
             rejection = Rejection(kind="no posture", reason=why, cause=why)
         return StanceResult(
             candidate=candidate,
+            number=k,
             stage="postures" if within else "reach",
             bound=float(rows[0]),
             at_rest=at_rest_of(rows),
@@ -373,20 +381,11 @@ def require_planned(rankings: Sequence[StanceRanking]) -> None:
     """
     for ranking in rankings:
         if ranking.best is None:
-            reasons = ", ".join(f"{cause} ({number})" for cause, number in ranking.reasons)
             late = "; the time was over (--time-limit)" if ranking.ended_by == "time" else ""
             strokes = f" for {', '.join(ranking.strokes)}" if len(rankings) > 1 else ""
+            reasons = ranking.reasons_in_words
             why = f", most often for: {reasons}" if reasons else ""
             raise PlanningError(f"no stance of {len(ranking.ranked)} was planned{strokes}{late}{why}")
-
-
-def _along(ranking: StanceRanking) -> float:
-    """Where foot 1 is in the best stance, along the guardrail, m."""
-    return float(ranking.ranked[0].candidate.root[0, 3])
-
-
-def _told(progress: Progress, where: str, step: str, share: float) -> None:
-    progress(where + step, share)
 
 
 def best_scene(ranking: StanceRanking) -> Scene:
@@ -399,8 +398,7 @@ def best_scene(ranking: StanceRanking) -> Scene:
     """
     first = ranking.ranked[0]
     if not np.isfinite(first.bound):
-        reasons = ", ".join(f"{cause} ({number})" for cause, number in ranking.reasons)
-        raise PlanningError(f"no stance of {len(ranking.ranked)} is left: {reasons}")
+        raise PlanningError(f"no stance of {len(ranking.ranked)} is left: {ranking.reasons_in_words}")
     return scene_at(ranking.scene, first.candidate, None) if first.plan is None else first.plan.scene
 
 
@@ -459,16 +457,13 @@ def fewest_groups(bound: FloatArray, excluded: Collection[_Group] = ()) -> tuple
         return None
     # The smallest value of the bound at which as few stances do: it is one of those in the table.
     values = np.unique(bound[np.isfinite(bound)])
-    low, high = 0, len(values) - 1
-    while low < high:
-        middle = (low + high) // 2
-        tried = _sets(bound <= values[middle], excluded)
-        found = _smallest_cover(tried)
-        if found is not None and len(found) == len(cover):
-            high, sets, cover = middle, tried, found
-        else:
-            low = middle + 1
-    return _parted(sets[:, cover], bound)
+
+    def enough(value: float) -> bool:
+        found = _smallest_cover(_sets(bound <= value, excluded))
+        return found is not None and len(found) == len(cover)
+
+    sets = _sets(bound <= values[bisect_left(values, True, key=enough)], excluded)
+    return _parted(sets[:, _smallest_cover(sets) or cover], bound)
 
 
 def _sets(reached: BoolArray, excluded: Collection[_Group]) -> BoolArray:

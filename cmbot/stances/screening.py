@@ -121,40 +121,25 @@ class Screener:
                 report((done + share) / len(tasks))
 
             left = np.flatnonzero(within[s])
-            stroke = _Stroke(
-                arm=self.arm,
-                task=task,
-                bases=self._bases[left],
-                loads=self.loads,
-                number=left,
-                late=self._late,
-            )
             if len(left):
-                figures[:, s, left], worst[s, left] = stroke.bounded(told)
+                figures[:, s, left], worst[s, left] = self._bounded(task, left, told)
         return Screening(within_reach=within, figures=figures, via_point=worst)
 
+    def _bounded(
+        self, task: ToolTask, number: IntArray, report: Callable[[float], None]
+    ) -> tuple[FloatArray, IntArray]:
+        """Figures (8, C) where, over the via-points, what is ranked is largest, and the via-points (C,).
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Stroke:
-    """A stroke, and the bases (C, 4, 4) of the stances that have it within reach, with their numbers."""
-
-    arm: BaseArm
-    task: ToolTask
-    bases: FloatArray
-    loads: StanceLoads
-    number: IntArray
-    late: Callable[[], bool]
-
-    def bounded(self, report: Callable[[float], None]) -> tuple[FloatArray, IntArray]:
-        """Figures (8, C) where, over the via-points, what is ranked is largest, and the via-points (C,)."""
-        K, C = VIA_POINTS, len(self.bases)
+        `number` (C,) are those of the candidates.
+        """
+        K, C = VIA_POINTS, len(number)
         every = np.arange(C)
         found = np.full((len(FIGURES), K, C), np.nan)
         found[0] = 0.0
         for k in range(K):
-            if self.late():
+            if self._late():
                 break
-            rough = self._least(k, every, ROUGHLY)
+            rough = self._least(task, k, number, ROUGHLY)
             found[:, k, : rough.shape[1]] = rough
             report(_ROUGH_TIME_SHARE * (k + 1) / K)
         # Without a posture at half of the via-points it is left at that.
@@ -166,28 +151,27 @@ class _Stroke:
             value = found[0, worst, every]
             least = np.sort(value)[:_PROMISING_STANCES][-1]
             open_ = ~closely[worst, every] & ((value <= _PROMISING_RATIO * least) | np.isinf(value))
-            if self.late() or not open_.any():
+            if self._late() or not open_.any():
                 return found[:, worst, every], worst
             for k in range(K):
                 some = np.flatnonzero(open_ & (worst == k))
-                again = self._least(k, some, CLOSELY)
+                again = self._least(task, k, number[some], CLOSELY)
                 some = some[: again.shape[1]]
                 better = again[0] < found[0, k, some]
                 found[:, k, some[better]] = again[:, better]
                 closely[k, some] = True
             report(_ROUGH_TIME_SHARE + (1 - _ROUGH_TIME_SHARE) * float(1 - open_.mean()))
 
-    def _least(self, via_point: int, some: IntArray, effort: Effort) -> FloatArray:
-        """Figures of some of the stances at a via-point, (8, k); of the first ones where it is late."""
-        time = float(times_of(self.task)[via_point])
+    def _least(self, task: ToolTask, via_point: int, number: IntArray, effort: Effort) -> FloatArray:
+        """Figures of candidates at a via-point, (8, k); of the first ones where it is late."""
+        time = float(times_of(task)[via_point])
         at_once = max(_POSTURES_PER_BATCH // (effort.tried * (1 + 2 * effort.walked)), 1)
         parts = [np.empty((len(FIGURES), 0))]
-        for first in range(0, len(some), at_once):
-            if self.late():
+        for first in range(0, len(number), at_once):
+            if self._late():
                 break
-            part = some[first : first + at_once]
-            bases, number = self.bases[part], self.number[part]
-            parts.append(self.arm.least(self.task, time, bases, self.loads, number, effort))
+            part = number[first : first + at_once]
+            parts.append(self.arm.least(task, time, self._bases[part], self.loads, part, effort))
         return np.concatenate(parts, axis=1)
 
 

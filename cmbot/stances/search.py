@@ -34,7 +34,7 @@ _MIN_PLAN_SECONDS = 1e-3
 # Share of a time limit that the screening may take.
 _SCREENING_SHARE = 0.4
 # Once enough are planned, only stances that may be better by more than this share are judged.
-_WORTH_SHARE = 0.02
+_WORTH_SHARE = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,6 +176,8 @@ class StanceResult:
     Attributes
     ----------
     candidate : Candidate or MountCandidate
+    number : int
+        Of the candidate, in the screening.
     stage : str
         By what it was judged, the furthest it came: ``reach`` of the links, sampled ``postures``,
         ``clearance`` of what does not move, ``obstacles`` with charts at some via-points, ``charts`` at all
@@ -199,6 +201,7 @@ class StanceResult:
     """
 
     candidate: AnyCandidate
+    number: int = 0
     stage: StageName
     bound: float
     proven: float = 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -57,8 +58,6 @@ class Judge:
     as_it_is : Scene
         The same, with the arm where the scene has it before and after.
     screener : Screener
-    numbers : mapping of candidate to int
-        Of the candidates, in the screening.
     own : mapping of candidate to (n,), rad, or None
         The scenes' own stances, and the posture in which the arm starts there; None: that of the scene.
     options : StandOptions
@@ -73,7 +72,6 @@ class Judge:
     scene: Scene
     as_it_is: Scene
     screener: Screener
-    numbers: Mapping[AnyCandidate, int]
     own: Mapping[AnyCandidate, FloatArray | None]
     options: StandOptions
     bounds: Bounds
@@ -88,7 +86,7 @@ class Judge:
             Stage(
                 name="clearance",
                 judge=self.cleared,
-                most=len(self.numbers),
+                most=sys.maxsize,
                 step="checking the most promising",
             ),
             Stage(
@@ -109,11 +107,11 @@ class Judge:
         if why is not None:
             return result.rejected("clearance", Rejection(kind="blocked", reason=why, cause=why))
         # The job's bounds count where the arm is put away, too.
-        posture, number = np.array(self.scene.posture)[None], np.array([self.numbers[candidate]])
+        posture, number = np.array(self.scene.posture)[None], np.array([result.number])
         away = at_rest_of(self.screener.arm.figures(posture, number, self.screener.loads)[:, 0])
-        if beyond := StanceFigures(torque=away.torque, adhesion=away.adhesion).beyond(self.bounds):
-            name, value, _ = beyond
-            return result.rejected("clearance", _beyond(self.bounds, name, value, "where it is put away"))
+        figures = StanceFigures(torque=away.torque, adhesion=away.adhesion)
+        if rejection := _beyond(self.bounds, figures, "where it is put away"):
+            return result.rejected("clearance", rejection)
         return replace(result, stage="clearance")
 
     def checked(self, result: StanceResult) -> StanceResult:
@@ -128,7 +126,7 @@ class Judge:
             bound = result.bound
         name = _BOUNDED.get(self.objective)
         if name is not None and bound > _CHART_ALLOWANCE * getattr(self.bounds, name):
-            return result.rejected("obstacles", _beyond(self.bounds, name, bound, "in its best postures"))
+            return result.rejected("obstacles", _rejection(self.bounds, name, bound, "in its best postures"))
         return replace(result, stage="obstacles", bound=bound, expected=bound)
 
     def charted(self, result: StanceResult) -> StanceResult:
@@ -138,12 +136,11 @@ class Judge:
             charted = chart(scene, self._at_rest(result), self.ending.left)
         except CmbotError as error:
             return result.rejected("charts", Rejection.of("blocked", error))
-        loads, number = self.screener.loads, self.numbers[result.candidate]
-        rows = self.screener.arm.figures(charted.postures, np.full(len(charted.postures), number), loads)
+        number = np.full(len(charted.postures), result.number)
+        rows = self.screener.arm.figures(charted.postures, number, self.screener.loads)
         at_rest = at_rest_of(rows.max(axis=1))
-        if beyond := at_rest.beyond(_wider(self.bounds, _CHART_ALLOWANCE)):
-            name, value, _ = beyond
-            return result.rejected("charts", _beyond(self.bounds, name, value, "in its best postures"))
+        if rejection := _beyond(self.bounds, at_rest, "in its best postures", _CHART_ALLOWANCE):
+            return result.rejected("charts", rejection)
         # With few via-points the allowance between postures is smaller, with many the bound is tighter.
         bound, expected = max(charted.bound, result.bound), charted.expected
         if self.objective == "sway":
@@ -155,8 +152,7 @@ class Judge:
         """What is ranked at rest; None: that is the objective of the planner."""
         if self.objective in ("torque", "hold"):
             return None
-        number = self.numbers[result.candidate]
-        return partial(self.screener.arm.at_rest, stance=number, loads=self.screener.loads)
+        return partial(self.screener.arm.at_rest, stance=result.number, loads=self.screener.loads)
 
     def planned(self, result: StanceResult) -> StanceResult:
         """Plan a stance, with the way from the stow posture and back; that of a scene as the scene has it."""
@@ -174,9 +170,8 @@ class Judge:
         figures = figures_of(made, result.candidate)
         result = replace(result, stage="plan", figures=figures, rejection=None)
         bounds = self.options.bounds if result.own else self.bounds
-        if beyond := figures.beyond(bounds):
-            name, value, _ = beyond
-            return result.rejected("plan", _beyond(bounds, name, value, "planned"))
+        if beyond := _beyond(bounds, figures, "planned"):
+            return result.rejected("plan", beyond)
         value = value_of(made, figures, self.objective)
         # No estimate is above what was found.
         return replace(result, value=value, plan=made, bound=min(result.bound, value))
@@ -202,7 +197,7 @@ class Judge:
         left = self.options.proofs if np.isfinite(best) and self.objective == "torque" else 0
         value = PROVEN_SHARE * best
         for done, result in enumerate(results):
-            number = self.numbers[result.candidate]
+            number = result.number
             if not found.within_reach[strokes, number].all():
                 yield replace(result, proven=np.inf)
             elif result.plan is not None or left == 0 or result.own or self.ending.is_due():
@@ -285,11 +280,14 @@ def value_of(made: Plan, figures: StanceFigures, objective: StanceObjective) -> 
     return made.objective.planned_peak
 
 
-def _wider(bounds: Bounds, factor: float) -> Bounds:
-    return Bounds(**{name: factor * getattr(bounds, name) for name in _WORDS})
+def _beyond(bounds: Bounds, figures: StanceFigures, where: str, allowance: float = 1.0) -> Rejection | None:
+    """Why figures exceed a bound by more than a factor, most of all; None where none does."""
+    wider = Bounds(**{name: allowance * getattr(bounds, name) for name in _WORDS})
+    beyond = figures.beyond(wider)
+    return None if beyond is None else _rejection(bounds, *beyond[:2], where)
 
 
-def _beyond(bounds: Bounds, name: str, value: float, where: str) -> Rejection:
+def _rejection(bounds: Bounds, name: str, value: float, where: str) -> Rejection:
     words, unit = _WORDS[name]
     reason = f"{words} {value:.4g} {unit} {where}, {getattr(bounds, name):g} {unit} are allowed"
     cause, most = f"more {words} than is allowed", getattr(bounds, name)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from cmbot.common.reading.validation import counted
-from cmbot.stances.bounds import NO_FIGURES, StanceFigures
+from cmbot.scene import FootholdFile
+from cmbot.stances.bounds import COLUMNS, NO_FIGURES
 from cmbot.stances.candidates import Candidate
 from cmbot.stances.ranking import StanceRanking
 from cmbot.stances.search import StanceResult
@@ -15,18 +16,8 @@ from cmbot.stances.stages import PROVEN_SHARE
 
 _Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
-_PLACE_COLUMNS = (
-    *("foot_1_member", "foot_1_along_m", "foot_1_face", "foot_1_turn_deg"),
-    *("foot_2_member", "foot_2_along_m", "foot_2_face", "foot_2_turn_deg"),
-    *("x", "y", "z", "climb_1_deg", "climb_2_deg", "climb_3_deg", "climb_4_deg", "climb_5_deg", "reason"),
-)
-_TABLE_COLUMNS = (
-    *("group", "strokes", "rank", "status", "judged_by", "bound", "proven_bound", "planned"),
-    *("torque_at_rest", "adhesion_at_rest", "planned_torque", "job_torque", "planned_adhesion"),
-    *("sag_mm", "first_hz", "sway_mm_per_m_s2", "holding_nm", "holding_of_effort", "travel_deg"),
-    *("seconds", "within_mm"),
-    *_PLACE_COLUMNS,
-)
+# What is told of a plan in a sentence: so many of the columns.
+_TOLD_COLUMNS = 6
 _ENDED = {
     "out of reach": "{} out of reach",
     "no posture": "{} in which no posture within the bounds of joints and feet was found",
@@ -65,15 +56,15 @@ def in_words(ranking: StanceRanking) -> Iterator[str]:
     counts = {status: ranking.count(status) for status in _ENDED}
     ended = (words.format(counts[status]) for status, words in _ENDED.items() if counts[status])
     yield f"{len(ranked)} stances: {', '.join(ended)}."
-    if reasons := ranking.reasons:
-        each = "; ".join(f"{cause}, {number}" for cause, number in reasons)
-        yield f"Stances are left out most often for: {each}."
+    if ranking.reasons:
+        yield f"Stances are left out most often for: {ranking.reasons_in_words}."
 
 
 def _best_in_words(ranking: StanceRanking, best: StanceResult) -> Iterator[str]:
     """What the best stance asks, and how much better another one may be."""
     ranked, unit, peak = ranking.ranked, ranking.unit, best.value
-    figures = ", ".join(f"{words} {value}" for words, value in _figures(best.figures))
+    told = ((column.words, column.told(best.figures), column.unit) for column in COLUMNS[:_TOLD_COLUMNS])
+    figures = ", ".join(f"{words} {value} {unit}" for words, value, unit in told if value is not None)
     yield (
         f"Best of those planned: {best.place}, {peak:.4g} {unit} at work, its bound {best.bound:.4g} {unit}; "
         f"{figures}."
@@ -107,22 +98,6 @@ def _best_in_words(ranking: StanceRanking, best: StanceResult) -> Iterator[str]:
         )
 
 
-def _figures(figures: StanceFigures) -> Iterator[tuple[str, str]]:
-    """What is said of a plan."""
-    if figures.torque is not None:
-        yield "torque", f"{figures.torque:.1f} Nm"
-    if figures.job_torque is not None:
-        yield "over the job", f"{figures.job_torque:.1f} Nm"
-    if figures.adhesion is not None:
-        yield "adhesion needed", f"{figures.adhesion / 1e3:.2f} kN"
-    if figures.sag_mm is not None:
-        yield "sag", f"{figures.sag_mm:.2f} mm"
-    if figures.first_hz is not None:
-        yield "slowest mode", f"{figures.first_hz:.2f} Hz"
-    if figures.sway_mm is not None:
-        yield "sway", f"{figures.sway_mm:.2f} mm by 1 m/s2 of the deck"
-
-
 def _own_in_words(ranking: StanceRanking) -> Iterator[str]:
     """What the scenes' own stances ask, and how much better the best one is."""
     several = len(ranking.own) > 1
@@ -144,17 +119,6 @@ def planned_table(ranking: StanceRanking) -> _Table:
 
     The scenes' own come first, without a rank where they exceed a bound; the others from the best on.
     """
-    columns: tuple[tuple[str, Callable[[StanceFigures], float | None], str], ...] = (
-        ("torque, Nm", lambda f: f.torque, ".1f"),
-        ("over the job", lambda f: f.job_torque, ".1f"),
-        ("adhesion needed, kN", lambda f: None if f.adhesion is None else f.adhesion / 1e3, ".2f"),
-        ("sag, mm", lambda f: f.sag_mm, ".2f"),
-        ("first mode, Hz", lambda f: f.first_hz, ".2f"),
-        ("sway, mm per m/s2", lambda f: f.sway_mm, ".2f"),
-        ("locked joints hold, Nm", lambda f: f.holding_nm, ".0f"),
-        ("of what they drive, %", lambda f: f.holding_of_effort and 100 * f.holding_of_effort, ".0f"),
-        ("tool within, mm", lambda f: f.within_mm, ".1f"),
-    )
     known = [
         (str(k) if one.status == "planned" else "-", one)
         for k, one in enumerate(ranking.ranked, start=1)
@@ -162,20 +126,16 @@ def planned_table(ranking: StanceRanking) -> _Table:
     ]
     planned = sorted(known, key=lambda ranked: not ranked[1].own)
     # What none of them has, such as the adhesion that clamps need, has no column.
-    shown = [column for column in columns if any(column[1](one.figures) is not None for _, one in planned)]
+    shown = [each for each in COLUMNS if any(each.told(one.figures) is not None for _, one in planned)]
     rows = [
         (
             rank,
             f"{one.place}{', its own' if one.own else ''}",
-            *(_cell(value(one.figures), form) for _, value, form in shown),
+            *(each.told(one.figures) or "-" for each in shown),
         )
         for rank, one in planned
     ]
-    return ("", "stance", *(heading for heading, *_ in shown)), rows
-
-
-def _cell(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)
+    return ("", "stance", *(f"{each.words}, {each.unit}" for each in shown)), rows
 
 
 def bounds_table(ranking: StanceRanking, most: int) -> _Table:
@@ -200,35 +160,41 @@ def shared_out(rankings: Sequence[StanceRanking]) -> Iterator[str]:
 
 def stances_csv(rankings: Sequence[StanceRanking]) -> str:
     """Return the ranked table: one row a stance, for each group of strokes; SI units, degrees by name."""
-    rows = (
-        (number, " ".join(each.strokes), rank, *_cells(one))
+    rows = [
+        {"group": number, "strokes": " ".join(each.strokes), "rank": rank, **_row(one)}
         for number, each in enumerate(rankings, start=1)
         for rank, one in enumerate(each.ranked, start=1)
-    )
-    return "\n".join([",".join(_TABLE_COLUMNS), *(",".join(map(str, row)) for row in rows), ""])
+    ]
+    return "\n".join([",".join(rows[0]), *(",".join(map(str, row.values())) for row in rows), ""])
 
 
-def _cells(each: StanceResult) -> Iterator[object]:
-    known = np.isfinite(each.bound)
-    planned, rest = each.figures, each.at_rest
-    yield from (each.status, each.stage, _number(each.bound if known else None))
-    yield _number(each.proven if 0 < each.proven < np.inf else None)
-    yield _number(each.value if np.isfinite(each.value) else None)
-    yield from (_number(x) for x in (rest.torque, rest.adhesion))
-    yield from (_number(x) for x in (planned.torque, planned.job_torque, planned.adhesion))
+def _row(each: StanceResult) -> dict[str, object]:
+    """What the table says of a stance, by its columns."""
+    planned, rest, candidate = each.figures, each.at_rest, each.candidate
+    row: dict[str, object] = {"status": each.status, "judged_by": each.stage}
+    numbers = {
+        "bound": each.bound,
+        "proven_bound": each.proven or None,
+        "planned": each.value,
+        "torque_at_rest": rest.torque,
+        "adhesion_at_rest": rest.adhesion,
+        "planned_torque": planned.torque,
+        "job_torque": planned.job_torque,
+        "planned_adhesion": planned.adhesion,
+    }
     for name in ("sag_mm", "first_hz", "sway_mm", "holding_nm", "holding_of_effort"):
         value = getattr(planned, name)
-        yield _number(getattr(rest, name) if value is None else value)
-    yield from (_number(x) for x in (planned.travel_deg, planned.seconds, planned.within_mm))
-    stance = each.candidate.stance if isinstance(each.candidate, Candidate) else None
-    for place in (None, None) if stance is None else (stance.foot_1, stance.foot_2):
-        yield from (
-            ("" if stance is None else "free", "", "", "") if place is None else place.model_dump().values()
-        )
-    yield from (f"{x:.4f}" for x in each.candidate.root[:3, 3])
-    yield from [""] * 5 if stance is None else (f"{x:.4f}" for x in stance.climber_deg or ())
-    yield "" if each.rejection is None else each.rejection.reason.replace(",", ";")
-
-
-def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.6g}"
+        heading = "sway_mm_per_m_s2" if name == "sway_mm" else name
+        numbers[heading] = getattr(rest, name) if value is None else value
+    numbers |= {name: getattr(planned, name) for name in ("travel_deg", "seconds", "within_mm")}
+    for name, value in numbers.items():
+        row[name] = f"{value:.6g}" if value is not None and np.isfinite(value) else ""
+    stance = candidate.stance if isinstance(candidate, Candidate) else None
+    for foot, place in enumerate((None, None) if stance is None else stance.places, start=1):
+        for name in FootholdFile.model_fields:
+            free = "free" if stance is not None and name == "member" else ""
+            row[f"foot_{foot}_{name}"] = free if place is None else getattr(place, name)
+    row |= {axis: f"{x:.4f}" for axis, x in zip("xyz", candidate.root[:3, 3], strict=True)}
+    for k in range(5):
+        row[f"climb_{k + 1}_deg"] = "" if stance is None else f"{(stance.climber_deg or ())[k]:.4f}"
+    return row | {"reason": "" if each.rejection is None else each.rejection.reason.replace(",", ";")}

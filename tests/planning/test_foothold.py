@@ -90,6 +90,11 @@ def test_what_is_said(held: Plan) -> None:
 def test_welded_says_that_it_says_nothing(short_plan: Plan) -> None:
     (text,) = re.findall(r"Hold: [^.]*(?:\.\d[^.]*)*\.", verdict(short_plan))
     assert text.startswith("Hold: welded is assumed, so nothing here says whether the feet hold; ")
+    (needed, pressure) = (
+        float(x) for x in re.findall(r"adhesion of ([0-9.]+) kN \(\w+\), ([0-9.]+) MPa", text)[0]
+    )
+    assert pressure == pytest.approx(1e-3 * needed / short_plan.robot.feet[0].contact.area, abs=0.006)
+    assert ("beyond any magnet" in text) == (1e6 * pressure > MAGNET_PRESSURE)
 
 
 def test_the_directory(held: Plan, tmp_path: Path) -> None:
@@ -239,6 +244,7 @@ def test_a_scene_whose_feet_do_not_hold_at_the_start_is_told_so() -> None:
         r"[0-9]+ N of adhesion, times safety [0-9.]+, where a foot has 1000 N", weak.warnings[0].got
     )
     assert not precheck_scene(magnet_scene()).warnings
+    assert dict(weak.found)["contact of foot 1"].endswith("than 14.9 kN there, one of two poles 1.9 kN")
     with pytest.raises(PlanningError, match=r"^the start asks [0-9]+ N of adhesion"):
         plan(magnet_scene(1000.0))
 

@@ -11,7 +11,7 @@ from cmbot.common.errors import SceneError
 from cmbot.planning import robot_of, strokes_of
 from cmbot.robot import Climber
 from cmbot.scene import FootholdFile, Scene, foothold_pose
-from cmbot.stances import candidate_at, in_world, joined, scene_at, stand
+from cmbot.stances import candidate_at, in_world, joined, put_away, scene_at, stand
 
 LEG = {"by": [0, -0.1, 0], "seconds": 3}
 BEGIN = {"xyz": [1.8, 0.68, -1.96], "frame": "world"}
@@ -51,6 +51,14 @@ def test_the_tool_path_stays_where_it_is_wherever_the_robot_stands() -> None:
     assert moved.stance.foot[0] > 1
     for here, there in zip(places(scene), places(moved), strict=True):
         np.testing.assert_allclose(there, here, atol=1e-9)
+
+
+def test_an_arm_comes_from_stow_unless_its_scene_returns_to_its_start() -> None:
+    folded = {"posture_deg": [-71, -98, -60, 124, -10, -122, 64]}
+    leaves, stays = (scene_of({"legs": [LEG]}, start=folded, **{"return": to}) for to in ("none", "start"))
+    assert put_away(leaves).start.stow and put_away(leaves).return_to == "stow"
+    assert put_away(stays).start.posture_deg == tuple(folded["posture_deg"])
+    assert put_away(stays).return_to == "start"
 
 
 def test_several_scenes_in_one() -> None:

@@ -272,7 +272,7 @@ def test_the_most_frequent_reasons(ranking: StanceRanking) -> None:
     assert counts == sorted(counts, reverse=True) == [causes.count(cause) for cause, _ in ranking.reasons]
     assert max(map(causes.count, set(causes))) == counts[0]
     first, number = ranking.reasons[0]
-    assert sum(f"left out most often for: {first}, {number}" in line for line in in_words(ranking)) == 1
+    assert sum(f"left out most often for: {first} ({number})" in line for line in in_words(ranking)) == 1
 
 
 class _Stopped:

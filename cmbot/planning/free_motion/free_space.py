@@ -76,9 +76,12 @@ class FreeSpace:
         postures = self._along(start[None], end[None], _CHECK_DISTANCE_M)[0]
         # Scattered over the line first: what is in the way is found by few of them.
         scattered = _scattered(len(postures))
-        first, number = 0, _FIRST_BLOCK
+        first, number, least = 0, _FIRST_BLOCK, self.margin + self.spare
         while first < len(postures):
-            if not self.holds(postures[scattered[first : first + number]]).all():
+            block = postures[scattered[first : first + number]]
+            # What costs least to find out comes first.
+            within = self.robot.limits.contain(block).all() and (self.cost(block) <= self.bound).all()
+            if not within or (self.clearances.query(block, least).distance < least).any():
                 return False
             first, number = first + number, number * _BLOCK_GROWTH
         return True

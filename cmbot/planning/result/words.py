@@ -11,6 +11,7 @@ import numpy as np
 
 from cmbot.common.limit import Limit
 from cmbot.common.reading.validation import counted
+from cmbot.hold import MAGNET_PRESSURE
 from cmbot.planning.certification.check import Check
 from cmbot.planning.result.judgement import SAME, bound_use
 from cmbot.planning.result.notes import Note, notes
@@ -128,7 +129,8 @@ def _tool(note: Any) -> str:
 
 
 def _needed(note: Any) -> str:
-    return f"an adhesion of {note.needed_kn:.2f} kN ({note.mode})"
+    beyond = ", beyond any magnet" if 1e6 * note.pressure_mpa > MAGNET_PRESSURE else ""
+    return f"an adhesion of {note.needed_kn:.2f} kN ({note.mode}), {note.pressure_mpa:.2f} MPa{beyond}"
 
 
 def _holds(note: Any) -> str:

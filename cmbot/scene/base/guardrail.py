@@ -272,12 +272,8 @@ def _held_faces(file: GuardrailFile) -> list[tuple[Face, FloatArray]]:
     if file.stance is None:
         member = held_member(guardrail)
         return [] if member is None else [(face_of(guardrail, member, "outer"), np.zeros(3))]
-    places = (file.stance.foot_1, file.stance.foot_2)
-    return [
-        (foothold_face(guardrail, place), axis_point(guardrail, place))
-        for place in places
-        if place is not None
-    ]
+    held = file.stance.held
+    return [(foothold_face(guardrail, place), axis_point(guardrail, place)) for place in held]
 
 
 def feet_of(file: GuardrailFile) -> tuple[Foot, ...]:
@@ -293,8 +289,7 @@ def feet_at(
     file: GuardrailFile, stance: StanceFile, guardrail: Guardrail, each: Sequence[FloatArray]
 ) -> tuple[Foot, ...]:
     """Return the feet in another stance than that of the file, with their shares (6, 6) of the wrench."""
-    places = [place for place in (stance.foot_1, stance.foot_2) if place is not None]
-    faces = [(foothold_face(guardrail, place), axis_point(guardrail, place)) for place in places]
+    faces = [(foothold_face(guardrail, place), axis_point(guardrail, place)) for place in stance.held]
     return _feet(file, faces, foothold_pose(guardrail, stance.foot_1)[:3, 3], each)
 
 

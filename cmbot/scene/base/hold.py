@@ -39,7 +39,8 @@ FACES = {
 _FOOT_MEMBER_DISTANCE_M = 1e-3
 # A side of a section is flat where corners are less than this below its highest one, m.
 _FLATNESS_M = 1e-6
-Derated = Annotated[tuple[Length, Annotated[float, Field(gt=0, le=1)]], Field(strict=False)]
+_Millimetres = Annotated[float, Field(ge=0, le=1e4)]
+Derated = Annotated[tuple[_Millimetres, Annotated[float, Field(gt=0, le=1)]], Field(strict=False)]
 
 
 _PAD_SHAPES = ("rectangle_m", "disc_m")
@@ -95,6 +96,10 @@ class HoldFile(FileModel):
     derating: Annotated[tuple[Derated, ...], Field(min_length=1, max_length=100)] | None = None
     """Of a magnet: what share of `adhesion_n` is left on steel so many millimetres thick, ascending, from
     its data sheet; between two, in proportion."""
+    air_gap_mm: _Millimetres | None = None
+    """Of a magnet: paint, rust and scale under it."""
+    air_gap_derating: Annotated[tuple[Derated, ...], Field(min_length=1, max_length=100)] | None = None
+    """As `derating`, over `air_gap_mm`."""
     force_n: tuple[Load, Load, Load] | None = None
     """Of a clamp: the forces that it bears along the member, across it and out of the steel, N."""
     moment_nm: tuple[Load, Load, Load] | None = None
@@ -102,19 +107,24 @@ class HoldFile(FileModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        of = {"adhesion_n": "magnet", "derating": "magnet", "force_n": "clamp", "moment_nm": "clamp"}
+        curves = ("derating", "air_gap_derating")
+        magnet = ("adhesion_n", "air_gap_mm", *curves)
+        of = dict.fromkeys(magnet, "magnet") | {"force_n": "clamp", "moment_nm": "clamp"}
         for name, kind in of.items():
             if getattr(self, name) is not None and self.kind != kind:
                 raise refusal(f"no such key beside kind: {self.kind}", got=name, key=(name,))
         if (self.force_n is None) != (self.moment_nm is None):
             missing = "force_n" if self.force_n is None else "moment_nm"
             raise refusal("three numbers beside the other bound", got="nothing", key=(missing,))
-        if self.derating is not None:
-            thicknesses = [thickness for thickness, _ in self.derating]
-            if any(after <= before for before, after in pairwise(thicknesses)):
-                raise refusal("ascending thicknesses, mm", got=shown(thicknesses), key=("derating",))
-            if self.adhesion_n is None:
+        for name in curves:
+            millimetres = [at for at, _ in getattr(self, name) or ()]
+            if any(after <= before for before, after in pairwise(millimetres)):
+                raise refusal("ascending millimetres", got=shown(millimetres), key=(name,))
+            if millimetres and self.adhesion_n is None:
                 raise refusal("the adhesion that it is a share of", got="nothing", key=("adhesion_n",))
+        if (self.air_gap_mm is None) != (self.air_gap_derating is None):
+            missing = "air_gap_mm" if self.air_gap_mm is None else "air_gap_derating"
+            raise refusal("a value, as the other one is given", got="nothing", key=(missing,))
         return self
 
     @property
@@ -126,10 +136,15 @@ class HoldFile(FileModel):
 
     def adhesion_on(self, steel: float | None) -> float | None:
         """Return the adhesion, N, on steel so thick, m; None: not known how thick."""
-        if self.adhesion_n is None or self.derating is None or steel is None:
-            return self.adhesion_n
-        thickness, share = zip(*self.derating, strict=True)
-        return self.adhesion_n * float(np.interp(1e3 * steel, thickness, share))
+        adhesion = self.adhesion_n
+        curves = (
+            (None if steel is None else 1e3 * steel, self.derating),
+            (self.air_gap_mm, self.air_gap_derating),
+        )
+        for at, curve in curves:
+            if adhesion is not None and at is not None and curve is not None:
+                adhesion *= float(np.interp(at, *np.array(curve).T))
+        return adhesion
 
 
 def _one_or_more(value: Any, one: Any) -> tuple[HoldFile, ...]:

@@ -87,6 +87,16 @@ class StanceFile(FileModel):
     """Angles of the climbing joints, foot 1 to foot 2. Left out: with foot 2 free the working stance, turned
     so that the base hangs; else that of the postures with foot 2 in place in which it hangs most nearly."""
 
+    @property
+    def places(self) -> tuple[FootholdFile, FootholdFile | None]:
+        """Where foot 1 and foot 2 hold; None: that is free."""
+        return self.foot_1, self.foot_2
+
+    @property
+    def held(self) -> tuple[FootholdFile, ...]:
+        """The places that feet hold, that of foot 1 first."""
+        return tuple(place for place in self.places if place is not None)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Stance(CheckedFields):

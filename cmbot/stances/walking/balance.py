@@ -133,7 +133,7 @@ class Balance:
     def step_load(self, node: Candidate, foot: Side) -> StepLoad:
         """Return the loads of a stance when one of its feet lets go and the other, `foot`, holds."""
         K = len(self.arms)
-        place = node.stance.foot_1 if foot == 1 else node.stance.foot_2
+        place = node.stance.places[foot - 1]
         if place is None:
             never = np.full(K, np.inf)
             return StepLoad(use=never, effort=never, joint=np.ones(K), adhesion=never)
@@ -159,7 +159,7 @@ class Balance:
         node : Candidate
         """
         robot, margin = robot_of(scene_at(scene, node, None)), scene.planner.safety_margin_m
-        climber = bare_climber(node.root, scene.all_obstacles, foot_2=node.stance.foot_2 is None)
+        climber = bare_climber(node.root, scene.all_obstacles, foot_2=2 not in node.feet)
         if climber.query(node.climber[None], margin).distance[0] < margin:
             return np.ones(len(self.arms), dtype=np.bool_)
         # A step needs some room beside the margin.
@@ -225,16 +225,12 @@ class Roadmap:
         """Return postures (k, 7) that lead from one counterweight to another; None where none were found."""
         K = len(self._arms)
         for _ in range(_MOST_WAYS):
-            graph = csr_array((self._lengths, self._pairs.T), shape=(K, K))
-            cost, came = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
-            if np.isinf(cost[end]):
+            way = shortest_way(csr_array((self._lengths, self._pairs.T), shape=(K, K)), start, end)
+            if way is None:
                 return None
-            way = [end]
-            while way[-1] != start:
-                way.append(int(came[way[-1]]))
             blocked = next((pair for pair in pairwise(way) if not self._is_free(min(pair), max(pair))), None)
             if blocked is None:
-                return np.asarray(self._arms[way[::-1]])
+                return np.asarray(self._arms[way])
             self._lengths[(self._pairs == sorted(blocked)).all(axis=1)] = np.inf
         return None
 
@@ -242,6 +238,17 @@ class Roadmap:
         if (start, end) not in self._free and self._space.straight(self._arms[start], self._arms[end]):
             self._free.add((start, end))
         return (start, end) in self._free
+
+
+def shortest_way(graph: csr_array, start: int, end: int) -> list[int] | None:
+    """Return the nodes of the shortest way through a graph; None where none leads there."""
+    cost, came = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
+    if np.isinf(cost[end]):
+        return None
+    way = [end]
+    while way[-1] != start:
+        way.append(int(came[way[-1]]))
+    return way[::-1]
 
 
 def foot_at(scene: Scene, place: FootholdFile, foot: Side) -> Foot:

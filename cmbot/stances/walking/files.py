@@ -79,7 +79,7 @@ def walk_samples(walk: Walk) -> Iterator[WalkSamples]:
 
 def _feet(move: Move, angles: FloatArray, climber: Climber) -> tuple[FloatArray, FloatArray]:
     """Poses (N, 7) of foot 1, and where both feet are (N, 2, 3)."""
-    stays = move.node.root @ climber.poses(move.node.climber)[0]
+    stays = move.node.foot_pose(2)
     roots, each = np.empty((len(angles), 7)), np.empty((len(angles), 2, 3))
     for k, posture in enumerate(angles):
         X_12 = climber.poses(posture)[0]

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import dijkstra, minimum_spanning_tree
+from scipy.sparse.csgraph import minimum_spanning_tree
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
-from cmbot.robot import Climber, Side
+from cmbot.robot import Climber, Side, other_foot
 from cmbot.scene import FootholdFile, Scene, foothold_face, foothold_pose
-from cmbot.stances import APART, REACH, Candidate, bare_climber, candidate_at, places_of
-from cmbot.stances.walking.balance import SPARE, Balance
+from cmbot.stances import Candidate, bare_climber, on_two_feet, places_of
+from cmbot.stances.walking.balance import SPARE, Balance, shortest_way
 
 # Places this far beyond both stances are looked at, m.
 _BEYOND_M = 0.8
 # A metre that a foot goes costs as much as so many steps.
 _STEPS_PER_METRE = 0.5
+# Steps whose shares are in memory at once.
+_STEPS_AT_ONCE = 1000
 
 Key = tuple[str, float, str, float]
 
@@ -50,7 +52,7 @@ def nodes_between(scene: Scene, first: Candidate, last: Candidate, spacing: floa
     spacing : float, m
         Between places along members.
     """
-    ends = [place for node in (first, last) for place in (node.stance.foot_1, node.stance.foot_2) if place]
+    ends = [place for node in (first, last) for place in node.stance.held]
     xs = [float(node.root[0, 3]) for node in (first, last)]
     places, climber = list[FootholdFile](), Climber()
     for place in (*ends, *places_of(scene, spacing)):
@@ -59,17 +61,7 @@ def nodes_between(scene: Scene, first: Candidate, last: Candidate, spacing: floa
         flat = place in ends or not foothold_face(scene.elastic_guardrail, place).held_by_clamps_alone
         if flat and min(xs) - _BEYOND_M <= x <= max(xs) + _BEYOND_M and place not in places:
             places.append(place)
-    poses = [foothold_pose(scene.elastic_guardrail, place) for place in places]
-    points, normals = np.array([X[:3, 3] for X in poses]), np.array([X[:3, 1] for X in poses])
-    nodes = [first, last]
-    for place, X in zip(places, poses, strict=True):
-        away = np.linalg.norm(points - X[:3, 3], axis=1)
-        near = (away >= APART) & (away <= REACH) & (normals @ X[:3, 1] > 0.999)
-        for other in np.flatnonzero(near):
-            for angles in climber.reaching(np.linalg.inv(X) @ poses[other]):
-                node = candidate_at(place, places[int(other)], X, angles, climber)
-                if (node.base[:3, 3] - X[:3, 3]) @ X[:3, 1] > 0:
-                    nodes.append(node)
+    nodes = [first, last, *on_two_feet(scene, places, places, climber)]
     angles = np.array([node.climber for node in nodes])
     margin = scene.planner.safety_margin_m
     near = bare_climber(np.eye(4)).query(angles, margin).distance < margin
@@ -96,51 +88,57 @@ class Route:
         self.use = {foot: np.array([balance.step_load(node, foot).use for node in nodes]) for foot in _FEET}
         numbers = dict[Key | None, int]()
         # Of the places of each foot; they are equal where the places are.
-        self._place = {
-            foot: np.array([numbers.setdefault(_key(_place(node, foot)), len(numbers)) for node in nodes])
-            for foot in _FEET
-        }
-        self._free = numbers.get(None, -1)
-        each = [self._edges(foot) for foot in _FEET]
+        places = np.array(
+            [
+                [numbers.setdefault(_key(place), len(numbers)) for place in node.stance.places]
+                for node in nodes
+            ]
+        ).T
+        free = numbers.get(None, -1)
+        each = [_pairs(places[foot - 1], places[other_foot(foot) - 1], free) for foot in _FEET]
         self._ends = np.vstack(each)
         self._goes = np.repeat(_FEET, [len(part) for part in each])
+        self._share = self._shares(np.arange(len(self._ends)))
         self._closed = np.zeros(len(self._ends), dtype=np.bool_)
         base = np.array([node.base[:3, 3] for node in nodes])
         way = np.linalg.norm(base[self._ends[:, 0]] - base[self._ends[:, 1]], axis=1)
         self._cost = 1.0 + _STEPS_PER_METRE * way
 
-    def _edges(self, foot: Side) -> IntArray:
-        """Pairs (E, 2) of nodes between which a foot goes while the other one holds."""
-        goes, stays = self._place[foot], self._place[_other(foot)]
-        held = self.use[_other(foot)] <= SPARE
-        found = [np.zeros((0, 2), dtype=np.intp)]
-        for place in np.unique(stays[stays != self._free]):
-            group = np.flatnonzero(stays == place)
-            good = held[group].astype(np.float32)
-            common = (good @ good.T > 0) & (goes[group][:, None] != goes[group])
-            found.append(group[np.argwhere(np.triu(common))])
-        return np.vstack(found)
+    def _shares(self, steps: IntArray) -> FloatArray:
+        """Shares (E,) of the bounds that steps use at both ends, with the best posture of the arm."""
+        share = np.empty(len(steps))
+        for foot in _FEET:
+            use, rows = self.use[other_foot(foot)], np.flatnonzero(self._goes[steps] == foot)
+            for part in np.array_split(rows, len(rows) // _STEPS_AT_ONCE + 1):
+                first, second = self._ends[steps[part]].T
+                share[part] = np.maximum(use[first], use[second]).min(axis=1)
+        return share
+
+    def _number(self, before: int, after: int) -> int:
+        """The number of the step between two nodes."""
+        return int(np.flatnonzero((self._ends == sorted((before, after))).all(axis=1))[0])
+
+    def _edge(self, before: int, after: int) -> Edge:
+        goes = self._goes[self._number(before, after)]
+        return Edge(before=before, after=after, foot=_FEET[int(goes) - 1])
 
     def close(self, edge: Edge) -> None:
         """Leave a step out from now on, in both directions."""
-        same = (np.sort(self._ends, axis=1) == sorted((edge.before, edge.after))).all(axis=1)
-        self._closed |= same & (self._goes == edge.foot)
+        self._closed[self._number(edge.before, edge.after)] = True
 
     def leave_out(self, node: int, weights: BoolArray) -> None:
         """Leave out the postures (K,) of the arm that are not possible in a node."""
-        for foot in _FEET:
-            self.use[foot][node, weights] = np.inf
-            here = (self._ends == node).any(axis=1) & (self._goes == _other(foot))
-            ends = self._ends[here]
-            use = np.maximum(self.use[foot][ends[:, 0]], self.use[foot][ends[:, 1]])
-            self._closed[here] |= ~(use <= SPARE).any(axis=1)
+        for use in self.use.values():
+            use[node, weights] = np.inf
+        steps = np.flatnonzero((self._ends == node).any(axis=1))
+        self._share[steps] = self._shares(steps)
 
     def counterweights(self, edge: Edge, before: int) -> IntArray:
         """Numbers of the arm's postures with which both ends of a step hold, the best first.
 
         That in which the arm is `before` comes first where it will do.
         """
-        shares = self.use[_other(edge.foot)]
+        shares = self.use[other_foot(edge.foot)]
         use = np.maximum(shares[edge.before], shares[edge.after])
         order = np.argsort(use, kind="stable")
         order = order[use[order] <= SPARE]
@@ -148,19 +146,10 @@ class Route:
 
     def shortest(self, start: int, goal: int = 1) -> list[Edge] | None:
         """Return the steps from one node to another of least cost; None where none lead there."""
-        use, N = ~self._closed, len(self.nodes)
-        first, second = self._ends[use].T
-        graph = sparse.csr_array((self._cost[use], (first, second)), shape=(N, N))
-        cost, came = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
-        if np.isinf(cost[goal]):
-            return None
-        edges, k = list[Edge](), goal
-        while k != start:
-            before = int(came[k])
-            pair = (np.sort(self._ends, axis=1) == sorted((before, k))).all(axis=1) & use
-            edges.append(Edge(before=before, after=k, foot=_FEET[int(self._goes[pair][0]) - 1]))
-            k = before
-        return edges[::-1]
+        open_, N = ~self._closed & (self._share <= SPARE), len(self.nodes)
+        graph = sparse.csr_array((self._cost[open_], self._ends[open_].T), shape=(N, N))
+        way = shortest_way(graph, start, goal)
+        return None if way is None else [self._edge(*pair) for pair in pairwise(way)]
 
     def easiest_way(self, start: int, goal: int = 1, *, tried: bool = False) -> tuple[Edge, float] | None:
         """Return the hardest step of the way whose hardest step uses least of the bounds, and its share.
@@ -168,45 +157,26 @@ class Route:
         Also of ways that use more than there is, and where `tried` says so of steps that were tried in vain;
         None where there is none at all.
         """
-        ends, share, foot = (np.concatenate(part) for part in zip(*self._all_steps(), strict=True))
-        closed = {tuple(pair) for pair in self._ends[self._closed].tolist()}
-        in_vain = (share <= SPARE) & [tuple(pair) in closed for pair in ends.tolist()]
-        possible = np.isfinite(share) & (tried | ~in_vain)
-        ends, share, foot = ends[possible], share[possible], foot[possible]
-        N = len(self.nodes)
-        tree = minimum_spanning_tree(sparse.csr_array((share, ends.T), shape=(N, N)))
-        cost, came = dijkstra(tree, directed=False, indices=start, return_predecessors=True)
-        if np.isinf(cost[goal]):
+        in_vain = self._closed & (self._share <= SPARE)
+        possible, N = np.isfinite(self._share) & (tried | ~in_vain), len(self.nodes)
+        shares = sparse.csr_array((self._share[possible], self._ends[possible].T), shape=(N, N))
+        way = shortest_way(minimum_spanning_tree(shares), start, goal)
+        if way is None:
             return None
-        number = {tuple(pair): k for k, pair in enumerate(ends.tolist())}
-        way, k = list[tuple[int, int, int]](), goal
-        while k != start:
-            before = int(came[k])
-            way.append((number[min(before, k), max(before, k)], before, k))
-            k = before
-        hardest, before, after = max(way, key=lambda step: share[step[0]])
-        return Edge(before=before, after=after, foot=_FEET[int(foot[hardest]) - 1]), float(share[hardest])
-
-    def _all_steps(self) -> Iterator[tuple[IntArray, FloatArray, IntArray]]:
-        """Pairs (E, 2) of nodes between which a foot goes, shares (E,) of bounds, and that foot (E,)."""
-        for foot in _FEET:
-            goes, stays, use = self._place[foot], self._place[_other(foot)], self.use[_other(foot)]
-            for place in np.unique(stays[stays != self._free]):
-                group = np.flatnonzero(stays == place)
-                pairs = group[np.argwhere(np.triu(goes[group][:, None] != goes[group]))]
-                least = [np.maximum(use[first], use[second]).min() for first, second in pairs]
-                yield pairs.reshape(-1, 2), np.array(least), np.full(len(pairs), foot)
+        hardest = max(pairwise(way), key=lambda pair: self._share[self._number(*pair)])
+        return self._edge(*hardest), float(self._share[self._number(*hardest)])
 
 
 _FEET: tuple[Side, Side] = (1, 2)
 
 
-def _other(foot: Side) -> Side:
-    return 2 if foot == 1 else 1
-
-
-def _place(node: Candidate, foot: Side) -> FootholdFile | None:
-    return node.stance.foot_1 if foot == 1 else node.stance.foot_2
+def _pairs(goes: IntArray, stays: IntArray, free: int) -> IntArray:
+    """Pairs (E, 2) of nodes between which a foot goes while the other one holds, by their places (N,)."""
+    found = [np.zeros((0, 2), dtype=np.intp)]
+    for place in np.unique(stays[stays != free]):
+        group = np.flatnonzero(stays == place)
+        found.append(group[np.argwhere(np.triu(goes[group][:, None] != goes[group]))])
+    return np.vstack(found)
 
 
 def _key(place: FootholdFile | None) -> Key | None:

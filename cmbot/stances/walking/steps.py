@@ -12,6 +12,7 @@ from cmbot.collision import Obstacle
 from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import short_repr
 from cmbot.planning import (
+    Certificate,
     FreeMove,
     FreeSpace,
     JobState,
@@ -24,9 +25,9 @@ from cmbot.planning import (
     free_space,
     plan_move,
 )
-from cmbot.robot import Climber, Kinematics, Robot, Side, load_climbing_robot
+from cmbot.robot import Climber, Kinematics, Robot, Side, load_climbing_robot, other_foot
 from cmbot.scene import PlannerOptions, Scene
-from cmbot.stances import Candidate, lift_height, scene_at, without_links
+from cmbot.stances import Candidate, lift_height, place_in_words, scene_at, without_links
 from cmbot.stances.walking.balance import foot_at
 from cmbot.toolpath import SpeedProfile, ToolPath
 from cmbot.trajectory import QuinticTrajectory
@@ -98,13 +99,8 @@ class Step:
     @property
     def places(self) -> tuple[str, str]:
         """From where and to where the foot goes, in words."""
-        nodes = (self.before, self.after)
-        places = (node.stance.foot_1 if self.foot == 1 else node.stance.foot_2 for node in nodes)
-        before, after = (
-            "free" if place is None else f"{place.member} at {place.along_m:.2f} m ({place.face})"
-            for place in places
-        )
-        return before, after
+        before, after = (node.stance.places[self.foot - 1] for node in (self.before, self.after))
+        return place_in_words(before), place_in_words(after)
 
 
 def space_of_arm(scene: Scene, node: Candidate, arm: FloatArray) -> FreeSpace | None:
@@ -137,10 +133,8 @@ def arm_move(
     request = build_request(scene_at(scene, node, start), scene.planner)
     move = _named("arm", start, end, "the counterweight's posture")
     segment = plan_move(request, move, known=partial(_given, way))
-    holds: tuple[Side, ...] = (1,) if node.stance.foot_2 is None else (1, 2)
-    return Move(
-        kind="arm", robot=request.cell.robot.tool_off, holds=holds, node=node, arm=start, segment=segment
-    )
+    robot = request.cell.robot.tool_off
+    return Move(kind="arm", robot=robot, holds=node.feet, node=node, arm=start, segment=segment)
 
 
 def plan_step(
@@ -196,9 +190,9 @@ def plan_step(
         move = _named(kind, path[0], path[-1], _ENDS[kind])
         segment = plan_move(request, move, partial(_given, None if kind == "swing" else path))
         slow = _slowed(request, segment, speed)
-        holds: Side = 1 if foot == 2 else 2
+        holds = (other_foot(foot),)
         moves.append(
-            Move(kind=kind, robot=request.cell.robot, holds=(holds,), node=before, arm=arm, segment=slow)
+            Move(kind=kind, robot=request.cell.robot, holds=holds, node=before, arm=arm, segment=slow)
         )
     return tuple(moves)
 
@@ -233,18 +227,22 @@ def certified_move(
         request = build_request(scene_at(scene, node, arm), scene.planner).tool_off
         task = request.task.held_at_start()
     else:
-        goes: Side = 2 if holds == (1,) else 1
+        goes = other_foot(holds[0])
         request = _swing_request(scene, swinging_robot(scene, node, goes, arm), goes, near=kind != "swing")
         task = replace(request.task.held_at_start(), max_speed=speed)
-    q, robot = trajectory.q, request.cell.robot
-    certificate = certify_move(
-        robot, task, trajectory, request.cell.clearances, request.cell.options, q[0], q[-1]
-    )
-    certificate.require()
+    robot = request.cell.robot
+    certificate = _certified(request.cell, robot, task, trajectory)
     segment = Segment(
         name=kind, kind="free", begin=0.0, trajectory=trajectory, certificate=certificate, task=task
     )
     return Move(kind=kind, robot=robot, holds=holds, node=node, arm=arm, segment=segment)
+
+
+def _certified(cell: Workcell, robot: Robot, task: ToolTask, trajectory: QuinticTrajectory) -> Certificate:
+    ends = trajectory.q[0], trajectory.q[-1]
+    certificate = certify_move(robot, task, trajectory, cell.clearances, cell.options, *ends)
+    certificate.require()
+    return certificate
 
 
 def _swing_request(scene: Scene, robot: Robot, foot: Side, *, near: bool) -> StrokeRequest:
@@ -260,14 +258,12 @@ _ENDS = {"lift": "the lifted foot", "swing": "above the next place", "set": "the
 
 def swinging_robot(scene: Scene, node: Candidate, foot: Side, arm: FloatArray) -> Robot:
     """Return the robot on the foot that holds in a stance, while `foot` goes; the arm is locked."""
-    holds: Side = 1 if foot == 2 else 2
-    place = node.stance.foot_1 if holds == 1 else node.stance.foot_2
+    holds = other_foot(foot)
+    place = node.stance.places[holds - 1]
     if place is None:
         raise ValueError("a foot that is free cannot hold")
-    X = node.root if holds == 1 else node.root @ Climber().poses(node.climber)[0]
-    robot = load_climbing_robot(
-        holds, _rigid(X), arm, tool_length=scene.robot.tool_length_m, payload=scene.robot.payload_kg
-    )
+    X, file = _rigid(node.foot_pose(holds)), scene.robot
+    robot = load_climbing_robot(holds, X, arm, tool_length=file.tool_length_m, payload=file.payload_kg)
     return replace(robot, feet=(foot_at(scene, place, holds),))
 
 
@@ -298,7 +294,7 @@ def _named(name: str, start: FloatArray, end: FloatArray, end_name: str) -> Free
 
 def _lifted(node: Candidate, foot: Side) -> FloatArray:
     """Postures (k, 5) of the climber from where a foot holds to where it is lifted; one where it is free."""
-    if foot == 2 and node.stance.foot_2 is None:
+    if foot not in node.feet:
         return node.climber[None]
     climber = Climber()
     X_12, normal = climber.poses(node.climber)[0], np.array([0.0, 1.0, 0.0])
@@ -341,6 +337,5 @@ def _slowed(request: StrokeRequest, segment: Segment, speed: float) -> Segment:
         t=trajectory.t * factor, q=trajectory.q, v=trajectory.v / factor, a=trajectory.a / factor**2
     )
     task = replace(segment.task, max_speed=speed)
-    certificate = certify_move(cell.robot, task, slow, cell.clearances, cell.options, slow.q[0], slow.q[-1])
-    certificate.require()
+    certificate = _certified(cell, cell.robot, task, slow)
     return replace(segment, trajectory=slow, certificate=certificate, task=task)

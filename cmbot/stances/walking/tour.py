@@ -78,19 +78,18 @@ class Tour:
     @property
     def seconds(self) -> float:
         """How long it takes, s."""
-        return sum(_seconds(part) for _, _, part in self.parts)
-
-    def _times(self, kind: type[Plan | Walk]) -> Iterator[float]:
-        return (_seconds(part) for _, _, part in self.parts if isinstance(part, kind))
+        work = sum(plan.job.duration for plan in self.plans)
+        return work + sum(each.seconds for each in self.walks)
 
     def in_words(self) -> Iterator[str]:
         """Yield what was found, a sentence each."""
         strokes = sum(len(each.strokes) for each in self.standings)
         steps = sum(len(each.steps) for each in self.walks)
-        work, walked = (sum(each) for each in (self._times(Plan), self._times(Walk)))
+        walked = sum(each.seconds for each in self.walks)
         yield (
             f"{counted(strokes, 'stroke')} from {counted(len(self.works), 'stance')}, "
-            f"{counted(steps, 'step')} between them, in {self.seconds:.0f} s: {work:.0f} s of work, "
+            f"{counted(steps, 'step')} between them, in {self.seconds:.0f} s: "
+            f"{self.seconds - walked:.0f} s of work, "
             f"{walked:.0f} s of walking. Every motion is certified."
         )
         if len(self.works) > 1:
@@ -156,58 +155,42 @@ def tour(
         raise KeyboardInterrupt  # no part of a tour is one
     choices = [[each for each in standing.ranked if each.status == "planned"] for standing in standings]
     require_planned(standings)
-    search = _Links(choices, walk_options, progress)
-    works = search.from_here(())
-    if works is None:
-        raise PlanningError(f"no walk from one stance to the next: {search.failures[-1]}")
-    return Tour(
-        name=world.name,
-        standings=standings,
-        works=works,
-        walks=tuple(search.walks[pair] for pair in pairwise(works)),
-        failures=tuple(search.failures),
-    )
+    walks, failures = dict[tuple[StanceResult, StanceResult], Walk | None](), list[str]()
 
-
-class _Links:
-    """Walks between planned stances of one group and the next, each sought once."""
-
-    def __init__(
-        self, choices: Sequence[Sequence[StanceResult]], options: WalkOptions | None, progress: _Progress
-    ) -> None:
-        self._choices, self._options, self._progress = choices, options, progress
-        self.walks, self.failures = dict[tuple[StanceResult, StanceResult], Walk](), list[str]()
-        self._tried = set[tuple[StanceResult, StanceResult]]()
-
-    def from_here(self, works: tuple[StanceResult, ...]) -> tuple[StanceResult, ...] | None:
-        """The stances of all groups, those so far first; None where no walks lead on."""
-        if len(works) == len(self._choices):
-            return works
-        for each in self._choices[len(works)]:
-            if not works or self._leads(works[-1], each):
-                found = self.from_here((*works, each))
-                if found is not None:
-                    return found
-        return None
-
-    def _leads(self, here: StanceResult, there: StanceResult) -> bool:
-        pair = here, there
-        if pair not in self._tried:
-            self._tried.add(pair)
+    def leads(here: StanceResult, there: StanceResult) -> bool:
+        if (here, there) not in walks:
             try:
-                self.walks[pair] = self._walk(here, there)
+                walks[here, there] = _walk(here, there, walk_options, progress)
             except CmbotError as error:
-                self.failures.append(f"{here.place} to {there.place}: {error}")
-        return pair in self.walks
+                walks[here, there] = None
+                failures.append(f"{here.place} to {there.place}: {error}")
+        return walks[here, there] is not None
 
-    def _walk(self, here: StanceResult, there: StanceResult) -> Walk:
-        if here.plan is None or there.plan is None:
-            raise ValueError("both stances are planned")
-        start = scene_at(here.plan.scene, here.candidate, here.plan.job.trajectory.q[-1])
-        return walk(start, there.plan.scene, self._options, self._told)
+    works = _linked(choices, leads, ())
+    if works is None:
+        raise PlanningError(f"no walk from one stance to the next: {failures[-1]}")
+    found = tuple(each for pair in pairwise(works) if (each := walks[pair]) is not None)
+    return Tour(name=world.name, standings=standings, works=works, walks=found, failures=tuple(failures))
 
-    def _told(self, step: str, share: float) -> None:
-        self._progress(f"walking: {step}", share)
+
+def _linked(
+    choices: Sequence[Sequence[StanceResult]],
+    leads: Callable[[StanceResult, StanceResult], bool],
+    works: tuple[StanceResult, ...],
+) -> tuple[StanceResult, ...] | None:
+    """The stances of all groups, those so far first; None where none leads on from each to the next."""
+    if len(works) == len(choices):
+        return works
+    possible = (each for each in choices[len(works)] if not works or leads(works[-1], each))
+    found = (_linked(choices, leads, (*works, each)) for each in possible)
+    return next((each for each in found if each is not None), None)
+
+
+def _walk(here: StanceResult, there: StanceResult, options: WalkOptions | None, progress: _Progress) -> Walk:
+    if here.plan is None or there.plan is None:
+        raise ValueError("both stances are planned")
+    start = scene_at(here.plan.scene, here.candidate, here.plan.job.trajectory.q[-1])
+    return walk(start, there.plan.scene, options, lambda step, share: progress(f"walking: {step}", share))
 
 
 def _seconds(part: Plan | Walk) -> float:

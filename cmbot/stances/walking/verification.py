@@ -5,7 +5,7 @@ from __future__ import annotations
 from cmbot.planning import Check
 from cmbot.planning.verification.described_arm import DescribedArm
 from cmbot.planning.verification.second_opinion import judged_motion
-from cmbot.robot import ARM_JOINTS, Climber, robot_files
+from cmbot.robot import ARM_JOINTS, robot_files
 from cmbot.scene import Scene
 from cmbot.stances import scene_at
 from cmbot.stances.walking.steps import Move
@@ -25,12 +25,11 @@ def second_opinion_of(move: Move, scene: Scene) -> tuple[Check, ...]:
         arm = DescribedArm.of(scene_at(scene, move.node, move.arm), robot)
     else:
         srdf, limits = (robot.urdf.with_name(name) for name in ("climbing.srdf", "joint_limits.yaml"))
-        on_foot_2 = move.holds == (2,)
         arm = DescribedArm.in_files(
             robot_files(robot.urdf, srdf=srdf, limits=limits),
             robot,
             carrier="tool0",
-            X_WR=move.node.root @ Climber().poses(move.node.climber)[0] if on_foot_2 else move.node.root,
+            X_WR=move.node.foot_pose(move.holds[0]),
             locked=dict(zip(ARM_JOINTS, move.arm.tolist(), strict=True)),
             tool_length=scene.robot.tool_length_m,
             payload=scene.robot.payload_kg,

@@ -16,9 +16,9 @@ from cmbot.common.reading.validation import counted, validated
 from cmbot.common.reading.yaml_reader import read_yaml
 from cmbot.common.representation import short_repr
 from cmbot.hold import AdhesionPeak
-from cmbot.robot import Climber, Side
-from cmbot.scene import FootholdFile, Scene, StanceFile, load_scene
-from cmbot.stances import Candidate, candidate_at, in_world, require_on_guardrail
+from cmbot.robot import other_foot
+from cmbot.scene import Scene, StanceFile, load_scene
+from cmbot.stances import Candidate, in_world, own_candidate, require_on_guardrail
 from cmbot.stances.walking.balance import SPARE, Balance, Roadmap
 from cmbot.stances.walking.route import Edge, Route, nodes_between
 from cmbot.stances.walking.steps import Move, Step, arm_move, plan_step, space_of_arm
@@ -28,7 +28,6 @@ _TRIED_POSTURES = 15
 # Steps that may turn out impossible before a walk is given up, and moves of the arm from where it is in a
 # stance before it is taken as caught there: each costs seconds.
 _MOST_FAILURES, _MOST_MOVES_IN_VAIN = 20, 3
-_SAME_PLACE_M = 1e-6
 # Characters of the cause for which a step failed, within a message that is about more.
 _MAX_CAUSE_CHARACTERS = 100
 
@@ -315,7 +314,7 @@ class _Search:
             return f"no walk: whatever joints and feet could bear, no steps lead there{tried}"
         edge, use = hardest
         before, after = (self._route.nodes[k] for k in (edge.before, edge.after))
-        stays: Side = 2 if edge.foot == 1 else 1
+        stays = other_foot(edge.foot)
         shares = self._route.use[stays]
         k = int(np.maximum(shares[edge.before], shares[edge.after]).argmin())
         loads = [self._balance.step_load(node, stays) for node in (before, after)]
@@ -343,10 +342,8 @@ def _cause(why: str) -> str:
 
 
 def _names(node: Candidate) -> str:
-    feet = (node.stance.foot_1, node.stance.foot_2)
-    return " and ".join(
-        "free" if place is None else f"{place.member} {place.along_m:.2f} m" for place in feet
-    )
+    places = node.stance.places
+    return " and ".join("free" if at is None else f"{at.member} {at.along_m:.2f} m" for at in places)
 
 
 def stance_of(scene: Scene) -> Candidate:
@@ -358,25 +355,15 @@ def stance_of(scene: Scene) -> Candidate:
         When it does not stand on a member of a guardrail.
     """
     require_on_guardrail(scene)
-    stance, file = scene.stance, scene.guardrail.stance
-    if file is not None and stance is not None:
-        return candidate_at(file.foot_1, file.foot_2, stance.root, np.array(stance.climber), Climber())
-    places = enumerate(scene.elastic_guardrail.post_positions, start=1)
-    number = next((number for number, x in places if abs(x) < _SAME_PLACE_M), None)
-    if number is None:
-        expected = "a stance, as the foot holds no post"
+    if (stance := own_candidate(scene)) is None:
+        expected = "a stance, as the foot holds no member"
         raise SceneError(scene.source, "guardrail.stance", "nothing", expected)
-    place, climber = FootholdFile(member=f"post_{number}", along_m=-scene.guardrail.post.bottom_m), Climber()
-    return candidate_at(place, None, np.eye(4), climber.working, climber)
+    return stance
 
 
 def goal_stance(to: Scene | StanceFile, scene: Scene) -> Candidate:
     """Return the stance in which a walk of a scene is to end."""
-    return stance_of(to) if isinstance(to, Scene) else _stance_from(to, scene)
-
-
-def _stance_from(stance: StanceFile, scene: Scene) -> Candidate:
-    return stance_of(scene.with_stance(stance))
+    return stance_of(to if isinstance(to, Scene) else scene.with_stance(to))
 
 
 def load_goal(path: str | Path) -> Scene | StanceFile:

@@ -103,10 +103,19 @@ def test_thin_steel_takes_a_share_of_a_magnets_pull() -> None:
     curve = {"kind": "magnet", "adhesion_n": 5000, "derating": [[2, 0.2], [6, 0.5], [10, 1.0]]}
     assert scene(curve).feet[0].adhesion == pytest.approx(0.75 * 5000)
     assert scene(curve, foot={"offset_m": 0.5}).feet[0].adhesion == pytest.approx(0.5 * 5000)
-    with pytest.raises(SceneError, match=r"guardrail.hold.derating: got .*, expected ascending thick"):
+    with pytest.raises(SceneError, match=r"guardrail.hold.derating: got .*, expected ascending mill"):
         scene(curve | {"derating": [[6, 0.2], [2, 0.5]]})
     with pytest.raises(SceneError, match=r"guardrail.hold.adhesion_n: got nothing, expected the adhesion"):
         scene({"kind": "magnet", "derating": [[6, 0.2]]})
+
+
+def test_paint_takes_a_share_of_a_magnets_pull() -> None:
+    paint = {"kind": "magnet", "adhesion_n": 5000, "air_gap_derating": [[0, 1.0], [0.4, 0.5]]}
+    assert scene(paint | {"air_gap_mm": 0.2}).feet[0].adhesion == pytest.approx(0.75 * 5000)
+    thin = {"derating": [[2, 0.2], [10, 1.0]], "air_gap_mm": 0.4}
+    assert scene(paint | thin).feet[0].adhesion == pytest.approx(0.8 * 0.5 * 5000)
+    with pytest.raises(SceneError, match=r"guardrail.hold.air_gap_mm: got nothing, expected a value"):
+        scene(paint)
 
 
 def test_without_a_member_nothing_is_held() -> None:
