@@ -15,6 +15,7 @@ from cmbot.planning import MotionMetrics, Plan, plan
 from cmbot.robot import Robot
 from cmbot.scene import load_scene
 from cmbot.simulation import Tracking
+from cmbot.toolpath import SpeedProfile
 
 TOPPRA = Path(__file__).with_name("line_toppra.csv")
 
@@ -62,8 +63,8 @@ def test_a_plan_directory_and_its_table_have_the_same_motion(short_plan: Plan, s
 
 def test_a_motion_of_toppra_in_another_timing() -> None:
     """It takes the rigid arm's path in other times: rests as deep, other accelerations, no timed pose."""
-    scene = load_scene("line")
-    # Those of the plan that toppra was given.
+    # Law and options are those of the plan that toppra was given.
+    scene = load_scene("line").with_path(speed_profile=SpeedProfile())
     given = replace(scene.planner, compensate=False, max_tool_deviation_m=1e-3, smoothing_weight=0.1)
     rigid_plan = plan(scene, options=given)
     motion = read_motion(TOPPRA, rigid_plan.robot)
@@ -73,7 +74,8 @@ def test_a_motion_of_toppra_in_another_timing() -> None:
     figures, planned = found.job.figures, rigid_plan.figures
     static = planned.peak_static_guardrail_torque
     assert figures.peak_static_guardrail_torque == pytest.approx(static, rel=1e-3)
-    assert figures.max_tool_deviation == pytest.approx(planned.max_tool_deviation, abs=2e-5)
+    # Toppra was given the path of a plan that kept this.
+    assert 0 < figures.max_tool_deviation <= given.max_tool_deviation_m
     assert figures.max_tool_lag == 0
     # What toppra was given: half of the velocities.
     assert figures.limit_use.velocity == pytest.approx(0.5, rel=1e-2)
