@@ -56,12 +56,14 @@ def gains(name: str) -> Iterator[Row]:
     scene = cmbot.load_scene(name).with_options(baseline="straight")
     plan = cmbot.plan(scene)
     baseline, sag = plan.baseline, plan.bent_offsets
-    rests = [motion.metrics.residual for _, motion in cmbot.simulate(plan).motions]
+    motions = [motion for _, motion in cmbot.simulate(plan).motions]
+    rests = [motion.metrics.residual for motion in motions]
     budgets = [each.accuracy for each in (cmbot.plan(scene.with_options(compensate=False)), plan)]
     if baseline is None or None in (*budgets, *sag, *rests):
         sys.exit(f"{name}: nothing bends there")
     yield "tool within, with 95 %, mm", *(f"{budget.within_mm:.1f}" for budget in budgets if budget)
     yield "sag of the tool off its path, mm", *(f"{1e3 * x:.1f}" for x in sag if x is not None)
+    yield "sway beside the sag, mm", *(f"{1e3 * each.largest(each.dynamic):.1f}" for each in motions)
     yield "swing after the job, mm", *(f"{1e3 * rest.diameter:.2f}" for rest in rests if rest)
     both = baseline.job_figures, plan.job.figures
     needed = (f"{1e-3 * each.adhesion_needed.peak:.1f}" for each in both if each.adhesion_needed)

@@ -15,19 +15,4 @@ if TYPE_CHECKING:
     from cmbot.campaigns.campaign_file import CampaignFile, Entry, read_campaign
     from cmbot.campaigns.run import OVERVIEW, RESULTS, Campaign, CampaignProgress, campaign
 
-__all__ = [
-    "OVERVIEW",
-    "RESULTS",
-    "Campaign",
-    "CampaignFile",
-    "CampaignProgress",
-    "Entry",
-    "Task",
-    "TaskResult",
-    "TaskStatus",
-    "campaign",
-    "read_campaign",
-    "run_tasks",
-]
-
 __getattr__ = on_first_use(__name__)

@@ -15,26 +15,4 @@ if TYPE_CHECKING:
     from cmbot.collision.point_distances import PointDistances
     from cmbot.collision.shapes import PairedShapes, ShapePair, extent_of, touched_by
 
-__all__ = [
-    "RESOLUTION",
-    "Box",
-    "Capsule",
-    "Clearances",
-    "Cylinder",
-    "Mesh",
-    "Nearest",
-    "Obstacle",
-    "PairedShapes",
-    "PointDistances",
-    "Shape",
-    "ShapePair",
-    "Smallest",
-    "Sphere",
-    "extent_of",
-    "load_mesh",
-    "raise_bounds",
-    "touched_by",
-    "travel",
-]
-
 __getattr__ = on_first_use(__name__)

@@ -10,17 +10,3 @@ from cmbot.excitation.summary import (
     random_inputs,
 )
 from cmbot.excitation.sway import RandomSway, sway_mm_per_m_s2
-
-__all__ = [
-    "PASSAGE_HEADINGS",
-    "Excitation",
-    "RandomSway",
-    "Shaken",
-    "excitation_rows",
-    "excitation_sentences",
-    "excite",
-    "passage_rows",
-    "random_inputs",
-    "require_inputs",
-    "sway_mm_per_m_s2",
-]

@@ -12,25 +12,3 @@ from cmbot.optimization.program import KinematicBound, Linearization, Program, S
 from cmbot.optimization.qp import piqp_module
 from cmbot.optimization.separation import Separation, find_violations
 from cmbot.optimization.sqp import SqpOptions, SqpStatus
-
-__all__ = [
-    "OBJECTIVE",
-    "ConstraintSet",
-    "ExchangeOptions",
-    "ExchangeReport",
-    "KinematicBound",
-    "Linearization",
-    "Program",
-    "Result",
-    "Separation",
-    "SqpOptions",
-    "SqpStatus",
-    "StateFunction",
-    "StateSamples",
-    "Violation",
-    "find_violations",
-    "linearize",
-    "minimize_peak",
-    "nearest",
-    "piqp_module",
-]

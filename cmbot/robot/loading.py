@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 from xml.etree import ElementTree
 
 import coal
@@ -19,7 +19,7 @@ from cmbot.common.errors import ModelError
 from cmbot.common.installation import model_folder
 from cmbot.common.reading.input_files import read_input
 from cmbot.common.reading.validation import hint
-from cmbot.robot.arm_model import arm_model, attach_payload, build_model, set_tool_length
+from cmbot.robot.arm_model import ArmModel, arm_model, attach_payload, build_model, set_tool_length
 from cmbot.robot.description.completion import POINT, AttachedTool, add_masses, add_tool
 from cmbot.robot.description.files import RobotFiles, robot_files
 from cmbot.robot.description.frames import arm_frames, moving_links
@@ -146,78 +146,18 @@ def load_robot(
         total_mass=total_mass,
         tool=tool,
     )
-    urdf = files.urdf
-    content, described = _read(files)
-    semantics = None if files.srdf is None else parse_urdf(files.srdf, "an SRDF", files.package_dirs)
-    base_frame, flange = _checked_frames(files, described, semantics, base_frame, tool_frame)
-    estimated = add_masses(described, files)
-    tool_frame = flange if tool is None else add_tool(described, files, flange)
-    completed = ElementTree.tostring(described, encoding="unicode") if estimated or tool else ""
-    made = arm_model(
-        urdf,
-        described,
-        semantics,
-        base_frame,
-        tool_frame,
-        srdf=str(files.srdf),
-        package_dirs=files.package_dirs,
-        locked=locked or {},
-        tool=tool_frame.removesuffix(POINT) if tool else "",
-    )
-    carrier, held = carrier or tool_frame, _held(files)
-    made_at = made.model.frames[made.model.getFrameId(base_frame)].placement.copy()
+    described = _Description.read(files, base_frame, tool_frame)
     placement = _Placement(
-        base_frame=base_frame,
+        base_frame=described.base_frame,
         X_WB=None if mount is None else _pose(mount),
         X_WR=None if root is None else _pose(root, "root"),
-        carrier=carrier,
+        carrier=carrier or described.tool_frame,
         tool_length=tool_length,
-        source=str(urdf),
+        source=str(files.urdf),
     )
-    arm, collision = made.model, placement.applied(made.model, made.collision)
-    attach_payload(arm, carrier, payload)
-    _require_mass(arm, urdf, base_frame, tool_frame)
-    limited, assumed = joint_limits(arm, urdf, files.limits)
-    bends = Elasticity({}, {}, {}) if files.elasticity is None else read_elasticity(files.elasticity, arm)
-    robot = Robot(
-        name=described.get("name", urdf.stem),
-        urdf=urdf.resolve(),
-        description=completed,
-        model=arm,
-        floating_model=_on_free_flyer(arm, placement.foot_point),
-        collision_model=collision,
-        read_visual_model=lambda: placement.applied(*made.read_visual()),
-        limits=limited,
-        group_states=made.group_states,
-        elasticity=bends.tubes,
-        joint_elasticity=bends.springs,
-        base_frame=base_frame,
-        tool_frame=tool_frame,
-        flange=flange,
-        payload=payload,
-        content_hash=_hash(files, content, completed),
-        foot_point=tuple(placement.foot_point.tolist()),
-        locked_joints=tuple(
-            replace(
-                placement.placed(joint, made_at),
-                limit=held.get(joint.name, joint.limit),
-                spring=bends.locked.get(joint.name),
-            )
-            for joint in made.locked_joints
-        ),
-        remarks=(*_left_alone(files), *estimated, *assumed, *made.remarks),
-    )
+    robot = described.placed(placement, locked or {}, payload)
     _require_size(robot)
     return robot
-
-
-def _hash(files: RobotFiles, content: bytes, completed: str) -> str:
-    """SHA-256 of all that the robot was read from, and of what was added to the URDF."""
-    beside = (file for file in (files.srdf, files.limits, files.elasticity) if file)
-    contents = [content, *(read_input(file, ModelError) for file in beside)]
-    if completed:
-        contents.append(completed.encode())
-    return hashlib.sha256(b"\0".join(contents)).hexdigest()
 
 
 def _require_size(robot: Robot) -> None:
@@ -245,25 +185,118 @@ def _left_alone(files: RobotFiles) -> Iterator[str]:
         yield f"{file} is left alone: it is no joint-limits file of cmbot's or MoveIt's ({why})."
 
 
-def _checked_frames(
-    files: RobotFiles,
-    described: ElementTree.Element,
-    semantics: ElementTree.Element | None,
-    base_frame: str | None,
-    tool_frame: str | None,
-) -> tuple[str, str]:
-    """Base and tool frame of the arm, in a URDF without errors."""
-    # Frames can be sought only in a tree, and which links move is known only with the frames.
-    _refuse_errors(files.urdf, inspect_urdf(described, moving=()))
-    base_frame, tool_frame = arm_frames(
-        described,
-        semantics,
-        files.base_frame if base_frame is None else base_frame,
-        files.tool_frame if tool_frame is None else tool_frame,
-        str(files.urdf),
-    )
-    _refuse_errors(files.urdf, inspect_inertias(described, moving_links(described, base_frame)))
-    return base_frame, tool_frame
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Description:
+    """A robot's files as they were read, with the arm's frames, and masses and a tool added to the URDF."""
+
+    files: RobotFiles
+    content: bytes
+    root: ElementTree.Element
+    semantics: ElementTree.Element | None
+    base_frame: str
+    flange: str
+    tool_frame: str
+    estimated: tuple[str, ...]
+    completed: str
+
+    @classmethod
+    def read(cls, files: RobotFiles, base_frame: str | None, tool_frame: str | None) -> Self:
+        """Read the files; refuse what is wrong in them."""
+        content, root = _read(files)
+        semantics = None if files.srdf is None else parse_urdf(files.srdf, "an SRDF", files.package_dirs)
+        # Frames can be sought only in a tree, and which links move is known only with the frames.
+        _refuse_errors(files.urdf, inspect_urdf(root, moving=()))
+        base_frame, flange = arm_frames(
+            root,
+            semantics,
+            files.base_frame if base_frame is None else base_frame,
+            files.tool_frame if tool_frame is None else tool_frame,
+            str(files.urdf),
+        )
+        _refuse_errors(files.urdf, inspect_inertias(root, moving_links(root, base_frame)))
+        estimated = tuple(add_masses(root, files))
+        tool_frame = flange if files.tool is None else add_tool(root, files, flange)
+        added = estimated or files.tool
+        return cls(
+            files=files,
+            content=content,
+            root=root,
+            semantics=semantics,
+            base_frame=base_frame,
+            flange=flange,
+            tool_frame=tool_frame,
+            estimated=estimated,
+            # Pinocchio's model of the arm changes the tree.
+            completed=ElementTree.tostring(root, encoding="unicode") if added else "",
+        )
+
+    @property
+    def _hash(self) -> str:
+        """SHA-256 of all that was read, and of what was added to the URDF."""
+        files = self.files
+        beside = (file for file in (files.srdf, files.limits, files.elasticity) if file)
+        contents = [self.content, *(read_input(file, ModelError) for file in beside)]
+        if self.completed:
+            contents.append(self.completed.encode())
+        return hashlib.sha256(b"\0".join(contents)).hexdigest()
+
+    def _arm(self, locked: Mapping[str, float]) -> ArmModel:
+        return arm_model(
+            self.files.urdf,
+            self.root,
+            self.semantics,
+            self.base_frame,
+            self.tool_frame,
+            srdf=str(self.files.srdf),
+            package_dirs=self.files.package_dirs,
+            locked=locked,
+            tool=self.tool_frame.removesuffix(POINT) if self.files.tool else "",
+        )
+
+    def placed(self, placement: _Placement, locked: Mapping[str, float], payload: float) -> Robot:
+        """Return the robot in its place, with a payload, kg, and other joints at the positions `locked`."""
+        files, made = self.files, self._arm(locked)
+        made_at = made.model.frames[made.model.getFrameId(self.base_frame)].placement.copy()
+        arm, collision = made.model, placement.applied(made.model, made.collision)
+        attach_payload(arm, placement.carrier, payload)
+        self._require_mass(arm)
+        limited, assumed = joint_limits(arm, files.urdf, files.limits)
+        bends = Elasticity({}, {}, {}) if files.elasticity is None else read_elasticity(files.elasticity, arm)
+        held = _held(files)
+        return Robot(
+            name=self.root.get("name", files.urdf.stem),
+            urdf=files.urdf.resolve(),
+            description=self.completed,
+            model=arm,
+            floating_model=_on_free_flyer(arm, placement.foot_point),
+            collision_model=collision,
+            read_visual_model=lambda: placement.applied(*made.read_visual()),
+            limits=limited,
+            group_states=made.group_states,
+            elasticity=bends.tubes,
+            joint_elasticity=bends.springs,
+            base_frame=self.base_frame,
+            tool_frame=self.tool_frame,
+            flange=self.flange,
+            payload=payload,
+            content_hash=self._hash,
+            foot_point=tuple(placement.foot_point.tolist()),
+            locked_joints=tuple(
+                replace(
+                    placement.placed(joint, made_at),
+                    limit=held.get(joint.name, joint.limit),
+                    spring=bends.locked.get(joint.name),
+                )
+                for joint in made.locked_joints
+            ),
+            remarks=(*_left_alone(files), *self.estimated, *assumed, *made.remarks),
+        )
+
+    def _require_mass(self, arm: Any) -> None:
+        if not (mass := sum(inertia.mass for inertia in list(arm.inertias)[1:])) >= _MIN_ARM_MASS_KG:
+            got = f"{mass:g} kg from {self.base_frame!r} to {self.tool_frame!r}"
+            expected = "the mass of all of the robot, which is spread over its shapes; or masses of its links"
+            raise ModelError(str(self.files.urdf), "total_mass_kg", got, expected)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -318,13 +351,6 @@ def _held(files: RobotFiles) -> dict[str, float]:
     entries = listed.joints if isinstance(listed, JointLimitsFile) else {}
     given = {name: entry.holding_torque for name, entry in entries.items()}
     return {name: torque for name, torque in given.items() if torque is not None}
-
-
-def _require_mass(arm: Any, urdf: Path, base_frame: str, tool_frame: str) -> None:
-    if not (mass := sum(inertia.mass for inertia in list(arm.inertias)[1:])) >= _MIN_ARM_MASS_KG:
-        got = f"{mass:g} kg from {base_frame!r} to {tool_frame!r}"
-        expected = "the mass of all of the robot, which is spread over its shapes; or masses of its links"
-        raise ModelError(str(urdf), "total_mass_kg", got, expected)
 
 
 def other_foot(foot: Side) -> Side:

@@ -9,24 +9,3 @@ from cmbot.trajectory.parametrization import Parametrization, Retraction
 from cmbot.trajectory.polynomials import bernstein_coefficients, halves
 from cmbot.trajectory.quintic import LARGEST, SAMPLE_STEP, Extrema, QuinticTrajectory, sample_step
 from cmbot.trajectory.spline_space import SUPPORT, SplineSpace
-
-__all__ = [
-    "LARGEST",
-    "SAMPLE_STEP",
-    "SUPPORT",
-    "Ellipses",
-    "Extrema",
-    "LocalRows",
-    "Parametrization",
-    "Peak",
-    "Pieces",
-    "QuinticTrajectory",
-    "Retraction",
-    "SparseSplines",
-    "SplineSpace",
-    "bernstein_coefficients",
-    "clenshaw_curtis",
-    "halves",
-    "highest",
-    "sample_step",
-]

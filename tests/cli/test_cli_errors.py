@@ -121,7 +121,7 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
     ("plan short.yaml line", ("unexpected argument: ",)),
     ("paln short.yaml", ("no such command: paln; did you mean plan? See: cmbot --help",)),
     ("doctor now", ("unexpected argument: ",)),
-    ("doctor --json", ("no such option: --json. See: cmbot doctor --help",)),
+    ("doctor --html", ("no such option: --html; did you mean --help? See: cmbot doctor --help",)),
     ("doctor -o x", ("no such option: -o. See: cmbot doctor --help",)),
     ("schema now", ("unexpected argument: ",)),
     ("schema --json", ("no such option: --json. See: cmbot schema --help",)),
