@@ -155,5 +155,11 @@ def _fallbacks(stroke: PlannedStroke, *, stopped: bool) -> Iterator[str]:
     if not optimised.complete:
         why = f"Stopped after {limit}" if stopped else "The last stage of the optimisation failed"
         yield f"{why}: the best motion so far."
+    if (more := stroke.trial.attempt.more_time) is not None:
+        yield (
+            f"Leg {more.leg + 1} takes {more.seconds:.3g} s, {more.periods:.1f} periods of the slowest mode: "
+            f"in {more.longer:.3g} s the tool would sway and swing by {1e3 * more.less:.2g} mm in place of "
+            f"{1e3 * more.sway:.2g} mm, as predicted."
+        )
     if why := optimised.whole_because:
         yield f"The path was optimised as a whole, as a segment failed ({why}): that took longer."

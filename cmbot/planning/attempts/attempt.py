@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from cmbot.common.arrays import FloatArray
 from cmbot.planning.attempts.agenda import Agenda, Remedy, Solved
@@ -17,6 +17,10 @@ from cmbot.planning.selfmotion.global_search import GlobalSearch
 from cmbot.planning.timing.timing import Timing
 from cmbot.planning.torque import Optimised, TorqueProblem, optimise
 from cmbot.trajectory import QuinticTrajectory
+
+if TYPE_CHECKING:
+    # It loads SciPy's splines.
+    from cmbot.planning.timing.quiet_laws import MoreTime
 
 S = TypeVar("S")
 
@@ -36,6 +40,8 @@ class Attempt:
         Factor on the safety margin that the guess keeps.
     timing : Timing, optional
         Of legs whose shortest time is sought, or whose laws were chosen.
+    more_time : MoreTime, optional
+        What more seconds would give on a short leg.
     unshaped : QuinticTrajectory, optional
         Where laws were chosen: the optimised motion by the scene's own, along which they were.
     """
@@ -45,6 +51,7 @@ class Attempt:
     is_first: bool = True
     kept: float = 1.0
     timing: Timing | None = None
+    more_time: MoreTime | None = None
     unshaped: QuinticTrajectory | None = None
 
     @classmethod
@@ -68,11 +75,12 @@ class Attempt:
         optimised = attempted(request, lambda: optimise(guess.problem))
         if not isinstance(optimised, Optimised):
             return self
-        laws = quiet_laws(request, optimised.trajectory)
+        laws, more_time = quiet_laws(request, optimised.trajectory)
+        own = replace(self, more_time=more_time)
         if not laws:
-            return self
-        timed = self.in_timing(Timing.along(request, optimised.trajectory, (), laws))
-        return replace(timed, unshaped=optimised.trajectory) if isinstance(timed, Attempt) else self
+            return own
+        timed = own.in_timing(Timing.along(request, optimised.trajectory, (), laws))
+        return replace(timed, unshaped=optimised.trajectory) if isinstance(timed, Attempt) else own
 
     def in_timing(self, timing: Timing) -> Attempt | Failure:
         """Return the attempt in a timing, from the via-points of its joint path.

@@ -72,9 +72,10 @@ def plan_stroke(
         first = replace(first, guess=attempted(request, lambda: sliding_guess(request, stay=True)))
     quiet = first if request.task.path.open_legs else first.quiet()
     trial = searched_motion(quiet, budget)
-    if quiet is not first and _sways_more(trial) and budget.left > 0:
+    if quiet.timing is not first.timing and _sways_more(trial) and budget.left > 0:
         other = searched_motion(first, budget)
         trial = min(other, trial, key=_sway)
+    trial = replace(trial, attempt=replace(trial.attempt, more_time=quiet.more_time))
     return PlannedStroke(trial=trial, runs=budget.used)
 
 

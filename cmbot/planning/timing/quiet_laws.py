@@ -37,6 +37,9 @@ _MAX_LEGS = 8
 # Times of a leg at which laws are compared, but for the bounds within this share of its ends: self-motion
 # there goes by the time of the motion that is known, and is another one in a law that is planned.
 _LAW_TIMES, _LEAVING = 241, 0.1
+# Legs of so few periods of the slowest mode are short; so many times as long they are tried, and told where
+# that leaves this share of the sway.
+_SHORT_LEG_PERIODS, _LONGER_FACTORS, _WORTH_SHARE = 6.0, (1.25, 1.5, 2.0, 3.0), 0.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,10 +74,35 @@ class _Candidate:
     law: TimeLaw
 
 
-def quiet_laws(request: StrokeRequest, trajectory: QuinticTrajectory) -> tuple[LegLaw, ...]:
+@dataclass(frozen=True, kw_only=True)
+class MoreTime:
+    """What more seconds would give on a short leg, as predicted.
+
+    Attributes
+    ----------
+    leg : int
+    periods : float
+        Of the slowest mode, in the leg.
+    seconds, longer : float, s
+    sway, less : float, m
+        Largest sway and swing together in either time.
+    """
+
+    leg: int
+    periods: float
+    seconds: float
+    longer: float
+    sway: float
+    less: float
+
+
+def quiet_laws(
+    request: StrokeRequest, trajectory: QuinticTrajectory
+) -> tuple[tuple[LegLaw, ...], MoreTime | None]:
     """Return the laws of a stroke's legs but those that have a process speed between leads, or stay.
 
-    None where those of the scene are the best.
+    No laws where those of the scene are the best. With them, of the short leg with the most sway, what more
+    time would give, if it is worth it.
 
     Parameters
     ----------
@@ -87,24 +115,42 @@ def quiet_laws(request: StrokeRequest, trajectory: QuinticTrajectory) -> tuple[L
     segments = path.segments
     moving = [k for k, leg in enumerate(segments) if _moves(leg) and leg.process is None]
     if not moving:
-        return ()
+        return (), None
     places = np.unique(np.linspace(0, len(moving) - 1, min(len(moving), _MAX_LEGS)).round().astype(int))
-    chosen = dict[int, tuple[_Candidate, FloatArray]]()
+    chosen, longer = dict[int, tuple[_Candidate, FloatArray]](), list[MoreTime]()
     for number in (moving[k] for k in places):
         begin, end = path.leg_times[number : number + 2].tolist()
         law = segments[number].law
         motion = _Leg(number=number, trajectory=trajectory, begin=begin, seconds=end - begin, law=law)
         response = None if arm is None else LegResponse(arm, motion.q)
         omega = np.empty(0) if response is None else response.omega
-        chosen[number] = _best(request, motion, response, list(_candidates(request, number, omega))), omega
+        best, sway = _best(request, motion, response, list(_candidates(request, number, omega)))
+        chosen[number] = best, omega
+        if response is not None:
+            longer += _more_time(request, motion, response, sway)
+    more_time = max(longer, key=lambda each: each.sway, default=None)
     if all(best.law is segments[leg].law for leg, (best, _) in chosen.items()):
-        return ()
+        return (), more_time
     laws = []
     for leg in moving:
         best, omega = chosen[min(chosen, key=partial(_unlikeness, segments, leg))]
         law = best.law if leg in chosen else _alike(best, list(_candidates(request, leg, omega)))
         laws.append(LegLaw.of(leg, law, segments[leg].seconds))
-    return tuple(laws)
+    return tuple(laws), more_time
+
+
+def _more_time(request: StrokeRequest, leg: _Leg, response: LegResponse, sway: float) -> Iterator[MoreTime]:
+    """The least of some longer times of a short leg in which the tool sways much less, if any."""
+    periods = leg.seconds * float(response.omega[0]) / (2 * np.pi)
+    for factor in _LONGER_FACTORS if periods <= _SHORT_LEG_PERIODS else ():
+        longer = factor * leg.seconds
+        laws = [each.law for each in _candidates(request, leg.number, response.omega, longer)]
+        less = float(_merit(request, response, leg.when(laws), longer).min())
+        if less <= _WORTH_SHARE * sway:
+            yield MoreTime(
+                leg=leg.number, periods=periods, seconds=leg.seconds, longer=longer, sway=sway, less=less
+            )
+            return
 
 
 def _unlikeness(segments: Sequence[Segment], leg: int, other: int) -> tuple[float, int]:
@@ -141,10 +187,15 @@ def _shapers(omega: FloatArray, damping: float) -> list[Shaper | None]:
     return shapers
 
 
-def _candidates(request: StrokeRequest, leg: int, omega: FloatArray) -> Iterator[_Candidate]:
-    """The scene's law, and others in the same time, with the same speed where one is asked for."""
+def _candidates(
+    request: StrokeRequest, leg: int, omega: FloatArray, seconds: float | None = None
+) -> Iterator[_Candidate]:
+    """The scene's law, and others in the same time, with the same speed where one is asked for.
+
+    The time is that of the leg, or so many `seconds`.
+    """
     yield _plain(request, leg)
-    stroke, seconds = request.stroke, request.task.path.segments[leg].seconds
+    stroke, seconds = request.stroke, seconds or request.task.path.segments[leg].seconds
     asked, own = stroke.asked_speed(leg) is not None, stroke.file.speed_profile.ramp
     for number, shaper in enumerate(_shapers(omega, request.cell.robot.damping_ratio)):
         share = 0.0 if shaper is None else shaper.duration / seconds
@@ -162,19 +213,25 @@ def _candidates(request: StrokeRequest, leg: int, omega: FloatArray) -> Iterator
 
 def _best(
     request: StrokeRequest, leg: _Leg, response: LegResponse | None, candidates: list[_Candidate]
-) -> _Candidate:
-    """The candidate with the least sway and swing of those within the joints' bounds."""
-    share = request.cell.options.quiet_stiffness_share
+) -> tuple[_Candidate, float]:
+    """The candidate of least sway and swing within the joints' bounds, and both together, m."""
     when = leg.when([candidate.law for candidate in candidates])
     use = np.array([_use(request, leg, *pair) for pair in zip(candidates, when, strict=True)])
     allowed = max(_MAX_JOINT_USE, _MAX_USE_RATIO * use.min())
     fitting = np.flatnonzero(use <= allowed).tolist()
     if response is None:
-        return candidates[fitting[0]]
-    factors = sorted({1 - share, 1.0, 1 + share})
-    found = response.of([when[k] for k in fitting], leg.seconds, factors)
-    merit = (found.sway + _SWING_WEIGHT * found.swing).max(axis=1)
-    return candidates[fitting[int(merit.argmin())]]
+        return candidates[fitting[0]], 0.0
+    merit = _merit(request, response, [when[k] for k in fitting], leg.seconds)
+    return candidates[fitting[int(merit.argmin())]], float(merit.min())
+
+
+def _merit(
+    request: StrokeRequest, response: LegResponse, when: Sequence[CubicSpline], seconds: float
+) -> FloatArray:
+    """Sway and swing together (C,), m, of laws: the largest over the interval of the stiffness."""
+    share = request.cell.options.quiet_stiffness_share
+    found = response.of(when, seconds, sorted({1 - share, 1.0, 1 + share}))
+    return np.asarray((found.sway + _SWING_WEIGHT * found.swing).max(axis=1))
 
 
 def _use(request: StrokeRequest, leg: _Leg, candidate: _Candidate, when: CubicSpline) -> float:

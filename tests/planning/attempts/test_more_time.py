@@ -1,0 +1,48 @@
+"""What more seconds would give on short legs: told where it is much, and true."""
+
+import re
+
+import numpy as np
+
+from cmbot import Plan, load_scene, plan
+
+SOFT = np.diag([2e4, 2e4, 1e5, 4e3, 4e3, 4e3])
+
+
+def planned(seconds: float, stiffness: float = 1.0) -> Plan:
+    return plan(
+        load_scene(
+            {
+                "format": "cmbot-scene/2",
+                "name": "mast",
+                "robot": {"model": "panda", "base_frame": "panda_link0", "tool_frame": "panda_hand_tcp"},
+                "start": {"posture_deg": [0, -45, 0, -135, 0, 90, 45]},
+                "guardrail": {"bays": 0, "stiffness": (stiffness * SOFT).tolist()},
+                "tool_path": {
+                    "keep": "pose",
+                    "legs": [{"by": [0, 0.1, 0], "seconds": seconds}],
+                    "via_points": 21,
+                },
+            }
+        ),
+        progress=False,
+    )
+
+
+def moved(made: Plan) -> float:
+    assert made.sway is not None
+    return made.sway.sway_mm + made.sway.swing_mm
+
+
+def test_what_more_seconds_give_on_a_short_leg_is_told_and_true() -> None:
+    short = planned(1.2)
+    (told,) = (each for each in short.fallbacks if "periods of the slowest mode" in each)
+    found = re.match(
+        r"Leg 1 takes 1\.2 s, (.*) periods .* in (.*) s the tool .* by (.*) mm in place of (.*) mm", told
+    )
+    assert found is not None
+    periods, longer, less, sway = (float(number) for number in found.groups())
+    assert periods < 6 and longer > 1.2 and less <= 0.5 * sway
+    assert moved(planned(longer)) < 0.6 * moved(short)
+    # The same leg on a stiff mast has more periods.
+    assert not any("periods" in each for each in planned(1.2, stiffness=50.0).fallbacks)
