@@ -55,8 +55,7 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # pydantic would look for plugins through all packages that are installed.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
-    from cmbot.cli import main as run
-    from cmbot.cli import take_signals
+    from cmbot.cli import main as run, take_signals
 
     try:
         take_signals()

@@ -2,24 +2,15 @@
 
 from __future__ import annotations
 
-from cmbot.accuracy.budget import Accuracy, AccuracyPart, Remedy, Shaking, Work, WorkPath, accuracy_of
-from cmbot.accuracy.parts import Part, parts_of
-from cmbot.accuracy.quietness import Quietness, quietness_of
-from cmbot.accuracy.sway import Sway, stroke_sway, sway_along
-
-__all__ = [
-    "Accuracy",
-    "AccuracyPart",
-    "Part",
-    "Quietness",
-    "Remedy",
-    "Shaking",
-    "Sway",
-    "Work",
-    "WorkPath",
-    "accuracy_of",
-    "parts_of",
-    "quietness_of",
-    "stroke_sway",
-    "sway_along",
-]
+from cmbot.accuracy.budget import (
+    Accuracy as Accuracy,
+    AccuracyPart as AccuracyPart,
+    Remedy as Remedy,
+    Shaking as Shaking,
+    Work as Work,
+    WorkPath as WorkPath,
+    accuracy_of as accuracy_of,
+)
+from cmbot.accuracy.parts import Part as Part, parts_of as parts_of
+from cmbot.accuracy.quietness import Quietness as Quietness, quietness_of as quietness_of
+from cmbot.accuracy.sway import Sway as Sway, stroke_sway as stroke_sway, sway_along as sway_along

@@ -5,14 +5,32 @@ What needs coal or pinocchio is imported when it is first used: a scene is read 
 
 from typing import TYPE_CHECKING
 
-from cmbot.collision.mesh_file import load_mesh
-from cmbot.collision.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere
+from cmbot.collision.mesh_file import load_mesh as load_mesh
+from cmbot.collision.obstacles import (
+    Box as Box,
+    Capsule as Capsule,
+    Cylinder as Cylinder,
+    Mesh as Mesh,
+    Obstacle as Obstacle,
+    Shape as Shape,
+    Sphere as Sphere,
+)
 from cmbot.common.lazy_imports import on_first_use
 
 if TYPE_CHECKING:
-    from cmbot.collision.clearance import RESOLUTION, Clearances, Nearest, Smallest
-    from cmbot.collision.motion_bounds import raise_bounds, travel
-    from cmbot.collision.point_distances import PointDistances
-    from cmbot.collision.shapes import PairedShapes, ShapePair, extent_of, touched_by
+    from cmbot.collision.clearance import (
+        RESOLUTION as RESOLUTION,
+        Clearances as Clearances,
+        Nearest as Nearest,
+        Smallest as Smallest,
+    )
+    from cmbot.collision.motion_bounds import raise_bounds as raise_bounds, travel as travel
+    from cmbot.collision.point_distances import PointDistances as PointDistances
+    from cmbot.collision.shapes import (
+        PairedShapes as PairedShapes,
+        ShapePair as ShapePair,
+        extent_of as extent_of,
+        touched_by as touched_by,
+    )
 
 __getattr__ = on_first_use(__name__)

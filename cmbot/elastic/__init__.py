@@ -4,28 +4,19 @@ The arm's elasticity needs the robot, and pinocchio with it: it is imported from
 `cmbot.elastic.arm`, `cmbot.elastic.sag` and `cmbot.elastic.modes`, so that a scene is read without them.
 """
 
-from cmbot.elastic.base import ElasticBase, SharedFrame, elastic_base, shares, with_legs
-from cmbot.elastic.guardrail import (
-    AngleSection,
-    BarSection,
-    Guardrail,
-    GuardrailMaterial,
-    Post,
-    Rail,
-    Section,
+from cmbot.elastic.base import (
+    ElasticBase as ElasticBase,
+    SharedFrame as SharedFrame,
+    elastic_base as elastic_base,
+    shares as shares,
+    with_legs as with_legs,
 )
-
-__all__ = [
-    "AngleSection",
-    "BarSection",
-    "ElasticBase",
-    "Guardrail",
-    "GuardrailMaterial",
-    "Post",
-    "Rail",
-    "Section",
-    "SharedFrame",
-    "elastic_base",
-    "shares",
-    "with_legs",
-]
+from cmbot.elastic.guardrail import (
+    AngleSection as AngleSection,
+    BarSection as BarSection,
+    Guardrail as Guardrail,
+    GuardrailMaterial as GuardrailMaterial,
+    Post as Post,
+    Rail as Rail,
+    Section as Section,
+)

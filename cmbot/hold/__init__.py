@@ -1,17 +1,11 @@
 """How the feet hold: the contact of a foot, what it bears, the adhesion that it needs."""
 
-from cmbot.hold.contact import MAGNET_PRESSURE, Contact, Gap
-from cmbot.hold.foot import Foot
-from cmbot.hold.holding import ADHESION, CLAMP_LOAD, AdhesionPeak, Holding, needed_by_load
-
-__all__ = [
-    "ADHESION",
-    "CLAMP_LOAD",
-    "MAGNET_PRESSURE",
-    "AdhesionPeak",
-    "Contact",
-    "Foot",
-    "Gap",
-    "Holding",
-    "needed_by_load",
-]
+from cmbot.hold.contact import MAGNET_PRESSURE as MAGNET_PRESSURE, Contact as Contact, Gap as Gap
+from cmbot.hold.foot import Foot as Foot
+from cmbot.hold.holding import (
+    ADHESION as ADHESION,
+    CLAMP_LOAD as CLAMP_LOAD,
+    AdhesionPeak as AdhesionPeak,
+    Holding as Holding,
+    needed_by_load as needed_by_load,
+)

@@ -8,80 +8,58 @@ from pathlib import Path
 from typing import Any
 
 from cmbot.common.reading.yaml_reader import lines_named
-from cmbot.identification.deflection_table import read_deflections
-from cmbot.identification.design import Proposal, job_postures, propose, require_axes
-from cmbot.identification.estimation import Identification, Weight, estimate
+from cmbot.identification.deflection_table import read_deflections as read_deflections
+from cmbot.identification.design import (
+    Proposal as Proposal,
+    job_postures as job_postures,
+    propose as propose,
+    require_axes as require_axes,
+)
+from cmbot.identification.estimation import (
+    Identification as Identification,
+    Weight as Weight,
+    estimate as estimate,
+)
 from cmbot.identification.location import (
-    Location,
-    features_to_touch,
-    locate,
-    located,
-    location_remarks,
-    placement_of,
+    Location as Location,
+    features_to_touch as features_to_touch,
+    locate as locate,
+    located as located,
+    location_remarks as location_remarks,
+    placement_of as placement_of,
 )
 from cmbot.identification.measurements import (
-    Measurements,
-    MeasurementsFile,
-    MeasuringSetup,
-    Prior,
-    is_sheet,
-    read_measurements,
+    Measurements as Measurements,
+    MeasurementsFile as MeasurementsFile,
+    MeasuringSetup as MeasuringSetup,
+    Prior as Prior,
+    is_sheet as is_sheet,
+    read_measurements as read_measurements,
 )
-from cmbot.identification.misfit import Part, Slip
-from cmbot.identification.model import DeflectionModel, SagAlong, measured_arm, prior_deviations, sag_along
+from cmbot.identification.misfit import Part as Part, Slip as Slip
+from cmbot.identification.model import (
+    DeflectionModel as DeflectionModel,
+    SagAlong as SagAlong,
+    measured_arm as measured_arm,
+    prior_deviations as prior_deviations,
+    sag_along as sag_along,
+)
 from cmbot.identification.report import (
-    HEADINGS,
-    identified_rows,
-    proposal_remarks,
-    remarks,
-    require_fit,
-    stiffness_text,
-    unseen,
+    HEADINGS as HEADINGS,
+    identified_rows as identified_rows,
+    proposal_remarks as proposal_remarks,
+    remarks as remarks,
+    require_fit as require_fit,
+    stiffness_text as stiffness_text,
+    unseen as unseen,
 )
-from cmbot.identification.touches import Feature, Touches, TouchSetup, frame_of, read_touches
-
-__all__ = [
-    "HEADINGS",
-    "DeflectionModel",
-    "Feature",
-    "Identification",
-    "Location",
-    "Measurements",
-    "MeasurementsFile",
-    "MeasuringSetup",
-    "Part",
-    "Prior",
-    "Proposal",
-    "SagAlong",
-    "Slip",
-    "TouchSetup",
-    "Touches",
-    "Weight",
-    "estimate",
-    "features_to_touch",
-    "frame_of",
-    "identified_rows",
-    "identify",
-    "is_sheet",
-    "job_postures",
-    "locate",
-    "located",
-    "location_remarks",
-    "measured_arm",
-    "placement_of",
-    "prior_deviations",
-    "proposal_remarks",
-    "propose",
-    "read_deflections",
-    "read_measurements",
-    "read_touches",
-    "remarks",
-    "require_axes",
-    "require_fit",
-    "sag_along",
-    "stiffness_text",
-    "unseen",
-]
+from cmbot.identification.touches import (
+    Feature as Feature,
+    Touches as Touches,
+    TouchSetup as TouchSetup,
+    frame_of as frame_of,
+    read_touches as read_touches,
+)
 
 
 def identify(*sources: str | Path | Mapping[str, Any], accept_misfit: bool = False) -> Identification:

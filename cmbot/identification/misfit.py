@@ -18,8 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
-from scipy.stats import f as fisher
+from scipy.stats import chi2, f as fisher
 
 from cmbot.common.arrays import FloatArray
 from cmbot.identification.problem import Block, Kind, Label, Problem

@@ -1,91 +1,64 @@
 """The robot: its model from a URDF, its kinematics and its dynamics."""
 
-from cmbot.robot.climber import CLIMBING_JOINTS, Climber, ClimberBodies
-from cmbot.robot.description.completion import AttachedTool, ToolShape
-from cmbot.robot.description.files import RobotFiles, robot_files
-from cmbot.robot.description.frames import arm_frames
-from cmbot.robot.description.hulls import convex_hull, encloses_volume
-from cmbot.robot.description.mesh_file import faces_of, is_mesh, locate_meshes, vertices_of
-from cmbot.robot.description.self_collision import MOST_FAR, NEAR, sampled_postures
-from cmbot.robot.description.xml_file import parse_urdf, urdf_content
-from cmbot.robot.dynamics import Dynamics, Efforts, external_forces
-from cmbot.robot.elasticity import JointElasticity, LinkTube
-from cmbot.robot.holding_joints import HoldingJoint, holding_rows, leg_compliance
-from cmbot.robot.inspection import Finding, inspect_robot, inspect_urdf, overview
+from cmbot.robot.climber import (
+    CLIMBING_JOINTS as CLIMBING_JOINTS,
+    Climber as Climber,
+    ClimberBodies as ClimberBodies,
+)
+from cmbot.robot.description.completion import AttachedTool as AttachedTool, ToolShape as ToolShape
+from cmbot.robot.description.files import RobotFiles as RobotFiles, robot_files as robot_files
+from cmbot.robot.description.frames import arm_frames as arm_frames
+from cmbot.robot.description.hulls import convex_hull as convex_hull, encloses_volume as encloses_volume
+from cmbot.robot.description.mesh_file import (
+    faces_of as faces_of,
+    is_mesh as is_mesh,
+    locate_meshes as locate_meshes,
+    vertices_of as vertices_of,
+)
+from cmbot.robot.description.self_collision import (
+    MOST_FAR as MOST_FAR,
+    NEAR as NEAR,
+    sampled_postures as sampled_postures,
+)
+from cmbot.robot.description.xml_file import parse_urdf as parse_urdf, urdf_content as urdf_content
+from cmbot.robot.dynamics import Dynamics as Dynamics, Efforts as Efforts, external_forces as external_forces
+from cmbot.robot.elasticity import JointElasticity as JointElasticity, LinkTube as LinkTube
+from cmbot.robot.holding_joints import (
+    HoldingJoint as HoldingJoint,
+    holding_rows as holding_rows,
+    leg_compliance as leg_compliance,
+)
+from cmbot.robot.inspection import (
+    Finding as Finding,
+    inspect_robot as inspect_robot,
+    inspect_urdf as inspect_urdf,
+    overview as overview,
+)
 from cmbot.robot.joint_kinds import (
-    JointUnits,
-    PostureMetric,
-    joint_units,
-    postures_in_words,
-    prismatic_joints,
-    slide_axes,
-    turn_axis,
+    JointUnits as JointUnits,
+    PostureMetric as PostureMetric,
+    joint_units as joint_units,
+    postures_in_words as postures_in_words,
+    prismatic_joints as prismatic_joints,
+    slide_axes as slide_axes,
+    turn_axis as turn_axis,
 )
-from cmbot.robot.kinematics import Chain, Kinematics, PostureBatch, Postures, ToolBatch, link_poses
-from cmbot.robot.limits import JointLimits
+from cmbot.robot.kinematics import (
+    Chain as Chain,
+    Kinematics as Kinematics,
+    PostureBatch as PostureBatch,
+    Postures as Postures,
+    ToolBatch as ToolBatch,
+    link_poses as link_poses,
+)
+from cmbot.robot.limits import JointLimits as JointLimits
 from cmbot.robot.loading import (
-    ARM_JOINTS,
-    Side,
-    inspect_loaded,
-    load_climbing_robot,
-    load_robot,
-    other_foot,
-    srdf_text,
+    ARM_JOINTS as ARM_JOINTS,
+    Side as Side,
+    inspect_loaded as inspect_loaded,
+    load_climbing_robot as load_climbing_robot,
+    load_robot as load_robot,
+    other_foot as other_foot,
+    srdf_text as srdf_text,
 )
-from cmbot.robot.robot import Robot
-
-__all__ = [
-    "ARM_JOINTS",
-    "CLIMBING_JOINTS",
-    "MOST_FAR",
-    "NEAR",
-    "AttachedTool",
-    "Chain",
-    "Climber",
-    "ClimberBodies",
-    "Dynamics",
-    "Efforts",
-    "Finding",
-    "HoldingJoint",
-    "JointElasticity",
-    "JointLimits",
-    "JointUnits",
-    "Kinematics",
-    "LinkTube",
-    "PostureBatch",
-    "PostureMetric",
-    "Postures",
-    "Robot",
-    "RobotFiles",
-    "Side",
-    "ToolBatch",
-    "ToolShape",
-    "arm_frames",
-    "convex_hull",
-    "encloses_volume",
-    "external_forces",
-    "faces_of",
-    "holding_rows",
-    "inspect_loaded",
-    "inspect_robot",
-    "inspect_urdf",
-    "is_mesh",
-    "joint_units",
-    "leg_compliance",
-    "link_poses",
-    "load_climbing_robot",
-    "load_robot",
-    "locate_meshes",
-    "other_foot",
-    "overview",
-    "parse_urdf",
-    "postures_in_words",
-    "prismatic_joints",
-    "robot_files",
-    "sampled_postures",
-    "slide_axes",
-    "srdf_text",
-    "turn_axis",
-    "urdf_content",
-    "vertices_of",
-]
+from cmbot.robot.robot import Robot as Robot

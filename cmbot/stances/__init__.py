@@ -1,69 +1,50 @@
 """Where to stand: candidates along the guardrail, screened and ranked, the best planned."""
 
-from cmbot.stances.bounds import NO_FIGURES, Bounds, StanceFigures, StanceObjective
+from cmbot.stances.bounds import (
+    NO_FIGURES as NO_FIGURES,
+    Bounds as Bounds,
+    StanceFigures as StanceFigures,
+    StanceObjective as StanceObjective,
+)
 from cmbot.stances.candidates import (
-    AnyCandidate,
-    Candidate,
-    MountCandidate,
-    bare_climber,
-    candidate_at,
-    candidates_of,
-    in_the_way,
-    lift_height,
-    on_two_feet,
-    own_candidate,
-    place_in_words,
-    places_of,
-    without_links,
+    AnyCandidate as AnyCandidate,
+    Candidate as Candidate,
+    MountCandidate as MountCandidate,
+    bare_climber as bare_climber,
+    candidate_at as candidate_at,
+    candidates_of as candidates_of,
+    in_the_way as in_the_way,
+    lift_height as lift_height,
+    on_two_feet as on_two_feet,
+    own_candidate as own_candidate,
+    place_in_words as place_in_words,
+    places_of as places_of,
+    without_links as without_links,
 )
-from cmbot.stances.placed_scene import in_world, joined, put_away, scene_at
+from cmbot.stances.placed_scene import (
+    in_world as in_world,
+    joined as joined,
+    put_away as put_away,
+    scene_at as scene_at,
+)
 from cmbot.stances.ranking import (
-    StanceRanking,
-    best_scene,
-    require_on_guardrail,
-    require_planned,
-    require_standing,
-    stand,
+    StanceRanking as StanceRanking,
+    best_scene as best_scene,
+    require_on_guardrail as require_on_guardrail,
+    require_planned as require_planned,
+    require_standing as require_standing,
+    stand as stand,
 )
-from cmbot.stances.screening import Screener
-from cmbot.stances.search import Rejection, StanceResult, StandOptions
-from cmbot.stances.table import bounds_table, in_words, planned_table, shared_out, stances_csv
-
-__all__ = [
-    "NO_FIGURES",
-    "AnyCandidate",
-    "Bounds",
-    "Candidate",
-    "MountCandidate",
-    "Rejection",
-    "Screener",
-    "StanceFigures",
-    "StanceObjective",
-    "StanceRanking",
-    "StanceResult",
-    "StandOptions",
-    "bare_climber",
-    "best_scene",
-    "bounds_table",
-    "candidate_at",
-    "candidates_of",
-    "in_the_way",
-    "in_words",
-    "in_world",
-    "joined",
-    "lift_height",
-    "on_two_feet",
-    "own_candidate",
-    "place_in_words",
-    "places_of",
-    "planned_table",
-    "put_away",
-    "require_on_guardrail",
-    "require_planned",
-    "require_standing",
-    "scene_at",
-    "shared_out",
-    "stances_csv",
-    "stand",
-    "without_links",
-]
+from cmbot.stances.screening import Screener as Screener
+from cmbot.stances.search import (
+    Rejection as Rejection,
+    StanceResult as StanceResult,
+    StandOptions as StandOptions,
+)
+from cmbot.stances.table import (
+    bounds_table as bounds_table,
+    in_words as in_words,
+    planned_table as planned_table,
+    shared_out as shared_out,
+    stances_csv as stances_csv,
+)

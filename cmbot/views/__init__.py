@@ -8,19 +8,29 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from cmbot.common.lazy_imports import on_first_use
-from cmbot.views.compare import compare_page
-from cmbot.views.film import film
-from cmbot.views.overview.gallery import gallery_page
-from cmbot.views.page import assemble_plain, write_page
-from cmbot.views.plots import figure_files, plot, require_matplotlib
-from cmbot.views.replay import ReplayServer, replay, replay_page
-from cmbot.views.report import REPLAY, REPORT, pages, report, report_page
-from cmbot.views.show import Shown, show
+from cmbot.views.compare import compare_page as compare_page
+from cmbot.views.film import film as film
+from cmbot.views.overview.gallery import gallery_page as gallery_page
+from cmbot.views.page import assemble_plain as assemble_plain, write_page as write_page
+from cmbot.views.plots import (
+    figure_files as figure_files,
+    plot as plot,
+    require_matplotlib as require_matplotlib,
+)
+from cmbot.views.replay import ReplayServer as ReplayServer, replay as replay, replay_page as replay_page
+from cmbot.views.report import (
+    REPLAY as REPLAY,
+    REPORT as REPORT,
+    pages as pages,
+    report as report,
+    report_page as report_page,
+)
+from cmbot.views.show import Shown as Shown, show as show
 
 if TYPE_CHECKING:
-    from cmbot.views.overview.excitation import EXCITATION, excitation_page
-    from cmbot.views.overview.stances import stances_page
-    from cmbot.views.overview.walk import tour_page, walk_page
-    from cmbot.views.walk_replay import walk_replay_page
+    from cmbot.views.overview.excitation import EXCITATION as EXCITATION, excitation_page as excitation_page
+    from cmbot.views.overview.stances import stances_page as stances_page
+    from cmbot.views.overview.walk import tour_page as tour_page, walk_page as walk_page
+    from cmbot.views.walk_replay import walk_replay_page as walk_replay_page
 
 __getattr__ = on_first_use(__name__)

@@ -11,8 +11,7 @@ import pinocchio as pin
 import pytest
 from distance_tables import SHAPES, TOLERANCE, all_distances
 from finite_differences import check_derivative
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
 from oracles.distances import capsule_of, from_capsule
 from robot_files import load_copy

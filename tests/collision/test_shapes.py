@@ -11,8 +11,7 @@ import trimesh
 from distance_tables import all_distances
 from numpy.typing import NDArray
 from oracles.distances import between_hulls, capsule_of
-from robot_files import FLAT, write_flat_obj
-from robot_files import pose as pose_of
+from robot_files import FLAT, pose as pose_of, write_flat_obj
 from state_samples import StateSamples
 
 from cmbot.collision import (

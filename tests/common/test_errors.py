@@ -4,8 +4,7 @@ import re
 from itertools import accumulate
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from cmbot.common.errors import (
     LONGEST_MESSAGE,

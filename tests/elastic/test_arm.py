@@ -18,8 +18,7 @@ from elastic_robots import (
     random_robot,
     second_moment,
 )
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from oracles import beams
 from robot_files import load_copy
 

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from guardrails import guardrail, relative_difference
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
 from oracles.beams import angle_cantilever, angle_outline, polygon
 from scipy import linalg, sparse

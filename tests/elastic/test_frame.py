@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from guardrails import relative_difference
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from numpy.typing import NDArray
 from oracles.beams import angle_cantilever, cantilever
 from scipy import linalg, sparse

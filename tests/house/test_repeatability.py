@@ -4,8 +4,7 @@ import importlib
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 
 def test_examples_do_not_depend_on_what_other_tests_have_imported(

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.optimization.constraint_set import OBJECTIVE, ConstraintSet

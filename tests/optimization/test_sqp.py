@@ -6,8 +6,7 @@ from typing import Any, Self
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
+from hypothesis import example, given, settings, strategies as st
 from scipy import sparse
 
 from cmbot.common.arrays import FloatArray

@@ -16,8 +16,7 @@ from small_scenes import request_of, short_scene
 from cmbot import LimitViolation, load_plan, plan, save
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
-from cmbot.planning import Plan, QuinticTrajectory
-from cmbot.planning import initial_guess as guess
+from cmbot.planning import Plan, QuinticTrajectory, initial_guess as guess
 from cmbot.planning.path.gradient_projection import follow_path
 from cmbot.planning.postures.projection import project_onto_task
 from cmbot.planning.request import StrokeRequest

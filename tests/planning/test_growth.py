@@ -5,8 +5,7 @@ from dataclasses import replace
 import growth
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from scipy import sparse
 from small_scenes import problem_of, request_of, short_scene
 

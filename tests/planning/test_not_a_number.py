@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from clamped import MAGNET
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from small_motions import wild
 from small_scenes import short_scene
 

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from forgeries import certified, changed_scene
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from plan_folders import edit
 from small_motions import wild
 from small_scenes import request_of, short_scene, task_at

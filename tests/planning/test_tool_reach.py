@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import run, write_scene
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from small_scenes import parts, path_through, request_of, short_scene, strokes_scene

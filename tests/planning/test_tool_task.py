@@ -6,8 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from finite_differences import check_derivative, finite_difference
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 from small_scenes import goals_at, path_through
 

@@ -7,8 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from finite_differences import check_derivative
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from state_samples import FloatArray, StateSamples
 
 from cmbot.robot import Dynamics, Kinematics, Postures, Robot

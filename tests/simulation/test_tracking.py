@@ -23,10 +23,10 @@ from cmbot.simulation import (
     interval_rows,
     simulate,
     track,
+    tracking as tracking_module,
     tracking_remarks,
     tracking_rows,
 )
-from cmbot.simulation import tracking as tracking_module
 from cmbot.simulation.tracking import MotionTracking, elastic_arm_of
 
 OPTIONS = SimulationOptions()

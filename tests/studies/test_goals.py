@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from chang2021 import FACTORS, cells, goals
 from chang2021.experiment import Experiment, Run, Variant

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 from finite_differences import finite_difference
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
+from hypothesis import example, given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray

@@ -8,8 +8,7 @@ import pinocchio as pin
 import pytest
 import trimesh
 from browser import ask, open_page, shows, slide
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from page_data import data_of, floats
 from scipy.interpolate import CubicHermiteSpline
 from selenium.webdriver import Chrome

@@ -4,8 +4,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from cmbot.planning.attempts.agenda import Agenda, Remedy, Solved, Trial
 from cmbot.planning.attempts.failure import Failure, NoWay

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from cmbot.collision import Box, Capsule, Clearances, Cylinder, Obstacle, Shape, Sphere
 from cmbot.common.arrays import FloatArray

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from small_scenes import parts, request_of, short_scene
 
 from cmbot.common.arrays import FloatArray

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from clamped import CLAMP, MAGNET, clamped_scene
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from plan_folders import changed
 
 from cmbot.archive import load_plan, save

@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from small_scenes import off_task, request_of, short_scene
 from urdf_arms import six_joint_scene
 
@@ -16,8 +15,7 @@ from cmbot.common.errors import PathNotFound, PlanningError
 from cmbot.planning import GlobalSearch, plan
 from cmbot.planning.postures.projection import null_space, project_onto_task
 from cmbot.planning.request import StrokeRequest
-from cmbot.planning.selfmotion import global_search
-from cmbot.planning.selfmotion import sampler as sampling
+from cmbot.planning.selfmotion import global_search, sampler as sampling
 from cmbot.planning.selfmotion.dynamic_programming import edges_along, refine
 from cmbot.planning.selfmotion.global_search import sequences_beside
 from cmbot.planning.selfmotion.lower_bound import LowerBound, find_lower_bound

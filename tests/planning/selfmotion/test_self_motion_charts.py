@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from oracles.inverse_kinematics import postures as closed_form
 from scipy.spatial import cKDTree
 from small_scenes import goals_at, off_task, task_at

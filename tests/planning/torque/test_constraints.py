@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from finite_differences import check_derivative, check_state_derivatives
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 from small_scenes import parts, short_request, short_scene, with_corners
 from state_samples import StateSamples as RandomStates

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from small_scenes import problem_of, request_of, short_scene, torque_problem
 
 from cmbot.common.errors import OptimisationFailed

@@ -9,8 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from finite_differences import check_derivative, check_state_derivatives
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from plan_folders import edit, refused
 from small_scenes import request_of, short_scene
 from state_samples import StateSamples as RandomStates

@@ -13,8 +13,7 @@ import pytest
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from small_scenes import short_scene
-from walks import ARM_DEG, CLAMP, COUNTERWEIGHT_DEG, feet, one_step
-from walks import scene_on_two_feet as scene_at
+from walks import ARM_DEG, CLAMP, COUNTERWEIGHT_DEG, feet, one_step, scene_on_two_feet as scene_at
 
 import cmbot
 from cmbot.common.arrays import FloatArray

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from raster_scenes import HOLE, OVERSCAN, RASTER, STAND_OFF, prism, raster_scene
 from scipy.spatial.transform import Rotation
 from timed_paths import check_path, vectors

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from raster_scenes import HOLE, prism, raster_scene
 from timed_paths import SECOND, check_path, scene_of
 
