@@ -64,6 +64,9 @@ class PlannerOptions(CheckedFields):
     deviation_sigmas : float
         With `compensate` and an identified stiffness: the bent tool keeps its deviation even if its sag is
         off by this many standard deviations.
+    quiet_modes : int
+        With sliding knots: number of elastic modes, the slowest first, that are brought to rest at the ends
+        of legs, where that pays.
     quiet_stiffness_share : float
         Share by which all stiffness may differ from the modelled one there. With an identified stiffness it
         is at most two standard deviations.
@@ -146,6 +149,7 @@ class PlannerOptions(CheckedFields):
     axis_weights: AxisWeights = (1.0, 1.0, 1.0)
     compensate: AutoOrBool = "auto"
     deviation_sigmas: Annotated[float, Field(ge=0, le=10)] = 0.0
+    quiet_modes: Annotated[int, Field(ge=0, le=10)] = 2
     quiet_stiffness_share: Annotated[float, Field(ge=0, le=0.9)] = 0.3
     baseline: Literal["paper", "straight", "none"] = "none"
     avoidance: Literal["smooth", "switch"] = "smooth"

@@ -24,6 +24,7 @@ _LOOSER: Mapping[str, Callable[[Any, Any], bool]] = {
     "max_tool_rotation_deg": gt,
     "max_tool_lag_m": gt,
     "deviation_sigmas": lt,
+    "quiet_modes": lt,
     **dict.fromkeys(("compensate", "knots", "start", "objective", "moment_about", "axis_weights"), ne),
 }
 

@@ -16,6 +16,7 @@ from cmbot.planning.attempts.failure import Failure, failure_of
 from cmbot.planning.attempts.remedies import is_little_nearer
 from cmbot.planning.certification.certificate import Certificate, certify
 from cmbot.planning.flexibility.sag_compensation import Compensation, optimise_bent
+from cmbot.planning.flexibility.vibration_suppression import suppress_vibration
 from cmbot.planning.free_motion.approach import plan_approach
 from cmbot.planning.free_motion.free_move import largest_objective
 from cmbot.planning.free_motion.return_move import SAME_POSTURE, plan_return
@@ -135,24 +136,26 @@ def peak_of(request: StrokeRequest, parts: Sequence[Segment]) -> float:
 
 
 def _optimised(request: StrokeRequest, guess: InitialGuess) -> tuple[Optimised, Compensation | None]:
-    """The optimised motion, with sag compensated where something bends."""
+    """The optimised motion, with sag compensated and vibration suppressed where something bends."""
     cell = request.cell
     request.reporter.stage("optimise")
 
     def each_pass(report: ExchangeReport) -> None:
         request.reporter.passed(report, cell.objective.unit)
 
-    compensation = None
+    compensation, problem = None, guess.problem
     try:
         if cell.sag is None:
-            optimised = optimise(guess.problem, each_pass)
+            optimised = optimise(problem, each_pass)
         else:
-            optimised, compensation = optimise_bent(request, guess, cell.sag, each_pass)
+            optimised, compensation, problem = optimise_bent(request, guess, cell.sag, each_pass)
     except OptimisationFailed as failure:
         leaps = leap_failure(guess.problem)
         if leaps is None:
             raise
         raise leaps from failure
+    if cell.arm is not None and cell.options.knots == "sliding" and cell.options.quiet_modes:
+        optimised = suppress_vibration(cell.arm, problem, optimised)
     return optimised, compensation
 
 

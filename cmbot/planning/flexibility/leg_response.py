@@ -63,7 +63,7 @@ class LegResponse:
         posture, first, second = (q(shares, order) for order in range(3))
         at = linearised(arm, posture)
         ends = (0, _INTERVALS // 2, _INTERVALS)
-        shapes = [_slowest(at.mass[k], at.stiffness[k], _CARRIERS) for k in ends]
+        shapes = [slowest_modes(at.mass[k], at.stiffness[k], _CARRIERS) for k in ends]
         self.omega = shapes[1][0]
         V = np.linalg.qr(np.hstack([shape for _, shape in shapes]))[0]
         du = -np.einsum("kij,kj->ki", np.linalg.solve(at.stiffness, at.weight), first)
@@ -131,7 +131,7 @@ class LegResponse:
         return swing
 
 
-def _slowest(mass: FloatArray, stiffness: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
+def slowest_modes(mass: FloatArray, stiffness: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
     """Return angular frequencies (k,), ascending, and shapes (f, k) of unit modal mass of slowest modes."""
     squares, X = linalg.eigh(mass, stiffness)
     squares, X = squares[: -most - 1 : -1], X[:, : -most - 1 : -1]

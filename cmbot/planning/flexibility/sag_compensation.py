@@ -67,10 +67,11 @@ def optimise_bent(
     guess: InitialGuess,
     sag: Sag,
     progress: Callable[[ExchangeReport], None] | None = None,
-) -> tuple[Optimised, Compensation]:
+) -> tuple[Optimised, Compensation, TorqueProblem]:
     """Optimise the motion of the bent arm, whose tool is the task.
 
-    `progress` is called after every exchange iteration.
+    `progress` is called after every exchange iteration. Returns the trajectory and the problem whose
+    solution it is.
 
     Raises
     ------
@@ -119,7 +120,7 @@ class _Bending:
             shifted = guess.lower_bound.each + self._problem.at_via_points - guess.problem.at_via_points
             self._least = float(shifted.max()) * (1 + _PEAK_TOLERANCE)
 
-    def solved(self) -> tuple[Optimised, Compensation]:
+    def solved(self) -> tuple[Optimised, Compensation, TorqueProblem]:
         """Solve and linearize until the sag of the solution is what it was taken for."""
         optimised: Optimised | None = None
         for number in range(_LINEARIZATIONS):
@@ -130,7 +131,7 @@ class _Bending:
             change = float(np.linalg.norm(after.sag - self._bent.at(self._times, after.q).sag, axis=1).max())
             if change < self._settled:
                 done = self._done(near, after.sag, change)
-                return replace(optimised, passes=tuple(self._passes)), done
+                return replace(optimised, passes=tuple(self._passes)), done, self._problem
             if self._request.deadline.expired():
                 reason = f"{self._request.deadline.over_in_words} before the sag along the motion was settled"
                 raise self._failure(reason, change, stopped=True)

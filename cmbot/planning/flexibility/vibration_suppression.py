@@ -1,0 +1,231 @@
+"""Vibration suppression: the elastic modes are brought to rest where the tool comes to rest.
+
+Guardrail and links answer the joints' motion as a linear system whose matrices change slowly with the
+posture. With y what they move beyond the sag and beyond what the accelerations bend quasi-statically,
+
+    M(t) y'' + D(t) y' + K(t) y = M K^-1 B(t) snap(t),    B = M_fa + M_ff du_sag/dq
+
+so the first modes' displacement and velocity at the end of a leg are linear in the joints' snap, and with it
+in the splines' coefficients. Of all changes that bring them to zero at every end of a leg the one with the
+least mean squared jerk is taken. Via-points, and C3 at the knots, are kept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+
+from cmbot.accuracy import stroke_sway
+from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.elastic.arm import ElasticArm
+from cmbot.optimization import (
+    OBJECTIVE,
+    ConstraintSet,
+    Separation,
+    find_violations,
+    linearize,
+)
+from cmbot.planning.flexibility.leg_vibration import ElasticPath, LegVibration
+from cmbot.planning.flexibility.leg_window import SAME_TIME, Window, legs_by_window
+from cmbot.planning.torque import Optimised, TorqueProblem
+from cmbot.trajectory import QuinticTrajectory
+
+# Rounds at most, and constraints at most that are added in each round for each window.
+_MAX_ROUNDS, _MOST_SITES = 12, 400
+# Earlier linearizations are kept of what was nearer to its bound than this.
+_KEPT_LINEARIZATION_SHARE = 0.3
+# Where a constraint of the state is violated by less than the first number, a step goes further than to its
+# bound by the second share of that: about so much a step leaves, and the next one would leave of the rest.
+_SMALL_VIOLATION, _FURTHER_SHARE = 0.1, 0.3
+# Shares of the last change that are tried then, the largest first; the peak may rise by this share at most.
+_SHARES, _PEAK_RISE = (0.75, 0.5, 0.25), 1e-6
+# The largest swing is to fall to this share, and the sway at work may grow by this factor; an amplitude of
+# the tool below the last, m, is rest.
+_WORTHWHILE_SWING_SHARE, _MAX_SWAY_GROWTH, _AT_REST_M = 0.9, 1.02, 2e-6
+# What the prediction misses, as a share of the stiffness.
+_PREDICTION_ERROR_SHARE = 0.01
+# Factors on the stiffness for which vibration is predicted.
+_STIFFNESS_FACTORS = 13
+# Time before the end of a leg in which vibration was excited that still counts, s.
+_MEMORY_S = 20.0 + SAME_TIME
+# Of a longer leg only what is excited in so many seconds before its end counts.
+_MAX_WINDOW_S = 100.0
+
+
+def suppress_vibration(arm: ElasticArm, problem: TorqueProblem, optimised: Optimised) -> Optimised:
+    """Bring the first elastic modes to rest at the ends of the legs, whatever the stiffness may be.
+
+    The trajectory goes on keeping the bounds of `problem`. It stays what it was where no change keeps them,
+    where the time is over, and where the largest swing after the stop does not fall by a tenth, or the tool
+    sways more at work, as simulated at the ends of the interval of stiffness.
+    """
+    request, trajectory, t = problem.request, optimised.trajectory, problem.space.t
+    options, reporter = request.cell.options, request.reporter
+    leg_times = request.task.path.leg_times
+    factors = _factors(options.quiet_stiffness_share)
+    groups = legs_by_window(problem.space, leg_times)
+    windows = [Window(problem, group) for group in groups]
+    path = ElasticPath(arm, trajectory)
+    ends = [(window, leg) for window, group in zip(windows, groups, strict=True) for leg in group]
+    for window, (first, last) in reporter.each("predicting the vibration of every leg", ends):
+        if request.deadline.expired():
+            return optimised
+        # What is left of the legs before is still there, but for that of long ago.
+        earlier = [time for time in leg_times if window.start <= time + SAME_TIME < t[first]]
+        start = min([t[first], *(time for time in earlier if t[last] - time <= _MEMORY_S)])
+        start = max(start, t[last] - _MAX_WINDOW_S)
+        leg = LegVibration(path, float(start), t[last], options.quiet_modes, factors)
+        window.bring_to_rest(leg, trajectory)
+    reporter.step("bringing the slowest vibrations to rest")
+    changed, shares = _Search(problem, trajectory, windows).changed()
+    if not any(shares):
+        return optimised
+    share = options.quiet_stiffness_share
+    (sway, swing), (after, left) = (stroke_sway(arm, each, share).largest for each in (trajectory, changed))
+    pays = left <= _WORTHWHILE_SWING_SHARE * swing and after <= _MAX_SWAY_GROWTH * sway
+    return replace(optimised, trajectory=changed) if pays else optimised
+
+
+def _factors(share: float) -> FloatArray:
+    """Factors (C,) on the stiffness: evenly spaced in frequency, so the phases at the end of a leg are."""
+    if not share:
+        return np.ones(1)
+    wide = share + _PREDICTION_ERROR_SHARE
+    roots = np.linspace(np.sqrt(1 - wide), np.sqrt(1 + wide), _STIFFNESS_FACTORS)
+    return np.union1d(roots**2, [1 - share, 1.0, 1 + share])
+
+
+@dataclass(frozen=True, eq=False)
+class _Held:
+    """Times (K,), values (K,) and derivatives (K, (n - 4) d) by the coefficients of what is held.
+
+    Those are `curved` (K,) that are constraints of the state.
+    """
+
+    times: FloatArray
+    value: FloatArray
+    rows: sparse.csr_array
+    curved: BoolArray
+
+
+@dataclass(frozen=True, eq=False)
+class _HalfSpaces:
+    """Where ``rows X <= most``: of each a time (K,), a derivative (K, (n - 4) d) and a bound (K,)."""
+
+    times: FloatArray
+    rows: sparse.csr_array
+    most: FloatArray
+
+    def where(self, which: BoolArray) -> _HalfSpaces:
+        """Those that `which` (K,) names."""
+        return _HalfSpaces(self.times[which], self.rows[which], self.most[which])
+
+    def with_others(self, others: list[_HalfSpaces]) -> _HalfSpaces:
+        """These and others."""
+        each = [self, *others]
+        return _HalfSpaces(
+            np.concatenate([one.times for one in each]),
+            sparse.vstack([one.rows for one in each], format="csr"),
+            np.concatenate([one.most for one in each]),
+        )
+
+
+class _Search:
+    """A change of all windows that keeps the bounds.
+
+    Newton's method: what a step violates becomes a bound of the next one, which brings it back. What was
+    linearized in steps before stays, as in the cutting-plane method (Kelley, 1960): about the path the tool's
+    deviation is nearly convex, and from its last linearization alone steps go to and fro.
+    """
+
+    def __init__(self, problem: TorqueProblem, trajectory: QuinticTrajectory, windows: list[Window]) -> None:
+        self._problem, self._windows, self._given = problem, windows, trajectory
+        self._tolerance = problem.request.cell.options.constraint_tolerance
+        self._z = _knot_vector(trajectory)
+        self._starts = np.array([window.start for window in windows])
+        self._constraints = ConstraintSet(step=float(problem.grid[1] - problem.grid[0]))
+        found = self._separated(trajectory, np.inf, 0)
+        self._peak = found.peak * (1 + _PEAK_RISE)
+        self._allowed = max(found.worst.value, self._tolerance)
+        self._X = np.zeros((problem.space.dimension, trajectory.q.shape[1]))
+        self._shares = np.zeros(len(windows))
+        # Nothing is sought where every leg ends at rest, nor where nothing was found.
+        self._skipped = np.array([window.amplitude < _AT_REST_M for window in windows])
+        self._here, self._broken = trajectory, 0.0
+        self._held, self._earlier = self._held_here(), list[_HalfSpaces]()
+
+    def changed(self) -> tuple[QuinticTrajectory, list[float]]:
+        """Return the changed trajectory, and the share of each window's change that it took."""
+        unfit = ~self._skipped
+        for _ in range(_MAX_ROUNDS):
+            if not unfit.any() or self._problem.request.deadline.expired():
+                break
+            self._step(unfit)
+            unfit = self._unfit()
+        whole, shares = self._X.copy(), self._shares.copy()
+        for share in (*_SHARES, 0.0):
+            if unfit.any():
+                for k in np.flatnonzero(unfit):
+                    own = self._windows[k].coefficients
+                    self._X[own], self._shares[k] = share * whole[own], share * shares[k]
+                unfit = self._unfit() & (self._shares > 0)
+        if self._broken > self._allowed:
+            self._X[:] = 0.0
+            return self._given, [0.0] * len(self._windows)
+        return self._here, [float(share) for share in self._shares]
+
+    def _unfit(self) -> BoolArray:
+        """Which of the windows break a bound, or have not been changed yet."""
+        space, most = self._problem.space, _MOST_SITES * len(self._windows)
+        self._here = space.trajectory(self._z + space.basis @ self._X)
+        found = self._separated(self._here, self._peak, most)
+        self._constraints = found.added_to(self._constraints)
+        self._broken, self._held = max(found.worst.value, found.peak - self._peak), self._held_here()
+        unfit = self._shares == 0
+        np.logical_or.at(unfit, self._window_at(self._held.times), self._held.value > self._tolerance)
+        return np.asarray(unfit & ~self._skipped)
+
+    def _step(self, unfit: BoolArray) -> None:
+        """Work out the change of the windows that are unfit, to first order around the trajectory here."""
+        value, rows = self._held.value, self._held.rows
+        # What is at its bound, not beyond it, may stay there: some of it no coefficient can change.
+        further = np.where(self._held.curved & (value < _SMALL_VIOLATION), 1.0 + _FURTHER_SHARE, 1.0)
+        room = np.where(value <= self._tolerance, np.maximum(-value, 0.0), -further * value)
+        # For the change as a whole.
+        new = _HalfSpaces(self._held.times, rows, room + rows @ self._X.ravel())
+        known = new.with_others(self._earlier)
+        self._earlier.append(new.where(value > -_KEPT_LINEARIZATION_SHARE))
+        at = self._window_at(known.times)
+        for k in np.flatnonzero(unfit):
+            window, here = self._windows[k], at == k
+            found = window.change(known.rows[here], known.most[here])
+            # Without a change that keeps to the room here, one is sought from the start, once.
+            self._skipped[k] = found is None and self._shares[k] == 0
+            self._X[window.coefficients] = 0.0 if found is None else found.x
+            self._shares[k] = 0.0 if found is None else found.share
+        if (self._shares[unfit] == 0).any():
+            self._earlier.clear()
+
+    def _window_at(self, times: FloatArray) -> IntArray:
+        return np.asarray(np.searchsorted(self._starts[1:], times, side="right"))
+
+    def _separated(self, trajectory: QuinticTrajectory, bound: float, most: int) -> Separation:
+        return find_violations(self._problem, trajectory, bound, self._tolerance, most)
+
+    def _held_here(self) -> _Held:
+        """Constraints and their cuts, linearized by the coefficients of the basis splines."""
+        splines, known = self._problem.parametrization.splines, self._constraints
+        at = linearize(self._problem, known, self._here)
+        limit = np.where(known.family == OBJECTIVE, self._peak, 0.0)
+        which = np.concatenate([np.arange(len(known)), at.cut_of])
+        derivative = np.concatenate([at.derivative, at.cut_derivative], axis=1)
+        rows = splines.jacobian(splines.rows(known.time[which]), derivative)[:, : self._X.size]
+        curved = (known.family != OBJECTIVE) & (known.family <= len(self._problem.constraints))
+        curved = np.append(curved, np.zeros(len(at.cut_of), dtype=np.bool_))
+        return _Held(known.time[which], np.concatenate([at.value - limit, at.cut_value]), rows, curved)
+
+
+def _knot_vector(trajectory: QuinticTrajectory) -> FloatArray:
+    return np.stack([trajectory.q, trajectory.v, trajectory.a], axis=1).reshape(-1, trajectory.q.shape[1])
