@@ -15,7 +15,9 @@ from cmbot.stances.charting import bounded_quickly, chart
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     """The triangle from two places of the top rail; no posture by itself asks more than 120 Nm."""
-    scene = in_world(cmbot.load_scene("triangle"))
+    triangle = cmbot.load_scene("triangle").as_data()
+    triangle["tool_path"]["speed_profile"] = {"kind": "trapezoidal", "ramp": 0.2}
+    scene = in_world(cmbot.load_scene(triangle))
 
     def holds(stance: Any) -> bool:
         return (stance.foot_1.along_m, stance.foot_2.along_m) == (5.59, 6.34)

@@ -271,7 +271,7 @@ def test_both_motions_play(shown: Chrome) -> None:
     shown.find_element("tag name", "body").send_keys(" ")
     reached = shown.execute_async_script(
         """const done = arguments[0];
-        const moved = () => cmbotReplay.time > cmbotReplay.workStart + 0.4;
+        const moved = () => cmbotReplay.time > cmbotReplay.workStart + 1.0;
         const wait = () => (moved() ? done(cmbotReplay.playing) : requestAnimationFrame(wait));
         wait();"""
     )

@@ -42,7 +42,9 @@ def path_of(scene: Scene, **options: Any) -> Followed:
 
 @pytest.fixture(scope="module")
 def triangle_path() -> Followed:
-    return path_of(load_scene("triangle"), path_step_s=0.02)
+    triangle = load_scene("triangle").as_data()
+    triangle["tool_path"]["speed_profile"] = {"kind": "trapezoidal", "ramp": 0.2}
+    return path_of(load_scene(triangle), path_step_s=0.02)
 
 
 def jacobian(seed: int, smallest: float) -> FloatArray:
