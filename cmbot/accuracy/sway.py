@@ -102,7 +102,7 @@ def sway_along(
             # Matrices of the middle of an interval hold for all of it.
             M, K = (0.5 * (both[i] + both[i + 1]) for both in (at.mass, at.stiffness))
             stiff = K + more[:, None, None] * arm.stiffness
-            _require_bearing(stiff, factors)
+            require_bearing(stiff, factors)
             inverse = np.linalg.inv(M + 0.5 * h * D + 0.25 * h * h * stiff)
             before = i
         w_next, v_next = w + h * v + 0.25 * h * h * a, v + 0.5 * h * a
@@ -135,7 +135,7 @@ def stroke_sway(arm: ElasticArm, trajectory: QuinticTrajectory, share: float) ->
     return sway_along(arm, motion, float(end - begin) + SETTLE_S, damping, factors)
 
 
-def _require_bearing(stiffness: FloatArray, factors: Sequence[float]) -> None:
+def require_bearing(stiffness: FloatArray, factors: Sequence[float]) -> None:
     """Refuse stiffnesses (F, f, f), with the loads' own, that do not bear the arm: a `TooSoftError`."""
     for matrix, factor in zip(stiffness, factors, strict=True):
         try:

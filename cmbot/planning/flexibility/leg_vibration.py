@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 
+from cmbot.accuracy.sway import require_bearing
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.modes import linearised
@@ -128,6 +129,7 @@ def _reduced(at: _Matrices, factors: FloatArray, modes: int) -> _Carried:
     V = np.linalg.qr(np.hstack(shapes))[0]
     by_case = factors[:, None, None, None]
     M, K = V.T @ at.mass @ V, V.T @ at.stiffness @ V + (by_case - 1) * (V.T @ at.arm.stiffness @ V)
+    require_bearing(K[:, -1], factors.tolist())
     own = [slowest_modes(M[-1], each, modes) for each in K[:, -1]]
     r = min(len(omega) for omega, _ in own)
     omega, X = np.stack([omega[:r] for omega, _ in own]), np.stack([X[:, :r] for _, X in own])

@@ -20,6 +20,7 @@ from scipy import sparse
 from cmbot.accuracy import stroke_sway
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.elastic.arm import ElasticArm
+from cmbot.elastic.sag import TooSoftError
 from cmbot.optimization import (
     OBJECTIVE,
     ConstraintSet,
@@ -64,7 +65,12 @@ def suppress_vibration(arm: ElasticArm, problem: TorqueProblem, optimised: Optim
     request, trajectory, t = problem.request, optimised.trajectory, problem.space.t
     options, reporter = request.cell.options, request.reporter
     leg_times = request.task.path.leg_times
-    factors = _factors(options.quiet_stiffness_share)
+    share = options.quiet_stiffness_share
+    # A base that does not bear the arm at the least stiffness is refused by this.
+    sway, swing = stroke_sway(arm, trajectory, share).largest
+    if swing < _AT_REST_M:
+        return optimised
+    factors = _factors(share)
     groups = legs_by_window(problem.space, leg_times)
     windows = [Window(problem, group) for group in groups]
     path = ElasticPath(arm, trajectory)
@@ -76,14 +82,16 @@ def suppress_vibration(arm: ElasticArm, problem: TorqueProblem, optimised: Optim
         earlier = [time for time in leg_times if window.start <= time + SAME_TIME < t[first]]
         start = min([t[first], *(time for time in earlier if t[last] - time <= _MEMORY_S)])
         start = max(start, t[last] - _MAX_WINDOW_S)
-        leg = LegVibration(path, float(start), t[last], options.quiet_modes, factors)
+        try:
+            leg = LegVibration(path, float(start), t[last], options.quiet_modes, factors)
+        except TooSoftError:  # it bears the arm in the interval, but not where the prediction may err
+            return optimised
         window.bring_to_rest(leg, trajectory)
     reporter.step("bringing the slowest vibrations to rest")
     changed, shares = _Search(problem, trajectory, windows).changed()
     if not any(shares):
         return optimised
-    share = options.quiet_stiffness_share
-    (sway, swing), (after, left) = (stroke_sway(arm, each, share).largest for each in (trajectory, changed))
+    after, left = stroke_sway(arm, changed, share).largest
     pays = left <= _WORTHWHILE_SWING_SHARE * swing and after <= _MAX_SWAY_GROWTH * sway
     return replace(optimised, trajectory=changed) if pays else optimised
 

@@ -16,10 +16,11 @@ from small_scenes import short_scene
 
 from cmbot.archive import load_plan, save
 from cmbot.common.arrays import FloatArray
+from cmbot.elastic.sag import TooSoftError
 from cmbot.planning import Plan, plan
 from cmbot.planning.attempts import motion
 from cmbot.planning.budget import Deadline
-from cmbot.planning.flexibility import vibration_suppression
+from cmbot.planning.flexibility import leg_vibration, vibration_suppression
 from cmbot.planning.flexibility.leg_window import Change, Window, legs_by_window
 from cmbot.simulation import PrescribedMotion, SimulationOptions, track
 from cmbot.simulation.tracking import elastic_arm_of
@@ -173,6 +174,16 @@ def test_a_change_that_does_not_help_is_not_made(
     left = planned(2)
     assert len(seen) == 2
     np.testing.assert_array_equal(left.trajectory.a, unsuppressed_quick.trajectory.a)
+
+
+def test_a_base_that_hardly_bears_the_arm_is_left_as_it_is(
+    monkeypatch: pytest.MonkeyPatch, unsuppressed_quick: Plan
+) -> None:
+    def topples(*_: Any) -> Any:
+        raise TooSoftError("sway", "factors", "a posture from which the arm topples", "a stiffer base")
+
+    monkeypatch.setattr(leg_vibration, "require_bearing", topples)
+    np.testing.assert_array_equal(planned(2).trajectory.a, unsuppressed_quick.trajectory.a)
 
 
 def spaced(segments: int) -> SplineSpace:
