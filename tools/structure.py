@@ -137,7 +137,7 @@ def past_the_checks(module: Module) -> Iterator[int]:
 
 
 def inner_exports(module: Module) -> Iterator[int]:
-    """Yield lines that list what a module exports, which only the door of a package does."""
+    """Yield lines that list what a module exports: names without an underscore say it."""
     if module.path.name != "__init__.py":
         for node in module.tree.body:
             if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":

@@ -17,8 +17,6 @@ from cmbot.common.arrays import FloatArray
 from cmbot.elastic.base import ElasticBase
 from cmbot.robot import Robot
 
-__all__ = ["bent_tool_points"]
-
 # Hinges of a tube and point masses of its link; rounds, after each of which about a hundredth is left.
 _PIECES, _FIXED_POINT_ROUNDS = 24, 6
 _IDENTITY = np.eye(3)
