@@ -31,7 +31,7 @@ from cmbot.trajectory import QuinticTrajectory
 # Factors by which laws are stretched while no motion is certified.
 _STRETCHED = (1.01, 1.03, 1.06, 1.1, 1.2, 1.4, 2.0)
 # Rounds of laws along the path that was planned last, and what is worth another one, as a share of the time.
-_MAX_LAW_ROUNDS, _WORTHWHILE_TIME_SHARE = 3, 0.99
+_MAX_LAW_ROUNDS, _WORTHWHILE_TIME_SHARE = 8, 0.99
 
 Work = Callable[[Attempt], Solved[StrokeMotion] | Failure]
 

@@ -119,8 +119,8 @@ def shortest_law(
     phases : int
         K, at least 6.
     known : (K + 1,), optional
-        Jerk at the nodes of a law that is known, from which the search begins where that is shorter than the
-        smooth one: the programs find the optimum nearest to where they begin.
+        Jerk at the nodes of a law that is known. The search begins there, too, and with the smoothest law:
+        programs find the optimum nearest to where they begin.
 
     Returns
     -------
@@ -130,13 +130,23 @@ def shortest_law(
     space = _Nodes(phases)
     coarse = _Points(space, phases * _POINTS_PER_PHASE, bounded)
     starts = [space.smooth(), *([] if known is None else [known[1:-1]])]
-    nodes, box = min(starts, key=coarse.seconds), _BOX
-    seconds = coarse.seconds(nodes)
-    for _ in range(_MAX_PROGRAMS):
-        if not np.isfinite(seconds):
+    nodes, seconds = min((_descended(coarse, start) for start in starts), key=lambda law: law[1])
+    fine, smooth = _Points(space, phases * _FINAL_POINTS, bounded), space.smooth()
+    # Between the coarse points a law may lead back a little: the smooth one does not.
+    for share in _SMOOTH_LAW_SHARES if np.isfinite(seconds) else _SMOOTH_LAW_SHARES[:1]:
+        law = nodes + share * (smooth - nodes)
+        seconds = fine.seconds(law)
+        if np.isfinite(seconds):
             break
-        step = coarse.step(nodes, seconds, box * np.abs(nodes).max())
-        trial = np.inf if step is None else coarse.seconds(nodes + step)
+    return space.law(law), np.concatenate([[0.0], law, [0.0]]), seconds
+
+
+def _descended(points: _Points, nodes: FloatArray) -> tuple[FloatArray, float]:
+    """The optimum (K - 1,) that programs find from nodes on, and its duration, s."""
+    seconds, box = points.seconds(nodes), _BOX
+    for _ in range(_MAX_PROGRAMS if np.isfinite(seconds) else 0):
+        step = points.step(nodes, seconds, box * np.abs(nodes).max())
+        trial = np.inf if step is None else points.seconds(nodes + step)
         if step is not None and trial < seconds:
             gain = 1 - trial / seconds
             nodes, seconds = nodes + step, trial
@@ -147,14 +157,7 @@ def shortest_law(
         box /= 4
         if box < _SMALLEST_BOX:
             break
-    fine, smooth = _Points(space, phases * _FINAL_POINTS, bounded), space.smooth()
-    # Between the coarse points a law may lead back a little: the smooth one does not.
-    for share in _SMOOTH_LAW_SHARES if np.isfinite(seconds) else _SMOOTH_LAW_SHARES[:1]:
-        law = nodes + share * (smooth - nodes)
-        seconds = fine.seconds(law)
-        if np.isfinite(seconds):
-            break
-    return space.law(law), np.concatenate([[0.0], law, [0.0]]), seconds
+    return nodes, seconds
 
 
 class _Points:
