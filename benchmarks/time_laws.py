@@ -34,6 +34,7 @@ __all__ = ["Compared", "compared", "copp_seconds", "scenes", "toppra_seconds"]
 # Stations along a path, and rounds of copp's linearization until a round gains less than this.
 _STATIONS, _ROUNDS, _GAIN = 301, 15, 1e-4
 _FORMAT: dict[str, Any] = {"format": "cmbot-scene/2", "name": "shortest", "guardrail": {"bays": 0}}
+_SHORTEST = {"seconds": "auto", "speed_profile": {"kind": "shortest"}}
 _LEGS: Mapping[str, dict[str, Any]] = {
     "straight": {"legs": [{"by": [0, -0.3, 0]}], "via_points": 40},
     "there and back": {"legs": [{"by": [0, -0.3, 0]}, {"by": [0, 0.3, 0]}], "via_points": 80},
@@ -63,7 +64,7 @@ def scenes() -> Iterator[tuple[str, Scene]]:
     """Yield what is planned in the shortest time, with a name."""
     own = {**_FORMAT, "start": {"posture_deg": [-10, -90, 90, 0, 10, 50, 0]}}
     for name, path in _LEGS.items():
-        yield f"cmbot, {name}", load_scene({**own, "tool_path": {**path, "seconds": "auto"}})
+        yield f"cmbot, {name}", load_scene({**own, "tool_path": {**path, **_SHORTEST}})
     for arm, posture in _POSTURES_DEG.items():
         base, tool = arm_named(arm).base, arm_named(arm).tool
         other = {
@@ -73,7 +74,7 @@ def scenes() -> Iterator[tuple[str, Scene]]:
             "planner": {"start": "pinned"},
         }
         for name, path in _OTHER_LEGS.items():
-            yield f"{arm}, {name}", load_scene({**other, "tool_path": {**path, "seconds": "auto"}})
+            yield f"{arm}, {name}", load_scene({**other, "tool_path": {**path, **_SHORTEST}})
 
 
 @dataclass(frozen=True, kw_only=True)

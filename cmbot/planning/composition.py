@@ -155,6 +155,11 @@ def _fallbacks(stroke: PlannedStroke, *, stopped: bool) -> Iterator[str]:
     if not optimised.complete:
         why = f"Stopped after {limit}" if stopped else "The last stage of the optimisation failed"
         yield f"{why}: the best motion so far."
+    if (timing := stroke.trial.attempt.timing) is not None and timing.both is not None:
+        yield (
+            "As predicted, the shortest time of the legs is {:.4g} s within the limits (speed_profile.kind: "
+            "shortest), {:.4g} s with quiet laws.".format(*timing.both)
+        )
     if (more := stroke.trial.attempt.more_time) is not None:
         yield (
             f"Leg {more.leg + 1} takes {more.seconds:.3g} s, {more.periods:.1f} periods of the slowest mode: "

@@ -124,8 +124,12 @@ def bounds_along(
     return bounded
 
 
-def shortest_laws(request: StrokeRequest, paths: Sequence[LegPath]) -> Iterator[LegLaw]:
+def shortest_laws(
+    request: StrokeRequest, paths: Sequence[LegPath]
+) -> Iterator[tuple[LegPath, list[Bounded], LegLaw]]:
     """Yield the shortest laws along joint paths within a request's limits, sought from those that it has.
+
+    With each its path and what bounds it.
 
     Raises
     ------
@@ -145,11 +149,8 @@ def shortest_laws(request: StrokeRequest, paths: Sequence[LegPath]) -> Iterator[
         _, jerk, seconds = shortest_law(bounded, phases, before)
         if not np.isfinite(seconds):
             raise _too_heavy(request, each)
-        yield LegLaw(
-            leg=each.leg,
-            seconds=(seconds / phases,) * phases,
-            jerk=tuple(float(x) for x in jerk / seconds**3),
-        )
+        each_jerk = tuple(float(x) for x in jerk / seconds**3)
+        yield each, bounded, LegLaw(leg=each.leg, seconds=(seconds / phases,) * phases, jerk=each_jerk)
 
 
 def _too_heavy(request: StrokeRequest, path: LegPath) -> LimitViolation:
