@@ -154,7 +154,8 @@ class BaseFile(FileModel):
     """What the robot stands on or holds."""
 
     name: Slug
-    """What messages and pages call it; left out with its block: guardrail for ``cmbot``, base for others."""
+    """What messages and pages call it; left out with its block: guardrail for ``cmbot``, base for others. No
+    railway bridge is drawn behind what has a name of its own."""
     modes: ModesFile | None = None
     """How it bends, by its natural modes; left out: as the guardrail says."""
     tube: TubeFile | None = None

@@ -125,7 +125,8 @@ def _tool(note: Any) -> str:
         text += f"{100 * note.share:.3g} % of cases, asked {100 * note.probability:.3g} %)"
     if note.part is None:
         return f"{text}."
-    return f"{text}; largest part: {note.part}, {100 * note.part_share:.0f} % of the mean square."
+    by = ", as assumed (uncertainty of the scene)" if note.assumed else ""
+    return f"{text}; largest part: {note.part}, {100 * note.part_share:.0f} % of the mean square{by}."
 
 
 def _needed(note: Any) -> str:
