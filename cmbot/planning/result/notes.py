@@ -183,6 +183,7 @@ def _start(plan: Plan) -> Iterator[Note]:
         "turned_deg": float(np.rad2deg(moves[~slides].max(initial=0.0))),
         "slid_m": float(moves[slides].max(initial=0.0)),
         "from": plan.scene.pinned_posture,
+        "seconds": plan.job.segments[0].duration,
     }
     near = plan.robot.metric.lengths(start.posture - plan.scene.posture) < plan.options.chart_spacing
     if failures:

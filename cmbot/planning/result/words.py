@@ -314,7 +314,7 @@ _SENTENCES: dict[str, str | Callable[..., str]] = {
     ),
     "better_start": lambda note: (
         f"Starts in a better posture with the same tool pose (start: free), {note.posture}, {_away(note)} "
-        "away."
+        f"away, which takes {note.seconds:.1f} s; start: pinned stays where the arm is."
     ),
     "fallback": "{text}",
     "robot": "{text}",
