@@ -214,7 +214,7 @@ class SpeedProfile(CheckedFields):
         When `kind` is unknown or `ramp` is out of range.
     """
 
-    kind: Kind | Literal["shortest"] = "trapezoidal"
+    kind: Literal["trapezoidal", "jerk_limited", "quiet", "shortest"] = "trapezoidal"
     ramp: Annotated[float, Field(ge=1e-3, le=0.5)] = 0.2
 
     @property
