@@ -241,7 +241,7 @@ class _Stand:
             self._screener.loads = self._screener.loads.bounded(self._bounds)
         self._limit = limit
         found = self._screener.screened(self._tasks, lambda share: self._progress(said, share))
-        found.figures[0] = self._screener.over_the_job(found.bound)
+        found.figures[0] = np.maximum(found.bound, self._screener.least)
         bound = np.array([found.bound[each].max(axis=0, initial=-np.inf) for each in self._of])
         for number, each in enumerate(self._of):
             if not np.isfinite(bound[number]).any():

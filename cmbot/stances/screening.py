@@ -100,12 +100,10 @@ class Screener:
         q = np.tile(posture, (len(self._bases), 1))
         return self.arm.figures(q, np.arange(len(q)), self.loads)
 
-    def over_the_job(self, values: FloatArray) -> FloatArray:
-        """Return values (..., C) of the work as what is ranked: of ``hold`` they are those of the job.
-
-        The feet need no less than where the arm is put away.
-        """
-        return np.maximum(values, self.away[_ADHESION]) if self.loads.objective == "hold" else values
+    @property
+    def least(self) -> FloatArray:
+        """What is ranked (C,) is no less in any job: of ``hold`` what is needed where the arm is put away."""
+        return self.away[_ADHESION] if self.loads.objective == "hold" else np.zeros(len(self._bases))
 
     def sag_mm(self, tasks: Sequence[ToolTask], numbers: Sequence[int]) -> float:
         """Largest sag, mm, over the via-points of the strokes' tasks in the stance that sags least there.

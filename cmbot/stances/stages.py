@@ -123,7 +123,7 @@ class Judge:
         if bound == 0 or self.objective == "sway":
             # Nothing is charted where the tool's axis may lean; for the sway it is by the sag.
             bound = result.bound
-        bound = self._over_the_job(result, bound)
+        bound = max(bound, float(self.screener.least[result.number]))
         name = _BOUNDED.get(self.objective)
         if name is not None and bound > _CHART_ALLOWANCE * getattr(self.bounds, name):
             return result.rejected("obstacles", _rejection(self.bounds, name, bound, "in its best postures"))
@@ -142,15 +142,12 @@ class Judge:
         if rejection := _beyond(self.bounds, at_rest, "in its best postures", _CHART_ALLOWANCE):
             return result.rejected("charts", rejection)
         # With few via-points the allowance between postures is smaller, with many the bound is tighter.
-        bound, expected = max(charted.bound, result.bound), self._over_the_job(result, charted.expected)
+        least = float(self.screener.least[result.number])
+        bound, expected = max(charted.bound, result.bound), max(charted.expected, least)
         if self.objective == "sway":
             bound, expected = result.bound, float(rows[0].max())
         bound = min(bound, expected)
         return replace(result, stage="charts", bound=bound, expected=expected, at_rest=at_rest)
-
-    def _over_the_job(self, result: StanceResult, value: float) -> float:
-        """What is ranked by a value of the work: see `Screener.over_the_job`."""
-        return float(self.screener.over_the_job(np.array(value))[result.number])
 
     def _at_rest(self, result: StanceResult) -> AtRest | None:
         """What is ranked at rest; None: that is the objective of the planner."""
