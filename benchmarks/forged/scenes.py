@@ -131,7 +131,7 @@ ASKED: dict[str, Data] = {
             "guardrail": {"bays": 0},
             "start.posture_deg": [0, -45, 0, -135, 0, 90, 45],
             "tool_path.legs[0].seconds": 1.35,
-            "planner": {"start": "pinned"},
+            "planner.start": "pinned",
         },
     ),
 }
