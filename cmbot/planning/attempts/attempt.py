@@ -11,11 +11,19 @@ from cmbot.common.arrays import FloatArray
 from cmbot.planning.attempts.agenda import Agenda, Remedy, Solved
 from cmbot.planning.attempts.failure import Failure, attempted, failure_of
 from cmbot.planning.budget import Budget
-from cmbot.planning.initial_guess import InitialGuess, initial_guess, leap_failure, problem_near, searched
+from cmbot.planning.initial_guess import (
+    InitialGuess,
+    initial_guess,
+    leap_failure,
+    least_travel_guess,
+    problem_near,
+    searched,
+)
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.global_search import GlobalSearch
 from cmbot.planning.timing.timing import Timing
 from cmbot.planning.torque import Optimised, TorqueProblem, optimise
+from cmbot.planning.workcell.objectives import TRAVEL
 
 if TYPE_CHECKING:
     # It loads SciPy's splines.
@@ -57,6 +65,21 @@ class Attempt:
     def of(cls, request: StrokeRequest, **own: Any) -> Attempt:
         """Return the attempt from the first guess of a request."""
         return cls(request=request, guess=attempted(request, lambda: initial_guess(request)), **own)
+
+    def of_least_travel(self) -> Attempt:
+        """Return the attempt whose joints travel least, where the objective has next to nothing to gain.
+
+        See `least_travel_guess`.
+        """
+        guess, objective = self.guess, self.request.cell.objective
+        is_own = objective.name != self.request.cell.options.objective
+        if not isinstance(guess, InitialGuess) or guess.search is None or not guess.pinned:
+            return self
+        if is_own or objective is TRAVEL:
+            return self
+        request = replace(self.request, least_travel=True)
+        made = attempted(request, lambda: least_travel_guess(request, guess))
+        return replace(self, request=request, guess=made) if isinstance(made, InitialGuess) else self
 
     def quiet(self) -> Attempt:
         """Return the attempt with the laws that a quiet stroke is to have, chosen along its optimised path.

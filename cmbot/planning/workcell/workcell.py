@@ -218,7 +218,7 @@ def sag_of(scene: Scene, arm: ElasticArm | None, options: PlannerOptions) -> Sag
             scene.source,
             "guardrail",
             "no guardrail, and a robot without link tubes",
-            "something that bends: guardrail.bays, guardrail.stiffness or robot.elasticity",
+            "something that bends: guardrail.bays, base.tube, guardrail.stiffness or robot.elasticity",
         )
     return Sag(arm, covariance_of(scene, arm))
 
