@@ -36,6 +36,8 @@ _POSTURE_TOLERANCE = 1e-9
 _SAMPLE_SIZE = 200
 # Newton steps at most from postures that may be far from the task.
 _MANY_STEPS = 50
+# Joints that travel no more than this share of what others do travel much less.
+_MUCH_LESS_TRAVEL_SHARE = 0.7
 # Directions in which the tool's axis leans where nothing is found in the middle of its cone, and how far, as
 # a share of the cone.
 _LEANS, _LEANING = 4, 0.7
@@ -234,7 +236,7 @@ def least_travel_guess(request: StrokeRequest, guess: InitialGuess) -> InitialGu
     """Take via-points from the path of gradient projection where another path has next to nothing to gain.
 
     That is where the peak and the mean of the objective at rest are above those of the `guess` by less than
-    the option `min_gain`, and the joints travel less. `request` minimises their travel; None elsewhere.
+    the option `min_gain`, and the joints travel much less. `request` minimises their travel; None elsewhere.
 
     Raises
     ------
@@ -253,7 +255,7 @@ def least_travel_guess(request: StrokeRequest, guess: InitialGuess) -> InitialGu
     metric = request.cell.robot.metric
     travels = [np.abs(np.diff(metric.coordinates(each.q), axis=0)).sum() for each in found]
     gain = max(peaks[0] / peaks[1], means[0] / means[1]) - 1
-    if gain >= request.cell.options.min_gain or travels[0] >= travels[1]:
+    if gain >= request.cell.options.min_gain or travels[0] > _MUCH_LESS_TRAVEL_SHARE * travels[1]:
         return None
     form = parametrization_through(request, placed, sliding=True, pinned=True)
     return replace(guess, problem=TorqueProblem(request, form, 1.0))
