@@ -10,28 +10,24 @@ import pytest
 from command_line import output, refusal, write_scene
 from plan_folders import edit
 from small_scenes import SHORT, short_scene
-from walks import one_step
+from walks import one_step, tour_record
 
 from cmbot.archive import TOUR_FILE, WALK_FILE, load_tour, save, write_results
 from cmbot.common.errors import ArchiveError
 from cmbot.planning import Plan, plan
 from cmbot.stances import in_world
-from cmbot.stances.walking import Walk, part_data, walk_data
+from cmbot.stances.walking import Walk, walk_data
 
 RETURNS = {"format": "cmbot-scene/2", "return": "start"}
 
 
 def write_tour(folder: Path, **parts: Plan | Walk) -> Path:
-    begin, entries = 0.0, list[dict[str, Any]]()
     for name, part in parts.items():
         if isinstance(part, Plan):
             save(part, folder / name)
         else:
             write_results(folder / name, WALK_FILE, walk_data(part), {})
-        entries.append(part_data(name, begin, part))
-        begin += entries[-1]["seconds"]
-    record = {"cmbot": "0", "seconds": begin, "parts": entries, "words": []}
-    write_results(folder, TOUR_FILE, record, {})
+    write_results(folder, TOUR_FILE, tour_record(parts), {})
     return folder
 
 
