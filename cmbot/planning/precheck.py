@@ -175,6 +175,10 @@ def _hold_at_start(scene: Scene, robot: Robot) -> Precheck:
             found.append(
                 (f"contact of foot {number}", f"{value}, one of two poles {foot.ceiling / 1e3:.1f} kN")
             )
+    if holding is not None and holding.adhesive:
+        worst = holding.worst(wrench, np.zeros(1))
+        left = holding.feet[worst.foot - 1].kinds_left(worst.peak, "the start")
+        found.append(("kinds of hold left there", left))
     if holding is not None and holding.bounded:
         use = float(holding.share(wrench)[0][0])
         found.append(("of what the feet bear there, safety included", f"{100 * use:.0f} %"))

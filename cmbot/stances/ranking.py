@@ -83,6 +83,11 @@ class StanceRanking:
         return UNITS[self.objective]
 
     @property
+    def when(self) -> str:
+        """Over what it is ranked, in words."""
+        return "over the job" if self.objective == "hold" else "at work"
+
+    @property
     def strokes(self) -> tuple[str, ...]:
         """Names of the strokes."""
         return tuple(str(stroke.name) for stroke in self.scene.strokes)
@@ -236,6 +241,7 @@ class _Stand:
             self._screener.loads = self._screener.loads.bounded(self._bounds)
         self._limit = limit
         found = self._screener.screened(self._tasks, lambda share: self._progress(said, share))
+        found.figures[0] = np.maximum(found.bound, self._screener.least)
         bound = np.array([found.bound[each].max(axis=0, initial=-np.inf) for each in self._of])
         for number, each in enumerate(self._of):
             if not np.isfinite(bound[number]).any():

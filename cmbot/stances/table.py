@@ -17,7 +17,7 @@ from cmbot.stances.stages import PROVEN_SHARE
 _Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
 # What is told of a plan in a sentence: so many of the columns.
-_TOLD_COLUMNS = 6
+_TOLD_COLUMNS = 8
 _ENDED = {
     "out of reach": "{} out of reach",
     "no posture": "{} in which no posture within the bounds of joints and feet was found",
@@ -66,9 +66,10 @@ def _best_in_words(ranking: StanceRanking, best: StanceResult) -> Iterator[str]:
     told = ((column.words, column.told(best.figures), column.unit) for column in COLUMNS[:_TOLD_COLUMNS])
     figures = ", ".join(f"{words} {value} {unit}" for words, value, unit in told if value is not None)
     yield (
-        f"Best of those planned: {best.place}, {peak:.4g} {unit} at work, its bound {best.bound:.4g} {unit}; "
-        f"{figures}."
+        f"Best of those planned: {best.place}, {peak:.4g} {unit} {ranking.when}, its bound {best.bound:.4g} "
+        f"{unit}; {figures}."
     )
+    yield from _kinds_left(best)
     least = ranking.best_unplanned
     if np.isfinite(least):
         first = min((each for each in ranked if each.status == "screened"), key=lambda each: each.bound)
@@ -98,6 +99,15 @@ def _best_in_words(ranking: StanceRanking, best: StanceResult) -> Iterator[str]:
         )
 
 
+def _kinds_left(best: StanceResult) -> Iterator[str]:
+    """By which kinds of hold the feet bear the job."""
+    needed = None if best.plan is None else best.plan.job.figures.adhesion_needed
+    holding = None if best.plan is None else best.plan.robot.holding
+    if needed is not None and holding is not None:
+        said = holding.feet[needed.foot - 1].kinds_left(needed.peak, "this stance")
+        yield f"{said[0].upper()}{said[1:]}."
+
+
 def _own_in_words(ranking: StanceRanking) -> Iterator[str]:
     """What the scenes' own stances ask, and how much better the best one is."""
     several = len(ranking.own) > 1
@@ -111,7 +121,7 @@ def _own_in_words(ranking: StanceRanking) -> Iterator[str]:
         elif ranking.best is not None:
             less = 100 * (1 - ranking.best.value / each.value) if each.value > 0 else 0.0
             said = f": the best one asks {less:.1f} % less" if each.value > 0 else ""
-            yield f"{name} asks {each.value:.4g} {ranking.unit} at work{said}."
+            yield f"{name} asks {each.value:.4g} {ranking.unit} {ranking.when}{said}."
 
 
 def planned_table(ranking: StanceRanking) -> _Table:
@@ -181,6 +191,8 @@ def _row(each: StanceResult) -> dict[str, object]:
         "planned_torque": planned.torque,
         "job_torque": planned.job_torque,
         "planned_adhesion": planned.adhesion,
+        "job_adhesion": planned.job_adhesion,
+        "stop_adhesion": planned.stop_adhesion,
     }
     for name in ("sag_mm", "first_hz", "sway_mm", "holding_nm", "holding_of_effort"):
         value = getattr(planned, name)

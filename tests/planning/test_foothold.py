@@ -245,6 +245,10 @@ def test_a_scene_whose_feet_do_not_hold_at_the_start_is_told_so() -> None:
     )
     assert not precheck_scene(magnet_scene()).warnings
     assert dict(weak.found)["contact of foot 1"].endswith("than 14.9 kN there, one of two poles 1.9 kN")
+    left = dict(weak.found)["kinds of hold left there"]
+    asked = 2 * float(weak.warnings[0].got.partition(" N of")[0]) / 1e3
+    assert left.startswith("two-pole magnets pull 1.9 kN at most on 8 mm of steel, with safety ")
+    assert left.endswith(f"a magnet that pulls {asked:.1f} kN")
     with pytest.raises(PlanningError, match=r"^the start asks [0-9]+ N of adhesion"):
         plan(magnet_scene(1000.0))
 

@@ -34,6 +34,7 @@ from cmbot.stances import (
     in_world,
     own_candidate,
     planned_table,
+    put_away,
     require_planned,
     scene_at,
     stances_csv,
@@ -41,6 +42,7 @@ from cmbot.stances import (
 )
 from cmbot.stances.arm import BaseArm, _Goals
 from cmbot.stances.candidates import climber_in_the_way
+from cmbot.stances.stages import figures_of, value_of
 from cmbot.views import stances_page
 from cmbot.views.overview.stances import _apart
 
@@ -201,7 +203,8 @@ def test_the_ranked_table(ranking: StanceRanking) -> None:
     assert rows[0]["status"] == "planned"
     bounds = [float(row["bound"]) for row in rows if row["status"] == "screened"]
     assert bounds == sorted(bounds)
-    assert float(rows[0]["planned"]) == pytest.approx(ranking.best.plan.objective.planned_peak, rel=1e-5)
+    needed = ranking.best.plan.job.figures.adhesion_needed.peak
+    assert float(rows[0]["planned"]) == pytest.approx(needed, rel=1e-5)
 
 
 def test_the_best_stance_needs_less_than_the_scenes(scene: Scene, ranking: StanceRanking) -> None:
@@ -216,9 +219,46 @@ def test_the_best_stance_needs_less_than_the_scenes(scene: Scene, ranking: Stanc
     (own,) = ranking.own
     assert own.plan.objective.planned_peak == pytest.approx(usual.objective.planned_peak, rel=1e-6)
     np.testing.assert_allclose(own.plan.robot.foot_point, usual.robot.foot_point, atol=1e-12)
-    less = 100 * (1 - best.objective.planned_peak / own.plan.objective.planned_peak)
-    assert sum(f"own stance asks {own.plan.objective.planned_peak:.4g} N at" in line for line in said) == 1
+    less = 100 * (1 - ranking.best.value / own.value)
+    assert sum(f"own stance asks {own.value:.4g} N over the job" in line for line in said) == 1
     assert sum(f"the best one asks {less:.1f} % less" in line for line in said) == 1
+
+
+def test_hold_is_ranked_by_the_whole_job(scene: Scene, ranking: StanceRanking) -> None:
+    """Feet hold where the arm is put away, too: in one stance more is needed there than at work."""
+    stowed = put_away(scene)
+    for each in ranking.ranked:
+        if np.isfinite(each.bound):
+            robot = robot_of(scene_at(stowed, each.candidate, None))
+            wrench = Dynamics(robot).static_efforts(np.array(stowed.posture)[None]).guardrail_wrench
+            assert each.bound >= 0.999 * robot.holding.each(wrench).max()
+    (own,) = ranking.own
+    assert own.figures.adhesion < 0.9 * own.figures.job_adhesion
+    rows = [*csv.DictReader(stances_csv([ranking]).splitlines())]
+    headings, table = planned_table(ranking)
+    page = stances_page([ranking])
+    for rank, each in enumerate(ranking.ranked):
+        if each.status != "planned":
+            continue
+        needed, stop = each.plan.job.figures.adhesion_needed, each.plan.emergency_stop
+        assert each.value == needed.peak == each.figures.job_adhesion < stop.peak
+        assert float(rows[rank]["job_adhesion"]) == pytest.approx(needed.peak, rel=1e-5)
+        assert float(rows[rank]["stop_adhesion"]) == pytest.approx(stop.peak, rel=1e-5)
+        (told,) = (dict(zip(headings, row, strict=True)) for row in table if row[0] == str(rank + 1))
+        assert told["over the job, kN"] == f"{needed.peak / 1e3:.2f}"
+        assert told["in an emergency stop, kN"] == f"{stop.peak / 1e3:.2f}"
+        assert f">{needed.peak / 1e3:.2f}</td>" in page
+    best = ranking.best.plan
+    foot = best.robot.holding.feet[best.job.figures.adhesion_needed.foot - 1]
+    said = foot.kinds_left(ranking.best.value, "this stance")
+    assert f"{said[0].upper()}{said[1:]}." in in_words(ranking)
+
+
+def test_with_clamps_hold_is_ranked_by_the_pull_of_magnets_in_their_place(ranking: StanceRanking) -> None:
+    clamp = {"kind": "clamp", "force_n": [1e5] * 3, "moment_nm": [1e5] * 3}
+    (own,) = ranking.own
+    held = plan(scene_of(guardrail={"hold": clamp}))
+    assert value_of(held, figures_of(held, own.candidate), "hold") == pytest.approx(own.value, rel=0.01)
 
 
 RAIL = {"name": "top", "height_m": 0.0, "section": {"angle": [0.075, 0.008]}, "box_m": [0.075, 0.075]}

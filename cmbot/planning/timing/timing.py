@@ -37,6 +37,8 @@ class Timing:
         Legs on which motions in less time failed.
     reason : str
         Why the first of these failed.
+    both : two floats, optional
+        Of times that are sought: the shortest within the limits, and the shortest that is quiet, s.
     """
 
     request: StrokeRequest
@@ -46,6 +48,7 @@ class Timing:
     factors: FloatArray
     at_fault: BoolArray
     reason: str = ""
+    both: tuple[float, float] | None = None
 
     @staticmethod
     def along(
