@@ -34,7 +34,7 @@ __all__ = ["Compared", "compared", "copp_seconds", "scenes", "toppra_seconds"]
 # Stations along a path, and rounds of copp's linearization until a round gains less than this.
 _STATIONS, _ROUNDS, _GAIN = 301, 15, 1e-4
 _FORMAT: dict[str, Any] = {"format": "cmbot-scene/2", "name": "shortest", "guardrail": {"bays": 0}}
-_SHORTEST = {"seconds": "auto", "speed_profile": {"kind": "shortest"}}
+_SHORTEST = {"seconds": "auto", "speed_profile": {"kind": "shortest", "ramp": 0.3}}
 _LEGS: Mapping[str, dict[str, Any]] = {
     "straight": {"legs": [{"by": [0, -0.3, 0]}], "via_points": 40},
     "there and back": {"legs": [{"by": [0, -0.3, 0]}, {"by": [0, 0.3, 0]}], "via_points": 80},
@@ -71,7 +71,7 @@ def scenes() -> Iterator[tuple[str, Scene]]:
             **_FORMAT,
             "robot": {"model": str(arm_named(arm).urdf), "base_frame": base, "tool_frame": tool},
             "start": {"posture_deg": posture},
-            "planner": {"start": "pinned"},
+            "planner": {"start": "pinned", "time_limit_s": 600},
         }
         for name, path in _OTHER_LEGS.items():
             yield f"{arm}, {name}", load_scene({**other, "tool_path": {**path, **_SHORTEST}})

@@ -100,7 +100,11 @@ class _Nodes:
 
     def smooth(self) -> FloatArray:
         """Inner nodes (K - 1,) of least square: a law in the middle of all."""
-        return np.asarray(np.linalg.lstsq(self.matrix, self.target, rcond=None)[0])
+        return self.near(np.zeros(self.phases - 1))
+
+    def near(self, nodes: FloatArray) -> FloatArray:
+        """The inner nodes (K - 1,) of a law from rest to rest that are nearest to some."""
+        return nodes + np.linalg.lstsq(self.matrix, self.target - self.matrix @ nodes, rcond=None)[0]
 
     def law(self, nodes: FloatArray) -> TimeLaw:
         """The law of inner nodes."""
@@ -123,8 +127,8 @@ def shortest_law(
     phases : int
         K, at least 6.
     known : (K + 1,), optional
-        Jerk at the nodes of a law that is known. The search begins there, too, and with a law of half the
-        phases, or the smoothest: programs find the optimum nearest to where they begin.
+        Jerk at the nodes of a law that is known. The search begins there, too, with the smoothest law, and
+        with one of half the phases: programs find the optimum nearest to where they begin.
 
     Returns
     -------
@@ -134,10 +138,13 @@ def shortest_law(
     space = _Nodes(phases)
     coarse = _Points(space, phases * _POINTS_PER_PHASE, bounded)
     starts = [space.smooth(), *([] if known is None else [known[1:-1]])]
-    if phases % 2 == 0 and phases >= _MIN_REFINED_PHASES:
+    if phases >= _MIN_REFINED_PHASES:
         # From few nodes programs get further.
-        halved = shortest_law(bounded, phases // 2)[1]
-        starts[0] = np.interp(np.arange(1, phases), np.arange(0, phases + 1, 2), halved)
+        coarser = phases // 2
+        jerk = shortest_law(bounded, coarser)[1]
+        starts.append(
+            space.near(np.interp(np.arange(1, phases) / phases, np.arange(coarser + 1) / coarser, jerk))
+        )
     nodes, seconds = min((_descended(coarse, start) for start in starts), key=lambda law: law[1])
     fine, smooth = _Points(space, phases * _FINAL_POINTS, bounded), space.smooth()
     # Between the coarse points a law may lead back a little: the smooth one does not.
