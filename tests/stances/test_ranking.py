@@ -275,7 +275,7 @@ def test_no_best_stance_is_worse_than_the_scenes(scene: Scene) -> None:
     assert found.best.plan.objective.planned_peak <= peak * (1 + 1e-9)
     assert found.best.own
     assert best_scene(found).stance == good.stance
-    assert "The scene's own stance is the best of those planned." in in_words(found)
+    assert "The scene's own stance is the only one planned." in in_words(found)
 
 
 @pytest.mark.parametrize(
@@ -313,6 +313,55 @@ def test_the_most_frequent_reasons(ranking: StanceRanking) -> None:
     assert max(map(causes.count, set(causes))) == counts[0]
     first, number = ranking.reasons[0]
     assert sum(f"left out most often for: {first} ({number})" in line for line in in_words(ranking)) == 1
+
+
+def test_a_search_that_ended_early_does_not_contradict_itself(ranking: StanceRanking) -> None:
+    early = replace(ranking, ended_by="time")
+    said = " ".join(in_words(early))
+    assert "none may be better than the best one" in said
+    assert "others may be better" not in said
+    best = early.best
+    least = 0.9 * best.value
+    lower = tuple(replace(each, bound=least) if each.status == "screened" else each for each in early.ranked)
+    said = " ".join(in_words(replace(early, ranked=lower)))
+    assert "none may be better by more than 10.0 %" in said
+    assert "kept, and others may be better" in said
+
+
+def test_the_best_of_one_is_not_called_the_best(ranking: StanceRanking) -> None:
+    said = [*in_words(replace(ranking, ranked=ranking.own))]
+    assert not any("best" in sentence.lower() for sentence in said)
+    assert "The scene's own stance is the only one planned." in said
+    assert "There was no other one to compare it with." in said
+    assert "Feet were tried on these faces alone: outer." in said
+    assert "Feet were tried on these faces alone: outer, right." in [*in_words(ranking)]
+
+
+FLANGE = {
+    "bays": 1,
+    "post_spacing_m": 3.0,
+    "post": {"section": {"angle": [0.1, 0.01]}, "bottom_m": -0.1, "clamp_m": -0.05, "top_m": 0.5},
+    "rails": [{"name": "flange", "section": {"angle": [0.2, 0.012]}, "height_m": 0.0, "box_m": [0.2, 0.2]}],
+    "foot": {"post": 1},
+}
+
+
+@pytest.mark.parametrize("face", ["bottom", "inner"])
+def test_stances_are_sought_on_the_face_that_the_scenes_feet_hold(face: str) -> None:
+    places = [{"member": "flange", "along_m": along, "face": face, "turn_deg": 180} for along in (1.0, 1.4)]
+    stance = dict(zip(("foot_1", "foot_2"), places, strict=True))
+    girder = scene_of(guardrail=FLANGE | {"stance": stance, "hold": {"kind": "magnet"}})
+    found = [*candidates_of(girder, 0.5, 0.5, ("flange",))]
+    # The outer side of this angle has the edge of a leg alone, where no magnet holds.
+    assert {place.face for each in found for place in each.stance.held} == {face}
+    assert len(found) > 10
+    out = {"bottom": (0, 0, -1), "inner": (0, -1, 0)}[face]
+    for each in found:
+        np.testing.assert_allclose(each.root[:3, 1], out, atol=1e-12)
+        if each.stance.foot_2 is not None:
+            assert (each.base[:3, 3] - each.root[:3, 3]) @ out > 0
+    # Of the usual sides none has a face for magnets.
+    assert not [*candidates_of(girder.changed(guardrail={"stance": None}), 0.5, 0.5, ("flange",))]
 
 
 class _Stopped:
