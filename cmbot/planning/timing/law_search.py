@@ -104,7 +104,8 @@ class _Nodes:
 
     def near(self, nodes: FloatArray) -> FloatArray:
         """The inner nodes (K - 1,) of a law from rest to rest that are nearest to some."""
-        return nodes + np.linalg.lstsq(self.matrix, self.target - self.matrix @ nodes, rcond=None)[0]
+        missing = self.target - self.matrix @ nodes
+        return np.asarray(nodes + np.linalg.lstsq(self.matrix, missing, rcond=None)[0])
 
     def law(self, nodes: FloatArray) -> TimeLaw:
         """The law of inner nodes."""
