@@ -333,11 +333,8 @@ def _motions() -> Iterator[tuple[str, str, Make]]:
     yield "a jolt of acceleration", "short", moved(lambda x: rates(x, "a", 4, 3.0))
     yield "a turn more of the last joint", "short", moved(lambda x: offset(x, 6, 2 * np.pi))
     yield "an approach twice as quick", "sliding", moved(lambda x: stretched(x, 0.3), "approach")
-    yield (
-        "an approach that ends 2 mm away",
-        "sliding",
-        moved(lambda x: bump(x, 2, 0.002, slice(-1, None)), "approach"),
-    )
+    away = moved(lambda x: bump(x, 2, 0.002, slice(-1, None)), "approach")
+    yield "an approach that ends 2 mm away", "sliding", away
     yield "a return through the rail", "strokes", moved(lambda x: detour(x, 1, -1.2), "return")
     yield "a return half way", "strokes", moved(lambda x: bump(x, 1, 0.2, slice(-1, None)), "return")
     yield "a free move that swings into the bar", "bar", moved(lambda x: bump(x, 0, 0.12))
@@ -415,12 +412,8 @@ def _files() -> Iterator[tuple[str, str, Make]]:
     yield "half the torque of a joint", "short", column("tau2", lambda x, k: x / 2)
     yield "the tool elsewhere", "short", column("tool_z", lambda x, k: x + 0.01)
     yield "velocities of nothing", "short", column("v2", lambda x, k: 0.0)
-    renamed = {"return": "return", "back": "return"}
-    yield (
-        "work that is called a return",
-        "strokes",
-        table(lambda rows: [{**row, "segment": renamed.get(row["segment"], row["segment"])} for row in rows]),
-    )
+    renamed = table(lambda rows: [{**r, "segment": r["segment"].replace("back", "return")} for r in rows])
+    yield "work that is called a return", "strokes", renamed
     exchanged = table(lambda rows: [{**row, "q1": row["q2"], "q2": row["q1"]} for row in rows])
     yield "columns exchanged", "short", exchanged
     elsewhere = (column(f"q{k}", lambda x, k: x + 0.02) for k in (1, 2, 3))
@@ -476,11 +469,8 @@ def _claims() -> Iterator[tuple[str, str, Make]]:
     yield "more clearance", "short", told(planned__min_clearance=lambda x: x + 0.05)
     yield "a smaller deviation", "bar", told(planned__max_tool_deviation=lambda x: 0.0)
     yield "a shorter job", "strokes", told(planned__job__duration=lambda x: x - 3)
-    yield (
-        "a bound above the peak",
-        "sliding",
-        told(torque_floor=lambda x: 2 * x, floor__value=lambda x: 2 * x),
-    )
+    bound = told(torque_floor=lambda x: 2 * x, floor__value=lambda x: 2 * x)
+    yield "a bound above the peak", "sliding", bound
 
 
 def walk(*changes: Callable[[dict[str, Any]], object]) -> Make:

@@ -48,7 +48,7 @@ def test_what_was_written_is_read_and_holds(walked: Path) -> None:
     assert (part.name, part.begin, part.motion.seconds) == ("walk_1", 0.0, one_step().seconds)
     data = json.loads(output("verify", walked, "--json"))
     assert {motion["part"] for motion in data["motions"]} == {"walk_1"}
-    assert "words" in data["not_verified"]
+    assert "version, words" in data["not_verified"]
 
 
 @pytest.mark.parametrize(
@@ -111,6 +111,22 @@ def test_work_that_ends_where_the_next_begins(work: Plan, tmp_path: Path) -> Non
     assert "scene.robot.payload_kg: got 0.0, expected 0.5" in refusal(*changed, "robot.payload_kg=0.5")
     assert "safety_margin_m 0.02 (asked 0.03)" in refusal(*changed, "safety_margin_m=0.03")
     assert "via_points: got 8, expected 20" in refusal(*changed, "tool_path.via_points=20")
+
+
+def test_a_part_that_promises_less(work: Plan, tmp_path: Path) -> None:
+    asked = write_scene(tmp_path / "s.yaml", SHORT | RETURNS)
+    folder = write_tour(tmp_path / "tour", work_1=work)
+    edit(folder / "work_1", lambda plan: plan["options"].update(safety_margin_m=0.0))
+    told = "Promised otherwise than the scene in the folder asks: work_1: safety_margin_m 0.0 (asked 0.02)."
+    assert output("verify", folder).startswith(told)
+    refused = refusal("verify", folder, "--scene", asked)
+    assert "options: got safety_margin_m 0.0 (asked 0.02), expected" in refused
+
+
+def test_a_tour_without_its_work(walked: Path, tmp_path: Path) -> None:
+    asked = write_scene(tmp_path / "s.yaml", one_step().scene.as_data())
+    refused = refusal("verify", walked, "--scene", asked)
+    assert "parts: got none, expected each stroke once, as asked: work" in refused
 
 
 def test_a_stroke_is_done_twice(work: Plan, tmp_path: Path) -> None:

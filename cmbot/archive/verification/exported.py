@@ -53,7 +53,7 @@ def unverified_files(plan: Plan, folder: Path) -> tuple[str, ...]:
     for path in sorted(folder.iterdir()):
         if path.name.startswith(".") or path.name in (PLAN_FILE, JOB_FILES[1]):
             continue
-        compare = _COMPARED.get(path.suffix)
+        compare = _KINDS.get(path.suffix)
         skipped += compare(plan, path) if compare is not None and path.is_file() else [path.name]
     return tuple(skipped)
 
@@ -158,5 +158,4 @@ def _plain(message: Any, like: Any) -> Any:
     return message
 
 
-_Comparison = Callable[[Plan, Path], list[str]]
-_COMPARED: Mapping[str, _Comparison] = {".csv": _table, ".json": _message, ".mcap": _bag}
+_KINDS: Mapping[str, Callable[[Plan, Path], list[str]]] = {".csv": _table, ".json": _message, ".mcap": _bag}

@@ -127,18 +127,19 @@ def verified_motions(directory: str | Path, asked: Asked | None = None) -> Verdi
 
 def _verified_tour(folder: Path, asked: Asked) -> Verdict:
     """Verify the parts, that each begins where the one before ends, and that they are what was asked for."""
-    verdicts = list[Verdict]()
+    verdicts, whole = list[Verdict](), joined(asked.scenes) if asked.scenes else None
+    options = asked.options or (None if whole is None else whole.planner)
 
     def read(part: Path) -> Plan | Walk:
-        motion, verdict = _verified(part, part.name, replace(asked, scenes=()))
+        motion, verdict = _verified(part, part.name, replace(asked, scenes=(), options=options))
         verdicts.append(verdict)
         return motion
 
     parts = read_tour(folder, read)
-    if asked.scenes:
-        _require_tour(folder, parts, joined(asked.scenes))
+    if whole is not None:
+        _require_tour(folder, parts, whole)
     beside = _others(folder, {TOUR_FILE, *(part.name for part in parts)})
-    verdicts.append(Verdict(looser=(), taken=(), motions=(), not_verified=("words", *beside)))
+    verdicts.append(Verdict(looser=(), taken=(), motions=(), not_verified=("version, words", *beside)))
     each = {
         name: tuple(dict.fromkeys(chain(*(getattr(verdict, name) for verdict in verdicts))))
         for name in vars(verdicts[0])
@@ -224,17 +225,17 @@ def _require_walk(walk: Walk, asked: Asked, source: str) -> tuple[str, ...]:
 
 
 def _walk_files(folder: Path, walk: Walk) -> tuple[str, ...]:
-    """Compare the table of a walk with its knots; return the names of the other files."""
+    """Compare the table of a walk with its knots; return what else is there."""
     if (table := folder / _WALK_TABLE).exists():
         require_table(read_file(table), walk_csv(walk).encode(), str(table))
-    return _others(folder, {WALK_FILE, _WALK_TABLE})
+    return ("version, times of checks", *_others(folder, {WALK_FILE, _WALK_TABLE}))
 
 
 def _others(folder: Path, known: Collection[str]) -> tuple[str, ...]:
     """The names of what is in a folder beside what is known."""
     require_settled(folder)
-    names = sorted(path.name for path in folder.iterdir())
-    return tuple(name for name in names if name not in known and name[0] != ".")
+    names = {path.name for path in folder.iterdir()} - {*known}
+    return tuple(sorted(name for name in names if name[0] != "."))
 
 
 def _claims(plan: Plan) -> Iterator[str]:
