@@ -185,7 +185,7 @@ def _in_words(found: Identification, slip: Slip) -> tuple[str, str, str, str]:
     given = found.measurements[sheet]
     if kind == "frequencies_hz":
         got, about = (
-            ", ".join(f"{f:.3g}" for f in each) for each in (given.modes[row].frequencies, slip.expected)
+            ", ".join(f"{f:.3g} Hz" for f in each) for each in (given.modes[row].frequencies, slip.expected)
         )
     else:
         seen = ~np.isnan(given.deflection[row])
@@ -212,7 +212,9 @@ def require_fit(found: Identification) -> None:
         source, key, got, expected = wrong[0]
         also = "".join(f"; nor does {other[1]} fit" for other in wrong[1:])
         slip = next(slip for slip in found.slips if slip.significant)
-        todo = _mistaken(found, slip) or "a slip, a wrong sign or axis? Measure again or write null"
+        todo = "a slip, another posture, the weight still on? Measure again or leave it out"
+        if slip.label.kind == "deflection_mm":
+            todo = _mistaken(found, slip) or "a slip, a wrong sign or axis? Measure again or write null"
         raise InputError(source, key, got, f"{expected}{also}: {todo}; or {_ACCEPT}")
     for part in found.parts:
         if part.scale <= _MAX_ERROR_RATIO:
