@@ -64,6 +64,7 @@ def in_words(ranking: StanceRanking) -> Iterator[str]:
         yield f"Feet were tried on these faces alone: {', '.join(faces)}."
     if ranking.reasons:
         yield f"Stances are left out most often for: {ranking.reasons_in_words}."
+    yield from (f"{remedy[0].upper()}{remedy[1:]}." for remedy in ranking.remedies)
 
 
 def _best_in_words(ranking: StanceRanking, best: StanceResult) -> Iterator[str]:
