@@ -141,7 +141,6 @@ def simulated(proposal: Proposal, truth: Truth, arm: ElasticArm, rng: np.random.
         setup=proposal.setup,
         q=proposal.q,
         deflection=bent - rest + noise,
-        frequencies=(np.zeros(0),) * len(proposal.q),
         job=proposal.job,
     )
 

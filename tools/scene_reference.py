@@ -42,6 +42,7 @@ _SECTIONS = {
     "MountRailFile": "`mounts.rail`",
     "BaseFile": "`base`",
     "ModesFile": "`base.modes`",
+    "TubeFile": "`base.tube`",
     "LinkHoldFile": "`base.hold`",
     "Tool": "`tool`",
     "Tolerance": "`tool.tolerance`",

@@ -145,7 +145,9 @@ def _print_new(made: _Made, remarks: Sequence[str], written: Sequence[Path], *, 
     by = ", ".join(f"{x:g}" for x in start.by)
     out.print(f"A first leg takes the tool by ({by}) m in {start.seconds:g} s: put your own into tool_path.")
     if not shipped:
-        out.print("The base is rigid: guardrail.stiffness says how it bends, base.name what it is.")
+        out.print(
+            "The base is rigid: base.tube or guardrail.stiffness says how it bends, base.name what it is."
+        )
     sheets = [limits for limits in written[1:] if limits.suffix == ".yaml"]
     yours = "put those of your robot's data sheet there"
     print_lines([*remarks, *(f"The assumed limits are in {limits}: {yours}." for limits in sheets)])

@@ -98,6 +98,8 @@ class IdentifyCommand(Writing):
 def _print_identification(found: Identification, target: Path) -> None:
     told = cmbot.identification
     print_table("Stiffness", told.HEADINGS, told.identified_rows(found))
+    if rows := list(told.mode_rows(found)):
+        print_table("Frequencies", told.MODE_HEADINGS, rows)
     print_lines(told.remarks(found))
     out.print(f"Written to {one_line(target)}; in a scene: identified: {one_line(target)}")
 
@@ -151,6 +153,7 @@ def _summary(found: Identification) -> dict[str, object]:
             }
             for slip in found.slips
         ],
+        "frequencies": [each._asdict() | {"label": each.label._asdict()} for each in found.matched],
         **_sag(found.after),
         "words": list(cmbot.identification.remarks(found)),
     }

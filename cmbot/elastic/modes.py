@@ -17,6 +17,8 @@ from cmbot.elastic.stiffness_parameters import StiffnessParameters
 
 # Share of the largest squared period below which a squared period is rounding: its coordinate has no mass.
 _MASSLESS_SHARE = 1e-13
+# Modes whose logarithms of frequencies differ by less may mix.
+MIXED_MODES_LOG = 0.08
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,13 +89,26 @@ def arm_modes(arm: ElasticArm, q: FloatArray) -> ArmModes:
 
 
 def frequency_slopes(
-    arm: ElasticArm, parameters: StiffnessParameters, at: FloatArray, q: FloatArray, count: int
+    arm: ElasticArm,
+    parameters: StiffnessParameters,
+    at: FloatArray,
+    q: FloatArray,
+    shapes: FloatArray,
+    mixed: float = MIXED_MODES_LOG,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return logarithms (k,) of the slowest natural frequencies in posture `q` (n,), and slopes (k, p).
+    """Return logarithms (k,) of natural frequencies, Hz, in posture `q` (n,), and slopes (k, p).
 
-    At parameters `at` (p,): ``d ln f = phi' dK phi / (2 omega^2)``.
+    At parameters `at` (p,), of the modes whose shapes were those of `shapes` (f, k) at others:
+    ``d ln f = phi' dK phi / (2 omega^2)``. Modes whose logarithms are less than `mixed` apart are taken
+    together, as the combination that is nearest to a shape.
     """
     modes = arm_modes(replace(arm, stiffness=parameters.stiffness(at)), q)
-    shapes, f = modes.shapes[:, :count].T, modes.frequencies[:count]
-    lost = np.einsum("kf,kfp->kp", shapes, parameters.relaxation(shapes, at))
-    return np.log(f), -lost / (2 * (2 * np.pi * f[:, None]) ** 2)
+    log = np.log(modes.frequencies)
+    share = shapes.T @ modes.mass @ modes.shapes  # (k, modes)
+    nearest = np.abs(share).argmax(axis=1)
+    share = np.where(np.abs(log - log[nearest, None]) < mixed, share, 0.0)
+    share /= np.linalg.norm(share, axis=1)[:, None]
+    squares = share**2 @ modes.frequencies**2
+    own = share @ modes.shapes.T
+    lost = np.einsum("kf,kfp->kp", own, parameters.relaxation(own, at))
+    return np.log(squares) / 2, -lost / (2 * (2 * np.pi) ** 2 * squares[:, None])

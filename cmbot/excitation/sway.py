@@ -147,7 +147,9 @@ def require_bending(arm: ElasticArm, source: str) -> None:
     InputError
     """
     if not len(arm.elastic):
-        expected = "guardrail.bays, guardrail.stiffness, base.modes or robot.elasticity in the scene"
+        expected = (
+            "guardrail.bays, base.tube, guardrail.stiffness, base.modes or robot.elasticity in the scene"
+        )
         raise InputError(source, "guardrail", "nothing that bends", expected)
 
 

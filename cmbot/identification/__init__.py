@@ -44,9 +44,12 @@ from cmbot.identification.model import (
     prior_deviations as prior_deviations,
     sag_along as sag_along,
 )
+from cmbot.identification.problem import MatchedFrequency as MatchedFrequency
 from cmbot.identification.report import (
     HEADINGS as HEADINGS,
+    MODE_HEADINGS as MODE_HEADINGS,
     identified_rows as identified_rows,
+    mode_rows as mode_rows,
     proposal_remarks as proposal_remarks,
     remarks as remarks,
     require_fit as require_fit,

@@ -29,7 +29,7 @@ from cmbot.elastic.stiffness_parameters import (
 from cmbot.identification.measurements import Measurements, require_alike
 from cmbot.identification.misfit import Part, Slip, parts, rescaled, slips
 from cmbot.identification.model import SagAlong, measured_arm, sag_along
-from cmbot.identification.problem import Label, Problem
+from cmbot.identification.problem import MatchedFrequency, Problem
 from cmbot.planning import modelled_stiffness
 from cmbot.scene import IdentifiedStiffness
 
@@ -70,8 +70,8 @@ class Identification:
         Whether measurements and prior fit, and by which factor their errors were taken to be larger.
     slips : tuple of Slip
         Rows that do not fit the others, the worst first.
-    unmatched : tuple of (Label, float)
-        Frequencies, Hz, that were left out, as no mode of the arm is near.
+    matched : tuple of MatchedFrequency
+        To which modes of the arm the measured frequencies were given.
     stiffness : IdentifiedStiffness
         For scenes: its covariance is about what was identified.
     job : (M, n) or None
@@ -91,7 +91,7 @@ class Identification:
     joint: FloatArray
     parts: tuple[Part, ...]
     slips: tuple[Slip, ...]
-    unmatched: tuple[tuple[Label, float], ...]
+    matched: tuple[MatchedFrequency, ...]
     stiffness: IdentifiedStiffness
     job: FloatArray | None
     before: SagAlong | None
@@ -161,7 +161,7 @@ def _estimate(sheets: tuple[Measurements, ...], modelled: ElasticArm) -> Identif
         joint=joint,
         parts=tuple(replace(part, scale=problem.scale[part.kind]) for part in stated),
         slips=wrong,
-        unmatched=problem.unmatched,
+        matched=problem.matched,
         stiffness=_stiffness(sheets, modelled, arm, mean, joint[:p, :p]),
         job=job,
         before=None if job is None else sag_along(modelled, np.diag(problem.prior**2), job),
@@ -189,12 +189,20 @@ def _about_identified(parameters: StiffnessParameters, arm: ElasticArm, mean: Fl
 
 def _damping(sheets: Sequence[Measurements]) -> dict[str, float] | None:
     """The damping of the modes in records; None where there are none."""
-    ratios = [ratio for sheet in sheets for ratio in sheet.damping]
-    if not ratios:
+    table = np.array(
+        [
+            each
+            for sheet in sheets
+            for modes in sheet.modes
+            for each in zip(modes.damping, modes.damping_deviations, strict=True)
+            if np.isfinite(each[0])
+        ]
+    )
+    if not len(table):
         return None
-    own = [deviation for sheet in sheets for deviation in sheet.damping_deviations]
+    ratios, own = table.T
     # Of one mode, and from mode to mode.
-    deviation = np.hypot(np.median(own), np.std(ratios))
+    deviation = np.hypot(np.median(own), np.std(ratios, ddof=min(1, len(ratios) - 1)))
     return {"ratio": round(float(np.median(ratios)), 6), "sd": round(float(deviation), 6)}
 
 

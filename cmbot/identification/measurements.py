@@ -82,6 +82,8 @@ class MeasuringSetup(FileModel):
     friction, each time anew; a standard deviation."""
     frequency_sd_share: Annotated[float, Field(ge=1e-5, le=1)] = 0.01
     """Standard deviation of a natural frequency, as a share of it."""
+    record_axes: Literal["W", "tool"] | None = None
+    """Along whose axes the sensor's x, y and z are; left out: unknown, and directions tell nothing."""
     prior: Prior = Prior()
 
 
@@ -149,12 +151,10 @@ class Measurements:
         Postures.
     deflection : (N, 3), m
         NaN: not measured.
-    frequencies : tuple of (k,) arrays, Hz
-        For each posture, the slowest first.
-    frequency_shares : tuple of (k,) arrays
-        Their standard deviations as shares, beside the `setup`'s.
-    damping, damping_deviations : tuple of float
-        Ratios of modes in records, and their standard deviations.
+    modes : tuple of RingDown
+        For each posture; empty: none are known.
+    rows : tuple of str
+        What each is called in messages; empty: ``measurements[k]``.
     job : (M, n) or None
         Postures in which the sag is wanted.
     """
@@ -164,13 +164,15 @@ class Measurements:
     setup: MeasuringSetup
     q: FloatArray
     deflection: FloatArray
-    frequencies: tuple[FloatArray, ...]
     job: FloatArray | None
-    frequency_shares: tuple[FloatArray, ...] = ()
-    damping: tuple[float, ...] = ()
-    damping_deviations: tuple[float, ...] = ()
+    modes: tuple[RingDown, ...] = ()
+    rows: tuple[str, ...] = ()
 
     __repr__ = short_repr
+
+    def key(self, row: int) -> str:
+        """Return what a row is called in messages."""
+        return self.rows[row] if self.rows else f"measurements[{row}]"
 
 
 def read_measurements(source: str | Path | Mapping[str, Any]) -> Measurements:
@@ -238,7 +240,6 @@ def _measurements(file: MeasurementsFile, folder: Path, source: str) -> Measurem
         rows.append(posture_of(each.posture_deg, each.posture, limits, source, key))
     for k, posture in enumerate(file.job or ()):
         _require_length(posture, n, source, f"job[{k}]")
-    rung = [_rung(each, folder, source, k) for k, each in enumerate(file.measurements)]
     nothing = (None, None, None)
     deflection = [
         [np.nan if x is None else 1e-3 * x for x in one.deflection_mm or nothing] for one in file.measurements
@@ -249,21 +250,15 @@ def _measurements(file: MeasurementsFile, folder: Path, source: str) -> Measurem
         setup=file,
         q=np.array(rows),
         deflection=np.array(deflection),
-        frequencies=tuple(each.frequencies for each in rung),
-        frequency_shares=tuple(each.shares for each in rung),
-        damping=tuple(ratio for each in rung for ratio in each.damping.tolist()),
-        damping_deviations=tuple(each for one in rung for each in one.damping_deviations.tolist()),
         job=None if file.job is None else np.array(file.job),
+        modes=tuple(_modes(each, folder, source, k) for k, each in enumerate(file.measurements)),
     )
 
 
-def _rung(file: MeasurementFile, folder: Path, source: str, number: int) -> RingDown:
+def _modes(file: MeasurementFile, folder: Path, source: str, number: int) -> RingDown:
     """The modes that were measured in a posture."""
     if file.record is None:
-        known = np.array(file.frequencies_hz)
-        nothing = np.zeros(0)
-        shares = np.zeros_like(known)
-        return RingDown(frequencies=known, shares=shares, damping=nothing, damping_deviations=nothing)
+        return RingDown.at(file.frequencies_hz)
     path = folder / file.record
     if not path.exists():
         key = f"measurements[{number}].record"

@@ -44,7 +44,7 @@ def measured_arm(scene: Scene, load: float = 0.0) -> ElasticArm:
     robot: Robot = robot_of(loaded).tool_off
     arm = elastic_arm(robot, elastic_base(held_guardrail(scene, robot)))
     if not len(arm.elastic):
-        expected = "something that bends: guardrail.bays, guardrail.stiffness or robot.elasticity"
+        expected = "something that bends: guardrail.bays, base.tube, guardrail.stiffness or robot.elasticity"
         raise SceneError(scene.source, "guardrail", "nothing that bends", expected)
     return arm
 

@@ -7,23 +7,33 @@ stiffness; the same weight has the same error in all sheets.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.optimize import least_squares, linear_sum_assignment
 
-from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import InputError
 from cmbot.elastic.arm import ElasticArm
-from cmbot.elastic.modes import frequency_slopes
+from cmbot.elastic.modes import MIXED_MODES_LOG, arm_modes, frequency_slopes
 from cmbot.identification.measurements import Measurements
 from cmbot.identification.model import DeflectionModel, prior_deviations
+from cmbot.identification.records import RingDown
 
 # Residual where the arm is too soft to carry itself: such a step is not taken.
 _UNSTABLE_RESIDUAL = 1e6
-# Modes that a measured frequency may be of; the largest difference of its logarithm from theirs, and that of
-# two modes that a record may not tell apart.
-_MAX_CANDIDATE_MODES, _MAX_MODE_DIFFERENCE_LOG, _MERGED_MODES_LOG = 16, 0.3, 0.08
+# Modes that a measured frequency may be of; the largest difference of its logarithm from theirs; the standard
+# deviation of the direction in which a mode moves the tool; and the least probability of a mode that counts.
+_MAX_CANDIDATE_MODES, _MAX_MODE_DIFFERENCE_LOG, _DIRECTION_SD, _LEAST_PROBABILITY = 16, 0.3, 0.25, 0.01
+# The square of a distance in standard deviations that no match has.
+_UNMATCHED = 1e6
+# Probability from which a mode is told apart from others, and the cosine of shapes that are one.
+_TOLD_APART, _SAME_SHAPE = 0.9, 0.95
+# Modes mix whose frequencies differ by less than so many standard deviations of that; the share of the
+# squares of their ways that keeps combinations small; the standard deviation of a mode's share in one.
+_MIXED_SIGMAS, _RIDGE, _MIX_SD = 2.0, 0.01, 0.1
 _FIT_TOLERANCE, _EVALUATIONS = 1e-7, 100
 # Residual beyond which the robust loss is linear.
 _HUBER_SIGMAS = 2.0
@@ -45,6 +55,24 @@ class Block(NamedTuple):
     label: Label
     residual: FloatArray
     slope: FloatArray
+
+
+class MatchedFrequency(NamedTuple):
+    """A measured frequency: its row, Hz, damping ratio and standard deviation, and the modes it may be of.
+
+    These, the likeliest first, are counted from 1, the slowest; with their probabilities, and their
+    frequencies, Hz, as predicted without it. Empty: none is near. `told_apart` says whether it is plain which
+    one it is, or, where several mix, which mixture.
+    """
+
+    label: Label
+    frequency: float
+    damping: float
+    damping_deviation: float
+    modes: tuple[int, ...]
+    probabilities: tuple[float, ...]
+    predicted: tuple[float, ...]
+    told_apart: bool
 
 
 class Problem:
@@ -85,8 +113,10 @@ class Problem:
         if any(sheet.deflects for sheet in self._sheets):
             x = self.solved(x, with_frequencies=False, robust=robust)
         if any(sheet.vibrates for sheet in self._sheets):
+            p = len(self.prior)
+            spread = self.covariance(self.blocks(x, with_frequencies=False))[:p, :p]
             for sheet in self._sheets:
-                sheet.match(self.prior * x[: len(self.prior)])
+                sheet.match(self.prior * x[:p], spread * np.outer(self.prior, self.prior))
             x = self.solved(x, robust=robust)
         return x
 
@@ -147,9 +177,9 @@ class Problem:
         return np.asarray(np.linalg.inv(J.T @ J))
 
     @property
-    def unmatched(self) -> tuple[tuple[Label, float], ...]:
-        """Frequencies, Hz, that are left out, as no mode of the arm is near."""
-        return tuple(each for sheet in self._sheets for each in sheet.unmatched)
+    def matched(self) -> tuple[MatchedFrequency, ...]:
+        """All measured frequencies, with the modes that they were given to."""
+        return tuple(each for sheet in self._sheets for each in sheet.matches)
 
     def predicted(self, block: Block) -> FloatArray:
         """Return what a block should have been to have no residual: deflections, m, or frequencies, Hz."""
@@ -157,11 +187,15 @@ class Problem:
 
 
 class _Matched(NamedTuple):
-    """Measured frequencies: of which modes (k,), their logarithms (k,) and standard deviations (k,)."""
+    """Measured frequencies: their logarithms (k,) and standard deviations (k,), and what they are of.
 
-    modes: IntArray
+    Shapes (f, c) of modes, and the probability (k, c) of each.
+    """
+
     log: FloatArray
     share: FloatArray
+    shapes: FloatArray
+    weight: FloatArray
 
 
 class _Sheet:
@@ -174,22 +208,94 @@ class _Sheet:
             whitener(noise, ~np.isnan(d)) for noise, d in zip(model.noise, given.deflection, strict=True)
         ]
         self.deflects = bool(np.isfinite(given.deflection).any())
-        self.vibrates = any(len(f) for f in given.frequencies)
-        nothing = _Matched(np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros(0))
-        self._matched = [nothing] * len(given.q)
-        self.unmatched: list[tuple[Label, float]] = []
+        self._modes = given.modes or (RingDown.at(()),) * len(given.q)
+        self.vibrates = any(len(each.frequencies) for each in self._modes)
+        nothing = np.zeros(0)
+        self._matched = [_Matched(nothing, nothing, nothing, nothing)] * len(given.q)
+        self.matches: list[MatchedFrequency] = []
 
-    def match(self, at: FloatArray) -> None:
-        """Find out which mode each measured frequency is of, at parameters (p,)."""
-        self.unmatched = []
-        shares = self._given.frequency_shares or tuple(map(np.zeros_like, self._given.frequencies))
-        for k, (f, own) in enumerate(zip(self._given.frequencies, shares, strict=True)):
-            if len(f):
-                log, _ = self._frequencies(at, k, _MAX_CANDIDATE_MODES)
-                found = _matched(np.log(f), own, log, self._given.setup.frequency_sd_share)
-                label = Label("frequencies_hz", self._number, k)
-                self.unmatched += [(label, hz) for hz in f.tolist() if np.log(hz) not in found.log]
-                self._matched[k] = found
+    def match(self, at: FloatArray, covariance: FloatArray) -> None:
+        """Find out which modes each measured frequency is of, at parameters (p,) of a covariance (p, p).
+
+        That is told by frequencies and, where it is known along which axes a record is, by the direction in
+        which a mode moves the tool. Where both may be of either, what is known is their mean.
+        """
+        self.matches = []
+        for row, seen in enumerate(self._modes):
+            if len(seen.frequencies):
+                self._match(row, seen, at, covariance)
+
+    def _match(self, row: int, seen: RingDown, at: FloatArray, covariance: FloatArray) -> None:
+        f, own_variance = np.log(seen.frequencies), self._given.setup.frequency_sd_share**2 + seen.shares**2
+        each = list(self._candidates(row, seen, at, covariance))
+        cost = np.array(
+            [
+                np.where(
+                    np.abs(log - known.log) < _MAX_MODE_DIFFERENCE_LOG,
+                    (log - known.log) ** 2 / (np.diag(known.spread) + variance)
+                    + known.turned / _DIRECTION_SD**2,
+                    _UNMATCHED,
+                )
+                for log, variance, known in zip(f, own_variance, each, strict=True)
+            ]
+        )
+        weight = _probabilities(cost)
+        near = weight.any(axis=1)
+        variance = own_variance + [known.variance(own) for known, own in zip(each, weight, strict=True)]
+        for i, (known, own) in enumerate(zip(each, weight, strict=True)):
+            likely = [k for k in np.argsort(-own).tolist() if own[k] > 0]
+            self.matches.append(
+                MatchedFrequency(
+                    label=Label("frequencies_hz", self._number, row),
+                    frequency=float(seen.frequencies[i]),
+                    damping=float(seen.damping[i]),
+                    damping_deviation=float(seen.damping_deviations[i]),
+                    modes=tuple(k + 1 for k in likely),
+                    probabilities=tuple(own[likely].tolist()),
+                    predicted=tuple(np.exp(known.log[likely]).tolist()),
+                    told_apart=known.told_apart(own),
+                )
+            )
+        self._matched[row] = _Matched(
+            f[near],
+            np.sqrt(variance[near]),
+            np.hstack([known.shapes for known in each]),
+            block_diag(*weight)[near],
+        )
+
+    def _candidates(
+        self, row: int, seen: RingDown, at: FloatArray, covariance: FloatArray
+    ) -> Iterator[_Candidates]:
+        """Of each measured frequency the slowest modes.
+
+        Modes that may mix, as stiffness is not known better, are combined to what moves the tool as the
+        record says.
+        """
+        arm = replace(self.model.arm, stiffness=self.model.parameters.stiffness(at))
+        modes, axes = arm_modes(arm, self._given.q[row]), self._given.setup.record_axes
+        shapes = modes.shapes[:, :_MAX_CANDIDATE_MODES]
+        log, slope = self._frequencies(at, row, shapes)
+        spread, nothing = slope @ covariance @ slope.T, np.zeros(len(log))
+        gap, variance = log - log[:, None], np.diag(spread)
+        apart = variance + variance[:, None] - 2 * spread
+        mix = gap**2 < np.maximum(_MIXED_SIGMAS**2 * apart, MIXED_MODES_LOG**2)
+        mix &= np.abs(gap) < _MAX_MODE_DIFFERENCE_LOG
+        q = arm.configuration(self._given.q[row], modes.u)
+        X_WT, J = arm.tool_jacobian(q, arm.model.createData())
+        moves = (X_WT.rotation.T if axes == "tool" else np.eye(3)) @ J[:3, arm.elastic] @ shapes
+        for direction in seen.directions:
+            along = ~np.isnan(direction)
+            if axes is None or along.sum() < 2:
+                yield _Candidates(shapes, nothing, log, spread, nothing)
+                continue
+            mixed = np.column_stack([_towards(direction[along], moves[along], near) for near in mix])
+            way = moves[along] @ mixed
+            cosine = direction[along] @ way / np.maximum(np.linalg.norm(way, axis=0), 1e-300)
+            own_log, own_slope = self._frequencies(at, row, shapes @ mixed)
+            unsure = _MIX_SD * np.sqrt(np.einsum("jk,jk->k", mixed**2, gap**2))
+            yield _Candidates(
+                shapes @ mixed, 1 - cosine**2, own_log, own_slope @ covariance @ own_slope.T, unsure
+            )
 
     def blocks(self, prior: FloatArray, at: FloatArray, by_weights: FloatArray) -> Iterator[Block]:
         given, setup, p = self._given, self._given.setup, len(prior)
@@ -207,11 +313,11 @@ class _Sheet:
                 residual = W @ (d - np.nan_to_num(given.deflection[k]))
                 yield Block(Label("deflection_mm", self._number, k), residual, row)
             found = self._matched[k]
-            if len(found.modes):
-                log, d_log = self._frequencies(at, k, int(found.modes.max()) + 1)
-                row = np.zeros((len(found.modes), p + len(by_weights)))
-                row[:, :p] = d_log[found.modes] * prior / found.share[:, None]
-                residual = (log[found.modes] - found.log) / found.share
+            if len(found.log):
+                log, d_log = self._frequencies(at, k, found.shapes)
+                row = np.zeros((len(found.log), p + len(by_weights)))
+                row[:, :p] = found.weight @ d_log * prior / found.share[:, None]
+                residual = (found.weight @ log - found.log) / found.share
                 yield Block(Label("frequencies_hz", self._number, k), residual, row)
 
     def without_residual(self, block: Block) -> FloatArray:
@@ -224,22 +330,60 @@ class _Sheet:
         off = np.linalg.solve(self._white[k][:, seen], block.residual)
         return np.asarray(measured[seen] + off)
 
-    def _frequencies(self, at: FloatArray, row: int, count: int) -> tuple[FloatArray, FloatArray]:
-        return frequency_slopes(self.model.arm, self.model.parameters, at, self._given.q[row], count)
+    def _frequencies(self, at: FloatArray, row: int, shapes: FloatArray) -> tuple[FloatArray, FloatArray]:
+        # What moves the tool as a record says stays the combination that it is.
+        mixed = MIXED_MODES_LOG if self._given.setup.record_axes is None else _MAX_MODE_DIFFERENCE_LOG
+        model = self.model
+        return frequency_slopes(model.arm, model.parameters, at, self._given.q[row], shapes, mixed)
 
 
-def _matched(log: FloatArray, own: FloatArray, model: FloatArray, share: float) -> _Matched:
-    """Match measured frequencies with the nearest ones of the model, one to one; far ones are left out.
+class _Candidates(NamedTuple):
+    """Modes that a frequency may be of.
 
-    Of two modes near each other of which one was measured it may be either, or both in one.
+    Shapes (f, c), squared sines (c,) of the angles by which they move the tool elsewhere than it did, and
+    logarithms (c,) of their frequencies with the covariance (c, c) and the deviations (c,) by what is mixed.
     """
-    measured, modes = linear_sum_assignment(np.abs(log[:, None] - model))
-    near = np.abs(log[measured] - model[modes]) < _MAX_MODE_DIFFERENCE_LOG
-    measured, modes = measured[near], modes[near]
-    others = np.setdiff1d(np.arange(len(model)), modes)
-    gap = np.abs(model[modes][:, None] - model[others]).min(axis=1, initial=np.inf)
-    either = np.where(gap < _MERGED_MODES_LOG, 0.5 * gap, 0.0)
-    return _Matched(modes, log[measured], np.sqrt(share**2 + own[measured] ** 2 + either**2))
+
+    shapes: FloatArray
+    turned: FloatArray
+    log: FloatArray
+    spread: FloatArray
+    unsure: FloatArray
+
+    def variance(self, weight: FloatArray) -> float:
+        """That of the logarithm of one of them, by probabilities (c,), about the mean of all."""
+        apart = np.eye(len(weight)) - weight
+        own = (apart @ self.log) ** 2 + np.einsum("ij,jk,ik->i", apart, self.spread, apart)
+        return float(weight @ (own + self.unsure**2))
+
+    def told_apart(self, weight: FloatArray) -> bool:
+        """Whether those of the likeliest one's shape have most of the probability (c,)."""
+        units = self.shapes / np.linalg.norm(self.shapes, axis=0)
+        same = np.abs(units.T @ units[:, weight.argmax()]) > _SAME_SHAPE
+        return bool(weight[same].sum() >= _TOLD_APART)
+
+
+def _towards(direction: FloatArray, moves: FloatArray, near: BoolArray) -> FloatArray:
+    """The combination (c,) of some modes, of unit length, that moves the tool most nearly in a direction."""
+    P, found = moves[:, near], np.zeros(len(near))
+    G = P.T @ P
+    found[near] = np.linalg.solve(G + _RIDGE * np.trace(G) * np.eye(len(G)), P.T @ direction)
+    return np.asarray(found / max(float(np.linalg.norm(found)), 1e-300))
+
+
+def _probabilities(cost: FloatArray) -> FloatArray:
+    """Of modes (k, c) that k frequencies are of, each of another, by twice the negative logarithm of each.
+
+    To first order: beside each pair the others are matched best.
+    """
+    total = np.full(cost.shape, np.inf)
+    for i, j in np.argwhere(cost < _UNMATCHED):
+        others = np.delete(np.delete(cost, i, axis=0), j, axis=1)
+        total[i, j] = cost[i, j] + others[linear_sum_assignment(others)].sum()
+    least = total.min(axis=1, keepdims=True)
+    weight = np.exp(-(total - np.where(np.isfinite(least), least, 0.0)) / 2)
+    weight[weight < _LEAST_PROBABILITY] = 0.0
+    return np.asarray(weight / np.maximum(weight.sum(axis=1, keepdims=True), _LEAST_PROBABILITY))
 
 
 def whitener(noise: FloatArray, seen: BoolArray) -> FloatArray:

@@ -8,10 +8,11 @@ most of them have is a mode, one that few have is noise.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from cmbot.common.arrays import BoolArray, FloatArray
@@ -54,17 +55,34 @@ class RingDown:
     frequencies : (k,), Hz
         Undamped.
     shares : (k,)
-        Their standard deviations among models of several orders, as shares.
+        Their standard deviations, as shares.
     damping : (k,)
-        Ratios.
+        Ratios; NaN where unknown.
     damping_deviations : (k,)
-        Their standard deviations among the models.
+        Their standard deviations.
+    directions : (k, 3)
+        In which each mode moves the sensor, of unit length, along its axes x, y, z; NaN of an axis without a
+        record.
     """
 
     frequencies: FloatArray
     shares: FloatArray
     damping: FloatArray
     damping_deviations: FloatArray
+    directions: FloatArray
+
+    @classmethod
+    def at(cls, frequencies: ArrayLike) -> RingDown:
+        """Return modes of which the frequencies, Hz, are known alone, as well as is stated of them."""
+        known = np.asarray(frequencies, dtype=float)
+        unknown = np.full((len(known), 3), np.nan)
+        return cls(
+            frequencies=known,
+            shares=np.zeros_like(known),
+            damping=unknown[:, 0],
+            damping_deviations=unknown[:, 0],
+            directions=unknown,
+        )
 
     def of(self, which: BoolArray) -> RingDown:
         """Return some of them (k,)."""
@@ -86,7 +104,8 @@ def read_record(path: Path) -> RingDown:
     """
     table = read_table(path, InputError, kind="a table of an accelerometer's record")
     time = table.index(*_RECORD_TIME_COLUMNS, *(f"{name}_ms" for name in _RECORD_TIME_COLUMNS))
-    axes = [axis for axis in (table.index(*_names(axis)) for axis in "xyz") if axis is not None]
+    at = [table.index(*_names(axis)) for axis in "xyz"]
+    axes = [axis for axis in at if axis is not None]
     if time is None or not axes:
         got = ",".join(table.names) or "no names of columns"
         raise InputError(str(path), "line 1", got, "columns t and ax, ay, az, or one of these")
@@ -114,7 +133,9 @@ def read_record(path: Path) -> RingDown:
     if not len(found.frequencies):
         expected = f"a tap, then for some s the free decay of modes below {_HIGHEST:g} Hz, 10 times the noise"
         raise UnusableRecord(str(path), "", "a record with no decay that stands out of its noise", expected)
-    return found
+    directions = np.full((len(found.frequencies), 3), np.nan)
+    directions[:, [axis is not None for axis in at]] = found.directions
+    return replace(found, directions=directions)
 
 
 def _names(axis: str) -> Iterator[str]:
@@ -137,7 +158,10 @@ def _require_unclipped(a: FloatArray, names: Sequence[str], source: str) -> None
 
 
 def ring_down(step: float, a: FloatArray) -> RingDown:
-    """Find the modes in accelerations (N, m), `step`, s, apart, that begin before a tap or with one."""
+    """Find the modes in accelerations (N, m), `step`, s, apart, that begin before a tap or with one.
+
+    Directions are those along the m axes.
+    """
     from scipy.signal import decimate
 
     a, given = a - a.mean(axis=0), step
@@ -148,20 +172,20 @@ def ring_down(step: float, a: FloatArray) -> RingDown:
     if coarser > 1 and len(y) > 60 * coarser:
         y, step = decimate(y, coarser, ftype="fir", axis=0), coarser * step
     if len(y) < _MIN_SAMPLES or not y.any():
-        return _none()
+        return RingDown.at(())
     rows = min(len(y) // 2, _HANKEL_SAMPLES)
     windows = np.lib.stride_tricks.sliding_window_view(y, rows, axis=0)  # (N - rows + 1, m, rows)
     H = windows.transpose(2, 1, 0).reshape(rows * y.shape[1], -1)
     with threadpool_limits(limits=1, user_api="blas"):
         U, s, V = np.linalg.svd(H[:, :-1], full_matrices=False)
         known = [_poles(U, s, V, H[:, 1:], order, step, y.shape[1]) for order in _ORDERS if order <= len(s)]
-    found = _stable(known) if known else _none()
+    found = _stable(known) if known else RingDown.at(())
     hum = _is_hum(found, step, y, a[: max(tap - int(_AFTER_TAP / given), 0)], given)
     if hum.any():
         steady = _oscillations(found.of(hum), step, len(y), decays=False)
         y = y - steady @ np.linalg.lstsq(steady, y, rcond=None)[0]
     found = found.of(~hum)
-    return found if _stands_out(found, step, y) else _none()
+    return _fitted(found, step, y) if _stands_out(found, step, y) else RingDown.at(())
 
 
 def _oscillations(found: RingDown, step: float, number: int, *, decays: bool = True) -> FloatArray:
@@ -206,28 +230,77 @@ def _stands_out(found: RingDown, step: float, y: FloatArray) -> bool:
 
 def _statistic(columns: FloatArray, axis: FloatArray, step: float) -> float:
     """F of the regression of an axis (N,) on columns (N, k), both filtered so that what is left is white."""
-    from scipy.linalg import solve_toeplitz
-    from scipy.signal import lfilter
-
-    left = axis - columns @ np.linalg.lstsq(columns, axis, rcond=None)[0]
-    # Without noise nothing is left.
-    r = np.array([left[: len(left) - k] @ left[k:] for k in range(_NOISE_ORDER + 1)])
-    r[0] += 1e-9 * float(axis @ axis)
-    noise = np.concatenate([[1.0], -solve_toeplitz(r[:-1], r[1:])])
-    white = lfilter(noise, [1.0], np.column_stack([columns, axis]), axis=0)[_NOISE_ORDER:]
+    white = _filtered(_noise_filter(columns, axis), columns, axis)
     f = np.fft.rfftfreq(len(white), step)
     z = np.fft.rfft(white, axis=0)[(f > 0) & (f < _HIGHEST)]
     table = np.concatenate([z.real, z.imag])
     shown, record = table[:, :-1], table[:, -1]
-    whole = float(record @ record)
-    rest = float(((record - shown @ np.linalg.lstsq(shown, record, rcond=None)[0]) ** 2).sum())
+    whole, rest = float(record @ record), float((_left(table) ** 2).sum())
     freedom = len(record) - shown.shape[1]
     return float((whole - rest) / shown.shape[1] * freedom / max(rest, 1e-12 * whole))
 
 
-def _none() -> RingDown:
-    nothing = np.zeros(0)
-    return RingDown(frequencies=nothing, shares=nothing, damping=nothing, damping_deviations=nothing)
+def _noise_filter(columns: FloatArray, axis: FloatArray) -> FloatArray:
+    """The filter that makes white what columns (N, k) leave of an axis (N,)."""
+    from scipy.linalg import solve_toeplitz
+
+    left = _left(np.column_stack([columns, axis]))
+    # Without noise nothing is left.
+    r = np.array([left[: len(left) - k] @ left[k:] for k in range(_NOISE_ORDER + 1)])
+    r[0] += 1e-9 * float(axis @ axis)
+    return np.concatenate([[1.0], -solve_toeplitz(r[:-1], r[1:])])
+
+
+def _filtered(noise: FloatArray, columns: FloatArray, axis: FloatArray) -> FloatArray:
+    from scipy.signal import lfilter
+
+    return np.asarray(lfilter(noise, [1.0], np.column_stack([columns, axis]), axis=0)[_NOISE_ORDER:])
+
+
+def _left(table: FloatArray) -> FloatArray:
+    """What a regression on all columns but the last of a table (N, k + 1) leaves of that (N,)."""
+    return np.asarray(
+        table[:, -1] - table[:, :-1] @ np.linalg.lstsq(table[:, :-1], table[:, -1], rcond=None)[0]
+    )
+
+
+def _fitted(found: RingDown, step: float, y: FloatArray) -> RingDown:
+    """Modes that fit a record (N, m) best, how exactly it tells them, and along which axes they are.
+
+    Least squares of frequencies and ratios, the amplitudes projected out (variable projection; Golub and
+    Pereyra, 1973), of what is left where the noise of each axis is white. That models of several orders agree
+    with each other tells less: they share the noise.
+    """
+    from scipy.optimize import least_squares
+
+    k, axes = len(found.frequencies), [axis for axis in y.T if axis.any()]
+    columns = _oscillations(found, step, len(y))
+    filters = [_noise_filter(columns, axis) for axis in axes]
+    sizes = [
+        max(float(np.std(_left(_filtered(noise, columns, axis)))), 1e-9 * float(np.std(axis)))
+        for noise, axis in zip(filters, axes, strict=True)
+    ]
+
+    def at(x: FloatArray) -> RingDown:
+        f, ratio = found.frequencies * np.exp(x[:k]), found.damping * np.exp(x[k:])
+        return replace(found, frequencies=f, damping=ratio)
+
+    def residual(x: FloatArray) -> FloatArray:
+        own = _oscillations(at(x), step, len(y))
+        each = zip(filters, axes, sizes, strict=True)
+        return np.concatenate([_left(_filtered(noise, own, axis)) / size for noise, axis, size in each])
+
+    bound = np.repeat([2 * _SAME_FREQUENCY_SHARE, 1.0], k)
+    fit = least_squares(residual, np.zeros(2 * k), bounds=(-bound, bound), x_scale=bound)
+    freedom = len(fit.fun) - 2 * k * (len(axes) + 1)
+    deviation = np.sqrt(np.diag(np.linalg.pinv(fit.jac.T @ fit.jac)) * 2 * fit.cost / freedom)
+    best = at(fit.x)
+    amplitudes = np.linalg.lstsq(_oscillations(best, step, len(y)), y, rcond=None)[0]
+    # Cosine and sine of each mode (k, 2, m): of a real mode both are along one line.
+    lines = np.linalg.svd(amplitudes.reshape(2, k, -1).transpose(1, 0, 2))[2][:, 0]
+    return replace(
+        best, shares=deviation[:k], damping_deviations=best.damping * deviation[k:], directions=lines
+    )
 
 
 def _poles(
@@ -250,11 +323,11 @@ def _stable(known: list[FloatArray]) -> RingDown:
     """The oscillations that most models have."""
     every = np.concatenate(known)
     if not len(every):
-        return _none()
+        return RingDown.at(())
     # What is slow is hardly seen in accelerations: it is a mode where its way is not small.
     ways = every[:, 2] / every[:, 0] ** 2
     largest, furthest = every[:, 2].max(), ways.max()
-    found = list[tuple[float, float, float, float]]()
+    found = list[tuple[float, float]]()
     for order in np.argsort(every[:, 0]):
         f = every[order, 0]
         if found and f < found[-1][0] * (1 + 2 * _SAME_FREQUENCY_SHARE):
@@ -262,12 +335,9 @@ def _stable(known: list[FloatArray]) -> RingDown:
         near = [each[np.abs(each[:, 0] / f - 1) < 2 * _SAME_FREQUENCY_SHARE] for each in known]
         have = [each[each[:, 2].argmax()] for each in near if len(each)]
         middle = np.median(have, axis=0)
-        agree = [each for each in have if abs(each[0] / middle[0] - 1) < _SAME_FREQUENCY_SHARE]
+        agree = sum(abs(each[0] / middle[0] - 1) < _SAME_FREQUENCY_SHARE for each in have)
         is_seen = middle[2] > _SEEN * largest or middle[2] / middle[0] ** 2 > _SEEN * furthest
-        if len(agree) >= _AGREE * len(known) and is_seen:
-            share, deviation = (float(np.std([each[k] for each in agree])) for k in (0, 1))
-            found.append((float(middle[0]), share / float(middle[0]), float(middle[1]), deviation))
-    table = np.array(found[:_MAX_MODES]).reshape(-1, 4)
-    return RingDown(
-        frequencies=table[:, 0], shares=table[:, 1], damping=table[:, 2], damping_deviations=table[:, 3]
-    )
+        if agree >= _AGREE * len(known) and is_seen:
+            found.append((float(middle[0]), float(middle[1])))
+    table = np.array(found[:_MAX_MODES]).reshape(-1, 2)
+    return replace(RingDown.at(table[:, 0]), damping=table[:, 1])

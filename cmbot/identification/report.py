@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from cmbot.identification.design import Proposal
 from cmbot.identification.estimation import Identification
 from cmbot.identification.misfit import Slip
 from cmbot.identification.model import SagAlong
+from cmbot.identification.problem import MatchedFrequency
 from cmbot.scene import IdentifiedStiffness
 
 HEADINGS = ("", "modelled", "identified", "factor", "sd, %", "before, %", "")
@@ -25,8 +27,13 @@ _UNSEEN_SHARE = 0.9
 # By how much errors may be larger than stated.
 _MAX_ERROR_RATIO = 5.0
 _ACCEPT = "--accept-misfit (in Python accept_misfit=True)"
+# Modes of a smaller probability are not told of a frequency.
+_LEAST_SHARE_OF_A_MODE = 0.1
 # The smallest probability that is told, per cent.
 _LEAST_SHARE = 0.01
+MODE_HEADINGS = ("measured in", "Hz", "damping, %", "sd, %", "mode, without it")
+"""Of the columns of `mode_rows`."""
+
 _BASE_DIRECTIONS = ("along x", "along y", "along z", "about x", "about y", "about z")
 
 
@@ -57,6 +64,26 @@ def identified_rows(found: Identification) -> Iterator[tuple[str, ...]]:
         yield _row(f"base {name}, {unit}", 1 / (L @ L.T)[i, i], 1 / C[i, i], now, was)
 
 
+def mode_rows(found: Identification) -> Iterator[tuple[str, ...]]:
+    """Yield the measured frequencies: row, Hz, damping and its standard deviation, mode, as predicted."""
+    for each in found.matched:
+        sheet = found.measurements[each.label.sheet]
+        ratios = (each.damping, each.damping_deviation)
+        damping = (f"{100 * ratio:.{digits}f}" for ratio, digits in zip(ratios, (2, 3), strict=True))
+        told = (text if np.isfinite(each.damping) else "" for text in damping)
+        where = f"{Path(sheet.source).name}: {sheet.key(each.label.row)}"
+        yield where, f"{each.frequency:.4g}", *told, _either(each) or "none is near"
+
+
+def _either(match: MatchedFrequency) -> str:
+    """Modes and the frequencies predicted of them; of those that mix all numbers, and one frequency."""
+    kept = [k for k, share in enumerate(match.probabilities) if share > _LEAST_SHARE_OF_A_MODE]
+    if match.told_apart:
+        numbers = " and ".join(str(match.modes[k]) for k in kept)
+        return f"{numbers} ({match.predicted[0]:.4g} Hz)" if kept else ""
+    return " or ".join(f"{match.modes[k]} ({match.predicted[k]:.4g} Hz)" for k in kept)
+
+
 def _row(name: str, modelled: float, identified: float, now: float, before: float) -> tuple[str, ...]:
     told = "" if now <= _UNSEEN_SHARE * before else "not seen"
     factor = identified / modelled
@@ -80,9 +107,14 @@ def unseen(found: Identification) -> tuple[tuple[str, ...], int]:
 def remarks(found: Identification) -> Iterator[str]:
     """Yield what an identification means: exactness along the job, what was not seen, doubts, assumptions."""
     yield from _misfits(found)
-    for (_, sheet, row), frequency in found.unmatched:
-        key = f"{found.measurements[sheet].source}: measurements[{row}]"
-        yield f"{key}: {frequency:.4g} Hz is left out, as no mode of the arm is within 30 % of it."
+    for each in found.matched:
+        sheet = found.measurements[each.label.sheet]
+        key = f"{sheet.source}: {sheet.key(each.label.row)}: {each.frequency:.4g} Hz"
+        if not each.modes:
+            yield f"{key} is left out, as no mode of the arm is within 30 % of it."
+        elif not each.told_apart:
+            tells = " record_axes may tell." if sheet.setup.record_axes is None else ""
+            yield f"{key} may be of mode {_either(each)}: not told apart, it counts for their mean.{tells}"
     if found.before is not None and found.after is not None:
         yield (
             f"Sag along the job: {1e3 * found.after.rms:.2f} mm RMS, modelled {1e3 * found.before.rms:.2f}; "
@@ -95,8 +127,8 @@ def remarks(found: Identification) -> Iterator[str]:
         yield f"Not seen, nearly as they were assumed: {' and '.join(unknown)}."
     if (damping := found.stiffness.damping) is not None:
         yield (
-            f"Damping of the modes in the records: {100 * damping.ratio:.1f} % of critical, standard "
-            f"deviation {100 * damping.sd:.1f} %; used by all that sways in a scene with this file."
+            f"Damping of the modes in the records: {100 * damping.ratio:.2f} % of critical, standard "
+            f"deviation {100 * damping.sd:.2g} %; used by all that sways in a scene with this file."
         )
     for weight in found.weights:
         own = f"{weight.estimated:.3f} kg, standard deviation {1e3 * weight.deviation:.0f} g"
@@ -140,13 +172,15 @@ def _in_words(found: Identification, slip: Slip) -> tuple[str, str, str, str]:
     kind, sheet, row = slip.label
     given = found.measurements[sheet]
     if kind == "frequencies_hz":
-        got, about = (", ".join(f"{f:.3g}" for f in each) for each in (given.frequencies[row], slip.expected))
+        got, about = (
+            ", ".join(f"{f:.3g}" for f in each) for each in (given.modes[row].frequencies, slip.expected)
+        )
     else:
         seen = ~np.isnan(given.deflection[row])
         axes = [axis for axis, own in zip("xyz", seen, strict=True) if own]
         got, about = (_by_axis(axes, 1e3 * each) for each in (given.deflection[row, seen], slip.expected))
     away = f"by the others, {slip.deviations:.3g} standard deviations away"
-    return given.source, f"measurements[{row}].{kind}", got, f"about {about} {away}"
+    return given.source, f"{given.key(row)}.{kind}", got, f"about {about} {away}"
 
 
 def _by_axis(axes: Sequence[str], values: FloatArray) -> str:

@@ -155,6 +155,12 @@ def _fallbacks(stroke: PlannedStroke, *, stopped: bool) -> Iterator[str]:
     if not optimised.complete:
         why = f"Stopped after {limit}" if stopped else "The last stage of the optimisation failed"
         yield f"{why}: the best motion so far."
+    if request.least_travel:
+        name, least = request.cell.objective.name, 100 * request.cell.options.min_gain
+        yield (
+            f"The {name} at rest has less than {least:.3g} % to gain, in its peak and its mean "
+            "(planner.min_gain): the joints travel least instead."
+        )
     if (more := stroke.trial.attempt.more_time) is not None:
         yield (
             f"Leg {more.leg + 1} takes {more.seconds:.3g} s, {more.periods:.1f} periods of the slowest mode: "

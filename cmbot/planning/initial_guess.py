@@ -10,7 +10,7 @@ from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import OptimisationFailed, PathNotFound
 from cmbot.common.reading.file_types import NonNegative
 from cmbot.optimization import find_violations
-from cmbot.planning.path.gradient_projection import find_path
+from cmbot.planning.path.gradient_projection import find_path, follow_path
 from cmbot.planning.postures.projection import project_onto_task
 from cmbot.planning.postures.sampler import axis_leans
 from cmbot.planning.request import StrokeRequest
@@ -36,6 +36,8 @@ _POSTURE_TOLERANCE = 1e-9
 _SAMPLE_SIZE = 200
 # Newton steps at most from postures that may be far from the task.
 _MANY_STEPS = 50
+# Joints that travel no more than this share of what others do travel much less.
+_MUCH_LESS_TRAVEL_SHARE = 0.7
 # Directions in which the tool's axis leans where nothing is found in the middle of its cone, and how far, as
 # a share of the cone.
 _LEANS, _LEANING = 4, 0.7
@@ -228,6 +230,35 @@ def sliding_guess(
         search=search,
         unreached=unreached,
     )
+
+
+def least_travel_guess(request: StrokeRequest, guess: InitialGuess) -> InitialGuess | None:
+    """Take via-points from the path of gradient projection where another path has next to nothing to gain.
+
+    That is where the peak and the mean of the objective at rest are above those of the `guess` by less than
+    the option `min_gain`, and the joints travel much less. `request` minimises their travel; None elsewhere.
+
+    Raises
+    ------
+    PathNotFound
+        When that path is blocked.
+    """
+    path = follow_path(request)
+    rough = np.stack([np.interp(request.times, path.t, joint) for joint in path.q.T], axis=1)
+    placed = _placed(request.on_axis, rough)
+    placed[0] = request.first
+    found = [
+        GlobalSolution(q=q, value=request.cell.objective.at_rest(request.cell.postures.at(q)))
+        for q in (placed, guess.problem.parametrization.via_points)
+    ]
+    peaks, means = zip(*((each.peak, each.mean(request.times)) for each in found), strict=True)
+    metric = request.cell.robot.metric
+    travels = [np.abs(np.diff(metric.coordinates(each.q), axis=0)).sum() for each in found]
+    gain = max(peaks[0] / peaks[1], means[0] / means[1]) - 1
+    if gain >= request.cell.options.min_gain or travels[0] > _MUCH_LESS_TRAVEL_SHARE * travels[1]:
+        return None
+    form = parametrization_through(request, placed, sliding=True, pinned=True)
+    return replace(guess, problem=TorqueProblem(request, form, 1.0))
 
 
 def guess_near(request: StrokeRequest, earlier: QuinticTrajectory) -> InitialGuess:

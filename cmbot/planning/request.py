@@ -15,7 +15,7 @@ from cmbot.planning.budget import Deadline
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.task import ToolTask
 from cmbot.planning.workcell.bent_tool import BentTool
-from cmbot.planning.workcell.objectives import WrenchFunction
+from cmbot.planning.workcell.objectives import TRAVEL, Objective, WrenchFunction
 from cmbot.planning.workcell.workcell import Workcell, build_workcell
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import SPEED_TOLERANCE, STOW, NamedState, PlannerOptions, Scene, Stroke
@@ -74,6 +74,8 @@ class StrokeRequest:
         Kept by what is optimised beyond the safety margin, which is certified.
     tool_share : float
         Of the bounds on the tool's deviation, rotation and lag that what is optimised keeps.
+    least_travel : bool
+        The travel of the joints is minimised in place of the objective, which has next to nothing to gain.
     deadline : Deadline
     reporter : ProgressReporter
     """
@@ -90,10 +92,16 @@ class StrokeRequest:
     bent: BentTool | None = None
     spare_clearance: float = 0.0
     tool_share: float = 1.0
+    least_travel: bool = False
     deadline: Deadline = field(default_factory=Deadline)
     reporter: ProgressReporter = field(default_factory=ProgressReporter)
 
     __repr__ = short_repr
+
+    @property
+    def objective(self) -> Objective:
+        """What is minimised along the stroke."""
+        return TRAVEL if self.least_travel else self.cell.objective
 
     @property
     def stroke(self) -> Stroke:
@@ -104,7 +112,7 @@ class StrokeRequest:
         """Return the request of another stroke of the job, from another state where given."""
         state, times = state or self.state, self.strokes[number].via_times
         changed = replace(self, number=number, task=self.tasks[number], times=times)
-        return replace(changed, state=state, first=state.posture)
+        return replace(changed, state=state, first=state.posture, least_travel=False)
 
     def with_options(self, **changes: Any) -> StrokeRequest:
         """Return the request with other options."""

@@ -36,6 +36,10 @@ Point = tuple[Coordinate, Coordinate, Coordinate]
 TurningStiffness = Annotated[float, Field(ge=1e-3, le=1e13)]
 
 _MIN_LENGTH_M = 1e-3  # m
+# Softer than any tube: such numbers are in N/mm2.
+_SOFTEST_PA = 1e6
+# Of the arm's longest part, or of a metre: a tube that is larger is in millimetres.
+_MAX_LENGTH_SHARE = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,6 +84,10 @@ class LinkTube:
             raise refusal("an end a millimetre or more apart from start_m", got=self.end, key=("end_m",))
         if 2 * self.wall > self.outer_diameter:
             raise refusal("at most half of outer_diameter_m", got=self.wall, key=("wall_m",))
+        for key in ("young", "shear"):
+            if (modulus := getattr(self, key)) < _SOFTEST_PA:
+                expected = f"Pa: N/mm2? then {modulus:g}e+6"
+                raise refusal(expected, got=modulus, key=(f"{key}_pa",))
         return self
 
 
@@ -167,4 +175,16 @@ def _tubes(data: _ElasticityFile, path: Path, model: Any) -> dict[str, LinkTube]
             raise ModelError(str(path), f"links.{name}", got, expected)
         if joint > 0:
             by_joint[joint] = name
+    _require_metres(data.links, path, model)
     return {name: data.links[name] for _, name in sorted(by_joint.items())}
+
+
+def _require_metres(tubes: dict[str, LinkTube], path: Path, model: Any) -> None:
+    """Refuse tubes that are far larger than the arm, as those are whose numbers are millimetres."""
+    places = (*model.jointPlacements, *(frame.placement for frame in model.frames))
+    largest = _MAX_LENGTH_SHARE * max(1.0, *(math.hypot(*place.translation) for place in places))
+    for name, tube in tubes.items():
+        for key, size in (("outer_diameter_m", tube.outer_diameter), ("end_m", tube.length)):
+            if size > largest:
+                got, expected = f"a tube as large as {size:g} m", f"metres: millimetres? then {size / 1000:g}"
+                raise ModelError(str(path), f"links.{name}.{key}", got, expected)

@@ -35,6 +35,7 @@ from cmbot.common.reading.fields import (
 )
 from cmbot.common.reading.validation import FileModel, refusal, shown
 from cmbot.scene.base.hold import LinkHoldFile
+from cmbot.scene.base.tube import TubeFile
 from cmbot.scene.excitation import ModesFile
 from cmbot.scene.files import RobotModel
 
@@ -153,9 +154,12 @@ class BaseFile(FileModel):
     """What the robot stands on or holds."""
 
     name: Slug
-    """What messages and pages call it; left out with its block: guardrail for ``cmbot``, base for others."""
+    """What messages and pages call it; left out with its block: guardrail for ``cmbot``, base for others. No
+    railway bridge is drawn behind what has a name of its own."""
     modes: ModesFile | None = None
     """How it bends, by its natural modes; left out: as the guardrail says."""
+    tube: TubeFile | None = None
+    """How it bends, as a round tube; left out: as the guardrail says."""
     hold: LinkHoldFile | None = None
     """How a robot that holds no guardrail is held; left out: nothing is said about holding."""
 

@@ -175,10 +175,10 @@ class Scene(FileModel):
             raise refusal(expected, got="mounts", key=("mounts",))
         self._check_identified()
         measured = self.identified is not None and self.identified.base is not None
-        modes = None if self.base is None else self.base.modes
-        if modes is not None and (measured or self.guardrail.stiffness or self.guardrail.mass):
-            expected = "no such key beside a stiffness: one of them says how the base bends"
-            raise refusal(expected, got="modes", key=("base", "modes"))
+        bends = [key for key in ("modes", "tube") if getattr(self.base, key, None) is not None]
+        if bends and (bends[1:] or self.guardrail.stiffness or self.guardrail.mass):
+            expected = "no such key beside another one that says how the base bends"
+            raise refusal(expected, got=bends[-1], key=("base", bends[-1]))
         if self.base is not None and self.base.hold and (self.on_guardrail or self.guardrail.hold):
             expected = "guardrail.hold: base.hold is for robots that hold no guardrail"
             raise refusal(expected, got="hold", key=("base", "hold"))
@@ -426,9 +426,15 @@ class Scene(FileModel):
 
     @property
     def elastic_guardrail(self) -> Guardrail:
-        """The guardrail in SI units, with the stiffness that was identified, or that of its modes."""
-        guardrail = elastic_guardrail(self.guardrail, self.identified and self.identified.base)
-        if self.base is None or self.base.modes is None:
+        """The guardrail in SI units, with the stiffness that was identified, or that of its modes or tube."""
+        measured = self.identified and self.identified.base
+        guardrail = elastic_guardrail(self.guardrail, measured)
+        if measured or self.base is None:
+            return guardrail
+        if self.base.tube is not None:
+            stiffness, mass = self.base.tube.matrices()
+            return replace(guardrail, stiffness=stiffness, mass=mass)
+        if self.base.modes is None:
             return guardrail
         stiffness, mass, damping = self.base.modes.matrices()
         return replace(guardrail, stiffness=stiffness, mass=mass, damping=damping)
@@ -438,8 +444,9 @@ class Scene(FileModel):
         """The key of what says how the base bends; without any that of the arm's elasticity."""
         if self.identified is not None:
             return "identified"
-        if self.base is not None and self.base.modes is not None:
-            return "base.modes"
+        for key in ("modes", "tube"):
+            if getattr(self.base, key, None) is not None:
+                return f"base.{key}"
         return "guardrail.stiffness" if self.guardrail.stiffness is not None else "guardrail"
 
     @property

@@ -221,7 +221,7 @@ def scene_text(
     )
 
 
-_RIGID_BASE = "{bays: 0}  # none: a rigid base; {bays: 0, stiffness: [3 in N/m, 3 in Nm/rad]} bends"
+_RIGID_BASE = "{bays: 0}  # none: a rigid base; base.tube or stiffness, 6 x 6 in SI, bends"
 
 
 def _posture(q: FloatArray, prismatic: BoolArray) -> str:

@@ -286,7 +286,7 @@ def elastic_arm_of(plan: Plan, options: SimulationOptions) -> ElasticArm:
     arm = elastic_arm(robot, elastic_base(held_guardrail(plan.scene, robot)), elastic)
     if not len(arm.elastic):
         expected = (
-            "guardrail.bays, guardrail.stiffness (6 x 6) or robot.elasticity in the scene that is planned"
+            "guardrail.bays, base.tube, guardrail.stiffness or robot.elasticity in the scene that is planned"
         )
         raise InputError(plan.scene.source, "guardrail", "nothing that bends", expected)
     return arm

@@ -251,6 +251,9 @@ class QuinticTrajectory:
 
 def _numbers(times: ArrayLike) -> FloatArray:
     try:
-        return np.asarray(times, dtype=np.float64)
+        t = np.asarray(times, dtype=np.float64)
     except (TypeError, ValueError):
-        raise InputError("QuinticTrajectory", "times", repr(times), "a row of numbers, s") from None
+        t = None
+    if t is None or t.ndim != 1:
+        raise InputError("QuinticTrajectory", "times", repr(times), "a row of numbers, s")
+    return t

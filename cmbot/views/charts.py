@@ -19,7 +19,7 @@ MOST_POINTS = 1000  # of a curve in a large plot
 MOST_SMALL_POINTS = 400  # of a curve in a small one
 ROOM = 1.06  # an axis reaches this much further than its curves
 
-_EXPECTED_CAPTION = "Planned motion: the tool with its predicted sag."
+_EXPECTED_CAPTION = "The tool with its predicted sag."
 _ERROR_CAPTION = "Elastic arm's tool minus the rigid arm's at the same joint angles. Dashed: static part."
 _COMPENSATED_CAPTION = (
     "Elastic arm's tool minus its expected position: the rigid arm's at the same joint angles and, for the "
@@ -293,7 +293,12 @@ def _tool_deviation(plan: Plan) -> Chart:
     thin = (
         Curve(motion="planned", t=t, y=1e3 * largest, thin=True) for t, largest in plan.deviation_with_spread
     )
-    chart = deviation_chart(plan, (*_curves(plan, deviation_of, free=False), *thin))
+    # Beside a bent arm's a rigid baseline would look as if it had no sag.
+    bent = plan.samples.expected_tool_point is not None
+    each = (
+        curve for curve in _curves(plan, deviation_of, free=False) if not bent or curve.motion == "planned"
+    )
+    chart = deviation_chart(plan, (*each, *thin))
     return replace(chart, note=_expected(plan), free="no tool path").with_clipped()
 
 
@@ -301,7 +306,9 @@ def _expected(plan: Plan) -> str:
     if plan.samples.expected_tool_point is None:
         return ""
     spread = f" Thin: with {plan.shown_sigmas:g} standard deviations of the identified stiffness."
-    return _EXPECTED_CAPTION + (spread if plan.deviation_with_spread else "")
+    off = plan.bent_offsets[0]
+    baseline = "" if off is None else f" The baseline's, bent at rest: up to {1e3 * off:.3g} mm."
+    return _EXPECTED_CAPTION + baseline + (spread if plan.deviation_with_spread else "")
 
 
 def _tracking(tracking: Tracking, begin: float, note: str, *, clipped: bool) -> Iterator[Chart]:

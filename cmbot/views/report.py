@@ -32,6 +32,7 @@ from cmbot.planning import (
     verdict,
 )
 from cmbot.robot import postures_in_words
+from cmbot.scene import Uncertainty
 from cmbot.simulation import (
     Tracking,
     base_movement,
@@ -316,7 +317,8 @@ def _accuracy_card(plan: Plan) -> Headline | None:
     detail = f"with {100 * accuracy.probability:g} %, all along the work"
     if accuracy.parts:
         part, share = accuracy.parts[0].name, 100 * accuracy.shares[0]
-        detail += f"; largest part: {part}, {share:.0f} % of the mean square"
+        by = ", as assumed (uncertainty)" if plan.scene.uncertainty == Uncertainty() else ""
+        detail += f"; largest part: {part}, {share:.0f} % of the mean square{by}"
     planned, bound = plan.figures.max_tool_deviation, plan.options.max_tool_deviation_m
     arm = "with the predicted sag" if plan.compensation is not None else "rigid arm"
     detail += f"; {arm}, as planned, {1e3 * planned:.2f} of {1e3 * bound:g} mm"

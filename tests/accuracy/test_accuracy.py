@@ -214,7 +214,8 @@ def test_remedies_are_computed_and_the_largest_part_is_said(bent: Plan) -> None:
     said = verdict(bent)
     assert said.startswith(
         f"The tool is within {accuracy.within_mm:.3g} mm of its path with 95 %; "
-        f"largest part: {largest.name}, {100 * accuracy.shares[0]:.0f} % of the mean square."
+        f"largest part: {largest.name}, {100 * accuracy.shares[0]:.0f} % of the mean square, "
+        "as assumed (uncertainty of the scene)."
     )
     assert f"the tool would be within {lefts[0]:.3g} mm." in said
     # What is promised of compensation is what a compensated plan has.

@@ -31,6 +31,7 @@ from cmbot.identification import (
     unseen,
 )
 from cmbot.identification.problem import Label, Problem
+from cmbot.identification.records import RingDown
 from cmbot.planning import covariance_of, precheck_scene, robot_of
 from cmbot.scene import Scene, load_scene
 
@@ -179,8 +180,7 @@ def test_two_sheets_are_as_one(
     given = found[2].measurements[0]
 
     def part(rows: slice) -> Measurements:
-        each = given.q[rows], given.deflection[rows], given.frequencies[rows]
-        return replace(given, **dict(zip(("q", "deflection", "frequencies"), each, strict=True)))
+        return replace(given, q=given.q[rows], deflection=given.deflection[rows])
 
     both = estimate([part(slice(0, 2)), part(slice(2, None))], modelled)
     np.testing.assert_allclose(both.mean, found[2].mean, atol=1e-5)
@@ -215,13 +215,15 @@ def test_frequencies_tell_more_and_components_left_out_less(
     tapped = tuple(arm_modes(arm, q).frequencies[: 2 if k < 2 else 0] for k, q in enumerate(given.q))
     tapped = (np.append(tapped[0], 9e3), *tapped[1:])
     less = estimate(replace(given, deflection=only_z), modelled)
-    more = estimate(replace(given, deflection=only_z, frequencies=tapped), modelled)
+    modes = tuple(map(RingDown.at, tapped))
+    more = estimate(replace(given, deflection=only_z, modes=modes), modelled)
     shares = [each.after.share for each in (with_all, less) if each.after is not None]
     assert shares[0] < shares[1]
     assert np.all(np.diag(more.covariance) <= np.diag(less.covariance) * 1.2)
     assert np.linalg.slogdet(more.covariance)[1] < np.linalg.slogdet(less.covariance)[1]
     # No mode is near: it tells nothing, and that is said.
-    assert more.unmatched == ((Label("frequencies_hz", 0, 0), 9e3),)
+    (far,) = (each for each in more.matched if not each.modes)
+    assert (far.label, far.frequency) == (Label("frequencies_hz", 0, 0), 9e3)
     assert any("measurements[0]: 9000 Hz is left out" in line for line in remarks(more))
 
 

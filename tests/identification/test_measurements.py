@@ -30,7 +30,7 @@ def test_a_file_is_read_in_si(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.q, np.radians([POSTURE, POSTURE]))
     np.testing.assert_allclose(found.deflection[0], [0.0004, -0.0001, -0.0039])
     np.testing.assert_array_equal(np.isnan(found.deflection[1]), [True, True, False])
-    assert [len(f) for f in found.frequencies] == [0, 2]
+    assert [len(each.frequencies) for each in found.modes] == [0, 2]
     assert found.scene.name == "triangle"
     assert found.job is not None
     assert found.setup.weight_kg == 5.0

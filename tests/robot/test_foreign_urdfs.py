@@ -257,6 +257,12 @@ def test_xacro_is_expanded_without_ros(tmp_path: Path, capfd: pytest.CaptureFixt
     assert robot.model.jointPlacements[2].translation[0] == pytest.approx(0.2)
     with pytest.raises(ModelError, match=r"arm.urdf.xacro: \$\(find arm_parts\): no such package"):
         load_robot(file)
+    far = "/".join([str(tmp_path), *["folder"] * 40, "macros.xacro"])
+    file.with_name("far.urdf.xacro").write_text(
+        f'<robot xmlns:xacro="http://ros.org/wiki/xacro" name="far"><xacro:include filename="{far}"/></robot>'
+    )
+    with pytest.raises(ModelError, match=r"folder/macros.xacro'"):  # of a long path its end
+        load_robot(file.with_name("far.urdf.xacro"))
     replace(file, "${length}", "${breadth}")
     with pytest.raises(ModelError, match=r"got xacro that does not expand \(.*breadth"):
         load_robot(file, package_dirs=[tmp_path / "else"])

@@ -11,12 +11,19 @@ from cmbot.common.arrays import FloatArray
 from cmbot.planning.attempts.agenda import Agenda, Remedy, Solved
 from cmbot.planning.attempts.failure import Failure, attempted, failure_of
 from cmbot.planning.budget import Budget
-from cmbot.planning.initial_guess import InitialGuess, initial_guess, leap_failure, problem_near, searched
+from cmbot.planning.initial_guess import (
+    InitialGuess,
+    initial_guess,
+    leap_failure,
+    least_travel_guess,
+    problem_near,
+    searched,
+)
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.global_search import GlobalSearch
 from cmbot.planning.timing.timing import Timing
 from cmbot.planning.torque import Optimised, TorqueProblem, optimise
-from cmbot.trajectory import QuinticTrajectory
+from cmbot.planning.workcell.objectives import TRAVEL
 
 if TYPE_CHECKING:
     # It loads SciPy's splines.
@@ -42,8 +49,8 @@ class Attempt:
         Of legs whose shortest time is sought, or whose laws were chosen.
     more_time : MoreTime, optional
         What more seconds would give on a short leg.
-    unshaped : QuinticTrajectory, optional
-        Where laws were chosen: the optimised motion by the scene's own, along which they were.
+    unshaped : float, optional
+        Where laws were chosen: sway and swing together of the optimised motion by the scene's own, m.
     """
 
     request: StrokeRequest
@@ -52,18 +59,34 @@ class Attempt:
     kept: float = 1.0
     timing: Timing | None = None
     more_time: MoreTime | None = None
-    unshaped: QuinticTrajectory | None = None
+    unshaped: float | None = None
 
     @classmethod
     def of(cls, request: StrokeRequest, **own: Any) -> Attempt:
         """Return the attempt from the first guess of a request."""
         return cls(request=request, guess=attempted(request, lambda: initial_guess(request)), **own)
 
+    def of_least_travel(self) -> Attempt:
+        """Return the attempt whose joints travel least, where the objective has next to nothing to gain.
+
+        See `least_travel_guess`.
+        """
+        guess, objective = self.guess, self.request.cell.objective
+        is_own = objective.name != self.request.cell.options.objective
+        if not isinstance(guess, InitialGuess) or guess.search is None or not guess.pinned:
+            return self
+        if is_own or objective is TRAVEL:
+            return self
+        request = replace(self.request, least_travel=True)
+        made = attempted(request, lambda: least_travel_guess(request, guess))
+        return replace(self, request=request, guess=made) if isinstance(made, InitialGuess) else self
+
     def quiet(self) -> Attempt:
         """Return the attempt with the laws that a quiet stroke is to have, chosen along its optimised path.
 
         What the joints' path bends by counts as much as the law, and the guess bends otherwise. The attempt
-        is this one where the laws are given, nothing is guessed, or nothing leads on in another law.
+        is this one where the laws are given, nothing is guessed, nothing leads on in another law, or the tool
+        sways more by it along that path: suppression lessens the swing alone.
         """
         request, file, guess = self.request, self.request.stroke.file, self.guess
         if file.speed_profile.kind != "quiet" or file.time_laws or not isinstance(guess, InitialGuess):
@@ -80,7 +103,11 @@ class Attempt:
         if not laws:
             return own
         timed = own.in_timing(Timing.along(request, optimised.trajectory, (), laws))
-        return replace(timed, unshaped=optimised.trajectory) if isinstance(timed, Attempt) else own
+        if not isinstance(timed, Attempt) or not isinstance(timed.guess, InitialGuess):
+            return own
+        shaped, unshaped = timed.guess.problem.parametrization.trajectory, optimised.trajectory
+        most = sum(request.cell.sway_of(unshaped))
+        return own if request.cell.sway_of(shaped)[0] > most else replace(timed, unshaped=most)
 
     def in_timing(self, timing: Timing) -> Attempt | Failure:
         """Return the attempt in a timing, from the via-points of its joint path.

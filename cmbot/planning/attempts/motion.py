@@ -141,7 +141,7 @@ def _optimised(request: StrokeRequest, guess: InitialGuess) -> tuple[Optimised, 
     request.reporter.stage("optimise")
 
     def each_pass(report: ExchangeReport) -> None:
-        request.reporter.passed(report, cell.objective.unit)
+        request.reporter.passed(report, request.objective.unit)
 
     compensation, problem = None, guess.problem
     try:

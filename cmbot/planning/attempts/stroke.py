@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cmbot.accuracy import stroke_sway
 from cmbot.planning.attempts.advice import EASED_BOUND, SLOWER_LEGS, changed_in_words
 from cmbot.planning.attempts.agenda import Remedy, Solved, Trial
 from cmbot.planning.attempts.attempt import Attempt, agenda_of
@@ -70,11 +69,17 @@ def plan_stroke(
     first = Attempt.of(request)
     if stays and request.cell.options.knots == "sliding":
         first = replace(first, guess=attempted(request, lambda: sliding_guess(request, stay=True)))
+    objective, first = first, first.of_least_travel()
     quiet = first if request.task.path.open_legs else first.quiet()
     trial = searched_motion(quiet, budget)
-    if quiet.timing is not first.timing and _sways_more(trial) and budget.left > 0:
-        other = searched_motion(first, budget)
-        trial = min(other, trial, key=_sway)
+    if objective is not first and not isinstance(trial.outcome, Solved) and budget.left > 0:
+        first = objective
+        quiet = first if request.task.path.open_legs else first.quiet()
+        trial = searched_motion(quiet, budget)
+    # Laws that were chosen may lead to no motion, or to one that sways more than by the scene's own.
+    unshaped = trial.attempt.unshaped
+    if quiet.unshaped is not None and unshaped is not None and _sway(trial) > unshaped and budget.left > 0:
+        trial = min(searched_motion(first, budget), trial, key=_sway)
     trial = replace(trial, attempt=replace(trial.attempt, more_time=quiet.more_time))
     return PlannedStroke(trial=trial, runs=budget.used)
 
@@ -103,25 +108,12 @@ def in_given_time(refused: PlannedStroke, stroke: Stroke, shortest: PlannedStrok
     return replace(refused, shortest=min(seconds, refused.shortest or np.inf))
 
 
-def _sways_more(trial: Trial[Attempt, StrokeMotion]) -> bool:
-    """Whether laws that were chosen lead to no motion, or to one that sways more than by the scene's own."""
-    unshaped = trial.attempt.unshaped
-    if not isinstance(trial.outcome, Solved) or unshaped is None:
-        return not isinstance(trial.outcome, Solved)
-    return _sway(trial) > _largest_sway(trial.attempt.request, unshaped)
-
-
 def _sway(trial: Trial[Attempt, StrokeMotion]) -> float:
-    """Of a motion, m; infinite where there is none, and zero where nothing bends."""
+    """Largest sway and swing of a motion together, m; infinite where there is none."""
     if not isinstance(trial.outcome, Solved):
         return np.inf
-    return _largest_sway(trial.attempt.request, trial.result.work.trajectory)
-
-
-def _largest_sway(request: StrokeRequest, trajectory: QuinticTrajectory) -> float:
-    """Largest sway at work and swing after it together, m, over the interval of the stiffness."""
-    share, arm = request.cell.options.quiet_stiffness_share, request.cell.arm
-    return 0.0 if arm is None else sum(stroke_sway(arm, trajectory, share).largest)
+    optimised, cell = trial.result.optimised, trial.attempt.request.cell
+    return sum(optimised.sway or cell.sway_of(optimised.trajectory))
 
 
 def searched_motion(first: Attempt, budget: Budget) -> Trial[Attempt, StrokeMotion]:

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from cmbot.accuracy import stroke_sway
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.sag import TooSoftError
@@ -65,12 +64,11 @@ def suppress_vibration(arm: ElasticArm, problem: TorqueProblem, optimised: Optim
     request, trajectory, t = problem.request, optimised.trajectory, problem.space.t
     options, reporter = request.cell.options, request.reporter
     leg_times = request.task.path.leg_times
-    share = options.quiet_stiffness_share
-    # A base that does not bear the arm at the least stiffness is refused by this.
-    sway, swing = stroke_sway(arm, trajectory, share).largest
+    sway, swing = before = request.cell.sway_of(trajectory)
+    optimised = replace(optimised, sway=before)
     if swing < _AT_REST_M:
         return optimised
-    factors = _factors(share)
+    factors = _factors(options.quiet_stiffness_share)
     groups = legs_by_window(problem.space, leg_times)
     windows = [Window(problem, group) for group in groups]
     path = ElasticPath(arm, trajectory)
@@ -91,9 +89,9 @@ def suppress_vibration(arm: ElasticArm, problem: TorqueProblem, optimised: Optim
     changed, shares = _Search(problem, trajectory, windows).changed()
     if not any(shares):
         return optimised
-    after, left = stroke_sway(arm, changed, share).largest
+    after, left = changed_sway = request.cell.sway_of(changed)
     pays = left <= _WORTHWHILE_SWING_SHARE * swing and after <= _MAX_SWAY_GROWTH * sway
-    return replace(optimised, trajectory=changed) if pays else optimised
+    return replace(optimised, trajectory=changed, sway=changed_sway) if pays else optimised
 
 
 def _factors(share: float) -> FloatArray:

@@ -26,7 +26,7 @@ from cmbot.planning.workcell.stiffness import identified_in_words
 from cmbot.planning.workcell.units import mistaken_units
 from cmbot.planning.workcell.workcell import rigid_arm_remark
 from cmbot.robot import Dynamics, postures_in_words
-from cmbot.scene import STOW
+from cmbot.scene import STOW, Uncertainty
 
 # A peak lower by less than this share is no gain; a baseline this near to the lower bound leaves none.
 _MIN_GAIN_SHARE, _NEAR_BOUND = 1e-2, 1e-2
@@ -89,6 +89,7 @@ def _first(plan: Plan) -> Iterator[Note]:
             "probability": accuracy.probability,
             "part": accuracy.parts[0].name if accuracy.parts else None,
             "part_share": accuracy.shares[0] if accuracy.parts else None,
+            "assumed": plan.scene.uncertainty == Uncertainty(),
             "kept": accuracy.tolerance_kept,
             "share": accuracy.tolerance_share,
             "across_mm": tolerance and tolerance.across_mm,
@@ -182,6 +183,7 @@ def _start(plan: Plan) -> Iterator[Note]:
         "turned_deg": float(np.rad2deg(moves[~slides].max(initial=0.0))),
         "slid_m": float(moves[slides].max(initial=0.0)),
         "from": plan.scene.pinned_posture,
+        "seconds": plan.job.segments[0].duration,
     }
     near = plan.robot.metric.lengths(start.posture - plan.scene.posture) < plan.options.chart_spacing
     if failures:

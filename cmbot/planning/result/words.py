@@ -125,7 +125,8 @@ def _tool(note: Any) -> str:
         text += f"{100 * note.share:.3g} % of cases, asked {100 * note.probability:.3g} %)"
     if note.part is None:
         return f"{text}."
-    return f"{text}; largest part: {note.part}, {100 * note.part_share:.0f} % of the mean square."
+    by = ", as assumed (uncertainty of the scene)" if note.assumed else ""
+    return f"{text}; largest part: {note.part}, {100 * note.part_share:.0f} % of the mean square{by}."
 
 
 def _needed(note: Any) -> str:
@@ -313,7 +314,7 @@ _SENTENCES: dict[str, str | Callable[..., str]] = {
     ),
     "better_start": lambda note: (
         f"Starts in a better posture with the same tool pose (start: free), {note.posture}, {_away(note)} "
-        "away."
+        f"away, which takes {note.seconds:.1f} s; start: pinned stays where the arm is."
     ),
     "fallback": "{text}",
     "robot": "{text}",

@@ -50,6 +50,8 @@ class Optimised:
         The time was not over before the optimum was found, and no stage failed.
     failure : OptimisationFailed, optional
         Why no trajectory met all constraints, where this one misses them by little.
+    sway : two floats, optional
+        Largest sway and swing, m, where they were integrated.
     """
 
     trajectory: QuinticTrajectory
@@ -58,6 +60,7 @@ class Optimised:
     whole_because: str = ""
     complete: bool = True
     failure: OptimisationFailed | None = None
+    sway: tuple[float, float] | None = None
 
 
 def optimise(problem: TorqueProblem, progress: Callable[[ExchangeReport], None] | None = None) -> Optimised:

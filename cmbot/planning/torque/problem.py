@@ -73,18 +73,18 @@ class TorqueProblem:
         self.samples_per_segment = options.samples_per_segment
         self.joints = robot.joints
         t, q = self.space.t, parametrization.via_points
-        self.at_via_points = cell.objective.values(StateSamples.at_rest(t, q))
+        self.at_via_points = request.objective.values(StateSamples.at_rest(t, q))
         """The objective at rest in each of the via-points, (n,)."""
         sampled = StateSamples.even(parametrization.trajectory, self.samples_per_segment)
         self.grid = sampled.t
         """Times (N,) at which functions of the state are sampled."""
-        self.scale = float(cell.objective.values(sampled).max())
+        self.scale = float(request.objective.values(sampled).max())
         fixed = np.setdiff1d(np.arange(len(t)), parametrization.movable)
         if parametrization.retraction is None:
             fixed = fixed[[0, -1]]
         at_fixed = float(self.at_via_points[fixed].max(initial=0.0))
         self.lower_bound = max(least, at_fixed, request.negligible) / self.scale
-        self.objective: StateFunction = ScaledObjective(cell.objective, self.scale)
+        self.objective: StateFunction = ScaledObjective(request.objective, self.scale)
         self.bounds = _kinematic_bounds(robot, 1 - _EXACT_SHARE_IN_TOLERANCES * options.constraint_tolerance)
         inside = 1 - _SAMPLED_SHARE / options.samples_per_segment**2
         postures, task = request.bent or cell.postures, request.task
@@ -125,7 +125,7 @@ class TorqueProblem:
 
     def mean_residuals(self, trajectory: QuinticTrajectory) -> tuple[Linearization, ...]:
         """Return weighted parts of the objective at `mean_times`: their squares sum to its mean square."""
-        parts = self.request.cell.objective.residuals(StateSamples.along(trajectory, self.mean_times))
+        parts = self.request.objective.residuals(StateSamples.along(trajectory, self.mean_times))
         return tuple(part.scaled(self._root_weights) for part in parts)
 
     def segment(self, first: int, last: int) -> TorqueProblem:

@@ -241,8 +241,8 @@ def objective_of(
         if robot.holding is None or not robot.holding.flat:
             raise InputError("objective_of", "robot.feet", "none on flat steel", "feet, for objective: hold")
         return WrenchObjective(robot, robot.holding, name="hold", unit="N")
-    if options.objective == "travel":
-        return PostureObjective(function=_nothing, name="travel", unit="")
+    if options.objective == TRAVEL.name:
+        return TRAVEL
     point = np.zeros(3)
     if options.moment_about == "base":
         model = robot.model
@@ -255,6 +255,9 @@ def objective_of(
 def _nothing(q: FloatArray) -> tuple[FloatArray, FloatArray]:
     """One in all postures (N, n): what is left to minimise is the joints' travel and their jerk."""
     return np.ones(len(q)), np.zeros_like(q)
+
+
+TRAVEL = PostureObjective(function=_nothing, name="travel", unit="")
 
 
 class _FailuresNamed:

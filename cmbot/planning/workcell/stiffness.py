@@ -10,7 +10,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.common.reading.validation import counted
 from cmbot.elastic.arm import ElasticArm
-from cmbot.elastic.modes import frequency_slopes
+from cmbot.elastic.modes import arm_modes, frequency_slopes
 from cmbot.elastic.stiffness_parameters import StiffnessParameters
 from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, Scene
@@ -93,7 +93,9 @@ def known_share(scene: Scene, arm: ElasticArm, options: PlannerOptions) -> Plann
         return options
     parameters = StiffnessParameters(arm)
     zero = np.zeros(parameters.count)
-    _, slopes = frequency_slopes(arm, parameters, zero, np.array(scene.posture), _MODES)
+    posture = np.array(scene.posture)
+    slowest = arm_modes(arm, posture).shapes[:, :_MODES]
+    _, slopes = frequency_slopes(arm, parameters, zero, posture, slowest)
     # A mode's stiffness goes with the square of its frequency.
     deviation = 2 * np.sqrt(np.einsum("kp,pr,kr->k", slopes, covariance, slopes).max())
     share = min(options.quiet_stiffness_share, round(float(_COVERED_SIGMAS * deviation), 3))

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from cmbot.accuracy import stroke_sway
 from cmbot.collision import Clearances, Obstacle
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import InputError, ModelError, SceneError
@@ -23,6 +24,7 @@ from cmbot.planning.workcell.units import require_metres
 from cmbot.robot import PostureBatch, Postures, Robot, load_robot
 from cmbot.scene import PlannerOptions, Scene
 from cmbot.toolpath import AUTO
+from cmbot.trajectory import QuinticTrajectory
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,6 +98,19 @@ class Workcell:
         holds[holds] = self.use_at_rest(self.postures.at(q[holds])) <= most_use
         holds[holds] = self.clear(q[holds])
         return holds
+
+    def sway_of(self, trajectory: QuinticTrajectory) -> tuple[float, float]:
+        """Return the largest sway and swing of a stroke, m, over the interval of the stiffness.
+
+        Zero where nothing bends.
+
+        Raises
+        ------
+        TooSoftError
+            Where the base does not bear the arm at the least stiffness.
+        """
+        share = self.options.quiet_stiffness_share
+        return (0.0, 0.0) if self.arm is None else stroke_sway(self.arm, trajectory, share).largest
 
     def use_at_rest(self, at: PostureBatch) -> FloatArray:
         """Return the largest shares (N,) of their bounds that joints and feet use at rest in N postures."""
@@ -203,7 +218,7 @@ def sag_of(scene: Scene, arm: ElasticArm | None, options: PlannerOptions) -> Sag
             scene.source,
             "guardrail",
             "no guardrail, and a robot without link tubes",
-            "something that bends: guardrail.bays, guardrail.stiffness or robot.elasticity",
+            "something that bends: guardrail.bays, base.tube, guardrail.stiffness or robot.elasticity",
         )
     return Sag(arm, covariance_of(scene, arm))
 

@@ -19,12 +19,14 @@ from pathlib import Path
 from threading import Timer
 from typing import Any
 
-from cmbot.common.errors import MissingExtra, ModelError, one_line
+from cmbot.common.errors import MissingExtra, ModelError, one_line, whole_sentences
 from cmbot.common.reading.input_files import LARGEST_TEXT
-from cmbot.common.reading.validation import hint, shown
+from cmbot.common.reading.validation import hint
 from cmbot.robot.description.packages import find_copy, find_package
 
 _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
+# Of what xacro says; of a path that is longer the end is kept.
+_MAX_CAUSE_CHARACTERS = 100
 _ELEMENT = re.compile(rb"<xacro:\w")
 _ROBOT_NAME = re.compile(rb"<robot\b[^>]*?\bname\s*=\s*[\"']([^\"'$]+)[\"']")
 _PACKAGE_NAME = re.compile(r"\w[\w.\-]*")
@@ -162,7 +164,7 @@ def _refusal(path: Path, answer: Mapping[str, Any], arguments: Mapping[str, str]
         return ModelError(str(path), f"xacro.{lacking[1]}", "nothing", expected)
     last = Path(files[-1]).name
     where = f" in {last}" if last != path.name else ""
-    got = f"xacro that does not expand{where} ({shown(text)[1:-1]})"
+    got = f"xacro that does not expand{where} ({whole_sentences(text, _MAX_CAUSE_CHARACTERS)})"
     expected = "xacro that expands, its arguments given where they have no defaults, or a URDF"
     return ModelError(str(path), "", got, expected)
 

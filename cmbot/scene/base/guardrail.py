@@ -36,6 +36,8 @@ from cmbot.scene.base.matrices import Matrix6, check_positive_definite, six_rows
 from cmbot.scene.base.stance import StanceFile, axis_point, foothold_face, foothold_pose
 
 _SECTIONS = ("angle", "bar")
+# No member of a guardrail is as thick, m: such numbers are millimetres.
+_THICKEST_M = 2.0
 
 
 class SectionFile(FileModel):
@@ -51,6 +53,9 @@ class SectionFile(FileModel):
     @model_validator(mode="after")
     def _check(self) -> Self:
         exactly_one(self, _SECTIONS)
+        for key, size in (("angle", self.angle and self.angle[0]), ("bar", self.bar)):
+            if size is not None and size > _THICKEST_M:
+                raise refusal(f"metres: millimetres? then {size / 1000:g}", got=size, key=(key,))
         if self.angle is not None and self.angle[1] >= self.angle[0]:
             raise refusal("a thickness below the leg", got=self.angle, key=("angle",))
         return self

@@ -39,7 +39,7 @@ _TOUCHING = 1e-3
 
 
 def bridge_of(scene: Scene, motions: Iterable[tuple[Robot, FloatArray]], margin: float) -> list[Obstacle]:
-    """Return parts of the bridge behind the guardrail as boxes; none where there is no guardrail.
+    """Return parts of the bridge behind the guardrail as boxes; none where the base is named otherwise.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def bridge_of(scene: Scene, motions: Iterable[tuple[Robot, FloatArray]], margin:
     margin : float, m
         Parts to which these come nearer are left out.
     """
-    if not scene.elastic_guardrail.post_positions:
+    if not scene.elastic_guardrail.post_positions or scene.base_name != "guardrail":
         return []
     some = [(robot, q[:: max(1, len(q) // _KNOTS)]) for robot, q in motions]
     solids = [_bounds(obstacle_surface(each)) for each in scene.all_obstacles if not each.workpiece]

@@ -115,7 +115,7 @@ def guardrail_map(scene: Scene, samples: Sequence[WalkSamples], stands: Sequence
         f'<svg viewBox="0 0 {_MAP_PX} {window.height:.0f}" role="img" aria-label="Map">{"".join(parts)}</svg>'
     )
     kind = "wide" if samples else "map"
-    key = " ".join(_key(samples, stands))
+    key = " ".join(_key(scene.base_name, samples, stands))
     return f'<div class="{kind}" tabindex="0">{drawn}</div><p class="caption">{key}</p>'
 
 
@@ -129,8 +129,8 @@ def _widened(low: float, high: float, posts: Sequence[float]) -> tuple[float, fl
     return left, left + min(_LEAST_WIDTH, last - first)
 
 
-def _key(samples: Sequence[WalkSamples], stands: Sequence[Stand]) -> Iterator[str]:
-    yield "The guardrail from outside."
+def _key(base: str, samples: Sequence[WalkSamples], stands: Sequence[Stand]) -> Iterator[str]:
+    yield f"The {base} from outside."
     if samples:
         yield "Circles: where the feet hold, green to red by the share of their bounds that they use."
         yield "Lines: the ways of foot 1 (full) and of foot 2 (broken)."

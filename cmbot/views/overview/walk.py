@@ -9,6 +9,7 @@ from itertools import chain
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
+from cmbot.common.reading.validation import counted
 from cmbot.planning import Plan
 from cmbot.stances import Candidate
 from cmbot.stances.walking import Tour, Walk, WalkSamples, walk_samples
@@ -111,7 +112,7 @@ def tour_page(tour: Tour) -> str:
 def _what(part: Plan | Walk) -> str:
     if isinstance(part, Plan):
         return ", ".join(str(stroke.name) for stroke in part.scene.strokes)
-    return f"{len(part.steps)} steps"
+    return counted(len(part.steps), "step")
 
 
 def _row(part: Plan | Walk, begin: float) -> tuple[str, ...]:

@@ -20,8 +20,9 @@ from cmbot.elastic.sag import TooSoftError
 from cmbot.planning import Plan, plan
 from cmbot.planning.attempts import motion
 from cmbot.planning.budget import Deadline
-from cmbot.planning.flexibility import leg_vibration, vibration_suppression
+from cmbot.planning.flexibility import leg_vibration
 from cmbot.planning.flexibility.leg_window import Change, Window, legs_by_window
+from cmbot.planning.workcell.workcell import Workcell
 from cmbot.simulation import PrescribedMotion, SimulationOptions, track
 from cmbot.simulation.tracking import elastic_arm_of
 from cmbot.trajectory.quintic import QuinticTrajectory
@@ -163,14 +164,14 @@ def test_a_change_that_does_not_help_is_not_made(
     monkeypatch: pytest.MonkeyPatch, unsuppressed_quick: Plan, after: tuple[float, float]
 ) -> None:
     """Where the tool swings hardly less, or sways more at work."""
-    real, seen = vibration_suppression.stroke_sway, list[Any]()
+    real, seen = Workcell.sway_of, list[Any]()
 
     def in_vain(*given: Any) -> Any:
-        seen.append(real(*given).largest)
+        seen.append(real(*given))
         factors = after if len(seen) == 2 else (1.0, 1.0)
-        return SimpleNamespace(largest=tuple(np.multiply(seen[0], factors)))
+        return tuple(np.multiply(seen[0], factors))
 
-    monkeypatch.setattr(vibration_suppression, "stroke_sway", in_vain)
+    monkeypatch.setattr(Workcell, "sway_of", in_vain)
     left = planned(2)
     assert len(seen) == 2
     np.testing.assert_array_equal(left.trajectory.a, unsuppressed_quick.trajectory.a)

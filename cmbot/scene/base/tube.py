@@ -1,0 +1,78 @@
+"""A mast, column or boom that the robot stands on: a round tube that is clamped at one end."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from cmbot.common.arrays import FloatArray, read_only
+from cmbot.common.reading.validation import FileModel, refusal
+
+Coordinate = Annotated[float, Field(ge=-1e4, le=1e4)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+Length = Annotated[float, Field(ge=1e-5, le=1e4)]
+Modulus = Annotated[float, Field(ge=1e3, le=1e13)]
+Density = Annotated[float, Field(ge=0, le=1e5)]
+
+
+class TubeFile(FileModel):
+    """What the robot stands on, as a round tube that is clamped at its start.
+
+    An Euler-Bernoulli beam with its consistent mass, in place of the guardrail's stiffness and mass.
+    """
+
+    start_m: Point
+    """Where it is clamped, m, in W."""
+    end_m: Point = (0.0, 0.0, 0.0)
+    """Where it holds the arm, m, in W; left out: the origin of W."""
+    outer_diameter_m: Length
+    """Of the tube."""
+    wall_m: Length
+    """Its wall; half the diameter: a solid bar."""
+    young_pa: Modulus
+    """Young's modulus, Pa: aluminium 70e9, steel 206e9."""
+    shear_pa: Modulus
+    """Shear modulus, Pa: aluminium 26e9, steel 79e9."""
+    density_kg_m3: Density
+    """Of its material: aluminium 2700, steel 7850."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if math.dist(self.start_m, self.end_m) < self.outer_diameter_m:
+            expected = "an end farther from start_m than outer_diameter_m"
+            raise refusal(expected, got=self.end_m, key=("end_m",))
+        if 2 * self.wall_m > self.outer_diameter_m:
+            raise refusal("at most half of outer_diameter_m", got=self.wall_m, key=("wall_m",))
+        return self
+
+    def matrices(self) -> tuple[FloatArray, FloatArray]:
+        """Return stiffness and mass (6, 6) about the origin of W, linear then angular, SI."""
+        outer, end, E = self.outer_diameter_m, np.array(self.end_m), self.young_pa
+        L, inner = math.dist(self.start_m, self.end_m), outer - 2 * self.wall_m
+        area, second = math.pi / 4 * (outer**2 - inner**2), math.pi / 64 * (outer**4 - inner**4)
+        EI, GJ = E * second, 2 * self.shear_pa * second
+        m, polar = self.density_kg_m3 * area * L, 2 * second / area
+        axis, moved = (end - self.start_m) / L, np.eye(6)
+        moved[:3, 3:] = -_cross(end)
+        stiffness = _block(axis, (12 * EI / L**3, E * area / L), (4 * EI / L, GJ / L), 6 * EI / L**2)
+        mass = _block(axis, (13 / 35 * m, m / 3), (m * L**2 / 105, m * polar / 3), 11 * m * L / 210)
+        return read_only(moved.T @ stiffness @ moved), read_only(moved.T @ mass @ moved)
+
+
+def _block(
+    axis: FloatArray, shift: tuple[float, float], turn: tuple[float, float], between: float
+) -> FloatArray:
+    """The matrix (6, 6) of a beam's end, of entries across its axis (3,) and along it."""
+    along = np.outer(axis, axis)
+    across = np.eye(3) - along
+    coupled = between * _cross(axis)
+    linear, angular = (a * across + b * along for a, b in (shift, turn))
+    return np.block([[linear, coupled], [coupled.T, angular]])
+
+
+def _cross(v: FloatArray) -> FloatArray:
+    """The matrix (3, 3) of the cross product with a vector (3,)."""
+    return np.cross(v, -np.eye(3))

@@ -1,0 +1,73 @@
+"""The tube that a robot stands on: its matrices, and what is refused."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, strategies as st
+from scipy.linalg import null_space
+from small_scenes import short_scene
+
+from cmbot.common.errors import SceneError
+from cmbot.elastic.beam import beam_mass, beam_stiffness
+from cmbot.scene import Scene, load_scene
+
+MAST: dict[str, Any] = {
+    **{"start_m": [0, 0, -2.5], "outer_diameter_m": 0.1, "wall_m": 0.004},
+    **{"young_pa": 70e9, "shear_pa": 26e9, "density_kg_m3": 2700},
+}
+COORDINATES = st.tuples(*[st.floats(-3, 3)] * 3)
+
+
+def standing_on(**tube: Any) -> Scene:
+    data = short_scene(guardrail={"bays": 0}).as_data()
+    return load_scene(data | {"base": {"name": "mast", "tube": MAST | tube}})
+
+
+def test_a_tip_bends_as_handbooks_say() -> None:
+    """3 E I / L^3 against a force alone, E I / L against a moment alone."""
+    compliance = np.linalg.inv(standing_on().elastic_guardrail.stiffness)
+    EI, L = 70e9 * np.pi / 64 * (0.1**4 - 0.092**4), 2.5
+    np.testing.assert_allclose(1 / np.diag(compliance)[[0, 1, 3, 4]], [3 * EI / L**3] * 2 + [EI / L] * 2)
+    area = np.pi / 4 * (0.1**2 - 0.092**2)
+    np.testing.assert_allclose(1 / compliance[2, 2], 70e9 * area / L)
+    np.testing.assert_allclose(1 / compliance[5, 5], 26e9 * 2 * EI / 70e9 / L)
+
+
+@given(start=COORDINATES, end=COORDINATES)
+def test_anywhere_it_is_an_element_of_a_frame(start: tuple[float, ...], end: tuple[float, ...]) -> None:
+    """The free end of a beam, its motion that of a rigid body about the origin of W."""
+    along = np.subtract(end, start)
+    L = np.atleast_1d(np.linalg.norm(along))
+    assume(L[0] > 0.2)
+    own = np.column_stack([along / L, null_space(along[None])])
+    own[:, 2] *= np.sign(np.linalg.det(own))
+    moment, area = np.pi / 64 * (0.1**4 - 0.092**4), np.pi / 4 * (0.1**2 - 0.092**2)
+    E, G, mass = np.array([70e9]), np.array([26e9]), 2700 * area * L
+    K = beam_stiffness(own[None], L, E * area, 2 * G * moment, E * moment, E * moment)[0, 6:, 6:]
+    M = beam_mass(own[None], L, mass, 2 * mass * moment / area)[0, 6:, 6:]
+    moved = np.eye(6)
+    moved[:3, 3:] = np.cross(end, np.eye(3))
+    guardrail = standing_on(start_m=start, end_m=end).elastic_guardrail
+    for found, expected in ((guardrail.stiffness, K), (guardrail.mass, M)):
+        np.testing.assert_allclose(found, moved.T @ expected @ moved, atol=1e-9 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(
+    ("tube", "expected"),
+    [
+        ({"outer_diameter_m": 120, "wall_m": 4}, "farther from start_m"),
+        ({"wall_m": 0.06}, "at most half"),
+        ({"end_m": [0, 0, -2.5]}, "farther from start_m"),
+    ],
+)
+def test_what_is_no_tube_is_refused(tube: dict[str, Any], expected: str) -> None:
+    with pytest.raises(SceneError, match=expected):
+        standing_on(**tube)
+
+
+def test_one_key_says_how_the_base_bends() -> None:
+    data = standing_on().as_data() | {"guardrail": {"bays": 0, "stiffness": [1e6] * 6}}
+    with pytest.raises(SceneError, match="no such key beside another one"):
+        load_scene(data)
+    assert standing_on().softest_key == "base.tube"
