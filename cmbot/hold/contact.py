@@ -21,9 +21,9 @@ from typing import Literal
 import numpy as np
 import shapely
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.representation import short_repr
-from cmbot.hold.friction import Friction, Loads, Slipping
+from cmbot.hold.friction import Friction, Slipping
 
 Gap = Literal["none", "allowed"]
 Ring = tuple[tuple[float, float], ...]
@@ -109,26 +109,32 @@ class Contact:
             parts = np.split(load, range(_LOADS_AT_ONCE, len(load), _LOADS_AT_ONCE))
             values, slopes = zip(*(self.slip(part, friction, gap) for part in parts), strict=True)
             return np.concatenate(values), np.concatenate(slopes)
-        tables = _tables(self)
-        slide = np.hypot(load[:, 0], load[:, 1]) / friction
+        slide, whole = np.hypot(load[:, 0], load[:, 1]) / friction, self.gap(load[:, 2:4])[0]
         value, slope = slide.copy(), np.zeros((len(load), 5))
         slope[:, :2] = load[:, :2] / (friction**2 * np.maximum(slide, 1e-300)[:, None])
-        whole = self.gap(load[:, 2:4])[0]
-        least = whole if gap == "none" else self.tip(load[:, 2:4])[0] / _BEFORE_EDGE
-        unit = np.array([friction, friction, tables.size, tables.size, friction * tables.size])
-        scaled = load / unit
-        found = Slipping(
-            tables.friction,
-            Loads(
-                slips=scaled[:, [0, 1, 4]],
-                moment=scaled[:, 2:4],
-                least=np.maximum(slide, least),
-                whole=whole,
-            ),
-        )
-        turns = found.force > 0
-        value[turns], slope[turns] = found.force[turns], found.gradient[turns] / unit
+        upright = whole if gap == "none" else self.tip(load[:, 2:4])[0]
+        force, turning = self._turning(load, friction, np.maximum(slide, upright), whole)
+        turns = force > 0
+        value[turns], slope[turns] = force[turns], turning[turns]
         return value, slope
+
+    def bears(self, load: FloatArray, pressed: FloatArray, friction: float, gap: Gap) -> BoolArray:
+        """Return whether loads (N, 5) neither tip nor slip with all P from `pressed` (N,), N, on."""
+        whole = self.gap(load[:, 2:4])[0]
+        upright = whole if gap == "none" else self.tip(load[:, 2:4])[0]
+        good = np.maximum(np.hypot(load[:, 0], load[:, 1]) / friction, upright) <= pressed
+        good[good] = self._turning(load[good], friction, pressed[good], whole[good])[0] == 0
+        return np.asarray(good)
+
+    def _turning(
+        self, load: FloatArray, friction: float, least: FloatArray, whole: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """P (N,) at which it slips, zero where that is below `least`, and its gradients (N, 5)."""
+        tables = _tables(self)
+        unit = np.array([friction, friction, tables.size, tables.size, friction * tables.size])
+        scaled, least = load / unit, np.maximum(least, self.tip(load[:, 2:4])[0] / _BEFORE_EDGE)
+        found = Slipping(tables.friction, scaled[:, [0, 1, 4]], scaled[:, 2:4], least, whole)
+        return found.force, found.gradient / unit
 
     def suffices(self, load: FloatArray, size: FloatArray, friction: float, gap: Gap) -> FloatArray:
         """Return P (N,), N, with which no load tips or slips that is off by at most `size` from one of these.

@@ -18,7 +18,6 @@ Points and vectors in the plane are complex numbers here.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -183,26 +182,6 @@ def _antiderivatives(d: FloatArray, tau: FloatArray) -> FloatArray:
     return np.array(parts)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Loads:
-    """N loads of a contact.
-
-    Attributes
-    ----------
-    slips : (N, 3)
-        Friction and torsion, by the friction coefficient.
-    moment : (N, 2)
-        Moments E of the pressure.
-    least, whole : (N,)
-        The least force that is asked for, and the one with which the whole contact is pressed.
-    """
-
-    slips: FloatArray
-    moment: FloatArray
-    least: FloatArray
-    whole: FloatArray
-
-
 class Slipping:
     """The search for the force from which on friction is enough.
 
@@ -210,6 +189,16 @@ class Slipping:
     goes down from where the whole contact is pressed, beyond which friction grows with it. Each pass takes
     one of Newton's steps for every load: for the pressure; with that, for the motion against which friction
     is weakest; and with that, for the force.
+
+    Parameters
+    ----------
+    friction : Friction
+    slips : (N, 3)
+        Friction and torsion, by the friction coefficient.
+    moment : (N, 2)
+        Moments E of the pressure.
+    least, whole : (N,)
+        The least force that is asked for, and the one with which the whole contact is pressed.
 
     Attributes
     ----------
@@ -219,15 +208,20 @@ class Slipping:
         By friction, moments and torsion.
     """
 
-    def __init__(self, friction: Friction, loads: Loads) -> None:
-        self._friction, self._loads = friction, loads
-        N = len(loads.slips)
+    def __init__(
+        self,
+        friction: Friction,
+        slips: FloatArray,
+        moment: FloatArray,
+        least: FloatArray,
+        whole: FloatArray,
+    ) -> None:
+        self._friction, self._moment, self._least, N = friction, moment, least, len(slips)
         self.force, self.gradient = np.zeros(N), np.zeros((N, 5))
-        slips = loads.slips
-        self._trial = np.max([loads.whole, loads.least, 0.1 * np.abs(slips).max(axis=1)], axis=0)
+        self._trial = np.max([whole, least, 0.1 * np.abs(slips).max(axis=1)], axis=0)
         self._low, self._high, self._slope = np.zeros(N), np.full(N, np.inf), np.zeros(N)
         self._shallow = np.zeros(N, dtype=bool)
-        goal = np.column_stack([np.ones(N), loads.moment / np.maximum(self._trial, 1e-300)[:, None]])
+        goal = np.column_stack([np.ones(N), moment / np.maximum(self._trial, 1e-300)[:, None]])
         self._pressure = goal @ np.linalg.inv(friction.whole)
         self._moments = np.broadcast_to(friction.whole, (N, 3, 3)).copy()
         self._pressure_step, self._energy = np.zeros((N, 3)), np.full(N, np.inf)
@@ -257,7 +251,7 @@ class Slipping:
         """Take a step towards the pressure that has the load's moments; whether it is there."""
         if not len(rows):
             return np.zeros(0, dtype=bool)
-        goal = np.column_stack([np.ones(len(rows)), self._loads.moment[rows] / self._trial[rows, None]])
+        goal = np.column_stack([np.ones(len(rows)), self._moment[rows] / self._trial[rows, None]])
         pressure = self._pressure[rows] - self._pressure_step[rows]
         moments = self._friction.moments(pressure)
         force = (moments @ pressure[:, :, None])[:, :, 0]
@@ -298,7 +292,7 @@ class Slipping:
 
     def _decide(self, rows: IntArray) -> BoolArray:
         """Say whether the force is enough, and choose the next; whether it is what is looked for."""
-        P, least, by_force = self._trial[rows], self._loads.least[rows], self._by_moments[:, 0]
+        P, least, by_force = self._trial[rows], self._least[rows], self._by_moments[:, 0]
         more = P * self._work[rows] - 1
         holds, before, steep = more >= 0, self._high[rows], self._slope[rows]
         # From here down it holds less, then more: between both it holds least.

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.reading.file_types import Count, NonNegative
 from cmbot.hold.contact import Contact
 from cmbot.hold.foot import Foot
@@ -271,6 +271,18 @@ def needed_by_load(foot: Foot, load: FloatArray) -> tuple[FloatArray, FloatArray
     modes, gradients = _modes(foot, load)
     which, rows = modes.argmax(axis=1), np.arange(len(load))
     return modes[rows, which], gradients[rows, which]
+
+
+def bears(foot: Foot, load: FloatArray) -> BoolArray:
+    """Return whether a foot bears loads (N, 6) as far as something is known of it, (N,), safety included."""
+    good = np.ones(len(load), dtype=np.bool_)
+    if foot.force is not None:
+        bounds = np.array([*foot.force, *(foot.moment or (np.inf,) * 3)])
+        good &= (foot.safety * np.abs(load) <= bounds).all(axis=1)
+    if foot.adhesion is not None:
+        pressed = foot.adhesion / foot.safety - load[:, 2]
+        good &= _flat(foot).bears(_turning(load), pressed, foot.friction, foot.gap)
+    return good
 
 
 def _modes(foot: Foot, load: FloatArray) -> tuple[FloatArray, FloatArray]:

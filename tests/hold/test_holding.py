@@ -7,7 +7,7 @@ import pytest
 from finite_differences import finite_difference
 from numpy.typing import NDArray
 
-from cmbot.hold import Contact, Foot, Gap, Holding
+from cmbot.hold import Contact, Foot, Gap, Holding, bears
 
 FloatArray = NDArray[np.float64]
 
@@ -94,6 +94,17 @@ def test_gradients(foot: Foot, rng) -> None:
         for k in range(len(wrench)):
             expected = finite_difference(lambda w, f=function: f(w[None])[0][0], wrench[k], 1e-3)
             np.testing.assert_allclose(gradient[k], expected, rtol=1e-5, atol=1e-4)
+
+
+@pytest.mark.parametrize("gap", ["none", "allowed"])
+def test_a_foot_bears_what_needs_no_more_than_it_has(gap: Gap, rng: np.random.Generator) -> None:
+    magnet = replace(PLAIN, gap=gap)
+    clamp = replace(PLAIN, adhesion=None, force=(900.0,) * 3, moment=(90.0,) * 3)
+    load = rng.normal(size=(500, 6)) * [300, 300, 300, 30, 30, 30]
+    for foot in (magnet, clamp):
+        expected = Holding([foot], np.zeros(6)).share(load)[0] <= 1
+        assert 0.05 < expected.mean() < 0.95
+        np.testing.assert_array_equal(bears(foot, load), expected)
 
 
 def test_a_remainder_bounds_the_change(rng) -> None:
