@@ -14,7 +14,7 @@ from cmbot.robot import Robot
 
 # What two computations may differ by, as a share of what presses the foot most, below and above, and N; by
 # what share a bound may be missed. This one has cells, and few centres of turning.
-_MORE_THAN_FOUND, _LESS_THAN_FOUND, _LEAST_DIFFERENCE, _OF_BOUND = 0.005, 0.05, 1e-6, 1e-9
+_MORE_THAN_FOUND, _LESS_THAN_FOUND, _LEAST_DIFFERENCE, _OF_BOUND = 0.005, 0.25, 1e-6, 1e-9
 # Cells along each side of the contact's box, and at least of its smallest part's; centres of turning on a
 # circle, the share of the way to its edge up to which cells have a centre of pressure, and circles in half
 # sides of the box.
