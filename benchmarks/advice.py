@@ -38,7 +38,7 @@ def followed(data: dict[str, Any], words: str) -> dict[str, Any]:
     path = changed["tool_path"]
     if "seconds: auto on the legs" in words:
         path["legs"] = [_without_time(leg) for leg in path["legs"]]
-        path["seconds"] = "auto"
+        path |= {"seconds": "auto", "speed_profile": {"kind": "shortest"}}
         return changed
     if found := re.search(r"every leg of tool_path.legs in ([\d.]+) times its seconds", words):
         for leg in path["legs"]:

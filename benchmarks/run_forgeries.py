@@ -33,11 +33,14 @@ def main() -> int:
     console, failed = Console(highlight=False, soft_wrap=True), 0
     chosen = [] if arguments.honest else [each for each in FORGERIES if arguments.only in str(each)]
     for forgery in chosen:
-        wrong, outcome = forged(forgery, arguments.output)
-        bad = not wrong or outcome.status == 0
+        wrong, outcome, alone = forged(forgery, arguments.output)
+        told = alone.out.startswith(("Judged by what the folder says", "Promised otherwise"))
+        bad = not wrong or outcome.status == 0 or not (alone.status or told)
         failed += bad
         proof, said = "; ".join(wrong[:2]) or "NOT PROVEN", outcome.err.strip()[-160:] or "verified"
         console.print(f"{'FAILED' if bad else 'ok'} {forgery}: {proof} -> {outcome.status} {said}")
+        first = (alone.out or alone.err[-100:]).splitlines()[0]
+        console.print(f"    without --scene: {alone.status} {first}")
     honest = HONEST if arguments.honest or not arguments.only else ()
     for number, (base, changes) in enumerate(honest):
         folder = arguments.output / "honest" / str(number)

@@ -10,7 +10,7 @@ does, and its certificate holds. Times are of motions, not of this machine.
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,23 +20,21 @@ import toppra
 from rich.console import Console
 from rich.table import Table
 from scipy.interpolate import BSpline
+from suite.arms import arm_named
 
 from cmbot import load_scene, plan
 from cmbot.planning import Plan
 from cmbot.planning.request import build_request
 from cmbot.planning.timing.leg_paths import leg_paths
 from cmbot.robot import JointLimits
+from cmbot.scene import Scene
 
-__all__ = ["Compared", "compared", "copp_seconds", "toppra_seconds"]
+__all__ = ["Compared", "compared", "copp_seconds", "scenes", "toppra_seconds"]
 
 # Stations along a path, and rounds of copp's linearization until a round gains less than this.
 _STATIONS, _ROUNDS, _GAIN = 301, 15, 1e-4
-_SCENE: dict[str, Any] = {
-    "format": "cmbot-scene/2",
-    "name": "shortest",
-    "start": {"posture_deg": [-10, -90, 90, 0, 10, 50, 0]},
-    "guardrail": {"bays": 0},
-}
+_FORMAT: dict[str, Any] = {"format": "cmbot-scene/2", "name": "shortest", "guardrail": {"bays": 0}}
+_SHORTEST = {"seconds": "auto", "speed_profile": {"kind": "shortest"}}
 _LEGS: Mapping[str, dict[str, Any]] = {
     "straight": {"legs": [{"by": [0, -0.3, 0]}], "via_points": 40},
     "there and back": {"legs": [{"by": [0, -0.3, 0]}, {"by": [0, 0.3, 0]}], "via_points": 80},
@@ -50,6 +48,33 @@ _LEGS: Mapping[str, dict[str, Any]] = {
         "via_points": 40,
     },
 }
+# Legs of other arms, from a posture each.
+_POSTURES_DEG = {
+    "panda": (0, -45, 0, -135, 0, 90, 45),
+    "xarm7": (0, -30, 0, 60, 0, 90, 0),
+    "ur10": (0, -90, 90, -90, -90, 0),
+}
+_OTHER_LEGS: Mapping[str, dict[str, Any]] = {
+    "along": {"legs": [{"by": [-0.2, 0, 0.1]}], "via_points": 40},
+    "across": {"legs": [{"by": [0, 0.4, 0]}], "via_points": 40},
+}
+
+
+def scenes() -> Iterator[tuple[str, Scene]]:
+    """Yield what is planned in the shortest time, with a name."""
+    own = {**_FORMAT, "start": {"posture_deg": [-10, -90, 90, 0, 10, 50, 0]}}
+    for name, path in _LEGS.items():
+        yield f"cmbot, {name}", load_scene({**own, "tool_path": {**path, **_SHORTEST}})
+    for arm, posture in _POSTURES_DEG.items():
+        base, tool = arm_named(arm).base, arm_named(arm).tool
+        other = {
+            **_FORMAT,
+            "robot": {"model": str(arm_named(arm).urdf), "base_frame": base, "tool_frame": tool},
+            "start": {"posture_deg": posture},
+            "planner": {"start": "pinned"},
+        }
+        for name, path in _OTHER_LEGS.items():
+            yield f"{arm}, {name}", load_scene({**other, "tool_path": {**path, **_SHORTEST}})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,9 +139,8 @@ def compared(planned: Plan) -> Compared:
 def main() -> int:
     """Plan, compare, print."""
     table = Table("legs", "planned, s", "copp, third order, s", "above it", "toppra, second order, s")
-    for name, path in _LEGS.items():
-        scene = load_scene({**_SCENE, "tool_path": {**path, "seconds": "auto"}})
-        times = compared(plan(scene))
+    for name, scene in scenes():
+        times = compared(plan(scene, progress=False))
         above = f"{100 * (times.planned / times.copp - 1):+.2f} %"
         table.add_row(name, f"{times.planned:.3f}", f"{times.copp:.3f}", above, f"{times.toppra:.3f}")
     Console().print(table)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import csv
 import io
 import json
@@ -16,11 +17,14 @@ import numpy as np
 import yaml
 from command_line import Outcome, run
 from plan_folders import edit, rewrite
+from walks import tour_record
 
 import cmbot
-from cmbot.planning import Job, QuinticTrajectory
-from forged.judge import faults, walk_faults
-from forged.scenes import ASKED, BASES, GOAL, WALK, Data, changed
+from cmbot.archive import TOUR_FILE, write_results
+from cmbot.collision import Clearances
+from cmbot.planning import Job, QuinticTrajectory, certify, certify_move
+from forged.judge import faults, tour_faults, walk_faults
+from forged.scenes import ASKED, BASES, DOUBLED, FURTHER, GOAL, SMALL, Data, changed
 
 __all__ = ["FORGERIES", "Forgery", "forged", "planned"]
 
@@ -51,25 +55,29 @@ def planned(data: Data, folder: Path) -> Path:
     return file
 
 
-def forged(forgery: Forgery, output: Path) -> tuple[list[str], Outcome]:
-    """Forge a folder; return what is wrong with it by the oracles, and how it is judged."""
-    asked = output / "asked"
-    base, folder = output / "bases" / forgery.base, output / "forged" / "plan"
+def forged(forgery: Forgery, output: Path) -> tuple[list[str], Outcome, Outcome]:
+    """Forge a folder; return what is wrong by the oracles, how it is judged, and how that without a scene."""
+    asked, folder = output / "asked", output / "forged" / "plan"
+    base = output / "bases" / forgery.base
     shutil.rmtree(folder, ignore_errors=True)
-    if forgery.base == "walk":
-        scene, goal = _written(WALK, asked / "walk.yaml"), _written(GOAL, asked / "goal.yaml")
-        if not base.is_dir():
-            run("walk", scene, "--to", goal, "-o", base, "-q")
-    else:
-        scene, goal = _written(ASKED[forgery.base], asked / f"{forgery.base}.yaml"), None
-        if forgery.base in BASES:
-            planned(BASES[forgery.base], base)
+    scene, goal = _written(ASKED[forgery.base], asked / f"{forgery.base}.yaml"), asked / "goal.yaml"
+    if forgery.base in ("walk", "tour"):
+        walked = base / "walk_1" if forgery.base == "tour" else base
+        if not walked.is_dir():
+            run("walk", scene, "--to", _written(GOAL, goal), "-o", walked, "-q")
+        if forgery.base == "tour" and not (base / "tour.json").is_file():
+            planned(ASKED["tour"], base / "work_1")
+            parts = {"work_1": cmbot.load_plan(base / "work_1"), "walk_1": cmbot.load_walk(walked)}
+            write_results(base, TOUR_FILE, tour_record(parts), {})
+    elif forgery.base in BASES:
+        planned(BASES[forgery.base], base)
     if base.is_dir():
         shutil.copytree(base, folder)
     forgery.make(folder)
-    if goal is None:
-        return faults(scene, folder), run("verify", folder, "--scene", scene)
-    return walk_faults(scene, goal, folder), run("verify", folder, "--scene", scene, "--to", goal)
+    judges = {"walk": walk_faults, "tour": tour_faults}
+    judge, more = judges.get(forgery.base), ("--to", goal) if forgery.base == "walk" else ()
+    wrong = faults(scene, folder) if judge is None else judge(scene, goal, folder)
+    return wrong, run("verify", folder, "--scene", scene, *more), run("verify", folder)
 
 
 def _written(data: Data, file: Path) -> Path:
@@ -171,6 +179,42 @@ def exported(change: Callable[[dict[str, Any]], object]) -> Make:
     return make
 
 
+def part(name: str) -> Make:
+    """What is there, as what a writer left: cmbot reads it, who takes files by their names does not."""
+    return lambda folder: folder.joinpath(f".{name}.part").write_bytes((folder / name).read_bytes())
+
+
+def remade(base: str, changes: Data) -> Make:
+    """The motion of another scene, with all that cmbot finds of it in the scene that was asked for."""
+
+    def make(folder: Path) -> None:
+        asked = cmbot.load_plan(folder)
+        with tempfile.TemporaryDirectory() as room:
+            planned(changed(ASKED[base], changes), Path(room) / "plan")
+            others = cmbot.load_plan(Path(room) / "plan").job.segments
+        robot, before = asked.robot, np.array(asked.scene.posture)
+        common = (Clearances(robot, asked.scene.all_obstacles), asked.options)
+        segments = []
+        for mine, other in zip(asked.job.segments, others, strict=True):
+            x = other.trajectory
+            if mine.kind == "stroke":
+                number = asked.scene.strokes[0].via_points
+                found = certify(robot, mine.task, x, *common, via_points=number, start=None, sag=asked.sag)
+            else:
+                found = certify_move(robot, mine.task, x, *common, before, x.q[-1])
+            # What is broken is not told.
+            found = replace(found, checks=mine.certificate.checks)
+            segments.append(replace(mine, trajectory=x, begin=other.begin, certificate=found))
+        first, peak = segments[-1].trajectory.q[0], segments[-1].figures.peak_guardrail_torque
+        away = float(np.abs(robot.metric.coordinates(first - before)).max())
+        start = replace(asked.start, posture=first, moved=away)
+        goal = replace(asked.objective, planned_peak=peak, floor=None)
+        own = {"start": start, "objective": goal, "lower_bound": None, "choice": None}
+        cmbot.save(replace(asked, job=Job(segments=tuple(segments)), **own), folder, force=True)
+
+    return make
+
+
 def all_of(*parts: Make) -> Make:
     def make(folder: Path) -> None:
         for part in parts:
@@ -264,6 +308,12 @@ def _knots(change: Callable[[dict[str, Any]], None]) -> Make:
     return make
 
 
+def _half(arrays: dict[str, Any]) -> None:
+    """Twice as quick."""
+    for name, factor in (("t", 0.5), ("v", 2.0), ("a", 4.0)):
+        arrays[name] = factor * arrays[name]
+
+
 def _after_the_end(arrays: dict[str, Any]) -> None:
     """The arm goes on when its job is done."""
     arrays["t"] = np.append(arrays["t"], arrays["t"][-1] + 3.0)
@@ -283,98 +333,73 @@ def _motions() -> Iterator[tuple[str, str, Make]]:
     yield "a jolt of acceleration", "short", moved(lambda x: rates(x, "a", 4, 3.0))
     yield "a turn more of the last joint", "short", moved(lambda x: offset(x, 6, 2 * np.pi))
     yield "an approach twice as quick", "sliding", moved(lambda x: stretched(x, 0.3), "approach")
-    yield (
-        "an approach that ends 2 mm away",
-        "sliding",
-        moved(lambda x: bump(x, 2, 0.002, slice(-1, None)), "approach"),
-    )
+    away = moved(lambda x: bump(x, 2, 0.002, slice(-1, None)), "approach")
+    yield "an approach that ends 2 mm away", "sliding", away
     yield "a return through the rail", "strokes", moved(lambda x: detour(x, 1, -1.2), "return")
     yield "a return half way", "strokes", moved(lambda x: bump(x, 1, 0.2, slice(-1, None)), "return")
     yield "a free move that swings into the bar", "bar", moved(lambda x: bump(x, 0, 0.12))
     yield "a motion after the end", "short", _knots(_after_the_end)
 
 
+_LEG = "tool_path.legs[0]"
+_SCENES: tuple[tuple[str, str, Data], ...] = (
+    ("a leg of 250 mm", "short", {f"{_LEG}.by": [0, -0.25, 0]}),
+    ("a leg 3 mm askew", "short", {f"{_LEG}.by": [0, -0.3, 0.003]}),
+    ("a leg in 5 s", "short", {f"{_LEG}.seconds": 5}),
+    ("another profile", "short", {"tool_path.speed_profile": {"kind": "jerk_limited", "ramp": 0.5}}),
+    ("a bar that is not there", "near", {"obstacles": []}),
+    ("a bar 20 mm away", "near", {"obstacles[0].xyz": [1.89, 0.63, -2.0628]}),
+    ("the nozzle without its recoil", "strokes", {"tool": None}),
+    ("no payload", "heavy", {"robot.payload_kg": 0.0}),
+    ("half the payload", "heavy", {"robot.payload_kg": 1.0}),
+    ("a tool 20 mm shorter", "short", {"robot.tool_length_m": 0.28, "start": BASES["short"]["start"]}),
+    ("a tool 20 mm shorter, no baseline", "alone", {"robot.tool_length_m": 0.28}),
+    ("a guardrail three times as stiff", "bent", {"guardrail.stiffness_factor": 3.0}),
+    ("feet 5 mm further", "stands", FURTHER),
+    ("limits doubled in a file of its own", "panda", {"robot.limits": DOUBLED}),
+    ("rows that lack the last", "rows", {"tool_path.raster.v": [0, 0, -0.05]}),
+    ("rows 50 mm lower", "rows", {"frames.plate.xyz": [1.9354, 0.55, -2.25]}),
+    ("rows at 17 cm", "rows", {"tool_path.raster.stand_off_m": 0.17}),
+    ("one stroke of two", "strokes", {"tool_path.strokes[1]": None}),
+    ("a stroke backwards", "strokes", {"tool_path.strokes[1].backwards": True}),
+    ("no return", "strokes", {"return": None}),
+    ("a pause left out", "turns", {"tool_path.legs[1].pause": 0.1}),
+    ("another place of the foot", "short", {"guardrail": {"bays": 0}, f"{_LEG}.by": [0, -0.3, 0.02]}),
+    ("another start", "short", {"start.posture_deg": [-12, -90, 90, 0, 10, 50, 0]}),
+)
+
+
 def _scenes() -> Iterator[tuple[str, str, Make]]:
-    leg = "tool_path.legs[0]"
-    yield "a leg of 250 mm", "short", other("short", {f"{leg}.by": [0, -0.25, 0]})
-    yield "a leg 3 mm askew", "short", other("short", {f"{leg}.by": [0, -0.3, 0.003]})
-    yield "a leg in 5 s", "short", other("short", {f"{leg}.seconds": 5})
-    yield (
-        "another speed profile",
-        "short",
-        other("short", {"tool_path.speed_profile": {"kind": "jerk_limited", "ramp": 0.5}}),
-    )
-    yield "a bar that is not there", "near", other("near", {"obstacles": []})
-    yield "a bar 20 mm away", "near", other("near", {"obstacles[0].xyz": [1.89, 0.63, -2.0628]})
-    yield "the nozzle without its recoil", "strokes", other("strokes", {"tool": None})
-    yield "no payload", "heavy", other("heavy", {"robot.payload_kg": 0.0})
-    yield (
-        "a tool 20 mm shorter",
-        "short",
-        other("short", {"robot.tool_length_m": 0.28, "start": BASES["short"]["start"]}),
-    )
-    yield (
-        "the axis alone",
-        "short",
-        all_of(other("short", {"tool_path.keep": "axis"}), moved(lambda x: bump(x, 6, 0.2))),
-    )
-    yield "rows that lack the last", "rows", other("rows", {"tool_path.raster.v": [0, 0, -0.05]})
-    yield "rows 50 mm lower", "rows", other("rows", {"frames.plate.xyz": [1.9354, 0.55, -2.25]})
-    yield "rows at 17 cm", "rows", other("rows", {"tool_path.raster.stand_off_m": 0.17})
-    yield "one stroke of two", "strokes", other("strokes", {"tool_path.strokes[1]": None})
-    yield "a stroke backwards", "strokes", other("strokes", {"tool_path.strokes[1].backwards": True})
-    yield "no return", "strokes", other("strokes", {"return": None})
-    yield "a pause left out", "turns", other("turns", {"tool_path.legs[1].pause": 0.1})
-    yield (
-        "another place of the foot",
-        "short",
-        other("short", {"guardrail": {"bays": 0}, f"{leg}.by": [0, -0.3, 0.02]}),
-    )
-    yield "another start", "short", other("short", {"start.posture_deg": [-12, -90, 90, 0, 10, 50, 0]})
+    for name, base, changes in _SCENES:
+        yield name, base, other(base, changes)
+        if base in ("alone", "bent", "stands"):
+            yield f"{name}, its figures computed anew", base, remade(base, changes)
+    axis = moved(lambda x: bump(x, 6, 0.2))
+    yield "the axis alone", "short", all_of(other("short", {"tool_path.keep": "axis"}), axis)
+    yield "a smaller mesh", "mesh", other("mesh", {"obstacles[0].mesh": SMALL})
 
 
 def _options() -> Iterator[tuple[str, str, Make]]:
     for keep, words in ((("options",), "which the folder says"), ((), "which the folder hides")):
 
-        def of(changes: dict[str, Any], base: str = "short", keep: tuple[str, ...] = keep) -> Make:
+        def of(changes: Data, base: str = "short", keep: tuple[str, ...] = keep) -> Make:
             return other(base, {f"planner.{key}": value for key, value in changes.items()}, keep=keep)
 
         loose = of({"max_tool_deviation_m": 0.1, "max_tool_rotation_deg": 90, "max_tool_lag_m": 0.2})
-        yield (
-            f"a deviation of 5 mm, {words}",
-            "short",
-            all_of(loose, moved(lambda x: bump(x, 2, 0.004, slice(4, 5)))),
-        )
-        yield (
-            f"a turn of 3 degrees, {words}",
-            "short",
-            all_of(loose, moved(lambda x: bump(x, 6, np.radians(3)))),
-        )
-        yield f"a lag, {words}", "short", all_of(loose, moved(warped))
+        for what, motion in (
+            ("a deviation of 5 mm", lambda x: bump(x, 2, 0.004, slice(4, 5))),
+            ("a turn of 3 degrees", lambda x: bump(x, 6, np.radians(3))),
+            ("a lag", warped),
+        ):
+            yield f"{what}, {words}", "short", all_of(loose, moved(motion))
         yield f"no margin, {words}", "near", of({"safety_margin_m": 0.0}, "near")
-        yield (
-            f"no approach, {words}",
-            "sliding",
-            all_of(of({"knots": "fixed"}, "sliding"), moved(lambda x: offset(x, 6, 0.01))),
-        )
-    yield (
-        "a margin that is not a number",
-        "near",
-        all_of(
-            other("near", {"planner.safety_margin_m": 0.0}, keep=()),
-            told(options__safety_margin_m=float("nan")),
-        ),
-    )
-    yield (
-        "a negative margin",
-        "near",
-        all_of(other("near", {"planner.safety_margin_m": 0.0}), told(options__safety_margin_m=-1.0)),
-    )
-    yield (
-        "an endless deviation",
-        "short",
-        all_of(moved(lambda x: bump(x, 2, 0.05)), told(options__max_tool_deviation_m=1e9)),
-    )
+        sliding = moved(lambda x: offset(x, 6, 0.01))
+        yield f"no approach, {words}", "sliding", all_of(of({"knots": "fixed"}, "sliding"), sliding)
+    for name, margin, keep in (("not a number", float("nan"), ()), ("negative", -1.0, ("options",))):
+        bare = other("near", {"planner.safety_margin_m": 0.0}, keep=keep)
+        yield f"a margin that is {name}", "near", all_of(bare, told(options__safety_margin_m=margin))
+    endless = told(options__max_tool_deviation_m=1e9)
+    yield "an endless deviation", "short", all_of(moved(lambda x: bump(x, 2, 0.05)), endless)
 
 
 def _files() -> Iterator[tuple[str, str, Make]]:
@@ -387,27 +412,46 @@ def _files() -> Iterator[tuple[str, str, Make]]:
     yield "half the torque of a joint", "short", column("tau2", lambda x, k: x / 2)
     yield "the tool elsewhere", "short", column("tool_z", lambda x, k: x + 0.01)
     yield "velocities of nothing", "short", column("v2", lambda x, k: 0.0)
-    yield (
-        "work that is called a return",
-        "strokes",
-        table(
-            lambda rows: [
-                {**row, "segment": "return" if row["segment"] == "back" else row["segment"]} for row in rows
-            ]
-        ),
-    )
-    yield (
-        "columns exchanged",
-        "short",
-        table(lambda rows: [{**row, "q1": row["q2"], "q2": row["q1"]} for row in rows]),
-    )
-    yield (
-        "the table of another plan",
-        "short",
-        all_of(*(column(f"q{k}", lambda x, k: x + 0.02) for k in (1, 2, 3))),
-    )
+    renamed = table(lambda rows: [{**r, "segment": r["segment"].replace("back", "return")} for r in rows])
+    yield "work that is called a return", "strokes", renamed
+    exchanged = table(lambda rows: [{**row, "q1": row["q2"], "q2": row["q1"]} for row in rows])
+    yield "columns exchanged", "short", exchanged
+    elsewhere = (column(f"q{k}", lambda x, k: x + 0.02) for k in (1, 2, 3))
+    yield "the table of another plan", "short", all_of(*elsewhere)
     yield "accelerations of nothing", "short", column("a2", lambda x, k: 0.0)
     yield "a table ten times as quick, beside the message", "short", column("t", lambda x, k: x / 10)
+    yield "a table beside its honest part", "short", all_of(part("job.csv"), column("t", lambda x, k: x / 3))
+    yield "knots beside their honest part", "short", all_of(part("job.npz"), _knots(_half))
+    lower = told(planned__peak_guardrail_torque=lambda x: 0.5 * x)
+    yield "a record beside its honest part", "short", all_of(part("plan.json"), lower)
+
+
+def _exports() -> Iterator[tuple[str, str, Make]]:
+    yield "twice as quick", "short", exported(_quicker)
+    yield "twice as quick, then a rest", "short", exported(lambda x: _quicker(x, rest=True))
+    yield "joints exchanged", "short", exported(lambda x: x["joint_names"].reverse())
+    still = exported(lambda x: [point.update(velocities=[0.0] * 7) for point in x["points"]])
+    yield "velocities of nothing", "short", still
+    yield "its ends alone", "short", exported(lambda x: x.update(points=x["points"][:: len(x["points"]) - 1]))
+    yield "a point elsewhere", "short", exported(lambda x: x["points"][4]["positions"].__setitem__(1, 0.0))
+    yield "other points before its own", "short", all_of(exported(lambda x: None), _twice)
+
+
+def _quicker(message: Data, *, rest: bool = False) -> None:
+    last = copy.deepcopy(message["points"][-1])
+    for point in message["points"]:
+        since = point["time_from_start"]
+        since["sec"], since["nanosec"] = divmod((since["sec"] * 10**9 + since["nanosec"]) // 2, 10**9)
+    message["points"] += [last] if rest else []
+
+
+def _twice(folder: Path) -> None:
+    """Readers that take the first of two keys find a motion twice as quick."""
+    file = folder / "job.json"
+    text = file.read_text(encoding="utf-8")
+    quick = json.loads(text)
+    _quicker(quick)
+    file.write_text(f'{{"points": {json.dumps(quick["points"])}, {text[1:]}', encoding="utf-8")
 
 
 def _claims() -> Iterator[tuple[str, str, Make]]:
@@ -425,11 +469,8 @@ def _claims() -> Iterator[tuple[str, str, Make]]:
     yield "more clearance", "short", told(planned__min_clearance=lambda x: x + 0.05)
     yield "a smaller deviation", "bar", told(planned__max_tool_deviation=lambda x: 0.0)
     yield "a shorter job", "strokes", told(planned__job__duration=lambda x: x - 3)
-    yield (
-        "a bound above the peak",
-        "sliding",
-        told(torque_floor=lambda x: 2 * x, floor__value=lambda x: 2 * x),
-    )
+    bound = told(torque_floor=lambda x: 2 * x, floor__value=lambda x: 2 * x)
+    yield "a bound above the peak", "sliding", bound
 
 
 def walk(*changes: Callable[[dict[str, Any]], object]) -> Make:
@@ -448,7 +489,7 @@ def _moves(record: dict[str, Any]) -> list[dict[str, Any]]:
 
 def _still(record: dict[str, Any]) -> None:
     """The lift does not leave its face: the swing drags the foot, and the set does nothing."""
-    _, lift, swing, down = _moves(record)
+    lift, swing, down = _moves(record)[-3:]
     for move, knot in ((lift, lift["knots"]["q"][0]), (down, down["knots"]["q"][-1])):
         rest = [0.0] * len(knot)
         move["knots"] |= {"q": [knot] * len(move["knots"]["t"]), "v": [rest] * len(move["knots"]["t"])}
@@ -489,7 +530,7 @@ def _goal(record: dict[str, Any]) -> None:
 
 
 def _arm_in_the_air(record: dict[str, Any]) -> None:
-    for move in _moves(record)[2:]:
+    for move in _moves(record)[-2:]:
         move["arm"][1] += 0.2
 
 
@@ -500,23 +541,58 @@ def _walks() -> Iterator[tuple[str, str, Make]]:
     yield "no set", "walk", walk(_without("set"))
     yield "another goal", "walk", walk(_goal)
     yield "an arm that moves with a foot in the air", "walk", walk(_arm_in_the_air)
-    yield "the first move called a lift", "walk", walk(lambda x: _moves(x)[0].update(kind="lift"))
-    yield (
-        "lift and set exchanged",
-        "walk",
-        walk(
-            lambda x: [
-                m.update(kind={"lift": "set", "set": "lift"}.get(m["kind"], m["kind"])) for m in _moves(x)
-            ]
-        ),
-    )
+    yield "the swing called a lift", "walk", walk(lambda x: _moves(x)[-2].update(kind="lift"))
+    kinds = {"lift": "set", "set": "lift"}
+    exchanged = walk(lambda x: [m.update(kind=kinds.get(m["kind"], m["kind"])) for m in _moves(x)])
+    yield "lift and set exchanged", "walk", exchanged
     yield "no steps", "walk", walk(lambda x: x.update(steps=[]))
     yield "a table that ends early", "walk", _walk_table(lambda rows: rows[:-30])
-    yield (
-        "a table with the foot elsewhere",
-        "walk",
-        _walk_table(lambda rows: [{**row, "foot_1_x": float(row["foot_1_x"]) + 0.01} for row in rows]),
-    )
+    elsewhere = _walk_table(lambda rows: [{**r, "foot_1_x": float(r["foot_1_x"]) + 0.01} for r in rows])
+    yield "a table with the foot elsewhere", "walk", elsewhere
+
+
+def tour(*changes: Callable[[Data], object]) -> Make:
+    """Change ``tour.json``; its clock is made right."""
+
+    def clocked(record: Data) -> None:
+        record["seconds"] = 0.0
+        for entry in record["parts"]:
+            entry["begin"] = record["seconds"]
+            record["seconds"] += entry["seconds"]
+
+    def make(folder: Path) -> None:
+        for change in (*changes, clocked):
+            edit(folder, change, "tour.json")
+
+    return make
+
+
+def inside(name: str, make: Make) -> Make:
+    """Do it to a part of a tour."""
+    return lambda folder: make(folder / name)
+
+
+def _tours() -> Iterator[tuple[str, str, Make]]:
+    yield "parts exchanged", "tour", tour(lambda x: x["parts"].reverse())
+    yield "the work twice", "tour", tour(lambda x: x["parts"].insert(0, copy.deepcopy(x["parts"][0])))
+    yield "the work left out", "tour", tour(lambda x: x["parts"].pop(0))
+    yield "the walk twice", "tour", tour(lambda x: x["parts"].append(x["parts"][1]))
+    yield "the job of its work quicker", "tour", inside("work_1", column("t", lambda x, k: x / 2))
+    yield "knots of its work quicker", "tour", inside("work_1", _knots(_half))
+    yield "a foot that is dragged", "tour", inside("walk_1", walk(_still))
+    yield "feet 5 mm further in its walk", "tour", inside("walk_1", walk(_further))
+    yield "work from 5 mm further", "tour", inside("work_1", other("tour", FURTHER))
+    yield "less torque in its work", "tour", tour(lambda x: x["parts"][0].update(peak_torque=100.0))
+    hasty = tour(lambda x: x["parts"][0].update(seconds=x["parts"][0]["seconds"] - 1))
+    yield "a second less", "tour", hasty
+
+
+def _further(record: Data) -> None:
+    stances = [record["goal"], record["scene"]["guardrail"]["stance"]]
+    stances += [step[key] for step in record["steps"] for key in ("before", "after")]
+    for stance in stances:
+        for foot in ("foot_1", "foot_2"):
+            stance[foot]["along_m"] += 0.005
 
 
 def _walk_table(change: Callable[[list[dict[str, Any]]], list[dict[str, Any]]]) -> Make:
@@ -530,8 +606,10 @@ FORGERIES: tuple[Forgery, ...] = tuple(
         ("scene", _scenes),
         ("options", _options),
         ("files", _files),
+        ("exports", _exports),
         ("claims", _claims),
         ("walks", _walks),
+        ("tours", _tours),
     )
     for name, base, make in some()
 )

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import copy
+import tempfile
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
+import trimesh
 from small_scenes import SHORT
 
-__all__ = ["ASKED", "BASES", "GOAL", "HONEST", "WALK", "changed"]
+__all__ = ["ASKED", "BASES", "DOUBLED", "FURTHER", "GOAL", "HONEST", "SMALL", "WALK", "changed"]
 
 Data = dict[str, Any]
 
@@ -85,7 +88,15 @@ BASES: dict[str, Data] = {
         "magnet",
         {"guardrail.hold": {"kind": "magnet", "adhesion_n": 14000.0, "friction": 0.96, "safety": 1.0}},
     ),
-    "bent": _of("bent", {"robot.joints": "elastic", "planner.compensate": "auto"}),
+    "bent": _of("bent", {"robot.joints": "elastic", "planner.compensate": True, "planner.baseline": "none"}),
+    "alone": _of(
+        "alone",
+        {
+            "planner": {"baseline": "none", "compensate": False},
+            "tool_path.via_points": 10,
+            "tool_path.from": {"frame": "world", "xyz": [1.8154, 0.7796, -2.0628]},
+        },
+    ),
     "turns": _of(
         "turns",
         {
@@ -99,8 +110,32 @@ BASES: dict[str, Data] = {
     ),
 }
 """Scenes that are asked for and can be planned, by their names."""
-ASKED: dict[str, Data] = {**BASES, "near": _of("near", {"obstacles": [_NEAR]})}
-"""These, and one that nobody can do: a bar is nearer than the margin."""
+ROOM = Path(tempfile.gettempdir()) / "cmbot_forgeries"
+ROOM.mkdir(exist_ok=True)
+SMALL, DOUBLED, _LARGE, _GIVEN = (str(ROOM / name) for name in ("small.stl", "doubled", "large.stl", "given"))
+for _file, _size in ((SMALL, (0.01, 1.0, 0.01)), (_LARGE, (0.06, 1.0, 0.06))):
+    trimesh.creation.box(_size).export(_file)
+for _file, _factor in ((_GIVEN, 1), (DOUBLED, 2)):
+    _every = f"all: {{acceleration_deg: {150 * _factor}, jerk_deg: {3000 * _factor}}}"
+    Path(_file).write_text(f"format: cmbot-joint-limits/1\n{_every}\n", encoding="utf-8")
+_PANDA = {"model": "panda", "base_frame": "panda_link0", "tool_frame": "panda_hand_tcp", "limits": _GIVEN}
+
+ASKED: dict[str, Data] = {
+    **BASES,
+    "near": _of("near", {"obstacles": [_NEAR]}),
+    "mesh": _of("mesh", {"obstacles": [{**_NEAR, "box": None, "mesh": _LARGE}]}),
+    "panda": _of(
+        "panda",
+        {
+            "robot": _PANDA,
+            "guardrail": {"bays": 0},
+            "start.posture_deg": [0, -45, 0, -135, 0, 90, 45],
+            "tool_path.legs[0].seconds": 1.35,
+            "planner.start": "pinned",
+        },
+    ),
+}
+"""These, and some that nobody can do: a bar is nearer than the margin, a leg is too quick."""
 
 HONEST: tuple[tuple[str, dict[str, Any]], ...] = (
     *((base, {}) for base in BASES),
@@ -189,4 +224,7 @@ WALK: Data = {
     "planner": SHORT["planner"],
 }
 """A stance from which a step leads to the next one."""
+BASES["stands"] = changed(WALK, {"planner.baseline": "none"})
+ASKED |= {"walk": WALK, "tour": changed(WALK, {"return": "start"}), "stands": BASES["stands"]}
+FURTHER = {f"guardrail.stance.foot_{foot}.along_m": x for foot, x in ((1, 4.045), (2, 4.445))}
 GOAL: Data = changed(WALK, {"guardrail.stance.foot_1.along_m": 4.09})["guardrail"]["stance"]

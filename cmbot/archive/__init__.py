@@ -45,12 +45,7 @@ if TYPE_CHECKING:
         export_ros as export_ros,
         export_ros_package as export_ros_package,
     )
-    from cmbot.archive.verification.folders import (
-        Asked as Asked,
-        Verdict as Verdict,
-        VerifiedMotion as VerifiedMotion,
-        verified_motions as verified_motions,
-    )
-    from cmbot.archive.walks import TourPart as TourPart, load_tour as load_tour, load_walk as load_walk
+    from cmbot.archive.verification.folders import Asked as Asked, verified_motions as verified_motions
+    from cmbot.archive.walks import load_tour as load_tour, load_walk as load_walk
 
 __getattr__ = on_first_use(__name__)

@@ -293,6 +293,19 @@ def read_file(path: Path, largest: int = LARGEST_TEXT) -> bytes:
     return read_input(path, ArchiveError, kind="a file of the plan directory", largest=largest)
 
 
+def require_settled(folder: Path) -> None:
+    """Refuse a folder with parts of what is being written: these count here, but not for who reads the names.
+
+    Raises
+    ------
+    ArchiveError
+        For the first part.
+    """
+    for path in sorted(folder.glob(".*.part")):
+        expected = "none: whoever writes there finishes it, or the next command that does"
+        raise ArchiveError(str(path), "", "a part of what is being written", expected)
+
+
 def read_record(folder: Path, name: str) -> dict[str, Any]:
     """Return the record that counts in a folder, also where a call was killed before it had its name.
 
@@ -382,11 +395,10 @@ def _read(path: Path, hashes: Mapping[str, str], record: str) -> bytes:
 
 def _whole(path: Path) -> dict[str, Any] | None:
     """The record in a file; None where it is none, incomplete or changed."""
-    try:
+    with suppress(ArchiveError):
         data = read_json(read_file(path), str(path))
-    except ArchiveError:
-        return None
-    return data if _is_sealed(data) else None
+        return data if _is_sealed(data) else None
+    return None
 
 
 def _is_sealed(data: Mapping[str, Any]) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from difflib import get_close_matches
 from itertools import islice
 from pathlib import Path
@@ -96,11 +96,7 @@ def add_file(directory: str | Path, name: str, content: bytes | str) -> Path:
 
 
 def add_results(
-    folder: Path,
-    results: Mapping[str, bytes],
-    shown: Mapping[str, bytes | str] | None,
-    *,
-    force: bool,
+    folder: Path, results: Mapping[str, bytes], shown: Mapping[str, bytes | str] | None, *, force: bool
 ) -> tuple[Path, ...]:
     """Add results to a plan directory with pages and plots that show them, all or none; return their paths.
 
@@ -195,11 +191,9 @@ def new_folder(directory: str | Path) -> Iterator[Path]:
 def record_of(directory: Path) -> str | None:
     """Return the name of the record in a folder, such as ``plan.json``; None where there is none."""
     for name in FORMATS:
-        try:
+        with suppress(ArchiveError):
             read_record(directory, name)
-        except ArchiveError:
-            continue
-        return name
+            return name
     return None
 
 
@@ -258,11 +252,9 @@ def in_bytes(content: bytes | str) -> bytes:
 def _is_plan_directory(folder: Path) -> bool:
     """Whether the folder has a plan.json of cmbot, of any version; other programs write such files, too."""
     path = folder / PLAN_FILE
-    try:
-        data = read_json(read_file(path), str(path))
-    except ArchiveError:
-        return False
-    return str(data.get("format")).startswith("cmbot-plan/")
+    with suppress(ArchiveError):
+        return str(read_json(read_file(path), str(path)).get("format")).startswith("cmbot-plan/")
+    return False
 
 
 def _require_no_folder(names: Collection[str], target: Path) -> None:

@@ -5,16 +5,16 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cmbot.archive.folder import read_folder
+from cmbot.archive.folder import read_folder, require_settled
 from cmbot.archive.knots import require_times, segment_trajectories
 from cmbot.archive.places import plans_nearby
-from cmbot.archive.plan_file import HashesFile, PlanFile, StrokeEntries, made, plan_record
+from cmbot.archive.plan_file import CertificateFile, HashesFile, PlanFile, StrokeEntries, made, plan_record
 from cmbot.archive.records import BASELINE_FILE, JOB_FILES, PLAN_FILE, PLAN_FILES, require_same
 from cmbot.archive.tables import read_motion
 from cmbot.archive.verification.asked import require_asked, require_promised
@@ -54,13 +54,13 @@ from cmbot.planning import (
     task_of,
 )
 from cmbot.planning.verification.second_opinion import second_opinion
-from cmbot.robot import Kinematics, Robot
+from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, Scene
 
 # Relative and absolute tolerance of metrics computed again: processors round differently.
 _SAME, _SAME_ZERO = 1e-6, 1e-9
-# The same of what is drawn in single precision.
-_SINGLE_PRECISION_TOLERANCE = 1e-4
+# The same of what is drawn in single precision, and of bounds, which are enclosed within some share.
+_SINGLE_PRECISION_TOLERANCE, _BOUND_SHARE, _CLEARANCE_BOUND_M = 1e-4, 0.01, 2e-4
 _ANGLE_TOLERANCE = 1e-9  # rad
 
 
@@ -130,6 +130,8 @@ def read_plan(
         return (*own, *(name for name in shown_files if (folder / name).exists()))
 
     data, contents = _read(folder, listed)
+    if verify:
+        require_settled(folder)
     try:
         file = validated(PlanFile, data, str(source), ArchiveError)
     except ArchiveError as error:
@@ -379,12 +381,14 @@ def _verified(plan: Plan, clearances: Clearances, data: dict[str, Any], source: 
     again = Plan.of(strokes, clearances, job=Job(segments=segments), **given)
     hashes = HashesFile(**data["hashes"])
     record = plan_record(again, hashes)
+    bounds = _bounds(record)
     given_again = ("certificate", "scene", "versions", "accuracy", "sway")
     expected = record | {name: data[name] for name in given_again}
     for stored, entry in zip(data["segments"], record["segments"], strict=True):
         entry["certificate"] = stored["certificate"]
     require_same(data, expected, source, "", _SAME, _SAME_ZERO)
     require_same(_drawn(data), _drawn(record), source, "", _SINGLE_PRECISION_TOLERANCE, _SAME_ZERO)
+    require_same(_bounds(data), bounds, source, "segments", _BOUND_SHARE, _CLEARANCE_BOUND_M)
     seconds = [
         replace(segment, certificate=replace(certificate, checks=(*certificate.checks, *checks)))
         for segment, (certificate, checks) in zip(segments, certified, strict=True)
@@ -392,6 +396,12 @@ def _verified(plan: Plan, clearances: Clearances, data: dict[str, Any], source: 
     for segment in seconds:
         segment.certificate.require()
     return replace(plan, job=Job(segments=tuple(seconds)))
+
+
+def _bounds(data: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """What the certificates of segments say that holds at all times."""
+    names = [field.name for field in fields(CertificateFile) if field.name != "checks"]
+    return [{name: entry["certificate"][name] for name in names} for entry in data["segments"]]
 
 
 def _drawn(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -404,13 +414,12 @@ def _drawn(data: Mapping[str, Any]) -> dict[str, Any]:
 
 def _measured(plan: Plan, stroke: StrokePlan, task: ToolTask, segment: Segment) -> StrokePlan:
     """A stroke with figures of its baseline and peaks of its objective that are measured again."""
-    baseline = stroke.baseline
-    if baseline is not None:
-        measured, beside = (
-            figures(plan.robot, baseline.samples),
-            _along_baseline(plan.robot, task.on_axis, baseline),
-        )
-        baseline = replace(baseline, figures=measured, **beside)
+    if (baseline := stroke.baseline) is not None:
+        samples, on_axis = baseline.samples, task.on_axis
+        away = np.linalg.norm(samples.tool_point - on_axis.path.poses(samples.t).point, axis=1)
+        smallest = min(on_axis.smallest_singular_value(plan.robot, q) for q in samples.q)
+        along = figures(plan.robot, samples)
+        baseline = replace(baseline, figures=along, drift=float(away.max()), smallest_singular_value=smallest)
     if stroke.objective.own:
         return replace(stroke, baseline=baseline)
     objective = objective_metrics(
@@ -436,9 +445,8 @@ def _certified(plan: Plan, number: int, clearances: Clearances) -> tuple[Certifi
         number_of_via_points = plan.scene.strokes[stroke].via_points
         if not isinstance(number_of_via_points, int):
             expected = "a number, as plans have it"
-            raise ArchiveError(
-                plan.scene.source, "scene.tool_path.via_points", number_of_via_points, expected
-            )
+            key = "scene.tool_path.via_points"
+            raise ArchiveError(plan.scene.source, key, number_of_via_points, expected)
         certificate = certify(
             robot,
             segment.task,
@@ -456,16 +464,3 @@ def _certified(plan: Plan, number: int, clearances: Clearances) -> tuple[Certifi
         after = np.array(end_posture_of(plan.scene, robot)) if last else segments[number + 1].trajectory.q[0]
         certificate = certify_move(robot, segment.task, trajectory, clearances, options, before, after)
     return certificate, second_opinion(plan.scene, options, trajectory, robot=robot, stroke=stroke, sag=sag)
-
-
-def _along_baseline(robot: Robot, task: ToolTask, baseline: StrokeBaseline) -> dict[str, Any]:
-    """What a stroke has of its baseline beside the figures: `drift` and `smallest_singular_value`."""
-    kinematics, samples = Kinematics(robot), baseline.samples
-    smallest = np.inf
-    for q in samples.q:
-        X_WT, J = kinematics.tool_jacobian(q)
-        J = task.jacobian(X_WT.rotation, robot.metric.positions(J))
-        smallest = min(smallest, float(np.linalg.svd(J, compute_uv=False)[-1]))
-    away = samples.tool_point - task.path.poses(samples.t).point
-    drift = float(np.linalg.norm(away, axis=1).max())
-    return {"drift": drift, "smallest_singular_value": smallest}

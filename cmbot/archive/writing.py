@@ -19,11 +19,7 @@ from cmbot.planning import Plan, require_plan
 
 
 def save(
-    plan: Plan,
-    directory: str | Path,
-    *,
-    force: bool = False,
-    added: Mapping[str, bytes | str] | None = None,
+    plan: Plan, directory: str | Path, *, force: bool = False, added: Mapping[str, bytes | str] | None = None
 ) -> Path:
     """Write a plan directory; it appears whole or not at all.
 
@@ -63,10 +59,7 @@ def save(
     directory = given_path(directory, "cmbot.save", "directory", "the path of a new folder")
     shown = shown_files(added)
     table, knots = JOB_FILES
-    contents = {
-        table: job_table(plan, table),
-        knots: knots_npz(plan.job.trajectory),
-    }
+    contents = {table: job_table(plan, table), knots: knots_npz(plan.job.trajectory)}
     if plan.baseline is not None:
         contents[BASELINE_FILE] = samples_csv(plan.baseline.samples, BASELINE_FILE)
     record = plan_record(plan, hashes_of(plan))

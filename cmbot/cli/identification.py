@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -37,13 +36,16 @@ class IdentifyCommand(Writing):
     output: Path | None = option(None, "File to write; named by FILE if left out.", "--output", "-o")
     table: Path | None = option(
         None,
-        "With a scene: a table of deflections, a posture a row: the joints, weight_kg, dx, dy, dz (mm).",
+        "With a scene or sheet: a table, a posture a row: the joints, weight_kg, dx, dy, dz (mm), record, "
+        "gauge_sd_mm.",
         metavar="FILE",
     )
     propose: int | None = option(None, "Propose so many postures to measure in.", least=1, most=100)
-    job: Path | None = option(None, "a plan directory, whose motion counts.", needs=["--propose"])
+    job: Path | None = option(None, "a plan directory, whose motion counts.", needs=["--propose", "--table"])
     weight: float | None = option(None, "kg that are hung on; 5 if left out.", needs=["--propose"])
-    gauge: float | None = option(None, "error of the gauge, mm; 0.1 if left out.", needs=["--propose"])
+    gauge: float | None = option(
+        None, "error of the gauge, mm; 0.1 if left out.", needs=["--propose", "--table"]
+    )
     axes: str = option("xyz", "components that are measured, such as z.", needs=["--propose"])
     accept_misfit: bool = option(False, "Use measurements that plainly do not fit, with larger errors.")
 
@@ -53,15 +55,23 @@ class IdentifyCommand(Writing):
             return
         named = self.sources if self.table is None else (str(self.table),)
         target = self.output or Path(f"{Path(named[-1]).with_suffix('')}.stiffness.yaml")
-        sheets: Sequence[Any] = self.sources
-        if self.table is not None:
-            if len(self.sources) > 1:
-                raise InputError(self.sources[1], "", "a second file", "one scene with --table")
-            sheets = cmbot.identification.read_deflections(self.table, self.sources[0])
+        sheets = self.sources if self.table is None else self._with_table(self.table)
         found = cmbot.identify(*sheets, accept_misfit=self.accept_misfit)
         names = ", ".join(Path(source).name for source in named)
         text = cmbot.identification.stiffness_text(found.stiffness, names)
         self.write(target, text, lambda: _summary(found), lambda: _print_identification(found, target))
+
+    def _with_table(self, table: Path) -> tuple[Any, ...]:
+        """The sheets that are given, and those of a table."""
+        told = cmbot.identification
+        sheets = [source for source in self.sources if told.is_sheet(source)]
+        scenes = [source for source in self.sources if source not in sheets]
+        if len(scenes) > 1:
+            raise InputError(scenes[1], "", "a second scene", "one scene, or sheets, with --table")
+        scene = scenes[0] if scenes else told.read_measurements(sheets[0]).scene.source
+        along = told.job_postures(cmbot.load_scene(scene) if self.job is None else cmbot.load_plan(self.job))
+        with options_named({"gauge_sd_mm": "--gauge"}):
+            return (*sheets, *told.read_deflections(table, scene, gauge_sd_mm=self.gauge, job=along))
 
     def _propose(self, number: int) -> None:
         """Propose postures, and write the sheet."""

@@ -275,25 +275,24 @@ class VerifyCommand(Reporting):
                 "directory": str(self.directory),
                 "scenes": list(self.scenes),
                 "engine": name if asked else None,
-                "looser": verdict.looser,
+                **{name: getattr(verdict, name) for name in ("looser", "taken", "not_verified")},
                 "motions": [
                     {name: value for name, value in asdict(motion).items() if name != "seconds"}
                     for motion in verdict.motions
                 ],
-                "not_verified": verdict.not_verified,
             }
 
         def say() -> None:
+            told = "Judged by what the folder says that was asked: --scene SCENE names the scene. It has"
+            print_lines([] if self.scenes else [f"{told} {'; '.join(verdict.taken) or 'defaults'}."])
             rows = [
                 (each.part, each.name, f"{each.seconds:.1f}", str(len(each.checks)))
                 for each in verdict.motions
             ]
             print_table("Verified", ("part", "motion", "seconds", "checks that hold"), rows, text_columns=2)
-            told = "Judged by what the folder says that was asked: --scene SCENE names the scene."
             second = f"The second engine, {name}, was asked."
             missing = f"The second engine was not asked: {MissingExtra(name, 'verify')}."
             out.print("Certified anew, and computed a second time at 300 states of each motion.")
-            print_lines([] if self.scenes else [told])
             print_lines([f"Not verified: {'; '.join(verdict.not_verified) or 'nothing'}."])
             out.print(second if asked else missing)
 

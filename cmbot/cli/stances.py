@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import MISSING, dataclass
+from dataclasses import MISSING, asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -265,6 +265,7 @@ def _summary(rankings: Sequence[StanceRanking]) -> dict[str, Any]:
             "candidates": len(ranking.ranked),
             **{name: ranking.count(name.replace("_", " ")) for name in _STATUSES},
             "best": ranking.ranked[0].place,
+            "figures": asdict(ranking.ranked[0].figures),
             "words": list(cmbot.stances.in_words(ranking)),
         }
         for ranking in rankings

@@ -29,5 +29,7 @@ class Limit(StrEnum):
     CONTINUITY = "continuity"
     SHIFT = "shift"
     """Change of the shifted tool path from one round of the compensation of the sag to the next."""
+    SWAY = "sway"
+    """The tool's at work, and its swing after it."""
     PEAK = "peak"
     OTHER = "other"

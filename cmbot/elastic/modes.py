@@ -74,18 +74,21 @@ def arm_modes(arm: ElasticArm, q: FloatArray) -> ArmModes:
     """Find the modes of an arm in posture `q` (n,), rad; errors as `Sag.equilibria`."""
     at = linearised(arm, q[None])
     M, K = at.mass[0], at.stiffness[0]
-    # The roles of mass and stiffness are exchanged because the mass may be singular: eigenvalues 1/omega^2.
-    squares, X = linalg.eigh(M, K)
+    omega, shapes = normal_modes(M, K)
+    return ArmModes(frequencies=omega / (2 * np.pi), shapes=shapes, u=at.u[0], mass=M, stiffness=K)
+
+
+def normal_modes(mass: FloatArray, stiffness: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return angular frequencies (k,), rad/s, the slowest first, and shapes (f, k) of unit modal mass.
+
+    The mass (f, f) may be singular, the stiffness not: of what has no mass there is no mode.
+    """
+    # The roles of mass and stiffness are exchanged: eigenvalues 1/omega^2.
+    squares, X = linalg.eigh(mass, stiffness)
     squares, X = squares[::-1], X[:, ::-1]
     moving = squares > _MASSLESS_SHARE * squares.max(initial=0.0)
     squares, X = squares[moving], X[:, moving]
-    return ArmModes(
-        frequencies=1 / (2 * np.pi * np.sqrt(squares)),
-        shapes=X / np.sqrt(squares),
-        u=at.u[0],
-        mass=M,
-        stiffness=K,
-    )
+    return 1 / np.sqrt(squares), X / np.sqrt(squares)
 
 
 def frequency_slopes(

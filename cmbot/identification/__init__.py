@@ -65,13 +65,16 @@ from cmbot.identification.touches import (
 )
 
 
-def identify(*sources: str | Path | Mapping[str, Any], accept_misfit: bool = False) -> Identification:
+def identify(
+    *sources: str | Path | Mapping[str, Any] | Measurements, accept_misfit: bool = False
+) -> Identification:
     """Estimate the stiffness of links, joints and base from measurements.
 
     Parameters
     ----------
-    *sources : str, Path or mapping
-        Paths of files of measurements, of one robot in one place, or their contents.
+    *sources : str, Path, mapping or Measurements
+        Paths of files of measurements, of one robot in one place, their contents, or what `read_deflections`
+        read.
     accept_misfit : bool
         Use measurements that plainly do not fit, with errors that are larger.
 
@@ -91,11 +94,13 @@ def identify(*sources: str | Path | Mapping[str, Any], accept_misfit: bool = Fal
     >>> found = cmbot.identify("measurements.yaml")  # doctest: +SKIP
     >>> found.stiffness  # what a scene takes as ``identified``  # doctest: +SKIP
     """
-    found = estimate([read_measurements(source) for source in sources])
+    found = estimate(
+        [source if isinstance(source, Measurements) else read_measurements(source) for source in sources]
+    )
     if not accept_misfit:
         with ExitStack() as lines:
             for source in sources:
-                if not isinstance(source, Mapping):
+                if isinstance(source, str | Path):
                     lines.enter_context(lines_named(source))
             require_fit(found)
     return found

@@ -32,10 +32,12 @@ from cmbot.common.reading.yaml_reader import lines_named, read_yaml
 from cmbot.common.representation import short_repr
 from cmbot.identification.records import RingDown, UnusableRecord, read_record
 from cmbot.planning import robot_of
-from cmbot.robot import JointLimits
+from cmbot.robot import JointLimits, Robot
 from cmbot.scene import Scene, load_scene, shipped_scenes
 
 _MAX_MEASUREMENTS = 1000
+# By how much a measured posture may be beyond the range of a joint, rad or m.
+_RANGE_TOLERANCE = 0.05
 
 Share = Annotated[float, Field(ge=1e-3, le=3)]
 Text = Annotated[str, Field(min_length=1, max_length=4096)]
@@ -191,7 +193,7 @@ def read_measurements(source: str | Path | Mapping[str, Any]) -> Measurements:
     if isinstance(source, Mapping):
         name = "measurements"
         file = validated(MeasurementsFile, dict(source), name, InputError)
-        return _measurements(file, Path.cwd(), name)
+        return in_si(file, Path.cwd(), name)
     path = given_path(
         source, "cmbot.identify", "source", "the path of a file of measurements, or its content"
     )
@@ -202,7 +204,7 @@ def read_measurements(source: str | Path | Mapping[str, Any]) -> Measurements:
         if str(data.get("format")).startswith("cmbot-scene/"):
             raise _no_sheet(str(source))
         file = validated(MeasurementsFile, data, str(path), InputError)
-        return _measurements(file, path.parent, str(path))
+        return in_si(file, path.parent, str(path))
 
 
 def _no_sheet(scene: str) -> InputError:
@@ -231,13 +233,21 @@ def scene_named(name: str, folder: Path, source: str) -> Scene:
     return load_scene(path)
 
 
-def _measurements(file: MeasurementsFile, folder: Path, source: str) -> Measurements:
+def in_si(file: MeasurementsFile, folder: Path, source: str) -> Measurements:
+    """Return what a file has, with what it names: its scene and records, relative to a folder.
+
+    Raises
+    ------
+    InputError
+        As `read_measurements`.
+    """
     scene = scene_named(file.scene, folder, source)
-    limits = robot_of(scene).limits
-    rows, n = [], len(limits.torque)
+    robot = robot_of(scene)
+    rows, n = [], len(robot.joints)
     for k, each in enumerate(file.measurements):
         key = f"measurements[{k}].posture"
-        rows.append(posture_of(each.posture_deg, each.posture, limits, source, key))
+        rows.append(posture_of(each.posture_deg, each.posture, robot.limits, source, key))
+        _require_range(rows[-1], robot, source, key if each.posture_deg is None else f"{key}_deg")
     for k, posture in enumerate(file.job or ()):
         _require_length(posture, n, source, f"job[{k}]")
     nothing = (None, None, None)
@@ -288,6 +298,23 @@ def posture_of(
     given = np.array(posture, dtype=float) if posture_deg is None else np.radians(posture_deg)
     _require_length(given, len(limits.torque), source, key)
     return given
+
+
+def _require_range(q: FloatArray, robot: Robot, source: str, key: str) -> None:
+    """Refuse a posture that the arm cannot have had, as is one whose angles are in the other unit."""
+    lower, upper = robot.limits.lower, robot.limits.upper
+    for k in np.flatnonzero((q < lower - _RANGE_TOLERANCE) | (q > upper + _RANGE_TOLERANCE)):
+        slides, in_degrees = bool(robot.limits.prismatic[k]), key.endswith("_deg")
+        unit = " m" if slides else " deg" if in_degrees else " rad"
+        got, least, most = (
+            np.degrees([q[k], lower[k], upper[k]]) if in_degrees else (q[k], lower[k], upper[k])
+        )
+        expected = f"the joint's range, {least:.4g} to {most:.4g}{unit}"
+        if not (slides or in_degrees):
+            expected += (
+                "; degrees? name them posture_deg, in a table " + f"{robot.joints[k]}_deg or q{k + 1}_deg"
+            )
+        raise InputError(source, key, f"{robot.joints[k]} at {got:.4g}{unit}", expected)
 
 
 def _require_length(posture: Any, n: int, source: str, key: str) -> None:

@@ -91,7 +91,10 @@ class Problem:
     """
 
     def __init__(self, sheets: Sequence[Measurements], modelled: ElasticArm) -> None:
-        pairs = [(each.setup.weight_kg, each.setup.weight_sd_kg) for each in sheets]
+        pairs = [
+            (each.setup.weight_kg, each.setup.weight_sd_kg * bool(np.isfinite(each.deflection).any()))
+            for each in sheets
+        ]
         self.weights = tuple(dict.fromkeys(pair for pair in pairs if pair[1]))
         columns = [self.weights.index(pair) if pair[1] else None for pair in pairs]
         models = [DeflectionModel(modelled, each.setup, each.q) for each in sheets]

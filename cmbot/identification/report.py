@@ -15,7 +15,7 @@ from cmbot.elastic.stiffness_parameters import symmetric
 from cmbot.identification.design import Proposal
 from cmbot.identification.estimation import Identification
 from cmbot.identification.misfit import Slip
-from cmbot.identification.model import SagAlong
+from cmbot.identification.model import DeflectionModel, SagAlong
 from cmbot.identification.problem import MatchedFrequency
 from cmbot.scene import IdentifiedStiffness
 
@@ -26,6 +26,9 @@ HEADINGS = ("", "modelled", "identified", "factor", "sd, %", "before, %", "")
 _UNSEEN_SHARE = 0.9
 # By how much errors may be larger than stated.
 _MAX_ERROR_RATIO = 5.0
+# Deflections are plainly in another unit or of another sign: by what factor they may be off then, the least
+# cosine and the least share of the largest axis.
+_PLAIN_RATIO, _PLAIN_COSINE, _PLAIN_SHARE = 5.0, 0.8, 0.2
 _ACCEPT = "--accept-misfit (in Python accept_misfit=True)"
 # Modes of a smaller probability are not told of a frequency.
 _LEAST_SHARE_OF_A_MODE = 0.1
@@ -84,6 +87,11 @@ def _either(match: MatchedFrequency) -> str:
     return " or ".join(f"{match.modes[k]} ({match.predicted[k]:.4g} Hz)" for k in kept)
 
 
+def _away(match: MatchedFrequency) -> float:
+    """By how much a frequency is off, in logarithms."""
+    return abs(float(np.log(match.frequency / match.predicted[0])))
+
+
 def _row(name: str, modelled: float, identified: float, now: float, before: float) -> tuple[str, ...]:
     told = "" if now <= _UNSEEN_SHARE * before else "not seen"
     factor = identified / modelled
@@ -133,6 +141,10 @@ def remarks(found: Identification) -> Iterator[str]:
     for weight in found.weights:
         own = f"{weight.estimated:.3f} kg, standard deviation {1e3 * weight.deviation:.0f} g"
         yield f"Weight of {weight.stated:g} kg: {own}."
+    gauges = {sheet.setup.gauge_sd_mm for sheet in found.measurements if np.isfinite(sheet.deflection).any()}
+    if gauges:
+        errors = ", ".join(f"{gauge:g}" for gauge in sorted(gauges))
+        yield f"Assumes a gauge's error of {errors} mm (gauge_sd_mm), one standard deviation."
     if not any(sheet.setup.windup_sd_arcmin for sheet in found.measurements):
         yield "Assumes joints without play, which a weight would take up (windup_sd_arcmin: 0)."
 
@@ -180,7 +192,7 @@ def _in_words(found: Identification, slip: Slip) -> tuple[str, str, str, str]:
         axes = [axis for axis, own in zip("xyz", seen, strict=True) if own]
         got, about = (_by_axis(axes, 1e3 * each) for each in (given.deflection[row, seen], slip.expected))
     away = f"by the others, {slip.deviations:.3g} standard deviations away"
-    return given.source, f"{given.key(row)}.{kind}", got, f"about {about} {away}"
+    return given.source, f"{given.key(row)}{', ' if given.rows else '.'}{kind}", got, f"about {about} {away}"
 
 
 def _by_axis(axes: Sequence[str], values: FloatArray) -> str:
@@ -199,18 +211,60 @@ def require_fit(found: Identification) -> None:
     if wrong := [_in_words(found, slip) for slip in found.slips if slip.significant]:
         source, key, got, expected = wrong[0]
         also = "".join(f"; nor does {other[1]} fit" for other in wrong[1:])
-        todo = "a slip, a wrong sign or axis? Measure again or write null"
+        slip = next(slip for slip in found.slips if slip.significant)
+        todo = _mistaken(found, slip) or "a slip, a wrong sign or axis? Measure again or write null"
         raise InputError(source, key, got, f"{expected}{also}: {todo}; or {_ACCEPT}")
     for part in found.parts:
         if part.scale <= _MAX_ERROR_RATIO:
             continue
+        source, key = found.measurements[0].source, "measurements"
+        own = [_in_words(found, slip) for slip in found.slips if slip.label.kind == part.kind]
         if part.kind == "prior":
             got = f"an arm {part.scale:.0f} times farther from its model than the prior says"
             expected = "deflections in mm by weight_kg, of this robot on this base, or a wider prior"
         else:
             got = f"{part.kind} that fit {part.scale:.0f} times worse than stated"
             expected = "right units, axes and postures, and true errors (gauge_sd_mm, windup_sd_arcmin)"
-        raise InputError(found.measurements[0].source, "measurements", got, f"{expected}; or {_ACCEPT}")
+            if part.kind == "frequencies_hz":
+                expected = "records of this arm in these postures, without the weight, and true errors"
+        if own:
+            source, key, worst, about = own[0]
+            got, expected = f"{got}: {worst}", f"{about}; {expected}"
+        elif part.kind == "frequencies_hz":
+            far = max((each for each in found.matched if each.modes), key=_away)
+            sheet = found.measurements[far.label.sheet]
+            source, key = sheet.source, sheet.key(far.label.row)
+            got = f"{got}: {far.frequency:.4g} Hz of mode {_either(far)}"
+        expected = _mistaken(found) or expected
+        raise InputError(source, key, got, f"{expected}; or {_ACCEPT}")
+
+
+def _mistaken(found: Identification, slip: Slip | None = None) -> str:
+    """What deflections look like in place of mm along W, all of them or a row that does not fit."""
+    zero = np.zeros(found.parameters.count)
+    models = (DeflectionModel(found.modelled, each.setup, each.q) for each in found.measurements)
+    modelled = np.concatenate([model.at(zero)[0] for model in models])
+    measured = np.concatenate([each.deflection for each in found.measurements])
+    if (all_of_them := _looks(measured, modelled)) or slip is None or slip.label.kind != "deflection_mm":
+        return all_of_them
+    row = found.measurements[slip.label.sheet].deflection[slip.label.row]
+    expected = np.full(3, np.nan)
+    expected[~np.isnan(row)] = slip.expected
+    return _looks(row[None], expected[None])
+
+
+def _looks(measured: FloatArray, expected: FloatArray) -> str:
+    """What deflections (N, 3) look like beside those that are expected; empty where that is not plain."""
+    measured, expected = (np.where(np.isnan(measured), 0.0, each) for each in (measured, expected))
+    size = np.linalg.norm(measured) / np.linalg.norm(expected)
+    for factor, unit in ((1e-3, "m"), (1e3, "um")):
+        if 1 / _PLAIN_RATIO < size / factor < _PLAIN_RATIO:
+            return f"deflections in mm: as large as expected, if these are in {unit}"
+    both, own = np.linalg.norm(measured, axis=0), np.linalg.norm(expected, axis=0)
+    opposite = (measured * expected).sum(axis=0) < -_PLAIN_COSINE * both * own
+    if flipped := ", ".join(np.array(list("xyz"))[opposite & (own > _PLAIN_SHARE * own.max())]):
+        return f"the place with the weight less that without it: the other sign of {flipped} fits"
+    return ""
 
 
 def proposal_remarks(found: Proposal) -> Iterator[str]:

@@ -155,6 +155,14 @@ def _fallbacks(stroke: PlannedStroke, *, stopped: bool) -> Iterator[str]:
     if not optimised.complete:
         why = f"Stopped after {limit}" if stopped else "The last stage of the optimisation failed"
         yield f"{why}: the best motion so far."
+    number, asked = len(stroke.trial.chain[0].attempt.request.times), request.stroke.via_points
+    if number != asked:
+        yield f"{number} via-points in place of {asked}: legs are short, periods of the slowest mode few."
+    if (timing := stroke.trial.attempt.timing) is not None and timing.both is not None:
+        yield (
+            "As predicted, the shortest time of the legs is {:.4g} s within the limits (speed_profile.kind: "
+            "shortest), {:.4g} s with quiet laws.".format(*timing.both)
+        )
     if request.least_travel:
         name, least = request.cell.objective.name, 100 * request.cell.options.min_gain
         yield (

@@ -316,7 +316,8 @@ class _Planner:
         elif stroke.shortest is not None:
             file = request.stroke.file
             where = f"the legs of {request.stroke.key}" if file.legs else request.stroke.key
-            error.add_hint(f"seconds: auto on {where} would do, and takes {stroke.shortest:.3g} s")
+            keys = f"seconds: auto on {where}, with speed_profile: {{kind: shortest}},"
+            error.add_hint(f"{keys} would do, and takes {stroke.shortest:.3g} s")
         elif words := advice(stroke.trial):
             error.add_hint(words)
         raise error

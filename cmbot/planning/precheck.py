@@ -40,6 +40,12 @@ two minutes, at 4,000 more than three."""
 _ROUNDING_SHARE = 1e-9
 # More sag than this is rather a mistake of the stiffness' unit.
 _MUCH_SAG_M = 0.15
+# What is asked of a foot, first the unit: adhesion of a magnet; what `Foot.force` and `moment` bound.
+_ADHESION = "N of adhesion"
+_LOADS = (
+    *("N along the plate", "N across the plate", "N off the steel"),
+    *("Nm about the length", "Nm about the width", "Nm about the normal"),
+)
 _STIFF = "a base and an arm that bear the weight (N/m and Nm/rad)"
 # Odd, so that the middle of a leg's time is among them.
 _SPEED_SAMPLES = 201
@@ -175,12 +181,14 @@ def _hold_at_start(scene: Scene, robot: Robot) -> Precheck:
             found.append(
                 (f"contact of foot {number}", f"{value}, one of two poles {foot.ceiling / 1e3:.1f} kN")
             )
+    if holding is not None and holding.adhesive:
+        worst = holding.worst(wrench, np.zeros(1))
+        left = holding.feet[worst.foot - 1].kinds_left(worst.peak, "the start")
+        found.append(("kinds of hold left there", left))
     if holding is not None and holding.bounded:
-        use = float(holding.share(wrench)[0][0])
-        found.append(("of what the feet bear there, safety included", f"{100 * use:.0f} %"))
+        use, got = _most_used(holding, wrench)
+        found.append(("of what the feet bear there, safety included", f"{100 * use:.0f} %: {got}"))
         if use > 1.0:
-            got = _adhesion(holding, wrench)
-            got = got or f"{100 * use:.0f} % of what the feet bear, safety included, at rest"
             key = "base.hold" if scene.base is not None and scene.base.hold else "guardrail.hold"
             expected = f"feet that bear what the arm asks: {key}"
             warnings.append(_warning(scene.posture_key, got, expected))
@@ -197,18 +205,21 @@ def _hold_at_start(scene: Scene, robot: Robot) -> Precheck:
     return Precheck(found=tuple(found), warnings=tuple(warnings))
 
 
-def _adhesion(holding: Holding, wrench: FloatArray) -> str:
-    """Of the magnet that uses most: the adhesion that it needs, and that it has; else empty."""
-    uses = [
-        (foot.safety * needed / foot.adhesion, needed, foot)
-        for number in holding.adhesive
-        if (foot := holding.feet[number]).adhesion is not None
-        for needed in holding.needed(number, wrench)
-    ]
-    if not uses:
-        return ""
-    _, needed, foot = max(uses, key=lambda use: use[0])
-    return f"{needed:.0f} N of adhesion, times safety {foot.safety:g}, where a foot has {foot.adhesion:.0f} N"
+def _most_used(holding: Holding, wrench: FloatArray) -> tuple[float, str]:
+    """The largest share that a foot uses of what it bears, safety included, and what that is."""
+    uses = [(0.0, "")]
+    for number, foot in enumerate(holding.feet):
+        which = f"foot {number + 1}" if len(holding.feet) > 1 else "a foot"
+        loads = dict(zip(_LOADS, np.abs(holding.load(number, wrench)[0]), strict=True))
+        bounds = dict(zip(_LOADS, (*(foot.force or ()), *(foot.moment or ())), strict=False))
+        if foot.adhesion is not None:
+            loads[_ADHESION] = max(holding.needed(number, wrench)[0], 0.0)
+            bounds[_ADHESION] = foot.adhesion
+        for name, most in bounds.items():
+            asked = f"{loads[name]:.0f} {name}, times safety {foot.safety:g}"
+            has = f"{most:.0f} {name.partition(' ')[0]}"
+            uses.append((float(foot.safety * loads[name] / most), f"{asked}, where {which} has {has}"))
+    return max(uses)
 
 
 def _sag_at_start(scene: Scene, robot: Robot) -> Precheck:

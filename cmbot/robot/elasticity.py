@@ -23,6 +23,7 @@ import pinocchio as pin
 from pydantic import ConfigDict, Field, model_validator
 
 from cmbot.common.errors import ModelError
+from cmbot.common.reading.fields import Modulus, Thickness, require_span
 from cmbot.common.reading.validation import FileModel, refusal, validated
 from cmbot.common.reading.yaml_reader import lines_named, read_yaml
 from cmbot.common.representation import short_repr
@@ -30,16 +31,10 @@ from cmbot.robot.joint_kinds import prismatic_joints
 
 # The bounds keep every power of a length finite, and catch lengths in millimetres and moduli in gigapascals.
 Coordinate = Annotated[float, Field(ge=-1e4, le=1e4)]
-Length = Annotated[float, Field(ge=1e-5, le=1e4)]
-Modulus = Annotated[float, Field(ge=1e3, le=1e13)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 TurningStiffness = Annotated[float, Field(ge=1e-3, le=1e13)]
 
 _MIN_LENGTH_M = 1e-3  # m
-# Softer than any tube: such numbers are in N/mm2.
-_SOFTEST_PA = 1e6
-# Of the arm's longest part, or of a metre: a tube that is larger is in millimetres.
-_MAX_LENGTH_SHARE = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,8 +55,8 @@ class LinkTube:
 
     start: Annotated[Point, Field(alias="start_m")]
     end: Annotated[Point, Field(alias="end_m")]
-    outer_diameter: Annotated[Length, Field(alias="outer_diameter_m")]
-    wall: Annotated[Length, Field(alias="wall_m")]
+    outer_diameter: Annotated[Thickness, Field(alias="outer_diameter_m")]
+    wall: Annotated[Thickness, Field(alias="wall_m")]
     young: Annotated[Modulus, Field(alias="young_pa")]
     shear: Annotated[Modulus, Field(alias="shear_pa")]
 
@@ -84,10 +79,7 @@ class LinkTube:
             raise refusal("an end a millimetre or more apart from start_m", got=self.end, key=("end_m",))
         if 2 * self.wall > self.outer_diameter:
             raise refusal("at most half of outer_diameter_m", got=self.wall, key=("wall_m",))
-        for key in ("young", "shear"):
-            if (modulus := getattr(self, key)) < _SOFTEST_PA:
-                expected = f"Pa: N/mm2? then {modulus:g}e+6"
-                raise refusal(expected, got=modulus, key=(f"{key}_pa",))
+        require_span(self.start, self.end)
         return self
 
 
@@ -175,16 +167,4 @@ def _tubes(data: _ElasticityFile, path: Path, model: Any) -> dict[str, LinkTube]
             raise ModelError(str(path), f"links.{name}", got, expected)
         if joint > 0:
             by_joint[joint] = name
-    _require_metres(data.links, path, model)
     return {name: data.links[name] for _, name in sorted(by_joint.items())}
-
-
-def _require_metres(tubes: dict[str, LinkTube], path: Path, model: Any) -> None:
-    """Refuse tubes that are far larger than the arm, as those are whose numbers are millimetres."""
-    places = (*model.jointPlacements, *(frame.placement for frame in model.frames))
-    largest = _MAX_LENGTH_SHARE * max(1.0, *(math.hypot(*place.translation) for place in places))
-    for name, tube in tubes.items():
-        for key, size in (("outer_diameter_m", tube.outer_diameter), ("end_m", tube.length)):
-            if size > largest:
-                got, expected = f"a tube as large as {size:g} m", f"metres: millimetres? then {size / 1000:g}"
-                raise ModelError(str(path), f"links.{name}.{key}", got, expected)

@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 
 StanceObjective = Literal["torque", "hold", "sag", "sway"]
-"""Peak of the torque on the base at work; adhesion that feet need; sag of the tool; its sway on a shaken
-deck."""
+"""Peak of the torque on the base at work; adhesion that feet need over the job; sag of the tool; its sway on
+a shaken deck."""
 UNITS: dict[str, str] = {"torque": "Nm", "hold": "N", "sag": "mm", "sway": "mm per m/s2"}
 """Of the rankings."""
 
@@ -65,8 +65,8 @@ class StanceFigures:
     ----------
     torque, job_torque : float, Nm
         Peak of the torque on the base at work, and over the job.
-    adhesion, job_adhesion : float, N
-        That the foot which needs most needs.
+    adhesion, job_adhesion, stop_adhesion : float, N
+        That the foot which needs most needs at work, over the job, and in an emergency stop.
     sag_mm : float
         Largest at work.
     first_hz : float
@@ -86,6 +86,7 @@ class StanceFigures:
     job_torque: float | None = None
     adhesion: float | None = None
     job_adhesion: float | None = None
+    stop_adhesion: float | None = None
     sag_mm: float | None = None
     first_hz: float | None = None
     sway_mm: float | None = None
@@ -144,6 +145,8 @@ COLUMNS = (
     Column(name="torque", words="torque", unit="Nm", form=".1f"),
     Column(name="job_torque", words="over the job", unit="Nm", form=".1f"),
     Column(name="adhesion", words="adhesion needed", unit="kN", factor=1e-3),
+    Column(name="job_adhesion", words="over the job", unit="kN", factor=1e-3),
+    Column(name="stop_adhesion", words="in an emergency stop", unit="kN", factor=1e-3),
     Column(name="sag_mm", words="sag", unit="mm"),
     Column(name="first_hz", words="first mode", unit="Hz"),
     Column(name="sway_mm", words="sway", unit="mm per m/s2"),

@@ -276,7 +276,8 @@ def candidate_at(
 def places_of(scene: Scene, spacing: float, members: Collection[str] = ()) -> Iterator[FootholdFile]:
     """Yield places of a foot along posts and rails, on every side from which a base can hang, both ways up.
 
-    Where an obstacle or another member is in the way of the foot there is none: `in_the_way`.
+    Also on those sides of posts and of rails that the scene's own feet hold. Where an obstacle or another
+    member is in the way of the foot there is none: `in_the_way`.
 
     Parameters
     ----------
@@ -286,8 +287,12 @@ def places_of(scene: Scene, spacing: float, members: Collection[str] = ()) -> It
         On which they are; empty: all.
     """
     guardrail = scene.elastic_guardrail
-    posts = [(f"post_{k + 1}", ("outer", "left", "right")) for k in range(len(guardrail.post_positions))]
-    rails = [(rail.name, ("outer",)) for rail in guardrail.rails]
+    held = () if scene.guardrail.stance is None else scene.guardrail.stance.held
+    of_posts, of_rails = dict.fromkeys(("outer", "left", "right")), dict.fromkeys(("outer",))
+    for own in held:
+        (of_posts if own.member.startswith("post_") else of_rails)[own.face] = None
+    posts = [(f"post_{k + 1}", of_posts) for k in range(len(guardrail.post_positions))]
+    rails = [(rail.name, of_rails) for rail in guardrail.rails]
     clamps = {hold.kind for hold in scene.guardrail.hold or ()} == {"clamp"}
     of_members = [each for each in (*posts, *rails) if not members or each[0] in members]
     for member, faces in of_members:

@@ -32,7 +32,15 @@ _VIA_POINTS = 13
 
 
 class CannotBePutAway(PathNotFound):
-    """The arm cannot be in the posture in which it starts or is put away: the reason is the same for many."""
+    """The arm cannot be in the posture in which it starts or is put away: the reason is the same for many.
+
+    Attributes
+    ----------
+    use : float
+        Largest share of what joints and feet bear that it takes there; infinite where it is in the way.
+    """
+
+    use = np.inf
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -148,7 +156,8 @@ def _require_put_away(scene: Scene, request: StrokeRequest) -> None:
     for name, posture in ends.items():
         q = posture[None]
         why, pair = "", None
-        if cell.use_at_rest(cell.postures.at(q))[0] > 1:
+        use = float(cell.use_at_rest(cell.postures.at(q))[0])
+        if use > 1:
             why = f"{weakest_joint(cell, q)} cannot hold the arm in its {name} posture"
         elif not cell.clear(q)[0]:
             why, pair = (
@@ -157,4 +166,6 @@ def _require_put_away(scene: Scene, request: StrokeRequest) -> None:
             )
         if why:
             singular = request.task.smallest_singular_value(cell.robot, posture)
-            raise CannotBePutAway(why, time=0.0, progress=0.0, smallest_singular_value=singular, pair=pair)
+            error = CannotBePutAway(why, time=0.0, progress=0.0, smallest_singular_value=singular, pair=pair)
+            error.use = np.inf if pair else use
+            raise error

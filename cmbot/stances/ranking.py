@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -83,6 +83,11 @@ class StanceRanking:
         return UNITS[self.objective]
 
     @property
+    def when(self) -> str:
+        """Over what it is ranked, in words."""
+        return "over the job" if self.objective == "hold" else "at work"
+
+    @property
     def strokes(self) -> tuple[str, ...]:
         """Names of the strokes."""
         return tuple(str(stroke.name) for stroke in self.scene.strokes)
@@ -108,6 +113,18 @@ class StanceRanking:
     def reasons_in_words(self) -> str:
         """The same; empty where there are none."""
         return ", ".join(f"{cause} ({number})" for cause, number in self.reasons)
+
+    @property
+    def remedies(self) -> Iterator[str]:
+        """What would take away some of these reasons, a sentence each without its full stop."""
+        for cause, _ in self.reasons:
+            some = [
+                each.rejection for each in self.ranked if each.rejection and each.rejection.cause == cause
+            ]
+            if other := some[0].would_do:
+                least = min(each.excess for each in some)
+                # Rounded up, so that it does.
+                yield f"where {cause}, {least + 0.005:.2f} times what it bears would do, or another {other}"
 
     @property
     def nearest(self) -> StanceResult | None:
@@ -236,6 +253,7 @@ class _Stand:
             self._screener.loads = self._screener.loads.bounded(self._bounds)
         self._limit = limit
         found = self._screener.screened(self._tasks, lambda share: self._progress(said, share))
+        found.figures[0] = np.maximum(found.bound, self._screener.least)
         bound = np.array([found.bound[each].max(axis=0, initial=-np.inf) for each in self._of])
         for number, each in enumerate(self._of):
             if not np.isfinite(bound[number]).any():
@@ -385,7 +403,10 @@ def require_planned(rankings: Sequence[StanceRanking]) -> None:
             strokes = f" for {', '.join(ranking.strokes)}" if len(rankings) > 1 else ""
             reasons = ranking.reasons_in_words
             why = f", most often for: {reasons}" if reasons else ""
-            raise PlanningError(f"no stance of {len(ranking.ranked)} was planned{strokes}{late}{why}")
+            error = PlanningError(f"no stance of {len(ranking.ranked)} was planned{strokes}{late}{why}")
+            for remedy in ranking.remedies:
+                error.add_hint(remedy)
+            raise error
 
 
 def best_scene(ranking: StanceRanking) -> Scene:

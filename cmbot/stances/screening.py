@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -24,12 +25,13 @@ from cmbot.stances.arm import CLOSELY, FIGURES, ROUGHLY, BaseArm, Effort
 from cmbot.stances.bounds import Bounds, StanceObjective
 from cmbot.stances.candidates import AnyCandidate
 from cmbot.stances.loads import StanceLoads
+from cmbot.stances.placed_scene import put_away
 
 VIA_POINTS = 6
 """Of a stroke at which all stances are screened."""
 # Postures that are tried at once.
 _POSTURES_PER_BATCH = 12_000
-_SAG = FIGURES.index("sag_mm")
+_SAG, _ADHESION = FIGURES.index("sag_mm"), FIGURES.index("adhesion")
 # Stances whose rough bounds are not above that of so many others by this factor are looked at closely.
 _PROMISING_STANCES, _PROMISING_RATIO = 20, 1.5
 # The share of the time that the rough search takes.
@@ -86,10 +88,22 @@ class Screener:
         bounds: Bounds | None = None,
         late: Callable[[], bool] = lambda: False,
     ) -> None:
-        self._late = late
+        self._late, self._scene = late, scene
         self._robot, self._bases = robot, np.array([candidate.base for candidate in candidates])
         self.arm = BaseArm(scene, robot)
         self.loads = StanceLoads(scene, candidates, robot, self.arm.robot, objective, bounds or Bounds())
+
+    @cached_property
+    def away(self) -> FloatArray:
+        """`FIGURES` (8, C) at rest in the posture in which the arm is put away."""
+        posture = np.array(put_away(self._scene).posture)
+        q = np.tile(posture, (len(self._bases), 1))
+        return self.arm.figures(q, np.arange(len(q)), self.loads)
+
+    @property
+    def least(self) -> FloatArray:
+        """What is ranked (C,) is no less in any job: of ``hold`` what is needed where the arm is put away."""
+        return self.away[_ADHESION] if self.loads.objective == "hold" else np.zeros(len(self._bases))
 
     def sag_mm(self, tasks: Sequence[ToolTask], numbers: Sequence[int]) -> float:
         """Largest sag, mm, over the via-points of the strokes' tasks in the stance that sags least there.

@@ -139,19 +139,25 @@ class Rejection:
         That without what it has to do with this stance alone: the same for many.
     excess : float
         By what factor a bound is exceeded; infinite where it is none.
+    would_do : str
+        What else would take the cause away than a bound that is wider by that factor; empty where unknown.
     """
 
     kind: RejectionKind
     reason: str
     cause: str
     excess: float = np.inf
+    would_do: str = ""
 
     @staticmethod
     def of(kind: RejectionKind, error: CmbotError) -> Rejection:
         """Return that by an error."""
         match error:
             case CannotBePutAway(pair=None):
-                cause = error.reason
+                reason, other = f"{error}, {error.use:.2f} times what it bears", "start with return: start"
+                return Rejection(
+                    kind=kind, reason=reason, cause=error.reason, excess=error.use, would_do=other
+                )
             case PathNotFound(pair=(link, other)):
                 cause = f"{link} and {other} too near to each other"
             case PathNotFound() if error.pace > 1:

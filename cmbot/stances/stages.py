@@ -107,8 +107,7 @@ class Judge:
         if why is not None:
             return result.rejected("clearance", Rejection(kind="blocked", reason=why, cause=why))
         # The job's bounds count where the arm is put away, too.
-        posture, number = np.array(self.scene.posture)[None], np.array([result.number])
-        away = at_rest_of(self.screener.arm.figures(posture, number, self.screener.loads)[:, 0])
+        away = at_rest_of(self.screener.away[:, result.number])
         figures = StanceFigures(torque=away.torque, adhesion=away.adhesion)
         if rejection := _beyond(self.bounds, figures, "where it is put away"):
             return result.rejected("clearance", rejection)
@@ -124,6 +123,7 @@ class Judge:
         if bound == 0 or self.objective == "sway":
             # Nothing is charted where the tool's axis may lean; for the sway it is by the sag.
             bound = result.bound
+        bound = max(bound, float(self.screener.least[result.number]))
         name = _BOUNDED.get(self.objective)
         if name is not None and bound > _CHART_ALLOWANCE * getattr(self.bounds, name):
             return result.rejected("obstacles", _rejection(self.bounds, name, bound, "in its best postures"))
@@ -142,7 +142,8 @@ class Judge:
         if rejection := _beyond(self.bounds, at_rest, "in its best postures", _CHART_ALLOWANCE):
             return result.rejected("charts", rejection)
         # With few via-points the allowance between postures is smaller, with many the bound is tighter.
-        bound, expected = max(charted.bound, result.bound), charted.expected
+        least = float(self.screener.least[result.number])
+        bound, expected = max(charted.bound, result.bound), max(charted.expected, least)
         if self.objective == "sway":
             bound, expected = result.bound, float(rows[0].max())
         bound = min(bound, expected)
@@ -238,6 +239,7 @@ def figures_of(made: Plan, candidate: AnyCandidate) -> StanceFigures:
         job_torque=whole,
         adhesion=None if needed is None else needed.peak,
         job_adhesion=None if also is None else also.peak,
+        stop_adhesion=None if also is None or made.emergency_stop is None else made.emergency_stop.peak,
         **_bending(made),
         travel_deg=float(np.degrees(travel)),
         seconds=made.job.duration,
@@ -277,7 +279,14 @@ def value_of(made: Plan, figures: StanceFigures, objective: StanceObjective) -> 
         return figures.sag_mm or 0.0
     if objective == "sway":
         return figures.sway_mm or 0.0
-    return made.objective.planned_peak
+    peak = made.objective.planned_peak
+    if objective == "torque":
+        return peak
+    if figures.job_adhesion is not None:
+        return max(peak, figures.job_adhesion)
+    # The pull of magnets in place of the clamps.
+    each = (samples.adhesion_needed for samples in made.segment_samples.values())
+    return max(peak, *(float(needed.max()) for needed in each if needed is not None))
 
 
 def _beyond(bounds: Bounds, figures: StanceFigures, where: str, allowance: float = 1.0) -> Rejection | None:

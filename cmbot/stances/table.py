@@ -17,7 +17,7 @@ from cmbot.stances.stages import PROVEN_SHARE
 _Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
 # What is told of a plan in a sentence: so many of the columns.
-_TOLD_COLUMNS = 6
+_TOLD_COLUMNS = 8
 _ENDED = {
     "out of reach": "{} out of reach",
     "no posture": "{} in which no posture within the bounds of joints and feet was found",
@@ -51,24 +51,33 @@ def in_words(ranking: StanceRanking) -> Iterator[str]:
         yield f"Other stances that sag by more than {most}, are left out (--any-sag: none is)."
     if ranking.ended_by:
         by = {"time": "its time was over (--time-limit)", "interrupt": "it was stopped"}[ranking.ended_by]
-        kept = "what was planned until then is kept, and others may be better" if best is not None else ""
-        yield f"The search ended early, as {by}{f': {kept}' if kept else ''}."
+        kept = ": what was planned until then is kept" if best is not None else ""
+        others = (
+            ", and others may be better" if best is not None and ranking.best_unplanned < best.value else ""
+        )
+        yield f"The search ended early, as {by}{kept}{others}."
     counts = {status: ranking.count(status) for status in _ENDED}
     ended = (words.format(counts[status]) for status, words in _ENDED.items() if counts[status])
     yield f"{len(ranked)} stances: {', '.join(ended)}."
+    stances = (each.candidate.stance for each in ranked if isinstance(each.candidate, Candidate))
+    if faces := sorted({place.face for stance in stances for place in stance.held}):
+        yield f"Feet were tried on these faces alone: {', '.join(faces)}."
     if ranking.reasons:
         yield f"Stances are left out most often for: {ranking.reasons_in_words}."
+    yield from (f"{remedy[0].upper()}{remedy[1:]}." for remedy in ranking.remedies)
 
 
 def _best_in_words(ranking: StanceRanking, best: StanceResult) -> Iterator[str]:
     """What the best stance asks, and how much better another one may be."""
     ranked, unit, peak = ranking.ranked, ranking.unit, best.value
+    which = "Best of those" if ranking.count("planned") > 1 else "The only one"
     told = ((column.words, column.told(best.figures), column.unit) for column in COLUMNS[:_TOLD_COLUMNS])
     figures = ", ".join(f"{words} {value} {unit}" for words, value, unit in told if value is not None)
     yield (
-        f"Best of those planned: {best.place}, {peak:.4g} {unit} at work, its bound {best.bound:.4g} {unit}; "
-        f"{figures}."
+        f"{which} planned: {best.place}, {peak:.4g} {unit} {ranking.when}, its bound {best.bound:.4g} "
+        f"{unit}; {figures}."
     )
+    yield from _kinds_left(best)
     least = ranking.best_unplanned
     if np.isfinite(least):
         first = min((each for each in ranked if each.status == "screened"), key=lambda each: each.bound)
@@ -98,6 +107,15 @@ def _best_in_words(ranking: StanceRanking, best: StanceResult) -> Iterator[str]:
         )
 
 
+def _kinds_left(best: StanceResult) -> Iterator[str]:
+    """By which kinds of hold the feet bear the job."""
+    needed = None if best.plan is None else best.plan.job.figures.adhesion_needed
+    holding = None if best.plan is None else best.plan.robot.holding
+    if needed is not None and holding is not None:
+        said = holding.feet[needed.foot - 1].kinds_left(needed.peak, "this stance")
+        yield f"{said[0].upper()}{said[1:]}."
+
+
 def _own_in_words(ranking: StanceRanking) -> Iterator[str]:
     """What the scenes' own stances ask, and how much better the best one is."""
     several = len(ranking.own) > 1
@@ -107,11 +125,14 @@ def _own_in_words(ranking: StanceRanking) -> Iterator[str]:
             why = "the search ended before" if each.rejection is None else each.rejection.reason
             yield f"{name} was not planned: {why}."
         elif each is ranking.best:
-            yield f"{name} is the best of those planned."
+            others = ranking.count("planned") > 1
+            yield f"{name} is the {'best of those' if others else 'only one'} planned."
+            if len(ranking.ranked) == 1:
+                yield "There was no other one to compare it with."
         elif ranking.best is not None:
             less = 100 * (1 - ranking.best.value / each.value) if each.value > 0 else 0.0
             said = f": the best one asks {less:.1f} % less" if each.value > 0 else ""
-            yield f"{name} asks {each.value:.4g} {ranking.unit} at work{said}."
+            yield f"{name} asks {each.value:.4g} {ranking.unit} {ranking.when}{said}."
 
 
 def planned_table(ranking: StanceRanking) -> _Table:
@@ -181,6 +202,8 @@ def _row(each: StanceResult) -> dict[str, object]:
         "planned_torque": planned.torque,
         "job_torque": planned.job_torque,
         "planned_adhesion": planned.adhesion,
+        "job_adhesion": planned.job_adhesion,
+        "stop_adhesion": planned.stop_adhesion,
     }
     for name in ("sag_mm", "first_hz", "sway_mm", "holding_nm", "holding_of_effort"):
         value = getattr(planned, name)

@@ -202,7 +202,9 @@ class SpeedProfile(CheckedFields):
         ``trapezoidal``: constant acceleration in the ramps, as in the paper.
         ``jerk_limited``: acceleration rises and falls linearly in the ramps, so jerk is bounded.
         ``quiet``: jerk is continuous. Planning takes ramps and an input shaper in its place, by which the
-        tool sways and swings least as predicted, in the same seconds; laws of legs with leads stay.
+        tool sways and swings least as predicted, in the same seconds; laws of legs with leads stay. With
+        ``seconds: auto`` the shortest law, shaped.
+        ``shortest``: with ``seconds: auto``, the shortest law within the limits.
     ramp : float
         Share of a leg's duration spent speeding up, and again slowing down, 0.001 to 0.5.
 
@@ -212,13 +214,18 @@ class SpeedProfile(CheckedFields):
         When `kind` is unknown or `ramp` is out of range.
     """
 
-    kind: Kind = "trapezoidal"
+    kind: Literal["trapezoidal", "jerk_limited", "quiet", "shortest"] = "trapezoidal"
     ramp: Annotated[float, Field(ge=1e-3, le=0.5)] = 0.2
 
     @property
     def law(self) -> TimeLaw:
-        """The law of a leg."""
-        return TimeLaw.ramped(self.kind, self.ramp, 1 - 2 * self.ramp, self.ramp)
+        """The law of a leg, before a shorter or a quieter one is found."""
+        return TimeLaw.ramped(self.ramps, self.ramp, 1 - 2 * self.ramp, self.ramp)
+
+    @property
+    def ramps(self) -> Kind:
+        """How the speed rises and falls in its ramps."""
+        return "quiet" if self.kind == "shortest" else self.kind
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -343,5 +350,5 @@ def law_with_leads(
     process = (1 - before - after) / (1 - 0.5 * sum(ramps))
     up, down = 2 * before + ramps[0] * process, 2 * after + ramps[1] * process
     whole = 2 * before + process + 2 * after
-    law = TimeLaw.ramped(profile.kind, up, whole - up - down, down)
+    law = TimeLaw.ramped(profile.ramps, up, whole - up - down, down)
     return law, (up / whole, (whole - down) / whole), whole

@@ -40,8 +40,12 @@ def options(**changes: Any) -> Callable[[dict[str, Any]], object]:
 def test_a_plan_of_the_scene_holds(short_folder: Path, asked: Path, short_plan: Plan) -> None:
     data = json.loads(output("verify", short_folder, "--scene", asked, "--json"))
     assert (data["scenes"], data["looser"]) == ([str(asked)], [])
-    told = output("verify", short_folder)
-    assert "Judged by what the folder says that was asked" in told
+    told = output("verify", short_folder).partition("\n")[0]
+    assert told.startswith("Judged by what the folder says that was asked: --scene SCENE names the scene.")
+    assert told.endswith(
+        "has robot.joints 'rigid'; compensate False (default 'auto'); knots 'fixed' (default 'sliding')."
+    )
+    assert data["taken"] == []
     again = load_plan(short_folder, verify=True, scene=load_scene(asked), options=short_plan.options)
     assert again.job.certificate.holds
 
@@ -247,28 +251,47 @@ def test_exported_files_hold(exported: Path) -> None:
     assert not {"job.ros.json", "effort.ros.json", "work.csv", "job.mcap", "job.csv"} & set(told)
 
 
-def test_a_message_is_played_ten_times_as_quick(exported: Path) -> None:
-    path = exported / "job.ros.json"
-    data = json.loads(path.read_text(encoding="utf-8"))
-    for point in data["points"]:
+def ten_times_as_quick(points: list[Any]) -> list[Any]:
+    for point in points:
         since = point["time_from_start"]
         nanoseconds = (since["sec"] * 10**9 + since["nanosec"]) // 10
         since["sec"], since["nanosec"] = divmod(nanoseconds, 10**9)
-    path.write_text(json.dumps(data), encoding="utf-8")
-    error = refusal("verify", exported)
-    assert error.startswith(f"error: {path}: points: got an end at ")
+    return points
 
 
+@pytest.mark.parametrize("change", [ten_times_as_quick, lambda points: points[: len(points) // 2]])
 @pytest.mark.parametrize("listed", [False, True])
-def test_a_message_of_half_the_job(exported: Path, listed: bool) -> None:
-    data = json.loads((exported / "job.ros.json").read_text(encoding="utf-8"))
-    data["points"] = data["points"][: len(data["points"]) // 2]
-    content = json.dumps(data).encode()
+def test_a_message_of_another_motion(exported: Path, listed: bool, change: Any) -> None:
+    path = exported / "job.ros.json"
+    data = json.loads(path.read_text(encoding="utf-8"))
+    content = json.dumps(data | {"points": change(data["points"])}).encode()
     if listed:
-        rewrite(exported, "job.ros.json", content)
+        rewrite(exported, path.name, content)
     else:
-        (exported / "job.ros.json").write_bytes(content)
-    assert "job.ros.json: points: got " in refusal("verify", exported)
+        path.write_bytes(content)
+    error = refusal("verify", exported)
+    assert f"error: {path}: points: got " in error and " points, an end at " in error
+
+
+def test_a_message_without_a_joint_that_moves(exported: Path, short_plan: Plan) -> None:
+    export_ros(short_plan, exported / "job.ros.json", joints=short_plan.robot.joints[1:])
+    told = json.loads(output("verify", exported, "--json"))["not_verified"]
+    assert told[-1] == "job.ros.json (lacks what moves: joint_1)"
+
+
+def test_a_message_with_other_points_before_its_own(exported: Path) -> None:
+    path = exported / "job.ros.json"
+    path.write_text(path.read_text(encoding="utf-8").replace("{", '{"points": [], ', 1), encoding="utf-8")
+    assert refusal("verify", exported).endswith("got a key that is there twice, expected each key once")
+
+
+@pytest.mark.parametrize("name", ["job.csv", "job.npz", "plan.json"])
+def test_parts_that_only_cmbot_would_read(short_folder: Path, name: str) -> None:
+    (short_folder / f".{name}.part").write_bytes((short_folder / name).read_bytes())
+    load_plan(short_folder)
+    assert f"/.{name}.part: got a part of what is being written" in refusal("verify", short_folder)
+    with pytest.raises(ArchiveError, match="a part of what is being written"):
+        load_plan(short_folder, verify=True)
 
 
 @pytest.mark.parametrize("name", ["job.csv", "baseline.csv"])
@@ -290,6 +313,7 @@ def test_another_accuracy_than_the_motion_has(short_folder: Path) -> None:
         ("q2", "0.5", "line 9, q2: got '0.5', expected "),
         ("t", "0.008", "line 9, t: got '0.008', expected 0.07, as the knots have it"),
         ("guardrail_torque_x", "x", "line 9, guardrail_torque_x: got 'x', expected "),
+        ("a1", "0_0.1", "line 9, a1: got '0_0.1', expected "),
         ("segment", "free_1", "line 9, segment: got 'free_1', expected work"),
     ],
 )
@@ -342,7 +366,7 @@ def test_a_walk_that_was_asked_for(walked: Path, tmp_path: Path) -> None:
     there["guardrail"]["stance"] = walk.goal.stance.model_dump(mode="json")
     to = write_scene(tmp_path / "there.yaml", there)
     data = json.loads(output("verify", walked, "--scene", scene, "--to", to, "--json"))
-    assert (data["looser"], data["not_verified"]) == ([], [])
+    assert (data["looser"], data["not_verified"]) == ([], ["version, times of checks"])
     assert "goal: got another stance or posture" in refusal("verify", walked, "--to", scene)
     there["robot"]["payload_kg"] = 3.0
     other = write_scene(tmp_path / "other.yaml", there)
@@ -387,6 +411,7 @@ def test_claims_are_computed_again_or_named(triangle_folder: Path) -> None:
     [
         *("baseline.drift", "baseline.smallest_singular_value", "baseline.peak_guardrail_torque"),
         *("planned.min_clearance", "objective.planned_peak", "objective.baseline_peak"),
+        *("segments.0.certificate.guardrail_torque_bound", "segments.0.certificate.clearance_bound"),
         *("accuracy.within_mm", "sway.sway_mm", "holding_joints.climb_1.peak_nm", "contact.0.area_cm2"),
     ],
 )

@@ -204,10 +204,7 @@ def test_a_changed_record_and_those_of_other_versions_are_refused(folder: Path) 
             lambda data: data.pop("content"),
             "content: no such key, expected hashes, as every stances.json has",
         ),
-        (
-            lambda data: data.pop("files"),
-            "files: no such key, expected hashes, as every stances.json has",
-        ),
+        (lambda data: data.pop("files"), "files: no such key, expected hashes, as every stances.json has"),
         (lambda data: data.update(format="cmbot-stances/0"), older),
         (lambda data: data.update(format="cmbot-stances/7"), older),
     ):

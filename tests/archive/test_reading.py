@@ -119,10 +119,7 @@ def test_without_anything_to_hit_clearances_are_infinite(thin_plan, tmp_path):
     certificate = without_obstacles(thin_plan.certificate)
     approach = replace(thin_plan.approach, certificate=without_obstacles(thin_plan.approach.certificate))
     work = replace(thin_plan.job.strokes[0], certificate=certificate)
-    plan = replace(
-        thin_plan,
-        job=Job(segments=(approach, work)),
-    )
+    plan = replace(thin_plan, job=Job(segments=(approach, work)))
     baseline = thin_plan.baseline
     plan = with_baseline(
         plan,

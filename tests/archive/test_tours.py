@@ -10,28 +10,24 @@ import pytest
 from command_line import output, refusal, write_scene
 from plan_folders import edit
 from small_scenes import SHORT, short_scene
-from walks import one_step
+from walks import one_step, tour_record
 
 from cmbot.archive import TOUR_FILE, WALK_FILE, load_tour, save, write_results
 from cmbot.common.errors import ArchiveError
 from cmbot.planning import Plan, plan
 from cmbot.stances import in_world
-from cmbot.stances.walking import Walk, part_data, walk_data
+from cmbot.stances.walking import Walk, walk_data
 
 RETURNS = {"format": "cmbot-scene/2", "return": "start"}
 
 
 def write_tour(folder: Path, **parts: Plan | Walk) -> Path:
-    begin, entries = 0.0, list[dict[str, Any]]()
     for name, part in parts.items():
         if isinstance(part, Plan):
             save(part, folder / name)
         else:
             write_results(folder / name, WALK_FILE, walk_data(part), {})
-        entries.append(part_data(name, begin, part))
-        begin += entries[-1]["seconds"]
-    record = {"cmbot": "0", "seconds": begin, "parts": entries, "words": []}
-    write_results(folder, TOUR_FILE, record, {})
+    write_results(folder, TOUR_FILE, tour_record(parts), {})
     return folder
 
 
@@ -52,7 +48,7 @@ def test_what_was_written_is_read_and_holds(walked: Path) -> None:
     assert (part.name, part.begin, part.motion.seconds) == ("walk_1", 0.0, one_step().seconds)
     data = json.loads(output("verify", walked, "--json"))
     assert {motion["part"] for motion in data["motions"]} == {"walk_1"}
-    assert "words" in data["not_verified"]
+    assert "version, words" in data["not_verified"]
 
 
 @pytest.mark.parametrize(
@@ -115,6 +111,22 @@ def test_work_that_ends_where_the_next_begins(work: Plan, tmp_path: Path) -> Non
     assert "scene.robot.payload_kg: got 0.0, expected 0.5" in refusal(*changed, "robot.payload_kg=0.5")
     assert "safety_margin_m 0.02 (asked 0.03)" in refusal(*changed, "safety_margin_m=0.03")
     assert "via_points: got 8, expected 20" in refusal(*changed, "tool_path.via_points=20")
+
+
+def test_a_part_that_promises_less(work: Plan, tmp_path: Path) -> None:
+    asked = write_scene(tmp_path / "s.yaml", SHORT | RETURNS)
+    folder = write_tour(tmp_path / "tour", work_1=work)
+    edit(folder / "work_1", lambda plan: plan["options"].update(safety_margin_m=0.0))
+    told = "Promised otherwise than the scene in the folder asks: work_1: safety_margin_m 0.0 (asked 0.02)."
+    assert output("verify", folder).startswith(told)
+    refused = refusal("verify", folder, "--scene", asked)
+    assert "options: got safety_margin_m 0.0 (asked 0.02), expected" in refused
+
+
+def test_a_tour_without_its_work(walked: Path, tmp_path: Path) -> None:
+    asked = write_scene(tmp_path / "s.yaml", one_step().scene.as_data())
+    refused = refusal("verify", walked, "--scene", asked)
+    assert "parts: got none, expected each stroke once, as asked: work" in refused
 
 
 def test_a_stroke_is_done_twice(work: Plan, tmp_path: Path) -> None:

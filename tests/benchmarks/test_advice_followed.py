@@ -37,9 +37,13 @@ def test_values_take_the_place_of_those_before(words: str, legs: list[float], ot
 
 
 def test_the_shortest_time_is_asked_for_once() -> None:
-    words = "seconds: auto on the legs of tool_path would do, and takes 1.24 s"
+    words = "seconds: auto on the legs of tool_path, with speed_profile: {kind: shortest}, would do"
     assert followed(SCENE, words) == {
-        "tool_path": {"seconds": "auto", "legs": [{"by": [0, 1, 0]}, {"by": [0, 0, 1]}]}
+        "tool_path": {
+            "seconds": "auto",
+            "speed_profile": {"kind": "shortest"},
+            "legs": [{"by": [0, 1, 0]}, {"by": [0, 0, 1]}],
+        }
     }
 
 

@@ -155,6 +155,13 @@ def test_a_table_of_deflections_says_what_its_sheets_do(sheet: Path, tmp_path: P
     assert found["file"] == str(tmp_path / "deflections.stiffness.yaml")
     factors = {each.name: each.factor for each in (*expected.stiffness.links, *expected.stiffness.joints)}
     assert found["factors"] == pytest.approx(factors, rel=1e-6)
+    told = run("identify", scene, "--table", table, "--gauge", 0.3, "--accept-misfit", "--force")
+    assert "Assumes a gauge's error of 0.3 mm (gauge_sd_mm)" in told.out
+    assert "Sag along the job" in told.out
+    # Beside a sheet, whose scene it is of.
+    both = run("identify", filled(sheet), "--table", table, "--accept-misfit", "--force")
+    assert both.status == 0, both.err
+    assert "Weight of 2.5 kg" in both.out
 
 
 @pytest.mark.parametrize(
@@ -163,7 +170,7 @@ def test_a_table_of_deflections_says_what_its_sheets_do(sheet: Path, tmp_path: P
         ("q1,q2,q3,q4,q5,q6,q7,dx", "0,0,0,0,0,0,0,1", "a column weight_kg"),
         ("q1,q2,q3,q4,q5,q6,q7,kg", "0,0,0,0,0,0,0,1", "columns dx, dy, dz"),
         ("q1,q2,q3,q4,q5,q6,kg,dx", "0,0,0,0,0,0,1,1", "no column of joint"),
-        ("q1,q2,q3,q4,q5,q6,q7,kg,dx", "0,0,0,0,0,0,0,0,1", "line 2, kg: got 0"),
+        ("q1,q2,q3,q4,q5,q6,q7,kg,dx", "0,0,0,0,0,0,0,0,1", "line 2, weight_kg: got 0"),
         ("q1,q2,q3,q4,q5,q6,q7,kg,dx (furlong)", "0,0,0,0,0,0,0,1,1", "the unit furlong"),
         ("q1,q2,q3,q4,q5,q6,q7,kg,dx", "0,0,0,0,0,0,x,1,1", "line 2, q7"),
     ],

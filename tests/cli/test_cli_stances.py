@@ -36,6 +36,8 @@ def test_it_writes_the_table_the_page_and_the_scene(stood: tuple[Path, Outcome])
     assert first == "# Written by cmbot stand: the scene in its best stance."
     assert {"name: short_stance", "planner:", "  objective: hold"} <= {*blocks}
     assert best.planner.objective == "hold"
+    figures = json.loads((folder / "out" / "stances.json").read_text())["figures"]
+    assert {"adhesion", "job_adhesion", "stop_adhesion"} < {*figures}
     assert best.stance.foot == pytest.approx([float(rows[0][axis]) for axis in "xyz"], abs=1e-4)
 
 

@@ -56,3 +56,16 @@ def test_what_is_no_table(content: bytes, told: str, tmp_path: Path) -> None:
     file.write_bytes(content)
     with pytest.raises(InputError, match=told):
         read_table(file, InputError, kind="a table").numbers([0, 1])
+
+
+def test_units_of_places_end_their_names(tmp_path: Path) -> None:
+    file = tmp_path / "t.csv"
+    file.write_text("x_mm,Y/cm,dz (um),steel_mm\n1,2,3,4\n", encoding="utf-8")
+    table = read_table(file, InputError, kind="a table")
+    assert table.names == ("x", "y", "dz", "steel_mm")
+    assert table.units == ("mm", "cm", "um", "")
+    file.write_text("x,y\n1,\n,2\n", encoding="utf-8")
+    table = read_table(file, InputError, kind="a table")
+    np.testing.assert_array_equal(table.numbers([0, 1], gaps=True), [[1, np.nan], [np.nan, 2]])
+    with pytest.raises(InputError, match="line 2, y: got '', expected a finite number"):
+        table.numbers([0, 1])

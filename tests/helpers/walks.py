@@ -1,13 +1,15 @@
 """A walk of one certified step, shared by tests of what is done with walks."""
 
+from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
 import numpy as np
 from small_scenes import short_scene
 
+from cmbot.planning import Plan
 from cmbot.scene import Scene
-from cmbot.stances.walking import Step, Walk, stance_of
+from cmbot.stances.walking import Step, Walk, part_data, stance_of
 from cmbot.stances.walking.steps import plan_step
 
 CLAMP = {"kind": "clamp", "force_n": [2e4] * 3, "moment_nm": [2e3] * 3}
@@ -32,6 +34,15 @@ def scene_on_two_feet(
         guardrail={"hold": hold, "stance": feet(first, second)},
         **changes,
     )
+
+
+def tour_record(parts: Mapping[str, Plan | Walk]) -> dict[str, Any]:
+    """What tour.json says of its parts."""
+    begin, entries = 0.0, list[dict[str, Any]]()
+    for name, part in parts.items():
+        entries.append(part_data(name, begin, part))
+        begin += entries[-1]["seconds"]
+    return {"cmbot": "0", "seconds": begin, "parts": entries, "words": []}
 
 
 @cache

@@ -30,6 +30,31 @@ def needed(load: list[float], foot: Foot = PLAIN) -> list[float]:
     return values
 
 
+@pytest.mark.parametrize(
+    ("kilonewtons", "steel", "said"),
+    [
+        (
+            *(3.01, 0.012),
+            "two-pole magnets pull 2.9 kN at most on 12 mm of steel, with safety 2 this stance asks 6.0 kN: "
+            "clamps, or a magnet that pulls 6.0 kN",
+        ),
+        (
+            *(1.0, None),
+            "two-pole magnets pull 15.5 kN at most, with safety 2 this stance asks 2.0 kN: clamps, or a "
+            "magnet that pulls 2.0 kN",
+        ),
+        (
+            *(9.0, 0.012),
+            "no magnet pulls more than 15.5 kN on this contact, with safety 2 this stance asks 18.0 kN: "
+            "clamps alone",
+        ),
+    ],
+)
+def test_which_kinds_of_hold_are_left(kilonewtons: float, steel: float | None, said: str) -> None:
+    """1.592 MPa, B^2 / 2 mu_0 at 2 T, on 13 cm by 7.5 cm, and on twice 12 mm by 7.5 cm."""
+    assert replace(FOOT, steel=steel).kinds_left(1e3 * kilonewtons, "this stance") == said
+
+
 def test_a_plain_pull_needs_itself() -> None:
     assert needed([0, 0, 700, 0, 0, 0]) == pytest.approx([700, 700, 700, 700])
     assert Holding([PLAIN], np.zeros(6)).each(np.array([[0, 0, -700.0, 0, 0, 0]])) == 0

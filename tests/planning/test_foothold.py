@@ -18,7 +18,7 @@ from cmbot.archive import export_mcap, load_plan, save
 from cmbot.collision import Clearances
 from cmbot.common.errors import ArchiveError, LimitViolation, PlanningError, SceneError
 from cmbot.hold import MAGNET_PRESSURE, Holding
-from cmbot.planning import Plan, certify, plan, precheck_scene, remarks, verdict
+from cmbot.planning import Plan, certify, plan, precheck_scene, remarks, robot_of, verdict
 from cmbot.planning.verification.hold import hold_checks
 from cmbot.robot import Dynamics, Postures
 from cmbot.views.report import headlines
@@ -245,8 +245,32 @@ def test_a_scene_whose_feet_do_not_hold_at_the_start_is_told_so() -> None:
     )
     assert not precheck_scene(magnet_scene()).warnings
     assert dict(weak.found)["contact of foot 1"].endswith("than 14.9 kN there, one of two poles 1.9 kN")
+    left = dict(weak.found)["kinds of hold left there"]
+    asked = 2 * float(weak.warnings[0].got.partition(" N of")[0]) / 1e3
+    assert left.startswith("two-pole magnets pull 1.9 kN at most on 8 mm of steel, with safety ")
+    assert left.endswith(f"a magnet that pulls {asked:.1f} kN")
     with pytest.raises(PlanningError, match=r"^the start asks [0-9]+ N of adhesion"):
         plan(magnet_scene(1000.0))
+
+
+def test_of_a_clamp_that_is_too_weak_foot_and_load_are_named() -> None:
+    rail = {"member": "top_rail", "turn_deg": 180}
+    two = away_scene({"foot_1": {**rail, "along_m": 3.5}, "foot_2": {**rail, "along_m": 3.665}})
+    clamp = {"kind": "clamp", "force_n": [9e4] * 3, "moment_nm": [9e4, 9e4, 20.0], "safety": 1.5}
+    guardrail = {"hold": clamp, "stance": two.guardrail.stance.model_dump()}
+    weak = two.changed(guardrail=guardrail)
+    robot = robot_of(weak)
+    wrench = Dynamics(robot.tool_off).static_efforts(weak.posture[None]).guardrail_wrench
+    twists = [abs(float(robot.holding.load(k, wrench)[0, 5])) for k in (0, 1)]
+    value, foot = max(twists), 1 + int(np.argmax(twists))
+    assert value > 20 / 1.5
+    said = f"{value:.0f} Nm about the normal, times safety 1.5, where foot {foot} has 20 Nm"
+    checked = precheck_scene(weak)
+    assert checked.warnings[0].got == said
+    share = f"{100 * 1.5 * value / 20:.0f} %: {said}"
+    assert dict(checked.found)["of what the feet bear there, safety included"] == share
+    with pytest.raises(PlanningError, match=f"the start asks {re.escape(said)}: "):
+        plan(weak)
 
 
 @pytest.mark.parametrize(("name", "use"), [("triangle", 0.69), ("line", 0.86)])

@@ -92,6 +92,15 @@ def test_units_are_those_of_the_joints(rail_plan: Plan) -> None:
     assert [chart.unit for chart in charts[-7:]] == ["N" if slides else "Nm" for slides in SLIDES]
 
 
+def test_a_base_that_bends_the_same_wherever_the_arm_slides_is_told(rail_plan: Plan) -> None:
+    (line,) = (line for line in remarks(rail_plan) if line.startswith("rail slides from "))
+    moved = np.concatenate([segment.trajectory.q[:, 0] for segment in rail_plan.job.segments])
+    assert f"from {moved.min():.3g} to {moved.max():.3g} m" in line
+    assert "state how it bends where it is softest" in line
+    rigid = replace(rail_plan, scene=rail_plan.scene.changed(guardrail={"bays": 0}))
+    assert not any("slides from" in line for line in remarks(rigid))
+
+
 def test_a_start_elsewhere_is_told_in_the_units_of_the_joints(rail_plan: Plan) -> None:
     posture = np.array(rail_plan.scene.posture)
     posture[:2] += 0.12, 0.5

@@ -2,14 +2,27 @@
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 import cmbot
-from cmbot.common.errors import PathNotFound
-from cmbot.planning import build_request
+from cmbot.collision import Clearances
+from cmbot.common.errors import PathNotFound, PlanningError
+from cmbot.planning import build_request, robot_of
+from cmbot.robot import Dynamics
 from cmbot.scene import Scene
-from cmbot.stances import candidates_of, in_world, scene_at
-from cmbot.stances.charting import bounded_quickly, chart
+from cmbot.stances import (
+    Rejection,
+    StanceRanking,
+    StanceResult,
+    candidates_of,
+    in_words,
+    in_world,
+    own_candidate,
+    require_planned,
+    scene_at,
+)
+from cmbot.stances.charting import CannotBePutAway, bounded_quickly, chart
 
 
 @pytest.fixture(scope="module")
@@ -49,8 +62,37 @@ def test_a_stance_in_the_way_of_something_has_none(scene: Scene) -> None:
 
 def test_a_stance_in_which_the_arm_cannot_be_put_away(scene: Scene) -> None:
     stowed = cmbot.load_scene({**scene.as_data(), "return": "stow"})
-    with pytest.raises(PathNotFound, match="joint_2 cannot hold the arm in its stow posture"):
+    with pytest.raises(CannotBePutAway, match="joint_2 cannot hold the arm in its stow posture") as caught:
         bounded_quickly(stowed)
+    robot = robot_of(stowed)
+    torque = Dynamics(robot.tool_off).static_efforts(robot.group_states["stow"][None]).joint_torque
+    use = float((np.abs(torque) / robot.limits.torque).max())
+    assert caught.value.use == pytest.approx(use)
+    # Another posture does.
+    drawn = robot.limits.drawn(np.random.default_rng(0), 300)
+    each = np.abs(Dynamics(robot.tool_off).static_efforts(drawn).joint_torque) / robot.limits.torque
+    clear = Clearances(robot, stowed.all_obstacles)
+    holds = (q for q in drawn[each.max(axis=1) < 0.9] if clear.query(q[None]).distance[0] > 0.05)
+    other = {"start": {"posture": next(holds).tolist()}, "return": "start"}
+    assert bounded_quickly(cmbot.load_scene({**scene.as_data(), **other})) > 0
+    # Many stances are left out for that: it is one cause, and what would do is told.
+    heavier = CannotBePutAway(caught.value.reason, time=0.0, progress=0.0, smallest_singular_value=1.0)
+    heavier.use = 9.0
+    own = own_candidate(scene)
+    left_out = tuple(
+        StanceResult(candidate=own, stage="obstacles", bound=1.0, rejection=Rejection.of("blocked", error))
+        for error in (heavier, caught.value)
+    )
+    ranking = StanceRanking(scene=scene, ranked=left_out)
+    cause = "joint_2 cannot hold the arm in its stow posture"
+    assert ranking.reasons == [(cause, 2)]
+    assert ranking.nearest is left_out[1]
+    remedy = (
+        f"here {cause}, {use + 0.005:.2f} times what it bears would do, or another start with return: start"
+    )
+    assert f"W{remedy}." in in_words(ranking)
+    with pytest.raises(PlanningError, match=f"; w{remedy}"):
+        require_planned([ranking])
     data = {**scene.as_data(), "return": "stow", "guardrail": {"bays": 4}}
     asked = build_request(cmbot.load_scene(data), scene.planner)
     at = asked.cell.postures.tool_at(asked.end_posture[None]).tool_point[0]

@@ -34,6 +34,7 @@ from cmbot.stances import (
     in_world,
     own_candidate,
     planned_table,
+    put_away,
     require_planned,
     scene_at,
     stances_csv,
@@ -41,6 +42,7 @@ from cmbot.stances import (
 )
 from cmbot.stances.arm import BaseArm, _Goals
 from cmbot.stances.candidates import climber_in_the_way
+from cmbot.stances.stages import figures_of, value_of
 from cmbot.views import stances_page
 from cmbot.views.overview.stances import _apart
 
@@ -201,7 +203,8 @@ def test_the_ranked_table(ranking: StanceRanking) -> None:
     assert rows[0]["status"] == "planned"
     bounds = [float(row["bound"]) for row in rows if row["status"] == "screened"]
     assert bounds == sorted(bounds)
-    assert float(rows[0]["planned"]) == pytest.approx(ranking.best.plan.objective.planned_peak, rel=1e-5)
+    needed = ranking.best.plan.job.figures.adhesion_needed.peak
+    assert float(rows[0]["planned"]) == pytest.approx(needed, rel=1e-5)
 
 
 def test_the_best_stance_needs_less_than_the_scenes(scene: Scene, ranking: StanceRanking) -> None:
@@ -216,9 +219,46 @@ def test_the_best_stance_needs_less_than_the_scenes(scene: Scene, ranking: Stanc
     (own,) = ranking.own
     assert own.plan.objective.planned_peak == pytest.approx(usual.objective.planned_peak, rel=1e-6)
     np.testing.assert_allclose(own.plan.robot.foot_point, usual.robot.foot_point, atol=1e-12)
-    less = 100 * (1 - best.objective.planned_peak / own.plan.objective.planned_peak)
-    assert sum(f"own stance asks {own.plan.objective.planned_peak:.4g} N at" in line for line in said) == 1
+    less = 100 * (1 - ranking.best.value / own.value)
+    assert sum(f"own stance asks {own.value:.4g} N over the job" in line for line in said) == 1
     assert sum(f"the best one asks {less:.1f} % less" in line for line in said) == 1
+
+
+def test_hold_is_ranked_by_the_whole_job(scene: Scene, ranking: StanceRanking) -> None:
+    """Feet hold where the arm is put away, too: in one stance more is needed there than at work."""
+    stowed = put_away(scene)
+    for each in ranking.ranked:
+        if np.isfinite(each.bound):
+            robot = robot_of(scene_at(stowed, each.candidate, None))
+            wrench = Dynamics(robot).static_efforts(np.array(stowed.posture)[None]).guardrail_wrench
+            assert each.bound >= 0.999 * robot.holding.each(wrench).max()
+    (own,) = ranking.own
+    assert own.figures.adhesion < 0.9 * own.figures.job_adhesion
+    rows = [*csv.DictReader(stances_csv([ranking]).splitlines())]
+    headings, table = planned_table(ranking)
+    page = stances_page([ranking])
+    for rank, each in enumerate(ranking.ranked):
+        if each.status != "planned":
+            continue
+        needed, stop = each.plan.job.figures.adhesion_needed, each.plan.emergency_stop
+        assert each.value == needed.peak == each.figures.job_adhesion < stop.peak
+        assert float(rows[rank]["job_adhesion"]) == pytest.approx(needed.peak, rel=1e-5)
+        assert float(rows[rank]["stop_adhesion"]) == pytest.approx(stop.peak, rel=1e-5)
+        (told,) = (dict(zip(headings, row, strict=True)) for row in table if row[0] == str(rank + 1))
+        assert told["over the job, kN"] == f"{needed.peak / 1e3:.2f}"
+        assert told["in an emergency stop, kN"] == f"{stop.peak / 1e3:.2f}"
+        assert f">{needed.peak / 1e3:.2f}</td>" in page
+    best = ranking.best.plan
+    foot = best.robot.holding.feet[best.job.figures.adhesion_needed.foot - 1]
+    said = foot.kinds_left(ranking.best.value, "this stance")
+    assert f"{said[0].upper()}{said[1:]}." in in_words(ranking)
+
+
+def test_with_clamps_hold_is_ranked_by_the_pull_of_magnets_in_their_place(ranking: StanceRanking) -> None:
+    clamp = {"kind": "clamp", "force_n": [1e5] * 3, "moment_nm": [1e5] * 3}
+    (own,) = ranking.own
+    held = plan(scene_of(guardrail={"hold": clamp}))
+    assert value_of(held, figures_of(held, own.candidate), "hold") == pytest.approx(own.value, rel=0.01)
 
 
 RAIL = {"name": "top", "height_m": 0.0, "section": {"angle": [0.075, 0.008]}, "box_m": [0.075, 0.075]}
@@ -235,7 +275,7 @@ def test_no_best_stance_is_worse_than_the_scenes(scene: Scene) -> None:
     assert found.best.plan.objective.planned_peak <= peak * (1 + 1e-9)
     assert found.best.own
     assert best_scene(found).stance == good.stance
-    assert "The scene's own stance is the best of those planned." in in_words(found)
+    assert "The scene's own stance is the only one planned." in in_words(found)
 
 
 @pytest.mark.parametrize(
@@ -273,6 +313,55 @@ def test_the_most_frequent_reasons(ranking: StanceRanking) -> None:
     assert max(map(causes.count, set(causes))) == counts[0]
     first, number = ranking.reasons[0]
     assert sum(f"left out most often for: {first} ({number})" in line for line in in_words(ranking)) == 1
+
+
+def test_a_search_that_ended_early_does_not_contradict_itself(ranking: StanceRanking) -> None:
+    early = replace(ranking, ended_by="time")
+    said = " ".join(in_words(early))
+    assert "none may be better than the best one" in said
+    assert "others may be better" not in said
+    best = early.best
+    least = 0.9 * best.value
+    lower = tuple(replace(each, bound=least) if each.status == "screened" else each for each in early.ranked)
+    said = " ".join(in_words(replace(early, ranked=lower)))
+    assert "none may be better by more than 10.0 %" in said
+    assert "kept, and others may be better" in said
+
+
+def test_the_best_of_one_is_not_called_the_best(ranking: StanceRanking) -> None:
+    said = [*in_words(replace(ranking, ranked=ranking.own))]
+    assert not any("best" in sentence.lower() for sentence in said)
+    assert "The scene's own stance is the only one planned." in said
+    assert "There was no other one to compare it with." in said
+    assert "Feet were tried on these faces alone: outer." in said
+    assert "Feet were tried on these faces alone: outer, right." in [*in_words(ranking)]
+
+
+FLANGE = {
+    "bays": 1,
+    "post_spacing_m": 3.0,
+    "post": {"section": {"angle": [0.1, 0.01]}, "bottom_m": -0.1, "clamp_m": -0.05, "top_m": 0.5},
+    "rails": [{"name": "flange", "section": {"angle": [0.2, 0.012]}, "height_m": 0.0, "box_m": [0.2, 0.2]}],
+    "foot": {"post": 1},
+}
+
+
+@pytest.mark.parametrize("face", ["bottom", "inner"])
+def test_stances_are_sought_on_the_face_that_the_scenes_feet_hold(face: str) -> None:
+    places = [{"member": "flange", "along_m": along, "face": face, "turn_deg": 180} for along in (1.0, 1.4)]
+    stance = dict(zip(("foot_1", "foot_2"), places, strict=True))
+    girder = scene_of(guardrail=FLANGE | {"stance": stance, "hold": {"kind": "magnet"}})
+    found = [*candidates_of(girder, 0.5, 0.5, ("flange",))]
+    # The outer side of this angle has the edge of a leg alone, where no magnet holds.
+    assert {place.face for each in found for place in each.stance.held} == {face}
+    assert len(found) > 10
+    out = {"bottom": (0, 0, -1), "inner": (0, -1, 0)}[face]
+    for each in found:
+        np.testing.assert_allclose(each.root[:3, 1], out, atol=1e-12)
+        if each.stance.foot_2 is not None:
+            assert (each.base[:3, 3] - each.root[:3, 3]) @ out > 0
+    # Of the usual sides none has a face for magnets.
+    assert not [*candidates_of(girder.changed(guardrail={"stance": None}), 0.5, 0.5, ("flange",))]
 
 
 class _Stopped:

@@ -479,7 +479,7 @@ def test_waypoints_of_a_csv_file_are_part_of_the_scene(tmp_path: Path, rng: np.r
         (
             ["x,y,z", ROW[:11]],
             "line 1",
-            "qw,qx,qy,qz or roll,pitch,yaw or nx,ny,nz or i,j,k, or keep: position",
+            "qw,qx,qy,qz or roll,pitch,yaw; or with keep: axis nx,ny,nz or i,j,k, with keep: position none",
         ),
         (["x,y", "1,2"], "line 1", "the columns x,y,z"),
         ([], "", "a table of waypoints"),

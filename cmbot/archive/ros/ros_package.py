@@ -98,25 +98,23 @@ def export_ros_package(plan: Plan, folder: str | Path) -> Path:
             (draft / part).mkdir()
         for file, text in texts.items():
             (draft / file).write_text(text, encoding="utf-8")
-        for file, path in meshes.items():
+        for path, file in meshes.items():
             shutil.copyfile(path, draft / "meshes" / file)
     return target
 
 
 def _moved_meshes(urdf: ElementTree.Element, package: str) -> dict[str, str]:
-    """Name the meshes of a URDF by the package, in place; their files there and where they are now."""
+    """Name the meshes of a URDF by the package, in place; where they are now and their files there."""
     moved: dict[str, str] = {}
     for mesh in urdf.iter("mesh"):
         path = mesh.get("filename", "")
-        known = next((name for name, before in moved.items() if before == path), None)
-        if known is None:
-            stem, suffix = Path(path).stem, Path(path).suffix
-            known, number = f"{stem}{suffix}", 1
-            while known in moved:  # another file of that name
-                number += 1
-                known = f"{stem}_{number}{suffix}"
-            moved[known] = path
-        mesh.set("filename", f"package://{package}/meshes/{known}")
+        if path not in moved:
+            stem, suffix, taken = Path(path).stem, Path(path).suffix, moved.values()
+            # Another file may have that name.
+            numbers = ("", *(f"_{number}" for number in range(2, len(moved) + 2)))
+            names = (f"{stem}{number}{suffix}" for number in numbers)
+            moved[path] = next(name for name in names if name not in taken)
+        mesh.set("filename", f"package://{package}/meshes/{moved[path]}")
     return moved
 
 

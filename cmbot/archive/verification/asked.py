@@ -25,11 +25,12 @@ _LOOSER: Mapping[str, Callable[[Any, Any], bool]] = {
     "max_tool_lag_m": gt,
     "deviation_sigmas": lt,
     "quiet_modes": lt,
+    "quiet_stiffness_share": lt,
     **dict.fromkeys(("compensate", "knots", "start", "objective", "moment_about", "axis_weights"), ne),
 }
 
 
-def looser_promises(options: PlannerOptions, asked: PlannerOptions) -> tuple[str, ...]:
+def looser_promises(options: PlannerOptions, asked: PlannerOptions, why: str = "asked") -> tuple[str, ...]:
     """Return which options promise less than others, or another thing, each with both values.
 
     Parameters
@@ -37,10 +38,12 @@ def looser_promises(options: PlannerOptions, asked: PlannerOptions) -> tuple[str
     options : PlannerOptions
         Those of a plan.
     asked : PlannerOptions
+    why : str
+        Where these are from.
     """
     pairs = {name: (getattr(options, name), getattr(asked, name)) for name in _LOOSER}
     return tuple(
-        f"{name} {shown(got)} (asked {shown(wanted)})"
+        f"{name} {shown(got)} ({why} {shown(wanted)})"
         for name, (got, wanted) in pairs.items()
         if _LOOSER[name](got, wanted)
     )

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+import json
 import struct
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from importlib.util import find_spec
 from itertools import zip_longest
 from pathlib import Path
@@ -14,7 +16,7 @@ import numpy as np
 from pydantic_core import from_json
 
 from cmbot.archive.folder import read_file
-from cmbot.archive.records import BASELINE_FILE, JOB_FILES, PLAN_FILE, TRACKING_FILES, require_same
+from cmbot.archive.records import BASELINE_FILE, JOB_FILES, PLAN_FILE, require_same
 from cmbot.archive.ros.messages import messages, trajectory_message
 from cmbot.archive.tables import require_table, samples_csv
 from cmbot.archive.writing import job_table
@@ -31,7 +33,7 @@ _MAX_DEVIATION = 1e-3
 
 
 def unverified_files(plan: Plan, folder: Path) -> tuple[str, ...]:
-    """Compare the files beside a plan's record with the plan; return the names of those that are not.
+    """Compare the files beside a plan's record with the plan; return which are not, or lack what moves.
 
     Compared are ``job.csv`` and ``baseline.csv``, and what `cmbot.archive.export_csv`, `export_ros` and,
     where mcap-ros2-support is installed, `export_mcap` have written there.
@@ -47,46 +49,54 @@ def unverified_files(plan: Plan, folder: Path) -> tuple[str, ...]:
     ArchiveError
         When one of them has another motion than the plan.
     """
-    skipped = []
+    skipped = list[str]()
     for path in sorted(folder.iterdir()):
         if path.name.startswith(".") or path.name in (PLAN_FILE, JOB_FILES[1]):
             continue
-        compare = _COMPARED.get(path.suffix)
-        if not path.is_file() or compare is None or not compare(plan, path):
-            skipped.append(path.name)
+        compare = _KINDS.get(path.suffix)
+        skipped += compare(plan, path) if compare is not None and path.is_file() else [path.name]
     return tuple(skipped)
 
 
-def _table(plan: Plan, path: Path) -> bool:
-    """Compare a table with the job, or with the work alone; False for a table of something else."""
+def _table(plan: Plan, path: Path) -> list[str]:
+    """Compare a table with the job, or with the work alone; its name if it is one of something else."""
     content, source = read_file(path, _LARGEST_FILE), str(path)
     if path.name == BASELINE_FILE and plan.baseline is not None:
-        require_table(content, samples_csv(plan.baseline.samples, source), source)
-        return True
-    if path.name in TRACKING_FILES or (path.name != JOB_FILES[0] and not content.startswith(b"t,q1,")):
-        return False
-    job, rows = job_table(plan, source), content.count(b"\n")
-    is_job = path.name == JOB_FILES[0] or rows == job.count(b"\n")
-    require_table(content, job if is_job else job_table(plan, source, work=True), source)
-    return True
+        expected = samples_csv(plan.baseline.samples, source)
+    elif path.name == JOB_FILES[0] or content.startswith(b"t,q1,"):
+        expected = job_table(plan, source)
+        if path.name != JOB_FILES[0] and content.count(b"\n") != expected.count(b"\n"):
+            expected = job_table(plan, source, work=True)
+    else:
+        return [path.name]
+    require_table(content, expected, source)
+    return []
 
 
-def _message(plan: Plan, path: Path) -> bool:
-    """Compare a file with the job as a ``JointTrajectory``; False for a file of something else."""
-    try:
-        data = from_json(read_file(path, _LARGEST_FILE))
-    except ValueError:
-        return False
+def _message(plan: Plan, path: Path) -> list[str]:
+    """Compare a file with the job as a ``JointTrajectory``; its name if it is none, or lacks joints."""
+    content, source = read_file(path, _LARGEST_FILE), str(path)
+    data: object = None
+    with suppress(ValueError):
+        data = from_json(content)
     if not isinstance(data, Mapping) or not data.keys() & {"joint_names", "points"}:
-        return False
-    source = str(path)
+        return [path.name]
+
+    def once(pairs: list[tuple[str, object]]) -> dict[str, object]:
+        # Readers differ in which of two they take.
+        if len(entry := dict(pairs)) < len(pairs):
+            raise ArchiveError(source, "", "a key that is there twice", "each key once")
+        return entry
+
+    json.loads(content, object_pairs_hook=once)
     times, joints, effort = _as_given(data, plan, source)
     found = trajectory_message(plan, times, joints=joints, effort=effort)
     require_same(data, found.message, source, "", _SAME, _SAME_ZERO, _WHY)
     if found.deviation > _MAX_DEVIATION:
         got = f"points whose quintics are {found.deviation:.3g} rad (or m) off"
         raise ArchiveError(source, "points", got, f"the motion within {_MAX_DEVIATION:g}, as {_WHY}")
-    return True
+    lacking = ", ".join(found.left_out)
+    return [f"{path.name} (lacks what moves: {lacking})"] if lacking else []
 
 
 def _as_given(data: Mapping[str, Any], plan: Plan, source: str) -> tuple[IntArray, list[str], bool]:
@@ -99,19 +109,17 @@ def _as_given(data: Mapping[str, Any], plan: Plan, source: str) -> tuple[IntArra
         times = np.array([time["sec"] * 10**9 + time["nanosec"] for time in each], dtype=np.intp)
     except (TypeError, KeyError, ValueError, OverflowError) as error:
         raise ArchiveError(source, "points", shown(points), f"points with times, as {_WHY}") from error
-    if len(times) < 2 or not (np.diff(times) > 0).all() or times[0] != 0:
-        got = counted(len(times), "point")
-        raise ArchiveError(source, "points", got, f"times that increase from 0, as {_WHY}")
-    if abs(times[-1] - 1e9 * plan.job.duration) > 1:
-        got, expected = f"an end at {1e-9 * times[-1]:.9g} s", f"{plan.job.duration:.9g} s, as {_WHY}"
-        raise ArchiveError(source, "points", got, expected)
+    end = plan.job.duration
+    if len(times) < 2 or times[0] != 0 or (np.diff(times) <= 0).any() or abs(times[-1] - 1e9 * end) > 1:
+        got = f"{counted(len(times), 'point')}, an end at {1e-9 * times.max(initial=0):.9g} s"
+        raise ArchiveError(source, "points", got, f"times that increase from 0 to {end:.9g} s, as {_WHY}")
     return times, names, bool(points) and "effort" in points[0]  # type: ignore[index]
 
 
-def _bag(plan: Plan, path: Path) -> bool:
-    """Compare an MCAP file with the messages of the job; False where it cannot be read."""
+def _bag(plan: Plan, path: Path) -> list[str]:
+    """Compare an MCAP file with the messages of the job; its name where it cannot be read."""
     if find_spec("mcap_ros2") is None:
-        return False
+        return [path.name]
     from mcap.exceptions import McapError
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
@@ -137,7 +145,7 @@ def _bag(plan: Plan, path: Path) -> bool:
         key = f"{wanted_topic} at {1e-9 * wanted_time:g} s"
         require_same((topic, time), (wanted_topic, wanted_time), source, key, 0.0, 0.0, _WHY)
         require_same(_plain(message, wanted), wanted, source, key, _SAME, _SAME_ZERO, _WHY)
-    return True
+    return []
 
 
 def _plain(message: Any, like: Any) -> Any:
@@ -150,4 +158,4 @@ def _plain(message: Any, like: Any) -> Any:
     return message
 
 
-_COMPARED: Mapping[str, Callable[[Plan, Path], bool]] = {".csv": _table, ".json": _message, ".mcap": _bag}
+_KINDS: Mapping[str, Callable[[Plan, Path], list[str]]] = {".csv": _table, ".json": _message, ".mcap": _bag}

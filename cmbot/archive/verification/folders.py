@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
-from cmbot.archive.folder import read_file
+from cmbot.archive.folder import read_file, require_settled
 from cmbot.archive.reading import read_plan
 from cmbot.archive.records import PLAN_FILE, TOUR_FILE, WALK_FILE, require_same
 from cmbot.archive.tables import require_table
 from cmbot.archive.verification.asked import looser_promises, require_asked, require_promised
 from cmbot.archive.walks import TourPart, bridge_of, ends_of, load_walk, place, read_tour
 from cmbot.common.errors import ArchiveError, InputError, LimitViolation
-from cmbot.common.reading.validation import counted, given_path
+from cmbot.common.reading.validation import counted, given_path, shown
 from cmbot.planning import Check, Plan, bending_arm, resolved_options
 from cmbot.scene import PlannerOptions, Scene, StanceFile
 from cmbot.stances import in_world, joined
@@ -25,6 +25,8 @@ from cmbot.stances.walking import Walk, WalkOptions, goal_stance, second_opinion
 # Stances and postures are the same but for so much.
 _STANCE_TOLERANCE = 1e-6
 _WALK_TABLE = "walk.csv"
+# What a scene says beside the world in which the robot works.
+_OF_THE_WORK = {"format", "name", "tool_path", "planner", "start"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,12 +58,16 @@ class Verdict:
     ----------
     looser : tuple of str
         What its plans promise less, or otherwise, than the scenes in them ask for.
+    taken : tuple of str
+        Where no scene was asked: what those in it say of the world, but for defaults, and ask less than by
+        default.
     motions : tuple of VerifiedMotion
     not_verified : tuple of str
         What it says that was not computed again: keys of records, and names of files.
     """
 
     looser: tuple[str, ...]
+    taken: tuple[str, ...]
     motions: tuple[VerifiedMotion, ...]
     not_verified: tuple[str, ...]
 
@@ -121,19 +127,22 @@ def verified_motions(directory: str | Path, asked: Asked | None = None) -> Verdi
 
 def _verified_tour(folder: Path, asked: Asked) -> Verdict:
     """Verify the parts, that each begins where the one before ends, and that they are what was asked for."""
-    verdicts = list[Verdict]()
+    verdicts, whole = list[Verdict](), joined(asked.scenes) if asked.scenes else None
+    options = asked.options or (None if whole is None else whole.planner)
 
     def read(part: Path) -> Plan | Walk:
-        motion, verdict = _verified(part, part.name, replace(asked, scenes=()))
+        motion, verdict = _verified(part, part.name, replace(asked, scenes=(), options=options))
         verdicts.append(verdict)
         return motion
 
     parts = read_tour(folder, read)
-    if asked.scenes:
-        _require_tour(folder, parts, joined(asked.scenes))
-    verdicts.append(Verdict(looser=(), motions=(), not_verified=("words",)))
+    if whole is not None:
+        _require_tour(folder, parts, whole)
+    beside = _others(folder, {TOUR_FILE, *(part.name for part in parts)})
+    verdicts.append(Verdict(looser=(), taken=(), motions=(), not_verified=("version, words", *beside)))
     each = {
-        name: tuple(chain(*(getattr(verdict, name) for verdict in verdicts))) for name in vars(verdicts[0])
+        name: tuple(dict.fromkeys(chain(*(getattr(verdict, name) for verdict in verdicts))))
+        for name in vars(verdicts[0])
     }
     return Verdict(**each)
 
@@ -144,12 +153,12 @@ def _require_tour(folder: Path, parts: Sequence[TourPart], asked: Scene) -> None
     require_same(bridge_of(parts[0].motion.scene), bridge_of(asked), str(source), "scene", why="asked")
     plans = [part.motion for part in parts if isinstance(part.motion, Plan)]
     strokes = {str(stroke.name): stroke for stroke in asked.strokes}
-    if len(strokes) == 1:
+    if len(strokes) == 1 and plans:
         # That of a path without strokes has the name of the scene.
         strokes = dict.fromkeys([str(plan.scene.strokes[0].name) for plan in plans[:1]], asked.strokes[0])
     done = [stroke.part_of or str(stroke.name) for plan in plans for stroke in plan.scene.strokes]
     if sorted(done) != sorted(strokes):
-        got, expected = (", ".join(names) for names in (done, strokes))
+        got, expected = (", ".join(names) or "none" for names in (done, strokes))
         raise ArchiveError(str(source), "parts", got, f"each stroke once, as asked: {expected}")
     for plan in plans:
         own = [strokes[str(stroke.name)].changed(name=stroke.name) for stroke in plan.scene.strokes]
@@ -171,17 +180,27 @@ def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdi
         else:
             scene = asked.scenes[0] if asked.scenes else None
             part, skipped = read_plan(folder, verify=True, asked=scene, options=asked.options)
-            arm = bending_arm(part.scene, part.robot)
-            own = resolved_options(part.scene, arm, part.scene.planner)
+            own = resolved_options(part.scene, bending_arm(part.scene, part.robot), part.scene.planner)
             looser = looser_promises(part.options, own)
             skipped = (*_claims(part), *skipped)
+        taken = () if asked.scenes else tuple(_taken(part.scene))
         motions = tuple(_motions(name, part))
     except LimitViolation as error:
         got = f"{error.value:.6g} {error.unit} at t = {error.time:.3f} s"
         expected = f"a value within {error.bound:.6g} {error.unit}"
         raise ArchiveError(str(source), error.quantity, got, expected) from error
-    said = (tuple(f"{name}: {text}" if name else text for text in texts) for texts in (looser, skipped))
-    return part, Verdict(motions=motions, **dict(zip(("looser", "not_verified"), said, strict=True)))
+    lead = f"{name}: " if name else ""
+    looser, skipped = (tuple(lead + text for text in texts) for texts in (looser, skipped))
+    return part, Verdict(looser=looser, taken=taken, motions=motions, not_verified=skipped)
+
+
+def _taken(scene: Scene) -> Iterator[str]:
+    """What a scene says of the world, but for defaults, by its keys, and what it asks less."""
+    world = scene.model_dump(mode="json", exclude_defaults=True, exclude_none=True, exclude=_OF_THE_WORK)
+    for key, value in world.items():
+        for name, inner in value.items() if isinstance(value, dict) else [("", value)]:
+            yield f"{key}{name and '.'}{name} {len(inner) if isinstance(value, list) else shown(inner)}"
+    yield from looser_promises(scene.planner, PlannerOptions(), "default")
 
 
 def _require_walk(walk: Walk, asked: Asked, source: str) -> tuple[str, ...]:
@@ -206,12 +225,17 @@ def _require_walk(walk: Walk, asked: Asked, source: str) -> tuple[str, ...]:
 
 
 def _walk_files(folder: Path, walk: Walk) -> tuple[str, ...]:
-    """Compare the table of a walk with its knots; return the names of the other files."""
-    names = [path.name for path in sorted(folder.iterdir()) if path.name != WALK_FILE and path.name[0] != "."]
-    if _WALK_TABLE in names:
-        table = folder / _WALK_TABLE
+    """Compare the table of a walk with its knots; return what else is there."""
+    if (table := folder / _WALK_TABLE).exists():
         require_table(read_file(table), walk_csv(walk).encode(), str(table))
-    return tuple(name for name in names if name != _WALK_TABLE)
+    return ("version, times of checks", *_others(folder, {WALK_FILE, _WALK_TABLE}))
+
+
+def _others(folder: Path, known: Collection[str]) -> tuple[str, ...]:
+    """The names of what is in a folder beside what is known."""
+    require_settled(folder)
+    names = {path.name for path in folder.iterdir()} - {*known}
+    return tuple(sorted(name for name in names if name[0] != "."))
 
 
 def _claims(plan: Plan) -> Iterator[str]:
@@ -226,7 +250,10 @@ def _claims(plan: Plan) -> Iterator[str]:
     for name, coverage in plan.coverage.items():
         if coverage.left_out or coverage.unreached:
             yield f"raster {name} (that nothing reaches the rows that it leaves out)"
-    yield "passes, missing, fallbacks, seconds, versions"
+    if any(stroke.is_open for stroke in plan.scene.strokes):
+        yield "seconds: auto (that no time is shorter)"
+    yield "start.failures, passes, runs, stopped, missing, fallbacks, seconds, versions, along_self_motion"
+    yield "certificate.checks, times of peaks, options of effort"
 
 
 def _motions(name: str, part: Plan | Walk) -> Iterator[VerifiedMotion]:

@@ -26,6 +26,8 @@ from cmbot.common.reading.validation import hint, refusal, shown
 SHORTEST_LEG = 1e-6
 """m."""
 
+# Nothing that bends is thicker or longer, m, or softer, Pa: such numbers are in mm and N/mm2.
+_THICKEST_M, _LONGEST_TUBE_M, _SOFTEST_PA = 4.0, 50.0, 1e6
 SHORTEST, LONGEST = 1e-6, 1e4
 """Bounds of a length, m: they catch some millimetres given for metres, and keep every power finite."""
 
@@ -95,7 +97,28 @@ def _mesh_name(text: str, info: ValidationInfo) -> str:
     return existing_file(text, info) if is_mesh_file(text) else text
 
 
+def _in_pascals(modulus: float) -> float:
+    if modulus < _SOFTEST_PA:
+        raise refusal(f"Pa: N/mm2? then {modulus:g}e+6", got=modulus)
+    return modulus
+
+
+def _in_metres(thickness: float) -> float:
+    if thickness > _THICKEST_M:
+        raise refusal(f"metres: millimetres? then {thickness / 1000:g}", got=thickness)
+    return thickness
+
+
+def require_span(start: Sequence[float], end: Sequence[float]) -> None:
+    """Refuse ends of a tube, ``start_m`` and ``end_m``, as far apart as if they were in millimetres."""
+    if (length := math.dist(start, end)) > _LONGEST_TUBE_M:
+        raise refusal(f"metres: millimetres? then {length / 1000:g}", got=f"{length:g} m", key=("end_m",))
+
+
 Length = Annotated[float, Field(ge=SHORTEST, le=LONGEST)]
+Thickness = Annotated[float, Field(ge=1e-5, le=LONGEST), AfterValidator(_in_metres)]
+"""Of a tube, a bar or a leg, m."""
+Modulus = Annotated[float, Field(ge=1e3, le=1e13), AfterValidator(_in_pascals)]
 Coordinate = Annotated[float, Field(ge=-LONGEST, le=LONGEST)]
 Vector = tuple[Coordinate, Coordinate, Coordinate]
 LongVector = Annotated[Vector, AfterValidator(_long_enough)]

@@ -2,7 +2,8 @@
 
 Cells are separated by commas, semicolons, tabs or blanks, as the first row shows; with other separators than
 the comma a comma may be the decimal mark. Empty lines do not count; lines that begin with ``#`` neither, but
-for one with names of the columns before the first row. Units may follow names in brackets: ``Time (s)``.
+for one with names of the columns before the first row. Units may follow names in brackets: ``Time (s)``,
+and those of places ``_`` or ``/``: ``x_mm``.
 """
 
 from __future__ import annotations
@@ -25,6 +26,10 @@ from cmbot.common.representation import short_repr
 _NAME_AND_UNIT = re.compile(r"\s*(.*?)\s*(?:[\[(]\s*([^\])]*?)\s*[\])])?\s*")
 _SEPARATORS = (";", "\t", ",")
 _COMMENT_MARK = "#"
+# Of a place the unit may end the name, too: x_mm, dx/mm.
+_PLACE_AND_UNIT = re.compile(r"\s*(d?[xyz])[_/](m|mm|cm|um|in)\s*", re.IGNORECASE)
+# What stands where nothing was measured.
+GAPS = ("", "-", "nan", "null", "none")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,8 +87,8 @@ class TextTable:
             factors.append(math.radians(1.0) if at is None else 1.0)
         return self.numbers(columns) * np.array(factors), columns
 
-    def numbers(self, columns: Sequence[int]) -> FloatArray:
-        """Return the numbers (N, k) of k columns, all finite.
+    def numbers(self, columns: Sequence[int], *, gaps: bool = False) -> FloatArray:
+        """Return the numbers (N, k) of k columns, all finite; NaN for empty cells where `gaps` may be.
 
         Raises
         ------
@@ -95,9 +100,9 @@ class TextTable:
         except ValueError:
             table = np.array([[_number(row[k]) for k in columns] for row in self.rows])
         table = table.reshape(len(self.rows), len(columns))
-        wrong = np.argwhere(~np.isfinite(table))
-        if len(wrong):
-            row, column = wrong[0]
+        for row, column in np.argwhere(~np.isfinite(table)):
+            if gaps and self.rows[row][columns[column]].lower() in GAPS:
+                continue
             name = self.names[columns[column]] if self.names else f"column {columns[column] + 1}"
             cell = self.rows[row][columns[column]]
             key = f"line {self.lines[row]}, {name}"
@@ -187,7 +192,7 @@ def _heading(lines: Sequence[str], separator: str, width: int) -> tuple[tuple[st
     for line in reversed(lines):
         cells = _cells([line.lstrip().lstrip(_COMMENT_MARK).strip()], separator)[0]
         if len(cells) == width:
-            found = [_NAME_AND_UNIT.fullmatch(cell) for cell in cells]
+            found = [_PLACE_AND_UNIT.fullmatch(cell) or _NAME_AND_UNIT.fullmatch(cell) for cell in cells]
             names = tuple(match[1].lower() if match else "" for match in found)
             return names, tuple((match[2] or "") if match else "" for match in found)
     return (), ()

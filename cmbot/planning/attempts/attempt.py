@@ -95,17 +95,21 @@ class Attempt:
         from cmbot.planning.timing.quiet_laws import quiet_laws
 
         request.reporter.step("choosing time laws by the sway that they would cause")
-        optimised = attempted(request, lambda: optimise(guess.problem))
-        if not isinstance(optimised, Optimised):
-            return self
-        laws, more_time = quiet_laws(request, optimised.trajectory)
+        # Via-points that stay leave next to nothing to optimise of the path.
+        unshaped = guess.problem.parametrization.trajectory
+        if guess.search is not None:
+            optimised = attempted(request, lambda: optimise(guess.problem))
+            if not isinstance(optimised, Optimised):
+                return self
+            unshaped = optimised.trajectory
+        laws, more_time = quiet_laws(request, unshaped)
         own = replace(self, more_time=more_time)
         if not laws:
             return own
-        timed = own.in_timing(Timing.along(request, optimised.trajectory, (), laws))
+        timed = own.in_timing(Timing.along(request, unshaped, (), laws))
         if not isinstance(timed, Attempt) or not isinstance(timed.guess, InitialGuess):
             return own
-        shaped, unshaped = timed.guess.problem.parametrization.trajectory, optimised.trajectory
+        shaped = timed.guess.problem.parametrization.trajectory
         most = sum(request.cell.sway_of(unshaped))
         return own if request.cell.sway_of(shaped)[0] > most else replace(timed, unshaped=most)
 

@@ -237,6 +237,7 @@ def _broken(limit: Limit, value: float, bound: float) -> Broken:
             | Limit.BASE_TORQUE
             | Limit.CONTINUITY
             | Limit.PEAK
+            | Limit.SWAY
             | Limit.OTHER
         ):
             return OtherLimit(what=limit)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from cmbot.common.arrays import BoolArray
+from cmbot.common.limit import Limit
 from cmbot.planning.attempts.advice import SLOWER_LEGS, slower_legs
 from cmbot.planning.attempts.agenda import Remedy, Solved, Trial
 from cmbot.planning.attempts.attempt import Attempt, agenda_of
@@ -23,6 +24,7 @@ from cmbot.planning.attempts.remedies import REMEDIES
 from cmbot.planning.budget import Budget
 from cmbot.planning.initial_guess import InitialGuess
 from cmbot.planning.timing.leg_paths import leg_paths, shortest_laws
+from cmbot.planning.timing.quiet_laws import shortest_quiet_law
 from cmbot.planning.timing.timing import Timing
 from cmbot.planning.torque import Optimised, optimise
 from cmbot.scene import Stroke
@@ -30,8 +32,10 @@ from cmbot.trajectory import QuinticTrajectory
 
 # Factors by which laws are stretched while no motion is certified.
 _STRETCHED = (1.01, 1.03, 1.06, 1.1, 1.2, 1.4, 2.0)
+# Those of laws along the path that was planned last.
+_FASTER = (1.0, 1.01, 1.06, 1.2)
 # Rounds of laws along the path that was planned last, and what is worth another one, as a share of the time.
-_MAX_LAW_ROUNDS, _WORTHWHILE_TIME_SHARE = 3, 0.99
+_MAX_LAW_ROUNDS, _WORTHWHILE_TIME_SHARE = 8, 0.99
 
 Work = Callable[[Attempt], Solved[StrokeMotion] | Failure]
 
@@ -133,10 +137,16 @@ def _timing(before: Attempt, trajectory: QuinticTrajectory) -> Timing | Failure:
     request.reporter.step("seeking the shortest time within the limits")
     legs = sorted(request.task.path.open_legs) or [law.leg for law in request.stroke.file.time_laws or ()]
     paths = leg_paths(request, legs, trajectory)
-    laws = attempted(request, lambda: tuple(shortest_laws(request, paths)))
-    if not isinstance(laws, tuple):
-        return laws
-    return Timing.along(request, trajectory, paths, laws)
+    found = attempted(request, lambda: tuple(shortest_laws(request, paths)))
+    if not isinstance(found, tuple):
+        return found
+    shortest = tuple(law for _, _, law in found)
+    if request.cell.arm is None:
+        return Timing.along(request, trajectory, paths, shortest)
+    quiet = tuple(shortest_quiet_law(request, *each) for each in found)
+    laws = quiet if request.stroke.file.speed_profile.kind == "quiet" else shortest
+    short, long = (sum(law.duration for law in each) for each in (shortest, quiet))
+    return replace(Timing.along(request, trajectory, paths, laws), both=(short, long))
 
 
 def _stretched_laws(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
@@ -144,7 +154,11 @@ def _stretched_laws(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
     timing, failure = trial.attempt.timing, trial.outcome
     if timing is None or isinstance(failure, Solved):
         return
-    longer = [factor for factor in _STRETCHED if factor > timing.factors.max()]
+    least = timing.factors.max()
+    if isinstance(failure, Uncertified) and failure.limit is Limit.SWAY:
+        # The sway falls with the square of the time.
+        least *= np.sqrt(failure.value / failure.bound)
+    longer = [factor for factor in _STRETCHED if factor > least]
     if longer and (timing.factors == timing.factors[0]).all():
         at_fault = timing.at_fault | _at_fault(trial.attempt, timing, failure)
         factors = np.full(len(timing.laws), longer[0])
@@ -174,15 +188,17 @@ def _faster_round(trial: Trial[Attempt, StrokeMotion]) -> Iterator[Attempt]:
         return
     known = sum(law.duration for law in trial.attempt.request.stroke.file.time_laws or ())
     shorter = _timing(trial.attempt, solved.result.work.trajectory)
-    if isinstance(shorter, Timing) and shorter.seconds <= _WORTHWHILE_TIME_SHARE * known:
-        yield from _stretched(trial, shorter)
-        # A little longer than the shortest is shorter than before.
-        yield from _stretched(trial, replace(shorter, factors=np.full(len(shorter.laws), _STRETCHED[0])))
+    # A little longer than the shortest is shorter than before.
+    for factor in _FASTER:
+        if isinstance(shorter, Timing) and factor * shorter.seconds <= _WORTHWHILE_TIME_SHARE * known:
+            yield from _stretched(trial, replace(shorter, factors=np.full(len(shorter.laws), factor)))
 
 
 def _at_fault(attempt: Attempt, timing: Timing, failure: Failure) -> BoolArray:
     """The legs (L,) on which an attempt failed: all of them, where that is not known."""
     legs = np.array([law.leg for law in timing.laws])
+    if isinstance(failure, Uncertified) and failure.limit is Limit.SWAY:
+        return np.ones(len(legs), dtype=np.bool_)
     factors = slower_legs(attempt.request, failure)
     if factors is not None:
         return np.asarray(factors[legs] > 1.0)

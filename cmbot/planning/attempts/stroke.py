@@ -18,6 +18,7 @@ from cmbot.planning.initial_guess import InitialGuess, guess_near, initial_guess
 from cmbot.planning.path.first_posture import starting_at_path
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.request import StrokeRequest
+from cmbot.planning.timing.timing import with_enough_via_points
 from cmbot.scene import Stroke
 from cmbot.trajectory import QuinticTrajectory
 
@@ -66,6 +67,7 @@ def plan_stroke(
         trial = agenda_of(request, certified_motion, (), Budget(runs=1)).search(attempt)
         return PlannedStroke(trial=trial, runs=1)
     budget = Budget(runs=SHORTEST_TIME_RUNS if request.task.path.open_legs else RUNS)
+    request = with_enough_via_points(request)
     first = Attempt.of(request)
     if stays and request.cell.options.knots == "sliding":
         first = replace(first, guess=attempted(request, lambda: sliding_guess(request, stay=True)))

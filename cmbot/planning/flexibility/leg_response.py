@@ -19,7 +19,7 @@ from scipy import linalg
 
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
-from cmbot.elastic.modes import linearised
+from cmbot.elastic.modes import linearised, normal_modes
 
 # Postures of a leg less one; modes of three of them that carry the motion.
 _INTERVALS, _CARRIERS = 48, 3
@@ -63,9 +63,9 @@ class LegResponse:
         posture, first, second = (q(shares, order) for order in range(3))
         at = linearised(arm, posture)
         ends = (0, _INTERVALS // 2, _INTERVALS)
-        shapes = [slowest_modes(at.mass[k], at.stiffness[k], _CARRIERS) for k in ends]
-        self.omega = shapes[1][0]
-        V = np.linalg.qr(np.hstack([shape for _, shape in shapes]))[0]
+        shapes = [normal_modes(at.mass[k], at.stiffness[k]) for k in ends]
+        self.omega = shapes[1][0][:_CARRIERS]
+        V = np.linalg.qr(np.hstack([shape[:, :_CARRIERS] for _, shape in shapes]))[0]
         du = -np.einsum("kij,kj->ki", np.linalg.solve(at.stiffness, at.weight), first)
         ddu = np.gradient(du, shares, axis=0)
         data = arm.model.createData()
@@ -129,12 +129,3 @@ class LegResponse:
             amplitude = np.hypot(w[:, f] @ momenta, v[:, f] @ momenta / np.sqrt(squares))
             swing[:, f] = 2 * amplitude @ size
         return swing
-
-
-def slowest_modes(mass: FloatArray, stiffness: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
-    """Return angular frequencies (k,), ascending, and shapes (f, k) of unit modal mass of slowest modes."""
-    squares, X = linalg.eigh(mass, stiffness)
-    squares, X = squares[: -most - 1 : -1], X[:, : -most - 1 : -1]
-    moving = squares > 0
-    squares, X = squares[moving], X[:, moving]
-    return 1 / np.sqrt(squares), X / np.sqrt(squares)

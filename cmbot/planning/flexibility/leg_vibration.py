@@ -12,8 +12,7 @@ import pinocchio as pin
 from cmbot.accuracy.sway import require_bearing
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.elastic.arm import ElasticArm
-from cmbot.elastic.modes import linearised
-from cmbot.planning.flexibility.leg_response import slowest_modes
+from cmbot.elastic.modes import linearised, normal_modes
 from cmbot.trajectory import QuinticTrajectory
 
 # Modes at the start, the middle and the end that together carry the motion in between.
@@ -125,13 +124,13 @@ def _reduced(at: _Matrices, factors: FloatArray, modes: int) -> _Carried:
     shapes of the modes: all cases have the same carriers, which the modes of each are made of.
     """
     most, last = max(_SAMPLED_MODES_PER_LEG, modes), len(at.mass) - 1
-    shapes = [slowest_modes(at.mass[k], at.stiffness[k], most)[1] for k in (0, (last + 1) // 2, last)]
+    shapes = [normal_modes(at.mass[k], at.stiffness[k])[1][:, :most] for k in (0, (last + 1) // 2, last)]
     V = np.linalg.qr(np.hstack(shapes))[0]
     by_case = factors[:, None, None, None]
     M, K = V.T @ at.mass @ V, V.T @ at.stiffness @ V + (by_case - 1) * (V.T @ at.arm.stiffness @ V)
     require_bearing(K[:, -1], factors.tolist())
-    own = [slowest_modes(M[-1], each, modes) for each in K[:, -1]]
-    r = min(len(omega) for omega, _ in own)
+    own = [normal_modes(M[-1], each) for each in K[:, -1]]
+    r = min(modes, *(len(omega) for omega, _ in own))
     omega, X = np.stack([omega[:r] for omega, _ in own]), np.stack([X[:, :r] for _, X in own])
     D = V.T @ at.gyroscopic @ V + (2 * at.arm.robot.damping_ratio / omega[:, 0])[:, None, None, None] * K
     forces = V.T @ at.coupling + V.T @ (at.mass @ at.sag_slope) / by_case

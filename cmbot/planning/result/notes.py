@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from cmbot.common.limit import Limit
+from cmbot.elastic import elastic_base
 from cmbot.planning.job import RETURN
 from cmbot.planning.request import end_posture_of
 from cmbot.planning.result.baseline import Baseline
@@ -24,7 +25,7 @@ from cmbot.planning.result.judgement import (
 from cmbot.planning.result.plan import Plan
 from cmbot.planning.workcell.stiffness import identified_in_words
 from cmbot.planning.workcell.units import mistaken_units
-from cmbot.planning.workcell.workcell import rigid_arm_remark
+from cmbot.planning.workcell.workcell import held_guardrail, rigid_arm_remark
 from cmbot.robot import Dynamics, postures_in_words
 from cmbot.scene import STOW, Uncertainty
 
@@ -37,6 +38,8 @@ _CLOSED_GAP_SHARE = 1e-2
 _MUCH_JERK_FACTOR, _LITTLE_JERK = 2.0, 1e-3
 # Joints that travel so many times as far as the baseline's are told.
 _TOLD_TRAVEL_RATIO = 2.0
+# A lift that moves by more may well bend otherwise, m.
+_TOLD_SLIDE_M = 0.01
 # A lower bound below this share of the peak counts as zero.
 _ZERO_BOUND_SHARE = 1e-9
 # What a magnet is thought to lose to rust, paint and gaps.
@@ -205,8 +208,19 @@ def _told(plan: Plan) -> Iterator[Note]:
     for stiffness in (rigid_arm_remark(plan.scene, plan.robot), identified_in_words(plan.scene)):
         if stiffness:
             yield Note(level="note", key="stiffness", values={"text": stiffness})
+    yield from _slid(plan)
     for key, looks, units in mistaken_units(plan.scene):
         yield Note(level="warning", key="units", values={"of": key, "looks": looks, "units": units})
+
+
+def _slid(plan: Plan) -> Iterator[Note]:
+    """A lift or rail that moves, on a base that bends the same wherever it is."""
+    if elastic_base(held_guardrail(plan.scene, plan.robot)) is None or not plan.robot.limits.prismatic[0]:
+        return
+    q = np.concatenate([segment.trajectory.q[:, 0] for segment in plan.job.segments])
+    if np.ptp(q) > _TOLD_SLIDE_M:
+        values = {"joint": plan.robot.joints[0], "low": float(q.min()), "high": float(q.max())}
+        yield Note(level="warning", key="slid", values=values | {"base": plan.scene.base_name})
 
 
 def _objective(plan: Plan) -> Iterator[Note]:

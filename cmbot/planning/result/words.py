@@ -320,6 +320,10 @@ _SENTENCES: dict[str, str | Callable[..., str]] = {
     "robot": "{text}",
     "stiffness": "{text}",
     "units": "Numbers of {of} look like {looks}; they were taken as {units}.",
+    "slid": (
+        "{joint} slides from {low:.3g} to {high:.3g} m, but the {base} bends the same everywhere: state how "
+        "it bends where it is softest."
+    ),
     "no_gravity": (
         "Gravity has no part in what was minimised: at rest that is 0 everywhere, so no posture was chosen "
         "by it. axis_weights with x or y above 0 count gravity's torque, too."

@@ -29,6 +29,10 @@ from cmbot.toolpath import TimeLaw
 _POINTS_PER_PHASE, _FINAL_POINTS = 4, 12
 # Programs at most, least gain of one, and the box at first and at last, as a share of the largest node.
 _MAX_PROGRAMS, _LEAST_GAIN, _BOX, _SMALLEST_BOX = 60, 1e-4, 0.5, 1e-3
+# A law of so many phases is sought from one of half of them.
+_MIN_REFINED_PHASES = 24
+# Points of any other law.
+_LAW_POINTS = 721
 # Shares of a smooth law that are mixed in until a law leads forward everywhere.
 _SMOOTH_LAW_SHARES = (0.0, 0.01, 0.1, 0.5, 1.0)
 # Rows below this share of their bounds are left to the next program; few get beyond them in one step.
@@ -119,8 +123,8 @@ def shortest_law(
     phases : int
         K, at least 6.
     known : (K + 1,), optional
-        Jerk at the nodes of a law that is known, from which the search begins where that is shorter than the
-        smooth one: the programs find the optimum nearest to where they begin.
+        Jerk at the nodes of a law that is known. The search begins there, too, and with a law of half the
+        phases, or the smoothest: programs find the optimum nearest to where they begin.
 
     Returns
     -------
@@ -130,13 +134,34 @@ def shortest_law(
     space = _Nodes(phases)
     coarse = _Points(space, phases * _POINTS_PER_PHASE, bounded)
     starts = [space.smooth(), *([] if known is None else [known[1:-1]])]
-    nodes, box = min(starts, key=coarse.seconds), _BOX
-    seconds = coarse.seconds(nodes)
-    for _ in range(_MAX_PROGRAMS):
-        if not np.isfinite(seconds):
+    if phases % 2 == 0 and phases >= _MIN_REFINED_PHASES:
+        # From few nodes programs get further.
+        halved = shortest_law(bounded, phases // 2)[1]
+        starts[0] = np.interp(np.arange(1, phases), np.arange(0, phases + 1, 2), halved)
+    nodes, seconds = min((_descended(coarse, start) for start in starts), key=lambda law: law[1])
+    fine, smooth = _Points(space, phases * _FINAL_POINTS, bounded), space.smooth()
+    # Between the coarse points a law may lead back a little: the smooth one does not.
+    for share in _SMOOTH_LAW_SHARES if np.isfinite(seconds) else _SMOOTH_LAW_SHARES[:1]:
+        law = nodes + share * (smooth - nodes)
+        seconds = fine.seconds(law)
+        if np.isfinite(seconds):
             break
-        step = coarse.step(nodes, seconds, box * np.abs(nodes).max())
-        trial = np.inf if step is None else coarse.seconds(nodes + step)
+    return space.law(law), np.concatenate([[0.0], law, [0.0]]), seconds
+
+
+def least_seconds(bounded: Sequence[Bounded], law: TimeLaw) -> float:
+    """Return the least duration of a law within bounds, s; infinite where one is exceeded at rest."""
+    u = np.linspace(0.0, 1.0, _LAW_POINTS)
+    d = [law.share(u), *(law.rate(u, order) for order in (1, 2, 3))]
+    return _Points(_Nodes(1), 1, bounded).least(d)
+
+
+def _descended(points: _Points, nodes: FloatArray) -> tuple[FloatArray, float]:
+    """The optimum (K - 1,) that programs find from nodes on, and its duration, s."""
+    seconds, box = points.seconds(nodes), _BOX
+    for _ in range(_MAX_PROGRAMS if np.isfinite(seconds) else 0):
+        step = points.step(nodes, seconds, box * np.abs(nodes).max())
+        trial = np.inf if step is None else points.seconds(nodes + step)
         if step is not None and trial < seconds:
             gain = 1 - trial / seconds
             nodes, seconds = nodes + step, trial
@@ -147,14 +172,7 @@ def shortest_law(
         box /= 4
         if box < _SMALLEST_BOX:
             break
-    fine, smooth = _Points(space, phases * _FINAL_POINTS, bounded), space.smooth()
-    # Between the coarse points a law may lead back a little: the smooth one does not.
-    for share in _SMOOTH_LAW_SHARES if np.isfinite(seconds) else _SMOOTH_LAW_SHARES[:1]:
-        law = nodes + share * (smooth - nodes)
-        seconds = fine.seconds(law)
-        if np.isfinite(seconds):
-            break
-    return space.law(law), np.concatenate([[0.0], law, [0.0]]), seconds
+    return nodes, seconds
 
 
 class _Points:
@@ -169,24 +187,23 @@ class _Points:
         s, rate = (matrix @ nodes for matrix in self._matrices[:2])
         if rate.min() < -1e-9 or s.max() > 1 + 1e-9:
             return float(np.inf)
+        return self.least([matrix @ nodes for matrix in self._matrices])
+
+    def least(self, d: list[FloatArray]) -> float:
+        """The least duration, s, of a law that is `d`, with its derivatives, at some points."""
         inverse = np.inf  # of the duration
-        for rows in self._rows(nodes, derivatives=False):
+        for rows in self._rows(d, derivatives=False):
             if (rows.at_rest >= rows.bound).any():
                 return float(np.inf)
-            inverse = min(inverse, self._fastest(rows))
+            with np.errstate(divide="ignore", invalid="ignore"):
+                room = np.where(rows.moving > 0, (rows.bound - rows.at_rest) / rows.moving, np.inf)
+            inverse = min(inverse, float(room.min(initial=np.inf) ** (1 / rows.order)))
         return float(1.0 / inverse)
-
-    @staticmethod
-    def _fastest(rows: _Rows) -> float:
-        """The largest inverse of a duration that rows allow."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            room = np.where(rows.moving > 0, (rows.bound - rows.at_rest) / rows.moving, np.inf)
-        return float(room.min(initial=np.inf) ** (1 / rows.order))
 
     def step(self, nodes: FloatArray, seconds: float, box: float) -> FloatArray | None:
         """The step of the nodes that a linear program finds in a box."""
         matrix, bound = [], []
-        for rows in self._rows(nodes, derivatives=True):
+        for rows in self._rows([matrix @ nodes for matrix in self._matrices], derivatives=True):
             moving = rows.moving / seconds**rows.order
             value = rows.at_rest + moving
             near = value >= _ACTIVE_ROW_SHARE * rows.bound
@@ -209,9 +226,8 @@ class _Points:
         )
         return np.asarray(solved.x[:-1]) if solved.status == 0 else None
 
-    def _rows(self, nodes: FloatArray, *, derivatives: bool) -> Iterator[_Rows]:
-        """The rows of a law, with or without derivatives."""
-        d = [matrix @ nodes for matrix in self._matrices]
+    def _rows(self, d: list[FloatArray], *, derivatives: bool) -> Iterator[_Rows]:
+        """The rows of a law, with or without derivatives by the nodes."""
         s = np.clip(d[0], 0.0, 1.0)
         for one in self._bounded:
             powers, by_law = _powers(one.order, d)

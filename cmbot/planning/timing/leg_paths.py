@@ -28,8 +28,9 @@ _POINTS_PER_PIECE, _MIN_POINTS = 6, 240
 # Shares of the bounds that laws may use: splines through some points of a law's motion swing a little about
 # it.
 _VELOCITY, _ACCELERATION, _JERK, _TORQUE, _BASE_TORQUE, _TOOL_SPEED = 0.995, 0.99, 0.97, 0.98, 0.995, 0.999
-# Phases of a law, for each segment of the splines that follow it and in all: they have about as many numbers.
-_PHASES, _FEWEST_PHASES, _MOST_PHASES = 2, 12, 60
+# Phases of a law: a few for each segment of the splines that follow it, or one for a few segments. Where the
+# jerk bends at other times than at knots or halfway, hardly any splines follow.
+_PHASES, _FEWEST_PHASES, _MOST_PHASES = 2, 12, 80
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -123,8 +124,12 @@ def bounds_along(
     return bounded
 
 
-def shortest_laws(request: StrokeRequest, paths: Sequence[LegPath]) -> Iterator[LegLaw]:
+def shortest_laws(
+    request: StrokeRequest, paths: Sequence[LegPath]
+) -> Iterator[tuple[LegPath, list[Bounded], LegLaw]]:
     """Yield the shortest laws along joint paths within a request's limits, sought from those that it has.
+
+    With each its path and what bounds it.
 
     Raises
     ------
@@ -135,7 +140,8 @@ def shortest_laws(request: StrokeRequest, paths: Sequence[LegPath]) -> Iterator[
     max_speed = None if task.max_speed is None else task.max_speed / (1 + SPEED_TOLERANCE)
     known = {law.leg: law for law in request.stroke.file.time_laws or ()}
     for each in paths:
-        phases = int(np.clip(_PHASES * each.segments, _FEWEST_PHASES, _MOST_PHASES))
+        finer = max(min(_PHASES, _MOST_PHASES // each.segments), _FEWEST_PHASES // each.segments)
+        phases = each.segments * finer or each.segments // -(-each.segments // _MOST_PHASES)
         bounded = bounds_along(request.cell.robot, each.q, max_speed, task.max_base_torque)
         law, before = known.get(each.leg), None
         if law is not None and len(law.seconds) == phases:
@@ -143,11 +149,8 @@ def shortest_laws(request: StrokeRequest, paths: Sequence[LegPath]) -> Iterator[
         _, jerk, seconds = shortest_law(bounded, phases, before)
         if not np.isfinite(seconds):
             raise _too_heavy(request, each)
-        yield LegLaw(
-            leg=each.leg,
-            seconds=(seconds / phases,) * phases,
-            jerk=tuple(float(x) for x in jerk / seconds**3),
-        )
+        each_jerk = tuple(float(x) for x in jerk / seconds**3)
+        yield each, bounded, LegLaw(leg=each.leg, seconds=(seconds / phases,) * phases, jerk=each_jerk)
 
 
 def _too_heavy(request: StrokeRequest, path: LegPath) -> LimitViolation:

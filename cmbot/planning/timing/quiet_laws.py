@@ -8,7 +8,7 @@ of a leg joints move while the tool hardly does, so derivatives by the share hav
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
@@ -19,6 +19,9 @@ from scipy.interpolate import CubicSpline
 from cmbot.common.arrays import FloatArray
 from cmbot.planning.flexibility.leg_response import LegResponse
 from cmbot.planning.request import StrokeRequest
+from cmbot.planning.timing.law_search import Bounded, least_seconds
+from cmbot.planning.timing.leg_paths import LegPath
+from cmbot.planning.timing.timing import SHORT_LEG_PERIODS
 from cmbot.toolpath import LegLaw, Segment, Shaper, TimeLaw, extra_insensitive, two_hump
 from cmbot.trajectory import QuinticTrajectory
 
@@ -37,9 +40,11 @@ _MAX_LEGS = 8
 # Times of a leg at which laws are compared, but for the bounds within this share of its ends: self-motion
 # there goes by the time of the motion that is known, and is another one in a law that is planned.
 _LAW_TIMES, _LEAVING = 241, 0.1
-# Legs of so few periods of the slowest mode are short; so many times as long they are tried, and told where
-# that leaves this share of the sway.
-_SHORT_LEG_PERIODS, _LONGER_FACTORS, _WORTH_SHARE = 6.0, (1.25, 1.5, 2.0, 3.0), 0.5
+# So many times as long short legs are tried, and told where that leaves this share of the sway.
+_LONGER_FACTORS, _WORTH_SHARE = (1.25, 1.5, 2.0, 3.0), 0.5
+# Share of the largest sway that laws may have, as predicted; factors by which they are slowed at once, and at
+# most.
+_SWAY_SHARE, _SLOWING, _MAX_SLOWING = 0.9, (1.02, 2.0), 20.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -142,7 +147,7 @@ def quiet_laws(
 def _more_time(request: StrokeRequest, leg: _Leg, response: LegResponse, sway: float) -> Iterator[MoreTime]:
     """The least of some longer times of a short leg in which the tool sways much less, if any."""
     periods = leg.seconds * float(response.omega[0]) / (2 * np.pi)
-    for factor in _LONGER_FACTORS if periods <= _SHORT_LEG_PERIODS else ():
+    for factor in _LONGER_FACTORS if periods <= SHORT_LEG_PERIODS else ():
         longer = factor * leg.seconds
         laws = [each.law for each in _candidates(request, leg.number, response.omega, longer)]
         less = float(_merit(request, response, leg.when(laws), longer).min())
@@ -151,6 +156,57 @@ def _more_time(request: StrokeRequest, leg: _Leg, response: LegResponse, sway: f
                 leg=leg.number, periods=periods, seconds=leg.seconds, longer=longer, sway=sway, less=less
             )
             return
+
+
+def shortest_quiet_law(
+    request: StrokeRequest, path: LegPath, bounded: Sequence[Bounded], shortest: LegLaw
+) -> LegLaw:
+    """Return the shortest law of a leg, shaped, and slowed until it keeps the bound of the sway.
+
+    Parameters
+    ----------
+    request : StrokeRequest
+        Its arm bends.
+    path : LegPath
+    bounded : sequence of Bounded
+        Along the path.
+    shortest : LegLaw
+        Within these bounds.
+    """
+    arm, most = request.cell.arm, request.stroke.file.max_sway_mm
+    if arm is None:
+        return shortest
+    response, base, share = LegResponse(arm, path.q), shortest.law, request.cell.options.quiet_stiffness_share
+
+    def timed(shaper: Shaper | None, factor: float) -> tuple[float, TimeLaw, float]:
+        """The time in which a shaped law keeps the limits, the law, and how far the tool is moved, m."""
+        seconds = factor * shortest.duration + (0.0 if shaper is None else shaper.duration)
+        law = base if shaper is None else base.shaped(shaper, seconds)
+        seconds = max(seconds, least_seconds(bounded, law))
+        found = response.of([_derivatives(law)], seconds, sorted({1 - share, 1.0, 1 + share}))
+        both = found.sway.max(), found.swing.max()
+        return seconds, law, float(sum(both) if most is None else max(both))
+
+    shapers = _shapers(response.omega, request.cell.robot.damping_ratio)
+    laws = [timed(shaper, 1.0) for shaper in shapers]
+    if most is None:
+        seconds, law, _ = min(laws, key=lambda each: each[2])
+        return LegLaw.of(path.leg, law, seconds)
+    bound = _SWAY_SHARE * 1e-3 * most
+    for shaper, (_, _, moved) in zip(shapers, tuple(laws), strict=True):
+        factor = 1.0
+        # By so much slower a law moves the tool less by about the square of it.
+        while moved > bound and factor < _MAX_SLOWING:
+            factor *= float(np.clip(np.sqrt(moved / bound), *_SLOWING))
+            laws.append(timed(shaper, factor))
+            moved = laws[-1][2]
+    keeping = [law for law in laws if law[2] <= bound]
+    seconds, law, _ = min(keeping) if keeping else min(laws, key=lambda each: each[2])
+    return LegLaw.of(path.leg, law, seconds)
+
+
+def _derivatives(law: TimeLaw) -> Callable[[FloatArray, int], FloatArray]:
+    return lambda u, order: law.rate(u, order) if order else law.share(u)
 
 
 def _unlikeness(segments: Sequence[Segment], leg: int, other: int) -> tuple[float, int]:

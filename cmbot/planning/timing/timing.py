@@ -9,9 +9,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.elastic.modes import arm_modes
+from cmbot.elastic.sag import TooSoftError
 from cmbot.planning.request import StrokeRequest
 from cmbot.toolpath import LegLaw
 from cmbot.trajectory import QuinticTrajectory
+
+SHORT_LEG_PERIODS = 6.0
+"""Legs of so few periods of the slowest mode are short."""
+
+# Via-points of strokes with such legs, and at most.
+_VIA_POINTS_PER_PERIOD, _MOST_VIA_POINTS = 4, 100
 
 if TYPE_CHECKING:
     # It loads SciPy's splines, which only times that are sought need.
@@ -37,6 +45,8 @@ class Timing:
         Legs on which motions in less time failed.
     reason : str
         Why the first of these failed.
+    both : two floats, optional
+        Of times that are sought: the shortest within the limits, and the shortest that is quiet, s.
     """
 
     request: StrokeRequest
@@ -46,6 +56,7 @@ class Timing:
     factors: FloatArray
     at_fault: BoolArray
     reason: str = ""
+    both: tuple[float, float] | None = None
 
     @staticmethod
     def along(
@@ -91,6 +102,28 @@ class Timing:
         # The arm starts where it did.
         q[0] = self.trajectory.q[0]
         return q
+
+
+def with_enough_via_points(request: StrokeRequest) -> StrokeRequest:
+    """Return the request of a quiet stroke with more via-points, if splines follow its short legs by that.
+
+    Between fewer than four a period of the slowest mode the motion is what the optimum makes of it, not what
+    the law asks for: that swings up to five times as much.
+    """
+    path, arm, file = request.task.path, request.cell.arm, request.stroke.file
+    is_chosen = file.speed_profile.kind == "quiet" and not (file.time_laws or path.open_legs)
+    if arm is None or not is_chosen or request.cell.options.knots == "fixed":
+        return request
+    try:
+        frequency = float(arm_modes(arm, request.first).frequencies[0])
+    except TooSoftError:
+        return request
+    if not any(
+        leg.curve.length > 0 and leg.seconds * frequency <= SHORT_LEG_PERIODS for leg in path.segments
+    ):
+        return request
+    number = min(1 + int(np.ceil(_VIA_POINTS_PER_PERIOD * frequency * path.duration)), _MOST_VIA_POINTS)
+    return replace(request, times=path.via_times(max(number, len(request.times))))
 
 
 def in_time(request: StrokeRequest, laws: Sequence[LegLaw]) -> StrokeRequest:

@@ -190,12 +190,7 @@ def _bound_checks(
 
 
 def _joint_check(
-    arm: DescribedArm,
-    quantity: str,
-    times: FloatArray,
-    value: FloatArray,
-    limit: str,
-    units: tuple[str, str],
+    arm: DescribedArm, quantity: str, times: FloatArray, value: FloatArray, limit: str, units: tuple[str, str]
 ) -> Check:
     """The joint, of absolute values (N, n), that uses most of its limit; units if it turns or slides."""
     bound = getattr(arm.limits, limit)

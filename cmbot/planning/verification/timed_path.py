@@ -111,13 +111,7 @@ class _LegPath:
         # A speed is that between ramps which take the tool half as far.
         cruise = 0.0 if leg.speed_m_s is None else length / (leg.speed_m_s * (1 - self._profile.ramp))
         piece = _Piece(
-            start=p,
-            way=way,
-            R=R,
-            turn=turn,
-            seconds=leg.given_seconds or cruise,
-            centre=centre,
-            angle=angle,
+            start=p, way=way, R=R, turn=turn, seconds=leg.given_seconds or cruise, centre=centre, angle=angle
         )
         self._p, self._R = piece.at(np.ones(1))[0][0], Rotation.from_rotvec(turn) * R
         return piece

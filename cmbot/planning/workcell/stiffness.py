@@ -17,8 +17,7 @@ from cmbot.scene import PlannerOptions, Scene
 
 # By what share a modelled stiffness may differ from what an identified one was compared with.
 _STIFFNESS_TOLERANCE = 1e-6
-# Slowest modes whose stiffness counts, and standard deviations of it that are allowed for.
-_MODES = 2
+# Standard deviations of the modes' stiffness that are allowed for.
 _COVERED_SIGMAS = 2.0
 
 
@@ -94,7 +93,7 @@ def known_share(scene: Scene, arm: ElasticArm, options: PlannerOptions) -> Plann
     parameters = StiffnessParameters(arm)
     zero = np.zeros(parameters.count)
     posture = np.array(scene.posture)
-    slowest = arm_modes(arm, posture).shapes[:, :_MODES]
+    slowest = arm_modes(arm, posture).shapes[:, : max(options.quiet_modes, 1)]
     _, slopes = frequency_slopes(arm, parameters, zero, posture, slowest)
     # A mode's stiffness goes with the square of its frequency.
     deviation = 2 * np.sqrt(np.einsum("kp,pr,kr->k", slopes, covariance, slopes).max())

@@ -17,7 +17,17 @@ from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_v
 from cmbot.collision import Box, Obstacle
 from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.poses import pose
-from cmbot.common.reading.fields import Angle, Coordinate, Length, Slug, exactly_one, one_of_schema, si_fields
+from cmbot.common.reading.fields import (
+    Angle,
+    Coordinate,
+    Length,
+    Modulus,
+    Slug,
+    Thickness,
+    exactly_one,
+    one_of_schema,
+    si_fields,
+)
 from cmbot.common.reading.validation import FileModel, refusal, shown
 from cmbot.elastic import (
     AngleSection,
@@ -36,8 +46,6 @@ from cmbot.scene.base.matrices import Matrix6, check_positive_definite, six_rows
 from cmbot.scene.base.stance import StanceFile, axis_point, foothold_face, foothold_pose
 
 _SECTIONS = ("angle", "bar")
-# No member of a guardrail is as thick, m: such numbers are millimetres.
-_THICKEST_M = 2.0
 
 
 class SectionFile(FileModel):
@@ -45,17 +53,14 @@ class SectionFile(FileModel):
 
     model_config = ConfigDict(json_schema_extra=one_of_schema(_SECTIONS))
 
-    angle: tuple[Length, Length] | None = None
+    angle: tuple[Thickness, Thickness] | None = None
     """Equal-leg angle steel: [leg, thickness], m."""
-    bar: Length | None = None
+    bar: Thickness | None = None
     """Round bar: diameter, m."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         exactly_one(self, _SECTIONS)
-        for key, size in (("angle", self.angle and self.angle[0]), ("bar", self.bar)):
-            if size is not None and size > _THICKEST_M:
-                raise refusal(f"metres: millimetres? then {size / 1000:g}", got=size, key=(key,))
         if self.angle is not None and self.angle[1] >= self.angle[0]:
             raise refusal("a thickness below the leg", got=self.angle, key=("angle",))
         return self
@@ -116,9 +121,9 @@ class FootFile(FileModel):
 class MaterialFile(FileModel):
     """Material of all members; steel by default."""
 
-    young_pa: Annotated[float, Field(ge=1e3, le=1e13)] = 206e9
+    young_pa: Modulus = 206e9
     """Young's modulus, Pa."""
-    shear_pa: Annotated[float, Field(ge=1e3, le=1e13)] = 79e9
+    shear_pa: Modulus = 79e9
     """Shear modulus, Pa."""
     density_kg_m3: Annotated[float, Field(ge=0, le=1e5)] = 7850.0
     """Density, kg/m3."""

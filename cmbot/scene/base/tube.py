@@ -9,12 +9,9 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from cmbot.common.arrays import FloatArray, read_only
+from cmbot.common.reading.fields import Modulus, Thickness, Vector, require_span
 from cmbot.common.reading.validation import FileModel, refusal
 
-Coordinate = Annotated[float, Field(ge=-1e4, le=1e4)]
-Point = tuple[Coordinate, Coordinate, Coordinate]
-Length = Annotated[float, Field(ge=1e-5, le=1e4)]
-Modulus = Annotated[float, Field(ge=1e3, le=1e13)]
 Density = Annotated[float, Field(ge=0, le=1e5)]
 
 
@@ -24,13 +21,13 @@ class TubeFile(FileModel):
     An Euler-Bernoulli beam with its consistent mass, in place of the guardrail's stiffness and mass.
     """
 
-    start_m: Point
+    start_m: Vector
     """Where it is clamped, m, in W."""
-    end_m: Point = (0.0, 0.0, 0.0)
+    end_m: Vector = (0.0, 0.0, 0.0)
     """Where it holds the arm, m, in W; left out: the origin of W."""
-    outer_diameter_m: Length
+    outer_diameter_m: Thickness
     """Of the tube."""
-    wall_m: Length
+    wall_m: Thickness
     """Its wall; half the diameter: a solid bar."""
     young_pa: Modulus
     """Young's modulus, Pa: aluminium 70e9, steel 206e9."""
@@ -46,6 +43,7 @@ class TubeFile(FileModel):
             raise refusal(expected, got=self.end_m, key=("end_m",))
         if 2 * self.wall_m > self.outer_diameter_m:
             raise refusal("at most half of outer_diameter_m", got=self.wall_m, key=("wall_m",))
+        require_span(self.start_m, self.end_m)
         return self
 
     def matrices(self) -> tuple[FloatArray, FloatArray]:

@@ -50,6 +50,9 @@ RESERVED = ("approach", WORK, "return")
 FREE_MOVE = re.compile(r"free_\d+")
 """Names of the free moves between strokes."""
 
+BOUNDS = ("max_base_torque_nm", "max_sway_mm")
+"""What is bounded beside the shortest time."""
+
 _TIMING_KEYS = ("seconds", "speed_m_s")
 _KEPT_TASKS = ("pose", "axis", "position")
 
@@ -104,6 +107,8 @@ class PathFile(FileModel):
     joints and tool; also for legs without a time of their own, and beside `strokes` for all strokes."""
     max_base_torque_nm: Annotated[float, Field(gt=0, le=1e6)] | None = None
     """With ``seconds: auto``: the largest torque on the base, Nm, with the tool on; left out: any."""
+    max_sway_mm: Annotated[float, Field(gt=0, le=1e4)] | None = None
+    """With ``seconds: auto``: the largest sway at work, and the largest swing after it, mm; left out: any."""
     time_laws: Annotated[tuple[LegLaw, ...], Field(max_length=2000)] | None = None
     """How legs with ``seconds: auto``, or of a ``quiet`` path, are covered, as planning found it: in the
     scenes of plans. Left out: it is searched."""
@@ -157,9 +162,12 @@ class PathFile(FileModel):
             legs = (leg if leg.is_timed else replace(leg, seconds=AUTO) for leg in self.legs)
             object.__setattr__(self, "legs", tuple(legs))
             object.__setattr__(self, "seconds", None)
-        if not self.is_open and self.max_base_torque_nm is not None:
-            expected = "no such key without seconds: auto"
-            raise refusal(expected, got="a value", key=(*at, "max_base_torque_nm"))
+        for name in () if self.is_open else BOUNDS:
+            if getattr(self, name) is not None:
+                raise refusal("no such key without seconds: auto", got="a value", key=(*at, name))
+        if not self.is_open and self.speed_profile.kind == "shortest":
+            expected = "another kind without seconds: auto"
+            raise refusal(expected, got="shortest", key=(*at, "speed_profile", "kind"))
         if not (self.is_open or self.speed_profile.kind == "quiet") and self.time_laws is not None:
             expected = "no such key without seconds: auto or speed_profile: {kind: quiet}"
             raise refusal(expected, got="a value", key=(*at, "time_laws"))
@@ -286,13 +294,14 @@ class StrokeFile(PathFile):
         return self.backwards or super().has_start
 
     def in_shortest_time(self) -> Self | None:
-        """Return the stroke with ``seconds: auto``; None where a speed is asked of its process."""
+        """Return the stroke in the shortest time within the limits; None where a process has a speed."""
         if self.speed_tolerance is not None or self.lead_in_m or self.lead_out_m:
             return None
         legs = tuple(
             leg if leg.pause is not None else replace(leg, seconds=AUTO, speed_m_s=None) for leg in self.legs
         )
-        return self.changed(legs=legs, seconds=None if legs else AUTO, speed_m_s=None, time_laws=None)
+        profile, seconds = replace(self.speed_profile, kind="shortest"), None if legs else AUTO
+        return self.changed(legs=legs, seconds=seconds, speed_m_s=None, time_laws=None, speed_profile=profile)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -339,7 +348,7 @@ class ToolPathFile(PathFile):
                 raise refusal("no such key without strokes", got=self.order, key=("order",))
             return self
         for name, field in PathFile.model_fields.items():
-            if self.seconds == AUTO and name in ("seconds", "max_base_torque_nm"):
+            if self.seconds == AUTO and name in ("seconds", *BOUNDS):
                 continue
             if self.via_points == AUTO and name == "via_points":
                 continue
@@ -347,7 +356,7 @@ class ToolPathFile(PathFile):
                 expected = "no such key beside strokes, which have their own"
                 raise refusal(expected, got="a value", key=(field.alias or name,))
         named = tuple(self._completed(stroke, k) for k, stroke in enumerate(self.strokes, start=1))
-        for name in ("seconds", "max_base_torque_nm", "via_points"):
+        for name in ("seconds", *BOUNDS, "via_points"):
             object.__setattr__(self, name, type(self).model_fields[name].default)
         for k, stroke in enumerate(named):
             stroke._check_times(("strokes", k))
@@ -379,8 +388,8 @@ class ToolPathFile(PathFile):
         timed = stroke.speed_m_s is not None or isinstance(stroke.seconds, float)
         timed |= bool(stroke.legs) and all(leg.is_timed and leg.seconds != AUTO for leg in stroke.legs)
         if self.seconds == AUTO and not timed:
-            most = stroke.max_base_torque_nm or self.max_base_torque_nm
-            changes |= {"seconds": AUTO, "max_base_torque_nm": most}
+            changes |= {name: getattr(stroke, name) or getattr(self, name) for name in BOUNDS}
+            changes["seconds"] = AUTO
         return stroke.changed(**changes) if changes else stroke
 
     def _check_order(self, strokes: Sequence[StrokeFile]) -> None:

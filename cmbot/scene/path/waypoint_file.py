@@ -26,7 +26,7 @@ _ANGLE_COLUMNS = ("roll", "pitch", "yaw")
 _NORMAL_COLUMNS = (("nx", "ny", "nz"), ("i", "j", "k"))
 _TIME_COLUMNS = ("seconds", "time", "t")
 _IN_METRES = {"": 1.0, "m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}
-_ORIENTATION_COLUMNS = "qw,qx,qy,qz or roll,pitch,yaw or nx,ny,nz or i,j,k"
+_POSE_COLUMNS, _AXIS_COLUMNS = "qw,qx,qy,qz or roll,pitch,yaw", "nx,ny,nz or i,j,k"
 # Names that are no columns of anything: numbers of rows.
 _ROW_NUMBERS = ("", "index", "id", "n", "#")
 # A unit quaternion up to what files round; a direction shorter than this is none.
@@ -37,7 +37,9 @@ class WaypointFile(FileModel):
     """A table of waypoints, and where its coordinates are."""
 
     file: Annotated[str, Field(min_length=1, max_length=4096)]
-    """Its path, relative to the scene file."""
+    """Its path, relative to the scene file. Columns ``x,y,z`` (or ``x_mm``, ``x (mm)``), then
+    ``qw,qx,qy,qz`` or ``roll,pitch,yaw``, rad, or with ``_deg``; with ``keep: axis`` also ``nx,ny,nz`` or
+    ``i,j,k``; with ``keep: position`` none of these; times in ``seconds``."""
     units: Literal["m", "mm", "cm", "in"] = "m"
     """Of places whose columns name no unit."""
     xyz: Vector = (0.0, 0.0, 0.0)
@@ -78,7 +80,7 @@ def read_waypoints(path: Path, given: WaypointFile, keep: object) -> tuple[list[
     places = [table.index(name) for name in _POSITION_COLUMNS]
     if None in places:
         got = f"the columns {','.join(table.names)}" if table.names else "no names of columns"
-        raise SceneError(table.source, "line 1", got, f"the columns x,y,z, and {_ORIENTATION_COLUMNS}")
+        raise SceneError(table.source, "line 1", got, f"the columns x,y,z, and {_needed(keep)}")
     used = [k for k in places if k is not None]
     scales = [_IN_METRES.get(table.units[k].lower()) for k in used]
     if None in scales:
@@ -139,8 +141,15 @@ def _orientations(table: TextTable, keep: object, used: list[int]) -> FloatArray
             used += columns
             return _against(table.numbers(columns), table, names)
     if keep != "position":
-        raise SceneError(table.source, "line 1", "places alone", f"{_ORIENTATION_COLUMNS}, or keep: position")
+        raise SceneError(table.source, "line 1", "places alone", _needed(keep))
     return np.tile([1.0, 0.0, 0.0, 0.0], (len(table.rows), 1))
+
+
+def _needed(keep: object) -> str:
+    """The columns of orientation that go with what is kept, and what to keep of the tool without them."""
+    if keep in (None, "pose"):
+        return f"{_POSE_COLUMNS}; or with keep: axis {_AXIS_COLUMNS}, with keep: position none"
+    return f"{_POSE_COLUMNS} or {_AXIS_COLUMNS}, or keep: position"
 
 
 def _against(normals: FloatArray, table: TextTable, names: tuple[str, ...]) -> FloatArray:

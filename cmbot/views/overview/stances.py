@@ -29,7 +29,7 @@ _DOT_COLOURS = {
 _ROWS, _OPEN = 60, 10
 _MEANINGS = {
     "torque": "peak torque on the base at work",
-    "hold": "adhesion needed at work",
+    "hold": "adhesion needed over the job",
     "sag": "sag of the tool at work",
     "sway": "sway of the tool on a shaken deck",
 }

@@ -3,13 +3,16 @@
 import re
 
 import numpy as np
+import pytest
 
 from cmbot import Plan, load_scene, plan
+from cmbot.elastic.modes import arm_modes
+from cmbot.planning import bending_arm
 
 SOFT = np.diag([2e4, 2e4, 1e5, 4e3, 4e3, 4e3])
 
 
-def planned(seconds: float, stiffness: float = 1.0) -> Plan:
+def planned(seconds: float, stiffness: float = 1.0, via_points: int = 21) -> Plan:
     return plan(
         load_scene(
             {
@@ -21,7 +24,7 @@ def planned(seconds: float, stiffness: float = 1.0) -> Plan:
                 "tool_path": {
                     "keep": "pose",
                     "legs": [{"by": [0, 0.1, 0], "seconds": seconds}],
-                    "via_points": 21,
+                    "via_points": via_points,
                 },
             }
         ),
@@ -46,3 +49,16 @@ def test_what_more_seconds_give_on_a_short_leg_is_told_and_true() -> None:
     assert moved(planned(longer)) < 0.6 * moved(short)
     # The same leg on a stiff mast has more periods.
     assert not any("periods" in each for each in planned(1.2, stiffness=50.0).fallbacks)
+
+
+def test_short_legs_have_as_many_via_points_as_their_law_needs() -> None:
+    made = planned(1.2, via_points=8)
+    (told,) = (each for each in made.fallbacks if "via-points in place of 8" in each)
+    number = len(made.trajectory.t)
+    assert told.startswith(f"{number} via-points") and made.scene.strokes[0].via_points == number
+    arm = bending_arm(made.scene, made.robot)
+    assert arm is not None
+    frequency = float(arm_modes(arm, made.trajectory.q[0]).frequencies[0])
+    assert number - 1 == pytest.approx(4 * frequency * 1.2, abs=1.5)
+    # On a stiff mast the leg has many periods, and what is asked for is done.
+    assert len(planned(1.2, stiffness=50.0, via_points=8).trajectory.t) == 8

@@ -1,5 +1,6 @@
 """``seconds: auto``: the shortest law along a path, against closed forms and copp, and a plan in its time."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,15 @@ from cmbot.toolpath import LegLaw
 
 LEG = {"by": [0, -0.3, 0]}
 QUIET_PROFILE = {"kind": "quiet", "ramp": 0.3}
+# Of a Panda on a soft mast, the tool along a short leg in the shortest time.
+SOFT_MAST = {
+    "format": "cmbot-scene/2",
+    "name": "mast",
+    "robot": {"model": "panda", "base_frame": "panda_link0", "tool_frame": "panda_hand_tcp"},
+    "start": {"posture_deg": [0, -45, 0, -135, 0, 90, 45]},
+    "planner": {"start": "pinned"},
+    "guardrail": {"bays": 0, "stiffness": np.diag([8e4, 8e4, 4e5, 1.6e4, 1.6e4, 1.6e4]).tolist()},
+}
 
 
 def straight(size: float, *bounds: float) -> list[Bounded]:
@@ -120,7 +130,9 @@ def test_an_attempt_in_another_time_has_splines_in_that_time() -> None:
 
 @pytest.fixture(scope="module")
 def quick_plan() -> Plan:
-    path = {"legs": [LEG, {"pause": 0.5}], "seconds": "auto", "max_base_torque_nm": 500, "via_points": 26}
+    legs, shortest = [LEG, {"pause": 0.5}], {"kind": "shortest"}
+    path = {"legs": legs, "seconds": "auto", "speed_profile": shortest, "max_base_torque_nm": 500}
+    path["via_points"] = 26
     tool = {"max_speed_m_s": 1.0}
     return plan(short_scene(tool=tool, tool_path=path))
 
@@ -137,6 +149,43 @@ def test_a_plan_in_the_shortest_time(quick_plan: Plan) -> None:
     assert ("shortest time, the leg, s", f"{law.duration:.4g}") in [
         (row[0], row[-1]) for row in quick_plan.rows()
     ]
+
+
+def in_auto(**changes: Any) -> Plan:
+    path = {"legs": [{"by": [0, 0.1, 0]}], "seconds": "auto", "via_points": 21, **changes}
+    return plan(load_scene({**SOFT_MAST, "tool_path": path}), progress=False)
+
+
+def test_the_shortest_time_and_the_shortest_that_is_quiet_are_told() -> None:
+    fast, quiet = in_auto(speed_profile={"kind": "shortest"}), in_auto()
+    for made in (fast, quiet):
+        (told,) = (each for each in made.fallbacks if each.startswith("As predicted, the shortest time"))
+        shorter, longer = (float(number) for number in re.findall(r"([\d.]+) s (?:within|with)", told))
+        assert shorter < longer
+    assert fast.work.duration < quiet.work.duration
+    assert fast.sway is not None and quiet.sway is not None
+    assert quiet.sway.sway_mm + quiet.sway.swing_mm < 0.7 * (fast.sway.sway_mm + fast.sway.swing_mm)
+
+
+def test_a_bound_of_the_sway_is_kept_in_a_longer_time() -> None:
+    quiet, quieter = in_auto(), in_auto(max_sway_mm=0.2)
+    assert quieter.sway is not None
+    assert max(quieter.sway.sway_mm, quieter.sway.swing_mm) <= 0.2
+    assert quieter.work.duration > quiet.work.duration
+    with pytest.raises(LimitViolation, match="sway of the tool is") as refused:
+        in_auto(max_sway_mm=1e-4)
+    assert refused.value.limit is Limit.SWAY
+    assert refused.value.value > refused.value.bound == pytest.approx(1e-7)
+
+
+def test_a_ur_is_near_copp_too() -> None:
+    pytest.importorskip("copp_py")
+    pytest.importorskip("toppra")
+    import time_laws
+
+    scene = dict(time_laws.scenes())["ur10, along"]
+    times = time_laws.compared(plan(scene, progress=False))
+    assert times.copp < times.planned < 1.05 * times.copp
 
 
 def test_planned_times_are_near_copp(quick_plan: Plan) -> None:
@@ -254,6 +303,11 @@ LAW = {"leg": 0, "seconds": [1.0, 1.0], "jerk": [0.0, 1.0, 0.0]}
         ({"legs": [{**LEG, "seconds": "soon"}]}, "legs\\[0\\].seconds: got 'soon', expected a number"),
         ({"legs": [LEG]}, "legs\\[0\\]: got none, expected exactly one of these keys"),
         ({"legs": [{**LEG, "seconds": 2}], "max_base_torque_nm": 400}, "no such key without seconds: auto"),
+        ({"legs": [{**LEG, "seconds": 2}], "max_sway_mm": 1}, "no such key without seconds: auto"),
+        (
+            {"legs": [{**LEG, "seconds": 2}], "speed_profile": {"kind": "shortest"}},
+            "another kind without seconds: auto",
+        ),
         ({"legs": [LEG], "seconds": "auto", "lead_in_m": 0.1}, "no such key beside seconds: auto"),
         ({"legs": [LEG], "seconds": "auto", "time_laws": [{**LAW, "leg": 1}]}, "laws of legs \\[1\\]"),
         ({"legs": [LEG], "seconds": "auto", "time_laws": [{**LAW, "jerk": [0.0, 1.0]}]}, "jerk"),

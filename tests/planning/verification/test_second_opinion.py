@@ -316,11 +316,7 @@ def test_the_margin_is_the_one_that_was_promised(short_plan: Plan) -> None:
     (check,) = (
         check
         for check in second_opinion(
-            short_plan.scene,
-            short_plan.options,
-            short_plan.trajectory,
-            robot=short_plan.robot,
-            stroke=0,
+            short_plan.scene, short_plan.options, short_plan.trajectory, robot=short_plan.robot, stroke=0
         )
         if check.quantity.startswith("clearance")
     )

@@ -56,8 +56,11 @@ def test_anywhere_it_is_an_element_of_a_frame(start: tuple[float, ...], end: tup
 @pytest.mark.parametrize(
     ("tube", "expected"),
     [
-        ({"outer_diameter_m": 120, "wall_m": 4}, "farther from start_m"),
+        ({"outer_diameter_m": 3, "wall_m": 0.01}, "farther from start_m"),
         ({"wall_m": 0.06}, "at most half"),
+        ({"start_m": [0, 0, -2500]}, "millimetres[?] then 2.5"),
+        ({"outer_diameter_m": 120}, "millimetres[?] then 0.12"),
+        ({"young_pa": 70000}, "N/mm2[?] then 70000e[+]6"),
         ({"end_m": [0, 0, -2.5]}, "farther from start_m"),
     ],
 )

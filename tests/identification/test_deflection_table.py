@@ -1,0 +1,132 @@
+"""Tables of measurements say what sheets do: weights, gauges and records row by row."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_scenes import short_scene
+from test_records import oscillations, write
+
+from cmbot.common.errors import InputError
+from cmbot.identification import Measurements, identify, measured_arm, read_deflections, read_measurements
+from cmbot.identification.model import DeflectionModel
+
+POSTURE = np.array(short_scene().posture)
+JOINTS = ",".join(f"q{k}_deg" for k in range(1, 8))
+
+
+def row(*cells: object, turned: float = 0.0) -> str:
+    return ",".join(map(str, [*np.degrees(POSTURE + turned).tolist(), *cells]))
+
+
+def table(folder: Path, heading: str, *rows: str) -> Path:
+    path = folder / "t.csv"
+    path.write_text("\n".join([heading, *rows]), encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "short.yaml").write_text(json.dumps(short_scene().as_data()), encoding="utf-8")
+    return "short.yaml"
+
+
+def same(one: Measurements, other: Measurements) -> None:
+    np.testing.assert_allclose(one.q, other.q, atol=1e-12)
+    np.testing.assert_array_equal(one.deflection, other.deflection)
+    for key in ("weight_kg", "gauge_sd_mm", "record_axes"):
+        assert getattr(one.setup, key) == getattr(other.setup, key)
+    for ours, theirs in zip(one.modes, other.modes, strict=True):
+        np.testing.assert_array_equal(ours.frequencies, theirs.frequencies)
+        np.testing.assert_array_equal(ours.directions, theirs.directions)
+
+
+def test_weights_gauges_and_records_row_by_row(scene: str, tmp_path: Path, rng: np.random.Generator) -> None:
+    folder = tmp_path / "measured"
+    folder.mkdir()
+    write(folder / "tap.csv", oscillations([(6.0, 0.02, [1.0, 0.2, 0.1])], 0.01, rng))
+    heading = f"{JOINTS},weight_kg,dx_mm,dz/mm,gauge_mm,record,record_axes,note"
+    path = table(
+        folder,
+        heading,
+        row(5, 0.4, -3.9, 0.05, "", "", "first"),
+        row(2.5, "", -1.9, "", "", "", "", turned=0.1),
+        row("", "", "", "", "tap.csv", "tool", "only a tap"),
+        row(5, 0.5, -4.1, 0.05, "", "", "", turned=0.2),
+    )
+    postures = [POSTURE + turned for turned in (0.0, 0.1, 0.0, 0.2)]
+    each = [
+        ({"weight_kg": 5.0, "gauge_sd_mm": 0.05}, {0: {"x": 0.4, "z": -3.9}, 3: {"x": 0.5, "z": -4.1}}),
+        ({"weight_kg": 2.5, "gauge_sd_mm": 0.2}, {1: {"z": -1.9}}),
+        ({"gauge_sd_mm": 0.2, "record_axes": "tool"}, {2: None}),
+    ]
+    found = read_deflections(path, scene, gauge_sd_mm=0.2)
+    assert [sheet.rows for sheet in found] == [("line 2", "line 5"), ("line 3",), ("line 4",)]
+    for sheet, (setup, rows) in zip(found, each, strict=True):
+        measurements = [
+            {"posture": postures[k].tolist()}
+            | ({"record": str(folder / "tap.csv")} if moved is None else {"deflection_mm": moved})
+            for k, moved in rows.items()
+        ]
+        content = {"format": "cmbot-measurements/1", "scene": scene, "measurements": measurements}
+        same(sheet, read_measurements(content | setup))
+
+
+@pytest.mark.parametrize(
+    ("heading", "cells", "told"),
+    [
+        (f"{JOINTS},kg,dz,recrod", (5, -3, "x"), "line 1, recrod: got an unknown column"),
+        (f"{JOINTS},kg,dz,recrod", (5, -3, "x"), "did you mean record?"),
+        (f"{JOINTS},kg,dz,colour", (5, -3, "red"), "weight_kg, dx, dy, dz, record"),
+        (f"{JOINTS},kg,dz", ("", -3), "line 2, kg: got nothing, expected the weight that was hung on"),
+        (f"{JOINTS},kg,dz", (5, -3000), "line 2, deflection_mm[2]: got -3000.0, expected at least -1000"),
+        (f"{JOINTS},kg,dz,gauge_mm", (5, -3, 0), "line 2, gauge_sd_mm: got 0.0, expected at least"),
+        (f"{JOINTS},record", ("none.csv",), "line 2, record: got none.csv, expected a file that exists"),
+        (f"{JOINTS},kg,dz,record_axes", (5, -3, "gripper"), "line 2, record_axes: got"),
+        (JOINTS.replace("q2_deg", "q2") + ",kg,dz", (5, -3), "line 2, posture: got joint_2 at -90 rad"),
+        (JOINTS.replace("q2_deg", "q2") + ",kg,dz", (5, -3), "in a table joint_2_deg or q2_deg"),
+    ],
+)
+def test_messages_name_the_line_and_what_to_do(
+    heading: str, cells: tuple[object, ...], told: str, scene: str, tmp_path: Path
+) -> None:
+    path = table(tmp_path, heading, ",".join(map(str, [0, -90, 90, 0, 10, 50, 0, *cells])))
+    with pytest.raises(InputError) as refused:
+        read_deflections(path, scene)
+    assert told in str(refused.value)
+    assert str(path) in str(refused.value)
+    assert len(str(refused.value)) <= 400
+
+
+@pytest.mark.parametrize(
+    ("factors", "told"),
+    [
+        ((1e-3, 1e-3, 1e-3), "expected deflections in mm: as large as expected, if these are in m"),
+        ((-1.0, -1.0, -1.0), "the other sign of x, y, z fits"),
+        ((1.0, 1.0, -1.0), "the other sign of z fits"),
+    ],
+)
+def test_metres_and_signs_are_recognised(
+    factors: tuple[float, float, float], told: str, scene: str, tmp_path: Path
+) -> None:
+    q = POSTURE + np.random.default_rng(5).uniform(-0.4, 0.4, (6, 7))
+    arm = measured_arm(short_scene())
+    setup = read_measurements(
+        {
+            "format": "cmbot-measurements/1",
+            "scene": scene,
+            "measurements": [{"posture": q[0].tolist(), "deflection_mm": [1, 1, 1]}],
+        }
+    ).setup
+    model = DeflectionModel(arm, setup, q)
+    deflections = 1e3 * model.at(np.zeros(model.parameters.count))[0] * 1.1 * factors
+    rows = [
+        ",".join(map(str, [*np.degrees(each), 5, *moved])) for each, moved in zip(q, deflections, strict=True)
+    ]
+    path = table(tmp_path, f"{JOINTS},weight_kg,dx,dy,dz", *rows)
+    with pytest.raises(InputError) as refused:
+        identify(*read_deflections(path, scene))
+    assert told in str(refused.value)
+    assert str(path) in str(refused.value)
