@@ -14,6 +14,7 @@ from cmbot.elastic.base import (
 from cmbot.elastic.guardrail import (
     AngleSection as AngleSection,
     BarSection as BarSection,
+    FlatSection as FlatSection,
     Guardrail as Guardrail,
     GuardrailMaterial as GuardrailMaterial,
     Post as Post,

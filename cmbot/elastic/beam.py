@@ -1,4 +1,4 @@
-"""Beams: section constants of angle steel and round bars, stiffness, consistent mass and strain in space.
+"""Beams: section constants of angle steel and bars, stiffness, consistent mass and strain in space.
 
 A beam's 12 coordinates are displacement and rotation of its start, then of its end. Its own axes are x along
 it and y, z along the principal axes of its section; there stretching, torsion and bending in the two planes
@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.elastic.guardrail import AngleSection, Section
+from cmbot.elastic.guardrail import AngleSection, FlatSection, Section
 
 # The coordinates of stretching, torsion, bending in the plane xy and bending in the plane xz.
 _COORDINATES = (np.array([0, 6]), np.array([3, 9]), np.array([1, 5, 7, 11]), np.array([2, 4, 8, 10]))
@@ -83,10 +83,12 @@ def section_constants(section: Section) -> SectionConstants:
 
     An angle is two rectangles, without the fillets of rolled steel: area and second moments are exact for
     that shape. Its torsion constant is that of thin walls, the sum of b t^3 / 3 over the two centre lines;
-    warping is free.
+    warping is free. That of a flat bar is Saint-Venant's series.
     """
     if isinstance(section, AngleSection):
         return _angle(section.leg, section.thickness)
+    if isinstance(section, FlatSection):
+        return _flat(section.width, section.thickness)
     area = math.pi * section.diameter**2 / 4
     moment = area * section.diameter**2 / 16
     return SectionConstants(
@@ -117,6 +119,19 @@ def _angle(a: float, t: float) -> SectionConstants:
         torsion=area * t**2 / 3,
         tilt=math.pi / 4,
         outline=Outline(corners=tuple((y, z) for y, z in corners.tolist())),
+    )
+
+
+def _flat(b: float, t: float) -> SectionConstants:
+    # Its fifth powers fall so quickly that three terms are exact to 1e-5.
+    series = sum(math.tanh(n * math.pi * b / (2 * t)) / n**5 for n in (1, 3, 5))
+    return SectionConstants(
+        area=b * t,
+        major=t * b**3 / 12,
+        minor=b * t**3 / 12,
+        torsion=b * t**3 / 3 * (1 - 192 / math.pi**5 * t / b * series),
+        tilt=math.pi / 2,
+        outline=Outline(corners=tuple((y, z) for y in (-t / 2, t / 2) for z in (-b / 2, b / 2))),
     )
 
 

@@ -25,7 +25,15 @@ class BarSection:
     diameter: float
 
 
-Section = AngleSection | BarSection
+@dataclass(frozen=True, kw_only=True)
+class FlatSection:
+    """A flat bar, such as a girder's flange: `width` along its first axis, `thickness`, m."""
+
+    width: float
+    thickness: float
+
+
+Section = AngleSection | BarSection | FlatSection
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +42,7 @@ class Post:
 
     Attributes
     ----------
-    section : AngleSection or BarSection
+    section : AngleSection, BarSection or FlatSection
     roll : float
         Rotation of the section about z, rad; at 0 the legs of an angle point along +x and +y.
     bottom, clamp, top : float
@@ -60,13 +68,15 @@ class Rail:
     Attributes
     ----------
     name : str
-    section : AngleSection or BarSection
+    section : AngleSection, BarSection or FlatSection
     roll : float
         Rotation of the section about x, rad; at 0 the legs of an angle point along +y and +z.
     height : float
         z, m.
     box : tuple of float
         (2,), collision box along y and z, m.
+    workpiece : bool
+        The tool works on it, so it may come close.
     """
 
     name: str
@@ -74,6 +84,7 @@ class Rail:
     roll: float
     height: float
     box: tuple[float, float]
+    workpiece: bool = False
 
     __repr__ = short_repr
 

@@ -29,6 +29,8 @@ _DOUBT_LEVEL = 0.01
 _OUTLIER_LEVEL = 1e-5
 # Share of the rows that may be wrong ones.
 _MAX_OUTLIER_SHARE = 1 / 3
+# Of a prior beside which nothing was measured.
+_NO_REDUNDANCY = 1e-9
 # Rounds in which scales are found, and by what share a part may still be off.
 _MAX_SCALE_ROUNDS, _SCALE_TOLERANCE_SHARE = 20, 0.02
 
@@ -98,6 +100,8 @@ def _parts(problem: Problem, blocks: Sequence[Block]) -> tuple[Part, ...]:
         r, J = problem.stacked(own)
         leverage = A @ J.T @ J
         mean = len(r) - float(np.trace(leverage))
+        if mean < _NO_REDUNDANCY:
+            continue
         variance = len(r) - 2 * float(np.trace(leverage)) + float(np.trace(leverage @ leverage))
         square = float(r @ r)
         probability = float(chi2.sf(square * mean / variance, mean**2 / variance))

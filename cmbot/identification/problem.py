@@ -368,10 +368,12 @@ class _Candidates(NamedTuple):
 
 def _towards(direction: FloatArray, moves: FloatArray, near: BoolArray) -> FloatArray:
     """The combination (c,) of some modes, of unit length, that moves the tool most nearly in a direction."""
-    P, found = moves[:, near], np.zeros(len(near))
+    P, found = moves[:, near], np.where(near, 1.0, 0.0)
     G = P.T @ P
-    found[near] = np.linalg.solve(G + _RIDGE * np.trace(G) * np.eye(len(G)), P.T @ direction)
-    return np.asarray(found / max(float(np.linalg.norm(found)), 1e-300))
+    # Modes that do not move it stay a mixture of all.
+    if (towards := P.T @ direction).any():
+        found[near] = np.linalg.solve(G + _RIDGE * np.trace(G) * np.eye(len(G)), towards)
+    return np.asarray(found / np.linalg.norm(found))
 
 
 def _probabilities(cost: FloatArray) -> FloatArray:

@@ -24,8 +24,8 @@ HEADINGS = ("", "modelled", "identified", "factor", "sd, %", "before, %", "")
 
 # Share of the prior's standard deviation above which nothing was told.
 _UNSEEN_SHARE = 0.9
-# By how much errors may be larger than stated.
-_MAX_ERROR_RATIO = 5.0
+# By how much errors may be larger than stated, where chance hardly does that.
+_MAX_ERROR_RATIO, _PLAIN_MISFIT = 5.0, 1e-3
 # Deflections are plainly in another unit or of another sign: by what factor they may be off then, the least
 # cosine and the least share of the largest axis.
 _PLAIN_RATIO, _PLAIN_COSINE, _PLAIN_SHARE = 5.0, 0.8, 0.2
@@ -185,7 +185,7 @@ def _in_words(found: Identification, slip: Slip) -> tuple[str, str, str, str]:
     given = found.measurements[sheet]
     if kind == "frequencies_hz":
         got, about = (
-            ", ".join(f"{f:.3g}" for f in each) for each in (given.modes[row].frequencies, slip.expected)
+            ", ".join(f"{f:.3g} Hz" for f in each) for each in (given.modes[row].frequencies, slip.expected)
         )
     else:
         seen = ~np.isnan(given.deflection[row])
@@ -212,10 +212,12 @@ def require_fit(found: Identification) -> None:
         source, key, got, expected = wrong[0]
         also = "".join(f"; nor does {other[1]} fit" for other in wrong[1:])
         slip = next(slip for slip in found.slips if slip.significant)
-        todo = _mistaken(found, slip) or "a slip, a wrong sign or axis? Measure again or write null"
+        todo = "a slip, another posture, the weight still on? Measure again or leave it out"
+        if slip.label.kind == "deflection_mm":
+            todo = _mistaken(found, slip) or "a slip, a wrong sign or axis? Measure again or write null"
         raise InputError(source, key, got, f"{expected}{also}: {todo}; or {_ACCEPT}")
     for part in found.parts:
-        if part.scale <= _MAX_ERROR_RATIO:
+        if part.scale <= _MAX_ERROR_RATIO or part.probability > _PLAIN_MISFIT:
             continue
         source, key = found.measurements[0].source, "measurements"
         own = [_in_words(found, slip) for slip in found.slips if slip.label.kind == part.kind]

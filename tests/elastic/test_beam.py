@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, strategies as st
 from oracles.beams import angle_outline, polygon
 
-from cmbot.elastic import AngleSection, BarSection
+from cmbot.elastic import AngleSection, BarSection, FlatSection
 from cmbot.elastic.beam import section_constants
 
 legs = st.floats(0.01, 0.5)
@@ -56,6 +56,30 @@ def test_thin_angle_against_the_line_integral() -> None:
     constants = section_constants(AngleSection(leg=a, thickness=t))
     assert constants.major == pytest.approx(t * a**3 / 3, rel=1e-5)
     assert constants.minor == pytest.approx(t * a**3 / 12, rel=1e-5)
+
+
+@given(legs, shares)
+def test_flat_bar_is_its_rectangle(width: float, share: float) -> None:
+    t = share * width
+    constants = section_constants(FlatSection(width=width, thickness=t))
+    area, _, moments = polygon(np.array([(0, 0), (width, 0), (width, t), (0, t)]))
+    assert constants.area == pytest.approx(area)
+    assert constants.major == pytest.approx(moments[0, 0], rel=1e-7)
+    assert constants.minor == pytest.approx(moments[1, 1], rel=1e-7, abs=1e-20)
+    axis = np.array([math.cos(constants.tilt), math.sin(constants.tilt)])
+    assert axis @ moments @ axis == pytest.approx(constants.minor, rel=1e-7, abs=1e-20)
+    # Of the outer fibres y is along that axis.
+    corners = np.array(constants.outline.corners)
+    np.testing.assert_allclose(np.ptp(corners, axis=0), [t, width])
+
+
+@pytest.mark.parametrize(
+    ("ratio", "share"), [(1.0001, 0.1406), (1.5, 0.1958), (2, 0.2287), (4, 0.2808), (10, 0.3123)]
+)
+def test_torsion_of_a_flat_bar_is_that_of_the_textbook(ratio: float, share: float) -> None:
+    """Timoshenko and Goodier, Theory of Elasticity, table of rectangular bars: J = k b t^3."""
+    constants = section_constants(FlatSection(width=0.01 * ratio, thickness=0.01))
+    assert constants.torsion == pytest.approx(share * ratio * 1e-8, rel=1e-3)
 
 
 @given(st.floats(0.001, 1.0))

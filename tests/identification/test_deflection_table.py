@@ -5,10 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
 from small_scenes import short_scene
 from test_records import oscillations, write
 
 from cmbot.common.errors import InputError
+from cmbot.elastic.modes import arm_modes
 from cmbot.identification import Measurements, identify, measured_arm, read_deflections, read_measurements
 from cmbot.identification.model import DeflectionModel
 
@@ -72,6 +74,34 @@ def test_weights_gauges_and_records_row_by_row(scene: str, tmp_path: Path, rng: 
         ]
         content = {"format": "cmbot-measurements/1", "scene": scene, "measurements": measurements}
         same(sheet, read_measurements(content | setup))
+
+
+def test_frequencies_and_the_modes_they_were_given_to_are_printed(
+    scene: str, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    slowest = float(arm_modes(measured_arm(short_scene()), POSTURE).frequencies[0])
+    write(tmp_path / "tap.csv", oscillations([(slowest, 0.02, [1.0, 0.2, 0.1])], 0.01, rng))
+    outcome = run("identify", scene, "--table", table(tmp_path, f"{JOINTS},record", row("tap.csv")))
+    assert outcome.status == 0, outcome.err
+    (told,) = (line.split() for line in outcome.out.splitlines() if line.startswith("t.csv: line 2  "))
+    frequency, damping, deviation = map(float, told[3:6])
+    assert frequency == pytest.approx(slowest, rel=5e-3)
+    assert 0 < deviation < 0.1
+    assert abs(damping - 2) < 3 * deviation
+    assert told[6] == "1"
+    assert "Damping of the modes in the records: " in outcome.out
+    assert "standard deviation 0.0 %" not in outcome.out
+
+
+def test_a_frequency_of_no_mode_alone_tells_nothing(
+    scene: str, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """Nothing is left that was measured, and the stiffness stays as modelled."""
+    slowest = float(arm_modes(measured_arm(short_scene()), POSTURE).frequencies[0])
+    write(tmp_path / "tap.csv", oscillations([(0.5 * slowest, 0.02, [1.0, 0.2, 0.1])], 0.01, rng))
+    outcome = run("identify", scene, "--table", table(tmp_path, f"{JOINTS},record", row("tap.csv")))
+    assert outcome.status == 0, outcome.err
+    assert "is left out, as no mode of the arm is within 30 % of it" in outcome.out
 
 
 @pytest.mark.parametrize(

@@ -227,6 +227,20 @@ def test_frequencies_tell_more_and_components_left_out_less(
     assert any("measurements[0]: 9000 Hz is left out" in line for line in remarks(more))
 
 
+def test_a_tap_that_does_not_fit_is_named_with_its_row_and_frequency(
+    found: tuple[benchmark.Truth, ElasticArm, Identification], modelled: ElasticArm
+) -> None:
+    _, arm, identified = found
+    given = identified.measurements[0]
+    modes = [RingDown.at(()) for _ in given.q]
+    modes[2] = RingDown.at(1.2 * arm_modes(arm, given.q[2]).frequencies[:1])
+    wrong = estimate(replace(given, modes=tuple(modes)), modelled)
+    with pytest.raises(InputError) as refused:
+        require_fit(wrong)
+    assert "measurements[2]" in str(refused.value)
+    assert f"{modes[2].frequencies[0]:.3g} Hz" in str(refused.value)
+
+
 def test_nothing_measured_of_a_joint_keeps_its_prior(
     found: tuple[benchmark.Truth, ElasticArm, Identification],
 ) -> None:

@@ -277,6 +277,7 @@ WRONG = [
     ("guardrail.post.clamp_m", -2, "-2", "from bottom_m up to below top_m"),
     ("guardrail.post.section", {}, "none", "exactly one"),
     ("guardrail.post.section", ANGLE, "(0.01, 0.02)", "below the leg", "guardrail.post.section.angle"),
+    ("guardrail.post.section", {"flat": [0.1, 0.1]}, "0.1", "below the width", "guardrail.post.section.flat"),
     ("guardrail.post.section", {"bar": 20}, "20", "millimetres? then 0.02", "guardrail.post.section.bar"),
     ("guardrail.rails[1].name", "post_1", "post_1", "no other rail"),
     ("guardrail.rails[1].name", "top_rail", "top_rail", "no other rail", "guardrail.rails[0].name"),

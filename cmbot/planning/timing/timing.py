@@ -19,7 +19,7 @@ SHORT_LEG_PERIODS = 6.0
 """Legs of so few periods of the slowest mode are short."""
 
 # Via-points of strokes with such legs, and at most.
-_VIA_POINTS_PER_PERIOD, _MOST_VIA_POINTS = 4, 100
+_VIA_POINTS_PER_PERIOD, _MOST_ON_SHORT_LEGS = 4, 100
 
 if TYPE_CHECKING:
     # It loads SciPy's splines, which only times that are sought need.
@@ -122,7 +122,7 @@ def with_enough_via_points(request: StrokeRequest) -> StrokeRequest:
         leg.curve.length > 0 and leg.seconds * frequency <= SHORT_LEG_PERIODS for leg in path.segments
     ):
         return request
-    number = min(1 + int(np.ceil(_VIA_POINTS_PER_PERIOD * frequency * path.duration)), _MOST_VIA_POINTS)
+    number = min(1 + int(np.ceil(_VIA_POINTS_PER_PERIOD * frequency * path.duration)), _MOST_ON_SHORT_LEGS)
     return replace(request, times=path.via_times(max(number, len(request.times))))
 
 

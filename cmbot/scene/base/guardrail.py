@@ -32,6 +32,7 @@ from cmbot.common.reading.validation import FileModel, refusal, shown
 from cmbot.elastic import (
     AngleSection,
     BarSection,
+    FlatSection,
     Guardrail,
     GuardrailMaterial,
     Post,
@@ -45,11 +46,11 @@ from cmbot.scene.base.identified import IdentifiedBase
 from cmbot.scene.base.matrices import Matrix6, check_positive_definite, six_rows
 from cmbot.scene.base.stance import StanceFile, axis_point, foothold_face, foothold_pose
 
-_SECTIONS = ("angle", "bar")
+_SECTIONS = ("angle", "bar", "flat")
 
 
 class SectionFile(FileModel):
-    """Cross-section of a member: exactly one of angle and bar."""
+    """Cross-section of a member: exactly one of angle, bar and flat."""
 
     model_config = ConfigDict(json_schema_extra=one_of_schema(_SECTIONS))
 
@@ -57,18 +58,24 @@ class SectionFile(FileModel):
     """Equal-leg angle steel: [leg, thickness], m."""
     bar: Thickness | None = None
     """Round bar: diameter, m."""
+    flat: tuple[Thickness, Thickness] | None = None
+    """Flat bar: [width, thickness], m; at roll 0 the width of a rail is along y."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         exactly_one(self, _SECTIONS)
-        if self.angle is not None and self.angle[1] >= self.angle[0]:
-            raise refusal("a thickness below the leg", got=self.angle, key=("angle",))
+        for key, sides in (("angle", self.angle), ("flat", self.flat)):
+            if sides is not None and sides[1] >= sides[0]:
+                whole = "leg" if key == "angle" else "width"
+                raise refusal(f"a thickness below the {whole}", got=sides, key=(key,))
         return self
 
     def section(self) -> Section:
         """Return the section as data."""
         if self.angle is not None:
             return AngleSection(leg=self.angle[0], thickness=self.angle[1])
+        if self.flat is not None:
+            return FlatSection(width=self.flat[0], thickness=self.flat[1])
         return BarSection(diameter=cast("float", self.bar))  # `_check` lets exactly one through
 
 
@@ -107,6 +114,8 @@ class RailFile(FileModel):
     """z of the member."""
     box_m: tuple[Length, Length]
     """Collision box along y and z, m."""
+    workpiece: bool = False
+    """The tool works on it, so it may come close."""
 
 
 class FootFile(FileModel):
@@ -367,7 +376,12 @@ def guardrail_obstacles(guardrail: Guardrail) -> tuple[Obstacle, ...]:
         return ()
     middle, length = (positions[0] + positions[-1]) / 2, positions[-1] - positions[0]
     rails = (
-        Obstacle(name=rail.name, shape=Box(size=(length, *rail.box)), X_WO=pose((middle, 0.0, rail.height)))
+        Obstacle(
+            name=rail.name,
+            shape=Box(size=(length, *rail.box)),
+            X_WO=pose((middle, 0.0, rail.height)),
+            workpiece=rail.workpiece,
+        )
         for rail in guardrail.rails
     )
     size, height = (*post.box, post.top - post.bottom), (post.top + post.bottom) / 2

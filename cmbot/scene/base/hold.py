@@ -25,7 +25,7 @@ from cmbot.common.reading.fields import (
     one_of_schema,
 )
 from cmbot.common.reading.validation import FileModel, refusal, shown
-from cmbot.elastic import AngleSection, BarSection, Guardrail
+from cmbot.elastic import AngleSection, BarSection, FlatSection, Guardrail
 from cmbot.hold import MAGNET_PRESSURE, Contact, Foot, Gap
 
 Load = Annotated[float, Field(ge=1e-3, le=1e9)]
@@ -252,8 +252,11 @@ def face_of(guardrail: Guardrail, member: str, face: str) -> Face:
     return Face(axes=axes, depth=depth, steel=steel, thickness=thickness, ends=ends)
 
 
-def section_outline(section: AngleSection) -> shapely.Polygon:
-    """Return the outline of an angle: the middle of its box at the origin, its legs along both axes."""
+def section_outline(section: AngleSection | FlatSection) -> shapely.Polygon:
+    """Return the outline of an angle, its legs along both axes, or of a flat bar, about its box's middle."""
+    if isinstance(section, FlatSection):
+        b, t = section.width / 2, section.thickness / 2
+        return shapely.Polygon([(-b, -t), (b, -t), (b, t), (-b, t)])
     low, high, inner = -section.leg / 2, section.leg / 2, -section.leg / 2 + section.thickness
     return shapely.Polygon(
         [(low, low), (high, low), (high, inner), (inner, inner), (inner, high), (low, high)]
@@ -262,7 +265,7 @@ def section_outline(section: AngleSection) -> shapely.Polygon:
 
 @cache
 def _flat_side(
-    section: AngleSection, roll: float, across: tuple[float, float], out: tuple[float, float]
+    section: AngleSection | FlatSection, roll: float, across: tuple[float, float], out: tuple[float, float]
 ) -> tuple[float, tuple[tuple[float, float], ...]]:
     """How far a turned section reaches `out`, m, and from where to where, `across`, it is flat there."""
     c, s = np.cos(roll), np.sin(roll)

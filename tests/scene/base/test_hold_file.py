@@ -40,6 +40,29 @@ def test_a_foot_on_the_rail() -> None:
     assert foot.contact.size == pytest.approx((0.2, 0.063))
 
 
+def girder(face: str, hold: Any) -> Scene:
+    rail = {"section": {"flat": [0.2, 0.012]}, "height_m": 0.0, "box_m": [0.2, 0.012], "workpiece": True}
+    place = {"member": "flange", "along_m": 3.0, "face": face, "turn_deg": 180}
+    stance = {"foot_1": place, "foot_2": {**place, "along_m": 3.4}}
+    return scene(hold, rails=[{"name": "flange", **rail}], stance=stance)
+
+
+@pytest.mark.parametrize(("face", "out"), [("bottom", -1), ("top", 1)])
+def test_a_foot_on_a_flat_bar(face: str, out: int) -> None:
+    """A girder's flange, on which the tool works, too."""
+    one = girder(face, {"kind": "magnet", "plate_m": [0.15, 0.25]})
+    for foot in one.feet:
+        np.testing.assert_array_equal(foot.axes[2], [0, 0, out])
+        assert foot.contact.size == pytest.approx((0.15, 0.2))
+        assert foot.steel == 0.012
+        assert foot.ceiling == pytest.approx(2 * 0.012 * 0.2 * 1.5915e6, rel=1e-3)
+        # O0 lies in the foot, on the axis of the first one's place.
+        assert foot.centre[1] == pytest.approx(0.0)
+    assert [obstacle.name for obstacle in one.all_obstacles if obstacle.workpiece] == ["flange"]
+    with pytest.raises(SceneError, match=r"got magnet, expected clamp or welded, .* 12 mm wide"):
+        girder("outer", {"kind": "magnet"})
+
+
 def test_a_list_and_what_is_written_back() -> None:
     one = scene([{"kind": "welded"}])
     assert one.as_data()["guardrail"]["hold"]["kind"] == "welded"
