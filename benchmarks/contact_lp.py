@@ -3,7 +3,8 @@
 The pressure is linear over the contact and nowhere a tension: where the load asks for one a gap opens. It
 balances the normal force and both tipping moments. Friction is one force a cell, within a cone of 32 sides
 around the circle of friction times pressure, so that no cone is smaller than the circle. The cells are those
-of Gauss-Lobatto quadrature, whose outermost points lie on the edges. Nothing here is shared with the package.
+of Gauss-Lobatto quadrature, whose outermost points lie on the edges, over the box of what is pressed. Nothing
+here is shared with the package.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ FloatArray = NDArray[np.float64]
 POINTS, SIDES = 15, 32
 """Cells along each side, and sides of the cones."""
 # Steps at most: Newton's for the pressure, and of the search for the adhesion; where that ends, as a share,
-# and the factor by which it goes down at first.
-_STEPS, _CLOSE, _DOWN = 100, 1e-3, 1.04
+# and the factor by which it goes down at first; boxes of cells at most.
+_STEPS, _CLOSE, _DOWN, _BOXES = 100, 1e-3, 1.04, 8
 
 
 class Plate:
@@ -31,25 +32,38 @@ class Plate:
         legendre = np.polynomial.legendre.Legendre.basis(points - 1)
         nodes = np.concatenate([[-1.0], np.sort(legendre.deriv().roots().real), [1.0]])
         weights = 1 / (points * (points - 1)) / legendre(nodes) ** 2
-        self.points = np.array(np.meshgrid(nodes, nodes, indexing="ij")).reshape(2, -1).T
-        self.weights = 2 * np.outer(weights, weights).ravel() * 2
-        self.weights = self.weights / self.weights.sum()
+        self._nodes = np.array(np.meshgrid(nodes, nodes, indexing="ij")).reshape(2, -1).T
+        self.weights = 4 * np.outer(weights, weights).ravel()
         angle = 2 * np.pi * np.arange(SIDES) / SIDES
         corner = friction / np.cos(np.pi / SIDES)
-        u, w = (corner * np.kron(np.ones(len(self.points)), part) for part in (np.cos(angle), np.sin(angle)))
-        x, y = (np.repeat(part, SIDES) for part in (self.points * self.half).T)
-        self._rows = np.array([u, w, x * w - y * u])
-        self._cells = sparse.kron(sparse.eye(len(self.points)), np.ones((1, SIDES)), format="csr")
+        self._cone = corner * np.array([np.cos(angle), np.sin(angle)])
+        self._cells = sparse.kron(sparse.eye(points**2), np.ones((1, SIDES)), format="csr")
 
-    def pressure(self, centre: FloatArray) -> FloatArray | None:
-        """Return the shares (K,) of the normal force on the cells; None where the plate tilts.
+    def pressure(self, centre: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+        """Return points (K, 2) and the shares (K,) of the normal force on them; None where the plate tilts.
 
-        Its resultant is at `centre` (2,), in half sides.
+        Its resultant is at `centre` (2,), all in half sides.
         """
         if np.abs(centre).max() >= 1:
             return None
-        X = np.column_stack([np.ones(len(self.points)), self.points])
-        goal = np.array([1.0, *centre])
+        low, high = -np.ones(2), np.ones(2)
+        for _ in range(_BOXES):
+            points = 0.5 * (low + high) + 0.5 * (high - low) * self._nodes
+            c = self._balanced(points, centre)
+            pressed = _pressed_corners(c)
+            smaller = np.clip(pressed.min(axis=0), low, high), np.clip(pressed.max(axis=0), low, high)
+            if (smaller[1] - smaller[0] > 0.9 * (high - low)).all():
+                break
+            # The cells at hand may not see all that is pressed.
+            low, high = (0.9 * new + 0.1 * old for new, old in zip(smaller, (low, high), strict=True))
+        share = self.weights * np.maximum(c[0] + points @ c[1:], 0.0)
+        return points, share / share.sum()
+
+    def _balanced(self, points: FloatArray, centre: FloatArray) -> FloatArray:
+        """The linear pressure (3,) without tension, one in all, about `centre`, by sums over points."""
+        middle, half = points.mean(axis=0), np.ptp(points, axis=0) / 2
+        X = np.column_stack([np.ones(len(points)), (points - middle) / half])
+        goal = np.array([1.0, *((centre - middle) / half)])
         c = np.linalg.solve(X.T @ (self.weights[:, None] * X), goal)
 
         def energy(c: FloatArray) -> float:
@@ -67,18 +81,23 @@ class Plate:
             while energy(c - share * step) > energy(c) - 1e-4 * share * (lack @ step) and share > 1e-9:
                 share *= 0.5
             c = c - share * step
-        return np.asarray(self.weights * np.maximum(X @ c, 0.0))
+        slope = c[1:] / half
+        return np.array([c[0] - slope @ middle, *slope])
 
     def factor(self, load: FloatArray, pressed: float) -> float:
         """Return by how much friction and torsion of a load may grow until the plate slips.
 
         It is pressed by `pressed`, N; zero where it tilts.
         """
-        pressure = self.pressure(np.array([load[4], -load[3]]) / pressed / self.half)
-        if pressure is None:
+        found = self.pressure(np.array([load[4], -load[3]]) / pressed / self.half)
+        if found is None:
             return 0.0
+        points, pressure = found
+        u, w = (np.kron(np.ones(len(points)), part) for part in self._cone)
+        x, y = (np.repeat(part, SIDES) for part in (points * self.half).T)
+        rows = np.array([u, w, x * w - y * u])
         goal, scale = load[[0, 1, 5]], np.array([1.0, 1.0, 1 / self.half.max()])
-        columns = np.column_stack([self._rows, -goal / pressed]) * scale[:, None]
+        columns = np.column_stack([rows, -goal / pressed]) * scale[:, None]
         cells = sparse.hstack([self._cells, sparse.csr_array((len(pressure), 1))])
         cost = np.zeros(columns.shape[1])
         cost[-1] = -1.0
@@ -122,3 +141,13 @@ class Plate:
             else:
                 low, at_low, at_high = pressed, value, 0.5 * at_high
         return low
+
+
+def _pressed_corners(pressure: FloatArray) -> FloatArray:
+    """The corners (k, 2) of the part of the square of half sides 1 in which a linear pressure is positive."""
+    corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    value = pressure[0] + corners @ pressure[1:]
+    after, next_ = np.roll(value, -1), np.roll(corners, -1, axis=0)
+    crosses = (value > 0) != (after > 0)
+    share = value[crosses] / (value - after)[crosses]
+    return np.vstack([corners[value > 0], corners[crosses] + share[:, None] * (next_ - corners)[crosses]])

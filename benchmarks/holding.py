@@ -1,4 +1,4 @@
-"""How far the formula of holding is on the safe side of a linear program of contact.
+"""How near the formula of holding is to a linear program of contact.
 
     python benchmarks/holding.py                # 1,000 loads, half without torsion; prints the table
     python benchmarks/holding.py --loads 100 --corners 250

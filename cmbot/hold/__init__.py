@@ -7,5 +7,6 @@ from cmbot.hold.holding import (
     CLAMP_LOAD as CLAMP_LOAD,
     AdhesionPeak as AdhesionPeak,
     Holding as Holding,
+    bears as bears,
     needed_by_load as needed_by_load,
 )

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.reading.file_types import Count, NonNegative
 from cmbot.hold.contact import Contact
 from cmbot.hold.foot import Foot
@@ -132,17 +132,31 @@ class Holding:
             )
         return np.asarray(np.max(needed, axis=0))
 
-    def needed_between(self, number: int, wrench: FloatArray) -> FloatArray:
-        """Return an adhesion (N,), N, that suffices a foot for all wrenches between points (N, K, 6)."""
+    def needed_between(
+        self, number: int, wrench: FloatArray, force: FloatArray, torque: FloatArray
+    ) -> FloatArray:
+        """Return an adhesion (N,), N, that suffices a foot for all wrenches between points (N, K, 6).
+
+        Parameters
+        ----------
+        number : int
+            Of the foot, from 0.
+        wrench : (N, K, 6), N and Nm
+        force, torque : (N,), N and Nm
+            By which each wrench is off at most besides.
+        """
         foot = self.feet[number]
         load = self.load(number, wrench.reshape(-1, 6)).reshape(wrench.shape)
-        if foot.gap == "none":
-            # Then it is convex.
-            needed = needed_by_load(foot, load.reshape(-1, 6))[0]
-            return np.asarray(needed.reshape(wrench.shape[:2]).max(axis=1))
-        middle = load.mean(axis=1)
-        away = _growth(foot, np.abs(load - middle[:, None]).reshape(-1, 6)).reshape(wrench.shape[:2])
-        return np.asarray(needed_by_load(foot, middle)[0] + away.max(axis=1))
+        middle = 0.5 * (load.min(axis=1) + load.max(axis=1))
+        off = np.abs(load - middle[:, None]).max(axis=1) + self._load_bounds(number, force, torque)
+        needed, good = (
+            np.full(len(load), np.inf),
+            np.isfinite(middle).all(axis=1) & np.isfinite(off).all(axis=1),
+        )
+        size = np.column_stack([np.hypot(off[:, 0], off[:, 1]), np.hypot(off[:, 3], off[:, 4]), off[:, 5]])
+        pressed = _flat(foot).suffices(_turning(middle)[good], size[good], foot.friction, foot.gap)
+        needed[good] = middle[good, 2] + off[good, 2] + pressed
+        return needed
 
     def worst(self, wrench: FloatArray, time: FloatArray, needed: FloatArray | None = None) -> AdhesionPeak:
         """Return the largest adhesion that wrenches need of a foot but a clamp.
@@ -190,22 +204,6 @@ class Holding:
             value[more] = needed[more]
             gradient[more] = (by_load @ foot.from_wrench)[more]
         return value, gradient
-
-    def remainder(self, number: int, force: FloatArray, torque: FloatArray) -> FloatArray:
-        """Bound by how much the adhesion may change, (K,), N, with the wrench's force and torque.
-
-        Parameters
-        ----------
-        number : int
-            Of the foot, from 0.
-        force, torque : (K,), N and Nm
-            By which the wrench is off at most.
-        """
-        foot = self.feet[number]
-        if foot.contact is None:
-            return np.zeros_like(force)
-        with np.errstate(over="ignore"):  # damaged files ask forces without end; an infinite bound is refused
-            return _growth(foot, self._load_bounds(number, force, torque))
 
     @property
     def bounded(self) -> bool:
@@ -275,6 +273,18 @@ def needed_by_load(foot: Foot, load: FloatArray) -> tuple[FloatArray, FloatArray
     return modes[rows, which], gradients[rows, which]
 
 
+def bears(foot: Foot, load: FloatArray) -> BoolArray:
+    """Return whether a foot bears loads (N, 6) as far as something is known of it, (N,), safety included."""
+    good = np.ones(len(load), dtype=np.bool_)
+    if foot.force is not None:
+        bounds = np.array([*foot.force, *(foot.moment or (np.inf,) * 3)])
+        good &= (foot.safety * np.abs(load) <= bounds).all(axis=1)
+    if foot.adhesion is not None:
+        pressed = foot.adhesion / foot.safety - load[:, 2]
+        good &= _flat(foot).bears(_turning(load), pressed, foot.friction, foot.gap)
+    return good
+
+
 def _modes(foot: Foot, load: FloatArray) -> tuple[FloatArray, FloatArray]:
     """What a foot needs by `MODES` (N, 4), N, and the gradients (N, 4, 6); of tip and gap one counts."""
     N = len(load)
@@ -315,10 +325,3 @@ def _pressed(
     """By how much a contact has to be pressed under loads (N, 6), and the gradients (N, 2)."""
     value, by_moment = function(_flat(foot), _moment(load))
     return value, by_moment
-
-
-def _growth(foot: Foot, size: FloatArray) -> FloatArray:
-    """By how much the adhesion (N,), N, may change where loads change by up to `size` (N, 6)."""
-    by_friction, by_moment, by_torsion = _flat(foot).steepness(foot.friction)
-    slide, moment = np.hypot(size[:, 0], size[:, 1]), np.hypot(size[:, 3], size[:, 4])
-    return np.asarray(size[:, 2] + by_friction * slide + by_moment * moment + by_torsion * size[:, 5])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ import pinocchio as pin
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.elastic import SharedFrame, with_legs
 from cmbot.elastic.first_order import Bases
-from cmbot.hold import Foot, Holding, needed_by_load
+from cmbot.hold import Foot, bears, needed_by_load
 from cmbot.robot import Climber, HoldingJoint, Robot, holding_rows, leg_compliance
 from cmbot.scene import Scene, axis_point, feet_at
 from cmbot.stances.bounds import Bounds, StanceObjective
@@ -177,12 +177,11 @@ class StanceLoads:
         return np.array([part.max(axis=1, initial=0.0) for part in parts])
 
     def _feet(self, feet: Sequence[tuple[Foot, ...]]) -> None:
-        self._holding = [Holding(each, self._still[k]) for k, each in enumerate(feet)]
-        self._bounded = any(holding.bounded for holding in self._holding)
         # Where there is no second foot, the first one stands for it.
         parts = [[each[min(k, len(each) - 1)] for each in feet] for k in (0, 1)] if all(feet) else []
         self._from_wrench = [np.array([foot.from_wrench for foot in part]) for part in parts]
         self._parts, self._alike = parts, [_alike(part) for part in parts]
+        self._bounded = any(foot.bounded for part in parts for foot in part)
 
     def _turned(self, each: Sequence[FloatArray | None]) -> FloatArray | None:
         """Stiffness (C, 6, 6) along the axes of the bases; what is rigid is very stiff beside what bends."""
@@ -218,19 +217,25 @@ class StanceLoads:
     def adhesion(self, of: IntArray, wrench: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Adhesion (N,) that the feet need, and its gradients (N, 6); zero where none is flat."""
         value, gradient = np.zeros(len(of)), np.zeros((len(of), 6))
+        for foot, rows, load, by_wrench in self._by_foot(of, wrench):
+            if foot.contact is None:
+                continue
+            needed, by_load = needed_by_load(foot, load)
+            more = needed > value[rows]
+            value[rows[more]] = needed[more]
+            gradient[rows[more]] = np.einsum("ki,kij->kj", by_load[more], by_wrench[more])
+        return value, gradient
+
+    def _by_foot(
+        self, of: IntArray, wrench: FloatArray
+    ) -> Iterator[tuple[Foot, IntArray, FloatArray, FloatArray]]:
+        """Yield feet, the rows whose feet are like that, their loads and what makes them of the wrench."""
         whole = wrench + self._still[of]
         for by_wrench, feet, alike in zip(self._from_wrench, self._parts, self._alike, strict=True):
-            load = np.einsum("kij,kj->ki", by_wrench[of], whole)
             for kind in np.unique(alike[of]):
                 rows = np.flatnonzero(alike[of] == kind)
-                foot = feet[int(of[rows[0]])]
-                if foot.contact is None:
-                    continue
-                needed, by_load = needed_by_load(foot, load[rows])
-                more = needed > value[rows]
-                value[rows[more]] = needed[more]
-                gradient[rows[more]] = np.einsum("ki,kij->kj", by_load[more], by_wrench[of[rows[more]]])
-        return value, gradient
+                by = by_wrench[of[rows]]
+                yield feet[int(of[rows[0]])], rows, np.einsum("kij,kj->ki", by, whole[rows]), by
 
     def torque(self, of: IntArray, wrench: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Weighted moment (N,), Nm, and its gradients (N, 3) by the torque in W."""
@@ -264,9 +269,9 @@ class StanceLoads:
         if np.isfinite(self._bounds.adhesion_n):
             good &= self.adhesion(of, wrench)[0] <= self._bounds.adhesion_n
         good &= ~(self.held(of, wrench)[1] > 1.0)
-        for c in np.unique(of) if self._bounded else ():
-            rows = of == c
-            good[rows] &= self._holding[c].share(wrench[rows])[0] <= 1.0
+        kept = np.flatnonzero(good)
+        for foot, rows, load, _ in self._by_foot(of[kept], wrench[kept]) if self._bounded else ():
+            good[kept[rows]] &= bears(foot, load)
         return good
 
     @property
@@ -295,6 +300,10 @@ def _locked(candidate: AnyCandidate, robot: Robot, arm: Robot, climber: Climber)
 
 
 def _alike(feet: Sequence[Foot]) -> IntArray:
-    """Numbers (C,) that are the same for feet that need the same adhesion for the same load."""
+    """Numbers (C,) that are the same for feet that need and bear the same under the same load."""
     kinds = dict[object, int]()
-    return np.array([kinds.setdefault((foot.contact, foot.friction, foot.gap), len(kinds)) for foot in feet])
+    keys = [
+        (foot.contact, foot.friction, foot.gap, foot.safety, foot.adhesion, foot.force, foot.moment)
+        for foot in feet
+    ]
+    return np.array([kinds.setdefault(key, len(kinds)) for key in keys])

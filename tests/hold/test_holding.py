@@ -7,7 +7,7 @@ import pytest
 from finite_differences import finite_difference
 from numpy.typing import NDArray
 
-from cmbot.hold import Contact, Foot, Gap, Holding
+from cmbot.hold import Contact, Foot, Gap, Holding, bears
 
 FloatArray = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ def test_slipping_along_and_turning() -> None:
     assert needed([300, 400, 100, 0, 0, 0])[3] == pytest.approx(100 + 500 / 0.4)
     points = np.random.default_rng(1).uniform(-1, 1, (400_000, 2)) * [0.065, 0.0375]
     turning = 20 / (0.4 * np.hypot(*points.T).mean())
-    assert turning < needed([0, 0, 0, 0, 0, -20])[3] < 1.08 * turning
+    assert needed([0, 0, 0, 0, 0, -20])[3] == pytest.approx(turning, rel=3e-3)  # of random points
 
 
 def test_a_robot_that_hangs_beside_a_wall_needs_no_more_than_its_weight_and_lever_ask() -> None:
@@ -84,9 +84,9 @@ def test_where_no_gap_may_open_the_kern_is_what_counts() -> None:
     holding = Holding([tight], np.zeros(6))
     value = needed([0, 0, 100, 30, 20, 0], tight)
     expected = 100 + 3 * (30 / 0.0375 + 20 / 0.065)
-    assert value[2] == pytest.approx(expected, rel=2e-3)  # by the cells
+    assert value[2] == pytest.approx(expected)
     peak = Holding([PLAIN], np.zeros(6)).worst(np.array([[0.0, 0, 100, 30, 20, 0]]), np.zeros(1))
-    assert (peak.tip, peak.gap) == pytest.approx((900.0, expected), rel=2e-3)
+    assert (peak.tip, peak.gap) == pytest.approx((900.0, expected))
     rng = np.random.default_rng(2)
     first, second = rng.normal(size=(2, 500, 6)) * [500, 500, 500, 50, 50, 50]
     middle = holding.needed(0, 0.5 * (first + second))
@@ -121,27 +121,38 @@ def test_gradients(foot: Foot, rng) -> None:
             np.testing.assert_allclose(gradient[k], expected, rtol=1e-5, atol=1e-4)
 
 
+@pytest.mark.parametrize("gap", ["none", "allowed"])
+def test_a_foot_bears_what_needs_no_more_than_it_has(gap: Gap, rng: np.random.Generator) -> None:
+    magnet = replace(PLAIN, gap=gap)
+    clamp = replace(PLAIN, adhesion=None, force=(900.0,) * 3, moment=(90.0,) * 3)
+    load = rng.normal(size=(500, 6)) * [300, 300, 300, 30, 30, 30]
+    for foot in (magnet, clamp):
+        expected = Holding([foot], np.zeros(6)).share(load)[0] <= 1
+        assert 0.05 < expected.mean() < 0.95
+        np.testing.assert_array_equal(bears(foot, load), expected)
+
+
 def test_a_remainder_bounds_the_change(rng) -> None:
     clamp = replace(FOOT, adhesion=None, force=(1e3, 2e3, 3e3), moment=(50.0, 60.0, 70.0))
     holding = Holding([FOOT, clamp], np.zeros(6))
     wrench = rng.normal(size=(500, 6)) * 300
     change = rng.normal(size=wrench.shape)
-    sizes = (np.linalg.norm(part, axis=1) for part in (change[:, :3], change[:, 3:]))
-    force, torque = sizes
-    moved = np.abs(holding.needed(0, wrench + change) - holding.needed(0, wrench))
-    assert (moved <= holding.remainder(0, force, torque)).all()
+    force, torque = (np.linalg.norm(part, axis=1) for part in (change[:, :3], change[:, 3:]))
+    enough = holding.needed_between(0, wrench[:, None], force, torque)
+    assert (holding.needed(0, wrench + change) <= enough).all()
+    assert np.quantile(enough / holding.needed(0, wrench), 0.9) < 1.1
     moved = np.abs(holding.use(1, wrench + change) - holding.use(1, wrench))
     assert (moved <= holding.use_remainder(1, force, torque)).all()
 
 
 @pytest.mark.parametrize("axis", [0, 1, 3, 4, 5])
-def test_a_remainder_bounds_a_change_along_one_axis(axis: int) -> None:
+def test_a_change_along_one_axis_is_enclosed(axis: int) -> None:
     """Where a plate slips the adhesion changes by more than the force: by its share of the friction."""
     holding, change = Holding([PLAIN], np.zeros(6)), np.zeros((1, 6))
     change[0, axis] = 1.0
-    moved = holding.needed(0, 100 * change) - holding.needed(0, 99 * change)
     force, torque = (np.linalg.norm(part, axis=1) for part in (change[:, :3], change[:, 3:]))
-    assert 0 < moved <= holding.remainder(0, force, torque)
+    less, more = (holding.needed(0, share * change) for share in (99, 100))
+    assert less < more <= holding.needed_between(0, 99 * change[:, None], force, torque) < 1.2 * more
 
 
 @pytest.mark.parametrize("moment", [None, (1e3, 1e3, 1e3)])
@@ -160,8 +171,9 @@ def test_what_suffices_between_wrenches(gap: Gap, rng: np.random.Generator) -> N
     corners = rng.normal(size=(40, 1, 6)) * 300 + rng.normal(size=(40, 5, 6)) * 10
     weights = rng.dirichlet(np.ones(5), size=(40, 30))
     inside = np.einsum("lmk,lki->lmi", weights, corners)
-    needed = holding.needed(0, inside.reshape(-1, 6)).reshape(40, 30)
-    assert (needed <= holding.needed_between(0, corners)[:, None] + 1e-9).all()
+    needed, exact = holding.needed(0, inside.reshape(-1, 6)).reshape(40, 30), np.zeros(40)
+    assert (needed <= holding.needed_between(0, corners, exact, exact)[:, None] + 1e-9).all()
     # The nearer they are, the closer it is.
     close = corners[:, :1] + 1e-6 * (corners - corners[:, :1])
-    np.testing.assert_allclose(holding.needed_between(0, close), holding.needed(0, close[:, 0]), rtol=1e-3)
+    enough = holding.needed_between(0, close, exact, exact)
+    np.testing.assert_allclose(enough, holding.needed(0, close[:, 0]), rtol=1e-3)

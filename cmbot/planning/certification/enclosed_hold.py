@@ -8,7 +8,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.limit import Limit
 from cmbot.hold import ADHESION, CLAMP_LOAD, AdhesionPeak, Holding
 from cmbot.planning.certification.check import Check
@@ -43,9 +43,9 @@ class EnclosedHold:
         """Of each foot that holds by adhesion, by its number, the adhesion that it needs, N."""
         holding, peaks = self.holding, dict[int, Peak]()
         for number in holding.adhesive:
-            remainder = holding.remainder(number, *self._remainders)
             between = partial(holding.needed_between, number)
-            peaks[number] = self._enclosed(partial(holding.needed, number), remainder, between)
+            beyond = np.where(self._bounded, 0.0, np.inf)
+            peaks[number] = self._enclosed(partial(holding.needed, number), beyond, between)
         return peaks
 
     @property
@@ -96,6 +96,11 @@ class EnclosedHold:
         pieces, of = self.pieces, self.bounds
         return pieces.remainder(of.guardrail_force), pieces.remainder(of.guardrail_torque)
 
+    @property
+    def _bounded(self) -> BoolArray:
+        """Of which pieces that is bounded, (K,)."""
+        return np.isfinite(sum(self._remainders))
+
     def _at(self, time: float) -> FloatArray:
         """The wrench (6,) at a Chebyshev point near a time: where the peak is, up to the resolution."""
         return np.asarray(self.wrench[int(np.abs(self.pieces.times.ravel() - time).argmin())])
@@ -104,9 +109,10 @@ class EnclosedHold:
         self,
         function: Callable[[FloatArray], FloatArray],
         remainder: FloatArray,
-        between: Callable[[FloatArray], FloatArray] | None = None,
+        between: Callable[[FloatArray, FloatArray, FloatArray], FloatArray] | None = None,
     ) -> Peak:
         """Enclose a function of wrenches (N, 6): a convex one, or one with bounds `between` (N, K, 6)."""
+        off = [np.where(self._bounded, part, 0.0) for part in self._remainders]
 
         def values(points: FloatArray, piece: IntArray) -> FloatArray:
             wrench = np.swapaxes(points, 1, 2)
@@ -115,7 +121,8 @@ class EnclosedHold:
         def bounds(points: FloatArray, piece: IntArray) -> FloatArray:
             if between is None:
                 return values(points, piece)
-            return np.repeat(between(np.swapaxes(points, 1, 2))[:, None], points.shape[2], axis=1)
+            found = between(np.swapaxes(points, 1, 2), *(part[piece] for part in off))
+            return np.repeat(found[:, None], points.shape[2], axis=1)
 
         resolution = self.resolution * float(np.abs(function(self.wrench)).max())
         control = self.pieces.control_points(self.wrench)

@@ -13,13 +13,12 @@ from cmbot.planning.certification.check import Check, largest_check
 from cmbot.robot import Robot
 
 # What two computations may differ by, as a share of what presses the foot most, below and above, and N; by
-# what share a bound may be missed. This one has fewer centres of turning; the other one is on the safe side,
-# with pressure near a corner by up to so much of the force that presses.
+# what share a bound may be missed. This one has cells, and few centres of turning.
 _MORE_THAN_FOUND, _LESS_THAN_FOUND, _LEAST_DIFFERENCE, _OF_BOUND = 0.005, 0.25, 1e-6, 1e-9
 # Cells along each side of the contact's box, and at least of its smallest part's; centres of turning on a
 # circle, the share of the way to its edge up to which cells have a centre of pressure, and circles in half
 # sides of the box.
-_SECOND_CELLS, _CELLS_OF_PART, _ON_CIRCLE, _INNER_WAY = 16, 6, 24, 0.94
+_SECOND_CELLS, _CELLS_OF_PART, _ON_CIRCLE, _INNER_WAY = 32, 8, 24, 0.94
 _SECOND_CIRCLES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.5, 2.5, 5.0)
 # Steps of Newton's method for the pressure, where it ends, and steps of the search for the adhesion.
 _SECOND_STEPS, _SECOND_CLOSE, _SECOND_HALVINGS = 40, 1e-8, 12
@@ -109,7 +108,8 @@ class _Plate:
             low, high = np.where(enough, low, middle), np.where(enough, middle, high)
         only_least = (work <= least[:, None] * (self._pressures(E / least[:, None]) @ self.away)).all(axis=1)
         tips = (E @ self.edges.T).max(axis=1) > _INNER_WAY * np.maximum(near - pull, 1e-9)
-        return np.asarray(pull + np.where(only_least | tips, least, high))
+        found = np.where(only_least, least, high)
+        return np.asarray(pull + np.where(tips, np.maximum(least, near - pull), found))
 
     def _pressures(self, e: FloatArray) -> FloatArray:
         """Forces (N, K) on the cells, one in all, linear and without tension, whose centre is at e (N, 2)."""

@@ -1,0 +1,327 @@
+"""How much friction and torsion a pressed contact bears: exact, from its outline.
+
+A pressure p = max(0, a + b . x) presses the part of the contact where it is positive, and a plate that moves
+as v + w k x turns about c = (-v_y, v_x) / w. Friction does the work mu H on it, H = |w| D(c) with
+
+    D(c) = integral of p |x - c|
+
+and a load of friction T and moment M slips where T . v + M w > mu H(v, w) for some motion (Goyal, Ruina and
+Papadopoulos, 1991). H is convex. In polar coordinates about c, D and its derivatives are integrals along the
+outline of the pressed part, all of which are elementary:
+
+    D = sum over sides of d (integral of rho (p(c) / 3 + b . (x - c) / 4) along the side)
+
+where rho = |x - c| and d is the signed distance of the side's line from c. There are no cells and no tables.
+Points and vectors in the plane are complex numbers here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+
+ComplexArray = NDArray[np.complex128]
+
+# Passes at most, and where they end: shares of moments, of a work and of the force that is enough. Whether a
+# force is enough is said where the work is sure by this share of what is too much or too little.
+_PASSES, _BALANCED, _LEAST_WORK, _ENOUGH, _SURE = 400, 1e-7, 1e-9, 1e-5, 0.003
+# By how much the force goes down in a step, at most and where it is far from too little; friction that is
+# enough by less than this share may be too little in between.
+_DOWN, _SHALLOW = (0.5, 0.85), 0.1
+# Least share of turning in a motion: centres are no further than its inverse, in units of the contact's size.
+_LEAST_TURNING = 1e-2
+_TINY = 1e-12
+
+
+class Friction:
+    """The friction of a contact.
+
+    Parameters
+    ----------
+    rings : sequence of (K,), complex, in units of the contact's size
+        The corners of its parts, each part counter-clockwise.
+    """
+
+    def __init__(self, rings: Sequence[ComplexArray]) -> None:
+        start, number = np.concatenate(rings), np.arange(sum(len(ring) for ring in rings))
+        parts = np.split(number, np.cumsum([len(ring) for ring in rings])[:-1])
+        self._next = np.concatenate([np.roll(part, -1) for part in parts])
+        self._start, self._side = start, start[self._next] - start
+        self._along = self._side / np.abs(self._side)
+        self._far = (start * (1j * self._along.conj())).real
+        self.whole = self.moments(np.array([[1.0, 0.0, 0.0]]))[0]
+
+    def moments(self, pressure: FloatArray) -> FloatArray:
+        """Return the integrals of (1, x)' (1, x) over where pressures (N, 3) are positive, (N, 3, 3)."""
+        a, b = pressure[:, 0], pressure[:, 1] + 1j * pressure[:, 2]
+        start, end, _ = self._pressed(a, b)
+        # Triangles about a point where the pressure is zero: the line along which it is adds nothing.
+        apex = -a * b / np.maximum(np.abs(b), _TINY) ** 2
+        apex = np.where(np.abs(apex) > 4.0, 0.0, apex)
+        one, two = start - apex[:, None], end - apex[:, None]
+        area, both = (one.conj() * two).imag, one + two
+        total, first = area.sum(axis=1) / 2, (area * both).sum(axis=1) / 6
+        square = (area * (one * one + two * two + both * both)).sum(axis=1) / 24
+        size = (area * (np.abs(one) ** 2 + np.abs(two) ** 2 + np.abs(both) ** 2)).sum(axis=1) / 24
+        square += 2 * apex * first + apex * apex * total
+        size += 2 * (apex.conj() * first).real + np.abs(apex) ** 2 * total
+        first += apex * total
+        rows = [total, first.real, first.imag, first.real, (size + square.real) / 2, square.imag / 2]
+        rows += [first.imag, square.imag / 2, (size - square.real) / 2]
+        return np.array(rows).T.reshape(-1, 3, 3)
+
+    def work(
+        self, pressure: FloatArray, motion: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return H (N,) of motions v, w (N, 3), its gradient (N, 3) and second derivatives (N, 3, 3).
+
+        The last is |w| times the integrals of (1, x) |x - c| over where the pressure is positive, (N, 3).
+        """
+        turn, slide = motion[:, 2], motion[:, 0] + 1j * motion[:, 1]
+        least = _LEAST_TURNING * np.abs(slide)
+        turn = np.where(np.abs(turn) < least, np.copysign(least, turn), turn)
+        centre, size = 1j * slide / turn, np.abs(turn)
+        distance, by_centre, mean, deviation = self._distances(pressure, centre)
+        total = (pressure * distance).sum(axis=1)
+        by_slide = -1j * by_centre
+        by_turn = total - (by_centre.conj() * centre).real
+        slope = np.sign(turn)[:, None] * np.array([by_slide.real, by_slide.imag, by_turn]).T
+        # Derivatives of c by v and w, times w, are (0, 1), (-1, 0) and -c.
+        along, across = mean - deviation.real, mean + deviation.real
+        mixed = mean * centre + deviation * centre.conj()
+        both = (centre.conj() * mixed).real
+        second = [along, -deviation.imag, -mixed.imag, -deviation.imag, across, mixed.real]
+        second += [-mixed.imag, mixed.real, both]
+        curved = (np.array(second) / size).T.reshape(-1, 3, 3)
+        # Of motions that hardly turn, to second order.
+        change = (motion[:, 2] - turn)[:, None] * curved[:, 2]
+        work = size * total + (motion[:, 2] - turn) * (slope[:, 2] + change[:, 2] / 2)
+        return work, slope + change, curved, size[:, None] * distance
+
+    def _pressed(self, a: FloatArray, b: ComplexArray) -> tuple[ComplexArray, ComplexArray, FloatArray]:
+        """Where on each side the pressed part starts and ends (N, K), and whether it is entered or left."""
+        first = a[:, None] + np.multiply.outer(b.real, self._start.real)
+        first += np.multiply.outer(b.imag, self._start.imag)
+        # The same number as of the side that starts there: a corner is in or out.
+        last = first[:, self._next]
+        starts, ends = first >= 0, last >= 0
+        crosses = starts != ends
+        share = first / np.where(crosses, first - last, 1.0)
+        low = np.where(starts, 0.0, np.where(crosses, share, 0.0))
+        high = np.where(ends, 1.0, np.where(crosses, share, 0.0))
+        sign = ends.astype(float) - starts
+        return self._start + low * self._side, self._start + high * self._side, sign
+
+    def _distances(
+        self, pressure: FloatArray, centre: ComplexArray
+    ) -> tuple[FloatArray, ComplexArray, FloatArray, ComplexArray]:
+        """Integrals (N, 3) of (1, x) |x - c| over the pressed part, and D's derivatives by c.
+
+        Second derivatives are the mean of both diagonal terms, and their deviation from it as a complex
+        number that turns with twice the angle.
+        """
+        a, b = pressure[:, 0], pressure[:, 1] + 1j * pressure[:, 2]
+        start, end, sign = self._pressed(a, b)
+        steep = np.maximum(np.abs(b), _TINY)
+        at_centre = a + (b.conj() * centre).real
+        # Along the sides, and along the line on which the pressure is zero, from where the outline is left to
+        # where it is entered.
+        K = len(self._start)
+        along = np.empty((len(a), K + 1), dtype=complex)
+        along[:, :K], along[:, K] = self._along, -1j * b / steep
+        far = np.empty((len(a), K + 1))
+        far[:, :K] = self._far - (centre[:, None] * (1j * self._along.conj())).real
+        far[:, K] = at_centre / steep
+        conj, middle = along.conj(), centre[:, None]
+        crossing = np.where(sign > 0, start, end)
+        tau = np.concatenate(
+            [
+                ((end - middle) * conj[:, :K]).real,
+                ((start - middle) * conj[:, :K]).real,
+                ((crossing - middle) * conj[:, K:]).real,
+            ],
+            axis=1,
+        )
+        d = np.concatenate([far[:, :K], far[:, :K], np.broadcast_to(far[:, K:], sign.shape)], axis=1)
+        at_ends = _antiderivatives(d, tau)
+        parts = np.empty((7, *far.shape))
+        parts[:, :, :K] = at_ends[:, :, :K] - at_ends[:, :, K : 2 * K]
+        parts[:, :, K] = (sign * at_ends[:, :, 2 * K :]).sum(axis=2)
+        root, first, third, mixed, square, sine, inverse = parts
+        # With the components of b out of the side and along it; -i t is out of it.
+        turned = b.conj()[:, None] * along
+        bt, bn = turned.real, turned.imag
+        d, dd = far, far * far
+        distance = np.empty((len(a), 3))
+        distance[:, 0] = (d * root).sum(axis=1) / 3
+        moment = (along * (d * third - 1j * dd * root)).sum(axis=1) / 4 + centre * distance[:, 0]
+        distance[:, 1], distance[:, 2] = moment.real, moment.imag
+        q = at_centre[:, None] / 2 + bn * d / 3
+        slope = -(along * d * (q * mixed + bt / 3 * square - 1j * d * (q * first + bt / 3 * mixed))).sum(
+            axis=1
+        )
+        r, bt = at_centre[:, None] + bn * d / 2, bt / 2
+        nn = d * (r * (first - sine) + bt * (mixed + dd * inverse))
+        nt = dd * (r * inverse - bt * (first - sine))
+        tt = d * (r * sine - bt * dd * inverse)
+        mean = (nn + tt).sum(axis=1) / 2
+        deviation = (along * along * ((tt - nn) / 2 - 1j * nt)).sum(axis=1)
+        return distance, slope, mean, deviation
+
+
+def _antiderivatives(d: FloatArray, tau: FloatArray) -> FloatArray:
+    """At tau (7, N, K): of rho, 1 / rho, tau rho, tau / rho, tau^2 / rho, d^2 / rho^3 and -tau / rho^3."""
+    rho = np.maximum(np.sqrt(d * d + tau * tau), _TINY)
+    log = np.arcsinh(tau / np.maximum(np.abs(d), _TINY))
+    product, square = tau * rho, d * d * log
+    parts = [(product + square) / 2, log, rho**3 / 3, rho, (product - square) / 2, tau / rho, 1 / rho]
+    return np.array(parts)
+
+
+class Slipping:
+    """The search for the force from which on friction is enough.
+
+    Where the centre of pressure is near a corner, more force may hold less, as it moves inwards. So the force
+    goes down from where the whole contact is pressed, beyond which friction grows with it. Each pass takes
+    one of Newton's steps for every load: for the pressure; with that, for the motion against which friction
+    is weakest; and with that, for the force.
+
+    Parameters
+    ----------
+    friction : Friction
+    slips : (N, 3)
+        Friction and torsion, by the friction coefficient.
+    moment : (N, 2)
+        Moments E of the pressure.
+    least, whole : (N,)
+        The least force that is asked for, and the one with which the whole contact is pressed.
+
+    Attributes
+    ----------
+    force : (N,)
+        That is enough; zero where the least is.
+    gradient : (N, 6)
+        By friction, moments and torsion.
+    """
+
+    def __init__(
+        self,
+        friction: Friction,
+        slips: FloatArray,
+        moment: FloatArray,
+        least: FloatArray,
+        whole: FloatArray,
+    ) -> None:
+        self._friction, self._moment, self._least, N = friction, moment, least, len(slips)
+        self.force, self.gradient = np.zeros(N), np.zeros((N, 5))
+        self._trial = np.max([whole, least, 0.1 * np.abs(slips).max(axis=1)], axis=0)
+        self._low, self._high, self._slope = np.zeros(N), np.full(N, np.inf), np.zeros(N)
+        self._shallow = np.zeros(N, dtype=bool)
+        goal = np.column_stack([np.ones(N), moment / np.maximum(self._trial, 1e-300)[:, None]])
+        self._pressure = goal @ np.linalg.inv(friction.whole)
+        self._moments = np.broadcast_to(friction.whole, (N, 3, 3)).copy()
+        self._pressure_step, self._energy = np.zeros((N, 3)), np.full(N, np.inf)
+        motion = slips / [1.0, 1.0, (friction.whole[1, 1] + friction.whole[2, 2]) / friction.whole[0, 0]]
+        self._motion = motion / np.maximum((motion * slips).sum(axis=1), 1e-300)[:, None]
+        self._motion_step, self._work = np.zeros((N, 3)), np.full(N, np.inf)
+        # Two directions in which a load does no work.
+        first = np.cross(slips, np.eye(3)[np.abs(slips).argmin(axis=1)])
+        size = np.maximum(np.linalg.norm(slips, axis=1), 1e-300)[:, None]
+        first /= np.maximum(np.linalg.norm(first, axis=1), 1e-300)[:, None]
+        self._free = np.stack([first, np.cross(slips, first) / size], axis=2) / size[:, :, None]
+        rows, balanced = np.flatnonzero(np.abs(slips).max(axis=1) > 0), np.ones(N, dtype=bool)
+        for _ in range(_PASSES):
+            if not len(rows):
+                break
+            off = rows[~balanced[rows]]
+            balanced[off] = self._balance(off)
+            moved = rows[balanced[rows]]
+            weakest = moved[self._minimise(moved)]
+            done = self._decide(weakest)
+            balanced[weakest] = False
+            rows = np.setdiff1d(rows, weakest[done], assume_unique=True)
+        # Never a number that may be too little.
+        self.force[rows] = np.inf
+
+    def _balance(self, rows: IntArray) -> BoolArray:
+        """Take a step towards the pressure that has the load's moments; whether it is there."""
+        if not len(rows):
+            return np.zeros(0, dtype=bool)
+        goal = np.column_stack([np.ones(len(rows)), self._moment[rows] / self._trial[rows, None]])
+        pressure = self._pressure[rows] - self._pressure_step[rows]
+        moments = self._friction.moments(pressure)
+        force = (moments @ pressure[:, :, None])[:, :, 0]
+        energy = (pressure * (0.5 * force - goal)).sum(axis=1)
+        lack = force - goal
+        there = np.abs(lack).max(axis=1) < _BALANCED
+        # Near the edge a and b are large and opposite: rounding is not what counts.
+        lower = there | (energy <= self._energy[rows] + 1e-4 * np.abs(energy))
+        step = np.linalg.solve(moments + 1e-16 * self._friction.whole, lack[:, :, None])[:, :, 0]
+        self._pressure_step[rows] = np.where(lower[:, None], step, 0.3 * self._pressure_step[rows])
+        taken = rows[lower]
+        self._pressure[taken], self._energy[taken] = pressure[lower], energy[lower]
+        self._moments[taken] = moments[lower]
+        return np.asarray(there)
+
+    def _minimise(self, rows: IntArray) -> BoolArray:
+        """Take a step towards the motion against which friction is weakest; whether it is there."""
+        motion = self._motion[rows] - self._motion_step[rows]
+        work, slope, curved, distance = self._friction.work(self._pressure[rows], motion)
+        free = self._free[rows]
+        across = free.swapaxes(1, 2)
+        slope, curved = across @ slope[:, :, None], across @ curved @ free
+        curved += _TINY * np.trace(curved, axis1=1, axis2=2)[:, None, None] * np.eye(2)
+        away = np.linalg.solve(curved, slope)
+        gain = (slope * away).sum(axis=(1, 2))
+        lower = (work <= self._work[rows]) | (gain < _LEAST_WORK * work)
+        step = (free @ away)[:, :, 0]
+        self._motion_step[rows] = np.where(lower[:, None], step, 0.3 * self._motion_step[rows])
+        taken = rows[lower]
+        self._motion[taken], self._work[taken] = motion[lower], work[lower]
+        sure = np.maximum(_LEAST_WORK * work, _SURE * np.abs(work - 1 / self._trial[rows]))
+        there = lower & (gain < sure)
+        solved = np.array([distance[there], np.broadcast_to([1.0, 0, 0], (int(there.sum()), 3))])
+        moments = self._moments[rows[there]]
+        by = np.linalg.solve(moments, np.moveaxis(solved, 0, 2))
+        self._by_moments, self._by_force = by[:, :, 0], by[:, :, 1]
+        return np.asarray(there)
+
+    def _decide(self, rows: IntArray) -> BoolArray:
+        """Say whether the force is enough, and choose the next; whether it is what is looked for."""
+        P, least, by_force = self._trial[rows], self._least[rows], self._by_moments[:, 0]
+        more = P * self._work[rows] - 1
+        holds, before, steep = more >= 0, self._high[rows], self._slope[rows]
+        # From here down it holds less, then more: between both it holds least.
+        dips = holds & ~self._shallow[rows] & (self._low[rows] == 0) & (by_force < 0) & (steep > 0)
+        dips &= more < _SHALLOW
+        self._shallow[rows[dips]] = True
+        holds &= ~dips
+        self._high[rows[holds]], self._low[rows[more < 0]] = P[holds], P[more < 0]
+        self._slope[rows[~dips]] = by_force[~dips]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            newton = np.where(by_force > 0, P - more / by_force, np.nan)
+            bottom = P + (before - P) * by_force / (by_force - steep)
+        close = ~dips & (np.abs(more) <= _ENOUGH)
+        ends = holds & (least >= P)
+        taken, rooted = holds | close, close & ~np.isnan(newton)
+        self.force[rows[taken]] = np.where(ends, 0.0, np.where(rooted, newton, P))[taken]
+        motion = self._motion[rows]
+        by_load = np.column_stack([motion[:, :2], -self._by_moments[:, 1:], motion[:, 2]])
+        by_load /= np.where(by_force > 0, by_force, np.inf)[:, None]
+        self.gradient[rows[taken]] = by_load[taken]
+        low, high = self._low[rows], self._high[rows]
+        down = np.clip((1 + np.maximum(more, 0.0)) ** -0.7, *_DOWN) * P
+        down = np.maximum(np.fmax(newton, down), least)
+        middle = np.where(np.isfinite(high), 0.5 * (low + high), 1.5 * P)
+        between = np.where((newton > low) & (newton < high), newton, middle)
+        next_ = np.where(dips, bottom, np.where(low == 0, down, between))
+        # The pressure moves with the force, at fixed moments.
+        moved = P[:, None] * self._pressure[rows] + (next_ - P)[:, None] * self._by_force
+        self._pressure[rows], self._trial[rows] = moved / next_[:, None], next_
+        self._pressure_step[rows], self._motion_step[rows] = 0.0, 0.0
+        self._energy[rows], self._work[rows] = np.inf, np.inf
+        return np.asarray(ends | close | (high - low <= _ENOUGH * low))
