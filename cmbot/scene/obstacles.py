@@ -54,7 +54,7 @@ class ObstacleFile(FileModel):
     rpy_deg: Angles = (0.0, 0.0, 0.0)
     """Roll, pitch, yaw as in URDF."""
     workpiece: bool = False
-    """The tool works on it, so it may come close."""
+    """The tool works on it, up to the safety margin."""
     scale: Annotated[float, Field(ge=LEAST_SCALE, le=MOST_SCALE)] | None = None
     """Factor that makes metres of the numbers of its shape, or of its mesh file: 0.001 where they are
     millimetres. ``xyz`` is in metres anyway. 1 says that an obstacle is meant to be as large and as far away

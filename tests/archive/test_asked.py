@@ -436,3 +436,11 @@ def test_claims_of_the_lower_bound_agree(triangle_folder: Path, key: str) -> Non
 
     edit(triangle_folder, change)
     assert ": got " in refusal("verify", triangle_folder, "--scene", "triangle")
+
+
+def test_effort_is_no_part_of_what_was_asked() -> None:
+    """A plan made with more time, by an option of the command line, is one of the scene that says so."""
+    scene = load_scene(SHORT)
+    require_asked(scene, scene.with_options(time_limit_s=150.0), "plan.json")
+    with pytest.raises(ArchiveError, match=r"scene\.planner\.safety_margin_m"):
+        require_asked(scene, scene.with_options(safety_margin_m=0.03), "plan.json")

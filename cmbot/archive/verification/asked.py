@@ -58,10 +58,10 @@ def require_promised(options: PlannerOptions, asked: PlannerOptions, source: str
 def require_asked(scene: Scene, asked: Scene, source: str) -> None:
     """Refuse the scene of a plan that is not what was asked, but for what planning decides.
 
-    That are numbers of via-points and durations that are ``auto``, a multiple of the segments between
-    via-points, the order of strokes where it is ``best``, and which rows of a raster are in which part, or
-    left out as nothing reaches them. Fewer via-points promise less. The files that both name have to be the
-    same ones; their contents are hashed on reading.
+    That are options that are effort, numbers of via-points and durations that are ``auto``, a multiple of the
+    segments between via-points, the order of strokes where it is ``best``, and which rows of a raster are in
+    which part, or left out as nothing reaches them. Fewer via-points promise less. The files that both name
+    have to be the same ones; their contents are hashed on reading.
 
     Parameters
     ----------
@@ -77,7 +77,11 @@ def require_asked(scene: Scene, asked: Scene, source: str) -> None:
         For the first key of the scene that differs.
     """
     content, wanted = (one.as_data() for one in (scene, asked))
-    require_same(content, wanted | {"tool_path": content["tool_path"]}, source, "scene", why="asked")
+    own, options = (dict(data.get("planner") or {}) for data in (content, wanted))
+    effort = {name: value for name, value in own.items() if name not in _LOOSER}
+    decided = {"planner": effort | {name: value for name, value in options.items() if name in _LOOSER}}
+    decided["tool_path"] = content["tool_path"]
+    require_same(content, wanted | decided, source, "scene", why="asked")
     key, best, strokes = "scene.tool_path.strokes", asked.order == "best", scene.strokes
     expected = _in_parts(asked, strokes, robot_of(asked))
     if best:
@@ -86,10 +90,10 @@ def require_asked(scene: Scene, asked: Scene, source: str) -> None:
     if len(strokes) != len(expected):
         raise ArchiveError(source, key, counted(len(strokes), "stroke"), f"{len(expected)}, as asked")
     for k, (stroke, other) in enumerate(zip(strokes, expected, strict=True)):
-        own, decided = plain(stroke, key), _decided(stroke, other, in_any_direction=best)
-        rest = {name: value for name, value in plain(other, key).items() if name not in decided}
-        same = {name: value for name, value in own.items() if name in decided}
-        require_same(own, rest | same, source, f"{key}[{k}]", why="asked")
+        entries, free = plain(stroke, key), _decided(stroke, other, in_any_direction=best)
+        rest = {name: value for name, value in plain(other, key).items() if name not in free}
+        same = {name: value for name, value in entries.items() if name in free}
+        require_same(entries, rest | same, source, f"{key}[{k}]", why="asked")
 
 
 def _decided(stroke: StrokeFile, asked: StrokeFile, *, in_any_direction: bool) -> set[str]:

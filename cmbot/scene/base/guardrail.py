@@ -115,7 +115,7 @@ class RailFile(FileModel):
     box_m: tuple[Length, Length]
     """Collision box along y and z, m."""
     workpiece: bool = False
-    """The tool works on it, so it may come close."""
+    """The tool works on it, up to the safety margin."""
 
 
 class FootFile(FileModel):

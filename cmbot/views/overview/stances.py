@@ -108,12 +108,10 @@ def _map(ranking: StanceRanking) -> str:
             )
             x += 40 + 8 * len(name)
     drawn = f'<g font-size="13">{legend}{"".join(_axes(low, high, top, ranking.unit))}</g>{marks}'
-    # Where not all of it is seen, the side of the best one is.
-    side = " from-right" if xs[0] > (low + high) / 2 else ""
     where = "foot 1 holds" if ranking.scene.on_guardrail else "the base frame is"
     said = f"All stances, by where {where} and by the {_MEANINGS[ranking.objective]}"
     svg = f'<svg viewBox="0 0 {_WIDTH_PX} {_SVG_HEIGHT}" role="img" aria-label="{said}">{drawn}</svg>'
-    svg = f'<div class="wide{side}" tabindex="0">{svg}</div>'
+    svg = f'<div class="wide" tabindex="0">{svg}</div>'
     caption = (_PLANNED_LEGEND if ranking.count("planned") else "An") + _CAPTION
     return f'<h2>{said}</h2><section>{svg}<p class="caption">{caption}</p></section>'
 
