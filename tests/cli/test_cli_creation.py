@@ -31,7 +31,9 @@ def test_a_scene_of_the_panda(here: Path, monkeypatch: pytest.MonkeyPatch) -> No
     robot_words, leg, base, *_ = out.splitlines()
     assert robot_words == "panda: 7 joints from panda_link0 to panda_hand_tcp"
     assert leg.startswith("A first leg takes the tool by (") and leg.endswith("put your own into tool_path.")
-    assert base == "The base is rigid: guardrail.stiffness says how it bends, base.name what it is."
+    assert (
+        base == "The base is rigid: base.tube or guardrail.stiffness says how it bends, base.name what it is."
+    )
     *_, limits, written = out.splitlines()
     assert limits.startswith("The assumed limits are in panda.limits.yaml: put those of your robot's")
     assert written == "Written: panda.yaml, panda.limits.yaml. Plan it: cmbot plan panda.yaml"
