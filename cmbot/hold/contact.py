@@ -39,6 +39,8 @@ BY_MOMENT = 2.5
 _STEADY = 10.0
 # Loads whose work is in memory at once.
 _LOADS_AT_ONCE = 2000
+# Beyond any load: more overflows, and nothing holds it.
+_HUGE_N = 1e100
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,13 +157,16 @@ class Contact:
         least = np.maximum(np.maximum(upright, slides), _STEADY * size[:, 0] / friction)
         # With |c| <= H / P + |e| the friction of all centres is that of the load with a larger moment.
         twist = size[:, 2] + friction * BY_MOMENT * size[:, 1] + tables.size * size[:, 0]
-        share = size[:, 0] / (friction * np.maximum(least, 1e-300))
-        grown = load.copy()
+        finite = np.max([np.abs(load).max(axis=1), twist, least], axis=0) < _HUGE_N
+        least[~finite] = np.inf
+        part, share = least[finite], size[finite, 0] / (friction * np.maximum(least[finite], 1e-300))
+        grown = load[finite]
         grown[:, [0, 1, 4]] /= 1 - share[:, None]
         for sign in (-1.0, 1.0):
             turned = grown.copy()
-            turned[:, 4] += sign * twist / (1 - share)
-            least = np.maximum(least, self.slip(turned, friction, gap)[0])
+            turned[:, 4] += sign * twist[finite] / (1 - share)
+            part = np.maximum(part, self.slip(turned, friction, gap)[0])
+        least[finite] = part
         return np.asarray(least)
 
 

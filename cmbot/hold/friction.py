@@ -28,7 +28,7 @@ ComplexArray = NDArray[np.complex128]
 
 # Passes at most, and where they end: shares of moments, of a work and of the force that is enough. Whether a
 # force is enough is said where the work is sure by this share of what is too much or too little.
-_PASSES, _BALANCED, _LEAST_WORK, _ENOUGH, _SURE = 400, 1e-7, 1e-9, 1e-5, 0.003
+_PASSES, _BALANCED, _LEAST_WORK, _ENOUGH, _SURE = 400, 1e-10, 1e-12, 1e-8, 0.003
 # By how much the force goes down in a step, at most and where it is far from too little; friction that is
 # enough by less than this share may be too little in between.
 _DOWN, _SHALLOW = (0.5, 0.85), 0.1
