@@ -71,17 +71,15 @@ def plan_stroke(
     first = Attempt.of(request)
     if stays and request.cell.options.knots == "sliding":
         first = replace(first, guess=attempted(request, lambda: sliding_guess(request, stay=True)))
-    objective, first = first, first.of_least_travel()
-    quiet = first if request.task.path.open_legs else first.quiet()
-    trial = searched_motion(quiet, budget)
-    if objective is not first and not isinstance(trial.outcome, Solved) and budget.left > 0:
-        first = objective
-        quiet = first if request.task.path.open_legs else first.quiet()
+    for start in dict.fromkeys((first.of_least_travel(), first)):
+        quiet = start if request.task.path.open_legs else start.quiet()
         trial = searched_motion(quiet, budget)
+        if isinstance(trial.outcome, Solved) or budget.left == 0:
+            break
     # Laws that were chosen may lead to no motion, or to one that sways more than by the scene's own.
     unshaped = trial.attempt.unshaped
     if quiet.unshaped is not None and unshaped is not None and _sway(trial) > unshaped and budget.left > 0:
-        trial = min(searched_motion(first, budget), trial, key=_sway)
+        trial = min(searched_motion(start, budget), trial, key=_sway)
     trial = replace(trial, attempt=replace(trial.attempt, more_time=quiet.more_time))
     return PlannedStroke(trial=trial, runs=budget.used)
 
