@@ -35,6 +35,7 @@ _DOWN, _SHALLOW = (0.5, 0.85), 0.1
 # Least share of turning in a motion: centres are no further than its inverse, in units of the contact's size.
 _LEAST_TURNING = 1e-2
 _TINY = 1e-12
+_ROUNDING = 2e-15
 
 
 class Friction:
@@ -244,8 +245,8 @@ class Slipping:
             done = self._decide(weakest)
             balanced[weakest] = False
             rows = np.setdiff1d(rows, weakest[done], assume_unique=True)
-        # Never a number that may be too little.
-        self.force[rows] = np.inf
+        # Where rounding hides the least: a force that is known to be enough.
+        self.force[rows] = self._high[rows]
 
     def _balance(self, rows: IntArray) -> BoolArray:
         """Take a step towards the pressure that has the load's moments; whether it is there."""
@@ -257,7 +258,9 @@ class Slipping:
         force = (moments @ pressure[:, :, None])[:, :, 0]
         energy = (pressure * (0.5 * force - goal)).sum(axis=1)
         lack = force - goal
-        there = np.abs(lack).max(axis=1) < _BALANCED
+        # Where only a narrow cap is pressed, a and b cancel: moments are known to eps times these.
+        rounding = _ROUNDING * np.abs(pressure).max(axis=1)
+        there = np.abs(lack).max(axis=1) < np.maximum(_BALANCED, rounding)
         # Near the edge a and b are large and opposite: rounding is not what counts.
         lower = there | (energy <= self._energy[rows] + 1e-4 * np.abs(energy))
         step = np.linalg.solve(moments + 1e-16 * self._friction.whole, lack[:, :, None])[:, :, 0]

@@ -67,9 +67,9 @@ class PadFile(FileModel):
 
     @property
     def region(self) -> shapely.Geometry:
-        """Its outline; that of a disc lies within it."""
+        """Its outline; that of a disc has 24 sides and lies within it, 1.1 % of the area less."""
         if self.disc_m is not None:
-            return shapely.Point(*self.at_m).buffer(self.disc_m / 2)
+            return shapely.Point(*self.at_m).buffer(self.disc_m / 2, quad_segs=6)
         along, across = (side / 2 for side in cast("tuple[float, float]", self.rectangle_m))
         turned = rotate(shapely.box(-along, -across, along, across), self.turn_deg, origin=(0, 0))
         return translate(turned, *self.at_m)
