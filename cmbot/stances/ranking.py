@@ -149,11 +149,13 @@ class StanceRanking:
     def closest_in_time(self) -> str:
         """The one that promises most of those that are left out by the time alone, in words; else empty."""
         first, late = next(iter(self.waiting), None), self.count("not judged") or len(self.waiting)
-        if first is None or not self.ended_by:
+        # Where the time was over before any was known bounds are zero.
+        if first is None or not first.bound or not (self.ended_by or self.count("not judged")):
             return ""
         return (
             f"not judged for want of time: {late}, closest {first.place}, by its bound "
-            f"{first.bound:.4g} {self.unit}; a longer --time-limit, or cmbot plan of its scene, judges it"
+            f"{first.bound:.4g} {self.unit}; a longer --time-limit or planner.time_limit_s, or "
+            "cmbot plan of its scene, judges it"
         )
 
     @property

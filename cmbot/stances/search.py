@@ -15,7 +15,14 @@ from typing import Literal, get_args
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import CmbotError, InputError, LimitViolation, OptimisationFailed, PathNotFound
+from cmbot.common.errors import (
+    CmbotError,
+    InputError,
+    LimitViolation,
+    OptimisationFailed,
+    PathNotFound,
+    PlanningError,
+)
 from cmbot.common.representation import short_repr
 from cmbot.planning import Plan
 from cmbot.stances.bounds import NO_BOUNDS, NO_FIGURES, Bounds, StanceFigures, StanceObjective
@@ -162,14 +169,11 @@ class Rejection:
     would_do: str = ""
 
     @staticmethod
-    def late(error: CmbotError, limit: float) -> Rejection:
-        """Return that by an error after all of a stage's time, s."""
-        return Rejection(kind="not judged", reason=f"{error}, after {limit:.3g} s", cause="not judged: time")
-
-    @staticmethod
     def of(kind: Status, error: CmbotError) -> Rejection:
-        """Return that by an error."""
+        """Return that by an error; where the time was over before, it says nothing of the stance."""
         match error:
+            case PlanningError(stopped=True):
+                kind, cause = "not judged", "not judged: time"
             case CannotBePutAway(pair=None):
                 reason, other = f"{error}, {error.use:.2f} times what it bears", "start with return: start"
                 return Rejection(
@@ -256,8 +260,9 @@ class StanceResult:
         return STATUSES.index(self.status), self.value if self.status == "planned" else self.bound
 
     def rejected(self, stage: StageName, rejection: Rejection) -> StanceResult:
-        """Return it as left out by a stage."""
-        return replace(self, stage=stage, rejection=rejection)
+        """Return it as left out by a stage, where that judged it."""
+        judged = self.stage if rejection.kind == "not judged" else stage
+        return replace(self, stage=judged, rejection=rejection)
 
 
 @dataclass(frozen=True, kw_only=True)

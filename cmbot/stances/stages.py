@@ -122,12 +122,10 @@ class Judge:
 
     def charted(self, result: StanceResult) -> StanceResult:
         """Chart a stance at all via-points."""
-        limit, left = min(self.scene.planner.time_limit_s, self.ending.part("charts")), self.ending.left()
+        limit = min(self.scene.planner.time_limit_s, self.ending.part("charts"))
         try:
             charted = chart(scene_at(self.scene, result.candidate, None), self._at_rest(result), limit)
         except CmbotError as error:
-            if left - self.ending.left() >= limit:
-                return result.rejected(result.stage, Rejection.late(error, limit))
             return result.rejected("charts", Rejection.of("blocked", error))
         number = np.full(len(charted.postures), result.number)
         rows = self.screener.arm.figures(charted.postures, number, self.screener.loads)
@@ -152,16 +150,11 @@ class Judge:
         """Plan a stance, with the way from the stow posture and back; that of a scene as the scene has it."""
         if result.own and result.stage == "postures" and (why := self.suits(result.candidate)):
             return result.rejected("clearance", Rejection(kind="blocked", reason=why, cause=why))
-        limit, left = (
-            min(self.scene.planner.time_limit_s, self.ending.part("plan", own=result.own)),
-            self.ending.left(),
-        )
+        limit = min(self.scene.planner.time_limit_s, self.ending.part("plan", own=result.own))
         try:
             scene = self._placed(result)
             made = plan(scene, options=replace(scene.planner, time_limit_s=limit))
         except CmbotError as error:
-            if left - self.ending.left() >= limit:
-                return result.rejected(result.stage, Rejection.late(error, limit))
             return result.rejected("plan", Rejection.of("failed", error))
         if left_out := sum(one.unreached for one in made.coverage.values()):
             why = "of the rasters are not reached"

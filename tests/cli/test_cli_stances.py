@@ -60,8 +60,9 @@ def test_every_row_that_is_printed_is_a_scene(job: Path) -> None:
         if row["bound"] == "":
             continue
         scene = cmbot.load_scene(out / files[rank])
-        climbing = [float(row[f"climb_{k}_deg"]) for k in range(1, 6)]
-        np.testing.assert_allclose(np.degrees(scene.stance.climber), climbing, atol=1e-3)
+        if scene.stance is not None:  # else that of the scene, at the origin
+            climbing = [float(row[f"climb_{k}_deg"]) for k in range(1, 6)]
+            np.testing.assert_allclose(np.degrees(scene.stance.climber), climbing, atol=1e-3)
         if row["status"] == "planned":
             made = cmbot.plan(scene)
             assert made.job.figures.adhesion_needed.peak == pytest.approx(

@@ -26,8 +26,8 @@ def searched(
         had.append((result.number, part))
         now[0] += min(part, needs[result.number])
         if part < needs[result.number]:
-            error = PathNotFound("late", time=0.0, progress=0.0, smallest_singular_value=1.0)
-            return result.rejected(result.stage, Rejection.late(error, part))
+            error = PathNotFound("late", time=0.0, progress=0.0, smallest_singular_value=1.0, stopped=True)
+            return result.rejected("charts", Rejection.of("blocked", error))
         return replace(result, stage="charts")
 
     def planned(result: StanceResult) -> StanceResult:
@@ -71,8 +71,8 @@ def test_stances_without_time_are_named_first(monkeypatch: pytest.MonkeyPatch) -
     assert [each.status for each in ranking.ranked] == ["not judged", "not judged", "screened"]
     assert ranking.best_unplanned == 100.0
     closest = (
-        "not judged for want of time: 2, closest place 0, by its bound 100 Nm; a longer --time-limit, or "
-        "cmbot plan of its scene, judges it"
+        "not judged for want of time: 2, closest place 0, by its bound 100 Nm; a longer --time-limit or "
+        "planner.time_limit_s, or cmbot plan of its scene, judges it"
     )
     said = [*in_words(ranking)]
     assert f"N{closest[1:]}." in said
