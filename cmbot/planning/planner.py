@@ -16,11 +16,11 @@ from cmbot.common.watching import watched
 from cmbot.planning.attempts.advice import slower_legs
 from cmbot.planning.attempts.agenda import Agenda, Remedy, Solved
 from cmbot.planning.attempts.failure import Failure, NoWay, OutOfTime, error_of, in_words
+from cmbot.planning.attempts.reconfigurations import Reconfigurations
 from cmbot.planning.attempts.stroke import PlannedStroke, advice, in_given_time, plan_stroke
 from cmbot.planning.budget import Budget, Deadline
 from cmbot.planning.composition import composed
 from cmbot.planning.path.raster_reach import reached_scene
-from cmbot.planning.path.reconfigurations import Reconfigurations
 from cmbot.planning.precheck import (
     failures_explained,
     require_reasonable_size,
