@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from accuracy import monte_carlo
+from accuracy import EVERY, STEP, monte_carlo, swayed
 from finite_differences import finite_difference
 from small_scenes import short_scene
 
@@ -138,6 +138,19 @@ def test_the_sway_is_that_of_the_simulation(bent: Plan, arm: ElasticArm) -> None
         tracking = simulate(bent, each).planned
         expected = np.linalg.norm(tracking.dynamic[:, :3], axis=1).max()
         assert np.linalg.norm(tool, axis=1).max() == pytest.approx(expected, rel=0.1)
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.3])
+def test_mujoco_sways_alike_with_other_springs(bent: Plan, arm: ElasticArm, factor: float) -> None:
+    """Joints give way as much as the base and the links: all of them by the factor."""
+    theirs = swayed(bent, arm, factor)
+    motion, duration = bent.trajectory.evaluate, bent.trajectory.duration
+    sway = sway_along(arm, motion, duration, arm.robot.damping_ratio, (factor,))
+    t = STEP * EVERY * np.arange(len(theirs))
+    ours = np.stack([np.interp(t, sway.t, column) for column in sway.tool[0].T], axis=1)
+    most = np.linalg.norm(theirs, axis=1).max()
+    assert np.linalg.norm(ours, axis=1).max() == pytest.approx(most, rel=0.02)
+    assert np.abs(ours - theirs).max() < 0.1 * most
 
 
 def test_in_an_ideal_world_only_what_is_known_is_left() -> None:

@@ -96,13 +96,15 @@ class Twin:
         if given is None:
             return
         axis = _axis(robot, joint)
-        kinds = [(axis, given.stiffness, given.damping)]
+        factor = self.arm.options.joint_factor
+        kinds = [(axis, factor * given.stiffness, given.damping)]
         if given.tilting is not None:
             # Which two axes across the joint's are meant is the arm's choice.
             first = self.arm.model.joints[self.arm.model.getJointId(f"{robot.joints[joint - 1]} tilt y")]
             across = np.asarray(turn_axis(first))
             assert abs(across @ axis) < 1e-12
-            kinds += [(across, given.tilting, 0.0), (np.cross(axis, across), given.tilting, 0.0)]
+            tilting = factor * given.tilting
+            kinds += [(across, tilting, 0.0), (np.cross(axis, across), tilting, 0.0)]
         for direction, stiffness, damping in kinds:
             name = next(self.names)
             self.drives.append(name)
