@@ -170,10 +170,10 @@ class Contact:
             by_moment = np.maximum(BY_MOMENT, tables.at_edge / np.sqrt(1 - np.minimum(share, _BEFORE_EDGE)))
             # With |c| <= H / P + |e| the friction of all centres is that of the load with a larger moment.
             twist = size[:, 2] + friction * by_moment * size[:, 1] + tables.size * size[:, 0]
-            for sign in (-1.0, 1.0):
-                turned = grown.copy()
-                turned[:, 4] += sign * twist / left
-                enough = np.maximum(enough, self.slip(turned, friction, gap)[0])
+            turned = np.stack([grown] * 2)
+            turned[:, :, 4] += np.array([[-1.0], [1.0]]) * twist / left
+            slips = self.slip(turned.reshape(-1, 5), friction, gap)[0].reshape(2, -1)
+            enough = np.maximum(enough, slips.max(axis=0))
             share = tips / np.maximum(enough, 1e-300)
         least[finite] = enough
         return np.asarray(least)

@@ -28,8 +28,9 @@ def crowded(any_arm: Robot, tmp_path_factory: pytest.TempPathFactory) -> tuple[R
     rock = tmp_path_factory.mktemp("obstacles") / "rock.stl"
     trimesh.creation.icosahedron().apply_scale([0.2, 0.3, 0.1]).export(rock)
     rng = np.random.default_rng(5)
-    obstacles = []
-    for name, shape in [*((kind, shape) for kind, (shape, _) in SHAPES.items()), ("mesh", Mesh(path=rock))]:
+    trimesh.creation.icosahedron().apply_scale([0.1, 2.0, 0.1]).export(beam := rock.with_name("beam.stl"))
+    obstacles, meshes = [], {"rock": Mesh(path=rock), "beam": Mesh(path=beam)}
+    for name, shape in [*((kind, shape) for kind, (shape, _) in SHAPES.items()), *meshes.items()]:
         point = any_arm.base_point + 0.4 * any_arm.reach * rng.normal(size=3)
         X_WO = pin.SE3(Rotation.random(rng=rng).as_matrix(), point)
         obstacles.append(Obstacle(name=name, shape=shape, X_WO=X_WO.homogeneous))
