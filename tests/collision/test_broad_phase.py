@@ -70,6 +70,10 @@ def test_bounds_are_not_far_too_low(cmbot_robot: Robot, random_states: StateSamp
     apart = (distances > 0) & np.array([not pair.self_collision for pair in clearances.pairs])[:, None]
     assert np.quantile((distances - better)[apart], 0.9) < 1e-3
     assert np.median((distances - bounds)[apart]) < 0.2
+    for pair, far, *low in zip(clearances.pairs, distances, bounds, better, strict=True):
+        if pair.other in ("foot_1", "box"):
+            assert np.median((far - low[0])[far > 0]) < 0.08
+            assert np.quantile((far - low[1])[far > 0], 0.9) < 1e-3
 
 
 def test_bounds_of_several_blocks_are_in_order(cmbot_robot: Robot, random_states: StateSamples) -> None:
