@@ -154,9 +154,8 @@ class Contact:
         """
         tables = _tables(self)
         tips = self.tip(load[:, 2:4])[0] + size[:, 1] * np.linalg.norm(tables.edges, axis=1).max()
-        upright = tips
-        if gap == "none":
-            upright = self.gap(load[:, 2:4])[0] + size[:, 1] * np.linalg.norm(tables.corners, axis=1).max()
+        opens = self.gap(load[:, 2:4])[0] + size[:, 1] * np.linalg.norm(tables.corners, axis=1).max()
+        upright = opens if gap == "none" else tips
         slides = (np.hypot(load[:, 0], load[:, 1]) + size[:, 0]) / friction
         least = np.maximum(np.maximum(upright, slides), _STEADY * size[:, 0] / friction)
         finite = np.max([np.abs(load).max(axis=1), size.max(axis=1), least], axis=0) < _HUGE_N
