@@ -133,9 +133,8 @@ class Holding:
         for number in self.adhesive:
             foot, load = self.feet[number], self.load(number, wrench)
             slip = _flat(foot).slip(_turning(load), foot.friction, "none")[0]
-            needed.append(
-                load[:, 2] + np.maximum(np.maximum(_pressed(foot, load, Contact.gap)[0], slip), 0.0)
-            )
+            gap = _pressed(foot, load, Contact.gap)[0]
+            needed.append(load[:, 2] + np.maximum(np.maximum(gap, slip), 0.0))
         return np.asarray(np.max(needed, axis=0))
 
     def needed_between(
@@ -155,10 +154,7 @@ class Holding:
         load = self.load(number, wrench.reshape(-1, 6)).reshape(wrench.shape)
         middle = 0.5 * (load.min(axis=1) + load.max(axis=1))
         off = np.abs(load - middle[:, None]).max(axis=1) + self._load_bounds(number, force, torque)
-        needed, good = (
-            np.full(len(load), np.inf),
-            np.isfinite(middle).all(axis=1) & np.isfinite(off).all(axis=1),
-        )
+        needed, good = np.full(len(load), np.inf), np.isfinite(middle + off).all(axis=1)
         size = np.column_stack([np.hypot(off[:, 0], off[:, 1]), np.hypot(off[:, 3], off[:, 4]), off[:, 5]])
         pressed = _flat(foot).suffices(_turning(middle)[good], size[good], foot.friction, foot.gap)
         needed[good] = middle[good, 2] + off[good, 2] + pressed
@@ -364,5 +360,4 @@ def _pressed(
     foot: Foot, load: FloatArray, function: Callable[[Contact, FloatArray], tuple[FloatArray, FloatArray]]
 ) -> tuple[FloatArray, FloatArray]:
     """By how much a contact has to be pressed under loads (N, 6), and the gradients (N, 2)."""
-    value, by_moment = function(_flat(foot), _moment(load))
-    return value, by_moment
+    return function(_flat(foot), _moment(load))
