@@ -114,6 +114,8 @@ class Obstacle:
     scale : float or None, m
         The unit of the shape's dimensions in the scene file; `shape` has them in metres. Where one is given
         they are meant, however large.
+    contact : float, m
+        Length of the tool's tip that may touch it: no distance from it counts.
     """
 
     name: str
@@ -121,6 +123,7 @@ class Obstacle:
     X_WO: FloatArray
     workpiece: bool = False
     scale: float | None = None
+    contact: float = 0.0
 
     __repr__ = short_repr
 

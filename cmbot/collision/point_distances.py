@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from cmbot.collision.obstacles import Obstacle
-from cmbot.collision.shapes import coal_shapes
+from cmbot.collision.shapes import coal_shapes, without_tip
 from cmbot.common.arrays import FloatArray
 from cmbot.robot import Robot
 
@@ -40,11 +40,20 @@ class PointDistances:
         moving = [k for k, (joint, _, _) in enumerate(self._shapes) if joint > 0]
         both = [(pair.first, pair.second) for pair in robot.collision_model.collisionPairs]
         self._pairs = [pair for pair in both if len({self._shapes[k][0] for k in pair}) > 1]
+        tool_joint = int(robot.model.frames[robot.tool_frame_id].parentJoint)
         for obstacle in obstacles:
             for geometry, X_OS in coal_shapes(obstacle.shape, obstacle.name):
-                self._pairs += [(k, len(self._shapes)) for k in moving]
+                number = len(self._shapes)
                 self._shapes.append((0, pin.SE3(np.array(obstacle.X_WO)) * X_OS, geometry))
                 links.append(obstacle.name)
+                for k in moving:
+                    if obstacle.contact and self._shapes[k][0] == tool_joint:
+                        if (rest := without_tip(robot, own[k], obstacle.contact)) is not None:
+                            self._pairs.append((len(self._shapes), number))
+                            self._shapes.append((tool_joint, rest.placement, rest.geometry))
+                            links.append(links[k])
+                    else:
+                        self._pairs.append((k, number))
         self.names = [(links[first], links[second]) for first, second in self._pairs]
 
     def smallest(self, q: FloatArray) -> tuple[FloatArray, list[tuple[str, str]]]:

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 # Meshes whose hulls are kept.
 _CACHED_HULLS = 8
+# Of meshes about round shapes.
+_SECTIONS = 24
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,6 +99,7 @@ class PairedShapes:
                 names = ShapePair(link=links[first], other=links[second], self_collision=True)
                 self._add(first, second, names)
         tool_joint = frames[robot.tool_frame_id].parentJoint
+        behind = dict[tuple[int, float], int | None]()
         for obstacle in obstacles:
             for k, (shape, X_OS) in enumerate(coal_shapes(obstacle.shape, obstacle.name)):
                 X_WS = pin.SE3(np.array(obstacle.X_WO)) * X_OS
@@ -107,12 +110,69 @@ class PairedShapes:
                     if joints[first] > 0:
                         at_work = obstacle.workpiece and joints[first] == tool_joint
                         names = ShapePair(link=link, other=obstacle.name, tool_at_work=at_work)
-                        self._add(first, second, names)
+                        if at_work and obstacle.contact:
+                            at = first, obstacle.contact
+                            if at not in behind:
+                                # Of those in `geometry` the memory moves as shapes are added.
+                                whole = robot.collision_model.geometryObjects[first]
+                                behind[at] = self._added(without_tip(robot, whole, obstacle.contact))
+                            first = behind[at]
+                        if first is not None:
+                            self._add(first, second, names)
+
+    def _added(self, shape: Any) -> int | None:
+        """The index of one more shape; None where there is none."""
+        if shape is None:
+            return None
+        self.joints.append(int(shape.parentJoint))
+        return int(self.geometry.addGeometryObject(shape))
 
     def _add(self, first: int, second: int, names: ShapePair) -> None:
         self.geometry.addCollisionPair(pin.CollisionPair(first, second))
         self.shapes.append((first, second))
         self.pairs.append(names)
+
+
+def without_tip(robot: Robot, shape: Any, length: float) -> Any | None:
+    """Return the hull of a tool's shape without its tip, a pinocchio.GeometryObject; None: nothing is left.
+
+    Parameters
+    ----------
+    robot : Robot
+    shape : pinocchio.GeometryObject
+        That the robot's last joint carries.
+    length : float, m
+        The tip is what lies beyond the plane that is so far behind the tool point, across the tool's z axis.
+    """
+    hull = _mesh_about(shape.geometry)
+    if hull is None:
+        return shape
+    X_JS, X_JT = shape.placement, robot.model.frames[robot.tool_frame_id].placement
+    at = X_JS.actInv(X_JT.act(np.array([0.0, 0.0, -length])))
+    left = hull.slice_plane(at, -X_JS.rotation.T @ X_JT.rotation[:, 2])
+    if not encloses_volume(np.asarray(left.vertices)):
+        return None
+    name = f"{shape.name} without its last {length:g} m"
+    rest = convex_hull(np.asarray(left.vertices))
+    return pin.GeometryObject(name, shape.parentJoint, shape.parentFrame, X_JS, rest)
+
+
+def _mesh_about(geometry: Any) -> Any:
+    """A convex trimesh.Trimesh about a shape, by 2 % of its radius at most; None of kinds that are rare."""
+    from trimesh import Trimesh, creation
+
+    if isinstance(geometry, coal.ConvexBase):
+        return Trimesh([geometry.point(i) for i in range(geometry.num_points)]).convex_hull
+    if isinstance(geometry, coal.Box):
+        return creation.box(2 * geometry.halfSide)
+    if not isinstance(geometry, coal.Sphere | coal.Capsule | coal.Cylinder):
+        return None
+    # Chords are that much nearer to the axis than the circle.
+    radius = geometry.radius / np.cos(np.pi / _SECTIONS) ** 2
+    if isinstance(geometry, coal.Cylinder):
+        return creation.cylinder(radius, 2 * geometry.halfLength, sections=_SECTIONS)
+    long = 2 * geometry.halfLength if isinstance(geometry, coal.Capsule) else 0.0
+    return creation.capsule(long, radius, count=[_SECTIONS, _SECTIONS]).convex_hull
 
 
 def coal_shapes(shape: Shape, name: str) -> list[tuple[Any, Any]]:

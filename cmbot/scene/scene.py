@@ -471,7 +471,9 @@ class Scene(FileModel):
         """The scene's own obstacles, then the members of the guardrail; in SI units."""
         frames = dict(self.frames)
         own = (obstacle_from_file(entry, frames.get(entry.frame or "")) for entry in self.obstacles)
-        return (*own, *guardrail_obstacles(self.elastic_guardrail))
+        every = (*own, *guardrail_obstacles(self.elastic_guardrail))
+        contact = 1e-3 * self.tool.contact_mm
+        return tuple(replace(one, contact=contact) if contact and one.workpiece else one for one in every)
 
     # The strokes
 

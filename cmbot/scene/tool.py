@@ -32,6 +32,9 @@ class Tool(CheckedFields):
     tolerance : Tolerance or None
         How far the tool may be from its path, which the accuracy budget is compared with; the planner's own
         bounds on the motion are its options.
+    contact_mm : float
+        Length of the tip, along z up to the tool point, that may touch workpieces, mm. The rest keeps the
+        safety margin.
 
     Raises
     ------
@@ -42,3 +45,4 @@ class Tool(CheckedFields):
     process_force_n: tuple[Force, Force, Force] = (0.0, 0.0, 0.0)
     max_speed_m_s: Annotated[float, Field(ge=1e-4, le=100)] | None = None
     tolerance: Tolerance | None = None
+    contact_mm: Annotated[float, Field(ge=0, le=1000)] = 0.0

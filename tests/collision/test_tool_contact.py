@@ -1,0 +1,100 @@
+"""A tool that touches: the tip of its length `contact_mm` may, and nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cmbot.archive import load_plan, save
+from cmbot.collision import Box, Clearances, Obstacle, PointDistances
+from cmbot.common.errors import ArchiveError, PathNotFound
+from cmbot.planning import plan, robot_of
+from cmbot.robot import Kinematics
+from cmbot.scene import Scene, load_scene
+
+SHAPES: dict[str, dict[str, Any]] = {
+    "box": {"box": [0.05, 0.04, 0.1], "xyz": [0, 0, 0.1]},
+    "cylinder": {"cylinder": [0.03, 0.1], "xyz": [0, 0, 0.1]},
+    "capsule": {"capsule": [0.03, 0.04], "xyz": [0, 0, 0.1]},
+}
+
+
+def touching_scene(contact_mm: float, shape: str = "cylinder", depth: float = 0.0, **planner: Any) -> Scene:
+    """A Panda that sands a line on a board, its tool point `depth` m below the face."""
+    tool = {"xyz": [0, 0, 0.15], "mass_kg": 0.5, "shapes": [SHAPES[shape]]}
+    board = {"box": [0.4, 0.4, 0.04], "xyz": [0.5, 0, 0.28 + depth], "workpiece": True}
+    return load_scene(
+        {
+            "format": "cmbot-scene/2",
+            "name": "touching",
+            "robot": {"model": "panda", "tool_frame": "panda_hand_tcp", "tool": tool},
+            "guardrail": {"bays": 0},
+            "start": {"posture": [0.0, -0.6, 0.0, -2.2, 0.0, 1.7, 0.8]},
+            "tool": {"process_force_n": [0, 0, -20], "contact_mm": contact_mm},
+            "tool_path": {
+                "from": {"xyz": [0.5, -0.05, 0.3], "rpy_deg": [180, 0, 0]},
+                "legs": [{"by": [0, 0.1, 0], "seconds": 4}],
+                "keep": "axis",
+                "via_points": 9,
+            },
+            "obstacles": [{"name": "board", **board}],
+            "planner": {"baseline": "none", **planner},
+        }
+    )
+
+
+def held(robot: Any, q: Any) -> Any:
+    """The tool point and the tool's z axis in postures, (N, 3) each."""
+    poses = [Kinematics(robot).tool_pose(posture).homogeneous for posture in q]
+    return np.array([X[:3, 3] for X in poses]), np.array([X[:3, 2] for X in poses])
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_distances_are_those_of_the_tool_without_its_tip(shape: str, rng: np.random.Generator) -> None:
+    """The rest ends square to the tool's axis, so that far behind the tool point."""
+    whole, cut = touching_scene(0.0, shape), touching_scene(30.0, shape)
+    robot = robot_of(cut)
+    q = np.array(cut.posture) + rng.uniform(-0.3, 0.3, (40, 7))
+    point, axis = held(robot, q)
+    # A thin plate square to the axis of the first posture, at its tool point.
+    plate, X = Box(size=(0.1, 0.1, 1e-3)), np.eye(4)
+    X[:3, :3], X[:3, 3] = Kinematics(robot).tool_pose(q[0]).homogeneous[:3, :3], point[0] + 5e-4 * axis[0]
+    touched = Obstacle(name="plate", shape=plate, X_WO=X, workpiece=True, contact=0.03)
+    np.testing.assert_allclose(of_tool(robot, touched, q)[0], 0.03, atol=1e-6)
+    far = Obstacle(name="far", shape=plate, X_WO=np.eye(4), workpiece=True)
+    before, after = (of_tool(robot, each, q) for each in (far, replace(far, contact=0.03)))
+    assert (after >= before - 1e-3).all() and (after <= before + 0.031).all()
+    for obstacle in (*whole.all_obstacles, *cut.all_obstacles):
+        own = Clearances(robot, [obstacle]).query(q).distance
+        np.testing.assert_allclose(PointDistances(robot, [obstacle]).smallest(q)[0], own, atol=1e-6)
+
+
+def of_tool(robot: Any, obstacle: Obstacle, q: Any) -> Any:
+    """Distances (N,) of the tool, but for its tip, from an obstacle."""
+    clearances = Clearances(robot, [obstacle])
+    rows = [k for k, pair in enumerate(clearances.pairs) if pair.tool_at_work]
+    every = clearances.distances(q, np.arange(len(q)).repeat(len(rows)), np.tile(rows, len(q)))
+    return every.reshape(len(q), -1).min(axis=1)
+
+
+def test_only_a_tool_that_may_touch_is_planned_on_a_board(tmp_path: Path) -> None:
+    asked = touching_scene(30.0)
+    made = plan(asked)
+    assert made.certificate.holds
+    (check,) = [each for each in made.certificate.checks if each.quantity.endswith("from board")]
+    assert 0.02 <= check.value <= 0.03
+    save(made, tmp_path)
+    load_plan(tmp_path, verify=True, scene=asked)
+    with pytest.raises(ArchiveError, match="contact_mm"):
+        load_plan(tmp_path, verify=True, scene=touching_scene(25.0))
+    with pytest.raises(PathNotFound, match="of board, the safety margin is"):
+        plan(touching_scene(0.0))
+
+
+def test_the_tip_goes_no_deeper_than_what_it_exceeds_the_margin_by() -> None:
+    with pytest.raises(PathNotFound, match="of board, the safety margin is"):
+        plan(touching_scene(30.0, depth=0.015))
