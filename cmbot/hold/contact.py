@@ -159,14 +159,12 @@ class Contact:
         twist = size[:, 2] + friction * BY_MOMENT * size[:, 1] + tables.size * size[:, 0]
         finite = np.max([np.abs(load).max(axis=1), twist, least], axis=0) < _HUGE_N
         least[~finite] = np.inf
-        part, share = least[finite], size[finite, 0] / (friction * np.maximum(least[finite], 1e-300))
-        grown = load[finite]
-        grown[:, [0, 1, 4]] /= 1 - share[:, None]
-        for sign in (-1.0, 1.0):
-            turned = grown.copy()
-            turned[:, 4] += sign * twist[finite] / (1 - share)
-            part = np.maximum(part, self.slip(turned, friction, gap)[0])
-        least[finite] = part
+        share = size[finite, 0] / (friction * np.maximum(least[finite], 1e-300))
+        grown = np.stack([load[finite]] * 2)
+        grown[:, :, [0, 1, 4]] /= 1 - share[:, None]
+        grown[:, :, 4] += np.array([[-1.0], [1.0]]) * twist[finite] / (1 - share)
+        slips = self.slip(grown.reshape(-1, 5), friction, gap)[0].reshape(2, -1)
+        least[finite] = np.maximum(least[finite], slips.max(axis=0))
         return np.asarray(least)
 
 

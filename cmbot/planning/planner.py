@@ -16,6 +16,7 @@ from cmbot.common.watching import watched
 from cmbot.planning.attempts.advice import slower_legs
 from cmbot.planning.attempts.agenda import Agenda, Remedy, Solved
 from cmbot.planning.attempts.failure import Failure, NoWay, OutOfTime, error_of, in_words
+from cmbot.planning.attempts.reconfigurations import Reconfigurations
 from cmbot.planning.attempts.stroke import PlannedStroke, advice, in_given_time, plan_stroke
 from cmbot.planning.budget import Budget, Deadline
 from cmbot.planning.composition import composed
@@ -284,21 +285,29 @@ class _Planner:
         """Return the plan of a job, or the stroke that could not be planned; by an earlier plan if given."""
         request = self._require_reach(scene, deadline)
         before = {} if earlier is None else {part.name: part.trajectory for part in earlier.job.strokes}
-        made, state = list[PlannedStroke](), request.state
-        for number in range(len(request.strokes)):
-            stroke = _at_stroke(request, number, state)
+        made, state, asked = list[PlannedStroke](), [request.state], scene
+        cuts, uncut = Reconfigurations(scene), dict[str | None, PlannedStroke]()
+        while len(made) < len(request.strokes):
+            stroke = _at_stroke(request, len(made), state[-1])
             near = before.get(stroke.stroke.name)
             planned = plan_stroke(stroke, earlier=near)
             if near is None and not isinstance(planned.trial.outcome, Solved):
-                planned = self._in_given_time(scene, stroke, planned, state)
-            made.append(planned)
-            outcome = made[-1].trial.outcome
-            if not isinstance(outcome, Solved):
-                return made[-1]
-            motion = outcome.result
-            last, reached = motion.job.segments[-1], max(state.reached, motion.peak)
-            state = JobState(posture=last.trajectory.q[-1], begin=last.end, reached=reached)
-        return composed(scene, made, custom=self.objective is not None)
+                planned = self._in_given_time(scene, stroke, planned, state[-1])
+            outcome, file = planned.trial.outcome, stroke.stroke.file
+            if isinstance(outcome, Solved):
+                made.append(planned)
+                last = outcome.result.job.segments[-1]
+                reached = max(state[-1].reached, outcome.result.peak)
+                state.append(JobState(posture=last.trajectory.q[-1], begin=last.end, reached=reached))
+                continue
+            # What is told is why the whole path failed.
+            refused = uncut.setdefault(file.part_of or file.name, planned)
+            if near is not None or not cuts.cut(planned.trial.attempt.request, outcome):
+                return refused
+            scene = asked.with_cuts(cuts.ends)
+            request = self._require_reach(scene, deadline)
+        plan = composed(scene, made, custom=self.objective is not None)
+        return replace(plan, fallbacks=(*cuts.in_words, *plan.fallbacks))
 
     def refuse(self, scene: Scene, stroke: PlannedStroke) -> NoReturn:
         """Raise why a stroke of a scene is not planned, with what would do."""

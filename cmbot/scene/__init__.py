@@ -43,12 +43,12 @@ from cmbot.scene.path.path_file import (
     Keep as Keep,
     StrokeFile as StrokeFile,
 )
-from cmbot.scene.path.raster_parts import rows_alone as rows_alone
 from cmbot.scene.path.stroke import (
     Stroke as Stroke,
     coverage_of as coverage_of,
     pieces_left_out as pieces_left_out,
 )
+from cmbot.scene.path.stroke_parts import rows_alone as rows_alone, waypoint_shares as waypoint_shares
 from cmbot.scene.robot_entry import (
     STOW as STOW,
     AttachedToolFile as AttachedToolFile,

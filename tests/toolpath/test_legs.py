@@ -536,6 +536,12 @@ QUATERNIONS = Rotation.from_euler("xyz", [[170, 0, 10], [175, 5, 20], [178, 0, 3
     [
         ("qz;qy;qx;qw;x;y;z", [QUATERNIONS.as_quat()[:, [2, 1, 0, 3]], PLACES], "pose"),
         ("index,x (mm),y (mm),z (mm),roll_deg,pitch_deg,yaw_deg", None, "pose"),
+        (
+            "pose.position.x,target-pos_y,position_z,"
+            + ",".join(f"pose.orientation.{axis}" for axis in "xyzw"),
+            [PLACES, QUATERNIONS.as_quat()],
+            "pose",
+        ),
         ("x y z roll pitch yaw", [PLACES, QUATERNIONS.as_euler("xyz")], "pose"),
         ("x,y,z,i,j,k", [PLACES, -QUATERNIONS.as_matrix()[:, :, 2]], "axis"),
         ("nx,ny,nz,x,y,z", [-3 * QUATERNIONS.as_matrix()[:, :, 2], PLACES], "axis"),

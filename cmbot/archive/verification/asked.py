@@ -107,8 +107,18 @@ def _decided(stroke: StrokeFile, asked: StrokeFile, *, in_any_direction: bool) -
     return decided
 
 
+def _ends(file: StrokeFile, strokes: Sequence[StrokeFile]) -> tuple[int, ...]:
+    """The waypoints of a path at which a plan's strokes cut it, where it may be."""
+    parts = [stroke.waypoints for stroke in strokes if stroke.part_of == file.name and stroke.waypoints]
+    ends = np.cumsum([len(part) - 1 for part in parts], dtype=int).tolist()[:-1]
+    last = 0 if file.waypoints is None else len(file.waypoints) - 1
+    most = last if file.reconfigurations is None else file.reconfigurations
+    return tuple(ends) if len(ends) <= most and all(0 < end < last for end in ends) else ()
+
+
 def _in_parts(asked: Scene, strokes: Sequence[StrokeFile], robot: Robot) -> Sequence[StrokeFile]:
-    """The strokes of a scene, its rasters in the parts that the strokes of a plan cover."""
+    """The strokes of a scene, its rasters and paths in the parts that the strokes of a plan cover."""
+    asked = asked.with_cuts({str(file.name): _ends(file, strokes) for file in asked.strokes})
     files = {str(stroke.name): (k, stroke.raster) for k, stroke in enumerate(asked.strokes)}
     if not any(raster for _, raster in files.values()):
         return asked.strokes

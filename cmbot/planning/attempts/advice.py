@@ -164,7 +164,7 @@ def slower(request: StrokeRequest, factors: FloatArray) -> StrokeRequest:
         if speed is not None:
             seconds[k] *= speed / _rounded_down(speed / factors[k])
         else:
-            own = float(path.seconds[k] if stroke.file.legs else stroke.file.seconds or path.seconds[k])
+            own = float(path.seconds[k] if stroke.file.legs else stroke.file.given_time or path.seconds[k])
             seconds[k] *= _rounded_up(own * factors[k]) / own
     path = path.in_seconds(seconds)
     times = path.via_times(len(request.times))
@@ -185,7 +185,7 @@ def in_keys(before: StrokeRequest, after: StrokeRequest) -> str:
         if speed is not None:
             words.append(_changed(f"{key}.speed_m_s", speed * old[k] / new[k], speed, 3))
         else:
-            own = float(old[k] if stroke.file.legs else stroke.file.seconds or old[k])
+            own = float(old[k] if stroke.file.legs else stroke.file.given_time or old[k])
             words.append(_changed(f"{key}.seconds", own * new[k] / old[k], own, 4))
     return " and ".join(words)
 

@@ -100,6 +100,8 @@ class PathFile(FileModel):
     corner_deg: Annotated[float, Field(ge=1, le=180)] = 15.0
     """Waypoints at which the path bends by more, and twice as much as beside, are corners. Where no spline
     keeps dense ones a third of this will do; by more than 60 degrees, or this, they are in any case."""
+    reconfigurations: Annotated[int, Field(ge=0, le=100)] | None = None
+    """How often a path through `waypoints` may be cut, where no posture leads on."""
     raster: Raster | None = None
     """In place of `legs`, rows over a surface, with `blend_radius_m` without a stop."""
     seconds: SecondsOrAuto | None = None
@@ -280,7 +282,7 @@ class StrokeFile(PathFile):
     backwards: bool = False
     """Whether the path is followed from its end to its start."""
     part_of: Slug | None = None
-    """In the scenes of plans the name of the raster of which it is a part."""
+    """In the scenes of plans the name of the stroke of which it is a part."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -27,6 +29,8 @@ _NORMAL_COLUMNS = (("nx", "ny", "nz"), ("i", "j", "k"))
 _TIME_COLUMNS = ("seconds", "time", "t")
 _IN_METRES = {"": 1.0, "m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}
 _POSE_COLUMNS, _AXIS_COLUMNS = "qw,qx,qy,qz or roll,pitch,yaw", "nx,ny,nz or i,j,k"
+# As messages have them: pose.position.x, pose.orientation.w, target-pos_x, target-rot_w.
+_PART_OF_POSE = re.compile(r"(?:.*[^a-z])?(pos|position|rot|orientation|quaternion)[._]([wxyz])")
 # Names that are no columns of anything: numbers of rows.
 _ROW_NUMBERS = ("", "index", "id", "n", "#")
 # A unit quaternion up to what files round; a direction shorter than this is none.
@@ -77,6 +81,7 @@ def read_waypoints(path: Path, given: WaypointFile, keep: object) -> tuple[list[
         When it is no such file, or has less of the tool's pose than is kept.
     """
     table = read_table(path, SceneError, kind="a table of waypoints", largest=_MAX_WAYPOINT_BYTES)
+    table = replace(table, names=tuple(_plain_name(name) for name in table.names))
     places = [table.index(name) for name in _POSITION_COLUMNS]
     if None in places:
         got = f"the columns {','.join(table.names)}" if table.names else "no names of columns"
@@ -109,6 +114,12 @@ def read_waypoints(path: Path, given: WaypointFile, keep: object) -> tuple[list[
         turned = Rotation.from_matrix(X[:3, :3]) * Rotation.from_quat(quaternions, scalar_first=True)
         quaternions = turned.as_quat(scalar_first=True)
     return np.hstack([points, quaternions]).tolist(), seconds
+
+
+def _plain_name(name: str) -> str:
+    """A column of a pose by its own name: x for pose.position.x."""
+    part = _PART_OF_POSE.fullmatch(name)
+    return name if part is None else ("" if part[1].startswith("pos") else "q") + part[2]
 
 
 def _orientations(table: TextTable, keep: object, used: list[int]) -> FloatArray:

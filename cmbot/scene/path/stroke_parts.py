@@ -1,11 +1,15 @@
-"""Rasters in several parts: strokes of their own."""
+"""Rasters, and paths through waypoints, in several parts: strokes of their own."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.scene.path.path_file import StrokeFile
 from cmbot.toolpath import Raster, RowPiece
@@ -55,6 +59,38 @@ def raster_parts(
         parts.append(file.changed(**changes))
     # The way back begins with the last part.
     return parts[::-1] if file.backwards else parts
+
+
+def waypoint_parts(file: StrokeFile, ends: Sequence[int], taken: Collection[str] = ()) -> list[StrokeFile]:
+    """Return the strokes of a path that is cut at waypoints, with shares of its seconds and via-points.
+
+    Parameters
+    ----------
+    file : StrokeFile
+        Through waypoints.
+    ends : sequence of int
+        Numbers of waypoints that end a part and begin the next one, ascending.
+    taken : collection of str
+        Names of other strokes.
+    """
+    if file.waypoints is None or not ends:
+        return [file]
+    covered, parts = waypoint_shares(file), list[StrokeFile]()
+    for k, (begin, end) in enumerate(pairwise((0, *ends, len(file.waypoints) - 1)), start=1):
+        share = float(covered[end] - covered[begin])
+        changes: dict[str, Any] = {"waypoints": file.waypoints[begin : end + 1]}
+        if file.given_time is not None:
+            changes["seconds"] = share * file.given_time
+        if isinstance(file.via_points, int):
+            changes["via_points"] = max(round(share * file.via_points), min(_ENDS, file.via_points))
+        parts.append(file.changed(**changes, name=_name(str(file.name), k, taken), part_of=file.name))
+    return parts
+
+
+def waypoint_shares(file: StrokeFile) -> FloatArray:
+    """Return which shares (N,) of the way through a file's waypoints are behind each of them."""
+    steps = np.linalg.norm(np.diff(np.array(file.waypoints)[:, :3], axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)]) / max(float(steps.sum()), 1e-12)
 
 
 def rows_alone(file: StrokeFile, raster: Raster) -> StrokeFile:
