@@ -54,16 +54,6 @@ class Sway:
         size = float(np.linalg.norm(self.tool[:, ~after], axis=2).max())
         return size, max(float(pdist(tool[after]).max()) for tool in self.tool)
 
-    @property
-    def between(self) -> float:
-        """By how much more than at the steps the tool sways between them, by parabolas through three, m."""
-        return float(np.linalg.norm(np.diff(self.tool, n=2, axis=1), axis=2).max()) / 8
-
-    @property
-    def largest_at(self) -> float:
-        """When the sway is largest, s."""
-        return float(self.t[np.linalg.norm(self.tool, axis=2).max(axis=0).argmax()])
-
 
 def sway_along(
     arm: ElasticArm,
