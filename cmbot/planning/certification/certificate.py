@@ -251,13 +251,12 @@ def _sway_checks(arm: ElasticArm, trajectory: QuinticTrajectory, share: float, m
     when = float(sway.t[np.linalg.norm(sway.tool, axis=2).max(axis=0).argmax()])
     # By parabolas through three steps the tool sways by so much more between them.
     more = float(np.linalg.norm(np.diff(sway.tool, n=2, axis=1), axis=2).max()) / 8
-    found = (
-        ("simulated sway of the tool", min(when, last), size + more),
-        ("simulated swing of the tool after the stop", last, swing + 2 * more),
-    )
     return [
-        Check(quantity=quantity, time=time, value=value, bound=most, unit="m", limit=Limit.SWAY)
-        for quantity, time, value in found
+        Check(quantity=f"simulated {name}", time=time, value=value, bound=most, unit="m", limit=Limit.SWAY)
+        for name, time, value in (
+            ("sway of the tool", min(when, last), size + more),
+            ("swing of the tool after the stop", last, swing + 2 * more),
+        )
     ]
 
 
