@@ -5,8 +5,8 @@ from cmbot.toolpath.curves import (
     Arc as Arc,
     Blend as Blend,
     Curve as Curve,
+    CylinderCurve as CylinderCurve,
     Line as Line,
-    Rolled as Rolled,
     Spline as Spline,
 )
 from cmbot.toolpath.legs import (

@@ -12,8 +12,8 @@ from cmbot.common.errors import SceneError
 from cmbot.common.poses import pose
 from cmbot.common.reading.fields import SHORTEST_LEG
 from cmbot.common.reading.validation import counted
-from cmbot.toolpath.curves import Arc, Blend, Curve, Line, Rolled, Spline, rounded
-from cmbot.toolpath.leads import Extended
+from cmbot.toolpath.curves import Arc, Blend, Curve, CylinderCurve, Line, Spline, rounded
+from cmbot.toolpath.leads import CurveWithLeads
 from cmbot.toolpath.legs import AUTO, ArcTo, Goal, Leg
 from cmbot.toolpath.path_source import PathDescription, PathSource
 from cmbot.toolpath.raster.face_rows import FaceRows, FaceSurface
@@ -169,7 +169,7 @@ class _PathBuilder:
                 shares = tuple(np.array([before, after]) / (before + length + after))
             else:
                 inner = part.curve or Line(point, part.end)
-                curve = Extended(
+                curve = CurveWithLeads(
                     inner=inner, before=before, after=after, orientation=R, rotation_vector=part.turn
                 )
                 shares = (float(curve.ends[0]), 1.0 - float(curve.ends[1]))
@@ -256,7 +256,7 @@ class _PathBuilder:
             plane = Blend(corners, blend)
             # A given speed is that along the rounded corners.
             shorter = plane.length / float(lengths.sum()) if self._file.seconds is None else 1.0
-            curve = Rolled(plane, X_WC, radius, self._R)
+            curve = CylinderCurve(plane, X_WC, radius, self._R)
             turn = (corners[-1, 0] - corners[0, 0]) / radius * axis
             end = curve.position(np.ones(1))[0]
             whole, cruises = float(seconds.sum()) * shorter, self._file.seconds is None
@@ -266,7 +266,7 @@ class _PathBuilder:
             angle = float(around / radius)
             way: Curve | None = None
             if angle and along:
-                way = Rolled(Blend(corners[k : k + 2], radius), X_WC, radius, self._R)
+                way = CylinderCurve(Blend(corners[k : k + 2], radius), X_WC, radius, self._R)
             elif angle:
                 way = Arc(X_WC[:3, 3], axis, self._point, angle)
             end = self._point + along * axis if way is None else way.position(np.ones(1))[0]

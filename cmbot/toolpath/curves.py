@@ -365,7 +365,7 @@ class Blend(Curve):
 
 
 @dataclass(frozen=True, eq=False)
-class Rolled(Curve):
+class CylinderCurve(Curve):
     """A curve in a plane that is rolled on a cylinder; the tool turns with the cylinder's surface.
 
     Attributes
@@ -405,11 +405,11 @@ class Rolled(Curve):
         """It does."""
         return True
 
-    def reversed(self) -> Rolled:
+    def reversed(self) -> CylinderCurve:
         """Return the curve from its end to its start."""
         turn = (self._angle(np.ones(1)) - self._angle(np.zeros(1))) * self.X_WC[:3, 2]
         orientation = Rotation.from_rotvec(turn).as_matrix() @ self.orientation
-        return Rolled(self.plane.reversed(), self.X_WC, self.radius, orientation)
+        return CylinderCurve(self.plane.reversed(), self.X_WC, self.radius, orientation)
 
     def position(self, share: FloatArray) -> FloatArray:
         """Return points (N, 3), m."""

@@ -13,7 +13,7 @@ from cmbot.toolpath.curves import Curve
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Extended(Curve):
+class CurveWithLeads(Curve):
     """A curve with straight leads along its tangents, on which the tool turns on as at the curve's ends.
 
     Attributes
@@ -63,10 +63,10 @@ class Extended(Curve):
         ends = [end for end, lead in zip(self.ends, (self.before, self.after), strict=True) if lead]
         return np.unique(np.concatenate([inside, ends]))
 
-    def reversed(self) -> Extended:
+    def reversed(self) -> CurveWithLeads:
         """Return the curve from its end to its start."""
         turn = Rotation.from_rotvec(self.rotation_vector).as_matrix()
-        return Extended(
+        return CurveWithLeads(
             inner=self.inner.reversed(),
             before=self.after,
             after=self.before,

@@ -31,6 +31,8 @@ _POSITION_DEGREE, _COEFFICIENT_ROUNDING = 5, 1e-14
 _MAX_PIECE_HALVINGS = 40
 # Pieces that are halved at once at most: more are only asked for where a resolution is below the rounding.
 _MAX_PIECES = 20_000
+# As many are cut in eight at once where each call of a function costs as much as many of its values.
+_FEW_PIECES = 16
 # A piece is halved further only while its own hull is wider than this share of what is asked for.
 _MIN_HULL_SHARE = 0.3
 
@@ -277,11 +279,10 @@ def highest(
     remainder = np.where(np.isnan(remainder), np.inf, remainder)
     start, width = pieces.start.copy(), pieces.end - pieces.start
     value, time, bound = -np.inf, float(pieces.start[0]), -np.inf
-    ends = None if exact is None else exact(control[:, :, [0, -1]], piece)
-    for halving in range(_MAX_PIECE_HALVINGS + 1):
+    halving = 0
+    while True:
         at = convex(control, piece)
-        if exact is None or ends is None:
-            ends = at[:, [0, -1]]
+        ends = at[:, [0, -1]] if exact is None else exact(control[:, :, [0, -1]], piece)
         if not (np.isfinite(at).all() and np.isfinite(ends).all()):
             return Peak(time=time, value=np.nan, bound=np.nan)
         k, side = np.unravel_index(ends.argmax(), ends.shape)
@@ -289,21 +290,19 @@ def highest(
             value, time = float(ends[k, side]), float(start[k] + side * width[k])
         hull = at.max(axis=1)
         open_ = (hull > value + resolution) & (hull - ends.max(axis=1) > _MIN_HULL_SHARE * resolution)
-        if halving == _MAX_PIECE_HALVINGS or int(open_.sum()) > _MAX_PIECES:
+        number = int(open_.sum())
+        if halving == _MAX_PIECE_HALVINGS or number > _MAX_PIECES:
             open_[:] = False
         if (~open_).any():
             bound = float(np.maximum(bound, (hull + remainder[piece])[~open_].max()))
         if not open_.any():
             break
         control, piece, start = control[open_], piece[open_], start[open_]
-        width = 0.5 * width[open_]
-        first, second = halves(control)
-        if exact is not None:
-            # Halves share the middle; the other ends are known.
-            middle = exact(second[:, :, :1], piece)
-            left, right = ends[open_, :1], ends[open_, 1:]
-            ends = np.concatenate([np.hstack([left, middle]), np.hstack([middle, right])])
-        control = np.concatenate([first, second])
-        piece, start = np.concatenate([piece, piece]), np.concatenate([start, start + width])
-        width = np.concatenate([width, width])
+        width = width[open_]
+        times = 1 if exact is None or number > _FEW_PIECES else min(3, _MAX_PIECE_HALVINGS - halving)
+        for _ in range(times):
+            width = np.tile(0.5 * width, 2)
+            start = np.concatenate([start, start + width[: len(start)]])
+            control, piece = np.concatenate(halves(control)), np.tile(piece, 2)
+        halving += times
     return Peak(time=time, value=value, bound=max(bound, value))

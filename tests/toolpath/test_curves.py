@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
 from cmbot.planning.certification.norm_bounds import timed_pose_bounds
-from cmbot.toolpath.curves import Arc, Blend, Curve, Line, Rolled, Spline
+from cmbot.toolpath.curves import Arc, Blend, Curve, CylinderCurve, Line, Spline
 from cmbot.toolpath.time_law import SpeedProfile
 from cmbot.toolpath.tool_path import Segment, ToolPath
 from cmbot.trajectory import Pieces, QuinticTrajectory
@@ -34,12 +34,12 @@ def blend(rng: np.random.Generator) -> Blend:
     return Blend(np.cumsum(rng.normal(size=(5, 3)), axis=0), float(rng.uniform(0.01, 0.5)))
 
 
-def rolled(rng: np.random.Generator) -> Rolled:
+def rolled(rng: np.random.Generator) -> CylinderCurve:
     corners = np.cumsum(rng.normal(size=(5, 3)) * [1, 1, 0], axis=0)
     X_WC = np.eye(4)
     X_WC[:3, :3], X_WC[:3, 3] = Rotation.from_rotvec(rng.normal(size=3)).as_matrix(), rng.normal(size=3)
     orientation = Rotation.from_rotvec(rng.normal(size=3)).as_matrix()
-    return Rolled(
+    return CylinderCurve(
         Blend(corners, float(rng.uniform(0.01, 0.5))), X_WC, float(rng.uniform(0.2, 2.0)), orientation
     )
 

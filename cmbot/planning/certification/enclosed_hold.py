@@ -124,6 +124,7 @@ class EnclosedHold:
             found = between(np.swapaxes(points, 1, 2), *(part[piece] for part in off))
             return np.repeat(found[:, None], points.shape[2], axis=1)
 
-        resolution = self.resolution * float(np.abs(function(self.wrench)).max())
+        size = np.abs(function(self.wrench[:: len(self.wrench) // len(self.pieces.start)])).max()
+        resolution = self.resolution * float(size)
         control = self.pieces.control_points(self.wrench)
         return highest(self.pieces, control, bounds, remainder, resolution, values)

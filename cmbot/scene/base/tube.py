@@ -7,10 +7,12 @@ from typing import Annotated, Self
 
 import numpy as np
 from pydantic import Field, model_validator
+from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.reading.fields import Modulus, Thickness, Vector, require_span
 from cmbot.common.reading.validation import FileModel, refusal
+from cmbot.elastic import beam_mass, beam_stiffness
 
 Density = Annotated[float, Field(ge=0, le=1e5)]
 
@@ -49,28 +51,16 @@ class TubeFile(FileModel):
     def matrices(self) -> tuple[FloatArray, FloatArray]:
         """Return stiffness and mass (6, 6) about the origin of W, linear then angular, SI."""
         outer, end, E = self.outer_diameter_m, np.array(self.end_m), self.young_pa
-        L, inner = math.dist(self.start_m, self.end_m), outer - 2 * self.wall_m
+        L, inner = np.array([math.dist(self.start_m, end)]), outer - 2 * self.wall_m
         area, second = math.pi / 4 * (outer**2 - inner**2), math.pi / 64 * (outer**4 - inner**4)
-        EI, GJ = E * second, 2 * self.shear_pa * second
-        m, polar = self.density_kg_m3 * area * L, 2 * second / area
-        axis, moved = (end - self.start_m) / L, np.eye(6)
-        moved[:3, 3:] = -_cross(end)
-        stiffness = _block(axis, (12 * EI / L**3, E * area / L), (4 * EI / L, GJ / L), 6 * EI / L**2)
-        mass = _block(axis, (13 / 35 * m, m / 3), (m * L**2 / 105, m * polar / 3), 11 * m * L / 210)
-        return read_only(moved.T @ stiffness @ moved), read_only(moved.T @ mass @ moved)
-
-
-def _block(
-    axis: FloatArray, shift: tuple[float, float], turn: tuple[float, float], between: float
-) -> FloatArray:
-    """The matrix (6, 6) of a beam's end, of entries across its axis (3,) and along it."""
-    along = np.outer(axis, axis)
-    across = np.eye(3) - along
-    coupled = between * _cross(axis)
-    linear, angular = (a * across + b * along for a, b in (shift, turn))
-    return np.block([[linear, coupled], [coupled.T, angular]])
-
-
-def _cross(v: FloatArray) -> FloatArray:
-    """The matrix (3, 3) of the cross product with a vector (3,)."""
-    return np.cross(v, -np.eye(3))
+        m, EI = self.density_kg_m3 * area * L, np.array([E * second])
+        # Any two axes across a round tube's own are principal.
+        axes = Rotation.align_vectors(end - self.start_m, [1.0, 0.0, 0.0])[0].as_matrix()[None]
+        EA, GJ = np.array([E * area]), np.array([2 * self.shear_pa * second])
+        stiffness = beam_stiffness(axes, L, EA, GJ, EI, EI)
+        mass = beam_mass(axes, L, m, 2 * second / area * m)
+        moved = np.eye(6)
+        moved[:3, 3:] = np.cross(end, np.eye(3))
+        of_end = (matrix[0, 6:, 6:] for matrix in (stiffness, mass))
+        K, M = (read_only(moved.T @ matrix @ moved) for matrix in of_end)
+        return K, M
