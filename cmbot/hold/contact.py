@@ -33,8 +33,10 @@ MAGNET_PRESSURE = 2.0**2 / (2 * 4e-7 * np.pi)
 
 # Slipping is judged of pressures whose centre is nearer than this share of the way to the hull's edge.
 _BEFORE_EDGE = 0.998
-# H changes with E by at most that, of the whole contact or of what is pressed of it.
-BY_MOMENT = 2.5
+# H changes with E by at most the first; if the hull has obtuse corners, what is pressed may be wide and
+# narrow, and the second times R / r / sqrt(1 - s) bounds it, with R and r of its farthest corner and nearest
+# edge and the share s of the way to the edge. Both are sampled, not proven.
+BY_MOMENT, BY_MOMENT_AT_EDGE = 2.5, 0.8
 # Changes of friction are judged with forces that are at least so many times what they press.
 _STEADY = 10.0
 # Loads whose work is in memory at once.
@@ -151,20 +153,28 @@ class Contact:
         gap : str
         """
         tables = _tables(self)
-        rows, slide = (tables.edges, self.tip) if gap == "allowed" else (tables.corners, self.gap)
-        upright = slide(load[:, 2:4])[0] + size[:, 1] * np.linalg.norm(rows, axis=1).max()
+        tips = self.tip(load[:, 2:4])[0] + size[:, 1] * np.linalg.norm(tables.edges, axis=1).max()
+        opens = self.gap(load[:, 2:4])[0] + size[:, 1] * np.linalg.norm(tables.corners, axis=1).max()
+        upright = opens if gap == "none" else tips
         slides = (np.hypot(load[:, 0], load[:, 1]) + size[:, 0]) / friction
         least = np.maximum(np.maximum(upright, slides), _STEADY * size[:, 0] / friction)
-        # With |c| <= H / P + |e| the friction of all centres is that of the load with a larger moment.
-        twist = size[:, 2] + friction * BY_MOMENT * size[:, 1] + tables.size * size[:, 0]
-        finite = np.max([np.abs(load).max(axis=1), twist, least], axis=0) < _HUGE_N
+        finite = np.max([np.abs(load).max(axis=1), size.max(axis=1), least], axis=0) < _HUGE_N
         least[~finite] = np.inf
-        share = size[finite, 0] / (friction * np.maximum(least[finite], 1e-300))
-        grown = np.stack([load[finite]] * 2)
-        grown[:, :, [0, 1, 4]] /= 1 - share[:, None]
-        grown[:, :, 4] += np.array([[-1.0], [1.0]]) * twist[finite] / (1 - share)
-        slips = self.slip(grown.reshape(-1, 5), friction, gap)[0].reshape(2, -1)
-        least[finite] = np.maximum(least[finite], slips.max(axis=0))
+        grown, size, tips, enough = load[finite], size[finite], tips[finite], least[finite]
+        left = 1 - size[:, 0] / (friction * np.maximum(enough, 1e-300))
+        grown[:, [0, 1, 4]] /= left[:, None]
+        share = np.zeros(len(grown))
+        # Where the edge counts, the second time it is known how near the centre of pressure may be to it.
+        for _ in range(2 if tables.at_edge else 1):
+            by_moment = np.maximum(BY_MOMENT, tables.at_edge / np.sqrt(1 - np.minimum(share, _BEFORE_EDGE)))
+            # With |c| <= H / P + |e| the friction of all centres is that of the load with a larger moment.
+            twist = size[:, 2] + friction * by_moment * size[:, 1] + tables.size * size[:, 0]
+            turned = np.stack([grown] * 2)
+            turned[:, :, 4] += np.array([[-1.0], [1.0]]) * twist / left
+            slips = self.slip(turned.reshape(-1, 5), friction, gap)[0].reshape(2, -1)
+            enough = np.maximum(enough, slips.max(axis=0))
+            share = tips / np.maximum(enough, 1e-300)
+        least[finite] = enough
         return np.asarray(least)
 
 
@@ -194,6 +204,8 @@ class _Tables:
         Rows of which the largest with E is P: of tilting, and of a gap.
     size : float, m
         Of the farthest point from the centroid, the unit of `friction`.
+    at_edge : float
+        `BY_MOMENT_AT_EDGE` times R / r; zero of a hull without obtuse corners.
     friction : Friction
     """
 
@@ -204,6 +216,9 @@ class _Tables:
         normal = np.column_stack([side[:, 1], -side[:, 0]]) / np.hypot(*side.T)[:, None]
         self.edges = normal / (normal * hull[:-1]).sum(axis=1)[:, None]
         self.size = float(np.linalg.norm(hull, axis=1).max())
+        obtuse = ((normal * np.roll(normal, 1, axis=0)).sum(axis=1) > 1e-6).any()
+        steepest = float(np.linalg.norm(self.edges, axis=1).max())
+        self.at_edge = BY_MOMENT_AT_EDGE * self.size * steepest * float(obtuse)
         self.friction = Friction(
             [(np.array(ring) @ np.array([1.0, 1j])) / self.size for ring in contact.outline]
         )

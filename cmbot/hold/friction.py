@@ -280,6 +280,8 @@ class Slipping:
         curved += _TINY * np.trace(curved, axis1=1, axis2=2)[:, None, None] * np.eye(2)
         away = np.linalg.solve(curved, slope)
         gain = (slope * away).sum(axis=(1, 2))
+        # Far out curvatures are small differences: below zero they would lead upwards, and count as an end.
+        away, gain = away * np.sign(gain)[:, None, None], np.abs(gain)
         lower = (work <= self._work[rows]) | (gain < _LEAST_WORK * work)
         step = (free @ away)[:, :, 0]
         self._motion_step[rows] = np.where(lower[:, None], step, 0.3 * self._motion_step[rows])

@@ -28,8 +28,9 @@ def crowded(any_arm: Robot, tmp_path_factory: pytest.TempPathFactory) -> tuple[R
     rock = tmp_path_factory.mktemp("obstacles") / "rock.stl"
     trimesh.creation.icosahedron().apply_scale([0.2, 0.3, 0.1]).export(rock)
     rng = np.random.default_rng(5)
-    obstacles = []
-    for name, shape in [*((kind, shape) for kind, (shape, _) in SHAPES.items()), ("mesh", Mesh(path=rock))]:
+    trimesh.creation.icosahedron().apply_scale([0.1, 2.0, 0.1]).export(beam := rock.with_name("beam.stl"))
+    obstacles, meshes = [], {"rock": Mesh(path=rock), "beam": Mesh(path=beam)}
+    for name, shape in [*((kind, shape) for kind, (shape, _) in SHAPES.items()), *meshes.items()]:
         point = any_arm.base_point + 0.4 * any_arm.reach * rng.normal(size=3)
         X_WO = pin.SE3(Rotation.random(rng=rng).as_matrix(), point)
         obstacles.append(Obstacle(name=name, shape=shape, X_WO=X_WO.homogeneous))
@@ -69,6 +70,10 @@ def test_bounds_are_not_far_too_low(cmbot_robot: Robot, random_states: StateSamp
     apart = (distances > 0) & np.array([not pair.self_collision for pair in clearances.pairs])[:, None]
     assert np.quantile((distances - better)[apart], 0.9) < 1e-3
     assert np.median((distances - bounds)[apart]) < 0.2
+    for pair, far, *low in zip(clearances.pairs, distances, bounds, better, strict=True):
+        if pair.other in ("foot_1", "box"):
+            assert np.median((far - low[0])[far > 0]) < 0.08
+            assert np.quantile((far - low[1])[far > 0], 0.9) < 1e-3
 
 
 def test_bounds_of_several_blocks_are_in_order(cmbot_robot: Robot, random_states: StateSamples) -> None:

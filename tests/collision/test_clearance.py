@@ -19,10 +19,11 @@ from scipy.spatial.transform import Rotation
 from state_samples import StateSamples
 
 from cmbot.collision import Box, Clearances, Obstacle, Shape, Sphere
-from cmbot.collision.motion_bounds import DistanceCache, raise_bounds
+from cmbot.collision.motion_bounds import DistanceCache, raise_bounds, shape_reach
+from cmbot.collision.point_distances import PointDistances
 from cmbot.collision.shapes import ShapePair
 from cmbot.common.poses import pose
-from cmbot.robot import Robot, load_robot
+from cmbot.robot import Robot, load_robot, prismatic_joints
 from cmbot.scene import load_scene
 
 FloatArray = NDArray[np.float64]
@@ -434,6 +435,9 @@ def test_bounds_are_raised_by_measured_ones_on_both_sides() -> None:
     measured = np.array([False, False, True, False, False, False])
     raise_bounds(distance, measured, np.array([0.0, 0.1, 0.3, 0.4, 0.6, 1.5]))
     np.testing.assert_allclose(distance, [0.7, 0.8, 1.0, 0.9, 0.75, 0.0])
+    several = np.array([5.0, 0.0, 1.0, 0.0, 0.2])
+    raise_bounds(several, several > 0, np.array([0.0, 1.0, 2.0, 2.1, 3.0]))
+    np.testing.assert_allclose(several, [5.0, 4.0, 1.0, 0.9, 0.2])
     nothing = np.zeros(3)
     raise_bounds(nothing, np.zeros(3, dtype=bool), np.arange(3.0))
     assert not nothing.any()
@@ -459,3 +463,50 @@ def test_all_pairs_are_measured_in_the_second_of_two_near_postures(cmbot_robot: 
     distance = clearances.distances((q + 1e-3)[None], np.zeros_like(every), every)
     assert len(found or []) > 1
     assert found == [k for k in np.argsort(distance) if distance[k] <= 0.1]
+    # What was measured there still says enough after a posture far away.
+    assert cache.near(-q, 0.1) is None
+    assert cache.near(q + 1e-3, 0.1) == found
+    first, second = (here for here, _, _ in cache.segments(np.stack([q, -q])))
+    assert (first, second) == (slice(0, 1), slice(1, 2))
+
+
+def test_no_point_is_further_from_a_joint_than_its_reach(any_arm: Robot, random_states: StateSamples) -> None:
+    """Stretched and drawn out, too; what slides beyond its range is not bounded."""
+    model, shapes = any_arm.model, list(any_arm.collision_model.geometryObjects)
+    reach, slides = shape_reach(model, shapes), prismatic_joints(model)
+    stretched = np.where(slides, model.upperPositionLimit, 0.0)
+    data = model.createData()
+    for q in [stretched, *random_states(any_arm, 20)[0]]:
+        pin.forwardKinematics(model, data, q)
+        for shape, bounds in zip(shapes, reach, strict=True):
+            shape.geometry.computeLocalAABB()
+            X_WS = data.oMi[shape.parentJoint] * shape.placement
+            centre = X_WS.act(shape.geometry.aabb_center)
+            for joint in np.flatnonzero((bounds > 0) & ~slides) + 1:
+                far = np.linalg.norm(centre - data.oMi[int(joint)].translation)
+                assert far + shape.geometry.aabb_radius <= bounds[joint - 1] + 1e-9
+    geometry = pin.GeometryModel(any_arm.collision_model)
+    cache = DistanceCache(model, geometry, geometry.createData(), Clearances(any_arm, ()).pair_reach)
+    near = stretched + 1e-5 * np.arange(20)[:, None] * np.where(slides, -1, 1)
+    assert cache.suits(near)
+    assert not cache.suits(near[:1] + 0.1 * np.arange(20)[:, None] * np.where(slides, -1, 1))
+    assert cache.suits(near + 2.0 * slides) == (not slides.any())
+
+
+def test_distances_measured_one_by_one_are_the_same(
+    cmbot_robot: Robot, random_states: StateSamples, rng: np.random.Generator
+) -> None:
+    obstacles = [
+        Obstacle(name=kind, shape=shape, X_WO=turned_pose(rng).homogeneous)
+        for kind, (shape, _) in SHAPES.items()
+    ]
+    clearances, q = Clearances(cmbot_robot, obstacles), random_states(cmbot_robot, 40)[0]
+    alone, names = PointDistances(cmbot_robot, obstacles).smallest(q)
+    smallest = clearances.query(q)
+    np.testing.assert_allclose(alone, smallest.distance, rtol=0, atol=1e-5)
+    other = [clearances.pairs[pair] for pair in smallest.pair]
+    assert np.mean([name == (pair.link, pair.other) for name, pair in zip(names, other, strict=True)]) > 0.5
+    # The first posture need not be asked for.
+    some = clearances.distances(q, np.array([1, 1, 3]), np.array([0, *smallest.pair[[1, 3]]]))
+    np.testing.assert_allclose(some[1:], smallest.distance[[1, 3]], rtol=0, atol=1e-7)
+    assert some[0] == pytest.approx(clearances.nearest(q[1], 0).distance, abs=1e-7)

@@ -26,8 +26,8 @@ from cmbot.collision import (
     extent_of,
     load_mesh,
 )
-from cmbot.collision.shapes import coal_shapes
-from cmbot.common.errors import SceneError
+from cmbot.collision.shapes import coal_shapes, touched_by
+from cmbot.common.errors import InputError, SceneError
 from cmbot.common.poses import pose
 from cmbot.robot import Robot, convex_hull, encloses_volume
 
@@ -232,3 +232,28 @@ def test_extent_of_a_turned_mesh_has_all_its_corners(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         extent_of(Obstacle(name="o", shape=mesh, X_WO=X_WO)), corners, rtol=0, atol=1e-6
     )
+
+
+@pytest.mark.parametrize("X", [np.full((4, 4), np.nan), np.eye(3), np.eye(4).tolist(), np.full((4, 4), "1")])
+def test_a_pose_is_an_array_of_finite_numbers(X: Any) -> None:
+    with pytest.raises(InputError, match=r"Obstacle: X_WO: got .*, expected a pose"):
+        Obstacle(name="o", shape=Sphere(radius=1.0), X_WO=X)
+
+
+@pytest.mark.parametrize("scale", [True, "1", 0.0, 1e-7, 2e3, np.nan])
+def test_a_scale_is_a_number_from_micrometres_to_kilometres(scale: Any) -> None:
+    with pytest.raises(InputError, match=r"Mesh: scale: got .*, expected a number from 1e-06 to 1000"):
+        Mesh(path=Path("box.stl"), scale=scale)
+    with pytest.raises(InputError, match="Obstacle: scale"):
+        Obstacle(name="o", shape=Sphere(radius=1.0), X_WO=X_WO, scale=scale)
+
+
+def test_a_mesh_in_millimetres_that_a_box_touches(tmp_path: Path) -> None:
+    file = saved(box_mesh((300, 500, 900)), tmp_path / "box.stl").path
+    placed = Obstacle(name="o", shape=Mesh(path=file, scale=1e-3), X_WO=pose([1.0, 0, 0]))
+    np.testing.assert_allclose(extent_of(placed), [[0.85, -0.25, -0.45], [1.15, 0.25, 0.45]], atol=1e-6)
+    ball = Obstacle(name="ball", shape=Sphere(radius=0.1), X_WO=pose([5.0, 0, 0]))
+    touching, apart = pose([0.7, 0, 0], [0, 0, np.pi / 2]), pose([0.7, 0, 0])
+    box = Box(size=(0.2, 0.4, 0.1))
+    assert touched_by(box, touching, [ball, placed]) == "o"
+    assert touched_by(box, apart, [ball, placed]) is None

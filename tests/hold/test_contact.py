@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.optimize
 import shapely
 from contact_lp import Plate
 from holding import random_loads
@@ -84,3 +85,43 @@ def test_a_plate_holds_with_more_than_it_needs_too() -> None:
     (value,) = needed(Contact.rectangle(0.15, 0.075), load[None])
     assert all(plate.factor(load, more * (value - load[2])) >= 1 for more in (1.0, 1.05, 1.1, 1.3, 2.0, 5.0))
     assert value - load[2] <= 1.25 * (plate.needed(load, value) - load[2])
+
+
+@pytest.mark.parametrize("torsion", [0.9, 2.4, 4.07])
+def test_a_disc_about_to_tip_turns_about_what_is_pressed(torsion: float) -> None:
+    """A narrow cap bears the torsion: against a sum over points, and the centre that SciPy finds."""
+    radius, tipping = 0.1, 50.0
+    disc = Contact.of(shapely.Point(0, 0).buffer(radius, quad_segs=64))[0]
+    (value,) = needed(disc, np.array([[0, 0, 0, 0, tipping, torsion]]))
+    turned = np.zeros((60, 6))
+    turned[:, 3:5] = tipping * np.column_stack([np.sin(a := np.linspace(0, 6, 60)), np.cos(a)])
+    turned[:, 5] = torsion
+    assert needed(disc, turned) == pytest.approx(value, rel=5e-3)
+    across, along = (radius * np.linspace(-1, 1, n) for n in (401, 4001))
+    points = np.stack(np.meshgrid(along, across), axis=-1).reshape(-1, 2)
+    points = points[(np.hypot(*points.T) < radius) & (points[:, 0] > 0.7 * radius)]
+
+    def excess(start: float) -> float:
+        pressed = np.maximum(points[:, 0] - start, 0)
+        return float(pressed @ points[:, 0] / pressed.sum() - tipping / value)
+
+    pressed = np.maximum(points[:, 0] - scipy.optimize.brentq(excess, 0.7 * radius, 0.999 * radius), 0)
+    pressed *= value / pressed.sum()
+    most = scipy.optimize.minimize_scalar(
+        lambda centre: pressed @ np.hypot(points[:, 0] - centre, points[:, 1]), bounds=(0, radius)
+    )
+    assert 0.4 * most.fun == pytest.approx(torsion, rel=0.02)
+
+
+@pytest.mark.parametrize("gap", ["none", "allowed"])
+def test_what_suffices_a_disc_that_may_tip(gap: Gap, rng: np.random.Generator) -> None:
+    """Near its edge friction changes much with the centre of pressure."""
+    disc, N = Contact.of(shapely.Point(0, 0).buffer(0.1))[0], 300
+    angle = rng.uniform(0, 2 * np.pi, N)
+    load = np.zeros((N, 6))
+    load[:, 3], load[:, 4] = 50 * np.cos(angle), 50 * np.sin(angle)
+    load[:, 5] = rng.uniform(-5, 5, N)
+    change, none = 50 * 10 ** rng.uniform(-4, -1.5, N), np.zeros(N)
+    enough = Holding([foot(disc, gap)], none[:6]).needed_between(0, load[:, None], none, change)
+    load[:, 3:5] *= 1 + change[:, None] / 50
+    assert (needed(disc, load, gap) <= enough * (1 + 1e-9)).all()
