@@ -220,7 +220,7 @@ def _unlikeness(segments: Sequence[Segment], leg: int, other: int) -> tuple[floa
 
 
 def _alike(best: _Candidate, candidates: Iterator[_Candidate]) -> TimeLaw:
-    """The law with the ramp and the shaper of another leg's; where it does not fit, the scene's, the first."""
+    """The law with the ramp and shaper of another leg's; where it does not fit, the first, the scene's."""
     kind, plain = (best.ramp, best.flat, best.shaper), next(candidates)
     same = (each for each in candidates if (each.ramp, each.flat, each.shaper) == kind)
     return next(same, plain).law
