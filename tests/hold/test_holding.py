@@ -157,6 +157,13 @@ def test_a_change_along_one_axis_is_enclosed(axis: int) -> None:
     assert less < more <= holding.needed_between(0, 99 * change[:, None], force, torque) < 1.2 * more
 
 
+@pytest.mark.parametrize("friction", [0.05, 0.3, 1.0])
+def test_a_push_along_where_there_was_nothing_is_enclosed(friction: float) -> None:
+    holding, push = Holding([replace(PLAIN, friction=friction)], np.zeros(6)), np.eye(6)[:1]
+    enough = holding.needed_between(0, 0 * push[:, None], np.ones(1), np.zeros(1))
+    assert holding.needed(0, push) <= enough < 20 / friction
+
+
 def test_between_two_pulls_the_larger_one_counts() -> None:
     pulls = np.array([[[0, 0, 100.0, 0, 0, 0], [0, 0, 300.0, 0, 0, 0]]])
     assert Holding([PLAIN], np.zeros(6)).needed_between(0, pulls, np.zeros(1), np.zeros(1)) == [300.0]
