@@ -8,7 +8,7 @@ at the points of interpolation, and what lies between them is estimated from how
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -81,6 +81,18 @@ class Certificate:
         if np.isfinite(self.adhesion_bound):
             bounds.append(f"the adhesion needed below {np.ceil(self.adhesion_bound / 10) / 100:.2f} kN")
         return " and ".join([", ".join(bounds[:-1]), bounds[-1]] if bounds[1:] else bounds)
+
+    def with_sway(self, sway: float, swing: float, most: float) -> Certificate:
+        """Return it with a check that the tool sways and swings no further than `most`, m."""
+        check = Check(
+            quantity="sway of the tool" if sway > swing else "swing of the tool after the stop",
+            time=self.figures.duration,
+            value=max(sway, swing),
+            bound=most,
+            unit="m",
+            limit=Limit.SWAY,
+        )
+        return replace(self, checks=(*self.checks, check))
 
     def require(self) -> None:
         """Refuse a trajectory that breaks a promise.

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from plan_folders import edit
 from scipy.interpolate import make_interp_spline
 from small_scenes import request_of, short_scene
 
@@ -167,11 +168,23 @@ def test_the_shortest_time_and_the_shortest_that_is_quiet_are_told() -> None:
     assert quiet.sway.sway_mm + quiet.sway.swing_mm < 0.7 * (fast.sway.sway_mm + fast.sway.swing_mm)
 
 
-def test_a_bound_of_the_sway_is_kept_in_a_longer_time() -> None:
+def test_a_bound_of_the_sway_is_kept_in_a_longer_time(tmp_path: Path) -> None:
     quiet, quieter = in_auto(), in_auto(max_sway_mm=0.2)
     assert quieter.sway is not None
     assert max(quieter.sway.sway_mm, quieter.sway.swing_mm) <= 0.2
     assert quieter.work.duration > quiet.work.duration
+    # So it is on reading, whatever the bound in the file.
+    save(quieter, tmp_path)
+    (check,) = (each for each in quieter.work.certificate.checks if each.limit is Limit.SWAY)
+    assert check in load_plan(tmp_path, verify=True).work.certificate.checks
+
+    def stricter(data: dict[str, Any]) -> None:
+        data["scene"]["tool_path"]["max_sway_mm"] = 0.9e3 * check.value
+        data["hashes"]["scene"] = load_scene(data["scene"]).content_hash
+
+    edit(tmp_path, stricter)
+    with pytest.raises(LimitViolation, match=r"sway of the tool|swing of the tool"):
+        load_plan(tmp_path, verify=True)
     with pytest.raises(LimitViolation, match="sway of the tool is") as refused:
         in_auto(max_sway_mm=1e-4)
     assert refused.value.limit is Limit.SWAY
