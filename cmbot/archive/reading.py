@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from cmbot.accuracy import stroke_sway
 from cmbot.archive.folder import read_folder, require_settled
 from cmbot.archive.knots import require_times, segment_trajectories
 from cmbot.archive.places import plans_nearby
@@ -458,11 +457,8 @@ def _certified(plan: Plan, number: int, clearances: Clearances) -> tuple[Certifi
             # Where it follows on a segment, that they join has been checked.
             start=before if number == 0 else None,
             sag=sag,
+            arm=bending_arm(plan.scene, robot),
         )
-        most, arm = plan.scene.strokes[stroke].max_sway_mm, bending_arm(plan.scene, robot)
-        if most is not None and arm is not None:
-            sways = stroke_sway(arm, trajectory, options.quiet_stiffness_share).largest
-            certificate = certificate.with_sway(*sways, 1e-3 * most)
     else:
         # That the scene asks for a return, and where it leads to, has been checked.
         last = number + 1 == len(segments)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 _MAX_ROWS = 10
 _STANCE_FILES = ("stances.csv", "index.html")
-_HEADER_LINE = "# Written by cmbot stand: the scene in its best stance.\n"
+_HEADER_LINE = "# Written by cmbot stand: the scene in a stance.\n"
 _WALK_FILES = ("walk.csv", "index.html", "replay.html")
 
 
@@ -42,8 +42,9 @@ class StandCommand(Writing):
     For the shipped robot, an arm on a climber that holds a guardrail, and for any arm with mounts in its
     scene. Strokes that no stance does together are done from several, as few as possible. A stance counts
     only with the way from the stow posture and back. Writes a ranked table, a page with a map, and the scene
-    with the best stance: best.yaml, or best_1.yaml and so on. The scene's own stance is planned first: no
-    worse one is written. Ctrl-C keeps the best so far. Exit status 3 where none was planned.
+    with the best stance: best.yaml, or best_1.yaml and so on; stance_2.yaml and so on have those of the next
+    rows. The scene's own stance is planned first: no worse one is called the best. Ctrl-C keeps the best so
+    far. Exit status 3 where none was planned.
 
     Examples: cmbot stand line --objective hold, then cmbot plan out/line_stances/best.yaml;
     cmbot stand left.yaml right.yaml -o out/both
@@ -250,11 +251,13 @@ def _contents(rankings: Sequence[StanceRanking], name: str) -> dict[str, bytes]:
     texts = (cmbot.stances.stances_csv(rankings), cmbot.views.stances_page(rankings, name))
     contents = dict(zip(_STANCE_FILES, texts, strict=True))
     for number, each in enumerate(rankings, start=1):
-        if each.plans and each.best is None:
-            continue
-        file = "best.yaml" if len(rankings) == 1 else f"best_{number}.yaml"
-        best = yaml_text(plain(cmbot.stances.best_scene(each), each.scene.name))
-        contents[file] = f"{_HEADER_LINE}# Metres, seconds, degrees.\n{best}"
+        group = "" if len(rankings) == 1 else f"_{number}"
+        for rank, one in enumerate(each.ranked[:_MAX_ROWS], start=1):
+            best = rank == 1 and (each.best is not None or not each.plans)
+            if best or one.bound < float("inf"):
+                scene = yaml_text(plain(cmbot.stances.best_scene(each, rank), each.scene.name))
+                file = f"best{group}.yaml" if best else f"stance{group}_{rank}.yaml"
+                contents[file] = f"{_HEADER_LINE}# Metres, seconds, degrees.\n{scene}"
     return {file: text.encode() for file, text in contents.items()}
 
 
@@ -263,7 +266,7 @@ def _summary(rankings: Sequence[StanceRanking]) -> dict[str, Any]:
         {
             "strokes": list(ranking.strokes),
             "candidates": len(ranking.ranked),
-            **{name: ranking.count(name.replace("_", " ")) for name in _STATUSES},
+            **{name.replace(" ", "_"): ranking.count(name) for name in cmbot.stances.STATUSES},
             "best": ranking.ranked[0].place,
             "figures": asdict(ranking.ranked[0].figures),
             "words": list(cmbot.stances.in_words(ranking)),
@@ -271,6 +274,3 @@ def _summary(rankings: Sequence[StanceRanking]) -> dict[str, Any]:
         for ranking in rankings
     ]
     return each[0] if len(each) == 1 else {"stances": each, "words": list(cmbot.stances.shared_out(rankings))}
-
-
-_STATUSES = ("planned", "screened", "failed", "beyond_a_bound", "blocked", "no_posture", "out_of_reach")

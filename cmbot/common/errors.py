@@ -232,6 +232,9 @@ def beyond(violation: float) -> str:
 class PlanningError(CmbotError, RuntimeError):
     """The input is fine, but no valid plan came out of it."""
 
+    stopped = False
+    """Whether the time was over before it was known whether there is one."""
+
 
 class PathNotFound(PlanningError):
     """No joint path follows the tool path to its end.

@@ -77,24 +77,6 @@ class Foot:
             area = min(area, 2 * self.steel * self.contact.size[1])
         return MAGNET_PRESSURE * area
 
-    def kinds_left(self, needed: float, who: str) -> str:
-        """Return by which kinds of hold a foot bears what asks for an adhesion, in a sentence.
-
-        Parameters
-        ----------
-        needed : float, N
-            Without the safety factor.
-        who : str
-            What asks for it, such as ``the start``.
-        """
-        asked, area = self.safety * needed, 0.0 if self.contact is None else self.contact.area
-        steel = "" if self.steel is None else f" on {1e3 * self.steel:g} mm of steel"
-        asks = f"with safety {self.safety:g} {who} asks {asked / 1e3:.1f} kN"
-        if asked > (most := MAGNET_PRESSURE * area):
-            return f"no magnet pulls more than {most / 1e3:.1f} kN on this contact, {asks}: clamps alone"
-        pulls = f"clamps, or a magnet that pulls {asked / 1e3:.1f} kN"
-        return f"two-pole magnets pull {self.ceiling / 1e3:.1f} kN at most{steel}, {asks}: {pulls}"
-
     @cached_property
     def from_wrench(self) -> FloatArray:
         """Takes the wrench of the whole robot (force, torque about O0 in W) to this foot's load, (6, 6).

@@ -8,14 +8,14 @@ not tip, opens no gap where none is allowed, and does not slip: see `Contact`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.reading.file_types import Count, NonNegative
-from cmbot.hold.contact import Contact
+from cmbot.hold.contact import MAGNET_PRESSURE, Contact
 from cmbot.hold.foot import Foot
 
 MODES = ("pull", "tip", "gap", "slip")
@@ -49,6 +49,11 @@ class AdhesionPeak:
     time: NonNegative
     foot: Count = 1
 
+    @property
+    def closed(self) -> float:
+        """What the motion needs where no gap may open, N."""
+        return max(self.peak, self.gap)
+
 
 class Holding:
     """What the feet of a robot bear, as functions of the wrench of its moving arm.
@@ -63,6 +68,7 @@ class Holding:
     def __init__(self, feet: Sequence[Foot], constant: FloatArray) -> None:
         self.feet = tuple(feet)
         self._constant = constant
+        self._last: tuple[object, FloatArray, FloatArray] | None = None
 
     @property
     def flat(self) -> tuple[int, ...]:
@@ -185,6 +191,26 @@ class Holding:
             peak=max(value, 0.0), mode=mode, tip=max(tip, 0.0), gap=max(gap, 0.0), time=time, foot=number + 1
         )
 
+    def kinds_left(self, needed: AdhesionPeak, who: str) -> str:
+        """Return by which kinds of hold a foot bears what needs an adhesion, in a sentence.
+
+        Parameters
+        ----------
+        needed : AdhesionPeak
+        who : str
+            What needs it, such as ``the whole job``.
+        """
+        foot = self.feet[needed.foot - 1]
+        asked, area = foot.safety * needed.peak, 0.0 if foot.contact is None else foot.contact.area
+        steel = "" if foot.steel is None else f" on {1e3 * foot.steel:g} mm of steel"
+        asks = f"with safety {foot.safety:g} {who} asks {asked / 1e3:.1f} kN (gap: {foot.gap}"
+        if foot.gap == "allowed":
+            asks += f"; gap: none asks {foot.safety * needed.closed / 1e3:.1f} kN"
+        if asked > (most := MAGNET_PRESSURE * area):
+            return f"no magnet pulls more than {most / 1e3:.1f} kN on this contact, {asks}): clamps alone"
+        pulls = f"clamps, or a magnet that pulls {asked / 1e3:.1f} kN"
+        return f"two-pole magnets pull {foot.ceiling / 1e3:.1f} kN at most{steel}, {asks}): {pulls}"
+
     def mode(self, number: int, wrench: FloatArray) -> str:
         """Return what a foot with a flat contact needs adhesion against at a wrench (6,): `AdhesionPeak`."""
         modes = self.modes(number, wrench[None])[0]
@@ -192,14 +218,7 @@ class Holding:
 
     def __call__(self, wrench: FloatArray, /) -> tuple[FloatArray, FloatArray]:
         """Return the largest adhesion that a foot needs (N,), N, and its gradients (N, 6)."""
-        value, gradient = np.zeros(len(wrench)), np.zeros((len(wrench), 6))
-        for number in self.flat:
-            foot = self.feet[number]
-            needed, by_load = needed_by_load(foot, self.load(number, wrench))
-            more = needed > value
-            value[more] = needed[more]
-            gradient[more] = (by_load @ foot.from_wrench)[more]
-        return value, gradient
+        return self._most(wrench, dict.fromkeys(self.flat, 1.0))
 
     @property
     def bounded(self) -> bool:
@@ -213,21 +232,43 @@ class Holding:
         ----------
         wrench : (N, 6), N and Nm
         """
-        value, gradient = np.zeros(len(wrench)), np.zeros((len(wrench), 6))
+        factors = {k: foot.safety / foot.adhesion for k, foot in enumerate(self.feet) if foot.adhesion}
+        value, gradient = self._most(wrench, factors)
         rows = np.arange(len(wrench))
-        for number, foot in enumerate(self.feet):
-            load = self.load(number, wrench)
-            shares, by_load = np.abs(load) / self._clamp(number), np.sign(load)[:, :, None] * np.eye(6)
-            by_load = by_load / self._clamp(number)
-            if foot.adhesion is not None:
-                needed, by_one = needed_by_load(foot, load)
-                shares, by_load = needed[:, None] / foot.adhesion, by_one[:, None] / foot.adhesion
-            which = shares.argmax(axis=1)
-            found = foot.safety * shares[rows, which]
-            more = found > value
-            value[more] = found[more]
-            gradient[more] = foot.safety * (by_load[rows, which] @ foot.from_wrench)[more]
+        for number in self.clamps:
+            foot, load = self.feet[number], self.load(number, wrench)
+            by_load = foot.safety * np.sign(load) / self._clamp(number)
+            which = (shares := by_load * load).argmax(axis=1)
+            more = shares[rows, which] > value
+            value[more] = shares[rows, which][more]
+            gradient[more] = by_load[rows, which][more, None] * foot.from_wrench[which[more]]
         return value, gradient
+
+    def _most(self, wrench: FloatArray, factors: Mapping[int, float]) -> tuple[FloatArray, FloatArray]:
+        """Largest adhesion needed (N,) of feet, each times its factor, and its gradients (N, 6).
+
+        Objective and bounds ask for it of the same wrenches, one after the other: it is kept.
+        """
+        value, gradient = np.zeros(len(wrench)), np.zeros((len(wrench), 6))
+        if not factors:
+            return value, gradient
+        unit = max(factors.values())
+        key = wrench.shape, wrench.tobytes(), tuple((k, factor / unit) for k, factor in factors.items())
+        if self._last is None or self._last[0] != key:
+            feet, loads = {k: self.feet[k] for k in factors}, {k: self.load(k, wrench) for k in factors}
+            kinds = {k: (foot.contact, foot.friction, foot.gap) for k, foot in feet.items()}
+            for kind in {*kinds.values()}:
+                # Feet that are alike at once.
+                alike = [k for k in factors if kinds[k] == kind]
+                found = needed_by_load(feet[alike[0]], np.vstack([loads[k] for k in alike]))
+                parts = (np.split(part, len(alike)) for part in found)
+                for k, needed, by_load in zip(alike, *parts, strict=True):
+                    factor = factors[k] / unit
+                    more = factor * needed > value
+                    value[more] = factor * needed[more]
+                    gradient[more] = factor * by_load[more] @ feet[k].from_wrench
+            self._last = key, value, gradient
+        return unit * self._last[1], unit * self._last[2]
 
     def use(self, number: int, wrench: FloatArray) -> FloatArray:
         """Return the largest share (N,) of a clamp's bounds that its load uses, safety included."""

@@ -238,14 +238,15 @@ def job_metrics(segments: Iterable[Timed], begin: float = 0.0) -> MotionMetrics:
 
 
 def _largest_adhesion(segments: Iterable[Timed], begin: float) -> AdhesionPeak | None:
-    """The largest of segments; None where one is not known."""
+    """The largest of segments, against tipping and a gap too; None where one is not known."""
     peaks = list[AdhesionPeak]()
     for segment in segments:
         needed = segment.figures.adhesion_needed
         if needed is None:
             return None
         peaks.append(replace(needed, time=segment.begin - begin + needed.time))
-    return max(peaks, key=lambda each: each.peak)
+    tip, gap = max(each.tip for each in peaks), max(each.gap for each in peaks)
+    return replace(max(peaks, key=lambda each: each.peak), tip=tip, gap=gap)
 
 
 def join_trajectories(segments: Iterable[Segment]) -> QuinticTrajectory:

@@ -361,7 +361,7 @@ class _Planner:
         request = build_request(scene, self.options, self.objective, self.reporter, deadline)
         for number, stroke in enumerate(request.strokes):
             require_reasonable_size(scene, stroke, request.cell.robot.dof, self.options)
-            require_tool_speed(scene, stroke)
+            require_tool_speed(scene, stroke, request.cell.robot)
             try:
                 require_within_reach(request.at_stroke(number))
             except PathNotFound as error:

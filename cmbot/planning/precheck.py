@@ -19,7 +19,7 @@ from cmbot.common.reading.validation import counted
 from cmbot.common.reading.yaml_reader import lines_named
 from cmbot.common.representation import short_repr
 from cmbot.elastic.sag import Sag, TooSoftError
-from cmbot.hold import MAGNET_PRESSURE, Holding
+from cmbot.hold import Holding
 from cmbot.optimization import piqp_module
 from cmbot.planning.reach import beyond_reach, without_posture
 from cmbot.planning.request import end_posture_of, strokes_of, task_of
@@ -95,9 +95,10 @@ def precheck_scene(scene: Scene) -> Precheck:
     found = [*_asked(scene, robot, strokes, task), *(pair for part in start for pair in part.found)]
     warnings = [warning for part in start for warning in part.warnings]
     warnings += _out_of_reach(strokes, robot)
+    warnings += _too_strong(robot)
     warnings += without_posture(scene)
     for stroke in strokes:
-        warnings += _too_fast(scene.tool, stroke)
+        warnings += [*_too_fast(scene.tool, stroke), *_too_short(stroke, robot)]
         if too_large := oversized(stroke, robot.dof, scene.planner):
             warnings.append(too_large)
     warnings += precheck_options(scene.planner, scene.tool)
@@ -174,17 +175,10 @@ def _hold_at_start(scene: Scene, robot: Robot) -> Precheck:
     """What feet and locked joints bear at rest in the start posture, with the tool off."""
     holding, found, warnings = robot.holding, list[tuple[str, str]](), list[Finding]()
     wrench = Dynamics(robot.tool_off).static_efforts(scene.posture[None]).guardrail_wrench
-    for number, foot in enumerate(holding.feet if holding is not None else (), start=1):
-        if foot.contact is not None and foot.kind != "clamp":
-            most = MAGNET_PRESSURE * foot.contact.area / 1e3
-            value = f"{1e4 * foot.contact.area:.0f} cm2; no magnet pulls more than {most:.1f} kN there"
-            found.append(
-                (f"contact of foot {number}", f"{value}, one of two poles {foot.ceiling / 1e3:.1f} kN")
-            )
     if holding is not None and holding.adhesive:
         worst = holding.worst(wrench, np.zeros(1))
-        left = holding.feet[worst.foot - 1].kinds_left(worst.peak, "the start")
-        found.append(("kinds of hold left there", left))
+        left = holding.kinds_left(worst, "the start posture alone")
+        found.append(("kinds of hold left there", f"{left}; of the whole job cmbot plan says it"))
     if holding is not None and holding.bounded:
         use, got = _most_used(holding, wrench)
         found.append(("of what the feet bear there, safety included", f"{100 * use:.0f} %: {got}"))
@@ -203,6 +197,15 @@ def _hold_at_start(scene: Scene, robot: Robot) -> Precheck:
             expected = "at most 100 %, or more of holding_torque in the limits file"
             warnings.append(_warning(scene.posture_key, got, expected))
     return Precheck(found=tuple(found), warnings=tuple(warnings))
+
+
+def _too_strong(robot: Robot) -> Iterator[Finding]:
+    """Yield magnets with a pull that their usual kind, of two poles, has not on this steel."""
+    for foot in robot.feet:
+        if foot.adhesion is not None and foot.adhesion > foot.ceiling:
+            got = f"{foot.adhesion:.0f} N, where a magnet of two poles pulls {foot.ceiling:.0f} N at most"
+            expected = "what the magnet was measured to pull on this steel"
+            yield _warning("guardrail.hold.adhesion_n", got, expected)
 
 
 def _most_used(holding: Holding, wrench: FloatArray) -> tuple[float, str]:
@@ -333,10 +336,24 @@ def failures_explained(scene: Scene) -> Iterator[None]:
         raise
 
 
-def require_tool_speed(scene: Scene, stroke: Stroke) -> None:
-    """Refuse a stroke on which the tool has to be faster than the scene allows: a `SceneError`."""
-    for found in _too_fast(scene.tool, stroke):
+def require_tool_speed(scene: Scene, stroke: Stroke, robot: Robot) -> None:
+    """Refuse a stroke on which the tool has to be faster than scene or joints allow: a `SceneError`."""
+    for found in (*_too_fast(scene.tool, stroke), *_too_short(stroke, robot)):
         raise SceneError(scene.source, found.key, found.got, found.expected)
+
+
+def _too_short(stroke: Stroke, robot: Robot) -> Iterator[Finding]:
+    """Yield a stroke whose seconds no motion of the joints keeps."""
+    path = stroke.path
+    length, seconds = float(path.lengths.sum()), float(path.duration)
+    if not path.open_legs and seconds < (least := robot.least_seconds(length)):
+        key = stroke.leg_key(0) if len(path.lengths) == 1 and stroke.file.legs else stroke.key
+        speed = "speed_m_s" if stroke.asked_speed(0) is not None else "seconds"
+        got = f"{length:.3g} m in {seconds:.3g} s"
+        expected = (
+            f"more than {_rounded_up(least)} s: in less the joints' limits let no arm of this reach do it"
+        )
+        yield _warning(f"{key}.{speed}", got, expected)
 
 
 def _too_fast(tool: Tool, stroke: Stroke) -> Iterator[Finding]:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.optimize import brentq
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
@@ -190,6 +191,24 @@ class Robot:
         """Lower bound of that distance, m: the longest link less all others, or zero."""
         least, most = self._link_lengths
         return max(0.0, float((least + most).max() - most.sum()))
+
+    def least_seconds(self, length: float) -> float:
+        """Return a time in which no motion from rest to rest moves the tool point by a length, m, in s.
+
+        Each joint moves it no further than the joint's own way times the longest distance at which that
+        carries the tool; and in a time T no further than by v T, a T^2 / 4 and j T^3 / 32.
+        """
+        lever = np.cumsum(self._link_lengths[1][:0:-1])[::-1]
+        each, limits = np.where(self.limits.prismatic, 1.0, lever), self.limits
+
+        def beyond(T: float) -> float:
+            ways = limits.velocity * T, limits.acceleration * T**2 / 4, limits.jerk * T**3 / 32
+            return float(each @ np.min(ways, axis=0)) - length
+
+        most = 1.0
+        while beyond(most) < 0:
+            most *= 2.0
+        return float(brentq(beyond, 0.0, most))
 
     @property
     def _link_lengths(self) -> tuple[FloatArray, FloatArray]:

@@ -8,7 +8,7 @@ from cmbot.scene.base.guardrail import (
     feet_at as feet_at,
     guardrail_obstacles as guardrail_obstacles,
 )
-from cmbot.scene.base.hold import HoldFile as HoldFile, held_member as held_member
+from cmbot.scene.base.hold import Face as Face, HoldFile as HoldFile, held_member as held_member
 from cmbot.scene.base.identified import (
     IdentifiedBase as IdentifiedBase,
     IdentifiedSpring as IdentifiedSpring,

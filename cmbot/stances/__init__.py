@@ -37,6 +37,7 @@ from cmbot.stances.ranking import (
 )
 from cmbot.stances.screening import Screener as Screener
 from cmbot.stances.search import (
+    STATUSES as STATUSES,
     Rejection as Rejection,
     StanceResult as StanceResult,
     StandOptions as StandOptions,

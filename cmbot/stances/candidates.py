@@ -15,6 +15,7 @@ from cmbot.elastic import elastic_base
 from cmbot.planning import held_guardrail, robot_of
 from cmbot.robot import ARM_JOINTS, Climber, Robot, Side, load_climbing_robot
 from cmbot.scene import (
+    Face,
     FootholdFile,
     MountFile,
     Scene,
@@ -286,6 +287,25 @@ def places_of(scene: Scene, spacing: float, members: Collection[str] = ()) -> It
     members : collection of str
         On which they are; empty: all.
     """
+    clamps = {hold.kind for hold in scene.guardrail.hold or ()} == {"clamp"}
+    for probe, side in faces_of(scene, members):
+        if side.held_by_clamps_alone and not clamps:
+            continue
+        low, high = _END_MARGIN_M, side.ends[1] - side.ends[0] - _END_MARGIN_M
+        if probe.member.startswith("post_"):
+            post = scene.elastic_guardrail.post
+            low = post.clamp - post.bottom + _END_MARGIN_M
+            high += _END_MARGIN_M - 0.05
+        for along in np.arange(low, high + 1e-9, spacing):
+            place = probe.changed(along_m=round(float(along), 4))
+            if in_the_way(scene, place) is not None:
+                continue
+            for turn in (0.0, 180.0):
+                yield place.changed(turn_deg=turn)
+
+
+def faces_of(scene: Scene, members: Collection[str] = ()) -> Iterator[tuple[FootholdFile, Face]]:
+    """Yield the faces on which places are sought, as places at the beginning of their members."""
     guardrail = scene.elastic_guardrail
     held = () if scene.guardrail.stance is None else scene.guardrail.stance.held
     of_posts, of_rails = dict.fromkeys(("outer", "left", "right")), dict.fromkeys(("outer",))
@@ -293,24 +313,11 @@ def places_of(scene: Scene, spacing: float, members: Collection[str] = ()) -> It
         (of_posts if own.member.startswith("post_") else of_rails)[own.face] = None
     posts = [(f"post_{k + 1}", of_posts) for k in range(len(guardrail.post_positions))]
     rails = [(rail.name, of_rails) for rail in guardrail.rails]
-    clamps = {hold.kind for hold in scene.guardrail.hold or ()} == {"clamp"}
     of_members = [each for each in (*posts, *rails) if not members or each[0] in members]
     for member, faces in of_members:
         for face in faces:
             probe = FootholdFile.model_validate({"member": member, "along_m": 0.0, "face": face})
-            side = foothold_face(guardrail, probe)
-            if side.held_by_clamps_alone and not clamps:
-                continue
-            low, high = _END_MARGIN_M, side.ends[1] - side.ends[0] - _END_MARGIN_M
-            if member.startswith("post_"):
-                low = guardrail.post.clamp - guardrail.post.bottom + _END_MARGIN_M
-                high += _END_MARGIN_M - 0.05
-            for along in np.arange(low, high + 1e-9, spacing):
-                place = probe.changed(along_m=round(float(along), 4))
-                if in_the_way(scene, place) is not None:
-                    continue
-                for turn in (0.0, 180.0):
-                    yield place.changed(turn_deg=turn)
+            yield probe, foothold_face(guardrail, probe)
 
 
 def climber_in_the_way(scene: Scene, candidate: Candidate) -> str | None:

@@ -63,30 +63,24 @@ class Charted:
     postures: FloatArray
 
 
-def _endless() -> float:
-    return np.inf
-
-
-def bounded_quickly(
-    scene: Scene, at_rest: AtRest | None = None, left: Callable[[], float] = _endless
-) -> float:
-    """Return a bound as `Charted` has it, from charts at few via-points; of strokes until no time is `left`.
+def bounded_quickly(scene: Scene, at_rest: AtRest | None = None, limit: float = np.inf) -> float:
+    """Return a bound as `Charted` has it, from charts at few via-points; of strokes until a time, s.
 
     Raises
     ------
     PathNotFound
         When no sequence of admissible postures leads along a stroke.
     """
-    bound = 0.0
+    bound, deadline = 0.0, Deadline(limit)
     for request in _strokes(scene, at_rest):
         bound = max(bound, quick_bound(request, _VIA_POINTS))
-        if left() <= 0:
+        if deadline.expired():
             break
     return bound
 
 
-def chart(scene: Scene, at_rest: AtRest | None = None, left: Callable[[], float] = _endless) -> Charted:
-    """Chart the strokes of a scene, each within the scene's time limit, and what is `left`.
+def chart(scene: Scene, at_rest: AtRest | None = None, limit: float = np.inf) -> Charted:
+    """Chart the strokes of a scene within a time `limit`, s.
 
     Raises
     ------
@@ -94,8 +88,8 @@ def chart(scene: Scene, at_rest: AtRest | None = None, left: Callable[[], float]
         When no sequence of admissible postures leads along a stroke.
     """
     bounds, peaks, postures = list[float](), list[float](), list[FloatArray]()
+    deadline = Deadline(limit)
     for request in _strokes(scene, at_rest):
-        deadline = Deadline(min(scene.planner.time_limit_s, max(left(), 0.0)))
         search, solution = searched(replace(request, deadline=deadline))
         if isinstance(solution, PathNotFound):
             raise solution

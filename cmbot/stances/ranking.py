@@ -14,13 +14,21 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from threadpoolctl import threadpool_limits
 
 from cmbot.common.arrays import BoolArray, FloatArray
-from cmbot.common.errors import InputError, PlanningError, SceneError
+from cmbot.common.errors import CmbotError, InputError, PlanningError, SceneError
 from cmbot.common.reading.validation import counted, shown
 from cmbot.common.representation import short_repr
 from cmbot.planning import ToolTask, precheck_scene, robot_of, strokes_of, task_of
 from cmbot.scene import Scene
 from cmbot.stances.bounds import UNITS, SagLimit, StanceObjective
-from cmbot.stances.candidates import AnyCandidate, Candidate, candidates_of, mounts_of, own_candidate
+from cmbot.stances.candidates import (
+    AnyCandidate,
+    Candidate,
+    candidates_of,
+    faces_of,
+    mounts_of,
+    own_candidate,
+)
+from cmbot.stances.charting import bounded_quickly
 from cmbot.stances.placed_scene import joined, put_away, scene_at, with_strokes
 from cmbot.stances.screening import Screener, Screening, times_of
 from cmbot.stances.search import (
@@ -134,8 +142,26 @@ class StanceRanking:
 
     @property
     def best_unplanned(self) -> float:
-        """The smallest bound of a stance that was not tried; infinite where all were."""
-        return min((each.bound for each in self.ranked if each.status == "screened"), default=np.inf)
+        """The smallest bound of a stance that was not judged to its end; infinite where all were."""
+        return min((each.bound for each in self.waiting), default=np.inf)
+
+    @property
+    def closest_in_time(self) -> str:
+        """The one that promises most of those that are left out by the time alone, in words; else empty."""
+        first, late = next(iter(self.waiting), None), self.count("not judged") or len(self.waiting)
+        # Where the time was over before any was known bounds are zero.
+        if first is None or not first.bound or not (self.ended_by or self.count("not judged")):
+            return ""
+        return (
+            f"not judged for want of time: {late}, closest {first.place}, by its bound "
+            f"{first.bound:.4g} {self.unit}; a longer --time-limit or planner.time_limit_s, or "
+            "cmbot plan of its scene, judges it"
+        )
+
+    @property
+    def waiting(self) -> list[StanceResult]:
+        """Those that were not judged to their end, the most promising first."""
+        return [each for each in self.ranked if each.status in ("screened", "not judged")]
 
     @property
     def proven(self) -> int:
@@ -226,7 +252,15 @@ class _Stand:
             self._own = {self._candidates[0]: None}
         if not self._candidates:
             where = ", ".join(options.members) or "the guardrail"
-            raise PlanningError(f"no place on {where} in which a foot holds; round bars take clamps alone")
+            sides = [
+                (place.face, face.held_by_clamps_alone) for place, face in faces_of(scene, options.members)
+            ]
+            tried = ", ".join(dict.fromkeys(f"{face}: {alone or 'in the way'}" for face, alone in sides))
+            error = PlanningError(f"no place on {where} in which a foot holds ({tried})")
+            error.add_hint(
+                "clamps hold edges and round bars; other faces are tried where guardrail.stance has one"
+            )
+            raise error
         robot = robot_of(scene)
         strokes = strokes_of(scene, robot)
         # Each cell of a raster is a stroke of its own: together they are one of the scene's.
@@ -290,12 +324,24 @@ class _Stand:
         if least is not None and self._scene.planner.compensate is False:
             return SagLimit(most_mm=least, source="the tolerance of the tool, as the sag is not compensated")
         own = [k for k, each in enumerate(self._candidates) if each in self._own]
-        most = self._screener.sag_mm(self._tasks, own)
+        able = [k for stroke, numbers in enumerate(self._of) if self._is_done(stroke) for k in numbers]
+        most = self._screener.sag_mm([self._tasks[k] for k in able], own)
         if most >= _LEAST_SAG_MM:
             return SagLimit(most_mm=most, source="what the scene's own stance sags (estimate)")
         if np.isfinite(most):
             return SagLimit(most_mm=_LEAST_SAG_MM, source="more than the scene's own stance sags")
         return SagLimit(most_mm=_MOST_SAG_MM, source="an assumption of ours")
+
+    def _is_done(self, stroke: int) -> bool:
+        """Whether postures lead along a stroke in an own stance, obstacles included."""
+        part = with_strokes(self._scene, {stroke}, self._scene.name)
+        for candidate, posture in self._own.items():
+            try:
+                bounded_quickly(scene_at(part, candidate, posture), None, self._ending.left())
+            except CmbotError:
+                continue
+            return True
+        return False
 
     def _group(
         self, group: frozenset[int], found: Screening, progress: Progress, *, several: bool
@@ -400,6 +446,7 @@ def require_planned(rankings: Sequence[StanceRanking]) -> None:
     for ranking in rankings:
         if ranking.best is None:
             late = "; the time was over (--time-limit)" if ranking.ended_by == "time" else ""
+            late += f": {closest}" if (closest := ranking.closest_in_time) else ""
             strokes = f" for {', '.join(ranking.strokes)}" if len(rankings) > 1 else ""
             reasons = ranking.reasons_in_words
             why = f", most often for: {reasons}" if reasons else ""
@@ -409,18 +456,20 @@ def require_planned(rankings: Sequence[StanceRanking]) -> None:
             raise error
 
 
-def best_scene(ranking: StanceRanking) -> Scene:
-    """Return the scene with the best stance, or if none was planned the most promising one.
+def best_scene(ranking: StanceRanking, rank: int = 1) -> Scene:
+    """Return the scene with the best stance, or the most promising one; or that of another rank, from 1.
 
     Raises
     ------
     PlanningError
         When no stance is left.
     """
-    first = ranking.ranked[0]
-    if not np.isfinite(first.bound):
+    ranked = ranking.ranked[rank - 1]
+    if not np.isfinite(ranked.bound):
         raise PlanningError(f"no stance of {len(ranking.ranked)} is left: {ranking.reasons_in_words}")
-    return scene_at(ranking.scene, first.candidate, None) if first.plan is None else first.plan.scene
+    if ranked.plan is not None:
+        return ranked.plan.scene
+    return scene_at(ranking.scene if ranked.own else put_away(ranking.scene), ranked.candidate, None)
 
 
 def require_on_guardrail(scene: Scene) -> None:

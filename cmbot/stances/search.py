@@ -10,27 +10,41 @@ import heapq
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from time import monotonic
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import CmbotError, InputError, LimitViolation, OptimisationFailed, PathNotFound
+from cmbot.common.errors import (
+    CmbotError,
+    InputError,
+    LimitViolation,
+    OptimisationFailed,
+    PathNotFound,
+    PlanningError,
+)
 from cmbot.common.representation import short_repr
 from cmbot.planning import Plan
-from cmbot.scene import PlannerOptions, Scene
 from cmbot.stances.bounds import NO_BOUNDS, NO_FIGURES, Bounds, StanceFigures, StanceObjective
 from cmbot.stances.candidates import AnyCandidate
 from cmbot.stances.charting import CannotBePutAway
 
 StageName = Literal["reach", "postures", "clearance", "obstacles", "charts", "plan"]
 """By what a stance is judged, the cheapest first."""
-RejectionKind = Literal["out of reach", "no posture", "blocked", "beyond a bound", "failed"]
+Status = Literal[
+    "planned", "not judged", "screened", "failed", "beyond a bound", "blocked", "no posture", "out of reach"
+]
+"""How a stance ended, the most promising first; the names of its rejections, too."""
+STATUSES: tuple[Status, ...] = get_args(Status)
 Progress = Callable[[str, float], None]
 # Bases nearer, m, to one that could not be planned or charted are tried last.
 _NEAR_BASE_M: dict[StageName, float] = {"plan": 0.3, "charts": 0.12}
-# Time that planning is given at least, s.
-_MIN_PLAN_SECONDS = 1e-3
+# Time that a stage is given at least, s; and which share of what is left charts and the own stance's plan
+# have: charts so many times more in each round of those that were not judged in that time. Another plan has
+# all of it, as the next one takes about as long.
+_MIN_SECONDS = 1e-3
+_CHARTS_SHARE, _OWN_SHARE = 0.15, 0.5
+_MORE_TIME = 2.0
 # Share of a time limit that the screening may take.
 _SCREENING_SHARE = 0.4
 # Once enough are planned, only stances that may be better by more than this share are judged.
@@ -101,6 +115,7 @@ class Ending:
     keeps: bool = False
     screening_cut: bool = False
     _began: float = field(default_factory=monotonic)
+    _more: float = 1.0
 
     def is_due(self) -> bool:
         """Whether no other stance is to be judged."""
@@ -113,10 +128,14 @@ class Ending:
         self.screening_cut = self.screening_cut or monotonic() - self._began >= _SCREENING_SHARE * self.limit
         return self.screening_cut
 
-    def within(self, scene: Scene) -> PlannerOptions:
-        """Return the scene's options with no more time than is left."""
-        given, most = scene.planner, max(self.left(), _MIN_PLAN_SECONDS)
-        return given if given.time_limit_s <= most else replace(given, time_limit_s=most)
+    def part(self, stage: StageName, *, own: bool = False) -> float:
+        """Return what a stage may take of what is left, s."""
+        share = _OWN_SHARE if own else 1.0 if stage == "plan" else self._more * _CHARTS_SHARE
+        return max(min(share, 1.0) * self.left(), _MIN_SECONDS)
+
+    def give_more(self) -> None:
+        """Give charts a larger share of what is left from now on."""
+        self._more *= _MORE_TIME
 
     def left(self) -> float:
         """Return what is left of the time, s."""
@@ -132,7 +151,7 @@ class Rejection:
     kind : str
         ``out of reach`` of the links, ``no posture`` within the bounds of joints and feet, ``blocked`` where
         climber or postures come too near to something or no sequence of them leads along a stroke, ``beyond
-        a bound``, or ``failed`` where planning did.
+        a bound``, ``failed`` where planning did, or ``not judged`` where its time was over before.
     reason : str
         With the figures of this stance.
     cause : str
@@ -143,16 +162,18 @@ class Rejection:
         What else would take the cause away than a bound that is wider by that factor; empty where unknown.
     """
 
-    kind: RejectionKind
+    kind: Status
     reason: str
     cause: str
     excess: float = np.inf
     would_do: str = ""
 
     @staticmethod
-    def of(kind: RejectionKind, error: CmbotError) -> Rejection:
-        """Return that by an error."""
+    def of(kind: Status, error: CmbotError) -> Rejection:
+        """Return that by an error; where the time was over before, it says nothing of the stance."""
         match error:
+            case PlanningError(stopped=True):
+                kind, cause = "not judged", "not judged: time"
             case CannotBePutAway(pair=None):
                 reason, other = f"{error}, {error.use:.2f} times what it bears", "start with return: start"
                 return Rejection(
@@ -227,7 +248,7 @@ class StanceResult:
         return self.candidate.place
 
     @property
-    def status(self) -> str:
+    def status(self) -> Status:
         """How it ended: ``planned``, ``screened`` where no plan was tried, or the kind of its rejection."""
         if self.rejection is not None:
             return self.rejection.kind
@@ -235,17 +256,13 @@ class StanceResult:
 
     @property
     def order(self) -> tuple[int, float]:
-        """What is planned first, by its value; then what is only bounded; then the rejected."""
-        if self.plan is not None and self.rejection is None:
-            return 0, self.value
-        return (1 if self.rejection is None else 2 + _REJECTIONS.index(self.rejection.kind)), self.bound
+        """What is planned first, by its value; the others by their bounds."""
+        return STATUSES.index(self.status), self.value if self.status == "planned" else self.bound
 
     def rejected(self, stage: StageName, rejection: Rejection) -> StanceResult:
-        """Return it as left out by a stage."""
-        return replace(self, stage=stage, rejection=rejection)
-
-
-_REJECTIONS: tuple[RejectionKind, ...] = ("failed", "beyond a bound", "blocked", "no posture", "out of reach")
+        """Return it as left out by a stage, where that judged it."""
+        judged = self.stage if rejection.kind == "not judged" else stage
+        return replace(self, stage=judged, rejection=rejection)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -321,8 +338,8 @@ class _Search:
         self._next = {stage.name: k + 1 for k, stage in enumerate(stages)}
         self._failures = list[tuple[FloatArray, float]]()
         self._waiting = [(each.bound, k) for k, each in enumerate(results) if each.status == "screened"]
-        # Those near a failure, until no others wait.
-        self._later = list[tuple[float, int]]()
+        # Those near a failure, until no others wait; and those that were not judged in the time they had.
+        self._later, self._late = list[tuple[float, int]](), list[int]()
         self._best, self._planned = np.inf, 0
 
     def plan_own(self) -> None:
@@ -335,13 +352,18 @@ class _Search:
     def run(self) -> None:
         """Judge the most promising by its next stage, again and again."""
         heapq.heapify(self._waiting)
-        while (self._waiting or self._later) and not self._ending.is_due():
+        while (self._waiting or self._later or self._late) and not self._ending.is_due():
+            if len(self._late) >= self._wanted or not (self._waiting or self._later):
+                self._ending.give_more()
+                for k in self._late:
+                    heapq.heappush(self._waiting, (self.results[k].bound, k))
+                self._late = []
             if not self._waiting:
                 self._waiting, self._later, self._failures = self._later, [], []
                 heapq.heapify(self._waiting)
             key, k = heapq.heappop(self._waiting)
             each, number = self.results[k], self._next.get(self.results[k].stage, 0)
-            if each.status != "screened" or each.bound >= self._enough:
+            if each.status not in ("screened", "not judged") or each.bound >= self._enough:
                 continue
             if number and self._is_near_a_failure(each):
                 # It most likely fails for the same reason: others come first.
@@ -367,9 +389,11 @@ class _Search:
         return any(np.linalg.norm(base - other) < near for other, near in self._failures)
 
     def _judge(self, k: int, stage: Stage) -> None:
-        result = self.results[k] = stage.judge(self.results[k])
+        result = self.results[k] = stage.judge(replace(self.results[k], rejection=None))
         rejection = result.rejection
-        if result.status == "planned":
+        if result.status == "not judged":
+            self._late += [] if result.own or stage is self._stages[-1] else [k]
+        elif result.status == "planned":
             self._ending.keeps = True
             # The scene's own is one more.
             self._planned += not result.own

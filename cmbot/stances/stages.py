@@ -82,19 +82,10 @@ class Judge:
     def stages(self) -> tuple[Stage, ...]:
         """Return them in their order."""
         options, tries = self.options, _ATTEMPTS_PER_PLAN * (self.options.plans + 1)
+        first = "checking the most promising"
         return (
-            Stage(
-                name="clearance",
-                judge=self.cleared,
-                most=sys.maxsize,
-                step="checking the most promising",
-            ),
-            Stage(
-                name="obstacles",
-                judge=self.checked,
-                most=options.checks,
-                step="checking the most promising for obstacles",
-            ),
+            Stage(name="clearance", judge=self.cleared, most=sys.maxsize, step=first),
+            Stage(name="obstacles", judge=self.checked, most=options.checks, step=f"{first} for obstacles"),
             Stage(name="charts", judge=self.charted, most=options.charts, step="charting the most promising"),
             Stage(name="plan", judge=self.planned, most=tries, step="planning the most promising"),
         )
@@ -117,7 +108,7 @@ class Judge:
         """Chart a stance at some via-points, obstacles included."""
         try:
             scene = scene_at(self.scene, result.candidate, None)
-            bound = bounded_quickly(scene, self._at_rest(result), self.ending.left)
+            bound = bounded_quickly(scene, self._at_rest(result), self.ending.left())
         except CmbotError as error:
             return result.rejected("obstacles", Rejection.of("blocked", error))
         if bound == 0 or self.objective == "sway":
@@ -131,9 +122,9 @@ class Judge:
 
     def charted(self, result: StanceResult) -> StanceResult:
         """Chart a stance at all via-points."""
+        limit = min(self.scene.planner.time_limit_s, self.ending.part("charts"))
         try:
-            scene = scene_at(self.scene, result.candidate, None)
-            charted = chart(scene, self._at_rest(result), self.ending.left)
+            charted = chart(scene_at(self.scene, result.candidate, None), self._at_rest(result), limit)
         except CmbotError as error:
             return result.rejected("charts", Rejection.of("blocked", error))
         number = np.full(len(charted.postures), result.number)
@@ -159,9 +150,10 @@ class Judge:
         """Plan a stance, with the way from the stow posture and back; that of a scene as the scene has it."""
         if result.own and result.stage == "postures" and (why := self.suits(result.candidate)):
             return result.rejected("clearance", Rejection(kind="blocked", reason=why, cause=why))
+        limit = min(self.scene.planner.time_limit_s, self.ending.part("plan", own=result.own))
         try:
             scene = self._placed(result)
-            made = plan(scene, options=self.ending.within(scene))
+            made = plan(scene, options=replace(scene.planner, time_limit_s=limit))
         except CmbotError as error:
             return result.rejected("plan", Rejection.of("failed", error))
         if left_out := sum(one.unreached for one in made.coverage.values()):

@@ -11,28 +11,13 @@ from cmbot.scene import FootholdFile
 from cmbot.stances.bounds import COLUMNS, NO_FIGURES
 from cmbot.stances.candidates import Candidate
 from cmbot.stances.ranking import StanceRanking
-from cmbot.stances.search import StanceResult
+from cmbot.stances.search import STATUSES, StanceResult
 from cmbot.stances.stages import PROVEN_SHARE
 
 _Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
 # What is told of a plan in a sentence: so many of the columns.
 _TOLD_COLUMNS = 8
-_ENDED = {
-    "out of reach": "{} out of reach",
-    "no posture": "{} in which no posture within the bounds of joints and feet was found",
-    "blocked": "{} found blocked",
-    "screened": "{} that were only screened",
-    "planned": "{} planned",
-    "failed": "{} of which planning failed",
-    "beyond a bound": "{} that exceed a bound",
-}
-_LEFT_OUT_BY = {
-    "postures": "by sampled postures, obstacles left out",
-    "clearance": "by sampled postures, obstacles left out",
-    "obstacles": "by charts at some via-points, obstacles included",
-    "charts": "by charts at all via-points, obstacles included",
-}
 
 
 def in_words(ranking: StanceRanking) -> Iterator[str]:
@@ -41,6 +26,8 @@ def in_words(ranking: StanceRanking) -> Iterator[str]:
     if best is None:
         promising = ": the scene has the most promising one by its bound; it may be blocked"
         yield f"No stance was planned{'' if ranking.plans else promising}."
+        if ranking.closest_in_time:
+            yield f"{ranking.closest_in_time[0].upper()}{ranking.closest_in_time[1:]}."
         if (near := ranking.nearest) is not None and near.rejection is not None:
             yield f"Nearest to what is allowed: {near.place}, {near.rejection.reason}."
     else:
@@ -56,8 +43,7 @@ def in_words(ranking: StanceRanking) -> Iterator[str]:
             ", and others may be better" if best is not None and ranking.best_unplanned < best.value else ""
         )
         yield f"The search ended early, as {by}{kept}{others}."
-    counts = {status: ranking.count(status) for status in _ENDED}
-    ended = (words.format(counts[status]) for status, words in _ENDED.items() if counts[status])
+    ended = (f"{number} {status}" for status in STATUSES if (number := ranking.count(status)))
     yield f"{len(ranked)} stances: {', '.join(ended)}."
     stances = (each.candidate.stance for each in ranked if isinstance(each.candidate, Candidate))
     if faces := sorted({place.face for stance in stances for place in stance.held}):
@@ -80,14 +66,14 @@ def _best_in_words(ranking: StanceRanking, best: StanceResult) -> Iterator[str]:
     yield from _kinds_left(best)
     least = ranking.best_unplanned
     if np.isfinite(least):
-        first = min((each for each in ranked if each.status == "screened"), key=lambda each: each.bound)
+        first = min(ranking.waiting, key=lambda each: each.bound)
         more = 1 - least / peak if peak > 0 else 0.0
         # Charts are by the sag then.
         stage = "postures" if ranking.objective == "sway" else first.stage
         by = f"by more than {100 * more:.1f} %" if more > 0 else "than the best one"
         yield (
-            f"No stance that was not planned has a bound below {least:.4g} {unit} (estimate, "
-            f"{_LEFT_OUT_BY[stage]}): none may be better {by}."
+            f"No stance that was not planned has a bound below {least:.4g} {unit} (estimate, judged by its "
+            f"{stage}): none may be better {by}."
         )
     if ranking.proven > ranking.count("out of reach"):
         others = len(ranked) - ranking.count("planned")
@@ -112,7 +98,7 @@ def _kinds_left(best: StanceResult) -> Iterator[str]:
     needed = None if best.plan is None else best.plan.job.figures.adhesion_needed
     holding = None if best.plan is None else best.plan.robot.holding
     if needed is not None and holding is not None:
-        said = holding.feet[needed.foot - 1].kinds_left(needed.peak, "this stance")
+        said = holding.kinds_left(needed, "the whole job in this stance")
         yield f"{said[0].upper()}{said[1:]}."
 
 

@@ -228,6 +228,8 @@ def _holds_card(plan: Plan) -> Headline:
         return Headline(title="Holds", value="–", detail=f"what the feet bear is not given{asked}")
     _, worst = tightest_check(plan.job, limit=Limit.HOLD)
     shown = f", {worst.value / 1e3:.2f} of {worst.bound / 1e3:.2f} kN" if worst.unit == "N" else ""
+    if needed is not None and plan.robot.feet[needed.foot - 1].gap == "allowed":
+        shown += f" (a gap may open; {needed.closed / 1e3:.2f} kN without safety where none may)"
     return Headline(
         title="Holds",
         value=f"{100 * bound_use(worst):.0f} %",

@@ -6,14 +6,21 @@ import re
 from pathlib import Path
 from unittest.mock import Mock
 
+import numpy as np
 import pytest
 from command_line import Outcome, one_line, run, run_apart, write_scene
 from small_scenes import short_scene
 
 import cmbot
 from cmbot.archive import STANCES_FILE, write_results
+from cmbot.planning import robot_of
 
 FILES = {"stances.csv", "stances.json", "best.yaml", "index.html"}
+
+
+def named(folder: Path) -> set[str]:
+    """Names of what was written but scenes of further rows."""
+    return {path.name for path in folder.iterdir() if not path.name.startswith("stance_")}
 
 
 @pytest.fixture(scope="module")
@@ -28,17 +35,44 @@ def stood(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome]:
 def test_it_writes_the_table_the_page_and_the_scene(stood: tuple[Path, Outcome]) -> None:
     folder, outcome = stood
     assert outcome.status == 0, outcome.err
-    assert {path.name for path in (folder / "out").iterdir()} == FILES
+    assert named(folder / "out") == FILES
     rows = [*csv.DictReader((folder / "out" / "stances.csv").read_text().splitlines())]
     assert f"{len(rows)} stances: " in outcome.out
     best = cmbot.load_scene(folder / "out" / "best.yaml")
     first, _, *blocks = (folder / "out" / "best.yaml").read_text().splitlines()
-    assert first == "# Written by cmbot stand: the scene in its best stance."
+    assert first == "# Written by cmbot stand: the scene in a stance."
     assert {"name: short_stance", "planner:", "  objective: hold"} <= {*blocks}
     assert best.planner.objective == "hold"
     figures = json.loads((folder / "out" / "stances.json").read_text())["figures"]
     assert {"adhesion", "job_adhesion", "stop_adhesion"} < {*figures}
     assert best.stance.foot == pytest.approx([float(rows[0][axis]) for axis in "xyz"], abs=1e-4)
+
+
+def test_every_row_that_is_printed_is_a_scene(job: Path) -> None:
+    """Planned, it has the figures of its row; the others begin where they were judged from."""
+    out = job.parent / "out"
+    outcome = run("stand", job, *COARSE, "--objective", "hold", "-o", out, "--quiet")
+    assert outcome.status == 0, outcome.err
+    rows = [*csv.DictReader((out / "stances.csv").read_text().splitlines())]
+    files = {1: "best.yaml"} | {rank: f"stance_{rank}.yaml" for rank in range(2, 11)}
+    for rank, row in enumerate(rows[:10], start=1):
+        assert (out / files[rank]).is_file() == (row["bound"] != "")
+        if row["bound"] == "":
+            continue
+        scene = cmbot.load_scene(out / files[rank])
+        if scene.stance is not None:  # else that of the scene, at the origin
+            climbing = [float(row[f"climb_{k}_deg"]) for k in range(1, 6)]
+            np.testing.assert_allclose(np.degrees(scene.stance.climber), climbing, atol=1e-3)
+        if row["status"] == "planned":
+            made = cmbot.plan(scene)
+            assert made.job.figures.adhesion_needed.peak == pytest.approx(
+                float(row["job_adhesion"]), rel=1e-4
+            )
+            assert made.job.duration == pytest.approx(float(row["seconds"]), rel=1e-4)
+        else:
+            stow = robot_of(scene).group_states["stow"]
+            np.testing.assert_allclose(scene.posture, stow, atol=1e-9)
+            assert scene.return_to == "stow"
 
 
 def test_it_replaces_nothing_unasked(stood: tuple[Path, Outcome]) -> None:
@@ -66,7 +100,7 @@ def test_where_nothing_is_planned_the_status_is_3_and_the_table_says_why(job: Pa
     assert re.search(r"short.yaml: no stance of \d+ was planned, most often for: ", error)
     assert error.endswith(f"{out / 'stances.csv'} has the reason of each")
     assert error.count("(") >= 3
-    assert {path.name for path in out.iterdir()} == FILES - {"best.yaml"}
+    assert named(out) == FILES - {"best.yaml"}
     rows = [*csv.DictReader((out / "stances.csv").read_text().splitlines())]
     assert {"beyond a bound", "out of reach"} <= {row["status"] for row in rows}
     assert next(row["reason"] for row in rows if row["status"] == "beyond a bound").endswith(
@@ -99,7 +133,7 @@ def test_ctrl_c_keeps_the_best_so_far(job: Path, shown: tuple[str, ...]) -> None
     assert outcome.status == 130, outcome.err
     said = "The search ended early, as it was stopped: what was planned until then is kept"
     assert said in (" ".join(json.loads(outcome.out)["words"]) if shown else outcome.out)
-    assert {path.name for path in out.iterdir()} == FILES
+    assert named(out) == FILES
     assert said in (out / "index.html").read_text()
     best = cmbot.load_scene(out / "best.yaml")
     assert best.robot == cmbot.load_scene(job).robot

@@ -7,7 +7,7 @@ import pytest
 from finite_differences import finite_difference
 from numpy.typing import NDArray
 
-from cmbot.hold import Contact, Foot, Gap, Holding, bears
+from cmbot.hold import AdhesionPeak, Contact, Foot, Gap, Holding, bears
 
 FloatArray = NDArray[np.float64]
 
@@ -31,28 +31,61 @@ def needed(load: list[float], foot: Foot = PLAIN) -> list[float]:
 
 
 @pytest.mark.parametrize(
-    ("kilonewtons", "steel", "said"),
+    ("kilonewtons", "gap", "steel", "said"),
     [
         (
-            *(3.01, 0.012),
-            "two-pole magnets pull 2.9 kN at most on 12 mm of steel, with safety 2 this stance asks 6.0 kN: "
-            "clamps, or a magnet that pulls 6.0 kN",
+            *(3.01, "none", 0.012),
+            "two-pole magnets pull 2.9 kN at most on 12 mm of steel, with safety 2 the job asks 6.0 kN "
+            "(gap: none): clamps, or a magnet that pulls 6.0 kN",
         ),
         (
-            *(1.0, None),
-            "two-pole magnets pull 15.5 kN at most, with safety 2 this stance asks 2.0 kN: clamps, or a "
-            "magnet that pulls 2.0 kN",
+            *(1.0, "allowed", None),
+            "two-pole magnets pull 15.5 kN at most, with safety 2 the job asks 2.0 kN (gap: allowed; gap: "
+            "none asks 7.2 kN): clamps, or a magnet that pulls 2.0 kN",
         ),
         (
-            *(9.0, 0.012),
-            "no magnet pulls more than 15.5 kN on this contact, with safety 2 this stance asks 18.0 kN: "
-            "clamps alone",
+            *(9.0, "allowed", 0.012),
+            "no magnet pulls more than 15.5 kN on this contact, with safety 2 the job asks 18.0 kN (gap: "
+            "allowed; gap: none asks 18.0 kN): clamps alone",
         ),
     ],
 )
-def test_which_kinds_of_hold_are_left(kilonewtons: float, steel: float | None, said: str) -> None:
+def test_which_kinds_of_hold_are_left(kilonewtons: float, gap: Gap, steel: float | None, said: str) -> None:
     """1.592 MPa, B^2 / 2 mu_0 at 2 T, on 13 cm by 7.5 cm, and on twice 12 mm by 7.5 cm."""
-    assert replace(FOOT, steel=steel).kinds_left(1e3 * kilonewtons, "this stance") == said
+    holding = Holding([replace(FOOT, steel=steel, gap=gap)], np.zeros(6))
+    needed = AdhesionPeak(peak=1e3 * kilonewtons, mode="tip", tip=1e3, gap=3.6e3, time=0.0)
+    assert holding.kinds_left(needed, "the job") == said
+
+
+def test_without_a_gap_more_is_needed() -> None:
+    """What a peak says of `gap: none` is what feet need that may open none."""
+    loads = np.random.default_rng(3).uniform(-1, 1, (200, 6)) * [600, 600, 400, 90, 90, 60]
+    allowed, none = (Holding([replace(PLAIN, gap=gap)], np.zeros(6)) for gap in ("allowed", "none"))
+    peak = allowed.worst(loads, np.arange(200.0))
+    assert peak.closed == pytest.approx(none.each(loads).max(), rel=1e-6)
+    assert peak.closed > 1.5 * peak.peak
+
+
+def test_objective_and_bounds_ask_feet_for_the_same() -> None:
+    """Of several magnets and clamps, each by itself; what is kept of the last loads is not another's."""
+    away = replace(FOOT, centre=np.array([0.3, 0.1, 0.2]), share=0.4 * np.eye(6))
+    weak = replace(away, adhesion=900.0, safety=1.3, friction=0.2)
+    clamp = replace(away, kind="clamp", adhesion=None, force=(900, 800, 700), moment=(90, 80, 70))
+    wrenches = np.random.default_rng(4).uniform(-1, 1, (2, 50, 6)) * [300, 300, 300, 60, 60, 40]
+    for feet in ([FOOT, away], [FOOT, weak], [FOOT, clamp], [clamp]):
+        holding = Holding(feet, np.array([5.0, -9, 40, 3, 2, -1]))
+        for wrench in (*wrenches, wrenches[0]):
+            needs = np.array([holding.needed(k, wrench) for k in holding.flat])
+            np.testing.assert_allclose(holding(wrench)[0], needs.max(axis=0, initial=0.0), rtol=1e-9)
+            shares = [
+                foot.safety * needs[k] / foot.adhesion if foot.adhesion else holding.use(k, wrench)
+                for k, foot in enumerate(feet)
+            ]
+            value, gradient = holding.share(wrench)
+            np.testing.assert_allclose(value, np.max(shares, axis=0), rtol=1e-9)
+            step = 1e-4 * np.ones(6)
+            after = holding.share(wrench + step)[0] - holding.share(wrench - step)[0]
+            np.testing.assert_allclose(2 * gradient @ step, after, rtol=1e-3, atol=1e-9)
 
 
 def test_a_plain_pull_needs_itself() -> None:

@@ -81,6 +81,11 @@ def test_an_emergency_stop_asks_more(held: Plan) -> None:
 def test_what_is_said(held: Plan) -> None:
     (text,) = re.findall(r"Hold: [^.]*(?:\.\d[^.]*)*\.", verdict(held))
     assert re.search(r"safety 2 included, uses \d+ % .* and have 14.90 kN, with 20 % less it holds; ", text)
+    each = [segment.figures.adhesion_needed for segment in held.job.segments]
+    closed = max(max(needed.gap, needed.peak) for needed in each)
+    assert f"({closed / 1e3:.2f} kN with gap: none) and have" in text
+    (card,) = (card for card in headlines(held, None) if card.title == "Holds")
+    assert f"(a gap may open; {closed / 1e3:.2f} kN without safety where none may)" in card.detail
     stop = held.emergency_stop
     assert text.endswith(f"an emergency stop needs {stop.peak / 1e3:.2f} kN.")
     assert "adhesion needed, whole job, kN" in held.summary()
@@ -243,12 +248,14 @@ def test_a_scene_whose_feet_do_not_hold_at_the_start_is_told_so() -> None:
     assert re.fullmatch(
         r"[0-9]+ N of adhesion, times safety [0-9.]+, where a foot has 1000 N", weak.warnings[0].got
     )
-    assert not precheck_scene(magnet_scene()).warnings
-    assert dict(weak.found)["contact of foot 1"].endswith("than 14.9 kN there, one of two poles 1.9 kN")
+    (strong,) = precheck_scene(magnet_scene()).warnings
+    assert strong.key == "guardrail.hold.adhesion_n"
+    assert strong.got == "14900 N, where a magnet of two poles pulls 1910 N at most"
     left = dict(weak.found)["kinds of hold left there"]
     asked = 2 * float(weak.warnings[0].got.partition(" N of")[0]) / 1e3
     assert left.startswith("two-pole magnets pull 1.9 kN at most on 8 mm of steel, with safety ")
-    assert left.endswith(f"a magnet that pulls {asked:.1f} kN")
+    assert f"the start posture alone asks {asked:.1f} kN (gap: allowed; gap: none asks " in left
+    assert left.endswith(f"a magnet that pulls {asked:.1f} kN; of the whole job cmbot plan says it")
     with pytest.raises(PlanningError, match=r"^the start asks [0-9]+ N of adhesion"):
         plan(magnet_scene(1000.0))
 

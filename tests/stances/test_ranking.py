@@ -249,8 +249,8 @@ def test_hold_is_ranked_by_the_whole_job(scene: Scene, ranking: StanceRanking) -
         assert told["in an emergency stop, kN"] == f"{stop.peak / 1e3:.2f}"
         assert f">{needed.peak / 1e3:.2f}</td>" in page
     best = ranking.best.plan
-    foot = best.robot.holding.feet[best.job.figures.adhesion_needed.foot - 1]
-    said = foot.kinds_left(ranking.best.value, "this stance")
+    needed = best.job.figures.adhesion_needed
+    said = best.robot.holding.kinds_left(needed, "the whole job in this stance")
     assert f"{said[0].upper()}{said[1:]}." in in_words(ranking)
 
 
@@ -334,6 +334,10 @@ def test_the_best_of_one_is_not_called_the_best(ranking: StanceRanking) -> None:
     assert "The scene's own stance is the only one planned." in said
     assert "There was no other one to compare it with." in said
     assert "Feet were tried on these faces alone: outer." in said
+    page = stances_page([replace(ranking, ranked=ranking.own)])
+    assert "the only stance planned" in page
+    assert "the best stance" not in page
+    assert "the best stance" in stances_page([ranking])
     assert "Feet were tried on these faces alone: outer, right." in [*in_words(ranking)]
 
 
@@ -362,6 +366,16 @@ def test_stances_are_sought_on_the_face_that_the_scenes_feet_hold(face: str) -> 
             assert (each.base[:3, 3] - each.root[:3, 3]) @ out > 0
     # Of the usual sides none has a face for magnets.
     assert not [*candidates_of(girder.changed(guardrail={"stance": None}), 0.5, 0.5, ("flange",))]
+
+
+def test_a_flange_on_whose_edge_no_magnet_holds_is_refused_with_its_width() -> None:
+    rail = {"name": "flange", "section": {"flat": [0.2, 0.012]}, "height_m": 0.0, "box_m": [0.2, 0.012]}
+    edge = scene_of(guardrail=FLANGE | {"rails": [rail], "hold": {"kind": "magnet"}})
+    on_it = replace(WIDE, members=("flange",))
+    with pytest.raises(
+        PlanningError, match=r"flange .* \(outer: the edge of a leg, 12 mm wide\); .* has one"
+    ):
+        stand(edge, on_it)
 
 
 class _Stopped:
@@ -454,7 +468,9 @@ def test_where_none_is_within_reach_of_the_links() -> None:
 
 
 def test_members_that_no_foot_holds(scene: Scene) -> None:
-    with pytest.raises(PlanningError, match="no place on bar_1 in which a foot holds; round bars"):
+    with pytest.raises(
+        PlanningError, match=r"^no place on bar_1 .* \(outer: a round bar or a corner\); clamps"
+    ):
         stand(scene, replace(WIDE, members=("bar_1",)))
 
 

@@ -164,7 +164,9 @@ def error_of(failure: Failure) -> PlanningError:
         case Uncertified():
             return LimitViolation(**_without("broken", failure))
         case OutOfTime():
-            return error_of(failure.during)
+            error = error_of(failure.during)
+            error.stopped = True
+            return error
         case _:
             assert_never(failure)
 

@@ -173,10 +173,8 @@ def _certified(
         via_points=len(request.times),
         start=start,
         sag=cell.sag,
+        arm=cell.arm,
     )
-    if (most := request.stroke.file.max_sway_mm) is not None:
-        sways = optimised.sway or cell.sway_of(optimised.trajectory)
-        certificate = certificate.with_sway(*sways, 1e-3 * most)
     try:
         certificate.require()
     except LimitViolation as violation:

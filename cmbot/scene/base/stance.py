@@ -191,6 +191,10 @@ def resolved_stance(file: StanceFile, guardrail: Guardrail) -> Stance:
         hanging = climber.hanging(X[:3, :3])
         if hanging is None:
             expected = "a foot on which the arm's base can hang (another turn_deg), or climber_deg"
+            if abs(X[2, 1]) > _REACHED:
+                expected = (
+                    "a place for foot_2, too, or climber_deg: from a top or bottom no base hangs by itself"
+                )
             raise refusal(expected, got=shown(file.foot_1.model_dump()), key=(*key, "foot_1"))
         angles = hanging
     else:

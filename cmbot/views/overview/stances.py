@@ -18,6 +18,7 @@ _LABEL = (18.0, 13.0)  # room for a number beside a dot, px
 _UNBOUNDED_ROW_PX = 42.0
 _DOT_COLOURS = {
     "planned": "#1a7f37",
+    "not judged": "#0f766e",
     "screened": "#2f6fb7",
     "failed": "#c0392b",
     "beyond a bound": "#8e44ad",
@@ -65,10 +66,10 @@ def _where(ranking: StanceRanking) -> str:
     """Where the feet of the first stance hold, on the guardrail."""
     if not ranking.ranked or not isinstance(ranking.ranked[0].candidate, Candidate):
         return ""  # mounts are on no guardrail
-    best = ranking.best
     strokes = strokes_of(ranking.scene, robot_of(ranking.scene))
     paths = [stroke.path.outline() for stroke in strokes]
-    name = "the best stance" if best is not None else "the most promising stance"
+    names = ("the most promising stance", "the only stance planned", "the best stance")
+    name = names[min(ranking.count("planned"), 2)]
     drawn = guardrail_map(ranking.scene, [], [Stand(ranking.ranked[0].candidate, name, paths)])
     return f"<section>{drawn}</section>"
 

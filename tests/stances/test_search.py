@@ -1,0 +1,89 @@
+"""The search among stances: who is judged when, and what is said where the time was over."""
+
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cmbot.common.errors import PathNotFound, PlanningError
+from cmbot.stances import StanceRanking, StandOptions, in_words, require_planned
+from cmbot.stances.search import Ending, Rejection, Stage, StanceResult, evaluate_stances
+
+
+def searched(
+    needs: list[float], limit: float, monkeypatch: pytest.MonkeyPatch, plans: int = 1
+) -> tuple[StanceRanking, list[tuple[int, float]]]:
+    """Stances that need so many seconds to be charted, the most promising first; and who had how many."""
+    now, had = [0.0], list[tuple[int, float]]()
+    monkeypatch.setattr("cmbot.stances.search.monotonic", lambda: now[0])
+    ending = Ending(limit=limit, _began=0.0)
+
+    def judge(result: StanceResult) -> StanceResult:
+        part = ending.part("charts")
+        had.append((result.number, part))
+        now[0] += min(part, needs[result.number])
+        if part < needs[result.number]:
+            error = PathNotFound("late", time=0.0, progress=0.0, smallest_singular_value=1.0, stopped=True)
+            return result.rejected("charts", Rejection.of("blocked", error))
+        return replace(result, stage="charts")
+
+    def planned(result: StanceResult) -> StanceResult:
+        return replace(result, stage="plan", plan=plan, value=result.bound)
+
+    plan: Any = SimpleNamespace(job=SimpleNamespace(figures=SimpleNamespace(adhesion_needed=None)))
+    plan.robot = SimpleNamespace(holding=None)
+    results = []
+    for number in range(len(needs)):
+        base = np.eye(4)
+        base[0, 3] = number
+        candidate: Any = SimpleNamespace(base=base, place=f"place {number}")
+        results.append(
+            StanceResult(candidate=candidate, number=number, stage="postures", bound=100.0 + number)
+        )
+    charts = Stage(name="charts", judge=judge, most=20, step="charting")
+    plans_ = Stage(name="plan", judge=planned, most=20, step="planning")
+    options = StandOptions(plans=plans)
+    found = evaluate_stances(results, (charts, plans_), options, ending)
+    ranked = tuple(sorted(found, key=lambda each: each.order))
+    scene: Any = None
+    return StanceRanking(scene=scene, ranked=ranked, plans=plans, ended_by=ending.by), had
+
+
+def test_what_was_not_charted_in_its_time_has_more_in_the_next_round(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ranking, had = searched([35.0, 10.0, 35.0, 10.0], 200.0, monkeypatch, plans=2)
+    assert [number for number, _ in had] == [0, 1, 2, 0]
+    first, _, third, again = (part for _, part in had)
+    assert first == 0.15 * 200
+    assert third == pytest.approx(0.15 * (200 - 30 - 10))
+    assert again == pytest.approx(2 * 0.15 * (200 - 30 - 10 - third))
+    assert [each.number for each in ranking.ranked if each.status == "planned"] == [0, 1]
+
+
+def test_stances_without_time_are_named_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    ranking, had = searched([900.0, 900.0, 900.0], 100.0, monkeypatch, plans=2)
+    assert sum(part for _, part in had) <= 100.1
+    assert ranking.ended_by == "time"
+    assert [each.status for each in ranking.ranked] == ["not judged", "not judged", "screened"]
+    assert ranking.best_unplanned == 100.0
+    closest = (
+        "not judged for want of time: 2, closest place 0, by its bound 100 Nm; a longer --time-limit or "
+        "planner.time_limit_s, or cmbot plan of its scene, judges it"
+    )
+    said = [*in_words(ranking)]
+    assert f"N{closest[1:]}." in said
+    assert "3 stances: 2 not judged, 1 screened." in said
+    with pytest.raises(
+        PlanningError, match=re.escape(f"of 3 was planned; the time was over (--time-limit): {closest}")
+    ):
+        require_planned([ranking])
+
+
+def test_without_a_limit_nothing_is_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    ranking, had = searched([900.0, 1.0], np.inf, monkeypatch)
+    assert had == [(0, np.inf)]
+    assert ranking.best is not None and not ranking.ended_by
