@@ -208,7 +208,8 @@ class Holding:
             asks += f"; gap: none asks {foot.safety * needed.closed / 1e3:.1f} kN"
         if asked > (most := MAGNET_PRESSURE * area):
             return f"no magnet pulls more than {most / 1e3:.1f} kN on this contact, {asks}): clamps alone"
-        pulls = f"clamps, or a magnet that pulls {asked / 1e3:.1f} kN"
+        magnet = "a magnet" if asked <= foot.ceiling else "a magnet of more poles"
+        pulls = f"clamps, or {magnet} that pulls {asked / 1e3:.1f} kN"
         return f"two-pole magnets pull {foot.ceiling / 1e3:.1f} kN at most{steel}, {asks}): {pulls}"
 
     def mode(self, number: int, wrench: FloatArray) -> str:

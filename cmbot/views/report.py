@@ -275,11 +275,10 @@ def _lower_bound_card(plan: Plan) -> Headline:
         why = "not computed for fixed knots" if fixed else "not computed near an earlier plan"
         why = why if plan.lower_bound is None else "another objective was minimised"
         return Headline(title="Above the lower bound", value="–", detail=why)
-    return Headline(
-        title="Above the lower bound",
-        value=f"{100 * gap:+.3f} %",
-        detail=f"{floor_name(plan)} {bound:.1f} Nm, explained at the torque's plot",
-    )
+    title, value, name = "Above the lower bound", f"{100 * gap:+.3f} %", f"{floor_name(plan)} {bound:.1f} Nm"
+    if gap < 0:
+        title, value, name = "Lower bound", "reached", f"{name}; moving, the arm has {-100 * gap:.2g} % less"
+    return Headline(title=title, value=value, detail=f"{name}, explained at the torque's plot")
 
 
 def _certificate_card(plan: Plan) -> Headline:

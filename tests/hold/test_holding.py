@@ -36,7 +36,7 @@ def needed(load: list[float], foot: Foot = PLAIN) -> list[float]:
         (
             *(3.01, "none", 0.012),
             "two-pole magnets pull 2.9 kN at most on 12 mm of steel, with safety 2 the job asks 6.0 kN "
-            "(gap: none): clamps, or a magnet that pulls 6.0 kN",
+            "(gap: none): clamps, or a magnet of more poles that pulls 6.0 kN",
         ),
         (
             *(1.0, "allowed", None),

@@ -16,7 +16,7 @@ from cmbot.elastic import Guardrail
 from cmbot.scene.base.hold import FACES, Face, face_of
 
 # From the foot's frame to its plate, m: the frame lies on the centre line of the post that is held.
-_PLATE_OFFSET_M = 0.0375
+PLATE_OFFSET_M = 0.0375
 _QUARTER_TURNS_DEG = (0.0, 90.0, 180.0, 270.0, -90.0, -180.0, -270.0)
 # How far a given climber may miss the place of foot 2, m and rad.
 _REACHED = 1e-4
@@ -159,7 +159,7 @@ def foothold_pose(guardrail: Guardrail, place: FootholdFile) -> FloatArray:
     z = np.round(np.cos(turn)) * along + np.round(np.sin(turn)) * np.cross(out, along)
     X = np.eye(4)
     X[:3, :3] = np.column_stack([np.cross(out, z), out, z])
-    X[:3, 3] = axis_point(guardrail, place) + (face.depth - _PLATE_OFFSET_M) * out
+    X[:3, 3] = axis_point(guardrail, place) + (face.depth - PLATE_OFFSET_M) * out
     return X
 
 

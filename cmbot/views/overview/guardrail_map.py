@@ -12,7 +12,7 @@ import numpy as np
 from cmbot.collision import Box, Obstacle, extent_of
 from cmbot.common.arrays import FloatArray
 from cmbot.robot import Climber
-from cmbot.scene import Scene, guardrail_obstacles
+from cmbot.scene import PLATE_OFFSET_M, Scene, guardrail_obstacles
 from cmbot.stances import Candidate
 from cmbot.stances.walking import WalkSamples
 
@@ -141,11 +141,11 @@ def _key(base: str, samples: Sequence[WalkSamples], stands: Sequence[Stand]) -> 
 
 
 def _feet(candidate: Candidate) -> FloatArray:
-    """Where the feet hold, (k, 3), m."""
-    places = [candidate.root[:3, 3]]
+    """Where the plates of the feet are, (k, 3), m: their frames may be on the other side of the steel."""
+    poses = [candidate.root]
     if candidate.stance.foot_2 is not None:
-        places.append((candidate.root @ Climber().poses(candidate.climber)[0])[:3, 3])
-    return np.array(places)
+        poses.append(candidate.root @ Climber().poses(candidate.climber)[0])
+    return np.array([X[:3, 3] + PLATE_OFFSET_M * X[:3, 1] for X in poses])
 
 
 def _line(window: _Window, points: FloatArray, style: str) -> str:
