@@ -71,7 +71,7 @@ class _Leg:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Candidate:
-    """A law; its ramp, as a share of what a shaper leaves of the time, its flat share, the shaper's number."""
+    """A law; its ramp, as a share of what a shaper leaves of the time, flat share, shaper's number."""
 
     kind: tuple[float, float, int]
     law: TimeLaw
