@@ -169,7 +169,7 @@ def plan_step(
         When nothing leads there, or the joints or the foot that holds cannot bear it.
     """
     robot = swinging_robot(scene, before, foot, arm)
-    near, far = (_swing_request(scene, robot, foot, near=close) for close in (True, False))
+    far = _swing_request(scene, robot, foot, near=False)
     ways = [_lifted(node, foot) for node in (before, after)]
     up, down = ways[0], ways[1][::-1]
     # On foot 2 the joints are in the other order.
@@ -179,6 +179,7 @@ def plan_step(
         space = free_space(far.cell).around(np.stack([up[-1], down[0]])[:, ::turn])
         if space is None or not space.straight(up[-1][::turn], down[0][::turn]):
             return ()
+    near = _swing_request(scene, robot, foot, near=True)
     parts: list[tuple[Kind, StrokeRequest, FloatArray]] = []
     if len(up) > 1:
         parts.append(("lift", near, up[:, ::turn]))
