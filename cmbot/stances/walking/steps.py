@@ -27,7 +27,7 @@ from cmbot.planning import (
 )
 from cmbot.robot import Climber, Kinematics, Robot, Side, load_climbing_robot, other_foot
 from cmbot.scene import PlannerOptions, Scene
-from cmbot.stances import Candidate, lift_height, place_in_words, scene_at, without_links
+from cmbot.stances import LIFT_M, Candidate, place_in_words, scene_at, without_links
 from cmbot.stances.walking.balance import foot_at
 from cmbot.toolpath import SpeedProfile, ToolPath
 from cmbot.trajectory import QuinticTrajectory
@@ -300,7 +300,7 @@ def _lifted(node: Candidate, foot: Side) -> FloatArray:
     climber = Climber()
     X_12, normal = climber.poses(node.climber)[0], np.array([0.0, 1.0, 0.0])
     way = [node.climber]
-    for height in np.linspace(0.0, lift_height(), _LIFT_POSTURES)[1:]:
+    for height in np.linspace(0.0, LIFT_M, _LIFT_POSTURES)[1:]:
         X = X_12.copy()
         X[:3, 3] += (height if foot == 2 else -height) * normal
         found = climber.reaching(X)
