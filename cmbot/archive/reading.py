@@ -457,6 +457,7 @@ def _certified(plan: Plan, number: int, clearances: Clearances) -> tuple[Certifi
             # Where it follows on a segment, that they join has been checked.
             start=before if number == 0 else None,
             sag=sag,
+            arm=bending_arm(plan.scene, robot),
         )
     else:
         # That the scene asks for a return, and where it leads to, has been checked.

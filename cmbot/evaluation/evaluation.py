@@ -340,6 +340,7 @@ class _Judge:
                 self.options,
                 via_points=0 if is_timed else None,
                 sag=self.sag if is_timed else None,
+                arm=bending_arm(self.scene, self.robot) if is_timed else None,
             )
             if part.number is not None and not is_timed:
                 certificate = self._with_nearest(certificate, trajectory, task)

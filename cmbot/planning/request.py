@@ -261,4 +261,5 @@ def task_of(stroke: Stroke, scene: Scene) -> ToolTask:
     speed = scene.tool.max_speed_m_s
     most = None if speed is None else speed * (1 + SPEED_TOLERANCE)
     task = ToolTask.of(stroke.path, stroke.file.keep, most, stroke.file.speed_tolerance)
-    return replace(task, max_base_torque=stroke.file.max_base_torque_nm)
+    most, sway = stroke.file.max_base_torque_nm, stroke.file.max_sway_mm
+    return replace(task, max_base_torque=most, max_sway=None if sway is None else 1e-3 * sway)

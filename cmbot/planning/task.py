@@ -43,6 +43,8 @@ class ToolTask:
         By what share the tool's speed may miss that of the path's process parts. None: any.
     max_base_torque : float or None
         Largest torque on the base, Nm. None: any.
+    max_sway : float or None
+        Largest sway of the tool at work, and largest swing after it, m. None: any.
     lean : (3, 3) or None
         With ``axis``: rotation in the tool's frame by which the axis leans from that of the path all along.
     """
@@ -54,6 +56,7 @@ class ToolTask:
     lean: FloatArray | None = None
     speed_tolerance: float | None = None
     max_base_torque: float | None = None
+    max_sway: float | None = None
 
     __repr__ = short_repr
 

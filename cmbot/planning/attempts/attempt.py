@@ -51,6 +51,8 @@ class Attempt:
         What more seconds would give on a short leg.
     unshaped : float, optional
         Where laws were chosen: sway and swing together of the optimised motion by the scene's own, m.
+    plain : bool
+        The legs keep the scene's laws.
     """
 
     request: StrokeRequest
@@ -60,6 +62,7 @@ class Attempt:
     timing: Timing | None = None
     more_time: MoreTime | None = None
     unshaped: float | None = None
+    plain: bool = False
 
     @classmethod
     def of(cls, request: StrokeRequest, **own: Any) -> Attempt:
@@ -89,7 +92,8 @@ class Attempt:
         sways more by it along that path: suppression lessens the swing alone.
         """
         request, file, guess = self.request, self.request.stroke.file, self.guess
-        if file.speed_profile.kind != "quiet" or file.time_laws or not isinstance(guess, InitialGuess):
+        is_chosen = file.speed_profile.kind == "quiet" and not file.time_laws
+        if self.plain or not is_chosen or not isinstance(guess, InitialGuess):
             return self
         # Imported where needed: SciPy's splines take a while to load.
         from cmbot.planning.timing.quiet_laws import quiet_laws

@@ -9,7 +9,6 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import LimitViolation, OptimisationFailed, PathNotFound
-from cmbot.common.limit import Limit
 from cmbot.optimization import ExchangeReport
 from cmbot.planning.attempts.agenda import Solved
 from cmbot.planning.attempts.attempt import Attempt
@@ -76,7 +75,6 @@ def certified_motion(attempt: Attempt) -> Solved[StrokeMotion] | Failure:
         return guess
     try:
         optimised, compensation = _optimised(request, guess)
-        _require_little_sway(request, optimised)
         request.reporter.stage("certify")
         posture = optimised.trajectory.q[0]
         moved = float(np.abs(request.cell.robot.metric.coordinates(posture - request.state.posture)).max())
@@ -161,23 +159,6 @@ def _optimised(request: StrokeRequest, guess: InitialGuess) -> tuple[Optimised, 
     return optimised, compensation
 
 
-def _require_little_sway(request: StrokeRequest, optimised: Optimised) -> None:
-    """Refuse a motion by which the tool sways or swings more than it may."""
-    most = request.stroke.file.max_sway_mm
-    if most is None:
-        return
-    sway, swing = optimised.sway or request.cell.sway_of(optimised.trajectory)
-    if max(sway, swing) > 1e-3 * most:
-        raise LimitViolation(
-            "sway of the tool" if sway > swing else "swing of the tool after the stop",
-            time=float(optimised.trajectory.t[-1]),
-            value=max(sway, swing),
-            bound=1e-3 * most,
-            unit="m",
-            limit=Limit.SWAY,
-        )
-
-
 def _certified(
     request: StrokeRequest, optimised: Optimised, start: FloatArray | None
 ) -> Certificate | Failure:
@@ -192,6 +173,7 @@ def _certified(
         via_points=len(request.times),
         start=start,
         sag=cell.sag,
+        arm=cell.arm,
     )
     try:
         certificate.require()

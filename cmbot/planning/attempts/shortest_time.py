@@ -106,8 +106,7 @@ def in_given_time(
     request = replace(request, strokes=strokes)
     laws = tuple(law.slowed(factor) for law, factor in zip(known, factors, strict=True))
     attempt = fast.attempt.in_timing(Timing.along(request, motion, (), laws))
-    outcome = work(attempt) if isinstance(attempt, Attempt) else attempt
-    if not isinstance(attempt, Attempt) or not isinstance(outcome, Solved):
+    if not isinstance(attempt, Attempt) or not isinstance(outcome := work(attempt), Solved):
         return None
     return Trial(attempt=attempt, outcome=outcome, remedy=SLOWED_LAWS, parent=refused)
 

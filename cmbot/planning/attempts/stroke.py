@@ -79,7 +79,7 @@ def plan_stroke(
     # Laws that were chosen may lead to no motion, or to one that sways more than by the scene's own.
     unshaped = trial.attempt.unshaped
     if quiet.unshaped is not None and unshaped is not None and _sway(trial) > unshaped and budget.left > 0:
-        trial = min(searched_motion(start, budget), trial, key=_sway)
+        trial = min(searched_motion(replace(start, plain=True), budget), trial, key=_sway)
     trial = replace(trial, attempt=replace(trial.attempt, more_time=quiet.more_time))
     return PlannedStroke(trial=trial, runs=budget.used)
 

@@ -12,11 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cmbot.accuracy.sway import stroke_sway
 from cmbot.collision import RESOLUTION, Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import LimitViolation
 from cmbot.common.limit import Limit
 from cmbot.common.representation import short_repr
+from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.sag import Sag
 from cmbot.planning.certification.check import Check, largest_check
 from cmbot.planning.certification.enclosed_motion import EnclosedMotion
@@ -113,6 +115,7 @@ def certify(
     start: FloatArray | None = None,
     end: FloatArray | None = None,
     sag: Sag | None = None,
+    arm: ElasticArm | None = None,
 ) -> Certificate:
     """Judge a finished trajectory by its task.
 
@@ -133,6 +136,9 @@ def certify(
     sag : Sag, optional
         Where it is compensated: the tool is where the bent arm is predicted to hold it; its orientation is
         the commanded one.
+    arm : ElasticArm, optional
+        What bends at work. A bound of its sway is judged by integrating small vibrations at the least, the
+        stated and the largest stiffness: simulated, not proven.
     """
     rates = rate_checks(robot, trajectory)
     absurd = not all(check.value <= _COARSE_RATIO * check.bound for check in rates)
@@ -154,6 +160,8 @@ def certify(
         checks.append(
             _enclosed(Limit.BASE_TORQUE, "torque on the base", guardrail, task.max_base_torque, "Nm")
         )
+    if arm is not None and task.max_sway is not None:
+        checks += _sway_checks(arm, trajectory, options.quiet_stiffness_share, task.max_sway)
     shares = [check.value / check.bound for check in (*rates, torque)]
     figures = MotionMetrics(
         peak_guardrail_torque=guardrail.value,
@@ -234,6 +242,22 @@ def _speed_checks(task: ToolTask, motion: EnclosedMotion, sag: Sag | None) -> li
         quantity, missed = f"{expected}deviation of the process speed", motion.process_speed()
         checks.append(_enclosed(Limit.PROCESS_SPEED, quantity, missed, task.speed_tolerance, "of it"))
     return checks
+
+
+def _sway_checks(arm: ElasticArm, trajectory: QuinticTrajectory, share: float, most: float) -> list[Check]:
+    """How far the tool sways at work and swings after it, as simulated."""
+    sway = stroke_sway(arm, trajectory, share)
+    last, (size, swing) = float(trajectory.t[-1]), sway.largest
+    when = float(sway.t[np.linalg.norm(sway.tool, axis=2).max(axis=0).argmax()])
+    # By parabolas through three steps the tool sways by so much more between them.
+    more = float(np.linalg.norm(np.diff(sway.tool, n=2, axis=1), axis=2).max()) / 8
+    return [
+        Check(quantity=f"simulated {name}", time=time, value=value, bound=most, unit="m", limit=Limit.SWAY)
+        for name, time, value in (
+            ("sway of the tool", min(when, last), size + more),
+            ("swing of the tool after the stop", last, swing + 2 * more),
+        )
+    ]
 
 
 def _expected(sag: Sag | None) -> str:

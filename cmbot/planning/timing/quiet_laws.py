@@ -21,7 +21,6 @@ from cmbot.planning.flexibility.leg_response import LegResponse
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.timing.law_search import Bounded, least_seconds
 from cmbot.planning.timing.leg_paths import LegPath
-from cmbot.planning.timing.timing import SHORT_LEG_PERIODS
 from cmbot.toolpath import LegLaw, Segment, Shaper, TimeLaw, extra_insensitive, two_hump
 from cmbot.trajectory import QuinticTrajectory
 
@@ -40,8 +39,9 @@ _MAX_LEGS = 8
 # Times of a leg at which laws are compared, but for the bounds within this share of its ends: self-motion
 # there goes by the time of the motion that is known, and is another one in a law that is planned.
 _LAW_TIMES, _LEAVING = 241, 0.1
-# So many times as long short legs are tried, and told where that leaves this share of the sway.
-_LONGER_FACTORS, _WORTH_SHARE = (1.25, 1.5, 2.0, 3.0), 0.5
+# So many times as long legs of so few periods are tried, and told where that leaves this share of the sway,
+# and that is more than the last, m.
+_LONGER_FACTORS, _MOST_PERIODS, _WORTH_SHARE, _LEAST_SWAY_M = (1.25, 1.5, 2.0, 3.0), 20.0, 0.5, 5e-5
 # Share of the largest sway that laws may have, as predicted; factors by which they are slowed at once, and at
 # most.
 _SWAY_SHARE, _SLOWING, _MAX_SLOWING = 0.9, (1.02, 2.0), 20.0
@@ -145,9 +145,9 @@ def quiet_laws(
 
 
 def _more_time(request: StrokeRequest, leg: _Leg, response: LegResponse, sway: float) -> Iterator[MoreTime]:
-    """The least of some longer times of a short leg in which the tool sways much less, if any."""
+    """The least of some longer times of a leg of few periods in which the tool sways much less, if any."""
     periods = leg.seconds * float(response.omega[0]) / (2 * np.pi)
-    for factor in _LONGER_FACTORS if periods <= SHORT_LEG_PERIODS else ():
+    for factor in _LONGER_FACTORS if periods <= _MOST_PERIODS and sway > _LEAST_SWAY_M else ():
         longer = factor * leg.seconds
         laws = [each.law for each in _candidates(request, leg.number, response.omega, longer)]
         less = float(_merit(request, response, leg.when(laws), longer).min())

@@ -15,11 +15,8 @@ from cmbot.planning.request import StrokeRequest
 from cmbot.toolpath import LegLaw
 from cmbot.trajectory import QuinticTrajectory
 
-SHORT_LEG_PERIODS = 6.0
-"""Legs of so few periods of the slowest mode are short."""
-
-# Via-points of strokes with such legs, and at most.
-_VIA_POINTS_PER_PERIOD, _MOST_ON_SHORT_LEGS = 4, 100
+# Legs of so few periods of the slowest mode are short; via-points of strokes with such legs, and at most.
+_SHORT_LEG_PERIODS, _VIA_POINTS_PER_PERIOD, _MOST_ON_SHORT_LEGS = 6.0, 4, 100
 
 if TYPE_CHECKING:
     # It loads SciPy's splines, which only times that are sought need.
@@ -119,7 +116,7 @@ def with_enough_via_points(request: StrokeRequest) -> StrokeRequest:
     except TooSoftError:
         return request
     if not any(
-        leg.curve.length > 0 and leg.seconds * frequency <= SHORT_LEG_PERIODS for leg in path.segments
+        leg.curve.length > 0 and leg.seconds * frequency <= _SHORT_LEG_PERIODS for leg in path.segments
     ):
         return request
     number = min(1 + int(np.ceil(_VIA_POINTS_PER_PERIOD * frequency * path.duration)), _MOST_ON_SHORT_LEGS)

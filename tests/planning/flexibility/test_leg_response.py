@@ -1,9 +1,12 @@
 """The predicted sway of laws along a leg, against the integrator of the accuracy budget."""
 
+import json
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
+from quiet import quiet_scene
 from small_scenes import SHORT
 
 from cmbot import Plan, load_scene, plan
@@ -82,3 +85,16 @@ def test_laws_of_a_quiet_plan_take_the_seconds_of_the_scene(quiet_plan: Plan) ->
     for law in stroke.time_laws:
         assert law.duration == pytest.approx(stroke.legs[law.leg].given_seconds, rel=1e-9)
         assert (law.law.continuity == 3).all()
+
+
+@pytest.mark.slow
+def test_laws_by_which_the_optimised_motion_sways_more_are_given_up(tmp_path: Path) -> None:
+    """An xArm7 whose stroke starts elsewhere first, then, for the approach, where the arm is."""
+    data = quiet_scene(168329, 11, str(tmp_path))
+    data["tool_path"]["speed_profile"] = {"kind": "quiet", "ramp": 0.3}
+    file = tmp_path / "quiet.yaml"
+    file.write_text(json.dumps(data), encoding="utf-8")
+    sway = plan(load_scene(file), progress=False).sway
+    assert sway is not None
+    if sway.unshaped_sway_mm is not None and sway.unshaped_swing_mm is not None:
+        assert sway.sway_mm + sway.swing_mm <= sway.unshaped_sway_mm + sway.unshaped_swing_mm
