@@ -132,25 +132,30 @@ def quiet_laws(
         best, sway = _best(request, motion, response, list(_candidates(request, number, omega)))
         chosen[number] = best, omega
         if response is not None:
-            longer += _more_time(request, motion, response, sway)
+            longer += _more_time(request, motion, response, best, sway)
     more_time = max(longer, key=lambda each: each.sway, default=None)
     if all(best.law is segments[leg].law for leg, (best, _) in chosen.items()):
         return (), more_time
     laws = []
     for leg in moving:
         best, omega = chosen[min(chosen, key=partial(_unlikeness, segments, leg))]
-        law = best.law if leg in chosen else _alike(best, list(_candidates(request, leg, omega)))
+        law = best.law if leg in chosen else _alike(best, _candidates(request, leg, omega))
         laws.append(LegLaw.of(leg, law, segments[leg].seconds))
     return tuple(laws), more_time
 
 
-def _more_time(request: StrokeRequest, leg: _Leg, response: LegResponse, sway: float) -> Iterator[MoreTime]:
-    """The least of some longer times of a leg of few periods in which the tool sways much less, if any."""
+def _more_time(
+    request: StrokeRequest, leg: _Leg, response: LegResponse, best: _Candidate, sway: float
+) -> Iterator[MoreTime]:
+    """The least of some longer times of a leg of few periods in which the tool sways much less, if any.
+
+    By the ramp and shaper that are best in its own time.
+    """
     periods = leg.seconds * float(response.omega[0]) / (2 * np.pi)
     for factor in _LONGER_FACTORS if periods <= _MOST_PERIODS and sway > _LEAST_SWAY_M else ():
         longer = factor * leg.seconds
-        laws = [each.law for each in _candidates(request, leg.number, response.omega, longer)]
-        less = float(_merit(request, response, leg.when(laws), longer).min())
+        law = _alike(best, _candidates(request, leg.number, response.omega, longer))
+        less = float(_merit(request, response, leg.when([law]), longer)[0])
         if less <= _WORTH_SHARE * sway:
             yield MoreTime(
                 leg=leg.number, periods=periods, seconds=leg.seconds, longer=longer, sway=sway, less=less
@@ -214,11 +219,11 @@ def _unlikeness(segments: Sequence[Segment], leg: int, other: int) -> tuple[floa
     return abs(float(np.log(segments[other].seconds / segments[leg].seconds))), abs(other - leg)
 
 
-def _alike(best: _Candidate, candidates: list[_Candidate]) -> TimeLaw:
-    """The law with the ramp and the shaper of another leg's; where it does not fit, the scene's."""
-    kind = (best.ramp, best.flat, best.shaper)
-    same = [each for each in candidates if (each.ramp, each.flat, each.shaper) == kind]
-    return (same or candidates)[0].law
+def _alike(best: _Candidate, candidates: Iterator[_Candidate]) -> TimeLaw:
+    """The law with the ramp and shaper of another leg's; where it does not fit, the first, the scene's."""
+    kind, plain = (best.ramp, best.flat, best.shaper), next(candidates)
+    same = (each for each in candidates if (each.ramp, each.flat, each.shaper) == kind)
+    return next(same, plain).law
 
 
 def _moves(leg: Segment) -> bool:
