@@ -1,6 +1,7 @@
 """Tours read back and verified: each part where the one before ends, on one bridge, each stroke once."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -66,8 +67,7 @@ def test_what_was_written_is_read_and_holds(walked: Path) -> None:
 )
 def test_a_part_is_said_to_be_something_else(walked: Path, changes: dict[str, Any], words: str) -> None:
     edit(walked, lambda data: data["parts"][0].update(changes), TOUR_FILE)
-    assert words in refusal("verify", walked)
-    with pytest.raises(ArchiveError):
+    with pytest.raises(ArchiveError, match=re.escape(words)):
         load_tour(walked)
 
 

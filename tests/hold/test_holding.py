@@ -163,6 +163,8 @@ def test_a_foot_bears_what_needs_no_more_than_it_has(gap: Gap, rng: np.random.Ge
         expected = Holding([foot], np.zeros(6)).share(load)[0] <= 1
         assert 0.05 < expected.mean() < 0.95
         np.testing.assert_array_equal(bears(foot, load), expected)
+    # Of moments nothing is said.
+    assert bears(replace(clamp, moment=None), load * [1, 1, 1, 1e6, 1e6, 1e6]).any()
 
 
 def test_a_remainder_bounds_the_change(rng) -> None:
@@ -186,6 +188,18 @@ def test_a_change_along_one_axis_is_enclosed(axis: int) -> None:
     force, torque = (np.linalg.norm(part, axis=1) for part in (change[:, :3], change[:, 3:]))
     less, more = (holding.needed(0, share * change) for share in (99, 100))
     assert less < more <= holding.needed_between(0, 99 * change[:, None], force, torque) < 1.2 * more
+
+
+@pytest.mark.parametrize("friction", [0.05, 0.3, 1.0])
+def test_a_push_along_where_there_was_nothing_is_enclosed(friction: float) -> None:
+    holding, push = Holding([replace(PLAIN, friction=friction)], np.zeros(6)), np.eye(6)[:1]
+    enough = holding.needed_between(0, 0 * push[:, None], np.ones(1), np.zeros(1))
+    assert holding.needed(0, push) <= enough < 20 / friction
+
+
+def test_between_two_pulls_the_larger_one_counts() -> None:
+    pulls = np.array([[[0, 0, 100.0, 0, 0, 0], [0, 0, 300.0, 0, 0, 0]]])
+    assert Holding([PLAIN], np.zeros(6)).needed_between(0, pulls, np.zeros(1), np.zeros(1)) == [300.0]
 
 
 @pytest.mark.parametrize("moment", [None, (1e3, 1e3, 1e3)])

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from plan_folders import edit
 from scipy.interpolate import make_interp_spline
 from small_scenes import request_of, short_scene
 
@@ -167,7 +168,7 @@ def test_the_shortest_time_and_the_shortest_that_is_quiet_are_told() -> None:
     assert quiet.sway.sway_mm + quiet.sway.swing_mm < 0.7 * (fast.sway.sway_mm + fast.sway.swing_mm)
 
 
-def test_a_bound_of_the_sway_is_kept_in_a_longer_time() -> None:
+def test_a_bound_of_the_sway_is_kept_in_a_longer_time(tmp_path: Path) -> None:
     quiet, quieter = in_auto(), in_auto(max_sway_mm=0.2)
     assert quieter.sway is not None
     assert max(quieter.sway.sway_mm, quieter.sway.swing_mm) <= 0.2
@@ -178,6 +179,18 @@ def test_a_bound_of_the_sway_is_kept_in_a_longer_time() -> None:
     assert quieter.sway.sway_mm <= 1e3 * sway <= min(0.2, 1.05 * quieter.sway.sway_mm)
     assert checks["simulated swing of the tool after the stop"].bound == pytest.approx(2e-4)
     assert not any(check.limit is Limit.SWAY for check in quiet.certificate.checks)
+    # So it is on reading, whatever the bound in the file.
+    save(quieter, tmp_path)
+    again = load_plan(tmp_path, verify=True).work.certificate.checks
+    assert set(checks) <= {check.quantity for check in again}
+
+    def stricter(data: dict[str, Any]) -> None:
+        data["scene"]["tool_path"]["max_sway_mm"] = 0.9e3 * sway
+        data["hashes"]["scene"] = load_scene(data["scene"]).content_hash
+
+    edit(tmp_path, stricter)
+    with pytest.raises(LimitViolation, match="of the tool"):
+        load_plan(tmp_path, verify=True)
     with pytest.raises(LimitViolation, match="simulated sway of the tool") as refused:
         in_auto(max_sway_mm=1e-4)
     assert refused.value.limit is Limit.SWAY
