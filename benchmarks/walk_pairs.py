@@ -35,11 +35,11 @@ from cmbot.planning import robot_of
 from cmbot.robot import ARM_JOINTS, CLIMBING_JOINTS, Climber, Robot, Side
 from cmbot.scene import FootholdFile, Scene, StanceFile, foothold_pose
 from cmbot.stances import (
+    LIFT_M,
     Candidate,
     bare_climber,
     candidate_at,
     in_world,
-    lift_height,
     places_of,
     scene_at,
     without_links,
@@ -267,7 +267,7 @@ class Search:
         """Postures (N, 5) of the climber as a foot is lifted off along the normal; None: it cannot be."""
         angles = self.nodes[number].climber
         place, way = self._climber.poses(angles)[0], [angles]
-        for height in np.linspace(0, lift_height(), _LIFT + 1)[1:]:
+        for height in np.linspace(0, LIFT_M, _LIFT + 1)[1:]:
             X = place.copy()
             X[1, 3] += height if foot == 2 else -height
             near = [q for q in self._climber.reaching(X) if np.abs(q - way[-1]).max() < _NEAR_RAD]

@@ -20,7 +20,7 @@ from cmbot.common.representation import short_repr
 from cmbot.planning import Plan
 from cmbot.robot import ARM_JOINTS, Climber, Side, other_foot
 from cmbot.scene import Scene, StanceFile, foothold_pose
-from cmbot.stances import Candidate, candidate_at, in_the_way, in_world, lift_height
+from cmbot.stances import LIFT_M, Candidate, candidate_at, in_the_way, in_world
 from cmbot.stances.walking import Kind, Move, Step, Walk, certified_move, part_data, stance_of, walk_data
 from cmbot.trajectory import QuinticTrajectory
 
@@ -180,9 +180,9 @@ class _Reader:
         aside = np.linalg.norm(away - height[..., None] * out, axis=2) - _ASLANT * np.abs(height)
         if aside.max() > _ASIDE or (np.diff(height, axis=0) < -_SAME_PLACE).any():
             raise self._error(key, f"a {move.kind} of the foot along the face", "one along its normal")
-        if not _ASIDE < height[-1].min() <= height[-1].max() <= lift_height() + _ASIDE:
+        if not _ASIDE < height[-1].min() <= height[-1].max() <= LIFT_M + _ASIDE:
             got = f"a {move.kind} by {1e3 * height[-1, 0]:.1f} mm"
-            raise self._error(key, got, f"at most {1e3 * lift_height():g} mm: further is a swing")
+            raise self._error(key, got, f"at most {1e3 * LIFT_M:g} mm: further is a swing")
 
     def _foot_2(self, angles: FloatArray) -> FloatArray:
         return self._climber.poses(angles)[0]

@@ -7,6 +7,7 @@ from cmbot.stances.bounds import (
     StanceObjective as StanceObjective,
 )
 from cmbot.stances.candidates import (
+    LIFT_M as LIFT_M,
     AnyCandidate as AnyCandidate,
     Candidate as Candidate,
     MountCandidate as MountCandidate,
@@ -14,7 +15,6 @@ from cmbot.stances.candidates import (
     candidate_at as candidate_at,
     candidates_of as candidates_of,
     in_the_way as in_the_way,
-    lift_height as lift_height,
     on_two_feet as on_two_feet,
     own_candidate as own_candidate,
     place_in_words as place_in_words,

@@ -35,7 +35,8 @@ _SAME_NORMAL = 0.999
 _END_MARGIN_M = 0.04
 # The foot in its frame, as the URDF has it, m: sides, and its centre above the member's axis.
 _FOOT_M, _FOOT_CENTRE_M = (0.13, 0.05, 0.15), 0.065
-_LIFT_M = 0.06
+LIFT_M = 0.06
+"""How far a foot is lifted off along the normal of the face before it swings, m."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -347,11 +348,6 @@ def place_in_words(place: FootholdFile | None) -> str:
     return "free" if place is None else f"{place.member} at {place.along_m:.2f} m ({place.face})"
 
 
-def lift_height() -> float:
-    """Return how far a foot is lifted off along the normal of the face before it swings, m."""
-    return _LIFT_M
-
-
 def in_the_way(scene: Scene, place: FootholdFile) -> str | None:
     """Return the name of an obstacle or member that a foot touches there, or on its way there from above.
 
@@ -363,8 +359,8 @@ def in_the_way(scene: Scene, place: FootholdFile) -> str | None:
     place : FootholdFile
     """
     X = foothold_pose(scene.elastic_guardrail, place)
-    X[:3, 3] += (_FOOT_CENTRE_M + _LIFT_M / 2) * X[:3, 1]
-    box = Box(size=(_FOOT_M[0], _FOOT_M[1] + _LIFT_M, _FOOT_M[2]))
+    X[:3, 3] += (_FOOT_CENTRE_M + LIFT_M / 2) * X[:3, 1]
+    box = Box(size=(_FOOT_M[0], _FOOT_M[1] + LIFT_M, _FOOT_M[2]))
     others = [obstacle for obstacle in scene.all_obstacles if obstacle.name != place.member]
     return touched_by(box, np.asarray(X), others)
 

@@ -252,15 +252,12 @@ class _Stand:
             self._own = {self._candidates[0]: None}
         if not self._candidates:
             where = ", ".join(options.members) or "the guardrail"
-            sides = [
+            sides = (
                 (place.face, face.held_by_clamps_alone) for place, face in faces_of(scene, options.members)
-            ]
-            tried = ", ".join(dict.fromkeys(f"{face}: {alone or 'in the way'}" for face, alone in sides))
-            error = PlanningError(f"no place on {where} in which a foot holds ({tried})")
-            error.add_hint(
-                "clamps hold edges and round bars; other faces are tried where guardrail.stance has one"
             )
-            raise error
+            tried = ", ".join(dict.fromkeys(f"{name}: {alone or 'in the way'}" for name, alone in sides))
+            others = "clamps hold edges and round bars; other faces are tried where guardrail.stance has one"
+            raise PlanningError(f"no place on {where} in which a foot holds ({tried}); {others}")
         robot = robot_of(scene)
         strokes = strokes_of(scene, robot)
         # Each cell of a raster is a stroke of its own: together they are one of the scene's.

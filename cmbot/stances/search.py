@@ -130,8 +130,8 @@ class Ending:
 
     def part(self, stage: StageName, *, own: bool = False) -> float:
         """Return what a stage may take of what is left, s."""
-        share = _OWN_SHARE if own else 1.0 if stage == "plan" else self._more * _CHARTS_SHARE
-        return max(min(share, 1.0) * self.left(), _MIN_SECONDS)
+        share = _OWN_SHARE if own else 1.0 if stage == "plan" else min(self._more * _CHARTS_SHARE, 1.0)
+        return max(share * self.left(), _MIN_SECONDS)
 
     def give_more(self) -> None:
         """Give charts a larger share of what is left from now on."""

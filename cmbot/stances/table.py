@@ -84,13 +84,9 @@ def _best_in_words(ranking: StanceRanking, best: StanceResult) -> Iterator[str]:
             f"Of the {others} others {ranking.proven} are proven to ask {PROVEN_SHARE * peak:.4g} {unit} at "
             f"rest or more, {100 * PROVEN_SHARE:g} % of the best one{rest}."
         )
-    failed = [each for each in ranked if each.status == "failed" and each.bound < peak]
-    if failed:
-        bound = min(each.bound for each in failed)
-        yield (
-            f"{counted(len(failed), 'stance')} of which planning failed might be better by their bounds, "
-            f"from {bound:.4g} {unit}; stances.csv says why."
-        )
+    if failed := [each.bound for each in ranked if each.status == "failed" and each.bound < peak]:
+        many, bound = counted(len(failed), "stance"), f"from {min(failed):.4g} {unit}"
+        yield f"{many} of which planning failed might be better, {bound}; stances.csv says why."
 
 
 def _kinds_left(best: StanceResult) -> Iterator[str]:

@@ -534,6 +534,14 @@ def test_others_sag_no_more_than_the_scenes_own_unless_any_sag_is_allowed() -> N
     assert max(sags) > most
 
 
+def test_the_sag_of_an_own_stance_that_cannot_do_the_work_bounds_no_other() -> None:
+    wall = {"name": "wall", "box": [0.1, 0.02, 0.1], "xyz": [1.82, 0.6, -2.06]}
+    (found,) = stand(scene_of("torque"), replace(WIDE, plans=0))
+    (walled,) = stand(scene_of("torque", obstacles=[wall]), replace(WIDE, plans=0))
+    assert "own stance sags" in found.sag_limit.source
+    assert (walled.sag_limit.most_mm, walled.sag_limit.source) == (50.0, "an assumption of ours")
+
+
 def test_a_tolerance_bounds_the_sag_that_is_not_compensated() -> None:
     tool = {"tolerance": {"across_mm": 4.0, "along_axis_mm": 9.0}}
     planner = {"objective": "torque", "knots": "sliding"}

@@ -71,11 +71,9 @@ class _Leg:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Candidate:
-    """A ramp, as a share of what a shaper leaves of a leg's time, its flat share, and the shaper's number."""
+    """A law; its ramp, as a share of what a shaper leaves of the time, flat share, shaper's number."""
 
-    ramp: float
-    flat: float
-    shaper: int
+    kind: tuple[float, float, int]
     law: TimeLaw
 
 
@@ -221,9 +219,8 @@ def _unlikeness(segments: Sequence[Segment], leg: int, other: int) -> tuple[floa
 
 def _alike(best: _Candidate, candidates: Iterator[_Candidate]) -> TimeLaw:
     """The law with the ramp and shaper of another leg's; where it does not fit, the first, the scene's."""
-    kind, plain = (best.ramp, best.flat, best.shaper), next(candidates)
-    same = (each for each in candidates if (each.ramp, each.flat, each.shaper) == kind)
-    return next(same, plain).law
+    plain = next(candidates)
+    return next((each for each in candidates if each.kind == best.kind), plain).law
 
 
 def _moves(leg: Segment) -> bool:
@@ -232,8 +229,8 @@ def _moves(leg: Segment) -> bool:
 
 def _plain(request: StrokeRequest, leg: int) -> _Candidate:
     """The law as the scene has it."""
-    ramp, law = request.stroke.file.speed_profile.ramp, request.task.path.segments[leg].law
-    return _Candidate(ramp=ramp, flat=0.0, shaper=0, law=law)
+    kind = request.stroke.file.speed_profile.ramp, 0.0, 0
+    return _Candidate(kind=kind, law=request.task.path.segments[leg].law)
 
 
 def _shapers(omega: FloatArray, damping: float) -> list[Shaper | None]:
@@ -269,7 +266,7 @@ def _candidates(
                 continue
             law = TimeLaw.ramped("quiet", ramp, 1 - 2 * ramp, ramp, flat=flat)
             law = law if shaper is None else law.shaped(shaper, seconds)
-            yield _Candidate(ramp=ramp, flat=flat, shaper=number, law=law)
+            yield _Candidate(kind=(ramp, flat, number), law=law)
 
 
 def _best(

@@ -126,6 +126,11 @@ class Route:
         """Leave a step out from now on, in both directions."""
         self._closed[self._number(edge.before, edge.after)] = True
 
+    def reopen(self, edges: list[Edge]) -> None:
+        """Take steps that were left out in again."""
+        for edge in edges:
+            self._closed[self._number(edge.before, edge.after)] = False
+
     def leave_out(self, node: int, weights: BoolArray) -> None:
         """Leave out the postures (K,) of the arm that are not possible in a node."""
         for use in self.use.values():

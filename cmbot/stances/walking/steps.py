@@ -27,7 +27,7 @@ from cmbot.planning import (
 )
 from cmbot.robot import Climber, Kinematics, Robot, Side, load_climbing_robot, other_foot
 from cmbot.scene import PlannerOptions, Scene
-from cmbot.stances import Candidate, lift_height, place_in_words, scene_at, without_links
+from cmbot.stances import LIFT_M, Candidate, place_in_words, scene_at, without_links
 from cmbot.stances.walking.balance import foot_at
 from cmbot.toolpath import SpeedProfile, ToolPath
 from cmbot.trajectory import QuinticTrajectory
@@ -169,7 +169,7 @@ def plan_step(
         When nothing leads there, or the joints or the foot that holds cannot bear it.
     """
     robot = swinging_robot(scene, before, foot, arm)
-    near, far = (_swing_request(scene, robot, foot, near=close) for close in (True, False))
+    far = _swing_request(scene, robot, foot, near=False)
     ways = [_lifted(node, foot) for node in (before, after)]
     up, down = ways[0], ways[1][::-1]
     # On foot 2 the joints are in the other order.
@@ -179,6 +179,7 @@ def plan_step(
         space = free_space(far.cell).around(np.stack([up[-1], down[0]])[:, ::turn])
         if space is None or not space.straight(up[-1][::turn], down[0][::turn]):
             return ()
+    near = _swing_request(scene, robot, foot, near=True)
     parts: list[tuple[Kind, StrokeRequest, FloatArray]] = []
     if len(up) > 1:
         parts.append(("lift", near, up[:, ::turn]))
@@ -299,7 +300,7 @@ def _lifted(node: Candidate, foot: Side) -> FloatArray:
     climber = Climber()
     X_12, normal = climber.poses(node.climber)[0], np.array([0.0, 1.0, 0.0])
     way = [node.climber]
-    for height in np.linspace(0.0, lift_height(), _LIFT_POSTURES)[1:]:
+    for height in np.linspace(0.0, LIFT_M, _LIFT_POSTURES)[1:]:
         X = X_12.copy()
         X[:3, 3] += (height if foot == 2 else -height) * normal
         found = climber.reaching(X)

@@ -6,10 +6,11 @@ import numpy as np
 from hypothesis import example, given, settings, strategies as st
 from oracles import chang2021_arm
 from small_motions import wild
+from state_samples import StateSamples
 
 from cmbot.common.arrays import FloatArray
 from cmbot.planning.certification.norm_bounds import norm_bounds
-from cmbot.robot import Dynamics, Robot
+from cmbot.robot import Dynamics, Kinematics, Robot
 from cmbot.trajectory import Pieces, QuinticTrajectory
 from cmbot.trajectory.enclosure import _ELLIPSE_SUMS, Ellipses
 
@@ -97,3 +98,21 @@ def test_nothing_is_larger_where_joints_turn_alike(cmbot_robot: Robot, rng: np.r
             assert share <= 1 + 1e-9
             closest = max(closest, share)
     assert closest > 0.9
+
+
+def test_motions_of_any_arm_are_within_what_is_bounded(any_arm: Robot, random_states: StateSamples) -> None:
+    """Arms whose joints slide, too, and whose motors turn with them."""
+    model = any_arm.model.copy()
+    model.armature = np.full(any_arm.dof, 20.0)
+    robot = replace(any_arm, model=model)
+    q, v, a = random_states(robot, 4)
+    x = QuinticTrajectory(t=np.arange(4.0), q=q, v=v, a=a)
+    pieces = Pieces.between(x, np.empty(0)).halved(np.ones(3, dtype=np.bool_))
+    of = norm_bounds(robot, pieces.ellipses)
+    for k in range(len(pieces.start)):
+        q, v, a = x.states(np.linspace(pieces.start[k], pieces.end[k], 50))[:3]
+        efforts = Dynamics(robot).efforts(q, v, a)
+        assert (np.abs(efforts.joint_torque) <= of.joint_torque[k, 0]).all()
+        assert (np.linalg.norm(efforts.guardrail_torque, axis=1) <= of.guardrail_torque[k, 0]).all()
+        points = Kinematics(robot).tool_poses(q)[0]
+        assert (np.linalg.norm(points, axis=1) <= of.tool_point[k, 0]).all()

@@ -104,6 +104,10 @@ def test_two_feet_share_what_one_would_bear() -> None:
             {"foot_1": HERE, "foot_2": BELOW, "climber_deg": [-90, 0, 180, -45, 0]},
             r"climber_deg: got a posture that misses foot_2",
         ),
+        (
+            {"foot_1": {"member": "top_rail", "along_m": 3.0, "face": "top"}, "foot_2": "free"},
+            r"stance.foot_1: .* a place for foot_2, too, or climber_deg: from a top or bottom no base hangs",
+        ),
         ({"foot_1": {**HERE, "turn_deg": 90}}, r"stance.foot_1: .* a foot on which the arm's base can hang"),
     ],
 )
