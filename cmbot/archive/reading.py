@@ -17,7 +17,7 @@ from cmbot.archive.places import plans_nearby
 from cmbot.archive.plan_file import CertificateFile, HashesFile, PlanFile, StrokeEntries, made, plan_record
 from cmbot.archive.records import BASELINE_FILE, JOB_FILES, PLAN_FILE, PLAN_FILES, require_same
 from cmbot.archive.tables import read_motion
-from cmbot.archive.verification.asked import require_asked, require_promised
+from cmbot.archive.verification.asked import require_asked, require_done, require_promised
 from cmbot.archive.verification.exported import unverified_files
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray, IntArray
@@ -179,6 +179,8 @@ def read_plan(
     require_same(data, again, str(source), "")
     if not verify:
         return plan, ()
+    if asked is not None:
+        require_done(plan, asked, promised, str(source))
     plan = _verified(plan, clearances, again, str(source))
     return plan, unverified_files(plan, folder)
 

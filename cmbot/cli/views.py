@@ -242,6 +242,7 @@ def _exported(written: Iterable[Path], message: RosTrajectory | None) -> dict[st
     if message is None:
         return told
     told |= {"points": message.points, "deviation": message.deviation}
+    told |= {"tool_deviation": message.tool_deviation}
     return told | {"moving_joints_left_out": message.left_out}
 
 
@@ -249,7 +250,7 @@ def _print_exported(written: Iterable[Path], ros: Path | None, message: RosTraje
     for file in written:
         said = ""
         if message is not None and file == ros:
-            within = f"{message.deviation:.1e} rad (or m)"
+            within = f"{message.deviation:.1e} rad (or m), at the tool {1e3 * message.tool_deviation:.2g} mm,"
             said = f": {message.points} points, between them within {within} of the plan"
         out.print(f"Written to {one_line(file)}{said}.")
 

@@ -32,6 +32,7 @@ from cmbot.planning.job import (
 )
 from cmbot.planning.path.first_posture import starting_at_path as starting_at_path
 from cmbot.planning.path.gradient_projection import follow_path as follow_path
+from cmbot.planning.path.raster_reach import reached_scene as reached_scene
 from cmbot.planning.path.start_posture import StartPosture as StartPosture, find_start as find_start
 from cmbot.planning.planner import plan as plan, replan as replan
 from cmbot.planning.postures.projection import project_onto_task as project_onto_task

@@ -16,7 +16,7 @@ from walks import one_step
 
 from cmbot import load_plan
 from cmbot.archive import WALK_FILE, export_csv, export_mcap, export_ros, save, write_results
-from cmbot.archive.verification.asked import looser_promises, require_asked
+from cmbot.archive.verification.asked import looser_promises, require_asked, require_done
 from cmbot.common.errors import ArchiveError, InputError
 from cmbot.planning import Plan, plan, robot_of
 from cmbot.robot import Kinematics
@@ -200,6 +200,33 @@ def test_rows_that_nothing_reaches(tmp_path: Path) -> None:
     assert "raster work (that nothing reaches the rows that it leaves out)" in told
     with pytest.raises(ArchiveError, match="as asked"):
         load_plan(folder, verify=True, scene=raster_scene(tmp_path, HOLE, law, cover="all"))
+    # What is reached may not be left out.
+    fewer = stroke.changed(raster=replace(stroke.raster, pieces=stroke.raster.pieces[:-1]))
+    lazy = replace(load_plan(folder), scene=scene.with_strokes([fewer]))
+    with pytest.raises(ArchiveError, match=r"rows: got .* m2 of work left out, expected"):
+        require_done(lazy, scene, scene.planner, "plan.json")
+
+
+def test_pinned_work_begins_where_the_arm_stands(triangle_plan: Plan, tmp_path: Path) -> None:
+    assert triangle_plan.strokes[0].start.moved > 0
+    asked = triangle_plan.scene.with_options(start="pinned")
+    told = replace(triangle_plan, scene=asked, options=replace(triangle_plan.options, start="pinned"))
+    with pytest.raises(ArchiveError, match=r"as planner\.start: pinned asks"):
+        load_plan(save(told, tmp_path), verify=True, scene=asked)
+
+
+def test_a_message_of_few_points_keeps_the_tool_on_its_path(short_plan: Plan, tmp_path: Path) -> None:
+    folder, few = save(short_plan, tmp_path), tmp_path / "few.json"
+    knots = len(short_plan.job.trajectory.t)
+    for most in range(knots, 2, -1):
+        message = export_ros(short_plan, few, max_points=most)
+        if message.tool_deviation > short_plan.options.max_tool_deviation_m:
+            break
+    assert message.deviation < 1e-3
+    with pytest.raises(ArchiveError, match=r"lead the tool [\d.]+ mm off, expected 0\.2 mm at most"):
+        load_plan(folder, verify=True)
+    assert export_ros(short_plan, few, max_points=knots).tool_deviation < 1e-6
+    load_plan(folder, verify=True)
 
 
 def test_a_raster_in_parts(tmp_path: Path) -> None:

@@ -129,6 +129,14 @@ def test_a_tour_without_its_work(walked: Path, tmp_path: Path) -> None:
     assert "parts: got none, expected each stroke once, as asked: work" in refused
 
 
+def test_a_tour_ends_at_its_goal(work: Plan, walked: Path, tmp_path: Path) -> None:
+    start = write_scene(tmp_path / "start.yaml", one_step().scene.as_data())
+    assert "walk_1/walk.json: goal: got another stance or posture" in refusal("verify", walked, "--to", start)
+    folder = write_tour(tmp_path / "works", work_1=work)
+    refused = refusal("verify", folder, "--to", start)
+    assert "parts: got work_1, expected a walk to the goal at last" in refused
+
+
 def test_a_stroke_is_done_twice(work: Plan, tmp_path: Path) -> None:
     folder, asked = (
         write_tour(tmp_path / "tour", work_1=work, work_2=work),

@@ -23,7 +23,7 @@ from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import InputError, MissingExtra
 from cmbot.common.reading.validation import given_path, hint
 from cmbot.planning import Plan, require_plan
-from cmbot.robot import Dynamics, link_poses
+from cmbot.robot import Dynamics, Postures, link_poses
 from cmbot.trajectory import QuinticTrajectory
 
 # Points of a message unless more are asked for.
@@ -33,6 +33,8 @@ _TIMES_BETWEEN_POINTS, _LARGEST_MESSAGE = 16, 100_000
 _NANO = 1e-9
 # What moves by less, rad or m, is at rest; times at which that is seen.
 _AT_REST_STEP, _TIMES_OF_MOTION = 1e-6, 2001
+# Joints that are off by less are where the plan has them, rad or m.
+_SAME_JOINTS = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +47,8 @@ class RosTrajectory:
     points : int
     deviation : float, rad, of joints that slide m
         How far the quintics through its points, which controllers drive, are from the plan at most.
+    tool_deviation : float, m
+        How far they lead the tool point off where the plan has it at work, at most.
     left_out : dict of str to float, rad, of joints that slide m
         The joints that move in the plan and are not in the message, and how far from end to end.
     """
@@ -52,6 +56,7 @@ class RosTrajectory:
     message: dict[str, Any]
     points: int
     deviation: float
+    tool_deviation: float
     left_out: dict[str, float]
 
 
@@ -154,11 +159,12 @@ def trajectory_message(
     ]
     header = {"stamp": _stamp(0), "frame_id": ""}
     message = {"header": header, "joint_names": [names[k] for k in columns], "points": points}
-    deviation = _deviation(trajectory, t)[:, columns]
+    deviation = _deviation(trajectory, t)
     return RosTrajectory(
         message=message,
         points=len(points),
-        deviation=float(deviation.max(initial=0.0)),
+        deviation=float(deviation[:, columns].max(initial=0.0)),
+        tool_deviation=_tool_deviation(plan, t, np.flatnonzero(deviation.max(axis=1) > _SAME_JOINTS)),
         left_out=_left_out(trajectory, names, columns),
     )
 
@@ -181,12 +187,34 @@ def _whole(t: FloatArray) -> IntArray:
 
 def _deviation(trajectory: QuinticTrajectory, t: FloatArray) -> FloatArray:
     """How far the quintics between times (k,) are from a trajectory at most, (k - 1, n)."""
+    every = _times_between(t, np.arange(len(t) - 1))
+    away = np.abs(_through(trajectory, t).evaluate(every) - trajectory.evaluate(every))
+    return np.asarray(away.reshape(len(t) - 1, _TIMES_BETWEEN_POINTS - 1, -1).max(axis=1))
+
+
+def _tool_deviation(plan: Plan, t: FloatArray, steps: IntArray) -> float:
+    """How far the quintics of some steps between times (k,) lead the tool off at work, m."""
+    trajectory, every = plan.job.trajectory, _times_between(t, steps)
+    strokes = [segment for segment in plan.job.segments if segment.kind == "stroke"]
+    if not len(every):
+        return 0.0
+    every = every[np.any([(each.begin <= every) & (every <= each.end) for each in strokes], axis=0)]
+    postures = Postures(plan.robot)
+    both = (motion.evaluate(every) for motion in (_through(trajectory, t), trajectory))
+    one, other = (postures.at(q).tool_point for q in both)
+    return float(np.linalg.norm(one - other, axis=1).max(initial=0.0))
+
+
+def _through(trajectory: QuinticTrajectory, t: FloatArray) -> QuinticTrajectory:
+    """The quintics that a controller makes of a trajectory's states at times (k,)."""
     q, v, a = trajectory.states(t)
-    through = QuinticTrajectory(t=t, q=q, v=v, a=a)
+    return QuinticTrajectory(t=t, q=q, v=v, a=a)
+
+
+def _times_between(t: FloatArray, steps: IntArray) -> FloatArray:
+    """Times within some of the steps between times (k,)."""
     shares = np.arange(1, _TIMES_BETWEEN_POINTS) / _TIMES_BETWEEN_POINTS
-    every = (t[:-1, None] + shares * np.diff(t)[:, None]).ravel()
-    away = np.abs(through.evaluate(every) - trajectory.evaluate(every))
-    return np.asarray(away.reshape(len(t) - 1, len(shares), -1).max(axis=1))
+    return np.asarray((t[steps, None] + shares * np.diff(t)[steps, None]).ravel())
 
 
 def _fewer(trajectory: QuinticTrajectory, most: int) -> FloatArray:

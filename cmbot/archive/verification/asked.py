@@ -11,9 +11,9 @@ import numpy as np
 from cmbot.archive.records import require_same
 from cmbot.common.errors import ArchiveError
 from cmbot.common.reading.validation import counted, plain, shown
-from cmbot.planning import robot_of
+from cmbot.planning import Plan, reached_scene, robot_of
 from cmbot.robot import Kinematics, Robot
-from cmbot.scene import PlannerOptions, Scene, StrokeFile
+from cmbot.scene import PlannerOptions, Scene, StrokeFile, coverage_of
 from cmbot.toolpath import RowPiece
 
 # When an option promises less than another value of it would; those that say what is sought promise another
@@ -28,6 +28,9 @@ _LOOSER: Mapping[str, Callable[[Any, Any], bool]] = {
     "quiet_stiffness_share": lt,
     **dict.fromkeys(("compensate", "knots", "start", "objective", "moment_about", "axis_weights"), ne),
 }
+
+# By which share of a surface two searches of what is reached may differ.
+_SAME_AREA = 1e-3
 
 
 def looser_promises(options: PlannerOptions, asked: PlannerOptions, why: str = "asked") -> tuple[str, ...]:
@@ -94,6 +97,39 @@ def require_asked(scene: Scene, asked: Scene, source: str) -> None:
         rest = {name: value for name, value in plain(other, key).items() if name not in free}
         same = {name: value for name, value in entries.items() if name in free}
         require_same(entries, rest | same, source, f"{key}[{k}]", why="asked")
+
+
+def require_done(plan: Plan, asked: Scene, options: PlannerOptions, source: str) -> None:
+    """Refuse a plan that leaves out rows which the arm reaches, or begins elsewhere although it is pinned.
+
+    Parameters
+    ----------
+    plan : Plan
+    asked : Scene
+    options : PlannerOptions
+        As asked.
+    source : str
+        The file of the plan, for messages.
+
+    Raises
+    ------
+    ArchiveError
+    """
+    moved = plan.strokes[0].start.moved
+    if options.start == "pinned" and moved and not asked.begins_elsewhere:
+        got = f"a start {moved:.3g} rad (or m) from the scene's posture"
+        raise ArchiveError(source, "start", got, "that posture, as planner.start: pinned asks")
+    own = plan.coverage
+    if not any(cover.unreached for cover in own.values()):
+        return
+    X_WT = Kinematics(plan.robot).tool_pose(np.array(asked.posture)).homogeneous
+    reached = coverage_of(reached_scene(asked, options).timed_strokes(X_WT))
+    for name, cover in own.items():
+        if cover.unreached > reached[name].unreached + _SAME_AREA * cover.area:
+            got = f"{cover.unreached:.3g} m2 of {name} left out"
+            raise ArchiveError(
+                source, "rows", got, f"{reached[name].unreached:.3g} m2: the arm reaches the rest"
+            )
 
 
 def _decided(stroke: StrokeFile, asked: StrokeFile, *, in_any_direction: bool) -> set[str]:

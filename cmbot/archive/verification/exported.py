@@ -95,6 +95,9 @@ def _message(plan: Plan, path: Path) -> list[str]:
     if found.deviation > _MAX_DEVIATION:
         got = f"points whose quintics are {found.deviation:.3g} rad (or m) off"
         raise ArchiveError(source, "points", got, f"the motion within {_MAX_DEVIATION:g}, as {_WHY}")
+    if found.tool_deviation > (most := plan.options.max_tool_deviation_m):
+        got = f"points whose quintics lead the tool {1e3 * found.tool_deviation:.3g} mm off"
+        raise ArchiveError(source, "points", got, f"{1e3 * most:g} mm at most (planner.max_tool_deviation_m)")
     lacking = ", ".join(found.left_out)
     return [f"{path.name} (lacks what moves: {lacking})"] if lacking else []
 

@@ -115,8 +115,8 @@ def verified_motions(directory: str | Path, asked: Asked | None = None) -> Verdi
     folder, asked = given_path(directory, "cmbot verify", "DIR", "the path of a folder"), asked or Asked()
     if len(records := [name for name in (PLAN_FILE, WALK_FILE, TOUR_FILE) if (folder / name).exists()]) > 1:
         raise ArchiveError(str(folder), "", " and ".join(records), "one of them: the folder of one thing")
-    if asked.goal is not None and WALK_FILE not in records:
-        raise InputError("cmbot verify", "--to", str(folder), "the folder of a walk, which has a goal")
+    if asked.goal is not None and PLAN_FILE in records:
+        raise InputError("cmbot verify", "--to", str(folder), "the folder of a walk or a tour, with a goal")
     if TOUR_FILE in records:
         return _verified_tour(folder, asked)
     if len(asked.scenes) > 1:
@@ -131,13 +131,18 @@ def _verified_tour(folder: Path, asked: Asked) -> Verdict:
     options = asked.options or (None if whole is None else whole.planner)
 
     def read(part: Path) -> Plan | Walk:
-        motion, verdict = _verified(part, part.name, replace(asked, scenes=(), options=options))
+        motion, verdict = _verified(part, part.name, replace(asked, scenes=(), goal=None, options=options))
         verdicts.append(verdict)
         return motion
 
     parts = read_tour(folder, read)
     if whole is not None:
         _require_tour(folder, parts, whole)
+    if asked.goal is not None:
+        last = parts[-1].motion
+        if not isinstance(last, Walk):
+            raise ArchiveError(str(folder / TOUR_FILE), "parts", parts[-1].name, "a walk to the goal at last")
+        _require_goal(last, asked.goal, str(folder / parts[-1].name / WALK_FILE))
     beside = _others(folder, {TOUR_FILE, *(part.name for part in parts)})
     verdicts.append(Verdict(looser=(), taken=(), motions=(), not_verified=("version, words", *beside)))
     each = {
@@ -206,12 +211,7 @@ def _taken(scene: Scene) -> Iterator[str]:
 def _require_walk(walk: Walk, asked: Asked, source: str) -> tuple[str, ...]:
     """Refuse a walk that is not what was asked for; return what it promises less, where nobody asked."""
     if asked.goal is not None:
-        _, ends = ends_of(walk)
-        scene = asked.goal if isinstance(asked.goal, Scene) else walk.scene
-        posture = np.array(scene.posture) if scene is asked.goal else ends[-len(scene.posture) :]
-        wanted = place(goal_stance(asked.goal, walk.scene), posture)
-        if not np.allclose(ends, wanted, rtol=0, atol=_STANCE_TOLERANCE):
-            raise ArchiveError(source, "goal", "another stance or posture", "that which was asked for")
+        _require_goal(walk, asked.goal, source)
     for scene in asked.scenes:
         require_asked(walk.scene, scene, source)
         require_promised(walk.scene.planner, asked.options or scene.planner, source, "scene.planner")
@@ -222,6 +222,15 @@ def _require_walk(walk: Walk, asked: Asked, source: str) -> tuple[str, ...]:
             source, "max_foot_speed", walk.speed, f"at most {asked.foot_speed:g} m/s, as asked"
         )
     return (f"max_foot_speed {walk.speed:g} m/s (where none is asked {asked.foot_speed:g})",)
+
+
+def _require_goal(walk: Walk, goal: Scene | StanceFile, source: str) -> None:
+    """Refuse a walk that ends in another stance or posture."""
+    _, ends = ends_of(walk)
+    scene = goal if isinstance(goal, Scene) else walk.scene
+    posture = np.array(scene.posture) if scene is goal else ends[-len(scene.posture) :]
+    if not np.allclose(ends, place(goal_stance(goal, walk.scene), posture), rtol=0, atol=_STANCE_TOLERANCE):
+        raise ArchiveError(source, "goal", "another stance or posture", "that which was asked for")
 
 
 def _walk_files(folder: Path, walk: Walk) -> tuple[str, ...]:
