@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.integrate import solve_ivp
+from small_scenes import short_scene
 
+from cmbot.common.errors import SceneError
+from cmbot.scene import Scene
 from cmbot.toolpath import LegLaw, SpeedProfile, TimeLaw
 from cmbot.toolpath.shaper import LEFT, Shaper, extra_insensitive, two_hump
 
@@ -167,3 +170,17 @@ def test_a_flat_ramp_has_the_smaller_acceleration(ramp: float, flat: float) -> N
     assert acceleration.max() == pytest.approx(2 * mean / (1 + flat), rel=1e-9)
     # Over that share of the ramp it is as large as that.
     assert np.mean(acceleration > acceleration.max() * (1 - 1e-9)) == pytest.approx(flat, abs=0.02)
+
+
+def test_a_law_is_no_quicker_than_the_speed_that_is_asked() -> None:
+    """In the same seconds without a cruise the tool would be 1.6 times as quick."""
+    path = {"legs": [{"by": [0, -0.3, 0], "speed_m_s": 0.1}], "speed_profile": {"kind": "quiet"}}
+    scene = short_scene().changed(tool_path={**path, "via_points": 12})
+    seconds = scene.timed_strokes(np.eye(4))[0].path.duration
+
+    def timed(law: TimeLaw) -> Scene:
+        return scene.with_path(time_laws=(LegLaw.of(0, law, seconds),))
+
+    timed(TimeLaw.ramped("quiet", 0.2, 0.6, 0.2)).timed_strokes(np.eye(4))
+    with pytest.raises(SceneError, match=r"time_laws: got a law of leg 0 with up to 0\.16 m/s, expected"):
+        timed(TimeLaw.ramped("quiet", 0.5, 0.0, 0.5)).timed_strokes(np.eye(4))

@@ -25,6 +25,8 @@ _MIN_LEG_SEGMENTS, _MAX_LEG_SEGMENTS, _FEWEST_OPEN, _OPEN_IN_ALL = 4, 600, (8, 3
 _POSE_VALUES = 12
 # Durations that differ by less are the same, as a share.
 _DURATION_TOLERANCE = 1e-6
+# By what share a speed at a sample may exceed another one.
+_SPEED_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -114,7 +116,7 @@ def timed_stroke(
     """
     path = timed_path(file, place, X_WT, surface)
     path = path.reversed() if file.backwards else path
-    path = path.repeated(file.passes or 1)
+    path = plain = path.repeated(file.passes or 1)
     if file.time_laws is not None:
         _check_laws(file, path, place)
         path = path.timed(file.time_laws)
@@ -125,7 +127,7 @@ def timed_stroke(
     if number < needed:
         expected = f"at least {needed}, one for each end of a leg, row or lead, or auto"
         raise SceneError(place.source, f"{place.key}.via_points", number, expected)
-    return Stroke(
+    stroke = Stroke(
         name=str(file.name),
         key=place.key,
         file=file,
@@ -134,6 +136,8 @@ def timed_stroke(
         begins_elsewhere=begins_elsewhere,
         surface=surface,
     )
+    _check_speeds(stroke, plain, place)
+    return stroke
 
 
 def _check_laws(file: StrokeFile, path: ToolPath, place: PathSource) -> None:
@@ -149,6 +153,19 @@ def _check_laws(file: StrokeFile, path: ToolPath, place: PathSource) -> None:
         if law.leg not in path.open_legs and abs(law.duration - seconds) > _DURATION_TOLERANCE * seconds:
             got = f"{law.duration:g} s on leg {law.leg}"
             raise SceneError(place.source, key, got, f"the {seconds:g} s of that leg")
+
+
+def _check_speeds(stroke: Stroke, plain: ToolPath, place: PathSource) -> None:
+    """Refuse laws that are quicker than the law of the path as its file times it, where that has a speed."""
+    u = np.linspace(0.0, 1.0, 1001)
+    for law in stroke.file.time_laws or ():
+        speed = None if law.leg in plain.open_legs else stroke.asked_speed(law.leg)
+        if speed is None:
+            continue
+        own, given = (float(each.rate(u).max()) for each in (law.law, plain.segments[law.leg].law))
+        if own > given * (1 + _SPEED_TOLERANCE):
+            got = f"a law of leg {law.leg} with up to {speed * own / given:.4g} m/s"
+            raise SceneError(place.source, f"{place.key}.time_laws", got, f"its speed_m_s, {speed:g}")
 
 
 def _automatic_via_points(path: ToolPath, deviation: float, file: StrokeFile) -> int:
