@@ -14,6 +14,8 @@ from cmbot.scene import Scene, waypoint_shares
 
 # Parts at most, where the scene does not say how often a path may be cut.
 _MOST_CUTS = 20
+# Parts are no shorter.
+_SHORTEST_M = 1e-3
 
 
 class Reconfigurations:
@@ -39,15 +41,15 @@ class Reconfigurations:
             return False
         via = int(np.searchsorted(request.times, failure.time - 1e-9)) - 1
         reached = request.task.path.progress(float(request.times[max(via, 0)]))
-        number = int(np.searchsorted(waypoint_shares(file), reached, side="right")) - 1
+        shares = waypoint_shares(file)
+        number = int(np.searchsorted(shares, reached, side="right")) - 1
+        shorter = min(shares[number], 1 - shares[number]) * float(request.task.path.lengths.sum())
         before = [each.file for each in request.strokes[: request.number] if each.file.part_of == name]
         begin = sum(len(each.waypoints or ()) - 1 for each in before)
         # Parts behind this one are cut anew.
         ends = (*self.ends.get(name, ())[: len(before)], begin + number)
         allowed = self._asked[name].reconfigurations
-        if not 0 < number < len(file.waypoints) - 1 or len(ends) > (
-            _MOST_CUTS if allowed is None else allowed
-        ):
+        if shorter < _SHORTEST_M or len(ends) > (_MOST_CUTS if allowed is None else allowed):
             return False
         self.ends[name] = ends
         return True
