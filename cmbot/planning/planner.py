@@ -24,6 +24,7 @@ from cmbot.planning.path.raster_reach import reached_scene
 from cmbot.planning.precheck import (
     failures_explained,
     require_reasonable_size,
+    require_seconds,
     require_tool_speed,
     solver_of,
 )
@@ -361,9 +362,10 @@ class _Planner:
         request = build_request(scene, self.options, self.objective, self.reporter, deadline)
         for number, stroke in enumerate(request.strokes):
             require_reasonable_size(scene, stroke, request.cell.robot.dof, self.options)
-            require_tool_speed(scene, stroke, request.cell.robot)
+            require_tool_speed(scene, stroke)
             try:
                 require_within_reach(request.at_stroke(number))
+                require_seconds(request.at_stroke(number))
             except PathNotFound as error:
                 if len(request.strokes) > 1:
                     error.add_hint(f"this is stroke {stroke.name}")

@@ -22,7 +22,7 @@ from cmbot.elastic.sag import Sag, TooSoftError
 from cmbot.hold import Holding
 from cmbot.optimization import piqp_module
 from cmbot.planning.reach import beyond_reach, without_posture
-from cmbot.planning.request import end_posture_of, strokes_of, task_of
+from cmbot.planning.request import StrokeRequest, end_posture_of, strokes_of, task_of
 from cmbot.planning.task import ToolTask, task_dimension
 from cmbot.planning.workcell.stiffness import identified_in_words
 from cmbot.planning.workcell.units import mistaken_units, require_metres, unit_findings
@@ -341,10 +341,17 @@ def failures_explained(scene: Scene) -> Iterator[None]:
         raise
 
 
-def require_tool_speed(scene: Scene, stroke: Stroke, robot: Robot) -> None:
-    """Refuse a stroke on which the tool has to be faster than scene or joints allow: a `SceneError`."""
-    for found in (*_too_fast(scene.tool, stroke), *_too_short(stroke, robot)):
+def require_tool_speed(scene: Scene, stroke: Stroke) -> None:
+    """Refuse a stroke on which the tool has to be faster than the scene allows: a `SceneError`."""
+    for found in _too_fast(scene.tool, stroke):
         raise SceneError(scene.source, found.key, found.got, found.expected)
+
+
+def require_seconds(request: StrokeRequest) -> None:
+    """Refuse a stroke whose seconds no motion of the joints keeps: a `PathNotFound`."""
+    for found in _too_short(request.stroke, request.cell.robot):
+        reason = f"{found.key}: got {found.got}, expected {found.expected}"
+        raise request.path_not_found(reason, request.state.posture)
 
 
 def _too_short(stroke: Stroke, robot: Robot) -> Iterator[Finding]:

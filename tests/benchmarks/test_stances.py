@@ -10,7 +10,7 @@ from small_scenes import short_scene
 
 from cmbot.planning import plan
 from cmbot.stances import StanceFigures, StanceRanking, StanceResult
-from cmbot.stances.search import Rejection, RejectionKind
+from cmbot.stances.search import Rejection, Status
 from cmbot.stances.walking import stance_of
 
 
@@ -77,7 +77,7 @@ def test_the_smallest_bound_that_counts() -> None:
         ),
         StanceResult(candidate=place, stage="charts", bound=0.99 * peak),
     ]
-    kinds: tuple[tuple[RejectionKind, float], ...] = (
+    kinds: tuple[tuple[Status, float], ...] = (
         ("failed", 0.95),
         ("beyond a bound", 0.5),
         ("blocked", 0.1),

@@ -39,6 +39,7 @@ def of_figures(*figures: MotionMetrics) -> Known:
     yield 1e3 * max(each.max_tool_deviation for each in figures), "mm"
     if needed := [each.adhesion_needed.peak for each in figures if each.adhesion_needed is not None]:
         yield max(needed) / 1e3, "kN"
+        yield max(each.adhesion_needed.closed for each in figures if each.adhesion_needed) / 1e3, "kN"
 
 
 def worst_checks(plan: Plan) -> dict[str, Check]:

@@ -5,7 +5,7 @@ import pytest
 from small_scenes import short_scene
 
 import cmbot
-from cmbot.common.errors import SceneError
+from cmbot.common.errors import PathNotFound
 from cmbot.planning import plan, precheck_scene, robot_of
 from cmbot.robot import Kinematics
 
@@ -40,7 +40,7 @@ def test_seconds_that_no_motion_keeps_are_refused_before_any_search() -> None:
     hasty = short_scene(tool_path={"legs": legs})
     least = robot_of(hasty).least_seconds(0.9)
     said = rf"legs\[0\].seconds: got 0.9 m in 0.4 s, expected more than {least:.3f} s"
-    with pytest.raises(SceneError, match=said):
+    with pytest.raises(PathNotFound, match=said):
         plan(hasty)
     (found,) = (each for each in precheck_scene(hasty).warnings if each.key.endswith("seconds"))
     assert found.got == "0.9 m in 0.4 s"

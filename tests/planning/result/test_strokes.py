@@ -168,7 +168,7 @@ def test_a_stroke_that_cannot_be_planned_is_named() -> None:
     scene = strokes_scene()
     there, back = scene.strokes
     # Faster than any joint.
-    leg = replace(back.legs[0], seconds=0.002)
+    leg = replace(back.legs[0], seconds=0.5)
     hard = back.changed(legs=(leg,))
     told: list[str] = []
     with pytest.raises(PlanningError, match="stroke back"):
