@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from clamped import CLAMP, MAGNET, clamped_scene
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 from plan_folders import changed
 
 from cmbot.archive import load_plan, save
@@ -140,6 +140,7 @@ def test_of_a_magnet_and_a_clamp_each_has_its_own(magnet_and_clamp: Plan) -> Non
 
 
 @given(st.lists(st.floats(0.01, 0.99), min_size=4, max_size=4))
+@settings(max_examples=20)
 def test_whichever_segment_is_worst_is_named(clamped: Plan, values: list[float]) -> None:
     of = clamped
     for segment, value in zip(clamped.job.segments, values, strict=True):
