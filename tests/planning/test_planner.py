@@ -283,7 +283,10 @@ def test_a_way_that_no_trajectory_follows_is_given_up_soon(tmp_path: Path) -> No
         optimise(problem_of(scene), reports.append)
     assert caught.value.constraint.split()[0] in ("acceleration", "jerk")
     assert caught.value.violation > 0.01
-    assert len(reports) <= 1
+    # By the rounding of some processors (OPENBLAS_CORETYPE=Haswell) the first solver run uses up its 60
+    # iterations before that is seen, which the second sees at once.
+    assert len(reports) <= 2
+    assert sum(report.iterations for report in reports) <= 120
     made = plan(scene)
     assert made.certificate.holds
     # From another start: near the scene's posture the wrist turns round too fast.
