@@ -364,8 +364,9 @@ class _Planner:
             require_reasonable_size(scene, stroke, request.cell.robot.dof, self.options)
             require_tool_speed(scene, stroke)
             try:
-                require_within_reach(request.at_stroke(number))
-                require_seconds(request.at_stroke(number))
+                at_stroke = request.at_stroke(number)
+                require_within_reach(at_stroke)
+                require_seconds(at_stroke)
             except PathNotFound as error:
                 if len(request.strokes) > 1:
                     error.add_hint(f"this is stroke {stroke.name}")

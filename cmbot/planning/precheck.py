@@ -120,11 +120,8 @@ def _asked(
     yield "scene", f"{scene.name} ({scene.source})"
     yield "robot", f"{robot.name}: {joints}, {robot.mass:.2f} kg ({robot.arm_mass:.2f} kg moving)"
     yield from _paths(strokes)
-    contact = (
-        f", which the last {scene.tool.contact_mm:g} mm of the tool may touch"
-        if scene.tool.contact_mm
-        else ""
-    )
+    tip = f"{scene.tool.contact_mm:g} mm of the tool"
+    contact = f", which the last {tip} may touch" if scene.tool.contact_mm else ""
     yield "obstacles", f"{len(scene.all_obstacles)}, of them {workpieces}{contact}"
     yield "tool point at the start", f"({point}) m"
     if robot.pushed:

@@ -164,11 +164,16 @@ def slower(request: StrokeRequest, factors: FloatArray) -> StrokeRequest:
         if speed is not None:
             seconds[k] *= speed / _rounded_down(speed / factors[k])
         else:
-            own = float(path.seconds[k] if stroke.file.legs else stroke.file.given_time or path.seconds[k])
+            own = _own_seconds(stroke, float(path.seconds[k]))
             seconds[k] *= _rounded_up(own * factors[k]) / own
     path = path.in_seconds(seconds)
     times = path.via_times(len(request.times))
     return replace(request, task=replace(request.task, path=path), times=times)
+
+
+def _own_seconds(stroke: Stroke, leg: float) -> float:
+    """The seconds that a stroke's file has: of a leg, which takes `leg` s, or else of the whole path."""
+    return leg if stroke.file.legs else stroke.file.given_time or leg
 
 
 def in_keys(before: StrokeRequest, after: StrokeRequest) -> str:
@@ -185,7 +190,7 @@ def in_keys(before: StrokeRequest, after: StrokeRequest) -> str:
         if speed is not None:
             words.append(_changed(f"{key}.speed_m_s", speed * old[k] / new[k], speed, 3))
         else:
-            own = float(old[k] if stroke.file.legs else stroke.file.given_time or old[k])
+            own = _own_seconds(stroke, float(old[k]))
             words.append(_changed(f"{key}.seconds", own * new[k] / old[k], own, 4))
     return " and ".join(words)
 

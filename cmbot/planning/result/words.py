@@ -131,8 +131,8 @@ def _tool(note: Any) -> str:
 
 def _needed(note: Any) -> str:
     beyond = ", beyond any magnet" if 1e6 * note.pressure_mpa > MAGNET_PRESSURE else ""
-    closed = "" if note.closed_kn is None else f" ({note.closed_kn:.2f} kN with gap: none)"
-    closed = "" if closed.startswith(f" ({note.needed_kn:.2f} ") else closed
+    same = note.closed_kn is None or round(note.closed_kn, 2) == round(note.needed_kn, 2)
+    closed = "" if same else f" ({note.closed_kn:.2f} kN with gap: none)"
     return (
         f"an adhesion of {note.needed_kn:.2f} kN ({note.mode}), {note.pressure_mpa:.2f} MPa{beyond}{closed}"
     )
