@@ -34,6 +34,12 @@ _PASSES, _BALANCED, _LEAST_WORK, _ENOUGH, _SURE = 400, 1e-10, 1e-12, 1e-8, 0.003
 _DOWN, _SHALLOW = (0.5, 0.85), 0.1
 # Least share of turning in a motion: centres are no further than its inverse, in units of the contact's size.
 _LEAST_TURNING = 1e-2
+# Motions from which the search starts: angles of slides by turns to the normal, and about it.
+_TILTS, _WAYS = 12, 24
+# Newton's steps at most where all of a contact is pressed, and the share of the force that the last may gain.
+_STEPS, _WEAKEST = 12, 1e-13
+# From this change of the distance to the hull's edge on what is pressed shrinks in proportion to it.
+_LARGE_STEP = 0.1
 _TINY = 1e-12
 _ROUNDING = 2e-15
 
@@ -55,6 +61,23 @@ class Friction:
         self._along = self._side / np.abs(self._side)
         self._far = (start * (1j * self._along.conj())).real
         self.whole = self.moments(np.array([[1.0, 0.0, 0.0]]))[0]
+        self.from_goal = np.linalg.inv(self.whole)
+        tilt = np.repeat((np.arange(_TILTS) + 0.5) * np.pi / _TILTS, _WAYS)
+        way = np.tile(np.arange(_WAYS) * 2 * np.pi / _WAYS, _TILTS)
+        self.motions = np.column_stack([np.sin(tilt) * np.cos(way), np.sin(tilt) * np.sin(way), np.cos(tilt)])
+        even = np.tile([1.0, 0.0, 0.0], (len(tilt), 1))
+        by_goal = self.work(even, self.motions)[3] @ self.from_goal
+        self._by_load = (np.column_stack([self.motions, -by_goal[:, 1:]]) / by_goal[:, :1]).T
+
+    def least(self, load: FloatArray) -> tuple[FloatArray, IntArray]:
+        """Return what a contact that is pressed all over needs at least (N,), and against which motion (N,).
+
+        Of loads (N, 5): friction and torsion by the friction coefficient, and E. With pressures that are
+        linear in the force P and E a motion does the work P g0 + E . g.
+        """
+        needed = load @ self._by_load
+        which = needed.argmax(axis=1)
+        return needed[np.arange(len(load)), which], which
 
     def moments(self, pressure: FloatArray) -> FloatArray:
         """Return the integrals of (1, x)' (1, x) over where pressures (N, 3) are positive, (N, 3, 3)."""
@@ -183,6 +206,17 @@ def _antiderivatives(d: FloatArray, tau: FloatArray) -> FloatArray:
     return np.array(parts)
 
 
+def _newton_step(free: FloatArray, slope: FloatArray, curved: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What to take off motions (N, 3) along two directions (N, 3, 2), and twice what that gains (N,)."""
+    across = free.swapaxes(1, 2)
+    slope, curved = across @ slope[:, :, None], across @ curved @ free
+    curved += _TINY * np.trace(curved, axis1=1, axis2=2)[:, None, None] * np.eye(2)
+    away = np.linalg.solve(curved, slope)
+    gain = (slope * away).sum(axis=(1, 2))
+    # Far out curvatures are small differences: below zero they would lead upwards, and count as an end.
+    return (free @ away)[:, :, 0] * np.sign(gain)[:, None], np.abs(gain)
+
+
 class Slipping:
     """The search for the force from which on friction is enough.
 
@@ -198,8 +232,11 @@ class Slipping:
         Friction and torsion, by the friction coefficient.
     moment : (N, 2)
         Moments E of the pressure.
-    least, whole : (N,)
-        The least force that is asked for, and the one with which the whole contact is pressed.
+    least, whole, tip : (N,)
+        The least force that is asked for, and those with which the whole contact is pressed and with which it
+        tips.
+    ends : (N, 2, 2)
+        The corners between which it tips.
 
     Attributes
     ----------
@@ -216,17 +253,22 @@ class Slipping:
         moment: FloatArray,
         least: FloatArray,
         whole: FloatArray,
+        tip: FloatArray,
+        ends: FloatArray,
     ) -> None:
+        self._tip, self._ends = tip, ends
         self._friction, self._moment, self._least, N = friction, moment, least, len(slips)
         self.force, self.gradient = np.zeros(N), np.zeros((N, 5))
         self._trial = np.max([whole, least, 0.1 * np.abs(slips).max(axis=1)], axis=0)
         self._low, self._high, self._slope = np.zeros(N), np.full(N, np.inf), np.zeros(N)
         self._shallow = np.zeros(N, dtype=bool)
         goal = np.column_stack([np.ones(N), moment / np.maximum(self._trial, 1e-300)[:, None]])
-        self._pressure = goal @ np.linalg.inv(friction.whole)
+        self._pressure = goal @ friction.from_goal
         self._moments = np.broadcast_to(friction.whole, (N, 3, 3)).copy()
         self._pressure_step, self._energy = np.zeros((N, 3)), np.full(N, np.inf)
-        motion = slips / [1.0, 1.0, (friction.whole[1, 1] + friction.whole[2, 2]) / friction.whole[0, 0]]
+        needed, which = friction.least(np.hstack([slips, moment]))
+        motion = friction.motions[which]
+        motion = np.where((motion * slips).sum(axis=1)[:, None] > 0, motion, slips)
         self._motion = motion / np.maximum((motion * slips).sum(axis=1), 1e-300)[:, None]
         self._motion_step, self._work = np.zeros((N, 3)), np.full(N, np.inf)
         # Two directions in which a load does no work.
@@ -234,7 +276,9 @@ class Slipping:
         size = np.maximum(np.linalg.norm(slips, axis=1), 1e-300)[:, None]
         first /= np.maximum(np.linalg.norm(first, axis=1), 1e-300)[:, None]
         self._free = np.stack([first, np.cross(slips, first) / size], axis=2) / size[:, :, None]
-        rows, balanced = np.flatnonzero(np.abs(slips).max(axis=1) > 0), np.ones(N, dtype=bool)
+        everywhere = np.flatnonzero(needed > self._trial)
+        self._press_all(everywhere, needed[everywhere])
+        rows, balanced = np.flatnonzero((self.force == 0) & slips.any(axis=1)), np.ones(N, dtype=bool)
         for _ in range(_PASSES):
             if not len(rows):
                 break
@@ -247,6 +291,27 @@ class Slipping:
             rows = np.setdiff1d(rows, weakest[done], assume_unique=True)
         # Where rounding hides the least: a force that is known to be enough.
         self.force[rows] = self._high[rows]
+
+    def _press_all(self, rows: IntArray, force: FloatArray) -> None:
+        """Find the force of contacts that are pressed all over; `force` (k,) is that of the motions.
+
+        The largest (1 - E . g) / g0 of motions that do the work 1, with the work P g0 + E . g.
+        """
+        motion, moment, free = self._motion[rows], self._moment[rows], self._free[rows]
+        for _ in range(_STEPS):
+            if not len(rows):
+                break
+            goal = np.column_stack([force, moment])
+            _, slope, curved, distance = self._friction.work(goal @ self._friction.from_goal, motion)
+            g = distance @ self._friction.from_goal
+            least = (1 - (moment * g[:, 1:]).sum(axis=1)) / g[:, 0]
+            step, gain = _newton_step(free, slope, curved)
+            done = (gain <= _WEAKEST * least * g[:, 0]) & (np.abs(least - force) <= _ENOUGH * least)
+            self.force[rows[done]] = least[done]
+            by_load = np.column_stack([motion[:, :2], -g[:, 1:], motion[:, 2]]) / g[:, :1]
+            self.gradient[rows[done]] = by_load[done]
+            rows, moment, free = rows[~done], moment[~done], free[~done]
+            motion, force = (motion - step)[~done], least[~done]
 
     def _balance(self, rows: IntArray) -> BoolArray:
         """Take a step towards the pressure that has the load's moments; whether it is there."""
@@ -274,16 +339,8 @@ class Slipping:
         """Take a step towards the motion against which friction is weakest; whether it is there."""
         motion = self._motion[rows] - self._motion_step[rows]
         work, slope, curved, distance = self._friction.work(self._pressure[rows], motion)
-        free = self._free[rows]
-        across = free.swapaxes(1, 2)
-        slope, curved = across @ slope[:, :, None], across @ curved @ free
-        curved += _TINY * np.trace(curved, axis1=1, axis2=2)[:, None, None] * np.eye(2)
-        away = np.linalg.solve(curved, slope)
-        gain = (slope * away).sum(axis=(1, 2))
-        # Far out curvatures are small differences: below zero they would lead upwards, and count as an end.
-        away, gain = away * np.sign(gain)[:, None, None], np.abs(gain)
+        step, gain = _newton_step(self._free[rows], slope, curved)
         lower = (work <= self._work[rows]) | (gain < _LEAST_WORK * work)
-        step = (free @ away)[:, :, 0]
         self._motion_step[rows] = np.where(lower[:, None], step, 0.3 * self._motion_step[rows])
         taken = rows[lower]
         self._motion[taken], self._work[taken] = motion[lower], work[lower]
@@ -324,9 +381,24 @@ class Slipping:
         middle = np.where(np.isfinite(high), 0.5 * (low + high), 1.5 * P)
         between = np.where((newton > low) & (newton < high), newton, middle)
         next_ = np.where(dips, bottom, np.where(low == 0, down, between))
-        # The pressure moves with the force, at fixed moments.
-        moved = P[:, None] * self._pressure[rows] + (next_ - P)[:, None] * self._by_force
-        self._pressure[rows], self._trial[rows] = moved / next_[:, None], next_
+        self._pressure[rows] = self._moved(rows, next_)
+        self._trial[rows] = next_
         self._pressure_step[rows], self._motion_step[rows] = 0.0, 0.0
         self._energy[rows], self._work[rows] = np.inf, np.inf
         return np.asarray(ends | close | (high - low <= _ENOUGH * low))
+
+    def _moved(self, rows: IntArray, force: FloatArray) -> FloatArray:
+        """The pressures (k, 3) from which the search goes on with another force."""
+        before, pressure, tip = self._trial[rows], self._pressure[rows], self._tip[rows]
+        # To first order, at fixed moments.
+        moved = (before[:, None] * pressure + (force - before)[:, None] * self._by_force) / force[:, None]
+        # In larger steps what is pressed shrinks towards the edge: along it only where an end is free.
+        size = ((1 - tip / force) / (1 - tip / before))[:, None]
+        a, b, (first, last) = pressure[:, 0], pressure[:, 1:], self._ends[rows].swapaxes(0, 1)
+        along = (last - first) / np.linalg.norm(last - first, axis=1)[:, None]
+        beside = (b * along).sum(axis=1)[:, None] * along
+        whole = (a + (b * first).sum(axis=1) > 0) & (a + (b * last).sum(axis=1) > 0)
+        steeper = np.where(whole[:, None], (b - beside) / size + beside, b / size)
+        edge = self._moment[rows] / np.maximum(tip, 1e-300)[:, None]
+        shrunk = np.column_stack([a + ((b - steeper) * edge).sum(axis=1), steeper])
+        return np.where(np.abs(size - 1) > _LARGE_STEP, shrunk, moved)

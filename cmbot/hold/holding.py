@@ -21,6 +21,9 @@ from cmbot.hold.foot import Foot
 MODES = ("pull", "tip", "gap", "slip")
 """What the adhesion is needed against."""
 
+# The largest of many is looked for above the largest of every so many of them.
+_OF_THE_FIRST = 16
+
 ADHESION, CLAMP_LOAD = "adhesion needed", "load of the clamp"
 """What is judged of a magnet and of a clamp: see `Holding.named`."""
 
@@ -109,30 +112,38 @@ class Holding:
         """
         return np.asarray((wrench + self._constant) @ self.feet[number].from_wrench.T)
 
-    def each(self, wrench: FloatArray) -> FloatArray:
+    def each(self, wrench: FloatArray, above: float = -np.inf) -> FloatArray:
         """Return the adhesion (N, k), N, that each foot with a flat contact needs, not below zero.
 
         Parameters
         ----------
         wrench : (N, 6), N and Nm
+        above : float, N, optional
+            What is not above this may be given lower.
         """
-        needs = [self.needed(number, wrench) for number in self.flat]
+        needs = [self.needed(number, wrench, above) for number in self.flat]
         return np.maximum(np.array(needs).T.reshape(len(wrench), -1), 0.0)
 
     def modes(self, number: int, wrench: FloatArray) -> FloatArray:
         """Return what a foot with a flat contact needs by `MODES`, (N, 4), N."""
         return _modes(self.feet[number], self.load(number, wrench))[0]
 
-    def needed(self, number: int, wrench: FloatArray) -> FloatArray:
-        """Return the adhesion (N,), N, that a foot with a flat contact needs; below zero it is pressed on."""
-        return needed_by_load(self.feet[number], self.load(number, wrench))[0]
+    def needed(self, number: int, wrench: FloatArray, above: float = -np.inf) -> FloatArray:
+        """Return the adhesion (N,), N, that a foot with a flat contact needs; below zero it is pressed on.
+
+        What is not above `above`, N, may be given lower.
+        """
+        return needed_by_load(self.feet[number], self.load(number, wrench), above)[0]
 
     def pressed_without_gap(self, wrench: FloatArray) -> FloatArray:
-        """Return the adhesion (N,), N, that a foot but a clamp would need most if no gap might open."""
+        """Return the adhesion (N,), N, that a foot but a clamp would need most if no gap might open.
+
+        As near as `Contact.slip_without_gap`.
+        """
         needed = list[FloatArray]()
         for number in self.adhesive:
             foot, load = self.feet[number], self.load(number, wrench)
-            slip = _flat(foot).slip(_turning(load), foot.friction, "none")[0]
+            slip = _flat(foot).slip_without_gap(_turning(load), foot.friction)
             gap = _pressed(foot, load, Contact.gap)[0]
             needed.append(load[:, 2] + np.maximum(np.maximum(gap, slip), 0.0))
         return np.asarray(np.max(needed, axis=0))
@@ -171,7 +182,11 @@ class Holding:
             What `each` returns of them, where it is known.
         """
         columns = [self.flat.index(number) for number in self.adhesive]
-        needed = (self.each(wrench) if needed is None else needed)[:, columns]
+        if needed is None:
+            some = self.each(wrench[::_OF_THE_FIRST])
+            needed = self.each(wrench, float(some[:, columns].max()))
+            needed[::_OF_THE_FIRST] = some
+        needed = needed[:, columns]
         k, column = np.unravel_index(int(needed.argmax()), needed.shape)
         return self.peak(
             self.adhesive[int(column)], float(needed[k, column]), float(time[k]), wrench[k], wrench
@@ -226,15 +241,17 @@ class Holding:
         """Whether something is known of what a foot can bear."""
         return any(foot.bounded for foot in self.feet)
 
-    def share(self, wrench: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def share(self, wrench: FloatArray, above: FloatArray | float = -np.inf) -> tuple[FloatArray, FloatArray]:
         """Return the largest share (N,) that a foot uses of its bounds, safety included; gradients (N, 6).
 
         Parameters
         ----------
         wrench : (N, 6), N and Nm
+        above : float or (N,), optional
+            What is not above this may be given lower.
         """
         factors = {k: foot.safety / foot.adhesion for k, foot in enumerate(self.feet) if foot.adhesion}
-        value, gradient = self._most(wrench, factors)
+        value, gradient = self._most(wrench, factors, above)
         rows = np.arange(len(wrench))
         for number in self.clamps:
             foot, load = self.feet[number], self.load(number, wrench)
@@ -245,10 +262,12 @@ class Holding:
             gradient[more] = by_load[rows, which][more, None] * foot.from_wrench[which[more]]
         return value, gradient
 
-    def _most(self, wrench: FloatArray, factors: Mapping[int, float]) -> tuple[FloatArray, FloatArray]:
+    def _most(
+        self, wrench: FloatArray, factors: Mapping[int, float], above: FloatArray | float = -np.inf
+    ) -> tuple[FloatArray, FloatArray]:
         """Largest adhesion needed (N,) of feet, each times its factor, and its gradients (N, 6).
 
-        Objective and bounds ask for it of the same wrenches, one after the other: it is kept.
+        Objective and bounds ask for it of the same wrenches, one after the other: what is exact is kept.
         """
         value, gradient = np.zeros(len(wrench)), np.zeros((len(wrench), 6))
         if not factors:
@@ -256,18 +275,22 @@ class Holding:
         unit = max(factors.values())
         key = wrench.shape, wrench.tobytes(), tuple((k, factor / unit) for k, factor in factors.items())
         if self._last is None or self._last[0] != key:
+            above = np.broadcast_to(above, len(wrench))
             feet, loads = {k: self.feet[k] for k in factors}, {k: self.load(k, wrench) for k in factors}
             kinds = {k: (foot.contact, foot.friction, foot.gap) for k, foot in feet.items()}
             for kind in {*kinds.values()}:
                 # Feet that are alike at once.
                 alike = [k for k in factors if kinds[k] == kind]
-                found = needed_by_load(feet[alike[0]], np.vstack([loads[k] for k in alike]))
+                levels = np.concatenate([above / factors[k] for k in alike])
+                found = needed_by_load(feet[alike[0]], np.vstack([loads[k] for k in alike]), levels)
                 parts = (np.split(part, len(alike)) for part in found)
                 for k, needed, by_load in zip(alike, *parts, strict=True):
                     factor = factors[k] / unit
                     more = factor * needed > value
                     value[more] = factor * needed[more]
                     gradient[more] = factor * by_load[more] @ feet[k].from_wrench
+            if np.isfinite(above).any():
+                return unit * value, unit * gradient
             self._last = key, value, gradient
         return unit * self._last[1], unit * self._last[2]
 
@@ -296,7 +319,9 @@ class Holding:
         return np.where(np.isnan(loads), np.inf, loads)
 
 
-def needed_by_load(foot: Foot, load: FloatArray) -> tuple[FloatArray, FloatArray]:
+def needed_by_load(
+    foot: Foot, load: FloatArray, above: FloatArray | float = -np.inf
+) -> tuple[FloatArray, FloatArray]:
     """Return the adhesion (N,), N, that a foot needs under loads (N, 6), and its gradients (N, 6).
 
     Parameters
@@ -305,8 +330,10 @@ def needed_by_load(foot: Foot, load: FloatArray) -> tuple[FloatArray, FloatArray
         With a flat contact.
     load : (N, 6), N and Nm
         As `Foot.from_wrench` gives them.
+    above : float or (N,), N, optional
+        What is not above this may be given lower.
     """
-    modes, gradients = _modes(foot, load)
+    modes, gradients = _modes(foot, load, above)
     which, rows = modes.argmax(axis=1), np.arange(len(load))
     return modes[rows, which], gradients[rows, which]
 
@@ -323,7 +350,9 @@ def bears(foot: Foot, load: FloatArray) -> BoolArray:
     return good
 
 
-def _modes(foot: Foot, load: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _modes(
+    foot: Foot, load: FloatArray, above: FloatArray | float = -np.inf
+) -> tuple[FloatArray, FloatArray]:
     """What a foot needs by `MODES` (N, 4), N, and the gradients (N, 4, 6); of tip and gap one counts."""
     N = len(load)
     pressed, gradient = np.zeros((N, len(MODES))), np.zeros((N, len(MODES), 6))
@@ -335,7 +364,8 @@ def _modes(foot: Foot, load: FloatArray) -> tuple[FloatArray, FloatArray]:
     # What is beyond all bounds needs an adhesion beyond all bounds.
     good = np.isfinite(part).all(axis=1)
     pressed[~good, 3] = np.inf
-    pressed[good, 3], by = _flat(foot).slip(part[good], foot.friction, foot.gap)
+    pressing = (above - load[:, 2])[good]
+    pressed[good, 3], by = _flat(foot).slip(part[good], foot.friction, foot.gap, pressing)
     slip = np.column_stack([by[:, :2], np.zeros(len(by)), -by[:, 3], by[:, 2], by[:, 4]])
     gradient[good, 3] += slip
     return load[:, 2, None] + pressed, gradient

@@ -101,8 +101,8 @@ class StateFunction(Protocol):
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
         """Return values (N, c) and what identifies their components (N, c), at N states.
 
-        A value that certainly lies below `threshold` may be given as minus infinity, unless one of its
-        neighbours in time does not.
+        A value that certainly lies below `threshold` may be given lower; as minus infinity only where its
+        neighbours in time lie below, too.
         """
 
     def linearize(self, states: StateSamples, component: IntArray) -> Linearization:

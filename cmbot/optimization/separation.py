@@ -121,9 +121,9 @@ def _sampled(
     each: list[list[tuple[FloatArray, IntArray]]] = [[] for _ in functions]
     for first in range(0, len(states.t), _STATES_PER_BLOCK):
         block = states[first : first + _STATES_PER_BLOCK]
-        for parts, function in zip(each, functions, strict=True):
+        for parts, function, limit in zip(each, functions, limits, strict=True):
             if function.components is not None:
-                parts.append(function.sample(block))
+                parts.append(function.sample(block, limit - _NEARLY_ACTIVE))
     for parts, function, limit in zip(each, functions, limits, strict=True):
         if function.components is None:
             parts.append(function.sample(states, limit - _NEARLY_ACTIVE))
@@ -141,7 +141,7 @@ def violated_function(
     """Find the local maxima of a function of the state that exceed `limit` by more than `tolerance`.
 
     `sampled` has its values and components, (N, c) each, at `times` (N,), s; exact where a value exceeds
-    `limit` less 0.02, and beside.
+    `limit` less 0.02.
     """
     value, component = sampled
     row, column = np.nonzero(_local_maxima(value) & (value > limit - _NEARLY_ACTIVE))

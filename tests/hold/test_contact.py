@@ -129,3 +129,38 @@ def test_what_suffices_a_disc_that_may_tip(gap: Gap, rng: np.random.Generator) -
     assert (value <= enough * (1 + 1e-9)).all()
     between = Holding([foot(disc, gap)], none[:6]).needed_between(0, np.stack([load, other], 1), none, none)
     assert (value <= between * (1 + 1e-9)).all()
+
+
+DISC = np.exp(2j * np.pi * np.arange(24) / 24)
+PADS = [0.04 * DISC + centre for centre in (0.2, 0.2j, -0.2)]
+
+
+@pytest.fixture(params=["plate", "pads"])
+def several(request: pytest.FixtureRequest) -> Contact:
+    """A plate, and three discs whose hull is mostly empty."""
+    if request.param == "plate":
+        return Contact.rectangle(0.125, 0.075)
+    rings = [shapely.Polygon(np.column_stack([pad.real, pad.imag])) for pad in PADS]
+    return Contact.of(shapely.MultiPolygon(rings))[0]
+
+
+@pytest.mark.parametrize("gap", ["none", "allowed"])
+def test_what_is_above_a_level_is_exact(several: Contact, gap: Gap, rng: np.random.Generator) -> None:
+    load = rng.normal(size=(300, 5)) * [100.0, 100.0, 8.0, 8.0, 10.0]
+    exact, slope = several.slip(load, 0.3, gap)
+    level = exact * rng.uniform(0.3, 1.7, 300)
+    value, by_load = several.slip(load, 0.3, gap, level)
+    above = exact > level
+    assert 100 < above.sum() < 200
+    np.testing.assert_allclose(value[above], exact[above], rtol=1e-7)
+    np.testing.assert_allclose(by_load[above], slope[above], atol=1e-4 * np.abs(slope).max())
+    assert (value[~above] <= level[~above]).all()
+
+
+def test_the_estimate_without_a_gap_is_a_little_too_low(several: Contact, rng: np.random.Generator) -> None:
+    load = rng.normal(size=(300, 5)) * [100.0, 100.0, 2.0, 2.0, 10.0]
+    exact = several.slip(load, 0.3, "none")[0]
+    beyond = exact > 1.001 * np.maximum(several.gap(load[:, 2:4])[0], np.hypot(*load[:, :2].T) / 0.3)
+    share = several.slip_without_gap(load, 0.3)[beyond] / exact[beyond]
+    assert beyond.sum() > 100
+    assert (share.min() > 0.9) & (share.max() < 1 + 1e-9)

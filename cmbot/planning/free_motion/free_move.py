@@ -286,6 +286,6 @@ def _asked(request: StrokeRequest, states: StateSamples, allowed: float) -> floa
     use = float((np.abs(efforts.joint_torque) / cell.robot.limits.torque).max())
     use = max(use, float(cell.robot.holding_use(efforts.guardrail_wrench).max(initial=0.0)))
     if holding is not None and holding.bounded:
-        use = max(use, float(holding.share(efforts.guardrail_wrench)[0].max()))
+        use = max(use, float(holding.share(efforts.guardrail_wrench, use)[0].max()))
     use /= _LIMIT_SHARE
     return max(use, float(cell.objective.values(states).max()) / max(allowed, _ZERO_OBJECTIVE))

@@ -89,7 +89,8 @@ class FootHold:
 
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
         """Return share/bound - 1, (N, 1)."""
-        share, _ = self.holding.share(efforts_of(self.dynamics, states).guardrail_wrench)
+        wrench = efforts_of(self.dynamics, states).guardrail_wrench
+        share, _ = self.holding.share(wrench, self.inside * (1 + threshold))
         value = share[:, None] / self.inside - 1
         return value, np.zeros(value.shape, dtype=np.intp)
 

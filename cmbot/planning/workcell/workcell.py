@@ -120,7 +120,7 @@ class Workcell:
         holding = robot.holding
         if holding is None or not holding.bounded:
             return np.asarray(use)
-        return np.asarray(np.maximum(use, holding.share(wrench)[0]))
+        return np.asarray(np.maximum(use, holding.share(wrench, use)[0]))
 
 
 def build_workcell(scene: Scene, options: PlannerOptions, own: WrenchFunction | None = None) -> Workcell:
