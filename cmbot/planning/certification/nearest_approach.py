@@ -78,7 +78,8 @@ def _enclosed(trajectory: QuinticTrajectory, clearances: Clearances, resolution:
     # Nothing is nearer than in the middles to begin with: what is found first rules out most of the rest.
     nearest = NearestApproach(time=0.0, distance=np.inf, pair=-1, bound=np.inf)
     bound = np.inf
-    for halving in range(_MAX_SEGMENT_HALVINGS + 1):
+    halving = 0
+    while len(start):
         left, right = halves(control)
         q = left[..., -1]
         travel = np.abs(control - q[..., None]).max(axis=-1) @ reach.T
@@ -108,13 +109,12 @@ def _enclosed(trajectory: QuinticTrajectory, clearances: Clearances, resolution:
         if halving == _MAX_SEGMENT_HALVINGS or 2 * int(some.sum()) > _MOST_INTERVALS:
             undecided[:], some[:] = False, False
         bound = float(np.minimum(bound, lower[alive & ~undecided].min(initial=np.inf)))
-        if not some.any():
-            break
         control = np.concatenate([left[some], right[some]])
         width = 0.5 * width[some]
         start = np.concatenate([start[some], start[some] + width])
         width = np.concatenate([width, width])
         alive = np.concatenate([undecided[some], undecided[some]])
+        halving += 1
     return NearestApproach(
         time=nearest.time,
         distance=nearest.distance,
