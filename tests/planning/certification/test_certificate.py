@@ -12,17 +12,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from oracles import chang2021_arm
-from small_scenes import short_scene, with_corners
+from small_scenes import short_scene, tool_points, with_corners
 
 import cmbot
 from cmbot.collision import Box, Clearances, Obstacle
 from cmbot.common.errors import InputError, LimitViolation
 from cmbot.common.poses import pose
-from cmbot.planning import Plan, QuinticTrajectory, plan
+from cmbot.planning import Plan, QuinticTrajectory, bending_arm, plan
 from cmbot.planning.certification.certificate import Certificate, Check, certify
 from cmbot.planning.certification.joint_checks import continuity_check
 from cmbot.planning.certification.metrics import measure
 from cmbot.robot import Dynamics, Efforts, Kinematics, Robot, load_robot
+from cmbot.simulation import Tracking
 from cmbot.trajectory import Parametrization, SparseSplines, SplineSpace
 
 FloatArray = NDArray[np.float64]
@@ -244,6 +245,54 @@ def test_the_joint_that_is_over_its_bound_is_named(short_plan: Plan, name: str) 
     assert set(failed) in ({name}, {name, "jump"})
     assert failed[name].quantity == f"{name} of joint_4"
     assert failed[name].bound == bound[3]
+
+
+@pytest.mark.parametrize(("share", "holds"), [(0.999, False), (1.001, True)])
+def test_a_bound_of_the_torque_on_the_base(short_plan: Plan, share: float, holds: bool) -> None:
+    peak = short_plan.figures.peak_guardrail_torque
+    certificate = again(short_plan, task=replace(short_plan.task, max_base_torque=share * peak))
+    assert set(broken(certificate)) == (set() if holds else {"torque on the base"})
+    (check,) = (each for each in certificate.checks if each.quantity == "torque on the base")
+    assert (check.value, check.bound) == (certificate.guardrail_torque_bound, share * peak)
+    there = Dynamics(short_plan.robot).efforts(*short_plan.trajectory.states([check.time]))
+    assert np.linalg.norm(there.guardrail_torque) == pytest.approx(peak, rel=1e-5)
+
+
+def test_a_tool_that_may_turn(short_plan: Plan) -> None:
+    """Its point is on the last joint's axis: turned there, it only misses its orientation, if one is kept."""
+    x = short_plan.trajectory
+    turned = {"trajectory": replace(x, q=x.q + 0.2 * np.eye(7)[6]), "start": None}
+    assert {"rotation", "tool rotation"} <= set(broken(again(short_plan, **turned)))
+    certificate = again(short_plan, **turned, task=replace(short_plan.task, keep="position"))
+    assert not {"rotation", "tool rotation"} & set(broken(certificate))
+    assert certificate.figures.max_tool_rotation == 0.0
+
+
+def test_speed_and_sway_of_the_bent_tool(compensated_short: tuple[Plan, Tracking]) -> None:
+    """The speed by differences of the bent tool's place, the sway by the simulation of all that bends."""
+    made, simulated = compensated_short
+    assert made.sag is not None
+    task = replace(made.task, max_speed=1.0, max_sway=1e-3)
+    options = replace(made.options, quiet_stiffness_share=0.0)
+    arm = bending_arm(made.scene, made.robot)
+    certificate = again(made, task=task, options=options, sag=made.sag, arm=arm)
+    assert certificate.holds
+    checks = {check.quantity: check for check in certificate.checks}
+    t = np.linspace(0, made.trajectory.duration, 8001)
+    q = made.trajectory.evaluate(t)
+    steps = np.diff(tool_points(made.robot, q) + made.sag.at(q).tool, axis=0)
+    speed = np.linalg.norm(steps, axis=1).max() / t[1]
+    assert checks["expected tool speed"].value == pytest.approx(speed, rel=1e-5)
+    motion = simulated.planned
+    sway = np.linalg.norm(motion.error - motion.static, axis=1)
+    check = checks["simulated sway of the tool"]
+    # Small vibrations about the sagging arm: linear, in other steps.
+    assert check.value == pytest.approx(sway.max(), rel=0.05)
+    assert check.time == pytest.approx(motion.t[sway.argmax()], abs=0.02)
+    less = replace(task, max_speed=0.99 * speed, max_sway=0.9 * check.value)
+    failed = broken(again(made, task=less, options=options, sag=made.sag, arm=arm))
+    assert set(failed) == {"expected tool speed", "simulated sway"}
+    assert failed["simulated sway"].bound == less.max_sway
 
 
 def test_numbers_that_are_none(short_plan: Plan) -> None:

@@ -11,7 +11,7 @@ from cmbot.archive import load_plan, save
 from cmbot.collision import Clearances
 from cmbot.common.errors import LimitViolation
 from cmbot.optimization import StateSamples
-from cmbot.planning import Plan, certify, plan
+from cmbot.planning import Plan, QuinticTrajectory, certify, plan
 from cmbot.planning.torque.constraints import ProcessSpeed
 from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Kinematics, Postures
@@ -74,6 +74,21 @@ def test_another_speed_breaks_the_certificate(steady_plan: Plan) -> None:
         scene.with_path(speed_tolerance=1e-4), steady_plan.options, stroke.trajectory, robot=robot, stroke=0
     )
     assert [check.quantity for check in broken if not check.holds] == [f"{QUANTITY} by a second computation"]
+
+
+def test_a_motion_that_ends_in_the_lead_in(steady_plan: Plan) -> None:
+    """There no speed is asked for, so none is missed: what is wrong is its time."""
+    (stroke,) = steady_plan.job.strokes
+    x = stroke.trajectory
+    t = np.linspace(0, 0.9 * stroke.task.path.process_parts[0][0], 3)
+    q, v, a = x.states(t)
+    short = QuinticTrajectory(t=t, q=q, v=v, a=a)
+    robot, scene = steady_plan.robot, steady_plan.scene
+    clearances = Clearances(robot, scene.all_obstacles)
+    found = certify(robot, stroke.task, short, clearances, steady_plan.options, via_points=0)
+    checks = {check.quantity: check for check in found.checks}
+    assert (checks[QUANTITY].value, checks[QUANTITY].holds) == (0.0, True)
+    assert not checks["difference of the trajectory's times from the tool path's"].holds
 
 
 def test_it_is_read_back(steady_plan: Plan, tmp_path: Path) -> None:
