@@ -14,7 +14,7 @@ from cmbot.archive.folder import read_folder
 from cmbot.archive.reading import load_plan
 from cmbot.archive.records import PLAN_FILE, TOUR_FILE, WALK_FILE, Entry, require_same
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import ArchiveError
+from cmbot.common.errors import ArchiveError, InputError
 from cmbot.common.reading.validation import given_path, shown, validated
 from cmbot.common.representation import short_repr
 from cmbot.planning import Plan
@@ -113,13 +113,15 @@ class _Reader:
 
     def node(self, file: StanceFile, key: str) -> Candidate:
         """The stance of an entry; the climber has to reach both feet."""
-        guardrail = self.scene.elastic_guardrail
         if file.climber_deg is None:
             raise self._error(f"{key}.climber_deg", "nothing", "five angles")
         try:
-            poses = [foothold_pose(guardrail, place) for place in file.held]
-        except (KeyError, ValueError, IndexError) as error:
-            raise self._error(key, shown(str(error)), "places on the guardrail") from error
+            # How its feet hold is judged with every move.
+            self.scene.guardrail.changed(hold=None, stance=file)
+        except InputError as error:
+            where = error.key.replace("stance", key, 1)
+            raise ArchiveError(self.source, where, error.got, error.expected, error.choices) from error
+        poses = [foothold_pose(self.scene.elastic_guardrail, place) for place in file.held]
         node = candidate_at(*file.places, poses[0], np.radians(file.climber_deg), self._climber)
         reached = node.root @ self._climber.poses(node.climber)[0]
         if len(poses) > 1 and np.abs(reached - poses[1]).max() > _SAME_PLACE:
@@ -313,8 +315,7 @@ def read_tour(folder: Path, read: Callable[[Path], Plan | Walk]) -> tuple[TourPa
 def bridge_of(scene: Scene) -> dict[str, Any]:
     """Return what a scene says beside its work and where the robot is, ready for JSON."""
     data = {name: value for name, value in scene.as_data().items() if name not in _KEYS_OF_ONE_STANCE}
-    if "guardrail" in data:
-        data["guardrail"] = {name: value for name, value in data["guardrail"].items() if name != "stance"}
+    data["guardrail"].pop("stance", None)
     return data
 
 

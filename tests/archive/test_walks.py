@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from plan_folders import seal
 from scipy.spatial.transform import Rotation
-from walks import one_step
+from walks import COUNTERWEIGHT_DEG, one_step
 
 from cmbot.archive import json_bytes, load_walk
 from cmbot.common.errors import ArchiveError, LimitViolation
 from cmbot.robot import Climber
-from cmbot.stances import Candidate
-from cmbot.stances.walking import walk_data
+from cmbot.stances import Candidate, in_world
+from cmbot.stances.walking import certified_move, walk_data
 from cmbot.toolpath import SpeedProfile
 from cmbot.trajectory import SplineSpace
 
@@ -58,6 +58,17 @@ def moved(lift: dict[str, Any], out: float, aside: float, turn_deg: float = 0.0)
     lift["seconds"] = trajectory.duration
 
 
+def both_feet(stance: dict[str, Any], by: float) -> None:
+    """Put both feet elsewhere on the rail, the climber as it is."""
+    for foot in ("foot_1", "foot_2"):
+        stance[foot]["along_m"] += by
+
+
+def last(data: dict[str, Any], **changes: Any) -> None:
+    """Let the walk end with another set of the foot, or with what this is made to be."""
+    data["last"] = {**data["steps"][0]["moves"][-1], **changes}
+
+
 def lamp(scene: dict[str, Any], place: Candidate) -> None:
     """Put a lamp beside foot 1."""
     X = place.root
@@ -70,6 +81,16 @@ CHANGES: list[tuple[Callable[[dict[str, Any]], object], str]] = [
     (lambda d: d.update(colour="red"), "colour"),
     (lambda d: d.pop("goal"), "goal"),
     (lambda d: d["steps"][0]["before"]["foot_1"].update(along_m=4.0), "steps[0].before.climber_deg"),
+    (lambda d: d["goal"].pop("climber_deg"), "goal.climber_deg: got nothing, expected five angles"),
+    (lambda d: d["goal"]["foot_1"].update(member="rope"), "goal.foot_1.member: got 'rope', expected a rail"),
+    (
+        lambda d: d["steps"][0]["after"]["foot_2"].update(along_m=7.1),
+        "steps[0].after.foot_2.along_m: got 7.1, expected at most the member's length, 7",
+    ),
+    (lambda d: both_feet(d["steps"][0]["after"], 0.05), "steps[0].after: got another place, expected foot 2"),
+    (lambda d: last(d), "last.kind: got set, expected arm"),
+    (lambda d: last(d, kind="arm"), "last.holds: got [2], expected [1, 2]"),
+    (lambda d: last(d, kind="arm", holds=[1, 2]), "last.knots.q: got 5 columns, expected 7"),
     (lambda d: d["steps"][0].update(before=d["steps"][0]["after"]), "steps[0].before: got another stance"),
     (lambda d: d["steps"][0].update(after=d["steps"][0]["before"]), "steps[0].after: got another stance"),
     (lambda d: d.update(goal=d["steps"][0]["before"]), "goal: got another stance"),
@@ -129,6 +150,21 @@ def test_a_motion_that_breaks_a_promise_is_refused(data: dict[str, Any], tmp_pat
     knots["q"] = (np.array(knots["q"]) + 0.3 * (np.arange(len(knots["t"])) == 1)[:, None]).tolist()
     with pytest.raises((LimitViolation, ArchiveError)):
         load_walk(written(forged, tmp_path))
+
+
+def test_an_arm_that_moves_at_last(tmp_path: Path) -> None:
+    """It goes on from where it was, and the walk ends where it ends."""
+    walk, space = one_step(), SplineSpace(np.linspace(0.0, 4.0, 5))
+    arm = np.radians(COUNTERWEIGHT_DEG)
+    motion = space.trajectory(space.least_jerk(arm + np.outer(np.linspace(0.0, 0.1, 5), np.eye(7)[6])))
+    last = certified_move(in_world(walk.scene), walk.goal, "arm", (1, 2), arm, motion, walk.speed)
+    moved = json.loads(json_bytes(walk_data(replace(walk, last=last))))
+    read = load_walk(written(moved, tmp_path)).last
+    assert read is not None and read.kind == "arm"
+    np.testing.assert_array_equal(read.segment.trajectory.q, motion.q)
+    moved["last"]["knots"]["q"] = (np.array(motion.q) + 1e-6).tolist()
+    with pytest.raises(ArchiveError, match=r"last\.knots\.q: got another posture, expected that in which"):
+        load_walk(written(moved, tmp_path))
 
 
 def test_steps_that_were_tried_in_vain(tmp_path: Path) -> None:
