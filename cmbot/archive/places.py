@@ -201,11 +201,9 @@ def plans_nearby(folder: Path) -> str:
     """Return a question that names the plan directories that may have been meant, or what shows a walk.
 
     The one around a file, those in `folder`, the one of its name in ``out`` or those in that, or those with
-    similar names here and there. It is empty where there are none, or `folder` is one itself.
+    similar names here and there. It is empty where there are none.
     """
     try:
-        if (folder / PLAN_FILE).exists():
-            return ""
         if (folder / WALK_FILE).is_file():
             return "; this folder is a walk's, which cmbot replay shows"
         if folder.is_file() and (folder.parent / PLAN_FILE).is_file():
@@ -213,7 +211,7 @@ def plans_nearby(folder: Path) -> str:
         default = _DEFAULT_PARENT / folder
         found = _inside(folder) or ([default] if (default / PLAN_FILE).is_file() else _inside(default))
         found = found or [*_similar(folder), *_similar(default)]
-    except OSError:  # a folder without permission, a name that is too long
+    except OSError:  # a folder without permission, a path that is too long
         return ""
     more = " or another one there" if len(found) > _MAX_SUGGESTIONS else ""
     meant = " or ".join(map(str, found[:_MAX_SUGGESTIONS]))

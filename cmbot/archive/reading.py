@@ -200,7 +200,7 @@ def _read(folder: Path, wanted: Any) -> tuple[dict[str, Any], dict[str, bytes]]:
     """Read plan.json and files beside it; where there is none, say which plan may have been meant."""
     try:
         is_folder = folder.is_dir()
-    except (OSError, ValueError) as error:  # no permission; a name that no file can have
+    except OSError as error:  # no permission; a name that is too long
         raise ArchiveError(shown(str(folder)), "", shown(str(error)), "a plan directory") from error
     expected = "a plan directory, as cmbot plan writes it"
     if not is_folder:

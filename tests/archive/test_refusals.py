@@ -1,6 +1,7 @@
 """What is refused of a plan directory as a whole: missing, damaged, of another version, of another plan."""
 
 import json
+import os
 import re
 
 import pytest
@@ -64,6 +65,16 @@ def test_no_folder(triangle_folder):
     words = r"plan\.json: got a file, not a folder, expected a plan directory, .*; did you mean \S*/plan\?$"
     with pytest.raises(ArchiveError, match=words):
         load_plan(triangle_folder / "plan.json")
+
+
+def test_paths_that_are_too_long(tmp_path, monkeypatch):
+    """No folder has such a name; of a path that just fits no plan is sought nearby."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ArchiveError, match="expected a plan directory"):
+        load_plan("a" * 300)
+    most = os.pathconf("/", "PC_PATH_MAX")
+    with pytest.raises(ArchiveError, match=r": no such folder, expected a plan directory, .* writes it$"):
+        load_plan(("a/" * most)[: most - 3] + "a")
 
 
 @pytest.mark.parametrize("version", ["cmbot-plan/1", "cmbot-plan/3", "cmbot-scene/2", 1, None])
