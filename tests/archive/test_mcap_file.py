@@ -266,6 +266,8 @@ def test_what_is_refused(
     assert "--effort: got nothing beside it" in told and not folder.exists()
     with pytest.raises(InputError, match=r"cmbot\.export_ros: plan"):
         export_ros(str(saved_short), path)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"cmbot\.export_ros: max_points: got 1, expected 2 to 100000$"):
+        export_ros(short_plan, tmp_path / "one.json", max_points=1)
     with pytest.raises(InputError, match=r"cmbot\.export_mcap: plan"):
         export_mcap(str(saved_short), path)  # type: ignore[arg-type]
     monkeypatch.setitem(sys.modules, "mcap_ros2.writer", None)

@@ -14,8 +14,9 @@ from ruamel.yaml import YAML
 from cmbot.archive import export_ros_package
 from cmbot.common.errors import ArchiveError
 from cmbot.common.installation import model_folder
-from cmbot.planning import Plan
+from cmbot.planning import Plan, robot_of
 from cmbot.robot import load_robot
+from cmbot.scene import load_scene
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +85,31 @@ def test_meshes_of_the_same_name_and_an_arm_without_an_srdf(
     assert chain is not None
     assert (chain.get("base_link"), chain.get("tip_link")) == ("arm_base", "tool0")
     assert [pair.get("reason") for pair in srdf.findall("disable_collisions")]
+
+
+def test_a_tool_that_is_added_is_in_the_package(short_plan: Plan, urdf_folder: Path, tmp_path: Path) -> None:
+    """The SRDF has an end effector already, which stays the only one."""
+    srdf = urdf_folder / "cmbot.srdf"
+    gun = '<end_effector name="gun" parent_link="tool0" group="climber"/></robot>'
+    srdf.write_text(srdf.read_text(encoding="utf-8").replace("</robot>", gun), encoding="utf-8")
+    frames = {"base_frame": "arm_base", "tool_frame": "tool0", "limits": urdf_folder / "joint_limits.yaml"}
+    tool = {"xyz": [0, 0, 0.2], "mass_kg": 0.5}
+    data = short_plan.scene.as_data()
+    data["robot"] = {"model": str(urdf_folder / "cmbot.urdf"), "srdf": str(srdf), "tool": tool}
+    data["robot"] |= {name: str(value) for name, value in frames.items()}
+    scene = load_scene(data)
+    robot = robot_of(scene)
+    package = export_ros_package(replace(short_plan, scene=scene, robot=robot), tmp_path / "gun_description")
+    urdf, semantics = package / "urdf" / "robot.urdf", package / "config" / "robot.srdf"
+    (effector,) = ElementTree.parse(semantics).getroot().findall("end_effector")
+    assert effector.get("name") == "gun"
+    model = pin.buildModelFromUrdf(str(urdf))
+    assert pin.computeTotalMass(model) == pytest.approx(
+        0.5 + pin.computeTotalMass(pin.buildModelFromUrdf(str(urdf_folder / "cmbot.urdf")))
+    )
+    tip = model.frames[model.getFrameId(robot.tool_frame)].placement
+    flange = model.frames[model.getFrameId("tool0")].placement
+    np.testing.assert_allclose((flange.inverse() * tip).translation, tool["xyz"], atol=1e-12)
 
 
 def test_it_says_which_limits_are_assumed(package: Path, short_plan: Plan, tmp_path: Path) -> None:

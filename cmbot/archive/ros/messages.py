@@ -18,7 +18,7 @@ from pydantic_core import to_json
 from scipy.spatial.transform import Rotation
 
 from cmbot.archive.folder import write_file
-from cmbot.collision import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere, load_mesh
+from cmbot.collision import Box, Capsule, Cylinder, Obstacle, Sphere, load_mesh
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import InputError, MissingExtra
 from cmbot.common.reading.validation import given_path, hint
@@ -385,8 +385,8 @@ def _solids(obstacle: Obstacle, marker: Callable[..., Message]) -> Iterator[Mess
                 ball = X.copy()
                 ball[:3, 3] += end * length * X[:3, 2]
                 yield marker(_SPHERE, obstacle.name, ball, [2 * radius] * 3, colour)
-        case Mesh(path=path, scale=scale):
-            mesh = load_mesh(path, obstacle.name, scale=scale)
+        case shape:
+            mesh = load_mesh(shape.path, obstacle.name, scale=shape.scale)
             corners = np.array(mesh.vertices)[np.array(mesh.faces).ravel()]
             yield marker(_TRIANGLES, obstacle.name, X, (1.0, 1.0, 1.0), colour, corners)
 

@@ -169,9 +169,8 @@ def _limits(robot: Robot) -> str:
     for i, joint in enumerate(robot.joints):
         lines.append(f"  {joint}:")
         for kind, (values, assumed) in bounds.items():
-            if np.isfinite(values[i]):
-                lines.append(f"    has_{kind}_limits: true")
-                lines.append(f"    max_{kind}: {_number(values[i])}{'  # assumed' if assumed[i] else ''}")
+            lines.append(f"    has_{kind}_limits: true")
+            lines.append(f"    max_{kind}: {_number(values[i])}{'  # assumed' if assumed[i] else ''}")
     return "\n".join(lines) + "\n"
 
 
