@@ -1,6 +1,7 @@
 """What was asked for: folders of other scenes, or of weaker promises, are refused in one line."""
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,9 +17,11 @@ from walks import one_step
 
 from cmbot import load_plan
 from cmbot.archive import WALK_FILE, export_csv, export_mcap, export_ros, save, write_results
+from cmbot.archive.verification import exported as exported_files
 from cmbot.archive.verification.asked import looser_promises, require_asked, require_done
+from cmbot.archive.verification.exported import unverified_files
 from cmbot.common.errors import ArchiveError, InputError
-from cmbot.planning import Plan, plan, robot_of
+from cmbot.planning import Plan, QuinticTrajectory, plan, robot_of
 from cmbot.robot import Kinematics
 from cmbot.scene import PlannerOptions, Scene, load_scene
 from cmbot.stances.walking import walk_csv, walk_data
@@ -177,11 +180,19 @@ def test_strokes_in_another_order(tmp_path: Path) -> None:
     require_asked(turned, scene.with_strokes(scene.strokes, "best"), "plan.json")
 
 
+def test_a_stroke_that_was_not_asked() -> None:
+    scene = several()
+    with pytest.raises(ArchiveError, match="strokes: got 2 strokes, expected 1, as asked"):
+        require_asked(scene, scene.with_strokes(scene.strokes[:1]), "plan.json")
+
+
 def test_the_quickest_time_is_planned(tmp_path: Path) -> None:
     path = {"legs": [{"by": [0, -0.3, 0]}], "seconds": "auto", "via_points": 12}
     scene = load_scene({**SHORT, "tool_path": path})
     folder = save(plan(scene), tmp_path / "quick")
-    load_plan(folder, verify=True, scene=scene)
+    file = write_scene(tmp_path / "quick.yaml", scene.as_data())
+    told = output("verify", folder, "--scene", file, "--json")
+    assert "seconds: auto (that no time is shorter)" in json.loads(told)["not_verified"]
     slower = load_scene({**SHORT, "tool_path": {**path, "max_base_torque_nm": 480.0}})
     with pytest.raises(ArchiveError, match="max_base_torque_nm: got nothing, expected 480"):
         load_plan(folder, verify=True, scene=slower)
@@ -235,6 +246,13 @@ def test_a_raster_in_parts(tmp_path: Path) -> None:
     parts = scene.in_cells(X_WT)
     assert len(parts.strokes) > 1
     require_asked(parts, scene, "plan.json")
+    # Beside the rows of a raster a stroke of legs stays what it is.
+    begin = {"frame": "bracket", "xyz": [0, 0, 0.1]}
+    edge = {"name": "edge", "from": begin, "legs": [{"by": [0.1, 0, 0], "seconds": 2}], "via_points": 12}
+    rows = scene.strokes[0].model_dump(mode="json", exclude_none=True) | {"name": "rows"}
+    both = load_scene({**scene.as_data(), "tool_path": {"strokes": [rows, edge]}})
+    X_WT = Kinematics(robot_of(both)).tool_pose(np.array(both.posture)).homogeneous
+    require_asked(both.in_cells(X_WT), both, "plan.json")
     quicker = parts.with_path(speed_m_s=0.2)
     with pytest.raises(ArchiveError, match=r"strokes\[0\].speed_m_s: got 0.2, expected 0.1, as asked"):
         require_asked(quicker, scene, "plan.json")
@@ -256,6 +274,8 @@ def test_arguments(short_folder: Path) -> None:
     with pytest.raises(InputError, match="scene"):
         load_plan(short_folder, verify=True, scene=SHORT)  # type: ignore[arg-type]
     assert "--to: " in refusal("verify", short_folder, "--to", "triangle")
+    twice = refusal("verify", short_folder, "--scene", "triangle", "--scene", "line")
+    assert twice.endswith("--scene: got 2 scenes, expected one: only a tour is of several")
 
 
 # What goes to the robot
@@ -312,6 +332,49 @@ def test_a_message_with_other_points_before_its_own(exported: Path) -> None:
     assert refusal("verify", exported).endswith("got a key that is there twice, expected each key once")
 
 
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda data: data.update(joint_names=["elbow"]), "joint_names: got ['elbow'], expected joints of"),
+        (lambda data: data.update(joint_names=None), "joint_names: got None, expected joints of the arm"),
+        (lambda data: data.update(points=[{}]), "points: got [{}], expected points with times"),
+        (lambda data: data.pop("points"), "points: got None, expected points with times"),
+    ],
+)
+def test_a_message_that_no_controller_takes(
+    exported: Path, short_plan: Plan, change: Callable[[dict[str, Any]], object], told: str
+) -> None:
+    path = exported / "job.ros.json"
+    data = json.loads(path.read_text(encoding="utf-8"))
+    change(data)
+    path.write_text(json.dumps(data), encoding="utf-8")
+    with pytest.raises(ArchiveError, match=re.escape(f"{path}: {told}")):
+        unverified_files(short_plan, exported)
+
+
+def test_files_of_something_else_are_named(
+    exported: Path, short_plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, content in (("notes.json", '{"nozzle": "monday"}'), ("list.json", "[1]"), ("cut.json", "{")):
+        (exported / name).write_text(content, encoding="utf-8")
+    assert unverified_files(short_plan, exported) == ("cut.json", "list.json", "notes.json")
+    monkeypatch.setattr(exported_files, "find_spec", {"mcap_ros2": None}.get)
+    assert "job.mcap" in unverified_files(short_plan, exported)
+
+
+def test_the_work_alone_after_an_approach(returning_plan: Plan, tmp_path: Path) -> None:
+    """It has fewer rows than the job, and is compared with the work."""
+    folder = save(returning_plan, tmp_path / "plan")
+    export_csv(returning_plan, folder / "work.csv", work=True)
+    assert unverified_files(returning_plan, folder) == ()
+    lines = (folder / "work.csv").read_text(encoding="utf-8").splitlines()
+    assert len(lines) < (folder / "job.csv").read_bytes().count(b"\n")
+    (folder / "work.csv").write_text("\n".join([*lines[:-2], lines[-1], ""]), encoding="utf-8")
+    told = f"work.csv: got {len(lines) - 2} rows, expected {len(lines) - 1} rows, as the knots have them"
+    with pytest.raises(ArchiveError, match=told):
+        unverified_files(returning_plan, folder)
+
+
 @pytest.mark.parametrize("name", ["job.csv", "job.npz", "plan.json"])
 def test_parts_that_only_cmbot_would_read(short_folder: Path, name: str) -> None:
     (short_folder / f".{name}.part").write_bytes((short_folder / name).read_bytes())
@@ -325,6 +388,16 @@ def test_parts_that_only_cmbot_would_read(short_folder: Path, name: str) -> None
 def test_a_table_that_says_hello(short_folder: Path, name: str) -> None:
     rewrite(short_folder, name, b"hello")
     assert f"/{name}: line 1: got 'hello'" in refusal("verify", short_folder)
+
+
+def test_a_row_that_lacks_a_cell(short_folder: Path, short_plan: Plan) -> None:
+    lines = (short_folder / "job.csv").read_text(encoding="utf-8").splitlines()
+    cells = lines[8].split(",")
+    text = "\n".join([*lines[:8], ",".join(cells[:-1]), *lines[9:], ""])
+    (short_folder / "job.csv").write_text(text, encoding="utf-8")
+    told = f"job.csv: line 9: got {len(cells) - 1} cells, expected {len(cells)} cells"
+    with pytest.raises(ArchiveError, match=told):
+        unverified_files(short_plan, short_folder)
 
 
 def test_another_accuracy_than_the_motion_has(short_folder: Path) -> None:
@@ -372,6 +445,11 @@ def test_a_bag_of_another_motion(exported: Path, short_plan: Plan) -> None:
     export_mcap(changed(short_plan, "work", trajectory=lower), exported / "job.mcap")
     error = refusal("verify", exported)
     assert "job.mcap: /joint_trajectory at 0 s.points[0].positions[0]: got " in error
+    # Of half the motion there are half the messages.
+    half = len(trajectory.t) // 2 + 1
+    states = {name: getattr(trajectory, name)[:half] for name in "tqva"}
+    export_mcap(changed(short_plan, "work", trajectory=QuinticTrajectory(**states)), exported / "job.mcap")
+    assert re.search(r"job\.mcap: got \d+ messages, expected \d+, as the knots", refusal("verify", exported))
     (exported / "job.mcap").write_bytes(b"hello")
     assert "job.mcap: got a damaged file" in refusal("verify", exported)
 

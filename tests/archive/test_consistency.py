@@ -1,12 +1,13 @@
 """Plan directories whose parts are each valid, but do not belong together."""
 
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from forgeries import put_job
+from forgeries import changed_scene, put_job
 from plan_folders import edit, npz, refused, rewrite
 from small_scenes import short_scene
 
@@ -68,6 +69,7 @@ def folder(sliding: Path, tmp_path: Path) -> Path:
         (lambda data: data["segments"][1].update(begin=0.0), "segments[1].begin"),
         (lambda data: data["segments"][1].update(max_tool_lag=1.0), "planned.max_tool_lag"),
         (lambda data: data.update(baseline=None), "baseline"),
+        (lambda data: data["files"].pop("baseline.csv"), "files"),
         (lambda data: data.update(strokes=[{**data, "name": "other"}]), "strokes"),
         (lambda data: data.update(torque_floor=data["torque_floor"] + 1e-3), "torque_floor"),
         (lambda data: data.update(torque_floor_kind="estimated"), "torque_floor_kind"),
@@ -124,6 +126,33 @@ def test_a_stroke_that_begins_elsewhere(folder, sliding_plan):
     own, first = sliding_plan.job.trajectory, len(sliding_plan.approach.trajectory.t) - 1
     rewrite(folder, "job.npz", knots_of(own, q=nudged(own.q, first)))
     refused(folder, "plan.json", "start.posture_deg[3]")
+
+
+def test_a_baseline_without_the_rows_of_a_stroke(strokes_plan, tmp_path):
+    """Its table has both strokes; where the second one begins is between two rows."""
+    folder = save(strokes_plan, tmp_path / "plan")
+    begin = json.loads((folder / "plan.json").read_text())["strokes"][1]["baseline"]["begin"]
+    edit(folder, lambda data: data["strokes"][1]["baseline"].update(begin=begin + 1e-3))
+    error = refused(folder, "baseline.csv", "t")
+    assert error.got == "no row where a stroke begins or ends"
+    assert error.expected == f"rows from {begin + 1e-3:g} to {begin + 3.001:g} s"
+
+
+def test_via_points_that_are_left_open(folder):
+    """A plan has a number of them: by ``auto`` less would be promised where the tool is."""
+    edit(folder, lambda data: changed_scene(data, lambda s: s["tool_path"].update(via_points="auto"), folder))
+    error = refused(folder, "plan.json", "scene.tool_path.via_points", lambda f: load_plan(f, verify=True))
+    assert (error.got, error.expected) == ("auto", "a number, as plans have it")
+
+
+def test_peaks_of_a_custom_objective_are_the_files_word(short_plan, tmp_path):
+    """Of the function a file has the name only: they are not computed again, as all other figures are."""
+    nothing = dict.fromkeys(("moment_about", "axis_weights", "floor"))
+    own = replace(
+        short_plan.objective, own=True, name="mine", unit="", planned_peak=1.0, baseline_peak=2.0, **nothing
+    )
+    folder = save(replace(short_plan, objective=own), tmp_path / "plan")
+    assert load_plan(folder, verify=True).objective == own
 
 
 def test_a_choice_without_a_way(sliding_plan, tmp_path):

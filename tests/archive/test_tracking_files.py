@@ -3,14 +3,14 @@
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import plan_folders
 import pytest
-from plan_folders import rewrite
+from plan_folders import edit, rewrite
 
 import cmbot
 from cmbot.archive import load_plan, load_tracking, save, save_tracking
@@ -109,6 +109,35 @@ def test_what_the_plan_does_not_name_is_not_read(
     for name in (*TABLES, "tracking.json"):
         shutil.copy(saved / name, other)
     assert load_tracking(short_plan, other) is None
+
+
+def test_a_table_that_the_plan_does_not_name(folder: Path, short_plan: Plan) -> None:
+    """The metrics are those of two motions: a table of one is not all."""
+    edit(folder, lambda data: data["files"].pop("tracking_baseline.csv"))
+    error = refused(short_plan, folder, "tracking.json", "baseline")
+    assert error.got == "tracking.csv, tracking.json"
+
+
+def test_it_is_saved_beside_a_plan_only(short_tracking: Tracking, tmp_path: Path) -> None:
+    with pytest.raises(
+        ArchiveError, match="got no plan directory, expected a folder that a plan was saved in"
+    ):
+        save_tracking(short_tracking, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_on_a_rigid_base_tables_have_no_column_of_it(
+    short_plan: Plan, saved_short: Path, short_tracking: Tracking, tmp_path: Path
+) -> None:
+    assert short_tracking.baseline is not None and short_tracking.planned.base is not None
+    motions = {name: replace(getattr(short_tracking, name), base=None) for name in ("baseline", "planned")}
+    folder = Path(shutil.copytree(saved_short, tmp_path / "short"))
+    save_tracking(replace(short_tracking, **motions), folder)
+    header = (folder / "tracking.csv").read_text(encoding="ascii").partition("\n")[0]
+    assert not [name for name in header.split(",") if name.startswith("base")]
+    read = load_tracking(short_plan, folder)
+    assert read is not None and read.planned.base is None and read.planned.largest_base_displacement == 0.0
+    np.testing.assert_allclose(read.planned.error, short_tracking.planned.error, atol=1e-12)
 
 
 @pytest.mark.parametrize(

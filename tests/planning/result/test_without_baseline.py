@@ -10,7 +10,7 @@ import pytest
 from plan_folders import edit, names, refused
 from small_scenes import short_scene, strokes_scene
 
-from cmbot.archive import load_plan, load_tracking, save, save_tracking
+from cmbot.archive import Asked, load_plan, load_tracking, save, save_tracking, verified_motions
 from cmbot.planning import Plan, baseline_faults, composition, plan, remarks, verdict
 from cmbot.scene import PlannerOptions, load_scene
 from cmbot.simulation import SimulationOptions, Tracking, simulate, tracking_remarks, tracking_summary
@@ -68,7 +68,9 @@ def test_its_folder_has_none(alone: Plan, simulated: Tracking, tmp_path: Path) -
     data = json.loads((folder / "plan.json").read_text())
     assert data["baseline"] is None
     assert [stroke["baseline"] for stroke in data["strokes"]] == [None, None]
-    read = load_plan(folder, verify=True, scene=alone.scene)
+    told = verified_motions(folder, Asked(scenes=(alone.scene,)))
+    assert told.not_verified and not any("baseline" in claim for claim in told.not_verified)
+    read = load_plan(folder)
     assert read.baseline is None and read.job.figures == alone.job.figures
     assert save_tracking(simulated, folder)
     assert "tracking_baseline.csv" not in names(folder)
