@@ -268,6 +268,19 @@ def test_a_tool_that_may_turn(short_plan: Plan) -> None:
     assert certificate.figures.max_tool_rotation == 0.0
 
 
+@pytest.mark.parametrize(("joint", "tilt"), [(6, 0.0), (5, 0.2)])
+def test_a_tool_that_may_lean(short_plan: Plan, joint: int, tilt: float) -> None:
+    """By 0.2 rad about another joint, out of its cone; about its own axis, the last joint's, not at all."""
+    x = short_plan.trajectory
+    turned = {"trajectory": replace(x, q=x.q + 0.2 * np.eye(7)[joint]), "start": None}
+    certificate = again(short_plan, **turned, task=replace(short_plan.task, keep="position", cone=0.1))
+    (check,) = (each for each in certificate.checks if each.quantity.startswith("tool tilt"))
+    assert (check.bound, check.holds) == (0.1, tilt < 0.1)
+    # Between via-points the plan itself is off by less.
+    assert check.value == pytest.approx(tilt, abs=1e-4)
+    assert not [each for each in certificate.checks if each.quantity.startswith("rotation of the tool")]
+
+
 def test_speed_and_sway_of_the_bent_tool(compensated_short: tuple[Plan, Tracking]) -> None:
     """The speed by differences of the bent tool's place, the sway by the simulation of all that bends."""
     made, simulated = compensated_short
