@@ -264,13 +264,14 @@ def test_with_clamps_hold_is_ranked_by_the_pull_of_magnets_in_their_place(rankin
 RAIL = {"name": "top", "height_m": 0.0, "section": {"angle": [0.075, 0.008]}, "box_m": [0.075, 0.075]}
 PLACE = {"member": "post_3"}
 WIDE = StandOptions(spacing=1.5, pair_spacing=np.inf, plans=1)
+FEW = replace(WIDE, members=("post_3",))
 
 
 def test_no_best_stance_is_worse_than_the_scenes(scene: Scene) -> None:
     """Of one that is better than any on another grid."""
-    (better,) = stand(scene, WIDE)
+    (better,) = stand(scene, FEW)
     good = best_scene(better)
-    (found,) = stand(good, replace(WIDE, spacing=2.2))
+    (found,) = stand(good, replace(FEW, spacing=2.2))
     peak = plan(good).objective.planned_peak
     assert found.best.plan.objective.planned_peak <= peak * (1 + 1e-9)
     assert found.best.own
@@ -399,7 +400,7 @@ class _Stopped:
 @pytest.mark.parametrize("at", ["checking", "charting", "planning the most"])
 def test_a_search_that_is_stopped_keeps_the_best_so_far(scene: Scene, at: str) -> None:
     stopped = _Stopped(at)
-    (found,) = stand(scene, WIDE, stopped)
+    (found,) = stand(scene, FEW, stopped)
     assert found.ended_by == "interrupt"
     assert found.best.own
     assert found.count("planned") == 1
@@ -412,13 +413,13 @@ def test_a_search_that_is_stopped_keeps_the_best_so_far(scene: Scene, at: str) -
 @pytest.mark.parametrize("at", ["screening", "own stance"])
 def test_a_search_that_has_nothing_is_stopped(scene: Scene, at: str) -> None:
     with pytest.raises(KeyboardInterrupt):
-        stand(scene, WIDE, _Stopped(at))
+        stand(scene, FEW, _Stopped(at))
 
 
 def test_a_search_ends_with_its_time(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     late = _Stopped("checking", interrupts=False)
     monkeypatch.setattr("cmbot.stances.search.monotonic", late.clock)
-    (found,) = stand(scene, replace(WIDE, time_limit=1e6), late)
+    (found,) = stand(scene, replace(FEW, time_limit=1e6), late)
     assert found.ended_by == "time"
     assert found.best.own
     assert sum("checking" in step for step in late.steps) == 1
@@ -428,7 +429,7 @@ def test_a_search_ends_with_its_time(scene: Scene, monkeypatch: pytest.MonkeyPat
 def test_the_screening_leaves_time_for_the_own_stance(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     late = _Stopped("screening", interrupts=False)
     monkeypatch.setattr("cmbot.stances.search.monotonic", late.clock)
-    (found,) = stand(scene, replace(WIDE, time_limit=2e9), late)
+    (found,) = stand(scene, replace(FEW, time_limit=2e9), late)
     assert found.ended_by == "time"
     assert sum("screening" in step for step in late.steps) == 1
     assert found.own[0].status == "planned"
@@ -498,7 +499,7 @@ def test_no_stance_beyond_a_bound_is_the_best(scene: Scene, ranking: StanceRanki
 
 @pytest.mark.parametrize("objective", ["sag", "sway"])
 def test_what_bends_is_ranked_by_its_sag_and_its_sway(objective: Any) -> None:
-    (found,) = stand(scene_of("torque"), replace(WIDE, objective=objective))
+    (found,) = stand(scene_of("torque"), replace(FEW, objective=objective))
     best, (own,) = found.best, found.own
     value = {"sag": lambda f: f.sag_mm, "sway": lambda f: f.sway_mm}[objective]
     assert found.unit == {"sag": "mm", "sway": "mm per m/s2"}[objective]
@@ -517,7 +518,7 @@ def test_what_bends_is_ranked_by_its_sag_and_its_sway(objective: Any) -> None:
 
 def test_others_sag_no_more_than_the_scenes_own_unless_any_sag_is_allowed() -> None:
     bending = scene_of("torque")
-    (found,) = stand(bending, WIDE)
+    (found,) = stand(bending, FEW)
     (own,), most = found.own, found.sag_limit.most_mm
     assert "own stance sags" in found.sag_limit.source
     assert own.figures.sag_mm == pytest.approx(most, rel=0.1)
@@ -526,7 +527,7 @@ def test_others_sag_no_more_than_the_scenes_own_unless_any_sag_is_allowed() -> N
     assert all((each.figures.sag_mm or each.at_rest.sag_mm) <= 1.05 * most for each in others)
     said = f"Other stances that sag by more than {most:.3g} mm, what the scene's own stance sags (estimate),"
     assert any(said in sentence for sentence in in_words(found))
-    for lifted in (replace(WIDE, any_sag=True), replace(WIDE, bounds=Bounds(sag_mm=900.0))):
+    for lifted in (replace(FEW, any_sag=True), replace(FEW, bounds=Bounds(sag_mm=900.0))):
         (anywhere,) = stand(bending, lifted)
         assert anywhere.sag_limit is None
         assert not any("sag by more than" in sentence for sentence in in_words(anywhere))

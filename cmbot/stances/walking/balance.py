@@ -140,7 +140,8 @@ class Balance:
         bodies, R = self._climber.bodies(node.climber), node.root[:3, :3]
         effort = self._torques(bodies, foot, R) / self._climber.effort
         holding, wrench = self._holding(place, foot), self._wrench(bodies, foot, R)
-        adhesion = holding.each(wrench)[:, 0] if holding.adhesive else np.zeros(K)
+        # The share asks for it of the same wrenches.
+        adhesion = holding(wrench)[0] if holding.adhesive else np.zeros(K)
         largest = effort.max(axis=1)
         return StepLoad(
             use=np.maximum(largest, holding.share(wrench)[0]),
