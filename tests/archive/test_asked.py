@@ -16,7 +16,16 @@ from small_scenes import SHORT, short_scene, strokes_scene
 from walks import one_step
 
 from cmbot import load_plan
-from cmbot.archive import WALK_FILE, export_csv, export_mcap, export_ros, save, write_results
+from cmbot.archive import (
+    WALK_FILE,
+    Asked,
+    export_csv,
+    export_mcap,
+    export_ros,
+    save,
+    verified_motions,
+    write_results,
+)
 from cmbot.archive.verification import exported as exported_files
 from cmbot.archive.verification.asked import looser_promises, require_asked, require_done
 from cmbot.archive.verification.exported import unverified_files
@@ -167,7 +176,8 @@ def several(**changes: Any) -> Scene:
 def test_strokes_and_what_planning_decides_of_them(changes: dict[str, Any], tmp_path: Path) -> None:
     scene = several(**changes)
     folder = save(plan(scene), tmp_path / "strokes")
-    load_plan(folder, verify=True, scene=scene)
+    told = verified_motions(folder, Asked(scenes=(scene,))).not_verified
+    assert ("tool_path.order (that no other is better)" in told) == ("order" in changes)
 
 
 def test_strokes_in_another_order(tmp_path: Path) -> None:
@@ -506,8 +516,9 @@ def test_a_foot_that_is_quicker_than_usual(walked: Path) -> None:
 def test_claims_are_computed_again_or_named(triangle_folder: Path) -> None:
     data = json.loads(output("verify", triangle_folder, "--scene", "triangle", "--json"))
     claims = " ".join(data["not_verified"])
-    for claim in ("torque_floor (", "gap_to_floor", "choice", "baseline"):
+    for claim in ("torque_floor (", "gap_to_floor", "choice", "baseline", "no motion has a lower torque"):
         assert claim in claims
+    assert "tool_path.order" not in claims
     assert "Not verified: baseline" in output("verify", triangle_folder)
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import assume, given, settings, strategies as st
 from scipy.integrate import solve_ivp
 from small_scenes import short_scene
 
@@ -184,3 +184,45 @@ def test_a_law_is_no_quicker_than_the_speed_that_is_asked() -> None:
     timed(TimeLaw.ramped("quiet", 0.2, 0.6, 0.2)).timed_strokes(np.eye(4))
     with pytest.raises(SceneError, match=r"time_laws: got a law of leg 0 with up to 0\.16 m/s, expected"):
         timed(TimeLaw.ramped("quiet", 0.5, 0.0, 0.5)).timed_strokes(np.eye(4))
+
+
+DASH = TimeLaw.ramped("quiet", 0.3, 0.4, 0.3)
+QUIET = short_scene(
+    tool_path={"legs": [{"by": [0, -0.3, 0], "seconds": SECONDS}], "speed_profile": {"kind": "quiet"}}
+)
+
+
+def sequence(*parts: tuple[float, float]) -> LegLaw:
+    """Moves (seconds, share of the way) one after the other; with no share the tool waits."""
+    seconds, jerk = list[float](), [0.0]
+    for duration, share in parts:
+        move = LegLaw.of(0, DASH, duration)
+        seconds += move.seconds if share else [duration]
+        jerk += [share * each for each in move.jerk[1:]] if share else [0.0]
+    return LegLaw(leg=0, seconds=tuple(seconds), jerk=tuple(jerk))
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        [(0.2, 0.0), (0.6, 1.0), (0.2, 0.0)],
+        [(0.3, 0.0), (0.7, 1.0)],
+        [(0.4, 0.6), (0.6, 0.4)],
+        [(0.25, 0.25)] * 4,
+    ],
+)
+def test_a_quiet_law_that_waits_or_stops_in_between_is_refused(parts: list[tuple[float, float]]) -> None:
+    law = sequence(*((share * SECONDS, way) for share, way in parts))
+    with pytest.raises(SceneError, match=r"time_laws: got a law of leg 0 that waits, or slows down"):
+        QUIET.with_path(time_laws=(law,)).timed_strokes(np.eye(4))
+
+
+@given(st.one_of(st.none(), shapers), st.floats(0.08, 0.49), st.sampled_from([0.0, 0.25, 0.5, 0.75]))
+@settings(max_examples=60, deadline=None)
+def test_ramps_with_a_shaper_are_taken(shaper: Shaper | None, ramp: float, flat: float) -> None:
+    law = TimeLaw.ramped("quiet", ramp, 1 - 2 * ramp, ramp, flat=flat)
+    if shaper is not None:
+        assume(shaper.duration <= 0.4 * SECONDS)
+        law = law.shaped(shaper, SECONDS)
+    (stroke,) = QUIET.with_path(time_laws=(LegLaw.of(0, law, SECONDS),)).timed_strokes(np.eye(4))
+    assert stroke.path.duration == pytest.approx(SECONDS)

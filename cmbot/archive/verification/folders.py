@@ -187,7 +187,7 @@ def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdi
             part, skipped = read_plan(folder, verify=True, asked=scene, options=asked.options)
             own = resolved_options(part.scene, bending_arm(part.scene, part.robot), part.scene.planner)
             looser = looser_promises(part.options, own)
-            skipped = (*_claims(part), *skipped)
+            skipped = (*_claims(part, scene), *skipped)
         taken = () if asked.scenes else tuple(_taken(part.scene))
         motions = tuple(_motions(name, part))
     except LimitViolation as error:
@@ -247,7 +247,7 @@ def _others(folder: Path, known: Collection[str]) -> tuple[str, ...]:
     return tuple(sorted(name for name in names if name[0] != "."))
 
 
-def _claims(plan: Plan) -> Iterator[str]:
+def _claims(plan: Plan, asked: Scene | None) -> Iterator[str]:
     """The keys of plan.json whose values only planning anew could confirm."""
     if plan.baseline is not None:
         yield "baseline (that it is the motion it is compared with)"
@@ -261,6 +261,9 @@ def _claims(plan: Plan) -> Iterator[str]:
             yield f"raster {name} (that nothing reaches the rows that it leaves out)"
     if any(stroke.is_open for stroke in plan.scene.strokes):
         yield "seconds: auto (that no time is shorter)"
+    if asked is not None and asked.order == "best":
+        yield "tool_path.order (that no other is better)"
+    yield f"planned (that no motion has a lower {plan.objective.name})"
     yield "start.failures, passes, runs, stopped, missing, fallbacks, seconds, versions, along_self_motion"
     yield "certificate.checks, times of peaks, options of effort"
 

@@ -13,7 +13,16 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.common.representation import short_repr
 from cmbot.scene.path.path_file import StrokeFile
-from cmbot.toolpath import Coverage, PathSource, RowPiece, Surface, ToolPath, timed_path, without
+from cmbot.toolpath import (
+    Coverage,
+    PathSource,
+    RowPiece,
+    Surface,
+    TimeLaw,
+    ToolPath,
+    timed_path,
+    without,
+)
 
 # What splines follow between two via-points to a millimetre: way of the tool, m, turn of the tool and of the
 # path, rad, and seconds; and how many segments a ramp has.
@@ -27,6 +36,9 @@ _POSE_VALUES = 12
 _DURATION_TOLERANCE = 1e-6
 # By what share a speed at a sample may exceed another one.
 _SPEED_TOLERANCE = 1e-3
+# Ramps with a shaper of up to 0.4 of the time: in which share of it a tool may hardly move at an end, and how
+# far from half of the way it may be in the middle; of what planning chooses 0.11 and 0.08 are the most.
+_MOST_IDLE, _MOST_LOPSIDED = 0.14, 0.1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -153,6 +165,20 @@ def _check_laws(file: StrokeFile, path: ToolPath, place: PathSource) -> None:
         if law.leg not in path.open_legs and abs(law.duration - seconds) > _DURATION_TOLERANCE * seconds:
             got = f"{law.duration:g} s on leg {law.leg}"
             raise SceneError(place.source, key, got, f"the {seconds:g} s of that leg")
+        if law.leg not in path.open_legs and not _is_ramped(law.law):
+            got = f"a law of leg {law.leg} that waits, or slows down in between"
+            raise SceneError(place.source, key, got, "one speed between two ramps, with or without a shaper")
+
+
+def _is_ramped(law: TimeLaw) -> bool:
+    """Whether a law could be of ramps and a shaper: its speed rises, then falls, about the middle."""
+    u = np.linspace(0.0, 1.0, 1001)
+    speed = law.rate(u)
+    rises, falls = np.maximum.accumulate(speed), np.maximum.accumulate(speed[::-1])[::-1]
+    moves = u[speed >= 0.01 * speed.max()]
+    lopsided = abs(float(law.share(np.array([0.5]))[0]) - 0.5)
+    is_even = (np.minimum(rises, falls) - speed).max() <= _SPEED_TOLERANCE * speed.max()
+    return bool(is_even and max(moves[0], 1 - moves[-1]) <= _MOST_IDLE and lopsided <= _MOST_LOPSIDED)
 
 
 def _check_speeds(stroke: Stroke, plain: ToolPath, place: PathSource) -> None:
