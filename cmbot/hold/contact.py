@@ -190,7 +190,7 @@ class Contact:
             twist = size[:, 2] + friction * by_moment * size[:, 1] + tables.size * size[:, 0]
             turned = np.stack([grown] * 2)
             turned[:, :, 4] += np.array([[-1.0], [1.0]]) * twist / left
-            slips = self.slip(turned.reshape(-1, 5), friction, gap)[0].reshape(2, -1)
+            slips = self.slip(turned.reshape(-1, 5), friction, gap, np.tile(enough, 2))[0].reshape(2, -1)
             enough = np.maximum(enough, slips.max(axis=0))
             share = tips / np.maximum(enough, 1e-300)
         least[finite] = enough
