@@ -49,13 +49,18 @@ from cmbot.views.overview.stances import _apart
 COARSE = StandOptions(spacing=0.7, pair_spacing=np.inf, plans=1)
 
 
-def scene_of(objective: str = "hold", **changes: Any) -> Scene:
-    return short_scene(planner={"objective": objective, "knots": "sliding"}, **changes)
+def scene_of(objective: str = "hold", knots: str = "sliding", **changes: Any) -> Scene:
+    return short_scene(planner={"objective": objective, "knots": knots}, **changes)
 
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     return scene_of()
+
+
+@pytest.fixture(scope="module")
+def quick() -> Scene:
+    return scene_of("torque", "fixed")
 
 
 @pytest.fixture(scope="module")
@@ -398,9 +403,9 @@ class _Stopped:
 
 
 @pytest.mark.parametrize("at", ["checking", "charting", "planning the most"])
-def test_a_search_that_is_stopped_keeps_the_best_so_far(scene: Scene, at: str) -> None:
+def test_a_search_that_is_stopped_keeps_the_best_so_far(quick: Scene, at: str) -> None:
     stopped = _Stopped(at)
-    (found,) = stand(scene, FEW, stopped)
+    (found,) = stand(quick, FEW, stopped)
     assert found.ended_by == "interrupt"
     assert found.best.own
     assert found.count("planned") == 1
@@ -411,25 +416,25 @@ def test_a_search_that_is_stopped_keeps_the_best_so_far(scene: Scene, at: str) -
 
 
 @pytest.mark.parametrize("at", ["screening", "own stance"])
-def test_a_search_that_has_nothing_is_stopped(scene: Scene, at: str) -> None:
+def test_a_search_that_has_nothing_is_stopped(quick: Scene, at: str) -> None:
     with pytest.raises(KeyboardInterrupt):
-        stand(scene, FEW, _Stopped(at))
+        stand(quick, FEW, _Stopped(at))
 
 
-def test_a_search_ends_with_its_time(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_search_ends_with_its_time(quick: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     late = _Stopped("checking", interrupts=False)
     monkeypatch.setattr("cmbot.stances.search.monotonic", late.clock)
-    (found,) = stand(scene, replace(FEW, time_limit=1e6), late)
+    (found,) = stand(quick, replace(FEW, time_limit=1e6), late)
     assert found.ended_by == "time"
     assert found.best.own
     assert sum("checking" in step for step in late.steps) == 1
     assert sum("its time was over (--time-limit): what" in line for line in in_words(found)) == 1
 
 
-def test_the_screening_leaves_time_for_the_own_stance(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_screening_leaves_time_for_the_own_stance(quick: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     late = _Stopped("screening", interrupts=False)
     monkeypatch.setattr("cmbot.stances.search.monotonic", late.clock)
-    (found,) = stand(scene, replace(FEW, time_limit=2e9), late)
+    (found,) = stand(quick, replace(FEW, time_limit=2e9), late)
     assert found.ended_by == "time"
     assert sum("screening" in step for step in late.steps) == 1
     assert found.own[0].status == "planned"
@@ -499,7 +504,7 @@ def test_no_stance_beyond_a_bound_is_the_best(scene: Scene, ranking: StanceRanki
 
 @pytest.mark.parametrize("objective", ["sag", "sway"])
 def test_what_bends_is_ranked_by_its_sag_and_its_sway(objective: Any) -> None:
-    (found,) = stand(scene_of("torque"), replace(FEW, objective=objective))
+    (found,) = stand(scene_of("torque", "fixed"), replace(FEW, objective=objective))
     best, (own,) = found.best, found.own
     value = {"sag": lambda f: f.sag_mm, "sway": lambda f: f.sway_mm}[objective]
     assert found.unit == {"sag": "mm", "sway": "mm per m/s2"}[objective]
