@@ -28,19 +28,27 @@ def test_only_what_is_across_the_path_counts(displaced: list[float], across: flo
     np.testing.assert_allclose(got, across, rtol=0, atol=1e-9)
 
 
-def test_half_of_what_changes_in_between_is_added() -> None:
-    """The standard deviation grows with the first joint, by a millimetre in eighths of 4 s."""
+@pytest.mark.parametrize(
+    ("ends", "parts_of_time"),
+    [
+        # Every quarter of a second the deviation is computed, and in eighths of short motions.
+        ((0.0, 4.0), 16),
+        ((0.0, 1.0, 4.0), 16),
+        ((0.0, 0.3, 1.0), 8),
+    ],
+)
+def test_half_of_what_changes_in_between_is_added(ends: tuple[float, ...], parts_of_time: int) -> None:
+    """The standard deviation grows with the first joint, by a millimetre over all segments."""
     _, task, q, _ = parts(short_scene())
-    rest = np.zeros((2, 7))
-    rest[:, 0] = 1 / 4
-    ends = np.tile(q, (2, 1)) + np.array([[0.0], [1.0]]) * np.eye(7)[0]
-    motion = QuinticTrajectory(t=np.array([0.0, 4.0]), q=ends, v=rest, a=np.zeros((2, 7)))
+    t = np.array(ends)
+    rest = np.tile(np.eye(7)[0] / t[-1], (len(t), 1))
+    moving = np.tile(q, (len(t), 1)) + (t / t[-1])[:, None] * np.eye(7)[0]
+    motion = QuinticTrajectory(t=t, q=moving, v=rest, a=0 * rest)
 
     def growing(postures: Any) -> Any:
         size = 1e-3 * (postures[:, 0] - q[0])
         return size[:, None, None] ** 2 * np.diag([1.0, 0.0, 0.0])
 
     largest, when = largest_spread(task.path, known(growing), motion)
-    assert when == 4.0
-    # Every quarter of a second the deviation is computed.
-    assert largest == pytest.approx(1e-3 + 0.5 * 1e-3 / 16, rel=1e-6)
+    assert when == t[-1]
+    assert largest == pytest.approx(1e-3 + 0.5 * 1e-3 / parts_of_time, rel=1e-6)
