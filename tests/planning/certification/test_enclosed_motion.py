@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_scenes import parts, short_scene
+from small_scenes import parts, short_scene, tool_points
 
 from cmbot.planning.certification.enclosed_motion import EnclosedMotion
 from cmbot.planning.certification.joint_checks import range_check
@@ -70,6 +70,32 @@ def test_enclosures_hold_at_the_ends_of_their_range(place: float, moved: float, 
         assert most <= brake.value <= (1 + 1e-3) * most
     torque = np.linalg.norm(efforts.guardrail_torque, axis=1).max()
     assert torque <= peak.bound <= (1 + 1e-3) * torque
+
+
+def test_pieces_are_short_enough_for_what_is_asked_of_the_tool() -> None:
+    """One joint turns, from rest to rest, and the tool is short: what is missed is not hidden by its point.
+
+    The tool turns by the joint's angle; it is quickest in the middle, at 15/8 of the mean rate, on a circle
+    whose diameter is the way that half a turn of the joint moves it.
+    """
+    robot, task, q, _ = parts(short_scene())
+    model = robot.model.copy()
+    tool = model.frames[robot.tool_frame_id].placement.copy()
+    tool.translation *= 0.01
+    model.frames[robot.tool_frame_id].placement = tool
+    robot, rest = replace(robot, model=model), np.zeros((2, 7))
+
+    def turned(joint: int, angle: float, seconds: float, most: float | None) -> EnclosedMotion:
+        ends = q + np.outer([0.0, angle], np.eye(7)[joint])
+        motion = QuinticTrajectory(t=np.array([0.0, seconds]), q=ends, v=rest, a=rest)
+        return EnclosedMotion(robot, replace(task, max_speed=most), motion, None)
+
+    half_turn = q + np.outer([0.0, np.pi], np.eye(7)[0])
+    radius = 0.5 * np.linalg.norm(np.subtract(*tool_points(robot, half_turn)))
+    for angle in np.linspace(0.3, 2.0, 40):
+        assert -1e-9 <= turned(6, angle, 8.0, None).tool_rotation().bound - angle <= 3e-8
+        quickest = 15 / 8 * angle / 0.4 * radius
+        assert -1e-9 <= turned(0, angle, 0.4, 1.0).tool_speed().bound - quickest <= 3e-8
 
 
 def test_the_middle_of_a_range_need_not_be_zero(cmbot_robot: Robot) -> None:
