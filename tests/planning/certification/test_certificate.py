@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +15,14 @@ from oracles import chang2021_arm
 from small_scenes import short_scene, tool_points, with_corners
 
 import cmbot
+from cmbot.accuracy import Sway
 from cmbot.collision import Box, Clearances, Obstacle
 from cmbot.common.errors import InputError, LimitViolation
 from cmbot.common.poses import pose
 from cmbot.planning import Plan, QuinticTrajectory, bending_arm, plan
 from cmbot.planning.certification.certificate import Certificate, Check, certify
 from cmbot.planning.certification.joint_checks import continuity_check
-from cmbot.planning.certification.metrics import measure
+from cmbot.planning.certification.metrics import figures, measure
 from cmbot.robot import Dynamics, Efforts, Kinematics, Robot, load_robot
 from cmbot.simulation import Tracking
 from cmbot.trajectory import Parametrization, SparseSplines, SplineSpace
@@ -360,6 +361,33 @@ def test_figures_by_hand(triangle_plan: Plan) -> None:
     assert np.abs(tau[at]).max() == pytest.approx(check.value, rel=1e-4)
 
 
+def test_figures_of_samples_are_those_of_the_certificate(short_plan: Plan) -> None:
+    """Two computations of the same: of dense samples, and of enclosures."""
+    robot, x = short_plan.robot, short_plan.trajectory
+    t = np.union1d(np.linspace(x.t[0], x.t[-1], 4001), x.t)
+    motion = [x.evaluate(t, order) for order in range(4)]
+    samples = measure(robot, short_plan.task, Clearances(robot, short_plan.scene.all_obstacles), t, motion)
+    got, expected = asdict(figures(robot, samples)), asdict(short_plan.certificate.figures)
+    for part in ("limit_use", "adhesion_needed"):
+        one, other = got.pop(part), expected.pop(part)
+        assert one.pop("mode", "") == other.pop("mode", "")
+        assert one == pytest.approx(other, rel=1e-4, abs=1e-3)
+    assert got == pytest.approx(expected, rel=1e-4, abs=1e-7)
+
+
+def test_the_first_pair_of_shapes_is_named_too(short_plan: Plan) -> None:
+    """Of an arm with one shape and one obstacle."""
+    whole = short_plan.robot.collision_model
+    (shape,) = (x for x in whole.geometryObjects if x.parentJoint == short_plan.robot.dof)
+    (plate,) = (x for x in short_plan.scene.all_obstacles if x.name == "plate")
+    alone = type(whole)()
+    alone.addGeometryObject(shape)
+    robot = replace(short_plan.robot, collision_model=alone)
+    certificate = again(short_plan, robot=robot, obstacles=[plate])
+    (check,) = (check for check in certificate.checks if check.quantity.startswith("clearance"))
+    assert check.quantity == "clearance of tool from plate"
+
+
 def test_a_motion_that_is_absurdly_fast_is_not_looked_at_closely(
     short_plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -377,6 +405,30 @@ def test_a_motion_that_is_absurdly_fast_is_not_looked_at_closely(
     assert max(asked) <= 20 * len(x.t)
     assert certificate.clearance_bound <= certificate.figures.min_clearance
     assert certificate.guardrail_torque_bound >= certificate.figures.peak_guardrail_torque
+
+
+@pytest.mark.parametrize("growth", [-1e-4, 1e-4])
+def test_sway_between_the_steps_of_its_simulation_counts(
+    short_plan: Plan, monkeypatch: pytest.MonkeyPatch, growth: float
+) -> None:
+    """A harmonic sway whose peaks lie in the middle between two steps, largest at one end of its time."""
+    last = short_plan.trajectory.t[-1]
+    t = np.linspace(0.0, last + 2.0, 24 * 12 + 1)
+    wave = np.cos(np.pi / 12 * (np.arange(len(t)) + 0.5)) * (1 + growth * t)
+    tool = np.multiply.outer(wave, [0.6e-3, 0.0, 0.8e-3])
+    sway = Sway(t=t, tool=np.stack([0.5 * tool, tool, 0.2 * tool]))
+    assert sway.largest[0] < 0.993e-3
+    monkeypatch.setattr("cmbot.planning.certification.certificate.stroke_sway", lambda *_: sway)
+    task = replace(short_plan.task, max_sway=3e-3)
+    checks = {check.quantity: check for check in again(short_plan, task=task, arm=object()).checks}
+    at_work, after = (
+        checks[f"simulated {name}"] for name in ("sway of the tool", "swing of the tool after the stop")
+    )
+    assert at_work.value == pytest.approx(1e-3, rel=1e-3)
+    assert after.value == pytest.approx(2e-3, rel=1e-3)
+    assert at_work.time == (last if growth > 0 else t[0])
+    assert after.time == last
+    assert at_work.bound == after.bound == 3e-3
 
 
 @pytest.mark.parametrize("samples", [4, 400])

@@ -10,7 +10,7 @@ from small_scenes import parts, short_scene, tool_points
 from cmbot.planning.certification.enclosed_motion import EnclosedMotion
 from cmbot.planning.certification.joint_checks import range_check
 from cmbot.robot import Dynamics, Robot
-from cmbot.trajectory import QuinticTrajectory
+from cmbot.trajectory import Peak, QuinticTrajectory
 
 SECONDS = 4.0
 TURN = {"to": {"frame": "tool", "xyz": [0.0, 0.0, 0.0], "rpy_deg": [0, 0, 140]}, "seconds": SECONDS}
@@ -41,13 +41,17 @@ def test_the_turning_goal_is_part_of_what_interpolation_misses() -> None:
     assert turned.max() - 1e-6 <= peak.value < peak.bound
 
 
-def test_the_lag_behind_a_bend_is_enclosed_closely() -> None:
+def test_lag_and_deviation_beside_a_bend_are_enclosed_closely() -> None:
     motion, task, goals = enclosed(ARC, 400, coarse=False)
     times = np.linspace(0, SECONDS, 4001)
     along = task.path.leg_directions(times)
     lag = np.abs(np.einsum("nd,nd->n", goals.point[0] - goals.point, along)).max()
     peak = motion.tool_lag()
     assert lag - 1e-6 <= peak.bound <= 1.1 * lag
+    # On a bend that is what is left of it, square to the tangent at the timed place.
+    away = goals.point[0] - goals.point
+    beside = np.linalg.norm(away - (away * along).sum(axis=1, keepdims=True) * along, axis=1).max()
+    assert beside - 1e-6 <= motion.tool_deviation().bound <= 1.1 * beside
 
 
 @pytest.mark.parametrize("place", [0.0, 1e4])
@@ -96,6 +100,11 @@ def test_pieces_are_short_enough_for_what_is_asked_of_the_tool() -> None:
         assert -1e-9 <= turned(6, angle, 8.0, None).tool_rotation().bound - angle <= 3e-8
         quickest = 15 / 8 * angle / 0.4 * radius
         assert -1e-9 <= turned(0, angle, 0.4, 1.0).tool_speed().bound - quickest <= 3e-8
+
+
+def test_no_process_speed_is_missed_where_none_is_asked() -> None:
+    robot, task, q, _ = parts(short_scene())
+    assert EnclosedMotion(robot, task, still(q, 3), None).process_speed() == Peak(time=0, value=0, bound=0)
 
 
 def test_the_middle_of_a_range_need_not_be_zero(cmbot_robot: Robot) -> None:

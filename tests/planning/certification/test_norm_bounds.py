@@ -1,14 +1,18 @@
 """Bounds at complex joint angles, against the paper's recursion evaluated there."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import example, given, settings, strategies as st
 from oracles import chang2021_arm
+from rail_arms import rail_scene
 from small_motions import wild
 from state_samples import StateSamples
 
 from cmbot.common.arrays import FloatArray
+from cmbot.planning import robot_of
 from cmbot.planning.certification.norm_bounds import norm_bounds
 from cmbot.robot import Dynamics, Kinematics, Robot
 from cmbot.trajectory import Pieces, QuinticTrajectory
@@ -116,3 +120,16 @@ def test_motions_of_any_arm_are_within_what_is_bounded(any_arm: Robot, random_st
         assert (np.linalg.norm(efforts.guardrail_torque, axis=1) <= of.guardrail_torque[k, 0]).all()
         points = Kinematics(robot).tool_poses(q)[0]
         assert (np.linalg.norm(points, axis=1) <= of.tool_point[k, 0]).all()
+
+
+def test_a_slide_lengthens_the_lever_of_all_weights(tmp_path: Path) -> None:
+    """Of an arm at rest on its rail: the torque about O0 grows by the weight times the way along the rail."""
+    robot, none = robot_of(rail_scene(tmp_path)), np.zeros((1, 1, 7))
+    weight = 9.81 * sum(body.mass for body in list(robot.model.inertias)[1:])
+    for rail, others in ((0.6, 0.0), (0.6, 0.3), (0.0, 0.3)):
+        q = np.where(np.arange(7) == 0, rail, others * ~robot.limits.prismatic)[None, None]
+        moved, middle = (
+            norm_bounds(robot, Ellipses(turn=none, q=at, v=none, a=none)).guardrail_torque[0, 0]
+            for at in (q, none)
+        )
+        assert moved - middle == pytest.approx(weight * rail, rel=1e-9, abs=1e-9)
