@@ -76,7 +76,8 @@ def test_enclosures_hold_at_the_ends_of_their_range(place: float, moved: float, 
     assert torque <= peak.bound <= (1 + 1e-3) * torque
 
 
-def test_pieces_are_short_enough_for_what_is_asked_of_the_tool() -> None:
+@pytest.mark.parametrize("bounded", ["max_speed", "speed_tolerance"])
+def test_pieces_are_short_enough_for_what_is_asked_of_the_tool(bounded: str) -> None:
     """One joint turns, from rest to rest, and the tool is short: what is missed is not hidden by its point.
 
     The tool turns by the joint's angle; it is quickest in the middle, at 15/8 of the mean rate, on a circle
@@ -89,17 +90,17 @@ def test_pieces_are_short_enough_for_what_is_asked_of_the_tool() -> None:
     model.frames[robot.tool_frame_id].placement = tool
     robot, rest = replace(robot, model=model), np.zeros((2, 7))
 
-    def turned(joint: int, angle: float, seconds: float, most: float | None) -> EnclosedMotion:
+    def turned(joint: int, angle: float, seconds: float, **bounds: float) -> EnclosedMotion:
         ends = q + np.outer([0.0, angle], np.eye(7)[joint])
         motion = QuinticTrajectory(t=np.array([0.0, seconds]), q=ends, v=rest, a=rest)
-        return EnclosedMotion(robot, replace(task, max_speed=most), motion, None)
+        return EnclosedMotion(robot, replace(task, **bounds), motion, None)
 
     half_turn = q + np.outer([0.0, np.pi], np.eye(7)[0])
     radius = 0.5 * np.linalg.norm(np.subtract(*tool_points(robot, half_turn)))
     for angle in np.linspace(0.3, 2.0, 40):
-        assert -1e-9 <= turned(6, angle, 8.0, None).tool_rotation().bound - angle <= 3e-8
+        assert -1e-9 <= turned(6, angle, 8.0).tool_rotation().bound - angle <= 3e-8
         quickest = 15 / 8 * angle / 0.4 * radius
-        assert -1e-9 <= turned(0, angle, 0.4, 1.0).tool_speed().bound - quickest <= 3e-8
+        assert -1e-9 <= turned(0, angle, 0.4, **{bounded: 1.0}).tool_speed().bound - quickest <= 3e-8
 
 
 def test_no_process_speed_is_missed_where_none_is_asked() -> None:

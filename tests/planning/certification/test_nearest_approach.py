@@ -118,3 +118,8 @@ def test_the_number_of_queries_grows_with_the_motion_not_with_the_knots(
         asked.append(0)
         nearest_approach(QuinticTrajectory(t=t, q=q, v=v, a=a), Clearances(cmbot_robot, obstacles), 1e-4)
     assert asked[1] < 4 * asked[0]
+    # Of an arm at rest hardly any pair is measured: by what was found first the others are far enough.
+    asked.append(0)
+    still, clearances = np.tile(x.q[:1], (5, 1)), Clearances(cmbot_robot, obstacles)
+    nearest_approach(QuinticTrajectory(t=x.t, q=still, v=0 * still, a=0 * still), clearances, 1e-4)
+    assert asked[2] < 0.5 * 4 * len(clearances.pairs)

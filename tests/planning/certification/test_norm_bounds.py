@@ -13,8 +13,11 @@ from state_samples import StateSamples
 
 from cmbot.common.arrays import FloatArray
 from cmbot.planning import robot_of
-from cmbot.planning.certification.norm_bounds import norm_bounds
+from cmbot.planning.certification.norm_bounds import norm_bounds, timed_pose_bounds
 from cmbot.robot import Dynamics, Kinematics, Robot
+from cmbot.toolpath.curves import Arc, CylinderCurve
+from cmbot.toolpath.time_law import SpeedProfile
+from cmbot.toolpath.tool_path import Segment, ToolPath
 from cmbot.trajectory import Pieces, QuinticTrajectory
 from cmbot.trajectory.enclosure import _ELLIPSE_SUMS, Ellipses
 
@@ -133,3 +136,27 @@ def test_a_slide_lengthens_the_lever_of_all_weights(tmp_path: Path) -> None:
             for at in (q, none)
         )
         assert moved - middle == pytest.approx(weight * rail, rel=1e-9, abs=1e-9)
+
+
+def test_the_timed_orientation_is_bounded_where_an_arc_is_rolled_on_a_cylinder() -> None:
+    """An arc of 3 m on a pipe: the tool's angle about it is r / R times the cosine of that along the arc."""
+    radius, pipe = 3.0, 0.5
+    arc = Arc(np.zeros(3), np.eye(3)[2], np.array([radius, 0, 0]), 2.0)
+    curve = CylinderCurve(arc, np.eye(4), pipe, np.eye(3))
+    leg = Segment(curve=curve, seconds=3.0, law=SpeedProfile(kind="jerk_limited", ramp=0.3).law)
+    path = ToolPath(segments=(leg,), orientation=np.eye(3))
+    rest = np.zeros((2, 1))
+    pieces = Pieces.between(QuinticTrajectory(t=np.array([0.0, 3.0]), q=rest, v=rest, a=rest), path.breaks)
+    of, closest = timed_pose_bounds(path, pieces)[1], np.inf
+    x = np.cos(np.pi * np.arange(pieces.times.shape[1])[::-1] / (pieces.times.shape[1] - 1))
+    around = np.exp(1j * np.linspace(0, 2 * np.pi, 48, endpoint=False))
+    for k, times in enumerate(pieces.times):
+        angle = path.arc_angle(times, np.full_like(times, pieces.middle[k]))[0]
+        fit = np.polynomial.chebyshev.chebfit(x, angle, 9)
+        for r, rho in enumerate(_ELLIPSE_SUMS):
+            complex_angle = np.polynomial.chebyshev.chebval(0.5 * (rho * around + 1 / (rho * around)), fit)
+            if np.abs(complex_angle.imag).max() < 3.0:
+                turned = np.abs((radius / pipe * np.cos(complex_angle)).imag).max()
+                assert turned <= np.log(of[k, r]) * (1 + 1e-6) + 1e-6
+                closest = min(closest, np.log(of[k, r]) / turned)
+    assert closest < 1.5
