@@ -64,6 +64,12 @@ class Foot:
         return self.adhesion is not None or self.force is not None
 
     @property
+    def bounds(self) -> FloatArray:
+        """What it bears of a load as a clamp (6,), N and Nm; infinite where that is not given."""
+        unknown = (np.inf,) * 3
+        return np.array([*(self.force or unknown), *(self.moment or unknown)])
+
+    @property
     def ceiling(self) -> float:
         """What no magnet on this contact exceeds, N; infinite without a contact.
 

@@ -255,7 +255,7 @@ class Holding:
         rows = np.arange(len(wrench))
         for number in self.clamps:
             foot, load = self.feet[number], self.load(number, wrench)
-            by_load = foot.safety * np.sign(load) / self._clamp(number)
+            by_load = foot.safety * np.sign(load) / foot.bounds
             which = (shares := by_load * load).argmax(axis=1)
             more = shares[rows, which] > value
             value[more] = shares[rows, which][more]
@@ -296,19 +296,15 @@ class Holding:
 
     def use(self, number: int, wrench: FloatArray) -> FloatArray:
         """Return the largest share (N,) of a clamp's bounds that its load uses, safety included."""
-        shares = np.abs(self.load(number, wrench)) / self._clamp(number)
+        shares = np.abs(self.load(number, wrench)) / self.feet[number].bounds
         return np.asarray(self.feet[number].safety * shares.max(axis=1))
 
     def use_remainder(self, number: int, force: FloatArray, torque: FloatArray) -> FloatArray:
         """Bound by how much that share may change, (K,): as `remainder`."""
-        clamp, loads = self._clamp(number), self._load_bounds(number, force, torque)
+        clamp, loads = self.feet[number].bounds, self._load_bounds(number, force, torque)
         bounded = np.isfinite(clamp)
         shares = loads[:, bounded] / clamp[bounded]
         return np.asarray(self.feet[number].safety * shares.max(axis=1, initial=0.0))
-
-    def _clamp(self, number: int) -> FloatArray:
-        foot = self.feet[number]
-        return np.array([*(foot.force or (np.inf,) * 3), *(foot.moment or (np.inf,) * 3)])
 
     def _load_bounds(self, number: int, force: FloatArray, torque: FloatArray) -> FloatArray:
         rows = self.feet[number].from_wrench
@@ -340,10 +336,7 @@ def needed_by_load(
 
 def bears(foot: Foot, load: FloatArray) -> BoolArray:
     """Return whether a foot bears loads (N, 6) as far as something is known of it, (N,), safety included."""
-    good = np.ones(len(load), dtype=np.bool_)
-    if foot.force is not None:
-        bounds = np.array([*foot.force, *(foot.moment or (np.inf,) * 3)])
-        good &= (foot.safety * np.abs(load) <= bounds).all(axis=1)
+    good = np.asarray((foot.safety * np.abs(load) <= foot.bounds).all(axis=1))
     if foot.adhesion is not None:
         pressed = foot.adhesion / foot.safety - load[:, 2]
         good &= _flat(foot).bears(_turning(load), pressed, foot.friction, foot.gap)
