@@ -6,6 +6,7 @@ import scipy.optimize
 import shapely
 from contact_lp import Plate
 from holding import random_loads
+from shapely import affinity
 
 from cmbot.hold import MAGNET_PRESSURE, Contact, Foot, Gap, Holding
 
@@ -49,6 +50,24 @@ def test_turning_a_contact_turns_what_it_needs(rng: np.random.Generator) -> None
     turned = loads @ np.kron(np.eye(2), np.array([[0, 1.0, 0], [-1, 0, 0], [0, 0, 1]]))
     value = needed(Contact.rectangle(0.075, 0.15), turned)
     np.testing.assert_allclose(value, needed(Contact.rectangle(0.15, 0.075), loads), rtol=1e-6)
+
+
+def test_a_contact_turned_by_any_angle_needs_the_same(rng: np.random.Generator) -> None:
+    """Also of what suffices between loads, near the edge too."""
+    sides, angle = (0.15, 0.075), 0.6
+    R = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    turned = Contact.of(affinity.rotate(shapely.box(0, 0, *sides), angle, use_radians=True))[0]
+    loads = random_loads(sides, 60, seed=3)
+    loads[::2, :2] *= 0.01
+    other = loads @ np.kron(np.eye(2), R).T
+    plain = Contact.rectangle(*sides)
+    np.testing.assert_allclose(needed(turned, other), needed(plain, loads), rtol=1e-6)
+    force, torque = rng.uniform(0, 10, (2, 60))
+    plainly, again = (
+        Holding([foot(contact)], np.zeros(6)).needed_between(0, each[:, None], force, torque)
+        for contact, each in ((plain, loads), (turned, other))
+    )
+    np.testing.assert_allclose(again, plainly, rtol=1e-5)
 
 
 def test_several_pads_tip_about_their_hull_and_turn_about_all() -> None:

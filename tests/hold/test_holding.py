@@ -133,6 +133,20 @@ def test_the_load_is_about_the_centre_of_the_contact() -> None:
     np.testing.assert_allclose(load, [-100, 0, 0, 0, -50, 0], atol=1e-12)
 
 
+def test_loads_of_feet_anywhere(rng: np.random.Generator) -> None:
+    """Forces and moments of a foot's share of the wrench, about its centre and along its axes."""
+    centre, share = rng.normal(size=3), rng.normal(size=(6, 6))
+    axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    feet = [FOOT, replace(FOOT, centre=centre, axes=axes, share=share)]
+    holding, wrench = Holding(feet, np.zeros(6)), 100 * rng.normal(size=(20, 6))
+    force, about = np.split(wrench @ share.T, 2, axis=1)
+    expected = np.hstack([force @ axes.T, (about - np.cross(centre, force)) @ axes.T])
+    np.testing.assert_allclose(holding.load(1, wrench), expected)
+    # A column for each foot; what is pressed on needs nothing.
+    each = holding.each(wrench)
+    np.testing.assert_array_equal(each, np.maximum([holding.needed(k, wrench) for k in (0, 1)], 0).T)
+
+
 def test_what_does_not_move_counts() -> None:
     weight = np.array([0, 0, -300.0, 0, 10, 0])
     arm = np.array([[1.0, 2, 3, 4, 5, 6]])
@@ -165,6 +179,19 @@ def test_a_foot_bears_what_needs_no_more_than_it_has(gap: Gap, rng: np.random.Ge
         np.testing.assert_array_equal(bears(foot, load), expected)
     # Of moments nothing is said.
     assert bears(replace(clamp, moment=None), load * [1, 1, 1, 1e6, 1e6, 1e6]).any()
+    # On a wide plate it takes little to bear a moment.
+    wide = replace(magnet, contact=Contact.rectangle(4.0, 3.0))
+    load = load * [1, 1, 1, 50, 50, 50]
+    np.testing.assert_array_equal(bears(wide, load), Holding([wide], np.zeros(6)).share(load)[0] <= 1)
+
+
+def test_a_foot_is_bounded_where_something_is_known_of_it() -> None:
+    clamp = replace(PLAIN, kind="clamp", adhesion=None, force=(900.0,) * 3)
+    welded = replace(PLAIN, kind="welded", adhesion=None)
+    assert [foot.bounded for foot in (PLAIN, clamp, welded)] == [True, True, False]
+    assert bears(welded, 1e9 * np.eye(6)).all()
+    for feet, known in (([welded, clamp], True), ([PLAIN, welded], True), ([welded] * 2, False)):
+        assert Holding(feet, np.zeros(6)).bounded is known
 
 
 def test_a_remainder_bounds_the_change(rng) -> None:
@@ -178,6 +205,28 @@ def test_a_remainder_bounds_the_change(rng) -> None:
     assert np.quantile(enough / holding.needed(0, wrench), 0.9) < 1.1
     moved = np.abs(holding.use(1, wrench + change) - holding.use(1, wrench))
     assert (moved <= holding.use_remainder(1, force, torque)).all()
+
+
+def test_a_change_of_the_push_is_enclosed_where_the_plate_turns(rng: np.random.Generator) -> None:
+    """A push turns the plate about centres that are away from its middle: its change counts there too."""
+    holding, number = Holding([PLAIN], np.zeros(6)), 1500
+    scale = np.array([300, 300, 0, 60, 100, 20]) * 10 ** rng.uniform(-1, 0, (number, 6))
+    load, angle = rng.normal(size=(number, 6)) * scale, rng.uniform(0, 2 * np.pi, number)
+    for share in (0.3, 0.03):
+        size = share * np.hypot(load[:, 0], load[:, 1])
+        other = (
+            load + np.outer(size * np.cos(angle), np.eye(6)[0]) + np.outer(size * np.sin(angle), np.eye(6)[1])
+        )
+        enough = holding.needed_between(0, load[:, None], size, np.zeros(number))
+        assert (holding.needed(0, other) <= enough * (1 + 1e-9)).all()
+
+
+def test_what_suffices_for_a_longer_push_is_hardly_more_than_it_needs() -> None:
+    """A push that may be a tenth longer, and the pull that may come with it."""
+    longer = np.sqrt(2)  # by a newton along and across
+    push = 10 * longer * np.eye(6)[:1, None]
+    enough = Holding([PLAIN], np.zeros(6)).needed_between(0, push, np.ones(1), np.zeros(1))
+    assert 11 * longer / 0.4 + 1 <= enough <= 1.025 * 11 * longer / 0.4 + 1
 
 
 @pytest.mark.parametrize("axis", [0, 1, 3, 4, 5])
