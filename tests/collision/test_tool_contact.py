@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
+import coal
 import numpy as np
 import pytest
 
 from cmbot.archive import load_plan, save
 from cmbot.collision import Box, Clearances, Obstacle, PointDistances
+from cmbot.collision.shapes import without_tip
 from cmbot.common.errors import ArchiveError, PathNotFound
 from cmbot.planning import plan, robot_of
-from cmbot.robot import Kinematics
+from cmbot.robot import Kinematics, Robot
 from cmbot.scene import Scene, load_scene
 
 SHAPES: dict[str, dict[str, Any]] = {
@@ -71,6 +74,24 @@ def test_distances_are_those_of_the_tool_without_its_tip(shape: str, rng: np.ran
     for obstacle in (*whole.all_obstacles, *cut.all_obstacles):
         own = Clearances(robot, [obstacle]).query(q).distance
         np.testing.assert_allclose(PointDistances(robot, [obstacle]).smallest(q)[0], own, atol=1e-6)
+
+
+def test_a_capsule_is_cut_across_and_keeps_its_other_end(cmbot_robot: Robot) -> None:
+    """Of the shipped arm, whose tool is one: its ends along the tool's axis, and how wide it is."""
+    (tool,) = (x for x in cmbot_robot.collision_model.geometryObjects if x.parentJoint == cmbot_robot.dof)
+    assert isinstance(tool.geometry, coal.Capsule)
+    X_JT = cmbot_robot.model.frames[cmbot_robot.tool_frame_id].placement
+    seen = []
+    for shape in (tool, without_tip(cmbot_robot, tool, 0.05)):
+        shape.geometry.computeLocalAABB()
+        box = shape.geometry.aabb_local
+        corners = np.array(list(product(*np.transpose([box.min_, box.max_]))))
+        seen.append(np.array([X_JT.actInv(tool.placement.act(corner)) for corner in corners]))
+    whole, rest = seen
+    np.testing.assert_allclose(rest.min(axis=0), whole.min(axis=0), atol=0.02 * tool.geometry.radius)
+    np.testing.assert_allclose(rest.max(axis=0)[:2], whole.max(axis=0)[:2], atol=0.02 * tool.geometry.radius)
+    assert whole.max(axis=0)[2] > -0.05
+    assert rest.max(axis=0)[2] == pytest.approx(-0.05, abs=1e-9)
 
 
 def of_tool(robot: Any, obstacle: Obstacle, q: Any) -> Any:
