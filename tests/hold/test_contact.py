@@ -183,3 +183,16 @@ def test_the_estimate_without_a_gap_is_a_little_too_low(several: Contact, rng: n
     share = several.slip_without_gap(load, 0.3)[beyond] / exact[beyond]
     assert beyond.sum() > 100
     assert (share.min() > 0.9) & (share.max() < 1 + 1e-9)
+
+
+def test_what_suffices_an_ellipse_that_may_tip(rng: np.random.Generator) -> None:
+    """Far from its middle a small moment moves the centre of pressure much further than friction expects."""
+    oval, N = Contact.of(affinity.scale(shapely.Point(0, 0).buffer(0.1, quad_segs=8), 2.5, 1))[0], 500
+    angle, change, none = rng.uniform(0, 2 * np.pi, N), 50 * 10 ** rng.uniform(-4, -1.3, N), np.zeros(N)
+    load = np.zeros((N, 6))
+    load[:, 3], load[:, 4] = 50 * np.cos(angle), 50 * np.sin(angle)
+    load[:, 5] = rng.choice([-1, 1], N) * 10 ** rng.uniform(-1.5, 1, N)
+    other = load.copy()
+    other[:, 3:5] *= 1 + change[:, None] / 50
+    enough = Holding([foot(oval)], none[:6]).needed_between(0, load[:, None], none, change)
+    assert (needed(oval, other) <= enough * (1 + 1e-9)).all()
