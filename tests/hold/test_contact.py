@@ -9,6 +9,7 @@ from holding import random_loads
 from shapely import affinity
 
 from cmbot.hold import MAGNET_PRESSURE, Contact, Foot, Gap, Holding
+from cmbot.hold.friction import Friction
 
 
 def foot(contact: Contact, gap: Gap = "allowed") -> Foot:
@@ -196,3 +197,28 @@ def test_what_suffices_an_ellipse_that_may_tip(rng: np.random.Generator) -> None
     other[:, 3:5] *= 1 + change[:, None] / 50
     enough = Holding([foot(oval)], none[:6]).needed_between(0, load[:, None], none, change)
     assert (needed(oval, other) <= enough * (1 + 1e-9)).all()
+
+
+def test_friction_that_is_just_too_little_between_two_forces_is_found() -> None:
+    """Beyond what is needed no force is too little, by SciPy's search for the weakest motion."""
+    plate, size = Contact.rectangle(0.15, 0.075), np.hypot(0.15, 0.075) / 2
+    push, moments = [205.46197777086255, -151.21810629172057, 0.0], [24.397045345096025, 53.639322804037455]
+    load = np.array([*push, *moments, -4.5049259005555164])
+    exact = Friction([np.array(ring) @ np.array([1.0, 1j]) / size for ring in plate.outline])
+    slips = np.array([load[0], load[1], load[5] / size]) / 0.4
+    along, free = slips / (slips @ slips), scipy.linalg.null_space(slips[None])
+    (value,), pressure = needed(plate, load[None]), np.array([1.0, 0.0, 0.0])
+    enough = []
+    for force in np.append(1.5, np.linspace(1.06, 1.006, 55)) * value:
+        goal = np.array([1.0, load[4] / size / force, -load[3] / size / force])
+        for _ in range(50):
+            pressure = np.linalg.solve(exact.moments(pressure[None])[0], goal)
+        np.testing.assert_allclose(exact.moments(pressure[None])[0] @ pressure, goal, atol=1e-10)
+        found = scipy.optimize.minimize(
+            lambda y, p=force * pressure: exact.work(p[None], (along + free @ y)[None])[0][0],
+            np.zeros(2),
+            method="Nelder-Mead",
+            options={"xatol": 1e-12, "fatol": 1e-12},
+        )
+        enough.append(found.fun)
+    assert min(enough) > 1
