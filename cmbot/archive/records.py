@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 from pydantic import ConfigDict
 from pydantic_core import from_json
 
 from cmbot.common.errors import ArchiveError
-from cmbot.common.reading.validation import FileModel, shown
+from cmbot.common.reading.validation import FileModel, key_path, shown
 
 PLAN_FILE, WALK_FILE, TOUR_FILE, STANCES_FILE = "plan.json", "walk.json", "tour.json", "stances.json"
 EVALUATION_FILE = "evaluation.json"
@@ -57,8 +59,8 @@ _MAX_RECORD_VALUES = 200_000
 def read_json(content: bytes, source: str) -> dict[str, Any]:
     """Return the JSON object in a file's `content`; errors name `source` as the file.
 
-    Refused is what is no JSON in UTF-8 or no object, has a number that is none, or brackets deeper than 200.
-    So is JSON of more than 200,000 values, which are counted before anything is made of the text.
+    Refused is what is no JSON in UTF-8 or no object, has a number that is none, a key twice in one object, or
+    brackets deeper than 200. So is JSON of more than 200,000 values, counted before anything is made of it.
     """
     # Each value comes after a comma or an opening bracket.
     if sum(map(content.count, (b",", b"[", b"{"))) > _MAX_RECORD_VALUES:
@@ -66,10 +68,26 @@ def read_json(content: bytes, source: str) -> dict[str, Any]:
     try:
         data = from_json(content, allow_inf_nan=False)
     except ValueError as error:
-        raise ArchiveError(source, "", f"text that is no JSON ({error})", "valid JSON in UTF-8") from error
+        got = f"text that is no JSON ({error})"
+        with suppress(ValueError):
+            from_json(content)  # which takes NaN
+            got = f"NaN or Infinity{str(error)[str(error).find(' at line') :]}"
+        raise ArchiveError(source, "", got, "valid JSON in UTF-8, its numbers finite") from error
+    require_unique_keys(content, source)
     if not isinstance(data, dict):
         raise ArchiveError(source, "", shown(data), "a JSON object")
     return data
+
+
+def require_unique_keys(content: bytes, source: str) -> None:
+    """Refuse JSON in which an object has a key twice: readers differ in which of two they take."""
+
+    def once(pairs: list[tuple[str, object]]) -> None:
+        twice = [name for name, count in Counter(name for name, _ in pairs).items() if count > 1]
+        if twice:
+            raise ArchiveError(source, key_path(twice[:1]), "a key that is there twice", "each key once")
+
+    json.loads(content, object_pairs_hook=once)
 
 
 def json_bytes(data: object, *, indent: int | None = None) -> bytes:

@@ -41,6 +41,15 @@ def test_a_walk_is_read_as_it_was_written(data: dict[str, Any], tmp_path: Path) 
         assert all(one[name] == two[name] for name in ("kind", "holds", "joints", "arm", "knots", "begin"))
 
 
+def test_a_goal_that_is_there_twice(data: dict[str, Any], tmp_path: Path) -> None:
+    """The last one is that of the walk; another reader would take the first."""
+    path = written(data, tmp_path) / "walk.json"
+    path.write_text(path.read_text(encoding="utf-8").replace("{", '{"goal": {}, ', 1), encoding="utf-8")
+    with pytest.raises(ArchiveError, match="twice") as caught:
+        load_walk(tmp_path)
+    assert (caught.value.source, caught.value.key) == (str(path), "goal")
+
+
 def moved(lift: dict[str, Any], out: float, aside: float, turn_deg: float = 0.0) -> None:
     """Turn a lift of foot 1 into another way of it: off by `out` and aside, m, and turned."""
     climber, way = Climber(), [np.array(lift["knots"]["q"][0])]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import struct
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -16,7 +15,7 @@ import numpy as np
 from pydantic_core import from_json
 
 from cmbot.archive.folder import read_file
-from cmbot.archive.records import BASELINE_FILE, JOB_FILES, PLAN_FILE, require_same
+from cmbot.archive.records import BASELINE_FILE, JOB_FILES, PLAN_FILE, require_same, require_unique_keys
 from cmbot.archive.ros.messages import messages, trajectory_message
 from cmbot.archive.tables import require_table, samples_csv
 from cmbot.archive.writing import job_table
@@ -81,14 +80,7 @@ def _message(plan: Plan, path: Path) -> list[str]:
         data = from_json(content)
     if not isinstance(data, Mapping) or not data.keys() & {"joint_names", "points"}:
         return [path.name]
-
-    def once(pairs: list[tuple[str, object]]) -> dict[str, object]:
-        # Readers differ in which of two they take.
-        if len(entry := dict(pairs)) < len(pairs):
-            raise ArchiveError(source, "", "a key that is there twice", "each key once")
-        return entry
-
-    json.loads(content, object_pairs_hook=once)
+    require_unique_keys(content, source)
     times, joints, effort = _as_given(data, plan, source)
     found = trajectory_message(plan, times, joints=joints, effort=effort)
     require_same(data, found.message, source, "", _SAME, _SAME_ZERO, _WHY)
