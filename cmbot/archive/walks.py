@@ -20,8 +20,18 @@ from cmbot.common.representation import short_repr
 from cmbot.planning import Plan
 from cmbot.robot import ARM_JOINTS, Climber, Side, other_foot
 from cmbot.scene import Scene, StanceFile, foothold_pose
-from cmbot.stances import LIFT_M, Candidate, candidate_at, in_the_way, in_world
-from cmbot.stances.walking import Kind, Move, Step, Walk, certified_move, part_data, stance_of, walk_data
+from cmbot.stances import LIFT_M, Candidate, candidate_at, in_world
+from cmbot.stances.walking import (
+    Kind,
+    Move,
+    Step,
+    Walk,
+    blocked_end,
+    certified_move,
+    part_data,
+    stance_of,
+    walk_data,
+)
 from cmbot.trajectory import QuinticTrajectory
 
 # Moves join where they are nearer, rad; feet are where they should be, m; figures that are computed again.
@@ -147,9 +157,9 @@ class _Reader:
         if kinds[kinds.count("arm") :] != order or set(kinds[: -len(order)]) > {"arm"}:
             expected = f"moves of the arm, if any, then {', '.join(order)}"
             raise self._error(f"{key}.moves", ", ".join(kinds), expected)
-        for name, place in zip(("before", "after"), places, strict=True):
-            if place is not None and (other := in_the_way(self._world, place)) is not None:
-                raise self._error(f"{key}.{name}.foot_{file.foot}", f"a place beside {other}", "a free one")
+        if (blocked := blocked_end(self._world, before, after, file.foot)) is not None:
+            end, other = blocked
+            raise self._error(f"{key}.{end}.foot_{file.foot}", f"a place beside {other}", "a free one")
         moves = list[Move]()
         for k, entry in enumerate(file.moves):
             kind: Kind | None = "arm" if entry.kind == "arm" else None

@@ -1,7 +1,7 @@
 """How the robot walks from one stance to another: steps, each certified, the arm as a counterweight."""
 
 from cmbot.stances.walking.files import WalkSamples, walk_csv, walk_data, walk_samples
-from cmbot.stances.walking.steps import Kind, Move, Step, certified_move
+from cmbot.stances.walking.steps import Kind, Move, Step, blocked_end, certified_move
 from cmbot.stances.walking.tour import Tour, part_data, tour, tour_data
 from cmbot.stances.walking.verification import second_opinion_of
 from cmbot.stances.walking.walk import Walk, WalkOptions, goal_stance, load_goal, stance_of, walk
@@ -14,6 +14,7 @@ __all__ = [
     "Walk",
     "WalkOptions",
     "WalkSamples",
+    "blocked_end",
     "certified_move",
     "goal_stance",
     "load_goal",

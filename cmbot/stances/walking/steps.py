@@ -27,7 +27,7 @@ from cmbot.planning import (
 )
 from cmbot.robot import Climber, Kinematics, Robot, Side, load_climbing_robot, other_foot
 from cmbot.scene import PlannerOptions, Scene
-from cmbot.stances import LIFT_M, Candidate, place_in_words, scene_at, without_links
+from cmbot.stances import LIFT_M, Candidate, in_the_way, place_in_words, scene_at, without_links
 from cmbot.stances.walking.balance import foot_at
 from cmbot.toolpath import SpeedProfile, ToolPath
 from cmbot.trajectory import QuinticTrajectory
@@ -196,6 +196,30 @@ def plan_step(
             Move(kind=kind, robot=request.cell.robot, holds=holds, node=before, arm=arm, segment=slow)
         )
     return tuple(moves)
+
+
+def blocked_end(
+    scene: Scene, before: Candidate, after: Candidate, foot: Side
+) -> tuple[Literal["before", "after"], str] | None:
+    """Return at which end of a step something is in the way of its foot, and what; None: nothing is.
+
+    Near its places the shapes of a foot do not count in certificates: there `in_the_way` decides.
+
+    Parameters
+    ----------
+    scene : Scene
+        As `in_world` returns it.
+    before, after : Candidate
+        The stances.
+    foot : int
+        That goes.
+    """
+    ends: tuple[tuple[Literal["before", "after"], Candidate], ...] = (("before", before), ("after", after))
+    for end, node in ends:
+        place = node.stance.places[foot - 1]
+        if place is not None and (other := in_the_way(scene, place)) is not None:
+            return end, other
+    return None
 
 
 def certified_move(

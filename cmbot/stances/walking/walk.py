@@ -21,7 +21,7 @@ from cmbot.scene import Scene, StanceFile, load_scene
 from cmbot.stances import Candidate, in_world, own_candidate, require_on_guardrail
 from cmbot.stances.walking.balance import SPARE, Balance, Roadmap
 from cmbot.stances.walking.route import Edge, Route, nodes_between
-from cmbot.stances.walking.steps import Move, Step, arm_move, plan_step, space_of_arm
+from cmbot.stances.walking.steps import Move, Step, arm_move, blocked_end, plan_step, space_of_arm
 
 # Postures of the arm with which a step is planned.
 _TRIED_POSTURES = 15
@@ -155,7 +155,8 @@ def walk(
     Raises
     ------
     SceneError
-        When there is no guardrail to walk on, or a stance is none.
+        When there is no guardrail to walk on, a stance is none, or a foot that has to go has something in its
+        way where it stands or is to stand.
     PlanningError
         When no steps lead there that joints and feet can bear, with the figures of the easiest one.
 
@@ -171,9 +172,10 @@ def walk(
     if last.stance == first.stance:
         got, expected = "the stance where the walk is to end", "another one: the robot stands there already"
         raise SceneError(scene.source, "guardrail.stance", got, expected)
-    posture = np.array(scene.posture)
+    posture, world = np.array(scene.posture), in_world(scene)
+    _require_free(world, first, last, to)
     progress("listing stances", 0.0)
-    balance, world = Balance(scene, posture), in_world(scene)
+    balance = Balance(scene, posture)
     route = Route(nodes_between(scene, first, last, options.spacing), balance)
     search = _Search(world, balance, route, posture, options, progress)
     steps = search.steps()
@@ -189,6 +191,19 @@ def walk(
         failures=tuple(search.failures),
         speed=options.speed,
     )
+
+
+def _require_free(world: Scene, first: Candidate, last: Candidate, to: Scene | StanceFile) -> None:
+    """Refuse ends between which a foot has to go, if something is in its way at one of them."""
+    for foot in (1, 2):
+        stays = first.stance.places[foot - 1] == last.stance.places[foot - 1]
+        if stays or (blocked := blocked_end(world, first, last, foot)) is None:
+            continue
+        end, other = blocked
+        source, key = (world if end == "before" else to), "guardrail.stance"
+        name, key = (source.source, key) if isinstance(source, Scene) else ("cmbot.walk", "to")
+        expected = "a free one: the foot would touch it there, or on its way along the face's normal"
+        raise SceneError(name, f"{key}.foot_{foot}", f"a place beside {other}", expected)
 
 
 class _Search:
@@ -253,6 +268,9 @@ class _Search:
 
     def _step(self, edge: Edge) -> Step | None:
         before, after = (self._route.nodes[k] for k in (edge.before, edge.after))
+        if (blocked := blocked_end(self._scene, before, after, edge.foot)) is not None:
+            self.failures.append(f"{blocked[1]} is in the way of foot {edge.foot} where it stands")
+            return None
         weights = self._route.counterweights(edge, self._weight).tolist()
         ways: list[tuple[int, FloatArray | None]] = [
             *islice(self._ways(edge.before, weights), _TRIED_POSTURES)

@@ -188,6 +188,29 @@ def test_a_foot_keeps_clear_of_joints_and_lamps(scene: Scene) -> None:
     assert places < {(each.member, each.along_m) for each in places_of(scene, 0.1)}
 
 
+def test_ends_beside_a_post_are_refused_before_the_search() -> None:
+    """A foot is neither set where a post is in the way, nor lifted there; it may stay there."""
+
+    class Searched(Exception):
+        pass
+
+    def progress(_step: str, _share: float) -> None:
+        raise Searched
+
+    free, beside = scene_at(3.15, 3.65, CLAMP), scene_at(3.15, 3.45, CLAMP)
+    elsewhere = scene_at(3.05, 3.45, CLAMP)
+    stance = StanceFile.model_validate(feet(3.15, 3.45))
+    for start, to, told in (
+        (free, stance, r"^cmbot\.walk: to\.foot_2: got a place beside post_3, expected a free one"),
+        (free, beside, r"guardrail\.stance\.foot_2: got a place beside post_3"),
+        (beside, free, r"guardrail\.stance\.foot_2: got a place beside post_3"),
+    ):
+        with pytest.raises(SceneError, match=told):
+            walk(start, to, progress=progress)
+    with pytest.raises(Searched):
+        walk(beside, elsewhere, progress=progress)
+
+
 def test_the_route_has_only_steps_that_hold(scene: Scene, node: Candidate, balance: Balance) -> None:
     goal = stance_of(scene_at(4.34, 4.74, CLAMP))
     route = Route(nodes_between(scene, node, goal, 0.6), balance)
