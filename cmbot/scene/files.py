@@ -81,11 +81,10 @@ def file_hashes(data: dict[str, Any], source: str, known: Mapping[str, str]) -> 
     return hashes
 
 
-def without_paths(data: dict[str, Any], hashes: Mapping[str, str]) -> dict[str, Any]:
-    """Put the hashes of files in place of their paths in a scene's content, itself, and leave folders out."""
-    data["robot"].pop("package_dirs", None)
+def with_paths(data: dict[str, Any], others: Mapping[str, str]) -> dict[str, Any]:
+    """Put `others`, or hashes, in place of the paths of files in a scene's content, itself."""
     for _, block, name in _paths(data):
-        block[name] = hashes[block[name]]
+        block[name] = others[block[name]]
     return data
 
 

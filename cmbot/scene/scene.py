@@ -36,7 +36,7 @@ from cmbot.scene.base.identified import IdentifiedStiffness
 from cmbot.scene.base.mounts import MountsFile
 from cmbot.scene.base.stance import Stance, StanceFile, resolved_stance
 from cmbot.scene.excitation import DamperFile, ExcitationFile
-from cmbot.scene.files import file_hashes, without_paths
+from cmbot.scene.files import file_hashes, with_paths
 from cmbot.scene.obstacles import ObstacleFile, obstacle_from_file
 from cmbot.scene.options import PlannerOptions
 from cmbot.scene.path.path_file import MOST_ORDERED, WORK, JobStrokes, Order, StrokeFile, ToolPathEntry
@@ -298,7 +298,8 @@ class Scene(FileModel):
             When a file that it names cannot be read.
         """
         data = self.as_data()
-        data = without_paths(data, file_hashes(data, self.source, self._files))
+        data = with_paths(data, file_hashes(data, self.source, self._files))
+        data["robot"].pop("package_dirs", None)
         # The one JSON text that equal scenes share.
         text = dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return sha256(text.encode()).hexdigest()
@@ -328,6 +329,14 @@ class Scene(FileModel):
         scene._source, scene._listed = self._source, self._listed
         scene._stowed = self._stowed if same else None
         return scene._with_files(self._files)
+
+    def with_files_of(self, other: Scene) -> Scene:
+        """Return it with the paths of another scene's files for files of the same content, one for each."""
+        places = {content: path for path, content in other._files.items()}
+        paths = {path: places.get(content, path) for path, content in self._files.items()}
+        return (
+            self if paths.keys() == {*paths.values()} else self.changed(**with_paths(self.as_data(), paths))
+        )
 
     def with_options(self, options: PlannerOptions | None = None, **changes: Any) -> Self:
         """Return the scene with other options of the planner: all of them, or some by their names."""

@@ -13,6 +13,7 @@ import pytest
 from plan_folders import refused, same_arrays
 
 from cmbot.archive import load_plan, save
+from cmbot.archive.verification.asked import require_asked
 from cmbot.collision import Mesh
 from cmbot.common.errors import ArchiveError, SceneError
 from cmbot.common.installation import model_folder
@@ -101,6 +102,36 @@ def test_changed_robot_files_are_noticed(foreign_plan, foreign_saved, foreign_fi
         assert robot_of(foreign_plan.scene).content_hash[:16] in error.got
     assert "the robot's files have changed since" in error.expected
     assert foreign_plan.robot.content_hash[:16] in error.expected
+
+
+@pytest.mark.parametrize(
+    ("name", "key"),
+    [
+        ("joint_limits.yaml", "scene.robot.limits"),
+        ("tubes.yaml", "scene.robot.elasticity"),
+        ("rock.obj", "scene.obstacles[4].mesh"),
+        ("cmbot.urdf", "scene.robot.model"),
+        # Which neither scene names: an SRDF beside the URDF, and a mesh in it.
+        ("cmbot.srdf", "scene.robot.model"),
+        ("shell.obj", "scene.robot.model"),
+    ],
+)
+@pytest.mark.usefixtures("foreign_plan")
+def test_the_same_files_elsewhere(foreign_files: Path, tmp_path: Path, name: str, key: str) -> None:
+    """What is asked counts, not where it lies: files of the same content may be anywhere, others nowhere."""
+    shell = '<collision><geometry><mesh filename="shell.obj"/></geometry></collision></link>'
+    for folder in ("here", "there"):
+        shutil.copytree(foreign_files, tmp_path / folder, ignore=shutil.ignore_patterns("plan"))
+        (tmp_path / folder / "shell.obj").write_text(TETRAHEDRON)
+        urdf = tmp_path / folder / "cmbot.urdf"
+        urdf.write_text(urdf.read_text(encoding="utf-8").replace("</link>", shell, 1), encoding="utf-8")
+    scene, asked = (load_scene(tmp_path / folder / "scene.yaml") for folder in ("here", "there"))
+    require_asked(scene, asked, "plan.json")
+    with (tmp_path / "there" / name).open("a", encoding="utf-8") as file:
+        file.write("\n")
+    with pytest.raises(ArchiveError) as caught:
+        require_asked(scene, load_scene(tmp_path / "there" / "scene.yaml"), "plan.json")
+    assert caught.value.key == key
 
 
 @pytest.mark.parametrize(

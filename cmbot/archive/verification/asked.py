@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from hashlib import sha256
 from operator import gt, lt, ne
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cmbot.archive.records import require_same
 from cmbot.common.errors import ArchiveError
+from cmbot.common.reading.input_files import is_file
 from cmbot.common.reading.validation import counted, plain, shown
 from cmbot.planning import Plan, reached_scene, robot_of
 from cmbot.robot import Kinematics, Robot
@@ -63,8 +66,8 @@ def require_asked(scene: Scene, asked: Scene, source: str) -> None:
 
     That are options that are effort, numbers of via-points and durations that are ``auto``, a multiple of the
     segments between via-points, the order of strokes where it is ``best``, and which rows of a raster are in
-    which part, or left out as nothing reaches them. Fewer via-points promise less. The files that both name
-    have to be the same ones; their contents are hashed on reading.
+    which part, or left out as nothing reaches them. Fewer via-points promise less. What counts of the files
+    that both name is their content, not where they are.
 
     Parameters
     ----------
@@ -79,12 +82,17 @@ def require_asked(scene: Scene, asked: Scene, source: str) -> None:
     ArchiveError
         For the first key of the scene that differs.
     """
+    given = scene, asked
+    scene, asked = (one.with_files_of(scene) for one in given)
     content, wanted = (one.as_data() for one in (scene, asked))
+    for data in (content, wanted):
+        data["robot"].pop("package_dirs", None)
     own, options = (dict(data.get("planner") or {}) for data in (content, wanted))
     effort = {name: value for name, value in own.items() if name not in _LOOSER}
     decided = {"planner": effort | {name: value for name, value in options.items() if name in _LOOSER}}
     decided["tool_path"] = content["tool_path"]
     require_same(content, wanted | decided, source, "scene", why="asked")
+    _require_same_robot(*given, source)
     key, best, strokes = "scene.tool_path.strokes", asked.order == "best", scene.strokes
     expected = _in_parts(asked, strokes, robot_of(asked))
     if best:
@@ -97,6 +105,21 @@ def require_asked(scene: Scene, asked: Scene, source: str) -> None:
         rest = {name: value for name, value in plain(other, key).items() if name not in free}
         same = {name: value for name, value in entries.items() if name in free}
         require_same(entries, rest | same, source, f"{key}[{k}]", why="asked")
+
+
+def _require_same_robot(scene: Scene, asked: Scene, source: str) -> None:
+    """Refuse a robot elsewhere with other meshes, or other files that the scene does not name, beside it."""
+    if scene.robot.files != asked.robot.files and _contents(scene) != _contents(asked):
+        expected = f"one whose meshes and files beside it are those of {shown(asked.robot.model)}, as asked"
+        raise ArchiveError(source, "scene.robot.model", shown(scene.robot.model), expected)
+
+
+def _contents(scene: Scene) -> list[str]:
+    """The hashes of a robot's files and of its meshes; a shape that is no mesh has its kind."""
+    robot = robot_of(scene)
+    meshes = (shape.meshPath for shape in robot.collision_model.geometryObjects)
+    each = (sha256(Path(mesh).read_bytes()).hexdigest() if is_file(mesh) else mesh for mesh in meshes)
+    return [robot.content_hash, *each]
 
 
 def require_done(plan: Plan, asked: Scene, options: PlannerOptions, source: str) -> None:

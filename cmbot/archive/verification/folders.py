@@ -154,8 +154,9 @@ def _verified_tour(folder: Path, asked: Asked) -> Verdict:
 
 def _require_tour(folder: Path, parts: Sequence[TourPart], asked: Scene) -> None:
     """Refuse a tour of another bridge, or one that does not do each stroke that was asked once."""
-    source = folder / TOUR_FILE
-    require_same(bridge_of(parts[0].motion.scene), bridge_of(asked), str(source), "scene", why="asked")
+    source, scene = folder / TOUR_FILE, parts[0].motion.scene
+    own, common = (bridge_of(one.with_files_of(scene)) for one in (scene, asked))
+    require_same(own, common, str(source), "scene", why="asked")
     plans = [part.motion for part in parts if isinstance(part.motion, Plan)]
     strokes = {str(stroke.name): stroke for stroke in asked.strokes}
     if len(strokes) == 1 and plans:
@@ -166,8 +167,8 @@ def _require_tour(folder: Path, parts: Sequence[TourPart], asked: Scene) -> None
         got, expected = (", ".join(names) or "none" for names in (done, strokes))
         raise ArchiveError(str(source), "parts", got, f"each stroke once, as asked: {expected}")
     for plan in plans:
-        own = [strokes[str(stroke.name)].changed(name=stroke.name) for stroke in plan.scene.strokes]
-        wanted = plan.scene.with_strokes(own, asked.order)
+        files = [strokes[str(stroke.name)].changed(name=stroke.name) for stroke in plan.scene.strokes]
+        wanted = plan.scene.with_strokes(files, asked.order)
         require_asked(plan.scene, wanted, str(source))
 
 
