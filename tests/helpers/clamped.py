@@ -1,14 +1,17 @@
 """Jobs whose feet are clamps: three short strokes, planned in a moment."""
 
 import copy
+from functools import cache
 from typing import Any
 
 from small_scenes import SHORT
 
+from cmbot.planning import Plan, plan
 from cmbot.scene import Scene, load_scene
 
 CLAMP = {"kind": "clamp", "force_n": [8000.0] * 3, "moment_nm": [3000.0] * 3}
 MAGNET = {"kind": "magnet", "adhesion_n": 14.9e3, "friction": 10.0}
+HOLDS: dict[str, dict[str, Any]] = {"clamp": CLAMP, "clamp of unknown bounds": {"kind": "clamp"}, "magnet": MAGNET}
 
 
 def clamped_scene(hold: Any = None, **changes: Any) -> Scene:
@@ -27,3 +30,9 @@ def clamped_scene(hold: Any = None, **changes: Any) -> Scene:
         "return": "start",
     }
     return load_scene({**copy.deepcopy(SHORT), **data, **changes})
+
+
+@cache
+def clamped_plan(hold: str) -> Plan:
+    """The scene's plan on one of `HOLDS`, made once."""
+    return plan(clamped_scene(HOLDS[hold]))

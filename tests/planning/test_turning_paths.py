@@ -2,6 +2,7 @@
 
 import copy
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -149,10 +150,14 @@ def elsewhere(begin: dict[str, Any], **planner: Any) -> Scene:
 BEGIN = {"xyz": [1.75, 0.7, -2.0], "axis": [0.8, 0, -0.6]}
 
 
+@cache
+def begun_elsewhere(knots: str) -> Plan:
+    return plan(elsewhere(BEGIN, knots=knots))
+
+
 @pytest.mark.parametrize("knots", ["sliding", "fixed"])
 def test_a_path_that_begins_elsewhere_has_an_approach(knots: str, tmp_path_factory: Any) -> None:
-    scene = elsewhere(BEGIN, knots=knots)
-    made = plan(scene)
+    made = begun_elsewhere(knots)
     assert made.approach is not None
     np.testing.assert_allclose(made.approach.trajectory.q[0], np.radians(FOLDED), atol=1e-12)
     np.testing.assert_allclose(made.approach.trajectory.q[-1], made.trajectory.q[0], atol=1e-12)
@@ -163,7 +168,7 @@ def test_a_path_that_begins_elsewhere_has_an_approach(knots: str, tmp_path_facto
     folder = tmp_path_factory.mktemp("elsewhere") / "plan"
     save(made, folder)
     assert load_plan(folder, verify=True).certificate.holds
-    assert not broken(scene, made)
+    assert not broken(elsewhere(BEGIN, knots=knots), made)
 
 
 def test_a_beginning_out_of_reach_is_no_path() -> None:
@@ -178,7 +183,7 @@ def test_a_beginning_out_of_reach_is_no_path() -> None:
 
 
 def test_a_stored_plan_of_another_beginning_is_refused(tmp_path_factory: pytest.TempPathFactory) -> None:
-    made = plan(elsewhere(BEGIN, knots="fixed"))
+    made = begun_elsewhere("fixed")
     moved = elsewhere({**BEGIN, "xyz": [1.75, 0.71, -2.0]}, knots="fixed")
     folder = tmp_path_factory.mktemp("forged") / "plan"
     save(replace(made, scene=moved), folder)

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -152,13 +153,17 @@ def test_a_plan_in_the_shortest_time(quick_plan: Plan) -> None:
     ]
 
 
-def in_auto(**changes: Any) -> Plan:
+@cache
+def in_auto(kind: str | None = None, max_sway_mm: float | None = None) -> Plan:
+    """In the shortest time by a kind of law, and with a bound of the sway."""
+    changes = {"speed_profile": kind and {"kind": kind}, "max_sway_mm": max_sway_mm}
+    changes = {key: value for key, value in changes.items() if value is not None}
     path = {"legs": [{"by": [0, 0.1, 0]}], "seconds": "auto", "via_points": 21, **changes}
     return plan(load_scene({**SOFT_MAST, "tool_path": path}), progress=False)
 
 
 def test_the_shortest_time_and_the_shortest_that_is_quiet_are_told() -> None:
-    fast, quiet = in_auto(speed_profile={"kind": "shortest"}), in_auto()
+    fast, quiet = in_auto("shortest"), in_auto()
     for made in (fast, quiet):
         (told,) = (each for each in made.fallbacks if each.startswith("As predicted, the shortest time"))
         shorter, longer = (float(number) for number in re.findall(r"([\d.]+) s (?:within|with)", told))

@@ -132,6 +132,8 @@ def test_nothing_bends(options: dict[str, object], tmp_path: Path) -> None:
 def least_sag(spacing: float = 0.3, **changes: object) -> Scene:
     """A scene whose objective is the sag, with no more of anything else than that takes."""
     planner = {"knots": "sliding", "objective": "sag", "chart_spacing": spacing}
+    # So far off its path the tool is between so few via-points.
+    planner["max_tool_deviation_m"] = 0.01
     return short_scene(tool_path={"via_points": 5}, planner=planner, **changes)
 
 
@@ -159,9 +161,9 @@ def test_sag_as_the_objective(tmp_path: Path) -> None:
 
 def test_sway_as_the_objective(tmp_path: Path) -> None:
     """No more by 1 m/s2 of the deck than the motion of least torque."""
-    scene = least_sag().with_options(objective="sway")
+    scene = least_sag().with_options(objective="sway", start="pinned")
     planned = plan(scene)
-    torque = plan(scene.with_options(objective="torque"))
+    torque = plan(scene.with_options(objective="torque", start="free"))
     arm = bending_arm(scene, planned.robot)
     assert arm is not None
     sway = DeckSway(arm)

@@ -295,7 +295,8 @@ def test_weights_are_one_of_anyones_own_functions(with_own: Plan) -> None:
 def test_round_trip(about_base: Plan, with_own: Plan, tmp_path: Path) -> None:
     for name, plan in (("base", about_base), ("own", with_own)):
         folder = cmbot.save(plan, tmp_path / name)
-        read = cmbot.load_plan(folder, verify=True)
+        # What is verified of someone's own comes below.
+        read = cmbot.load_plan(folder, verify=name == "base")
         assert read.objective == plan.objective
         assert read.torque_floor is read.gap_to_floor is None
     # Of someone's own function nothing but the name is known, so its figures are taken as they are.

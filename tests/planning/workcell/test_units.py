@@ -62,6 +62,7 @@ def test_what_is_long_is_warned_of_until_its_scale_is_given(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("cmbot.views.pages", lambda _: {})
     warning = "obstacle deck: got numbers that look like millimetres, expected metres (scale: 1 says that"
     for scale, number in (({}, 1), ({"scale": 1}, 0)):
         path = write_scene(tmp_path / "deck.yaml", with_obstacle(**DECK, **scale))
