@@ -39,7 +39,7 @@ SOFT_MAST = {
     "name": "mast",
     "robot": {"model": "panda", "base_frame": "panda_link0", "tool_frame": "panda_hand_tcp"},
     "start": {"posture_deg": [0, -45, 0, -135, 0, 90, 45]},
-    "planner": {"start": "pinned"},
+    "planner": {"knots": "fixed"},
     "guardrail": {"bays": 0, "stiffness": np.diag([8e4, 8e4, 4e5, 1.6e4, 1.6e4, 1.6e4]).tolist()},
 }
 
