@@ -73,9 +73,10 @@ def test_a_second_computation_agrees(pads: Any, rng: np.random.Generator) -> Non
 )
 def test_a_panda_that_stands_on_something_is_planned_and_judged_a_second_time(hold: dict[str, Any]) -> None:
     """It is pressed on by its weight, so that the adhesion that it needs is next to nothing."""
-    scene = held(**hold)
+    scene = held(**hold).changed(return_to="none")
     row = scene.strokes[0].changed(via_points=9)
-    made = plan(scene.with_strokes([row]).with_options(knots="fixed"))
+    # So far off the row the tool is between so few via-points.
+    made = plan(scene.with_strokes([row]).with_options(knots="fixed", max_tool_deviation_m=0.01))
     said = "adhesion needed, safety 2" if "adhesion_n" in hold else "load of the clamp, safety 2"
     assert f"Hold: {said} included, uses " in verdict(made)
     t = np.linspace(0, made.trajectory.duration, 60)

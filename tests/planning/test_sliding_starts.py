@@ -43,6 +43,7 @@ def test_a_pinned_start_with_few_others_to_try(
 ) -> None:
     # Slower legs would do, which takes a while to find out.
     monkeypatch.setattr(planner, "advice", lambda trial: "")
+    monkeypatch.setattr(planner, "slower_legs", lambda *_: None)
     scene = short_scene(obstacles=[{**BALL, "sphere": 0.0666}], planner={**PINNED, "other_starts": tries})
     with pytest.raises(PathNotFound) as caught:
         plan(scene)

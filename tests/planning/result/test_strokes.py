@@ -167,6 +167,7 @@ def test_the_table_has_the_free_moves_between_strokes(strokes_plan: Plan) -> Non
 def test_a_stroke_that_cannot_be_planned_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     # Slower legs would do, which takes a while to find out.
     monkeypatch.setattr(planner, "advice", lambda trial: "")
+    monkeypatch.setattr(planner, "slower_legs", lambda *_: None)
     scene = strokes_scene()
     there, back = scene.strokes
     # Faster than any joint.
