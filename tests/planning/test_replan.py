@@ -43,9 +43,8 @@ def earlier() -> Plan:
     return cmbot.plan(triangle(), progress=False)
 
 
-@pytest.mark.parametrize("sign", [1, -1])
-def test_a_moved_frame_is_followed_and_certified(earlier: Plan, sign: int, tmp_path: Path) -> None:
-    scene = triangle(sign * 0.02, sign * 1.0)
+def test_a_moved_frame_is_followed_and_certified(earlier: Plan, tmp_path: Path) -> None:
+    scene = triangle(0.02, 1.0)
     plan = cmbot.replan(earlier, scene, progress=False)
     assert plan.certificate.holds and plan.job.certificate.holds
     assert "Planned near an earlier plan" in plan.fallbacks[0]
@@ -54,13 +53,13 @@ def test_a_moved_frame_is_followed_and_certified(earlier: Plan, sign: int, tmp_p
     folder = cmbot.save(plan, tmp_path / "plan")
     read = cmbot.load_plan(folder, verify=True, scene=scene)
     # The corners as the scene has them, not as the planner's path does.
-    turn = Rotation.from_rotvec(np.deg2rad(sign) * _AXIS)
+    turn = Rotation.from_rotvec(np.deg2rad(1.0) * _AXIS)
     corners = np.array([[0, 0, 0], [0, -1.0, 0], [0, -0.8244, 0.0958], [0, 0, 0]])
     q = read.trajectory.evaluate(np.array([0.0, 10, 12, 20]))
     tool, turned = Kinematics(read.robot).tool_poses(q)
     # The tool that is held to the path is the bent arm's.
     tool += read.sag.at(q).tool
-    np.testing.assert_allclose(tool, _A + sign * 0.02 * _AXIS + turn.apply(corners), atol=2e-5)
+    np.testing.assert_allclose(tool, _A + 0.02 * _AXIS + turn.apply(corners), atol=2e-5)
     asked = turn * Rotation.from_euler("xyz", _TOOL_RPY_DEG, degrees=True)
     off = (asked.inv() * Rotation.from_matrix(turned)).magnitude()
     assert float(off.max()) < 1e-4
@@ -77,10 +76,10 @@ def test_the_same_scene_is_planned_as_well_again(earlier: Plan) -> None:
     assert peak >= earlier.lower_bound.value * (1 - 1e-3)
 
 
-def test_another_payload_and_several_strokes() -> None:
-    scene = strokes_scene()
+def test_another_payload_and_several_strokes(strokes_plan: Plan) -> None:
+    scene = strokes_plan.scene
     heavier = scene.with_payload(scene.robot.payload_kg + 0.3)
-    plan = cmbot.replan(cmbot.plan(scene, progress=False), heavier, progress=False)
+    plan = cmbot.replan(strokes_plan, heavier, progress=False)
     assert "Planned near an earlier plan" in plan.fallbacks[0]
     assert plan.job.certificate.holds and plan.scene.robot.payload_kg == heavier.robot.payload_kg
     assert [part.name for part in plan.job.strokes] == [stroke.name for stroke in scene.strokes]
