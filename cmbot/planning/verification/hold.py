@@ -120,11 +120,11 @@ class _Plate:
         c = goal @ np.linalg.inv(X.T @ X)
         pairs = (X[:, :, None] * X[:, None, :]).reshape(-1, 9)
         for step in range(_SECOND_STEPS):
-            on = (c @ X.T > 0).astype(float)
-            lack = (on * (c @ X.T)) @ X - goal
+            force = c @ X.T
+            lack = np.maximum(force, 0.0) @ X - goal
             if np.abs(lack).max() < _SECOND_CLOSE:
                 break
-            slope = (on @ pairs).reshape(-1, 3, 3) + 1e-9 * np.eye(3)
+            slope = ((force > 0).astype(float) @ pairs).reshape(-1, 3, 3) + 1e-9 * np.eye(3)
             c -= (1.0 if step < _SECOND_STEPS // 2 else 0.3) * np.linalg.solve(slope, lack[:, :, None])[
                 :, :, 0
             ]
