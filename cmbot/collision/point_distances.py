@@ -62,18 +62,15 @@ class PointDistances:
         Below zero where shapes overlap. Infinite without pairs, whose names are then empty.
         """
         distance, names = np.full(len(q), np.inf), [("", "")] * len(q)
-        shapes = [geometry for _, _, geometry in self._shapes]
         # One for all: to make them takes as long as to measure.
         request, result = coal.DistanceRequest(), coal.DistanceResult()
         for k, posture in enumerate(q):
             pin.forwardKinematics(self._model, self._data, posture)
-            places = []
-            for joint, X_JS, _ in self._shapes:
-                X_WS = self._data.oMi[joint] * X_JS
-                places.append(coal.Transform3s(X_WS.rotation, X_WS.translation))
+            placed = ((self._data.oMi[joint] * X_JS, shape) for joint, X_JS, shape in self._shapes)
+            shapes = [(shape, coal.Transform3s(X_WS.rotation, X_WS.translation)) for X_WS, shape in placed]
             for (i, j), name in zip(self._pairs, self.names, strict=True):
                 result.clear()
-                found = coal.distance(shapes[i], places[i], shapes[j], places[j], request, result)
+                found = coal.distance(*shapes[i], *shapes[j], request, result)
                 if found < distance[k]:
                     distance[k], names[k] = found, name
         return distance, names
