@@ -348,8 +348,8 @@ class _Planner:
         except PlanningError:
             return refused
         stroke, found = _at_stroke(fast, request.number, state), refused
-        # Another start may be better at rest, and slower.
-        for stays in (False, True):
+        # Another start may be better at rest, and slower; with fixed knots there is none.
+        for stays in (False, True) if request.cell.options.knots == "sliding" else (False,):
             planned = plan_stroke(stroke, stays=stays)
             found = in_given_time(found, request.stroke, planned)
             if isinstance(found.trial.outcome, Solved):
