@@ -104,5 +104,5 @@ def test_planning_shows_its_steps_on_a_terminal_and_nothing_on_a_pipe(tmp_path: 
     drawn = lines(on_a_terminal("plan", path, "-o", tmp_path / "out", columns=110))
     assert any(re.search(r"━.* \d:\d\d:\d\d .*following the tool path", line) for line in drawn)
     assert any("optimising, pass 1" in line for line in drawn)
-    outcome = run("plan", path, "-o", tmp_path / "other")
+    outcome = run("plan", write_scene(tmp_path / "quick.yaml", SHORT), "-o", tmp_path / "other")
     assert (outcome.status, outcome.err) == (0, "")

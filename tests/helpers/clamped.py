@@ -11,11 +11,7 @@ from cmbot.scene import Scene, load_scene
 
 CLAMP = {"kind": "clamp", "force_n": [8000.0] * 3, "moment_nm": [3000.0] * 3}
 MAGNET = {"kind": "magnet", "adhesion_n": 14.9e3, "friction": 10.0}
-HOLDS: dict[str, dict[str, Any]] = {
-    "clamp": CLAMP,
-    "clamp of unknown bounds": {"kind": "clamp"},
-    "magnet": MAGNET,
-}
+HOLDS = {"clamp": CLAMP, "safe": {**CLAMP, "safety": 1.2}, "unknown": {"kind": "clamp"}, "magnet": MAGNET}
 
 
 def clamped_scene(hold: Any = None, **changes: Any) -> Scene:

@@ -150,15 +150,7 @@ def blocked(begin: dict[str, Any], **more: Any) -> Scene:
     """Two strokes, the second of them from a pose of its own."""
     scene = strokes_scene()
     there, back = scene.strokes
-    (other,) = load_scene(
-        {
-            "format": "cmbot-scene/2",
-            "name": "one",
-            "robot": {"model": "cmbot"},
-            "start": {"posture_deg": [-10, -90, 90, 0, 10, 50, 0]},
-            "tool_path": {"from": begin, "legs": [{"by": [0, 0.1, 0], "seconds": 3}]},
-        }
-    ).strokes
+    (other,) = short_scene(tool_path={"from": begin}).strokes
     return scene.with_strokes((there, back.changed(start_pose=other.start_pose)), **more)
 
 
@@ -180,16 +172,8 @@ def test_a_stroke_out_of_the_joint_ranges_is_refused_before_any_is_planned() -> 
 
 def test_a_stroke_in_an_obstacle_is_refused_before_any_is_planned() -> None:
     scene = strokes_scene()
-    crate, *_ = load_scene(
-        {
-            "format": "cmbot-scene/2",
-            "name": "one",
-            "robot": {"model": "cmbot"},
-            "start": {"posture_deg": [-10, -90, 90, 0, 10, 50, 0]},
-            "tool_path": {"legs": [{"by": [0, 0.1, 0], "seconds": 3}]},
-            "obstacles": [{"name": "crate", "box": [0.05, 0.05, 0.05], "xyz": [1.8154, 0.78, -1.9628]}],
-        }
-    ).obstacles
+    box = {"name": "crate", "box": [0.05, 0.05, 0.05], "xyz": [1.8154, 0.78, -1.9628]}
+    crate, *_ = short_scene(obstacles=[box]).obstacles
     scene = scene.changed(obstacles=(*scene.obstacles, crate))
     told: list[Progress] = []
     with pytest.raises(

@@ -154,10 +154,8 @@ def test_a_plan_in_the_shortest_time(quick_plan: Plan) -> None:
 
 
 @cache
-def in_auto(kind: str | None = None, max_sway_mm: float | None = None) -> Plan:
-    """In the shortest time by a kind of law, and with a bound of the sway."""
-    changes = {"speed_profile": kind and {"kind": kind}, "max_sway_mm": max_sway_mm}
-    changes = {key: value for key, value in changes.items() if value is not None}
+def in_auto(kind: str = "quiet", **changes: Any) -> Plan:
+    changes |= {"speed_profile": {"kind": kind}}
     path = {"legs": [{"by": [0, 0.1, 0]}], "seconds": "auto", "via_points": 21, **changes}
     return plan(load_scene({**SOFT_MAST, "tool_path": path}), progress=False)
 

@@ -121,7 +121,7 @@ def test_a_clamp_needs_no_adhesion(clamped: Plan) -> None:
 
 
 def test_a_clamp_without_figures_says_nothing_about_holding() -> None:
-    (said,) = hold_remarks(clamped_plan("clamp of unknown bounds"))
+    (said,) = hold_remarks(clamped_plan("unknown"))
     assert said == "Hold: what the feet bear is not given, so nothing here says whether they hold."
 
 

@@ -6,10 +6,10 @@ The other shipped jobs are judged where they are planned: `tests/planning/test_p
 from dataclasses import replace
 
 import pytest
-from clamped import CLAMP, HOLDS, clamped_plan, clamped_scene
+from clamped import HOLDS, clamped_plan
 from told import not_found, require_told
 
-from cmbot.planning import Plan, plan
+from cmbot.planning import Plan
 
 
 @pytest.mark.parametrize(
@@ -23,10 +23,6 @@ def test_jobs_that_others_plan(request: pytest.FixtureRequest, name: str) -> Non
 @pytest.mark.parametrize("hold", HOLDS)
 def test_jobs_of_several_strokes_on_a_foot(hold: str) -> None:
     require_told(clamped_plan(hold))
-
-
-def test_another_safety_of_the_foot() -> None:
-    require_told(plan(clamped_scene({**CLAMP, "safety": 1.2})))
 
 
 @pytest.mark.parametrize("change", [{"peak_guardrail_torque": 123.4}, {"min_clearance": 0.0123}])
