@@ -1,7 +1,6 @@
 """What more seconds would give on short legs: told where it is much, and true."""
 
 import re
-from functools import cache
 
 import numpy as np
 import pytest
@@ -13,8 +12,7 @@ from cmbot.planning import bending_arm
 SOFT = np.diag([2e4, 2e4, 1e5, 4e3, 4e3, 4e3])
 
 
-@cache
-def planned(seconds: float, stiffness: float = 1.0, via_points: int = 21) -> Plan:
+def planned(seconds: float, stiffness: float = 1.0, via_points: int = 21, knots: str = "fixed") -> Plan:
     return plan(
         load_scene(
             {
@@ -22,6 +20,7 @@ def planned(seconds: float, stiffness: float = 1.0, via_points: int = 21) -> Pla
                 "name": "mast",
                 "robot": {"model": "panda", "base_frame": "panda_link0", "tool_frame": "panda_hand_tcp"},
                 "start": {"posture_deg": [0, -45, 0, -135, 0, 90, 45]},
+                "planner": {"knots": knots},
                 "guardrail": {"bays": 0, "stiffness": (stiffness * SOFT).tolist()},
                 "tool_path": {
                     "keep": "pose",
@@ -50,11 +49,11 @@ def test_what_more_seconds_give_on_a_short_leg_is_told_and_true() -> None:
     assert periods < 6 and longer > 1.2 and less <= 0.5 * sway
     assert moved(planned(longer)) < 0.6 * moved(short)
     # The same leg on a stiff mast has more periods.
-    assert not any("periods" in each for each in planned(1.2, stiffness=50.0, via_points=8).fallbacks)
+    assert not any("periods" in each for each in planned(1.2, stiffness=50.0).fallbacks)
 
 
 def test_short_legs_have_as_many_via_points_as_their_law_needs() -> None:
-    made = planned(1.2, via_points=8)
+    made = planned(1.2, via_points=8, knots="sliding")
     (told,) = (each for each in made.fallbacks if "via-points in place of 8" in each)
     number = len(made.trajectory.t)
     assert told.startswith(f"{number} via-points") and made.scene.strokes[0].via_points == number
@@ -63,4 +62,4 @@ def test_short_legs_have_as_many_via_points_as_their_law_needs() -> None:
     frequency = float(arm_modes(arm, made.trajectory.q[0]).frequencies[0])
     assert number - 1 == pytest.approx(4 * frequency * 1.2, abs=1.5)
     # On a stiff mast the leg has many periods, and what is asked for is done.
-    assert len(planned(1.2, stiffness=50.0, via_points=8).trajectory.t) == 8
+    assert len(planned(1.2, stiffness=50.0, via_points=8, knots="sliding").trajectory.t) == 8
