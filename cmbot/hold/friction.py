@@ -11,7 +11,7 @@ outline of the pressed part, all of which are elementary:
 
     D = sum over sides of d (integral of rho (p(c) / 3 + b . (x - c) / 4) along the side)
 
-where rho = |x - c| and d is the signed distance of the side's line from c. There are no cells and no tables.
+where rho = |x - c| and d is the signed distance of the side's line from c. There are no cells.
 Points and vectors in the plane are complex numbers here.
 """
 
