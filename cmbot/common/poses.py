@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
@@ -27,3 +29,14 @@ def pose(xyz: ArrayLike, rpy: ArrayLike = (0.0, 0.0, 0.0)) -> FloatArray:
     X[:3, :3] = Rotation.from_euler("xyz", np.asarray(rpy, dtype=float)).as_matrix()
     X[:3, 3] = xyz
     return read_only(X)
+
+
+def rpy_deg(R: FloatArray) -> tuple[float, float, float]:
+    """Return roll, pitch and yaw of a rotation (3, 3), degrees, as `pose` takes them in radians.
+
+    At a pitch of 90 degrees many turn alike: one of these.
+    """
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Gimbal lock detected", UserWarning)
+        roll, pitch, yaw = Rotation.from_matrix(R).as_euler("xyz", degrees=True).tolist()
+    return roll, pitch, yaw

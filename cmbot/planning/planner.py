@@ -7,10 +7,10 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Literal, NoReturn, Self
 
-from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
 from cmbot.common.errors import InputError, PathNotFound, PlanningError
+from cmbot.common.poses import rpy_deg
 from cmbot.common.reading.validation import checked_options, require_type
 from cmbot.common.watching import watched
 from cmbot.planning.attempts.advice import slower_legs
@@ -390,8 +390,7 @@ def _without(scene: Scene, names: Collection[str]) -> Scene:
             continue
         if k and timed[k - 1].name in names and not file.has_own_start:
             X = timed[k - 1].path.end_pose
-            angles = Rotation.from_matrix(X[:3, :3]).as_euler("xyz", degrees=True)
-            file = file.changed(start_pose=Goal(xyz=tuple(X[:3, 3].tolist()), rpy_deg=tuple(angles.tolist())))
+            file = file.changed(start_pose=Goal(xyz=tuple(X[:3, 3].tolist()), rpy_deg=rpy_deg(X[:3, :3])))
         left.append(file)
     return scene.with_strokes(left)
 

@@ -6,10 +6,9 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from scipy.spatial.transform import Rotation
-
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
+from cmbot.common.poses import rpy_deg
 from cmbot.planning import robot_of, strokes_of
 from cmbot.scene import STOW, WORK, JobStrokes, Scene, StrokeFile
 from cmbot.stances.candidates import AnyCandidate, Candidate, MountCandidate, stiffness_in_world
@@ -84,7 +83,7 @@ def in_world(scene: Scene) -> Scene:
         # Without leads and turns it begins where its first leg does.
         alone = scene.with_strokes((*scene.strokes[:k], stroke.changed(**_PLAIN_KEYS, backwards=False)))
         pose = strokes_of(alone, robot)[-1].path.poses([0.0])
-        begin = Goal(xyz=tuple(pose.point[0].tolist()), rpy_deg=_rpy_deg(pose.rotation[0]))
+        begin = Goal(xyz=tuple(pose.point[0].tolist()), rpy_deg=rpy_deg(pose.rotation[0]))
         strokes[k], moved = stroke.changed(start_pose=begin), True
     return scene.with_strokes(strokes, scene.order) if moved else scene
 
@@ -150,8 +149,3 @@ def _united(key: str, own: Mapping[str, T], its: Mapping[str, T], first: Scene, 
     for name in own.keys() & its.keys():
         _require_same(f"{key}.{name}", own[name], its[name], first, other)
     return {**own, **its}
-
-
-def _rpy_deg(R: FloatArray) -> tuple[float, float, float]:
-    roll, pitch, yaw = Rotation.from_matrix(R).as_euler("xyz", degrees=True).tolist()
-    return roll, pitch, yaw
