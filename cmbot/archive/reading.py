@@ -135,8 +135,9 @@ def read_plan(
     try:
         file = validated(PlanFile, data, str(source), ArchiveError)
     except ArchiveError as error:
-        # Its content is as it was written: most likely by a version with other keys.
-        expected = f"{error.expected}; of a plan of another version: cmbot plan SCENE makes it anew"
+        # It has the hash of its content: of a version with other keys, or of whoever changed it.
+        told = "the file was changed, or is of another version: cmbot plan SCENE makes it anew"
+        expected = f"{error.expected}; {told}"
         raise ArchiveError(error.source, error.key, error.got, expected, error.choices) from error
     try:
         parts = _Parts(file, folder, contents)
@@ -383,13 +384,14 @@ def _verified(plan: Plan, clearances: Clearances, data: dict[str, Any], source: 
     again = Plan.of(strokes, clearances, job=Job(segments=segments), **given)
     hashes = HashesFile(**data["hashes"])
     record = plan_record(again, hashes)
-    bounds = _bounds(record)
+    bounds, checks = _bounds(record), _checks(record)
     given_again = ("certificate", "scene", "versions", "accuracy", "sway")
     expected = record | {name: data[name] for name in given_again}
     for stored, entry in zip(data["segments"], record["segments"], strict=True):
         entry["certificate"] = stored["certificate"]
     require_same(data, expected, source, "", _SAME, _SAME_ZERO)
     require_same(_drawn(data), _drawn(record), source, "", _SINGLE_PRECISION_TOLERANCE, _SAME_ZERO)
+    require_same(_checks(data), checks, source, "segments", _BOUND_SHARE, _CLEARANCE_BOUND_M)
     require_same(_bounds(data), bounds, source, "segments", _BOUND_SHARE, _CLEARANCE_BOUND_M)
     seconds = [
         replace(segment, certificate=replace(certificate, checks=(*certificate.checks, *checks)))
@@ -404,6 +406,13 @@ def _bounds(data: Mapping[str, Any]) -> list[dict[str, Any]]:
     """What the certificates of segments say that holds at all times."""
     names = [field.name for field in fields(CertificateFile) if field.name != "checks"]
     return [{name: entry["certificate"][name] for name in names} for entry in data["segments"]]
+
+
+def _checks(data: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """What the checks of segments found: bounds are those of the options, the place of a peak is open."""
+    names = ("value", "unit", "at_least", "limit")
+    each = [entry["certificate"]["checks"] for entry in data["segments"]]
+    return [{"certificate": {"checks": [{key: one[key] for key in names} for one in own]}} for own in each]
 
 
 def _drawn(data: Mapping[str, Any]) -> dict[str, Any]:

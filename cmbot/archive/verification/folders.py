@@ -266,7 +266,7 @@ def _claims(plan: Plan, asked: Scene | None) -> Iterator[str]:
         yield "tool_path.order (that no other is better)"
     yield f"planned (that no motion has a lower {plan.objective.name})"
     yield "start.failures, passes, runs, stopped, missing, fallbacks, seconds, versions, along_self_motion"
-    yield "certificate.checks, times of peaks, options of effort"
+    yield "times and names in certificate.checks, times of peaks, options of effort"
 
 
 def _motions(name: str, part: Plan | Walk) -> Iterator[VerifiedMotion]:
