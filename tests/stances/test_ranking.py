@@ -270,6 +270,7 @@ RAIL = {"name": "top", "height_m": 0.0, "section": {"angle": [0.075, 0.008]}, "b
 PLACE = {"member": "post_3"}
 WIDE = StandOptions(spacing=1.5, pair_spacing=np.inf, plans=1)
 FEW = replace(WIDE, members=("post_3",))
+SOME = replace(WIDE, members=("post_3", "top_rail"))
 
 
 def test_no_best_stance_is_worse_than_the_scenes(scene: Scene) -> None:
@@ -504,7 +505,7 @@ def test_no_stance_beyond_a_bound_is_the_best(scene: Scene, ranking: StanceRanki
 
 @pytest.mark.parametrize("objective", ["sag", "sway"])
 def test_what_bends_is_ranked_by_its_sag_and_its_sway(objective: Any) -> None:
-    (found,) = stand(scene_of("torque", "fixed"), replace(FEW, objective=objective))
+    (found,) = stand(scene_of("torque", "fixed"), replace(WIDE, objective=objective))
     best, (own,) = found.best, found.own
     value = {"sag": lambda f: f.sag_mm, "sway": lambda f: f.sway_mm}[objective]
     assert found.unit == {"sag": "mm", "sway": "mm per m/s2"}[objective]
@@ -517,13 +518,15 @@ def test_what_bends_is_ranked_by_its_sag_and_its_sway(objective: Any) -> None:
             samples = each.plan.samples.q[::20]
             assert each.figures.sag_mm == pytest.approx(1e3 * Sag(arm).length(samples)[0].max(), rel=0.01)
             assert each.figures.sway_mm == pytest.approx(sway_mm_per_m_s2(each.plan))
-    rows = [*csv.DictReader(stances_csv([found]).splitlines())]
-    assert all(row["sag_mm"] and row["first_hz"] for row in rows if row["status"] == "screened")
+    rows = [row for row in csv.DictReader(stances_csv([found]).splitlines()) if row["status"] == "screened"]
+    # By its sway every one that is left is planned.
+    assert rows or objective == "sway"
+    assert all(row["sag_mm"] and row["first_hz"] for row in rows)
 
 
 def test_others_sag_no_more_than_the_scenes_own_unless_any_sag_is_allowed() -> None:
     bending = scene_of("torque")
-    (found,) = stand(bending, FEW)
+    (found,) = stand(bending, SOME)
     (own,), most = found.own, found.sag_limit.most_mm
     assert "own stance sags" in found.sag_limit.source
     assert own.figures.sag_mm == pytest.approx(most, rel=0.1)
@@ -532,12 +535,12 @@ def test_others_sag_no_more_than_the_scenes_own_unless_any_sag_is_allowed() -> N
     assert all((each.figures.sag_mm or each.at_rest.sag_mm) <= 1.05 * most for each in others)
     said = f"Other stances that sag by more than {most:.3g} mm, what the scene's own stance sags (estimate),"
     assert any(said in sentence for sentence in in_words(found))
-    for lifted in (replace(FEW, any_sag=True), replace(FEW, bounds=Bounds(sag_mm=900.0))):
+    for lifted in (replace(SOME, any_sag=True), replace(SOME, bounds=Bounds(sag_mm=900.0))):
         (anywhere,) = stand(bending, lifted)
         assert anywhere.sag_limit is None
         assert not any("sag by more than" in sentence for sentence in in_words(anywhere))
     sags = [each.at_rest.sag_mm for each in anywhere.ranked if np.isfinite(each.bound)]
-    assert max(sags) > most
+    assert max(sags) > 1.5 * most
 
 
 def test_the_sag_of_an_own_stance_that_cannot_do_the_work_bounds_no_other() -> None:
