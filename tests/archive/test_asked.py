@@ -55,7 +55,7 @@ def test_a_plan_of_the_scene_holds(short_folder: Path, asked: Path, short_plan: 
     told = output("verify", short_folder).partition("\n")[0]
     assert told.startswith("Judged by what the folder says that was asked: --scene SCENE names the scene.")
     assert told.endswith(
-        "has robot.joints 'rigid'; compensate False (default 'auto'); knots 'fixed' (default 'sliding')."
+        "'rigid'; its own tool_path; compensate False (default 'auto'); knots 'fixed' (default 'sliding')."
     )
     assert data["taken"] == []
     again = load_plan(short_folder, verify=True, scene=load_scene(asked), options=short_plan.options)

@@ -89,7 +89,7 @@ def test_a_plan_of_a_version_with_other_keys(triangle_folder):
     """Of the same format: what is missing is named, and what to do."""
     edit(triangle_folder, lambda data: data["baseline"].pop("drift"))
     error = refused(triangle_folder, "plan.json", "baseline.drift")
-    assert "cmbot plan SCENE makes it anew" in str(error)
+    assert "; the file was changed, or is of another version: cmbot plan SCENE makes it anew" in str(error)
     assert len(str(error)) <= 400
 
 

@@ -206,7 +206,7 @@ def _taken(scene: Scene) -> Iterator[str]:
     for key, value in world.items():
         for name, inner in value.items() if isinstance(value, dict) else [("", value)]:
             yield f"{key}{name and '.'}{name} {len(inner) if isinstance(value, list) else shown(inner)}"
-    yield from looser_promises(scene.planner, PlannerOptions(), "default")
+    yield from ("its own tool_path", *looser_promises(scene.planner, PlannerOptions(), "default"))
 
 
 def _require_walk(walk: Walk, asked: Asked, source: str) -> tuple[str, ...]:
@@ -266,7 +266,7 @@ def _claims(plan: Plan, asked: Scene | None) -> Iterator[str]:
         yield "tool_path.order (that no other is better)"
     yield f"planned (that no motion has a lower {plan.objective.name})"
     yield "start.failures, passes, runs, stopped, missing, fallbacks, seconds, versions, along_self_motion"
-    yield "times and names in certificate.checks, times of peaks, options of effort"
+    yield "times, names and bounds in certificate.checks, times of peaks, options of effort"
 
 
 def _motions(name: str, part: Plan | Walk) -> Iterator[VerifiedMotion]:
