@@ -513,6 +513,11 @@ def test_a_foot_that_is_quicker_than_usual(walked: Path) -> None:
 # Claims
 
 
+def test_what_is_hidden_is_named(short_folder: Path) -> None:
+    (short_folder / ".job.csv").write_bytes((short_folder / "job.csv").read_bytes())
+    assert ".job.csv" in json.loads(output("verify", short_folder, "--json"))["not_verified"]
+
+
 def test_claims_are_computed_again_or_named(triangle_folder: Path) -> None:
     data = json.loads(output("verify", triangle_folder, "--scene", "triangle", "--json"))
     claims = " ".join(data["not_verified"])

@@ -217,6 +217,16 @@ def test_a_quiet_law_that_waits_or_stops_in_between_is_refused(parts: list[tuple
         QUIET.with_path(time_laws=(law,)).timed_strokes(np.eye(4))
 
 
+def test_a_quiet_law_that_creeps_at_its_ends_is_refused() -> None:
+    """At a fiftieth of its largest speed for a fifth of the time."""
+    rise, fall = [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]
+    seconds = [0.05, 0.05, 0.7, 0.05, 0.05, 0.8, 0.05, 0.05, 0.7, 0.05, 0.05]
+    jerk = [*rise[:2], 0.0, 0.0, 50.0, 0.0, 0.0, -50.0, 0.0, 0.0, *fall[1:]]
+    law = LegLaw(leg=0, seconds=tuple(SECONDS / sum(seconds) * each for each in seconds), jerk=tuple(jerk))
+    with pytest.raises(SceneError, match=r"time_laws: got"):
+        QUIET.with_path(time_laws=(law,)).timed_strokes(np.eye(4))
+
+
 @given(st.one_of(st.none(), shapers), st.floats(0.08, 0.49), st.sampled_from([0.0, 0.25, 0.5, 0.75]))
 @settings(max_examples=60, deadline=None)
 def test_ramps_with_a_shaper_are_taken(shaper: Shaper | None, ramp: float, flat: float) -> None:

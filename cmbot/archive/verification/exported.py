@@ -50,9 +50,10 @@ def unverified_files(plan: Plan, folder: Path) -> tuple[str, ...]:
     """
     skipped = list[str]()
     for path in sorted(folder.iterdir()):
-        if path.name.startswith(".") or path.name in (PLAN_FILE, JOB_FILES[1]):
+        if path.name in (PLAN_FILE, JOB_FILES[1]):
             continue
-        compare = _KINDS.get(path.suffix)
+        # What is hidden may be another motion as well.
+        compare = None if path.name.startswith(".") else _KINDS.get(path.suffix)
         skipped += compare(plan, path) if compare is not None and path.is_file() else [path.name]
     return tuple(skipped)
 

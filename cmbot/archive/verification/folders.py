@@ -244,8 +244,7 @@ def _walk_files(folder: Path, walk: Walk) -> tuple[str, ...]:
 def _others(folder: Path, known: Collection[str]) -> tuple[str, ...]:
     """The names of what is in a folder beside what is known."""
     require_settled(folder)
-    names = {path.name for path in folder.iterdir()} - {*known}
-    return tuple(sorted(name for name in names if name[0] != "."))
+    return tuple(sorted({path.name for path in folder.iterdir()} - {*known}))
 
 
 def _claims(plan: Plan, asked: Scene | None) -> Iterator[str]:

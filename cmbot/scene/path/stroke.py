@@ -36,9 +36,10 @@ _POSE_VALUES = 12
 _DURATION_TOLERANCE = 1e-6
 # By what share a speed at a sample may exceed another one.
 _SPEED_TOLERANCE = 1e-3
-# Ramps with a shaper of up to 0.4 of the time: in which share of it a tool may hardly move at an end, and how
-# far from half of the way it may be in the middle; of what planning chooses 0.11 and 0.08 are the most.
-_MOST_IDLE, _MOST_LOPSIDED = 0.14, 0.1
+# Ramps with a shaper of up to 0.4 of the time: shares of the largest speed, and for which share of the time a
+# tool may be slower at an end; how far from half of the way it may be in the middle. Of what planning chooses
+# 0.11, 0.17 and 0.08 are the most.
+_MOST_IDLE, _MOST_LOPSIDED = ((0.01, 0.14), (0.05, 0.19)), 0.1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -175,10 +176,11 @@ def _is_ramped(law: TimeLaw) -> bool:
     u = np.linspace(0.0, 1.0, 1001)
     speed = law.rate(u)
     rises, falls = np.maximum.accumulate(speed), np.maximum.accumulate(speed[::-1])[::-1]
-    moves = u[speed >= 0.01 * speed.max()]
+    moves = [(u[speed >= share * speed.max()], most) for share, most in _MOST_IDLE]
+    goes = all(max(at[0], 1 - at[-1]) <= most for at, most in moves)
     lopsided = abs(float(law.share(np.array([0.5]))[0]) - 0.5)
     is_even = (np.minimum(rises, falls) - speed).max() <= _SPEED_TOLERANCE * speed.max()
-    return bool(is_even and max(moves[0], 1 - moves[-1]) <= _MOST_IDLE and lopsided <= _MOST_LOPSIDED)
+    return bool(is_even and goes and lopsided <= _MOST_LOPSIDED)
 
 
 def _check_speeds(stroke: Stroke, plain: ToolPath, place: PathSource) -> None:
