@@ -463,8 +463,7 @@ def _certified(plan: Plan, number: int, clearances: Clearances) -> tuple[Certifi
             clearances,
             options,
             via_points=number_of_via_points,
-            # Where it follows on a segment, that they join has been checked.
-            start=before if number == 0 else None,
+            start=before if number == 0 or segments[number - 1].kind == "stroke" else None,
             sag=sag,
             arm=bending_arm(plan.scene, robot),
         )
