@@ -17,7 +17,12 @@ from cmbot.archive.places import plans_nearby
 from cmbot.archive.plan_file import CertificateFile, HashesFile, PlanFile, StrokeEntries, made, plan_record
 from cmbot.archive.records import BASELINE_FILE, JOB_FILES, PLAN_FILE, PLAN_FILES, require_same
 from cmbot.archive.tables import read_motion
-from cmbot.archive.verification.asked import require_asked, require_done, require_promised
+from cmbot.archive.verification.asked import (
+    require_asked,
+    require_done,
+    require_fixed,
+    require_promised,
+)
 from cmbot.archive.verification.exported import unverified_files
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray, IntArray
@@ -182,6 +187,8 @@ def read_plan(
         return plan, ()
     if asked is not None:
         require_done(plan, asked, promised, str(source))
+    if resolved.knots == "fixed":
+        require_fixed(plan, resolved, str(source))
     plan = _verified(plan, clearances, again, str(source))
     return plan, unverified_files(plan, folder)
 
@@ -409,8 +416,10 @@ def _bounds(data: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _found(checks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """What checks found; their bounds are those of the options."""
-    return [{name: check[name] for name in ("value", "unit", "at_least", "limit")} for check in checks]
+    """What checks found; what is named and when are those of a peak that another one may equal."""
+    return [
+        {name: check[name] for name in ("value", "bound", "unit", "at_least", "limit")} for check in checks
+    ]
 
 
 def _drawn(data: Mapping[str, Any]) -> dict[str, Any]:

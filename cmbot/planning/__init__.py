@@ -31,7 +31,10 @@ from cmbot.planning.job import (
     job_metrics as job_metrics,
 )
 from cmbot.planning.path.first_posture import starting_at_path as starting_at_path
-from cmbot.planning.path.gradient_projection import follow_path as follow_path
+from cmbot.planning.path.gradient_projection import (
+    aside_of_path as aside_of_path,
+    follow_path as follow_path,
+)
 from cmbot.planning.path.raster_reach import reached_scene as reached_scene
 from cmbot.planning.path.start_posture import StartPosture as StartPosture, find_start as find_start
 from cmbot.planning.planner import plan as plan, replan as replan

@@ -265,24 +265,26 @@ def guess_near(request: StrokeRequest, earlier: QuinticTrajectory) -> InitialGue
     """Take via-points from the postures of an earlier motion along the stroke, projected onto its task now.
 
     Without charts nothing is known of the least peak: the largest value at rest in these postures stands for
-    it, and what is optimised need not undercut that. They slide as the option ``knots`` says; the first one
-    stays where the motion began in the posture in which the work starts now, or has to.
+    it, and what is optimised need not undercut that. The first one stays where the motion began in the
+    posture in which the work starts now, or has to. Fixed knots are those of the path now.
 
     Raises
     ------
     PathNotFound
         When a posture cannot be projected onto the tool path.
     """
-    options, sliding = request.cell.options, request.cell.options.knots == "sliding"
+    options = request.cell.options
+    if options.knots == "fixed":
+        return fixed_guess(request)
     q = earlier.evaluate(request.times * (earlier.duration / request.times[-1]))
     begins_there = float(np.abs(q[0] - request.first).max()) <= _POSTURE_TOLERANCE
-    pinned = not sliding or options.start == "pinned" or begins_there
-    placed = _placed(request if sliding else request.on_axis, q)
+    pinned = options.start == "pinned" or begins_there
+    placed = _placed(request, q)
     if pinned:
         placed[0] = request.first
     each = request.cell.objective.at_rest(request.cell.postures.at(placed))
     bound = LowerBound(value=float(each.max()), error=0.0, via_point=int(each.argmax()), each=each)
-    form = parametrization_through(request, placed, sliding=sliding, pinned=sliding and pinned)
+    form = parametrization_through(request, placed, sliding=True, pinned=pinned)
     return InitialGuess(problem=TorqueProblem(request, form, bound.value), pinned=pinned, lower_bound=bound)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import output, refusal, write_scene
-from plan_folders import edit
+from plan_folders import edit, promise
 from small_scenes import SHORT, short_scene
 from walks import one_step, tour_record
 
@@ -116,7 +116,7 @@ def test_work_that_ends_where_the_next_begins(work: Plan, tmp_path: Path) -> Non
 def test_a_part_that_promises_less(work: Plan, tmp_path: Path) -> None:
     asked = write_scene(tmp_path / "s.yaml", SHORT | RETURNS)
     folder = write_tour(tmp_path / "tour", work_1=work)
-    edit(folder / "work_1", lambda plan: plan["options"].update(safety_margin_m=0.0))
+    promise(folder / "work_1", "safety_margin_m", 0.0)
     told = "Promised otherwise than the scene in the folder asks: work_1: safety_margin_m 0.0 (asked 0.02)."
     assert output("verify", folder).startswith(told)
     refused = refusal("verify", folder, "--scene", asked)

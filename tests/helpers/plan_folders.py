@@ -3,6 +3,7 @@
 import hashlib
 import io
 import json
+import math
 import shutil
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass, replace
@@ -65,6 +66,28 @@ def short_folder(saved_short: Path, tmp_path: Path) -> Path:
 def short_tracking(short_plan: Plan) -> Tracking:
     """As ``cmbot simulate`` has it, at the ends of the plan's interval of stiffness, too."""
     return simulate(short_plan, SimulationOptions(stiffness_share=0.3))
+
+
+_PROMISED = {
+    "safety_margin_m": ("clearance", 1.0),
+    "max_tool_deviation_m": ("tool deviation", 1.0),
+    "max_tool_rotation_deg": ("tool rotation", math.radians(1)),
+    "max_tool_lag_m": ("tool lag", 1.0),
+}
+
+
+def promise(folder: Path, option: str, value: float) -> None:
+    """Change what a plan directory promises, in its options and in its certificates."""
+    limit, unit = _PROMISED[option]
+
+    def change(data: dict[str, Any]) -> None:
+        data["options"][option] = value
+        for of in (data, *data["segments"]):
+            for check in of["certificate"]["checks"]:
+                if check["limit"] == limit:
+                    check["bound"] = value * unit
+
+    edit(folder, change)
 
 
 def changed(planned: Plan, segment: str, **changes: Any) -> Plan:

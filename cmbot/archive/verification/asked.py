@@ -14,13 +14,13 @@ from cmbot.archive.records import require_same
 from cmbot.common.errors import ArchiveError
 from cmbot.common.reading.input_files import is_file
 from cmbot.common.reading.validation import counted, plain, shown
-from cmbot.planning import Plan, reached_scene, robot_of
+from cmbot.planning import Plan, aside_of_path, build_request, reached_scene, robot_of
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import PlannerOptions, Scene, StrokeFile, coverage_of
-from cmbot.toolpath import RowPiece
+from cmbot.toolpath import AUTO, RowPiece
 
 # When an option promises less than another value of it would; those that say what is sought promise another
-# thing. The other options are effort: whatever they are, the same is promised.
+# thing. The other options are effort: whatever they are, the same is promised, unless knots are fixed.
 _LOOSER: Mapping[str, Callable[[Any, Any], bool]] = {
     "safety_margin_m": lt,
     "max_tool_deviation_m": gt,
@@ -32,6 +32,8 @@ _LOOSER: Mapping[str, Callable[[Any, Any], bool]] = {
     **dict.fromkeys(("compensate", "knots", "start", "objective", "moment_about", "axis_weights"), ne),
 }
 
+# How far fixed knots may lie from their path, rad: it is integrated, and that of a bent tool is near it.
+_MOST_ASIDE = 0.01
 # By which share of a surface two searches of what is reached may differ.
 _SAME_AREA = 1e-3
 
@@ -47,11 +49,26 @@ def looser_promises(options: PlannerOptions, asked: PlannerOptions, why: str = "
     why : str
         Where these are from.
     """
-    pairs = {name: (getattr(options, name), getattr(asked, name)) for name in _LOOSER}
+    return _differing(options, asked, _LOOSER, why)
+
+
+def other_effort(options: PlannerOptions, asked: PlannerOptions) -> tuple[str, ...]:
+    """Return which options that are effort differ from others, each with both values."""
+    left_open = {name for name, value in vars(asked).items() if value == AUTO}
+    return _differing(options, asked, dict.fromkeys(vars(asked).keys() - _LOOSER.keys() - left_open, ne))
+
+
+def _differing(
+    options: PlannerOptions,
+    asked: PlannerOptions,
+    differ: Mapping[str, Callable[[Any, Any], bool]],
+    why: str = "asked",
+) -> tuple[str, ...]:
+    pairs = {name: (getattr(options, name), getattr(asked, name)) for name in differ}
     return tuple(
         f"{name} {shown(got)} ({why} {shown(wanted)})"
         for name, (got, wanted) in pairs.items()
-        if _LOOSER[name](got, wanted)
+        if differ[name](got, wanted)
     )
 
 
@@ -64,10 +81,10 @@ def require_promised(options: PlannerOptions, asked: PlannerOptions, source: str
 def require_asked(scene: Scene, asked: Scene, source: str) -> None:
     """Refuse the scene of a plan that is not what was asked, but for what planning decides.
 
-    That are options that are effort, numbers of via-points and durations that are ``auto``, a multiple of the
-    segments between via-points, the order of strokes where it is ``best``, and which rows of a raster are in
-    which part, or left out as nothing reaches them. Fewer via-points promise less. What counts of the files
-    that both name is their content, not where they are.
+    That are numbers of via-points and durations that are ``auto``, a multiple of the segments between
+    via-points, the order of strokes where it is ``best``, and which rows of a raster are in which part, or
+    left out as nothing reaches them. Fewer via-points promise less. Options are left open: those that count
+    are a plan's. What counts of the files that both name is their content, not where they are.
 
     Parameters
     ----------
@@ -87,11 +104,9 @@ def require_asked(scene: Scene, asked: Scene, source: str) -> None:
     content, wanted = (one.as_data() for one in (scene, asked))
     for data in (content, wanted):
         data["robot"].pop("package_dirs", None)
-    own, options = (dict(data.get("planner") or {}) for data in (content, wanted))
-    effort = {name: value for name, value in own.items() if name not in _LOOSER}
-    decided = {"planner": effort | {name: value for name, value in options.items() if name in _LOOSER}}
-    decided["tool_path"] = content["tool_path"]
-    require_same(content, wanted | decided, source, "scene", why="asked")
+    open_keys = {name: content[name] for name in ("planner", "tool_path") if name in content}
+    wanted.pop("planner", None)
+    require_same(content, wanted | open_keys, source, "scene", why="asked")
     _require_same_robot(*given, source)
     key, best, strokes = "scene.tool_path.strokes", asked.order == "best", scene.strokes
     expected = _in_parts(asked, strokes, robot_of(asked))
@@ -155,6 +170,23 @@ def require_done(plan: Plan, asked: Scene, options: PlannerOptions, source: str)
             )
 
 
+def require_fixed(plan: Plan, options: PlannerOptions, source: str) -> None:
+    """Refuse via-points aside of the path of gradient projection, by options with fixed knots.
+
+    Raises
+    ------
+    ArchiveError
+    """
+    request = build_request(plan.scene, options)
+    for number, segment in enumerate(plan.job.strokes):
+        stroke = request.at_stroke(number)
+        q = segment.trajectory.evaluate(stroke.times)
+        if (aside := aside_of_path(stroke, q)) > _MOST_ASIDE:
+            got = f"via-points {aside:.3g} rad (or m) aside"
+            expected = "those of gradient projection, as planner.knots: fixed asks"
+            raise ArchiveError(source, segment.name, got, expected)
+
+
 def _decided(stroke: StrokeFile, asked: StrokeFile, *, in_any_direction: bool) -> set[str]:
     """The entries of a stroke that planning decides, where it may."""
     decided = {"backwards"} if in_any_direction else set[str]()
@@ -195,7 +227,7 @@ def _in_parts(asked: Scene, strokes: Sequence[StrokeFile], robot: Robot) -> Sequ
         )
         covered = [s.raster.pieces for s in parts if s.raster is not None and s.raster.pieces is not None]
         if raster is not None and raster.cover == "reachable" and covered:
-            cells[name] = covered
+            cells[name] = [tuple(sorted(each, key=lambda piece: piece.row)) for each in covered]
     changed = {
         files[name][0]: each
         for name, each in cells.items()

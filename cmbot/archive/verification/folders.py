@@ -13,7 +13,7 @@ from cmbot.archive.folder import read_file, require_settled
 from cmbot.archive.reading import read_plan
 from cmbot.archive.records import PLAN_FILE, TOUR_FILE, WALK_FILE, require_same
 from cmbot.archive.tables import require_table
-from cmbot.archive.verification.asked import looser_promises, require_asked, require_promised
+from cmbot.archive.verification.asked import looser_promises, other_effort, require_asked, require_promised
 from cmbot.archive.walks import TourPart, bridge_of, ends_of, load_walk, place, read_tour
 from cmbot.common.errors import ArchiveError, InputError, LimitViolation
 from cmbot.common.reading.validation import counted, given_path, shown
@@ -58,6 +58,8 @@ class Verdict:
     ----------
     looser : tuple of str
         What its plans promise less, or otherwise, than the scenes in them ask for.
+    effort : tuple of str
+        With which other effort they were planned than was asked.
     taken : tuple of str
         Where no scene was asked: what those in it say of the world, but for defaults, and ask less than by
         default.
@@ -67,6 +69,7 @@ class Verdict:
     """
 
     looser: tuple[str, ...]
+    effort: tuple[str, ...]
     taken: tuple[str, ...]
     motions: tuple[VerifiedMotion, ...]
     not_verified: tuple[str, ...]
@@ -144,7 +147,9 @@ def _verified_tour(folder: Path, asked: Asked) -> Verdict:
             raise ArchiveError(str(folder / TOUR_FILE), "parts", parts[-1].name, "a walk to the goal at last")
         _require_goal(last, asked.goal, str(folder / parts[-1].name / WALK_FILE))
     beside = _others(folder, {TOUR_FILE, *(part.name for part in parts)})
-    verdicts.append(Verdict(looser=(), taken=(), motions=(), not_verified=("version, words", *beside)))
+    verdicts.append(
+        Verdict(looser=(), effort=(), taken=(), motions=(), not_verified=("version, words", *beside))
+    )
     each = {
         name: tuple(dict.fromkeys(chain(*(getattr(verdict, name) for verdict in verdicts))))
         for name in vars(verdicts[0])
@@ -178,6 +183,7 @@ def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdi
     source = folder / (WALK_FILE if is_walk else PLAN_FILE)
     part: Plan | Walk
     looser: tuple[str, ...]
+    effort: tuple[str, ...] = ()
     try:
         if is_walk:
             part = load_walk(folder)
@@ -186,8 +192,9 @@ def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdi
         else:
             scene = asked.scenes[0] if asked.scenes else None
             part, skipped = read_plan(folder, verify=True, asked=scene, options=asked.options)
-            own = resolved_options(part.scene, bending_arm(part.scene, part.robot), part.scene.planner)
-            looser = looser_promises(part.options, own)
+            options = asked.options or (scene or part.scene).planner
+            options = resolved_options(part.scene, bending_arm(part.scene, part.robot), options)
+            looser, effort = looser_promises(part.options, options), other_effort(part.options, options)
             skipped = (*_claims(part, scene), *skipped)
         taken = () if asked.scenes else tuple(_taken(part.scene))
         motions = tuple(_motions(name, part))
@@ -196,8 +203,9 @@ def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdi
         expected = f"a value within {error.bound:.6g} {error.unit}"
         raise ArchiveError(str(source), error.quantity, got, expected) from error
     lead = f"{name}: " if name else ""
-    looser, skipped = (tuple(lead + text for text in texts) for texts in (looser, skipped))
-    return part, Verdict(looser=looser, taken=taken, motions=motions, not_verified=skipped)
+    looser, effort, skipped = (tuple(lead + text for text in texts) for texts in (looser, effort, skipped))
+    told = Verdict(looser=looser, effort=effort, taken=taken, motions=motions, not_verified=skipped)
+    return part, told
 
 
 def _taken(scene: Scene) -> Iterator[str]:
@@ -261,11 +269,13 @@ def _claims(plan: Plan, asked: Scene | None) -> Iterator[str]:
             yield f"raster {name} (that nothing reaches the rows that it leaves out)"
     if any(stroke.is_open for stroke in plan.scene.strokes):
         yield "seconds: auto (that no time is shorter)"
+    if any(stroke.speed_profile.kind == "quiet" for stroke in plan.scene.strokes):
+        yield "speed_profile: quiet (that no other law sways less)"
     if asked is not None and asked.order == "best":
         yield "tool_path.order (that no other is better)"
     yield f"planned (that no motion has a lower {plan.objective.name})"
     yield "start.failures, passes, runs, stopped, missing, fallbacks, seconds, versions, along_self_motion"
-    yield "times, names and bounds in certificate.checks, times of peaks, options of effort"
+    yield "times and names in certificate.checks, times of peaks, options of effort"
 
 
 def _motions(name: str, part: Plan | Walk) -> Iterator[VerifiedMotion]:

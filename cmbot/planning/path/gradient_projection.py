@@ -148,6 +148,18 @@ def follow_path(
     return JointPath(t=t, q=q, v=v, clearance=clearance, singular_value=singular_value, drift=drift)
 
 
+def aside_of_path(request: StrokeRequest, via_points: FloatArray) -> float:
+    """Return how far via-points (k, n), rad, lie at most from the path that begins in the first one, rad.
+
+    That is along the self-motion: where the tool is, and whether it is that of a bent arm, is left open.
+    """
+    path, cell = follow_path(request, via_points[0], stop_at_obstacles=False), request.cell
+    q = np.stack([np.interp(request.times, path.t, joint) for joint in path.q.T], axis=1)
+    along = null_space(cell.postures, request.task.on_axis, q)
+    along, off = map(cell.robot.metric.coordinates, (along, (via_points - q)[:, None]))
+    return float(np.abs(along @ off.transpose(0, 2, 1)).max(initial=0.0))
+
+
 def robust_inverse(J: FloatArray, options: PlannerOptions) -> FloatArray:
     """Singularity-robust inverse J* (n, m) of `J` (m, n), Chang 2021, Eqs. (18)-(21)."""
     U, s, Vt = _svd(J)

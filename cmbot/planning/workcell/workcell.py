@@ -141,8 +141,6 @@ def build_workcell(scene: Scene, options: PlannerOptions, own: WrenchFunction | 
         raise SceneError(scene.source, "guardrail", "none", expected)
     arm = bending_arm(scene, robot)
     options = resolved_options(scene, arm, options)
-    if arm is not None:
-        options = known_share(scene, arm, options)
     sag = sag_of(scene, arm, options)
     objective = idle = objective_of(robot, options, own, posture, sag)
     if robot.pushed:
@@ -181,11 +179,13 @@ def held_guardrail(scene: Scene, robot: Robot) -> Guardrail:
 
 
 def resolved_options(scene: Scene, arm: ElasticArm | None, options: PlannerOptions) -> PlannerOptions:
-    """Return options with `compensate` decided: where it is ``auto``, wherever something bends.
+    """Return options with `compensate` decided, and `quiet_stiffness_share` by what was identified.
 
-    The arm is that of `bending_arm`. One that is too soft to carry itself where it starts has no sag; its
-    plan says so.
+    Where `compensate` is ``auto``, it is so wherever something bends. The arm is that of `bending_arm`. One
+    that is too soft to carry itself where it starts has no sag; its plan says so.
     """
+    if arm is not None:
+        options = known_share(scene, arm, options)
     if options.compensate != AUTO:
         return options
     try:
