@@ -275,7 +275,7 @@ class VerifyCommand(Reporting):
                 "directory": str(self.directory),
                 "scenes": list(self.scenes),
                 "engine": name if asked else None,
-                **{name: getattr(verdict, name) for name in ("looser", "effort", "taken", "not_verified")},
+                **{name: value for name, value in vars(verdict).items() if name != "motions"},
                 "motions": [
                     {name: value for name, value in asdict(motion).items() if name != "seconds"}
                     for motion in verdict.motions
@@ -292,9 +292,8 @@ class VerifyCommand(Reporting):
             print_table("Verified", ("part", "motion", "seconds", "checks that hold"), rows, text_columns=2)
             second = f"The second engine, {name}, was asked."
             missing = f"The second engine was not asked: {MissingExtra(name, 'verify')}."
-            print_lines(
-                [f"With other effort than asked: {'; '.join(verdict.effort)}."] if verdict.effort else []
-            )
+            if others := "; ".join(verdict.other_options):
+                print_lines([f"Options other than asked: {others}."])
             out.print("Certified anew, and computed a second time at 300 states of each motion.")
             print_lines([f"Not verified: {'; '.join(verdict.not_verified) or 'nothing'}."])
             out.print(second if asked else missing)

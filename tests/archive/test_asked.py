@@ -27,7 +27,7 @@ from cmbot.archive import (
     write_results,
 )
 from cmbot.archive.verification import exported as exported_files
-from cmbot.archive.verification.asked import looser_promises, other_effort, require_asked, require_done
+from cmbot.archive.verification.asked import looser_promises, other_options, require_asked, require_done
 from cmbot.archive.verification.exported import unverified_files
 from cmbot.common.errors import ArchiveError, InputError
 from cmbot.planning import Plan, QuinticTrajectory, plan, robot_of
@@ -100,13 +100,20 @@ def test_a_stricter_promise_was_asked(short_folder: Path) -> None:
     assert looser_promises(stricter, load_scene(SHORT).planner) == ()
 
 
-def test_other_effort_than_asked_is_told(short_folder: Path, asked: Path) -> None:
+def test_other_options_than_asked_are_told(short_folder: Path, asked: Path) -> None:
     """What is promised is the same: it is no reason to refuse."""
     edit(short_folder, options(min_gain=0.5, chart_seeds=1))
     told = ["chart_seeds 1 (asked 200)", "min_gain 0.5 (asked 0.02)"]
     for words in ((), ("--scene", asked)):
-        assert sorted(json.loads(output("verify", short_folder, *words, "--json"))["effort"]) == told
-        assert "With other effort than asked: " in output("verify", short_folder, *words)
+        assert sorted(json.loads(output("verify", short_folder, *words, "--json"))["other_options"]) == told
+        assert "Options other than asked: " in output("verify", short_folder, *words)
+
+
+def test_a_link_is_named(short_folder: Path, tmp_path: Path) -> None:
+    """What it leads to may become another file after it was verified."""
+    there = (short_folder / "job.npz").rename(tmp_path / "elsewhere.npz")
+    (short_folder / "job.npz").symlink_to(there)
+    assert "job.npz (a link)" in json.loads(output("verify", short_folder, "--json"))["not_verified"]
 
 
 def test_what_is_sought_is_a_promise_and_effort_is_none() -> None:
@@ -116,7 +123,7 @@ def test_what_is_sought_is_a_promise_and_effort_is_none() -> None:
     )
     assert looser_promises(effort, asked) == ()
     # Where the solver is left open, any is what was asked.
-    assert sorted(text.split()[0] for text in other_effort(effort, asked)) == [
+    assert sorted(text.split()[0] for text in other_options(effort, asked)) == [
         "max_passes",
         "samples_per_segment",
         "step_share",
@@ -144,10 +151,10 @@ def test_the_tool_is_lower_than_asked(short_plan: Plan, asked: Path, tmp_path: P
         ({"robot": {"payload_kg": -0.0 + 0.5}}, "scene.robot.payload_kg", "got 0.5, expected 0, as asked"),
         (
             {"tool_path": {"legs": [{"by": [0, -0.3, 0], "seconds": 5}]}},
-            "scene.tool_path.strokes[0].legs[0].seconds",
+            "scene.tool_path.legs[0].seconds",
             "got 5",
         ),
-        ({"tool_path": {"via_points": 9}}, "scene.tool_path.strokes[0].via_points", "got 9, expected 8"),
+        ({"tool_path": {"via_points": 9}}, "scene.tool_path.via_points", "got 9, expected 8"),
     ],
 )
 def test_a_plan_of_another_scene(
@@ -592,7 +599,7 @@ def test_options_of_the_scene_and_of_set_are_alike(short_plan: Plan, asked: Path
     output("plan", by_scene, "--output", tmp_path / "by_scene")
     for of, scene in (("by_set", (by_scene,)), ("by_scene", (asked, *words))):
         data = json.loads(output("verify", tmp_path / of, "--scene", *scene, "--json"))
-        assert data["looser"] == data["effort"] == []
+        assert data["looser"] == data["other_options"] == []
     told = json.loads(output("verify", tmp_path / "by_set", "--json"))
     assert told["looser"] == ["max_tool_lag_m 0.03 (asked 0.02)"]
 

@@ -52,10 +52,9 @@ def looser_promises(options: PlannerOptions, asked: PlannerOptions, why: str = "
     return _differing(options, asked, _LOOSER, why)
 
 
-def other_effort(options: PlannerOptions, asked: PlannerOptions) -> tuple[str, ...]:
-    """Return which options that are effort differ from others, each with both values."""
-    left_open = {name for name, value in vars(asked).items() if value == AUTO}
-    return _differing(options, asked, dict.fromkeys(vars(asked).keys() - _LOOSER.keys() - left_open, ne))
+def other_options(options: PlannerOptions, asked: PlannerOptions) -> tuple[str, ...]:
+    """Return which options are others, each with both values; where ``auto`` was asked, any is what was."""
+    return _differing(options, asked, {name: ne for name, value in vars(asked).items() if value != AUTO})
 
 
 def _differing(
@@ -119,7 +118,8 @@ def require_asked(scene: Scene, asked: Scene, source: str) -> None:
         entries, free = plain(stroke, key), _decided(stroke, other, in_any_direction=best)
         rest = {name: value for name, value in plain(other, key).items() if name not in free}
         same = {name: value for name, value in entries.items() if name in free}
-        require_same(entries, rest | same, source, f"{key}[{k}]", why="asked")
+        where = f"{key}[{k}]" if "strokes" in content["tool_path"] else "scene.tool_path"
+        require_same(entries, rest | same, source, where, why="asked")
 
 
 def _require_same_robot(scene: Scene, asked: Scene, source: str) -> None:

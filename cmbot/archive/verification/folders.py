@@ -13,7 +13,7 @@ from cmbot.archive.folder import read_file, require_settled
 from cmbot.archive.reading import read_plan
 from cmbot.archive.records import PLAN_FILE, TOUR_FILE, WALK_FILE, require_same
 from cmbot.archive.tables import require_table
-from cmbot.archive.verification.asked import looser_promises, other_effort, require_asked, require_promised
+from cmbot.archive.verification.asked import looser_promises, other_options, require_asked, require_promised
 from cmbot.archive.walks import TourPart, bridge_of, ends_of, load_walk, place, read_tour
 from cmbot.common.errors import ArchiveError, InputError, LimitViolation
 from cmbot.common.reading.validation import counted, given_path, shown
@@ -58,8 +58,8 @@ class Verdict:
     ----------
     looser : tuple of str
         What its plans promise less, or otherwise, than the scenes in them ask for.
-    effort : tuple of str
-        With which other effort they were planned than was asked.
+    other_options : tuple of str
+        What else of their options is not what was asked: effort, and promises of more.
     taken : tuple of str
         Where no scene was asked: what those in it say of the world, but for defaults, and ask less than by
         default.
@@ -68,11 +68,11 @@ class Verdict:
         What it says that was not computed again: keys of records, and names of files.
     """
 
-    looser: tuple[str, ...]
-    effort: tuple[str, ...]
-    taken: tuple[str, ...]
-    motions: tuple[VerifiedMotion, ...]
-    not_verified: tuple[str, ...]
+    looser: tuple[str, ...] = ()
+    other_options: tuple[str, ...] = ()
+    taken: tuple[str, ...] = ()
+    motions: tuple[VerifiedMotion, ...] = ()
+    not_verified: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,9 +147,7 @@ def _verified_tour(folder: Path, asked: Asked) -> Verdict:
             raise ArchiveError(str(folder / TOUR_FILE), "parts", parts[-1].name, "a walk to the goal at last")
         _require_goal(last, asked.goal, str(folder / parts[-1].name / WALK_FILE))
     beside = _others(folder, {TOUR_FILE, *(part.name for part in parts)})
-    verdicts.append(
-        Verdict(looser=(), effort=(), taken=(), motions=(), not_verified=("version, words", *beside))
-    )
+    verdicts.append(Verdict(not_verified=("version, words", *beside)))
     each = {
         name: tuple(dict.fromkeys(chain(*(getattr(verdict, name) for verdict in verdicts))))
         for name in vars(verdicts[0])
@@ -183,7 +181,7 @@ def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdi
     source = folder / (WALK_FILE if is_walk else PLAN_FILE)
     part: Plan | Walk
     looser: tuple[str, ...]
-    effort: tuple[str, ...] = ()
+    others: tuple[str, ...] = ()
     try:
         if is_walk:
             part = load_walk(folder)
@@ -194,7 +192,8 @@ def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdi
             part, skipped = read_plan(folder, verify=True, asked=scene, options=asked.options)
             options = asked.options or (scene or part.scene).planner
             options = resolved_options(part.scene, bending_arm(part.scene, part.robot), options)
-            looser, effort = looser_promises(part.options, options), other_effort(part.options, options)
+            looser = looser_promises(part.options, options)
+            others = tuple(text for text in other_options(part.options, options) if text not in looser)
             skipped = (*_claims(part, scene), *skipped)
         taken = () if asked.scenes else tuple(_taken(part.scene))
         motions = tuple(_motions(name, part))
@@ -203,8 +202,9 @@ def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdi
         expected = f"a value within {error.bound:.6g} {error.unit}"
         raise ArchiveError(str(source), error.quantity, got, expected) from error
     lead = f"{name}: " if name else ""
-    looser, effort, skipped = (tuple(lead + text for text in texts) for texts in (looser, effort, skipped))
-    told = Verdict(looser=looser, effort=effort, taken=taken, motions=motions, not_verified=skipped)
+    skipped = (*skipped, *(f"{path.name} (a link)" for path in sorted(folder.iterdir()) if path.is_symlink()))
+    looser, others, skipped = (tuple(lead + text for text in texts) for texts in (looser, others, skipped))
+    told = Verdict(looser=looser, other_options=others, taken=taken, motions=motions, not_verified=skipped)
     return part, told
 
 
