@@ -370,6 +370,11 @@ def read_folder(
         time.sleep(_PAUSE)
 
 
+def listed_name(path: Path) -> str:
+    """Return a file's name as it is listed beside others: in one line, in quotes where it is odd."""
+    return path.name if re.fullmatch(r"[\w.+-]+", path.name) else shown(path.name)
+
+
 def _version(path: Path) -> tuple[int, int] | None:
     """What differs between two records that have had the same name; None where there is none."""
     try:

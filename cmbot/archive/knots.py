@@ -25,6 +25,8 @@ _SAME_T = 1e-9
 _KNOT_ARRAYS = ("t", "q", "v", "a")
 # Several times as many as a scene may have via-points.
 _MOST_KNOTS = 100_000
+# Beside its arrays a file has their names and places, bytes.
+_MOST_BESIDE = 1000
 # Begins an entry of the directory at a zip file's end; few numbers contain it by chance.
 _ZIP_ENTRY, _MOST_ENTRIES = b"PK\x01\x02", 100
 # What zipfile raises for a file that is damaged or no .zip at all.
@@ -105,7 +107,7 @@ def read_knots(content: bytes, source: str, dof: int) -> QuinticTrajectory:
         raise ArchiveError(source, "", "many members", f"the arrays {', '.join(_KNOT_ARRAYS)}")
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            _require_members(archive, source)
+            _require_members(archive, source, len(content))
             knots = {name: _array(archive, name, source, dof) for name in _KNOT_ARRAYS}
     except ArchiveError:
         raise
@@ -118,11 +120,15 @@ def read_knots(content: bytes, source: str, dof: int) -> QuinticTrajectory:
         raise ArchiveError(source, error.key, error.got, error.expected) from error
 
 
-def _require_members(archive: zipfile.ZipFile, source: str) -> None:
+def _require_members(archive: zipfile.ZipFile, source: str, size: int) -> None:
     names = archive.namelist()
     if sorted(names) != sorted(f"{name}.npy" for name in _KNOT_ARRAYS):
         got = shown(", ".join(names[: len(_KNOT_ARRAYS) + 1]))
         raise ArchiveError(source, "", f"the members {got}", f"the arrays {', '.join(_KNOT_ARRAYS)}")
+    # Whoever reads the file from its beginning would find what is there.
+    if (beside := size - sum(member.compress_size for member in archive.infolist())) > _MOST_BESIDE:
+        expected = f"the arrays alone, at most {_MOST_BESIDE} bytes beside them"
+        raise ArchiveError(source, "", f"{beside} bytes beside its arrays", expected)
 
 
 def _array(archive: zipfile.ZipFile, name: str, source: str, dof: int) -> FloatArray:

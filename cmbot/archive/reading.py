@@ -156,7 +156,7 @@ def read_plan(
         key = f"scene.{error.key}" if error.source == str(source) else error.key
         raise ArchiveError(error.source, key, error.got, error.expected, error.choices) from error
     if asked is not None:
-        require_asked(scene, asked, str(source))
+        require_asked(scene, asked, str(source), file.options)
     promised = options or (asked.planner if asked is not None else file.options)
     resolved = resolved_options(scene, bending_arm(scene, robot), promised)
     require_promised(file.options, resolved, str(source), "options")

@@ -131,6 +131,6 @@ def require_same(
     elif not isinstance(got, bool) and isinstance(got, int | float) and isinstance(expected, int | float):
         if got != expected and not abs(got - expected) <= zero + tolerance * abs(expected):
             raise ArchiveError(source, key, got, f"{expected:g}, as {why}")
-    elif got != expected:
+    elif got != expected or isinstance(got, bool) != isinstance(expected, bool):
         given, wanted = ("null" if value is None else shown(value) for value in (got, expected))
         raise ArchiveError(source, key, given, f"{wanted}, as {why}")

@@ -15,7 +15,7 @@ from cmbot.archive.reading import load_plan
 from cmbot.archive.records import PLAN_FILE, TOUR_FILE, WALK_FILE, Entry, require_same
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError, InputError
-from cmbot.common.reading.validation import given_path, shown, validated
+from cmbot.common.reading.validation import FileModel, given_path, shown, validated
 from cmbot.common.representation import short_repr
 from cmbot.planning import Plan
 from cmbot.robot import ARM_JOINTS, Climber, Side, other_foot
@@ -257,7 +257,10 @@ class _PartFile(Entry):
     name: Annotated[str, Field(pattern=r"^(work|walk)_[1-9]\d{0,3}$")]
 
 
-class _TourFile(Entry):
+class _TourFile(FileModel):
+    format: Any
+    cmbot: Any
+    words: Any
     seconds: float
     parts: Annotated[tuple[_PartFile, ...], Field(min_length=1, max_length=1000)]
 

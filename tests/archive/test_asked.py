@@ -1,5 +1,6 @@
 """What was asked for: folders of other scenes, or of weaker promises, are refused in one line."""
 
+import io
 import json
 import re
 from collections.abc import Callable
@@ -10,6 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import output, refusal, write_scene
+from mcap.reader import make_reader
+from mcap.writer import Writer
 from plan_folders import changed, edit, promise, rewrite, seal, without_approach
 from raster_scenes import HOLE, raster_scene
 from small_scenes import SHORT, short_scene, strokes_scene
@@ -26,6 +29,7 @@ from cmbot.archive import (
     verified_motions,
     write_results,
 )
+from cmbot.archive.knots import knots_npz
 from cmbot.archive.verification import exported as exported_files
 from cmbot.archive.verification.asked import looser_promises, other_options, require_asked, require_done
 from cmbot.archive.verification.exported import unverified_files
@@ -248,7 +252,7 @@ def test_rows_that_nothing_reaches(tmp_path: Path) -> None:
     assert stroke.raster is not None
     assert stroke.raster.pieces is not None
     told = json.loads(output("verify", folder, "--json"))["not_verified"]
-    assert "raster work (that nothing reaches the rows that it leaves out)" in told
+    assert any(re.match(r"raster work \(that nothing reaches .*, \d+ % of it\)", claim) for claim in told)
     with pytest.raises(ArchiveError, match="as asked"):
         load_plan(folder, verify=True, scene=raster_scene(tmp_path, HOLE, law, cover="all"))
     # What is reached may not be left out.
@@ -469,6 +473,71 @@ def test_a_cell_of_a_table(exported: Path, name: str, column: str, value: str, t
     assert f"{name}: {told}" in refusal("verify", exported)
 
 
+def test_values_are_no_truth_values(exported: Path) -> None:
+    """In JSON false is no number, though Python's equals zero."""
+    path = exported / "job.ros.json"
+    data = json.loads(path.read_text())
+    data["points"][0]["velocities"] = [False] * len(data["points"][0]["velocities"])
+    path.write_text(json.dumps(data))
+    assert "velocities[0]: got False" in refusal("verify", exported)
+
+
+def test_another_motion_before_the_knots(short_folder: Path, short_plan: Plan) -> None:
+    """Whoever reads the file from its beginning finds that one."""
+    trajectory = short_plan.job.strokes[0].trajectory
+    other = replace(trajectory, q=trajectory.q + 0.1)
+    rewrite(short_folder, "job.npz", knots_npz(other) + (short_folder / "job.npz").read_bytes())
+    with np.load(short_folder / "job.npz") as read:
+        assert (read["q"] == trajectory.q).all()
+    assert re.search(r"job\.npz: got \d+ bytes beside its arrays", refusal("verify", short_folder))
+
+
+def bag_with(content: bytes, add: Callable[[Writer, int], object]) -> bytes:
+    """A bag with the messages of another one and with what is added; its number is that of a channel."""
+    file = io.BytesIO()
+    writer = Writer(file)
+    writer.start()
+    numbers: dict[int, int] = {}
+    for schema, channel, message in make_reader(io.BytesIO(content)).iter_messages():
+        if channel.id not in numbers:
+            kind = writer.register_schema(schema.name, schema.encoding, schema.data)
+            numbers[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, kind)
+        writer.add_message(
+            numbers[channel.id], message.log_time, message.data, message.publish_time, message.sequence
+        )
+    add(writer, numbers[channel.id])
+    writer.finish()
+    return file.getvalue()
+
+
+def add_beside_the_index(writer: Writer, channel: int) -> None:
+    writer._Writer__finalize_chunk()
+    known = list(writer._Writer__chunk_indices)
+    writer.add_message(channel, 0, b"\0" * 40, 0)
+    writer._Writer__finalize_chunk()
+    writer._Writer__chunk_indices[:] = known
+
+
+@pytest.mark.parametrize(
+    ("add", "told"),
+    [
+        (lambda *_: None, ""),
+        (lambda writer, _: writer.add_attachment(0, 0, "job.csv", "text/csv", b"t,q1"), "attachments"),
+        (lambda writer, _: writer.add_metadata("verified", {"by": "them"}), "metadata"),
+        (add_beside_the_index, "in its index"),
+    ],
+)
+def test_what_a_bag_has_beside_its_messages(
+    exported: Path, add: Callable[[Writer, int], object], told: str
+) -> None:
+    path = exported / "job.mcap"
+    path.write_bytes(bag_with(path.read_bytes(), add))
+    if not told:
+        output("verify", exported)
+    else:
+        assert told in refusal("verify", exported)
+
+
 def test_a_table_whose_last_digits_differ(short_folder: Path) -> None:
     """As another processor rounds them."""
     lines = (short_folder / "job.csv").read_text(encoding="utf-8").splitlines()
@@ -489,7 +558,8 @@ def test_a_bag_of_another_motion(exported: Path, short_plan: Plan) -> None:
     half = len(trajectory.t) // 2 + 1
     states = {name: getattr(trajectory, name)[:half] for name in "tqva"}
     export_mcap(changed(short_plan, "work", trajectory=QuinticTrajectory(**states)), exported / "job.mcap")
-    assert re.search(r"job\.mcap: got \d+ messages, expected \d+, as the knots", refusal("verify", exported))
+    told = refusal("verify", exported)
+    assert re.search(r"job\.mcap: got \d+ messages, expected \d+, in its index, as the knots", told)
     (exported / "job.mcap").write_bytes(b"hello")
     assert "job.mcap: got a damaged file" in refusal("verify", exported)
 
@@ -588,6 +658,23 @@ def test_claims_of_the_lower_bound_agree(triangle_folder: Path, key: str) -> Non
 
     edit(triangle_folder, change)
     assert ": got " in refusal("verify", triangle_folder, "--scene", "triangle")
+
+
+@pytest.mark.parametrize("change", [{"safety_margin_m": 0.05}, {"objective": "sag"}])
+def test_the_planner_of_its_scene_is_what_was_asked_or_used(
+    short_plan: Plan, asked: Path, change: dict[str, Any], tmp_path: Path
+) -> None:
+    """Though the options beside it are as asked."""
+    folder = save(replace(short_plan, scene=short_plan.scene.with_options(**change)), tmp_path / "plan")
+    assert f"plan.json: scene.planner.{next(iter(change))}: got " in refusal(
+        "verify", folder, "--scene", asked
+    )
+
+
+def test_names_of_files_are_told_apart_from_words(short_folder: Path) -> None:
+    (short_folder / "a\nAll files hold the motion.bin").write_text("")
+    told = json.loads(output("verify", short_folder, "--json"))["not_verified"]
+    assert any("'a All files" in name or "'a\\nAll files" in name for name in told), told
 
 
 def test_options_of_the_scene_and_of_set_are_alike(short_plan: Plan, asked: Path, tmp_path: Path) -> None:

@@ -113,6 +113,23 @@ def test_work_that_ends_where_the_next_begins(work: Plan, tmp_path: Path) -> Non
     assert "via_points: got 8, expected 20" in refusal(*changed, "tool_path.via_points=20")
 
 
+@pytest.mark.parametrize("change", [{"proven_fewest_stances": True}, {"seconds": True}])
+def test_what_a_tour_claims_beside_its_parts(walked: Path, change: dict[str, Any]) -> None:
+    edit(walked, lambda data: data.update(change), "tour.json")
+    refusal("verify", walked)
+
+
+def test_truth_values_in_place_of_numbers(walked: Path) -> None:
+    edit(walked, lambda data: data["parts"][0].update(steps=True), "tour.json")
+    assert "parts[0].steps: got True, expected 1" in refusal("verify", walked)
+
+
+def test_a_part_that_is_a_link(walked: Path, tmp_path: Path) -> None:
+    (walked / "walk_1").rename(tmp_path / "elsewhere")
+    (walked / "walk_1").symlink_to(tmp_path / "elsewhere")
+    assert "walk_1 (a link)" in json.loads(output("verify", walked, "--json"))["not_verified"]
+
+
 def test_a_part_that_promises_less(work: Plan, tmp_path: Path) -> None:
     asked = write_scene(tmp_path / "s.yaml", SHORT | RETURNS)
     folder = write_tour(tmp_path / "tour", work_1=work)

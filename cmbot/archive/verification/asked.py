@@ -77,13 +77,14 @@ def require_promised(options: PlannerOptions, asked: PlannerOptions, source: str
         raise ArchiveError(source, key, "; ".join(looser), "promises as strict as what was asked")
 
 
-def require_asked(scene: Scene, asked: Scene, source: str) -> None:
+def require_asked(scene: Scene, asked: Scene, source: str, options: PlannerOptions | None = None) -> None:
     """Refuse the scene of a plan that is not what was asked, but for what planning decides.
 
     That are numbers of via-points and durations that are ``auto``, a multiple of the segments between
     via-points, the order of strokes where it is ``best``, and which rows of a raster are in which part, or
-    left out as nothing reaches them. Fewer via-points promise less. Options are left open: those that count
-    are a plan's. What counts of the files that both name is their content, not where they are.
+    left out as nothing reaches them. Fewer via-points promise less. Options are those asked, those of the
+    plan, or defaults that a command replaced. What counts of the files that both name is their content, not
+    where they are.
 
     Parameters
     ----------
@@ -92,6 +93,8 @@ def require_asked(scene: Scene, asked: Scene, source: str) -> None:
     asked : Scene
     source : str
         The file of the plan, for messages.
+    options : PlannerOptions, optional
+        Of the plan; left out: those that were asked.
 
     Raises
     ------
@@ -106,6 +109,11 @@ def require_asked(scene: Scene, asked: Scene, source: str) -> None:
     open_keys = {name: content[name] for name in ("planner", "tool_path") if name in content}
     wanted.pop("planner", None)
     require_same(content, wanted | open_keys, source, "scene", why="asked")
+    known = (asked.planner, options or asked.planner, PlannerOptions())
+    for name, value in vars(scene.planner).items():
+        if value not in [getattr(one, name) for one in known]:
+            due = f"{shown(getattr(asked.planner, name))}, as asked"
+            raise ArchiveError(source, f"scene.planner.{name}", shown(value), due)
     _require_same_robot(*given, source)
     key, best, strokes = "scene.tool_path.strokes", asked.order == "best", scene.strokes
     expected = _in_parts(asked, strokes, robot_of(asked))

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from pydantic_core import from_json
 
-from cmbot.archive.folder import read_file
+from cmbot.archive.folder import listed_name, read_file
 from cmbot.archive.records import BASELINE_FILE, JOB_FILES, PLAN_FILE, require_same, require_unique_keys
 from cmbot.archive.ros.messages import messages, trajectory_message
 from cmbot.archive.tables import require_table, samples_csv
@@ -54,7 +54,7 @@ def unverified_files(plan: Plan, folder: Path) -> tuple[str, ...]:
             continue
         # What is hidden may be another motion as well.
         compare = None if path.name.startswith(".") else _KINDS.get(path.suffix)
-        skipped += compare(plan, path) if compare is not None and path.is_file() else [path.name]
+        skipped += compare(plan, path) if compare is not None and path.is_file() else [listed_name(path)]
     return tuple(skipped)
 
 
@@ -68,7 +68,7 @@ def _table(plan: Plan, path: Path) -> list[str]:
         if path.name != JOB_FILES[0] and content.count(b"\n") != expected.count(b"\n"):
             expected = job_table(plan, source, work=True)
     else:
-        return [path.name]
+        return [listed_name(path)]
     require_table(content, expected, source)
     return []
 
@@ -80,7 +80,7 @@ def _message(plan: Plan, path: Path) -> list[str]:
     with suppress(ValueError):
         data = from_json(content)
     if not isinstance(data, Mapping) or not data.keys() & {"joint_names", "points"}:
-        return [path.name]
+        return [listed_name(path)]
     require_unique_keys(content, source)
     times, joints, effort = _as_given(data, plan, source)
     found = trajectory_message(plan, times, joints=joints, effort=effort)
@@ -92,7 +92,7 @@ def _message(plan: Plan, path: Path) -> list[str]:
         got = f"points whose quintics lead the tool {1e3 * found.tool_deviation:.3g} mm off"
         raise ArchiveError(source, "points", got, f"{1e3 * most:g} mm at most (planner.max_tool_deviation_m)")
     lacking = ", ".join(found.left_out)
-    return [f"{path.name} (lacks what moves: {lacking})"] if lacking else []
+    return [f"{listed_name(path)} (lacks what moves: {lacking})"] if lacking else []
 
 
 def _as_given(data: Mapping[str, Any], plan: Plan, source: str) -> tuple[IntArray, list[str], bool]:
@@ -115,9 +115,11 @@ def _as_given(data: Mapping[str, Any], plan: Plan, source: str) -> tuple[IntArra
 def _bag(plan: Plan, path: Path) -> list[str]:
     """Compare an MCAP file with the messages of the job; its name where it cannot be read."""
     if find_spec("mcap_ros2") is None:
-        return [path.name]
+        return [listed_name(path)]
     from mcap.exceptions import McapError
     from mcap.reader import make_reader
+    from mcap.records import Attachment, Message, Metadata
+    from mcap.stream_reader import StreamReader
     from mcap_ros2.decoder import DecoderFactory
     from zstandard import ZstdError
 
@@ -128,6 +130,8 @@ def _bag(plan: Plan, path: Path) -> list[str]:
             (channel.topic, record.log_time, message)
             for _, channel, record, message in reader.iter_decoded_messages()
         ]
+        # What the index leaves out is found by whoever reads from the beginning.
+        whole = list(StreamReader(io.BytesIO(content)).records)
     except (McapError, ZstdError, KeyError, RuntimeError, ValueError, struct.error) as error:
         raise ArchiveError(source, "", "a damaged file", "an MCAP file of ROS 2 messages") from error
     job = next((message for topic, _, message in found if topic == "/joint_trajectory"), None)
@@ -135,8 +139,11 @@ def _bag(plan: Plan, path: Path) -> list[str]:
     expected = [
         (topic, round(1e9 * time), message) for topic, _, time, message in messages(plan, effort=effort)
     ]
-    if len(found) != len(expected):
-        raise ArchiveError(source, "", f"{len(found)} messages", f"{len(expected)}, as {_WHY}")
+    if any(isinstance(record, Attachment | Metadata) for record in whole):
+        raise ArchiveError(source, "", "attachments or metadata", "messages alone")
+    number = sum(isinstance(record, Message) for record in whole)
+    if {number, len(found)} != {len(expected)}:
+        raise ArchiveError(source, "", f"{number} messages", f"{len(expected)}, in its index, as {_WHY}")
     for (topic, time, message), (wanted_topic, wanted_time, wanted) in zip(found, expected, strict=True):
         key = f"{wanted_topic} at {1e-9 * wanted_time:g} s"
         require_same((topic, time), (wanted_topic, wanted_time), source, key, 0.0, 0.0, _WHY)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cmbot.archive.folder import read_file, require_settled
+from cmbot.archive.folder import listed_name, read_file, require_settled
 from cmbot.archive.reading import read_plan
 from cmbot.archive.records import PLAN_FILE, TOUR_FILE, WALK_FILE, require_same
 from cmbot.archive.tables import require_table
@@ -172,7 +172,7 @@ def _require_tour(folder: Path, parts: Sequence[TourPart], asked: Scene) -> None
     for plan in plans:
         files = [strokes[str(stroke.name)].changed(name=stroke.name) for stroke in plan.scene.strokes]
         wanted = plan.scene.with_strokes(files, asked.order)
-        require_asked(plan.scene, wanted, str(source))
+        require_asked(plan.scene, wanted, str(source), plan.options)
 
 
 def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdict]:
@@ -194,7 +194,7 @@ def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdi
             options = resolved_options(part.scene, bending_arm(part.scene, part.robot), options)
             looser = looser_promises(part.options, options)
             others = tuple(text for text in other_options(part.options, options) if text not in looser)
-            skipped = (*_claims(part, scene), *skipped)
+            skipped = (*_claims(part, scene), *skipped, *_links(folder))
         taken = () if asked.scenes else tuple(_taken(part.scene))
         motions = tuple(_motions(name, part))
     except LimitViolation as error:
@@ -202,7 +202,6 @@ def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdi
         expected = f"a value within {error.bound:.6g} {error.unit}"
         raise ArchiveError(str(source), error.quantity, got, expected) from error
     lead = f"{name}: " if name else ""
-    skipped = (*skipped, *(f"{path.name} (a link)" for path in sorted(folder.iterdir()) if path.is_symlink()))
     looser, others, skipped = (tuple(lead + text for text in texts) for texts in (looser, others, skipped))
     told = Verdict(looser=looser, other_options=others, taken=taken, motions=motions, not_verified=skipped)
     return part, told
@@ -222,8 +221,9 @@ def _require_walk(walk: Walk, asked: Asked, source: str) -> tuple[str, ...]:
     if asked.goal is not None:
         _require_goal(walk, asked.goal, source)
     for scene in asked.scenes:
-        require_asked(walk.scene, scene, source)
-        require_promised(walk.scene.planner, asked.options or scene.planner, source, "scene.planner")
+        options = asked.options or scene.planner
+        require_asked(walk.scene, scene, source, options)
+        require_promised(walk.scene.planner, options, source, "scene.planner")
     if walk.speed <= asked.foot_speed:
         return ()
     if asked.scenes:
@@ -252,7 +252,13 @@ def _walk_files(folder: Path, walk: Walk) -> tuple[str, ...]:
 def _others(folder: Path, known: Collection[str]) -> tuple[str, ...]:
     """The names of what is in a folder beside what is known."""
     require_settled(folder)
-    return tuple(sorted({path.name for path in folder.iterdir()} - {*known}))
+    others = (path for path in sorted(folder.iterdir()) if path.name not in known)
+    return (*map(listed_name, others), *_links(folder))
+
+
+def _links(folder: Path) -> tuple[str, ...]:
+    """What of a folder is elsewhere, where it may change after it was verified."""
+    return tuple(f"{listed_name(path)} (a link)" for path in sorted(folder.iterdir()) if path.is_symlink())
 
 
 def _claims(plan: Plan, asked: Scene | None) -> Iterator[str]:
@@ -266,7 +272,8 @@ def _claims(plan: Plan, asked: Scene | None) -> Iterator[str]:
             yield name.replace("lower_bound", "floor")
     for name, coverage in plan.coverage.items():
         if coverage.left_out or coverage.unreached:
-            yield f"raster {name} (that nothing reaches the rows that it leaves out)"
+            share = f"{100 * coverage.left_out / coverage.area:.2g} % of it"
+            yield f"raster {name} (that nothing reaches the rows that it leaves out, {share})"
     if any(stroke.is_open for stroke in plan.scene.strokes):
         yield "seconds: auto (that no time is shorter)"
     if any(stroke.speed_profile.kind == "quiet" for stroke in plan.scene.strokes):
