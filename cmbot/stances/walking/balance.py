@@ -6,7 +6,7 @@ many postures of the arm are judged at once.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -30,6 +30,8 @@ _SEEDS, _GROWTH_ROUNDS, _DRAWN, _STEP, _KEPT = 20_000, 20, 1500, 0.35, 800
 _NEIGHBOURS, _MOST_WAYS = 10, 300
 SPARE = 0.9
 """Share of the bounds of joints and feet that both ends of a step may use; the rest is for the motion."""
+# Shares of a straight swing at which the loads at rest are known, beside its ends.
+_ON_THE_WAY = np.linspace(0.0, 1.0, 7)[1:-1]
 # Share of their torques that the arm's joints use at rest at most, the base turned by up to this, rad.
 _HELD, _TILT = 0.95, np.radians(35.0)
 
@@ -149,6 +151,15 @@ class Balance:
             joint=effort.argmax(axis=1) + 1.0,
             adhesion=adhesion,
         )
+
+    def swing_use(self, before: Candidate, after: Candidate, foot: Side) -> FloatArray:
+        """Return the largest shares (K,) of bounds on the way of a straight swing, while `foot` holds."""
+        use, X = np.zeros(len(self.arms)), before.foot_pose(foot)
+        for share in _ON_THE_WAY:
+            angles = before.climber + share * (after.climber - before.climber)
+            root = X if foot == 1 else X @ np.linalg.inv(self._climber.poses(angles)[0])
+            use = np.maximum(use, self.step_load(replace(before, climber=angles, root=root), foot).use)
+        return use
 
     def impossible(self, scene: Scene, node: Candidate) -> BoolArray:
         """Which postures of the arm come too near to something in a stance, or its joints cannot hold.

@@ -84,7 +84,9 @@ class Route:
     """
 
     def __init__(self, nodes: list[Candidate], balance: Balance) -> None:
-        self.nodes = nodes
+        self.nodes, self._balance = nodes, balance
+        # What the straight swings of steps use with each posture of the arm, where it is known.
+        self._swings = dict[int, FloatArray]()
         self.use = {foot: np.array([balance.step_load(node, foot).use for node in nodes]) for foot in _FEET}
         numbers = dict[Key | None, int]()
         # Of the places of each foot; they are equal where the places are.
@@ -112,7 +114,26 @@ class Route:
             for part in np.array_split(rows, len(rows) // _STEPS_AT_ONCE + 1):
                 first, second = self._ends[steps[part]].T
                 share[part] = np.maximum(use[first], use[second]).min(axis=1)
+        for k, number in enumerate(steps.tolist()):
+            if number in self._swings:
+                share[k] = self._use_of(number).min()
         return share
+
+    def _use_of(self, number: int) -> FloatArray:
+        """Known shares (K,) of the bounds that a step uses with each posture of the arm."""
+        use, (first, second) = self.use[other_foot(_FEET[self._goes[number] - 1])], self._ends[number]
+        return np.maximum(np.maximum(use[first], use[second]), self._swings.get(number, 0.0))
+
+    def swings(self, edge: Edge) -> bool:
+        """Whether the straight swing of a step holds at rest with some posture of the arm."""
+        number, ends = (
+            self._number(edge.before, edge.after),
+            (self.nodes[edge.before], self.nodes[edge.after]),
+        )
+        if number not in self._swings:
+            self._swings[number] = self._balance.swing_use(*ends, other_foot(edge.foot))
+            self._share[number] = self._use_of(number).min()
+        return bool(self._share[number] <= SPARE)
 
     def _number(self, before: int, after: int) -> int:
         """The number of the step between two nodes."""
@@ -127,9 +148,11 @@ class Route:
         self._closed[self._number(edge.before, edge.after)] = True
 
     def reopen(self, edges: list[Edge]) -> None:
-        """Take steps that were left out in again."""
-        for edge in edges:
-            self._closed[self._number(edge.before, edge.after)] = False
+        """Take steps that were left out in again, whatever their straight swings use."""
+        for number in (self._number(edge.before, edge.after) for edge in edges):
+            self._closed[number] = False
+            self._swings.pop(number, None)
+            self._share[number] = self._use_of(number).min()
 
     def leave_out(self, node: int, weights: BoolArray) -> None:
         """Leave out the postures (K,) of the arm that are not possible in a node."""
@@ -143,8 +166,7 @@ class Route:
 
         That in which the arm is `before` comes first where it will do.
         """
-        shares = self.use[other_foot(edge.foot)]
-        use = np.maximum(shares[edge.before], shares[edge.after])
+        use = self._use_of(self._number(edge.before, edge.after))
         order = np.argsort(use, kind="stable")
         order = order[use[order] <= SPARE]
         return np.concatenate([order[order == before], order[order != before]])
@@ -156,8 +178,8 @@ class Route:
         way = shortest_way(graph, start, goal)
         return None if way is None else [self._edge(*pair) for pair in pairwise(way)]
 
-    def easiest_way(self, start: int, goal: int = 1, *, tried: bool = False) -> tuple[Edge, float] | None:
-        """Return the hardest step of the way whose hardest step uses least of the bounds, and its share.
+    def easiest_way(self, start: int, goal: int = 1, *, tried: bool = False) -> Edge | None:
+        """Return the hardest step of the way whose hardest step uses least of the bounds.
 
         Also of ways that use more than there is, and where `tried` says so of steps that were tried in vain;
         None where there is none at all.
@@ -169,7 +191,7 @@ class Route:
         if way is None:
             return None
         hardest = max(pairwise(way), key=lambda pair: self._share[self._number(*pair)])
-        return self._edge(*hardest), float(self._share[self._number(*hardest)])
+        return self._edge(*hardest)
 
 
 _FEET: tuple[Side, Side] = (1, 2)

@@ -246,6 +246,12 @@ class _Search:
                 for k in unknown:
                     self._check(k)
                 continue
+            heavy = [edge for edge in edges if not self._route.swings(edge)] if self._straight else []
+            for edge in heavy:
+                self._route.close(edge)
+            self._not_straight += heavy
+            if heavy:
+                continue
             after = {edge.after for edge in edges}
             back = next((k for k, (node, *_) in enumerate(came) if node in after), None)
             if back is not None:
@@ -337,11 +343,11 @@ class _Search:
             hardest = hardest or self._route.easiest_way(here, tried=True)
         if hardest is None:
             return f"no walk: whatever joints and feet could bear, no steps lead there{tried}"
-        edge, use = hardest
-        before, after = (self._route.nodes[k] for k in (edge.before, edge.after))
-        stays = other_foot(edge.foot)
-        shares = self._route.use[stays]
-        k = int(np.maximum(shares[edge.before], shares[edge.after]).argmin())
+        before, after = (self._route.nodes[k] for k in (hardest.before, hardest.after))
+        stays = other_foot(hardest.foot)
+        shares = np.maximum(*self._route.use[stays][[hardest.before, hardest.after]])
+        k = int(shares.argmin())
+        use = float(shares[k])
         loads = [self._balance.step_load(node, stays) for node in (before, after)]
         load = max(loads, key=lambda load: float(load.use[k]))
         bears = f"climb_{load.joint[k]:.0f} {100 * load.effort[k]:.0f} % of its effort"

@@ -19,7 +19,7 @@ import cmbot
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PlanningError, SceneError
 from cmbot.planning import Deadline, FreeSpace
-from cmbot.robot import Climber, Kinematics, load_climbing_robot
+from cmbot.robot import Climber, Kinematics, Robot, load_climbing_robot
 from cmbot.scene import FootholdFile, Scene, StanceFile
 from cmbot.stances import Candidate, in_the_way, places_of
 from cmbot.stances.walking import (
@@ -107,19 +107,40 @@ def test_what_holding_on_to_a_foot_asks(scene: Scene, node: Candidate, balance: 
     load, goes = balance.step_load(node, foot), 2 if foot == 1 else 1
     for k in (0, 17):
         robot = swinging_robot(scene, node, goes, balance.arms[k])
-        q = node.climber if foot == 1 else node.climber[::-1].copy()
-        torque = pin.computeGeneralizedGravity(robot.model, robot.model.createData(), q)
-        assert load.effort[k] == pytest.approx(np.abs(torque / robot.limits.torque).max(), rel=1e-6)
-        data = robot.model.createData()
-        pin.rnea(robot.model, data, q, np.zeros(5), np.zeros(5))
-        centre = pin.centerOfMass(robot.model, data, q)
-        moment = np.cross(centre - robot.foot_point, robot.arm_mass * robot.model.gravity.linear)
-        wrench = np.hstack([robot.arm_mass * robot.model.gravity.linear, moment])[None]
-        # A clamp needs none.
-        needed = robot.holding.each(wrench)[0, 0] if robot.holding.adhesive else 0.0
+        effort, needed, share = asked_at_rest(robot, node.climber if foot == 1 else node.climber[::-1])
+        assert load.effort[k] == pytest.approx(effort, rel=1e-6)
         assert load.adhesion[k] == pytest.approx(needed, rel=1e-6)
-        share = max(robot.holding.share(wrench)[0][0], load.effort[k])
-        assert load.use[k] == pytest.approx(share, rel=1e-6)
+        assert load.use[k] == pytest.approx(max(share, effort), rel=1e-6)
+
+
+@pytest.mark.parametrize("foot", [1, 2])
+def test_what_a_straight_swing_asks_of_the_foot_that_holds(
+    scene: Scene, node: Candidate, balance: Balance, foot: Any
+) -> None:
+    """Against the whole robot's inverse dynamics, at sixths of the way."""
+    goes, held = 2 if foot == 1 else 1, node.stance.places[foot - 1]
+    nodes = nodes_between(scene, node, stance_of(scene_at(4.34, 4.74, CLAMP)), 0.3)
+    others = (each for each in nodes if each.stance.places[foot - 1] == held)
+    after = max(others, key=lambda each: float(np.abs(each.climber - node.climber).max()))
+    way = np.array([(1 - k / 6) * node.climber + k / 6 * after.climber for k in range(1, 6)])
+    use, larger = balance.swing_use(node, after, foot), 0
+    for k in (0, 17, 40):
+        robot = swinging_robot(scene, node, goes, balance.arms[k])
+        asked = max(max(asked_at_rest(robot, q)[::2]) for q in (way if foot == 1 else way[:, ::-1]))
+        assert use[k] == pytest.approx(asked, rel=1e-6)
+        larger += asked > max(balance.step_load(each, foot).use[k] for each in (node, after))
+    assert larger
+
+
+def asked_at_rest(robot: Robot, q: FloatArray) -> tuple[float, float, float]:
+    """Share of efforts, adhesion needed, N, and share of what the foot holds; a clamp needs no adhesion."""
+    data, q = robot.model.createData(), q.copy()
+    torque = pin.computeGeneralizedGravity(robot.model, data, q)
+    centre = pin.centerOfMass(robot.model, data, q)
+    weight = robot.arm_mass * robot.model.gravity.linear
+    wrench = np.hstack([weight, np.cross(centre - robot.foot_point, weight)])[None]
+    needed = robot.holding.each(wrench)[0, 0] if robot.holding.adhesive else 0.0
+    return np.abs(torque / robot.limits.torque).max(), needed, robot.holding.share(wrench)[0][0]
 
 
 def test_a_step_is_certified(walked: Walk) -> None:
@@ -227,6 +248,26 @@ def test_the_route_has_only_steps_that_hold(scene: Scene, node: Candidate, balan
     assert route.shortest(0) != edges
 
 
+def test_the_straight_swing_of_a_step_has_to_hold(
+    scene: Scene, node: Candidate, balance: Balance, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Until it is taken in again, as it may go another way."""
+    route = Route(nodes_between(scene, node, stance_of(scene_at(4.34, 4.74, CLAMP)), 0.6), balance)
+    edge = route.shortest(0)[0]
+    weights = route.counterweights(edge, -1)
+    asked = np.where(np.arange(len(balance.arms)) == weights[-1], 0.5, 2.0)
+    monkeypatch.setattr(balance, "swing_use", lambda *_: asked)
+    assert route.swings(edge)
+    assert route.counterweights(edge, -1).tolist() == [weights[-1]]
+    route.reopen([edge])
+    asked = np.full(len(asked), 0.91)
+    assert not route.swings(edge)
+    assert len(route.counterweights(edge, -1)) == 0
+    assert edge not in (route.shortest(0) or [])
+    route.reopen([edge])
+    np.testing.assert_array_equal(route.counterweights(edge, -1), weights)
+
+
 class Graph:
     """A route over a graph given by its edges, each as dear as the others."""
 
@@ -242,6 +283,9 @@ class Graph:
             seen |= set(ahead)
             ways += [[*way, b] for b in ahead]
         return None
+
+    def swings(self, edge: Edge) -> bool:
+        return (edge.before, edge.after) in self.edges
 
     def close(self, edge: Edge) -> None:
         self.edges -= {(edge.before, edge.after), (edge.after, edge.before)}
