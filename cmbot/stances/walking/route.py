@@ -17,8 +17,8 @@ from cmbot.stances.walking.balance import SPARE, Balance, shortest_way
 
 # Places this far beyond both stances are looked at, m.
 _BEYOND_M = 0.8
-# A metre that a foot goes costs as much as so many steps.
-_STEPS_PER_METRE = 0.5
+# A metre that a foot goes costs as much as so many steps; so much dearer are all of a kind for each in vain.
+_STEPS_PER_METRE, _IN_VAIN = 0.5, 1.0
 # Steps whose shares are in memory at once.
 _STEPS_AT_ONCE = 1000
 
@@ -105,6 +105,10 @@ class Route:
         base = np.array([node.base[:3, 3] for node in nodes])
         way = np.linalg.norm(base[self._ends[:, 0]] - base[self._ends[:, 1]], axis=1)
         self._cost = 1.0 + _STEPS_PER_METRE * way
+        # Steps of a kind are the same but for where they are: where one is impossible others may be, too.
+        climber = np.array([node.climber for node in nodes]).round(3)
+        kinds = np.column_stack([*(climber[ends] for ends in self._ends.T), self._goes])
+        self._kind = np.unique(kinds, axis=0, return_inverse=True)[1].ravel()
 
     def _shares(self, steps: IntArray) -> FloatArray:
         """Shares (E,) of the bounds that steps use at both ends, with the best posture of the arm."""
@@ -122,7 +126,7 @@ class Route:
     def _use_of(self, number: int) -> FloatArray:
         """Known shares (K,) of the bounds that a step uses with each posture of the arm."""
         use, (first, second) = self.use[other_foot(_FEET[self._goes[number] - 1])], self._ends[number]
-        return np.maximum(np.maximum(use[first], use[second]), self._swings.get(number, 0.0))
+        return np.asarray(np.maximum(np.maximum(use[first], use[second]), self._swings.get(number, 0.0)))
 
     def swings(self, edge: Edge) -> bool:
         """Whether the straight swing of a step holds at rest with some posture of the arm."""
@@ -145,7 +149,9 @@ class Route:
 
     def close(self, edge: Edge) -> None:
         """Leave a step out from now on, in both directions."""
-        self._closed[self._number(edge.before, edge.after)] = True
+        number = self._number(edge.before, edge.after)
+        self._closed[number] = True
+        self._cost[self._kind == self._kind[number]] += _IN_VAIN
 
     def reopen(self, edges: list[Edge]) -> None:
         """Take steps that were left out in again, whatever their straight swings use."""

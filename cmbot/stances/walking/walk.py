@@ -28,6 +28,7 @@ _TRIED_POSTURES = 15
 # Steps that may turn out impossible before a walk is given up, a second each with straight swings; and moves
 # of the arm from where it is in a stance before it is taken as caught there: each costs seconds.
 _MOST_STRAIGHT_FAILURES, _MOST_FAILURES, _MOST_MOVES_IN_VAIN = 100, 20, 3
+_TOO_NEAR = "the foot's straight swing comes too near to something, whatever folded posture the arm has"
 # Characters of the cause for which a step failed, within a message that is about more.
 _MAX_CAUSE_CHARACTERS = 100
 
@@ -222,6 +223,8 @@ class _Search:
         self._options, self._progress = options, progress
         self._possible, self._moves_in_vain = dict[int, BoolArray](), dict[tuple[int, int], list[str]]()
         self.arm, self._weight, self.failures = arm, 0, list[str]()
+        # The moves of a foot, or why there are none, by ends of the step and posture of the arm.
+        self._swings = dict[tuple[int, int, int, bool], tuple[tuple[Move, ...], str]]()
         self._roadmaps = dict[tuple[int, int], Roadmap | None]()
         # A swing straight in joint space takes a tenth of the time to find: all ways are tried so first.
         self._straight, self._not_straight = True, list[Edge]()
@@ -246,12 +249,15 @@ class _Search:
                 for k in unknown:
                     self._check(k)
                 continue
-            heavy = [edge for edge in edges if not self._route.swings(edge)] if self._straight else []
-            for edge in heavy:
-                self._route.close(edge)
-            self._not_straight += heavy
-            if heavy:
-                continue
+            if self._straight:
+                # All of the way is looked at before the arm moves for any of it.
+                vain = [edge for edge in edges if not self._route.swings(edge)]
+                vain = vain or [*islice((edge for edge in edges if not self._passes(edge)), 1)]
+                for edge in vain:
+                    self._route.close(edge)
+                self._not_straight += vain
+                if vain:
+                    continue
             after = {edge.after for edge in edges}
             back = next((k for k, (node, *_) in enumerate(came) if node in after), None)
             if back is not None:
@@ -272,32 +278,49 @@ class _Search:
             here = edges[0].after
         return made
 
+    def _passes(self, edge: Edge) -> bool:
+        """Whether a straight swing is possible in a step with one of the counterweights."""
+        why = _TOO_NEAR
+        for k in self._route.counterweights(edge, self._weight)[:_TRIED_POSTURES].tolist():
+            moves, why = self._swing(edge, k)
+            if moves:
+                return True
+        self.failures.append(_cause(why))
+        return False
+
+    def _swing(self, edge: Edge, k: int, *, straight: bool = True) -> tuple[tuple[Move, ...], str]:
+        """The moves of a foot with a posture of the arm, or none and why."""
+        key = edge.before, edge.after, k, straight
+        if key not in self._swings:
+            ends, why = (self._route.nodes[edge.before], self._route.nodes[edge.after]), _TOO_NEAR
+            arm, speed = self._balance.arms[k], self._options.speed
+            moves: tuple[Move, ...] = ()
+            try:
+                if (blocked := blocked_end(self._scene, *ends, edge.foot)) is None:
+                    moves = plan_step(self._scene, *ends, edge.foot, arm, speed, straight=straight)
+                else:
+                    why = f"{blocked[1]} is in the way of foot {edge.foot} where it stands"
+            except CmbotError as error:
+                why = _reason(error)
+            self._swings[key] = moves, why
+        return self._swings[key]
+
     def _step(self, edge: Edge) -> Step | None:
         before, after = (self._route.nodes[k] for k in (edge.before, edge.after))
-        if (blocked := blocked_end(self._scene, before, after, edge.foot)) is not None:
-            self.failures.append(f"{blocked[1]} is in the way of foot {edge.foot} where it stands")
-            return None
         weights = self._route.counterweights(edge, self._weight).tolist()
         ways: list[tuple[int, FloatArray | None]] = [
             *islice(self._ways(edge.before, weights), _TRIED_POSTURES)
         ]
         # Without a way through the roadmap one is sought for a few.
         ways = ways or [(k, None) for k in weights[:_MOST_MOVES_IN_VAIN]]
-        why = "the foot's straight swing comes too near to something, whatever folded posture the arm has"
-        bent = [] if self._straight else ways[:1]
+        why, bent = _TOO_NEAR, [] if self._straight else ways[:1]
         for (k, way), straight in (*((each, True) for each in ways), *((each, False) for each in bent)):
             arm = self._balance.arms[k]
             in_vain = self._moves_in_vain.setdefault((edge.before, self._weight), [])
             if way is None and len(in_vain) >= _MOST_MOVES_IN_VAIN:
                 why = in_vain[-1]
                 continue
-            try:
-                swung = plan_step(
-                    self._scene, before, after, edge.foot, arm, self._options.speed, straight=straight
-                )
-            except CmbotError as error:
-                why = _reason(error)
-                continue
+            swung, why = self._swing(edge, k, straight=straight)
             if not swung:
                 continue
             try:

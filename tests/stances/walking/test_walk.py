@@ -298,6 +298,9 @@ class Steps(_Search):
         super().__init__(None, None, graph, np.zeros(7), WalkOptions(), lambda _step, _share: None)
         self.impossible, self.tried = impossible, 0
 
+    def _passes(self, edge: Edge) -> bool:
+        return True
+
     def _step(self, edge: Edge) -> Any:
         self.tried += 1
         if (edge.before, edge.after) in self.impossible:
@@ -377,6 +380,10 @@ def test_a_step_that_does_not_hold_is_refused_with_its_figures() -> None:
 
 class InVain(_Search):
     """The search in which every step turns out impossible."""
+
+    def _passes(self, edge: Edge) -> bool:
+        self._step(edge)
+        return False
 
     def _step(self, edge: Edge) -> None:
         self.failures.append("a link comes too near")
