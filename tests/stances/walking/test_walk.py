@@ -294,12 +294,14 @@ class Graph:
 class Steps(_Search):
     """The search with steps that are made at once, but some that are impossible."""
 
-    def __init__(self, graph: Graph, impossible: set[tuple[int, int]]) -> None:
+    def __init__(
+        self, graph: Graph, impossible: set[tuple[int, int]], vain: tuple[tuple[int, int], ...] = ()
+    ) -> None:
         super().__init__(None, None, graph, np.zeros(7), WalkOptions(), lambda _step, _share: None)
-        self.impossible, self.tried = impossible, 0
+        self.impossible, self.vain, self.tried = impossible, vain, 0
 
     def _passes(self, edge: Edge) -> bool:
-        return True
+        return (edge.before, edge.after) not in self.vain
 
     def _step(self, edge: Edge) -> Any:
         self.tried += 1
@@ -320,6 +322,13 @@ def test_steps_that_lead_nowhere_are_not_walked() -> None:
     assert search.tried == 8
     assert search.arm[0] == 5.0
     assert search._weight == 1
+
+
+def test_no_step_is_made_on_a_way_on_which_a_swing_is_impossible() -> None:
+    edges = (0, 2), (2, 3), (3, 4), (4, 1), (2, 5), (5, 6), (6, 7), (7, 1)
+    search = Steps(Graph(*edges), set(), ((4, 1),))
+    assert search.steps() == [(0, 2), (2, 5), (5, 6), (6, 7), (7, 1)]
+    assert search.tried == 5
 
 
 class Plane:
