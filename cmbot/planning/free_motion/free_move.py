@@ -38,6 +38,8 @@ _LINE_POSTURES = 50
 _SAME_OBJECTIVE_SHARE = 1e-3
 # Factors on the shortest duration, while the moving arm asks more than it may, and samples a segment to see.
 _SLOWER, _TORQUE_SAMPLES_PER_SEGMENT = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0), 8
+# Periods of the slowest mode that a move takes at least: it leaves a swing that the next stroke inherits.
+_LEAST_PERIODS = 3.0
 # An objective below this is nothing.
 _ZERO_OBJECTIVE = 1e-9
 
@@ -244,7 +246,7 @@ def _path(
 def _timed(
     request: StrokeRequest, path: FloatArray, spacing: float, allowed: float, begin: float
 ) -> QuinticTrajectory:
-    """Put a C3 spline from rest to rest through a broken line, as fast as limits and objective allow."""
+    """Put a C3 spline from rest to rest through a broken line, as fast as limits, modes, objective allow."""
     lengths = request.cell.robot.metric.lengths(np.diff(path, axis=0))
     along = np.concatenate([[0.0], np.cumsum(lengths)])
     knots = max(int(np.ceil(along[-1] / spacing)) + 1, 8)
@@ -259,6 +261,8 @@ def _timed(
         float((trial.extrema(order).largest()[0] / (_LIMIT_SHARE * bound)).max()) ** (1.0 / order)
         for order, bound in enumerate((limits.velocity, limits.acceleration, limits.jerk), start=1)
     )
+    if (frequency := request.cell.lowest_frequency(path[0])) is not None:
+        seconds = max(seconds, _LEAST_PERIODS / frequency)
     at_rest = _asked(request, StateSamples.at_rest(u, trial.q), allowed)
     for slower in _SLOWER:
         timed = _slowed(trial, slower * seconds, begin)

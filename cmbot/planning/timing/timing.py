@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray
-from cmbot.elastic.modes import arm_modes
-from cmbot.elastic.sag import TooSoftError
 from cmbot.planning.request import StrokeRequest
 from cmbot.toolpath import LegLaw
 from cmbot.trajectory import QuinticTrajectory
@@ -107,15 +105,12 @@ def with_enough_via_points(request: StrokeRequest) -> StrokeRequest:
     Between fewer than four a period of the slowest mode the motion is what the optimum makes of it, not what
     the law asks for: that swings up to five times as much.
     """
-    path, arm, file = request.task.path, request.cell.arm, request.stroke.file
+    path, file = request.task.path, request.stroke.file
     is_chosen = file.speed_profile.kind == "quiet" and not (file.time_laws or path.open_legs)
-    if arm is None or not is_chosen or request.cell.options.knots == "fixed":
+    if not is_chosen or request.cell.options.knots == "fixed":
         return request
-    try:
-        frequency = float(arm_modes(arm, request.first).frequencies[0])
-    except TooSoftError:
-        return request
-    if not any(
+    frequency = request.cell.lowest_frequency(request.first)
+    if frequency is None or not any(
         leg.curve.length > 0 and leg.seconds * frequency <= _SHORT_LEG_PERIODS for leg in path.segments
     ):
         return request

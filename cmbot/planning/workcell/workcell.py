@@ -16,6 +16,7 @@ from cmbot.common.errors import InputError, ModelError, SceneError
 from cmbot.common.representation import short_repr
 from cmbot.elastic import Guardrail, elastic_base, shares
 from cmbot.elastic.arm import ElasticArm, elastic_arm
+from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.sag import Sag, TooSoftError
 from cmbot.hold import Foot
 from cmbot.planning.workcell.objectives import Objective, WrenchFunction, objective_of
@@ -111,6 +112,18 @@ class Workcell:
         """
         share = self.options.quiet_stiffness_share
         return (0.0, 0.0) if self.arm is None else stroke_sway(self.arm, trajectory, share).largest
+
+    def lowest_frequency(self, q: FloatArray) -> float | None:
+        """Return the lowest natural frequency, Hz, in posture `q` (n,); None where nothing bends.
+
+        Nor is there one where the base does not bear the arm.
+        """
+        if self.arm is None:
+            return None
+        try:
+            return float(arm_modes(self.arm, q).frequencies[0])
+        except TooSoftError:
+            return None
 
     def use_at_rest(self, at: PostureBatch) -> FloatArray:
         """Return the largest shares (N,) of their bounds that joints and feet use at rest in N postures."""

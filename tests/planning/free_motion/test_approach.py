@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from small_scenes import parts, request_of, short_scene
 
+from cmbot.accuracy import stroke_sway
 from cmbot.collision import Clearances
 from cmbot.common.errors import PathNotFound
+from cmbot.elastic.modes import arm_modes
 from cmbot.planning import JobState, Plan, Segment, certify_move, plan
 from cmbot.planning.budget import Deadline
 from cmbot.planning.free_motion import free_move
@@ -213,3 +215,18 @@ def test_a_certificate_made_again_is_the_same(triangle_plan: Plan) -> None:
     np.testing.assert_array_equal(points, np.tile(triangle_plan.task.path.corners[0], (5, 1)))
     np.testing.assert_array_equal(task.path.orientation, triangle_plan.task.path.orientation)
     assert task.keep == triangle_plan.task.keep
+
+
+def test_a_short_way_takes_three_periods_of_what_bends() -> None:
+    """Alone it would take a quarter of that, and shake the base when the work begins."""
+    asked = request_of(short_scene())
+    arm, start = asked.cell.arm, asked.state.posture
+    end = self_motion_postures(asked)[0]
+    end = start + 0.05 * (end - start)
+    approach = plan_approach(asked, end, end[None])
+    frequency = arm_modes(arm, start).frequencies[0]
+    assert approach.duration == pytest.approx(3 / frequency, rel=1e-9)
+    swing = stroke_sway(arm, approach.trajectory, 0.3).largest[1]
+    t = approach.trajectory.t / 4
+    quick = replace(approach.trajectory, t=t, v=4 * approach.trajectory.v, a=16 * approach.trajectory.a)
+    assert swing < 0.2 * stroke_sway(arm, quick, 0.3).largest[1]
