@@ -126,10 +126,9 @@ def read_record(path: Path) -> RingDown:
         got = f"{1 / step:.3g} samples a second, in which fast modes look like slow ones"
         raise UnusableRecord(str(path), "", got, f"at least {2 * _HIGHEST:g}, better 200")
     even = np.linspace(t[0], t[-1], len(t))
-    found = ring_down(
-        float((t[-1] - t[0]) / (len(t) - 1)),
-        np.stack([np.interp(even, t, axis) for axis in a.T], axis=1),
-    )
+    each = np.stack([np.interp(even, t, axis) for axis in a.T], axis=1)
+    with threadpool_limits(limits=1, user_api="blas"):
+        found = ring_down(float((t[-1] - t[0]) / (len(t) - 1)), each)
     if not len(found.frequencies):
         expected = f"a tap, then for some s the free decay of modes below {_HIGHEST:g} Hz, 10 times the noise"
         raise UnusableRecord(str(path), "", "a record with no decay that stands out of its noise", expected)
@@ -176,14 +175,11 @@ def ring_down(step: float, a: FloatArray) -> RingDown:
     rows = min(len(y) // 2, _HANKEL_SAMPLES)
     windows = np.lib.stride_tricks.sliding_window_view(y, rows, axis=0)  # (N - rows + 1, m, rows)
     H = windows.transpose(2, 1, 0).reshape(rows * y.shape[1], -1)
-    with threadpool_limits(limits=1, user_api="blas"):
-        U, s, V = np.linalg.svd(H[:, :-1], full_matrices=False)
-        known = [_poles(U, s, V, H[:, 1:], order, step, y.shape[1]) for order in _ORDERS if order <= len(s)]
-    found = _stable(known) if known else RingDown.at(())
+    A, C, start = _largest_model(H, y.shape[1])
+    found = _stable([_poles(A, C, start, order, step) for order in _ORDERS])
     hum = _is_hum(found, step, y, a[: max(tap - int(_AFTER_TAP / given), 0)], given)
     if hum.any():
-        steady = _oscillations(found.of(hum), step, len(y), decays=False)
-        y = y - steady @ np.linalg.lstsq(steady, y, rcond=None)[0]
+        y = _left(_oscillations(found.of(hum), step, len(y), decays=False), y)
     found = found.of(~hum)
     return _fitted(found, step, y) if _stands_out(found, step, y) else RingDown.at(())
 
@@ -198,8 +194,7 @@ def _oscillations(found: RingDown, step: float, number: int, *, decays: bool = T
 
 def _is_hum(found: RingDown, step: float, y: FloatArray, before: FloatArray, given: float) -> BoolArray:
     """Which modes (k,) are no decay: steady, or as large `before` the tap (M, m), `given`, s, apart."""
-    exponent = 2 * np.pi * found.frequencies * found.damping * step * len(y)
-    hum = np.asarray(exponent < _HUM_DECAY)
+    hum = np.asarray(2 * np.pi * found.frequencies * found.damping * step * len(y) < _HUM_DECAY)
     after = _amplitudes(_oscillations(found, step, len(y)), y)
     for k in np.flatnonzero(found.frequencies * given * len(before) >= _HUM_PERIODS):
         own = found.of(np.arange(len(hum)) == k)
@@ -230,12 +225,12 @@ def _stands_out(found: RingDown, step: float, y: FloatArray) -> bool:
 
 def _statistic(columns: FloatArray, axis: FloatArray, step: float) -> float:
     """F of the regression of an axis (N,) on columns (N, k), both filtered so that what is left is white."""
-    white = _filtered(_noise_filter(columns, axis), columns, axis)
+    white = np.column_stack(_filtered(_noise_filter(columns, axis), columns, axis))
     f = np.fft.rfftfreq(len(white), step)
     z = np.fft.rfft(white, axis=0)[(f > 0) & (f < _HIGHEST)]
     table = np.concatenate([z.real, z.imag])
     shown, record = table[:, :-1], table[:, -1]
-    whole, rest = float(record @ record), float((_left(table) ** 2).sum())
+    whole, rest = float(record @ record), float((_left(shown, record) ** 2).sum())
     freedom = len(record) - shown.shape[1]
     return float((whole - rest) / shown.shape[1] * freedom / max(rest, 1e-12 * whole))
 
@@ -244,24 +239,23 @@ def _noise_filter(columns: FloatArray, axis: FloatArray) -> FloatArray:
     """The filter that makes white what columns (N, k) leave of an axis (N,)."""
     from scipy.linalg import solve_toeplitz
 
-    left = _left(np.column_stack([columns, axis]))
+    left = _left(columns, axis)
     # Without noise nothing is left.
     r = np.array([left[: len(left) - k] @ left[k:] for k in range(_NOISE_ORDER + 1)])
     r[0] += 1e-9 * float(axis @ axis)
     return np.concatenate([[1.0], -solve_toeplitz(r[:-1], r[1:])])
 
 
-def _filtered(noise: FloatArray, columns: FloatArray, axis: FloatArray) -> FloatArray:
+def _filtered(noise: FloatArray, columns: FloatArray, axis: FloatArray) -> tuple[FloatArray, FloatArray]:
     from scipy.signal import lfilter
 
-    return np.asarray(lfilter(noise, [1.0], np.column_stack([columns, axis]), axis=0)[_NOISE_ORDER:])
+    white = lfilter(noise, [1.0], np.column_stack([columns, axis]), axis=0)[_NOISE_ORDER:]
+    return white[:, :-1], white[:, -1]
 
 
-def _left(table: FloatArray) -> FloatArray:
-    """What a regression on all columns but the last of a table (N, k + 1) leaves of that (N,)."""
-    return np.asarray(
-        table[:, -1] - table[:, :-1] @ np.linalg.lstsq(table[:, :-1], table[:, -1], rcond=None)[0]
-    )
+def _left(columns: FloatArray, record: FloatArray) -> FloatArray:
+    """What a regression on columns (N, k) leaves of a record, (N,) or (N, m)."""
+    return np.asarray(record - columns @ np.linalg.lstsq(columns, record, rcond=None)[0])
 
 
 def _fitted(found: RingDown, step: float, y: FloatArray) -> RingDown:
@@ -277,7 +271,7 @@ def _fitted(found: RingDown, step: float, y: FloatArray) -> RingDown:
     columns = _oscillations(found, step, len(y))
     filters = [_noise_filter(columns, axis) for axis in axes]
     sizes = [
-        max(float(np.std(_left(_filtered(noise, columns, axis)))), 1e-9 * float(np.std(axis)))
+        max(float(np.std(_left(*_filtered(noise, columns, axis)))), 1e-9 * float(np.std(axis)))
         for noise, axis in zip(filters, axes, strict=True)
     ]
 
@@ -288,7 +282,7 @@ def _fitted(found: RingDown, step: float, y: FloatArray) -> RingDown:
     def residual(x: FloatArray) -> FloatArray:
         own = _oscillations(at(x), step, len(y))
         each = zip(filters, axes, sizes, strict=True)
-        return np.concatenate([_left(_filtered(noise, own, axis)) / size for noise, axis, size in each])
+        return np.concatenate([_left(*_filtered(noise, own, axis)) / size for noise, axis, size in each])
 
     bound = np.repeat([2 * _SAME_FREQUENCY_SHARE, 1.0], k)
     fit = least_squares(residual, np.zeros(2 * k), bounds=(-bound, bound), x_scale=bound)
@@ -303,17 +297,29 @@ def _fitted(found: RingDown, step: float, y: FloatArray) -> RingDown:
     )
 
 
-def _poles(
-    U: FloatArray, s: FloatArray, V: FloatArray, shifted: FloatArray, order: int, step: float, m: int
-) -> FloatArray:
-    """Frequency, Hz, damping ratio and amplitude (k, 3) of the oscillations of a model."""
-    root = np.sqrt(s[:order])
-    A = (U[:, :order] / root).T @ shifted @ (V[:order] / root[:, None]).T
+def _largest_model(H: FloatArray, m: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The model of the highest order k that a Hankel matrix of m axes gives: A (k, k), C (m, k), start (k,).
+
+    Those of lower orders are its leading blocks. Of the singular values only so many are needed: they are
+    the roots of the largest eigenvalues of the Gram matrix.
+    """
+    from scipy.linalg import eigh
+
+    now = H[:, :-1]
+    squares, U = eigh(now @ now.T, subset_by_index=[len(H) - _ORDERS[-1], len(H) - 1])
+    squares, U = np.maximum(squares[::-1], np.finfo(float).eps * squares[-1]), U[:, ::-1]
+    # The singular values are s = root^2, the right vectors V = U' now / s.
+    root, left = squares**0.25, U.T @ now
+    return (U / root).T @ (H[:, 1:] @ left.T) / root**3, U[:m] * root, left[:, 0] / root
+
+
+def _poles(A: FloatArray, C: FloatArray, start: FloatArray, order: int, step: float) -> FloatArray:
+    """Frequency, Hz, damping ratio and amplitude (k, 3) of the oscillations of a model of some order."""
+    A, C, start = A[:order, :order], C[:, :order], start[:order]
     values, vectors = np.linalg.eig(A)
     # A zero among them decays at once.
     log = np.log(np.where(values == 0, np.finfo(float).tiny, values).astype(complex)) / step
     f, ratio = np.abs(log) / (2 * np.pi), -log.real / np.maximum(np.abs(log), 1e-12)
-    C, start = U[:m, :order] * root, root * V[:order, 0]
     amplitude = np.linalg.norm(C @ vectors, axis=0) * np.abs(np.linalg.solve(vectors, start))
     kept = (log.imag > 0) & (ratio > 0) & (ratio < _DAMPED) & (f < _HIGHEST)
     return np.asarray(np.column_stack([f, ratio, amplitude])[kept])
