@@ -175,19 +175,20 @@ def displaced(tool: FloatArray, about: FloatArray, placed: Placement, rng: np.ra
 
 def bowed(arm: ElasticArm, q: FloatArray, kelvin: float, rng: np.random.Generator) -> FloatArray:
     """What tubes that are warmer on one side add (N, 3), m, to the tool's place."""
-    robot, data = arm.robot, arm.robot.model.createData()
+    robot, data, tubes = arm.robot, arm.robot.model.createData(), arm.robot.elasticity
+    given = {robot.model.getFrameId(link): np.array([tube.start, tube.end]) for link, tube in tubes.items()}
+    ends, tool = np.empty((len(given), len(q), 2, 3)), Kinematics(robot).tool_poses(q)[0]
+    for k, posture in enumerate(q):
+        pin.framesForwardKinematics(robot.model, data, posture)
+        for own, (frame, points) in zip(ends, given.items(), strict=True):
+            own[k] = points @ data.oMf[frame].rotation.T + data.oMf[frame].translation
     added = np.zeros((len(q), 3))
-    for link, tube in robot.elasticity.items():
+    for own, tube in zip(ends, tubes.values(), strict=True):
         expansion = 12e-6 if tube.young > 1.5e11 else 23e-6
         sides = rng.uniform(-1, 1, 2) * expansion * kelvin * tube.length / tube.outer_diameter
-        for k, posture in enumerate(q):
-            pin.framesForwardKinematics(robot.model, data, posture)
-            pin.updateFramePlacement(robot.model, data, robot.tool_frame_id)
-            X = data.oMf[robot.model.getFrameId(link)]
-            start, end = X.act(np.array(tube.start)), X.act(np.array(tube.end))
-            across = np.linalg.svd(((end - start) / np.linalg.norm(end - start))[None])[2][1:]
-            lever = data.oMf[robot.tool_frame_id].translation - 0.5 * (start + end)
-            added[k] += np.cross(sides @ across, lever)
+        along = np.diff(own, axis=1)
+        across = np.linalg.svd(along / np.linalg.norm(along, axis=2, keepdims=True))[2][:, 1:]
+        added += np.cross(sides @ across, tool - own.mean(axis=1))
     return added
 
 

@@ -166,26 +166,25 @@ class Twin:
         arm, model, data, h = self.arm, self.model, self.data, self.model.opt.timestep
         q, v, a = states(h * np.arange(steps + 1))
         shaken = np.zeros((steps + 1, 3)) if ground is None else ground(h * np.arange(steps + 1))
-        still = np.array(model.opt.gravity)
-        data.qpos[arm.elastic] = start
+        qpos, qvel, applied, gravity = data.qpos, data.qvel, data.qfrc_applied, model.opt.gravity
+        # The mean acceleration of the step that follows, and what pushes the added mass.
+        mean = DRIVEN_ARMATURE * np.concatenate([np.diff(v, axis=0) / h, a[-1:]])
+        felt, pushed = np.array(gravity) - shaken, -shaken @ arm.added_mass[:, :3].T
+        qpos[arm.elastic] = start
         # Its Euler step is the leapfrog whose rates are half a step behind: so they begin there.
-        data.qpos[arm.driven], data.qvel[arm.driven] = q[0], v[0]
-        data.qfrc_applied[arm.driven] = DRIVEN_ARMATURE * a[0]
+        qpos[arm.driven], qvel[arm.driven] = q[0], v[0]
+        applied[arm.driven] = DRIVEN_ARMATURE * a[0]
         mujoco.mj_forward(model, data)
-        data.qvel[arm.elastic] = -0.5 * h * data.qacc[arm.elastic]
+        qvel[arm.elastic] = -0.5 * h * data.qacc[arm.elastic]
         points = list[FloatArray]()
         for k in range(steps + 1):
-            data.qpos[arm.driven], data.qvel[arm.driven] = q[k], v[k]
+            qpos[arm.driven], qvel[arm.driven] = q[k], v[k]
             if k % every == 0:
                 mujoco.mj_kinematics(model, data)
                 points.append(np.array(data.site(TOOL).xpos) if observe is None else observe())
-            # The mean acceleration of the step that follows.
-            mean = (v[k + 1] - v[k]) / h if k < steps else a[k]
-            data.qfrc_applied[arm.driven] = DRIVEN_ARMATURE * mean
-            model.opt.gravity[:] = still - shaken[k]
-            data.qfrc_applied[arm.elastic] = -arm.added_mass[:, :3] @ shaken[k]
+            applied[arm.driven], gravity[:], applied[arm.elastic] = mean[k], felt[k], pushed[k]
             if damping is not None:
-                data.qfrc_applied[arm.elastic] -= damping @ data.qvel[arm.elastic]
+                applied[arm.elastic] -= damping @ qvel[arm.elastic]
             mujoco.mj_step(model, data)
         return np.array(points)
 
