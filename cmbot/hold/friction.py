@@ -127,12 +127,14 @@ class Friction:
         return work, slope + change, curved, size[:, None] * distance
 
     def _pressed(self, a: FloatArray, b: ComplexArray) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-        """Where on each side the pressed part starts and ends (N, K), and whether it is entered or left."""
+        """Where on each side the pressed part starts and ends, and whether it is entered or left (N, K)."""
         first = a[:, None] + np.multiply.outer(b.real, self._start.real)
         first += np.multiply.outer(b.imag, self._start.imag)
         # The same number as of the side that starts there: a corner is in or out.
-        last = first[:, self._next]
-        starts, ends = first >= 0, last >= 0
+        starts = first >= 0
+        if starts.all():
+            return self._start, self._start + self._side, np.zeros_like(first)
+        last, ends = first[:, self._next], starts[:, self._next]
         crosses = starts != ends
         share = first / np.where(crosses, first - last, 1.0)
         low = np.where(starts, 0.0, np.where(crosses, share, 0.0))
@@ -154,27 +156,17 @@ class Friction:
         at_centre = a + (b.conj() * centre).real
         # Along the sides, and along the line on which the pressure is zero, from where the outline is left to
         # where it is entered.
-        K = len(self._start)
-        along = np.empty((len(a), K + 1), dtype=complex)
-        along[:, :K], along[:, K] = self._along, -1j * b / steep
-        far = np.empty((len(a), K + 1))
-        far[:, :K] = self._far - (centre[:, None] * (1j * self._along.conj())).real
-        far[:, K] = at_centre / steep
-        conj, middle = along.conj(), centre[:, None]
-        crossing = np.where(sign > 0, start, end)
-        tau = np.concatenate(
-            [
-                ((end - middle) * conj[:, :K]).real,
-                ((start - middle) * conj[:, :K]).real,
-                ((crossing - middle) * conj[:, K:]).real,
-            ],
-            axis=1,
-        )
-        d = np.concatenate([far[:, :K], far[:, :K], np.broadcast_to(far[:, K:], sign.shape)], axis=1)
-        at_ends = _antiderivatives(d, tau)
-        parts = np.empty((7, *far.shape))
-        parts[:, :, :K] = at_ends[:, :, :K] - at_ends[:, :, K : 2 * K]
-        parts[:, :, K] = (sign * at_ends[:, :, 2 * K :]).sum(axis=2)
+        along, middle, conj = self._along, centre[:, None], self._along.conj()
+        far = self._far - (middle * (1j * conj)).real
+        tau = [((end - middle) * conj).real, ((start - middle) * conj).real]
+        parts = np.subtract(*(_antiderivatives(far, each) for each in tau))
+        if sign.any():
+            line, away = (-1j * b / steep)[:, None], (at_centre / steep)[:, None]
+            crossing = np.where(sign > 0, start, end)
+            at_ends = _antiderivatives(away, ((crossing - middle) * line.conj()).real)
+            parts = np.concatenate([parts, (sign * at_ends).sum(axis=2, keepdims=True)], axis=2)
+            along = np.hstack([np.broadcast_to(along, far.shape), line])
+            far = np.hstack([far, away])
         root, first, third, mixed, square, sine, inverse = parts
         # With the components of b out of the side and along it; -i t is out of it.
         turned = b.conj()[:, None] * along
