@@ -371,7 +371,7 @@ def test_causes_are_short_within_what_is_said_of_a_walk() -> None:
 def test_a_step_that_does_not_hold_is_refused_with_its_figures() -> None:
     magnet = {"kind": "magnet", "adhesion_n": 2500, "safety": 1, "friction": 0.7}
     weak = scene_at(4.04, 4.44, magnet)
-    there, options = StanceFile.model_validate(feet(4.34, 4.74)), WalkOptions(spacing=0.8)
+    there, options = StanceFile.model_validate(feet(4.34, 4.74)), WalkOptions(spacing=2.0)
     figures = r"easiest way.*% of its effort, adhesion needed \d+\.\d+ kN\).*"
     with pytest.raises(PlanningError, match=figures) as refused:
         cmbot.walk(weak, there, options)
