@@ -48,24 +48,23 @@ def distances() -> tuple[np.ndarray, np.ndarray]:
     """
     response, rng = two_modes(), np.random.default_rng(11)
     settle, count = round(25.0 / STEP), round(SECONDS / STEP) + 1
-    across, along = [], []
+    across, along, n = [], [], 6000
+    # A flat spectrum of 1 (m/s2)^2 from 0.5 to 30 Hz, of a series that is longer than all that is used.
+    f = np.arange(n // 2 + 1) / (n * STEP)
+    inside = (f >= BAND[0]) & (f <= BAND[1])
+    size = np.sqrt(1 / (BAND[1] - BAND[0]) / (n * STEP)) * n / 2
+    X = np.zeros((RECORDS // 20, 3, len(f)), dtype=complex)
     for _ in range(20):
-        # A flat spectrum of 1 (m/s2)^2 from 0.5 to 30 Hz, of a series that is longer than all that is used.
-        n = 3 * (settle + count) // 2
-        f = np.arange(n // 2 + 1) / (n * STEP)
-        level = np.where((f >= BAND[0]) & (f <= BAND[1]), 1 / (BAND[1] - BAND[0]), 0.0)
-        X = rng.normal(size=(2, RECORDS // 20, 3, len(f)))
-        a = np.fft.irfft((X[0] + 1j * X[1]) * np.sqrt(level / (n * STEP)) * n / 2, n, axis=-1)
-        eta = []
+        X[..., inside] = response.gain @ rng.normal(0.0, size, (*X.shape[:2], 2 * inside.sum())).view(complex)
+        force, eta = np.fft.irfft(X, n), []
         for k in range(3):
             w, zeta = 2 * np.pi * response.frequencies[k], response.damping[k]
             pole = np.exp((-zeta + 1j * np.sqrt(1 - zeta**2)) * w * STEP)
             denominator = [1.0, -2 * pole.real, abs(pole) ** 2]
-            force = np.einsum("rmn,m->rn", a[..., : settle + count], response.gain[k])
             # Impulse invariance, with the gain at the mode's frequency that of the equation of motion.
             z = np.exp(1j * w * STEP)
             gain = 1 / (2j * zeta * w**2) * (1 + denominator[1] / z + denominator[2] / z**2)
-            eta.append(lfilter([0.0, abs(gain)], denominator, force, axis=-1)[:, settle:])
+            eta.append(lfilter([0.0, abs(gain)], denominator, force[:, k, : settle + count])[:, settle:])
         y = np.einsum("dk,krn->drn", response.tool, eta)
         across.append(np.hypot(y[0], y[1]).max(axis=1))
         along.append(np.abs(y[2]).max(axis=1))
