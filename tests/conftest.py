@@ -1,5 +1,6 @@
 """What all tests share: the shipped robot, repeatable random numbers, Hypothesis settings."""
 
+import gc
 import math
 import os
 import re
@@ -42,6 +43,11 @@ settings.register_profile("random", **_ANY_SPEED)
 settings.load_profile("fixed")
 # It also takes numbers from the modules that are loaded, which the tests before decide.
 providers.is_local_module_file = lambda path: False  # type: ignore[attr-defined]
+
+
+def pytest_collection_finish() -> None:
+    """What is loaded by now stays to the end: the collector of garbage need not look at it again."""
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -1,5 +1,7 @@
 """A headless Chromium that cannot reach any network, for the tests of HTML pages, and what they ask of it."""
 
+import base64
+import io
 import json
 import os
 import shutil
@@ -8,8 +10,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from selenium import webdriver
+from PIL import Image
+from selenium.webdriver import Chrome, ChromeOptions, ChromeService
 
 # A container's root has no sandbox; SwiftShader draws WebGL without a graphics card; the rest keeps it quiet.
 ARGUMENTS = (
@@ -29,6 +33,8 @@ ARGUMENTS = (
 )
 # Only so that nothing waits for ever, s: a frame may take seconds where many processes draw on few cores.
 _PATIENCE = 300
+# Of the screen for one of a page: the processor draws, so that fewer are drawn sooner.
+_PIXELS = 0.25
 
 
 def programs(*names: str) -> list[str]:
@@ -43,18 +49,18 @@ def programs(*names: str) -> list[str]:
 
 
 @contextmanager
-def chromium(folder: Path) -> Iterator[webdriver.Chrome]:
+def chromium(folder: Path) -> Iterator[Chrome]:
     """Start a browser with its profile in `folder`, and quit it at the end.
 
     Without Chromium the test is skipped, or fails where CMBOT_REQUIRE_BROWSER is 1.
     """
     browser, driver = programs("chromium", "chromedriver")
-    options = webdriver.ChromeOptions()
+    options = ChromeOptions()
     options.binary_location = browser
     for argument in (*ARGUMENTS, f"--user-data-dir={folder}"):
         options.add_argument(argument)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    chrome = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
+    chrome = Chrome(options=options, service=ChromeService(driver))
     chrome.set_script_timeout(_PATIENCE)
     try:
         chrome.get("about:blank")  # its own first page asks for things of its own
@@ -64,40 +70,43 @@ def chromium(folder: Path) -> Iterator[webdriver.Chrome]:
 
 
 @contextmanager
-def screen(chrome: webdriver.Chrome, width: int = 1280, height: int = 800) -> Iterator[None]:
-    """Another size of the window for a while; then a desktop's again, for the next test."""
-    _resize(chrome, width, height)
+def screen(chrome: Chrome, width: int = 1280, height: int = 800, scale: float = _PIXELS) -> Iterator[None]:
+    """Another size of the window for a while; then a desktop's again, for the next test.
+
+    With `scale` 1 for what is asked of the pictures themselves.
+    """
+    _resize(chrome, width, height, scale)
     try:
         yield
     finally:
-        _resize(chrome, 1280, 800)
+        _resize(chrome, 1280, 800, _PIXELS)
 
 
-def _resize(chrome: webdriver.Chrome, width: int, height: int) -> None:
-    metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+def _resize(chrome: Chrome, width: int, height: int, scale: float) -> None:
+    metrics = {"width": width, "height": height, "deviceScaleFactor": scale, "mobile": False}
     chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
     next_frame(chrome)
 
 
-def open_page(chrome: webdriver.Chrome, page: Path) -> None:
+def open_page(chrome: Chrome, page: Path) -> None:
     for kind in ("browser", "performance"):
         chrome.get_log(kind)  # of the page before
     chrome.get(page.as_uri())
     next_frame(chrome)
 
 
-def shows(chrome: webdriver.Chrome, page: Path) -> bool:
+def shows(chrome: Chrome, page: Path) -> bool:
     """Whether a page is open, at whatever time and with whatever view its address has."""
     return chrome.current_url.partition("#")[0] == page.as_uri()
 
 
-def next_frame(chrome: webdriver.Chrome) -> None:
+def next_frame(chrome: Chrome) -> None:
     chrome.execute_async_script(
         "const done = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(() => done()))"
     )
 
 
-def require_quiet(chrome: webdriver.Chrome, page: Path) -> None:
+def require_quiet(chrome: Chrome, page: Path) -> None:
     """The page shows no failure, reported no error, and asked for nothing but itself and data in it."""
     chrome.execute_script("cmbotReplay.seek(cmbotReplay.workStart + 5)")
     next_frame(chrome)
@@ -109,22 +118,27 @@ def require_quiet(chrome: webdriver.Chrome, page: Path) -> None:
     assert chrome.find_elements("id", "failure") == []
 
 
-def severe_messages(chrome: webdriver.Chrome) -> list[str]:
+def severe_messages(chrome: Chrome) -> list[str]:
     """The errors on the page's console since it was opened."""
     return [entry["message"] for entry in chrome.get_log("browser") if entry["level"] == "SEVERE"]
 
 
-def ask(chrome: webdriver.Chrome, expression: str) -> Any:
+def ask(chrome: Chrome, expression: str) -> Any:
 
     return chrome.execute_script(f"return {expression}")
 
 
-def slide(chrome: webdriver.Chrome, slider: str, value: float | str) -> None:
+def pixels(png: str) -> np.ndarray:
+    """Those of a picture (height, width, 4), from its data's base 64 or its URL."""
+    picture = Image.open(io.BytesIO(base64.b64decode(png.rpartition(",")[2])))
+    return np.asarray(picture.convert("RGBA")).astype(int)
+
+
+def slide(chrome: Chrome, slider: str, value: float | str) -> None:
     """Move a slider of a page as a person would."""
     chrome.execute_script(
         """const slider = document.getElementById(arguments[0]);
         slider.value = arguments[1];
         slider.dispatchEvent(new Event("input"));""",
-        slider,
-        value,
+        *(slider, value),
     )

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from browser import ask, next_frame, open_page, require_quiet, screen, shows, slide
+from browser import ask, next_frame, open_page, pixels, require_quiet, screen, shows, slide
 from page_data import without_shapes
 from plan_folders import without_approach
 from selenium.webdriver import Chrome
@@ -104,11 +104,9 @@ def number(shown: Chrome, cell: str) -> float:
 
 def plotted(chrome: Chrome) -> np.ndarray:
     """The plot's pixels (height, width, 4) with the time at its end."""
-    script = """cmbotReplay.seek(cmbotReplay.end);
-        const plot = document.getElementById("plot"), {width, height} = plot;
-        return [height, width, [...plot.getContext("2d").getImageData(0, 0, width, height).data]];"""
-    height, width, pixels = chrome.execute_script(script)
-    return np.reshape(pixels, (height, width, 4))
+    script = "cmbotReplay.seek(cmbotReplay.end); return document.getElementById('plot').toDataURL()"
+    with screen(chrome, scale=1):
+        return pixels(chrome.execute_script(script))
 
 
 def test_the_plot_shades_the_approach_and_draws_the_floor(
@@ -132,9 +130,9 @@ def test_the_plot_shades_the_approach_and_draws_the_floor(
 
 
 def test_the_baseline_has_no_torque_on_the_approach(shown: Chrome) -> None:
-    pixels, (begin, end) = plotted(shown), ask(shown, "[cmbotReplay.workStart, cmbotReplay.end]")
-    border = round(begin / end * (pixels.shape[1] - 16)) + 8
-    red, blue = pixels[..., 0], pixels[..., 2]
+    plot, (begin, end) = plotted(shown), ask(shown, "[cmbotReplay.workStart, cmbotReplay.end]")
+    border = round(begin / end * (plot.shape[1] - 16)) + 8
+    red, blue = plot[..., 0], plot[..., 2]
     # Where something is drawn in the baseline's blue, and in the planned motion's orange.
     baseline, planned = ((colour > 100).any(axis=0) for colour in (blue - red, red - blue))
     assert not baseline[12 : border - 4].any()

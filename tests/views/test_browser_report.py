@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import ask, next_frame, open_page, require_quiet, screen, shows, slide
+from browser import ask, next_frame, open_page, pixels, require_quiet, screen, shows, slide
 from obstacle_entries import renamed, with_obstacles
 from page_data import hostile, without_shapes
-from PIL import Image, ImageColor
+from PIL import ImageColor
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.support.ui import WebDriverWait
@@ -46,9 +46,9 @@ def shown(chrome: Chrome, report_file: Path) -> Chrome:
 
 
 def picture(chrome: Chrome) -> np.ndarray:
-    next_frame(chrome)
-    png = chrome.execute_cdp_cmd("Page.captureScreenshot", {"format": "png"})["data"]
-    return np.asarray(Image.open(io.BytesIO(base64.b64decode(png))).convert("RGB")).astype(int)
+    with screen(chrome, scale=1):
+        next_frame(chrome)
+        return pixels(chrome.execute_cdp_cmd("Page.captureScreenshot", {"format": "png"})["data"])[..., :3]
 
 
 def cursors(chrome: Chrome) -> np.ndarray:
@@ -427,8 +427,7 @@ def test_the_printed_page_is_still_and_shows_every_plot(shown: Chrome) -> None:
     assert 3 <= len(re.findall(rb"/Type\s*/Page\b", pdf)) <= 10
     stills = ask(shown, "[...document.querySelectorAll('#stills img')].map((i) => i.src)")
     assert len(stills) == 4 == len(set(stills))  # the ends of the legs
-    image = Image.open(io.BytesIO(base64.b64decode(stills[0].split(",")[1]))).convert("RGB")
-    assert len(np.unique(np.asarray(image).reshape(-1, 3), axis=0)) > 300
+    assert len(np.unique(pixels(stills[0]).reshape(-1, 4), axis=0)) > 300
     assert ask(shown, "cmbotReplay.time") == 17
     with media(shown, media="print"):
         hidden = shown.execute_script(

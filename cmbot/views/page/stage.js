@@ -282,7 +282,8 @@ class Stage {
     const sun = light(new THREE.DirectionalLight(0xfff6e8, 0.55), [0.35, 0.75, 0.8]);
     const size = 1.8 * radius;
     sun.castShadow = true;
-    sun.shadow.mapSize.set(2048, 2048);
+    // Where the page is drawn smaller, so are shadows.
+    sun.shadow.mapSize.setScalar(2048 * Math.min(window.devicePixelRatio || 1, 1));
     Object.assign(sun.shadow.camera, { left: -size, right: size, top: size, bottom: -size, near: 0.1, far: 8 * radius });
     sun.shadow.normalBias = 0.01 * radius;
     sun.shadow.radius = 3;
