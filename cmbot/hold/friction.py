@@ -277,10 +277,10 @@ class Slipping:
             off = rows[~balanced[rows]]
             balanced[off] = self._balance(off)
             moved = rows[balanced[rows]]
-            weakest = moved[self._minimise(moved)]
-            done = self._decide(weakest)
-            balanced[weakest] = False
-            rows = np.setdiff1d(rows, weakest[done], assume_unique=True)
+            if len(moved) and len(weakest := moved[self._minimise(moved)]):
+                done = self._decide(weakest)
+                balanced[weakest] = False
+                rows = np.setdiff1d(rows, weakest[done], assume_unique=True)
         # Where rounding hides the least: a force that is known to be enough.
         self.force[rows] = self._high[rows]
 
@@ -338,10 +338,10 @@ class Slipping:
         self._motion[taken], self._work[taken] = motion[lower], work[lower]
         sure = np.maximum(_LEAST_WORK * work, _SURE * np.abs(work - 1 / self._trial[rows]))
         there = lower & (gain < sure)
-        solved = np.array([distance[there], np.broadcast_to([1.0, 0, 0], (int(there.sum()), 3))])
-        moments = self._moments[rows[there]]
-        by = np.linalg.solve(moments, np.moveaxis(solved, 0, 2))
-        self._by_moments, self._by_force = by[:, :, 0], by[:, :, 1]
+        if there.any():
+            solved = np.array([distance[there], np.broadcast_to([1.0, 0, 0], (int(there.sum()), 3))])
+            by = np.linalg.solve(self._moments[rows[there]], np.moveaxis(solved, 0, 2))
+            self._by_moments, self._by_force = by[:, :, 0], by[:, :, 1]
         return np.asarray(there)
 
     def _decide(self, rows: IntArray) -> BoolArray:
