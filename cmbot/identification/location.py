@@ -136,7 +136,7 @@ def located(touches: Touches) -> Location:
             raise InputError(
                 touches.source,
                 f"touches[{worst}]",
-                f"{1e3 * float(np.linalg.norm(problem.residual(xi, worst))):.1f} mm from its feature",
+                f"{1e3 * float(np.linalg.norm(problem.residuals(xi, [worst])[0])):.1f} mm from its feature",
                 "touches that fit each other: more than a third does not; look at features and units",
             )
     if (off := float(np.abs(xi / problem.prior).max())) > _MAX_PRIOR_SIGMAS:
@@ -157,7 +157,7 @@ def located(touches: Touches) -> Location:
         X_WF=X,
         moved=xi,
         covariance=covariance,
-        residuals=tuple(problem.residual(xi, k) for k in range(len(touches.features))),
+        residuals=tuple(problem.residuals(xi, range(len(touches.features)))),
         left_out=tuple(sorted(set(range(len(touches.features))) - set(counted_in))),
         not_fixed=tuple(_not_fixed(covariance, problem.prior)),
     )
@@ -177,15 +177,15 @@ class _Problem:
         """Where a point of the frame was thought to be."""
         return np.asarray(self._X[:3, :3] @ point + self._X[:3, 3])
 
-    def residual(self, xi: FloatArray, number: int) -> FloatArray:
-        """How far a touched place is from its feature, m, where the workpiece is displaced by `xi` (6,)."""
-        back = self.middle + pin.exp3(xi[3:]).T @ (self._places[number] - self.middle - xi[:3])
-        return self._features[number].residual(self._X[:3, :3].T @ (back - self._X[:3, 3]), self._tip)
+    def residuals(self, xi: FloatArray, numbers: Sequence[int]) -> list[FloatArray]:
+        """How far touched places are from their features, m, the workpiece displaced by `xi` (6,)."""
+        back = self.middle + (self._places - self.middle - xi[:3]) @ pin.exp3(xi[3:])
+        touched = (back - self._X[:3, 3]) @ self._X[:3, :3]
+        return [self._features[k].residual(touched[k], self._tip) for k in numbers]
 
     def stacked(self, xi: FloatArray, numbers: Sequence[int]) -> FloatArray:
         """Whitened residuals of touches, and of the prior."""
-        each = [self.residual(xi, k) / self._deviation for k in numbers]
-        return np.concatenate([*each, xi / self.prior])
+        return np.append(np.concatenate(self.residuals(xi, numbers)) / self._deviation, xi / self.prior)
 
     def solved(self, start: FloatArray, numbers: Sequence[int], *, robust: bool = False) -> Any:
         """SciPy's result for those touches, its `x` the estimate (6,); with `robust`, far ones count less."""
@@ -205,8 +205,8 @@ class _Problem:
     def worst(self, estimate: Any, covariance: FloatArray, numbers: Sequence[int]) -> int | None:
         """The touch that fits the others least, where chance hardly makes it so."""
         at, found = 0, list[tuple[float, float, int]]()
-        for number in numbers:
-            own = slice(at, at + len(self.residual(estimate.x, number)))
+        for number, residual in zip(numbers, self.residuals(estimate.x, numbers), strict=True):
+            own = slice(at, at + len(residual))
             at, r, J = own.stop, estimate.fun[own], estimate.jac[own]
             left = np.eye(len(r)) - J @ covariance @ J.T
             square = float(r @ np.linalg.pinv(left, rcond=1e-9) @ r)
