@@ -61,7 +61,7 @@ SMALL: dict[str, dict[str, Any]] = {
         "planner": {"knots": "sliding", "start": "pinned", **COARSE, "axis_weights": [1.0, 0.0, 0.0]}
     },
     # Gravity has no torque about z: next to a flat valley.
-    "about z": {"planner": {"knots": "sliding", "axis_weights": [0.05, 0.05, 1.0]}},
+    "about z": {"planner": {"knots": "sliding", **COARSE, "axis_weights": [0.05, 0.05, 1.0]}},
     "fixed": {},
     "fixed, position": {"tool_path": {"keep": "position"}},
     "fixed, out and back": {"tool_path": {"legs": OUT_AND_BACK, "via_points": 9}},
