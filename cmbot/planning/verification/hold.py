@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.hold import Foot
 from cmbot.planning.certification.check import Check, largest_check
 from cmbot.robot import Robot
@@ -74,21 +74,20 @@ class _Plate:
         if foot.contact is None:
             raise ValueError("a foot without a flat contact")
         rings = [np.array(ring) for ring in foot.contact.outline]
-        corners = np.vstack(rings)
-        low, high = corners.min(axis=0), corners.max(axis=0)
+        self.corners = np.vstack(rings)
+        low, high = self.corners.min(axis=0), self.corners.max(axis=0)
         # Cells of one size, so that all weigh the same.
         smallest = np.min([np.ptp(ring, axis=0) for ring in rings], axis=0)
         size = np.minimum((high - low) / _SECOND_CELLS, smallest / _CELLS_OF_PART)
         self.points = np.vstack([_cells(ring, size) for ring in rings])
         self.foot = foot
-        side = ConvexHull(corners).equations
+        side = ConvexHull(self.corners).equations
         self.edges = -side[:, :2] / side[:, 2:]
         angle = 2 * np.pi * np.arange(_ON_CIRCLE) / _ON_CIRCLE
         circle = np.column_stack([np.cos(angle), np.sin(angle)]) * (high - low) / 2
-        self.centres = np.vstack([radius * circle for radius in _SECOND_CIRCLES])
+        self.centres = np.unique(np.vstack([radius * circle for radius in _SECOND_CIRCLES]), axis=0)
         self.away = np.linalg.norm(self.points[:, None] - self.centres, axis=2)
         self.second = self.points.T @ self.points / len(self.points)
-        self.corners = corners
 
     def adhesion(self, load: FloatArray, near: FloatArray) -> FloatArray:
         """What is needed (N,), N, under loads (N, 6), of which something is known that is `near`."""
@@ -99,17 +98,20 @@ class _Plate:
         least = np.maximum(least, 1e-9)
         turning = load[:, 5:] + T[:, :1] * self.centres[:, 1] - T[:, 1:] * self.centres[:, 0]
         work = np.abs(turning) / self.foot.friction
-        low, high = least, np.maximum(1.1 * (near - pull), 1.1 * least)
-        for _ in range(_SECOND_HALVINGS):
-            middle = 0.5 * (low + high)
-            enough = (work <= middle[:, None] * (self._pressures(E / middle[:, None]) @ self.away)).all(
-                axis=1
-            )
-            low, high = np.where(enough, low, middle), np.where(enough, middle, high)
-        only_least = (work <= least[:, None] * (self._pressures(E / least[:, None]) @ self.away)).all(axis=1)
+
+        def enough(force: FloatArray, of: IntArray) -> BoolArray:
+            share = self._pressures(E[of] / force[:, None]) @ self.away
+            return np.asarray((work[of] <= force[:, None] * share).all(axis=1))
+
         tips = (E @ self.edges.T).max(axis=1) > _INNER_WAY * np.maximum(near - pull, 1e-9)
-        found = np.where(only_least, least, high)
-        return np.asarray(pull + np.where(tips, np.maximum(least, near - pull), found))
+        found, left = np.where(tips, np.maximum(least, near - pull), least), np.flatnonzero(~tips)
+        left = left[~enough(least[left], left)]
+        low, high = least[left], np.maximum(1.1 * (near - pull), 1.1 * least)[left]
+        for _ in range(_SECOND_HALVINGS):
+            holds = enough(middle := 0.5 * (low + high), left)
+            low, high = np.where(holds, low, middle), np.where(holds, middle, high)
+        found[left] = high
+        return np.asarray(pull + found)
 
     def _pressures(self, e: FloatArray) -> FloatArray:
         """Forces (N, K) on the cells, one in all, linear and without tension, whose centre is at e (N, 2)."""
@@ -122,7 +124,7 @@ class _Plate:
         for step in range(_SECOND_STEPS):
             force = c @ X.T
             lack = np.maximum(force, 0.0) @ X - goal
-            if np.abs(lack).max() < _SECOND_CLOSE:
+            if np.abs(lack).max(initial=0.0) < _SECOND_CLOSE:
                 break
             slope = ((force > 0).astype(float) @ pairs).reshape(-1, 3, 3) + 1e-9 * np.eye(3)
             c -= (1.0 if step < _SECOND_STEPS // 2 else 0.3) * np.linalg.solve(slope, lack[:, :, None])[
