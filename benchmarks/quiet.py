@@ -37,8 +37,7 @@ __all__ = ["Compared", "compared", "quiet_scene"]
 
 _ARMS = ("cmbot", "panda", "ur10", "xarm7")
 # A mast that moves and bends at its top: stiffness, N/m and Nm/rad, and the share by which it may differ.
-_MAST = (4e5, 4e5, 2e6, 4e4, 4e4, 4e4)
-_FACTOR = (0.3, 3.0)
+_MAST, _FACTOR = (4e5, 4e5, 2e6, 4e4, 4e4, 4e4), (0.3, 3.0)
 _OTHER = ({"kind": "trapezoidal", "ramp": 0.2}, {"kind": "jerk_limited", "ramp": 0.25})
 
 
@@ -115,8 +114,7 @@ def compared(seed: int, number: int, *, simulate: bool = False) -> Compared:
         arm = bending_arm(quiet.scene, quiet.robot)
         if arm is None or quiet.sway is None or other.sway is None:
             raise ValueError("nothing bends")
-        q = quiet.trajectory.q[len(quiet.trajectory.q) // 2]
-        first = float(arm_modes(arm, q).frequencies[0])
+        first = float(arm_modes(arm, quiet.trajectory.q[len(quiet.trajectory.q) // 2]).frequencies[0])
         return Compared(
             periods=float(first * min(quiet.task.path.seconds)),
             sway=quiet.sway.sway_mm,
@@ -152,14 +150,12 @@ def main() -> int:
             f"peak {found.peak:.4f}, mean {found.mean:.4f}"
             + (f"; by MuJoCo {found.mujoco[0]:.3g} and {found.mujoco[1]:.4f} mm" if found.mujoco else "")
         )
-    ratios = np.array([row.sway / row.other_sway for row in rows])
-    swing = np.array([row.swing for row in rows])
-    long = np.array([row.periods > 4 for row in rows])
+    ratios, swing, periods = np.array([(r.sway / r.other_sway, r.swing, r.periods) for r in rows]).T
     peak, mean = (max(getattr(row, name) for row in rows) for name in ("peak", "mean"))
     console.print(
         f"{len(rows)} planned: sway {np.median(ratios):.2f} of the other law's in the median, larger in "
         f"{(ratios > 1).sum()}; swing {np.median(swing):.4f} mm in the median, and at most "
-        f"{swing[long].max():.4f} mm of {long.sum()} with legs of more than four periods; "
+        f"{swing[periods > 4].max():.4f} mm of {(periods > 4).sum()} with legs of more than four periods; "
         f"peak {peak:.4f}, mean {mean:.4f} of the other's at most"
     )
     return 0
