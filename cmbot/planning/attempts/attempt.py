@@ -87,9 +87,10 @@ class Attempt:
     def quiet(self) -> Attempt:
         """Return the attempt with the laws that a quiet stroke is to have, chosen along its optimised path.
 
-        What the joints' path bends by counts as much as the law, and the guess bends otherwise. The attempt
-        is this one where the laws are given, nothing is guessed, nothing leads on in another law, or the tool
-        sways more by it along that path: suppression lessens the swing alone.
+        What the joints' path bends by counts as much as the law, and the guess bends otherwise; where no path
+        is optimised, the guess is all there is. The attempt is this one where the laws are given, nothing is
+        guessed, nothing leads on in another law, or the tool sways more by it along that path: suppression
+        lessens the swing alone.
         """
         request, file, guess = self.request, self.request.stroke.file, self.guess
         is_chosen = file.speed_profile.kind == "quiet" and not file.time_laws
@@ -103,9 +104,8 @@ class Attempt:
         unshaped = guess.problem.parametrization.trajectory
         if guess.search is not None:
             optimised = attempted(request, lambda: optimise(guess.problem))
-            if not isinstance(optimised, Optimised):
-                return self
-            unshaped = optimised.trajectory
+            if isinstance(optimised, Optimised):
+                unshaped = optimised.trajectory
         laws, more_time = quiet_laws(request, unshaped)
         own = replace(self, more_time=more_time)
         if not laws:

@@ -1,36 +1,36 @@
 """What more seconds would give on short legs: told where it is much, and true."""
 
 import re
+from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
-from cmbot import Plan, load_scene, plan
+from cmbot import OptimisationFailed, Plan, load_scene, plan
 from cmbot.elastic.modes import arm_modes
 from cmbot.planning import bending_arm
+from cmbot.planning.attempts.attempt import Attempt
+from cmbot.planning.request import build_request
 
-SOFT = np.diag([2e4, 2e4, 1e5, 4e3, 4e3, 4e3])
+SOFT = (2e4, 2e4, 1e5, 4e3, 4e3, 4e3)
 
 
-def planned(seconds: float, stiffness: float = 1.0, via_points: int = 21, knots: str = "fixed") -> Plan:
-    return plan(
-        load_scene(
-            {
-                "format": "cmbot-scene/2",
-                "name": "mast",
-                "robot": {"model": "panda", "base_frame": "panda_link0", "tool_frame": "panda_hand_tcp"},
-                "start": {"posture_deg": [0, -45, 0, -135, 0, 90, 45]},
-                "planner": {"knots": knots},
-                "guardrail": {"bays": 0, "stiffness": (stiffness * SOFT).tolist()},
-                "tool_path": {
-                    "keep": "pose",
-                    "legs": [{"by": [0, 0.1, 0], "seconds": seconds}],
-                    "via_points": via_points,
-                },
-            }
-        ),
-        progress=False,
-    )
+def mast(seconds: float, stiffness: float = 1.0, via_points: int = 21, knots: str = "fixed") -> Any:
+    legs = [{"by": [0, 0.1, 0], "seconds": seconds}]
+    return {
+        "format": "cmbot-scene/2",
+        "name": "mast",
+        "robot": {"model": "panda", "base_frame": "panda_link0", "tool_frame": "panda_hand_tcp"},
+        "start": {"posture_deg": [0, -45, 0, -135, 0, 90, 45]},
+        "planner": {"knots": knots},
+        "guardrail": {"bays": 0, "stiffness": np.diag(stiffness * np.array(SOFT)).tolist()},
+        "tool_path": {"keep": "pose", "legs": legs, "via_points": via_points},
+    }
+
+
+def planned(seconds: float, **own: Any) -> Plan:
+    return plan(load_scene(mast(seconds, **own)), progress=False)
 
 
 def moved(made: Plan) -> float:
@@ -63,3 +63,11 @@ def test_short_legs_have_as_many_via_points_as_their_law_needs() -> None:
     assert number - 1 == pytest.approx(4 * frequency * 1.2, abs=1.5)
     # On a stiff mast the leg has many periods, and what is asked for is done.
     assert len(planned(1.2, stiffness=50.0, via_points=8, knots="sliding").trajectory.t) == 8
+
+
+def test_where_no_path_is_optimised_laws_are_chosen_along_the_guess(monkeypatch: pytest.MonkeyPatch) -> None:
+    refused = Mock(side_effect=OptimisationFailed("nothing was found", constraint="jerk", violation=1.0))
+    monkeypatch.setattr("cmbot.planning.attempts.attempt.optimise", refused)
+    scene = load_scene(mast(2.0, knots="sliding"))
+    attempt = Attempt.of(build_request(scene, scene.planner, None)).quiet()
+    assert attempt.timing is not None and len(attempt.timing.laws) == 1
