@@ -370,6 +370,11 @@ def read_folder(
         time.sleep(_PAUSE)
 
 
+def missing_files(folder: Path, name: str) -> tuple[str, ...]:
+    """Return which files a record lists that are not there; errors as `read_record`."""
+    return tuple(file for file in _files(read_record(folder, name)) if not (folder / file).exists())
+
+
 def listed_name(path: Path) -> str:
     """Return a file's name as it is listed beside others: in one line, in quotes where it is odd."""
     return path.name if re.fullmatch(r"[\w.+-]+", path.name) else shown(path.name)

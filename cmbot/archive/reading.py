@@ -266,6 +266,8 @@ class _Parts:
                 name, number = str(self._strokes[number].name), number + 1
             else:
                 task, name = task.held_at_start(), free_move_name(number) if number < len(tasks) else RETURN
+                if np.abs(trajectory.q[-1] - trajectory.q[0]).max() <= _ANGLE_TOLERANCE:
+                    raise ArchiveError(self._knots, "q", f"{name} to where it begins", "no such move")
             given = {"name": name, "begin": float(begins[k]), "trajectory": trajectory, "task": task}
             segments.append(made(Segment, entry, **given, certificate=self._certificate(k)))
         ends = {0: ("the scene's posture at first", np.array(self.scene.posture))}

@@ -12,7 +12,7 @@ from pydantic import ConfigDict
 from pydantic_core import from_json
 
 from cmbot.common.errors import ArchiveError
-from cmbot.common.reading.validation import FileModel, key_path, shown
+from cmbot.common.reading.validation import FileModel, counted, key_path, shown
 
 PLAN_FILE, WALK_FILE, TOUR_FILE, STANCES_FILE = "plan.json", "walk.json", "tour.json", "stances.json"
 EVALUATION_FILE = "evaluation.json"
@@ -128,9 +128,15 @@ def require_same(
     elif isinstance(got, list | tuple) and isinstance(expected, list | tuple) and len(got) == len(expected):
         for k, (one, other) in enumerate(zip(got, expected, strict=True)):
             require_same(one, other, source, f"{key}[{k}]", tolerance, zero, why)
-    elif not isinstance(got, bool) and isinstance(got, int | float) and isinstance(expected, int | float):
+    elif isinstance(got, list | tuple) and isinstance(expected, list | tuple):
+        raise ArchiveError(source, key, counted(len(got), "entry", "entries"), f"{len(expected)}, as {why}")
+    elif bool in (type(got), type(expected)):
+        # In JSON true is not 1, though in Python it is.
+        if got is not expected:
+            raise ArchiveError(source, key, shown(got), f"{shown(expected)}, as {why}")
+    elif isinstance(got, int | float) and isinstance(expected, int | float):
         if got != expected and not abs(got - expected) <= zero + tolerance * abs(expected):
             raise ArchiveError(source, key, got, f"{expected:g}, as {why}")
-    elif got != expected or isinstance(got, bool) != isinstance(expected, bool):
+    elif got != expected:
         given, wanted = ("null" if value is None else shown(value) for value in (got, expected))
         raise ArchiveError(source, key, given, f"{wanted}, as {why}")

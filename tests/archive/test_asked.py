@@ -38,6 +38,7 @@ from cmbot.planning import Plan, QuinticTrajectory, plan, robot_of
 from cmbot.robot import Kinematics
 from cmbot.scene import PlannerOptions, Scene, load_scene
 from cmbot.stances.walking import walk_csv, walk_data
+from cmbot.trajectory import SplineSpace
 
 
 @pytest.fixture
@@ -492,22 +493,28 @@ def test_another_motion_before_the_knots(short_folder: Path, short_plan: Plan) -
     assert re.search(r"job\.npz: got \d+ bytes beside its arrays", refusal("verify", short_folder))
 
 
-def bag_with(content: bytes, add: Callable[[Writer, int], object]) -> bytes:
+def bag_with(content: bytes, add: Callable[[Writer, int], object], speed: int = 1) -> bytes:
     """A bag with the messages of another one and with what is added; its number is that of a channel."""
     file = io.BytesIO()
     writer = Writer(file)
-    writer.start()
+    writer.start(profile="ros2")
     numbers: dict[int, int] = {}
     for schema, channel, message in make_reader(io.BytesIO(content)).iter_messages():
         if channel.id not in numbers:
             kind = writer.register_schema(schema.name, schema.encoding, schema.data)
             numbers[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, kind)
-        writer.add_message(
-            numbers[channel.id], message.log_time, message.data, message.publish_time, message.sequence
-        )
+        published = message.publish_time // speed
+        writer.add_message(numbers[channel.id], message.log_time, message.data, published, message.sequence)
     add(writer, numbers[channel.id])
     writer.finish()
     return file.getvalue()
+
+
+def test_a_bag_that_is_played_at_another_speed(exported: Path) -> None:
+    """By the times of publishing, which players may go by."""
+    path = exported / "job.mcap"
+    path.write_bytes(bag_with(path.read_bytes(), lambda *_: None, speed=2))
+    assert "beside its index" in refusal("verify", exported)
 
 
 def add_beside_the_index(writer: Writer, channel: int) -> None:
@@ -522,9 +529,10 @@ def add_beside_the_index(writer: Writer, channel: int) -> None:
     ("add", "told"),
     [
         (lambda *_: None, ""),
-        (lambda writer, _: writer.add_attachment(0, 0, "job.csv", "text/csv", b"t,q1"), "attachments"),
-        (lambda writer, _: writer.add_metadata("verified", {"by": "them"}), "metadata"),
-        (add_beside_the_index, "in its index"),
+        (lambda writer, _: writer.add_attachment(0, 0, "job.csv", "text/csv", b"t,q1"), "beside its index"),
+        (lambda writer, _: writer.add_metadata("verified", {"by": "them"}), "beside its index"),
+        (lambda writer, _: writer.register_channel("/slower", "cdr", 1, {"by": "2"}), "beside its index"),
+        (add_beside_the_index, "beside its index"),
     ],
 )
 def test_what_a_bag_has_beside_its_messages(
@@ -559,7 +567,7 @@ def test_a_bag_of_another_motion(exported: Path, short_plan: Plan) -> None:
     states = {name: getattr(trajectory, name)[:half] for name in "tqva"}
     export_mcap(changed(short_plan, "work", trajectory=QuinticTrajectory(**states)), exported / "job.mcap")
     told = refusal("verify", exported)
-    assert re.search(r"job\.mcap: got \d+ messages, expected \d+, in its index, as the knots", told)
+    assert re.search(r"job\.mcap: got \d+ messages, expected \d+, as the knots", told)
     (exported / "job.mcap").write_bytes(b"hello")
     assert "job.mcap: got a damaged file" in refusal("verify", exported)
 
@@ -689,6 +697,27 @@ def test_options_of_the_scene_and_of_set_are_alike(short_plan: Plan, asked: Path
         assert data["looser"] == data["other_options"] == []
     told = json.loads(output("verify", tmp_path / "by_set", "--json"))
     assert told["looser"] == ["max_tool_lag_m 0.03 (asked 0.02)"]
+
+
+def test_a_move_that_leads_nowhere(tmp_path: Path) -> None:
+    """Pinned work begins where the arm stands: it does not wave first, and come back."""
+    scene = short_scene(planner={"start": "pinned", "baseline": "none"})
+    planned = plan(scene)
+    work = planned.job.strokes[0]
+    t, q = np.linspace(0, 4, 9), np.repeat(work.trajectory.q[:1], 9, axis=0)
+    q[3:6, 0] += [0.05, 0.1, 0.05]
+    wave = SplineSpace(t).trajectory(SplineSpace(t).least_jerk(q))
+    folder = save(planned, tmp_path / "plan")
+    seconds = np.concatenate([wave.t, work.trajectory.t[1:] + 4])
+    states = {name: [*getattr(wave, name), *getattr(work.trajectory, name)[1:]] for name in "qva"}
+    whole = QuinticTrajectory(t=seconds, **{name: np.array(rows) for name, rows in states.items()})
+    rewrite(folder, "job.npz", knots_npz(whole))
+
+    def waved(data: dict[str, Any]) -> None:
+        data["segments"].insert(0, data["segments"][0] | {"kind": "free", "name": "approach", "seconds": 4.0})
+
+    edit(folder, waved)
+    assert "job.npz: q: got approach to where it begins, expected no such move" in refusal("verify", folder)
 
 
 def test_fixed_knots_are_those_of_gradient_projection(tmp_path: Path) -> None:

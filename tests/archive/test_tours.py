@@ -124,6 +124,12 @@ def test_truth_values_in_place_of_numbers(walked: Path) -> None:
     assert "parts[0].steps: got True, expected 1" in refusal("verify", walked)
 
 
+def test_a_file_that_is_listed_and_not_there(walked: Path) -> None:
+    edit(walked, lambda data: data["files"].update({"plan.pdf": "0" * 64}), "tour.json")
+    told = json.loads(output("verify", walked, "--json"))["not_verified"]
+    assert "plan.pdf (listed, but not there)" in told
+
+
 def test_a_part_that_is_a_link(walked: Path, tmp_path: Path) -> None:
     (walked / "walk_1").rename(tmp_path / "elsewhere")
     (walked / "walk_1").symlink_to(tmp_path / "elsewhere")

@@ -295,6 +295,11 @@ def export_mcap(plan: Plan, path: str | Path, *, effort: bool = False) -> None:
     """
     require_plan(plan, "cmbot.export_mcap")
     target = given_path(path, "cmbot.export_mcap", "path", "the path of a file to write")
+    write_file(target, bag(plan, effort=effort))
+
+
+def bag(plan: Plan, *, effort: bool) -> bytes:
+    """Return the content of the MCAP file that `export_mcap` writes; errors as there."""
     try:
         from mcap_ros2.writer import Writer
     except ImportError as error:
@@ -305,7 +310,7 @@ def export_mcap(plan: Plan, path: str | Path, *, effort: bool = False) -> None:
         for topic, kind, time, message in messages(plan, effort=effort):
             nanoseconds = round(1e9 * time)
             writer.write_message(topic, schemas[kind], message, nanoseconds, nanoseconds)
-    write_file(target, content.getvalue())
+    return content.getvalue()
 
 
 def messages(plan: Plan, *, effort: bool) -> Iterator[tuple[str, str, float, Message]]:

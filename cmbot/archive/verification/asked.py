@@ -32,8 +32,8 @@ _LOOSER: Mapping[str, Callable[[Any, Any], bool]] = {
     **dict.fromkeys(("compensate", "knots", "start", "objective", "moment_about", "axis_weights"), ne),
 }
 
-# How far fixed knots may lie from their path, rad: it is integrated, and that of a bent tool is near it.
-_MOST_ASIDE = 0.01
+# How far fixed knots may lie from their path, rad, which is integrated; a bent arm's only near it.
+_MOST_ASIDE, _MOST_ASIDE_BENT = 1e-3, 0.01
 # By which share of a surface two searches of what is reached may differ.
 _SAME_AREA = 1e-3
 
@@ -185,11 +185,11 @@ def require_fixed(plan: Plan, options: PlannerOptions, source: str) -> None:
     ------
     ArchiveError
     """
-    request = build_request(plan.scene, options)
+    request, most = build_request(plan.scene, options), _MOST_ASIDE if plan.sag is None else _MOST_ASIDE_BENT
     for number, segment in enumerate(plan.job.strokes):
         stroke = request.at_stroke(number)
         q = segment.trajectory.evaluate(stroke.times)
-        if (aside := aside_of_path(stroke, q)) > _MOST_ASIDE:
+        if (aside := aside_of_path(stroke, q)) > most:
             got = f"via-points {aside:.3g} rad (or m) aside"
             expected = "those of gradient projection, as planner.knots: fixed asks"
             raise ArchiveError(source, segment.name, got, expected)

@@ -16,7 +16,7 @@ from pydantic_core import from_json
 
 from cmbot.archive.folder import listed_name, read_file
 from cmbot.archive.records import BASELINE_FILE, JOB_FILES, PLAN_FILE, require_same, require_unique_keys
-from cmbot.archive.ros.messages import messages, trajectory_message
+from cmbot.archive.ros.messages import bag, messages, trajectory_message
 from cmbot.archive.tables import require_table, samples_csv
 from cmbot.archive.writing import job_table
 from cmbot.common.arrays import IntArray
@@ -118,8 +118,6 @@ def _bag(plan: Plan, path: Path) -> list[str]:
         return [listed_name(path)]
     from mcap.exceptions import McapError
     from mcap.reader import make_reader
-    from mcap.records import Attachment, Message, Metadata
-    from mcap.stream_reader import StreamReader
     from mcap_ros2.decoder import DecoderFactory
     from zstandard import ZstdError
 
@@ -131,7 +129,7 @@ def _bag(plan: Plan, path: Path) -> list[str]:
             for _, channel, record, message in reader.iter_decoded_messages()
         ]
         # What the index leaves out is found by whoever reads from the beginning.
-        whole = list(StreamReader(io.BytesIO(content)).records)
+        told = _beside_messages(content)
     except (McapError, ZstdError, KeyError, RuntimeError, ValueError, struct.error) as error:
         raise ArchiveError(source, "", "a damaged file", "an MCAP file of ROS 2 messages") from error
     job = next((message for topic, _, message in found if topic == "/joint_trajectory"), None)
@@ -139,16 +137,28 @@ def _bag(plan: Plan, path: Path) -> list[str]:
     expected = [
         (topic, round(1e9 * time), message) for topic, _, time, message in messages(plan, effort=effort)
     ]
-    if any(isinstance(record, Attachment | Metadata) for record in whole):
-        raise ArchiveError(source, "", "attachments or metadata", "messages alone")
-    number = sum(isinstance(record, Message) for record in whole)
-    if {number, len(found)} != {len(expected)}:
-        raise ArchiveError(source, "", f"{number} messages", f"{len(expected)}, in its index, as {_WHY}")
+    if len(found) != len(expected):
+        raise ArchiveError(source, "", f"{len(found)} messages", f"{len(expected)}, as {_WHY}")
     for (topic, time, message), (wanted_topic, wanted_time, wanted) in zip(found, expected, strict=True):
         key = f"{wanted_topic} at {1e-9 * wanted_time:g} s"
         require_same((topic, time), (wanted_topic, wanted_time), source, key, 0.0, 0.0, _WHY)
         require_same(_plain(message, wanted), wanted, source, key, _SAME, _SAME_ZERO, _WHY)
+    if told != _beside_messages(bag(plan, effort=effort)):
+        got = "another profile, channel, time or number of a message, or a message, an attachment or metadata"
+        raise ArchiveError(source, "", f"{got} beside its index", "a file as cmbot export writes it")
     return []
+
+
+def _beside_messages(content: bytes) -> tuple[set[str], list[tuple[int, int, int]]]:
+    """What an MCAP file says but for what is in its messages: of these time, time of publishing, number."""
+    from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
+    from mcap.stream_reader import StreamReader
+
+    records, own = list(StreamReader(io.BytesIO(content)).records), {"library", "id", "schema_id"}
+    said = (one for one in records if isinstance(one, Header | Schema | Channel | Attachment | Metadata))
+    each = {str({name: value for name, value in vars(one).items() if name not in own}) for one in said}
+    sent = (one for one in records if isinstance(one, Message))
+    return each, sorted((one.log_time, one.publish_time, one.sequence) for one in sent)
 
 
 def _plain(message: Any, like: Any) -> Any:

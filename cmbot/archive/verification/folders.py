@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cmbot.archive.folder import listed_name, read_file, require_settled
+from cmbot.archive.folder import listed_name, missing_files, read_file, require_settled
 from cmbot.archive.reading import read_plan
 from cmbot.archive.records import PLAN_FILE, TOUR_FILE, WALK_FILE, require_same
 from cmbot.archive.tables import require_table
@@ -194,7 +194,7 @@ def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdi
             options = resolved_options(part.scene, bending_arm(part.scene, part.robot), options)
             looser = looser_promises(part.options, options)
             others = tuple(text for text in other_options(part.options, options) if text not in looser)
-            skipped = (*_claims(part, scene), *skipped, *_links(folder))
+            skipped = (*_claims(part, scene), *skipped, *_elsewhere(folder, PLAN_FILE))
         taken = () if asked.scenes else tuple(_taken(part.scene))
         motions = tuple(_motions(name, part))
     except LimitViolation as error:
@@ -253,12 +253,14 @@ def _others(folder: Path, known: Collection[str]) -> tuple[str, ...]:
     """The names of what is in a folder beside what is known."""
     require_settled(folder)
     others = (path for path in sorted(folder.iterdir()) if path.name not in known)
-    return (*map(listed_name, others), *_links(folder))
+    (record,) = {PLAN_FILE, WALK_FILE, TOUR_FILE} & {*known}
+    return (*map(listed_name, others), *_elsewhere(folder, record))
 
 
-def _links(folder: Path) -> tuple[str, ...]:
-    """What of a folder is elsewhere, where it may change after it was verified."""
-    return tuple(f"{listed_name(path)} (a link)" for path in sorted(folder.iterdir()) if path.is_symlink())
+def _elsewhere(folder: Path, record: str) -> Iterator[str]:
+    """What of a folder is elsewhere, where it may change after it was verified, or nowhere."""
+    yield from (f"{listed_name(path)} (a link)" for path in sorted(folder.iterdir()) if path.is_symlink())
+    yield from (f"{name} (listed, but not there)" for name in missing_files(folder, record))
 
 
 def _claims(plan: Plan, asked: Scene | None) -> Iterator[str]:
@@ -280,6 +282,8 @@ def _claims(plan: Plan, asked: Scene | None) -> Iterator[str]:
         yield "speed_profile: quiet (that no other law sways less)"
     if asked is not None and asked.order == "best":
         yield "tool_path.order (that no other is better)"
+    if any(segment.kind == "free" for segment in plan.job.segments):
+        yield "free moves (that none is shorter, or quicker)"
     yield f"planned (that no motion has a lower {plan.objective.name})"
     yield "start.failures, passes, runs, stopped, missing, fallbacks, seconds, versions, along_self_motion"
     yield "times and names in certificate.checks, times of peaks, options of effort"
