@@ -187,9 +187,9 @@ def read_plan(
         return plan, ()
     if asked is not None:
         require_done(plan, asked, promised, str(source))
+    plan = _verified(plan, clearances, again, str(source))
     if resolved.knots == "fixed":
         require_fixed(plan, resolved, str(source))
-    plan = _verified(plan, clearances, again, str(source))
     return plan, unverified_files(plan, folder)
 
 
