@@ -27,7 +27,7 @@ SHORTEST_LEG = 1e-6
 """m."""
 
 # Nothing that bends is thicker or longer, m, or softer, Pa: such numbers are in mm and N/mm2.
-_THICKEST_M, _LONGEST_TUBE_M, _SOFTEST_PA = 4.0, 50.0, 1e6
+_THICKEST_M, _LONGEST_TUBE_M, _SOFTEST_PA, _MOST_GPA = 4.0, 50.0, 1e6, 1e3
 SHORTEST, LONGEST = 1e-6, 1e4
 """Bounds of a length, m: they catch some millimetres given for metres, and keep every power finite."""
 
@@ -99,7 +99,8 @@ def _mesh_name(text: str, info: ValidationInfo) -> str:
 
 def _in_pascals(modulus: float) -> float:
     if modulus < _SOFTEST_PA:
-        raise refusal(f"Pa: N/mm2? then {modulus:g}e+6", got=modulus)
+        told = f"GPa? then {modulus:g}e+9" if modulus < _MOST_GPA else f"N/mm2? then {modulus:g}e+6"
+        raise refusal(f"Pa: {told}", got=modulus)
     return modulus
 
 
@@ -118,7 +119,7 @@ def require_span(start: Sequence[float], end: Sequence[float]) -> None:
 Length = Annotated[float, Field(ge=SHORTEST, le=LONGEST)]
 Thickness = Annotated[float, Field(ge=1e-5, le=LONGEST), AfterValidator(_in_metres)]
 """Of a tube, a bar or a leg, m."""
-Modulus = Annotated[float, Field(ge=1e3, le=1e13), AfterValidator(_in_pascals)]
+Modulus = Annotated[float, Field(gt=0, le=1e13), AfterValidator(_in_pascals)]
 Coordinate = Annotated[float, Field(ge=-LONGEST, le=LONGEST)]
 Vector = tuple[Coordinate, Coordinate, Coordinate]
 LongVector = Annotated[Vector, AfterValidator(_long_enough)]

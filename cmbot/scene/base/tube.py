@@ -6,7 +6,7 @@ import math
 from typing import Annotated, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray, read_only
@@ -14,7 +14,17 @@ from cmbot.common.reading.fields import Modulus, Thickness, Vector, require_span
 from cmbot.common.reading.validation import FileModel, refusal
 from cmbot.elastic import beam_mass, beam_stiffness
 
-Density = Annotated[float, Field(ge=0, le=1e5)]
+# No material of a mast is as light, kg/m3.
+_LIGHTEST_MATERIAL = 30.0
+
+
+def _in_kilograms(density: float) -> float:
+    if 0 < density < _LIGHTEST_MATERIAL:
+        raise refusal(f"kg/m3: g/cm3? then {1000 * density:g}", got=density)
+    return density
+
+
+Density = Annotated[float, Field(ge=0, le=1e5), AfterValidator(_in_kilograms)]
 
 
 class TubeFile(FileModel):

@@ -61,6 +61,8 @@ def test_anywhere_it_is_an_element_of_a_frame(start: tuple[float, ...], end: tup
         ({"start_m": [0, 0, -2500]}, "millimetres[?] then 2.5"),
         ({"outer_diameter_m": 120}, "millimetres[?] then 0.12"),
         ({"young_pa": 70000}, "N/mm2[?] then 70000e[+]6"),
+        ({"young_pa": 70}, "GPa[?] then 70e[+]9"),
+        ({"density_kg_m3": 2.7}, "g/cm3[?] then 2700"),
         ({"end_m": [0, 0, -2.5]}, "farther from start_m"),
     ],
 )
