@@ -152,6 +152,12 @@ def test_a_tour_without_its_work(walked: Path, tmp_path: Path) -> None:
     assert "parts: got none, expected each stroke once, as asked: work" in refused
 
 
+def test_a_foot_of_a_tour_is_quicker_than_asked(walked: Path, tmp_path: Path) -> None:
+    asked = write_scene(tmp_path / "s.yaml", one_step().scene.as_data())
+    refused = refusal("verify", walked, "--scene", asked, "--speed", "0.02")
+    assert "walk_1/walk.json: max_foot_speed: got 0.03, expected at most 0.02" in refused
+
+
 def test_a_tour_ends_at_its_goal(work: Plan, walked: Path, tmp_path: Path) -> None:
     start = write_scene(tmp_path / "start.yaml", one_step().scene.as_data())
     assert "walk_1/walk.json: goal: got another stance or posture" in refusal("verify", walked, "--to", start)

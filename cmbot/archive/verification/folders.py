@@ -140,6 +140,9 @@ def _verified_tour(folder: Path, asked: Asked) -> Verdict:
 
     parts = read_tour(folder, read)
     if whole is not None:
+        for part in parts:
+            if isinstance(part.motion, Walk):
+                _require_speed(part.motion, asked, str(folder / part.name / WALK_FILE))
         _require_tour(folder, parts, whole)
     if asked.goal is not None:
         last = parts[-1].motion
@@ -224,13 +227,19 @@ def _require_walk(walk: Walk, asked: Asked, source: str) -> tuple[str, ...]:
         options = asked.options or scene.planner
         require_asked(walk.scene, scene, source, options)
         require_promised(walk.scene.planner, options, source, "scene.planner")
+    if asked.scenes:
+        _require_speed(walk, asked, source)
     if walk.speed <= asked.foot_speed:
         return ()
-    if asked.scenes:
+    return (f"max_foot_speed {walk.speed:g} m/s (where none is asked {asked.foot_speed:g})",)
+
+
+def _require_speed(walk: Walk, asked: Asked, source: str) -> None:
+    """Refuse a walk whose feet may be quicker than was asked."""
+    if walk.speed > asked.foot_speed:
         raise ArchiveError(
             source, "max_foot_speed", walk.speed, f"at most {asked.foot_speed:g} m/s, as asked"
         )
-    return (f"max_foot_speed {walk.speed:g} m/s (where none is asked {asked.foot_speed:g})",)
 
 
 def _require_goal(walk: Walk, goal: Scene | StanceFile, source: str) -> None:
