@@ -163,8 +163,8 @@ def roughness(problem: TorqueProblem) -> float:
 def fixed_guess(request: StrokeRequest) -> InitialGuess:
     """Take via-points from the path of gradient projection, to stay there (Chang 2021, Eqs. (15)-(30))."""
     path, failures = find_path(request)
-    rough = np.stack([np.interp(request.times, path.t, joint) for joint in path.q.T], axis=1)
-    form = parametrization_through(request, _placed(request.on_axis, rough), sliding=False)
+    placed = _placed(request.on_axis, path.at(request.times))
+    form = parametrization_through(request, placed, sliding=False)
     each = request.cell.objective.at_rest(request.cell.postures.at(form.via_points))
     bound = LowerBound(
         value=float(each.max()), error=0.0, via_point=int(each.argmax()), each=each, kind="proven"
@@ -244,8 +244,7 @@ def least_travel_guess(request: StrokeRequest, guess: InitialGuess) -> InitialGu
         When that path is blocked.
     """
     path = follow_path(request)
-    rough = np.stack([np.interp(request.times, path.t, joint) for joint in path.q.T], axis=1)
-    placed = _placed(request.on_axis, rough)
+    placed = _placed(request.on_axis, path.at(request.times))
     placed[0] = request.first
     found = [
         GlobalSolution(q=q, value=request.cell.objective.at_rest(request.cell.postures.at(q)))

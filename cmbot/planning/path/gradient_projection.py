@@ -68,6 +68,10 @@ class JointPath:
     singular_value: FloatArray
     drift: FloatArray
 
+    def at(self, times: FloatArray) -> FloatArray:
+        """Return the postures (k, n) at `times` (k,), s, straight between those that are known."""
+        return np.stack([np.interp(times, self.t, joint) for joint in self.q.T], axis=1)
+
     def motion(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return position, velocity, acceleration and jerk (N, n), with rest before and after the path."""
         # Two steps of rest on either side: the central differences are then the same all along.
@@ -153,10 +157,9 @@ def aside_of_path(request: StrokeRequest, via_points: FloatArray) -> float:
 
     That is along the self-motion: where the tool is, and whether it is that of a bent arm, is left open.
     """
-    path, cell = follow_path(request, via_points[0], stop_at_obstacles=False), request.cell
-    q = np.stack([np.interp(request.times, path.t, joint) for joint in path.q.T], axis=1)
-    along = null_space(cell.postures, request.task.on_axis, q)
-    along, off = map(cell.robot.metric.coordinates, (along, (via_points - q)[:, None]))
+    q = follow_path(request, via_points[0], stop_at_obstacles=False).at(request.times)
+    along = null_space(request.cell.postures, request.task.on_axis, q)
+    along, off = map(request.cell.robot.metric.coordinates, (along, (via_points - q)[:, None]))
     return float(np.abs(along @ off.transpose(0, 2, 1)).max(initial=0.0))
 
 
