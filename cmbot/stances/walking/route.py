@@ -130,10 +130,8 @@ class Route:
 
     def swings(self, edge: Edge) -> bool:
         """Whether the straight swing of a step holds at rest with some posture of the arm."""
-        number, ends = (
-            self._number(edge.before, edge.after),
-            (self.nodes[edge.before], self.nodes[edge.after]),
-        )
+        number = self._number(edge.before, edge.after)
+        ends = self.nodes[edge.before], self.nodes[edge.after]
         if number not in self._swings:
             self._swings[number] = self._balance.swing_use(*ends, other_foot(edge.foot))
             self._share[number] = self._use_of(number).min()
