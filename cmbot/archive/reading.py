@@ -418,10 +418,9 @@ def _bounds(data: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _found(checks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """What checks found; what is named and when are those of a peak that another one may equal."""
-    return [
-        {name: check[name] for name in ("value", "bound", "unit", "at_least", "limit")} for check in checks
-    ]
+    """What checks found: not the pair that they name, nor when, as another one may be as near."""
+    names = ("value", "bound", "unit", "at_least", "limit")
+    return [{name: check[name] for name in names} for check in checks]
 
 
 def _drawn(data: Mapping[str, Any]) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import json
 from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
-from typing import Any
+from typing import Any, TypeGuard
 
 from pydantic import ConfigDict
 from pydantic_core import from_json
@@ -125,18 +125,21 @@ def require_same(
                 raise ArchiveError(source, where, shown(got[name]), f"no such key, as {why}")
             if name != "time":
                 require_same(got[name], expected[name], source, where, tolerance, zero, why)
-    elif isinstance(got, list | tuple) and isinstance(expected, list | tuple) and len(got) == len(expected):
+    elif isinstance(got, list | tuple) and isinstance(expected, list | tuple):
+        if len(got) != len(expected):
+            raise ArchiveError(
+                source, key, counted(len(got), "entry", "entries"), f"{len(expected)}, as {why}"
+            )
         for k, (one, other) in enumerate(zip(got, expected, strict=True)):
             require_same(one, other, source, f"{key}[{k}]", tolerance, zero, why)
-    elif isinstance(got, list | tuple) and isinstance(expected, list | tuple):
-        raise ArchiveError(source, key, counted(len(got), "entry", "entries"), f"{len(expected)}, as {why}")
-    elif bool in (type(got), type(expected)):
-        # In JSON true is not 1, though in Python it is.
-        if got is not expected:
-            raise ArchiveError(source, key, shown(got), f"{shown(expected)}, as {why}")
-    elif isinstance(got, int | float) and isinstance(expected, int | float):
+    elif _is_number(got) and _is_number(expected):
         if got != expected and not abs(got - expected) <= zero + tolerance * abs(expected):
             raise ArchiveError(source, key, got, f"{expected:g}, as {why}")
-    elif got != expected:
+    elif got != expected or isinstance(got, bool) != isinstance(expected, bool):
         given, wanted = ("null" if value is None else shown(value) for value in (got, expected))
         raise ArchiveError(source, key, given, f"{wanted}, as {why}")
+
+
+def _is_number(value: object) -> TypeGuard[float]:
+    """Whether it is one in JSON, where true is none."""
+    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -6,7 +6,7 @@ MCAP files are for Foxglove, RViz and ``ros2 bag``.
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
 from importlib.resources import files
@@ -295,11 +295,11 @@ def export_mcap(plan: Plan, path: str | Path, *, effort: bool = False) -> None:
     """
     require_plan(plan, "cmbot.export_mcap")
     target = given_path(path, "cmbot.export_mcap", "path", "the path of a file to write")
-    write_file(target, bag(plan, effort=effort))
+    write_file(target, bag(messages(plan, effort=effort)))
 
 
-def bag(plan: Plan, *, effort: bool) -> bytes:
-    """Return the content of the MCAP file that `export_mcap` writes; errors as there."""
+def bag(each: Iterable[tuple[str, str, float, Message]]) -> bytes:
+    """Return the content of the MCAP file of `messages`; errors as `export_mcap`."""
     try:
         from mcap_ros2.writer import Writer
     except ImportError as error:
@@ -307,7 +307,7 @@ def bag(plan: Plan, *, effort: bool) -> bytes:
     content = io.BytesIO()
     with Writer(content) as writer:
         schemas = {name: writer.register_msgdef(name, text) for name, text in _schemas().items()}
-        for topic, kind, time, message in messages(plan, effort=effort):
+        for topic, kind, time, message in each:
             nanoseconds = round(1e9 * time)
             writer.write_message(topic, schemas[kind], message, nanoseconds, nanoseconds)
     return content.getvalue()

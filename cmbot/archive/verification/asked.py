@@ -53,8 +53,13 @@ def looser_promises(options: PlannerOptions, asked: PlannerOptions, why: str = "
 
 
 def other_options(options: PlannerOptions, asked: PlannerOptions) -> tuple[str, ...]:
-    """Return which options are others, each with both values; where ``auto`` was asked, any is what was."""
-    return _differing(options, asked, {name: ne for name, value in vars(asked).items() if value != AUTO})
+    """Return which options differ and promise no less, each with both values; of ``auto`` none differs."""
+    no_less = {
+        name: ne
+        for name, wanted in vars(asked).items()
+        if wanted != AUTO and not (name in _LOOSER and _LOOSER[name](getattr(options, name), wanted))
+    }
+    return _differing(options, asked, no_less)
 
 
 def _differing(
@@ -106,9 +111,8 @@ def require_asked(scene: Scene, asked: Scene, source: str, options: PlannerOptio
     content, wanted = (one.as_data() for one in (scene, asked))
     for data in (content, wanted):
         data["robot"].pop("package_dirs", None)
-    open_keys = {name: content[name] for name in ("planner", "tool_path") if name in content}
-    wanted.pop("planner", None)
-    require_same(content, wanted | open_keys, source, "scene", why="asked")
+        data.pop("planner", None)
+    require_same(content, wanted | {"tool_path": content["tool_path"]}, source, "scene", why="asked")
     known = (asked.planner, options or asked.planner, PlannerOptions())
     for name, value in vars(scene.planner).items():
         if value not in [getattr(one, name) for one in known]:

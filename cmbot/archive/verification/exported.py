@@ -134,16 +134,15 @@ def _bag(plan: Plan, path: Path) -> list[str]:
         raise ArchiveError(source, "", "a damaged file", "an MCAP file of ROS 2 messages") from error
     job = next((message for topic, _, message in found if topic == "/joint_trajectory"), None)
     effort = job is not None and len(job.points) > 0 and len(job.points[0].effort) > 0
-    expected = [
-        (topic, round(1e9 * time), message) for topic, _, time, message in messages(plan, effort=effort)
-    ]
+    sent = list(messages(plan, effort=effort))
+    expected = [(topic, round(1e9 * time), message) for topic, _, time, message in sent]
     if len(found) != len(expected):
         raise ArchiveError(source, "", f"{len(found)} messages", f"{len(expected)}, as {_WHY}")
     for (topic, time, message), (wanted_topic, wanted_time, wanted) in zip(found, expected, strict=True):
         key = f"{wanted_topic} at {1e-9 * wanted_time:g} s"
         require_same((topic, time), (wanted_topic, wanted_time), source, key, 0.0, 0.0, _WHY)
         require_same(_plain(message, wanted), wanted, source, key, _SAME, _SAME_ZERO, _WHY)
-    if told != _beside_messages(bag(plan, effort=effort)):
+    if told != _beside_messages(bag(sent)):
         got = "another profile, channel, time or number of a message, or a message, an attachment or metadata"
         raise ArchiveError(source, "", f"{got} beside its index", "a file as cmbot export writes it")
     return []

@@ -140,16 +140,13 @@ def _verified_tour(folder: Path, asked: Asked) -> Verdict:
 
     parts = read_tour(folder, read)
     if whole is not None:
-        for part in parts:
-            if isinstance(part.motion, Walk):
-                _require_speed(part.motion, asked, str(folder / part.name / WALK_FILE))
         _require_tour(folder, parts, whole)
     if asked.goal is not None:
         last = parts[-1].motion
         if not isinstance(last, Walk):
             raise ArchiveError(str(folder / TOUR_FILE), "parts", parts[-1].name, "a walk to the goal at last")
         _require_goal(last, asked.goal, str(folder / parts[-1].name / WALK_FILE))
-    beside = _others(folder, {TOUR_FILE, *(part.name for part in parts)})
+    beside = _others(folder, TOUR_FILE, [part.name for part in parts])
     verdicts.append(Verdict(not_verified=("version, words", *beside)))
     each = {
         name: tuple(dict.fromkeys(chain(*(getattr(verdict, name) for verdict in verdicts))))
@@ -195,8 +192,7 @@ def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdi
             part, skipped = read_plan(folder, verify=True, asked=scene, options=asked.options)
             options = asked.options or (scene or part.scene).planner
             options = resolved_options(part.scene, bending_arm(part.scene, part.robot), options)
-            looser = looser_promises(part.options, options)
-            others = tuple(text for text in other_options(part.options, options) if text not in looser)
+            looser, others = looser_promises(part.options, options), other_options(part.options, options)
             skipped = (*_claims(part, scene), *skipped, *_elsewhere(folder, PLAN_FILE))
         taken = () if asked.scenes else tuple(_taken(part.scene))
         motions = tuple(_motions(name, part))
@@ -227,19 +223,14 @@ def _require_walk(walk: Walk, asked: Asked, source: str) -> tuple[str, ...]:
         options = asked.options or scene.planner
         require_asked(walk.scene, scene, source, options)
         require_promised(walk.scene.planner, options, source, "scene.planner")
-    if asked.scenes:
-        _require_speed(walk, asked, source)
     if walk.speed <= asked.foot_speed:
         return ()
-    return (f"max_foot_speed {walk.speed:g} m/s (where none is asked {asked.foot_speed:g})",)
-
-
-def _require_speed(walk: Walk, asked: Asked, source: str) -> None:
-    """Refuse a walk whose feet may be quicker than was asked."""
-    if walk.speed > asked.foot_speed:
+    # Of a tour's scenes its parts have the options.
+    if asked.scenes or asked.options is not None:
         raise ArchiveError(
             source, "max_foot_speed", walk.speed, f"at most {asked.foot_speed:g} m/s, as asked"
         )
+    return (f"max_foot_speed {walk.speed:g} m/s (where none is asked {asked.foot_speed:g})",)
 
 
 def _require_goal(walk: Walk, goal: Scene | StanceFile, source: str) -> None:
@@ -255,14 +246,13 @@ def _walk_files(folder: Path, walk: Walk) -> tuple[str, ...]:
     """Compare the table of a walk with its knots; return what else is there."""
     if (table := folder / _WALK_TABLE).exists():
         require_table(read_file(table), walk_csv(walk).encode(), str(table))
-    return ("version, times of checks", *_others(folder, {WALK_FILE, _WALK_TABLE}))
+    return ("version, times of checks", *_others(folder, WALK_FILE, [_WALK_TABLE]))
 
 
-def _others(folder: Path, known: Collection[str]) -> tuple[str, ...]:
-    """The names of what is in a folder beside what is known."""
+def _others(folder: Path, record: str, known: Collection[str]) -> tuple[str, ...]:
+    """The names of what is in a folder beside its record and what is known."""
     require_settled(folder)
-    others = (path for path in sorted(folder.iterdir()) if path.name not in known)
-    (record,) = {PLAN_FILE, WALK_FILE, TOUR_FILE} & {*known}
+    others = (path for path in sorted(folder.iterdir()) if path.name not in (record, *known))
     return (*map(listed_name, others), *_elsewhere(folder, record))
 
 
