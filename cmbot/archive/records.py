@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any, TypeGuard
@@ -12,7 +11,7 @@ from pydantic import ConfigDict
 from pydantic_core import from_json
 
 from cmbot.common.errors import ArchiveError
-from cmbot.common.reading.validation import FileModel, counted, key_path, shown
+from cmbot.common.reading.validation import FileModel, counted, require_unique_keys, shown
 
 PLAN_FILE, WALK_FILE, TOUR_FILE, STANCES_FILE = "plan.json", "walk.json", "tour.json", "stances.json"
 EVALUATION_FILE = "evaluation.json"
@@ -73,21 +72,10 @@ def read_json(content: bytes, source: str) -> dict[str, Any]:
             from_json(content)  # which takes NaN
             got = f"NaN or Infinity{str(error)[str(error).find(' at line') :]}"
         raise ArchiveError(source, "", got, "valid JSON in UTF-8, its numbers finite") from error
-    require_unique_keys(content, source)
+    require_unique_keys(content, source, ArchiveError)
     if not isinstance(data, dict):
         raise ArchiveError(source, "", shown(data), "a JSON object")
     return data
-
-
-def require_unique_keys(content: bytes, source: str) -> None:
-    """Refuse JSON in which an object has a key twice: readers differ in which of two they take."""
-
-    def once(pairs: list[tuple[str, object]]) -> None:
-        twice = [name for name, count in Counter(name for name, _ in pairs).items() if count > 1]
-        if twice:
-            raise ArchiveError(source, key_path(twice[:1]), "a key that is there twice", "each key once")
-
-    json.loads(content, object_pairs_hook=once)
 
 
 def json_bytes(data: object, *, indent: int | None = None) -> bytes:

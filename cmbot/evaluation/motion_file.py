@@ -15,7 +15,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.reading.input_files import is_folder, read_input
 from cmbot.common.reading.text_table import TextTable, read_table
-from cmbot.common.reading.validation import counted, hint, shown
+from cmbot.common.reading.validation import counted, hint, require_unique_keys, shown
 from cmbot.common.reading.yaml_reader import read_yaml
 from cmbot.evaluation.motion import JointMotion
 from cmbot.robot import Robot
@@ -88,12 +88,14 @@ def _from_table(table: TextTable, robot: Robot) -> JointMotion:
 
 def _json(path: Path) -> dict[str, Any]:
     """The object in a JSON file, which may be longer than YAML of cmbot is."""
+    content = read_input(path, InputError, kind=_EXPECTED_FILES)
     try:
-        data = json.loads(read_input(path, InputError, kind=_EXPECTED_FILES))
+        data = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise InputError(str(path), "", f"no JSON ({error})", _EXPECTED_FILES) from error
     if not isinstance(data, dict):
         raise InputError(str(path), "", shown(data), _EXPECTED_FILES)
+    require_unique_keys(content, str(path), InputError)
     return data
 
 

@@ -166,6 +166,12 @@ def test_tables_by_the_names_of_joints(cmbot_robot: Robot, tmp_path: Path) -> No
         ("m.csv", "t,q1,q2,q3,q4,q5,q6,q7\n0,1,1,1,1,1,1,x\n1,1,1,1,1,1,1,1\n", "line 2, q7: got 'x'"),
         ("m.csv", "t,q1,q2,q3,q4,q5,q6,q7\n1,1,1,1,1,1,1,1\n1,1,1,1,1,1,1,1\n", "times increasing"),
         ("m.json", "{", "no JSON"),
+        (
+            "m.json",
+            '{"goal": [{"points": [{"t": 1, "t": 2}, {}]}], "x": 0}',
+            "m.json: t: got a key that is there twice, expected each key once",
+        ),
+        ("m.json", '{"goal": {"a": 1, "a": 1}, "goal": {}}', "m.json: a: got a key that is there twice"),
         ("m.json", "[]", r"got \[\]"),
         ("m.json", '{"a": 1}', "joint_names and points"),
         ("m.json", '{"joint_names": ["a"], "points": [{}]}', "all joints of the arm"),

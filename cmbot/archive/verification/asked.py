@@ -62,6 +62,17 @@ def other_options(options: PlannerOptions, asked: PlannerOptions) -> tuple[str, 
     return _differing(options, asked, no_less)
 
 
+def more_via_points(scene: Scene, asked: Scene) -> tuple[str, ...]:
+    """Return which strokes of a scene have other numbers of via-points than asked, each with both values."""
+    due = {str(stroke.name): stroke.via_points for stroke in asked.strokes}
+    pairs = [(stroke, due.get(stroke.part_of or str(stroke.name), AUTO)) for stroke in scene.strokes]
+    return tuple(
+        f"via_points of {stroke.name} {stroke.via_points} (asked {wanted})"
+        for stroke, wanted in pairs
+        if wanted not in (AUTO, stroke.via_points)
+    )
+
+
 def _differing(
     options: PlannerOptions,
     asked: PlannerOptions,
@@ -85,11 +96,10 @@ def require_promised(options: PlannerOptions, asked: PlannerOptions, source: str
 def require_asked(scene: Scene, asked: Scene, source: str, options: PlannerOptions | None = None) -> None:
     """Refuse the scene of a plan that is not what was asked, but for what planning decides.
 
-    That are numbers of via-points and durations that are ``auto``, a multiple of the segments between
-    via-points, the order of strokes where it is ``best``, and which rows of a raster are in which part, or
-    left out as nothing reaches them. Fewer via-points promise less. Options are those asked, those of the
-    plan, or defaults that a command replaced. What counts of the files that both name is their content, not
-    where they are.
+    That are numbers of via-points and durations that are ``auto``, more via-points, the order of strokes
+    where it is ``best``, and which rows of a raster are in which part, or left out as nothing reaches them.
+    Fewer via-points promise less. Options are those asked, those of the plan, or defaults that a command
+    replaced. What counts of the files that both name is their content, not where they are.
 
     Parameters
     ----------
@@ -204,8 +214,9 @@ def _decided(stroke: StrokeFile, asked: StrokeFile, *, in_any_direction: bool) -
     decided = {"backwards"} if in_any_direction else set[str]()
     if asked.is_open or asked.speed_profile.kind == "quiet":
         decided.add("time_laws")
-    segments = asked.via_points - 1 if isinstance(asked.via_points, int) else 1
-    if isinstance(stroke.via_points, int) and (stroke.via_points - 1) % segments == 0:
+    # Planning takes more of them where the tool strays, or legs are short.
+    given = [each.via_points for each in (stroke, asked)]
+    if given[1] == AUTO or (isinstance(given[0], int) and given[0] >= given[1]):
         decided.add("via_points")
     return decided
 

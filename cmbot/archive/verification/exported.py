@@ -15,13 +15,13 @@ import numpy as np
 from pydantic_core import from_json
 
 from cmbot.archive.folder import listed_name, read_file
-from cmbot.archive.records import BASELINE_FILE, JOB_FILES, PLAN_FILE, require_same, require_unique_keys
+from cmbot.archive.records import BASELINE_FILE, JOB_FILES, PLAN_FILE, require_same
 from cmbot.archive.ros.messages import bag, messages, trajectory_message
 from cmbot.archive.tables import require_table, samples_csv
 from cmbot.archive.writing import job_table
 from cmbot.common.arrays import IntArray
 from cmbot.common.errors import ArchiveError
-from cmbot.common.reading.validation import counted, shown
+from cmbot.common.reading.validation import counted, require_unique_keys, shown
 from cmbot.planning import Plan
 
 # What numbers of messages may differ by, as a share and at least: processors round differently.
@@ -81,7 +81,7 @@ def _message(plan: Plan, path: Path) -> list[str]:
         data = from_json(content)
     if not isinstance(data, Mapping) or not data.keys() & {"joint_names", "points"}:
         return [listed_name(path)]
-    require_unique_keys(content, source)
+    require_unique_keys(content, source, ArchiveError)
     times, joints, effort = _as_given(data, plan, source)
     found = trajectory_message(plan, times, joints=joints, effort=effort)
     require_same(data, found.message, source, "", _SAME, _SAME_ZERO, _WHY)
@@ -142,22 +142,29 @@ def _bag(plan: Plan, path: Path) -> list[str]:
         key = f"{wanted_topic} at {1e-9 * wanted_time:g} s"
         require_same((topic, time), (wanted_topic, wanted_time), source, key, 0.0, 0.0, _WHY)
         require_same(_plain(message, wanted), wanted, source, key, _SAME, _SAME_ZERO, _WHY)
-    if told != _beside_messages(bag(sent)):
-        got = "another profile, channel, time or number of a message, or a message, an attachment or metadata"
-        raise ArchiveError(source, "", f"{got} beside its index", "a file as cmbot export writes it")
+    for one, other in zip_longest(told, _beside_messages(bag(sent)), fillvalue="nothing"):
+        if one != other:
+            raise ArchiveError(
+                source, "beside its index", shown(one), f"{shown(other)}, as cmbot export has it"
+            )
     return []
 
 
-def _beside_messages(content: bytes) -> tuple[set[str], list[tuple[int, int, int]]]:
+def _beside_messages(content: bytes) -> list[str]:
     """What an MCAP file says but for what is in its messages: of these time, time of publishing, number."""
     from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
     from mcap.stream_reader import StreamReader
 
-    records, own = list(StreamReader(io.BytesIO(content)).records), {"library", "id", "schema_id"}
-    said = (one for one in records if isinstance(one, Header | Schema | Channel | Attachment | Metadata))
-    each = {str({name: value for name, value in vars(one).items() if name not in own}) for one in said}
-    sent = (one for one in records if isinstance(one, Message))
-    return each, sorted((one.log_time, one.publish_time, one.sequence) for one in sent)
+    own, times = {"library", "id", "schema_id"}, ("log_time", "publish_time", "sequence")
+    once, each = set[str](), list[str]()
+    for one in StreamReader(io.BytesIO(content)).records:
+        line = f"{type(one).__name__}: "
+        if isinstance(one, Message):
+            each.append(line + str([getattr(one, name) for name in times]))
+        elif isinstance(one, Header | Schema | Channel | Attachment | Metadata):
+            # They may be repeated.
+            once.add(line + str({name: value for name, value in vars(one).items() if name not in own}))
+    return [*sorted(once), *sorted(each)]
 
 
 def _plain(message: Any, like: Any) -> Any:

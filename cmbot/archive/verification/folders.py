@@ -13,7 +13,13 @@ from cmbot.archive.folder import listed_name, missing_files, read_file, require_
 from cmbot.archive.reading import read_plan
 from cmbot.archive.records import PLAN_FILE, TOUR_FILE, WALK_FILE, require_same
 from cmbot.archive.tables import require_table
-from cmbot.archive.verification.asked import looser_promises, other_options, require_asked, require_promised
+from cmbot.archive.verification.asked import (
+    looser_promises,
+    more_via_points,
+    other_options,
+    require_asked,
+    require_promised,
+)
 from cmbot.archive.walks import TourPart, bridge_of, ends_of, load_walk, place, read_tour
 from cmbot.common.errors import ArchiveError, InputError, LimitViolation
 from cmbot.common.reading.validation import counted, given_path, shown
@@ -140,7 +146,7 @@ def _verified_tour(folder: Path, asked: Asked) -> Verdict:
 
     parts = read_tour(folder, read)
     if whole is not None:
-        _require_tour(folder, parts, whole)
+        verdicts.append(Verdict(other_options=_require_tour(folder, parts, whole)))
     if asked.goal is not None:
         last = parts[-1].motion
         if not isinstance(last, Walk):
@@ -155,8 +161,8 @@ def _verified_tour(folder: Path, asked: Asked) -> Verdict:
     return Verdict(**each)
 
 
-def _require_tour(folder: Path, parts: Sequence[TourPart], asked: Scene) -> None:
-    """Refuse a tour of another bridge, or one that does not do each stroke that was asked once."""
+def _require_tour(folder: Path, parts: Sequence[TourPart], asked: Scene) -> tuple[str, ...]:
+    """Refuse a tour of another bridge, or without each stroke asked once; return what else differs."""
     source, scene = folder / TOUR_FILE, parts[0].motion.scene
     own, common = (bridge_of(one.with_files_of(scene)) for one in (scene, asked))
     require_same(own, common, str(source), "scene", why="asked")
@@ -169,10 +175,13 @@ def _require_tour(folder: Path, parts: Sequence[TourPart], asked: Scene) -> None
     if sorted(done) != sorted(strokes):
         got, expected = (", ".join(names) or "none" for names in (done, strokes))
         raise ArchiveError(str(source), "parts", got, f"each stroke once, as asked: {expected}")
+    others = list[str]()
     for plan in plans:
         files = [strokes[str(stroke.name)].changed(name=stroke.name) for stroke in plan.scene.strokes]
         wanted = plan.scene.with_strokes(files, asked.order)
         require_asked(plan.scene, wanted, str(source), plan.options)
+        others += more_via_points(plan.scene, wanted)
+    return tuple(others)
 
 
 def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdict]:
@@ -193,6 +202,8 @@ def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdi
             options = asked.options or (scene or part.scene).planner
             options = resolved_options(part.scene, bending_arm(part.scene, part.robot), options)
             looser, others = looser_promises(part.options, options), other_options(part.options, options)
+            if scene is not None:
+                others += more_via_points(part.scene, scene)
             skipped = (*_claims(part, scene), *skipped, *_elsewhere(folder, PLAN_FILE))
         taken = () if asked.scenes else tuple(_taken(part.scene))
         motions = tuple(_motions(name, part))
@@ -220,13 +231,14 @@ def _require_walk(walk: Walk, asked: Asked, source: str) -> tuple[str, ...]:
     if asked.goal is not None:
         _require_goal(walk, asked.goal, source)
     for scene in asked.scenes:
-        options = asked.options or scene.planner
-        require_asked(walk.scene, scene, source, options)
-        require_promised(walk.scene.planner, options, source, "scene.planner")
+        require_asked(walk.scene, scene, source, asked.options or scene.planner)
+    # Of a tour's scenes its parts have the options.
+    promised = asked.options or (asked.scenes[0].planner if asked.scenes else None)
+    if promised is not None:
+        require_promised(walk.scene.planner, promised, source, "scene.planner")
     if walk.speed <= asked.foot_speed:
         return ()
-    # Of a tour's scenes its parts have the options.
-    if asked.scenes or asked.options is not None:
+    if promised is not None:
         raise ArchiveError(
             source, "max_foot_speed", walk.speed, f"at most {asked.foot_speed:g} m/s, as asked"
         )
@@ -244,9 +256,11 @@ def _require_goal(walk: Walk, goal: Scene | StanceFile, source: str) -> None:
 
 def _walk_files(folder: Path, walk: Walk) -> tuple[str, ...]:
     """Compare the table of a walk with its knots; return what else is there."""
-    if (table := folder / _WALK_TABLE).exists():
-        require_table(read_file(table), walk_csv(walk).encode(), str(table))
-    return ("version, times of checks", *_others(folder, WALK_FILE, [_WALK_TABLE]))
+    told = ("version, times of checks", *_others(folder, WALK_FILE, [_WALK_TABLE]))
+    if not (table := folder / _WALK_TABLE).exists():
+        return (*told, f"{_WALK_TABLE} (not there)")
+    require_table(read_file(table), walk_csv(walk).encode(), str(table))
+    return told
 
 
 def _others(folder: Path, record: str, known: Collection[str]) -> tuple[str, ...]:
@@ -265,7 +279,7 @@ def _elsewhere(folder: Path, record: str) -> Iterator[str]:
 def _claims(plan: Plan, asked: Scene | None) -> Iterator[str]:
     """The keys of plan.json whose values only planning anew could confirm."""
     if plan.baseline is not None:
-        yield "baseline (that it is the motion it is compared with)"
+        yield "baseline (that its motion and its jerk are those that it is compared with)"
     if plan.torque_floor is not None:
         yield f"torque_floor ({plan.torque_floor:.6g} Nm, {plan.torque_floor_kind}), gap_to_floor"
     for name in ("lower_bound", "choice", "compensation"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import json
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
@@ -326,6 +327,17 @@ def key_path(steps: Sequence[str | int]) -> str:
             name = step if _PLAIN_KEY.fullmatch(step) else shown(step)
             path += f".{name}" if path else name
     return path
+
+
+def require_unique_keys(content: bytes | str, source: str, error: type[InputError]) -> None:
+    """Refuse JSON in which an object has a key twice: readers differ in which of two they take."""
+
+    def once(pairs: list[tuple[str, object]]) -> None:
+        twice = [name for name, count in Counter(name for name, _ in pairs).items() if count > 1]
+        if twice:
+            raise error(source, key_path(twice[:1]), "a key that is there twice", "each key once")
+
+    json.loads(content, object_pairs_hook=once)
 
 
 def shown(value: object) -> str:
