@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 import numpy as np
-from pydantic import ConfigDict, Field, TypeAdapter
+from pydantic import ConfigDict, Field
 
 from cmbot.accuracy import Accuracy, Quietness
 from cmbot.archive.records import FORMATS, PLAN_FILE
 from cmbot.common.errors import PathNotFound
 from cmbot.common.reading.file_types import Count, NonNegative, OrInfinite, Share
-from cmbot.common.reading.validation import FileModel
+from cmbot.common.reading.validation import FileModel, adapter
 from cmbot.planning import (
     Certificate,
     Check,
@@ -202,7 +202,8 @@ def hashes_of(plan: Plan) -> HashesFile:
 
 def _data(value: object) -> Any:
     """A dataclass as its types say that files have it."""
-    return None if value is None else TypeAdapter(type(value)).dump_python(value, mode="json")
+    kind: Any = type(value)
+    return None if value is None else adapter(kind).dump_python(value, mode="json")
 
 
 def _stroke(stroke: StrokePlan, robot: Robot) -> dict[str, Any]:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from pydantic import TypeAdapter
 
 from cmbot.archive.folder import read_folder
 from cmbot.archive.places import add_results
@@ -16,7 +15,7 @@ from cmbot.archive.records import EXCITATION_FILE, PLAN_FILE, TRACKING_FILES, En
 from cmbot.archive.tables import OFF_PATH, read_table, require_table, table_csv
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError
-from cmbot.common.reading.validation import given_path, require_type, shown, validated
+from cmbot.common.reading.validation import adapter, given_path, require_type, shown, validated
 from cmbot.excitation import Excitation
 from cmbot.planning import Plan, require_plan
 from cmbot.simulation import (
@@ -244,7 +243,7 @@ def load_excitation(directory: str | Path) -> Excitation | None:
 
 def excitation_json(excitation: Excitation) -> dict[str, Any]:
     """Return an excitation ready for JSON, SI units but where a key says otherwise."""
-    content = TypeAdapter(Excitation).dump_python(excitation, mode="json")
+    content = adapter(Excitation).dump_python(excitation, mode="json")
     return {"format": _FORMATS[EXCITATION_FILE], "cmbot": __version__, "rms_mm": excitation.rms_mm, **content}
 
 

@@ -134,14 +134,15 @@ def validated(
         expected = "plain text, numbers, lists and mappings, not nested too deeply"
         raise error_type(source, "", f"something else ({error})", expected) from error
     try:
-        checked: T = _adapter(model).validate_json(text, context=context)  # type: ignore[arg-type]
+        checked: T = adapter(model).validate_json(text, context=context)  # type: ignore[arg-type]
     except ValidationError as error:
         raise input_error(source, error, error_type, model) from error
     return checked
 
 
 @cache
-def _adapter(model: Any) -> TypeAdapter[Any]:
+def adapter(model: Any) -> TypeAdapter[Any]:
+    """Return what reads and writes a type; making it takes some milliseconds."""
     if issubclass(model, BaseModel):
         # The adapter then takes the model's own validator, which its instances need anyway.
         model.model_rebuild()
@@ -150,7 +151,7 @@ def _adapter(model: Any) -> TypeAdapter[Any]:
 
 @cache
 def _schema(model: Any) -> dict[str, Any]:
-    return _adapter(model).json_schema()
+    return adapter(model).json_schema()
 
 
 def check_fields(instance: object) -> None:
