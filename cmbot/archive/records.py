@@ -122,7 +122,8 @@ def require_same(
             require_same(one, other, source, f"{key}[{k}]", tolerance, zero, why)
     elif _is_number(got) and _is_number(expected):
         if got != expected and not abs(got - expected) <= zero + tolerance * abs(expected):
-            raise ArchiveError(source, key, got, f"{expected:g}, as {why}")
+            alike = f"{got:g}" == f"{expected:g}"
+            raise ArchiveError(source, key, got, f"{expected:{'.12g' if alike else 'g'}}, as {why}")
     elif got != expected or isinstance(got, bool) != isinstance(expected, bool):
         given, wanted = ("null" if value is None else shown(value) for value in (got, expected))
         raise ArchiveError(source, key, given, f"{wanted}, as {why}")

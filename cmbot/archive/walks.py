@@ -38,7 +38,7 @@ from cmbot.trajectory import QuinticTrajectory
 _SAME_POSTURE, _SAME_PLACE, _SAME, _SAME_ZERO = 1e-9, 1e-6, 1e-6, 1e-9
 # Near its place a foot's shapes do not count: there it goes along the normal, aside by so much at most, m and
 # as a share of its height; samples at which that is looked at.
-_ASIDE, _ASLANT, _SAMPLES = 1e-4, 0.05, 300
+_ASIDE, _ASLANT, _SAMPLES = 1e-4, 0.002, 300
 # Points of a foot in its frame, m: the middle of its plate, and about its corners.
 _PLATE = np.array([[0.0, 0.0, 0.0], *([x, 0.0, z] for x in (-0.065, 0.065) for z in (-0.075, 0.075))])
 

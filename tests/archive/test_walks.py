@@ -123,6 +123,7 @@ CHANGES: list[tuple[Callable[[dict[str, Any]], object], str]] = [
     (lambda d: d["steps"][0].update(moves=d["steps"][0]["moves"][:1]), "steps[0].moves: got lift, expected"),
     (lambda d: moved(d["steps"][0]["moves"][0], 0.0, 0.004), "moves[0].knots: got a lift of the foot along"),
     (lambda d: moved(d["steps"][0]["moves"][0], 0.05, 0.004), "moves[0].knots: got a lift of the foot along"),
+    (lambda d: moved(d["steps"][0]["moves"][0], 0.05, 5e-4), "moves[0].knots: got a lift of the foot along"),
     (lambda d: moved(d["steps"][0]["moves"][0], 0.08, 0.0), "moves[0].knots: got a lift by 80.0 mm"),
     (lambda d: moved(d["steps"][0]["moves"][0], 0.05, 0.0, 4.0), "moves[0].knots: got a lift of the foot al"),
     (lambda d: d["steps"][0]["moves"].pop(0), "steps[0].moves: got swing, set, expected"),

@@ -118,6 +118,7 @@ def _bag(plan: Plan, path: Path) -> list[str]:
         return [listed_name(path)]
     from mcap.exceptions import McapError
     from mcap.reader import make_reader
+    from mcap.writer import MCAP0_MAGIC
     from mcap_ros2.decoder import DecoderFactory
     from zstandard import ZstdError
 
@@ -132,6 +133,8 @@ def _bag(plan: Plan, path: Path) -> list[str]:
         told = _beside_messages(content)
     except (McapError, ZstdError, KeyError, RuntimeError, ValueError, struct.error) as error:
         raise ArchiveError(source, "", "a damaged file", "an MCAP file of ROS 2 messages") from error
+    if content.count(MCAP0_MAGIC) != 2:
+        raise ArchiveError(source, "", "more bytes than one recording", "one, as cmbot export writes it")
     job = next((message for topic, _, message in found if topic == "/joint_trajectory"), None)
     effort = job is not None and len(job.points) > 0 and len(job.points[0].effort) > 0
     sent = list(messages(plan, effort=effort))

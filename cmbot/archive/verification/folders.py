@@ -256,7 +256,10 @@ def _require_goal(walk: Walk, goal: Scene | StanceFile, source: str) -> None:
 
 def _walk_files(folder: Path, walk: Walk) -> tuple[str, ...]:
     """Compare the table of a walk with its knots; return what else is there."""
-    told = ("version, times of checks", *_others(folder, WALK_FILE, [_WALK_TABLE]))
+    told = (
+        "version, times of checks, that no move is shorter",
+        *_others(folder, WALK_FILE, [_WALK_TABLE]),
+    )
     if not (table := folder / _WALK_TABLE).exists():
         return (*told, f"{_WALK_TABLE} (not there)")
     require_table(read_file(table), walk_csv(walk).encode(), str(table))
@@ -295,6 +298,8 @@ def _claims(plan: Plan, asked: Scene | None) -> Iterator[str]:
         yield "speed_profile: quiet (that no other law sways less)"
     if asked is not None and asked.order == "best":
         yield "tool_path.order (that no other is better)"
+    if any(len(segment.task.path.segments) > 1 for segment in plan.job.strokes):
+        yield "rest between legs (but for planner.max_tool_deviation_m)"
     if any(segment.kind == "free" for segment in plan.job.segments):
         yield "free moves (that none is shorter, or quicker)"
     yield f"planned (that no motion has a lower {plan.objective.name})"
