@@ -86,8 +86,16 @@ def arm_model(
     moving = _chain(full, str(urdf), base_frame, tool_frame)
     others = [i for i in range(1, full.njoints) if i not in moving]
     stance, absent = _stance(full, srdf, semantics)
+    names = {full.names[i]: full.joints[i].idx_q for i in others}
     for name, value in locked.items():
-        stance[full.joints[full.getJointId(name)].idx_q] = value
+        if name not in names:
+            expected = "a joint that turns or slides, and none of the arm's"
+            raise ModelError(str(urdf), f"locked.{name}", shown(name), expected, tuple(names))
+        lower, upper = (float(end[names[name]]) for end in (full.lowerPositionLimit, full.upperPositionLimit))
+        if not lower <= value <= upper:
+            expected = f"its range, {lower:.6g} to {upper:.6g} (rad or m)"
+            raise ModelError(str(urdf), f"locked.{name}", f"{value:g}", expected)
+        stance[names[name]] = value
 
     def reduced(shapes: Any) -> tuple[Any, Any]:
         model, (shapes,) = pin.buildReducedModel(full, [shapes], others, stance)
@@ -114,8 +122,12 @@ def _locked_slides(full: Any, moving: Collection[int], stance: FloatArray, base_
     before = full.supports[full.frames[full.getFrameId(base_frame)].parentJoint].tolist()[1:]
     for k, slides in enumerate(prismatic_joints(full), start=1):
         if slides and k in before and k not in moving:
-            name, at = full.names[k], stance[full.joints[k].idx_q]
-            yield f"{name}, which slides, is locked at {at:g} m: a base frame before it lets it move."
+            name, i = full.names[k], full.joints[k].idx_q
+            lower, upper = full.lowerPositionLimit[i], full.upperPositionLimit[i]
+            yield (
+                f"{name}, which slides from {lower:g} to {upper:g} m, is locked at {stance[i]:g} m; "
+                "robot.locked of a scene says where else, and a base frame before it lets it move."
+            )
 
 
 class Built(NamedTuple):

@@ -15,6 +15,7 @@ What is not named is rigid, and so is all of a robot without the file. ``cmbot-e
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
@@ -27,7 +28,6 @@ from cmbot.common.reading.fields import Modulus, Thickness, require_span
 from cmbot.common.reading.validation import FileModel, refusal, validated
 from cmbot.common.reading.yaml_reader import lines_named, read_yaml
 from cmbot.common.representation import short_repr
-from cmbot.robot.joint_kinds import prismatic_joints
 
 # The bounds keep every power of a length finite, and catch lengths in millimetres and moduli in gigapascals.
 Coordinate = Annotated[float, Field(ge=-1e4, le=1e4)]
@@ -127,29 +127,30 @@ class Elasticity(NamedTuple):
     locked: dict[str, JointElasticity]
 
 
-def read_elasticity(path: Path, model: Any) -> Elasticity:
-    """Read what bends of an arm and of the joints that are locked beside it.
+def read_elasticity(path: Path, model: Any, slides: Collection[str]) -> Elasticity:
+    """Read what bends of an arm and of the joints that are locked beside it; `slides` are those that slide.
 
     What belongs to a link that does not move with the arm is checked and left out.
     """
     with lines_named(path):
         data = validated(_ElasticityFile, read_yaml(path, ModelError), str(path), ModelError)
-        springs, given = _joints(data, path, model), data.joints or {}
+        springs, given = _joints(data, path, model, slides), data.joints or {}
         locked = {name: given[name] for name in given if name not in springs}
         return Elasticity(_tubes(data, path, model), springs, locked)
 
 
-def _joints(data: _ElasticityFile, path: Path, model: Any) -> dict[str, JointElasticity]:
+def _joints(
+    data: _ElasticityFile, path: Path, model: Any, slides: Collection[str]
+) -> dict[str, JointElasticity]:
     given = data.joints or {}
     kinds = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
     known = tuple(frame.name for frame in model.frames if frame.type in kinds and frame.name != "universe")
     moving = list(model.names)[1:]
-    slides = prismatic_joints(model)
     for name in given:
         if name not in known:
             raise ModelError(str(path), "joints", repr(name), "a joint of the URDF", known)
-        if name in moving and slides[moving.index(name)]:
-            expected = "a joint that turns: what gives way below a lift is guardrail.stiffness of the scene"
+        if name in slides:
+            expected = "one that turns: below a lift base.tube or guardrail.stiffness of a scene gives way"
             raise ModelError(str(path), f"joints.{name}", "a joint that slides", expected)
     return {name: given[name] for name in moving if name in given}
 

@@ -261,7 +261,10 @@ class _Description:
         attach_payload(arm, placement.carrier, payload)
         self._require_mass(arm)
         limited, assumed = joint_limits(arm, files.urdf, files.limits)
-        bends = Elasticity({}, {}, {}) if files.elasticity is None else read_elasticity(files.elasticity, arm)
+        bends, joints = Elasticity({}, {}, {}), self.root.iter("joint")
+        if files.elasticity is not None:
+            slides = {joint.get("name", "") for joint in joints if joint.get("type") == "prismatic"}
+            bends = read_elasticity(files.elasticity, arm, slides)
         held = _held(files)
         return Robot(
             name=self.root.get("name", files.urdf.stem),

@@ -202,27 +202,27 @@ class PostureFile(FileModel):
         return self
 
 
-def _pairs(arguments: dict[str, str]) -> Any:
+def _pairs(arguments: dict[str, Any]) -> Any:
     return tuple(sorted(arguments.items()))
 
 
-def _by_name(pairs: tuple[tuple[str, str], ...], handler: SerializerFunctionWrapHandler) -> Any:
+def _by_name(pairs: tuple[tuple[str, Any], ...], handler: SerializerFunctionWrapHandler) -> Any:
     return handler(dict(pairs))
 
 
-_Arguments = Annotated[
-    tuple[tuple[str, str], ...],
-    GetPydanticSchema(
-        lambda _, handler: handler(
-            Annotated[
-                dict[Text, Text], Field(max_length=100), AfterValidator(_pairs), WrapSerializer(_by_name)
-            ]
-        )
-    ),
-]
+def _mapping_to(kind: Any) -> GetPydanticSchema:
+    """A mapping in files, and pairs here, which have a hash."""
+    given = Annotated[
+        dict[Text, kind], Field(max_length=100), AfterValidator(_pairs), WrapSerializer(_by_name)
+    ]
+    return GetPydanticSchema(lambda _, handler: handler(given))
+
+
+_Arguments = Annotated[tuple[tuple[str, str], ...], _mapping_to(Text)]
+_Positions = Annotated[tuple[tuple[str, float], ...], _mapping_to(Annotated[float, Field(ge=-1000, le=1000)])]
 _URDF_KEYS = (
     *("base_frame", "tool_frame", "limits", "package_dirs", "mount", "srdf", "elasticity"),
-    *("tool", "xacro", "total_mass_kg"),
+    *("tool", "xacro", "locked", "total_mass_kg"),
 )
 
 
@@ -259,6 +259,8 @@ class RobotFile(FileModel):
     """By how much joints that slide do."""
     xacro: _Arguments | None = None
     """Of a URDF in xacro: values of its arguments, by their names."""
+    locked: _Positions | None = None
+    """Where other joints than the arm's are, rad or m, such as a lift; left out: as in the SRDF, else 0."""
     total_mass_kg: Annotated[float, Field(gt=0, le=1e5)] | None = None
     """Of a URDF without masses: that of the whole robot, kg, which is spread over the links without one
     by the volumes of their shapes. Every torque is then an estimate."""

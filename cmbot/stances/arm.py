@@ -88,7 +88,11 @@ class BaseArm:
     def __init__(self, scene: Scene, robot: Robot) -> None:
         file = scene.robot
         own = load_robot(
-            **file.files, mount=np.eye(4), tool_length=file.tool_length_m, payload=file.payload_kg
+            **file.files,
+            mount=np.eye(4),
+            tool_length=file.tool_length_m,
+            payload=file.payload_kg,
+            locked=dict(file.locked or ()),
         )
         self.robot = replace(
             own, elasticity=robot.elasticity, joint_elasticity=robot.joint_elasticity, limits=robot.limits

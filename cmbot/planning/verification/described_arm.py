@@ -90,7 +90,7 @@ class DescribedArm:
             robot,
             X_WB=None if mount is None else pose_of(mount.xyz, np.radians(mount.rpy_deg)),
             X_WR=None if stance is None else stance.root,
-            locked={} if stance is None else stance.locked,
+            locked=dict(source.locked or ()) if stance is None else stance.locked,
             tool_length=source.tool_length_m,
             payload=source.payload_kg,
         )

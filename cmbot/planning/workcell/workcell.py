@@ -27,6 +27,9 @@ from cmbot.scene import PlannerOptions, Scene
 from cmbot.toolpath import AUTO
 from cmbot.trajectory import QuinticTrajectory
 
+# What `load_robot` refuses by these keys stands in the scene.
+_KEYS_OF_SCENES = ("base_frame", "tool_frame", "total_mass_kg", "xacro", "locked")
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Workcell:
@@ -254,10 +257,10 @@ def robot_of(scene: Scene) -> Robot:
             tool_length=file.tool_length_m,
             payload=file.payload_kg,
             root=None if stance is None else stance.root,
-            locked=None if stance is None else stance.locked,
+            locked=dict(file.locked or ()) if stance is None else stance.locked,
         )
     except ModelError as error:
-        if error.key not in ("base_frame", "tool_frame", "total_mass_kg") and "xacro." not in error.key:
+        if error.key.partition(".")[0] not in _KEYS_OF_SCENES:
             raise
         # The scene holds the key that has to be changed.
         key = f"robot.{error.key}"
