@@ -320,13 +320,7 @@ class OptimisationFailed(PlanningError):
         if violation <= 0:
             super().__init__(reason, f"; every constraint is met, {constraint} with the least room")
             return
-        text = f"; worst constraint: {constraint}, {beyond(violation)}"
-        if limit is Limit.PEAK:
-            text = (
-                "; worst constraint: the peak, which exceeds the bound that was tried for it by "
-                f"{violation:.2%} of the initial guess's peak"
-            )
-        super().__init__(reason, text)
+        super().__init__(reason, f"; worst constraint: {constraint}, {beyond(violation)}")
 
 
 class LimitViolation(PlanningError):

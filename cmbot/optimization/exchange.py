@@ -200,7 +200,8 @@ def minimize_peak(
                 return exchange.result(bound)
             except OptimisationFailed:
                 if options.stop():
-                    raise
+                    # That an attempt failed says nothing then: what would have followed was not tried.
+                    raise exchange.stopped() from None
                 exchange.end_attempt()
         least = exchange.lowest_peak(bound)
         # A peak is known as well as the solver's own optimality is.
@@ -345,8 +346,7 @@ class _Exchange:
             if met and nothing_new and done:
                 return found.peak
             if o.stop():
-                reason = f"{o.stop_reason()} before every constraint was met"
-                raise self._failure(reason, worst, stopped=True)
+                raise self.stopped()
             if met and nothing_new:
                 continue
             if attempt and end.values.violation > o.nearly_met:
@@ -422,6 +422,11 @@ class _Exchange:
         self.reports.append(report)
         if self._progress is not None:
             self._progress(report)
+
+    def stopped(self) -> OptimisationFailed:
+        """Return that the time was over, with what is violated most, whatever the peak was held below."""
+        reason = f"{self._options.stop_reason()} before the optimisation met every constraint"
+        return self._failure(reason, self._separated(np.inf).worst, stopped=True)
 
     def _failure(self, reason: str, worst: Violation, *, stopped: bool = False) -> OptimisationFailed:
         return OptimisationFailed(

@@ -11,6 +11,7 @@ from small_scenes import problem_of, short_scene, tool_points, torque_along
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError, OptimisationFailed
+from cmbot.common.limit import Limit
 from cmbot.common.reading.validation import checked_options
 from cmbot.optimization import exchange
 from cmbot.optimization.evaluation import NlpEvaluation
@@ -188,6 +189,24 @@ def test_when_the_time_is_over_the_best_feasible_trajectory_is_the_result() -> N
         # The stage after the one that was stopped begins, and is stopped.
         assert len(reports) <= most + 2
     assert "feasible" in ends
+
+
+def test_where_the_time_ends_an_attempt_that_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not that the attempt failed, nor the bound of the peak that it tried: what is left is any other one."""
+    given = unattainable(solver="sqp", max_tool_deviation_m=1e-6)
+    problem = TorqueProblem(given.request, given.parametrization, 1e-3 * given.scale)
+    solves, whole = list[int](), exchange.solve_sqp
+
+    def at_the_start(start: NlpEvaluation, *others: Any) -> Any:
+        solves.append(1)
+        return replace(whole(start, *others), status=exchange.SqpStatus.INFEASIBLE, iterate=start)
+
+    monkeypatch.setattr(exchange, "solve_sqp", at_the_start)
+    options = replace(exchange_options(problem), stop=lambda: bool(solves), far_off=np.inf)
+    with pytest.raises(OptimisationFailed, match=r"was over after .*, before the optimisation") as caught:
+        minimize_peak(problem, options)
+    assert caught.value.stopped
+    assert caught.value.limit is not Limit.PEAK
 
 
 Solved = tuple[TorqueProblem, Optimised, list[ExchangeReport]]

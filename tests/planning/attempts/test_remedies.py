@@ -443,7 +443,7 @@ def test_a_time_limit_that_is_over_at_once(knots: str, tmp_path: Path) -> None:
         assert any("the best motion so far" in sentence for sentence in stopped.fallbacks)
         assert (stopped.stopped, load_plan(save(stopped, tmp_path / "plan")).stopped) == ("time", "time")
         scene = scene.with_options(max_tool_deviation_m=1e-6)
-        over = r"the time, 0\.001 s \(planner\.time_limit_s\), was over after \S+ s, before every constraint"
+        over = r"the time, 0\.001 s \(planner\.time_limit_s\), was over after \S+ s, before the optim"
         with pytest.raises(OptimisationFailed, match=over):
             plan(scene)
 
