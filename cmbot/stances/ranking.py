@@ -148,14 +148,14 @@ class StanceRanking:
     @property
     def closest_in_time(self) -> str:
         """The one that promises most of those that are left out by the time alone, in words; else empty."""
-        first, late = next(iter(self.waiting), None), self.count("not judged") or len(self.waiting)
+        first, screened = next(iter(self.waiting), None), self.count("screened")
         # Where the time was over before any was known bounds are zero.
         if first is None or not first.bound or not (self.ended_by or self.count("not judged")):
             return ""
         return (
-            f"not judged for want of time: {late}, closest {first.place}, by its bound "
-            f"{first.bound:.4g} {self.unit}; a longer --time-limit or planner.time_limit_s, or "
-            "cmbot plan of its scene, judges it"
+            f"not judged to the end for want of time: {len(self.waiting)}, {screened} of them only screened, "
+            f"closest {first.place}, by its bound {first.bound:.4g} {self.unit}; a longer --time-limit or "
+            "planner.time_limit_s, or cmbot plan of its scene, judges it"
         )
 
     @property

@@ -1,12 +1,11 @@
 """The search among stances: best first, each judged by stages that cost more and more.
 
-Each stage returns a better bound of a stance, or why it is left out. Those that wait are in a heap by what is
-expected of them; the first is judged by its next stage, until enough are planned and none can be better.
+Each stage returns a better bound of a stance, or why it is left out. Of those that wait, the most promising
+is judged by its next stage, until enough are planned and none can be better.
 """
 
 from __future__ import annotations
 
-import heapq
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from time import monotonic
@@ -45,8 +44,8 @@ _NEAR_BASE_M: dict[StageName, float] = {"plan": 0.3, "charts": 0.12}
 _MIN_SECONDS = 1e-3
 _CHARTS_SHARE, _OWN_SHARE = 0.15, 0.5
 _MORE_TIME = 2.0
-# Share of a time limit that the screening may take.
-_SCREENING_SHARE = 0.4
+# Share of a time limit that the screening may take; and from which on the rest is for plans.
+_SCREENING_SHARE, _PLANS_FROM_SHARE = 0.4, 0.6
 # Once enough are planned, only stances that may be better by more than this share are judged.
 _WORTH_SHARE = 0.05
 
@@ -127,6 +126,10 @@ class Ending:
         """Whether the screening is to end, as the rest of the time is for plans."""
         self.screening_cut = self.screening_cut or monotonic() - self._began >= _SCREENING_SHARE * self.limit
         return self.screening_cut
+
+    def is_for_plans(self) -> bool:
+        """Whether the rest of the time is for plans of what was judged furthest."""
+        return monotonic() - self._began >= _PLANS_FROM_SHARE * self.limit
 
     def part(self, stage: StageName, *, own: bool = False) -> float:
         """Return what a stage may take of what is left, s."""
@@ -322,7 +325,7 @@ def evaluate_stances(
 
 
 class _Search:
-    """A heap of stances that wait for their next stages."""
+    """Stances that wait for their next stages."""
 
     def __init__(
         self,
@@ -337,10 +340,10 @@ class _Search:
         self._done = [0] * len(stages)
         self._next = {stage.name: k + 1 for k, stage in enumerate(stages)}
         self._failures = list[tuple[FloatArray, float]]()
-        self._waiting = [(each.bound, k) for k, each in enumerate(results) if each.status == "screened"]
+        self._waiting = [k for k, each in enumerate(results) if each.status == "screened"]
         # Those near a failure, until no others wait; and those that were not judged in the time they had.
-        self._later, self._late = list[tuple[float, int]](), list[int]()
-        self._best, self._planned = np.inf, 0
+        self._later, self._late = list[int](), list[int]()
+        self._best, self._planned, self._deep = np.inf, 0, False
 
     def plan_own(self) -> None:
         """Plan the scenes' own stances: no other one is better than they are unless it is planned, too."""
@@ -351,24 +354,24 @@ class _Search:
 
     def run(self) -> None:
         """Judge the most promising by its next stage, again and again."""
-        heapq.heapify(self._waiting)
         while (self._waiting or self._later or self._late) and not self._ending.is_due():
-            if len(self._late) >= self._wanted or not (self._waiting or self._later):
+            self._deep = self._ending.is_for_plans()
+            if self._deep or len(self._late) >= self._wanted or not (self._waiting or self._later):
                 self._ending.give_more()
-                for k in self._late:
-                    heapq.heappush(self._waiting, (self.results[k].bound, k))
-                self._late = []
+                self._waiting, self._late = self._waiting + self._late, []
             if not self._waiting:
                 self._waiting, self._later, self._failures = self._later, [], []
-                heapq.heapify(self._waiting)
-            key, k = heapq.heappop(self._waiting)
+            k = min(self._waiting, key=self._order)
+            self._waiting.remove(k)
             each, number = self.results[k], self._next.get(self.results[k].stage, 0)
             if each.status not in ("screened", "not judged") or each.bound >= self._enough:
                 continue
             if number and self._is_near_a_failure(each):
                 # It most likely fails for the same reason: others come first.
-                self._later.append((key, k))
+                self._later.append(k)
                 continue
+            # What charts say a plan says, too.
+            number += self._deep and self._stages[number].name == "charts"
             stage = self._stages[number]
             if self._done[number] < stage.most:
                 last = number == len(self._stages) - 1
@@ -377,7 +380,12 @@ class _Search:
                 self._done[number] += 1
                 self._judge(k, stage)
                 if self.results[k].status == "screened":
-                    heapq.heappush(self._waiting, (max(self.results[k].expected, self.results[k].bound), k))
+                    self._waiting.append(k)
+
+    def _order(self, k: int) -> tuple[int, float, int]:
+        """By what a stance comes: what is expected of it; where plans are to come, how far it was judged."""
+        each = self.results[k]
+        return -self._next.get(each.stage, 0) if self._deep else 0, max(each.expected, each.bound), k
 
     @property
     def _enough(self) -> float:

@@ -26,13 +26,13 @@ def in_words(ranking: StanceRanking) -> Iterator[str]:
     if best is None:
         promising = ": the scene has the most promising one by its bound; it may be blocked"
         yield f"No stance was planned{'' if ranking.plans else promising}."
-        if ranking.closest_in_time:
-            yield f"{ranking.closest_in_time[0].upper()}{ranking.closest_in_time[1:]}."
         if (near := ranking.nearest) is not None and near.rejection is not None:
             yield f"Nearest to what is allowed: {near.place}, {near.rejection.reason}."
     else:
         yield from _best_in_words(ranking, best)
     yield from _own_in_words(ranking)
+    if ranking.count("planned") <= ranking.plans and (closest := ranking.closest_in_time):
+        yield f"{closest[0].upper()}{closest[1:]}."
     if limit := ranking.sag_limit:
         most = f"{limit.most_mm:.3g} mm, {limit.source}"
         yield f"Other stances that sag by more than {most}, are left out (--any-sag: none is)."

@@ -14,24 +14,33 @@ from cmbot.stances.search import Ending, Rejection, Stage, StanceResult, evaluat
 
 
 def searched(
-    needs: list[float], limit: float, monkeypatch: pytest.MonkeyPatch, plans: int = 1
+    needs: list[float],
+    limit: float,
+    monkeypatch: pytest.MonkeyPatch,
+    plans: int = 1,
+    plan_needs: float = 0.0,
 ) -> tuple[StanceRanking, list[tuple[int, float]]]:
-    """Stances that need so many seconds to be charted, the most promising first; and who had how many."""
+    """Stances that need so many seconds to be charted and planned, the best first; and who had how many."""
     now, had = [0.0], list[tuple[int, float]]()
     monkeypatch.setattr("cmbot.stances.search.monotonic", lambda: now[0])
     ending = Ending(limit=limit, _began=0.0)
 
-    def judge(result: StanceResult) -> StanceResult:
-        part = ending.part("charts")
+    def late(result: StanceResult, stage: Any, needed: float) -> StanceResult | None:
+        part = ending.part(stage)
         had.append((result.number, part))
-        now[0] += min(part, needs[result.number])
-        if part < needs[result.number]:
-            error = PathNotFound("late", time=0.0, progress=0.0, smallest_singular_value=1.0, stopped=True)
-            return result.rejected("charts", Rejection.of("blocked", error))
-        return replace(result, stage="charts")
+        now[0] += min(part, needed)
+        if part >= needed:
+            return None
+        error = PathNotFound("late", time=0.0, progress=0.0, smallest_singular_value=1.0, stopped=True)
+        return result.rejected(stage, Rejection.of("blocked", error))
+
+    def judge(result: StanceResult) -> StanceResult:
+        return late(result, "charts", needs[result.number]) or replace(result, stage="charts")
 
     def planned(result: StanceResult) -> StanceResult:
-        return replace(result, stage="plan", plan=plan, value=result.bound)
+        return late(result, "plan", plan_needs) or replace(
+            result, stage="plan", plan=plan, value=result.bound
+        )
 
     plan: Any = SimpleNamespace(job=SimpleNamespace(figures=SimpleNamespace(adhesion_needed=None)))
     plan.robot = SimpleNamespace(holding=None)
@@ -56,8 +65,8 @@ def test_what_was_not_charted_in_its_time_has_more_in_the_next_round(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     ranking, had = searched([35.0, 10.0, 35.0, 10.0], 200.0, monkeypatch, plans=2)
-    assert [number for number, _ in had] == [0, 1, 2, 0]
-    first, _, third, again = (part for _, part in had)
+    assert [number for number, _ in had] == [0, 1, 1, 2, 0, 0]
+    first, _, _, third, again, _ = (part for _, part in had)
     assert first == 0.15 * 200
     assert third == pytest.approx(0.15 * (200 - 30 - 10))
     assert again == pytest.approx(2 * 0.15 * (200 - 30 - 10 - third))
@@ -65,14 +74,14 @@ def test_what_was_not_charted_in_its_time_has_more_in_the_next_round(
 
 
 def test_stances_without_time_are_named_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    ranking, had = searched([900.0, 900.0, 900.0], 100.0, monkeypatch, plans=2)
+    ranking, had = searched([900.0, 900.0, 900.0], 100.0, monkeypatch, plans=2, plan_needs=900.0)
     assert sum(part for _, part in had) <= 100.1
     assert ranking.ended_by == "time"
-    assert [each.status for each in ranking.ranked] == ["not judged", "not judged", "screened"]
+    assert [each.status for each in ranking.ranked] == ["not judged"] * 2 + ["screened"]
     assert ranking.best_unplanned == 100.0
     closest = (
-        "not judged for want of time: 2, closest place 0, by its bound 100 Nm; a longer --time-limit or "
-        "planner.time_limit_s, or cmbot plan of its scene, judges it"
+        "not judged to the end for want of time: 3, 1 of them only screened, closest place 0, by its bound "
+        "100 Nm; a longer --time-limit or planner.time_limit_s, or cmbot plan of its scene, judges it"
     )
     said = [*in_words(ranking)]
     assert f"N{closest[1:]}." in said
@@ -85,5 +94,11 @@ def test_stances_without_time_are_named_first(monkeypatch: pytest.MonkeyPatch) -
 
 def test_without_a_limit_nothing_is_late(monkeypatch: pytest.MonkeyPatch) -> None:
     ranking, had = searched([900.0, 1.0], np.inf, monkeypatch)
-    assert had == [(0, np.inf)]
+    assert had == [(0, np.inf), (0, np.inf)]
     assert ranking.best is not None and not ranking.ended_by
+
+
+def test_a_share_of_the_time_is_for_plans(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the charts would take: from 60 % on, and what one chart takes then, the rest is for plans."""
+    ranking, _ = searched([900.0] * 20, 100.0, monkeypatch, plans=2, plan_needs=0.85 * 40.0 / 2)
+    assert [each.number for each in ranking.ranked if each.status == "planned"] == [0, 1]
