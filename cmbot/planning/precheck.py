@@ -186,7 +186,9 @@ def _hold_at_start(scene: Scene, robot: Robot) -> Precheck:
         found.append(("of what the feet bear there, safety included", f"{100 * use:.0f} %: {got}"))
         if use > 1.0:
             key = "base.hold" if scene.base is not None and scene.base.hold else "guardrail.hold"
-            expected = f"feet that bear what the arm asks: {key}"
+            movable = scene.mounts or (scene.on_guardrail and scene.guardrail.bays)
+            other = ", or another place, which cmbot stand seeks" if movable else ""
+            expected = f"feet that bear what the arm asks: {key}{other}"
             warnings.append(_warning(scene.posture_key, got, expected))
     if robot.holding_joints:
         uses = robot.holding_use(wrench)[0]

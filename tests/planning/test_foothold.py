@@ -274,6 +274,9 @@ def test_of_a_clamp_that_is_too_weak_foot_and_load_are_named() -> None:
     said = f"{value:.0f} Nm about the normal, times safety 1.5, where foot {foot} has 20 Nm"
     checked = precheck_scene(weak)
     assert checked.warnings[0].got == said
+    assert checked.warnings[0].expected.endswith(
+        ": guardrail.hold, or another place, which cmbot stand seeks"
+    )
     share = f"{100 * 1.5 * value / 20:.0f} %: {said}"
     assert dict(checked.found)["of what the feet bear there, safety included"] == share
     with pytest.raises(PlanningError, match=f"the start asks {re.escape(said)}: "):

@@ -87,10 +87,13 @@ def test_a_panda_that_stands_on_something_is_planned_and_judged_a_second_time(ho
 
 
 def test_check_says_what_the_pads_bear() -> None:
-    assert (
-        "where a foot has 200 N"
-        in precheck_scene(held(pads=PADS, adhesion_n=200, friction=0.01, rpy_deg=[90, 0, 0])).warnings[0].got
-    )
+    weak = held(pads=PADS, adhesion_n=200, friction=0.01, rpy_deg=[90, 0, 0])
+    warning = precheck_scene(weak).warnings[0]
+    assert "where a foot has 200 N" in warning.got
+    # Where there is no other place none is named.
+    assert warning.expected.endswith("asks: base.hold")
+    elsewhere = weak.changed(mounts=[{"xyz": [0, 0, 0.1]}])
+    assert precheck_scene(elsewhere).warnings[0].expected.endswith("another place, which cmbot stand seeks")
     assert any("feet bear" in name for name, _ in precheck_scene(held(pads=PADS, adhesion_n=3000)).found)
 
 
