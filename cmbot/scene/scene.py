@@ -179,6 +179,9 @@ class Scene(FileModel):
         if bends and (bends[1:] or self.guardrail.stiffness or self.guardrail.mass):
             expected = "no such key beside another one that says how the base bends"
             raise refusal(expected, got=bends[-1], key=("base", bends[-1]))
+        if "tube" in bends and self.guardrail.bays:
+            expected = "0 beside base.tube, on which the robot stands"
+            raise refusal(expected, got=self.guardrail.bays, key=("guardrail", "bays"))
         if self.base is not None and self.base.hold and (self.on_guardrail or self.guardrail.hold):
             expected = "guardrail.hold: base.hold is for robots that hold no guardrail"
             raise refusal(expected, got="hold", key=("base", "hold"))

@@ -49,7 +49,7 @@ def scene_at(scene: Scene, candidate: AnyCandidate, posture: FloatArray | None) 
         rows = None if stiffness is None else [[*map(float, row)] for row in (stiffness + stiffness.T) / 2]
         changes["robot"] = scene.robot.changed(mount=candidate.mount)
         changes["guardrail"] = scene.guardrail.changed(bays=0, stiffness=rows, mass=None)
-        changes["base"] = None if scene.base is None else scene.base.changed(modes=None)
+        changes["base"] = None if scene.base is None else scene.base.changed(modes=None, tube=None)
     if isinstance(candidate, MountCandidate):
         changes["planner"] = replace(scene.planner, moment_about="base")
     if posture is not None:

@@ -115,6 +115,23 @@ def test_a_mount_bends_where_it_is() -> None:
     np.testing.assert_allclose(sags[0], sags[1], rtol=1e-4)
 
 
+def test_a_mount_takes_the_place_of_the_tube_on_which_the_arm_stands() -> None:
+    tube = {"start_m": [0, 0, -2], "outer_diameter_m": 0.1, "wall_m": 0.004}
+    tube |= {"young_pa": 70e9, "shear_pa": 26e9, "density_kg_m3": 2700}
+    scene = panda(
+        base={"name": "mast", "tube": tube},
+        guardrail={"bays": 0},
+        mounts=[{"xyz": [0, 0, 0.7], "stiffness": [1e6] * 6}],
+    )
+    own, other = mounts_of(scene)
+    assert own.stiffness is not None
+    there = scene_at(scene, other, None)
+    # Of the origin's motion that of the mount, 0.7 m above it.
+    away = np.eye(6)
+    away[:3, 3:] = [[0, 0.7, 0], [-0.7, 0, 0], [0, 0, 0]]
+    np.testing.assert_allclose(there.elastic_guardrail.stiffness, 1e6 * away.T @ away)
+
+
 def test_what_holds_a_mount_counts_as_it_does_in_a_plan_there() -> None:
     """On a floor, on a wall and leaning: the adhesion needed at rest is that of the robot mounted there."""
     hold = {"kind": "magnet", "plate_m": [0.2, 0.3], "adhesion_n": 9000, "xyz": [0, 0, 0.02]}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -29,6 +30,8 @@ from cmbot.trajectory import QuinticTrajectory
 
 # What `load_robot` refuses by these keys stands in the scene.
 _KEYS_OF_SCENES = ("base_frame", "tool_frame", "total_mass_kg", "xacro", "locked")
+# How far from the arm a tube may end; what is between them is taken as rigid.
+_MOST_BESIDE_M = 0.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -271,6 +274,7 @@ def robot_of(scene: Scene) -> Robot:
             robot = replace(robot, limits=robot.limits.narrowed(*margins))
         except InputError as error:
             raise SceneError(scene.source, "robot.range_margin_deg", error.got, error.expected) from error
+    _require_on_its_tube(scene, robot)
     robot = robot if file.joints == "elastic" else robot.with_rigid_joints
     robot = with_identified_stiffness(robot, scene)
     robot = replace(robot, tool_force=scene.tool.process_force_n, feet=_feet_of(scene, robot))
@@ -280,6 +284,19 @@ def robot_of(scene: Scene) -> Robot:
     held = replace(scene.elastic_guardrail, leg_compliance=robot.leg_compliance)
     feet = zip(robot.feet, shares(held), strict=True)
     return replace(robot, feet=tuple(replace(foot, share=share) for foot, share in feet))
+
+
+def _require_on_its_tube(scene: Scene, robot: Robot) -> None:
+    """Refuse a tube that ends beside the arm's base frame and first joint, as where `end_m` was left out."""
+    tube = None if scene.base is None else scene.base.tube
+    frame = robot.model.frames[robot.model.getFrameId(robot.base_frame)]
+    held = robot.foot_point if scene.on_guardrail else frame.placement.translation
+    if tube is None or math.dist(tube.end_m, robot.base_point) <= _MOST_BESIDE_M:
+        return
+    if (away := math.dist(tube.end_m, held)) > _MOST_BESIDE_M:
+        where = "({:.3g}, {:.3g}, {:.3g})".format(*held)
+        got = f"an end {away:.3g} m from what it holds, the arm at {where}"
+        raise SceneError(scene.source, "base.tube.end_m", got, f"at most {_MOST_BESIDE_M:g} m")
 
 
 def _feet_of(scene: Scene, robot: Robot) -> tuple[Foot, ...]:

@@ -10,6 +10,7 @@ from small_scenes import short_scene
 
 from cmbot.common.errors import SceneError
 from cmbot.elastic.beam import beam_mass, beam_stiffness
+from cmbot.planning import robot_of
 from cmbot.scene import Scene, load_scene
 
 MAST: dict[str, Any] = {
@@ -76,3 +77,17 @@ def test_one_key_says_how_the_base_bends() -> None:
     with pytest.raises(SceneError, match="no such key beside another one"):
         load_scene(data)
     assert standing_on().softest_key == "base.tube"
+    # Nor a guardrail beside the tube, which the robot does not stand on.
+    with pytest.raises(SceneError, match=r"guardrail.bays: got 2, expected 0 beside base.tube"):
+        load_scene(standing_on().as_data() | {"guardrail": {"bays": 2}})
+
+
+def test_a_tube_ends_where_the_arm_is() -> None:
+    """The base frame of the Panda is away from the origin of W, where a tube ends if nothing else is said."""
+    data = load_scene("mast_inspection").as_data()
+    data["robot"] |= {"mount": {"xyz": [0.0, 0.6, 0.8], "rpy_deg": [0, 0, 0]}}
+    said = r"base.tube.end_m: got an end 1 m from what it holds, the arm at \(0, 0.6, 0.8\), expected at most"
+    with pytest.raises(SceneError, match=said):
+        robot_of(load_scene(data))
+    data["base"]["tube"]["end_m"] = [0.0, 0.31, 0.41]
+    assert robot_of(load_scene(data)).name == "panda"
