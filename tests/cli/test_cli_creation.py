@@ -171,7 +171,14 @@ def test_a_scene_of_the_shipped_robot(here: Path) -> None:
     [
         (
             ("panda", "--tool-at", "9", "0", "0"),
-            "no start posture: none of 2000 random ones leads to one that",
+            "no start posture: none of 2000 random ones leads to one that holds the tool there within the "
+            "joints' ranges; the point is 9.006 m from the arm's first joint, beyond its reach of ",
+            3,
+        ),
+        (
+            ("panda", "--tool-at", "0.7", "0", "0.05", "--rpy-deg", "0", "0", "0"),
+            "holds the tool there, its axis along (0, 0, 1) of W, within the joints' ranges; the point is "
+            "0.755 m from the arm's first joint, within its reach",
             3,
         ),
         (("cmbot", "--tool-at", "0", "0", "0"), "no start posture: ", 3),

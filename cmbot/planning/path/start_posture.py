@@ -177,12 +177,14 @@ class _Search:
     def reason(self, task: ToolTask, point: FloatArray, q: FloatArray) -> str:
         """Why none of the postures `q` (N, n) will do."""
         away = float(np.linalg.norm(point - self._robot.base_point))
-        held = "the tool there" if task.keep == "position" else f"the tool there with that {task.keep}"
+        axis = ", ".join(f"{x:.2g}" for x in task.path.poses([0.0]).rotation[0, :, 2].round(3) + 0.0)
+        held = "the tool there" + f", its axis along ({axis}) of W," * (task.keep != "position")
         if len(q) == 0:
+            within = "within" if away <= self._robot.reach else "beyond"
             return (
                 f"no start posture: none of {_RESTARTS} random ones leads to one that holds {held} within "
-                f"the joints' ranges; the point is {away:.3f} m from the arm's first joint, whose reach is "
-                f"{self._robot.reach:.3f} m (lengths are in metres)"
+                f"the joints' ranges; the point is {away:.3f} m from the arm's first joint, {within} its "
+                f"reach of {self._robot.reach:.3f} m (lengths are in metres)"
             )
         strong = q[self._strong(q)]
         text = (
