@@ -95,7 +95,7 @@ def precheck_scene(scene: Scene) -> Precheck:
     found = [*_asked(scene, robot, strokes, task), *(pair for part in start for pair in part.found)]
     warnings = [warning for part in start for warning in part.warnings]
     warnings += _out_of_reach(strokes, robot)
-    warnings += _too_strong(robot)
+    warnings += _too_strong(scene, robot)
     warnings += without_posture(scene)
     for stroke in strokes:
         warnings += [*_too_fast(scene.tool, stroke), *_too_short(stroke, robot)]
@@ -185,10 +185,9 @@ def _hold_at_start(scene: Scene, robot: Robot) -> Precheck:
         use, got = _most_used(holding, wrench)
         found.append(("of what the feet bear there, safety included", f"{100 * use:.0f} %: {got}"))
         if use > 1.0:
-            key = "base.hold" if scene.base is not None and scene.base.hold else "guardrail.hold"
             movable = scene.mounts or (scene.on_guardrail and scene.guardrail.bays)
             other = ", or another place, which cmbot stand seeks" if movable else ""
-            expected = f"feet that bear what the arm asks: {key}{other}"
+            expected = f"feet that bear what the arm asks: {_hold_key(scene)}{other}"
             warnings.append(_warning(scene.posture_key, got, expected))
     if robot.holding_joints:
         uses = robot.holding_use(wrench)[0]
@@ -203,13 +202,17 @@ def _hold_at_start(scene: Scene, robot: Robot) -> Precheck:
     return Precheck(found=tuple(found), warnings=tuple(warnings))
 
 
-def _too_strong(robot: Robot) -> Iterator[Finding]:
+def _hold_key(scene: Scene) -> str:
+    return "base.hold" if scene.base is not None and scene.base.hold else "guardrail.hold"
+
+
+def _too_strong(scene: Scene, robot: Robot) -> Iterator[Finding]:
     """Yield magnets with a pull that their usual kind, of two poles, has not on this steel."""
     for foot in robot.feet:
         if foot.adhesion is not None and foot.adhesion > foot.ceiling:
             got = f"{foot.adhesion:.0f} N, where a magnet of two poles pulls {foot.ceiling:.0f} N at most"
             expected = "what the magnet was measured to pull on this steel"
-            yield _warning("guardrail.hold.adhesion_n", got, expected)
+            yield _warning(f"{_hold_key(scene)}.adhesion_n", got, expected)
 
 
 def _most_used(holding: Holding, wrench: FloatArray) -> tuple[float, str]:

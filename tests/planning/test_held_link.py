@@ -86,6 +86,16 @@ def test_a_panda_that_stands_on_something_is_planned_and_judged_a_second_time(ho
     assert all(check.holds for check in checks), checks
 
 
+def test_what_two_poles_pull_is_by_the_steel_below() -> None:
+    """Two cross sections of the steel, the plate's width across it, at 1.6 MPa."""
+    plate = {"plate_m": [0.15, 0.13], "adhesion_n": 6000, "rpy_deg": [90, 0, 0]}
+    assert precheck_scene(held(**plate)).warnings == ()
+    (thin,) = precheck_scene(held(**plate, steel_mm=6)).warnings
+    most = 2 * 0.006 * 0.13 * 2.0**2 / (2 * 4e-7 * np.pi)
+    assert thin.key == "base.hold.adhesion_n"
+    assert thin.got == f"6000 N, where a magnet of two poles pulls {most:.0f} N at most"
+
+
 def test_check_says_what_the_pads_bear() -> None:
     weak = held(pads=PADS, adhesion_n=200, friction=0.01, rpy_deg=[90, 0, 0])
     warning = precheck_scene(weak).warnings[0]

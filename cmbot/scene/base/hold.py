@@ -339,7 +339,7 @@ class LinkHoldFile(HoldFile):
     rpy_deg: Angles = (0.0, 0.0, 0.0)
     """Its turn in the link's frame: x along, y across, z away from what the plate holds."""
     steel_mm: Annotated[float, Field(ge=0.01, le=1e4)] | None = None
-    """Thickness of the steel that a magnet holds, for `derating`; left out: thick."""
+    """Thickness of the steel that a magnet holds, for `derating` and what two poles pull; left out: thick."""
 
     @model_validator(mode="after")
     def _check_pull(self) -> Self:
