@@ -55,6 +55,8 @@ if TYPE_CHECKING:
 REPLAY, REPORT = "replay.html", "report.html"
 # Peaks that differ by less, as a share, are the same.
 _SAME_PEAK_SHARE = 1e-3
+# A peak farther above its lower bound, as a share of it, is compared with sequences of postures, too.
+_LOOSE_GAP = 0.05
 # Distances from the path that differ by less, as a share of their bound, are the same.
 _DISTANCE_TOLERANCE_SHARE = 0.02
 _JOINT_HEADINGS = ("joint", "range, deg", "deg/s", "deg/s²", "deg/s³", "Nm")
@@ -278,6 +280,8 @@ def _lower_bound_card(plan: Plan) -> Headline:
     title, value, name = "Above the lower bound", f"{100 * gap:+.3f} %", f"{floor_name(plan)} {bound:.1f} Nm"
     if gap < 0:
         title, value, name = "Lower bound", "reached", f"{name}; moving, the arm has {-100 * gap:.2g} % less"
+    elif gap > _LOOSE_GAP and (over := plan.gap_to_sequences) is not None:
+        name += f"; {100 * over:+.1f} % above the least of sequences of postures (estimate)"
     return Headline(title=title, value=value, detail=f"{name}, explained at the torque's plot")
 
 

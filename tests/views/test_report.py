@@ -13,7 +13,7 @@ from plan_folders import changed, with_baseline, without_approach
 import cmbot
 from cmbot.common.errors import InputError
 from cmbot.common.limit import Limit
-from cmbot.planning import Certificate, Plan, bound_use, remarks
+from cmbot.planning import Certificate, Choice, Plan, bound_use, remarks
 from cmbot.simulation import Tracking, tracking_rows, tracking_verdict
 from cmbot.toolpath import Coverage
 from cmbot.views import pages, report_page
@@ -151,6 +151,10 @@ def test_headlines_say_what_was_gained(triangle_plan: Plan, triangle_tracking: T
     assert peak.detail.endswith("486.4 Nm on the approach")
     assert floor.value == f"{100 * triangle_plan.gap_to_floor:+.3f} %"
     assert floor.detail == f"lower bound {triangle_plan.torque_floor:.1f} Nm, explained at the torque's plot"
+    objective = replace(triangle_plan.objective, planned_peak=172.0, floor=100.0)
+    loose = replace(triangle_plan, objective=objective, choice=Choice(free=171.0, pinned=None))
+    floor = next(card for card in headlines(loose, None) if card.title == "Above the lower bound")
+    assert (floor.value, "; +0.6 % above the least of sequences" in floor.detail) == ("+72.000 %", True)
 
     def explained(plan: Plan) -> str:
         return next(chart.note for chart in charts(plan, None) if chart.key == "torque")

@@ -298,6 +298,7 @@ def _bound(plan: Plan) -> Iterator[Note]:
         "unit": unit,
         "basis": bound.basis,
         "gap": objective.gap,
+        "over_sequences": plan.gap_to_sequences,
         "any_start": plan.options.start == "pinned",
         "before_sag": plan.compensation is not None,
     }

@@ -365,6 +365,19 @@ class Plan(StrokePlan):
         return self.objective.gap if self.objective.is_guardrail_torque else None
 
     @property
+    def gap_to_sequences(self) -> float | None:
+        """How far the planned peak lies above `least_of_sequences`, as a share of it; None without one."""
+        least = self.least_of_sequences
+        return self.objective.planned_peak / least - 1.0 if least else None
+
+    @property
+    def least_of_sequences(self) -> float | None:
+        """Least peak at rest of the sequences of postures that were found, an estimate; None without one."""
+        choice = self.choice
+        pinned = choice is not None and self.options.start == "pinned" and choice.pinned is not None
+        return None if choice is None else choice.pinned if pinned else choice.free
+
+    @property
     def peak_static_reduction(self) -> float | None:
         """How much lower the planned motion's static torque peak is than the baseline's, as a share.
 

@@ -235,8 +235,7 @@ def _search(plan: Plan) -> Iterator[Row]:
     yield _objective_row(plan, "lower bound of the peak at rest", "torque_floor", bound.value)
     if objective.gap is not None:
         yield _row("peak above that", "gap_to_floor", "%", "+.3f", objective.gap)
-    pinned = plan.options.start == "pinned"
-    least = choice.pinned if pinned and choice.pinned is not None else choice.free
+    pinned, least = plan.options.start == "pinned", plan.least_of_sequences
     if least is not None:
         yield _objective_row(plan, "least peak of sequences of postures (estimate)", "choice", least)
     other, start = (choice.free, "in another posture") if pinned else (choice.pinned, "where the arm is")

@@ -276,6 +276,8 @@ def _bound(note: Any) -> str:
         name += ", of the path before the sag is compensated"
     least, room = f"{note.value:.2f} {note.unit}".rstrip(), f"{note.error:.3f} {note.unit}".rstrip()
     above = "" if note.gap is None else f"; the peak is {100 * note.gap:+.3f} % from it"
+    if above and note.over_sequences is not None:
+        above += f", {100 * note.over_sequences:+.3f} % from the least of sequences of postures (estimate)"
     if not note.closed:
         return f"{name}, not closed: {least} was found, but the search ended with {room} open{above}."
     found = "has" if note.proven else "was found with"

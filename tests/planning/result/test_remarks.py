@@ -128,6 +128,18 @@ def test_what_another_start_and_sequences_of_postures_ask_are_rows(triangle_plan
     assert row(held, "peak at rest, had it started in another posture")[-1] == "400.00"
 
 
+def test_what_is_far_above_a_loose_bound_is_compared_with_sequences_of_postures(triangle_plan: Plan) -> None:
+    """A static bound far below says little where sequences of postures ask nearly what is planned."""
+    objective = replace(triangle_plan.objective, planned_peak=172.0, floor=100.0)
+    far = replace(triangle_plan, objective=objective, choice=Choice(free=171.0, pinned=160.0))
+    both = "+72.000 % from it, +0.585 % from the least of sequences of postures (estimate)"
+    assert both in line(far, "Lower bound")
+    pinned = replace(far, options=replace(far.options, start="pinned"))
+    assert "+72.000 % from it, +7.500 % from the least" in line(pinned, "Lower bound")
+    none = replace(far, choice=Choice(free=None, pinned=None))
+    assert line(none, "Lower bound").endswith("+72.000 % from it.")
+
+
 def test_a_plan_that_asks_more_than_the_baseline_says_so(triangle_plan: Plan) -> None:
     objective = replace(triangle_plan.objective, planned_peak=1.1 * triangle_plan.objective.baseline_peak)
     said = line(replace(triangle_plan, objective=objective), "The peak is 10.00 % higher than the baseline's")
