@@ -147,15 +147,18 @@ class StanceRanking:
 
     @property
     def closest_in_time(self) -> str:
-        """The one that promises most of those that are left out by the time alone, in words; else empty."""
+        """What is left out by the time alone, in words, with the one that promises most; else empty."""
         first, screened = next(iter(self.waiting), None), self.count("screened")
-        # Where the time was over before any was known bounds are zero.
-        if first is None or not first.bound or not (self.ended_by or self.count("not judged")):
+        if first is None or not (self.ended_by or self.count("not judged")):
             return ""
+        late = (
+            f"not judged to the end for want of time: {len(self.waiting)}, {screened} of them only screened"
+        )
+        if not first.bound:
+            return late  # the time was over before any bound was known
         return (
-            f"not judged to the end for want of time: {len(self.waiting)}, {screened} of them only screened, "
-            f"closest {first.place}, by its bound {first.bound:.4g} {self.unit}; a longer --time-limit or "
-            "planner.time_limit_s, or cmbot plan of its scene, judges it"
+            f"{late}, closest {first.place}, by its bound {first.bound:.4g} {self.unit}; a longer "
+            "--time-limit or planner.time_limit_s, or cmbot plan of its scene, judges it"
         )
 
     @property
@@ -446,7 +449,7 @@ def require_planned(rankings: Sequence[StanceRanking]) -> None:
             late += f": {closest}" if (closest := ranking.closest_in_time) else ""
             strokes = f" for {', '.join(ranking.strokes)}" if len(rankings) > 1 else ""
             reasons = ranking.reasons_in_words
-            why = f", most often for: {reasons}" if reasons else ""
+            why = f"{';' if late else ','} most often for: {reasons}" if reasons else ""
             error = PlanningError(f"no stance of {len(ranking.ranked)} was planned{strokes}{late}{why}")
             for remedy in ranking.remedies:
                 error.add_hint(remedy)

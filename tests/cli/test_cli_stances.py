@@ -111,7 +111,11 @@ def test_where_nothing_is_planned_the_status_is_3_and_the_table_says_why(job: Pa
 def test_time_that_is_over_at_once(job: Path) -> None:
     outcome = run("stand", job, *COARSE, "--time-limit", "0", "-o", job.parent / "out", "--quiet")
     assert outcome.status == 3
-    assert "was planned; the time was over (--time-limit), most often for: " in outcome.err
+    said = (
+        r"planned; the time was over \(--time-limit\): not judged to the end for want of time: (\d+), \1 of "
+    )
+    assert re.search(f"{said}them only screened; ", outcome.err)
+    assert "cmbot plan" not in outcome.err
 
 
 def test_where_the_time_is_over_the_error_has_the_next_command(
