@@ -147,7 +147,7 @@ class StanceRanking:
 
     @property
     def closest_in_time(self) -> str:
-        """What is left out by the time alone, in words, with the one that promises most; else empty."""
+        """What is left out by the time alone, in words, with the first of them; else empty."""
         first, screened = next(iter(self.waiting), None), self.count("screened")
         if first is None or not (self.ended_by or self.count("not judged")):
             return ""
@@ -157,7 +157,7 @@ class StanceRanking:
         if not first.bound:
             return late  # the time was over before any bound was known
         return (
-            f"{late}, closest {first.place}, by its bound {first.bound:.4g} {self.unit}; a longer "
+            f"{late}, first {first.place}, by its bound {first.bound:.4g} {self.unit}; a longer "
             "--time-limit or planner.time_limit_s, or cmbot plan of its scene, judges it"
         )
 

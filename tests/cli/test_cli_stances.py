@@ -121,7 +121,7 @@ def test_time_that_is_over_at_once(job: Path) -> None:
 def test_where_the_time_is_over_the_error_has_the_next_command(
     job: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The screening ends in its time, nothing else: the file that is named is the closest one."""
+    """The screening ends in its time, nothing else: the file that is named is the first of them."""
     monkeypatch.setattr(
         "cmbot.stances.search.Ending.is_due", lambda ending: setattr(ending, "by", "time") or True
     )
@@ -130,8 +130,8 @@ def test_where_the_time_is_over_the_error_has_the_next_command(
     assert outcome.status == 3
     rows = [*csv.DictReader((out / "stances.csv").read_text().splitlines())]
     waiting = sum(row["status"] == "screened" for row in rows)
-    assert f"for want of time: {waiting}, {waiting} of them only screened, closest " in outcome.err
-    assert f"cmbot plan {out / 'stance_1.yaml'} judges the closest" in outcome.err
+    assert f"for want of time: {waiting}, {waiting} of them only screened, first " in outcome.err
+    assert f"cmbot plan {out / 'stance_1.yaml'} judges the first" in outcome.err
     assert cmbot.load_scene(out / "stance_1.yaml").robot == cmbot.load_scene(job).robot
 
 
