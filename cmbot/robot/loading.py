@@ -180,6 +180,8 @@ def _require_size(robot: Robot) -> None:
 
 
 def _left_alone(files: RobotFiles) -> Iterator[str]:
+    if files.tool is not None and not files.tool.shapes:
+        yield "The tool has no shapes: it is neither drawn nor kept clear of anything."
     if files.left_alone is not None:
         file, why = files.left_alone
         yield f"{file} is left alone: it is no joint-limits file of cmbot's or MoveIt's ({why})."

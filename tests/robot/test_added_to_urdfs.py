@@ -122,6 +122,9 @@ def test_a_tool_carries_its_point_mass_and_shape() -> None:
     np.testing.assert_allclose(added[0], np.cross(X_WF.act(np.array([0.15, 0, 0])), weight), atol=1e-9)
     drawn = [shape.name for shape in robot.visual_model.geometryObjects]
     assert sum(name.startswith("flange_tool") for name in drawn) == 1
+    said = [each.remarks for each in (load_robot(ARM, tool=tool(shapes=())), robot)]
+    told = "The tool has no shapes: it is neither drawn nor kept clear of anything."
+    assert [told in remarks for remarks in said] == [True, False]
 
 
 def test_a_tool_keeps_its_clearance() -> None:
