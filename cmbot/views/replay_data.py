@@ -321,9 +321,7 @@ def _at_work(plan: Plan, frames: Frames, times: FloatArray, tracking: Tracking |
 
 def _approach(plan: Plan, frames: Frames, times: FloatArray) -> dict[str, Any]:
     """Return the arms' ways to the work; each arrives when it begins, and rests before."""
-    along = plan.approach is not None and plan.approach.along_self_motion
-    label = "approach along the self-motion" if along else "approach, tool off"
-    return {"label": label, **_free_moves(plan, frames, APPROACH, times)}
+    return {"label": "approach, tool off", **_free_moves(plan, frames, APPROACH, times)}
 
 
 def _free_moves(plan: Plan, frames: Frames, name: str, times: FloatArray) -> dict[str, Any]:
