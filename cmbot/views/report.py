@@ -455,6 +455,8 @@ def promised_state(plan: Plan, tracking: Tracking | None) -> tuple[str, str]:
     """Return ``good``, ``worse`` or ``bad``, and whether promises are kept and what they leave out."""
     kept = all(check.holds for _, check in plan.job.checks())
     left = [] if tracking is None else [beyond_margin(plan, tracking)]
+    if plan.accuracy is not None and plan.accuracy.tolerance_kept is False:
+        left.append("The tolerance of the tool is not kept.")
     if missing := left_out(plan):
         left.append(f"Of the surface {missing}.")
     first = " ".join(filter(None, [promises(plan), *left]))

@@ -76,6 +76,15 @@ def test_the_banner_tells_what_of_a_raster_is_not_reached(triangle_plan: Plan) -
     assert banner.count("not reached") == 1
 
 
+def test_the_banner_is_no_longer_green_where_a_tolerance_is_not_kept(triangle_plan: Plan) -> None:
+    plan = replace(triangle_plan)
+    plan.__dict__["accuracy"] = replace(triangle_plan.accuracy, tolerance_kept=False, tolerance_share=0.7)
+    told = (
+        r'<p class="verdict worse"><b>Every promise is kept: \d+ checks hold at all times. The tolerance of'
+    )
+    assert re.search(told, report_page(plan))
+
+
 def test_it_is_written_whole_or_not_at_all(
     triangle_plan: Plan, short_plan: Plan, triangle_tracking: Tracking, tmp_path: Path
 ) -> None:
