@@ -189,11 +189,10 @@ def _lighter_start(trial: Trial[Attempt, StrokeMotion]) -> Iterator[Attempt]:
     request.reporter.step("the peak is on the approach; trying the scene's posture")
     if attempt.timing is not None and not attempt.timing.request.task.path.open_legs:
         # Laws were chosen for another joint path.
-        request = attempt.timing.request
-    stays = attempted(request, lambda: sliding_guess(request, search=guess.search, stay=True))
+        attempt = replace(attempt, request=attempt.timing.request, timing=None)
+    stays = attempted(request, lambda: sliding_guess(attempt.request, search=attempt.search, stay=True))
     if isinstance(stays, InitialGuess):
-        timing = attempt.timing if request is attempt.request else None
-        yield replace(attempt, request=request, guess=stays, timing=timing, is_first=False).quiet()
+        yield replace(attempt, guess=stays, is_first=False).quiet()
 
 
 def _tell_lighter(before: Trial[Attempt, StrokeMotion], after: Trial[Attempt, StrokeMotion]) -> str:
