@@ -16,7 +16,8 @@ from cmbot.planning.certification.certificate import Certificate
 from cmbot.planning.certification.check import Check
 from cmbot.planning.certification.metrics import LimitUse, MotionMetrics
 from cmbot.planning.task import ToolTask
-from cmbot.trajectory import QuinticTrajectory
+from cmbot.scene import StrokeFile
+from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
 APPROACH, RETURN = "approach", "return"
 """Names of the free move to the first stroke and of the way back."""
@@ -80,6 +81,17 @@ class Segment:
     def figures(self) -> MotionMetrics:
         """Its figures, as certified."""
         return self.certificate.figures
+
+    def unshaped(self, file: StrokeFile) -> QuinticTrajectory | None:
+        """Return a quiet stroke's joint path by the law of its profile alone; None if no law was chosen."""
+        if file.is_open or not file.time_laws:
+            return None
+        path, legs = self.task.path, {law.leg for law in file.time_laws}
+        plain = path.with_law(file.speed_profile.law, legs)
+        leg, share = path.leg_shares(self.trajectory.t)
+        times = np.array([plain.times_at(int(k), s[None])[0] for k, s in zip(leg, share, strict=True)])
+        space = SplineSpace(times)
+        return space.trajectory(space.least_jerk(self.trajectory.q))
 
 
 class Timed(Protocol):

@@ -49,8 +49,6 @@ class Attempt:
         Of legs whose shortest time is sought, or whose laws were chosen.
     more_time : MoreTime, optional
         What more seconds would give on a short leg.
-    unshaped : float, optional
-        Where laws were chosen: sway and swing together of the optimised motion by the scene's own, m.
     plain : bool
         The legs keep the scene's laws.
     """
@@ -61,7 +59,6 @@ class Attempt:
     kept: float = 1.0
     timing: Timing | None = None
     more_time: MoreTime | None = None
-    unshaped: float | None = None
     plain: bool = False
 
     @classmethod
@@ -114,8 +111,7 @@ class Attempt:
         if not isinstance(timed, Attempt) or not isinstance(timed.guess, InitialGuess):
             return own
         shaped = timed.guess.problem.parametrization.trajectory
-        most = sum(request.cell.sway_of(unshaped))
-        return own if request.cell.sway_of(shaped)[0] > most else replace(timed, unshaped=most)
+        return own if request.cell.sway_of(shaped)[0] > sum(request.cell.sway_of(unshaped)) else timed
 
     def in_timing(self, timing: Timing) -> Attempt | Failure:
         """Return the attempt in a timing, from the via-points of its joint path.

@@ -76,9 +76,7 @@ def plan_stroke(
         trial = searched_motion(quiet, budget)
         if isinstance(trial.outcome, Solved) or budget.left == 0:
             break
-    # Laws that were chosen may lead to no motion, or to one that sways more than by the scene's own.
-    unshaped = trial.attempt.unshaped
-    if quiet.unshaped is not None and unshaped is not None and _sway(trial) > unshaped and budget.left > 0:
+    if quiet.timing is not None and _sways_more(trial) and budget.left > 0:
         trial = min(searched_motion(replace(start, plain=True), budget), trial, key=_sway)
     trial = replace(trial, attempt=replace(trial.attempt, more_time=quiet.more_time))
     return PlannedStroke(trial=trial, runs=budget.used)
@@ -114,6 +112,17 @@ def _sway(trial: Trial[Attempt, StrokeMotion]) -> float:
         return np.inf
     optimised, cell = trial.result.optimised, trial.attempt.request.cell
     return sum(optimised.sway or cell.sway_of(optimised.trajectory))
+
+
+def _sways_more(trial: Trial[Attempt, StrokeMotion]) -> bool:
+    """Whether laws that were chosen lead to no motion, or to one that sways more than by the scene's own.
+
+    On the joint path that it ends with: a remedy may have changed that from the one they were chosen along.
+    """
+    if not isinstance(trial.outcome, Solved):
+        return True
+    unshaped = trial.result.work.unshaped(trial.attempt.request.stroke.file)
+    return unshaped is not None and _sway(trial) > sum(trial.attempt.request.cell.sway_of(unshaped))
 
 
 def searched_motion(first: Attempt, budget: Budget) -> Trial[Attempt, StrokeMotion]:

@@ -42,9 +42,9 @@ from cmbot.planning.task import ToolTask
 from cmbot.planning.workcell.stiffness import covariance_of
 from cmbot.planning.workcell.workcell import bending_arm, sag_of
 from cmbot.robot import Kinematics, Robot
-from cmbot.scene import WORK, PlannerOptions, Scene, StrokeFile, coverage_of, pieces_left_out, rows_alone
+from cmbot.scene import WORK, PlannerOptions, Scene, coverage_of, pieces_left_out, rows_alone
 from cmbot.toolpath import Coverage
-from cmbot.trajectory import QuinticTrajectory, SplineSpace, sample_step
+from cmbot.trajectory import QuinticTrajectory, sample_step
 
 if TYPE_CHECKING:
     from cmbot.planning.result.rows import Row
@@ -245,7 +245,7 @@ class Plan(StrokePlan):
         if arm is None:
             return None
         files = self.scene.strokes
-        unshaped = [_unshaped(file, segment) for file, segment in zip(files, self.job.strokes, strict=True)]
+        unshaped = [segment.unshaped(file) for file, segment in zip(files, self.job.strokes, strict=True)]
         share = self.options.quiet_stiffness_share
         try:
             plain = [None if each is None else stroke_sway(arm, each, share) for each in unshaped]
@@ -507,15 +507,3 @@ def work_of(robot: Robot, trajectory: QuinticTrajectory, path: WorkPath) -> Work
         commanded=lambda t: tool(t)[0],
         rotation=lambda t: tool(t)[1],
     )
-
-
-def _unshaped(file: StrokeFile, stroke: Segment) -> QuinticTrajectory | None:
-    """The joint path of a quiet stroke by the law of its profile alone; None where no law was chosen."""
-    if file.is_open or not file.time_laws:
-        return None
-    path, legs = stroke.task.path, {law.leg for law in file.time_laws}
-    plain = path.with_law(file.speed_profile.law, legs)
-    leg, share = path.leg_shares(stroke.trajectory.t)
-    times = np.array([plain.times_at(int(k), s[None])[0] for k, s in zip(leg, share, strict=True)])
-    space = SplineSpace(times)
-    return space.trajectory(space.least_jerk(stroke.trajectory.q))
