@@ -13,8 +13,9 @@ from cmbot.planning.request import StrokeRequest
 from cmbot.toolpath import LegLaw
 from cmbot.trajectory import QuinticTrajectory
 
-# Legs of so few periods of the slowest mode are short; via-points of strokes with such legs, and at most.
-_SHORT_LEG_PERIODS, _VIA_POINTS_PER_PERIOD, _MOST_ON_SHORT_LEGS = 6.0, 4, 100
+# Legs of so few periods of the slowest mode are short. Via-points of quiet strokes, where these are no more
+# than so many; strokes with short legs have so many at most.
+_SHORT_LEG_PERIODS, _VIA_POINTS_PER_PERIOD, _MOST_FOR_PERIODS = 6.0, 4, 100
 
 if TYPE_CHECKING:
     # It loads SciPy's splines, which only times that are sought need.
@@ -100,22 +101,20 @@ class Timing:
 
 
 def with_enough_via_points(request: StrokeRequest) -> StrokeRequest:
-    """Return the request of a quiet stroke with more via-points, if splines follow its short legs by that.
+    """Return the request of a quiet stroke with more via-points, if splines follow its laws by that.
 
     Between fewer than four a period of the slowest mode the motion is what the optimum makes of it, not what
     the law asks for: that swings up to five times as much.
     """
-    path, file = request.task.path, request.stroke.file
-    is_chosen = file.speed_profile.kind == "quiet" and not (file.time_laws or path.open_legs)
-    if not is_chosen or request.cell.options.knots == "fixed":
+    path, file, is_fixed = request.task.path, request.stroke.file, request.cell.options.knots == "fixed"
+    is_chosen = file.speed_profile.kind == "quiet" and not (file.time_laws or path.open_legs or is_fixed)
+    if not is_chosen or (frequency := request.cell.lowest_frequency(request.first)) is None:
         return request
-    frequency = request.cell.lowest_frequency(request.first)
-    if frequency is None or not any(
-        leg.curve.length > 0 and leg.seconds * frequency <= _SHORT_LEG_PERIODS for leg in path.segments
-    ):
+    number = 1 + int(np.ceil(_VIA_POINTS_PER_PERIOD * frequency * path.duration))
+    shortest = min((leg.seconds for leg in path.segments if leg.curve.length > 0), default=np.inf)
+    if number > _MOST_FOR_PERIODS and shortest * frequency > _SHORT_LEG_PERIODS:
         return request
-    number = min(1 + int(np.ceil(_VIA_POINTS_PER_PERIOD * frequency * path.duration)), _MOST_ON_SHORT_LEGS)
-    return replace(request, times=path.via_times(max(number, len(request.times))))
+    return replace(request, times=path.via_times(max(min(number, _MOST_FOR_PERIODS), len(request.times))))
 
 
 def in_time(request: StrokeRequest, laws: Sequence[LegLaw]) -> StrokeRequest:
