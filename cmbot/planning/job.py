@@ -86,9 +86,8 @@ class Segment:
         """Return a quiet stroke's joint path by the law of its profile alone; None if no law was chosen."""
         if file.is_open or not file.time_laws:
             return None
-        path, legs = self.task.path, {law.leg for law in file.time_laws}
-        plain = path.with_law(file.speed_profile.law, legs)
-        leg, share = path.leg_shares(self.trajectory.t)
+        plain = self.task.path.with_law(file.speed_profile.law, {law.leg for law in file.time_laws})
+        leg, share = self.task.path.leg_shares(self.trajectory.t)
         times = np.array([plain.times_at(int(k), s[None])[0] for k, s in zip(leg, share, strict=True)])
         space = SplineSpace(times)
         return space.trajectory(space.least_jerk(self.trajectory.q))

@@ -22,6 +22,9 @@ from cmbot.planning.timing.timing import with_enough_via_points
 from cmbot.scene import Stroke
 from cmbot.trajectory import QuinticTrajectory
 
+# A motion sways more than another where it does so by this factor: less is worth no second search.
+_MORE = 1.1
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlannedStroke:
@@ -122,7 +125,7 @@ def _sways_more(trial: Trial[Attempt, StrokeMotion]) -> bool:
     if not isinstance(trial.outcome, Solved):
         return True
     unshaped = trial.result.work.unshaped(trial.attempt.request.stroke.file)
-    return unshaped is not None and _sway(trial) > sum(trial.attempt.request.cell.sway_of(unshaped))
+    return unshaped is not None and _sway(trial) > _MORE * sum(trial.attempt.request.cell.sway_of(unshaped))
 
 
 def searched_motion(first: Attempt, budget: Budget) -> Trial[Attempt, StrokeMotion]:
