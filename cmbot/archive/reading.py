@@ -52,6 +52,7 @@ from cmbot.planning import (
     measure,
     objective_metrics,
     objective_of,
+    require_tool_speed,
     resolved_options,
     robot_of,
     sag_of,
@@ -185,6 +186,8 @@ def read_plan(
     require_same(data, again, str(source), "")
     if not verify:
         return plan, ()
+    for stroke in strokes_of(scene, robot):
+        require_tool_speed(scene, stroke)
     if asked is not None:
         require_done(plan, asked, promised, str(source))
     plan = _verified(plan, clearances, again, str(source))

@@ -43,6 +43,7 @@ from cmbot.planning.precheck import (
     Precheck as Precheck,
     precheck_options as precheck_options,
     precheck_scene as precheck_scene,
+    require_tool_speed as require_tool_speed,
 )
 from cmbot.planning.progress import Progress as Progress, ProgressReporter as ProgressReporter
 from cmbot.planning.request import (

@@ -99,6 +99,20 @@ def test_what_checks_are_bounded_by_is_what_the_options_promise(short_folder: Pa
     assert ".bound: got 0.0002, expected" in refusal("verify", short_folder)
 
 
+def test_a_path_that_is_quicker_than_the_tool_may_be(tmp_path: Path) -> None:
+    """Of the arm's tool the certificate allows 5 % more than of its path."""
+    made = plan(short_scene(tool={"max_speed_m_s": 1.0}), progress=False)
+    path = made.task.path
+    fastest = float(np.linalg.norm(path.velocity(np.linspace(0, path.duration, 1001)), axis=1).max())
+
+    def slower(data: dict[str, Any]) -> None:
+        data["scene"]["tool"]["max_speed_m_s"] = fastest / 1.02
+        data["hashes"]["scene"] = Scene.of(data["scene"], "plan.json", tmp_path).content_hash
+
+    edit(save(made, tmp_path / "plan"), slower)
+    assert ", for tool.max_speed_m_s " in refusal("verify", tmp_path / "plan")
+
+
 def test_a_stricter_promise_was_asked(short_folder: Path) -> None:
     stricter = replace(load_scene(SHORT).planner, safety_margin_m=0.03)
     with pytest.raises(ArchiveError, match=r"safety_margin_m 0.02 \(asked 0.03\)"):
@@ -610,7 +624,7 @@ def test_a_walk_that_was_asked_for(walked: Path, tmp_path: Path) -> None:
     to = write_scene(tmp_path / "there.yaml", there)
     data = json.loads(output("verify", walked, "--scene", scene, "--to", to, "--json"))
     assert not data["looser"]
-    assert data["not_verified"] == ["version, times of checks, that no move is shorter"]
+    assert data["not_verified"] == ["version, times of checks, that no way is shorter or has fewer steps"]
     assert "goal: got another stance or posture" in refusal("verify", walked, "--to", scene)
     there["robot"]["payload_kg"] = 3.0
     other = write_scene(tmp_path / "other.yaml", there)

@@ -31,6 +31,7 @@ from cmbot.stances.walking import Walk, WalkOptions, goal_stance, second_opinion
 # Stances and postures are the same but for so much.
 _STANCE_TOLERANCE = 1e-6
 _WALK_TABLE = "walk.csv"
+_COMPENSATION = "compensation (that via-points are nearer than planner.max_tool_deviation_m)"
 # What a scene says beside the world in which the robot works.
 _OF_THE_WORK = {"format", "name", "tool_path", "planner", "start"}
 
@@ -257,7 +258,7 @@ def _require_goal(walk: Walk, goal: Scene | StanceFile, source: str) -> None:
 def _walk_files(folder: Path, walk: Walk) -> tuple[str, ...]:
     """Compare the table of a walk with its knots; return what else is there."""
     told = (
-        "version, times of checks, that no move is shorter",
+        "version, times of checks, that no way is shorter or has fewer steps",
         *_others(folder, WALK_FILE, [_WALK_TABLE]),
     )
     if not (table := folder / _WALK_TABLE).exists():
@@ -285,9 +286,9 @@ def _claims(plan: Plan, asked: Scene | None) -> Iterator[str]:
         yield "baseline (that its motion and its jerk are those that it is compared with)"
     if plan.torque_floor is not None:
         yield f"torque_floor ({plan.torque_floor:.6g} Nm, {plan.torque_floor_kind}), gap_to_floor"
-    for name in ("lower_bound", "choice", "compensation"):
+    for name, key in (("lower_bound", "floor"), ("choice", "choice"), ("compensation", _COMPENSATION)):
         if any(getattr(stroke, name) is not None for stroke in plan.strokes):
-            yield name.replace("lower_bound", "floor")
+            yield key
     for name, coverage in plan.coverage.items():
         if coverage.left_out or coverage.unreached:
             share = f"{100 * coverage.left_out / coverage.area:.2g} % of it"
