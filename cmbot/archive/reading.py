@@ -186,8 +186,6 @@ def read_plan(
     require_same(data, again, str(source), "")
     if not verify:
         return plan, ()
-    for stroke in strokes_of(scene, robot):
-        require_tool_speed(scene, stroke)
     if asked is not None:
         require_done(plan, asked, promised, str(source))
     plan = _verified(plan, clearances, again, str(source))
@@ -242,6 +240,8 @@ class _Parts:
         what = "the scene in this file or the meshes that it names have changed since"
         self._require_hash("scene", self.scene.content_hash, what)
         self._strokes = strokes_of(self.scene, robot)
+        for stroke in self._strokes:
+            require_tool_speed(self.scene, stroke)
         self._tasks = [task_of(stroke, self.scene) for stroke in self._strokes]
 
     def _require_hash(self, name: str, got: str, what: str) -> None:
