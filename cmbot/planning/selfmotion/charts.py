@@ -31,7 +31,7 @@ class Chart:
 
     q: FloatArray  # (M, n), rad and m
     value: FloatArray  # (M,), the objective at rest
-    joint_use: FloatArray  # (M,), largest share of their bounds that joints and feet use at rest
+    joint_use: FloatArray  # (M,), largest share of their bounds used at rest; may be less where it is below 1
     within: BoolArray  # (M,), which lie within the joint ranges; the others only connect them
 
 
@@ -43,7 +43,7 @@ def charts_of(cell: Workcell, each: Sequence[FloatArray]) -> list[Chart]:
         q = np.vstack(some)
         at = cell.postures.at(q)
         value = cell.objective.at_rest(at)
-        use = cell.use_at_rest(at)
+        use = cell.use_at_rest(at, 1.0)
         within = limits.contain(q)
         ends = np.cumsum([0, *(len(part) for part in some)])
         charts += [

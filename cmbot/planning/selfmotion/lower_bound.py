@@ -316,7 +316,7 @@ class _BranchAndBound:
 
     def _lowered(self, q: FloatArray, k: int, best: FloatArray, postures: FloatArray) -> FloatArray:
         """Values `best` (s,), that of `k` lowered to what admissible postures (N, d) have."""
-        value, _ = self._measured(q)
+        value = self._cell.objective.at_rest(self._cell.postures.at(q))
         better = np.flatnonzero(value < best[k])
         better = better[np.argsort(value[better], kind="stable")]
         best, first, count = best.copy(), 0, 4
@@ -362,7 +362,8 @@ class _BranchAndBound:
         shifts = 0.5 * cells.half[:, :, None] * cells.edges
         around = np.stack([cells.q[:, None] + shifts, cells.q[:, None] - shifts], axis=2).reshape(-1, n)
         placed, reached = self._placed(around, np.repeat(cells.of, 2 * d))
-        value, use = self._measured(np.concatenate([cells.q, placed]))
+        at = self._cell.postures.at(np.concatenate([cells.q, placed]))
+        value, use = self._cell.objective.at_rest(at), self._cell.use_at_rest(at)
         centre, centre_use = value[:N], use[:N]
         # A sample outside the workspace counts as the centre of its cell.
         beside = np.where(reached, value[N:], np.repeat(centre, 2 * d)).reshape(N, d, 2)
@@ -380,12 +381,6 @@ class _BranchAndBound:
         extent = np.einsum("kd,kdn->kn", cells.half, np.abs(cells.edges))
         inside = (cells.q + extent >= limits.lower) & (cells.q - extent <= limits.upper)
         return np.asarray(inside.all(axis=1))
-
-    def _measured(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Objective at rest and largest share of a joint torque's bound, (N,) each."""
-        at = self._cell.postures.at(q)
-        use = self._cell.use_at_rest(at)
-        return self._cell.objective.at_rest(at), use
 
     def _checked(
         self, cells: _Cells, value: FloatArray, best: FloatArray, postures: FloatArray
@@ -411,7 +406,7 @@ class _BranchAndBound:
     def _admissible_but_for_clearance(self, q: FloatArray, of: IntArray) -> BoolArray:
         """Which postures keep to joint ranges, joint torques and the cone of the tool's axis."""
         holds = self._cell.robot.limits.contain(q) & (self._beyond_cone(q, of) <= 0.0)
-        holds[holds] = self._measured(q[holds])[1] <= 1.0
+        holds[holds] = self._cell.use_at_rest(self._cell.postures.at(q[holds]), 1.0) <= 1.0
         return np.asarray(holds)
 
     def _beyond_cone(self, q: FloatArray, of: IntArray) -> FloatArray:

@@ -102,7 +102,7 @@ class Workcell:
         Strong enough are those in which joints and feet use at most a share of their bounds at rest.
         """
         holds = self.robot.limits.contain(q)
-        holds[holds] = self.use_at_rest(self.postures.at(q[holds])) <= most_use
+        holds[holds] = self.use_at_rest(self.postures.at(q[holds]), most_use) <= most_use
         holds[holds] = self.clear(q[holds])
         return holds
 
@@ -131,15 +131,18 @@ class Workcell:
         except TooSoftError:
             return None
 
-    def use_at_rest(self, at: PostureBatch) -> FloatArray:
-        """Return the largest shares (N,) of their bounds that joints and feet use at rest in N postures."""
+    def use_at_rest(self, at: PostureBatch, above: float = 0.0) -> FloatArray:
+        """Return the largest shares (N,) of their bounds that joints and feet use at rest in N postures.
+
+        What is not above a share may be given lower: friction of feet is then looked at there alone.
+        """
         robot, wrench = self.robot, np.hstack([at.guardrail_force, at.guardrail_torque])
         use = (np.abs(at.joint_torque) / robot.limits.torque).max(axis=1)
         use = np.maximum(use, robot.holding_use(wrench).max(axis=1, initial=0.0))
         holding = robot.holding
         if holding is None or not holding.bounded:
             return np.asarray(use)
-        return np.asarray(np.maximum(use, holding.share(wrench, use)[0]))
+        return np.asarray(np.maximum(use, holding.share(wrench, np.maximum(use, above))[0]))
 
 
 def build_workcell(scene: Scene, options: PlannerOptions, own: WrenchFunction | None = None) -> Workcell:
