@@ -89,8 +89,8 @@ class HoldFile(FileModel):
     safety: Annotated[float, Field(ge=1, le=100)] = 2.0
     """Safety factor on the load of the foot, or on the adhesion that it needs."""
     adhesion_n: Load | None = None
-    """Of each magnet: the pull that takes it off, N, with this paint, on thick steel or, without `derating`, on
-    this one; see docs/hold.md."""
+    """Of each magnet: the pull that takes it off, N, with this paint, on thick steel or, without `derating`,
+    on this one; see docs/hold.md."""
     gap: Gap = "allowed"
     """Whether a plate may lift at one side, until it tips, or no gap may open, as a magnet may need it."""
     derating: Annotated[tuple[Derated, ...], Field(min_length=1, max_length=100)] | None = None
