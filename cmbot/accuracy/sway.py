@@ -61,6 +61,7 @@ def sway_along(
     duration: float,
     damping: float,
     factors: Sequence[float] = (1.0,),
+    steps: int = _STEPS_PER_PERIOD,
 ) -> Sway:
     """Return the sway of an arm's tool along a motion that begins and ends at rest.
 
@@ -74,6 +75,8 @@ def sway_along(
         Ratio of every mode.
     factors : sequence of float
         F factors on all stiffness.
+    steps : int
+        Of time, for each period of the slowest mode: motions whose acceleration jumps need twice as many.
     """
     count = int(np.clip(np.ceil(duration / _MAX_MATRIX_INTERVAL_S), 4, _MAX_MATRIX_POSTURES))
     knots = np.linspace(0.0, duration, count + 1)
@@ -82,8 +85,8 @@ def sway_along(
     modes = arm_modes(arm, q[count // 2])
     D = modes.damping(damping) + arm.damping
     period = 1.0 / float(modes.frequencies[0])
-    steps = int(np.clip(np.ceil(duration / period * _STEPS_PER_PERIOD), 2 * count, _MAX_TIME_STEPS))
-    t = np.linspace(0.0, duration, steps + 1)
+    number = int(np.clip(np.ceil(duration / period * steps), 2 * count, _MAX_TIME_STEPS))
+    t = np.linspace(0.0, duration, number + 1)
     # By the implicit function theorem on the balance of springs and loads.
     du = -np.einsum("kij,kj->ki", np.linalg.solve(at.stiffness, at.weight), motion(knots, 1))
     still = QuinticTrajectory(t=knots, q=at.u, v=du, a=np.gradient(du, knots, axis=0))
@@ -113,7 +116,9 @@ def sway_along(
     return Sway(t=t, tool=tool.transpose(1, 0, 2))
 
 
-def stroke_sway(arm: ElasticArm, trajectory: QuinticTrajectory, share: float) -> Sway:
+def stroke_sway(
+    arm: ElasticArm, trajectory: QuinticTrajectory, share: float, steps: int = _STEPS_PER_PERIOD
+) -> Sway:
     """Return the sway along a stroke, and for `SETTLE_S` after it, from its begin.
 
     Parameters
@@ -122,6 +127,8 @@ def stroke_sway(arm: ElasticArm, trajectory: QuinticTrajectory, share: float) ->
     trajectory : QuinticTrajectory
     share : float
         By which all stiffness is less, as stated, and more.
+    steps : int
+        As of `sway_along`.
     """
     begin, end = trajectory.t[0], trajectory.t[-1]
 
@@ -132,7 +139,7 @@ def stroke_sway(arm: ElasticArm, trajectory: QuinticTrajectory, share: float) ->
         return x
 
     factors, damping = (1 - share, 1.0, 1 + share), arm.robot.damping_ratio
-    return sway_along(arm, motion, float(end - begin) + SETTLE_S, damping, factors)
+    return sway_along(arm, motion, float(end - begin) + SETTLE_S, damping, factors, steps)
 
 
 def require_bearing(stiffness: FloatArray, factors: Sequence[float]) -> None:

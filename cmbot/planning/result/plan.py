@@ -35,7 +35,7 @@ from cmbot.planning.certification.metrics import MotionMetrics, Samples, measure
 from cmbot.planning.certification.sag_spread import across_path, spread_times
 from cmbot.planning.job import APPROACH, Job, Segment
 from cmbot.planning.request import end_posture_of, strokes_of
-from cmbot.planning.result.baseline import Baseline, baseline_of, joined_samples
+from cmbot.planning.result.baseline import Baseline, BaselineSegment, baseline_of, joined_samples
 from cmbot.planning.result.holding import emergency_stop
 from cmbot.planning.result.stroke_plan import StrokePlan, baseline_task, combined
 from cmbot.planning.task import ToolTask
@@ -48,6 +48,9 @@ from cmbot.trajectory import QuinticTrajectory, sample_step
 
 if TYPE_CHECKING:
     from cmbot.planning.result.rows import Row
+
+# Steps of time in a period for what the baseline's sway is: its acceleration may jump.
+_BASELINE_STEPS = 48
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -252,6 +255,19 @@ class Plan(StrokePlan):
             return quietness_of(share, self._swaying(arm, share), plain)
         except TooSoftError:
             return None
+
+    @cached_property
+    def baseline_sway(self) -> tuple[float, float] | None:
+        """Largest sway at work, and swing after it, of the baseline, m; None without one, or as of `sway`."""
+        arm, baseline = bending_arm(self.scene, self.robot), self.baseline
+        if arm is None or baseline is None:
+            return None
+        share, motions = self.options.quiet_stiffness_share, map(_through, baseline.strokes)
+        try:
+            each = [stroke_sway(arm, motion, share, _BASELINE_STEPS).largest for motion in motions]
+        except TooSoftError:
+            return None
+        return max(sway for sway, _ in each), max(swing for _, swing in each)
 
     @property
     def approach_samples(self) -> Samples | None:
@@ -507,3 +523,13 @@ def work_of(robot: Robot, trajectory: QuinticTrajectory, path: WorkPath) -> Work
         commanded=lambda t: tool(t)[0],
         rotation=lambda t: tool(t)[1],
     )
+
+
+def _through(segment: BaselineSegment) -> QuinticTrajectory:
+    """The clamped cubic spline through positions; the paper's rates are means over Euler's steps."""
+    # It is slow to import.
+    from scipy.interpolate import CubicSpline
+
+    t, q = segment.samples.t, segment.samples.q
+    curve = CubicSpline(t, q, bc_type="clamped")
+    return QuinticTrajectory(t=t, q=q, v=curve(t, 1), a=curve(t, 2))

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from plan_folders import changed, with_baseline
+from scipy.spatial.distance import pdist
 from small_scenes import short_scene
 
 from cmbot.accuracy import stroke_sway
@@ -193,6 +194,17 @@ def test_the_largest_swing_of_all_strokes_is_told(strokes_plan: Plan) -> None:
     share = strokes_plan.options.quiet_stiffness_share
     swings = [stroke_sway(arm, each.trajectory, share).largest[1] for each in strokes_plan.job.strokes]
     assert row(strokes_plan, "tool swings after the stop")[-1] == f"{1e3 * max(swings):.3f}"
+
+
+def test_the_baseline_sways_as_it_does_simulated(triangle_plan: Plan, triangle_tracking: Tracking) -> None:
+    alike = replace(triangle_plan, options=replace(triangle_plan.options, quiet_stiffness_share=0.0))
+    simulated = triangle_tracking.baseline
+    moving = np.linalg.norm(simulated.dynamic[simulated.t < simulated.stop], axis=1).max()
+    swinging = pdist(simulated.dynamic[simulated.t >= simulated.stop - 1e-9]).max()
+    np.testing.assert_allclose(alike.baseline_sway, (moving, swinging), rtol=0.1)
+    told = [row(triangle_plan, name)[-2] for name in ("largest sway at work", "tool swings after the stop")]
+    assert told == [f"{1e3 * each:.3f}" for each in triangle_plan.baseline_sway]
+    assert replace(triangle_plan, baseline=None).baseline_sway is None
 
 
 @pytest.mark.parametrize("name", ["triangle_plan", "strokes_plan", "returning_plan", "short_plan"])
