@@ -49,7 +49,7 @@ def test_what_was_written_is_read_and_holds(walked: Path) -> None:
     assert (part.name, part.begin, part.motion.seconds) == ("walk_1", 0.0, one_step().seconds)
     data = json.loads(output("verify", walked, "--json"))
     assert {motion["part"] for motion in data["motions"]} == {"walk_1"}
-    assert "version, words" in data["not_verified"]
+    assert "version, words, where its work begins" in data["not_verified"]
 
 
 @pytest.mark.parametrize(

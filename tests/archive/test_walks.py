@@ -124,6 +124,10 @@ CHANGES: list[tuple[Callable[[dict[str, Any]], object], str]] = [
     (lambda d: moved(d["steps"][0]["moves"][0], 0.0, 0.004), "moves[0].knots: got a lift of the foot along"),
     (lambda d: moved(d["steps"][0]["moves"][0], 0.05, 0.004), "moves[0].knots: got a lift of the foot along"),
     (lambda d: moved(d["steps"][0]["moves"][0], 0.05, 5e-4), "moves[0].knots: got a lift of the foot along"),
+    (
+        lambda d: moved(d["steps"][0]["moves"][0], 0.05, 0.0),
+        "moves[0].knots: got a lift by 50.0 mm, expected 60",
+    ),
     (lambda d: moved(d["steps"][0]["moves"][0], 0.08, 0.0), "moves[0].knots: got a lift by 80.0 mm"),
     (lambda d: moved(d["steps"][0]["moves"][0], 0.05, 0.0, 4.0), "moves[0].knots: got a lift of the foot al"),
     (lambda d: d["steps"][0]["moves"].pop(0), "steps[0].moves: got swing, set, expected"),

@@ -11,7 +11,7 @@ import coal
 import numpy as np
 import pytest
 
-from cmbot.archive import load_plan, save
+from cmbot.archive import Asked, load_plan, save, verified_motions
 from cmbot.collision import Box, Clearances, Obstacle, PointDistances
 from cmbot.collision.shapes import without_tip
 from cmbot.common.errors import ArchiveError, PathNotFound
@@ -109,7 +109,8 @@ def test_only_a_tool_that_may_touch_is_planned_on_a_board(tmp_path: Path) -> Non
     (check,) = [each for each in made.certificate.checks if each.quantity.endswith("from board")]
     assert 0.02 <= check.value <= 0.03
     save(made, tmp_path)
-    load_plan(tmp_path, verify=True, scene=asked)
+    told = verified_motions(tmp_path, Asked(scenes=(asked,))).not_verified
+    assert "tool.contact_mm (how far the tip enters a workpiece)" in told
     with pytest.raises(ArchiveError, match="contact_mm"):
         load_plan(tmp_path, verify=True, scene=touching_scene(25.0))
     with pytest.raises(PathNotFound, match="of board, the safety margin is"):

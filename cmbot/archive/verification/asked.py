@@ -175,8 +175,9 @@ def require_done(plan: Plan, asked: Scene, options: PlannerOptions, source: str)
     ------
     ArchiveError
     """
-    moved = plan.strokes[0].start.moved
-    if options.start == "pinned" and moved and not asked.begins_elsewhere:
+    # A bent arm begins near the posture of the rigid one.
+    moved, most = plan.strokes[0].start.moved, 0.0 if plan.sag is None else _MOST_ASIDE_BENT
+    if options.start == "pinned" and moved > most and not asked.begins_elsewhere:
         got = f"a start {moved:.3g} rad (or m) from the scene's posture"
         raise ArchiveError(source, "start", got, "that posture, as planner.start: pinned asks")
     own = plan.coverage

@@ -31,7 +31,7 @@ from cmbot.stances.walking import Walk, WalkOptions, goal_stance, second_opinion
 # Stances and postures are the same but for so much.
 _STANCE_TOLERANCE = 1e-6
 _WALK_TABLE = "walk.csv"
-_COMPENSATION = "compensation (that via-points are nearer than planner.max_tool_deviation_m)"
+_COMPENSATION = "compensation (its figures; that via-points are nearer than planner.max_tool_deviation_m)"
 # What a scene says beside the world in which the robot works.
 _OF_THE_WORK = {"format", "name", "tool_path", "planner", "start"}
 
@@ -154,7 +154,7 @@ def _verified_tour(folder: Path, asked: Asked) -> Verdict:
             raise ArchiveError(str(folder / TOUR_FILE), "parts", parts[-1].name, "a walk to the goal at last")
         _require_goal(last, asked.goal, str(folder / parts[-1].name / WALK_FILE))
     beside = _others(folder, TOUR_FILE, [part.name for part in parts])
-    verdicts.append(Verdict(not_verified=("version, words", *beside)))
+    verdicts.append(Verdict(not_verified=("version, words, where its work begins", *beside)))
     each = {
         name: tuple(dict.fromkeys(chain(*(getattr(verdict, name) for verdict in verdicts))))
         for name in vars(verdicts[0])
@@ -297,6 +297,10 @@ def _claims(plan: Plan, asked: Scene | None) -> Iterator[str]:
         yield "seconds: auto (that no time is shorter)"
     if any(stroke.speed_profile.kind == "quiet" for stroke in plan.scene.strokes):
         yield "speed_profile: quiet (that no other law sways less)"
+    if plan.objective.own:
+        yield "objective (a function in Python)"
+    if plan.scene.tool.contact_mm:
+        yield "tool.contact_mm (how far the tip enters a workpiece)"
     if asked is not None and asked.order == "best":
         yield "tool_path.order (that no other is better)"
     if any(len(segment.task.path.segments) > 1 for segment in plan.job.strokes):
