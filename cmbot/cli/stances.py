@@ -201,7 +201,8 @@ def _require_planned(rankings: Sequence[StanceRanking], directory: Path) -> None
     try:
         cmbot.stances.require_planned(rankings)
     except PlanningError as error:
-        if len(rankings) == 1 and ", first " in rankings[0].closest_in_time:
+        one = rankings[0]
+        if len(rankings) == 1 and one.closest_in_time and next(iter(one.waiting)).bound:
             error.add_hint(f"cmbot plan {one_line(directory / 'stance_1.yaml')} judges the first")
         error.add_hint(f"{one_line(directory / _STANCE_FILES[0])} has the reason of each")
         raise
