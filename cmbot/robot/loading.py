@@ -179,7 +179,7 @@ def _require_size(robot: Robot) -> None:
             raise ModelError(str(robot.urdf), f"link[{link}].collision", got, expected)
 
 
-def _left_alone(files: RobotFiles) -> Iterator[str]:
+def _remarks(files: RobotFiles) -> Iterator[str]:
     if files.tool is not None and not files.tool.shapes:
         yield "The tool has no shapes: it is neither drawn nor kept clear of anything."
     if files.left_alone is not None:
@@ -263,10 +263,10 @@ class _Description:
         attach_payload(arm, placement.carrier, payload)
         self._require_mass(arm)
         limited, assumed = joint_limits(arm, files.urdf, files.limits)
-        bends, joints = Elasticity({}, {}, {}), self.root.iter("joint")
+        bends = Elasticity({}, {}, {})
         if files.elasticity is not None:
-            slides = {joint.get("name", "") for joint in joints if joint.get("type") == "prismatic"}
-            bends = read_elasticity(files.elasticity, arm, slides)
+            sliding = self.root.iterfind("joint[@type='prismatic']")
+            bends = read_elasticity(files.elasticity, arm, {joint.get("name", "") for joint in sliding})
         held = _held(files)
         return Robot(
             name=self.root.get("name", files.urdf.stem),
@@ -294,7 +294,7 @@ class _Description:
                 )
                 for joint in made.locked_joints
             ),
-            remarks=(*_left_alone(files), *self.estimated, *assumed, *made.remarks),
+            remarks=(*_remarks(files), *self.estimated, *assumed, *made.remarks),
         )
 
     def _require_mass(self, arm: Any) -> None:

@@ -146,7 +146,7 @@ def _bag(plan: Plan, path: Path) -> list[str]:
         require_same((topic, time), (wanted_topic, wanted_time), source, key, 0.0, 0.0, _WHY)
         require_same(_plain(message, wanted), wanted, source, key, _SAME, _SAME_ZERO, _WHY)
     # One message of each topic has all that a file says of it.
-    once, _ = _beside_messages(bag({topic: each for each in sent for topic in each[:1]}.values()))
+    once, _ = _beside_messages(bag({each[0]: each for each in sent}.values()))
     numbers = sorted(str([time, time, 0]) for _, time, _ in expected)
     for one, other in zip_longest([*chain(*told)], [*once, *numbers], fillvalue="nothing"):
         if one != other:

@@ -173,8 +173,7 @@ def free_space(cell: Workcell) -> FreeSpace:
 
     def cost(q: FloatArray) -> FloatArray:
         at = cell.postures.at(q)
-        holds = cell.use_at_rest(at, 1.0) <= 1.0
-        return np.where(holds, cell.objective.at_rest(at), np.inf)
+        return np.where(cell.strong(at), cell.objective.at_rest(at), np.inf)
 
     return FreeSpace(cell.robot, cell.clearances, cell.options.safety_margin_m, cost)
 

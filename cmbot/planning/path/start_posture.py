@@ -237,7 +237,7 @@ class _Search:
         return np.asarray((self._room(q) >= _RANGE_LEFT * half).all(axis=1))
 
     def _strong(self, q: FloatArray) -> BoolArray:
-        return np.asarray(self._cell.use_at_rest(self._batch.at(q), _TORQUE_USE) <= _TORQUE_USE)
+        return self._cell.strong(self._batch.at(q), _TORQUE_USE)
 
     def _singular_value(self, q: FloatArray) -> float:
         at = self._batch.tool_at(q[None])

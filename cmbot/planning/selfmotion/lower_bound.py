@@ -406,7 +406,7 @@ class _BranchAndBound:
     def _admissible_but_for_clearance(self, q: FloatArray, of: IntArray) -> BoolArray:
         """Which postures keep to joint ranges, joint torques and the cone of the tool's axis."""
         holds = self._cell.robot.limits.contain(q) & (self._beyond_cone(q, of) <= 0.0)
-        holds[holds] = self._cell.use_at_rest(self._cell.postures.at(q[holds]), 1.0) <= 1.0
+        holds[holds] = self._cell.strong(self._cell.postures.at(q[holds]))
         return np.asarray(holds)
 
     def _beyond_cone(self, q: FloatArray, of: IntArray) -> FloatArray:

@@ -429,7 +429,7 @@ class TorqueFloorProof:
         q = q[reached]
         at = request.cell.postures.at(q)
         found = request.cell.objective.at_rest(at)
-        good = limits.contain(q) & (found < value) & (request.cell.use_at_rest(at, 1.0) <= 1.0)
+        good = limits.contain(q) & (found < value) & request.cell.strong(at)
         for k in np.flatnonzero(good)[np.argsort(found[good], kind="stable")]:
             if request.cell.clear(q[k : k + 1])[0]:
                 return q[k], float(found[k])

@@ -102,9 +102,13 @@ class Workcell:
         Strong enough are those in which joints and feet use at most a share of their bounds at rest.
         """
         holds = self.robot.limits.contain(q)
-        holds[holds] = self.use_at_rest(self.postures.at(q[holds]), most_use) <= most_use
+        holds[holds] = self.strong(self.postures.at(q[holds]), most_use)
         holds[holds] = self.clear(q[holds])
         return holds
+
+    def strong(self, at: PostureBatch, most_use: float = 1.0) -> BoolArray:
+        """Return in which of N postures joints and feet use at most a share of their bounds at rest, (N,)."""
+        return np.asarray(self.use_at_rest(at, most_use) <= most_use)
 
     def sway_of(self, trajectory: QuinticTrajectory) -> tuple[float, float]:
         """Return the largest sway and swing of a stroke, m, over the interval of the stiffness.
