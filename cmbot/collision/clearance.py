@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple, TypeVar
@@ -31,6 +31,8 @@ _NEAR_PAIR_TOLERANCE = 1e-9
 # GJK's default of 1e-6 m would blur the derivatives; this costs nothing that can be measured. EPA, which
 # takes over in deep overlaps, keeps its default: with a smaller tolerance it fails now and then.
 _GJK_TOLERANCE = 1e-10
+# To which the length of a tip that touches is known, m.
+_DEPTH_TOLERANCE_M = 2e-3
 
 _T = TypeVar("_T")
 
@@ -101,6 +103,7 @@ class Clearances:
     """
 
     def __init__(self, robot: Robot, obstacles: Sequence[Obstacle]) -> None:
+        self._robot, self._obstacles = robot, obstacles
         paired = PairedShapes(robot, obstacles)
         self.pairs, self._shapes, self._joints = paired.pairs, paired.shapes, paired.joints
         self._model, self._data = robot.model, robot.model.createData()
@@ -118,6 +121,30 @@ class Clearances:
         self._any_avoidable = bool(self._avoidable.any())
         self._margin = np.nan
         self._all = (self._model, self._data, self._geometry, self._geometry_data)
+
+    def no_deeper(self, q: FloatArray, margin: float) -> Clearances:
+        """Return the distances by which the tip enters workpieces no deeper than in postures, within 2 mm.
+
+        Parameters
+        ----------
+        q : (N, n), rad
+            Such as a free move's ends.
+        margin : float, m
+            Kept by what counts of the tool: of its tip no more is left out than these postures need.
+        """
+        touched = [obstacle for obstacle in self._obstacles if obstacle.contact]
+        if not touched:
+            return self
+        shorter, tip = 0.0, max(obstacle.contact for obstacle in touched)
+        while tip - shorter > _DEPTH_TOLERANCE_M:
+            middle = 0.5 * (shorter + tip)
+            rest = Clearances(self._robot, [replace(each, contact=middle) for each in touched])
+            pairs = np.flatnonzero([pair.tool_at_work for pair in rest.pairs])
+            distances = rest.distances(q, np.arange(len(q)).repeat(len(pairs)), np.tile(pairs, len(q)))
+            shorter, tip = (shorter, middle) if (distances >= margin).all() else (middle, tip)
+        return Clearances(
+            self._robot, [replace(each, contact=min(tip, each.contact)) for each in self._obstacles]
+        )
 
     def query(
         self, q: FloatArray, below: float | FloatArray | None = None, *, avoidable_only: bool = False

@@ -332,11 +332,15 @@ class _Judge:
             duration = task.path.duration if is_timed else part.end - part.begin
             trajectory = cut(motion.trajectory, part.begin, part.end, duration)
             own = task if is_timed else task.held_at_start()
+            robot, distances = self.robot, clearances
+            if part.number is None:
+                ends, margin = trajectory.q[[0, -1]], self.options.safety_margin_m
+                robot, distances = robot.tool_off, clearances.no_deeper(ends, margin)
             certificate = certify(
-                self.robot if part.number is not None else self.robot.tool_off,
+                robot,
                 own,
                 trajectory,
-                clearances,
+                distances,
                 self.options,
                 via_points=0 if is_timed else None,
                 sag=self.sag if is_timed else None,

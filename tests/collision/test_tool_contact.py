@@ -10,14 +10,16 @@ from typing import Any
 import coal
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from cmbot.archive import Asked, load_plan, save, verified_motions
 from cmbot.collision import Box, Clearances, Obstacle, PointDistances
 from cmbot.collision.shapes import without_tip
 from cmbot.common.errors import ArchiveError, PathNotFound
-from cmbot.planning import plan, robot_of
+from cmbot.planning import certify_move, plan, robot_of
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import Scene, load_scene
+from cmbot.trajectory import SplineSpace
 
 SHAPES: dict[str, dict[str, Any]] = {
     "box": {"box": [0.05, 0.04, 0.1], "xyz": [0, 0, 0.1]},
@@ -109,8 +111,7 @@ def test_only_a_tool_that_may_touch_is_planned_on_a_board(tmp_path: Path) -> Non
     (check,) = [each for each in made.certificate.checks if each.quantity.endswith("from board")]
     assert 0.02 <= check.value <= 0.03
     save(made, tmp_path)
-    told = verified_motions(tmp_path, Asked(scenes=(asked,))).not_verified
-    assert "tool.contact_mm (how far the tip enters a workpiece)" in told
+    verified_motions(tmp_path, Asked(scenes=(asked,)))
     with pytest.raises(ArchiveError, match="contact_mm"):
         load_plan(tmp_path, verify=True, scene=touching_scene(25.0))
     with pytest.raises(PathNotFound, match="of board, the safety margin is"):
@@ -120,3 +121,46 @@ def test_only_a_tool_that_may_touch_is_planned_on_a_board(tmp_path: Path) -> Non
 def test_the_tip_goes_no_deeper_than_what_it_exceeds_the_margin_by() -> None:
     with pytest.raises(PathNotFound, match="of board, the safety margin is"):
         plan(touching_scene(30.0, depth=0.015))
+
+
+def posture_at(robot: Robot, q: Any, point: Any) -> Any:
+    """The posture near `q` (n,) with the tool point there (3,), its axis down, by least squares."""
+
+    def residual(x: Any) -> Any:
+        pose = Kinematics(robot).tool_pose(x).homogeneous
+        return np.concatenate([pose[:3, 3] - point, pose[:3, 2] + [0, 0, 1], 1e-9 * (x - q)])
+
+    return least_squares(residual, q, xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+
+
+def test_on_free_moves_the_tip_goes_no_deeper_than_at_their_ends() -> None:
+    """Where a free move between two postures would dig deeper into the board it is not free."""
+    scene = touching_scene(60.0)
+    robot, margin = robot_of(scene), scene.planner.safety_margin_m
+    whole = Clearances(robot, scene.all_obstacles)
+    surface, deep, deeper = (
+        posture_at(robot, scene.posture, [0.5, 0.0, z])[None] for z in (0.3, 0.288, 0.2855)
+    )
+    off = [whole.no_deeper(q, margin) for q in (surface, np.vstack([surface, deep]))]
+    for distances, allowed, refused in ((off[0], surface, deep), (off[1], deep, deeper)):
+        assert distances.query(allowed).distance[0] >= margin > distances.query(refused).distance[0]
+        assert whole.query(refused).distance[0] >= margin
+
+
+def test_a_free_move_that_digs_is_not_certified() -> None:
+    scene = touching_scene(60.0)
+    made = plan(scene)
+    robot, options = made.robot, scene.planner
+    ends = [posture_at(robot, scene.posture, [0.5, y, 0.3]) for y in (-0.05, 0.05)]
+    for depth, holds in ((0.0, True), (0.02, False)):
+        middle = posture_at(robot, scene.posture, [0.5, 0.0, 0.305 - depth])
+        space = SplineSpace(np.linspace(0.0, 12.0, 5))
+        half = [0.5 * (end + middle) for end in ends]
+        knots = np.stack([ends[0], half[0], middle, half[1], ends[1]])
+        trajectory = space.trajectory(space.least_jerk(knots))
+        held = made.job.strokes[0].task.held_at_start()
+        clearances = Clearances(robot, scene.all_obstacles)
+        certificate = certify_move(robot, held, trajectory, clearances, options, *ends)
+        broken = [check.quantity for check in certificate.checks if not check.holds]
+        assert certificate.holds == holds, broken
+        assert holds or any("board" in quantity for quantity in broken)

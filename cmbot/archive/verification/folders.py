@@ -299,8 +299,6 @@ def _claims(plan: Plan, asked: Scene | None) -> Iterator[str]:
         yield "speed_profile: quiet (that no other law sways less)"
     if plan.objective.own:
         yield "objective (a function in Python)"
-    if plan.scene.tool.contact_mm:
-        yield "tool.contact_mm (how far the tip enters a workpiece)"
     if asked is not None and asked.order == "best":
         yield "tool_path.order (that no other is better)"
     if any(len(segment.task.path.segments) > 1 for segment in plan.job.strokes):

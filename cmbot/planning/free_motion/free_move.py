@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
@@ -148,6 +149,8 @@ def certify_move(
 ) -> Certificate:
     """Certify a free move: the tool is off, so no force acts on it, and its place is measured, not bounded.
 
+    Its tip enters workpieces no deeper than at the ends, see `Clearances.no_deeper`.
+
     Parameters
     ----------
     robot : Robot
@@ -165,6 +168,7 @@ def certify_move(
         It may not hold, as with `certify`.
     """
     off = robot.tool_off
+    clearances = clearances.no_deeper(trajectory.q[[0, -1]], options.safety_margin_m)
     return certify(off, task, trajectory, clearances, options, via_points=None, start=start, end=end)
 
 
@@ -185,8 +189,9 @@ def largest_objective(cell: Workcell, trajectory: QuinticTrajectory) -> float:
 
 def _space_around(request: StrokeRequest, move: FreeMove) -> FreeSpace:
     """The free space with the ends of a move in it."""
-    clearances, options = request.cell.clearances, request.cell.options
-    whole = free_space(request.cell)
+    options, ends = request.cell.options, np.stack([move.start, move.end])
+    clearances = request.cell.clearances.no_deeper(ends, options.safety_margin_m)
+    whole = replace(free_space(request.cell), clearances=clearances)
     for place, q in ((move.start_name, move.start), (move.end_name, move.end)):
         if whole.around(q[None]) is None:
             nearest = clearances.query(q[None])
@@ -197,7 +202,7 @@ def _space_around(request: StrokeRequest, move: FreeMove) -> FreeSpace:
                 why = f"{shapes.link} and {shapes.other} come within the safety margin"
             reason = f"no collision-free {move.name}: in {place} {why}"
             raise request.path_not_found(reason, move.start, pair=pair)
-    return whole.around(np.stack([move.start, move.end])) or whole
+    return whole.around(ends) or whole
 
 
 def _unconnected(request: StrokeRequest, space: FreeSpace, move: FreeMove) -> PathNotFound:
@@ -231,6 +236,8 @@ def _path(
         found.append(ends)
     if not found:
         path = known(space)
+        if path is not None and not all(space.straight(*pair) for pair in pairwise(path)):
+            path = None
         path = rrt_connect(space, ends[0], ends[1:], stop, most_growths) if path is None else path
         found = [] if path is None else [space.shorten(path)]
     for path in found:
