@@ -257,7 +257,7 @@ def _timed(
     along = np.concatenate([[0.0], np.cumsum(lengths)])
     knots = max(int(np.ceil(along[-1] / spacing)) + 1, 8)
     u = np.linspace(0.0, 1.0, knots)
-    share = SpeedProfile(kind="jerk_limited", ramp=0.5).law.share(u)
+    share = SpeedProfile(kind="quiet", ramp=0.5).law.share(u)
     q = np.stack([np.interp(share * along[-1], along, joint) for joint in path.T], axis=1)
     space = SplineSpace(u)
     trial = space.trajectory(space.least_jerk(q))
