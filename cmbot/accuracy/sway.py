@@ -4,7 +4,7 @@ With the elastic coordinates at equilibrium u_s(q(t)) and w what is added, to fi
 
     M w'' + D w' + K w = -f,    f = inertial loads of the motion (q, u_s)(t) + D u_s',
 
-where M and K change with the posture. It is integrated by Newmark's method of constant mean acceleration, for
+where M and K change with the posture. It is integrated by Newmark's method, for
 several factors on the stiffness at once: f is that of the stated stiffness.
 """
 
@@ -20,7 +20,7 @@ from scipy.spatial.distance import pdist
 
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
-from cmbot.elastic.modes import arm_modes, linearised
+from cmbot.elastic.modes import arm_modes, linearised, newmark
 from cmbot.elastic.sag import TooSoftError
 from cmbot.trajectory import QuinticTrajectory
 
@@ -92,28 +92,16 @@ def sway_along(
     still = QuinticTrajectory(t=knots, q=at.u, v=du, a=np.gradient(du, knots, axis=0))
     loads = _inertial_loads(arm, t, motion, still) + still.evaluate(t, 1) @ D.T
     levers = _tool_levers(arm, q, at.u)
-    more = np.array(factors) - 1.0
-    h, shape = t[1], (len(factors), loads.shape[1])
-    w, v, a = np.zeros(shape), np.zeros(shape), np.zeros(shape)
-    tool = np.zeros((len(t), len(factors), 3))
     place = np.clip(np.searchsorted(knots, t, side="right") - 1, 0, count - 1)
-    share = (t - knots[place]) / (knots[place + 1] - knots[place])
-    before = -1
-    for k in range(1, len(t)):
-        i, s = int(place[k]), share[k]
-        if i != before:
-            # Matrices of the middle of an interval hold for all of it.
-            M, K = (0.5 * (both[i] + both[i + 1]) for both in (at.mass, at.stiffness))
-            stiff = K + more[:, None, None] * arm.stiffness
-            require_bearing(stiff, factors)
-            inverse = np.linalg.inv(M + 0.5 * h * D + 0.25 * h * h * stiff)
-            before = i
-        w_next, v_next = w + h * v + 0.25 * h * h * a, v + 0.5 * h * a
-        load = -loads[k] - v_next @ D - (stiff @ w_next[:, :, None])[:, :, 0]
-        a = (inverse @ load[:, :, None])[:, :, 0]
-        w, v = w_next + 0.25 * h * h * a, v_next + 0.5 * h * a
-        tool[k] = w @ ((1 - s) * levers[i] + s * levers[i + 1]).T
-    return Sway(t=t, tool=tool.transpose(1, 0, 2))
+    share = ((t - knots[place]) / (knots[place + 1] - knots[place]))[:, None, None]
+    # Matrices of the middle of an interval hold for all of it.
+    M, K = (0.5 * (each[:-1] + each[1:])[:, None] for each in (at.mass, at.stiffness))
+    K = K + (np.array(factors) - 1.0)[:, None, None] * arm.stiffness
+    for stiffness in K:
+        require_bearing(stiffness, factors)
+    w, _ = newmark(M, D, K, -loads[:, None], place[:, None], float(t[1]))
+    lever = (1 - share) * levers[place] + share * levers[place + 1]
+    return Sway(t=t, tool=(w[:, 0] @ lever.transpose(0, 2, 1)).transpose(1, 0, 2))
 
 
 def stroke_sway(

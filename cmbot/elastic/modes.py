@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from scipy import linalg
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import InputError
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.sag import Sag
@@ -115,3 +115,49 @@ def frequency_slopes(
     own = share @ modes.shapes.T
     lost = np.einsum("kf,kfp->kp", own, parameters.relaxation(own, at))
     return np.log(squares) / 2, -lost / (2 * (2 * np.pi) ** 2 * squares[:, None])
+
+
+def newmark(
+    mass: FloatArray,
+    damping: FloatArray,
+    stiffness: FloatArray,
+    loads: FloatArray,
+    interval: IntArray,
+    step: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Integrate ``M w'' + D w' + K w = f(t)`` from rest, by constant mean acceleration (Newmark, 1959).
+
+    The matrices hold for an interval of time each.
+
+    Parameters
+    ----------
+    mass, damping, stiffness : (I, F, f, f)
+        M, D and K in I intervals, for F cases; each may be broadcast over these.
+    loads : (N + 1, C, f)
+        C loads f on all cases, at times that are a step apart.
+    interval : (N + 1, C)
+        Number of the interval in which each load is at each time.
+    step : float, s
+
+    Returns
+    -------
+    w : (N + 1, C, F, f)
+        At all times.
+    v : (C, F, f)
+        w' at the last one.
+    """
+    h, (times, number, size) = step, loads.shape
+    inverse = np.linalg.inv(mass + 0.5 * h * damping + 0.25 * h * h * stiffness)
+    by_state = inverse @ np.concatenate([stiffness, np.broadcast_to(damping, stiffness.shape)], axis=3)
+    w = np.zeros((times, number, inverse.shape[1], size))
+    state, gain = np.zeros((*w.shape[1:3], 2, size)), np.array([[0.25 * h * h], [0.5 * h]])
+    a = np.zeros_like(state[..., :1, :])
+    for k in range(1, times):
+        state[..., 0, :] += h * state[..., 1, :]
+        state += gain * a
+        i = interval[k]
+        a = inverse[i] @ loads[k, :, None, :, None] - by_state[i] @ state.reshape(*w.shape[1:3], 2 * size, 1)
+        a = a.swapaxes(2, 3)
+        state += gain * a
+        w[k] = state[..., 0, :]
+    return w, state[..., 1, :]

@@ -5,7 +5,7 @@ beside those at rest. Among the slowest modes of a few postures
 
     M(s) w'' + D w' + K(s) w = -(A(s) s.. + B(s) s.^2)
 
-is integrated by Newmark's method of constant mean acceleration, from rest.
+is integrated by Newmark's method, from rest.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from scipy import linalg
 
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
-from cmbot.elastic.modes import linearised, normal_modes
+from cmbot.elastic.modes import linearised, newmark, normal_modes
 
 # Postures of a leg less one; modes of three of them that carry the motion.
 _INTERVALS, _CARRIERS = 48, 3
 # Steps in a period of the slowest mode, and in a leg at least and at most.
-_STEPS_A_PERIOD, _LEAST_STEPS, _LIMIT_STEPS = 40, 120, 1500
+_STEPS_PER_PERIOD, _LEAST_STEPS, _LIMIT_STEPS = 24, 120, 1500
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,28 +96,21 @@ class LegResponse:
         A law is s, or a derivative of it, by the share of the time.
         """
         period = 2 * np.pi / self.omega[0]
-        steps = int(np.clip(np.ceil(seconds / period * _STEPS_A_PERIOD), _LEAST_STEPS, _LIMIT_STEPS))
+        steps = int(np.clip(np.ceil(seconds / period * _STEPS_PER_PERIOD), _LEAST_STEPS, _LIMIT_STEPS))
         u, h = np.linspace(0.0, 1.0, steps + 1), seconds / steps
-        share, rate, bend = (np.array([law(u, k) for law in laws]) / seconds**k for k in range(3))
+        share, rate, bend = (np.array([law(u, k) for law in laws]).T / seconds**k for k in range(3))
         place = np.clip((share * _INTERVALS).astype(int), 0, _INTERVALS - 1)
         within = (share * _INTERVALS - place)[..., None]
         A, B = ((1 - within) * of[place] + within * of[place + 1] for of in self._loads)
-        push = -(A * bend[..., None] + B * (rate**2)[..., None])
-        M = 0.5 * (self._mass[1:] + self._mass[:-1])
+        levers = (1 - within[..., None]) * self._levers[place] + within[..., None] * self._levers[place + 1]
         more = (np.array(factors) - 1.0)[:, None, None] * self._springs
+        M = 0.5 * (self._mass[1:] + self._mass[:-1])[:, None]
         K = 0.5 * (self._stiffness[1:] + self._stiffness[:-1])[:, None] + more
         D = (2 * self._damping / self.omega[0]) * K
-        inverse = np.linalg.inv(M[:, None] + 0.5 * h * D + 0.25 * h * h * K)
-        w = np.zeros((len(laws), len(factors), len(self._springs), 1))
-        v, a, sway = np.zeros_like(w), np.zeros_like(w), np.zeros(w.shape[:2])
-        for k in range(1, steps + 1):
-            i = place[:, k]
-            w, v = w + h * v + 0.25 * h * h * a, v + 0.5 * h * a
-            a = inverse[i] @ (push[:, k, None, :, None] - D[i] @ v - K[i] @ w)
-            w, v = w + 0.25 * h * h * a, v + 0.5 * h * a
-            lever = (1 - within[:, k, None]) * self._levers[i] + within[:, k, None] * self._levers[i + 1]
-            sway = np.maximum(sway, np.linalg.norm((lever[:, None] @ w)[..., 0], axis=2))
-        return Response(sway=sway, swing=self._swing(w[..., 0], v[..., 0], more))
+        push = -(A * bend[..., None] + B * (rate**2)[..., None])
+        w, v = newmark(M, D, K, push, place, h)
+        sway = np.linalg.norm(w @ levers.transpose(0, 1, 3, 2), axis=3).max(axis=0)
+        return Response(sway=sway, swing=self._swing(w[-1], v, more))
 
     def _swing(self, w: FloatArray, v: FloatArray, more: FloatArray) -> FloatArray:
         """What modes at the end move the tool by, of displacements and velocities (C, F, k)."""

@@ -44,6 +44,8 @@ _SHARES, _PEAK_RISE = (0.75, 0.5, 0.25), 1e-6
 # The largest swing is to fall to this share, and the sway at work may grow by this factor; an amplitude of
 # the tool below the last, m, is rest.
 _WORTHWHILE_SWING_SHARE, _MAX_SWAY_GROWTH, _AT_REST_M = 0.9, 1.02, 2e-6
+# A swing is left as it is that is below this share of the tool deviation allowed, and below so many m.
+_SMALL_SWING_SHARE, _SMALL_SWING_M = 0.2, 2e-5
 # What the prediction misses, as a share of the stiffness.
 _PREDICTION_ERROR_SHARE = 0.01
 # Factors on the stiffness for which vibration is predicted.
@@ -58,15 +60,15 @@ def suppress_vibration(arm: ElasticArm, problem: TorqueProblem, optimised: Optim
     """Bring the first elastic modes to rest at the ends of the legs, whatever the stiffness may be.
 
     The trajectory goes on keeping the bounds of `problem`. It stays what it was where no change keeps them,
-    where the time is over, and where the largest swing after the stop does not fall by a tenth, or the tool
-    sways more at work, as simulated at the ends of the interval of stiffness.
+    where the time is over, where the largest swing after the stop is small or does not fall by a tenth, or
+    the tool sways more at work, as simulated at the ends of the interval of stiffness.
     """
     request, trajectory, t = problem.request, optimised.trajectory, problem.space.t
     options, reporter = request.cell.options, request.reporter
     leg_times = request.task.path.leg_times
     sway, swing = before = request.cell.sway_of(trajectory)
     optimised = replace(optimised, sway=before)
-    if swing < _AT_REST_M:
+    if swing < min(_SMALL_SWING_SHARE * options.max_tool_deviation_m, _SMALL_SWING_M):
         return optimised
     factors = _factors(options.quiet_stiffness_share)
     groups = legs_by_window(problem.space, leg_times)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from itertools import product
 
 import numpy as np
@@ -74,7 +74,12 @@ class _Candidate:
     """A law; its ramp, as a share of what a shaper leaves of the time, flat share, shaper's number."""
 
     kind: tuple[float, float, int]
-    law: TimeLaw
+    made: Callable[[], TimeLaw]
+
+    @cached_property
+    def law(self) -> TimeLaw:
+        """The law, made when it is asked for."""
+        return self.made()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,12 +232,6 @@ def _moves(leg: Segment) -> bool:
     return leg.curve.length > 0 or bool(leg.turn.any())
 
 
-def _plain(request: StrokeRequest, leg: int) -> _Candidate:
-    """The law as the scene has it."""
-    kind = request.stroke.file.speed_profile.ramp, 0.0, 0
-    return _Candidate(kind=kind, law=request.task.path.segments[leg].law)
-
-
 def _shapers(omega: FloatArray, damping: float) -> list[Shaper | None]:
     """None, and those for modes of angular frequencies (k,), rad/s, and a damping ratio."""
     if not len(omega):
@@ -252,9 +251,10 @@ def _candidates(
 
     The time is that of the leg, or so many `seconds`.
     """
-    yield _plain(request, leg)
-    stroke, seconds = request.stroke, seconds or request.task.path.segments[leg].seconds
+    stroke, segment = request.stroke, request.task.path.segments[leg]
     asked, own = stroke.asked_speed(leg) is not None, stroke.file.speed_profile.ramp
+    yield _Candidate(kind=(own, 0.0, 0), made=lambda: segment.law)
+    seconds = seconds or segment.seconds
     for number, shaper in enumerate(_shapers(omega, request.cell.robot.damping_ratio)):
         share = 0.0 if shaper is None else shaper.duration / seconds
         if share > _LONGEST_SHAPER:
@@ -264,9 +264,12 @@ def _candidates(
         for ramp, flat in product(ramps, _FLAT_SHARES):
             if ramp < _SHORTEST_RAMP or (shaper is None and (ramp, flat) == (own, 0.0)):
                 continue
-            law = TimeLaw.ramped("quiet", ramp, 1 - 2 * ramp, ramp, flat=flat)
-            law = law if shaper is None else law.shaped(shaper, seconds)
-            yield _Candidate(kind=(ramp, flat, number), law=law)
+            yield _Candidate(kind=(ramp, flat, number), made=partial(_shaped, ramp, flat, shaper, seconds))
+
+
+def _shaped(ramp: float, flat: float, shaper: Shaper | None, seconds: float) -> TimeLaw:
+    law = TimeLaw.ramped("quiet", ramp, 1 - 2 * ramp, ramp, flat=flat)
+    return law if shaper is None else law.shaped(shaper, seconds)
 
 
 def _best(
