@@ -191,10 +191,11 @@ class _Reader:
         height = away @ out
         aside = np.linalg.norm(away - height[..., None] * out, axis=2) - _ASLANT * np.abs(height)
         if aside.max() > _ASIDE or (np.diff(height, axis=0) < -_SAME_PLACE).any():
-            raise self._error(key, f"a {move.kind} of the foot along the face", "one along its normal")
+            expected = "one along the face's normal, ever further from it, or nearer to it"
+            raise self._error(key, f"another {move.kind} of the foot", expected)
         if np.abs(height[-1] - LIFT_M).max() > _ASIDE:
             got = f"a {move.kind} by {1e3 * height[-1, 0]:.1f} mm"
-            raise self._error(key, got, f"{1e3 * LIFT_M:g} mm: further is a swing")
+            raise self._error(key, got, f"{1e3 * LIFT_M:g} mm; what is beyond is a swing")
 
     def _foot_2(self, angles: FloatArray) -> FloatArray:
         return self._climber.poses(angles)[0]

@@ -31,8 +31,8 @@ _NEAR_PAIR_TOLERANCE = 1e-9
 # GJK's default of 1e-6 m would blur the derivatives; this costs nothing that can be measured. EPA, which
 # takes over in deep overlaps, keeps its default: with a smaller tolerance it fails now and then.
 _GJK_TOLERANCE = 1e-10
-# To which the length of a tip that touches is known, m.
-_DEPTH_TOLERANCE_M = 2e-3
+# Steps in which a tip's length is sought, of which one is left as room beside, m.
+_DEPTH_STEP_M = 1e-3
 
 _T = TypeVar("_T")
 
@@ -123,28 +123,31 @@ class Clearances:
         self._all = (self._model, self._data, self._geometry, self._geometry_data)
 
     def no_deeper(self, q: FloatArray, margin: float) -> Clearances:
-        """Return the distances by which the tip enters workpieces no deeper than in postures, within 2 mm.
+        """Return the distances by which the tip enters no workpiece deeper than in postures, within 2 mm.
 
         Parameters
         ----------
         q : (N, n), rad
-            Such as a free move's ends.
+            Such as a free move's ends. What is not entered in these may be touched.
         margin : float, m
-            Kept by what counts of the tool: of its tip no more is left out than these postures need.
+            Kept by the rest of the tool.
         """
-        touched = [obstacle for obstacle in self._obstacles if obstacle.contact]
-        if not touched:
+        if not any(obstacle.contact for obstacle in self._obstacles):
             return self
-        shorter, tip = 0.0, max(obstacle.contact for obstacle in touched)
-        while tip - shorter > _DEPTH_TOLERANCE_M:
-            middle = 0.5 * (shorter + tip)
-            rest = Clearances(self._robot, [replace(each, contact=middle) for each in touched])
+        return Clearances(self._robot, [self._no_deeper(each, q, margin) for each in self._obstacles])
+
+    def _no_deeper(self, obstacle: Obstacle, q: FloatArray, margin: float) -> Obstacle:
+        """An obstacle that no more of the tip may touch than keeps the margin in postures."""
+        # What is that long touches no more than the surface.
+        tip = margin
+        while tip < obstacle.contact:
+            rest = Clearances(self._robot, [replace(obstacle, contact=tip)])
             pairs = np.flatnonzero([pair.tool_at_work for pair in rest.pairs])
             distances = rest.distances(q, np.arange(len(q)).repeat(len(pairs)), np.tile(pairs, len(q)))
-            shorter, tip = (shorter, middle) if (distances >= margin).all() else (middle, tip)
-        return Clearances(
-            self._robot, [replace(each, contact=min(tip, each.contact)) for each in self._obstacles]
-        )
+            if (distances >= margin).all():
+                break
+            tip += _DEPTH_STEP_M
+        return replace(obstacle, contact=min(obstacle.contact, tip + _DEPTH_STEP_M))
 
     def query(
         self, q: FloatArray, below: float | FloatArray | None = None, *, avoidable_only: bool = False

@@ -132,11 +132,14 @@ class Evaluation:
         clearances = Clearances(self.robot, self.scene.all_obstacles)
         each = list[tuple[float, Samples, bool]]()
         for segment in self.job.segments:
-            robot = self.robot if segment.kind == "stroke" else self.robot.tool_off
+            robot, distances = self.robot, clearances
+            if segment.kind == "free":
+                ends, margin = segment.trajectory.q[[0, -1]], self.scene.planner.safety_margin_m
+                robot, distances = robot.tool_off, clearances.no_deeper(ends, margin)
             t = np.linspace(0.0, segment.duration, int(np.ceil(segment.duration / _TABLE_STEP_S)) + 1)
             motion = [segment.trajectory.evaluate(t, order) for order in range(4)]
             held = segment.task.held_at_start()
-            each.append((segment.begin, measure(robot, held, clearances, t, motion), False))
+            each.append((segment.begin, measure(robot, held, distances, t, motion), False))
         samples, counts = joined_samples(each)
         names = np.repeat([segment.name for segment in self.job.segments], counts)
         return samples, tuple(names.tolist())

@@ -110,6 +110,9 @@ def test_only_a_tool_that_may_touch_is_planned_on_a_board(tmp_path: Path) -> Non
     assert made.certificate.holds
     (check,) = [each for each in made.certificate.checks if each.quantity.endswith("from board")]
     assert 0.02 <= check.value <= 0.03
+    approach = made.job.segments[0]
+    told = made.segment_samples[approach.name].clearance.min()
+    assert told == pytest.approx(approach.figures.min_clearance, abs=1e-3) and told < 0.023
     save(made, tmp_path)
     verified_motions(tmp_path, Asked(scenes=(asked,)))
     with pytest.raises(ArchiveError, match="contact_mm"):
@@ -121,6 +124,12 @@ def test_only_a_tool_that_may_touch_is_planned_on_a_board(tmp_path: Path) -> Non
 def test_the_tip_goes_no_deeper_than_what_it_exceeds_the_margin_by() -> None:
     with pytest.raises(PathNotFound, match="of board, the safety margin is"):
         plan(touching_scene(30.0, depth=0.015))
+
+
+def translation(*xyz: float) -> Any:
+    X = np.eye(4)
+    X[:3, 3] = xyz
+    return X
 
 
 def posture_at(robot: Robot, q: Any, point: Any) -> Any:
@@ -145,6 +154,12 @@ def test_on_free_moves_the_tip_goes_no_deeper_than_at_their_ends() -> None:
     for distances, allowed, refused in ((off[0], surface, deep), (off[1], deep, deeper)):
         assert distances.query(allowed).distance[0] >= margin > distances.query(refused).distance[0]
         assert whole.query(refused).distance[0] >= margin
+    # Each workpiece by itself: what one is entered by is no leave to enter another one.
+    (board,) = scene.all_obstacles
+    raised = replace(board, name="beside", X_WO=board.X_WO @ translation(0.0, 0.5, 0.0))
+    both = Clearances(robot, [board, raised]).no_deeper(np.vstack([surface, deep]), margin)
+    aside = posture_at(robot, scene.posture, [0.5, 0.35, 0.295])[None]
+    assert Clearances(robot, [raised]).query(aside).distance[0] >= margin > both.query(aside).distance[0]
 
 
 def test_a_free_move_that_digs_is_not_certified() -> None:

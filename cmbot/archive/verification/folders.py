@@ -210,7 +210,8 @@ def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdi
         motions = tuple(_motions(name, part))
     except LimitViolation as error:
         got = f"{error.value:.6g} {error.unit} at t = {error.time:.3f} s"
-        expected = f"a value within {error.bound:.6g} {error.unit}"
+        beyond = "at least" if error.value < error.bound else "at most"
+        expected = f"{beyond} {error.bound:.6g} {error.unit}"
         raise ArchiveError(str(source), error.quantity, got, expected) from error
     lead = f"{name}: " if name else ""
     looser, others, skipped = (tuple(lead + text for text in texts) for texts in (looser, others, skipped))
