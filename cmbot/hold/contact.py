@@ -41,6 +41,8 @@ BY_MOMENT, BY_MOMENT_AT_EDGE = 2.5, 0.8
 _STEADY = 10.0
 # Loads whose work is in memory at once.
 _LOADS_AT_ONCE = 2000
+# Halvings, of the logarithm, that find a force which is surely enough.
+_HALVINGS = 5
 # Beyond any load: more overflows, and nothing holds it.
 _HUGE_N = 1e100
 
@@ -154,10 +156,17 @@ class Contact:
         edge = tips.argmax(axis=1)
         tip = tips[np.arange(len(load)), edge]
         least = np.maximum(least, tip / _BEFORE_EDGE)
+        force, gradient = np.zeros(len(load)), np.zeros((len(load), 5))
+        left = np.flatnonzero(~tables.surely_holds(scaled, least))
+        if not len(left):
+            return force, gradient
+        scaled, least, whole, sides = scaled[left], least[left], whole[left], tables.sides[edge[left]]
+        sure = tables.sure(scaled, least, np.maximum(least, whole))
         found = Slipping(
-            tables.friction, scaled[:, [0, 1, 4]], scaled[:, 2:4], least, whole, tip, tables.sides[edge]
+            tables.friction, scaled[:, [0, 1, 4]], scaled[:, 2:4], least, whole, tip[left], sides, sure
         )
-        return found.force, found.gradient / unit
+        force[left], gradient[left] = found.force, found.gradient / unit
+        return force, gradient
 
     def suffices(self, load: FloatArray, size: FloatArray, friction: float, gap: Gap) -> FloatArray:
         """Return P (N,), N, with which no load tips or slips that is off by at most `size` from one of these.
@@ -244,6 +253,36 @@ class _Tables:
         )
         second = self.size**2 * self.friction.whole[1:, 1:] / self.friction.whole[0, 0]
         self.corners = -hull[:-1] @ np.linalg.inv(second)
+        convex = len(contact.outline) == 1 and region.convex_hull.area - region.area < 1e-9 * region.area
+        self._rows = self.edges * self.size
+        # Of a contact that is not convex no pressure is known to be spread.
+        self._depths = 1 / np.linalg.norm(self._rows, axis=1) if convex else np.full(len(self._rows), 1e-300)
+
+    def surely_holds(self, load: FloatArray, pressed: FloatArray) -> BoolArray:
+        """Return which loads (N, 5), in units, do not slip with any force from `pressed` (N,) on.
+
+        About any centre c friction does the work D(c) >= P |e - c|, with e the centre of pressure (Jensen),
+        and D >= D0, the least; so T and the moment M_e about e hold where |T| / P + |M_e| / D0 <= 1. In a
+        convex contact the pressure at e is at least half the largest, and its mean over the disc about e is
+        no less: with the distance r of e from the outline no density exceeds 2 / (pi r^2) of the force. Of
+        all such densities a disc has the least mean distance: D0 >= P r sqrt(2) / 3. With more force e moves
+        straight to the centroid: r is no less than at either end (it is concave), and |M_e| no more.
+        """
+        P = np.maximum(pressed, 1e-300)
+        e, T, M = load[:, 2:4] / P[:, None], load[:, :2], load[:, 4]
+        depth = (self._depths * (1 - e @ self._rows.T)).min(axis=1)
+        depth = np.clip(depth, 1e-300, self._depths.min())
+        about = np.maximum(np.abs(M), np.abs(M - e[:, 0] * T[:, 1] + e[:, 1] * T[:, 0]))
+        return np.asarray(np.hypot(T[:, 0], T[:, 1]) + about * 3 / (np.sqrt(2) * depth) <= P)
+
+    def sure(self, load: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+        """Return forces (N,) between two from which on that is so; else infinity."""
+        high = np.where(self.surely_holds(load, high), high, np.inf)
+        for _ in range(_HALVINGS):
+            middle = np.sqrt(np.maximum(low, 1e-300) * high)
+            holds = self.surely_holds(load, middle)
+            low, high = np.where(holds, low, middle), np.where(holds, middle, high)
+        return high
 
     def unit(self, friction: float) -> FloatArray:
         """Of loads (5,), with which friction and sizes are one."""

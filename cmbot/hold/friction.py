@@ -229,6 +229,8 @@ class Slipping:
         tips.
     ends : (N, 2, 2)
         The corners between which it tips.
+    sure : (N,)
+        Forces from which on each is known to be enough, no less than the least; infinite where none is.
 
     Attributes
     ----------
@@ -247,6 +249,7 @@ class Slipping:
         whole: FloatArray,
         tip: FloatArray,
         ends: FloatArray,
+        sure: FloatArray,
     ) -> None:
         self._tip, self._ends = tip, ends
         self._friction, self._moment, self._least, N = friction, moment, least, len(slips)
@@ -254,8 +257,6 @@ class Slipping:
         self._trial = np.max([whole, least, 0.1 * np.abs(slips).max(axis=1)], axis=0)
         self._low, self._high, self._slope = np.zeros(N), np.full(N, np.inf), np.zeros(N)
         self._shallow = np.zeros(N, dtype=bool)
-        goal = np.column_stack([np.ones(N), moment / np.maximum(self._trial, 1e-300)[:, None]])
-        self._pressure = goal @ friction.from_goal
         self._moments = np.broadcast_to(friction.whole, (N, 3, 3)).copy()
         self._pressure_step, self._energy = np.zeros((N, 3)), np.full(N, np.inf)
         needed, which = friction.least(np.hstack([slips, moment]))
@@ -269,6 +270,9 @@ class Slipping:
         first /= np.maximum(np.linalg.norm(first, axis=1), 1e-300)[:, None]
         self._free = np.stack([first, np.cross(slips, first) / size], axis=2) / size[:, :, None]
         everywhere = np.flatnonzero(needed > self._trial)
+        self._trial = np.minimum(self._trial, sure)
+        goal = np.column_stack([np.ones(N), moment / np.maximum(self._trial, 1e-300)[:, None]])
+        self._pressure = goal @ friction.from_goal
         self._press_all(everywhere, needed[everywhere])
         rows, balanced = np.flatnonzero((self.force == 0) & slips.any(axis=1)), np.ones(N, dtype=bool)
         for _ in range(_PASSES):

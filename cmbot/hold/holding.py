@@ -262,6 +262,13 @@ class Holding:
             gradient[more] = by_load[rows, which][more, None] * foot.from_wrench[which[more]]
         return value, gradient
 
+    def bears(self, wrench: FloatArray, share: float = 1.0) -> BoolArray:
+        """Return in which of N wrenches (N, 6) no foot uses more than a share of its bounds: see `bears`."""
+        good = np.ones(len(wrench), dtype=np.bool_)
+        for number, foot in enumerate(self.feet):
+            good[good] = bears(foot, self.load(number, wrench[good]), share)
+        return good
+
     def _most(
         self, wrench: FloatArray, factors: Mapping[int, float], above: FloatArray | float = -np.inf
     ) -> tuple[FloatArray, FloatArray]:
@@ -334,12 +341,15 @@ def needed_by_load(
     return modes[rows, which], gradients[rows, which]
 
 
-def bears(foot: Foot, load: FloatArray) -> BoolArray:
-    """Return whether a foot bears loads (N, 6) as far as something is known of it, (N,), safety included."""
-    good = np.asarray((foot.safety * np.abs(load) <= foot.bounds).all(axis=1))
+def bears(foot: Foot, load: FloatArray, share: float = 1.0) -> BoolArray:
+    """Return whether a foot bears loads (N, 6) as far as something is known of it, (N,), safety included.
+
+    With a `share` of its bounds. That is found quicker than which share they use.
+    """
+    good = np.asarray((foot.safety * np.abs(load) <= share * foot.bounds).all(axis=1))
     if foot.adhesion is not None:
-        pressed = foot.adhesion / foot.safety - load[:, 2]
-        good &= _flat(foot).bears(_turning(load), pressed, foot.friction, foot.gap)
+        pressed = share * foot.adhesion / foot.safety - load[good, 2]
+        good[good] = _flat(foot).bears(_turning(load[good]), pressed, foot.friction, foot.gap)
     return good
 
 

@@ -177,6 +177,15 @@ def test_what_is_above_a_level_is_exact(several: Contact, gap: Gap, rng: np.rand
     assert (value[~above] <= level[~above]).all()
 
 
+def test_a_contact_bears_what_is_pressed_by_more_than_slips(rng: np.random.Generator) -> None:
+    """Most of it is said by a bound alone, which knows nothing of the search for the force that slips."""
+    plate = Contact.rectangle(0.125, 0.075)
+    load = rng.normal(size=(2000, 5)) * [100.0, 100.0, 8.0, 8.0, 4.0] * rng.uniform(size=(2000, 5)) ** 2
+    exact = np.maximum(plate.slip(load, 0.3, "allowed")[0], plate.tip(load[:, 2:4])[0])
+    for factor in (0.5, 0.9, 0.999, 1.001, 1.2, 2.0):
+        assert (plate.bears(load, factor * exact, 0.3, "allowed") == (factor > 1)).all()
+
+
 def test_the_estimate_without_a_gap_is_a_little_too_low(several: Contact, rng: np.random.Generator) -> None:
     load = rng.normal(size=(300, 5)) * [100.0, 100.0, 2.0, 2.0, 10.0]
     exact = several.slip(load, 0.3, "none")[0]

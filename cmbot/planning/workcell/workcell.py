@@ -108,7 +108,11 @@ class Workcell:
 
     def strong(self, at: PostureBatch, most_use: float = 1.0) -> BoolArray:
         """Return in which of N postures joints and feet use at most a share of their bounds at rest, (N,)."""
-        return np.asarray(self.use_at_rest(at, most_use) <= most_use)
+        use, wrench, holding = *self._use_of_joints(at), self.robot.holding
+        strong = use <= most_use
+        if holding is not None and holding.bounded:
+            strong[strong] = holding.bears(wrench[strong], most_use)
+        return strong
 
     def sway_of(self, trajectory: QuinticTrajectory) -> tuple[float, float]:
         """Return the largest sway and swing of a stroke, m, over the interval of the stiffness.
@@ -140,13 +144,16 @@ class Workcell:
 
         What is not above a share may be given lower: friction of feet is then looked at there alone.
         """
-        robot, wrench = self.robot, np.hstack([at.guardrail_force, at.guardrail_torque])
-        use = (np.abs(at.joint_torque) / robot.limits.torque).max(axis=1)
-        use = np.maximum(use, robot.holding_use(wrench).max(axis=1, initial=0.0))
-        holding = robot.holding
+        use, wrench, holding = *self._use_of_joints(at), self.robot.holding
         if holding is None or not holding.bounded:
-            return np.asarray(use)
+            return use
         return np.asarray(np.maximum(use, holding.share(wrench, np.maximum(use, above))[0]))
+
+    def _use_of_joints(self, at: PostureBatch) -> tuple[FloatArray, FloatArray]:
+        """The largest shares (N,) that joints use, also of a climber, and wrenches (N, 6) on the base."""
+        wrench = np.hstack([at.guardrail_force, at.guardrail_torque])
+        use = (np.abs(at.joint_torque) / self.robot.limits.torque).max(axis=1)
+        return np.maximum(use, self.robot.holding_use(wrench).max(axis=1, initial=0.0)), wrench
 
 
 def build_workcell(scene: Scene, options: PlannerOptions, own: WrenchFunction | None = None) -> Workcell:
