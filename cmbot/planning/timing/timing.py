@@ -104,7 +104,7 @@ def with_enough_via_points(request: StrokeRequest) -> StrokeRequest:
     """Return the request of a quiet stroke with more via-points, if splines follow its laws by that.
 
     Between fewer than four a period of the slowest mode the motion is what the optimum makes of it, not what
-    the law asks for: that swings up to five times as much.
+    the law asks for: that swings up to five times as much. Where that are too many, half of them still pay.
     """
     path, file, is_fixed = request.task.path, request.stroke.file, request.cell.options.knots == "fixed"
     is_chosen = file.speed_profile.kind == "quiet" and not (file.time_laws or path.open_legs or is_fixed)
@@ -112,7 +112,7 @@ def with_enough_via_points(request: StrokeRequest) -> StrokeRequest:
         return request
     number = 1 + int(np.ceil(_VIA_POINTS_PER_PERIOD * frequency * path.duration))
     shortest = min((leg.seconds for leg in path.segments if leg.curve.length > 0), default=np.inf)
-    if number > _MOST_FOR_PERIODS and shortest * frequency > _SHORT_LEG_PERIODS:
+    if number > 2 * _MOST_FOR_PERIODS and shortest * frequency > _SHORT_LEG_PERIODS:
         return request
     return replace(request, times=path.via_times(max(min(number, _MOST_FOR_PERIODS), len(request.times))))
 
