@@ -157,6 +157,43 @@ def test_where_the_middle_of_the_cone_is_blocked_the_axis_leans(monkeypatch: pyt
         assert len(tried) == number
 
 
+def test_leaning_postures_beyond_those_near_the_middle_are_found() -> None:
+    """The peak is that of a sequence that a sampled programme found: `benchmarks/cones.py`."""
+    asked = request_of(
+        short_scene(
+            robot={"payload_kg": 2.5},
+            posture_deg=[159.6, 46.8, 109.8, 44.8, 86.8, 35.0, -99.7],
+            tool_path={
+                "keep": {"axis_within_deg": 35.3},
+                "legs": [{"by": [0.231, -0.048, -0.171], "seconds": 5.1}],
+                "via_points": 5,
+            },
+            planner={"knots": "sliding"},
+        )
+    )
+    known = np.radians(
+        [
+            [152.75, 128.54, 2.62, -5.95, -131.58, -74.46, -59.34],
+            [153.35, 129.41, 3.43, -10.02, -140.84, -77.57, -63.51],
+            [152.94, 131.24, 4.51, -15.05, -151.56, -80.89, -67.29],
+            [152.82, 132.97, 5.56, -19.25, -161.37, -84.26, -70.93],
+            [152.84, 133.67, 6.63, -21.59, -166.98, -87.01, -73.62],
+        ]
+    )
+    point, R = Kinematics(asked.cell.robot).tool_poses(known)[:2]
+    np.testing.assert_allclose(point, asked.goals.point, rtol=0, atol=2e-3)
+    assert (R[:, :, 2] @ asked.goals.rotation[0, :, 2] >= np.cos(np.radians(35.4))).all()
+    # Hundredths of a degree are up to 0.1 mm, and the first posture is at the safety margin.
+    margin = asked.cell.options.safety_margin_m - 1e-4
+    assert asked.cell.clearances.query(known).distance.min() >= margin
+    assert asked.cell.robot.limits.contain(known).all()
+    assert asked.cell.strong(asked.cell.postures.at(known)).all()
+    least = asked.cell.objective.at_rest(asked.cell.postures.at(known)).max()
+    search = guess.searched(asked)[0]
+    assert search.solve(pinned=False).peak <= 1.01 * least
+    assert search.lower_bound.value <= 1.01 * least
+
+
 def test_it_is_verified_from_its_directory(leaning: Plan, tmp_path: Path) -> None:
     save(leaning, tmp_path / "plan")
     read = load_plan(tmp_path / "plan", verify=True)

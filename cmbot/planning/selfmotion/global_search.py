@@ -4,9 +4,9 @@ Charts of self-motion at every via-point, and dynamic programming over them. The
 charts' spacing, and comes with a lower bound: at the via-point that sets it, no admissible posture has a
 smaller objective at rest. That is proven where `proof` can, and otherwise an estimate.
 
-Where the tool's axis may lean, charts hold it in the middle of its cone; sequences of their postures, and of
-leaning ones beside that of the lower bound, are refined in the cone. The lower bound is that of all postures
-in the cone.
+Where the tool's axis may lean, charts hold it in the middle of its cone, and random postures anywhere in it
+are added: where only leaning ones are admissible, or low. Sequences of all these, and of leaning ones beside
+that of the lower bound, are refined in the cone. The lower bound is that of all postures in the cone.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -21,6 +22,7 @@ from scipy.spatial.transform import Rotation
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning.postures.projection import project_onto_task
+from cmbot.planning.postures.sampler import PostureSampler
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.charts import Chart, GraphLayer, LayerCache, best_nodes, connected_parts
 from cmbot.planning.selfmotion.dynamic_programming import (
@@ -43,6 +45,8 @@ _POSTURE_TOLERANCE = 1e-9
 _POSE_COORDINATES = 6
 # Sequences beside one.
 _ALTERNATIVES = 40
+# Random postures along a path whose tool may lean, and how many of a via-point are carried to the next.
+_LEANING_DRAWS, _CARRIED = 24_000, 200
 # How often charts are made denser where no way leads through a via-point, and at how many beside it.
 _REFINEMENTS, _ABOUT = 3, 2
 # Charts with more edges between them are dense enough.
@@ -117,7 +121,7 @@ class GlobalSearch:
         # The bound with the axis in the middle of its cone and that of all postures, and postures with them.
         self._bound: LowerBound | None = None
         self.lower_bound: LowerBound
-        self._lowest: FloatArray
+        self._lowest = np.empty(0)
         self._lowest_leaning: FloatArray
         self._bound_is_given = bounded_as is not None
         if bounded_as is not None:
@@ -171,20 +175,23 @@ class GlobalSearch:
             each = sampler.complete(each, request.goals, [at], number)
             if sum(len(q) for q in each) == before:
                 break
-        if empty is not None:
+        if empty is not None and not (self._leaning is not request and all(map(len, self._leaners))):
             if self._refine(each, empty):
                 return self._bounded(self._each)
-            failure = blocked(request, self._layers, empty, sampler.coverage)
-            if self._leaning is not request:
-                failure.add_hint("only postures with the axis in the middle of its cone are searched")
-            raise failure
+            raise blocked(request, self._layers, empty, sampler.coverage)
         if self._leaning is request and self._bound is not None:
             self._bound, self._lowest = with_proof(request, self._bound, self._lowest, sampler.coverage)
             self.lower_bound, self._lowest_leaning = self._bound, self._lowest
         else:
-            found = find_lower_bound(self._leaning, self._layers, sampler.spacing)
+            layers = self._wider.layers([np.vstack(both) for both in zip(each, self._leaners, strict=True)])
+            found = find_lower_bound(self._leaning, layers, sampler.spacing)
             self.lower_bound, self._lowest_leaning = with_proof(self._leaning, *found, sampler.coverage)
         return each
+
+    @cached_property
+    def _leaners(self) -> list[FloatArray]:
+        self._request.reporter.step("sampling postures whose axis leans")
+        return leaning_postures(self._leaning)
 
     def _holds(self, bound: LowerBound, best: Sequence[int | None]) -> bool:
         """Whether the bound holds for charts with these best nodes, as it does unless they are denser."""
@@ -322,7 +329,8 @@ class GlobalSearch:
         metric = self._request.cell.robot.metric
         label = connected_parts(chart.q, chart.within, self._spacing, metric)
         away = self._largest(self._moves(self._request.first, chart.q))
-        parts = [label == number for number in np.unique(label[label >= 0])]
+        # Parts without a posture of the chart itself, as random leaning ones make, are no parts of their own.
+        parts = [label == number for number in np.unique(label[: len(self._each[0])]) if number >= 0]
         return sorted(parts, key=lambda part: float(away[part].min()))
 
     def _allow(self, step_share: float) -> None:
@@ -381,8 +389,8 @@ class GlobalSearch:
         Where the axis may lean, also sequences beside the leaning posture of the lower bound. So freedom
         never raises the peak, and a sequence leads on from the scene's own posture.
         """
-        if self._more_of is not self._bound:
-            self._more_of, self._more, self._joined = self._bound, self._found_beside(), {}
+        if self._more_of is not self.lower_bound:
+            self._more_of, self._more, self._joined = self.lower_bound, self._found_beside(), {}
         more = zip(*self._more, strict=True)
         # Charts that stay are the same arrays again.
         all_ = [
@@ -403,6 +411,7 @@ class GlobalSearch:
             k = self.lower_bound.via_point
             goals = _leaning_goals(self._leaning, self._lowest_leaning, k)
             more.append(sequences_beside(request, self._lowest_leaning, k, self._spacing, goals))
+            more.append(self._leaners)
         return more
 
     def _unwound(self, q: FloatArray, start: FloatArray | None) -> tuple[FloatArray, BoolArray]:
@@ -454,12 +463,42 @@ class GlobalSearch:
         return search, same_as[0]
 
 
+def leaning_postures(request: StrokeRequest) -> list[FloatArray]:
+    """Return admissible postures (m, d) at each via-point with the tool's axis anywhere in its cone.
+
+    Random ones, and those of the via-points beside with the smallest values, carried along the path.
+    """
+    cell, goals = request.cell, request.goals
+    sampler, last = PostureSampler(cell=cell, task=request.task), len(goals) - 1
+    which = np.repeat(np.arange(last + 1), -(-_LEANING_DRAWS // (last + 1)))
+    side, share = 2 * np.pi * sampler.rng.uniform(size=len(which)), sampler.rng.uniform(size=len(which))
+    tilt = (request.task.cone or 0.0) * np.sqrt(share)
+    leans = Rotation.from_rotvec(np.stack([tilt * np.cos(side), tilt * np.sin(side), 0 * side], axis=1))
+    some = goals[which]
+    some = replace(some, rotation=some.rotation @ leans.as_matrix())
+    q, reached = sampler.held(sampler.drawn(len(which)), some)
+    each = [sampler.admissible(q[reached & (which == k)]) for k in range(last + 1)]
+    for ks, way in ((range(1, last + 1), 1), (range(last - 1, -1, -1), -1)):
+        for k in ks:
+            q = each[k - way]
+            q = q[np.argsort(cell.objective.at_rest(cell.postures.at(q)), kind="stable")[:_CARRIED]]
+            if len(q):
+                some = goals[np.full(len(q), k)]
+                some = replace(some, rotation=some.rotation @ _leans(request, q, k - way))
+                each[k] = np.vstack([each[k], sampler.near(q, some)])
+    return each
+
+
+def _leans(request: StrokeRequest, q: FloatArray, via_point: int) -> FloatArray:
+    """Rotations (N, 3, 3) in the tool's frame by which its axis leans in postures (N, d) of a via-point."""
+    z = request.cell.postures.tool_at(q).tool_rotation[:, :, 2] @ request.goals[via_point].rotation[0]
+    turns = shortest_turns(np.broadcast_to([0.0, 0.0, 1.0], z.shape), z)
+    return np.asarray(Rotation.from_rotvec(turns).as_matrix())
+
+
 def _leaning_goals(request: StrokeRequest, posture: FloatArray, via_point: int) -> ToolPoses:
     """Goals whose axis leans all along the path as the tool's does in a posture (d,) of a via-point."""
-    goal = request.goals[via_point].rotation[0]
-    z = request.cell.postures.tool_at(posture[None]).tool_rotation[:, :, 2] @ goal
-    lean = Rotation.from_rotvec(shortest_turns(np.array([[0.0, 0.0, 1.0]]), z)[0])
-    return request.task.leaning(lean.as_matrix()).goals(request.times)
+    return request.task.leaning(_leans(request, posture[None], via_point)[0]).goals(request.times)
 
 
 def sequences_beside(
