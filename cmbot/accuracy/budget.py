@@ -21,6 +21,7 @@ from cmbot.accuracy.sway import Sway, sway_along
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.reading.file_types import NonNegative, Share
 from cmbot.elastic.arm import ElasticArm
+from cmbot.elastic.sag import Sag
 from cmbot.scene import Placement, Tolerance, Uncertainty
 
 # Draws; postures of a stroke at most, and the time between them, s.
@@ -251,7 +252,7 @@ class _Budget:
     """Errors of the tool at the N postures of a work, by what is drawn."""
 
     parts: tuple[Part, ...]
-    planned: FloatArray  # (N, 3), m: of the rigid arm's tool, beside the sag that is compensated
+    planned: FloatArray  # (N, 3), m: of the rigid arm's tool, or of the bent one's where sag is compensated
     sway: FloatArray  # (3, N, 3), m: with the least stiffness, the stated one and the largest
     along: FloatArray  # (N, 3), unit vectors along the path, or zero at rest
     axis: FloatArray  # (N, 3), of the tool
@@ -410,8 +411,9 @@ def _sampled(
     count = int(np.clip(np.ceil(duration / _POSTURE_INTERVAL_S), 8, _MAX_STROKE_POSTURES))
     t = np.linspace(0.0, duration, count + 1)
     q, place = work.motion(t, 0), work.path.position(t)
-    # Of a compensated plan the rigid tool is beside the path by minus the sag, which is no error.
-    offset = np.zeros_like(place) if compensated else work.path.leg_offset(t, work.commanded(t))
+    # Where the sag is compensated the bent tool is to be on the path; else its sag is a part of its own.
+    sag = Sag(arm).following(q) if compensated else 0.0
+    offset = work.path.leg_offset(t, work.commanded(t) + sag)
     velocity = np.gradient(place, t, axis=0)
     speed = np.linalg.norm(velocity, axis=1, keepdims=True)
     along = np.where(speed > _REST_SPEED_M_S, velocity / np.maximum(speed, _REST_SPEED_M_S), 0.0)

@@ -155,9 +155,13 @@ def test_mujoco_sways_alike_with_other_springs(bent: Plan, arm: ElasticArm, fact
 
 def test_in_an_ideal_world_only_what_is_known_is_left() -> None:
     scene = short_scene(planner={"compensate": True}, uncertainty="none")
-    accuracy = plan(scene, progress=False).accuracy
-    assert {part.name for part in accuracy.parts} == {"sway"}
-    assert accuracy.within_mm <= accuracy.parts[0].bias_mm * (1 + 1e-6)
+    planned = plan(scene, progress=False)
+    accuracy = planned.accuracy
+    parts = {part.name: part.bias_mm for part in accuracy.parts}
+    # How far the bent tool is beside its path as planned, and how it sways.
+    beside = 1e3 * planned.segment_samples["work"].tool_deviation.max()
+    assert parts == {"planned deviation": pytest.approx(beside, rel=0.2, abs=1e-3), "sway": parts["sway"]}
+    assert 0.7 * beside <= accuracy.within_mm <= sum(parts.values()) * (1 + 1e-6)
     assert not any("locate" in remedy.name or "identify" in remedy.name for remedy in accuracy.remedies)
 
 
