@@ -94,7 +94,8 @@ def segment_trajectories(
 def require_times(t: FloatArray, duration: float, source: str, whose: str) -> None:
     """Refuse times `t` (N,) of the file `source` that do not run from 0 to `duration`, s, as `whose` do."""
     if t[0] != 0.0 or abs(t[-1] - duration) > _SAME_T * duration:
-        raise ArchiveError(source, "t", f"{t[0]:g} to {t[-1]:g} s", f"0 to {duration:g} s, as in {whose}")
+        expected = f"0 to {duration:.12g} s, as in {whose}"
+        raise ArchiveError(source, "t", f"{t[0]:g} to {t[-1]:.12g} s", expected)
 
 
 def read_knots(content: bytes, source: str, dof: int) -> QuinticTrajectory:

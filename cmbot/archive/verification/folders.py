@@ -252,8 +252,10 @@ def _require_goal(walk: Walk, goal: Scene | StanceFile, source: str) -> None:
     _, ends = ends_of(walk)
     scene = goal if isinstance(goal, Scene) else walk.scene
     posture = np.array(scene.posture) if scene is goal else ends[-len(scene.posture) :]
-    if not np.allclose(ends, place(goal_stance(goal, walk.scene), posture), rtol=0, atol=_STANCE_TOLERANCE):
-        raise ArchiveError(source, "goal", "another stance or posture", "that which was asked for")
+    away = float(np.abs(ends - place(goal_stance(goal, walk.scene), posture)).max())
+    if not away <= _STANCE_TOLERANCE:
+        got = f"another stance or posture, by {away:.3g} m or rad"
+        raise ArchiveError(source, "goal", got, "that which was asked for")
 
 
 def _walk_files(folder: Path, walk: Walk) -> tuple[str, ...]:
