@@ -44,8 +44,8 @@ _SHARES, _PEAK_RISE = (0.75, 0.5, 0.25), 1e-6
 # The largest swing is to fall to this share, and the sway at work may grow by this factor; an amplitude of
 # the tool below the last, m, is rest.
 _WORTHWHILE_SWING_SHARE, _MAX_SWAY_GROWTH, _AT_REST_M = 0.9, 1.02, 2e-6
-# A swing is left as it is that is below this share of the tool deviation allowed, and below so many m.
-_SMALL_SWING_SHARE, _SMALL_SWING_M = 0.2, 2e-5
+# A swing is left as it is that is below this share of the sway at work, and below so many m.
+_SMALL_SWING_SHARE, _SMALL_SWING_M = 0.025, 2e-5
 # What the prediction misses, as a share of the stiffness.
 _PREDICTION_ERROR_SHARE = 0.01
 # Factors on the stiffness for which vibration is predicted.
@@ -68,7 +68,7 @@ def suppress_vibration(arm: ElasticArm, problem: TorqueProblem, optimised: Optim
     leg_times = request.task.path.leg_times
     sway, swing = before = request.cell.sway_of(trajectory)
     optimised = replace(optimised, sway=before)
-    if swing < min(_SMALL_SWING_SHARE * options.max_tool_deviation_m, _SMALL_SWING_M):
+    if swing < max(_AT_REST_M, min(_SMALL_SWING_SHARE * sway, _SMALL_SWING_M)):
         return optimised
     factors = _factors(options.quiet_stiffness_share)
     groups = legs_by_window(problem.space, leg_times)
