@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
@@ -370,10 +371,17 @@ def bare_climber(root: FloatArray, obstacles: Sequence[Obstacle] = (), *, foot_2
 
     Where foot 2 holds something its own shapes do not count.
     """
-    robot = load_climbing_robot(1, root, np.zeros(len(ARM_JOINTS)))
+    X_RW = np.linalg.inv(root)
+    placed = [replace(obstacle, X_WO=X_RW @ obstacle.X_WO) for obstacle in obstacles]
+    return Clearances(_climber_alone(foot_2=foot_2), placed)
+
+
+@lru_cache(maxsize=2)
+def _climber_alone(*, foot_2: bool) -> Robot:
+    """The climber without the arm, foot 1 at the origin: loaded once, obstacles are placed about it."""
+    robot = load_climbing_robot(1, np.eye(4), np.zeros(len(ARM_JOINTS)))
     left_out = {"tool"} if foot_2 else {"tool", "foot_2"}
-    moving = without_links(robot, lambda link: link in left_out or link.startswith("link_"))
-    return Clearances(moving, obstacles)
+    return without_links(robot, lambda link: link in left_out or link.startswith("link_"))
 
 
 def without_links(robot: Robot, left_out: Callable[[str], bool]) -> Robot:
