@@ -177,9 +177,12 @@ def test_what_is_above_a_level_is_exact(several: Contact, gap: Gap, rng: np.rand
     assert (value[~above] <= level[~above]).all()
 
 
-def test_a_contact_bears_what_is_pressed_by_more_than_slips(rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("corners", [None, [(0, 0), (0.02, 0.09), (0.0, 0.12), (-0.2, 0.1)]])
+def test_a_contact_bears_what_is_pressed_by_more_than_slips(
+    corners: list[tuple[float, float]] | None, rng: np.random.Generator
+) -> None:
     """Most of it is said by a bound alone, which knows nothing of the search for the force that slips."""
-    plate = Contact.rectangle(0.125, 0.075)
+    plate = Contact.rectangle(0.125, 0.075) if corners is None else Contact.of(shapely.Polygon(corners))[0]
     load = rng.normal(size=(2000, 5)) * [100.0, 100.0, 8.0, 8.0, 4.0] * rng.uniform(size=(2000, 5)) ** 2
     exact = np.maximum(plate.slip(load, 0.3, "allowed")[0], plate.tip(load[:, 2:4])[0])
     for factor in (0.5, 0.9, 0.999, 1.001, 1.2, 2.0):
