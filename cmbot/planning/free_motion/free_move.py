@@ -269,7 +269,9 @@ def _timed(
     )
     if (frequency := request.cell.lowest_frequency(path[0])) is not None:
         seconds = max(seconds, _LEAST_PERIODS / frequency)
-    at_rest = _asked(request, StateSamples.at_rest(u, trial.q), allowed)
+    # At the places of the moving arm, whose peak may lie between knots: no slower arm asks less.
+    sampled = StateSamples.even(trial, _TORQUE_SAMPLES_PER_SEGMENT)
+    at_rest = _asked(request, StateSamples.at_rest(sampled.t, sampled.q), allowed)
     for slower in _SLOWER:
         timed = _slowed(trial, slower * seconds, begin)
         if _asked(request, StateSamples.even(timed, _TORQUE_SAMPLES_PER_SEGMENT), allowed) <= (

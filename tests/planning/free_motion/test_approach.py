@@ -15,6 +15,7 @@ from cmbot.planning import JobState, Plan, Segment, certify_move, plan
 from cmbot.planning.budget import Deadline
 from cmbot.planning.free_motion import free_move
 from cmbot.planning.free_motion.approach import joined_starts, plan_approach
+from cmbot.planning.free_motion.free_move import FreeMove, plan_move
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.rrt_connect import MOST_GROWTHS, rrt_connect
 from cmbot.planning.path.gradient_projection import self_motion_postures
@@ -230,3 +231,21 @@ def test_a_short_way_takes_three_periods_of_what_bends() -> None:
     t = approach.trajectory.t / 4
     quick = replace(approach.trajectory, t=t, v=4 * approach.trajectory.v, a=16 * approach.trajectory.a)
     assert swing < 0.2 * stroke_sway(arm, quick, 0.3).largest[1]
+
+
+def test_a_move_is_no_slower_than_what_it_asks_at_rest_has_it() -> None:
+    """Where that is more than it may ask, a slower arm asks hardly less, but a faster one more."""
+    asked = request_of(short_scene()).tool_off
+    start, end = np.radians([[-13, 135, -49, 79, 104, 93, -10], [-164, 139, -129, 121, -14, 74, 93]])
+    move = FreeMove(name="move", start=start, end=end, start_name="here", end_name="there")
+    trajectory = plan_move(asked, move).trajectory
+    times, dynamics = np.linspace(*trajectory.t[[0, -1]], 4000), Dynamics(asked.cell.robot)
+    q, v, a = (trajectory.evaluate(times, order) for order in range(3))
+
+    def peak(speed: float) -> float:
+        torque = dynamics.efforts(q, speed * v, speed**2 * a).guardrail_torque
+        return float(np.linalg.norm(torque, axis=1).max())
+
+    ends = np.linalg.norm(dynamics.static_efforts(np.stack([start, end])).guardrail_torque, axis=1)
+    assert peak(0.0) > 1.001 * ends.max()
+    assert peak(1.0) <= 1.001 * peak(0.0) < peak(1.25)
