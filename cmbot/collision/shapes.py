@@ -56,11 +56,13 @@ class ShapePair:
 
     def describe(self, distance: float, margin: float) -> str:
         """Return the sentence that a distance, m, is below the safety margin, m."""
-        if distance < 0:
-            how = f"{self.link} reaches {-distance:.4f} m into {self.other}"
-        else:
-            how = f"{self.link} comes within {distance:.4f} m of {self.other}"
-        return f"{how}, the safety margin is {margin:g} m"
+        how = f"reaches {-distance:.4f} m into" if distance < 0 else f"comes within {distance:.4f} m of"
+        return f"{self.link} {how} {self.other}{self.touching}, the safety margin is {margin:g} m"
+
+    @property
+    def touching(self) -> str:
+        """What lets the tool touch a workpiece, in words after its name; empty for other pairs."""
+        return " (tool.contact_mm lets the tip touch it)" if self.tool_at_work else ""
 
 
 class PairedShapes:

@@ -210,7 +210,7 @@ def _named(request: StrokeRequest, error: OptimisationFailed) -> tuple[str, Brok
             worst = int(smallest.distance.argmin())
             pair = cell.clearances.pairs[int(smallest.pair[worst])]
             near = NearObstacle(distance=float(smallest.distance[worst]), margin=margin)
-            return f"clearance of {pair.link} from {pair.other}", near
+            return f"clearance of {pair.link} from {pair.other}{pair.touching}", near
         case JointTorque():
             torque = Dynamics(cell.robot).efforts(q, v, a).joint_torque
             use = np.abs(torque) / cell.robot.limits.torque

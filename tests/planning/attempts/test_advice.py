@@ -261,3 +261,16 @@ def test_slower_legs_are_named_by_the_keys_of_the_stroke(time: dict[str, float],
     after = slower(before, np.array([1.0, 1.0, 1.5, 1.0, 1.0]))
     np.testing.assert_allclose(after.task.path.seconds / before.task.path.seconds, 1.5, rtol=0.02)
     assert in_keys(before, after) == changed.format(key=key)
+
+
+def test_a_tool_too_near_to_its_workpiece_is_told_what_lets_it_touch(
+    asked: StrokeRequest, trajectory: QuinticTrajectory
+) -> None:
+    place = Kinematics(asked.cell.robot).tool_pose(asked.state.posture).translation
+    for workpiece in (True, False):
+        box = {"name": "plate", "box": [0.02] * 3, "xyz": place.tolist(), "workpiece": workpiece}
+        data = {"tool_path": {"legs": LEGS, "via_points": 16}, "obstacles": [box]}
+        near = request_of(short_scene(**data))
+        said = str(error_of(failure_of(near, failed(Limit.CLEARANCE, trajectory, 0.01))))
+        advice = " (tool.contact_mm lets the tip touch it)" * workpiece
+        assert f"worst constraint: clearance of tool from plate{advice}, 1.00% beyond" in said
