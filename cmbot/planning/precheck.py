@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from cmbot.collision import Clearances
+from cmbot.collision import Box, Clearances, touched_by
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra, PlanningError, SceneError
 from cmbot.common.installation import install_command
@@ -28,7 +28,7 @@ from cmbot.planning.workcell.stiffness import identified_in_words
 from cmbot.planning.workcell.units import mistaken_units, require_metres, unit_findings
 from cmbot.planning.workcell.workcell import bending_arm, rigid_arm_remark, robot_of
 from cmbot.robot import Dynamics, Finding, Robot
-from cmbot.scene import PlannerOptions, Scene, Stroke, Tool, coverage_of
+from cmbot.scene import FootholdFile, PlannerOptions, Scene, Stroke, Tool, coverage_of, foothold_pose
 from cmbot.toolpath import ToolPath
 from cmbot.trajectory import SUPPORT
 
@@ -36,6 +36,11 @@ MOST_UNKNOWNS = 3000
 """Of a problem for SLSQP, whose dense matrices cost the cube of them: here an exchange iteration takes one to
 two minutes, at 4,000 more than three."""
 
+LIFT_M = 0.06
+"""How far a foot is lifted off along the normal of the face before it swings, m."""
+
+# The foot in its frame, as the URDF has it, m: sides, and its centre above the member's axis.
+_FOOT_M, _FOOT_CENTRE_M = (0.13, 0.05, 0.15), 0.065
 # A stretched arm is not out of its own reach.
 _ROUNDING_SHARE = 1e-9
 # More sag than this is rather a mistake of the stiffness' unit.
@@ -49,6 +54,10 @@ _LOADS = (
 _STIFF = "a base and an arm that bear the weight (N/m and Nm/rad)"
 # Odd, so that the middle of a leg's time is among them.
 _SPEED_SAMPLES = 201
+
+
+# What a scene has, as a name and a value with its unit, or what is wrong.
+_Found = tuple[str, str] | Finding
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,21 +95,14 @@ def precheck_scene(scene: Scene) -> Precheck:
         strokes = strokes_of(scene, robot)
         require_metres(scene, robot)
     task = task_of(strokes[0], scene)
-    start = (
-        _hold_at_start(scene, robot),
-        _sag_at_start(scene, robot),
-        _clearance_at_start(scene, robot),
-        _statics_at_start(scene, robot, task),
-    )
-    found = [*_asked(scene, robot, strokes, task), *(pair for part in start for pair in part.found)]
-    warnings = [warning for part in start for warning in part.warnings]
-    warnings += _out_of_reach(strokes, robot)
-    warnings += _too_strong(scene, robot)
-    warnings += without_posture(scene)
+    start = [*_hold_at_start(scene, robot), *_sag_at_start(scene, robot)]
+    start += [*_clearance_at_start(scene, robot), *_statics_at_start(scene, robot, task)]
+    found = [*_asked(scene, robot, strokes, task), *(each for each in start if isinstance(each, tuple))]
+    warnings = [*_warnings(start), *_out_of_reach(strokes, robot), *_too_strong(scene, robot)]
+    warnings += [*without_posture(scene), *_blocked_feet(scene)]
     for stroke in strokes:
         warnings += [*_too_fast(scene.tool, stroke), *_too_short(stroke, robot)]
-        if too_large := oversized(stroke, robot.dof, scene.planner):
-            warnings.append(too_large)
+        warnings += filter(None, [oversized(stroke, robot.dof, scene.planner)])
     warnings += precheck_options(scene.planner, scene.tool)
     # They may explain the others.
     # Rows of a raster share their key, and what is the matter with them.
@@ -138,68 +140,63 @@ def _asked(
         yield "stiffness", identified
 
 
-def _clearance_at_start(scene: Scene, robot: Robot) -> Precheck:
+def _warnings(found: Iterable[_Found]) -> Iterator[Finding]:
+    return (each for each in found if isinstance(each, Finding))
+
+
+def _clearance_at_start(scene: Scene, robot: Robot) -> Iterator[_Found]:
     """The smallest distance in the start posture."""
     clearances, margin = Clearances(robot, scene.all_obstacles), scene.planner.safety_margin_m
     smallest = clearances.query(scene.posture[None])
     if smallest.pair[0] < 0:
-        return Precheck(found=(), warnings=())
+        return
     pair, distance = clearances.pairs[smallest.pair[0]], float(smallest.distance[0])
-    clear = "a start that is clear by planner.safety_margin_m"
-    warning = _warning(scene.posture_key, pair.describe(distance, margin), clear)
-    return Precheck(
-        found=(("clearance at the start", f"{distance:.4f} m ({pair.link} to {pair.other})"),),
-        warnings=(warning,) if distance < margin else (),
-    )
+    yield "clearance at the start", f"{distance:.4f} m ({pair.link} to {pair.other})"
+    if distance < margin:
+        clear = "a start that is clear by planner.safety_margin_m"
+        yield _warning(scene.posture_key, pair.describe(distance, margin), clear)
 
 
-def _statics_at_start(scene: Scene, robot: Robot, task: ToolTask) -> Precheck:
+def _statics_at_start(scene: Scene, robot: Robot, task: ToolTask) -> Iterator[_Found]:
     """How far the start posture is from a singularity, and what the arm asks in it at rest."""
     # Where the work may start elsewhere, the arm waits in the scene's posture with its tool off.
     stays = scene.planner.start == "pinned" or scene.planner.knots == "fixed"
     efforts = Dynamics(robot if stays else robot.tool_off).static_efforts(scene.posture[None])
     use = np.abs(efforts.joint_torque[0]) / robot.limits.torque
     joint = robot.joints[use.argmax()]
-    effort = "force" if robot.limits.prismatic[use.argmax()] else "torque"
-    got = f"{use.max():.2f} of the {effort} that {joint} can bear, at rest"
-    warning = _warning(scene.posture_key, got, "at most 1")
-    return Precheck(
-        found=(
-            ("smallest singular value there", f"{task.smallest_singular_value(robot, scene.posture):.4f}"),
-            (f"torque on the {scene.base_name} there", f"{np.linalg.norm(efforts.guardrail_torque):.2f} Nm"),
-            ("largest joint torque there", f"{use.max():.2f} of the bound of {joint}"),
-        ),
-        warnings=(warning,) if use.max() > 1.0 else (),
-    )
+    yield "smallest singular value there", f"{task.smallest_singular_value(robot, scene.posture):.4f}"
+    yield f"torque on the {scene.base_name} there", f"{np.linalg.norm(efforts.guardrail_torque):.2f} Nm"
+    yield "largest joint torque there", f"{use.max():.2f} of the bound of {joint}"
+    if use.max() > 1.0:
+        effort = "force" if robot.limits.prismatic[use.argmax()] else "torque"
+        got = f"{use.max():.2f} of the {effort} that {joint} can bear, at rest"
+        yield _warning(scene.posture_key, got, "at most 1")
 
 
-def _hold_at_start(scene: Scene, robot: Robot) -> Precheck:
+def _hold_at_start(scene: Scene, robot: Robot) -> Iterator[_Found]:
     """What feet and locked joints bear at rest in the start posture, with the tool off."""
-    holding, found, warnings = robot.holding, list[tuple[str, str]](), list[Finding]()
+    holding = robot.holding
     wrench = Dynamics(robot.tool_off).static_efforts(scene.posture[None]).guardrail_wrench
     if holding is not None and holding.adhesive:
         worst = holding.worst(wrench, np.zeros(1))
         left = holding.kinds_left(worst, "the start posture alone")
-        found.append(("kinds of hold left there", f"{left}; of the whole job cmbot plan says it"))
+        yield "kinds of hold left there", f"{left}; of the whole job cmbot plan says it"
     if holding is not None and holding.bounded:
         use, got = _most_used(holding, wrench)
-        found.append(("of what the feet bear there, safety included", f"{100 * use:.0f} %: {got}"))
+        yield "of what the feet bear there, safety included", f"{100 * use:.0f} %: {got}"
         if use > 1.0:
             movable = scene.mounts or (scene.on_guardrail and scene.guardrail.bays)
             other = ", or another place, which cmbot stand seeks" if movable else ""
             expected = f"feet that bear what the arm asks: {_hold_key(scene)}{other}"
-            warnings.append(_warning(scene.posture_key, got, expected))
+            yield _warning(scene.posture_key, got, expected)
     if robot.holding_joints:
         uses = robot.holding_use(wrench)[0]
         use, joint = float(uses.max()), robot.holding_joints[int(uses.argmax())]
-        found.append(
-            ("locked joint that bears most there", f"{joint.name}, {100 * use:.0f} % of {joint.limit:g} Nm")
-        )
+        yield "locked joint that bears most there", f"{joint.name}, {100 * use:.0f} % of {joint.limit:g} Nm"
         if use > 1.0:
             got = f"{100 * use:.0f} % of what the locked {joint.name} holds, {joint.limit:g} Nm, at rest"
             expected = "at most 100 %, or more of holding_torque in the limits file"
-            warnings.append(_warning(scene.posture_key, got, expected))
-    return Precheck(found=tuple(found), warnings=tuple(warnings))
+            yield _warning(scene.posture_key, got, expected)
 
 
 def _hold_key(scene: Scene) -> str:
@@ -213,6 +210,33 @@ def _too_strong(scene: Scene, robot: Robot) -> Iterator[Finding]:
             got = f"{foot.adhesion:.0f} N, where a magnet of two poles pulls {foot.ceiling:.0f} N at most"
             expected = "what the magnet was measured to pull on this steel"
             yield _warning(f"{_hold_key(scene)}.adhesion_n", got, expected)
+
+
+def _blocked_feet(scene: Scene) -> Iterator[Finding]:
+    """Yield feet that touch an obstacle where they hold, or as they are put there; members may meet there."""
+    stance = scene.guardrail.stance if scene.on_guardrail else None
+    own = {each.name for each in scene.obstacles}
+    for number, place in enumerate(() if stance is None else stance.places, start=1):
+        if place is not None and (other := in_the_way(scene, place)) in own:
+            got = f"a foot that touches {other} at the {place.face} of {place.member}, or as it is put there"
+            yield _warning(f"guardrail.stance.foot_{number}", got, "another face, or another place along_m")
+
+
+def in_the_way(scene: Scene, place: FootholdFile) -> str | None:
+    """Return the name of an obstacle or member that a foot touches there, or on its way there from above.
+
+    Joints of members, such as a post behind a rail, are in the way as lamps are. None where nothing is.
+
+    Parameters
+    ----------
+    scene : Scene
+    place : FootholdFile
+    """
+    X = foothold_pose(scene.elastic_guardrail, place)
+    X[:3, 3] += (_FOOT_CENTRE_M + LIFT_M / 2) * X[:3, 1]
+    box = Box(size=(_FOOT_M[0], _FOOT_M[1] + LIFT_M, _FOOT_M[2]))
+    others = [obstacle for obstacle in scene.all_obstacles if obstacle.name != place.member]
+    return touched_by(box, np.asarray(X), others)
 
 
 def _most_used(holding: Holding, wrench: FloatArray) -> tuple[float, str]:
@@ -232,21 +256,21 @@ def _most_used(holding: Holding, wrench: FloatArray) -> tuple[float, str]:
     return max(uses)
 
 
-def _sag_at_start(scene: Scene, robot: Robot) -> Precheck:
+def _sag_at_start(scene: Scene, robot: Robot) -> Iterator[_Found]:
     """How far the tool sags in the start posture, at rest with the tool off."""
     arm = bending_arm(scene, robot)
     if arm is None:
-        return Precheck(found=(), warnings=())
+        return
     try:
         sag = float(Sag(arm.tool_off).distance(scene.posture[None])[0])
     except TooSoftError:
         got = f"so soft a base or arm that the arm topples in {scene.posture_key}"
-        return Precheck(found=(), warnings=(_warning(scene.softest_key, got, _STIFF),))
-    got = f"a tool that sags {1e3 * sag:.0f} mm in {scene.posture_key}"
-    return Precheck(
-        found=(("sag of the tool there", f"{1e3 * sag:.2f} mm"),),
-        warnings=(_warning(scene.softest_key, got, _STIFF),) if sag > _MUCH_SAG_M else (),
-    )
+        yield _warning(scene.softest_key, got, _STIFF)
+        return
+    yield "sag of the tool there", f"{1e3 * sag:.2f} mm"
+    if sag > _MUCH_SAG_M:
+        got = f"a tool that sags {1e3 * sag:.0f} mm in {scene.posture_key}"
+        yield _warning(scene.softest_key, got, _STIFF)
 
 
 def _out_of_reach(strokes: Sequence[Stroke], robot: Robot) -> Iterator[Finding]:
@@ -306,7 +330,7 @@ def precheck_options(options: PlannerOptions, tool: Tool | None = None) -> Itera
     ----------
     options : PlannerOptions
     tool : Tool, optional
-        The scene's: a process force may have a torque about z.
+        The scene's: a process force may have a torque about z, and seldom pulls the tool forward.
     """
     pushed = tool is not None and any(tool.process_force_n)
     if options.objective == "torque" and not any(options.axis_weights[:2]) and not pushed:
@@ -317,6 +341,10 @@ def precheck_options(options: PlannerOptions, tool: Tool | None = None) -> Itera
             "minimised, and slowly",
             "a weight above 0 for x or y, as in [1, 1, 1]",
         )
+    if tool is not None and tool.process_force_n[2] > 0:
+        got = f"[{', '.join(f'{x:g}' for x in tool.process_force_n)}], which pulls the tool forward"
+        expected = "a negative z: a nozzle's recoil, and what the tool is pressed against, push it back"
+        yield _warning("tool.process_force_n", got, expected)
 
 
 @contextmanager
@@ -332,10 +360,10 @@ def failures_explained(scene: Scene) -> Iterator[None]:
     except (PlanningError, SceneError) as error:
         if isinstance(error, PlanningError):
             robot = robot_of(scene)
-            for warning in _hold_at_start(scene, robot).warnings:
+            for warning in _warnings(_hold_at_start(scene, robot)):
                 # What does not even hold at rest comes first.
                 error.add_source(f"the start asks {warning.got}")
-            for warning in _sag_at_start(scene, robot).warnings:
+            for warning in _warnings(_sag_at_start(scene, robot)):
                 error.add_hint(f"{warning.key} has {warning.got}")
         if isinstance(error, PlanningError) or error.key.startswith(scene.posture_key):
             for key, looks, units in mistaken_units(scene):

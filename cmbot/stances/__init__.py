@@ -7,14 +7,12 @@ from cmbot.stances.bounds import (
     StanceObjective as StanceObjective,
 )
 from cmbot.stances.candidates import (
-    LIFT_M as LIFT_M,
     AnyCandidate as AnyCandidate,
     Candidate as Candidate,
     MountCandidate as MountCandidate,
     bare_climber as bare_climber,
     candidate_at as candidate_at,
     candidates_of as candidates_of,
-    in_the_way as in_the_way,
     on_two_feet as on_two_feet,
     own_candidate as own_candidate,
     place_in_words as place_in_words,

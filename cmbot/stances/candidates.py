@@ -9,11 +9,11 @@ from functools import lru_cache
 import numpy as np
 import pinocchio as pin
 
-from cmbot.collision import Box, Clearances, Obstacle, touched_by
+from cmbot.collision import Clearances, Obstacle
 from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import short_repr
 from cmbot.elastic import elastic_base
-from cmbot.planning import held_guardrail, robot_of
+from cmbot.planning import held_guardrail, in_the_way, robot_of
 from cmbot.robot import ARM_JOINTS, Climber, Robot, Side, load_climbing_robot
 from cmbot.scene import (
     Face,
@@ -34,10 +34,6 @@ APART = 0.16
 _SAME_NORMAL = 0.999
 # Places this far from the ends of a member are left out, m.
 _END_MARGIN_M = 0.04
-# The foot in its frame, as the URDF has it, m: sides, and its centre above the member's axis.
-_FOOT_M, _FOOT_CENTRE_M = (0.13, 0.05, 0.15), 0.065
-LIFT_M = 0.06
-"""How far a foot is lifted off along the normal of the face before it swings, m."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -347,23 +343,6 @@ def climber_in_the_way(scene: Scene, candidate: Candidate) -> str | None:
 def place_in_words(place: FootholdFile | None) -> str:
     """Return where a foot holds, in words."""
     return "free" if place is None else f"{place.member} at {place.along_m:.2f} m ({place.face})"
-
-
-def in_the_way(scene: Scene, place: FootholdFile) -> str | None:
-    """Return the name of an obstacle or member that a foot touches there, or on its way there from above.
-
-    Joints of members, such as a post behind a rail, are in the way as lamps are. None where nothing is.
-
-    Parameters
-    ----------
-    scene : Scene
-    place : FootholdFile
-    """
-    X = foothold_pose(scene.elastic_guardrail, place)
-    X[:3, 3] += (_FOOT_CENTRE_M + LIFT_M / 2) * X[:3, 1]
-    box = Box(size=(_FOOT_M[0], _FOOT_M[1] + LIFT_M, _FOOT_M[2]))
-    others = [obstacle for obstacle in scene.all_obstacles if obstacle.name != place.member]
-    return touched_by(box, np.asarray(X), others)
 
 
 def bare_climber(root: FloatArray, obstacles: Sequence[Obstacle] = (), *, foot_2: bool = True) -> Clearances:

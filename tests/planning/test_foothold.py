@@ -56,6 +56,18 @@ def test_the_check_is_of_all_times_and_has_the_safety(held: Plan) -> None:
     assert check.value == held.certificate.adhesion_bound
 
 
+@pytest.mark.parametrize(("height", "number"), [(-0.02, 1), (0.5, 0)])
+def test_an_obstacle_in_a_foot_is_named_before_planning(height: float, number: int) -> None:
+    """A post on the rail, where foot 1 holds it, and one that stands half a metre above."""
+    stance = {"foot_1": {"member": "top_rail", "along_m": 3.5, "turn_deg": 180}}
+    free = short_scene(guardrail={"stance": stance})
+    x, y, z = free.stance.foot
+    post = {"name": "stub", "box": [0.02, 0.3, 0.02], "xyz": [x, y, z + height]}
+    found = precheck_scene(short_scene(guardrail={"stance": stance}, obstacles=[post])).warnings
+    about = [each for each in found if each.key == "guardrail.stance.foot_1"]
+    assert [each.got.startswith("a foot that touches stub") for each in about] == [True] * number
+
+
 def test_by_hand_at_rest(held: Plan) -> None:
     """About the face's centre: the whole robot's weight, and the tool's force at its point."""
     q = held.trajectory.q[:1]

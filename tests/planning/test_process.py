@@ -239,3 +239,10 @@ def test_the_speed_of_the_bent_tool_is_what_is_certified(compensated_plan: Plan)
         check for check in compensated_plan.certificate.checks if check.quantity == "expected tool speed"
     )
     assert speed == pytest.approx(check.value, rel=1e-3)
+
+
+@pytest.mark.parametrize(("force", "number"), [([0, 0, 30], 1), ([5, 0, -30], 0), ([5, 0, 0], 0)])
+def test_a_force_that_pulls_the_tool_forward_is_told(force: list[float], number: int) -> None:
+    found = precheck_scene(scene_with({"process_force_n": force})).warnings
+    about = [each.got for each in found if each.key == "tool.process_force_n"]
+    assert about == ["[0, 0, 30], which pulls the tool forward"] * number

@@ -12,6 +12,7 @@ from cmbot.collision import Obstacle
 from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import short_repr
 from cmbot.planning import (
+    LIFT_M,
     Certificate,
     FreeMove,
     FreeSpace,
@@ -23,11 +24,12 @@ from cmbot.planning import (
     build_request,
     certify_move,
     free_space,
+    in_the_way,
     plan_move,
 )
 from cmbot.robot import Climber, Kinematics, Robot, Side, load_climbing_robot, other_foot
 from cmbot.scene import PlannerOptions, Scene
-from cmbot.stances import LIFT_M, Candidate, in_the_way, place_in_words, scene_at, without_links
+from cmbot.stances import Candidate, place_in_words, scene_at, without_links
 from cmbot.stances.walking.balance import foot_at
 from cmbot.toolpath import SpeedProfile, ToolPath
 from cmbot.trajectory import QuinticTrajectory

@@ -18,10 +18,10 @@ from walks import ARM_DEG, CLAMP, COUNTERWEIGHT_DEG, feet, one_step, scene_on_tw
 import cmbot
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PlanningError, SceneError
-from cmbot.planning import Deadline, FreeSpace
+from cmbot.planning import Deadline, FreeSpace, in_the_way
 from cmbot.robot import Climber, Kinematics, Robot, load_climbing_robot
 from cmbot.scene import FootholdFile, Scene, StanceFile
-from cmbot.stances import Candidate, in_the_way, places_of
+from cmbot.stances import Candidate, places_of
 from cmbot.stances.walking import (
     Walk,
     WalkOptions,
