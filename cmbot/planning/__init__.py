@@ -65,6 +65,7 @@ from cmbot.planning.result.judgement import (
     baseline_faults as baseline_faults,
     bound_use as bound_use,
     during as during,
+    hold_use as hold_use,
     tightest_check as tightest_check,
 )
 from cmbot.planning.result.notes import Note as Note, notes as notes

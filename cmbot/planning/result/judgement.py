@@ -125,6 +125,11 @@ def tightest_check(job: Job, limit: Limit | None = None) -> tuple[Segment, Check
     return max(some, key=lambda each: bound_use(each[1]))
 
 
+def hold_use(job: Job) -> float | None:
+    """Return the largest share that feet use of what their safety allows; None where that is not given."""
+    return max((bound_use(each) for _, each in job.checks() if each.limit is Limit.HOLD), default=None)
+
+
 def bound_use(check: Check) -> float:
     """Return the share of its bound that a check's value uses: 1 at the bound, more beyond it."""
     if check.at_least:

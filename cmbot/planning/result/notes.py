@@ -19,6 +19,7 @@ from cmbot.planning.result.judgement import (
     bound_use,
     during,
     further,
+    hold_use,
     tightest_check,
     travels,
 )
@@ -44,6 +45,10 @@ _TOLD_SLIDE_M = 0.01
 _ZERO_BOUND_SHARE = 1e-9
 # What a magnet is thought to lose to rust, paint and gaps.
 _ADHESION_LOSS_SHARE = 0.2
+
+# Free moves that take so many times as long as the work are told; a rate that is used as far bounds them.
+_LONG_FREE_RATIO, _REACHED_SHARE = 3.0, 0.9
+_RATES = (Limit.VELOCITY, Limit.ACCELERATION, Limit.JERK)
 
 Level = Literal["first", "fault", "warning", "note"]
 
@@ -104,6 +109,7 @@ def _first(plan: Plan) -> Iterator[Note]:
         yield Note(level="first", key="rigid_tool", values=values)
     yield from _holds(plan)
     yield Note(level="first", key="base", values=_base(plan))
+    yield from _free_moves(plan)
     segment, check = tightest_check(plan.job)
     promise = {**vars(check), "limit": str(check.limit), "when": during(segment, plan.job)}
     yield Note(level="first", key="promise", values=promise)
@@ -129,9 +135,9 @@ def _holds(plan: Plan) -> Iterator[Note]:
             holds = "with safety" if less >= foot.safety * needed.peak else "without safety"
             values |= {"has_kn": foot.adhesion / 1e3, "lost": _ADHESION_LOSS_SHARE}
             values["less"] = holds if less >= needed.peak else "not"
-    if any(check.limit is Limit.HOLD for _, check in plan.job.checks()):
+    if (use := hold_use(plan.job)) is not None:
         segment, check = tightest_check(plan.job, limit=Limit.HOLD)
-        values |= {"quantity": check.quantity, "use": bound_use(check), "time": check.time}
+        values |= {"quantity": check.quantity, "use": use, "time": check.time}
         yield Note(level="first", key="holds", values=values | {"when": during(segment, plan.job)})
     else:
         welded = any(foot.kind == "welded" for foot in holding.feet)
@@ -162,6 +168,18 @@ def _base(plan: Plan) -> dict[str, Any]:
     samples = plan.segment_samples[segment.name]
     time = segment.begin + samples.t[np.linalg.norm(samples.guardrail_torque, axis=1).argmax()]
     return values | {"rest": None, "when": during(segment, plan.job), "time": float(time)}
+
+
+def _free_moves(plan: Plan) -> Iterator[Note]:
+    """What bounds the longest free move, where these take far longer than the work."""
+    free, total = [each for each in plan.job.segments if each.kind == "free"], plan.job.duration
+    seconds = sum(each.duration for each in free)
+    if seconds > _LONG_FREE_RATIO * (total - seconds):
+        longest = max(free, key=lambda each: each.duration)
+        rates = (check for check in longest.certificate.checks if check.limit in _RATES)
+        by = next((check.quantity for check in rates if bound_use(check) > _REACHED_SHARE), None)
+        values = {"seconds": seconds, "total": total, "which": longest.in_words, "by": by}
+        yield Note(level="first", key="free_moves", values=values)
 
 
 def _faults(plan: Plan) -> Iterator[Note]:

@@ -12,7 +12,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.limit import Limit
 from cmbot.hold import CLAMP_LOAD
 from cmbot.planning.result.holding import clamp_in_stop
-from cmbot.planning.result.judgement import baseline_faults, bound_use, further, tightest_check
+from cmbot.planning.result.judgement import baseline_faults, further, hold_use
 from cmbot.planning.result.plan import Plan
 
 LOAD_HEADINGS = ("", "largest", "unit", "at, s", "during", "share of its limit")
@@ -133,8 +133,7 @@ def _holding(plan: Plan) -> Iterator[Row]:
         yield _row(name, "holding_joints", "Nm", ".1f", float(peak), before)
     if holding is None:
         return
-    if any(check.limit is Limit.HOLD for _, check in plan.job.checks()):
-        use = bound_use(tightest_check(plan.job, limit=Limit.HOLD)[1])
+    if (use := hold_use(plan.job)) is not None:
         yield _row("feet use of what their safety allows", "certificate", "%", ".0f", use, first=True)
     for name, planned, other in (
         ("adhesion needed, whole job", plan.job.figures, None if baseline is None else baseline.job_figures),

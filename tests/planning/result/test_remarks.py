@@ -11,10 +11,12 @@ from small_scenes import short_scene
 
 from cmbot.accuracy import stroke_sway
 from cmbot.common.errors import PathNotFound
+from cmbot.common.limit import Limit
 from cmbot.common.reading.validation import counted
 from cmbot.planning import Plan, Start, bending_arm, first_remarks, notes, remarks, sentence
 from cmbot.planning.initial_guess import Choice
 from cmbot.simulation import Tracking
+from cmbot.trajectory import QuinticTrajectory
 
 
 @pytest.mark.parametrize(
@@ -244,3 +246,27 @@ def test_an_arm_that_bends_nowhere_has_its_tool_first_too(short_plan: Plan) -> N
     assert rigid.accuracy is None
     assert first_remarks(rigid)[0] == f"The tool is within {off:.3g} mm of its path, as the rigid arm has it."
     assert next(rigid.rows(first=True))[0] == "largest tool deviation, mm"
+
+
+def test_free_moves_that_take_far_longer_than_the_work_are_told_with_what_bounds_them(
+    triangle_plan: Plan,
+) -> None:
+    def said(plan: Plan) -> list[str]:
+        return [sentence(note) for note in notes(plan) if note.key == "free_moves"]
+
+    assert said(triangle_plan) == []
+    approach = triangle_plan.approach
+    t, q, v, a = (getattr(approach.trajectory, name) for name in "tqva")
+    slow = QuinticTrajectory(t=8 * t, q=q, v=v / 8, a=a / 64)
+    work = triangle_plan.job.segment("work")
+    begun = changed(triangle_plan, "work", begin=work.begin + 7 * approach.duration)
+    free, total = 8 * approach.duration, 8 * approach.duration + work.duration
+    first = f"Free moves take {free:.0f} of {total:.0f} s: the longest, the approach, is bounded by the "
+    assert said(changed(begun, "approach", trajectory=slow)) == [f"{first}velocity of joint_4."]
+    checks = tuple(
+        replace(check, value=0.5 * check.bound) if check.limit is Limit.VELOCITY else check
+        for check in approach.certificate.checks
+    )
+    idle = replace(approach.certificate, checks=checks)
+    (told,) = said(changed(begun, "approach", trajectory=slow, certificate=idle))
+    assert told == f"{first}slowest mode or by what base, feet and joints bear."
