@@ -12,7 +12,7 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.reading.validation import counted
-from cmbot.planning import Plan, Samples, verdict
+from cmbot.planning import Plan, Samples, hold_use, verdict
 from cmbot.simulation import Tracking
 from cmbot.views.charts import (
     MOST_SMALL_POINTS,
@@ -82,8 +82,9 @@ def compare_page(plans: Mapping[str, Plan], trackings: Mapping[str, Tracking | N
 
 def _require_alike(plans: Mapping[str, Plan]) -> None:
     if not 2 <= len(plans) <= MOST_PLANS:
-        got, expected = counted(len(plans), "plan"), f"2 to {MOST_PLANS} different plans"
-        raise InputError("cmbot compare", "", got, expected)
+        raise InputError(
+            "cmbot compare", "", counted(len(plans), "plan"), f"2 to {MOST_PLANS} different plans"
+        )
     (first, plan), *others = plans.items()
     for name, other in others:
         if (link_names(other.robot), other.robot.joints) != (link_names(plan.robot), plan.robot.joints):
@@ -166,15 +167,19 @@ def _verdict(name: str, plan: Plan, tracking: Tracking | None, whole: bool) -> s
 
 def _cards(keys: Mapping[str, str], plans: Mapping[str, Plan]) -> Iterator[str]:
     """Yield what decides between the plans."""
-    jobs = [plan.job.figures for plan in plans.values()]
-    peaks, clearances = [one.peak_guardrail_torque for one in jobs], [1e3 * one.min_clearance for one in jobs]
-    work = [plan.figures.peak_guardrail_torque for plan in plans.values()]
     base = next(iter(plans.values())).scene.base_name
-    yield _card(keys, f"Peak {base} torque, whole job", "Nm", peaks)
-    yield _card(keys, f"Peak {base} torque at work", "Nm", work)
-    if np.isfinite(clearances).all():
-        yield _card(keys, "Smallest clearance", "mm", clearances, most=True)
-    yield _card(keys, "Time of the whole job", "s", [plan.job.duration for plan in plans.values()])
+    cards: tuple[tuple[str, str, Callable[[Plan], float]], ...] = (
+        (f"Peak {base} torque, whole job", "Nm", lambda plan: plan.job.figures.peak_guardrail_torque),
+        (f"Peak {base} torque at work", "Nm", lambda plan: plan.figures.peak_guardrail_torque),
+        ("Tool within", "mm", lambda plan: plan.accuracy.within_mm if plan.accuracy else np.nan),
+        ("Feet use of what safety allows", "%", lambda plan: 100 * (hold_use(plan.job) or np.nan)),
+        ("Smallest clearance", "mm", lambda plan: 1e3 * plan.job.figures.min_clearance),
+        ("Time of the whole job", "s", lambda plan: plan.job.duration),
+    )
+    for title, unit, of in cards:
+        values = [of(plan) for plan in plans.values()]
+        if np.isfinite(values).all():
+            yield _card(keys, title, unit, values, most=title == "Smallest clearance")
 
 
 def _card(keys: Mapping[str, str], title: str, unit: str, values: list[float], most: bool = False) -> str:

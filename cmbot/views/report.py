@@ -21,6 +21,7 @@ from cmbot.planning import (
     baseline_faults,
     bound_use,
     during,
+    hold_use,
     left_out,
     load_point,
     load_rows,
@@ -59,6 +60,8 @@ _SAME_PEAK_SHARE = 1e-3
 _LOOSE_GAP = 0.05
 # Distances from the path that differ by less, as a share of their bound, are the same.
 _DISTANCE_TOLERANCE_SHARE = 0.02
+# Feet that use more of what their safety allows have hardly anything left.
+_NEAR_BOUND_SHARE = 0.95
 _JOINT_HEADINGS = ("joint", "range, deg", "deg/s", "deg/s²", "deg/s³", "Nm")
 # Where joints slide each row has its own units.
 _MIXED_HEADINGS = ("joint", "range", "velocity", "acceleration", "jerk", "torque or force")
@@ -164,8 +167,8 @@ def assemble_report(data: dict[str, Any], **texts: str) -> str:
 class Headline:
     """One card: a quantity of the planned motion, the baseline's value before it, a sentence, a verdict.
 
-    ``good`` is a gain on the baseline, ``worse`` a loss within the bounds, ``bad`` a broken bound, ``plain``
-    neither.
+    ``good`` is a gain on the baseline, ``worse`` a loss within the bounds or one that is nearly reached,
+    ``bad`` a broken bound, ``plain`` neither.
     """
 
     title: str
@@ -223,9 +226,8 @@ def _peak_card(plan: Plan) -> Headline:
 
 def _holds_card(plan: Plan) -> Headline:
     """Whether the feet hold: the share of what their safety allows that they use."""
-    held = [check for _, check in plan.job.checks() if check.limit is Limit.HOLD]
-    needed = plan.job.figures.adhesion_needed
-    if not held:
+    needed, use = plan.job.figures.adhesion_needed, hold_use(plan.job)
+    if use is None:
         asked = "" if needed is None else f"; as magnets the feet would need {needed.peak / 1e3:.1f} kN"
         return Headline(title="Holds", value="–", detail=f"what the feet bear is not given{asked}")
     _, worst = tightest_check(plan.job, limit=Limit.HOLD)
@@ -234,9 +236,9 @@ def _holds_card(plan: Plan) -> Headline:
         shown += f" (a gap may open; {needed.closed / 1e3:.2f} kN without safety where none may)"
     return Headline(
         title="Holds",
-        value=f"{100 * bound_use(worst):.0f} %",
+        value=f"{100 * use:.0f} %",
         detail=f"of what its safety allows, at most: {worst.quantity}{shown}, at all times of the job",
-        state="good" if all(check.holds for check in held) else "bad",
+        state="bad" if use > 1 else "worse" if use > _NEAR_BOUND_SHARE else "good",
     )
 
 
@@ -305,10 +307,12 @@ def _clearance_card(plan: Plan) -> Headline:
         return Headline(title="Smallest clearance", value="–", detail="no pair of shapes can collide")
     always = floor(1e4 * plan.job.certificate.clearance_bound) / 10
     before, state = _against(plan, "min_clearance", -1, kept=value >= margin)
+    segment, nearest = tightest_check(plan.job, limit=Limit.CLEARANCE)
+    where = f"{nearest.quantity.partition(' of ')[2]} {during(segment, plan.job)}, at {nearest.time:.1f} s"
     return Headline(
         title="Smallest clearance",
         value=f"{1e3 * value:.1f} mm",
-        detail=f"rigid arm; margin {1e3 * margin:g} mm; above {always:.1f} mm at all times",
+        detail=f"{where}; rigid arm; margin {1e3 * margin:g} mm; above {always:.1f} mm at all times",
         before=_shown(before and abs(1e3 * before), 1),
         state=state,
     )

@@ -16,7 +16,7 @@ from cmbot.common.limit import Limit
 from cmbot.planning import Certificate, Choice, Plan, bound_use, remarks
 from cmbot.simulation import Tracking, tracking_rows, tracking_verdict
 from cmbot.toolpath import Coverage
-from cmbot.views import pages, report_page
+from cmbot.views import compare_page, pages, report_page
 from cmbot.views.charts import charts
 from cmbot.views.report import headlines
 
@@ -189,7 +189,13 @@ def test_headlines_say_what_was_gained(triangle_plan: Plan, triangle_tracking: T
     assert clearance.value == f"{1e3 * job.min_clearance:.1f} mm"
     off = 1e3 * after.max_tool_deviation
     assert tool.detail.endswith(f"with the predicted sag, as planned, {off:.2f} of 0.2 mm")
-    assert "rigid arm" in clearance.detail
+    segment, nearest = min(
+        ((each, check) for each, check in triangle_plan.job.checks() if check.limit is Limit.CLEARANCE),
+        key=lambda each: each[1].value,
+    )
+    when = {"work": "at work", "approach": "on the approach"}[segment.name]
+    between = nearest.quantity.removeprefix("clearance of ")
+    assert clearance.detail.startswith(f"{between} {when}, at {nearest.time:.1f} s; rigid arm; ")
     # The sag is compensated; the vibration comes on top of what the plan allows.
     planned, baseline = triangle_tracking.planned, triangle_tracking.baseline
     assert planned.metrics.path.rms[3] < 0.1 * baseline.metrics.path.rms[3]
@@ -229,6 +235,17 @@ def test_a_broken_bound_of_the_work_or_the_approach_is_shown(triangle_plan: Plan
     assert certified.detail.endswith(f"approach {number - 1} of {number}")
 
 
+def with_use(plan: Plan, share: float) -> Plan:
+    """The plan as if its feet used that share of what their safety allows."""
+    for segment in plan.job.segments:
+        checks = tuple(
+            replace(check, value=share * check.bound) if check.limit is Limit.HOLD else check
+            for check in segment.certificate.checks
+        )
+        plan = changed(plan, segment.name, certificate=replace(segment.certificate, checks=checks))
+    return plan
+
+
 @pytest.mark.parametrize(("hold", "shown"), [(MAGNET, " none may), at all times"), (CLAMP, ", at all times")])
 def test_what_the_feet_bear_is_a_share_of_what_their_safety_allows(
     hold: dict[str, object], shown: str
@@ -240,7 +257,13 @@ def test_what_the_feet_bear_is_a_share_of_what_their_safety_allows(
     assert holds.value == f"{100 * use:.0f} %"
     assert check.quantity in holds.detail
     assert shown in holds.detail
-    assert holds.state == "good"
+    # Hardly anything is left of what safety allows: amber, beyond it red.
+    for share, state in ((0.94, "good"), (0.96, "worse"), (1.01, "bad")):
+        (holds,) = (card for card in headlines(with_use(plan, share), None) if card.title == "Holds")
+        assert (holds.value, holds.state) == (f"{100 * share:.0f} %", state)
+    page, within = compare_page({"one": plan, "two": plan}), plan.accuracy.within_mm
+    for title, value in (("Feet use of what safety allows", 100 * use), ("Tool within", within)):
+        assert f'<h2>{title}</h2><p><span class="planned" title="one">{value:.1f}<' in page
     assert "Loads on the base and the joints" in report_page(plan)
 
 
