@@ -149,11 +149,11 @@ def _written(page: str, html: Path | None, directory: Path, name: str) -> Path:
 class CompareCommand(Writing):
     """Write a page that shows several plans together: overlaid in 3-D and in plots, figures side by side.
 
-    Example: cmbot compare out/triangle out/pinned --html compare.html
+    Example: cmbot compare out/triangle out/pinned -o compare.html
     """
 
     directories: tuple[Path, ...] = argument("Plan directories of one arm, 2 to 6.", "DIR")
-    html: Path = option(Path("compare.html"), "Page to write.")
+    output: Path = option(Path("compare.html"), "Page to write.", "--output", "-o", "--html")
 
     def __call__(self) -> None:
         places = [directory.resolve() for directory in self.directories]
@@ -167,11 +167,11 @@ class CompareCommand(Writing):
             for name, path in zip(names, self.directories, strict=True)
         ]
         plans = dict(zip(shown, map(cmbot.load_plan, self.directories), strict=True))
-        require_new(self.html, self.force)
+        require_new(self.output, self.force)
         trackings = map(cmbot.load_tracking, plans.values(), self.directories)
         tracked = dict(zip(plans, trackings, strict=True))
-        cmbot.views.write_page(self.html, cmbot.views.compare_page(plans, tracked))
-        self.wrote(self.html)
+        cmbot.views.write_page(self.output, cmbot.views.compare_page(plans, tracked))
+        self.wrote(self.output)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -214,5 +214,7 @@ def test_the_command_names_plans_by_their_folders(
     for folder in ("one", "two"):
         save(without_shapes(short_plan), tmp_path / folder)
     page = tmp_path / "page.html"
-    assert output("compare", tmp_path / "one", tmp_path / "two", "--html", page) == f"Written to {page}.\n"
+    folders = tmp_path / "one", tmp_path / "two"
+    for flag in ("-o", "--output", "--html"):
+        assert output("compare", *folders, flag, page, "--force") == f"Written to {page}.\n"
     assert data_of(page.read_text(encoding="utf-8"))["names"] == {"planned": "one", "plan_2": "two"}
