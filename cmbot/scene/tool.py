@@ -33,8 +33,9 @@ class Tool(CheckedFields):
         How far the tool may be from its path, which the accuracy budget is compared with; the planner's own
         bounds on the motion are its options.
     contact_mm : float
-        Length of the tip, along z up to the tool point, that may touch workpieces, mm; on free moves no
-        deeper than at their ends, within 2 mm. The rest keeps the safety margin.
+        Length of the tip, along z up to the tool point, that may touch workpieces, mm; where that point
+        touches, at least ``planner.safety_margin_m``. On free moves no deeper than at their ends, within
+        2 mm. The rest keeps the safety margin.
 
     Raises
     ------

@@ -173,7 +173,7 @@ class GuardrailFile(FileModel):
     material: MaterialFile = MaterialFile()
     stiffness: Matrix6 | None = None
     """6 x 6 stiffness at the origin of W, linear then angular (N/m, N/rad, Nm/rad), or the 6 numbers of its
-    diagonal; left out: the frame's."""
+    diagonal; left out: the frame's. Beside it `stance.foot_2` has to be free."""
     stiffness_factor: Annotated[float, Field(ge=1e-3, le=1e3)] | None = None
     """Factor on the frame's stiffness; left out: 1."""
     mass: Matrix6 | None = None
