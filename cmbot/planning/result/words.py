@@ -43,7 +43,7 @@ def verdict(plan: Plan, *, area: bool = True) -> str:
 
 
 def first_remarks(plan: Plan) -> list[str]:
-    """Return at most five sentences: the tool, the feet, the base, what would help, what is missing.
+    """Return at most five sentences: tool, feet, base, long free moves, what would help, what is missing.
 
     Parameters
     ----------

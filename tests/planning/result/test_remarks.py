@@ -219,7 +219,8 @@ def test_what_is_shown_first_is_short_and_begins_with_the_tool(
     assert rows[0][0].startswith("tool from its path" if plan.accuracy else "largest tool deviation")
     assert set(rows) <= set(plan.rows())
     assert plan.summary().count("\n") == len(rows)
-    order = "The tool is", "Hold:", f"The {plan.scene.base_name} must bear", "Tightest promise: ", "With "
+    base = f"The {plan.scene.base_name} must bear"
+    order = "The tool is", "Hold:", base, "Free moves take ", "Tightest promise: ", "With "
     begun = [
         next(k for k, said in enumerate(order) if sentence.startswith(said)) for sentence in sentences[:4]
     ]
