@@ -122,8 +122,8 @@ def _asked(
     yield "scene", f"{scene.name} ({scene.source})"
     yield "robot", f"{robot.name}: {joints}, {robot.mass:.2f} kg ({robot.arm_mass:.2f} kg moving)"
     yield from _paths(strokes)
-    tip = f"{scene.tool.contact_mm:g} mm of the tool"
-    contact = f", which the last {tip} may touch" if scene.tool.contact_mm else ""
+    tip = scene.tool.contact_mm
+    contact = f", which the last {tip:g} mm of the tool may touch" if tip else ""
     yield "obstacles", f"{len(scene.all_obstacles)}, of them {workpieces}{contact}"
     yield "tool point at the start", f"({point}) m"
     if robot.pushed:
@@ -178,8 +178,7 @@ def _hold_at_start(scene: Scene, robot: Robot) -> Iterator[_Found]:
     holding = robot.holding
     wrench = Dynamics(robot.tool_off).static_efforts(scene.posture[None]).guardrail_wrench
     if holding is not None and holding.adhesive:
-        worst = holding.worst(wrench, np.zeros(1))
-        left = holding.kinds_left(worst, "the start posture alone")
+        left = holding.kinds_left(holding.worst(wrench, np.zeros(1)), "the start posture alone")
         yield "kinds of hold left there", f"{left}; of the whole job cmbot plan says it"
     if holding is not None and holding.bounded:
         use, got = _most_used(holding, wrench)
@@ -215,8 +214,8 @@ def _too_strong(scene: Scene, robot: Robot) -> Iterator[Finding]:
 def _blocked_feet(scene: Scene) -> Iterator[Finding]:
     """Yield feet that touch an obstacle where they hold, or as they are put there; members may meet there."""
     stance = scene.guardrail.stance if scene.on_guardrail else None
-    own = {each.name for each in scene.obstacles}
-    for number, place in enumerate(() if stance is None else stance.places, start=1):
+    places, own = () if stance is None else stance.places, {each.name for each in scene.obstacles}
+    for number, place in enumerate(places, start=1):
         if place is not None and (other := in_the_way(scene, place)) in own:
             got = f"a foot that touches {other} at the {place.face} of {place.member}, or as it is put there"
             yield _warning(f"guardrail.stance.foot_{number}", got, "another face, or another place along_m")
@@ -465,8 +464,7 @@ def oversized(stroke: Stroke, joints: int, options: PlannerOptions) -> Finding |
     if solver == "sqp" or unknowns <= MOST_UNKNOWNS:
         return None
     most = (MOST_UNKNOWNS + SUPPORT * joints) // (joints + slides)
-    installed = importlib.util.find_spec("piqp") is not None
-    how = "" if installed else f" ({install_command('fast')})"
+    how = "" if importlib.util.find_spec("piqp") is not None else f" ({install_command('fast')})"
     return _warning(
         f"{stroke.key}.via_points",
         f"{count} with solver: slsqp, whose time grows with the cube of their number",

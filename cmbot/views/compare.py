@@ -82,9 +82,8 @@ def compare_page(plans: Mapping[str, Plan], trackings: Mapping[str, Tracking | N
 
 def _require_alike(plans: Mapping[str, Plan]) -> None:
     if not 2 <= len(plans) <= MOST_PLANS:
-        raise InputError(
-            "cmbot compare", "", counted(len(plans), "plan"), f"2 to {MOST_PLANS} different plans"
-        )
+        got, expected = counted(len(plans), "plan"), f"2 to {MOST_PLANS} different plans"
+        raise InputError("cmbot compare", "", got, expected)
     (first, plan), *others = plans.items()
     for name, other in others:
         if (link_names(other.robot), other.robot.joints) != (link_names(plan.robot), plan.robot.joints):

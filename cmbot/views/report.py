@@ -167,7 +167,7 @@ def assemble_report(data: dict[str, Any], **texts: str) -> str:
 class Headline:
     """One card: a quantity of the planned motion, the baseline's value before it, a sentence, a verdict.
 
-    ``good`` is a gain on the baseline, ``worse`` a loss within the bounds or one that is nearly reached,
+    ``good`` is a gain on the baseline, ``worse`` a loss within the bounds, or a bound that is nearly reached,
     ``bad`` a broken bound, ``plain`` neither.
     """
 
@@ -238,7 +238,7 @@ def _holds_card(plan: Plan) -> Headline:
         title="Holds",
         value=f"{100 * use:.0f} %",
         detail=f"of what its safety allows, at most: {worst.quantity}{shown}, at all times of the job",
-        state="bad" if use > 1 else "worse" if use > _NEAR_BOUND_SHARE else "good",
+        state="good" if use <= _NEAR_BOUND_SHARE else "worse" if use <= 1 else "bad",
     )
 
 
