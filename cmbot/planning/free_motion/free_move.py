@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
 
 import numpy as np
 
@@ -236,7 +235,7 @@ def _path(
         found.append(ends)
     if not found:
         path = known(space)
-        if path is not None and not all(space.straight(*pair) for pair in pairwise(path)):
+        if path is not None and not space.holds(path).all():
             path = None
         path = rrt_connect(space, ends[0], ends[1:], stop, most_growths) if path is None else path
         found = [] if path is None else [space.shorten(path)]
