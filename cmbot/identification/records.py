@@ -106,9 +106,12 @@ def read_record(path: Path) -> RingDown:
     time = table.index(*_RECORD_TIME_COLUMNS, *(f"{name}_ms" for name in _RECORD_TIME_COLUMNS))
     at = [table.index(*_names(axis)) for axis in "xyz"]
     axes = [axis for axis in at if axis is not None]
+    if {"freq", "psd_x"} <= {*table.names}:
+        expected = "the raw record of which this is the spectrum, such as time,accel_x,accel_y,accel_z"
+        raise UnusableRecord(str(path), "line 1", "freq,psd_x and more", expected)
     if time is None or not axes:
         got = ",".join(table.names) or "no names of columns"
-        raise InputError(str(path), "line 1", got, "columns t and ax, ay, az, or one of these")
+        raise InputError(str(path), "line 1", got, "a column t and one or all of ax, ay, az")
     if len(table.rows) < _MIN_SAMPLES:
         raise InputError(str(path), "", counted(len(table.rows), "row"), f"{_MIN_SAMPLES} or more rows")
     t, a = table.numbers([time])[:, 0], table.numbers(axes)

@@ -216,7 +216,11 @@ def test_a_record_as_phones_and_loggers_write_it(form: str, tmp_path: Path, rng:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("t,b\n0,1\n", "line 1: got t,b, expected columns t and ax, ay, az, or one of these"),
+        ("t,b\n0,1\n", "line 1: got t,b, expected a column t and one or all of ax, ay, az"),
+        (
+            "freq,psd_x,psd_y,psd_z,psd_xyz\n1,1,1,1,3\n",
+            "line 1: got freq,psd_x and more, expected the raw record",
+        ),
         ("t,ax\n" + 70 * "0,one\n", "line 2, ax: got 'one', expected a finite number"),
         ("t,ax\n0,1\n1,2\n", "got 2 rows, expected 64 or more rows"),
         (
@@ -243,6 +247,14 @@ def test_a_record_that_is_none_is_refused(text: str, message: str, tmp_path: Pat
     with pytest.raises(InputError) as refused:
         read_record(path)
     assert message in str(refused.value)
+
+
+def test_a_spectrum_that_a_sheet_names_is_called_one(tmp_path: Path) -> None:
+    (tmp_path / "psd.csv").write_text("freq,psd_x,mzv\n5,1,0\n", encoding="utf-8")
+    row = {"posture_deg": [0, -90, 90, 0, 45, 45, 0], "record": "psd.csv"}
+    sheet = {"format": "cmbot-measurements/1", "scene": "triangle", "measurements": [row]}
+    with pytest.raises(InputError, match="the raw record of which this is the spectrum"):
+        read_measurements(write_scene(tmp_path / "sheet.yaml", sheet))
 
 
 SECRETS = (
