@@ -44,7 +44,7 @@ class IdentifyCommand(Writing):
     job: Path | None = option(None, "a plan directory, whose motion counts.", needs=["--propose", "--table"])
     weight: float | None = option(None, "kg that are hung on; 5 if left out.", needs=["--propose"])
     gauge: float | None = option(
-        None, "error of the gauge, mm; 0.1 if left out.", needs=["--propose", "--table"]
+        None, "error of the gauge, mm, of rows without one; 0.1 if left out.", needs=["--propose", "--table"]
     )
     axes: str = option("xyz", "components that are measured, such as z.", needs=["--propose"])
     accept_misfit: bool = option(False, "Use measurements that plainly do not fit, with larger errors.")
