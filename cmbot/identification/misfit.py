@@ -70,7 +70,7 @@ class Slip:
     expected : (k,)
         Predicted by the others: of a deflection the components that were measured, m, or frequencies, Hz.
     deviations : float
-        How far it is from that, in standard deviations of both.
+        How far it is from that, in standard deviations of both, as large as the others scatter.
     probability : float
         That one of as many rows is as far by chance.
     """
@@ -145,9 +145,12 @@ def slips(problem: Problem, x: FloatArray) -> tuple[Slip, ...]:
         if not doubted:
             break
         blocks = problem.blocks(problem.first(robust=True))
-        found.append(
-            _largest_residual(problem, [block for block in blocks if block.label.kind in doubted], blocks)
-        )
+        rest = [each for each in blocks if each.label.kind != "prior" and each.label not in problem.left_out]
+        if not rest:
+            break
+        # Frequencies that fit badly may be of no mode of the robust estimate.
+        some = [each for each in rest if each.label.kind in doubted] or rest
+        found.append(_largest_residual(problem, some, blocks))
         problem.left_out = {*left_out, *found}
         x = problem.first()
     else:
@@ -169,7 +172,7 @@ def _largest_residual(problem: Problem, some: Sequence[Block], blocks: Sequence[
         own = np.eye(k) - block.slope @ A @ block.slope.T
         return float(chi2.logsf(block.residual @ np.linalg.solve(own, block.residual), k))
 
-    return min((each for each in some if each.label not in problem.left_out), key=log_probability).label
+    return min(some, key=log_probability).label
 
 
 def _compared(problem: Problem, x: FloatArray, left: Sequence[Label], rows: int) -> tuple[Slip, ...]:

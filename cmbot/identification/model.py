@@ -11,7 +11,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm
-from cmbot.elastic.sag import Sag
+from cmbot.elastic.sag import Sag, TooSoftError
 from cmbot.elastic.stiffness_parameters import StiffnessParameters
 from cmbot.identification.measurements import MeasuringSetup, Prior
 from cmbot.planning import held_guardrail, robot_of
@@ -84,15 +84,15 @@ class DeflectionModel:
         K, each = self.parameters.stiffness(parameters), []
         for number, arm in enumerate((self.arm, self._loaded)):
             sag = Sag(replace(arm, stiffness=K))
-            tool, u, lever = sag.loaded(self.q, self._start[number])
+            try:
+                tool, u, lever = sag.loaded(self.q, self._start[number])
+            except TooSoftError:
+                # From the last equilibrium this one may be out of reach.
+                tool, u, lever = sag.loaded(self.q)
             each.append((tool, lever @ self.parameters.relaxation(u, parameters)))
             self._start[number] = u
         (rest, d_rest), (bent, d_bent) = each
         return bent - rest, d_bent - d_rest
-
-    def forget(self) -> None:
-        """Seek equilibria from the undeformed state again."""
-        self._start = [None, None]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -140,8 +140,6 @@ class Problem:
             try:
                 return at(x)[0]
             except InputError:
-                for sheet in self._sheets:
-                    sheet.model.forget()
                 return np.full(size, _UNSTABLE_RESIDUAL)
 
         found = least_squares(
