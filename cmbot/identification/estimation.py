@@ -189,18 +189,11 @@ def _about_identified(parameters: StiffnessParameters, arm: ElasticArm, mean: Fl
 
 def _damping(sheets: Sequence[Measurements]) -> dict[str, float] | None:
     """The damping of the modes in records; None where there are none."""
-    table = np.array(
-        [
-            each
-            for sheet in sheets
-            for modes in sheet.modes
-            for each in zip(modes.damping, modes.damping_deviations, strict=True)
-            if np.isfinite(each[0])
-        ]
-    )
-    if not len(table):
+    modes = [each.of(np.isfinite(each.damping)) for sheet in sheets for each in sheet.modes]
+    ratios = np.concatenate([np.zeros(0), *(each.damping for each in modes)])
+    if not len(ratios):
         return None
-    ratios, own = table.T
+    own = np.concatenate([each.damping_deviations for each in modes])
     # Of one mode, and from mode to mode.
     deviation = np.hypot(np.median(own), np.std(ratios, ddof=min(1, len(ratios) - 1)))
     return {"ratio": round(float(np.median(ratios)), 6), "sd": round(float(deviation), 6)}

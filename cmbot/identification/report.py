@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +16,8 @@ from cmbot.common.errors import InputError
 from cmbot.common.reading.validation import counted
 from cmbot.elastic.stiffness_parameters import symmetric
 from cmbot.identification.design import Proposal
-from cmbot.identification.estimation import Identification
-from cmbot.identification.misfit import Slip
+from cmbot.identification.estimation import Identification, estimate
+from cmbot.identification.misfit import Part, Slip
 from cmbot.identification.model import DeflectionModel, SagAlong
 from cmbot.identification.problem import MatchedFrequency
 from cmbot.scene import IdentifiedStiffness
@@ -26,9 +29,11 @@ HEADINGS = ("", "modelled", "identified", "factor", "sd, %", "before, %", "")
 _UNSEEN_SHARE = 0.9
 # By how much errors may be larger than stated, where chance hardly does that.
 _MAX_ERROR_RATIO, _PLAIN_MISFIT = 5.0, 1e-3
-# Deflections are plainly in another unit or of another sign: by what factor they may be off then, the least
-# cosine and the least share of the largest axis.
-_PLAIN_RATIO, _PLAIN_COSINE, _PLAIN_SHARE = 5.0, 0.8, 0.2
+# In which deflections may be, by their factors; smaller ones, m, have no direction.
+_UNITS = {1e3: "m", 1e-3: "um", 10.0: "cm", 0.1: "tenths of a millimetre", 0.01: "hundredths of a millimetre"}
+_ZERO_M = 1e-12
+_SLIP = "a slip, a wrong sign or axis, the gauge not at robot.tool_frame? Measure again or write null"
+_AS_MODELLED = "the gauge at robot.tool_frame, a base as modelled (guardrail) or prior: {base: 2} in a sheet"
 _ACCEPT = "--accept-misfit (in Python accept_misfit=True)"
 # Modes of a smaller probability are not told of a frequency.
 _LEAST_SHARE_OF_A_MODE = 0.1
@@ -38,6 +43,7 @@ MODE_HEADINGS = ("measured in", "Hz", "damping, %", "sd, %", "mode, without it")
 """Of the columns of `mode_rows`."""
 
 _BASE_DIRECTIONS = ("along x", "along y", "along z", "about x", "about y", "about z")
+_SIDEWAYS = ("base along x", "base along y", "base about z")
 
 
 def identified_rows(found: Identification) -> Iterator[tuple[str, ...]]:
@@ -133,10 +139,12 @@ def remarks(found: Identification) -> Iterator[str]:
     unknown += [f"{directions} of the 21 numbers of the base"] * bool(directions)
     if unknown:
         yield f"Not seen, nearly as they were assumed: {' and '.join(unknown)}."
+    if any(row[-1] and row[0].startswith(_SIDEWAYS) for row in identified_rows(found)):
+        yield "A hanging weight hardly moves a base along x, y or about z; natural frequencies tell more."
     if (damping := found.stiffness.damping) is not None:
         yield (
             f"Damping of the modes in the records: {100 * damping.ratio:.2f} % of critical, standard "
-            f"deviation {100 * damping.sd:.2g} %; used by all that sways in a scene with this file."
+            f"deviation {100 * damping.sd:.2g} % from mode to mode; used by all that sways with this file."
         )
     for weight in found.weights:
         own = f"{weight.estimated:.3f} kg, standard deviation {1e3 * weight.deviation:.0f} g"
@@ -191,7 +199,7 @@ def _in_words(found: Identification, slip: Slip) -> tuple[str, str, str, str]:
         seen = ~np.isnan(given.deflection[row])
         axes = [axis for axis, own in zip("xyz", seen, strict=True) if own]
         got, about = (_by_axis(axes, 1e3 * each) for each in (given.deflection[row, seen], slip.expected))
-    away = f"by the others, {slip.deviations:.3g} standard deviations away"
+    away = f"by the others, {slip.deviations:.3g} standard deviations of their scatter away"
     return given.source, f"{given.key(row)}{', ' if given.rows else '.'}{kind}", got, f"about {about} {away}"
 
 
@@ -208,31 +216,23 @@ def require_fit(found: Identification) -> None:
         A row is far from what the others predict, all of them fit several times worse than stated, or the arm
         is far from its model.
     """
-    if wrong := [_in_words(found, slip) for slip in found.slips if slip.significant]:
-        source, key, got, expected = wrong[0]
-        also = "".join(f"; nor does {other[1]} fit" for other in wrong[1:])
-        slip = next(slip for slip in found.slips if slip.significant)
+    if wrong := [slip for slip in found.slips if slip.significant]:
+        (source, key, got, expected), *others = (_in_words(found, slip) for slip in wrong)
+        also = "".join(f"; nor does {other[1]} fit" for other in others)
         todo = "a slip, another posture, the weight still on? Measure again or leave it out"
-        if slip.label.kind == "deflection_mm":
-            todo = _mistaken(found, slip) or "a slip, a wrong sign or axis? Measure again or write null"
+        if wrong[0].label.kind == "deflection_mm":
+            todo = _mistaken(found, wrong[0]) or _SLIP
         raise InputError(source, key, got, f"{expected}{also}: {todo}; or {_ACCEPT}")
-    for part in found.parts:
-        if part.scale <= _MAX_ERROR_RATIO or part.probability > _PLAIN_MISFIT:
-            continue
+    for part in filter(_plain, found.parts):
         source, key = found.measurements[0].source, "measurements"
-        own = [_in_words(found, slip) for slip in found.slips if slip.label.kind == part.kind]
         if part.kind == "prior":
             got = f"an arm {part.scale:.0f} times farther from its model than the prior says"
-            expected = "deflections in mm by weight_kg, of this robot on this base, or a wider prior"
+            expected = f"deflections in mm by weight_kg, {_AS_MODELLED}"
         else:
             got = f"{part.kind} that fit {part.scale:.0f} times worse than stated"
-            expected = "right units, axes and postures, and true errors (gauge_sd_mm, windup_sd_arcmin)"
-            if part.kind == "frequencies_hz":
-                expected = "records of this arm in these postures, without the weight, and true errors"
-        if own:
-            source, key, worst, about = own[0]
-            got, expected = f"{got}: {worst}", f"{about}; {expected}"
-        elif part.kind == "frequencies_hz":
+            expected = f"right units, axes, postures, true gauge_sd_mm, windup_sd_arcmin, {_AS_MODELLED}"
+        if part.kind == "frequencies_hz":
+            expected = "records of this arm in these postures, without the weight, and true errors"
             far = max((each for each in found.matched if each.modes), key=_away)
             sheet = found.measurements[far.label.sheet]
             source, key = sheet.source, sheet.key(far.label.row)
@@ -242,31 +242,52 @@ def require_fit(found: Identification) -> None:
 
 
 def _mistaken(found: Identification, slip: Slip | None = None) -> str:
-    """What deflections look like in place of mm along W, all of them or a row that does not fit."""
-    zero = np.zeros(found.parameters.count)
-    models = (DeflectionModel(found.modelled, each.setup, each.q) for each in found.measurements)
+    """What deflections are in place of mm along W, all of them or a row; empty where nothing tried fits."""
+    sheets, zero = found.measurements, np.zeros(found.parameters.count)
+    models = (DeflectionModel(found.modelled, each.setup, each.q) for each in sheets)
     modelled = np.concatenate([model.at(zero)[0] for model in models])
-    measured = np.concatenate([each.deflection for each in found.measurements])
-    if (all_of_them := _looks(measured, modelled)) or slip is None or slip.label.kind != "deflection_mm":
-        return all_of_them
-    row = found.measurements[slip.label.sheet].deflection[slip.label.row]
-    expected = np.full(3, np.nan)
-    expected[~np.isnan(row)] = slip.expected
-    return _looks(row[None], expected[None])
-
-
-def _looks(measured: FloatArray, expected: FloatArray) -> str:
-    """What deflections (N, 3) look like beside those that are expected; empty where that is not plain."""
-    measured, expected = (np.where(np.isnan(measured), 0.0, each) for each in (measured, expected))
-    size = np.linalg.norm(measured) / np.linalg.norm(expected)
-    for factor, unit in ((1e-3, "m"), (1e3, "um")):
-        if 1 / _PLAIN_RATIO < size / factor < _PLAIN_RATIO:
-            return f"deflections in mm: as large as expected, if these are in {unit}"
-    both, own = np.linalg.norm(measured, axis=0), np.linalg.norm(expected, axis=0)
-    opposite = (measured * expected).sum(axis=0) < -_PLAIN_COSINE * both * own
-    if flipped := ", ".join(np.array(list("xyz"))[opposite & (own > _PLAIN_SHARE * own.max())]):
-        return f"the place with the weight less that without it: the other sign of {flipped} fits"
+    given = np.concatenate([each.deflection for each in sheets])
+    starts = np.cumsum([0, *(len(each.q) for each in sheets)])
+    row = starts[-1] if slip is None else starts[slip.label.sheet] + slip.label.row
+    for own in (slice(None), slice(row, row + 1)):
+        off = partial(_off, expected=modelled[own])
+        tried = ((given[own][:, order] * factors, words) for words, order, factors in _mistakes())
+        # Of those that are alike the simplest.
+        righted, words = min(tried, key=lambda each: round(off(each[0]), 2))
+        if off(righted) >= off(given[own]) / 2:
+            continue
+        every = given.copy()
+        every[own] = righted
+        parts = zip(sheets, np.split(every, starts[1:-1]), strict=True)
+        with suppress(InputError):
+            trial = estimate([replace(sheet, deflection=part) for sheet, part in parts], found.modelled)
+            wrong, before = (sum(slip.significant for slip in each.slips) for each in (trial, found))
+            if not any(map(_plain, trial.parts)) and (wrong < before or not wrong):
+                return words
     return ""
+
+
+def _off(measured: FloatArray, expected: FloatArray) -> float:
+    """How far deflections (k, 3) are off in direction, one less the cosine, and size, powers of ten."""
+    a, b = np.nan_to_num(measured), np.where(np.isnan(measured), 0.0, expected)
+    sizes = np.linalg.norm([a.ravel(), b.ravel()], axis=1) + _ZERO_M
+    return float(1 - (a * b).sum() / sizes.prod() + abs(np.log10(sizes[0] / sizes[1])))
+
+
+def _mistakes() -> Iterator[tuple[str, list[int], list[float]]]:
+    """Yield in words what deflections may be, and the order of their axes and the factors that right them."""
+    for factor, unit in _UNITS.items():
+        yield f"deflections in mm: times {factor:g} these fit, as if in {unit}", [0, 1, 2], 3 * [factor]
+    for axes, order in (("x and y", [1, 0, 2]), ("x and z", [2, 1, 0]), ("y and z", [0, 2, 1])):
+        yield f"columns along x, y, z of W: with {axes} exchanged it fits", order, 3 * [1.0]
+    for axes in ("x", "y", "z", "x, y", "x, z", "y, z", "x, y, z"):
+        words = f"the place with the weight less that without it: the other sign of {axes} fits"
+        yield words, [0, 1, 2], [-1.0 if axis in axes else 1.0 for axis in "xyz"]
+
+
+def _plain(part: Part) -> bool:
+    """Whether errors are larger by more than is taken for chance."""
+    return part.scale > _MAX_ERROR_RATIO and part.probability <= _PLAIN_MISFIT
 
 
 def proposal_remarks(found: Proposal) -> Iterator[str]:

@@ -91,6 +91,7 @@ def test_frequencies_and_the_modes_they_were_given_to_are_printed(
     assert told[6] == "1"
     assert "Damping of the modes in the records: " in outcome.out
     assert "standard deviation 0.0 %" not in outcome.out
+    assert "% from mode to mode" in outcome.out
 
 
 def test_a_frequency_of_no_mode_alone_tells_nothing(
@@ -131,17 +132,26 @@ def test_messages_name_the_line_and_what_to_do(
 
 
 @pytest.mark.parametrize(
-    ("factors", "told"),
+    ("factors", "told", "recorded"),
     [
-        ((1e-3, 1e-3, 1e-3), "expected deflections in mm: as large as expected, if these are in m"),
-        ((-1.0, -1.0, -1.0), "the other sign of x, y, z fits"),
-        ((1.0, 1.0, -1.0), "the other sign of z fits"),
+        ((1e-3, 1e-3, 1e-3), "expected deflections in mm: times 1000 these fit, as if in m;", False),
+        ((100.0, 100.0, 100.0), "times 0.01 these fit, as if in hundredths of a millimetre;", True),
+        ((0.1, 0.1, 0.1), "times 10 these fit, as if in cm;", False),
+        ((-1.0, -1.0, -1.0), "the other sign of x, y, z fits", False),
+        ((1.0, 1.0, -1.0), "the other sign of z fits", False),
+        (None, "line 4, deflection_mm: got", False),
+        (None, "columns along x, y, z of W: with x and y exchanged it fits", False),
     ],
 )
-def test_metres_and_signs_are_recognised(
-    factors: tuple[float, float, float], told: str, scene: str, tmp_path: Path
+def test_units_signs_and_exchanged_columns_are_recognised(
+    factors: tuple[float, float, float] | None,
+    told: str,
+    recorded: bool,
+    scene: str,
+    tmp_path: Path,
+    rng: np.random.Generator,
 ) -> None:
-    q = POSTURE + np.random.default_rng(5).uniform(-0.4, 0.4, (6, 7))
+    q = POSTURE + np.random.default_rng(5).uniform(-0.4, 0.4, (5, 7))
     arm = measured_arm(short_scene())
     setup = read_measurements(
         {
@@ -151,11 +161,19 @@ def test_metres_and_signs_are_recognised(
         }
     ).setup
     model = DeflectionModel(arm, setup, q)
-    deflections = 1e3 * model.at(np.zeros(model.parameters.count))[0] * 1.1 * factors
+    deflections = 1e3 * model.at(np.zeros(model.parameters.count))[0] * 1.1
+    if factors is None:
+        deflections[2] = deflections[2, [1, 0, 2]]
+    else:
+        deflections *= factors
+    modes = [(f, 0.02, [1.0, 0.7, 0.4]) for f in arm_modes(arm, q[0]).frequencies[:3].tolist()]
+    write(tmp_path / "tap.csv", oscillations(modes, 0.01, rng))
+    records = ["tap.csv" if recorded and k == 0 else "" for k in range(len(q))]
     rows = [
-        ",".join(map(str, [*np.degrees(each), 5, *moved])) for each, moved in zip(q, deflections, strict=True)
+        ",".join(map(str, [*np.degrees(each), 5, *moved, record]))
+        for each, moved, record in zip(q, deflections, records, strict=True)
     ]
-    path = table(tmp_path, f"{JOINTS},weight_kg,dx,dy,dz", *rows)
+    path = table(tmp_path, f"{JOINTS},weight_kg,dx,dy,dz,record", *rows)
     with pytest.raises(InputError) as refused:
         identify(*read_deflections(path, scene))
     assert told in str(refused.value)

@@ -136,6 +136,8 @@ def test_rows_that_do_not_fit_are_named_and_refused(
     )
     with pytest.raises(InputError, match=message):
         require_fit(swapped)
+    with pytest.raises(InputError, match=r"the gauge not at robot\.tool_frame"):
+        require_fit(swapped)
     assert sum("Fits the others worst" in line for line in remarks(swapped)) == 2
     assert not any("Fits" in line for line in remarks(found[2]))
 
@@ -172,6 +174,26 @@ def test_an_arm_far_from_its_model_is_no_slip(proposal: Proposal, modelled: Elas
     metres = replace(far.measurements[0], deflection=1e-3 * far.measurements[0].deflection)
     with pytest.raises(InputError, match=r"measurements: got .* expected .* mm"):
         require_fit(estimate(metres, modelled))
+
+
+def test_a_base_far_from_its_model_needs_a_wider_prior(proposal: Proposal, modelled: ElasticArm) -> None:
+    rng = np.random.default_rng(2)
+    truth = benchmark.soft(modelled, proposal.setup, rng)
+    truth = replace(truth, base=0.02 * truth.base)
+    measured = benchmark.simulated(proposal, truth, truth.arm(modelled), rng)
+    with pytest.raises(InputError, match=r"prior: \{base: 2\}") as refused:
+        require_fit(estimate(measured, modelled))
+    assert "standard deviations away" not in str(refused.value)
+    wider = measured.setup.prior.changed(base=2.0)
+    require_fit(estimate(replace(measured, setup=measured.setup.changed(prior=wider)), modelled))
+
+
+def test_what_a_weight_does_not_tell_of_the_base_is_explained(
+    found: tuple[benchmark.Truth, ElasticArm, Identification],
+) -> None:
+    rows = [row[0] for row in identified_rows(found[2]) if row[-1] == "not seen"]
+    assert {"base along x, N/m", "base along y, N/m"} & {*rows}
+    assert any("A hanging weight hardly moves a base along x, y" in line for line in remarks(found[2]))
 
 
 def test_two_sheets_are_as_one(
