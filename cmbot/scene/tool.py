@@ -34,8 +34,8 @@ class Tool(CheckedFields):
         bounds on the motion are its options.
     contact_mm : float
         Length of the tip, along z up to the tool point, that may touch workpieces, mm; where that point
-        touches, at least ``planner.safety_margin_m``. On free moves no deeper than at their ends, within
-        2 mm. The rest keeps the safety margin.
+        touches, at least ``planner.safety_margin_m``. On free moves only as much of it as touches at their
+        ends, within 2 mm. The rest keeps the safety margin.
 
     Raises
     ------
