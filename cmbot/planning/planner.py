@@ -92,7 +92,7 @@ def plan(
     --------
     >>> plan = cmbot.plan(cmbot.load_scene("triangle"), progress=False)
     >>> plan
-    <Plan triangle: peak torque on the guardrail 486.4 Nm in 30.4 s, at work 385.5 Nm ...>
+    <Plan triangle: peak torque on the guardrail 486.4 Nm in 30.6 s, at work 385.5 Nm ...>
     >>> f"{plan.figures.peak_guardrail_torque:.1f} Nm at work"
     '385.5 Nm at work'
     >>> plan.trajectory.q.shape[1]
