@@ -169,7 +169,6 @@ def _cards(keys: Mapping[str, str], plans: Mapping[str, Plan]) -> Iterator[str]:
     base = next(iter(plans.values())).scene.base_name
     cards: tuple[tuple[str, str, Callable[[Plan], float]], ...] = (
         (f"Peak {base} torque, whole job", "Nm", lambda plan: plan.job.figures.peak_guardrail_torque),
-        (f"Peak {base} torque at work", "Nm", lambda plan: plan.figures.peak_guardrail_torque),
         ("Tool within", "mm", lambda plan: plan.accuracy.within_mm if plan.accuracy else np.nan),
         ("Feet use of what safety allows", "%", lambda plan: 100 * (hold_use(plan.job) or np.nan)),
         ("Smallest clearance", "mm", lambda plan: 1e3 * plan.job.figures.min_clearance),

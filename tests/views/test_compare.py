@@ -57,8 +57,8 @@ def test_verdicts_and_figures_stand_side_by_side(text: str, short_plan: Plan, st
 
 
 def test_cards_say_which_plan_is_ahead(text: str, short_plan: Plan, strokes_plan: Plan) -> None:
-    peaks = [plan.figures.peak_guardrail_torque for plan in (short_plan, strokes_plan)]
-    card = re.search(r"<h2>Peak guardrail torque at work</h2><p>(.*?) Nm</p><p>(.*?)</p>", text)
+    peaks = [plan.job.figures.peak_guardrail_torque for plan in (short_plan, strokes_plan)]
+    card = re.search(r"<h2>Peak guardrail torque, whole job</h2><p>(.*?) Nm</p><p>(.*?)</p>", text)
     assert card is not None
     shown = re.findall(r'<(b|span) class="(\w+)" title="[^"]*">([\d.]+)</', card[1])
     assert [(key, value) for _, key, value in shown] == [
