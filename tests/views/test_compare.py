@@ -57,17 +57,17 @@ def test_verdicts_and_figures_stand_side_by_side(text: str, short_plan: Plan, st
 
 
 def test_cards_say_which_plan_is_ahead(text: str, short_plan: Plan, strokes_plan: Plan) -> None:
-    peaks = [plan.job.figures.peak_guardrail_torque for plan in (short_plan, strokes_plan)]
-    card = re.search(r"<h2>Peak guardrail torque, whole job</h2><p>(.*?) Nm</p><p>(.*?)</p>", text)
+    seconds = [plan.job.duration for plan in (short_plan, strokes_plan)]
+    card = re.search(r"<h2>Time of the whole job</h2><p>(.*?) s</p><p>(.*?)</p>", text)
     assert card is not None
     shown = re.findall(r'<(b|span) class="(\w+)" title="[^"]*">([\d.]+)</', card[1])
     assert [(key, value) for _, key, value in shown] == [
-        ("planned", f"{peaks[0]:.1f}"),
-        ("plan_2", f"{peaks[1]:.1f}"),
+        ("planned", f"{seconds[0]:.1f}"),
+        ("plan_2", f"{seconds[1]:.1f}"),
     ]
-    ahead = int(np.argmin(peaks))
+    ahead = int(np.argmin(seconds))
     assert [tag for tag, *_ in shown].index("b") == ahead
-    assert card[2] == f"{('&lt;short&gt;', 'strokes')[ahead]}: {abs(peaks[0] - peaks[1]):.1f} Nm less"
+    assert card[2] == f"{('&lt;short&gt;', 'strokes')[ahead]}: {abs(seconds[0] - seconds[1]):.1f} s less"
     plan = without_shapes(short_plan)
     alike = compare_page({"one": plan, "two": plan})
     assert alike.count("<p>the same in all</p>") == alike.count('class="card each"') >= 3
