@@ -31,9 +31,9 @@ import cmbot
 from cmbot.collision import Clearances
 from cmbot.common.errors import PlanningError
 from cmbot.common.installation import model_folder
-from cmbot.planning import LIFT_M, robot_of
+from cmbot.planning import robot_of
 from cmbot.robot import ARM_JOINTS, CLIMBING_JOINTS, Climber, Robot, Side
-from cmbot.scene import FootholdFile, Scene, StanceFile, foothold_pose
+from cmbot.scene import LIFT_M, FootholdFile, Scene, StanceFile, foothold_pose
 from cmbot.stances import (
     Candidate,
     bare_climber,

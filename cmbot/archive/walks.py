@@ -17,9 +17,9 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError, InputError
 from cmbot.common.reading.validation import FileModel, given_path, shown, validated
 from cmbot.common.representation import short_repr
-from cmbot.planning import LIFT_M, Plan
+from cmbot.planning import Plan
 from cmbot.robot import ARM_JOINTS, Climber, Side, other_foot
-from cmbot.scene import Scene, StanceFile, foothold_pose
+from cmbot.scene import LIFT_M, Scene, StanceFile, foothold_pose
 from cmbot.stances import Candidate, candidate_at, in_world
 from cmbot.stances.walking import (
     Kind,

@@ -40,9 +40,7 @@ from cmbot.planning.path.start_posture import StartPosture as StartPosture, find
 from cmbot.planning.planner import plan as plan, replan as replan
 from cmbot.planning.postures.projection import project_onto_task as project_onto_task
 from cmbot.planning.precheck import (
-    LIFT_M as LIFT_M,
     Precheck as Precheck,
-    in_the_way as in_the_way,
     precheck_options as precheck_options,
     precheck_scene as precheck_scene,
     require_tool_speed as require_tool_speed,

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from cmbot.collision import Box, Clearances, touched_by
+from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra, PlanningError, SceneError
 from cmbot.common.installation import install_command
@@ -28,7 +28,7 @@ from cmbot.planning.workcell.stiffness import identified_in_words
 from cmbot.planning.workcell.units import mistaken_units, require_metres, unit_findings
 from cmbot.planning.workcell.workcell import bending_arm, rigid_arm_remark, robot_of
 from cmbot.robot import Dynamics, Finding, Robot
-from cmbot.scene import FootholdFile, PlannerOptions, Scene, Stroke, Tool, coverage_of, foothold_pose
+from cmbot.scene import PlannerOptions, Scene, Stroke, Tool, coverage_of
 from cmbot.toolpath import ToolPath
 from cmbot.trajectory import SUPPORT
 
@@ -36,11 +36,6 @@ MOST_UNKNOWNS = 3000
 """Of a problem for SLSQP, whose dense matrices cost the cube of them: here an exchange iteration takes one to
 two minutes, at 4,000 more than three."""
 
-LIFT_M = 0.06
-"""How far a foot is lifted off along the normal of the face before it swings, m."""
-
-# The foot in its frame, as the URDF has it, m: sides, and its centre above the member's axis.
-_FOOT_M, _FOOT_CENTRE_M = (0.13, 0.05, 0.15), 0.065
 # A stretched arm is not out of its own reach.
 _ROUNDING_SHARE = 1e-9
 # More sag than this is rather a mistake of the stiffness' unit.
@@ -216,26 +211,9 @@ def _blocked_feet(scene: Scene) -> Iterator[Finding]:
     stance = scene.guardrail.stance if scene.on_guardrail else None
     places, own = () if stance is None else stance.places, {each.name for each in scene.obstacles}
     for number, place in enumerate(places, start=1):
-        if place is not None and (other := in_the_way(scene, place)) in own:
+        if place is not None and (other := scene.in_the_way(place)) in own:
             got = f"a foot that touches {other} at the {place.face} of {place.member}, or as it is put there"
             yield _warning(f"guardrail.stance.foot_{number}", got, "another face, or another place along_m")
-
-
-def in_the_way(scene: Scene, place: FootholdFile) -> str | None:
-    """Return the name of an obstacle or member that a foot touches there, or on its way there from above.
-
-    Joints of members, such as a post behind a rail, are in the way as lamps are. None where nothing is.
-
-    Parameters
-    ----------
-    scene : Scene
-    place : FootholdFile
-    """
-    X = foothold_pose(scene.elastic_guardrail, place)
-    X[:3, 3] += (_FOOT_CENTRE_M + LIFT_M / 2) * X[:3, 1]
-    box = Box(size=(_FOOT_M[0], _FOOT_M[1] + LIFT_M, _FOOT_M[2]))
-    others = [obstacle for obstacle in scene.all_obstacles if obstacle.name != place.member]
-    return touched_by(box, np.asarray(X), others)
 
 
 def _most_used(holding: Holding, wrench: FloatArray) -> tuple[float, str]:

@@ -16,6 +16,7 @@ from cmbot.scene.base.identified import (
 )
 from cmbot.scene.base.mounts import MountsFile as MountsFile
 from cmbot.scene.base.stance import (
+    LIFT_M as LIFT_M,
     PLATE_OFFSET_M as PLATE_OFFSET_M,
     FootholdFile as FootholdFile,
     Stance as Stance,

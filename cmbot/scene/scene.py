@@ -34,7 +34,7 @@ from cmbot.hold import Foot
 from cmbot.scene.base.guardrail import GuardrailFile, elastic_guardrail, feet_of, guardrail_obstacles
 from cmbot.scene.base.identified import IdentifiedStiffness
 from cmbot.scene.base.mounts import MountsFile
-from cmbot.scene.base.stance import Stance, StanceFile, resolved_stance
+from cmbot.scene.base.stance import FootholdFile, Stance, StanceFile, resolved_stance, swept_foot
 from cmbot.scene.excitation import DamperFile, ExcitationFile
 from cmbot.scene.files import file_hashes, with_paths
 from cmbot.scene.obstacles import ObstacleFile, obstacle_from_file
@@ -486,6 +486,17 @@ class Scene(FileModel):
         every = (*own, *guardrail_obstacles(self.elastic_guardrail))
         contact = 1e-3 * self.tool.contact_mm
         return tuple(replace(one, contact=contact) if contact and one.workpiece else one for one in every)
+
+    def in_the_way(self, place: FootholdFile) -> str | None:
+        """Return the name of an obstacle or member that a foot touches there, or on its way there from above.
+
+        Joints of members, such as a post behind a rail, are in the way as lamps are. None where nothing is.
+        """
+        # Not above: scenes are read without coal.
+        from cmbot.collision import touched_by
+
+        others = [obstacle for obstacle in self.all_obstacles if obstacle.name != place.member]
+        return touched_by(*swept_foot(self.elastic_guardrail, place), others)
 
     # The strokes
 

@@ -13,7 +13,7 @@ from cmbot.collision import Clearances, Obstacle
 from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import short_repr
 from cmbot.elastic import elastic_base
-from cmbot.planning import held_guardrail, in_the_way, robot_of
+from cmbot.planning import held_guardrail, robot_of
 from cmbot.robot import ARM_JOINTS, Climber, Robot, Side, load_climbing_robot
 from cmbot.scene import (
     Face,
@@ -276,7 +276,7 @@ def places_of(scene: Scene, spacing: float, members: Collection[str] = ()) -> It
     """Yield places of a foot along posts and rails, on every side from which a base can hang, both ways up.
 
     Also on those sides of posts and of rails that the scene's own feet hold. Where an obstacle or another
-    member is in the way of the foot there is none: `in_the_way`.
+    member is in the way of the foot there is none: `Scene.in_the_way`.
 
     Parameters
     ----------
@@ -296,7 +296,7 @@ def places_of(scene: Scene, spacing: float, members: Collection[str] = ()) -> It
             high += _END_MARGIN_M - 0.05
         for along in np.arange(low, high + 1e-9, spacing):
             place = probe.changed(along_m=round(float(along), 4))
-            if in_the_way(scene, place) is not None:
+            if scene.in_the_way(place) is not None:
                 continue
             for turn in (0.0, 180.0):
                 yield place.changed(turn_deg=turn)

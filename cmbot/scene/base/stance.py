@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, GetPydanticSchema, PlainSerializer, WrapValidator, model_validator
 
+from cmbot.collision import Box
 from cmbot.common.arrays import FloatArray
 from cmbot.common.reading.fields import Angle, Coordinate, Slug, Vector
 from cmbot.common.reading.validation import CheckedFields, FileModel, refusal, shown
@@ -17,6 +18,11 @@ from cmbot.scene.base.hold import FACES, Face, face_of
 
 # From the foot's frame to its plate, m: the frame lies on the centre line of the post that is held.
 PLATE_OFFSET_M = 0.0375
+LIFT_M = 0.06
+"""How far a foot is lifted off along the normal of the face before it swings, m."""
+
+# The foot in its frame, as the URDF has it, m: sides, and its centre above the member's axis.
+_FOOT_M, _FOOT_CENTRE_M = (0.13, 0.05, 0.15), 0.065
 _QUARTER_TURNS_DEG = (0.0, 90.0, 180.0, 270.0, -90.0, -180.0, -270.0)
 # How far a given climber may miss the place of foot 2, m and rad.
 _REACHED = 1e-4
@@ -161,6 +167,13 @@ def foothold_pose(guardrail: Guardrail, place: FootholdFile) -> FloatArray:
     X[:3, :3] = np.column_stack([np.cross(out, z), out, z])
     X[:3, 3] = axis_point(guardrail, place) + (face.depth - PLATE_OFFSET_M) * out
     return X
+
+
+def swept_foot(guardrail: Guardrail, place: FootholdFile) -> tuple[Box, FloatArray]:
+    """Return the box that a foot takes where it holds and as it is lifted, and its pose (4, 4) in W."""
+    X = foothold_pose(guardrail, place)
+    X[:3, 3] += (_FOOT_CENTRE_M + LIFT_M / 2) * X[:3, 1]
+    return Box(size=(_FOOT_M[0], _FOOT_M[1] + LIFT_M, _FOOT_M[2])), X
 
 
 @lru_cache(maxsize=256)

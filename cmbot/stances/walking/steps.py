@@ -12,7 +12,6 @@ from cmbot.collision import Obstacle
 from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import short_repr
 from cmbot.planning import (
-    LIFT_M,
     Certificate,
     FreeMove,
     FreeSpace,
@@ -24,11 +23,10 @@ from cmbot.planning import (
     build_request,
     certify_move,
     free_space,
-    in_the_way,
     plan_move,
 )
 from cmbot.robot import Climber, Kinematics, Robot, Side, load_climbing_robot, other_foot
-from cmbot.scene import PlannerOptions, Scene
+from cmbot.scene import LIFT_M, PlannerOptions, Scene
 from cmbot.stances import Candidate, place_in_words, scene_at, without_links
 from cmbot.stances.walking.balance import foot_at
 from cmbot.toolpath import SpeedProfile, ToolPath
@@ -205,7 +203,7 @@ def blocked_end(
 ) -> tuple[Literal["before", "after"], str] | None:
     """Return at which end of a step something is in the way of its foot, and what; None: nothing is.
 
-    Near its places the shapes of a foot do not count in certificates: there `in_the_way` decides.
+    Near its places the shapes of a foot do not count in certificates: there `Scene.in_the_way` decides.
 
     Parameters
     ----------
@@ -219,7 +217,7 @@ def blocked_end(
     ends: tuple[tuple[Literal["before", "after"], Candidate], ...] = (("before", before), ("after", after))
     for end, node in ends:
         place = node.stance.places[foot - 1]
-        if place is not None and (other := in_the_way(scene, place)) is not None:
+        if place is not None and (other := scene.in_the_way(place)) is not None:
             return end, other
     return None
 

@@ -18,7 +18,7 @@ from walks import ARM_DEG, CLAMP, COUNTERWEIGHT_DEG, feet, one_step, scene_on_tw
 import cmbot
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PlanningError, SceneError
-from cmbot.planning import Deadline, FreeSpace, in_the_way
+from cmbot.planning import Deadline, FreeSpace
 from cmbot.robot import Climber, Kinematics, Robot, load_climbing_robot
 from cmbot.scene import FootholdFile, Scene, StanceFile
 from cmbot.stances import Candidate, places_of
@@ -200,11 +200,11 @@ def test_the_map_shows_what_is_on_the_rail() -> None:
 
 def test_a_foot_keeps_clear_of_joints_and_lamps(scene: Scene) -> None:
     near_post = FootholdFile(member="top_rail", along_m=3.45)
-    assert in_the_way(scene, near_post) == "post_3"
-    assert in_the_way(scene, FootholdFile(member="top_rail", along_m=3.9)) is None
+    assert scene.in_the_way(near_post) == "post_3"
+    assert scene.in_the_way(FootholdFile(member="top_rail", along_m=3.9)) is None
     lamp = {"name": "lamp", "cylinder": [0.05, 0.2], "xyz": [0.4, 0.15, 0.0]}
     lit = scene_at(4.04, 4.44, CLAMP, obstacles=[lamp])
-    assert in_the_way(lit, FootholdFile(member="top_rail", along_m=3.9)) == "lamp"
+    assert lit.in_the_way(FootholdFile(member="top_rail", along_m=3.9)) == "lamp"
     places = {(each.member, each.along_m) for each in places_of(lit, 0.1)}
     assert places < {(each.member, each.along_m) for each in places_of(scene, 0.1)}
 
