@@ -32,6 +32,7 @@ from cmbot.planning import (
     ToolTask,
     bending_arm,
     certify,
+    certify_move,
     covariance_of,
     free_move_name,
     joined_samples,
@@ -132,10 +133,8 @@ class Evaluation:
         clearances = Clearances(self.robot, self.scene.all_obstacles)
         each = list[tuple[float, Samples, bool]]()
         for segment in self.job.segments:
-            robot, distances = self.robot, clearances
-            if segment.kind == "free":
-                ends, margin = segment.trajectory.q[[0, -1]], self.scene.planner.safety_margin_m
-                robot, distances = robot.tool_off, clearances.no_deeper(ends, margin)
+            robot = self.robot if segment.kind == "stroke" else self.robot.tool_off
+            distances = segment.distances(clearances, self.options.safety_margin_m)
             t = np.linspace(0.0, segment.duration, int(np.ceil(segment.duration / _TABLE_STEP_S)) + 1)
             motion = [segment.trajectory.evaluate(t, order) for order in range(4)]
             held = segment.task.held_at_start()
@@ -335,22 +334,14 @@ class _Judge:
             duration = task.path.duration if is_timed else part.end - part.begin
             trajectory = cut(motion.trajectory, part.begin, part.end, duration)
             own = task if is_timed else task.held_at_start()
-            robot, distances = self.robot, clearances
+            given = self.robot, own, trajectory, clearances, self.options
             if part.number is None:
-                ends, margin = trajectory.q[[0, -1]], self.options.safety_margin_m
-                robot, distances = robot.tool_off, clearances.no_deeper(ends, margin)
-            certificate = certify(
-                robot,
-                own,
-                trajectory,
-                distances,
-                self.options,
-                via_points=0 if is_timed else None,
-                sag=self.sag if is_timed else None,
-                arm=bending_arm(self.scene, self.robot) if is_timed else None,
-            )
-            if part.number is not None and not is_timed:
-                certificate = self._with_nearest(certificate, trajectory, task)
+                certificate = certify_move(*given)
+            elif is_timed:
+                arm = bending_arm(self.scene, self.robot)
+                certificate = certify(*given, via_points=0, sag=self.sag, arm=arm)
+            else:
+                certificate = self._with_nearest(certify(*given, via_points=None), trajectory, task)
             name = free_move_name(after) if after is not None else RETURN
             yield Segment(
                 name=name if part.number is None else self.names[part.number],

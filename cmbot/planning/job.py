@@ -9,6 +9,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import short_repr
 from cmbot.hold import AdhesionPeak
@@ -81,6 +82,12 @@ class Segment:
     def figures(self) -> MotionMetrics:
         """Its figures, as certified."""
         return self.certificate.figures
+
+    def distances(self, clearances: Clearances, margin: float) -> Clearances:
+        """Return the distances that count along it: of a free move those of `Clearances.no_deeper`."""
+        if self.kind == "stroke":
+            return clearances
+        return clearances.no_deeper(self.trajectory.q[[0, -1]], margin)
 
     def unshaped(self, file: StrokeFile) -> QuinticTrajectory | None:
         """Return a quiet stroke's joint path by the law of its profile alone; None if no law was chosen."""

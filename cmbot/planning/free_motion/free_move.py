@@ -143,8 +143,8 @@ def certify_move(
     trajectory: QuinticTrajectory,
     clearances: Clearances,
     options: PlannerOptions,
-    start: FloatArray,
-    end: FloatArray,
+    start: FloatArray | None = None,
+    end: FloatArray | None = None,
 ) -> Certificate:
     """Certify a free move: the tool is off, so no force acts on it, and its place is measured, not bounded.
 
@@ -158,7 +158,7 @@ def certify_move(
     trajectory : QuinticTrajectory
     clearances : Clearances
     options : PlannerOptions
-    start, end : (n,), rad, of joints that slide m
+    start, end : (n,), rad, of joints that slide m, optional
         The postures in which it has to start and to end.
 
     Returns
@@ -235,9 +235,8 @@ def _path(
         found.append(ends)
     if not found:
         path = known(space)
-        if path is not None and not space.holds(path).all():
-            path = None
-        path = rrt_connect(space, ends[0], ends[1:], stop, most_growths) if path is None else path
+        if path is None or not space.holds(path).all():
+            path = rrt_connect(space, ends[0], ends[1:], stop, most_growths)
         found = [] if path is None else [space.shorten(path)]
     for path in found:
         if space.peak(path) <= allowed:

@@ -308,9 +308,8 @@ class Plan(StrokePlan):
         motion = [segment.trajectory.evaluate(t, order) for order in range(4)]
         at_work = segment.kind == "stroke"
         robot, sag = (self.robot, self.sag) if at_work else (self.robot.tool_off, None)
-        if not at_work:
-            clearances = clearances.no_deeper(segment.trajectory.q[[0, -1]], self.options.safety_margin_m)
-        return measure(robot, segment.task, clearances, t, motion, sag)
+        distances = segment.distances(clearances, self.options.safety_margin_m)
+        return measure(robot, segment.task, distances, t, motion, sag)
 
     @cached_property
     def deviation_with_spread(self) -> tuple[tuple[FloatArray, FloatArray], ...]:
