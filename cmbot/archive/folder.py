@@ -19,7 +19,7 @@ import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
-from io import BufferedWriter
+from io import BufferedIOBase
 from pathlib import Path
 from typing import Any
 
@@ -74,15 +74,15 @@ def claim(directory: str | Path) -> Iterator[Path]:
         with refusals(target):
             missing = [place for place in (target, *target.parents) if not place.exists()]
             cleanup.callback(_remove_empty, missing)
-            cleanup.enter_context(_locked(lock, target))
             cleanup.callback(_remove, lock)
+            _lock(lock, target, cleanup)
             _settle(target)
         cleanup.callback(_held.reset, _held.set(_held.get() | {target}))
         yield target
 
 
-def _locked(lock: Path, target: Path) -> BufferedWriter:
-    """Return the open file of a lock, which is held until it is closed."""
+def _lock(lock: Path, target: Path, cleanup: ExitStack) -> None:
+    """Hold a lock until the cleanup, which closes its file. A signal may end the call at any line."""
     for attempt in range(_ATTEMPTS):
         time.sleep(_PAUSE if attempt else 0.0)
         try:
@@ -94,19 +94,26 @@ def _locked(lock: Path, target: Path) -> BufferedWriter:
                 continue
             got, expected = "a place where no file can be made", "a place that can be written to"
             raise ArchiveError(str(target), "", got, expected) from None
-        with suppress(BlockingIOError, FileNotFoundError):
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            # The call before this one may have removed it.
-            if os.path.samestat(os.fstat(file.fileno()), lock.stat()):
-                return file
-        file.close()
+        cleanup.callback(file.close)
+        if _taken(file, lock):
+            return
     expected = "one process at a time: wait until it has finished, or take another place"
     raise ArchiveError(str(target), "", "a place where another process is writing", expected)
 
 
+def _taken(file: BufferedIOBase, lock: Path) -> bool:
+    with suppress(BlockingIOError, FileNotFoundError):
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        # The call before this one may have removed it.
+        return os.path.samestat(os.fstat(file.fileno()), lock.stat())
+    return False
+
+
 def _remove(lock: Path) -> None:
-    with suppress(OSError):
-        lock.unlink()
+    """Remove the file of a lock that nobody holds."""
+    with suppress(OSError), lock.open("rb") as file:
+        if _taken(file, lock):
+            lock.unlink()
 
 
 def _remove_empty(folders: Sequence[Path]) -> None:
@@ -382,11 +389,10 @@ def listed_name(path: Path) -> str:
 
 def _version(path: Path) -> tuple[int, int] | None:
     """What differs between two records that have had the same name; None where there is none."""
-    try:
+    with suppress(OSError, ValueError):  # a ValueError: a name that no file can have
         status = path.stat()
-    except (OSError, ValueError):  # a ValueError: a name that no file can have
-        return None
-    return status.st_ino, status.st_mtime_ns
+        return status.st_ino, status.st_mtime_ns
+    return None
 
 
 def _read(path: Path, hashes: Mapping[str, str], record: str) -> bytes:

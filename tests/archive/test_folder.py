@@ -1,5 +1,6 @@
 """Folders appear whole or not at all, whatever stops a call, and replace nothing but what a record names."""
 
+import contextlib
 import itertools
 import json
 import os
@@ -12,6 +13,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
+from types import FrameType
 
 import pytest
 from command_line import ROOT, environment
@@ -22,6 +24,7 @@ from cmbot.archive import (
     STANCES_FILE,
     add_file,
     claim,
+    folder as folder_module,
     new_folder,
     record_of,
     require_absent,
@@ -421,6 +424,39 @@ def test_a_lock_that_is_removed_while_it_is_taken_is_taken_again(
     with claim(folder):
         assert next(calls) == 3
     assert names(folder.parent) == {"stood"}
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # files that nothing closes
+def test_a_signal_at_any_line_before_a_place_is_claimed_leaves_nothing(tmp_path: Path) -> None:
+    """Python runs the handler of a signal between any two lines of Python."""
+    sources, traced = {folder_module.__file__, contextlib.__file__}, sys.gettrace()
+
+    def claimed(stop: int) -> bool:
+        lines = itertools.count()
+
+        def interrupt(frame: FrameType, event: str, _: object) -> Callable[..., object] | None:
+            if frame.f_code.co_filename not in sources:
+                return None
+            if event == "line" and next(lines) == stop:
+                sys.settrace(None)
+                raise KeyboardInterrupt
+            return interrupt
+
+        sys.settrace(interrupt)
+        try:
+            with claim(tmp_path / "above" / "place"):
+                sys.settrace(None)
+                return True
+        except KeyboardInterrupt:
+            return False
+        finally:
+            sys.settrace(traced)
+
+    stops = 0
+    while not claimed(stops):
+        assert not names(tmp_path)
+        stops += 1
+    assert stops > 40
 
 
 ELSEWHERE = ("", ".", "..", "../x", "a/b", "/x", ".hidden", "a\0", "a\n", "x" * 300)
