@@ -171,7 +171,9 @@ class CompareCommand(Writing):
         trackings = map(cmbot.load_tracking, plans.values(), self.directories)
         tracked = dict(zip(plans, trackings, strict=True))
         cmbot.views.write_page(self.output, cmbot.views.compare_page(plans, tracked))
-        self.wrote(self.output)
+        if unlike := cmbot.views.unlike(plans):
+            err.print(unlike)  # there, as no -q may lose it
+        self.wrote(self.output, unlike=unlike)
 
 
 @dataclass(frozen=True, kw_only=True)

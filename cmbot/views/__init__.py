@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from cmbot.common.lazy_imports import on_first_use
-from cmbot.views.compare import compare_page as compare_page
+from cmbot.views.compare import compare_page as compare_page, unlike as unlike
 from cmbot.views.film import film as film
 from cmbot.views.overview.gallery import gallery_page as gallery_page
 from cmbot.views.page import assemble_plain as assemble_plain, write_page as write_page

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from html import escape
 from typing import Any
 
 import numpy as np
+from scipy.linalg import eigvalsh
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.reading.validation import counted
-from cmbot.planning import Plan, Samples, hold_use, verdict
+from cmbot.elastic import Guardrail, elastic_base
+from cmbot.elastic.arm import ElasticArm, elastic_arm
+from cmbot.planning import Plan, Samples, held_guardrail, hold_use, verdict
 from cmbot.simulation import Tracking
 from cmbot.views.charts import (
     MOST_SMALL_POINTS,
@@ -38,6 +42,8 @@ MOST_PLANS = 6
 _MIN_FOLDED_PLANS = 3
 # The small plots have room for the shares of two curves.
 _MAX_SHARE_CURVES = 2
+# Stiffness and masses that differ by less are the same, as a share.
+_SAME_SHARE = 1e-3
 
 # The motion that is drawn whole, then the ghosts.
 _MOTION_KEYS = ("planned", *(f"plan_{number}" for number in range(2, MOST_PLANS + 1)))
@@ -67,7 +73,9 @@ def compare_page(plans: Mapping[str, Plan], trackings: Mapping[str, Tracking | N
     tracked, whole = dict(trackings or {}), len(plans) < _MIN_FOLDED_PLANS
     keys = dict(zip(_MOTION_KEYS, plans, strict=False))
     first = next(iter(plans.values()))
-    verdicts = (_verdict(name, plan, tracked.get(name), whole) for name, plan in plans.items())
+    verdicts = [_verdict(name, plan, tracked.get(name), whole) for name, plan in plans.items()]
+    if said := unlike(plans):
+        verdicts = [f'<p class="verdict worse">{escape(said)}</p>', *verdicts]
     return assemble_report(
         _data(first, dict(zip(keys, plans.values(), strict=True)), keys),
         title="Plans compared",
@@ -78,6 +86,83 @@ def compare_page(plans: Mapping[str, Plan], trackings: Mapping[str, Tracking | N
         shares=SHARES if len(plans) == _MAX_SHARE_CURVES else "",
         sections=section("Figures", table(_rows(plans), ("", *plans)), kind="wide"),
     )
+
+
+def unlike(plans: Mapping[str, Plan]) -> str:
+    """Return why figures of plans cannot be compared as they are, and what tells more; empty where they can.
+
+    Of the robot, its tool and what bends. Bases that are held elsewhere are compared as held where the first
+    one is: that they are is what the plans differ by.
+
+    Parameters
+    ----------
+    plans : mapping of str to Plan
+        Two or more by what they are called.
+    """
+    (first, plan), *others = plans.items()
+    at = held_guardrail(plan.scene, plan.robot)
+    mine, told = _bending(plan, at), list[str]()
+    for name, other in others:
+        if found := list(_differences(plan.scene.base_name, mine, _bending(other, at))):
+            told.append(f"in {name} {', '.join(found)}")
+    if not told:
+        return ""
+    return (
+        f"Not one arm on one base: beside {first}, {'; '.join(told)}. Differences of torque, sag and sway "
+        f"may be by that. cmbot evaluate SCENE --motion DIR, the scene of {first} and the folder of another, "
+        "judges that motion alike."
+    )
+
+
+def _bending(plan: Plan, at: Guardrail) -> ElasticArm:
+    """What bends, its base held where another one is, if it can be."""
+    own = held_guardrail(plan.scene, plan.robot)
+    places = {name: getattr(at, name) for name in ("foot_point", "footholds", "leg_compliance")}
+    if at.post_positions:
+        # W is at a foot: the first posts are the same one.
+        posts = tuple(x - own.post_positions[0] + at.post_positions[0] for x in own.post_positions)
+        places["post_positions"] = posts
+    with suppress(InputError):
+        return elastic_arm(plan.robot, elastic_base(replace(own, **places)))
+    return elastic_arm(plan.robot, elastic_base(own))
+
+
+def _differences(base: str, mine: ElasticArm, other: ElasticArm) -> Iterator[str]:
+    """Yield by what an arm differs from mine, beside where it stands."""
+    for (name, value), was in zip(_figures(other).items(), _figures(mine).values(), strict=True):
+        if not np.allclose(value, was, rtol=_SAME_SHARE, atol=1e-6):
+            now, before = (", ".join(f"{x:.4g}" for x in np.atleast_1d(each)) for each in (value, was))
+            yield f"{name} is {now} in place of {before}"
+    for kind, called in (("base", base), ("link", "links"), ("joint", "joints")):
+        blocks, others = (
+            {
+                (name, len(at)): arm.stiffness[np.ix_(at, at)]
+                for (of, name), at in arm.springs.items()
+                if of == kind
+            }
+            for arm in (mine, other)
+        )
+        if blocks.keys() != others.keys():
+            yield f"what bends of the {called} is {'another' if others else 'none'}"
+            continue
+        shares = [eigvalsh(others[name], block) for name, block in blocks.items()] or [np.ones(1)]
+        by = " to ".join(sorted({f"{least(shares):.3g}" for least in (np.min, np.max)}, key=float))
+        if by != "1":
+            yield f"the stiffness of the {called} is {by} times as large"
+
+
+def _figures(arm: ElasticArm) -> dict[str, Any]:
+    """What figures rest on beside stiffness and place."""
+    robot, moved = arm.robot, np.zeros((6, 6)) if arm.base is None else arm.base.mass
+    return {
+        "the payload, kg,": robot.payload,
+        "the arm's mass, kg,": robot.arm_mass - robot.payload,
+        "its reach, m,": robot.reach,
+        "the tool point on its link, m,": robot.model.frames[robot.tool_frame_id].placement.translation,
+        "the process force, N,": robot.tool_force,
+        "the damping ratio": robot.damping_ratio,
+        "the mass of the base, kg,": np.trace(moved[:3, :3]) / 3,
+    }
 
 
 def _require_alike(plans: Mapping[str, Plan]) -> None:

@@ -22,7 +22,7 @@ from cmbot.common.errors import InputError
 from cmbot.common.poses import pose
 from cmbot.planning import Plan
 from cmbot.simulation import Tracking
-from cmbot.views import compare_page
+from cmbot.views import compare_page, unlike
 
 
 @pytest.fixture(scope="module")
@@ -191,6 +191,26 @@ def test_the_page_says_whose_surroundings_it_shows(text: str, short_plan: Plan) 
     for page, shown in ((text, paths), (alike, paths[:1])):
         commands = [umsgpack.unpackb(base64.b64decode(command)) for command in data_of(page)["commands"]]
         assert [each["path"] for each in commands if each["path"].endswith("/path")] == shown
+
+
+def test_plans_on_other_bases_are_not_compared_without_a_word(short_plan: Plan, strokes_plan: Plan) -> None:
+    """What differs is said before the verdicts; that an arm stands elsewhere is what plans may differ by."""
+    plan = without_shapes(short_plan)
+    soft = replace(plan, scene=plan.scene.changed(guardrail={"stiffness_factor": 0.5}))
+    loaded = replace(plan, robot=replace(plan.robot, payload=2.0, elasticity={}))
+    said = unlike({"<one>": plan, "soft": soft, "loaded": loaded})
+    assert "beside <one>, in soft the stiffness of the guardrail is 0.5 times as large; in loaded" in said
+    assert "the payload, kg, is 2 in place of 0" in said
+    assert "what bends of the links is none" in said
+    assert "cmbot evaluate SCENE --motion DIR, the scene of <one>" in said
+    page = compare_page({"<one>": plan, "soft": soft})
+    assert 0 < page.index("beside &lt;one&gt;, in soft") < page.index("Every promise")
+    moved = replace(plan, scene=plan.scene.changed(guardrail={"foot": {"offset_m": 0.3}}))
+    assert unlike({"one": plan, "moved": moved}) == ""
+    # Its tool is pushed, and its feet hold elsewhere.
+    pushed = unlike({"one": plan, "strokes": strokes_plan})
+    assert "in strokes the process force, N, is 0, 0, -40 in place of 0, 0, 0. Diff" in pushed
+    assert "Not one arm" not in compare_page({"one": plan, "two": plan})
 
 
 def test_what_is_refused(short_plan: Plan, saved_short: Path, tmp_path: Path) -> None:
