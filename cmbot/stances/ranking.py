@@ -156,6 +156,8 @@ class StanceRanking:
         )
         if not first.bound:
             return late  # the time was over before any bound was known
+        if self.best is not None and first.bound >= self.best.value:
+            return f"{late}; by their bounds (estimates) none of them is better than the best one"
         return (
             f"{late}, first {first.place}, by its bound {first.bound:.4g} {self.unit}; a longer "
             "--time-limit or planner.time_limit_s, or cmbot plan of its scene, judges it"

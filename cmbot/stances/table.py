@@ -31,7 +31,8 @@ def in_words(ranking: StanceRanking) -> Iterator[str]:
     else:
         yield from _best_in_words(ranking, best)
     yield from _own_in_words(ranking)
-    if ranking.count("planned") <= ranking.plans and (closest := ranking.closest_in_time):
+    wanted = ranking.ended_by or ranking.count("planned") <= ranking.plans
+    if wanted and (closest := ranking.closest_in_time):
         yield f"{closest[0].upper()}{closest[1:]}."
     if limit := ranking.sag_limit:
         most = f"{limit.most_mm:.3g} mm, {limit.source}"

@@ -327,12 +327,17 @@ def test_a_search_that_ended_early_does_not_contradict_itself(ranking: StanceRan
     said = " ".join(in_words(early))
     assert "none may be better than the best one" in said
     assert "others may be better" not in said
+    # What waits is told, and that more time would not find a better one.
+    waiting = early.count("screened")
+    assert f"Not judged to the end for want of time: {waiting}, {waiting} of them only screened; by" in said
+    assert "none of them is better than the best one" in said and "--time-limit or" not in said
     best = early.best
     least = 0.9 * best.value
     lower = tuple(replace(each, bound=least) if each.status == "screened" else each for each in early.ranked)
     said = " ".join(in_words(replace(early, ranked=lower)))
     assert "none may be better by more than 10.0 %" in said
     assert "kept, and others may be better" in said
+    assert f"by its bound {least:.4g} {early.unit}; a longer --time-limit or" in said
 
 
 def test_the_best_of_one_is_not_called_the_best(ranking: StanceRanking) -> None:
