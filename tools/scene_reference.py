@@ -88,6 +88,9 @@ _WRITTEN = {
     "IdentifiedSpring": "",
     "IdentifiedBase": "",
     "IdentifiedDamping": "",
+    "IdentifiedMode": "",
+    "IdentifiedReadings": "",
+    "MeasuredFile": "",
 }
 
 

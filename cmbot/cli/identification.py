@@ -148,8 +148,10 @@ def _summary(found: Identification) -> dict[str, object]:
     names, directions = cmbot.identification.unseen(found)
     factors = {each.name: each.factor for each in (*found.stiffness.links, *found.stiffness.joints)}
     fit = {part.kind: {"probability": part.probability, "errors_times": part.scale} for part in found.parts}
+    measured = found.stiffness.measured
     return {
         "factors": factors,
+        "measured": measured and measured.model_dump(mode="json", exclude_none=True),
         "base": None if found.stiffness.base is None else found.stiffness.base.stiffness,
         "not_seen": list(names),
         "base_directions_not_seen": directions,

@@ -53,6 +53,7 @@ from cmbot.identification.report import (
     proposal_remarks as proposal_remarks,
     remarks as remarks,
     require_fit as require_fit,
+    stiffness_rows as stiffness_rows,
     stiffness_text as stiffness_text,
     unseen as unseen,
 )

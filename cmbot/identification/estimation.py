@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -162,7 +163,9 @@ def _estimate(sheets: tuple[Measurements, ...], modelled: ElasticArm) -> Identif
         parts=tuple(replace(part, scale=problem.scale[part.kind]) for part in stated),
         slips=wrong,
         matched=problem.matched,
-        stiffness=_stiffness(sheets, modelled, arm, mean, joint[:p, :p]),
+        stiffness=_stiffness(
+            sheets, modelled, arm, mean, joint[:p, :p], _measured(sheets, stated, problem.matched)
+        ),
         job=job,
         before=None if job is None else sag_along(modelled, np.diag(problem.prior**2), job),
         after=None if job is None else sag_along(arm, joint[:p, :p], job),
@@ -199,12 +202,36 @@ def _damping(sheets: Sequence[Measurements]) -> dict[str, float] | None:
     return {"ratio": round(float(np.median(ratios)), 6), "sd": round(float(deviation), 6)}
 
 
+def _measured(
+    sheets: Sequence[Measurements], stated: Sequence[Part], matched: Sequence[MatchedFrequency]
+) -> dict[str, Any]:
+    """What was measured, and how it fits the errors that were stated."""
+    residual = {part.kind: round(float(np.sqrt(part.square / part.redundancy)), 6) for part in stated}
+    deflected = sum(int(np.isfinite(each.deflection).any(axis=1).sum()) for each in sheets)
+    readings = (
+        ("deflections", deflected, residual.get("deflection_mm")),
+        ("frequencies", len(matched), residual.get("frequencies_hz")),
+    )
+    modes = [
+        {
+            "hz": round(each.frequency, 6),
+            "hz_sd": round(sheets[each.label.sheet].setup.frequency_sd_share * each.frequency, 6),
+            "damping": [round(x, 6) for x in ratio] if np.isfinite(ratio[0]) else None,
+        }
+        for each in matched
+        for ratio in [(each.damping, each.damping_deviation)]
+    ]
+    kinds = [dict(zip(("kind", "count", "residual"), each, strict=True)) for each in readings if each[1]]
+    return {"sheets": [Path(each.source).name for each in sheets], "readings": kinds, "modes": modes}
+
+
 def _stiffness(
     sheets: Sequence[Measurements],
     modelled: ElasticArm,
     arm: ElasticArm,
     mean: FloatArray,
     covariance: FloatArray,
+    measured: dict[str, Any],
 ) -> IdentifiedStiffness:
     of, springs = modelled_stiffness(modelled.robot), StiffnessParameters(modelled).springs
     each = [
@@ -215,6 +242,7 @@ def _stiffness(
         "links": [one for kind, one in each if kind == "link"],
         "joints": [one for kind, one in each if kind == "joint"],
         "damping": _damping(sheets),
+        "measured": measured,
         "covariance": ((covariance + covariance.T) / 2).tolist(),
     }
     if modelled.base is not None:

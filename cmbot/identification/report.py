@@ -51,26 +51,51 @@ def identified_rows(found: Identification) -> Iterator[tuple[str, ...]]:
 
     Name, modelled, identified, factor, standard deviation now and before, and whether it was told at all.
     """
-    deviation = np.sqrt(np.diag(found.covariance))
-    given = (*found.stiffness.links, *found.stiffness.joints)
-    units = [("E I", "N m2") if kind == "link" else ("", "Nm/rad") for kind, _ in found.parameters.springs]
-    for k, (each, (letter, unit)) in enumerate(zip(given, units, strict=True)):
-        name = f"{each.name} {letter}".rstrip()
-        numbers = (each.modelled, each.factor * each.modelled, deviation[k], found.prior[k])
-        yield _row(f"{name}, {unit}", *numbers)
-    if not found.parameters.has_base:
+    first, C, Sigma = len(found.parameters.springs), None, np.diag(found.prior**2)
+    before = np.sqrt(np.diag(Sigma))[:first]
+    if found.parameters.has_base:
+        C = found.parameters.factor @ found.parameters.factor.T
+        before = np.hstack([before, _base_deviations(C, Sigma[first:, first:])])
+    for known, was in zip(stiffness_rows(found.stiffness, C), before, strict=True):
+        yield _row(*known, was)
+
+
+def stiffness_rows(
+    stiffness: IdentifiedStiffness, modelled: FloatArray | None
+) -> Iterator[tuple[str, float, float, float]]:
+    """Yield of every stiffness its name, as modelled, as identified, and its logarithm's standard deviation.
+
+    Parameters
+    ----------
+    stiffness : IdentifiedStiffness
+    modelled : (6, 6), m/N, rad/N, rad/Nm, or None
+        Compliance of the base as modelled; None: it is rigid.
+    """
+    Sigma, first = stiffness.covariance_matrix, len(stiffness.springs)
+    springs = (*stiffness.links, *stiffness.joints)
+    for (kind, name), each, variance in zip(stiffness.springs, springs, np.diag(Sigma), strict=False):
+        of = f"{name} E I, N m2" if kind == "link" else f"{name}, Nm/rad"
+        yield of, each.modelled, each.factor * each.modelled, float(np.sqrt(variance))
+    if stiffness.base is None:
         return
-    first, L = len(found.parameters.springs), found.parameters.factor
-    basis = np.stack([symmetric(row) for row in np.eye(21)])
-    before = found.prior[first:]
-    C = np.linalg.inv(np.array(found.stiffness.base.stiffness)) if found.stiffness.base else L @ L.T
-    # To first order about the modelled one: d C_ii = (L dX L')_ii.
-    slopes = np.einsum("ia,pab,ib->ip", L, basis, L) / np.diag(L @ L.T)[:, None]
-    Sigma = found.covariance[first:, first:]
-    for i, name in enumerate(_BASE_DIRECTIONS):
-        now, was = np.sqrt(slopes[i] @ Sigma @ slopes[i]), np.sqrt(slopes[i] ** 2 @ before**2)
+    C, before = np.linalg.inv(np.array(stiffness.base.stiffness)), np.full(6, np.inf)
+    if modelled is not None:
+        before = 1 / np.diag(modelled)
+    # A push along one direction, all others free.
+    each_base = zip(before, 1 / np.diag(C), _base_deviations(C, Sigma[first:, first:]), strict=True)
+    for i, (was, now, deviation) in enumerate(each_base):
         unit = "N/m" if i < 3 else "Nm/rad"
-        yield _row(f"base {name}, {unit}", 1 / (L @ L.T)[i, i], 1 / C[i, i], now, was)
+        yield f"base {_BASE_DIRECTIONS[i]}, {unit}", float(was), float(now), float(deviation)
+
+
+def _base_deviations(C: FloatArray, Sigma: FloatArray) -> FloatArray:
+    """Standard deviations (6,) of the logarithms of the diagonal of a base's compliance C (6, 6).
+
+    To first order about it, by the covariance (21, 21) of X: d C_ii = (L dX L')_ii.
+    """
+    L, basis = np.linalg.cholesky((C + C.T) / 2), np.stack([symmetric(row) for row in np.eye(21)])
+    slopes = np.einsum("ia,pab,ib->ip", L, basis, L) / np.diag(C)[:, None]
+    return np.asarray(np.sqrt(np.einsum("ip,pr,ir->i", slopes, Sigma, slopes)))
 
 
 def mode_rows(found: Identification) -> Iterator[tuple[str, ...]]:
@@ -336,6 +361,8 @@ def stiffness_text(stiffness: IdentifiedStiffness, source: str) -> str:
             if key in data["base"]:
                 lines.append(f"  {key}:")
                 lines += [f"    - {json.dumps(row)}" for row in data["base"][key]]
+    if "measured" in data:
+        lines.append(f"measured: {json.dumps(data['measured'])}")
     if "damping" in data:
         lines.append(f"damping: {json.dumps(data['damping'])}")
     lines.append("covariance:")

@@ -440,8 +440,13 @@ class Scene(FileModel):
     def elastic_guardrail(self) -> Guardrail:
         """The guardrail in SI units, with the stiffness that was identified, or that of its modes or tube."""
         measured = self.identified and self.identified.base
-        guardrail = elastic_guardrail(self.guardrail, measured)
-        if measured or self.base is None:
+        return elastic_guardrail(self.guardrail, measured) if measured else self.modelled_guardrail
+
+    @property
+    def modelled_guardrail(self) -> Guardrail:
+        """The same as if nothing had been identified."""
+        guardrail = elastic_guardrail(self.guardrail)
+        if self.base is None:
             return guardrail
         if self.base.tube is not None:
             stiffness, mass = self.base.tube.matrices()

@@ -75,7 +75,8 @@ def compare_page(plans: Mapping[str, Plan], trackings: Mapping[str, Tracking | N
     first = next(iter(plans.values()))
     verdicts = [_verdict(name, plan, tracked.get(name), whole) for name, plan in plans.items()]
     if said := unlike(plans):
-        verdicts = [f'<p class="verdict worse">{escape(said)}</p>', *verdicts]
+        first_words, _, rest = escape(said).partition(":")
+        verdicts = [f'<p class="verdict worse"><b>{first_words}:</b>{rest}</p>', *verdicts]
     return assemble_report(
         _data(first, dict(zip(keys, plans.values(), strict=True)), keys),
         title="Plans compared",
@@ -108,9 +109,8 @@ def unlike(plans: Mapping[str, Plan]) -> str:
     if not told:
         return ""
     return (
-        f"Not one arm on one base: beside {first}, {'; '.join(told)}. Differences of torque, sag and sway "
-        f"may be by that. cmbot evaluate SCENE --motion DIR, the scene of {first} and the folder of another, "
-        "judges that motion alike."
+        f"Not one arm on one base: beside {first}, {'; '.join(told)}. Torque, sag and sway may differ by "
+        f"that alone: cmbot evaluate SCENE --motion DIR, the scene of {first} and another's folder, tells more."
     )
 
 

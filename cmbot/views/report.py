@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from html import escape
 from math import floor, inf
 from pathlib import Path
@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from cmbot.common.limit import Limit
 from cmbot.common.reading.validation import given_path
+from cmbot.elastic import elastic_base
 from cmbot.planning import (
     LOAD_HEADINGS,
     Certificate,
@@ -62,6 +63,8 @@ _LOOSE_GAP = 0.05
 _DISTANCE_TOLERANCE_SHARE = 0.02
 # Feet that use more of what their safety allows have hardly anything left.
 _NEAR_BOUND_SHARE = 0.95
+# Standard deviations on both sides that have 95 %.
+_SIGMAS_95 = 1.96
 _JOINT_HEADINGS = ("joint", "range, deg", "deg/s", "deg/s²", "deg/s³", "Nm")
 # Where joints slide each row has its own units.
 _MIXED_HEADINGS = ("joint", "range", "velocity", "acceleration", "jerk", "torque or force")
@@ -354,6 +357,40 @@ def _accuracy_section(plan: Plan) -> str:
     return section("Where the tool will be", told + table(remedies, ("", "within, mm")))
 
 
+def _measured_section(plan: Plan) -> str:
+    """What was identified, and from which readings; empty where nothing was."""
+    if (identified := plan.scene.identified) is None:
+        return ""
+    # Most plans are as modelled: their pages are made without it.
+    from cmbot.identification import stiffness_rows
+
+    base = elastic_base(replace(plan.scene.modelled_guardrail, leg_compliance=plan.robot.leg_compliance))
+    before = None if base is None else np.asarray(np.linalg.inv(base.stiffness))
+    rows = [
+        (name, "rigid" if was == inf else f"{was:.4g}", f"{now:.4g}", f"{now / by:.4g} to {now * by:.4g}")
+        for name, was, now, deviation in stiffness_rows(identified, before)
+        for by in [np.exp(_SIGMAS_95 * deviation)]
+    ]
+    told = table(rows, ("stiffness", "scene's", "measured", "with 95 % within"))
+    if (measured := identified.measured) is None:
+        return section("Measured", told)
+    modes = [
+        (
+            f"{mode.hz:.4g} ± {mode.hz_sd:.2g}",
+            "{:.2f} ± {:.2g}".format(*(100 * x for x in mode.damping)) if mode.damping else "-",
+        )
+        for mode in measured.modes
+    ]
+    left = [
+        f"{each.count} {each.kind}"
+        + ("" if each.residual is None else f" (residual {each.residual:.2g} times what stated errors leave)")
+        for each in measured.readings
+    ]
+    sentences = [f"From {', '.join(measured.sheets)}: {', '.join(left)}.", "± is one standard deviation."]
+    headings = ("frequency, Hz", "damping, % of critical")
+    return section("Measured", told + table(modes, headings) + _list(sentences[: 1 + bool(modes)]))
+
+
 def _loads_section(plan: Plan) -> str:
     """The loads for whoever sizes the base and chooses the arm."""
     point, base = _numbers(load_point(plan), 3), plan.scene.base_name
@@ -421,6 +458,7 @@ def _sections(plan: Plan, tracking: Tracking | None, excitation: Excitation | No
     yield section("Metrics", table(plan.rows(), plan.headings))
     yield _loads_section(plan)
     yield _accuracy_section(plan)
+    yield _measured_section(plan)
     if elastic := list(_elastic(plan)):
         yield section("Predicted sag", table(elastic))
     several = {stroke.name for stroke in plan.several}

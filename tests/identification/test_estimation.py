@@ -15,6 +15,7 @@ from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm
 from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.sag import Sag
+from cmbot.elastic.stiffness_parameters import StiffnessParameters
 from cmbot.identification import (
     Identification,
     Measurements,
@@ -27,6 +28,7 @@ from cmbot.identification import (
     remarks,
     require_fit,
     sag_along,
+    stiffness_rows,
     stiffness_text,
     unseen,
 )
@@ -277,6 +279,35 @@ def test_nothing_measured_of_a_joint_keeps_its_prior(
     assert rows["joint_7, Nm/rad"][-1] == "not seen"
     assert len(rows) == 4 + 7 + 6
     assert any("joint_7" in line and "Not seen" in line for line in remarks(identified))
+
+
+def test_every_stiffness_has_its_deviation_and_the_file_what_was_read(
+    found: tuple[benchmark.Truth, ElasticArm, Identification],
+) -> None:
+    """Of the base by differences: how the push against one direction changes with every parameter."""
+    identified = found[2]
+    arm, p = identified.arm, identified.parameters.count
+    known = StiffnessParameters(arm)
+    at = arm.springs["base", ""]
+
+    def softness(parameters: np.ndarray) -> np.ndarray:
+        return np.log(np.diag(np.linalg.inv(known.stiffness(parameters)[np.ix_(at, at)])))
+
+    step = 1e-5
+    slopes = np.stack([(softness(step * e) - softness(-step * e)) / (2 * step) for e in np.eye(p)], axis=1)
+    Sigma = identified.stiffness.covariance_matrix
+    expected = np.sqrt(np.diag(slopes @ Sigma @ slopes.T))
+    modelled = identified.parameters.factor @ identified.parameters.factor.T
+    rows = list(stiffness_rows(identified.stiffness, modelled))
+    np.testing.assert_allclose([row[3] for row in rows[-6:]], expected, rtol=1e-6)
+    np.testing.assert_allclose([row[1] for row in rows[-6:]], 1 / np.diag(modelled))
+    np.testing.assert_allclose([row[3] for row in rows[:-6]], np.sqrt(np.diag(Sigma)[: p - 21]))
+    measured = identified.stiffness.measured
+    assert measured is not None and measured.modes == ()
+    (readings,) = measured.readings
+    assert (readings.kind, readings.count) == ("deflections", 6)
+    # The noise is as stated.
+    assert readings.residual is not None and 0.3 < readings.residual < 2
 
 
 def test_the_file_makes_the_same_arm_with_the_same_spread(

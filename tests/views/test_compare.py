@@ -209,7 +209,7 @@ def test_plans_on_other_bases_are_not_compared_without_a_word(short_plan: Plan, 
     assert unlike({"one": plan, "moved": moved}) == ""
     # Its tool is pushed, and its feet hold elsewhere.
     pushed = unlike({"one": plan, "strokes": strokes_plan})
-    assert "in strokes the process force, N, is 0, 0, -40 in place of 0, 0, 0. Diff" in pushed
+    assert "in strokes the process force, N, is 0, 0, -40 in place of 0, 0, 0. Torque" in pushed
     assert "Not one arm" not in compare_page({"one": plan, "two": plan})
 
 

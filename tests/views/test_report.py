@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from clamped import CLAMP, MAGNET, clamped_scene
-from page_data import data_of, floats
+from page_data import data_of, floats, without_shapes
 from plan_folders import changed, with_baseline, without_approach
 
 import cmbot
 from cmbot.common.errors import InputError
 from cmbot.common.limit import Limit
+from cmbot.elastic import elastic_base
 from cmbot.planning import Certificate, Choice, Plan, bound_use, remarks
 from cmbot.simulation import Tracking, tracking_rows, tracking_verdict
 from cmbot.toolpath import Coverage
@@ -49,6 +50,42 @@ def test_every_figure_check_and_remark_is_in_it(
         assert name in cells
     assert cmbot.__version__ in cells
     assert "NO" not in cells
+
+
+def test_a_measured_base_is_told_beside_that_of_the_scene(short_plan: Plan, text: str) -> None:
+    """A base twice as stiff as the scene's, whose 21 numbers are independent and known within 0.1."""
+    assert "<h2>Measured</h2>" not in text
+    plan, name = without_shapes(short_plan), "link_1"
+    springs = [
+        {"name": name, "modelled": tube.young * tube.second_moment, "factor": 1.0}
+        for name, tube in plan.robot.elasticity.items()
+    ]
+    base = elastic_base(plan.scene.elastic_guardrail)
+    assert base is not None
+    feet = plan.scene.elastic_guardrail.footholds
+    modes = [{"hz": 2.5, "hz_sd": 0.02, "damping": [0.012, 0.001]}, {"hz": 3.0, "hz_sd": 0.03}]
+    readings = [{"kind": "deflections", "count": 8, "residual": 1.1}, {"kind": "frequencies", "count": 2}]
+    identified = {
+        "links": springs,
+        "base": {"footholds": feet, "stiffness": (2 * base.stiffness).tolist()},
+        "covariance": (0.01 * np.eye(len(springs) + 21)).tolist(),
+        "measured": {"sheets": ["<tap>.yaml"], "readings": readings, "modes": modes},
+    }
+    page = report_page(replace(plan, scene=plan.scene.changed(identified=identified)))
+    part = page.partition("<h2>Measured</h2>")[2].partition("</section>")[0]
+    cells = [re.findall(r"<t[dh][^>]*>([^<]*)</t[dh]>", row) for row in part.split("</tr>")]
+    told = {row[0]: row[1:] for row in cells if row}
+    # The first entry of C is L_11 exp(X_11) L_11: its logarithm is X_11, of deviation 0.1.
+    before = 1 / np.linalg.inv(base.stiffness)[0, 0]
+    was, now, within = told["base along x, N/m"]
+    assert (float(was), float(now)) == pytest.approx((before, 2 * before), rel=1e-3)
+    ends = [2 * before * np.exp(side * 1.96 * 0.1) for side in (-1, 1)]
+    assert [float(end) for end in within.split(" to ")] == pytest.approx(ends, rel=1e-3)
+    assert told[f"{name} E I, N m2"][0] == told[f"{name} E I, N m2"][1]
+    assert (told["2.5 ± 0.02"], told["3 ± 0.03"]) == (["1.20 ± 0.1"], ["-"])
+    assert (
+        "From &lt;tap&gt;.yaml: 8 deflections (residual 1.1 times what stated errors leave), 2 freq" in part
+    )
 
 
 def test_the_banner_is_green_only_where_the_bent_tool_keeps_its_margin_too(

@@ -52,6 +52,35 @@ class IdentifiedDamping(FileModel):
     """Standard deviation of one mode's ratio."""
 
 
+class IdentifiedMode(FileModel):
+    """A natural frequency that was measured."""
+
+    hz: Annotated[float, Field(gt=0, le=1e4)]
+    hz_sd: Annotated[float, Field(ge=0, le=1e4)]
+    """Its standard deviation, Hz, as stated."""
+    damping: tuple[Number, Number] | None = None
+    """Share of critical damping and its standard deviation; left out: not measured."""
+
+
+class IdentifiedReadings(FileModel):
+    """Readings of one kind."""
+
+    kind: Literal["deflections", "frequencies"]
+    count: Annotated[int, Field(ge=1, le=100_000)]
+    """Number of postures with a deflection, or of frequencies."""
+    residual: Annotated[float, Field(ge=0, le=1e6)] | None = None
+    """Root mean square of what is left, over what the stated errors leave; left out: all was fitted."""
+
+
+class MeasuredFile(FileModel):
+    """What was measured, for whoever reads the file or a plan's page."""
+
+    sheets: Annotated[tuple[Text, ...], Field(max_length=1000)]
+    """Names of the files of measurements."""
+    readings: Annotated[tuple[IdentifiedReadings, ...], Field(max_length=2)] = ()
+    modes: Annotated[tuple[IdentifiedMode, ...], Field(max_length=4000)] = ()
+
+
 class IdentifiedStiffness(FileModel):
     """Stiffness in place of the model's, and how well it is known.
 
@@ -67,6 +96,8 @@ class IdentifiedStiffness(FileModel):
     """Left out: the base is rigid."""
     damping: IdentifiedDamping | None = None
     """Left out, as no record of a decay was used: assumed."""
+    measured: MeasuredFile | None = None
+    """By what; nothing is planned by it."""
     covariance: Annotated[tuple[Numbers, ...], Field(min_length=1, max_length=300)]
     """Of what was identified, a row for each number."""
 
