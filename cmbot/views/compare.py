@@ -110,7 +110,7 @@ def unlike(plans: Mapping[str, Plan]) -> str:
         return ""
     return (
         f"Not one arm on one base: beside {first}, {'; '.join(told)}. Torque, sag and sway may differ by "
-        f"that alone: cmbot evaluate SCENE --motion DIR, the scene of {first} and another's folder, tells more."
+        f"that alone: cmbot evaluate SCENE --motion DIR, the scene of {first}, another's folder, tells more."
     )
 
 
