@@ -152,7 +152,7 @@ def _remarks(plan: cmbot.Plan, tracking: cmbot.Tracking) -> Iterator[str]:
 
 
 def _left_out(plan: cmbot.Plan) -> Iterator[str]:
-    if said := cmbot.planning.rigid_arm_remark(plan.scene, plan.robot):
+    if said := cmbot.planning.rigid_parts_remark(plan.scene, plan.robot):
         yield said
     if plan.scene.excitation is not None or plan.scene.damper is not None:
         yield "Trains, wind and a damper are left out here; cmbot excite shakes the arm by them."

@@ -126,7 +126,7 @@ from cmbot.planning.workcell.workcell import (
     bending_arm as bending_arm,
     held_guardrail as held_guardrail,
     resolved_options as resolved_options,
-    rigid_arm_remark as rigid_arm_remark,
+    rigid_parts_remark as rigid_parts_remark,
     robot_of as robot_of,
     sag_of as sag_of,
 )

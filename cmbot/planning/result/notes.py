@@ -26,7 +26,7 @@ from cmbot.planning.result.judgement import (
 from cmbot.planning.result.plan import Plan
 from cmbot.planning.workcell.stiffness import identified_in_words
 from cmbot.planning.workcell.units import mistaken_units
-from cmbot.planning.workcell.workcell import held_guardrail, rigid_arm_remark
+from cmbot.planning.workcell.workcell import held_guardrail, rigid_parts_remark
 from cmbot.robot import Dynamics, postures_in_words
 from cmbot.scene import STOW, Uncertainty
 
@@ -47,7 +47,7 @@ _ZERO_BOUND_SHARE = 1e-9
 _ADHESION_LOSS_SHARE = 0.2
 
 # Free moves that take so many times as long as the work are told; a rate that is used as far bounds them.
-_LONG_FREE_RATIO, _REACHED_SHARE = 3.0, 0.9
+_LONG_FREE_RATIO, _REACHED_SHARE = 1.0, 0.9
 _RATES = (Limit.VELOCITY, Limit.ACCELERATION, Limit.JERK)
 
 Level = Literal["first", "fault", "warning", "note"]
@@ -171,14 +171,17 @@ def _base(plan: Plan) -> dict[str, Any]:
 
 
 def _free_moves(plan: Plan) -> Iterator[Note]:
-    """What bounds the longest free move, where these take far longer than the work."""
+    """What bounds the longest free move, where these take longer than the work, and from where none leads."""
     free, total = [each for each in plan.job.segments if each.kind == "free"], plan.job.duration
     seconds = sum(each.duration for each in free)
     if seconds > _LONG_FREE_RATIO * (total - seconds):
         longest = max(free, key=lambda each: each.duration)
         rates = (check for check in longest.certificate.checks if check.limit in _RATES)
         by = next((check.quantity for check in rates if bound_use(check) > _REACHED_SHARE), None)
-        values = {"seconds": seconds, "total": total, "which": longest.in_words, "by": by}
+        values = {"seconds": seconds, "total": total, "which": longest.in_words, "by": by, "start": None}
+        if plan.start.moved:
+            slides = plan.robot.limits.prismatic
+            values["start"] = postures_in_words(slides, plan.start.posture)
         yield Note(level="first", key="free_moves", values=values)
 
 
@@ -225,7 +228,7 @@ def _told(plan: Plan) -> Iterator[Note]:
         yield Note(level="warning", key="fallback", values={"text": text})
     for text in plan.robot.remarks:
         yield Note(level="warning", key="robot", values={"text": text})
-    for stiffness in (rigid_arm_remark(plan.scene, plan.robot), identified_in_words(plan.scene)):
+    for stiffness in (rigid_parts_remark(plan.scene, plan.robot), identified_in_words(plan.scene)):
         if stiffness:
             yield Note(level="note", key="stiffness", values={"text": stiffness})
     yield from _slid(plan)

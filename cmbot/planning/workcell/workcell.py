@@ -32,6 +32,8 @@ from cmbot.trajectory import QuinticTrajectory
 _KEYS_OF_SCENES = ("base_frame", "tool_frame", "total_mass_kg", "xacro", "locked")
 # How far from the arm a tube may end; what is between them is taken as rigid.
 _MOST_BESIDE_M = 0.5
+# From where on that is told: a flange or a plate is as high.
+_TOLD_BESIDE_M = 0.05
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -190,12 +192,17 @@ def build_workcell(scene: Scene, options: PlannerOptions, own: WrenchFunction | 
     )
 
 
-def rigid_arm_remark(scene: Scene, robot: Robot) -> str:
-    """Say that only the base bends, where the arm has no elasticity file; otherwise empty."""
-    if robot.elasticity or robot.joint_elasticity or bending_arm(scene, robot) is None:
-        return ""
-    only = f"only the {scene.base_name} bends"
-    return f"Links and joints are taken to be rigid, without an elasticity file; {only}."
+def rigid_parts_remark(scene: Scene, robot: Robot) -> str:
+    """Say what is taken to be rigid: an arm without an elasticity file, and what is between it and a tube."""
+    away, held = _beside_tube(scene, robot)
+    base, where = scene.base_name, _numbers(held)
+    between = (
+        f"The {base} ends {away:.2g} m from the arm's base at ({where}) m: what is between is taken to be "
+        "rigid (base.tube.end_m). "
+    )
+    rigid = not (robot.elasticity or robot.joint_elasticity) and bending_arm(scene, robot) is not None
+    only = f"Links and joints are taken to be rigid, without an elasticity file; only the {base} bends."
+    return (between * (away > _TOLD_BESIDE_M) + only * rigid).rstrip()
 
 
 def bending_arm(scene: Scene, robot: Robot) -> ElasticArm | None:
@@ -302,15 +309,24 @@ def robot_of(scene: Scene) -> Robot:
 
 def _require_on_its_tube(scene: Scene, robot: Robot) -> None:
     """Refuse a tube that ends beside the arm's base frame and first joint, as where `end_m` was left out."""
+    away, held = _beside_tube(scene, robot)
+    if away > _MOST_BESIDE_M:
+        got = f"an end {away:.3g} m from what it holds, the arm at ({_numbers(held)})"
+        raise SceneError(scene.source, "base.tube.end_m", got, f"at most {_MOST_BESIDE_M:g} m")
+
+
+def _beside_tube(scene: Scene, robot: Robot) -> tuple[float, Sequence[float]]:
+    """How far a tube ends from the arm, m, zero without one, and where the arm's base is."""
     tube = None if scene.base is None else scene.base.tube
     frame = robot.model.frames[robot.model.getFrameId(robot.base_frame)]
-    held = robot.foot_point if scene.on_guardrail else frame.placement.translation
-    if tube is None or math.dist(tube.end_m, robot.base_point) <= _MOST_BESIDE_M:
-        return
-    if (away := math.dist(tube.end_m, held)) > _MOST_BESIDE_M:
-        where = "({:.3g}, {:.3g}, {:.3g})".format(*held)
-        got = f"an end {away:.3g} m from what it holds, the arm at {where}"
-        raise SceneError(scene.source, "base.tube.end_m", got, f"at most {_MOST_BESIDE_M:g} m")
+    held = robot.foot_point if scene.on_guardrail else frame.placement.translation.tolist()
+    if tube is None or math.dist(tube.end_m, robot.base_point) <= _TOLD_BESIDE_M:
+        return 0.0, held
+    return min(math.dist(tube.end_m, point) for point in (held, robot.base_point)), held
+
+
+def _numbers(point: Sequence[float]) -> str:
+    return ", ".join(f"{x:.3g}" for x in point)
 
 
 def _feet_of(scene: Scene, robot: Robot) -> tuple[Foot, ...]:

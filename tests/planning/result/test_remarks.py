@@ -263,11 +263,17 @@ def test_free_moves_that_take_far_longer_than_the_work_are_told_with_what_bounds
     begun = changed(triangle_plan, "work", begin=work.begin + 7 * approach.duration)
     free, total = 8 * approach.duration, 8 * approach.duration + work.duration
     first = f"Free moves take {free:.0f} of {total:.0f} s: the longest, the approach, is bounded by the "
-    assert said(changed(begun, "approach", trajectory=slow)) == [f"{first}velocity of joint_4."]
+    angles = ", ".join(f"{angle:.1f}" for angle in np.degrees(triangle_plan.start.posture))
+    start = f"; a start in ({angles}) deg needs no approach"
+    assert said(changed(begun, "approach", trajectory=slow)) == [f"{first}velocity of joint_4{start}."]
     checks = tuple(
         replace(check, value=0.5 * check.bound) if check.limit is Limit.VELOCITY else check
         for check in approach.certificate.checks
     )
     idle = replace(approach.certificate, checks=checks)
     (told,) = said(changed(begun, "approach", trajectory=slow, certificate=idle))
-    assert told == f"{first}slowest mode or by what base, feet and joints bear."
+    assert told == f"{first}slowest mode or by what base, feet and joints bear{start}."
+    # From where the work begins there is none to be spared.
+    there = replace(triangle_plan.start, moved=0.0)
+    slow_there = replace(changed(begun, "approach", trajectory=slow), start=there)
+    assert said(slow_there) == [f"{first}velocity of joint_4."]

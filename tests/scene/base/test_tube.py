@@ -10,7 +10,7 @@ from small_scenes import short_scene
 
 from cmbot.common.errors import SceneError
 from cmbot.elastic.beam import beam_mass, beam_stiffness
-from cmbot.planning import robot_of
+from cmbot.planning import rigid_parts_remark, robot_of
 from cmbot.scene import Scene, load_scene
 
 MAST: dict[str, Any] = {
@@ -90,4 +90,13 @@ def test_a_tube_ends_where_the_arm_is() -> None:
     with pytest.raises(SceneError, match=said):
         robot_of(load_scene(data))
     data["base"]["tube"]["end_m"] = [0.0, 0.31, 0.41]
-    assert robot_of(load_scene(data)).name == "panda"
+    scene = load_scene(data)
+    robot = robot_of(scene)
+    assert robot.name == "panda"
+    said = (
+        "ends 0.49 m from the arm's base at (0, 0.6, 0.8) m: what is between is taken to be rigid (base.tube."
+    )
+    assert said in rigid_parts_remark(scene, robot)
+    data["base"]["tube"]["end_m"] = [0.0, 0.6, 0.8]
+    scene = load_scene(data)
+    assert "between" not in rigid_parts_remark(scene, robot_of(scene))
