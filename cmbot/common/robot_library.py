@@ -50,6 +50,12 @@ def _robots_in(folder: Path) -> Mapping[str, Path]:
     return robots | {name: robots[stem] for name, stem in _FILE_OF_SHORT_NAME.items() if stem in robots}
 
 
+def library_package() -> Path | None:
+    """Return the folder of the ROS package that the library is; None where it is not installed."""
+    folder = _folder()
+    return None if folder is None else folder.parent
+
+
 def _folder() -> Path | None:
     places = [Path(sys.prefix) / _LIBRARY_FOLDER]
     try:

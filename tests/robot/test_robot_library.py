@@ -52,6 +52,11 @@ def test_arms_load(
     assert capfd.readouterr() == ("", "")
 
 
+def test_a_copy_elsewhere_finds_the_librarys_meshes(tmp_path: Path) -> None:
+    """As in a xacro of one's own around it: its package needs no folder to be named."""
+    assert load_robot(only_collision("ur10", tmp_path, ())).dof == 6
+
+
 G1 = ("torso", "left_shoulder", "left_elbow", "left_wrist", "left_rubber")
 WITHOUT_SRDF = [
     ("ur3", None, None, 6),

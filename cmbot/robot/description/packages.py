@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 
 from cmbot.common.errors import ModelError
 from cmbot.common.reading.input_files import read_input
+from cmbot.common.robot_library import LIBRARY, library_package
 
 # Lists of folders below which packages are installed, in ``share``.
 _PREFIX_VARIABLES = ("AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH", "CMAKE_PREFIX_PATH")
@@ -25,8 +26,8 @@ def find_package(name: str, folder: Path, package_dirs: Sequence[Path] = ()) -> 
         Of the file that names it.
     package_dirs : sequence of Path
         Folders of packages, or the packages themselves; they come first. Then come `folder`, those above it,
-        and the folders that ROS's environment variables name. A package's folder has its name, or a
-        ``package.xml`` with its name.
+        and the folders that ROS's environment variables name, last the extra ``robots``. A package's folder
+        has its name, or a ``package.xml`` with its name.
     """
     return next((place for place in _candidates(name, folder, package_dirs) if place.is_dir()), None)
 
@@ -61,6 +62,8 @@ def _candidates(name: str, folder: Path, package_dirs: Sequence[Path]) -> Iterat
             yield place
     for place in (place for variable in _PREFIX_VARIABLES for place in _ros_paths(variable)):
         yield place / "share" / name
+    if name == LIBRARY and (package := library_package()) is not None:
+        yield package
 
 
 def _ros_paths(variable: str) -> Iterator[Path]:
