@@ -224,7 +224,13 @@ class ExportCommand(Writing):
         message: RosTrajectory | None = None if self.ros is None else written[self.ros]
         if message is not None and message.left_out:
             err.print(_without(self.ros, message, loaded))  # there, as no -q may lose it
-        self.answer(lambda: _exported(written, message), lambda: _print_exported(written, self.ros, message))
+        if locked := dict(loaded.scene.robot.locked or ()):
+            places = ", ".join(f"{name} at {value:g}" for name, value in locked.items())
+            err.print(f"Not moved, to be there first (rad or m, robot.locked): {one_line(places)}.")
+        self.answer(
+            lambda: _exported(written, message) | {"locked": locked},
+            lambda: _print_exported(written, self.ros, message),
+        )
 
     def _write_message(self, plan: cmbot.Plan, file: Path) -> RosTrajectory:
         names = {name: f"--{name.replace('_', '-')}" for name in ("max_points", "rate", "joints")}

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import run
 from rail_arms import POSTURE, rail_data
 
 import cmbot
@@ -29,6 +30,9 @@ def test_the_arm_is_where_its_rail_is_locked(tmp_path: Path) -> None:
     # The second engine, which reads the URDF anew, has it there, too.
     folder = cmbot.save(cmbot.plan(scenes[1], progress=False), tmp_path / "plan")
     assert cmbot.load_plan(folder, verify=True, scene=scenes[1]).certificate.holds
+    # No message moves the rail: who sends one has to know where it is.
+    sent = run("export", folder, "--ros", tmp_path / "job.json", "--quiet")
+    assert sent.err == "Not moved, to be there first (rad or m, robot.locked): rail at 0.3.\n"
     with pytest.raises(cmbot.ArchiveError, match=r"scene\.robot\.locked: got .*no such key, as asked"):
         cmbot.load_plan(folder, verify=True, scene=scenes[0])
 
