@@ -172,7 +172,7 @@ class CompareCommand(Writing):
         tracked = dict(zip(plans, trackings, strict=True))
         cmbot.views.write_page(self.output, cmbot.views.compare_page(plans, tracked))
         if unlike := cmbot.views.unlike(plans):
-            err.print(unlike)  # there, as no -q may lose it
+            err.print(" ".join(unlike))  # there, as no -q may lose it
         self.wrote(self.output, unlike=unlike)
 
 

@@ -75,8 +75,12 @@ def compare_page(plans: Mapping[str, Plan], trackings: Mapping[str, Tracking | N
     first = next(iter(plans.values()))
     verdicts = [_verdict(name, plan, tracked.get(name), whole) for name, plan in plans.items()]
     if said := unlike(plans):
-        first_words, _, rest = escape(said).partition(":")
-        verdicts = [f'<p class="verdict worse"><b>{first_words}:</b>{rest}</p>', *verdicts]
+        what, todo = map(escape, said)
+        summary = f"<summary><b>Not one arm on one base.</b> {what}</summary>"
+        verdicts = [
+            f'<details class="verdict worse"{" open" if whole else ""}>{summary}{todo}</details>',
+            *verdicts,
+        ]
     return assemble_report(
         _data(first, dict(zip(keys, plans.values(), strict=True)), keys),
         title="Plans compared",
@@ -89,8 +93,8 @@ def compare_page(plans: Mapping[str, Plan], trackings: Mapping[str, Tracking | N
     )
 
 
-def unlike(plans: Mapping[str, Plan]) -> str:
-    """Return why figures of plans cannot be compared as they are, and what tells more; empty where they can.
+def unlike(plans: Mapping[str, Plan]) -> tuple[str, ...]:
+    """Return why figures of plans cannot be compared as they are, and what to do; nothing where they can.
 
     Of the robot, its tool and what bends. Bases that are held elsewhere are compared as held where the first
     one is: that they are is what the plans differ by.
@@ -107,10 +111,11 @@ def unlike(plans: Mapping[str, Plan]) -> str:
         if found := list(_differences(plan.scene.base_name, mine, _bending(other, at))):
             told.append(f"in {name} {', '.join(found)}")
     if not told:
-        return ""
+        return ()
     return (
-        f"Not one arm on one base: beside {first}, {'; '.join(told)}. Torque, sag and sway may differ by "
-        f"that alone: cmbot evaluate SCENE --motion DIR, the scene of {first}, another's folder, tells more."
+        f"Beside {first}, {'; '.join(told)}.",
+        "Torque, sag and sway may differ by that alone: cmbot evaluate SCENE --motion DIR, the scene of "
+        f"{first} and another's folder, tells more.",
     )
 
 
