@@ -138,19 +138,16 @@ def _differences(base: str, mine: ElasticArm, other: ElasticArm) -> Iterator[str
         if not np.allclose(value, was, rtol=_SAME_SHARE, atol=1e-6):
             now, before = (", ".join(f"{x:.4g}" for x in np.atleast_1d(each)) for each in (value, was))
             yield f"{name} is {now} in place of {before}"
+    mine_of, other_of = (
+        {(*spring, len(at)): arm.stiffness[np.ix_(at, at)] for spring, at in arm.springs.items()}
+        for arm in (mine, other)
+    )
     for kind, called in (("base", base), ("link", "links"), ("joint", "joints")):
-        blocks, others = (
-            {
-                (name, len(at)): arm.stiffness[np.ix_(at, at)]
-                for (of, name), at in arm.springs.items()
-                if of == kind
-            }
-            for arm in (mine, other)
-        )
-        if blocks.keys() != others.keys():
-            yield f"what bends of the {called} is {'another' if others else 'none'}"
+        bends, then = ({each for each in of if each[0] == kind} for of in (other_of, mine_of))
+        if bends != then:
+            yield f"of the {called} {'something else' if bends else 'nothing'} bends"
             continue
-        shares = [eigvalsh(others[name], block) for name, block in blocks.items()] or [np.ones(1)]
+        shares = [eigvalsh(other_of[each], mine_of[each]) for each in bends] or [np.ones(1)]
         by = " to ".join(sorted({f"{least(shares):.3g}" for least in (np.min, np.max)}, key=float))
         if by != "1":
             yield f"the stiffness of the {called} is {by} times as large"
