@@ -176,9 +176,8 @@ class InputError(CmbotError, ValueError):
 
     def _within(self, room: int) -> str:
         source, key, expected = one_line(self.source), one_line(self.key), one_line(self.expected)
-        found = got = one_line(self.got)
-        if not got.startswith("no such "):
-            found = f"got {got}"
+        got = one_line(self.got)
+        found = got if got.startswith("no such ") else f"got {got}"
 
         def joined() -> str:
             line = "" if self.line is None else f":{self.line}"
@@ -276,10 +275,8 @@ class PathNotFound(PlanningError):
         self.smallest_singular_value = smallest_singular_value
         self.pair = pair
         text = f"no path beyond t = {time:.2f} s ({progress:.0%} of the tool path): {reason}"
-        near = ""
-        if 0 < smallest_singular_value < _NEAR_SINGULAR_VALUE:
-            near = f"; near a singular posture (smallest singular value {smallest_singular_value:.3g})"
-        super().__init__(text, near)
+        near = f"; near a singular posture (smallest singular value {smallest_singular_value:.3g})"
+        super().__init__(text, near if 0 < smallest_singular_value < _NEAR_SINGULAR_VALUE else "")
 
 
 class OptimisationFailed(PlanningError):
@@ -297,6 +294,8 @@ class OptimisationFailed(PlanningError):
         The `QuinticTrajectory` that violates it.
     limit : Limit
         What the constraint limits.
+    time : float, optional
+        When it is violated most, s.
     stopped : bool
         The time was over.
     """
@@ -309,18 +308,20 @@ class OptimisationFailed(PlanningError):
         violation: float,
         trajectory: object = None,
         limit: Limit = Limit.OTHER,
+        time: float | None = None,
         stopped: bool = False,
     ) -> None:
         self.reason = reason
+        self.time = time
         self.trajectory = trajectory
         self.limit = limit
         self.stopped = stopped
         self.constraint = constraint
         self.violation = violation
-        if violation <= 0:
-            super().__init__(reason, f"; every constraint is met, {constraint} with the least room")
-            return
-        super().__init__(reason, f"; worst constraint: {constraint}, {beyond(violation)}")
+        at = "" if time is None else f" at t = {time:.2f} s"
+        worst = f"; worst constraint: {constraint}{at}, {beyond(violation)}"
+        met = f"; every constraint is met, {constraint} with the least room"
+        super().__init__(reason, worst if violation > 0 else met)
 
 
 class LimitViolation(PlanningError):

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.common.errors import OptimisationFailed
 from cmbot.common.limit import Limit
 
 OBJECTIVE = 0
@@ -22,11 +23,24 @@ _NEGLIGIBLE, _INACTIVE_VALUE, _WINDOW = 1e-6, -0.5, 2.0
 
 @dataclass(frozen=True)
 class Violation:
-    """The constraint that is violated most, as a share of its bound."""
+    """The constraint that is violated most, as a share of its bound, and when, s; None: nowhere."""
 
     name: str
     value: float
     limit: Limit = Limit.OTHER
+    time: float | None = None
+
+    def failure(self, reason: str, *, trajectory: object = None, stopped: bool = False) -> OptimisationFailed:
+        """Return the error for a reason that this is the worst constraint of a trajectory."""
+        return OptimisationFailed(
+            reason,
+            constraint=self.name,
+            violation=self.value,
+            limit=self.limit,
+            time=self.time,
+            trajectory=trajectory,
+            stopped=stopped,
+        )
 
 
 def _none() -> IntArray:

@@ -329,10 +329,8 @@ class _Exchange:
         self._constraints, left = found.added_to(self._constraints), o.stalls
         while True:
             if len(self.reports) >= o.max_passes:
-                reason = (
-                    f"no solution in {counted(o.max_passes, 'pass', 'passes')}; max_passes allows no more"
-                )
-                raise self._failure(reason, found.worst)
+                passes = counted(o.max_passes, "pass", "passes")
+                raise self._failure(f"no solution in {passes}; max_passes allows no more", found.worst)
             start = NlpEvaluation.around(self._program, stage, self.form, self._constraints)
             end, iterations, done = self._solved(start, attempt=attempt)
             self.form, self._constraints = end.parametrization, end.constraints
@@ -398,15 +396,13 @@ class _Exchange:
             limit = result.iterate.peak if start.stage.bound is None else start.stage.bound
             found = self._separated(limit)
             self._keep(found)
-            worst = found.worst_beside(limit)
             reason = "near the trajectory that was found the constraints cannot all be met"
-            raise self._failure(reason, worst)
+            raise self._failure(reason, found.worst_beside(limit))
         return result.iterate, result.iterations, result.status is not SqpStatus.ITERATION_LIMIT
 
     def _separated(self, bound: float) -> Separation:
         """Find what the present trajectory violates."""
-        o = self._options
-        trajectory = self.form.trajectory
+        o, trajectory = self._options, self.form.trajectory
         return find_violations(self._program, trajectory, bound, o.feasibility_tolerance, o.most_violations)
 
     def _report(self, stage: Stage, iterations: int, found: Separation, *, ended: bool) -> None:
@@ -429,11 +425,4 @@ class _Exchange:
         return self._failure(reason, self._separated(np.inf).worst, stopped=True)
 
     def _failure(self, reason: str, worst: Violation, *, stopped: bool = False) -> OptimisationFailed:
-        return OptimisationFailed(
-            reason,
-            constraint=worst.name,
-            violation=worst.value,
-            trajectory=self.form.trajectory,
-            limit=worst.limit,
-            stopped=stopped,
-        )
+        return worst.failure(reason, trajectory=self.form.trajectory, stopped=stopped)

@@ -64,6 +64,11 @@ class WorstViolations:
     largest: float  # value anywhere; where nothing is violated, that was seen
     joint: int = -1  # with the largest value, of a bound on a joint; -1 otherwise
 
+    def violation(self, name: str, limit: Limit) -> Violation:
+        """Return the worst of them."""
+        time = float(self.times[0]) if len(self.times) else None
+        return Violation(name, self.largest, limit, time)
+
 
 def find_violations(
     program: Program, trajectory: QuinticTrajectory, bound: float, tolerance: float, most: int
@@ -85,28 +90,24 @@ def find_violations(
     functions = (program.objective, *program.constraints)
     limits = [bound] + [0.0] * len(program.constraints)
     found: list[WorstViolations] = []
-    worst = Violation("none", -np.inf)
+    violations = [Violation("none", -np.inf)]
     for number, (sampled, function, limit) in enumerate(
         zip(_sampled(functions, states, limits), functions, limits, strict=True)
     ):
         room = _PEAK_TOLERANCE_SHARE * tolerance if number == OBJECTIVE else tolerance
         found.append(violated_function(trajectory, states.t, sampled, function, limit, room))
         if number != OBJECTIVE:
-            worst = max(
-                worst,
-                Violation(function.name, found[-1].largest, function.limit),
-                key=lambda each: each.value,
-            )
+            violations.append(found[-1].violation(function.name, function.limit))
     for each in program.bounds:
         found.append(violated_bound(trajectory, each, tolerance))
         name = f"{each.name} of {program.joints[found[-1].joint]}"
-        worst = max(worst, Violation(name, found[-1].largest, each.limit), key=lambda each: each.value)
+        violations.append(found[-1].violation(name, each.limit))
     sizes = [min(len(each.times), most) for each in found]
     return Separation(
         family=np.repeat(np.arange(len(found)), sizes),
         component=np.concatenate([each.component[:most] for each in found]),
         time=np.concatenate([each.times[:most] for each in found]),
-        worst=worst,
+        worst=max(violations, key=lambda each: each.value),
         peak=found[OBJECTIVE].largest,
     )
 

@@ -141,11 +141,8 @@ def leap_failure(problem: TorqueProblem) -> OptimisationFailed | None:
     if leap(problem.request, form.via_points) == 0.0:
         return None
     worst = find_violations(problem, form.trajectory, np.inf, 0.0, 1).worst
-    return OptimisationFailed(
-        "only by leaps to other branches of postures, off the tool path, were via-points joined in time",
-        constraint=worst.name,
-        violation=worst.value,
-        limit=worst.limit,
+    return worst.failure(
+        "only by leaps to other branches of postures, off the tool path, were via-points joined in time"
     )
 
 

@@ -385,7 +385,11 @@ def test_legs_too_fast_for_the_joints_name_bound_joint_and_remedy(folder: Path) 
         write_scene(folder / "hasty.yaml", hasty)
         line = refusal("plan", "hasty.yaml", "--quiet", status=3)
         assert line.startswith("error: hasty.yaml: ")
-        assert re.search(r"(velocity|acceleration|jerk) of joint_\d, (\d+\.\d\d%|far) beyond its bound", line)
+        worst = (
+            r"(velocity|acceleration|jerk) of joint_\d at t = (\d\.\d+) s, (\d+\.\d\d%|far) beyond its bound"
+        )
+        assert (found := re.search(worst, line))
+        assert 0.0 <= float(found[2]) <= 0.9
         assert "may" not in line
         # So slow a leg was planned.
         assert re.search(r"; seconds: auto on .*, with .*shortest}, would do, and takes \d\.\d+ s$", line)

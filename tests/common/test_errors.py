@@ -109,10 +109,10 @@ def pieces(text: str) -> list[str]:
 @given(TEXTS, st.lists(sentences(15), max_size=3))
 def test_messages_are_whole_sentences_hints_included(parts: list[str], hints: list[str]) -> None:
     text = "".join(parts).removesuffix("; ").removesuffix(" It ")
-    worst = "worst constraint: jerk of joint_1, 10.00% beyond its bound"
+    worst = "worst constraint: jerk of joint_1 at t = 1.50 s, 10.00% beyond its bound"
     near = "near a singular posture (smallest singular value 0.01)"
     kinds = (
-        (OptimisationFailed(text, constraint="jerk of joint_1", violation=0.1), "", worst),
+        (OptimisationFailed(text, constraint="jerk of joint_1", violation=0.1, time=1.5), "", worst),
         (
             PathNotFound(text, time=1.0, progress=0.5, smallest_singular_value=0.01),
             "no path beyond t = 1.00 s (50% of the tool path): ",

@@ -96,6 +96,28 @@ def test_blocks_of_states_change_nothing(problem: TorqueProblem, monkeypatch: py
     np.testing.assert_allclose(whole.time, blocks.time, rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("size", [0.2, 2.0, 40.0])
+def test_the_worst_constraint_is_told_with_its_time(problem: TorqueProblem, size: float) -> None:
+    """Dense samples of all constraints are largest there."""
+    some = wild(problem, size)
+    worst = find_violations(problem, some, np.inf, 1e-6, 1000).worst
+    assert worst.time is not None
+    times = np.union1d(np.linspace(some.t[0], some.t[-1], 20001), [*some.t - 1e-9, *some.t + 1e-9])[1:-1]
+    dense = {
+        each.name: each.sample(StateSamples.along(some, times))[0].max(axis=1) for each in problem.constraints
+    }
+    for each in problem.bounds:
+        values = some.evaluate(times, each.order)
+        for joint, over in zip(
+            problem.joints, np.maximum(each.above(values), each.below(values)).T, strict=True
+        ):
+            dense[f"{each.name} of {joint}"] = over
+    name = max(dense, key=lambda each: dense[each].max())
+    assert worst.name == name
+    assert worst.value == pytest.approx(dense[name].max(), rel=1e-4)
+    assert worst.time == pytest.approx(times[dense[name].argmax()], abs=1e-3)
+
+
 def test_nothing_is_found_twice(problem: TorqueProblem) -> None:
     some = wild(problem)
     known = find_violations(problem, some, 0.5, 1e-6, 1000).added_to(ConstraintSet(step=0.01))

@@ -227,13 +227,12 @@ def _leg(request: StrokeRequest, time: float) -> int:
     return int(np.clip(np.searchsorted(edges, time) - 1, 0, len(edges) - 2))
 
 
-def _rounded_up(seconds: float) -> float:
+def _rounded_up(value: float) -> float:
     """To two digits."""
-    digit = 10.0 ** (np.floor(np.log10(seconds)) - 1)
-    return float(round(np.ceil(seconds / digit - 1e-9) * digit, 9))
+    digit = 10.0 ** (np.floor(np.log10(abs(value))) - 1)
+    return float(round(np.ceil(value / digit - 1e-9) * digit, 9))
 
 
-def _rounded_down(speed: float) -> float:
+def _rounded_down(value: float) -> float:
     """To two digits."""
-    digit = 10.0 ** (np.floor(np.log10(speed)) - 1)
-    return float(round(np.floor(speed / digit + 1e-9) * digit, 9))
+    return -_rounded_up(-value)

@@ -98,6 +98,7 @@ class NoTrajectory:
     violation: float
     trajectory: QuinticTrajectory | None
     limit: Limit
+    time: float | None = None
     broken: Broken
 
 

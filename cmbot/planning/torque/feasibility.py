@@ -47,6 +47,7 @@ def check_feasible(problem: TorqueProblem) -> None:
                     constraint=f"velocity, acceleration or jerk of {problem.joints[joint]}",
                     violation=share - 1.0,
                     limit=Limit.RATES,
+                    time=float(problem.space.t[(first + last + 1) // 2]),
                     trajectory=least_jerk,
                 )
 
@@ -108,12 +109,14 @@ def _check_via_points(problem: TorqueProblem) -> None:
     at_rest = StateSamples.at_rest(problem.space.t, problem.parametrization.via_points)
     for function in problem.constraints:
         value = function.sample(at_rest)[0].max(axis=1)
-        fixed = value if isinstance(function, ClearanceMargin) else value[[0, -1]]
+        which = slice(None) if isinstance(function, ClearanceMargin) else [0, -1]
+        fixed = value[which]
         if fixed.max() > problem.request.cell.options.constraint_tolerance:
             raise OptimisationFailed(
                 "a via-point of the path breaks a bound, so every trajectory through it does",
                 constraint=function.name,
                 violation=float(fixed.max()),
                 limit=function.limit,
+                time=float(problem.space.t[which][fixed.argmax()]),
                 trajectory=problem.parametrization.trajectory,
             )

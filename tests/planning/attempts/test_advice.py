@@ -118,7 +118,7 @@ def test_pairs_and_joints_of_constraints_are_named(
 
 ERRORS = (
     PathNotFound("blocked", time=1.0, progress=0.5, smallest_singular_value=0.01, pair=("a", "b"), pace=2.0),
-    OptimisationFailed("no", constraint="tool lag", violation=0.5, limit=Limit.TOOL_LAG),
+    OptimisationFailed("no", constraint="tool lag", violation=0.5, limit=Limit.TOOL_LAG, time=1.5),
     LimitViolation("jerk of joint_1", time=1.0, value=2.0, bound=1.0, unit="rad/s3", limit=Limit.JERK),
 )
 

@@ -33,6 +33,9 @@ def test_legs_that_are_too_fast_are_refused_at_once(seconds: float) -> None:
     failure = refused(problem, "too far apart for the time between them")
     assert failure.constraint.removeprefix("velocity, acceleration or jerk of ") in problem.joints
     assert failure.violation > 0.1
+    # Somewhere on the way a limit is exceeded there; the message says where.
+    assert 0.0 <= failure.time <= seconds
+    assert f" at t = {failure.time:.2f} s, " in str(failure)
 
 
 def test_feasibility_is_exact_to_its_samples() -> None:
@@ -51,11 +54,13 @@ def test_a_margin_that_the_via_points_break_is_refused_at_once() -> None:
     plate = {"name": "plate", "box": [0.5, 0.02, 0.5], "xyz": [2.3, 0.6, -2.06]}
     problem = problem_of(short_scene(obstacles=[plate]))
     asked, form = problem.request, problem.parametrization
-    distance = asked.cell.clearances.query(form.via_points).distance.min()
+    distances = asked.cell.clearances.query(form.via_points).distance
+    distance = distances.min()
     stricter = TorqueProblem(asked.with_options(safety_margin_m=float(distance) + 0.01), form, 0.0)
     failure = refused(stricter, "a via-point of the path breaks a bound")
     assert failure.constraint == "clearance"
     assert failure.violation == pytest.approx(0.1, rel=0.05)
+    assert failure.time == asked.times[distances.argmin()]
 
 
 def test_a_load_that_is_too_heavy_at_rest_is_refused_at_once() -> None:
@@ -66,6 +71,7 @@ def test_a_load_that_is_too_heavy_at_rest_is_refused_at_once() -> None:
     ends = problem.parametrization.via_points[[0, -1]]
     share = np.abs(Dynamics(robot).static_efforts(ends).joint_torque / robot.limits.torque).max()
     assert failure.violation == pytest.approx(share - 1, abs=0.02)
+    assert failure.time in problem.request.times[[0, -1]]
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=80))
