@@ -4,8 +4,7 @@
 
 Scenes are those of the suite's generator in a share of their seconds, drawn with the seed; those that are
 planned nevertheless are left out. Where a refusal says what "would do" the scene is changed accordingly, and
-planned. What was run is kept in the output, and not run again. The seed of the figures in
-docs/performance.md, 3607, was chosen before the first run.
+planned. What was run is kept in the output, and not run again.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from cmbot.common.errors import CmbotError
 
 # Shares of the suite's seconds; longest time for a plan, s; scenes that are drawn for each that is wanted.
 SHARES, LONGEST_S, DRAWN = (0.15, 0.6), 200.0, 10
-_VALUE = re.compile(r"([\w.\[\]]+) ([\d.e+-]+) instead of [\d.e+-]+")
+_VALUE = re.compile(r"([\w.\[\]]+) ([\w.+-]+) instead of [\w.+-]+")
 
 
 def followed(data: dict[str, Any], words: str) -> dict[str, Any]:
@@ -51,7 +50,7 @@ def followed(data: dict[str, Any], words: str) -> dict[str, Any]:
         at, names = changed, re.findall(r"\w+", key)
         for name in names[:-1]:
             at = at[int(name)] if name.isdigit() else at.setdefault(name, {})
-        at[names[-1]] = float(value)
+        at[names[-1]] = float(value) if value[0].isdigit() else value
     return changed
 
 

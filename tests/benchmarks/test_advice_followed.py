@@ -27,13 +27,14 @@ SCENE: dict[str, Any] = {
             [2.0, 0.1],
             {"planner": {"safety_margin_m": 0.014}},
         ),
+        ("tool_path.keep axis instead of pose would do", [2.0, 0.1], {"tool_path": {"keep": "axis"}}),
     ],
 )
 def test_values_take_the_place_of_those_before(words: str, legs: list[float], others: dict[str, Any]) -> None:
     changed = followed(SCENE, words)
     first, second = changed["tool_path"].pop("legs")
     assert [first["seconds"], second["speed_m_s"]] == legs
-    assert changed == {"tool_path": {}, **others}
+    assert changed == {"tool_path": {}} | others
 
 
 def test_the_shortest_time_is_asked_for_once() -> None:

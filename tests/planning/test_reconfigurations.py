@@ -57,8 +57,11 @@ def test_a_path_is_cut_where_no_posture_leads_on(tmp_path: Path) -> None:
 
 
 def test_a_path_that_must_not_be_cut_is_refused() -> None:
-    with pytest.raises(PathNotFound, match="via-point"):
-        plan(turning_scene(500.0, reconfigurations=0, seconds="auto"))
+    """The tool need not turn about its axis: that less of it is kept would do, and does."""
+    keys = {"reconfigurations": 0, "seconds": "auto"}
+    with pytest.raises(PathNotFound, match=r"; tool_path\.keep axis instead of pose would do$"):
+        plan(turning_scene(500.0, **keys))
+    assert plan(turning_scene(500.0, **keys, keep="axis")).certificate.holds
 
 
 def test_parts_share_seconds_and_via_points() -> None:

@@ -1,4 +1,4 @@
-"""Advice: slower legs, or a bound that is eased, tried where a stroke is refused; what would do is told."""
+"""Advice: slower legs, an eased bound or less that is kept, tried where a stroke is refused, and told."""
 
 from __future__ import annotations
 
@@ -17,15 +17,14 @@ from cmbot.planning.attempts.attempt import Attempt
 from cmbot.planning.attempts.failure import (
     Failure,
     JointRate,
-    JointTorque,
     NearObstacle,
     NoTrajectory,
     NoWay,
-    OtherLimit,
     OutOfTime,
     ToolOff,
     Uncertified,
 )
+from cmbot.planning.path.nearest_miss import less_kept
 from cmbot.planning.request import StrokeRequest
 from cmbot.scene import Stroke
 from cmbot.trajectory import QuinticTrajectory
@@ -81,72 +80,65 @@ def eased(request: StrokeRequest, failure: Failure) -> StrokeRequest | None:
     A smaller safety margin, or a tool that may leave its path further. None where it is another bound, or one
     that would have to be eased by far.
     """
+    options = request.cell.options
     match failure:
-        case NoTrajectory() | Uncertified():
-            return _eased(request, failure.broken)
-        case NoWay() if failure.is_start_near:
+        case NoTrajectory(broken=broken) | Uncertified(broken=broken):
+            pass
+        case NoWay(is_start_near=True):
             distance = float(request.cell.clearances.query(request.first[None]).distance[0])
-            margin = request.cell.options.safety_margin_m
-            return _eased(request, NearObstacle(distance=distance, margin=margin))
-        case NoWay() | OutOfTime():
-            return None
+            broken = NearObstacle(distance=distance, margin=options.safety_margin_m)
         case _:
-            assert_never(failure)
-
-
-def _eased(
-    request: StrokeRequest, broken: NearObstacle | JointRate | JointTorque | ToolOff | OtherLimit
-) -> StrokeRequest | None:
-    """The request with the option eased that has a bound."""
+            return None
     match broken:
-        case NearObstacle(distance=distance):
-            if distance <= 0.0 or request.cell.options.safety_margin_m > _MOST_EASED * distance:
-                return None
+        case NearObstacle(distance=distance) if 0.0 < options.safety_margin_m <= _MOST_EASED * distance:
             return request.with_options(**{_MARGIN_OPTION: _rounded_down(distance / _DURATION_MARGIN)})
-        case ToolOff(what=what, ratio=ratio):
-            option = _EASED_OPTIONS.get(what)
-            if option is None or ratio > _MOST_EASED:
-                return None
-            return request.with_options(
-                **{option: _rounded_up(_DURATION_MARGIN * ratio * getattr(request.cell.options, option))}
-            )
-        case JointRate() | JointTorque() | OtherLimit():
-            return None
-        case _:
-            assert_never(broken)
+        case ToolOff(what=what, ratio=ratio) if what in _EASED_OPTIONS and ratio <= _MOST_EASED:
+            name = _EASED_OPTIONS[what]
+            most = _rounded_up(_DURATION_MARGIN * ratio * getattr(options, name))
+            return request.with_options(**{name: most})
+    return None
 
 
 def changed_in_words(before: StrokeRequest, after: StrokeRequest) -> str:
-    """Say by the keys of the scene what was eased, or which legs take longer."""
+    """Say by the keys of the scene what was eased, what is kept instead, and which legs take longer."""
+    words = list[str]()
     for option in dict.fromkeys((_MARGIN_OPTION, *_EASED_OPTIONS.values())):
         old, new = (getattr(request.cell.options, option) for request in (before, after))
         if new != old:
-            return _changed(f"planner.{option}", new, old, 4)
-    return in_keys(before, after)
+            words.append(_changed(f"planner.{option}", new, old, 4))
+    if after.task.kept != before.task.kept:
+        words.append(f"{before.stroke.key}.keep {after.task.kept} instead of {before.task.kept}")
+    if (after.task.path.seconds > before.task.path.seconds).any():
+        words.append(in_keys(before, after))
+    return " and ".join(words)
 
 
 def _slower_legs(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
     """Slower legs, where velocities, accelerations or jerks are what fails."""
-    attempt = trial.attempt
-    if isinstance(trial.outcome, Solved):
-        return
-    factors = slower_legs(attempt.request, trial.outcome)
-    if factors is not None:
-        yield Attempt.of(slower(attempt.request, factors))
+    request, outcome = trial.attempt.request, trial.outcome
+    if not isinstance(outcome, Solved) and (factors := slower_legs(request, outcome)) is not None:
+        yield Attempt.of(slower(request, factors))
 
 
 def _eased_bound(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
     """An eased bound, of what was refused itself."""
-    attempt = trial.attempt
-    if isinstance(trial.outcome, Solved) or trial.parent is not None:
-        return
-    request = eased(attempt.request, trial.outcome)
-    if request is not None:
-        yield Attempt.of(request)
+    request, outcome = trial.attempt.request, trial.outcome
+    if not isinstance(outcome, Solved) and trial.parent is None and (easier := eased(request, outcome)):
+        yield Attempt.of(easier)
+
+
+def _less_kept(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
+    """Less that is kept of the tool's pose, where no posture leads on with all of it, or only a leap does."""
+    request = trial.attempt.request
+    match trial.outcome:
+        case NoWay(is_start_near=False) | NoTrajectory(trajectory=None) if trial.parent is None:
+            for keep in less_kept(request.stroke.file.keep):
+                yield Attempt.of(replace(request, task=replace(request.task, keep=keep, cone=None)))
 
 
 SLOWER_LEGS = Remedy(cost=10_000, propose=_slower_legs, most=2)
 EASED_BOUND = Remedy(cost=10_000, propose=_eased_bound)
+LESS_KEPT = Remedy(cost=20_000, propose=_less_kept)
 
 
 def slower(request: StrokeRequest, factors: FloatArray) -> StrokeRequest:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cmbot.planning.attempts.advice import EASED_BOUND, SLOWER_LEGS, changed_in_words
+from cmbot.planning.attempts.advice import EASED_BOUND, LESS_KEPT, SLOWER_LEGS, changed_in_words
 from cmbot.planning.attempts.agenda import Remedy, Solved, Trial
 from cmbot.planning.attempts.attempt import Attempt, agenda_of
 from cmbot.planning.attempts.failure import Failure, attempted
@@ -168,7 +168,8 @@ def advice(refused: Trial[Attempt, StrokeMotion]) -> str:
         return searched_motion(attempt, budget).outcome if is_open else certified_motion(attempt)
 
     # Ever longer times were tried of legs whose time is sought.
-    remedies = [EASED_BOUND] if is_open else [replace(SLOWER_LEGS, cost=10, most=3), EASED_BOUND]
+    remedies = [] if is_open else [replace(SLOWER_LEGS, cost=10, most=3)]
+    remedies += [EASED_BOUND, LESS_KEPT]
     if not is_open:
         remedies += [remedy.where(lambda trial: trial.parent is not None) for remedy in REMEDIES]
     agenda = agenda_of(silent, work, remedies, Budget(runs=1) if is_open else budget)

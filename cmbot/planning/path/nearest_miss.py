@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -83,7 +84,7 @@ class NearestMiss:
 
     def remedy(self) -> str:
         """Return what was tried and has a posture for every place; empty where nothing does."""
-        for keep in _less(self.request.stroke.file.keep):
+        for keep in less_kept(self.request.stroke.file.keep):
             task = ToolTask.of(self.request.task.path, keep)
             other = replace(self.request, task=task)
             if _worst(other, self.times, is_clear=self.is_clear) is None:
@@ -161,8 +162,8 @@ def _worst(request: StrokeRequest, times: FloatArray, *, is_clear: bool) -> Miss
     )
 
 
-def _less(keep: Keep) -> Iterator[Keep]:
-    """What keeps less of the tool's pose, the most first."""
+def less_kept(keep: Keep) -> Iterator[Literal["axis", "position"]]:
+    """Yield what keeps less of the tool's pose, the most first."""
     if keep == "pose":
         yield "axis"
     if keep == "axis" or keep == "pose" or isinstance(keep, AxisCone):

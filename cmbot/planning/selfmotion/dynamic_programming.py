@@ -301,7 +301,7 @@ def blocked(
         joint, pace = _slowest(request, layers, k, origins)
         why = (
             "its admissible postures, as far as they were found, are too far from those before for the "
-            f"velocity of {joint}"
+            f"velocity of {joint}, which would have to be {pace:.3g} times as high at least"
         )
     q = layer.chart.q if len(layer.chart.q) else layers[k - 1].chart.q
     return request.path_not_found(f"{opening}: {why}", q[0], request.times[k], pair, pace)

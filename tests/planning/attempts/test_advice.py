@@ -101,6 +101,16 @@ def test_seconds_are_round_and_many_legs_are_one(asked: StrokeRequest) -> None:
     assert in_keys(many, after) == "every leg of tool_path.legs in 1.5 times its seconds"
 
 
+def test_all_that_was_changed_is_told(asked: StrokeRequest) -> None:
+    assert changed_in_words(asked, asked) == ""
+    after = slower(asked.with_options(safety_margin_m=0.01), np.array([1.0, 1.611, 1.0]))
+    after = replace(after, task=replace(after.task, keep="position"))
+    assert changed_in_words(asked, after) == (
+        "planner.safety_margin_m 0.01 instead of 0.02 and tool_path.keep position instead of pose "
+        "and tool_path.legs[1].seconds 3.3 instead of 2"
+    )
+
+
 def test_pairs_and_joints_of_constraints_are_named(
     asked: StrokeRequest, trajectory: QuinticTrajectory
 ) -> None:
