@@ -18,7 +18,7 @@ from cmbot.common.limit import Limit
 from cmbot.planning.attempts.advice import SLOWER_LEGS, slower_legs
 from cmbot.planning.attempts.agenda import Remedy, Solved, Trial
 from cmbot.planning.attempts.attempt import Attempt, agenda_of
-from cmbot.planning.attempts.failure import Failure, Uncertified, attempted, briefly
+from cmbot.planning.attempts.failure import Failure, NoWay, Uncertified, attempted, briefly
 from cmbot.planning.attempts.motion import StrokeMotion, is_better
 from cmbot.planning.attempts.remedies import REMEDIES
 from cmbot.planning.budget import Budget
@@ -151,7 +151,8 @@ def _timing(before: Attempt, trajectory: QuinticTrajectory) -> Timing | Failure:
 def _stretched_laws(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
     """Where no motion is certified in a time: a longer one."""
     timing, failure = trial.attempt.timing, trial.outcome
-    if timing is None or isinstance(failure, Solved):
+    if timing is None or isinstance(failure, Solved | NoWay):
+        # No free move is found by another time.
         return
     least = timing.factors.max()
     if isinstance(failure, Uncertified) and failure.limit is Limit.SWAY:

@@ -10,7 +10,7 @@ import numpy as np
 from cmbot.planning.attempts.advice import EASED_BOUND, LESS_KEPT, SLOWER_LEGS, changed_in_words
 from cmbot.planning.attempts.agenda import Remedy, Solved, Trial
 from cmbot.planning.attempts.attempt import Attempt, agenda_of
-from cmbot.planning.attempts.failure import Failure, attempted
+from cmbot.planning.attempts.failure import Failure, attempted, briefly
 from cmbot.planning.attempts.motion import StrokeMotion, certified_motion, is_better, peak_of
 from cmbot.planning.attempts.remedies import REMEDIES
 from cmbot.planning.budget import ADVICE_RUNS, RUNS, SHORTEST_TIME_RUNS, Budget
@@ -154,29 +154,34 @@ def _bounded(trial: Trial[Attempt, StrokeMotion]) -> Trial[Attempt, StrokeMotion
 
 
 def advice(refused: Trial[Attempt, StrokeMotion]) -> str:
-    """Return what would do in place of a stroke that was refused, in words; empty where nothing was found.
+    """Return what would do in place of a stroke that was refused, in words; or what fails in more time.
 
-    It is tried within a budget of its own.
+    It is tried: first other times and bounds, then less that is kept of the tool's pose, each within a budget
+    of its own. Where nothing does, the slowest motion says the most; empty where none was slower.
     """
     first, reporter = refused.chain[0].attempt, refused.attempt.request.reporter
     silent = replace(first.request, reporter=ProgressReporter())
-    budget = Budget(runs=ADVICE_RUNS)
-    is_open = bool(silent.task.path.open_legs)
-
-    def work(attempt: Attempt) -> Solved[StrokeMotion] | Failure:
-        reporter.step(f"trying {changed_in_words(silent, attempt.request)}")
-        return searched_motion(attempt, budget).outcome if is_open else certified_motion(attempt)
-
+    is_open, failed = bool(silent.task.path.open_legs), list[tuple[float, str]]()
     # Ever longer times were tried of legs whose time is sought.
-    remedies = [] if is_open else [replace(SLOWER_LEGS, cost=10, most=3)]
-    remedies += [EASED_BOUND, LESS_KEPT]
-    if not is_open:
-        remedies += [remedy.where(lambda trial: trial.parent is not None) for remedy in REMEDIES]
-    agenda = agenda_of(silent, work, remedies, Budget(runs=1) if is_open else budget)
-    found = agenda.search_from(Trial(attempt=replace(first, request=silent), outcome=refused.outcome))
-    if not isinstance(found.outcome, Solved):
-        return ""
-    return f"{changed_in_words(silent, found.attempt.request)} would do"
+    times = [] if is_open else [replace(SLOWER_LEGS, cost=10, most=3)]
+    after = [] if is_open else [remedy.where(lambda trial: trial.parent is not None) for remedy in REMEDIES]
+    for remedies in ([*times, EASED_BOUND], [LESS_KEPT]):
+        budget = Budget(runs=ADVICE_RUNS)
+
+        def work(attempt: Attempt, budget: Budget = budget) -> Solved[StrokeMotion] | Failure:
+            reporter.step(f"trying {changed_in_words(silent, attempt.request)}")
+            made = searched_motion(attempt, budget).outcome if is_open else certified_motion(attempt)
+            slower = attempt.request.task.path.duration / silent.task.path.duration
+            if not isinstance(made, Solved) and slower > 1.0:
+                why = briefly(made).partition(" (")[0]
+                failed.append((slower, f"in {slower:.3g} times the time: {why}"))
+            return made
+
+        agenda = agenda_of(silent, work, [*remedies, *after], Budget(runs=1) if is_open else budget)
+        found = agenda.search_from(Trial(attempt=replace(first, request=silent), outcome=refused.outcome))
+        if isinstance(found.outcome, Solved):
+            return f"{changed_in_words(silent, found.attempt.request)} would do"
+    return max(failed, key=lambda each: each[0])[1] if failed else ""
 
 
 def _lighter_start(trial: Trial[Attempt, StrokeMotion]) -> Iterator[Attempt]:

@@ -300,8 +300,8 @@ def blocked(
     else:
         joint, pace = _slowest(request, layers, k, origins)
         why = (
-            "its admissible postures, as far as they were found, are too far from those before for the "
-            f"velocity of {joint}, which would have to be {pace:.3g} times as high at least"
+            f"its admissible postures, as far as they were found, are {pace:.3g} times too far from those "
+            f"before for the velocity of {joint}"
         )
     q = layer.chart.q if len(layer.chart.q) else layers[k - 1].chart.q
     return request.path_not_found(f"{opening}: {why}", q[0], request.times[k], pair, pace)

@@ -11,7 +11,10 @@ from small_scenes import SHORT, problem_of, request_of, short_scene
 from cmbot.common.errors import LimitViolation, OptimisationFailed, PathNotFound, PlanningError
 from cmbot.common.limit import Limit
 from cmbot.planning import plan
+from cmbot.planning.attempts import stroke
 from cmbot.planning.attempts.advice import changed_in_words, eased, in_keys, slower, slower_legs
+from cmbot.planning.attempts.agenda import Trial
+from cmbot.planning.attempts.attempt import Attempt
 from cmbot.planning.attempts.failure import OutOfTime, error_of, failure_of
 from cmbot.planning.budget import Deadline
 from cmbot.planning.request import StrokeRequest
@@ -228,6 +231,16 @@ def test_a_margin_that_would_do_for_the_start_is_tried_and_told() -> None:
     with pytest.raises(PathNotFound, match=r"reaches 0\.0050 m into ball") as caught:
         plan(near_start(-0.005), progress=False)
     assert "would do" not in str(caught.value)
+
+
+def test_what_fails_otherwise_is_told_where_nothing_does(
+    asked: StrokeRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    blocked = PathNotFound("no approach (a is near)", time=0.0, progress=0.0, smallest_singular_value=1.0)
+    monkeypatch.setattr(stroke, "certified_motion", lambda attempt: failure_of(attempt.request, blocked))
+    failure = failure_of(asked, violation(Limit.JERK, 8.0))
+    refused = Trial(attempt=Attempt(request=asked, guess=failure), outcome=failure)
+    assert stroke.advice(refused) == "in 1.22 times the time: no approach"
 
 
 def near_start(distance: float) -> Scene:

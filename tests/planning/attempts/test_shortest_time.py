@@ -15,12 +15,12 @@ from small_scenes import request_of, short_scene
 from cmbot import load_scene
 from cmbot.archive import load_plan, save
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import LimitViolation, SceneError
+from cmbot.common.errors import LimitViolation, PathNotFound, SceneError
 from cmbot.common.limit import Limit
 from cmbot.planning import Plan, plan
-from cmbot.planning.attempts.agenda import Agenda, Solved
+from cmbot.planning.attempts.agenda import Agenda, Solved, Trial
 from cmbot.planning.attempts.attempt import Attempt
-from cmbot.planning.attempts.failure import Failure, JointRate, Uncertified
+from cmbot.planning.attempts.failure import Failure, JointRate, Uncertified, failure_of
 from cmbot.planning.attempts.shortest_time import FEWER_STRETCHED_LEGS, STRETCHED_LAWS
 from cmbot.planning.budget import SHORTEST_TIME_RUNS, Budget, Deadline
 from cmbot.planning.initial_guess import initial_guess
@@ -292,6 +292,10 @@ def test_only_the_legs_on_which_motions_fail_are_stretched() -> None:
     (told,) = best.told
     assert "In 8 s, the shortest time along the joint path, no motion is certified (velocity of" in told
     assert told.endswith("planned 3 % slower on 1 of 2 legs.")
+    # No free move is found by another time.
+    blocked = PathNotFound("no approach", time=0.0, progress=0.0, smallest_singular_value=1.0)
+    failure = failure_of(first.request, blocked)
+    assert not list(STRETCHED_LAWS.propose(Trial(attempt=first, outcome=failure)))
 
 
 def test_a_base_that_bears_too_little_at_rest() -> None:
