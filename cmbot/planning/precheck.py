@@ -369,9 +369,8 @@ def _too_short(stroke: Stroke, robot: Robot) -> Iterator[Finding]:
         key = stroke.leg_key(0) if len(path.lengths) == 1 and stroke.file.legs else stroke.key
         speed = "speed_m_s" if stroke.asked_speed(0) is not None else "seconds"
         got = f"{length:.3g} m in {seconds:.3g} s"
-        expected = (
-            f"more than {_rounded_up(least)} s: in less the joints' limits let no arm of this reach do it"
-        )
+        least_s = _rounded_up(least)
+        expected = f"more than {least_s} s, or seconds: auto; in less no arm of this reach keeps its limits"
         yield _warning(f"{key}.{speed}", got, expected)
 
 
