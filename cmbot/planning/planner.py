@@ -15,7 +15,7 @@ from cmbot.common.reading.validation import checked_options, require_type
 from cmbot.common.watching import watched
 from cmbot.planning.attempts.advice import slower_legs
 from cmbot.planning.attempts.agenda import Agenda, Remedy, Solved
-from cmbot.planning.attempts.failure import Failure, NoWay, OutOfTime, error_of, in_words
+from cmbot.planning.attempts.failure import Failure, NoWay, OutOfTime, attempted, error_of, in_words
 from cmbot.planning.attempts.reconfigurations import Reconfigurations
 from cmbot.planning.attempts.stroke import PlannedStroke, advice, in_given_time, plan_stroke
 from cmbot.planning.budget import Budget, Deadline
@@ -312,15 +312,16 @@ class _Planner:
 
     def refuse(self, scene: Scene, stroke: PlannedStroke) -> NoReturn:
         """Raise why a stroke of a scene is not planned, with what would do."""
-        request, failure = stroke.trial.chain[0].attempt.request, stroke.trial.failure
-        if not (isinstance(failure, NoWay) and failure.is_start_near):
+        trial, request = stroke.trial, stroke.trial.chain[0].attempt.request
+        if not (isinstance(trial.failure, NoWay) and trial.failure.is_start_near):
             # Before anything else is advised; and it says by how much a place is missed.
-            require_posture(request, is_clear=True)
-        error = error_of(failure)
-        if len(request.strokes) > 1:
-            error.add_hint(f"this is stroke {request.stroke.name}")
+            missed = attempted(request, lambda: require_posture(request, is_clear=True))
+            trial = trial if missed is None else replace(trial, outcome=missed)
+        error, own = error_of(trial.failure), f"this is stroke {request.stroke.name}"
+        if len(request.strokes) > 1 and own not in error.hints:
+            error.add_hint(own)
         if request.deadline.expired():
-            if not isinstance(failure, OutOfTime):
+            if not isinstance(trial.failure, OutOfTime):
                 limit = f"{request.cell.options.time_limit_s:g} s (planner.time_limit_s)"
                 error.add_hint(f"then the time, {limit}, was over")
         elif stroke.shortest is not None:
@@ -328,7 +329,7 @@ class _Planner:
             where = f"the legs of {request.stroke.key}" if file.legs else request.stroke.key
             keys = f"seconds: auto on {where}, with speed_profile: {{kind: shortest}},"
             error.add_hint(f"{keys} would do, and takes {stroke.shortest:.3g} s")
-        elif words := advice(stroke.trial):
+        elif words := advice(trial):
             error.add_hint(words)
         raise error
 

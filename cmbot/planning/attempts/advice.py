@@ -24,7 +24,7 @@ from cmbot.planning.attempts.failure import (
     ToolOff,
     Uncertified,
 )
-from cmbot.planning.path.nearest_miss import less_kept
+from cmbot.planning.path.nearest_miss import less_kept, nearest_miss
 from cmbot.planning.request import StrokeRequest
 from cmbot.scene import Stroke
 from cmbot.trajectory import QuinticTrajectory
@@ -84,14 +84,17 @@ def eased(request: StrokeRequest, failure: Failure) -> StrokeRequest | None:
     match failure:
         case NoTrajectory(broken=broken) | Uncertified(broken=broken):
             pass
-        case NoWay(is_start_near=True):
-            distance = float(request.cell.clearances.query(request.first[None]).distance[0])
+        case NoWay(pair=(_, _)):
+            # In the best posture for the place that is furthest from one, unless the start itself is near.
+            miss = None if failure.is_start_near else nearest_miss(request, is_clear=True)
+            nearest = miss.missed.best if miss and miss.pair else request.first
+            distance = float(request.cell.clearances.query(nearest[None]).distance[0])
             broken = NearObstacle(distance=distance, margin=options.safety_margin_m)
         case _:
             return None
     match broken:
-        case NearObstacle(distance=distance) if 0.0 < options.safety_margin_m <= _MOST_EASED * distance:
-            return request.with_options(**{_MARGIN_OPTION: _rounded_down(distance / _DURATION_MARGIN)})
+        case NearObstacle(distance=near, margin=margin) if near < margin <= _MOST_EASED * near:
+            return request.with_options(**{_MARGIN_OPTION: _rounded_down(near / _DURATION_MARGIN)})
         case ToolOff(what=what, ratio=ratio) if what in _EASED_OPTIONS and ratio <= _MOST_EASED:
             name = _EASED_OPTIONS[what]
             most = _rounded_up(_DURATION_MARGIN * ratio * getattr(options, name))

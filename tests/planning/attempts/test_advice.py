@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from small_scenes import SHORT, problem_of, request_of, short_scene
 
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import LimitViolation, OptimisationFailed, PathNotFound, PlanningError
 from cmbot.common.limit import Limit
-from cmbot.planning import plan
+from cmbot.planning import Plan, plan
 from cmbot.planning.attempts import stroke
 from cmbot.planning.attempts.advice import changed_in_words, eased, in_keys, slower, slower_legs
 from cmbot.planning.attempts.agenda import Trial
@@ -243,17 +244,30 @@ def test_what_fails_otherwise_is_told_where_nothing_does(
     assert stroke.advice(refused) == "in 1.22 times the time: no approach"
 
 
+def test_a_margin_that_would_do_for_a_place_on_the_way_is_tried_and_told(short_plan: Plan) -> None:
+    """An obstacle 15 mm from the tool where the path ends: no posture there is further away."""
+    scene = near(short_plan.trajectory.q[-1], 0.015, -1.0)
+    with pytest.raises(PathNotFound, match=r"blocked at .* 0\.0150 m of ball, .*; planner") as caught:
+        plan(scene, progress=False)
+    assert str(caught.value).endswith("; planner.safety_margin_m 0.014 instead of 0.02 would do")
+    smaller = replace(scene.planner, safety_margin_m=0.014)
+    assert plan(scene, options=smaller, progress=False).certificate.holds
+
+
 def near_start(distance: float) -> Scene:
     """Scene with a ball so far behind the first link that moves away from nothing else, m."""
-    scene = short_scene()
-    asked = request_of(scene)
-    point = Kinematics(asked.cell.robot).tool_pose(scene.posture).translation
+    return near(short_scene().posture, distance, 1.0)
+
+
+def near(posture: FloatArray, distance: float, along_y: float) -> Scene:
+    """Scene with a ball so far from the arm in a posture, m, in a direction from its tool."""
+    point = Kinematics(request_of(short_scene()).cell.robot).tool_pose(posture).translation
     ball = {"name": "ball", "sphere": 0.05, "xyz": point.tolist()}
     low, high = 0.0, 1.0
     for _ in range(60):
         away = 0.5 * (low + high)
-        ball["xyz"] = (point + away * np.array([0.0, 1.0, 0.0])).tolist()
-        other = request_of(short_scene(obstacles=[ball])).cell.clearances.query(scene.posture[None])
+        ball["xyz"] = (point + away * np.array([0.0, along_y, 0.0])).tolist()
+        other = request_of(short_scene(obstacles=[ball])).cell.clearances.query(posture[None])
         low, high = (away, high) if other.distance[0] < distance else (low, away)
     return short_scene(obstacles=[ball])
 
