@@ -320,15 +320,13 @@ class _Planner:
         error, own = error_of(trial.failure), f"this is stroke {request.stroke.name}"
         if len(request.strokes) > 1 and own not in error.hints:
             error.add_hint(own)
-        if request.deadline.expired():
-            if not isinstance(trial.failure, OutOfTime):
-                limit = f"{request.cell.options.time_limit_s:g} s (planner.time_limit_s)"
-                error.add_hint(f"then the time, {limit}, was over")
-        elif stroke.shortest is not None:
-            file = request.stroke.file
-            where = f"the legs of {request.stroke.key}" if file.legs else request.stroke.key
+        if stroke.shortest is not None:
+            where = "the legs of " * bool(request.stroke.file.legs) + request.stroke.key
             keys = f"seconds: auto on {where}, with speed_profile: {{kind: shortest}},"
             error.add_hint(f"{keys} would do, and takes {stroke.shortest:.3g} s")
+        elif request.deadline.expired():
+            if not isinstance(trial.failure, OutOfTime):
+                error.add_hint(f"then {request.deadline.in_words}, was over")
         elif words := advice(trial):
             error.add_hint(words)
         raise error
@@ -350,10 +348,12 @@ class _Planner:
             return refused
         stroke, found = _at_stroke(fast, request.number, state), refused
         # Another start may be better at rest, and slower; with fixed knots there is none.
+        is_quiet = request.stroke.file.speed_profile.kind == "quiet"
         for stays in (False, True) if request.cell.options.knots == "sliding" else (False,):
             planned = plan_stroke(stroke, stays=stays)
             found = in_given_time(found, request.stroke, planned)
-            if isinstance(found.trial.outcome, Solved):
+            is_quick = found.shortest is not None and found.shortest <= request.task.path.duration
+            if isinstance(found.trial.outcome, Solved) or (is_quick and not is_quiet):
                 break
         return found
 

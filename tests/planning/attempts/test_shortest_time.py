@@ -15,13 +15,14 @@ from small_scenes import request_of, short_scene
 from cmbot import load_scene
 from cmbot.archive import load_plan, save
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import LimitViolation, PathNotFound, SceneError
+from cmbot.common.errors import LimitViolation, PathNotFound, PlanningError, SceneError
 from cmbot.common.limit import Limit
-from cmbot.planning import Plan, plan
+from cmbot.planning import Plan, plan, planner
 from cmbot.planning.attempts.agenda import Agenda, Solved, Trial
 from cmbot.planning.attempts.attempt import Attempt
 from cmbot.planning.attempts.failure import Failure, JointRate, Uncertified, failure_of
 from cmbot.planning.attempts.shortest_time import FEWER_STRETCHED_LEGS, STRETCHED_LAWS
+from cmbot.planning.attempts.stroke import PlannedStroke
 from cmbot.planning.budget import SHORTEST_TIME_RUNS, Budget, Deadline
 from cmbot.planning.initial_guess import initial_guess
 from cmbot.planning.timing.law_search import Bounded, shortest_law
@@ -229,6 +230,25 @@ def test_it_is_read_back_and_planned_again_in_that_time(quick_plan: Plan, tmp_pa
     assert [check.quantity for check in checks if not check.holds] == [
         "torque on the base by a second computation"
     ]
+
+
+@pytest.mark.parametrize(("takes", "starts"), [(0.5, 1), (2.0, 2)])
+def test_a_shortest_time_is_told_whatever_time_planning_has_left(
+    takes: float, starts: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another start is tried where it takes longer than asked for."""
+    tried = list[Any]()
+
+    def found(refused: PlannedStroke, stroke: Any, shortest: PlannedStroke) -> PlannedStroke:
+        shortest.trial.attempt.request.deadline.limit = 0.0
+        tried.append(stroke)
+        return replace(refused, shortest=takes)
+
+    monkeypatch.setattr(planner, "in_given_time", found)
+    path = {"legs": [LEG | {"seconds": 0.9}]}
+    with pytest.raises(PlanningError, match=f"would do, and takes {takes:g} s$"):
+        plan(short_scene(tool_path=path, planner={"knots": "sliding", "start": "pinned"}))
+    assert len(tried) == starts
 
 
 def test_seconds_in_which_only_a_longer_ramp_leads_are_kept(quick_plan: Plan, tmp_path: Path) -> None:
