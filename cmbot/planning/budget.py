@@ -8,9 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-RUNS, SHORTEST_TIME_RUNS, ADVICE_RUNS = 12, 24, 6
-"""Runs of optimise-and-certify at most: for a stroke of given seconds, for one with ``seconds: auto``, and
-for the advice of a refusal."""
+RUNS, SHORTEST_TIME_RUNS, ADVICE_RUNS, LESS_KEPT_RUNS = 12, 24, 6, 3
+"""Runs of optimise-and-certify at most: for a stroke of given seconds, for one with ``seconds: auto``, for
+the advice of a refusal, and for that to keep less of the tool's pose."""
 
 MORE_TIME = 0.2
 """Share of the time by which the search for a free move may exceed it: no plan is complete without them."""

@@ -19,6 +19,7 @@ from cmbot import load_robot
 from cmbot.common.errors import PathNotFound, SceneError
 from cmbot.common.reading.yaml_reader import read_yaml
 from cmbot.planning import plan, precheck_scene
+from cmbot.planning.attempts import stroke
 from cmbot.planning.path.nearest_miss import places_along
 from cmbot.planning.path.place_search import worst_missed
 from cmbot.planning.progress import Progress
@@ -234,7 +235,11 @@ def test_no_seconds_are_advised_where_a_place_between_via_points_is_out_of_reach
     )
 
 
-def test_no_seconds_are_advised_where_a_place_between_via_points_is_blocked(tmp_path: Path) -> None:
+def test_no_seconds_are_advised_where_a_place_between_via_points_is_blocked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # What else is tried takes a while.
+    monkeypatch.setattr(stroke, "LESS_KEPT_RUNS", 1)
     post = {"name": "post", "cylinder": [0.005, 0.05], "xyz": [0.05, 0.35, 0.3]}
     scene = ur5_scene(tmp_path, [-1.0, 0.5, 0], obstacles=[post])
     with pytest.raises(PathNotFound, match=r"blocked at .*, at best .*post, the safety margin") as caught:

@@ -131,10 +131,10 @@ def _eased_bound(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
 
 
 def _less_kept(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
-    """Less that is kept of the tool's pose, where no posture leads on with all of it, or only a leap does."""
+    """Less that is kept of the tool's pose, where no posture or no trajectory leads on with all of it."""
     request = trial.attempt.request
     match trial.outcome:
-        case NoWay(is_start_near=False) | NoTrajectory(trajectory=None) if trial.parent is None:
+        case NoWay(is_start_near=False) | NoTrajectory() if trial.parent is None:
             for keep in less_kept(request.stroke.file.keep):
                 yield Attempt.of(replace(request, task=replace(request.task, keep=keep, cone=None)))
 

@@ -13,7 +13,7 @@ from cmbot.planning.attempts.attempt import Attempt, agenda_of
 from cmbot.planning.attempts.failure import Failure, attempted, briefly
 from cmbot.planning.attempts.motion import StrokeMotion, certified_motion, is_better, peak_of
 from cmbot.planning.attempts.remedies import REMEDIES
-from cmbot.planning.budget import ADVICE_RUNS, RUNS, SHORTEST_TIME_RUNS, Budget
+from cmbot.planning.budget import ADVICE_RUNS, LESS_KEPT_RUNS, RUNS, SHORTEST_TIME_RUNS, Budget
 from cmbot.planning.initial_guess import InitialGuess, guess_near, initial_guess, sliding_guess
 from cmbot.planning.path.first_posture import starting_at_path
 from cmbot.planning.progress import ProgressReporter
@@ -165,8 +165,8 @@ def advice(refused: Trial[Attempt, StrokeMotion]) -> str:
     # Ever longer times were tried of legs whose time is sought.
     times = [] if is_open else [replace(SLOWER_LEGS, cost=10, most=3)]
     after = [] if is_open else [remedy.where(lambda trial: trial.parent is not None) for remedy in REMEDIES]
-    for remedies in ([*times, EASED_BOUND], [LESS_KEPT]):
-        budget = Budget(runs=ADVICE_RUNS)
+    for remedies, runs in (([*times, EASED_BOUND], ADVICE_RUNS), ([LESS_KEPT], LESS_KEPT_RUNS)):
+        budget = Budget(runs=runs)
 
         def work(attempt: Attempt, budget: Budget = budget) -> Solved[StrokeMotion] | Failure:
             reporter.step(f"trying {changed_in_words(silent, attempt.request)}")

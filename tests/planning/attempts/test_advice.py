@@ -13,7 +13,7 @@ from cmbot.common.errors import LimitViolation, OptimisationFailed, PathNotFound
 from cmbot.common.limit import Limit
 from cmbot.planning import Plan, plan
 from cmbot.planning.attempts import stroke
-from cmbot.planning.attempts.advice import changed_in_words, eased, in_keys, slower, slower_legs
+from cmbot.planning.attempts.advice import LESS_KEPT, changed_in_words, eased, in_keys, slower, slower_legs
 from cmbot.planning.attempts.agenda import Trial
 from cmbot.planning.attempts.attempt import Attempt
 from cmbot.planning.attempts.failure import OutOfTime, error_of, failure_of
@@ -232,6 +232,20 @@ def test_a_margin_that_would_do_for_the_start_is_tried_and_told() -> None:
     with pytest.raises(PathNotFound, match=r"reaches 0\.0050 m into ball") as caught:
         plan(near_start(-0.005), progress=False)
     assert "would do" not in str(caught.value)
+
+
+def test_less_is_kept_where_nothing_leads_on(asked: StrokeRequest) -> None:
+    """What a certificate misses, and a start that is too near, have to do with other things than the pose."""
+    at = {"smallest_singular_value": 1.0, "pair": ("a", "b")}
+    for error, kept in (
+        (PathNotFound("blocked", time=5.0, progress=0.5, **at), ["axis", "position"]),
+        (failed(Limit.POSITION, None), ["axis", "position"]),
+        (PathNotFound("blocked", time=0.0, progress=0.0, **at), []),
+        (violation(Limit.JERK, 8.0), []),
+    ):
+        outcome = failure_of(asked, error)
+        trial = Trial(attempt=Attempt(request=asked, guess=outcome), outcome=outcome)
+        assert [attempt.request.task.keep for attempt in LESS_KEPT.propose(trial)] == kept
 
 
 def test_what_fails_otherwise_is_told_where_nothing_does(
