@@ -6,14 +6,12 @@ from itertools import pairwise
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from cmbot.common.arrays import FloatArray, read_only
-from cmbot.common.reading.fields import Angle, Coordinate, FilePath, Length, Text, exactly_one, one_of_schema
+from cmbot.common.reading.fields import Angle, Coordinate, FilePath, Length, OneOf, Text
 from cmbot.common.reading.validation import FileModel, refusal
 from cmbot.scene.files import AxlesName
-
-_DECK = ("record", "spectrum", "trains")
 
 Hertz = Annotated[float, Field(gt=0, le=1000)]
 Density = Annotated[float, Field(ge=0, le=1e6)]
@@ -68,10 +66,10 @@ class TrainsFile(FileModel):
         return self
 
 
-class DeckFile(FileModel):
+class DeckFile(OneOf):
     """What the deck under the robot does: exactly one of record, spectrum and trains."""
 
-    model_config = ConfigDict(json_schema_extra=one_of_schema(_DECK))
+    one_of = ("record", "spectrum", "trains")
 
     record: FilePath | None = None
     """Path of a CSV file with the columns ``t,ax,ay,az``: times, s, and accelerations in W, m/s2."""
@@ -85,7 +83,6 @@ class DeckFile(FileModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        exactly_one(self, _DECK)
         for before, after in pairwise(self.spectrum or ()):
             if not before[0] < after[0]:
                 got = f"{after[0]:g} Hz after {before[0]:g} Hz"

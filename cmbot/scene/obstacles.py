@@ -7,34 +7,23 @@ from pathlib import Path
 from typing import Annotated, Self, cast
 
 import numpy as np
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from cmbot.collision import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere
 from cmbot.collision.obstacles import LEAST_SCALE, MOST_SCALE
 from cmbot.common.poses import pose
-from cmbot.common.reading.fields import (
-    LONGEST,
-    SHORTEST,
-    Angles,
-    FilePath,
-    Slug,
-    Vector,
-    exactly_one,
-    given_of,
-    one_of_schema,
-)
-from cmbot.common.reading.validation import FileModel, refusal
+from cmbot.common.reading.fields import LONGEST, SHORTEST, Angles, FilePath, OneOf, Slug, Vector
+from cmbot.common.reading.validation import refusal
 from cmbot.scene.robot_entry import MountFile
 
-_OBSTACLE_SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh")
 # As it is written; in metres it has the bounds of `Length`.
 _Written = Annotated[float, Field(ge=0, le=LONGEST / LEAST_SCALE)]
 
 
-class ObstacleFile(FileModel):
+class ObstacleFile(OneOf):
     """An obstacle: exactly one shape, placed in W or in a workpiece's frame."""
 
-    model_config = ConfigDict(json_schema_extra=one_of_schema(_OBSTACLE_SHAPES))
+    one_of = ("box", "cylinder", "capsule", "sphere", "mesh")
 
     name: Slug
     box: tuple[_Written, _Written, _Written] | None = None
@@ -62,20 +51,14 @@ class ObstacleFile(FileModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        exactly_one(self, _OBSTACLE_SHAPES)
         for index, number in enumerate(self.in_metres):
             if not SHORTEST <= number <= LONGEST:
-                written = np.atleast_1d(getattr(self, self.kind)).tolist()[index]
+                written = np.atleast_1d(getattr(self, self.given)).tolist()[index]
                 got = f"{written}" if self.scale is None else f"{written} times scale {self.scale:g}"
                 bound = f"at least {SHORTEST:g}" if number < SHORTEST else f"at most {LONGEST:g}"
-                key = (self.kind,) if self.kind == "sphere" else (self.kind, index)
+                key = (self.given,) if self.given == "sphere" else (self.given, index)
                 raise refusal(bound, got=got, key=key)
         return self
-
-    @property
-    def kind(self) -> str:
-        """The key that has its shape."""
-        return given_of(self, _OBSTACLE_SHAPES)[0]
 
     @property
     def in_metres(self) -> list[float]:
@@ -83,7 +66,7 @@ class ObstacleFile(FileModel):
         if self.mesh is not None:
             return []
         unit = 1.0 if self.scale is None else self.scale
-        return [unit * number for number in np.atleast_1d(getattr(self, self.kind)).tolist()]
+        return [unit * number for number in np.atleast_1d(getattr(self, self.given)).tolist()]
 
 
 @lru_cache(maxsize=1024)
@@ -93,7 +76,7 @@ def obstacle_from_file(file: ObstacleFile, frame: MountFile | None = None) -> Ob
     `frame` is the pose in W of the frame that the entry names.
     """
     shape: Shape
-    match file.kind, file.in_metres:
+    match file.given, file.in_metres:
         case "box", (x, y, z):
             shape = Box(size=(x, y, z))
         case "cylinder", (radius, length):

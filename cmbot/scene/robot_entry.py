@@ -5,15 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    ConfigDict,
-    Field,
-    GetPydanticSchema,
-    SerializerFunctionWrapHandler,
-    WrapSerializer,
-    model_validator,
-)
+from pydantic import Field, model_validator
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
@@ -24,13 +16,12 @@ from cmbot.common.reading.fields import (
     FolderPath,
     Length,
     Mass,
+    OneOf,
     Posture,
     Slug,
     Text,
     Vector,
-    exactly_one,
-    given_of,
-    one_of_schema,
+    mapping_of,
     word_or,
 )
 from cmbot.common.reading.validation import FileModel, refusal, shown
@@ -43,15 +34,14 @@ if TYPE_CHECKING:
     from cmbot.robot import AttachedTool, ToolShape
 
 
-_TOOL_SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh")
 _ZERO_ROTATION = (0.0, 0.0, 0.0)
 Scale = Annotated[float, Field(ge=1e-6, le=1e3)]
 
 
-class ToolShapeFile(FileModel):
+class ToolShapeFile(OneOf):
     """A shape of a tool: exactly one, placed in the flange's frame."""
 
-    model_config = ConfigDict(json_schema_extra=one_of_schema(_TOOL_SHAPES))
+    one_of = ("box", "cylinder", "capsule", "sphere", "mesh")
 
     box: tuple[Length, Length, Length] | None = None
     """Edge lengths along its x, y, z, m."""
@@ -70,17 +60,12 @@ class ToolShapeFile(FileModel):
     rpy_deg: Angles = _ZERO_ROTATION
     """Roll, pitch, yaw as in URDF."""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        exactly_one(self, _TOOL_SHAPES)
-        return self
-
     @property
     def shape(self) -> ToolShape:
         """The shape, in SI."""
         from cmbot.robot import ToolShape
 
-        (kind,) = given_of(self, _TOOL_SHAPES)
+        kind = self.given
         numbers = (self.scale,) if kind == "mesh" else np.atleast_1d(getattr(self, kind)).tolist()
         roll, pitch, yaw = np.radians(self.rpy_deg).tolist()
         return ToolShape(
@@ -179,13 +164,12 @@ ReturnTo = Annotated[
     word_or(("stow", "start", "none"), NamedState, "{state: NAME}"),
 ]
 """Where an arm goes after the work."""
-_POSTURE_KEYS = ("posture_deg", "posture", "stow", "state")
 
 
-class PostureFile(FileModel):
+class PostureFile(OneOf):
     """Where the arm is at the start: a state of its SRDF, or one posture, from the base to the tool."""
 
-    model_config = ConfigDict(json_schema_extra=one_of_schema(_POSTURE_KEYS))
+    one_of = ("posture_deg", "posture", "stow", "state")
 
     posture_deg: Posture | None = None
     """Joint angles, for arms whose joints all turn."""
@@ -196,30 +180,8 @@ class PostureFile(FileModel):
     state: Text | None = None
     """In the group state of that name of the arm's SRDF."""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        exactly_one(self, _POSTURE_KEYS)
-        return self
 
-
-def _pairs(arguments: dict[str, Any]) -> Any:
-    return tuple(sorted(arguments.items()))
-
-
-def _by_name(pairs: tuple[tuple[str, Any], ...], handler: SerializerFunctionWrapHandler) -> Any:
-    return handler(dict(pairs))
-
-
-def _mapping_to(kind: Any) -> GetPydanticSchema:
-    """A mapping in files, and pairs here, which have a hash."""
-    given = Annotated[
-        dict[Text, kind], Field(max_length=100), AfterValidator(_pairs), WrapSerializer(_by_name)
-    ]
-    return GetPydanticSchema(lambda _, handler: handler(given))
-
-
-_Arguments = Annotated[tuple[tuple[str, str], ...], _mapping_to(Text)]
-_Positions = Annotated[tuple[tuple[str, float], ...], _mapping_to(Annotated[float, Field(ge=-1000, le=1000)])]
+_Position = Annotated[float, Field(ge=-1000, le=1000)]
 _URDF_KEYS = (
     *("base_frame", "tool_frame", "limits", "package_dirs", "mount", "srdf", "elasticity"),
     *("tool", "xacro", "locked", "total_mass_kg"),
@@ -257,9 +219,9 @@ class RobotFile(FileModel):
     """By how much joints that turn keep from both ends of their ranges, deg."""
     range_margin_m: Annotated[float, Field(ge=0, le=10)] = 0.0
     """By how much joints that slide do."""
-    xacro: _Arguments | None = None
+    xacro: Annotated[tuple[tuple[str, str], ...], mapping_of(Text, Text)] | None = None
     """Of a URDF in xacro: values of its arguments, by their names."""
-    locked: _Positions | None = None
+    locked: Annotated[tuple[tuple[str, float], ...], mapping_of(Text, _Position)] | None = None
     """Where other joints than the arm's are, rad or m, such as a lift; left out: as in the SRDF, else 0."""
     total_mass_kg: Annotated[float, Field(gt=0, le=1e5)] | None = None
     """Of a URDF without masses: that of the whole robot, kg, which is spread over the links without one

@@ -16,17 +16,14 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
-    GetPydanticSchema,
     PrivateAttr,
-    SerializerFunctionWrapHandler,
-    WrapSerializer,
     model_validator,
 )
 
 from cmbot.collision import Obstacle
 from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.errors import InputError, SceneError
-from cmbot.common.reading.fields import FOLDER, Slug
+from cmbot.common.reading.fields import FOLDER, Slug, mapping_of
 from cmbot.common.reading.validation import FileModel, counted, hint, refusal, require_type, shown, validated
 from cmbot.common.representation import card
 from cmbot.elastic import Guardrail
@@ -74,29 +71,15 @@ def _released(value: object) -> object:
     return value
 
 
-def _in_order(frames: dict[str, MountFile]) -> Any:
-    for name in frames:
+def _own_names(frames: tuple[tuple[str, MountFile], ...]) -> tuple[tuple[str, MountFile], ...]:
+    for name, _ in frames:
         if name in _RESERVED_FRAMES:
             raise refusal("a name that no frame has", got=name)
-    return tuple(sorted(frames.items()))
-
-
-def _by_name(frames: tuple[tuple[str, MountFile], ...], handler: SerializerFunctionWrapHandler) -> Any:
-    return handler(dict(frames))
+    return frames
 
 
 _Frames = Annotated[
-    tuple[tuple[str, MountFile], ...],
-    GetPydanticSchema(
-        lambda _, handler: handler(
-            Annotated[
-                dict[Slug, MountFile],
-                Field(max_length=100),
-                AfterValidator(_in_order),
-                WrapSerializer(_by_name),
-            ]
-        )
-    ),
+    tuple[tuple[str, MountFile], ...], mapping_of(Slug, MountFile), AfterValidator(_own_names)
 ]
 
 
@@ -384,10 +367,7 @@ class Scene(FileModel):
     @property
     def posture_key(self) -> str:
         """The key that has the posture, such as ``start.posture_deg``."""
-        if self.start is None:
-            return "start"
-        (given,) = self.start.model_dump(exclude_none=True)
-        return f"start.{given}"
+        return "start" if self.start is None else f"start.{self.start.given}"
 
     @property
     def posture(self) -> FloatArray:

@@ -18,6 +18,7 @@ from cmbot.common.reading.fields import (
     Vector,
     exactly_one,
     given_of,
+    read_as,
 )
 from cmbot.common.reading.validation import CheckedFields
 
@@ -33,30 +34,15 @@ def _auto_or_number(value: Any, number: Any) -> Any:
     return value if value == AUTO else number(value)
 
 
-SecondsOrAuto = Annotated[
-    float | Literal["auto"],
-    GetPydanticSchema(
-        lambda _, handler: handler(
-            Annotated[Seconds, WrapValidator(_auto_or_number), PlainSerializer(lambda value: value)]
-        ),
-        lambda schema, handler: {"anyOf": [handler(schema), {"const": AUTO, "type": "string"}]},
-    ),
-]
+def _number_or_auto(number: Any) -> GetPydanticSchema:
+    checked = Annotated[number, WrapValidator(_auto_or_number), PlainSerializer(lambda value: value)]
+    return read_as(checked, (AUTO,))
+
+
+SecondsOrAuto = Annotated[float | Literal["auto"], _number_or_auto(Seconds)]
 """A duration, or ``auto``."""
 
-ViaPoints = Annotated[
-    int | Literal["auto"],
-    GetPydanticSchema(
-        lambda _, handler: handler(
-            Annotated[
-                Annotated[int, Field(ge=5, le=20000)],
-                WrapValidator(_auto_or_number),
-                PlainSerializer(lambda value: value),
-            ]
-        ),
-        lambda schema, handler: {"anyOf": [handler(schema), {"const": AUTO, "type": "string"}]},
-    ),
-]
+ViaPoints = Annotated[int | Literal["auto"], _number_or_auto(Annotated[int, Field(ge=5, le=20000)])]
 """A number of via-points, or ``auto``."""
 
 

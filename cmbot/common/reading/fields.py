@@ -4,24 +4,27 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import (
     AfterValidator,
     BaseModel,
+    ConfigDict,
     Field,
     GetPydanticSchema,
     PlainSerializer,
     ValidationInfo,
     WithJsonSchema,
+    WrapSerializer,
     WrapValidator,
+    model_validator,
 )
 
 from cmbot.common.errors import InputError
 from cmbot.common.reading.input_files import is_file, is_folder
-from cmbot.common.reading.validation import hint, refusal, shown
+from cmbot.common.reading.validation import FileModel, hint, refusal, shown
 
 SHORTEST_LEG = 1e-6
 """m."""
@@ -74,23 +77,22 @@ def place_of(text: str, info: ValidationInfo) -> Path | None:
     return None if folder is None else folder / text
 
 
-def existing_file(text: str, info: ValidationInfo) -> str:
-    """Return the absolute path of a file; refuse one that does not exist."""
+def _existing(text: str, info: ValidationInfo, is_there: Callable[[Path], bool], kind: str) -> str:
     path = place_of(text, info)
     if path is None:
         return text
-    if not is_file(path):
-        raise refusal("a file that exists (relative to the scene file)", got=shown(text))
+    if not is_there(path):
+        raise refusal(f"{kind} that exists (relative to the scene file)", got=shown(text))
     return str(path.resolve())
+
+
+def existing_file(text: str, info: ValidationInfo) -> str:
+    """Return the absolute path of a file; refuse one that does not exist."""
+    return _existing(text, info, is_file, "a file")
 
 
 def _folder(text: str, info: ValidationInfo) -> str:
-    path = place_of(text, info)
-    if path is None:
-        return text
-    if not is_folder(path):
-        raise refusal("a folder that exists (relative to the scene file)", got=shown(text))
-    return str(path.resolve())
+    return _existing(text, info, is_folder, "a folder")
 
 
 def _mesh_name(text: str, info: ValidationInfo) -> str:
@@ -153,11 +155,51 @@ def exactly_one(entry: object, names: Sequence[str]) -> None:
         raise InputError(type(entry).__name__, "", got, "exactly one of these keys", tuple(names))
 
 
-def one_of_schema(names: Sequence[str]) -> dict[str, Any]:
-    """Return `exactly_one` as JSON Schema; a null counts as not given."""
-    return {
-        "oneOf": [{"required": [name], "properties": {name: {"not": {"type": "null"}}}} for name in names]
-    }
+def _one_of_schema(schema: dict[str, Any], model: type[OneOf]) -> None:
+    """Add `exactly_one` to a JSON Schema; a null counts as not given."""
+    given = {"not": {"type": "null"}}
+    schema["oneOf"] = [{"required": [name], "properties": {name: given}} for name in model.one_of]
+
+
+class OneOf(FileModel):
+    """An entry of a file that gives exactly one of some keys."""
+
+    model_config = ConfigDict(json_schema_extra=_one_of_schema)
+
+    one_of: ClassVar[tuple[str, ...]] = ()
+
+    @model_validator(mode="after")
+    def _check_one(self) -> Self:
+        exactly_one(self, self.one_of)
+        return self
+
+    @property
+    def given(self) -> str:
+        """The key that is given."""
+        return given_of(self, self.one_of)[0]
+
+
+def read_as(kind: Any, words: Sequence[str] = ()) -> GetPydanticSchema:
+    """Return what checks and writes a type as files have it, as a `kind` or as one of some `words`."""
+    if not words:
+        return GetPydanticSchema(lambda _, handler: handler(kind))
+    # The kind first: messages name its keys.
+    return GetPydanticSchema(
+        lambda _, handler: handler(kind),
+        lambda schema, handler: {"anyOf": [handler(schema), {"enum": list(words), "type": "string"}]},
+    )
+
+
+def mapping_of(names: Any, values: Any) -> GetPydanticSchema:
+    """Return what reads and writes a mapping, which is kept as pairs: they have a hash."""
+    return read_as(
+        Annotated[
+            dict[names, values],
+            Field(max_length=100),
+            AfterValidator(lambda mapping: tuple(sorted(mapping.items()))),
+            WrapSerializer(lambda pairs, handler: handler(dict(pairs))),
+        ]
+    )
 
 
 def word_or(words: Sequence[str], model: type[BaseModel], example: str) -> GetPydanticSchema:
@@ -176,11 +218,7 @@ def word_or(words: Sequence[str], model: type[BaseModel], example: str) -> GetPy
     def as_data(kept: Any) -> Any:
         return kept if isinstance(kept, str) else kept.model_dump()
 
-    # The mapping first: messages name its keys.
-    return GetPydanticSchema(
-        lambda _, handler: handler(Annotated[model, WrapValidator(checked), PlainSerializer(as_data)]),
-        lambda schema, handler: {"anyOf": [handler(schema), {"enum": list(words), "type": "string"}]},
-    )
+    return read_as(Annotated[model, WrapValidator(checked), PlainSerializer(as_data)], words)
 
 
 def si_fields(model: BaseModel) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from functools import lru_cache
 from typing import Annotated, Self, cast
 
 import numpy as np
-from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from cmbot.collision import Box, Obstacle
 from cmbot.common.arrays import FloatArray, read_only
@@ -22,10 +22,9 @@ from cmbot.common.reading.fields import (
     Coordinate,
     Length,
     Modulus,
+    OneOf,
     Slug,
     Thickness,
-    exactly_one,
-    one_of_schema,
     si_fields,
 )
 from cmbot.common.reading.validation import FileModel, refusal, shown
@@ -43,16 +42,14 @@ from cmbot.elastic import (
 from cmbot.hold import MAGNET_PRESSURE, Foot
 from cmbot.scene.base.hold import Face, HoldFile, Holds, face_of, foot_on, held_member
 from cmbot.scene.base.identified import IdentifiedBase
-from cmbot.scene.base.matrices import Matrix6, check_positive_definite, six_rows
+from cmbot.scene.base.matrices import Mass6, Matrix6, Stiffness6
 from cmbot.scene.base.stance import StanceFile, axis_point, foothold_face, foothold_pose
 
-_SECTIONS = ("angle", "bar", "flat")
 
-
-class SectionFile(FileModel):
+class SectionFile(OneOf):
     """Cross-section of a member: exactly one of angle, bar and flat."""
 
-    model_config = ConfigDict(json_schema_extra=one_of_schema(_SECTIONS))
+    one_of = ("angle", "bar", "flat")
 
     angle: tuple[Thickness, Thickness] | None = None
     """Equal-leg angle steel: [leg, thickness], m."""
@@ -63,7 +60,6 @@ class SectionFile(FileModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        exactly_one(self, _SECTIONS)
         for key, sides in (("angle", self.angle), ("flat", self.flat)):
             if sides is not None and sides[1] >= sides[0]:
                 whole = "leg" if key == "angle" else "width"
@@ -171,12 +167,12 @@ class GuardrailFile(FileModel):
     """Where the feet hold, in place of `foot`, which then says where W is: at that post. With
     ``model: cmbot``."""
     material: MaterialFile = MaterialFile()
-    stiffness: Matrix6 | None = None
+    stiffness: Stiffness6 | None = None
     """6 x 6 stiffness at the origin of W, linear then angular (N/m, N/rad, Nm/rad), or the 6 numbers of its
     diagonal; left out: the frame's. Beside it `stance.foot_2` has to be free."""
     stiffness_factor: Annotated[float, Field(ge=1e-3, le=1e3)] | None = None
     """Factor on the frame's stiffness; left out: 1."""
-    mass: Matrix6 | None = None
+    mass: Mass6 | None = None
     """6 x 6 mass that moves with the foot, beside `stiffness`; left out: none."""
 
     @property
@@ -192,12 +188,6 @@ class GuardrailFile(FileModel):
         posts = (f"post_{number}" for number in range(1, self.bays + 2))
         return (*(rail.name for rail in self.rails), *posts)
 
-    @field_validator("stiffness", "mass", mode="before")
-    @classmethod
-    def _check_rows(cls, value: object, info: ValidationInfo) -> object:
-        given = info.field_name == "stiffness"
-        return six_rows(value, "N/m, N/rad, Nm/rad" if given else "kg, kg m, kg m2", diagonal=given)
-
     @model_validator(mode="after")
     def _check(self) -> Self:
         if self.bays > 0:
@@ -206,13 +196,9 @@ class GuardrailFile(FileModel):
         if self.stance is not None:
             self._check_stance(self.stance)
         self._check_hold()
-        if self.stiffness is not None:
-            check_positive_definite(self.stiffness, "stiffness")
         if self.stiffness_factor is not None and (self.stiffness is not None or not self.bays):
             got = "a factor beside it" if self.stiffness is not None else "a factor"
             raise refusal("posts whose stiffness it is of", got=got, key=("stiffness_factor",))
-        if self.mass is not None:
-            check_positive_definite(self.mass, "mass")
         return self
 
     def _check_rails(self) -> None:

@@ -9,21 +9,12 @@ from typing import Annotated, Any, Literal, Self, cast
 
 import numpy as np
 import shapely
-from pydantic import ConfigDict, Field, GetPydanticSchema, PlainSerializer, WrapValidator, model_validator
+from pydantic import Field, GetPydanticSchema, PlainSerializer, WrapValidator, model_validator
 from shapely.affinity import rotate, translate
 
 from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.poses import pose
-from cmbot.common.reading.fields import (
-    Angle,
-    Angles,
-    Coordinate,
-    Length,
-    Text,
-    Vector,
-    exactly_one,
-    one_of_schema,
-)
+from cmbot.common.reading.fields import Angle, Angles, Coordinate, Length, OneOf, Text, Vector
 from cmbot.common.reading.validation import FileModel, refusal, shown
 from cmbot.elastic import AngleSection, BarSection, FlatSection, Guardrail
 from cmbot.hold import MAGNET_PRESSURE, Contact, Foot, Gap
@@ -43,13 +34,10 @@ _Millimetres = Annotated[float, Field(ge=0, le=1e4)]
 Derated = Annotated[tuple[_Millimetres, Annotated[float, Field(gt=0, le=1)]], Field(strict=False)]
 
 
-_PAD_SHAPES = ("rectangle_m", "disc_m")
-
-
-class PadFile(FileModel):
+class PadFile(OneOf):
     """A part of a foot's contact, in the frame of its plate."""
 
-    model_config = ConfigDict(json_schema_extra=one_of_schema(_PAD_SHAPES))
+    one_of = ("rectangle_m", "disc_m")
 
     rectangle_m: tuple[Length, Length] | None = None
     """Sides along and across, m."""
@@ -59,11 +47,6 @@ class PadFile(FileModel):
     """Its centre along and across, m."""
     turn_deg: Angle = 0.0
     """By which it is turned about its centre."""
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        exactly_one(self, _PAD_SHAPES)
-        return self
 
     @property
     def region(self) -> shapely.Geometry:

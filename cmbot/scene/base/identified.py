@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.reading.fields import Text, Vector
 from cmbot.common.reading.validation import FileModel, refusal
-from cmbot.scene.base.matrices import Matrix6, check_positive_definite
+from cmbot.scene.base.matrices import Matrix6, PositiveDefinite6
 
 _BASE_PARAMETERS = 21
 
@@ -33,15 +33,10 @@ class IdentifiedBase(FileModel):
 
     footholds: Annotated[tuple[Vector, ...], Field(min_length=1, max_length=2)]
     """Points that the feet held when it was measured, foot 1 first, m."""
-    stiffness: Matrix6
+    stiffness: PositiveDefinite6
     """6 x 6 stiffness, linear then angular (N/m, N/rad, Nm/rad)."""
     mass: Matrix6 | None = None
     """6 x 6 mass that moves with the foot, which is not identified; left out: none."""
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        check_positive_definite(self.stiffness, "stiffness")
-        return self
 
 
 class IdentifiedDamping(FileModel):

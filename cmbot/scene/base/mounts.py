@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Self
+from typing import Annotated
 
 import numpy as np
-from pydantic import ConfigDict, Field, field_validator, model_validator
+from pydantic import Field
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.reading.fields import Angles, LongVector, Slug, Vector, exactly_one, one_of_schema
+from cmbot.common.reading.fields import Angles, LongVector, OneOf, Slug, Vector
 from cmbot.common.reading.validation import FileModel
-from cmbot.scene.base.matrices import Matrix6, check_positive_definite, six_rows
+from cmbot.scene.base.matrices import Stiffness6
 from cmbot.scene.robot_entry import MountFile
 
-_MOUNT_KINDS = ("xyz", "grid", "rail")
 _Count = Annotated[int, Field(ge=1, le=1000)]
 
 
@@ -56,10 +55,10 @@ class MountRailFile(FileModel):
             yield np.array(self.origin) + s * np.array(self.along)
 
 
-class MountsFile(FileModel):
+class MountsFile(OneOf):
     """One pose of the base frame, or several by a grid or a rail, and how what it stands on bends."""
 
-    model_config = ConfigDict(json_schema_extra=one_of_schema(_MOUNT_KINDS))
+    one_of = ("xyz", "grid", "rail")
 
     name: Slug = "mount"
     """What messages and tables call it."""
@@ -71,21 +70,9 @@ class MountsFile(FileModel):
     """Positions along a line."""
     rpy_deg: Angles = (0.0, 0.0, 0.0)
     """Roll, pitch, yaw of the base frame, as in URDF."""
-    stiffness: Matrix6 | None = None
+    stiffness: Stiffness6 | None = None
     """6 x 6 stiffness at the origin of the base frame along the axes of W, linear then angular (N/m, N/rad,
     Nm/rad), or the 6 numbers of its diagonal; left out: rigid."""
-
-    @field_validator("stiffness", mode="before")
-    @classmethod
-    def _check_rows(cls, value: object) -> object:
-        return six_rows(value, "N/m, N/rad, Nm/rad", diagonal=True)
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        exactly_one(self, _MOUNT_KINDS)
-        if self.stiffness is not None:
-            check_positive_definite(self.stiffness, "stiffness")
-        return self
 
     @property
     def each(self) -> Iterator[MountFile]:

@@ -7,11 +7,11 @@ from functools import lru_cache
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, GetPydanticSchema, PlainSerializer, WrapValidator, model_validator
+from pydantic import Field, PlainSerializer, WrapValidator, model_validator
 
 from cmbot.collision import Box
 from cmbot.common.arrays import FloatArray
-from cmbot.common.reading.fields import Angle, Coordinate, Slug, Vector
+from cmbot.common.reading.fields import Angle, Coordinate, Slug, Vector, read_as
 from cmbot.common.reading.validation import CheckedFields, FileModel, refusal, shown
 from cmbot.elastic import Guardrail
 from cmbot.scene.base.hold import FACES, Face, face_of
@@ -62,22 +62,15 @@ def _place_or_free(value: Any, place: Any) -> Any:
     raise refusal("where the foot holds, or free", got=shown(value))
 
 
-def _json_schema(schema: Any, handler: Any) -> dict[str, Any]:
-    # The mapping first: messages name its keys.
-    return {"anyOf": [handler(schema), {"enum": ["free"], "type": "string"}]}
-
-
 PlaceOrFree = Annotated[
     FootholdFile | None,
-    GetPydanticSchema(
-        lambda _, handler: handler(
-            Annotated[
-                FootholdFile,
-                WrapValidator(_place_or_free),
-                PlainSerializer(lambda place: "free" if place is None else place.model_dump()),
-            ]
-        ),
-        _json_schema,
+    read_as(
+        Annotated[
+            FootholdFile,
+            WrapValidator(_place_or_free),
+            PlainSerializer(lambda place: "free" if place is None else place.model_dump()),
+        ],
+        ("free",),
     ),
 ]
 

@@ -9,16 +9,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import (
-    AfterValidator,
-    ConfigDict,
-    Field,
-    GetPydanticSchema,
-    PlainSerializer,
-    model_validator,
-)
+from pydantic import AfterValidator, ConfigDict, Field, PlainSerializer, model_validator
 
-from cmbot.common.reading.fields import Slug, word_or
+from cmbot.common.reading.fields import Slug, read_as, word_or
 from cmbot.common.reading.validation import FileModel, counted, refusal
 from cmbot.scene.path.waypoints import Waypoint
 from cmbot.toolpath import (
@@ -414,14 +407,12 @@ class ToolPathFile(PathFile):
 
 ToolPathEntry = Annotated[
     JobStrokes,
-    GetPydanticSchema(
-        lambda _, handler: handler(
-            Annotated[
-                ToolPathFile,
-                AfterValidator(lambda path: path.job),
-                PlainSerializer(lambda job: job.as_data()),
-            ]
-        )
+    read_as(
+        Annotated[
+            ToolPathFile,
+            AfterValidator(lambda path: path.job),
+            PlainSerializer(lambda job: job.as_data()),
+        ]
     ),
 ]
 """The strokes of a job, as ``tool_path`` of a scene file."""
