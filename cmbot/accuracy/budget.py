@@ -395,12 +395,7 @@ class _Budget:
         across = self.off_path
         on_axis = (across * self.axis).sum(axis=2)
         aside = np.sqrt(((across - on_axis[:, :, None] * self.axis) ** 2).sum(axis=2))
-        kept = np.ones(len(across), dtype=np.bool_)
-        if tolerance.across_mm is not None:
-            kept &= (aside <= 1e-3 * tolerance.across_mm).all(axis=1)
-        if tolerance.along_axis_mm is not None:
-            kept &= (np.abs(on_axis) <= 1e-3 * tolerance.along_axis_mm).all(axis=1)
-        return kept
+        return np.asarray(tolerance.keeps(aside, on_axis).all(axis=1))
 
 
 def _sampled(

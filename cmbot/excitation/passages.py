@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.representation import short_repr
 from cmbot.excitation.response import AXES, ModalResponse
 from cmbot.excitation.trains import Span, Train, pressure_pulse
@@ -140,20 +140,15 @@ def adhesion_of(
     return max(holding.worst(y + wrench, t).peak for y, wrench in zip(added, planned, strict=True))
 
 
-def _off(y: FloatArray, axis: FloatArray, tolerance: Tolerance | None, size: FloatArray) -> FloatArray:
+def _off(y: FloatArray, axis: FloatArray, tolerance: Tolerance | None, size: FloatArray) -> BoolArray:
     """When the tool is off its tolerance, or without one not still."""
     if tolerance is None:
         return np.asarray(size > STILL_M)
     along = y @ axis
-    off = np.zeros(len(y), dtype=bool)
-    if tolerance.across_mm is not None:
-        off |= np.sqrt(np.maximum(size**2 - along**2, 0.0)) > tolerance.across_mm / 1e3
-    if tolerance.along_axis_mm is not None:
-        off |= np.abs(along) > tolerance.along_axis_mm / 1e3
-    return np.asarray(off)
+    return ~tolerance.keeps(np.sqrt(np.maximum(size**2 - along**2, 0.0)), along)
 
 
-def _last(t: FloatArray, off: FloatArray) -> float:
+def _last(t: FloatArray, off: BoolArray) -> float:
     """The last time that something is so; 0 where it never is."""
     return float(t[np.flatnonzero(off)[-1]]) if off.any() else 0.0
 

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import Field, GetPydanticSchema, WrapValidator
+import numpy as np
+from pydantic import Field, WrapValidator
 
+from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.common.reading.fields import read_as
 from cmbot.common.reading.validation import FileModel
 
 Millimetres = Annotated[float, Field(ge=0, le=1000)]
@@ -59,12 +62,7 @@ def _none_or(value: Any, block: Any) -> Uncertainty:
 
 
 UncertaintyOrNone = Annotated[
-    Uncertainty,
-    GetPydanticSchema(
-        lambda kind, handler: handler(Annotated[kind, WrapValidator(_none_or)]),
-        # The mapping first: messages name its keys.
-        lambda schema, handler: {"anyOf": [handler(schema), {"const": "none", "type": "string"}]},
-    ),
+    Uncertainty, read_as(Annotated[Uncertainty, WrapValidator(_none_or)], ("none",))
 ]
 """What is not known; ``none``: nothing."""
 
@@ -78,3 +76,10 @@ class Tolerance(FileModel):
     """Along the tool's axis, such as the stand-off; left out: any distance."""
     probability: Annotated[float, Field(ge=0.5, le=0.999)] = 0.95
     """With which both are kept all along the work."""
+
+    def keeps(self, across: FloatArray, along: FloatArray) -> BoolArray:
+        """Return whether distances across path and axis, and with a sign along it, m, are within it."""
+        most = (np.inf if mm is None else mm / 1e3 for mm in (self.across_mm, self.along_axis_mm))
+        return np.logical_and(
+            *(np.abs(off) <= bound for off, bound in zip((across, along), most, strict=True))
+        )

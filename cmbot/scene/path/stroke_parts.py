@@ -102,19 +102,16 @@ def rows_alone(file: StrokeFile, raster: Raster) -> StrokeFile:
     raster : Raster
         In place of its own.
     """
-    changes = {
-        "name": "rows",
-        "part_of": None,
-        "raster": raster,
-        "blend_radius_m": None,
-        "lead_in_m": None,
-        "lead_out_m": None,
-        "speed_tolerance": None,
-        "passes": None,
-        "backwards": False,
-        "time_laws": None,
-    }
-    return file.changed(**changes)
+    left_out = (
+        "part_of",
+        "blend_radius_m",
+        "lead_in_m",
+        "lead_out_m",
+        "speed_tolerance",
+        "passes",
+        "time_laws",
+    )
+    return file.changed(name="rows", raster=raster, backwards=False, **dict.fromkeys(left_out))
 
 
 def require_apart(
